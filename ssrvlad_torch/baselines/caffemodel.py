@@ -1,8 +1,5 @@
-"""Networks that Caffe saved: the arrays of a ``.caffemodel``, read by Google's protobuf.
-
-Only the messages of ``caffe.proto`` that hold weights are defined here, for layers of before 2015
-and of today; protobuf skips the rest of the file.
-"""
+"""Networks that Caffe saved: the arrays of a ``.caffemodel``, read by Google's protobuf, which
+skips what `_MESSAGES` does not define."""
 
 from __future__ import annotations
 
@@ -29,7 +26,8 @@ _MESSAGES = {
         "layer": (100, "repeated LayerParameter"),
     },
 }
-"""Messages of ``caffe.proto``: the number and the type of each field."""
+"""Messages of ``caffe.proto`` that hold weights, of layers of before 2015 and of today: the number
+and the type of each field."""
 
 
 def read_caffemodel(path: Path) -> dict[str, Tensor]:
@@ -39,24 +37,19 @@ def read_caffemodel(path: Path) -> dict[str, Tensor]:
     network, damaged = _network_message()
     try:
         network.ParseFromString(path.read_bytes())
-        tensors = {
-            f"{layer.name}.{kind}": _array(blob)
-            for layer in (*network.layers, *network.layer)
-            for kind, blob in zip(("weight", "bias"), layer.blobs, strict=False)
-        }
+        tensors = dict[str, Tensor]()
+        for layer in (*network.layers, *network.layer):
+            for kind, blob in zip(("weight", "bias"), layer.blobs, strict=False):
+                shape = list(blob.shape.dim) or [blob.num, blob.c, blob.h, blob.w]
+                while not blob.shape.dim and len(shape) > 1 and shape[0] == 1:
+                    shape.pop(0)  # before 2015 there are always four sizes; a leading 1 is no axis
+                array = torch.from_numpy(np.array(blob.data, np.float32))
+                tensors[f"{layer.name}.{kind}"] = array.reshape(shape)
     except (damaged, RuntimeError) as error:
         raise ValueError(f"{path} is not a whole Caffe network: {error}") from error
     if not tensors:
         raise ValueError(f"{path} is not a Caffe network: it has no layer with weights")
     return tensors
-
-
-def _array(blob: Any) -> Tensor:
-    """The array of a blob. Files from before 2015 have four sizes; a leading 1 is no axis."""
-    shape = list(blob.shape.dim) or [blob.num, blob.c, blob.h, blob.w]
-    while not blob.shape.dim and len(shape) > 1 and shape[0] == 1:
-        shape.pop(0)
-    return torch.from_numpy(np.array(blob.data, np.float32)).reshape(shape)
 
 
 def _network_message() -> tuple[Any, type[Exception]]:

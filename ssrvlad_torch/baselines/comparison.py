@@ -8,7 +8,6 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import torch
-from torch import Tensor
 
 from ..datasets.drives import KINDS, Drives
 from ..datasets.frame_files import FrameFile, read_ahead
@@ -20,7 +19,7 @@ from ..evaluation.true_matches import TrueMatches, Viewpoints
 from ..recognition.follow import runs
 from ..recognition.fusion import FusedScores
 from ..recognition.recognise import AS_PAPER, Steps, recognise_by_scores
-from ..taxonomy import LabelSpace, label_space
+from ..taxonomy import label_space
 from .protocol import Frame, Method
 from .run import run
 
@@ -28,6 +27,8 @@ Row = dict[str, Any]
 """The metrics and costs of a method, or its name and the reason why it could not run."""
 
 Note = Callable[[str], object]
+_FUSED = "--fuse"
+_AHEAD = 16
 
 
 class Protocol(NamedTuple):
@@ -41,10 +42,6 @@ class Protocol(NamedTuple):
     workers: int
     fused: Sequence[str]
     progress: Callable[[str, int], AbstractContextManager[Callable[[int], None]]]
-
-
-_FUSED = "--fuse"
-_AHEAD = 16
 
 
 def compare(
@@ -77,38 +74,30 @@ def _measured(
     methods: Mapping[str, Method], drives: Drives, protocol: Protocol, note: Note
 ) -> dict[str, list[Row]]:
     """The rows of each method: of single frames, and with the steps."""
-    true, convention, steps, workers, to_fuse, progress = protocol
-    parts, whole, rows = (drives.references, drives.queries), drives.whole, dict[str, list[Row]]()
-    references, queries = (Viewpoints.of(part.frames, whole) for part in parts)
-    truth = true.among(references, queries, note)
-    all_steps = None if needs_similarity(convention) or steps == AS_PAPER else steps
-    no_following = replace(steps, follow=None, delay=0)
+    references, queries = (
+        Viewpoints.of(part.frames, drives.whole) for part in (drives.references, drives.queries)
+    )
+    truth = protocol.true.among(references, queries, note)
+    all_pairs = needs_similarity(protocol.convention)
+    steps = None if all_pairs or protocol.steps == AS_PAPER else protocol.steps
+    no_following = replace(protocol.steps, follow=None, delay=0)
     members: dict[str, Recognition] = {}
-
-    def measured(found: Sequence[Recognition]) -> list[Row]:
-        return [measure(each, truth, convention) for each in found]
-
+    rows: dict[str, list[Row]] = {}
     for name, method in methods.items():
-        labelled = "labels" in method.needs
-        files, others = (part.label_files() if labelled else part.image_files() for part in parts)
-        labels_as = whole.labels_as if labelled else None
-        all_pairs = needs_similarity(convention) or name in to_fuse
-        method_steps = no_following if all_steps and name in to_fuse else all_steps
+        fused = name in protocol.fused
+        taken = no_following if steps and fused else steps
         try:
-            with progress(method.name, len(files) + len(others)) as advance:
-                found = run_method(
-                    method, files, others, labels_as, workers, all_pairs, method_steps, advance
-                )
+            found = _recognised(method, drives, protocol, taken, all_pairs or fused)
         except ValueError as error:
             rows[name] = [_not_run(method.name, str(error))]
             continue
-        if name in to_fuse:
+        if fused:
             members[name] = found[-1]
-            found = [found[0], *(_by_scores(each, _scores(each), steps) for each in found[1:])]
-        rows[name] = measured(found)
-    if to_fuse and set(to_fuse) <= set(members):
-        chosen = [members[name] for name in to_fuse]
-        rows[_FUSED] = measured(fused_methods(chosen, all_steps or no_following))
+            found[1:] = [_by_scores(each, protocol.steps) for each in found[1:]]
+        rows[name] = [measure(each, truth, protocol.convention) for each in found]
+    if protocol.fused and set(protocol.fused) <= set(members):
+        found = _fused([members[name] for name in protocol.fused], steps or no_following)
+        rows[_FUSED] = [measure(each, truth, protocol.convention) for each in found]
     return rows
 
 
@@ -116,28 +105,25 @@ def _not_run(method: str, reason: str) -> Row:
     return {"method": method, "reason": reason}
 
 
-def run_method(
-    method: Method,
-    references: Sequence[FrameFile],
-    queries: Sequence[FrameFile],
-    labels_as: str | LabelSpace | None,
-    workers: int,
-    all_pairs: bool,
-    steps: Steps | None = None,
-    progress: Callable[[int], None] = lambda _: None,
+def _recognised(
+    method: Method, drives: Drives, protocol: Protocol, steps: Steps | None, all_pairs: bool
 ) -> list[Recognition]:
-    """The candidates of every query: of single frames, and, if steps are given, after the steps.
-    Files are label maps of a label space, or images without one; ``progress`` is called with 1 for
-    every frame."""
-    retrieval = run(
-        method,
-        _frames(queries, labels_as, workers),
-        _frames(references, labels_as, workers),
-        top=TOP,
-        progress=progress,
-        steps=steps,
-        all_pairs=all_pairs,
+    """The candidates of every query: of single frames, and, if steps are given, after the steps."""
+    labels_as = drives.whole.labels_as if "labels" in method.needs else None
+    references, queries = (
+        part.label_files() if labels_as else part.image_files()
+        for part in (drives.references, drives.queries)
     )
+    with protocol.progress(method.name, len(references) + len(queries)) as advance:
+        retrieval = run(
+            method,
+            _frames(queries, labels_as, protocol.workers),
+            _frames(references, labels_as, protocol.workers),
+            top=TOP,
+            progress=advance,
+            steps=steps,
+            all_pairs=all_pairs,
+        )
     pairs = retrieval.similarity
     single = Recognition(
         references=Viewpoints.of(references),
@@ -160,63 +146,60 @@ def run_method(
     return [single, replace(single, matches=stepped.matches, details=details)]
 
 
-def fused_methods(members: Sequence[Recognition], steps: Steps) -> list[Recognition]:
+def _fused(members: Sequence[Recognition], steps: Steps) -> list[Recognition]:
     """The fused recognition of single frames, and the followed one if ``steps.follow``. Members are
     recognitions of single frames by each method, with scores of all pairs."""
-    first, details = members[0], [member.details for member in members]
-    methods, names = [each["method"] for each in details], _sequences(first.queries.frames)
-    scores = [_scores(member) for member in members]
+    details = [member.details for member in members]
+    sequences = _sequences(members[0].queries.frames)
+    scores = {each.details["method"]: torch.from_numpy(each.similarity) for each in members}
     parts = {
-        run: FusedScores(
-            {name: m[run.start : run.stop] for name, m in zip(methods, scores, strict=True)}
+        sequences[run.start]: FusedScores(
+            {name: pairs[run.start : run.stop] for name, pairs in scores.items()}
         )
-        for run in runs(names)
+        for run in runs(sequences)
     }
-    sums = torch.cat([part.whole() for part in parts.values()])
-    costs = {
-        cost: {key: sum(each[cost][key] for each in details) for key in ("average", "min", "max")}
-        for cost in ("encode_ms", "match_ms")
-    }
-    weights = {names[run.start]: part.weights for run, part in parts.items()}
-    fusion = {
-        **{"method": " + ".join(methods), "temporal": None, "weights": weights},
-        **{"bytes_a_reference": sum(each["bytes_a_reference"] for each in details), **costs},
-    }
-    single = replace(first, details={**first.details, **fusion})
-    if first.similarity is not None:
-        single = replace(single, similarity=sums.numpy())
-    alone = _by_scores(single, sums, replace(steps, follow=None, delay=0))
-    return [alone, _by_scores(single, sums, steps)] if steps.follow else [alone]
+    single = replace(
+        members[0],
+        similarity=torch.cat([part.whole() for part in parts.values()]).numpy(),
+        details={
+            **details[0],
+            "method": " + ".join(scores),
+            "temporal": None,
+            "weights": {sequence: part.weights for sequence, part in parts.items()},
+            "bytes_a_reference": sum(each["bytes_a_reference"] for each in details),
+            **{
+                cost: {key: sum(each[cost][key] for each in details) for key in details[0][cost]}
+                for cost in ("encode_ms", "match_ms")
+            },
+        },
+    )
+    alone = _by_scores(single, replace(steps, follow=None, delay=0))
+    return [alone, _by_scores(single, steps)] if steps.follow else [alone]
 
 
-def _by_scores(recognition: Recognition, scores: Tensor, steps: Steps) -> Recognition:
-    queries, references = recognition.queries.frames, recognition.references.frames
-    found = recognise_by_scores(scores, _sequences(queries), _sequences(references), steps, TOP)
+def _by_scores(recognition: Recognition, steps: Steps) -> Recognition:
+    """The recognition decided anew by its scores of all pairs."""
+    scores = torch.from_numpy(recognition.similarity)
+    queries = _sequences(recognition.queries.frames)
+    references = _sequences(recognition.references.frames)
+    found = recognise_by_scores(scores, queries, references, steps, TOP)
     before = recognition.details["steps"] or {}
     used = {**found.used, **{key: before[key] for key in ("standardise", "sweep") if key in before}}
     details = {**recognition.details, "steps": used}
     return replace(recognition, matches=found.matches, details=details)
 
 
-def _scores(recognition: Recognition) -> Tensor:
-    """The scores of all pairs of a recognition of single frames."""
-    return torch.from_numpy(recognition.similarity)
-
-
 def _sequences(frames: Sequence[str]) -> list[str]:
     return [frame.rpartition("/")[0] for frame in frames]
 
 
-def _frames(
-    files: Sequence[FrameFile], labels_as: str | LabelSpace | None, workers: int
-) -> Iterator[Frame]:
+def _frames(files: Sequence[FrameFile], labels_as: str | None, workers: int) -> Iterator[Frame]:
     """Frames with their label maps, or, without a label space, with their images."""
     space = label_space(labels_as) if labels_as else None
-    name = labels_as if isinstance(labels_as, str) else space.name if space else None
 
     def load(file: FrameFile) -> Frame:
         if space:
-            return Frame(file.frame, read_label_map(file, space), name)
+            return Frame(file.frame, read_label_map(file, space), labels_as)
         return Frame(file.frame, image=read_image(file))
 
     for file, frame in read_ahead(load, files, workers, _AHEAD):

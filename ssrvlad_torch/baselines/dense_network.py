@@ -12,10 +12,8 @@ from ..segmentation.segmenter import Segmenter
 from ..taxonomy import LabelSpace
 
 DenseNetwork = Callable[[Tensor], tuple[Tensor, Tensor]]
-"""``(1, H, W, 3)`` uint8 RGB -> ``(1, D, h, w)`` features, ``(1, C, h', w')`` probabilities.
-
-Both float; channel c of the probabilities, at any resolution, stands for id c of a label space.
-"""
+"""``(1, H, W, 3)`` uint8 RGB -> ``(1, D, h, w)`` features and, at any resolution, ``(1, C, h',
+w')`` probabilities, both float; channel c is of id c of a label space."""
 
 
 def segmenter_of(

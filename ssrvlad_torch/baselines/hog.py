@@ -21,11 +21,8 @@ ORIENTATIONS = 8
 class HOG(GridMethod):
     """A trivial method: one histogram of gradient directions for each cell of a grid.
 
-    The gray picture is resized to 16 pixels a cell. Gradients are central differences, zero at the
-    border; each pixel votes with its gradient's length for one of equal bins of unsigned
-    directions. Each cell's histogram is divided by its L2 norm, and so is the whole descriptor.
-    These are the semantics of ``skimage.feature.hog`` with one cell a block and
-    ``block_norm="L2"``.
+    The gray picture is resized to 16 pixels a cell; histograms are those of ``skimage.feature.hog``
+    with one cell a block and ``block_norm="L2"``. The whole descriptor has length 1.
     """
 
     name = "hog"

@@ -1,11 +1,10 @@
 """Local Semantic Tensor, and the layout of keypoints (Garg, Suenderhauf, Milford, RSS 2018).
 
-The symbols: x_i is the feature vector at place i, l_i its most likely class, m_is the probability
-of class s there, mu_s the mean feature of class s. The two equations are those of the paper as
-the authors' program (github.com/oravus/lostX, ``LoST.py``) computes them. For the layout, paper and
-program differ: the paper removes keypoints that are close together and uses weighted Euclidean
-distances, the program (``match_lost_kc.py``) does neither. This follows the program, because every
-step of it is defined.
+x_i is the feature vector at place i, m_is the probability of class s there, mu_s the mean feature
+of class s. The equations are those of the paper, as the authors' program (github.com/oravus/lostX,
+``LoST.py``) computes them. The layout is that of the program (``match_lost_kc.py``): the paper
+removes keypoints that are close together and uses weighted Euclidean distances, but does not define
+every step.
 """
 
 from __future__ import annotations
@@ -22,9 +21,9 @@ def layout_cost(columns: tuple[Tensor, Tensor], distances: Tensor) -> float:
     fewer than two pairs. ``columns`` are x of the keypoints in both images, ``(M,)`` float each,
     and ``distances`` ``(M,)`` float the cosine distances between the features of each pair.
 
-    The weight w_k of a pair is the largest distance minus its own, after all are divided by their
-    sum; if all distances are equal, so are the weights. The cost is the cosine distance between the
-    two vectors of weighted columns, divided by the length of w and by M.
+    The weight of a pair is the largest distance minus its own, after all are divided by their sum;
+    if all distances are equal, so are the weights. The cost is the cosine distance between the two
+    vectors of weighted columns, divided by the length of the weights and by M.
     """
     count = len(columns[0])
     if count < 2:

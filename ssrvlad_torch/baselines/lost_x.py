@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -24,15 +24,24 @@ _REACH = 7
 _CANDIDATES = 10
 
 
+class _View(NamedTuple):
+    """The arguments of `lost_descriptor` for one image, and its `class_sums`."""
+
+    features: Tensor
+    probabilities: Tensor
+    labels: Tensor
+    width: int
+    sums: tuple[Tensor, Tensor]
+
+
 @dataclass(frozen=True)
 class LoSTEncodings(Columns):
-    """Encoded frames: a descriptor, and one keypoint per feature channel, at its maximum.
+    """Encoded frames: a descriptor ``(N, S * D)`` float32, and one keypoint per feature channel, at
+    its maximum.
 
     Attributes:
-        descriptors: ``(N, S * D)`` float32.
-        places: ``(N, D)`` int64, index of each keypoint among the places of its image.
-        labels: ``(N, D)`` int64, the most likely class at each keypoint.
-        columns: ``(N, D)`` int64, x of the keypoints.
+        places, labels, columns: ``(N, D)`` int64, of the keypoints: index among the places of the
+            image, most likely class, and x.
         widths: ``(N, 1)`` int64, columns of the feature maps.
         features: ``(P, D)`` float32 for each image, a vector of length 1 for every place.
     """
@@ -80,12 +89,17 @@ class LoSTX:
             segmenter = segmenter_of(network, self.name, labels_as or AUTO)
             labels_as, network = segmenter.label_space, dense_network(segmenter)
         self._network = network
-        self._space = label_space(labels_as or "cityscapes-trainids")
-        self._classes = torch.tensor([self._id(name) for name in classes])
+        self._space = space = label_space(labels_as or "cityscapes-trainids")
+        channels = range(space.channel_counts.start)
+        ids = {label.name: label.id for label in space.classes if label.id in channels}
+        if unknown := [name for name in classes if name not in ids]:
+            has = ", ".join(ids)
+            raise ValueError(f"label space {space.name} has no class {unknown[0]!r}; it has {has}")
+        self._classes = torch.tensor([ids[name] for name in classes])
         self._opposite = opposite
 
     def encode_query(self, frames: Iterable[Frame]) -> LoSTEncodings:
-        """Descriptors with the mean features of each frame alone. They hold 8 kB per place."""
+        """Descriptors with the mean features of each frame alone; 8 kB per place."""
         return self._encode(frames, reach=0)
 
     def encode_reference(self, frames: Iterable[Frame]) -> LoSTEncodings:
@@ -123,11 +137,13 @@ class LoSTX:
             sequences.append(frame.sequence)
         if not views:
             raise ValueError(f"method {self.name}: no frames to encode")
-        means = _means([view.sums for view in views], sequences, reach)
-        descriptors = [
-            lost_descriptor(view.features, view.probabilities, mean)
-            for view, mean in zip(views, means, strict=True)
-        ]
+        descriptors = []
+        for i, view in enumerate(views):
+            window = range(max(0, i - reach), min(len(views), i + reach + 1))
+            near = [views[j].sums for j in window if sequences[j] == sequences[i]]
+            total, count = (sum(part, torch.zeros(())) for part in zip(*near, strict=True))
+            means = total / count.clamp(min=1)  # Eq. 2, over all places of the frames around
+            descriptors.append(lost_descriptor(view.features, view.probabilities, means))
         places = [view.features.argmax(dim=1) for view in views]
         return LoSTEncodings(
             torch.stack(descriptors),
@@ -141,14 +157,6 @@ class LoSTX:
     @torch.no_grad()
     def _view(self, image: Image) -> _View:
         features, scores = self._network(torch.tensor(image)[None])
-        self._check(features, scores)
-        scores = F.interpolate(scores, features.shape[2:], mode="nearest-exact")[0].flatten(1)
-        labels, flat = scores.argmax(dim=0), features[0].flatten(1)
-        probabilities = F.normalize(scores, p=1, dim=0)[self._classes]
-        sums = class_sums(flat, labels, self._classes)
-        return _View(flat, probabilities, labels, features.shape[3], sums)
-
-    def _check(self, features: Tensor, scores: Tensor) -> None:
         counts = self._space.channel_counts
         if features.ndim != 4 or scores.ndim != 4 or scores.shape[1] not in counts:
             raise ValueError(
@@ -161,32 +169,8 @@ class LoSTX:
                 f"method {self.name}: the network must give class probabilities, got "
                 f"{float(scores.min()):.3g}; put a softmax behind it"
             )
-
-    def _id(self, name: str) -> int:
-        channels = range(self._space.channel_counts.start)
-        ids = {label.name: label.id for label in self._space.classes if label.id in channels}
-        if name not in ids:
-            has = ", ".join(ids)
-            raise ValueError(f"label space {self._space.name} has no class {name!r}; it has {has}")
-        return ids[name]
-
-
-class _View(NamedTuple):
-    """The arguments of `lost_descriptor` for one image, and its `class_sums`."""
-
-    features: Tensor
-    probabilities: Tensor
-    labels: Tensor
-    width: int
-    sums: tuple[Tensor, Tensor]
-
-
-def _means(
-    sums: Sequence[tuple[Tensor, Tensor]], sequences: Sequence[str], reach: int
-) -> Iterator[Tensor]:
-    """mu_s (Eq. 2) over all places of the frames of a sequence that are near each frame."""
-    for i, sequence in enumerate(sequences):
-        window = range(max(0, i - reach), min(len(sums), i + reach + 1))
-        near = [sums[j] for j in window if sequences[j] == sequence]
-        total, places = (sum(part, torch.zeros(())) for part in zip(*near, strict=True))
-        yield total / places.clamp(min=1)
+        scores = F.interpolate(scores, features.shape[2:], mode="nearest-exact")[0].flatten(1)
+        labels, flat = scores.argmax(dim=0), features[0].flatten(1)
+        probabilities = F.normalize(scores, p=1, dim=0)[self._classes]
+        sums = class_sums(flat, labels, self._classes)
+        return _View(flat, probabilities, labels, features.shape[3], sums)

@@ -47,7 +47,16 @@ class NetVLAD(VectorMethod):
         device: str = "cpu",
     ) -> None:
         self.name = "netvlad (random weights)" if random_weights else "netvlad"
-        network = random_network(NetVLADNetwork) if random_weights else _trained(weights)
+        if random_weights:
+            network = random_network(NetVLADNetwork)
+        else:
+            path = find_weights(weights, _FILES, _ORIGIN)
+            state = read_netvlad_weights(path)
+            clusters = len(state["pool.centroids"]) if "pool.centroids" in state else 64
+            outputs = len(state["whiten.bias"]) if "whiten.bias" in state else None
+            with torch.device("meta"):
+                network = NetVLADNetwork(clusters=clusters, outputs=outputs).eval()
+            fill(network, state, path)
         self._network, self.length = network.to(device), network.size
         self._device = device
 
@@ -61,14 +70,3 @@ class NetVLAD(VectorMethod):
         pixels = torch.tensor(image, device=self._device).permute(2, 0, 1)
         descriptor: Tensor = self._network(pixels[None])
         return descriptor.cpu()
-
-
-def _trained(weights: str | Path | None) -> NetVLADNetwork:
-    path = find_weights(weights, _FILES, _ORIGIN)
-    state = read_netvlad_weights(path)
-    clusters = len(state["pool.centroids"]) if "pool.centroids" in state else 64
-    outputs = len(state["whiten.bias"]) if "whiten.bias" in state else None
-    with torch.device("meta"):
-        network = NetVLADNetwork(clusters=clusters, outputs=outputs)
-    fill(network, state, path)
-    return network.eval()

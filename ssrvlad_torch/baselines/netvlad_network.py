@@ -16,15 +16,10 @@ _DEPTHS = (2, 2, 3, 3, 3)
 
 
 def vgg16(widths: Sequence[int] = VGG16_WIDTHS) -> nn.Sequential:
-    """The thirteen convolutions up to conv5_3, without its ReLU and without the last pooling.
-
-    The authors' network and its ports end there too. The numbers of the layers are those of
-    torchvision's ``vgg16().features``, so published names fit.
-
-    Shape:
-        - input: ``(B, 3, H, W)`` float, H and W at least 16
-        - output: ``(B, widths[-1], H // 16, W // 16)`` float
-    """
+    """The thirteen convolutions up to conv5_3, without its ReLU and without the last pooling, as in
+    the authors' network and its ports; layers have the numbers of torchvision's
+    ``vgg16().features``. ``(B, 3, H, W)`` float, sides of at least 16, give ``(B, widths[-1],
+    H // 16, W // 16)``."""
     layers: list[nn.Module] = []
     channels = 3
     for width, depth in zip(widths, _DEPTHS, strict=True):
@@ -36,15 +31,9 @@ def vgg16(widths: Sequence[int] = VGG16_WIDTHS) -> nn.Sequential:
 
 
 class NetVLADLayer(nn.Module):
-    """Residuals to learnt centres, summed with soft assignment.
-
-    Names and shapes of the parameters are those of the PyTorch port: ``conv`` holds w_k and b_k
-    of Eq. 3, ``centroids`` c_k.
-
-    Shape:
-        - input: ``(B, D, H, W)`` float
-        - output: ``(B, K * D)`` of length 1, centre by centre
-    """
+    """Residuals to learnt centres, summed with soft assignment: ``(B, D, H, W)`` float give ``(B,
+    K * D)`` of length 1, centre by centre. Parameters are named as in the PyTorch port: ``conv``
+    holds w_k and b_k of Eq. 3, ``centroids`` c_k."""
 
     def __init__(self, clusters: int, channels: int) -> None:
         super().__init__()
@@ -65,17 +54,9 @@ IMAGENET_STD = (0.229, 0.224, 0.225)
 
 
 class NetVLADNetwork(nn.Module):
-    """VGG-16 up to conv5_3, the NetVLAD layer, and PCA whitening if the weights have it.
-
-    Args:
-        widths: channels of the five blocks of VGG-16.
-        clusters: K of the layer.
-        outputs: length of the whitened descriptor, None for no whitening.
-
-    Shape:
-        - input: ``(B, 3, H, W)`` RGB from 0 to 255, uint8 or float, H and W at least 16
-        - output: ``(B, size)`` of length 1; ``size`` is ``outputs``, or ``clusters * widths[-1]``
-    """
+    """VGG-16 up to conv5_3, the NetVLAD layer with K ``clusters``, and PCA whitening to ``outputs``
+    numbers, if not None. ``(B, 3, H, W)`` RGB from 0 to 255, uint8 or float, sides of at least 16,
+    give ``(B, size)`` of length 1; ``size`` is ``outputs``, or ``clusters * widths[-1]``."""
 
     mean: Tensor
     std: Tensor

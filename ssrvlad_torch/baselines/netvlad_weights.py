@@ -30,18 +30,11 @@ def read_netvlad_weights(path: Path) -> dict[str, Tensor]:
     and the same with ``WPCA.0`` (Patch-NetVLAD). Input is scaled as torchvision does.
     """
     with path.open("rb") as file:
-        matlab = file.read(len(_MATLAB)) == _MATLAB
-    return _from_matlab(path) if matlab else _from_pytorch(path)
-
-
-def _from_pytorch(path: Path) -> dict[str, Tensor]:
-    """The tensors of a PyTorch file. VLAD version 1 of the port has no biases b_k: they are 0."""
+        if file.read(len(_MATLAB)) == _MATLAB:
+            return _from_matlab(path)
     state = read_checkpoint(path)
-    state |= {
-        "mean": 255 * torch.tensor(IMAGENET_MEAN),
-        "std": 255 * torch.tensor(IMAGENET_STD),
-    }
-    if "pool.centroids" in state:
+    state["mean"], state["std"] = 255 * torch.tensor((IMAGENET_MEAN, IMAGENET_STD))
+    if "pool.centroids" in state:  # VLAD version 1 of the port has no biases b_k: they are 0
         state.setdefault("pool.conv.bias", torch.zeros(len(state["pool.centroids"])))
     if "WPCA.0.weight" in state:
         state["whiten.weight"] = state["WPCA.0.weight"].flatten(1)

@@ -22,14 +22,9 @@ Item = TypeVar("Item")
 
 @dataclass(frozen=True)
 class Frame:
-    """One frame, the input of a method; fields that the method does not need may be missing.
-
-    Attributes:
-        frame: the frame's id, ``<sequence>/<name>``.
-        labels: ``(H, W)`` label ids.
-        labels_as: the label space of the ids.
-        image: ``(H, W, 3)`` uint8, RGB.
-    """
+    """One frame, the input of a method, by its id ``<sequence>/<name>``: label ids ``(H, W)`` and
+    their label space, and the image ``(H, W, 3)`` uint8, RGB. What the method does not need may be
+    missing."""
 
     frame: str
     labels: LabelMap | None = None
@@ -40,18 +35,6 @@ class Frame:
     def sequence(self) -> str:
         """The part of the id before the last slash."""
         return self.frame.rpartition("/")[0]
-
-
-class Encodings(Protocol):
-    """Encoded frames with a length, slices, and a size in bytes. A tensor is one."""
-
-    def __len__(self) -> int: ...
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes of all of them."""
-
-    def __getitem__(self, part: slice, /) -> Any: ...
 
 
 class Columns:
@@ -77,7 +60,7 @@ class Method(Protocol):
 
     Queries and references may be encoded differently: SSR-VLAD sums references over their
     neighbours, CoHOG chooses regions of queries only. Encodings are usually a tensor with one row
-    per frame.
+    per frame; what is not has a length, slices and ``nbytes`` as well.
 
     Attributes:
         name: its name in `METHODS`.
@@ -87,11 +70,11 @@ class Method(Protocol):
     name: str
     needs: frozenset[str]
 
-    def encode_query(self, frames: Iterable[Frame]) -> Encodings:
+    def encode_query(self, frames: Iterable[Frame]) -> Any:
         """The encodings of Q queries, each independent of the others. A frame that lacks what the
         method needs, or cannot be encoded, is a ValueError."""
 
-    def encode_reference(self, frames: Iterable[Frame]) -> Encodings:
+    def encode_reference(self, frames: Iterable[Frame]) -> Any:
         """The encodings of R references, those of a sequence in order; errors as for queries."""
 
     def scores(self, queries: Any, references: Any) -> Tensor:
@@ -155,22 +138,26 @@ def labels_of(frame: Frame, method: str) -> tuple[LabelMap, str]:
     return got, frame.labels_as
 
 
-def label_kind(frame: Frame) -> tuple[object, ...]:
-    """Shape, dtype and label space, which are equal in a batch; empty without a label map."""
+def label_kind(frame: Frame) -> object:
+    """What is equal in a batch of label maps: shape, dtype and label space."""
     labels = frame.labels
-    return () if labels is None else (labels.shape, labels.dtype, frame.labels_as)
+    return None if labels is None else (labels.shape, labels.dtype, frame.labels_as)
 
 
-def image_shape(frame: Frame) -> tuple[int, ...]:
-    """The shape of the image, which is equal in a batch; empty without an image."""
-    return () if frame.image is None else frame.image.shape
+def image_shape(frame: Frame) -> object:
+    """What is equal in a batch of images."""
+    return None if frame.image is None else frame.image.shape
 
 
-def noting(frames: Iterable[Item], note: Callable[[Item], object]) -> Iterator[Item]:
-    """Yields the frames unchanged; calls ``note`` with each frame first."""
+def noting(
+    frames: Iterable[Frame], sequences: list[str], done: Callable[[int], object] = lambda _: None
+) -> Iterator[Frame]:
+    """Yields the frames unchanged; appends the sequence of each first, and calls ``done`` with 1
+    after each."""
     for frame in frames:
-        note(frame)
+        sequences.append(frame.sequence)
         yield frame
+        done(1)
 
 
 def batches(

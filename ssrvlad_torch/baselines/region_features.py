@@ -21,16 +21,10 @@ _MEAN_BGR = (104.051, 112.514, 116.676)
 
 
 class AlexNetPlaces365(nn.Module):
-    """The first three convolutions; the layers after conv3 are not needed.
-
-    It is Caffe's AlexNet, with Caffe's names and shapes of the parameters: two groups in conv2,
-    pooling before normalisation, pixels in the order blue, green, red. torchvision's AlexNet is
-    another network.
-
-    Shape:
-        - input: ``(B, 3, H, W)`` RGB from 0 to 255, uint8 or float; resized to 227 x 227
-        - output: ``(B, 384, 13, 13)`` float32, after the ReLU
-    """
+    """The first three convolutions of Caffe's AlexNet, with Caffe's names and shapes of the
+    parameters: two groups in conv2, pooling before normalisation, pixels in the order blue, green,
+    red. ``(B, 3, H, W)`` RGB from 0 to 255, uint8 or float, is resized to 227 x 227 and gives ``(B,
+    384, 13, 13)`` float32, after the ReLU of conv3."""
 
     mean: Tensor
 
@@ -76,7 +70,13 @@ class RegionFeatures:
         regions: int = 400,
         device: str = "cpu",
     ) -> None:
-        network = random_network(AlexNetPlaces365) if random_weights else _trained(weights)
+        if random_weights:
+            network = random_network(AlexNetPlaces365)
+        else:
+            path, network = find_weights(weights, _FILES, _ORIGIN), AlexNetPlaces365().eval()
+            with path.open("rb") as file:
+                pytorch = file.read(4).startswith(_PYTORCH)
+            fill(network, read_checkpoint(path) if pytorch else read_caffemodel(path), path)
         self._network = network.to(device)
         self._regions = regions
         self._device = device
@@ -87,12 +87,3 @@ class RegionFeatures:
         for image in images:
             pixels = torch.tensor(image, device=self._device).permute(2, 0, 1)
             yield region_descriptors(self._network(pixels[None])[0], self._regions).cpu()
-
-
-def _trained(weights: str | Path | None) -> AlexNetPlaces365:
-    path = find_weights(weights, _FILES, _ORIGIN)
-    with path.open("rb") as file:
-        pytorch = file.read(4).startswith(_PYTORCH)
-    network = AlexNetPlaces365()
-    fill(network, read_checkpoint(path) if pytorch else read_caffemodel(path), path)
-    return network.eval()

@@ -50,7 +50,6 @@ class RegionVLAD(VectorMethod):
             published = f"Vocabulary_{400 if regions == 400 else '100_200_300'}.pkl"
             path = find_weights(vocabulary, ("region_vlad_vocabulary.npy", published), _ORIGIN)
             self._words = read_vocabulary(path, words, regions)
-
         self.length = self._words.numel()
 
     def _describe(self, frames: Sequence[Frame]) -> Tensor:

@@ -1,10 +1,9 @@
 """Regions of a convolutional layer with the highest energy (Khaliq et al., T-RO 2019).
 
-A region is a set of 8-connected places of one feature map with the same level of activation, and
-its energy is its mean activation. The level is the integer part of the activation; level 0 is not
-a region. The paper groups activations that are not zero. The authors' program gives the real-valued
-map to scikit-image's ``label``, which drops the fractions, and their vocabulary was trained on the
-result. This follows the program. It needs the extra ``eval``.
+A region is a set of 8-connected places of one feature map with the same integer part of the
+activation, not 0; its energy is its mean activation. This follows the authors' program, which gives
+the map to scikit-image's ``label`` and on which their vocabulary was trained; the paper groups
+activations that are not zero. It needs the extra ``eval``.
 """
 
 from __future__ import annotations
@@ -25,9 +24,14 @@ def region_descriptors(maps: Tensor, count: int) -> Tensor:
     region's bounding box. Regions with equal energy are in the order of their maps, then of their
     first places from top to bottom, then from left to right.
     """
+    with requiring("eval", "region-vlad needs"):
+        from skimage.measure import label
+    levels = maps.numpy(force=True).astype(np.int64)
+    apart = np.arange(len(levels))[:, None, None] * (levels.max(initial=0) + 1)  # maps do not join
+    levels = np.where(levels > 0, levels + apart, 0)
+    numbers, regions = label(levels, return_num=True, connectivity=3)  # in the order of the regions
     channel, y, x = (maps >= 1).nonzero(as_tuple=True)
-    number, regions = _numbered(maps)
-    number = number[channel, y, x]
+    number = torch.from_numpy(numbers - 1).to(maps.device)[channel, y, x]
     size = torch.zeros(regions, dtype=torch.float64, device=maps.device)
     energy = torch.zeros_like(size).index_add_(0, number, maps[channel, y, x].double())
     energy /= size.index_add_(0, number, torch.ones_like(energy)[number])
@@ -38,17 +42,6 @@ def region_descriptors(maps: Tensor, count: int) -> Tensor:
     boxes = sums[:, bottom + 1, right + 1] + sums[:, top, left]
     boxes -= sums[:, top, right + 1] + sums[:, bottom + 1, left]
     return boxes.mT.float()
-
-
-def _numbered(maps: Tensor) -> tuple[Tensor, int]:
-    """The number of each place's region, -1 for none, and the number of regions. Regions are
-    numbered in the order of their first places."""
-    with requiring("eval", "region-vlad needs"):
-        from skimage.measure import label
-    levels = maps.numpy(force=True).astype(np.int64)
-    apart = np.arange(len(levels))[:, None, None] * (levels.max(initial=0) + 1)  # maps do not join
-    numbers, count = label(np.where(levels > 0, levels + apart, 0), return_num=True, connectivity=3)
-    return torch.from_numpy(numbers - 1).to(maps.device), int(count)
 
 
 def _extreme(values: Tensor, number: Tensor, count: int, way: str) -> Tensor:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 import torch
@@ -12,7 +12,7 @@ from torch import Tensor
 from ..recognition.matching import Matches, best_of
 from ..recognition.recognise import Recognised, Steps, recognise, recognise_by_scores
 from ..recognition.signs import are_signs
-from .protocol import Frame, Method
+from .protocol import Frame, Method, noting
 
 
 class Retrieval(NamedTuple):
@@ -50,33 +50,24 @@ def run(
     second time, so that work that a process does only once is not timed. ``progress`` is called
     with 1 for every frame.
 
-    With steps of `recognition` there is a second result. They standardise and follow encodings that
-    are vectors; for other methods they follow the scores. The sweep needs signs, or a
-    method with ``encode_sweep``, as `SSRVLADMethod` has. The costs do not include them. No
-    references or queries, a ``top`` below 1, and a frame that the method refuses are a ValueError.
+    With steps of `recognition`, whose costs are not measured, there is a second result. They
+    standardise and follow encodings that are vectors; for other methods they follow the scores. The
+    sweep needs signs, or a method with ``encode_sweep``, as `SSRVLADMethod` has. No references or
+    queries, a ``top`` below 1, and a frame that the method refuses are a ValueError.
     """
     if top < 1:
         raise ValueError(f"expected a top of 1 or more, got {top}")
     map_drives, drives = list[str](), list[str]()
-
-    def noted(frames: Iterable[Frame], sequences: list[str]) -> Iterator[Frame]:
-        for frame in frames:
-            sequences.append(frame.sequence)
-            yield frame
-            progress(1)
-
-    encoded = method.encode_reference(noted(references, map_drives))
+    encoded = method.encode_reference(noting(references, map_drives, progress))
     if not map_drives:
         raise ValueError(f"method {method.name} got no references")
-    vectors: Tensor | None = None
-    if isinstance(encoded, Tensor) and (
+    vectors = isinstance(encoded, Tensor) and (
         are_signs(encoded) or (encoded.ndim == 2 and encoded.is_floating_point())
-    ):
-        vectors = encoded
+    )
     sweep = getattr(method, "encode_sweep", None) if steps and steps.sweep else None
     matches, inputs, kept = list[Matches](), list[Any](), list[Tensor]()
     encoding, matching = list[float](), list[float]()
-    for frame in noted(queries, drives):
+    for frame in noting(queries, drives, progress):
         if not matches:
             method.scores(method.encode_query([frame]), encoded)
         begin = time.perf_counter()
@@ -87,15 +78,16 @@ def run(
         encoding.append(1e3 * (between - begin))
         matches += [best_of(row, top) for row in scores]
         kept += [scores.float()] if all_pairs else []
-        if steps is not None:
-            described = sweep([frame]) if sweep else encodings
-            inputs.append(scores if vectors is None else described)
+        if steps and vectors:
+            inputs.append(sweep([frame]) if sweep else encodings)
+        elif steps:
+            inputs.append(scores)
     if not matches:
         raise ValueError(f"method {method.name} got no queries")
-    stepped: Recognised | None = None
-    if steps is not None and vectors is not None:
-        stepped = recognise(torch.cat(inputs), vectors, drives, map_drives, steps, top)
-    elif steps is not None:
+    stepped = None
+    if steps and vectors:
+        stepped = recognise(torch.cat(inputs), encoded, drives, map_drives, steps, top)
+    elif steps:
         stepped = recognise_by_scores(torch.cat(inputs), drives, map_drives, steps, top)
     return Retrieval(
         matches=Matches(*map(torch.stack, zip(*matches, strict=True))),

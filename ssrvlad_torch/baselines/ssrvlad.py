@@ -45,17 +45,13 @@ class SSRVLADMethod(VectorMethod):
     def encode_reference(self, frames: Iterable[Frame]) -> Tensor:
         """``(R, 480)`` float32, after Eq. 3."""
         sequences: list[str] = []
-        raw = self.encode_query(noting(frames, lambda frame: sequences.append(frame.sequence)))
-        return temporal_sum(raw, sequences, self.temporal)
+        return temporal_sum(self.encode_query(noting(frames, sequences)), sequences, self.temporal)
 
     def _describe(self, frames: Sequence[Frame], columns: Sequence[int] = ()) -> Tensor:
         maps, spaces = zip(*(labels_of(frame, self.name) for frame in frames), strict=True)
-        head, stacked = self._head(spaces[0]), torch.from_numpy(np.stack(maps))
+        if spaces[0] not in self._heads:
+            settings = {**self.config.to_dict(), "labels_as": spaces[0]}
+            self._heads[spaces[0]] = SSRVLAD(SSRVLADConfig.from_dict(settings))
+        head, stacked = self._heads[spaces[0]], torch.from_numpy(np.stack(maps))
         descriptors: Tensor = head.sweep(stacked, columns) if columns else head(stacked)
         return descriptors
-
-    def _head(self, labels_as: str) -> SSRVLAD:
-        if labels_as not in self._heads:
-            settings = {**self.config.to_dict(), "labels_as": labels_as}
-            self._heads[labels_as] = SSRVLAD(SSRVLADConfig.from_dict(settings))
-        return self._heads[labels_as]

@@ -42,20 +42,14 @@ class Drive(Columns):
 class TinyImage:
     """Mean absolute difference of tiny pictures, in deviations from the drive around it.
 
-    A picture is gray, reduced to ``width x height`` by the mean of the area, and each patch of
-    8 x 8 pixels then has its mean subtracted and is divided by its standard deviation (zero where
-    it has none). D is the mean absolute difference of a query and a reference. With the mean m
-    and the standard deviation s of D over the references of a sequence, the score of its frames
-    is 1 - exp(-(m - D) / s): the higher, the more like the query than the rest. Where all are
-    alike, as in a sequence of one frame, it is 0. SeqSLAM scores by (m - D) / s itself. This form
-    keeps its order, is at most 1, and `recognition.motion.nearness` turns it back; from 16
-    deviations on float32 rounds it to 1.
-
-    Args:
-        width, height: of the tiny picture, multiples of 8.
-
-    Raises:
-        ValueError: a setting is outside its range.
+    A picture is gray, reduced to ``width x height``, multiples of 8 (others are a ValueError), by
+    the mean of the area, and each patch of 8 x 8 pixels then has its mean subtracted and is divided
+    by its standard deviation (zero where it has none). D is the mean absolute difference of a query
+    and a reference. With the mean m and the standard deviation s of D over the references of a
+    sequence, the score of its frames is 1 - exp(-(m - D) / s), or 0 where all are alike, as in a
+    sequence of one frame. SeqSLAM scores by (m - D) / s itself. This form keeps its order, is at
+    most 1, and `recognition.motion.nearness` turns it back; from 16 deviations on float32 rounds it
+    to 1.
     """
 
     name = "tiny-image"
@@ -77,7 +71,7 @@ class TinyImage:
     def encode_reference(self, frames: Iterable[Frame]) -> Drive:
         """The pictures, and the sequence of each."""
         sequences: list[str] = []
-        pictures = self.encode_query(noting(frames, lambda frame: sequences.append(frame.sequence)))
+        pictures = self.encode_query(noting(frames, sequences))
         number = {name: i for i, name in enumerate(dict.fromkeys(sequences))}
         sequence = torch.tensor([number[name] for name in sequences], dtype=torch.int64)
         return Drive(pictures, sequence)

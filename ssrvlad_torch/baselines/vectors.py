@@ -41,7 +41,8 @@ class VectorMethod:
 
 class GridMethod(VectorMethod):
     """A method with eight numbers in each cell of a grid over the frame; with 6 x 10 cells a
-    descriptor has 480, as SSR-VLAD's. Fewer than one row or column is a ValueError."""
+    descriptor has 480, as SSR-VLAD's. Fewer than one row or column is a ValueError. ``mirrored``
+    gives the vectors ``(..., length)`` of mirrored frames, by those of the frames."""
 
     def __init__(self, rows: int = 6, columns: int = 10) -> None:
         if rows < 1 or columns < 1:
@@ -49,7 +50,3 @@ class GridMethod(VectorMethod):
                 f"method {self.name}: the grid must be 1 x 1 or more, got {rows} x {columns}"
             )
         self.rows, self.columns, self.length = rows, columns, 8 * rows * columns
-
-    def mirrored(self, vectors: Tensor) -> Tensor:
-        """The vectors ``(..., length)`` of mirrored frames, by those of the frames."""
-        raise NotImplementedError

@@ -60,23 +60,17 @@ def train_vocabulary(
     regions = list(features(_images(Path(folder))))
     if not regions:
         raise ValueError(f"no images under {folder}; expected files with {', '.join(_SUFFIXES)}")
-    centres = _cluster(torch.cat(regions), words, seed)
-    with replacing(Path(path)) as temporary, temporary.open("wb") as file:
-        np.save(file, centres.numpy())
-    return centres
-
-
-def _cluster(points: Tensor, count: int, seed: int) -> Tensor:
-    """``(count, D)`` centres of k-means from k-means++ seeds."""
     with requiring("eval", "a vocabulary needs"):
         from sklearn.cluster import KMeans
         from sklearn.exceptions import ConvergenceWarning
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", ConvergenceWarning)  # fewer distinct points than words
-            clusters = KMeans(count, n_init=1, random_state=seed).fit(points.numpy())
+            clusters = KMeans(words, n_init=1, random_state=seed).fit(torch.cat(regions).numpy())
     except (ValueError, ConvergenceWarning) as error:
-        raise ValueError(f"{count} words need as many distinct regions: {error}") from error
+        raise ValueError(f"{words} words need as many distinct regions: {error}") from error
+    with replacing(Path(path)) as temporary, temporary.open("wb") as file:
+        np.save(file, clusters.cluster_centers_)
     return torch.from_numpy(clusters.cluster_centers_)
 
 
@@ -85,10 +79,9 @@ def _images(folder: Path) -> Iterator[Pixels]:
         if path.suffix.lower() in _SUFFIXES:
             content = read_bytes(path)
             try:
-                image = decode_image(content)
+                yield decode_image(content)
             except ValueError as error:
                 raise ValueError(f"{path}: {error}") from error
-            yield image
 
 
 def _centres(path: Path, words: int, regions: int) -> Any:
@@ -99,4 +92,5 @@ def _centres(path: Path, words: int, regions: int) -> Any:
             keys = [*entry] if isinstance(entry, dict) else type(entry).__name__
             raise ValueError(f"expected an entry {key}, got {keys}")
         entry = entry[key] if key in entry else entry[str(key)]
-    return entry.cluster_centers_.numbers()
+    centres = entry.cluster_centers_
+    return np.reshape(centres.values, centres.shape)

@@ -1,8 +1,5 @@
-"""Weights on disk: finds the files, reads checkpoints, and loads them into networks.
-
-Nothing is ever downloaded. A method looks for its published files by name in one folder, or uses
-the file that it is given.
-"""
+"""Weights on disk: finds the files, reads checkpoints, and loads them into networks. Nothing is
+ever downloaded."""
 
 from __future__ import annotations
 
@@ -53,10 +50,10 @@ def read_checkpoint(path: Path) -> dict[str, Tensor]:
             raise
         reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
         raise ValueError(f"{path} is not a whole PyTorch checkpoint: {reason}") from error
-    state = content.get("state_dict", content) if isinstance(content, dict) else {}
+    state = content.get("state_dict", content) if isinstance(content, dict) else content
     tensors = {
         str(name).replace("module.", ""): value
-        for name, value in (state.items() if isinstance(state, dict) else ())
+        for name, value in (state if isinstance(state, dict) else {}).items()
         if isinstance(value, Tensor)
     }
     if not tensors:
