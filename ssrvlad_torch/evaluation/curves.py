@@ -15,12 +15,10 @@ from .outcomes import Bools, Floats, Rows
 class PrecisionRecall:
     """Counts at each threshold, the highest threshold first.
 
-    Precision is true positives / accepted, recall is true positives / positives.
-
     Attributes:
-        accepted, true_positives: ``(..., T)`` float64, counts that grow along the last axis.
-        positives: ``(...)`` float64, the number that could be found. Where it is 0, recall and
-            every figure are NaN.
+        accepted, true_positives: ``(..., T)`` float64; precision is true positives / accepted.
+        positives: ``(...)`` float64, the number that could be found; recall is true positives /
+            positives. Where it is 0, recall and every figure are NaN.
         thresholds: ``(T,)`` float64; a score that equals the threshold is accepted.
         start: precision at recall 0, where nothing is accepted; ``None`` for the precision at the
             highest threshold that accepts anything.
@@ -61,14 +59,13 @@ class PrecisionRecall:
     def recall_at_full_precision(self) -> Floats:
         """Recall@100%Precision: the highest recall at which all accepted candidates are right."""
         perfect = np.where(self.precision == 1.0, self.recall, 0.0)
-        return self._if_positives(perfect.max(axis=-1, initial=0.0))
+        return np.where(self.positives > 0, perfect.max(axis=-1, initial=0.0), np.nan)
 
     @property
     def extended_precision(self) -> Floats:
-        """EP = (P_R0 + R_P100) / 2 (Ferrarini et al., RA-L 2020, DOI 10.1109/LRA.2020.2969197).
-        P_R0 is the precision at the highest threshold, where the recall is lowest. R_P100 is
-        Recall@100%Precision; it is 0 where P_R0 is below 1."""
-        return self._if_positives((self._at_highest_threshold + self.recall_at_full_precision) / 2)
+        """The mean of the precision at the highest threshold and of Recall@100%Precision (Ferrarini
+        et al., RA-L 2020, DOI 10.1109/LRA.2020.2969197)."""
+        return (self._at_highest_threshold + self.recall_at_full_precision) / 2
 
     @property
     def _found(self) -> Floats:
@@ -88,9 +85,6 @@ class PrecisionRecall:
     def _at_recall_zero(self) -> Floats:
         first = self._at_highest_threshold
         return first if self.start is None else np.full_like(first, self.start)
-
-    def _if_positives(self, figure: Floats) -> Floats:
-        return np.where(self.positives > 0, figure, np.nan)
 
 
 @dataclass(frozen=True)

@@ -64,13 +64,13 @@ def unmatched_entries(path: str | Path, queries: Frames) -> list[str]:
 
 
 def _read(path: Path) -> Pairs | PickledArray | Matrix:
-    if path.suffix.lower() not in READERS:
-        raise ValueError(
-            f"cannot read the ground truth {path}: expected a file in {', '.join(READERS)}"
-        )
+    suffix = path.suffix.lower()
+    if suffix not in _READERS:
+        expected = ", ".join(_READERS)
+        raise ValueError(f"cannot read the ground truth {path}: expected a file in {expected}")
     try:
         check_regular(path)
-        return READERS[path.suffix.lower()](path)
+        return _READERS[suffix](path)
     except Exception as error:  # decoders raise any exception on damaged bytes
         raise ValueError(f"cannot read the ground truth {path}: {one_line(error)}") from error
 
@@ -128,13 +128,7 @@ def _read_npz(path: Path) -> Matrix:
     return next(iter(arrays.values()))
 
 
-READERS: dict[str, Callable[[Path], Pairs | PickledArray | Matrix]] = {
-    ".json": _read_json,
-    ".csv": _read_csv,
-    ".npy": _read_npy,
-    ".npz": _read_npz,
-}
-"""Functions that read a file, by its suffix."""
+_READERS = {".json": _read_json, ".csv": _read_csv, ".npy": _read_npy, ".npz": _read_npz}
 
 
 def _is_ids(value: object) -> bool:
@@ -184,9 +178,9 @@ def _finder(frames: Frames) -> Callable[[str], str | None]:
             if any(f"/{name}".endswith(f"/{entry}") for name in (frame, paths[frame]))
         ]
         if len(fitting) > 1:
+            first, second = (paths[frame] for frame in fitting[:2])
             raise ValueError(
-                f"has an entry {entry!r}, which may be {paths[fitting[0]]} or "
-                f"{paths[fitting[1]]}: expected more of the path"
+                f"has an entry {entry!r}, which may be {first} or {second}: expected more of the path"
             )
         return fitting[0] if fitting else None
 
@@ -210,7 +204,15 @@ def _from_vpr_bench(rows: PickledArray, queries: int, references: int) -> Partia
         raise ValueError(f"has {len(rows)} rows, expected one for each of {queries} queries")
     truth: dict[int, Rows] = {}
     for number, row in enumerate(rows):
-        query, matches = _parse_row(number, row)
+        try:
+            query, matches = row
+            values = [query, *matches]
+            query, *matches = map(int, values)
+            whole = values == [query, *matches]
+        except (TypeError, ValueError, OverflowError):
+            whole = False
+        if not whole:
+            raise ValueError(f"has no [query, [reference, ...]] of integers in row {number}")
         if not 0 <= query < queries or query in truth:
             raise ValueError(f"has query {query} in row {number}, expected each of {queries} once")
         outside = [match for match in matches if not 0 <= match < references]
@@ -221,18 +223,6 @@ def _from_vpr_bench(rows: PickledArray, queries: int, references: int) -> Partia
             )
         truth[query] = _rows(matches)
     return [truth[query] for query in range(queries)]
-
-
-def _parse_row(number: int, row: Any) -> tuple[int, list[int]]:
-    try:
-        query, matches = row
-        values = [query, *matches]
-        integers = [int(value) for value in values]
-        if integers == values:
-            return integers[0], integers[1:]
-    except (TypeError, ValueError, OverflowError):
-        pass
-    raise ValueError(f"has no [query, [reference, ...]] of integers in row {number}")
 
 
 def _rows(numbers: Iterable[int]) -> Rows:

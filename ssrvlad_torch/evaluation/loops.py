@@ -20,7 +20,8 @@ EVEN = 0.5
 
 class LoopScore(NamedTuple):
     """Counts of frames: those that close a loop, and of them those whose candidate is near; those
-    with an earlier frame that is near and looks the same way, and of them those that are right."""
+    with an earlier frame that is near and looks the same way, and of them those that are right.
+    Precision is right / accepted, recall recognised / revisits, NaN where that is 0 / 0."""
 
     accepted: int
     right: int
@@ -29,12 +30,12 @@ class LoopScore(NamedTuple):
 
     @property
     def precision(self) -> float:
-        """Right / accepted; NaN if no loop was accepted."""
+        """Of the loops."""
         return self.right / self.accepted if self.accepted else math.nan
 
     @property
     def recall(self) -> float:
-        """Recognised / revisits; NaN without a revisit."""
+        """Of the revisits."""
         return self.recognised / self.revisits if self.revisits else math.nan
 
 
@@ -95,19 +96,13 @@ def loop_curve(probabilities: Floats, right: Bools, revisits: int) -> PrecisionR
 
 def surest_point(curve: PrecisionRecall) -> OperatingPoint | None:
     """The threshold with the highest precision that the curve proves, see `suggested_point`;
-    ``None`` if no loop is right.
-
-    If a right loop has a probability of at least `EVEN`, less probable loops are not considered:
-    one drive without a mistake does not prove that they are right on the next drive.
-    """
+    ``None`` if no loop is right. If a right loop has a probability of at least `EVEN`, less
+    probable loops are not considered: one drive without a mistake does not prove that they are
+    right on the next."""
     likely = int((curve.thresholds >= EVEN).sum())
     if likely and curve.true_positives[likely - 1]:
-        curve = PrecisionRecall(
-            curve.accepted[:likely],
-            curve.true_positives[:likely],
-            curve.positives,
-            curve.thresholds[:likely],
-        )
+        counts = curve.accepted[:likely], curve.true_positives[:likely]
+        curve = PrecisionRecall(*counts, curve.positives, curve.thresholds[:likely])
     precision = wilson_low(curve.true_positives, curve.accepted).max(initial=0.0)
     point = suggested_point(curve, float(precision)) if precision else None
     return point and point._replace(score=max(0.0, point.score))

@@ -43,9 +43,6 @@ FIGURES = {
 }
 """Keys and names of the figures besides RecallRate@N."""
 
-Curves = Callable[[Floats], PrecisionRecall]
-"""A function from weights ``(..., Q)`` float64, the count of each query, to the curve."""
-
 
 def precision_recall_curve(
     outcomes: Outcomes,
@@ -104,7 +101,18 @@ def evaluate(
         for n in at:
             found = weights @ ((outcomes.rank > 0) & (outcomes.rank <= n))
             rates[str(n)] = np.where(total > 0, found / np.maximum(total, 1), np.nan)
-        return {**rates, **_summaries(outcomes, convention, curves, weights)}
+        curve, right = curves(weights), weights @ outcomes.correct
+        summaries = {
+            "auc_pr": curve.auc,
+            "average_precision": curve.average_precision,
+            "recall_at_100_precision": curve.recall_at_full_precision,
+            "extended_precision": curve.extended_precision,
+            "roc_auc": roc_auc(curve, right, weights.sum(axis=1) - right),
+        }
+        if convention.startswith("vpr-tutorial"):
+            undefined = ("average_precision", "extended_precision", "roc_auc")
+            summaries |= dict.fromkeys(undefined, np.full(len(weights), np.nan))
+        return rates | summaries
 
     values = {name: float(value[0]) for name, value in figures(np.ones((1, len(truth)))).items()}
     result = {
@@ -135,7 +143,8 @@ def figure_rows(metrics: Mapping[str, Any]) -> list[tuple[str, float, Sequence[f
 
 def _curves(
     outcomes: Outcomes, truth: Truth, convention: Convention, similarity: Scores | None
-) -> Curves:
+) -> Callable[[Floats], PrecisionRecall]:
+    """A function from weights ``(..., Q)`` float64, the count of each query, to the curve."""
     if convention not in CONVENTIONS:
         raise ValueError(f"convention must be one of {', '.join(CONVENTIONS)}, got {convention!r}")
     if convention.startswith("vpr-tutorial"):
@@ -146,24 +155,6 @@ def _curves(
     if convention == "vpr-bench":
         return lambda weights: ranking.curve(weights, weights @ outcomes.correct, start=1.0)
     return lambda weights: ranking.curve(weights, weights @ outcomes.has_match)
-
-
-def _summaries(
-    outcomes: Outcomes, convention: Convention, curves: Curves, weights: Floats
-) -> dict[str, Floats]:
-    curve = curves(weights)
-    right = weights @ outcomes.correct
-    figures = {
-        "auc_pr": curve.auc,
-        "average_precision": curve.average_precision,
-        "recall_at_100_precision": curve.recall_at_full_precision,
-        "extended_precision": curve.extended_precision,
-        "roc_auc": roc_auc(curve, right, weights.sum(axis=1) - right),
-    }
-    if convention.startswith("vpr-tutorial"):
-        undefined = ("average_precision", "extended_precision", "roc_auc")
-        figures |= dict.fromkeys(undefined, np.full(len(weights), np.nan))
-    return figures
 
 
 def _nested(figures: dict[str, Any], at: list[int]) -> dict[str, Any]:

@@ -1,8 +1,9 @@
 """Reads pickles of arrays, lists and mappings without running code from the file.
 
 A pickle is a program: NumPy's ``allow_pickle=True`` calls any function that the file names. Here
-the few names that such files need are replaced by stand-ins, and any other name is an error.
-NumPy's ``__setstate__`` is not called either, because it trusts its arguments.
+the few names that such files need are replaced by stand-ins, and any other name is an error. NumPy
+itself cannot stand in: the ``__setstate__`` of a dtype trusts its arguments, and an array of such a
+dtype can end the process.
 """
 
 from __future__ import annotations
@@ -14,12 +15,8 @@ from collections.abc import Callable, Iterator
 from typing import Any, BinaryIO
 
 import numpy as np
-import numpy.typing as npt
 
 from ..files import one_line
-
-_NUMBERS = "biuf"
-_MEMO_OPCODES = ("PUT", "BINPUT", "LONG_BINPUT")
 
 
 def load_object_array(file: BinaryIO) -> PickledArray:
@@ -37,7 +34,12 @@ def load_pickle(file: BinaryIO) -> Any:
     its attributes only. A damaged pickle, and one of another type, which the message names, is a
     ValueError."""
     try:
-        _check_memo(file)
+        begin = file.tell()
+        for opcode, index, _ in pickletools.genops(file):
+            # The unpickler allocates memory for all smaller indices.
+            if opcode.name in ("PUT", "BINPUT", "LONG_BINPUT") and (index or 0) > file.tell():
+                raise ValueError(f"memo index {index} at byte {file.tell()}")
+        file.seek(begin)
         return _Unpickler(file, encoding="latin1").load()
     except _Forbidden as error:
         raise ValueError(
@@ -45,16 +47,6 @@ def load_pickle(file: BinaryIO) -> Any:
         ) from error
     except Exception as error:  # damaged pickles raise any exception
         raise ValueError(f"it is no complete pickle: {one_line(error)}") from error
-
-
-def _check_memo(file: BinaryIO) -> None:
-    """Raises a ValueError for a memo index larger than the number of bytes before it: the unpickler
-    would allocate memory for all smaller indices."""
-    begin = file.tell()
-    for opcode, argument, _ in pickletools.genops(file):
-        if opcode.name in _MEMO_OPCODES and (argument or 0) > file.tell():
-            raise ValueError(f"memo index {argument} at byte {file.tell()}")
-    file.seek(begin)
 
 
 class PickledObject:
@@ -71,11 +63,11 @@ class PickledArray:
     """Stand-in for a pickled array: its shape, and its elements in C order, numbers or objects.
     Iterating gives its rows, each as a flat list."""
 
-    __slots__ = ("shape", "values")
-
-    def __init__(self) -> None:
+    def __init__(self, *state: Any) -> None:
         self.shape: tuple[int, ...] = (0,)
         self.values: list[Any] = []
+        if state:
+            self.__setstate__(state)
 
     def __iter__(self) -> Iterator[Any]:
         if len(self.shape) == 1:
@@ -85,10 +77,6 @@ class PickledArray:
 
     def __len__(self) -> int:
         return self.shape[0]
-
-    def numbers(self) -> npt.NDArray[Any]:
-        """The values as a NumPy array of numbers."""
-        return np.array(self.values).reshape(self.shape)
 
     def __setstate__(self, state: tuple[Any, ...]) -> None:
         _, shape, kind, fortran, content = state
@@ -104,9 +92,7 @@ class PickledArray:
 class _Kind:
     """Stand-in for a pickled ``numpy.dtype``."""
 
-    __slots__ = ("name", "order")
-
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, *_: object) -> None:
         self.name, self.order = name, "="
 
     def __setstate__(self, state: tuple[Any, ...]) -> None:
@@ -115,26 +101,21 @@ class _Kind:
     def numbers(self, content: str | bytes | bytearray) -> list[Any]:
         """Numbers from bytes, or from text, as Python 2 pickled bytes."""
         dtype = np.dtype(self.order + self.name)
-        if dtype.kind not in _NUMBERS:
+        if dtype.kind not in "biuf":
             raise _Forbidden(f"numpy.dtype({self.name!r})")
         content = content.encode("latin1") if isinstance(content, str) else content
         numbers: list[Any] = np.frombuffer(content, dtype).tolist()
         return numbers
 
 
-def _of_buffer(content: bytes, kind: _Kind, shape: tuple[int, ...], order: str) -> PickledArray:
-    """An array of numbers as protocol 5 writes it."""
-    array = PickledArray()
-    array.__setstate__((1, shape, kind, order == "F", content))
-    return array
-
-
 _STAND_INS: dict[str, Callable[..., Any]] = {
     "numpy.core.multiarray._reconstruct": lambda *_: PickledArray(),
     "numpy.core.multiarray.scalar": lambda kind, content: kind.numbers(content)[0],
-    "numpy.core.numeric._frombuffer": _of_buffer,
+    "numpy.core.numeric._frombuffer": lambda content, kind, shape, order: PickledArray(
+        1, shape, kind, order == "F", content
+    ),
     "numpy.ndarray": lambda *_: PickledArray(),
-    "numpy.dtype": lambda name, *_: _Kind(name),
+    "numpy.dtype": _Kind,
     "_codecs.encode": lambda text, _: text.encode("latin1"),
     "collections.OrderedDict": lambda pairs=(): dict(pairs),
     "collections.defaultdict": lambda *_: {},

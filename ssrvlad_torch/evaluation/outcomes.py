@@ -23,15 +23,14 @@ Truth = Sequence[Rows]
 
 @dataclass(frozen=True)
 class Outcomes:
-    """The outcomes of the queries, in their order.
+    """The outcomes of the queries, in their order, each ``(Q,)``.
 
     Attributes:
-        score: ``(Q,)`` float64, score of the best candidate, -inf without a candidate.
-        candidate: ``(Q,)`` int64, row of the best candidate, -1 without a candidate.
-        correct: ``(Q,)`` bool, whether the best candidate is a true match.
-        has_match: ``(Q,)`` bool, whether the query has a true match.
-        rank: ``(Q,)`` int64, rank from 1 of the first true match among the candidates; 0 if no
-            candidate is a true match.
+        score: float64, score of the best candidate, -inf without a candidate.
+        candidate: int64, row of the best candidate, -1 without a candidate.
+        correct: bool, whether the best candidate is a true match.
+        has_match: bool, whether the query has a true match.
+        rank: int64, rank from 1 of the first true match among the candidates, 0 without one.
     """
 
     score: Floats

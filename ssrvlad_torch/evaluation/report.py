@@ -7,6 +7,7 @@ import io
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -61,13 +62,8 @@ class Report:
     """An evaluation. Texts may hold any characters; the page escapes them.
 
     Attributes:
-        title: title of the page.
-        metrics: result of `metrics.evaluate` with intervals, with the additional keys
-            ``thresholds`` from `operating_points` and ``references``, as ``evaluate --json`` prints
-            it.
-        queries, references: the frames, Q and R of them.
-        outcomes: outcomes of the queries.
-        truth: true matches of each query.
+        metrics: what ``evaluate --json`` prints: the result of `metrics.evaluate` with intervals,
+            ``thresholds`` from `operating_points`, and ``references``.
         curve: precision and recall by the convention of the metrics.
         cosines: of single frames, for the similarity matrix.
         score: what the score of a candidate is, such as ``probability``.
@@ -99,12 +95,8 @@ class Match(NamedTuple):
 
 
 def write_report(path: Path, report: Report) -> None:
-    """Writes the page, whole or not at all; it needs the extra ``eval`` (Jinja2, matplotlib).
-
-    The page shows the figures with their intervals, operating points, precision against recall, the
-    scores of right and wrong candidates, the similarity matrix, and a table of matches. Its size is
-    bounded for any number of queries and references. It needs no other file and no network.
-    """
+    """Writes the page, whole or not at all; it needs the extra ``eval`` (Jinja2, matplotlib). Its
+    size is bounded for any number of queries and references."""
     check_output(path)
     page = render(report).encode("utf-8", "replace")
     with replacing(path) as temporary:
@@ -112,7 +104,7 @@ def write_report(path: Path, report: Report) -> None:
 
 
 def render(report: Report) -> str:
-    """The page as HTML text, from ``templates/report.html``."""
+    """The page of `write_report` as HTML text, from ``templates/report.html``."""
     with requiring("eval", "a report needs"):
         import matplotlib  # noqa: F401
         from jinja2 import Environment, PackageLoader
@@ -182,9 +174,7 @@ def _drawn(draw: Callable[[Axes, Report], None], report: Report) -> str:
 
     figure = Figure(figsize=(6, 4.2), layout="constrained")
     draw(figure.add_subplot(), report)
-    content = io.BytesIO()
-    figure.savefig(content, format="png", dpi=150)
-    return _address(content, "png")
+    return _address(partial(figure.savefig, format="png", dpi=150))
 
 
 def _precision_recall(axes: Axes, report: Report) -> None:
@@ -279,10 +269,10 @@ def _picture(pixels: Pixels) -> str:
     if image.width > _WIDTH:
         height = max(1, round(image.height * _WIDTH / image.width))
         image = image.resize((_WIDTH, height), Image.Resampling.BOX)
+    return _address(partial(image.save, format="png", optimize=True))
+
+
+def _address(save: Callable[[io.BytesIO], object]) -> str:
     content = io.BytesIO()
-    image.save(content, "png", optimize=True)
-    return _address(content, "png")
-
-
-def _address(content: io.BytesIO, kind: str) -> str:
-    return f"data:image/{kind};base64,{base64.b64encode(content.getvalue()).decode()}"
+    save(content)
+    return f"data:image/png;base64,{base64.b64encode(content.getvalue()).decode()}"

@@ -50,16 +50,12 @@ def suggested_point(
     """The lowest threshold that is proven to have at least ``precision``, 0 to 1.
 
     Proven means that the lower end of Wilson's 95 % interval reaches it: for a precision of 0.95,
-    73 queries must be accepted without a mistake. The threshold lies halfway to the next lower
-    score, or is the next lower float32 if no score is lower: `ssrvlad_torch.match`, which accepts
-    scores above a threshold, then accepts the same queries.
-
-    If no threshold reaches ``precision``, the result is the one with the highest lower end;
-    `queries_needed` gives the number of queries that would prove more. The interval holds for a
+    73 queries must be accepted without a mistake. If no threshold reaches it, the result is the one
+    with the highest lower end, or ``None`` if no accepted query is right. The interval holds for a
     threshold that was chosen beforehand; for the best of many thresholds it is slightly too high.
 
-    Returns:
-        ``None`` if no accepted query is right.
+    The threshold lies halfway to the next lower score, or is the next lower float32 if no score is
+    lower: `ssrvlad_torch.match`, which accepts scores above a threshold, accepts the same queries.
     """
     _check_fraction("precision", precision)
     low = wilson_low(curve.true_positives, curve.accepted)
@@ -79,10 +75,9 @@ def queries_needed(precision: float = SURE_PRECISION) -> int:
 
 
 def operating_points(curve: PrecisionRecall) -> dict[str, Any]:
-    """The points at 99 % and 100 % precision and at a recall of 0.5, and the suggested one, as
-    mappings, or ``None``: ``at_precision`` by ``"0.99"`` and ``"1"``, ``at_recall`` by ``"0.5"``,
-    and ``suggested``. The curve is of one set of queries, by the convention ``exact``, which counts
-    accepted queries of unknown places as mistakes."""
+    """Points as mappings, or ``None``: ``at_precision`` by ``"0.99"`` and ``"1"``, ``at_recall`` by
+    ``"0.5"``, and ``suggested``. The curve is of one set of queries, by the convention ``exact``,
+    which counts accepted queries of unknown places as mistakes."""
 
     def mapping(point: OperatingPoint | None) -> dict[str, Any] | None:
         return point and point._asdict()
@@ -96,12 +91,11 @@ def operating_points(curve: PrecisionRecall) -> dict[str, Any]:
 
 def operating_rows(points: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any] | None]]:
     """Names and points of the result of `operating_points`."""
-    rows = [
-        (f"{kind} {value}", point)
-        for kind in ("precision", "recall")
-        for value, point in points[f"at_{kind}"].items()
+    return [
+        *((f"precision {value}", point) for value, point in points["at_precision"].items()),
+        *((f"recall {value}", point) for value, point in points["at_recall"].items()),
+        ("suggested", points["suggested"]),
     ]
-    return [*rows, ("suggested", points["suggested"])]
 
 
 def wilson_low(right: Floats, accepted: Floats) -> Floats:

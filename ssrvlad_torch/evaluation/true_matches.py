@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path, PurePath
 
@@ -147,7 +147,17 @@ class TrueMatches:
             assert self.frames is not None
             counted = [*from_frame_numbers(queries.counted, references.counted, self.frames)]
         of_query = dict(zip(queries.counted, counted, strict=True))
-        truth, missing = _rows([of_query[frame] for frame in queries.frames], references)
+        row = {frame: number for number, frame in enumerate(references.frames)}
+        rows = np.array([row.get(frame, -1) for frame in references.counted], np.int64)
+        truth: PartialTruth = []
+        missing = set[str]()
+        for positions in map(of_query.__getitem__, queries.frames):
+            if positions is None:
+                truth.append(None)
+                continue
+            found = rows[positions]
+            truth.append(np.sort(found[found >= 0]))
+            missing |= {references.counted[at] for at in positions[found < 0].tolist()}
         if self.file and missing:
             note(
                 f"{len(missing)} references of {self.file} are not in the database, "
@@ -163,20 +173,6 @@ def _counted(frames: Iterable[str], dataset: Dataset | None) -> tuple[str, ...]:
     if dataset:
         ids |= {frame.frame for frame in dataset.frames if frame.sequence in sequences}
     return tuple(_in_order(ids))
-
-
-def _rows(truth: PartialTruth, references: Viewpoints) -> tuple[PartialTruth, Collection[str]]:
-    """The references' rows for counted positions, and the ids of those without one."""
-    row = {frame: number for number, frame in enumerate(references.frames)}
-    rows = np.array([row.get(frame, -1) for frame in references.counted], np.int64)
-    known = [None if positions is None else rows[positions] for positions in truth]
-    missing = {
-        references.counted[position]
-        for positions in truth
-        if positions is not None
-        for position in positions[rows[positions] < 0].tolist()
-    }
-    return [None if found is None else np.sort(found[found >= 0]) for found in known], missing
 
 
 def _in_order(frames: Iterable[str]) -> list[str]:

@@ -1,8 +1,7 @@
 """The curve of "Visual Place Recognition: A Tutorial": all pairs, linearly spaced thresholds.
 
-Schubert, Neubert, Garg, Milford and Fischer, IEEE Robotics & Automation Magazine 2024 (arXiv
-2303.03281), and its code, reimplemented from the description. In the tutorial the references are
-the rows of the similarity matrix; here they are the columns.
+Schubert et al., RAM 2024 (arXiv 2303.03281), and its code, reimplemented from the description. In
+the tutorial the references are the rows of the similarity matrix; here they are the columns.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .curves import PrecisionRecall
-from .outcomes import Bools, Floats, Truth, check_finite
+from .outcomes import Floats, Truth, check_finite
 
 STEPS = 100
 
@@ -71,16 +70,9 @@ def count_pairs(
         pairs = np.take_along_axis(pairs, best, 1)
         true = np.take_along_axis(true, best, 1)
     thresholds = np.linspace(pairs.max(), pairs.min(), STEPS)
-    accepted, right = _cumulate(pairs, true, thresholds)
-    return PairCounts(accepted, right, positives, thresholds)
-
-
-def _cumulate(pairs: Floats, true: Bools, thresholds: Floats) -> tuple[Floats, Floats]:
-    """Number of pairs, and of true pairs, of each row that reach each decreasing threshold."""
-    steps = len(thresholds)
-    accepted, right = np.zeros((2, len(pairs), steps))
+    accepted, right = np.zeros((2, len(pairs), STEPS))
     for row, (scores, matches) in enumerate(zip(pairs, true, strict=True)):
-        first = steps - np.searchsorted(thresholds[::-1], scores, side="right")
-        accepted[row] = np.bincount(first, minlength=steps).cumsum()
-        right[row] = np.bincount(first[matches], minlength=steps).cumsum()
-    return accepted, right
+        first = STEPS - np.searchsorted(thresholds[::-1], scores, side="right")
+        accepted[row] = np.bincount(first, minlength=STEPS).cumsum()
+        right[row] = np.bincount(first[matches], minlength=STEPS).cumsum()
+    return PairCounts(accepted, right, positives, thresholds)
