@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from methods import frames
 from PIL import Image
 from skimage.filters.rank import entropy
 from skimage.morphology import disk
@@ -24,10 +25,6 @@ def gray_noise(seed, height, width, grain=4):
 
 def image(seed, height=90, width=120):
     return np.repeat(gray_noise(seed, height, width)[..., None], 3, axis=2)
-
-
-def frames(images):
-    return [Frame(f"a/{i}", image=one) for i, one in enumerate(images)]
 
 
 def plain_descriptors(picture):
@@ -110,28 +107,6 @@ def test_only_regions_of_high_entropy_are_looked_for():
     chosen = make("cohog").encode_query(frames([half])).chosen[0].view(31, 31)
     assert not chosen[:, :14].any()
     assert chosen[:, 17:].all()
-
-
-def test_a_flat_query_matches_nothing():
-    method = make("cohog", size=64)
-    flat = np.full((64, 64, 3), 200, np.uint8)
-    references = method.encode_reference(frames([image(0), flat, flat * 0]))
-    assert not references[1:].any()
-    assert method.scores(method.encode_query(frames([flat, flat * 0])), references).isneginf().all()
-    assert method.scores(method.encode_query(frames([image(0)])), references)[0, 1] == 0
-
-
-def test_a_batch_equals_one_by_one_whatever_the_sizes():
-    images = [image(i, *((90, 120) if i % 4 else (40, 64))) for i in range(9)]
-    method = make("cohog", size=128)
-    together = method.encode_query(iter(frames(images)))
-    single = [method.encode_query([frame]) for frame in frames(images)]
-    assert (together.descriptors.shape, len(together)) == ((9, 49, 32), 9)
-    assert torch.equal(together.descriptors, torch.cat([one.descriptors for one in single]))
-    assert torch.equal(together.chosen, torch.cat([one.chosen for one in single]))
-    assert torch.equal(method.encode_reference(frames(images)), together.descriptors)
-    assert together[2:5].nbytes == 3 * 49 * (32 * 4 + 1)
-    assert torch.equal(together[2:5].chosen, together.chosen[2:5])
 
 
 def corridor(folder, every):

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from drawings import ROAD, SKY, SPACE, TREE, VOID, blobs
+from drawings import ROAD, SKY, SPACE, TREE, blobs
 
 from ssrvlad_torch.baselines import Frame, make
 from ssrvlad_torch.taxonomy import CATEGORIES, label_space
@@ -43,16 +43,6 @@ def test_the_label_grid_equals_a_loop(size, grid):
     np.testing.assert_allclose(found.numpy(), plain(labels, *grid), rtol=0, atol=1e-6)
 
 
-def test_an_image_without_a_category_matches_nothing():
-    method = make("label-grid")
-    drawn = [np.full((12, 20), VOID), np.full((12, 20), TREE)]
-    encoded = method.encode_reference([frame(labels) for labels in drawn])
-    assert not encoded[0].any()
-    scores = method.scores(encoded, encoded)
-    inf = torch.inf
-    torch.testing.assert_close(scores, torch.tensor([[-inf, -inf], [-inf, 1.0]]))
-
-
 def test_label_spaces_compare():
     in_camvid = np.array([[SKY, SKY], [ROAD, TREE]])
     in_trainids = np.array([[10, 10], [0, 8]])
@@ -61,19 +51,6 @@ def test_label_spaces_compare():
         [frame(in_camvid), frame(in_trainids, space="cityscapes-trainids")]
     )
     assert torch.equal(encoded[0], encoded[1])
-
-
-def test_a_batch_equals_one_by_one_whatever_the_kinds():
-    kinds = [((24, 40), np.uint8), ((24, 40), np.int32), ((18, 20), np.uint8)]
-    frames = [
-        frame(blobs(i, *kinds[i % 7 % 3][0], grain=5).astype(kinds[i % 7 % 3][1]), f"a/{i}")
-        for i in range(40)
-    ]
-    method = make("label-grid")
-    together = method.encode_query(iter(frames))
-    assert (together.shape, together.dtype) == ((40, 480), torch.float32)
-    assert torch.equal(together, torch.cat([method.encode_query([one]) for one in frames]))
-    assert torch.equal(together, method.encode_reference(frames))
 
 
 def test_an_unknown_id_is_an_error():

@@ -4,18 +4,14 @@ import numpy as np
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from methods import frames, picture
 
-from ssrvlad_torch.baselines import Frame, make, tiny_image
+from ssrvlad_torch.baselines import make, tiny_image
 from ssrvlad_torch.baselines.tiny_image import enhance, normalise_patches
 
 
-def image(seed, height=64, width=128):
-    gray = np.random.default_rng(seed).integers(0, 256, (height // 8, width // 8), dtype=np.uint8)
-    return np.repeat(np.kron(gray, np.ones((8, 8), np.uint8))[..., None], 3, axis=2)
-
-
-def frames(images, sequence="a"):
-    return [Frame(f"{sequence}/{i}", image=one) for i, one in enumerate(images)]
+def image(seed):
+    return picture(seed, 64, 128, grain=8)
 
 
 def plain_picture(gray, height, width):
@@ -89,17 +85,6 @@ def test_where_all_references_are_alike_the_score_is_zero():
     method = make("tiny-image")
     alone = method.encode_reference([*frames([image(0)], "a"), *frames([image(1)] * 50, "b")])
     assert not method.scores(method.encode_query(frames([image(5), image(1)])), alone).any()
-
-
-def test_a_batch_equals_one_by_one_whatever_the_sizes():
-    images = [image(i, *((64, 128) if i % 5 else (16, 24))) for i in range(20)]
-    method = make("tiny-image")
-    together = method.encode_query(iter(frames(images)))
-    assert torch.equal(together, torch.cat([method.encode_query([one]) for one in frames(images)]))
-    drive = method.encode_reference(frames(images))
-    assert torch.equal(drive.pictures, together)
-    assert (len(drive), drive.nbytes) == (20, 20 * 2048 * 4)
-    assert torch.equal(drive[3:5].pictures, together[3:5])
 
 
 def test_a_reference_unlike_all_others_keeps_a_score():

@@ -43,7 +43,7 @@ def load_pickle(file: BinaryIO) -> Any:
         return _Unpickler(file, encoding="latin1").load()
     except _Forbidden as error:
         raise ValueError(
-            f"it refers to {error}; expected only arrays, lists, mappings and numbers"
+            f"it refers to {one_line(error)}; expected only arrays, lists, mappings and numbers"
         ) from error
     except Exception as error:  # damaged pickles raise any exception
         raise ValueError(f"it is no complete pickle: {one_line(error)}") from error
