@@ -180,7 +180,8 @@ def _finder(frames: Frames) -> Callable[[str], str | None]:
         if len(fitting) > 1:
             first, second = (paths[frame] for frame in fitting[:2])
             raise ValueError(
-                f"has an entry {entry!r}, which may be {first} or {second}: expected more of the path"
+                f"has an entry {entry!r}, which may be {first} or {second}: expected more of the "
+                "path"
             )
         return fitting[0] if fitting else None
 
