@@ -18,7 +18,7 @@ from collections.abc import Callable, Collection
 from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
 
 import typer
 
@@ -26,6 +26,9 @@ from ..evaluation.metrics import Convention
 
 if TYPE_CHECKING:
     from ..recognition.recognise import Steps
+
+PAPER_REACH, MOST_REACH = 3, 1_000_000
+"""Frames on each side of the temporal sum: in the paper, and at most."""
 
 NETWORK = (
     "FILE.onnx, FILE.yaml (a network and its settings), hf:ORG/NAME[@REVISION], a folder, "
@@ -40,10 +43,6 @@ AsOf = Annotated[
         min=1,
         help="Version of the database to read, see ssrvlad db history. Default: the newest.",
     ),
-]
-LabelsAs = Annotated[str, typer.Option(help="Label space of the ids: a name or a .yaml file.")]
-Segmenter = Annotated[
-    str | None, typer.Option(help=f"Segmentation network that labels images: {NETWORK}")
 ]
 Classes = Annotated[
     str | None,
@@ -69,22 +68,19 @@ Extra = Annotated[
         "these descriptors from its first frame on, or never.",
     ),
 ]
-Workers = Annotated[int, typer.Option(min=1, help="Threads that read ahead.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
 Seed = Annotated[int, typer.Option(min=0, help="Another seed gives another city.")]
-Weights = Annotated[
-    Path | None,
-    typer.Option(
-        help="Weights of the method's network: a file or its folder. Default: "
-        "~/.cache/ssrvlad/weights."
-    ),
-]
 
 
 def option(help: str, *flags: str, default: object = None, **settings: Any) -> Any:
     """An option: a field of an options class, or the default of a command's parameter. Without
     flags, its name is that of the field. An option with the default ``...`` is required."""
     return field(default=default, metadata={"typer": typer.Option(*flags, help=help, **settings)})
+
+
+def switch(name: str, help: str) -> Any:
+    """An option without a value that is off by default, and has no ``--no-`` form."""
+    return option(help, name, default=False)
 
 
 def argument(help: str, metavar: str | None = None, **default: Any) -> Any:
@@ -148,15 +144,9 @@ class SourceOptions:
         "Number of frames to encode at the same time. Default: one for each core.", min=1
     )
 
-    @property
-    def takes_all(self) -> bool:
-        """Whether all frames of a sequence are used."""
-        return not self.given(("fps", "every", "start"))
-
-    def given(self, names: Collection[str]) -> list[str]:
+    def given(self, *names: str) -> list[str]:
         """Those of these options that are not at their defaults."""
-        defaults = {each.name: each.default for each in fields(self)}
-        return [name for name in names if getattr(self, name) != defaults[name]]
+        return [name for name in names if getattr(self, name) != getattr(SourceOptions, name)]
 
 
 @dataclass(frozen=True)
@@ -174,10 +164,9 @@ class DriveOptions:
         "Sequence of the data set to use as queries, in the same form. Default: the queries that "
         "the data set declares."
     )
-    odd_even: bool = option(
-        "Use the even frames of each sequence as references and the odd ones as queries.",
+    odd_even: bool = switch(
         "--odd-even",
-        default=False,
+        "Use the even frames of each sequence as references and the odd ones as queries.",
     )
     layout: str | None = option(
         "Layout of the data set, see ssrvlad encode. Default: auto (recognised)."
@@ -187,33 +176,6 @@ class DriveOptions:
         "Label space of the label maps: a name or a .yaml file. Default: the one of the data set. "
         "Without both, PNG files that could be images or label maps are read as images."
     )
-
-
-PAPER_REACH, MOST_REACH = 3, 1_000_000
-"""Frames on each side of the temporal sum: in the paper, and at most."""
-
-
-class Reach(NamedTuple):
-    """The reach of the temporal sum of Eq. 3 on each side: in metres if given, else in frames."""
-
-    frames: int = 0
-    metres: float | None = None
-
-    @classmethod
-    def of(cls, text: str) -> Reach:
-        """The reach of a text: ``3`` (frames) or ``10m`` (metres); others are a ValueError."""
-        try:
-            reach = cls(0, float(text[:-1])) if text.endswith("m") else cls(int(text))
-        except ValueError:
-            reach = cls(-1)
-        if not (0 <= reach.frames <= MOST_REACH and 0 <= (reach.metres or 0) <= MOST_REACH):
-            raise ValueError(
-                f"--temporal: expected frames (3) or metres (10m) up to {MOST_REACH}, got {text!r}"
-            )
-        return reach
-
-    def __bool__(self) -> bool:
-        return bool(self.frames or self.metres)
 
 
 @dataclass(frozen=True)
@@ -257,11 +219,10 @@ class RecognitionOptions(StepOptions):
         "metres, such as 10m. Default: no sum.",
         metavar="T",
     )
-    as_paper: bool = option(
+    as_paper: bool = switch(
+        "--as-paper",
         "Decide as in the paper: cosines of single frames, the temporal sum with t = 3, and no "
         "other step. Options that contradict this are refused.",
-        "--as-paper",
-        default=False,
     )
     extra: bool | None = option(
         "Also use the extra descriptors of pictures, see ssrvlad encode --with. Default: use "
@@ -290,7 +251,7 @@ class RecognitionOptions(StepOptions):
         contradicting = [
             name for name, value in paper.items() if name in typed and getattr(self, name) != value
         ]
-        if self.temporal is not None and self.reach != Reach(PAPER_REACH):
+        if self.temporal is not None and self.reach != (PAPER_REACH, None):
             contradicting.append("temporal")
         if self.as_paper and contradicting:
             names = " and ".join(f"--{name}" for name in contradicting)
@@ -305,11 +266,21 @@ class RecognitionOptions(StepOptions):
         return False if self.as_paper else self.extra
 
     @property
-    def reach(self) -> Reach:
-        """The reach of the temporal sum; a ValueError if ``temporal`` is no reach."""
-        if self.temporal is not None:
-            return Reach.of(self.temporal)
-        return Reach(PAPER_REACH if self.as_paper else 0)
+    def reach(self) -> tuple[int, float | None]:
+        """The reach of the temporal sum on each side: in metres if given, else in frames; a
+        ValueError if ``temporal`` is neither."""
+        text = self.temporal
+        if text is None:
+            return PAPER_REACH if self.as_paper else 0, None
+        try:
+            frames, metres = (0, float(text[:-1])) if text.endswith("m") else (int(text), None)
+        except ValueError:
+            frames, metres = -1, None
+        if not (0 <= frames <= MOST_REACH and 0 <= (metres or 0) <= MOST_REACH):
+            raise ValueError(
+                f"--temporal: expected frames (3) or metres (10m) up to {MOST_REACH}, got {text!r}"
+            )
+        return frames, metres
 
 
 @dataclass(frozen=True)
@@ -346,18 +317,15 @@ def expand(command: Callable[..., None]) -> Callable[..., None]:
     """The command in the form that typer expects: the fields of each options class are parameters,
     and each `option` or `argument` is typer's. If a class has a method ``check``, it is called with
     the names of the options on the command line."""
-    parameters: list[inspect.Parameter] = []
-    classes: dict[str, type] = {}
     types = get_type_hints(command, include_extras=True)
+    classes: dict[str, Any] = {name: kind for name, kind in types.items() if is_dataclass(kind)}
+    parameters: list[inspect.Parameter] = []
     for name, parameter in inspect.signature(command).parameters.items():
-        kind = types[name]
-        if is_dataclass(kind):
-            assert isinstance(kind, type)
-            classes[name] = kind
-            hints = get_type_hints(kind, include_extras=True)
-            parameters += [_parameter(each.name, hints[each.name], each) for each in fields(kind)]
+        if name in classes:
+            hints = get_type_hints(classes[name], include_extras=True)
+            parameters += [_parameter(f.name, hints[f.name], f) for f in fields(classes[name])]
         else:
-            parameters.append(_parameter(name, kind, parameter.default))
+            parameters.append(_parameter(name, types[name], parameter.default))
 
     @wraps(command)
     def run(*, context: typer.Context, **values: Any) -> None:

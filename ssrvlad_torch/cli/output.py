@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -70,12 +69,14 @@ def progress_bar(what: str, total: int, played: Sequence[float] = ()) -> Iterato
     console = Console(stderr=True)
     with progress.Progress(*columns, console=console, disable=not console.is_terminal) as bar:
         task = bar.add_task(what, total=total, rate="")
-        waiting = done = skipped = 0
+        done = skipped = 0
         start = time.monotonic()
-        due = 0.0 if console.is_terminal else start + _LINE_SECONDS
+        pause = _SECONDS if console.is_terminal else _LINE_SECONDS
+        due = 0.0 if console.is_terminal else start + pause
 
         def show() -> None:
-            nonlocal waiting, due
+            nonlocal due
+            due = time.monotonic() + pause
             also = f", {skipped} skipped" if skipped else ""
             if played:
                 times = (played[min(max(done, 1), len(played)) - 1], played[-1])
@@ -83,15 +84,13 @@ def progress_bar(what: str, total: int, played: Sequence[float] = ()) -> Iterato
                 also += f", {passed} of {whole} of video"
             if console.is_terminal:
                 rate = bar.tasks[task].speed
-                bar.update(task, advance=waiting, rate=(f"{rate:.0f}/s" if rate else "") + also)
+                bar.update(task, completed=done, rate=(f"{rate:.0f}/s" if rate else "") + also)
             else:
                 note(f"{what}: {done} of {total} after {time.monotonic() - start:.0f} s{also}")
-            pause = _SECONDS if console.is_terminal else _LINE_SECONDS
-            waiting, due = 0, time.monotonic() + pause
 
         def advance(steps: int) -> None:
-            nonlocal waiting, done
-            waiting, done = waiting + steps, done + steps
+            nonlocal done
+            done += steps
             if time.monotonic() > due:
                 show()
 
@@ -119,7 +118,8 @@ def print_table(table: Table) -> None:
 def print_json(value: Mapping[str, Any]) -> None:
     """Prints one object on one line. A number that is not finite, such as a metric without a value,
     becomes null."""
-    print(json.dumps(_only_finite(value)), flush=True)
+    finite = json.loads(json.dumps(value), parse_constant=lambda _: None)
+    print(json.dumps(finite), flush=True)
 
 
 def weights_in_words(weights: Sequence[Mapping[str, float]]) -> list[str]:
@@ -142,11 +142,3 @@ def finish(skipped: Sequence[Skipped], described: int | None = None) -> None:
         note(f"skipped {len(skipped) - _NAMED} more")
     if skipped:
         raise typer.Exit(SOME_SKIPPED)
-
-
-def _only_finite(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _only_finite(entry) for key, entry in value.items()}
-    if isinstance(value, list):
-        return [_only_finite(entry) for entry in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -16,9 +16,8 @@ from ..evaluation.measure import Recognition
 from ..evaluation.metrics import precision_recall_curve
 from ..evaluation.outcomes import judge
 from ..evaluation.report import Report, write_report
-from ..evaluation.true_matches import TrueMatches
 from ..recognition.sweep import score
-from .words import proof, score_name, steps_in_words, without_truth
+from .words import proof, steps_in_words, without_truth
 
 
 def write_page(
@@ -26,18 +25,20 @@ def write_page(
     recognition: Recognition,
     truth: PartialTruth,
     metrics: Mapping[str, Any],
-    title: str,
-    settings: Mapping[str, object],
+    database: str,
+    sources: Sequence[str],
+    true_matches: str,
 ) -> None:
-    """Writes the page of the queries whose true matches are known; ``settings`` are names and
-    values to show, besides the details of the recognition."""
+    """Writes the page of the queries whose true matches are known, with the names of the database
+    and of the sources of the queries; ``true_matches`` says in words which matches are right."""
     known, true_rows = known_matches(truth)
     scores, rows = (part.numpy()[known] for part in recognition.matches)
     outcomes = judge(scores, rows, true_rows)
     pairs = None if recognition.similarity is None else recognition.similarity[known]
     queries, references = recognition.descriptors[0][known], recognition.descriptors[1]
+    names = shortened(["/".join(Path(source).parts[-2:]) or source for source in sources])
     report = Report(
-        title=title,
+        title=f"{names} against {Path(database).name or database}",
         metrics=metrics,
         queries=replace(
             recognition.queries,
@@ -51,9 +52,9 @@ def write_page(
         cosines=lambda rows, columns: score(
             queries[torch.from_numpy(rows)], references[torch.from_numpy(columns)]
         ).numpy(),
-        score=score_name(recognition.details["steps"]) or "score",
+        score=metrics["score_is"] or "score",
         pictures=recognition.pictures,
-        settings=_settings(settings, recognition),
+        settings=_settings(recognition.details, database, sources, true_matches),
         notes=[
             *_notes(recognition, truth),
             proof(metrics["thresholds"]["suggested"]),
@@ -63,25 +64,20 @@ def write_page(
     write_report(path, report)
 
 
-def title_and_settings(
-    references: str, queries: Sequence[str], truth: TrueMatches
-) -> tuple[str, dict[str, str]]:
-    """The title of a page, and its settings: the references, the queries and the ground truth."""
-    names = shortened(["/".join(Path(place).parts[-2:]) or place for place in queries])
-    title = f"{names} against {Path(references).name or references}"
-    return title, {
-        "references": references,
-        "queries": shortened(queries),
-        "true matches": truth.words,
+def _settings(
+    details: Mapping[str, Any], database: str, sources: Sequence[str], true_matches: str
+) -> dict[str, str]:
+    """The settings of the page, and the details of the recognition, in words."""
+    words = {
+        "preset": details["preset"],
+        "references": database,
+        "queries": shortened(sources),
+        "true matches": true_matches,
+        **details,
+        "steps": steps_in_words(details["steps"], details["temporal"]),
+        "ssrvlad-torch": package_version(),
     }
-
-
-def _settings(settings: Mapping[str, object], recognition: Recognition) -> dict[str, str]:
-    """The preset first, then the settings and the details of the recognition, in words."""
-    details = dict(recognition.details)
-    preset = {"preset": details.pop("preset")}
-    details["steps"] = steps_in_words(details["steps"], details.pop("temporal"))
-    words = {**preset, **settings, **details, "ssrvlad-torch": package_version()}
+    del words["temporal"]
     return {
         name.replace("_", " "): f"{value:.3f}" if isinstance(value, float) else str(value)
         for name, value in words.items()

@@ -53,27 +53,26 @@ def resolve(
     dataset = whole and whole.select(options.split or (), options.role)
     for warning in dataset.warnings if dataset else ():
         note(warning)
+    network, paths = options.segmenter, options.paths
     labels_as: str | LabelSpace | None = options.labels_as
-    if options.segmenter and labels_as in (None, AUTO):
-        labels_as = _declared_space(options.segmenter, options.classes, labels_as == AUTO)
+    if network and labels_as in (None, AUTO):
+        opened = _network(network)
+        if labels_as or opened.class_names or opened.labels_as is not None:
+            labels_as = Segmenter.load(opened, classes=channels(options.classes)).label_space
     labels_as = labels_as or (dataset.labels_as if dataset else None)
     truth = dataset.truth if dataset else None
     if dataset and (posed or (posed is None and truth and truth.metres is not None)):
         dataset = dataset.posed()
+    known = database.folders() if database else ()
     found = Source(
-        sequence=options.sequence,
-        dataset=whole,
-        truth=truth,
-        known=database.folders() if database else (),
-        workers=options.workers,
+        sequence=options.sequence, dataset=whole, truth=truth, known=known, workers=options.workers
     )
-    network, paths = options.segmenter, options.paths
     if compared and len(paths) == 1 and Database.exists(paths[0]):
-        if unused := [f"--{name.replace('_', '-')}" for name in options.given(_OF_FILES)]:
+        if unused := [f"--{name.replace('_', '-')}" for name in options.given(*_OF_FILES)]:
             raise ValueError(f"{paths[0]} is a database: expected no {', '.join(unused)}")
         space = _space(labels_as, database, compared, images)
         return replace(found, labels_as=space, database=Database.open(paths[0]))
-    find = partial(_find, options, dataset, found.known)
+    find = partial(_find, options, dataset, known)
     if database and not network and (images or not labels_as):
         spaces = [origin.label_space for origin in database.origins.values() if origin.segmenter]
         if images or (spaces and _are_pictures(found_by(find, find_image_files), spaces)):
@@ -88,13 +87,13 @@ def resolve(
     found = replace(found, labels_as=space, segmenter=segmenter)
     if not listed:
         return found
-    if images or segmenter:
-        return replace(found, files=find(find_image_files))
+    kind = find_image_files if images or segmenter else find_label_files
     try:
-        return replace(found, files=find(find_label_files))
+        return replace(found, files=find(kind))
     except ValueError:
-        found_labels = dataset or any(found_by(find_label_files, [path]) for path in paths)
-        if not found_labels and found_by(find_image_files, paths):
+        known_kind = dataset or segmenter or images
+        maps = known_kind or any(found_by(find_label_files, [path]) for path in paths)
+        if not maps and found_by(find_image_files, paths):
             raise ValueError(
                 f"{' '.join(paths)} holds images and no label maps; name the network that "
                 "labels them with --segmenter"
@@ -182,7 +181,7 @@ def _are_pictures(files: Sequence[FrameFile], spaces: Sequence[LabelSpace | None
 
 
 def _open_dataset(options: SourceOptions) -> Dataset | None:
-    if options.layout and options.given(("sequence", "poses", "topic", "fps")):
+    if options.layout and options.given("sequence", "poses", "topic", "fps"):
         raise ValueError("--sequence, --poses, --topic and --fps do not go with --layout")
     if options.largest_gap is not None and not options.poses:
         raise ValueError("--largest-gap needs --poses")
@@ -199,11 +198,3 @@ def _open_dataset(options: SourceOptions) -> Dataset | None:
 
 
 _network = cache(open_network)
-
-
-def _declared_space(name: str, classes: str | None, required: bool) -> LabelSpace | None:
-    """The label space that a network declares; without one ``None``, or a ValueError."""
-    network = _network(name)
-    if not network.class_names and network.labels_as is None and not required:
-        return None
-    return Segmenter.load(network, classes=channels(classes)).label_space

@@ -17,12 +17,20 @@ from .output import print_table, weights_in_words
 
 
 def print_metrics(metrics: Mapping[str, Any]) -> None:
-    """Prints all metrics with their intervals, and the thresholds to choose from."""
+    """Prints all metrics of `measure` with their intervals, and thresholds to choose from."""
     table = Table("metric", metrics["convention"], "95 % interval")
     for name, value, ends in figure_rows(metrics):
         table.add_row(name, fraction(value), fraction(*ends))
     print_table(table)
-    print_table(_thresholds(metrics["thresholds"], metrics.get("steps")))
+    score = metrics["score_is"] or "score"
+    table = Table("threshold for", score, "precision", "lower end", "recall", "accepted")
+    for name, point in operating_rows(metrics["thresholds"]):
+        if point is None:
+            table.add_row(name, "none")
+        else:
+            fractions = [fraction(point[key]) for key in ("precision", "precision_low", "recall")]
+            table.add_row(name, f"{point['score']:.4f}", *fractions, str(point["accepted"]))
+    print_table(table)
     print(proof(metrics["thresholds"]["suggested"]))
     for line in without_truth(metrics):
         print(line)
@@ -125,15 +133,3 @@ def by_sequence(values: Mapping[str, str]) -> str:
     if len(names) == 1:
         return next(iter(names))
     return "; ".join(f"{value} ({shortened(of, most=3)})" for value, of in names.items())
-
-
-def _thresholds(points: Mapping[str, Any], used: Mapping[str, Any] | None) -> Table:
-    score = (used and score_name(used)) or "score"
-    table = Table("threshold for", score, "precision", "lower end", "recall", "accepted")
-    for name, point in operating_rows(points):
-        if point is None:
-            table.add_row(name, "none")
-            continue
-        fractions = [fraction(point[key]) for key in ("precision", "precision_low", "recall")]
-        table.add_row(name, f"{point['score']:.4f}", *fractions, str(point["accepted"]))
-    return table

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..options import Seed, argument, option
+from ..options import Seed, argument, option, switch
 from ..output import progress_bar, say
 
 FRAMES = 100
@@ -21,8 +21,8 @@ def city(
         max=1_000_000,
     ),
     seed: Seed = 0,
-    tour: bool = option(
-        "Write one drive that returns to its streets, for ssrvlad loops.", "--tour", default=False
+    tour: bool = switch(
+        "--tour", "Write one drive that returns to its streets, for ssrvlad loops."
     ),
 ) -> None:
     """Write the synthetic city: label maps of cityscapes-trainids in reference/ and query/,

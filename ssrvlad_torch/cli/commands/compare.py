@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from ...baselines import METHODS
 from ...evaluation.metrics import fraction
 from ...files import parse_yaml
-from ..options import DriveOptions, Json, StepOptions, TruthOptions, Workers, option
+from ..options import DriveOptions, Json, StepOptions, TruthOptions, option
 from ..output import finish, note, print_json, print_table, progress_bar, say
 
 if TYPE_CHECKING:
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from ...baselines.comparison import Row
 
 AT = ("1", "5", "10")
-COSTS = ("encode", "match")
 
 
 def compare(
@@ -36,7 +35,7 @@ def compare(
     fuse: str | None = option(
         "Methods whose scores are also fused, two or more of --method, separated by commas."
     ),
-    workers: Workers = 2,
+    workers: int = option("Threads that read ahead.", default=2, min=1),
     as_json: Json = False,
 ) -> None:
     """Compare methods on one data set: metrics with 95 % bootstrap intervals, and costs. Each
@@ -66,7 +65,7 @@ def compare(
     fused = [name.strip() for name in fuse.split(",")] if fuse else []
     if fuse and (len(set(fused)) < max(2, len(fused)) or not set(fused) <= set(names)):
         raise ValueError(f"--fuse: expected two or more of {', '.join(names)}, got {fuse!r}")
-    methods = _make(names, _parsed(settings or ()))
+    methods = _make(names, settings or ())
     drives = Drives.open(note, **vars(options))
     true = TrueMatches.of(*truth.definition, drives.whole.truth)
     if true.metres is not None:
@@ -80,20 +79,24 @@ def compare(
     finish([Skipped(row["method"], row["reason"]) for row in rows if "reason" in row])
 
 
-def _make(names: Sequence[str], settings: Mapping[str, Any]) -> dict[str, Method | str]:
-    """The methods by name; for a method that cannot be made, the reason."""
+def _make(names: Sequence[str], pairs: Sequence[str]) -> dict[str, Method | str]:
+    """The methods by name, with the settings of ``METHOD.NAME=VALUE`` pairs, whose values are read
+    as YAML; for a method that cannot be made, the reason."""
     from ...baselines import make
 
-    by_method: dict[str, dict[str, Any]] = {name: {} for name in names}
-    for key, value in settings.items():
+    settings: dict[str, dict[str, Any]] = {name: {} for name in names}
+    for pair in pairs:
+        key, equals, value = pair.partition("=")
         name, dot, setting = key.partition(".")
-        if not dot or name not in by_method:
+        if not equals:
+            raise ValueError(f"--set: expected NAME=VALUE, got {pair!r}")
+        if not dot or name not in settings:
             raise ValueError(
                 f"--set: expected METHOD.NAME=VALUE for one of {', '.join(names)}, got {key!r}"
             )
-        by_method[name][setting] = value
+        settings[name][setting] = parse_yaml(value, f"the value of --set {key}")
     methods: dict[str, Method | str] = {}
-    for name, values in by_method.items():
+    for name, values in settings.items():
         try:
             methods[name] = make(name, **values)
         except TypeError as error:
@@ -108,17 +111,6 @@ def _make(names: Sequence[str], settings: Mapping[str, Any]) -> dict[str, Method
 def _progress(name: str, frames: int) -> Iterator[Callable[[int], None]]:
     with progress_bar(name, frames) as bar:
         yield bar.advance
-
-
-def _parsed(pairs: Sequence[str]) -> dict[str, Any]:
-    """The settings of ``NAME=VALUE`` pairs; values are read as YAML."""
-    settings = {}
-    for pair in pairs:
-        name, equals, value = pair.partition("=")
-        if not equals:
-            raise ValueError(f"--set: expected NAME=VALUE, got {pair!r}")
-        settings[name] = parse_yaml(value, f"the value of --set {name}")
-    return settings
 
 
 def _print(rows: Sequence[Row]) -> None:
@@ -139,10 +131,13 @@ def _print(rows: Sequence[Row]) -> None:
     print_table(quality)
     if not done:
         return
-    costs = Table("method", "bytes a reference", *(f"{what}\nms a query" for what in COSTS))
+    costs = Table("method", "bytes a reference", "encode\nms a query", "match\nms a query")
     for row in done:
         if not row["steps"]:
-            times = (_times(row[f"{what}_ms"]) for what in COSTS)
+            times = (
+                f"{cost['average']:.2f}\n{cost['min']:.2f}-{cost['max']:.2f}"
+                for cost in (row["encode_ms"], row["match_ms"])
+            )
             costs.add_row(row["method"], f"{row['bytes_a_reference']:.0f}", *times)
     print_table(costs)
     say(
@@ -163,7 +158,3 @@ def _metrics(row: Row) -> list[str]:
         fraction(value) + ("" if math.isnan(value) else f"\n{low:.2f}-{high:.2f}")
         for value, (low, high) in pairs
     ]
-
-
-def _times(cost: Mapping[str, float]) -> str:
-    return f"{cost['average']:.2f}\n{cost['min']:.2f}-{cost['max']:.2f}"

@@ -7,7 +7,7 @@ from typing import Literal
 
 import typer
 
-from ..options import AsOf, DatabaseFolder, Json, expand, option
+from ..options import AsOf, DatabaseFolder, Json, expand, option, switch
 from ..output import SOME_SKIPPED, note, print_json, progress_bar, say
 
 db = typer.Typer(
@@ -30,14 +30,12 @@ def info(database: DatabaseFolder, as_of: AsOf = None, as_json: Json = False) ->
         print_json(report)
         return
     if report["config"]:
-        used = opened.config.used()
-        settings = report["config"].items()
-        report["config"] = {name: value for name, value in settings if name in used}
+        report["config"] = {name: report["config"][name] for name in opened.config.used()}
     if not report["extra"]:
         del report["extra"]
     for name, value in report.items():
-        entries = value.items() if isinstance(value, dict) else ()
-        text = ", ".join(f"{key} {entry}" for key, entry in entries) if entries else value
+        entries = value if isinstance(value, dict) else {}
+        text = ", ".join(f"{key} {entry}" for key, entry in entries.items()) or value
         say(f"{name.replace('_', ' ')}: {text}")
 
 
@@ -104,10 +102,8 @@ def index(database: DatabaseFolder, as_json: Json = False) -> None:
 def verify(
     *,
     database: DatabaseFolder,
-    drop_damaged: bool = option(
-        "Remove damaged frames. ssrvlad encode restores them.",
-        "--drop-damaged",
-        default=False,
+    drop_damaged: bool = switch(
+        "--drop-damaged", "Remove damaged frames. ssrvlad encode restores them."
     ),
     as_json: Json = False,
 ) -> None:

@@ -6,7 +6,7 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from ..options import Extra, Json, MaybePreset, SourceOptions, option
+from ..options import Extra, Json, MaybePreset, SourceOptions, option, switch
 from ..output import finish, note, print_json, progress_bar, say
 
 if TYPE_CHECKING:
@@ -37,8 +37,8 @@ def encode(
         default="local",
     ),
     gpus: float = option("Extra --engine ray: GPUs for each worker.", default=0.0, min=0),
-    prune: bool = option(
-        "Remove frames whose file is no longer in the folders of SOURCE.", "--prune", default=False
+    prune: bool = switch(
+        "--prune", "Remove frames whose file is no longer in the folders of SOURCE."
     ),
     as_json: Json = False,
 ) -> None:
@@ -62,7 +62,7 @@ def encode(
     from ..sources import extra_of, resolve
 
     folders = all(is_uri(path) or Path(path).is_dir() for path in source.paths)
-    complete = folders and source.takes_all and source.layout is None
+    complete = folders and not source.given("fps", "every", "start", "layout")
     if prune and not complete:
         raise ValueError(
             "--prune needs whole folders as SOURCE, without --fps, --every and --start"

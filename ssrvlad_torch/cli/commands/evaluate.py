@@ -49,7 +49,7 @@ def evaluate(
     from ...evaluation.measure import measure
     from ...evaluation.true_matches import TrueMatches
     from ...files import check_output
-    from ..report import title_and_settings, write_page
+    from ..report import write_page
     from ..sources import resolve
     from ..words import print_metrics
 
@@ -67,8 +67,7 @@ def evaluate(
     else:
         print_metrics(metrics)
     if report:
-        title, settings = title_and_settings(database, source.paths, true)
-        write_page(report, found, known, metrics, title, settings)
+        write_page(report, found, known, metrics, database, source.paths, true.words)
         if not as_json:
             say(f"report: {report}")
     finish(found.skipped, len(found.queries.frames))

@@ -4,22 +4,21 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..options import LabelsAs, Preset, option
+from ..options import Preset, option, switch
 from ..output import say
 
 
 def export(
     *,
     output: Path = option("ONNX file to write.", "--output", "-o", default=...),
-    labels_as: LabelsAs,
+    labels_as: str = option("Label space of the ids: a name or a .yaml file.", default=...),
     input: str = option("Input of the file: labels or logits.", "--input", default="labels"),
     dtype: str | None = option("Type of the labels: uint8, int32 or int64. Default: uint8."),
     preset: Preset = "default",
-    sweep: bool = option(
+    sweep: bool = switch(
+        "--sweep",
         "Describe each frame from several anchors, (B, S, D), for queries of a camera that is "
         "turned or moved aside.",
-        "--sweep",
-        default=False,
     ),
     size: str | None = option("Fixed rows and columns, HxW, such as 512x1024. Default: any size."),
     batch: int | None = option(

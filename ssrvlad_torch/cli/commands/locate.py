@@ -31,15 +31,9 @@ def locate(
     opened = Database.open(database)
     frames = resolve(source, opened, compared=True, images=True)
     with progress_bar("encoding", len(frames.files), played(frames.files)) as bar:
-        queries, references, found, t, skipped, _ = search(
-            opened,
-            frames,
-            recognition.steps(),
-            1,
-            recognition.reach,
-            recognition.with_extra,
-            progress=bar.advance,
-        )
+        steps, reach, extra = recognition.steps(), recognition.reach, recognition.with_extra
+        searched = search(opened, frames, steps, 1, reach, extra, progress=bar.advance)
+    queries, references, found, t, skipped, _ = searched
     (scores, rows), estimate = accepted(found, recognition.min_confidence, recognition.max_wrong)
     columns = scores[:, 0].tolist(), rows[:, 0].tolist(), found.confidence.tolist()
     names = queries.frames, queries.sequences

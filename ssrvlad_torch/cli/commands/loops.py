@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,14 +17,11 @@ from ..options import Extra, Json, MaybePreset, SourceOptions, option
 from ..output import finish, print_json, say, weights_in_words
 
 if TYPE_CHECKING:
-    from ...database.database import Database
-    from ...encoding.results import Encoded, Skipped
-    from ...encoding.source import Source
-    from ...loops.detector import LoopDetector
     from ...loops.result import LoopResult
 
 STDIN = "-"
-FIELDS = ("frame", "reason", "candidate", "score", "probability", "ahead")
+LEFT_OUT = ("layout", "poses", "largest_gap", "topic", "fps", "every", "start")
+"""Options that do not go with names on stdin."""
 
 
 def loops(
@@ -56,38 +53,52 @@ def loops(
     Example: ssrvlad loops maps/monday --labels-as camvid-11 --picture loops.png
     """
     from ...database.database import Database
+    from ...encoding.plan import check_folders
     from ...encoding.results import Skipped
     from ...files import require_picture, write_picture
+    from ...loops import stream
     from ...loops.picture import draw_loops
-    from ...loops.stream import candidates_of, detect_loops, loops_of, open_detector, report
     from ..sources import extra_of, resolve
 
-    _check_live(source)
+    live = STDIN in source.paths
+    if live and (len(source.paths) > 1 or source.given(*LEFT_OUT)):
+        raise ValueError(
+            f"SOURCE {STDIN} takes no other SOURCE, no --layout, --poses, --largest-gap, --topic, "
+            "--fps, --every and --start"
+        )
     config = LoopConfig(exclude, threshold, sweep)
     stored = Database.open(memory) if memory and Database.exists(memory) else None
     if picture:
         require_picture(picture)
-    opened = resolve(source, stored, listed=STDIN not in source.paths)
+    opened = resolve(source, stored, listed=not live)
     methods = extra_of(opened, extra, stored is None)
-    detector, database = open_detector(config, memory, preset, opened.labels_as, methods)
+    detector, database = stream.open_detector(config, memory, preset, opened.labels_as, methods)
+    segmenter = opened.segmenter
+    if live:
+        names = map(os.fsdecode, sys.stdin.buffer)
+        frames = stream.encode_as_they_come(detector, names, source.sequence, segmenter, database)
+    else:
+        if database:
+            check_folders(opened.files, database.known())
+        frames = stream.encode_files(detector, opened.files, source.workers, segmenter)
     results: list[LoopResult] = []
     skipped: list[Skipped] = []
-    frames = _frames(source, opened, detector, database)
-    with closing(detect_loops(detector, frames, database)) as stream:
-        for result in stream:
+    with closing(stream.detect_loops(detector, frames, database)) as found:
+        for result in found:
             if isinstance(result, Skipped):
                 skipped.append(result)
             else:
                 results.append(result)
                 _print_result(result, as_json)
-    summary = report(detector, results, tolerance_metres)
+    summary = stream.report(detector, results, tolerance_metres)
     if results or skipped or as_json or not len(detector):
         _print_report(summary, results, config, as_json)
     else:
         count = f"{len(opened.files)} " if opened.files else ""  # names on stdin are not counted
         say(f"all {count}frames are in the memory already")
     if picture:
-        pairs, candidates = loops_of(detector, results), candidates_of(detector, results)
+        pairs = stream.loops_of(detector, results)
+        candidates = stream.candidates_of(detector, results)
         drives = [frame.rpartition("/")[0] for frame in detector.frames]
         title = ", ".join(dict.fromkeys(drives))
         figure = draw_loops(pairs, detector.poses, title, tolerance_metres, drives, candidates)
@@ -95,35 +106,9 @@ def loops(
     finish(skipped, len(results))
 
 
-def _check_live(options: SourceOptions) -> None:
-    """Raises a ValueError for options that names on stdin would leave out."""
-    given = (options.layout, options.poses, options.topic)
-    alone = len(options.paths) == 1 and options.takes_all
-    if STDIN in options.paths and not (alone and options.largest_gap is None and not any(given)):
-        raise ValueError(
-            f"SOURCE {STDIN} takes no other SOURCE, no --layout, --poses, --largest-gap, --topic, "
-            "--fps, --every and --start"
-        )
-
-
-def _frames(
-    options: SourceOptions, source: Source, detector: LoopDetector, database: Database | None
-) -> Iterator[Encoded | Skipped]:
-    """The frames that a detector does not know yet, of folders or from names on stdin."""
-    from ...encoding.plan import check_folders
-    from ...loops.stream import encode_as_they_come, encode_files
-
-    if STDIN not in options.paths:
-        if database:
-            check_folders(source.files, database.known())
-        return encode_files(detector, source.files, options.workers, source.segmenter)
-    names = map(os.fsdecode, sys.stdin.buffer)
-    return encode_as_they_come(detector, names, options.sequence, source.segmenter, database)
-
-
 def _print_result(result: LoopResult, as_json: bool) -> None:
     if as_json:
-        print_json({name: getattr(result, name) for name in FIELDS})
+        print_json(result._asdict())
     elif result.accepted:
         ahead = "" if result.ahead is None else f" {result.ahead:+.1f} m"
         say(f"{result.frame}: {result.candidate} {result.probability:.4f}{ahead}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from ..options import AsOf, DatabaseFolder, Json, RecognitionOptions, SourceOptions, option
+from ..options import AsOf, DatabaseFolder, Json, RecognitionOptions, SourceOptions, option, switch
 from ..output import finish, note, print_json, progress_bar, say
 
 if TYPE_CHECKING:
@@ -35,12 +35,10 @@ def query(
         "sequence is --sequence, or the one that the database has for its folder.",
         min=0,
     ),
-    index: bool = option(
-        "Search with the index on disk (ssrvlad db index). Scores are exact. Sequences are "
-        "followed over the candidates of the index. --sweep and extra descriptors are not "
-        "used.",
+    index: bool = switch(
         "--index",
-        default=False,
+        "Search with the index on disk (ssrvlad db index). Scores are exact. Sequences are "
+        "followed over the candidates of the index. --sweep and extra descriptors are not used.",
     ),
     as_of: AsOf = None,
     as_json: Json = False,
@@ -58,7 +56,7 @@ def query(
     from ...encoding.search import search, search_by_index
     from ..sources import resolve
 
-    if index and (recognition.reach or recognition.extra):
+    if index and (any(recognition.reach) or recognition.extra):
         raise ValueError("--index does not go with a temporal sum or --extra")
     opened = Database.open(database, as_of)
     top = min(top, max(1, len(opened)))

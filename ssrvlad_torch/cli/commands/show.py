@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..options import Classes, Preset, Segmenter, SourceOptions, argument, option
+from ..options import NETWORK, Classes, Preset, SourceOptions, argument, option
 from ..output import say
 
 
@@ -16,7 +16,7 @@ def show(
         "Label space of the ids: a name, a .yaml file, or auto (by the class names of the "
         "segmenter). Default: the one of the segmenter."
     ),
-    segmenter: Segmenter = None,
+    segmenter: str | None = option(f"Segmentation network that labels images: {NETWORK}"),
     classes: Classes = None,
     preset: Preset = "default",
 ) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..options import Weights, argument, option
+from ..options import argument, option
 from ..output import say
 
 
@@ -12,7 +12,9 @@ def vocabulary(
     *,
     images: Path = argument("Folder of images or of folders of images."),
     output: Path = option("File to write (.npy).", "--output", "-o", default=...),
-    weights: Weights = None,
+    weights: Path | None = option(
+        "Weights of the method's network: a file or its folder. Default: ~/.cache/ssrvlad/weights."
+    ),
     words: int = option("Number of words; 256 or 128 in the paper.", default=256, min=1),
     regions: int = option("Regions of each image; 400 or 200 in the paper.", default=400, min=1),
     seed: int = option("Another seed gives other initial words.", default=0, min=0),
