@@ -73,7 +73,7 @@ _RING_UNIT = 10**9
 
 @dataclass(frozen=True)
 class SSRVLADConfig:
-    """Every setting of the descriptor. Where the paper is silent, the field says so.
+    """Every setting of the descriptor; where the paper is silent, (silent) says so.
 
     Lengths and areas are fractions of the image. The methods below turn them into pixels of the
     working grid in integer arithmetic, so that every backend computes the same pixels.
@@ -84,22 +84,19 @@ class SSRVLADConfig:
         working_size: shorter side of the working grid in pixels, 1 to 16384. A larger label map is
             reduced to it by majority vote, a smaller one keeps its size. ``None`` keeps every size
             (the paper).
-        opening: radius of the square that opens each layer, a fraction of the shorter side, 0 to
-            0.5. Silent in the paper. This and the next four are for residuals only.
-        closing: radius of the square that then closes each layer, a fraction of the shorter side, 0
-            to 0.5. Silent in the paper.
+        opening, closing: radii of the squares that open and then close each layer, fractions of
+            the shorter side, 0 to 0.5 (silent). These and the next three are for residuals only.
         hole_area: enclosed holes of fewer pixels than this fraction of the image are filled, 0 to
-            1. Silent in the paper.
-        region_area: regions of fewer pixels than this fraction of the image are dropped, 0 to 1.
-            Silent in the paper.
-        thinning: ``"zhang-suen"`` or ``"guo-hall"``. Silent in the paper.
-        rings: N of the paper, the number of log-spaced rings of the shape context, 1 to 64.
-        sectors: M of the paper, the number of equal sectors of the shape context, 1 to 360.
-        radius: R of the paper as a fraction of the image diagonal, above 0 to 1. Silent in the
-            paper.
-        inner_radius: outer radius of the first ring as a fraction of R, above 0 to 1. From ring to
-            ring the radius grows by a constant factor: 2 with five rings and 1/16, as in Belongie
-            et al. 2002. Silent in the paper.
+            1 (silent).
+        region_area: regions of fewer pixels than this fraction of the image are dropped, 0 to 1
+            (silent).
+        thinning: ``"zhang-suen"`` or ``"guo-hall"`` (silent).
+        rings, sectors: N and M of the paper, the numbers of log-spaced rings, 1 to 64, and of equal
+            sectors, 1 to 360, of the shape context.
+        radius: R of the paper as a fraction of the image diagonal, above 0 to 1 (silent).
+        inner_radius: outer radius of the first ring as a fraction of R, above 0 to 1 (silent). From
+            ring to ring the radius grows by a constant factor: 2 with five rings and 1/16, as in
+            Belongie et al. 2002.
         context: the points that the histograms of Eq. 2 count: ``"skeleton"`` pixels or
             ``"keypoints"``. The paper can be read either way. For residuals only.
         aggregation: ``"residuals"`` of the keypoints' histograms to the centre's (Eq. 2), or
@@ -107,11 +104,9 @@ class SSRVLADConfig:
             follow are for harmonics only and not in the paper.
         anchor: the column around which the histograms count: the ``"vanishing-column"``, towards
             which the street narrows, or the ``"middle"`` of the image.
-        harmonics: number of coefficients of each of six areas, those of the smoothest basis
-            functions over the bins. At most ``rings * (sectors - 1)``, or ``rings * sectors`` if
-            sectors is odd.
-        boundary_harmonics: number of coefficients of each of four boundary directions; the same
-            limit.
+        harmonics, boundary_harmonics: numbers of coefficients of each of six areas and of each of
+            four boundary directions, those of the smoothest basis functions over the bins. At most
+            ``rings * (sectors - 1)``, or ``rings * sectors`` if sectors is odd.
         spectral_weight: exponent, 0 to 4; the larger, the more the finer basis functions weigh.
         power: exponent of the power normalisation, 0.5 to 1. It applies to the absolute value of
             every number; the sign stays. A lower exponent would enlarge rounding errors of zeros.
@@ -152,7 +147,10 @@ class SSRVLADConfig:
                 f"labels_as must be a name, a path or a LabelSpace, got {self.labels_as!r}"
             )
         for name, choices in CHOICES.items():
-            _check_choice(name, getattr(self, name), choices)
+            if getattr(self, name) not in choices:
+                raise ValueError(
+                    f"{name} must be one of {', '.join(choices)}, got {getattr(self, name)!r}"
+                )
         for name, (lowest, highest) in _INTEGERS.items():
             number = getattr(self, name)
             whole = isinstance(number, int) and not isinstance(number, bool)
@@ -185,7 +183,8 @@ class SSRVLADConfig:
         Raises:
             ValueError: the preset or a setting does not exist, or a value is outside its range.
         """
-        _check_choice("preset", preset, tuple(PRESETS))
+        if preset not in tuple(PRESETS):
+            raise ValueError(f"preset must be one of {', '.join(PRESETS)}, got {preset!r}")
         return cls.from_dict({**PRESETS[preset], **settings})
 
     @classmethod
@@ -208,7 +207,7 @@ class SSRVLADConfig:
 
     def to_dict(self) -> dict[str, Any]:
         """Every setting by name, ready for JSON; a `LabelSpace` is a mapping in it."""
-        settings = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        settings = dict(vars(self))
         if isinstance(self.labels_as, LabelSpace):
             settings["labels_as"] = self.labels_as.to_dict()
         return settings
@@ -258,20 +257,16 @@ class SSRVLADConfig:
     def grid(self, height: int, width: int) -> tuple[int, int]:
         """Rows and columns of the working grid: the aspect of the image, never enlarged."""
         shorter = min(height, width)
-        if self.working_size is None or self.working_size >= shorter:
-            return height, width
-        return (
-            _rounded(height * self.working_size, shorter),
-            _rounded(width * self.working_size, shorter),
-        )
+        size = min(self.working_size or shorter, shorter)
+        return _rounded(height * size, shorter), _rounded(width * size, shorter)
 
     def radius_pixels(self, fraction: float, height: int, width: int) -> int:
         """A morphology radius in pixels of a ``height x width`` grid."""
-        return _rounded(_parts(fraction, _AREA_UNIT) * min(height, width), _AREA_UNIT)
+        return _rounded(round(fraction * _AREA_UNIT) * min(height, width), _AREA_UNIT)
 
     def area_pixels(self, fraction: float, height: int, width: int) -> int:
         """The least number of pixels that is *not* smaller than ``fraction`` of the grid."""
-        return -(-_parts(fraction, _AREA_UNIT) * height * width // _AREA_UNIT)
+        return -(-round(fraction * _AREA_UNIT) * height * width // _AREA_UNIT)
 
     def ring_limits(self, height: int, width: int) -> tuple[int, ...]:
         """Largest squared distance of each ring, in pixels of the grid, innermost first. A point at
@@ -282,7 +277,7 @@ class SSRVLADConfig:
         ]
         squares = [(self.radius * self.inner_radius**step) ** 2 for step in steps]
         diagonal = height * height + width * width
-        return tuple(_parts(square, _RING_UNIT) * diagonal // _RING_UNIT for square in squares)
+        return tuple(round(square * _RING_UNIT) * diagonal // _RING_UNIT for square in squares)
 
 
 def package_version() -> str:
@@ -295,14 +290,5 @@ def package_version() -> str:
         return "0.0"
 
 
-def _parts(fraction: float, unit: int) -> int:
-    return round(fraction * unit)
-
-
 def _rounded(numerator: int, denominator: int) -> int:
     return (2 * numerator + denominator) // (2 * denominator)
-
-
-def _check_choice(name: str, value: object, choices: tuple[str, ...]) -> None:
-    if value not in choices:
-        raise ValueError(f"{name} must be one of {', '.join(choices)}, got {value!r}")

@@ -39,6 +39,13 @@ _MAX_LEVELS = 20
 _DECIMAL = re.compile(r"(\d+)\.(\d+)")
 _DECIMALS = 20
 _NATURAL: Callable[[str], Any] = natsort_keygen()
+_KINDS = {
+    stat.S_IFDIR: "a folder",
+    stat.S_IFIFO: "a pipe",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+}
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -51,7 +58,7 @@ def check_regular(path: str | os.PathLike[str]) -> None:
     pipe can block for ever, and a device has no end. A missing file is an OSError."""
     mode = Path(path).stat().st_mode
     if not stat.S_ISREG(mode):
-        kind = next(name for is_kind, name in _KINDS if is_kind(mode))
+        kind = _KINDS.get(stat.S_IFMT(mode), "not a regular file")
         raise InputError(f"{os.fspath(path)} is {kind}; expected a file")
 
 
@@ -313,13 +320,3 @@ class _PlainLoader(yaml.SafeLoader):
         node: yaml.Node | None = super().compose_node(parent, index)
         self._level -= 1
         return node
-
-
-_KINDS: tuple[tuple[Callable[[int], bool], str], ...] = (
-    (stat.S_ISDIR, "a folder"),
-    (stat.S_ISFIFO, "a pipe"),
-    (stat.S_ISSOCK, "a socket"),
-    (stat.S_ISCHR, "a device"),
-    (stat.S_ISBLK, "a device"),
-    (lambda _: True, "not a regular file"),
-)

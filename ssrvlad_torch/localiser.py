@@ -166,13 +166,24 @@ class Localiser:
             ValueError: it is no picture, the network fails, or the database is empty or damaged.
         """
         if isinstance(picture, (str, os.PathLike)):
-            picture = _read(Path(picture))
+            path = Path(picture)
+            if not path.exists():
+                raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
+            try:
+                picture = read_image(FrameFile("", "", path))
+            except ValueError as error:
+                raise ValueError(f"{path}: {error}") from error
         if not isinstance(picture, np.ndarray):
             raise ValueError(
                 "expected a picture as an (H, W, 3) uint8 array or the path of a file, got "
                 f"{type(picture).__name__}"
             )
-        references = self._references()
+        version = self.database.version  # others may add frames meanwhile
+        if self._loaded is None or self._loaded[0] != version:
+            self._loaded = version, self.database.load()
+        references = self._loaded[1]
+        if not references.frames:
+            raise ValueError(f"{self.database.path} holds no frames yet")
         (said,) = self.segmenter.segment([picture], features=self._features)
         frame = Frame("picture", image=picture)
         extra = {each.name: each.encode_query([frame]) for each in self._methods}
@@ -188,20 +199,3 @@ class Localiser:
         known = None if math.isnan(pose.x) else pose
         sure = float(found.confidence[0])
         return Place(references.frames[row], score, sure, known, estimate(found.sure))
-
-    def _references(self) -> FrameSet:
-        version, loaded = self.database.version, self._loaded  # others may add frames meanwhile
-        if loaded is None or loaded[0] != version:
-            self._loaded = loaded = version, self.database.load()
-        if not loaded[1].frames:
-            raise ValueError(f"{self.database.path} holds no frames yet")
-        return loaded[1]
-
-
-def _read(path: Path) -> Pixels:
-    if not path.exists():
-        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
-    try:
-        return read_image(FrameFile("", "", path))
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error

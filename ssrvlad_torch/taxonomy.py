@@ -100,14 +100,35 @@ class LabelSpace:
             raise ValueError(f"{where} is not a label space: {expected}")
         if not isinstance(document["classes"], (list, tuple)) or not document["classes"]:
             raise ValueError(f"{where}: classes must be a list with at least one class")
-        classes = tuple(_parse_class(entry, where) for entry in document["classes"])
+        classes, categories = [], (*CATEGORIES, DYNAMIC, VOID)
+        for entry in document["classes"]:
+            if not isinstance(entry, dict) or not {"id", "name", "category"} <= entry.keys():
+                raise ValueError(f"{where}: class {entry!r} must have id, name and category")
+            label_id, category, colour = entry["id"], entry["category"], entry.get("colour")
+            if not isinstance(label_id, int) or isinstance(label_id, bool) or abs(label_id) > 65535:
+                raise ValueError(
+                    f"{where}: id {label_id!r} must be an integer from -65535 to 65535"
+                )
+            if category not in categories:
+                raise ValueError(
+                    f"{where}: id {label_id} has category {category!r}; "
+                    f"expected one of {', '.join(categories)}"
+                )
+            if colour is not None:
+                parts = colour if isinstance(colour, (list, tuple)) else ()
+                if len(parts) != 3 or not all(isinstance(p, int) and 0 <= p < 256 for p in parts):
+                    raise ValueError(
+                        f"{where}: id {label_id} has colour {colour!r}; expected three of 0 to 255"
+                    )
+                colour = tuple(parts)
+            classes.append(LabelClass(label_id, str(entry["name"]), category, colour))
         counts = Counter(label.id for label in classes)
         repeated = [label_id for label_id, count in counts.items() if count > 1]
         if repeated:
             raise ValueError(f"{where}: id {repeated[0]} is defined more than once")
         if all(label.category == VOID for label in classes):
             raise ValueError(f"{where}: every class is void, so no label map could mean anything")
-        return cls(str(document["name"]), str(document["source"]), classes)
+        return cls(str(document["name"]), str(document["source"]), tuple(classes))
 
     def to_dict(self) -> dict[str, Any]:
         """The label space as a mapping, ready for JSON."""
@@ -219,25 +240,3 @@ def colourise(
     for label in label_space(space).classes:
         picture[labels == label.id] = label.colour or (0, 0, 0)
     return picture
-
-
-def _parse_class(entry: object, where: str) -> LabelClass:
-    if not isinstance(entry, dict) or not {"id", "name", "category"} <= entry.keys():
-        raise ValueError(f"{where}: class {entry!r} must have id, name and category")
-    identity, category = entry["id"], entry["category"]
-    if not isinstance(identity, int) or isinstance(identity, bool) or abs(identity) > 65535:
-        raise ValueError(f"{where}: id {identity!r} must be an integer from -65535 to 65535")
-    if category not in (*CATEGORIES, DYNAMIC, VOID):
-        raise ValueError(
-            f"{where}: id {identity} has category {category!r}; "
-            f"expected one of {', '.join((*CATEGORIES, DYNAMIC, VOID))}"
-        )
-    colour = entry.get("colour")
-    if colour is not None:
-        parts = colour if isinstance(colour, (list, tuple)) else ()
-        if len(parts) != 3 or not all(isinstance(p, int) and 0 <= p < 256 for p in parts):
-            raise ValueError(
-                f"{where}: id {identity} has colour {colour!r}; expected three of 0 to 255"
-            )
-        colour = tuple(parts)
-    return LabelClass(identity, str(entry["name"]), category, colour)

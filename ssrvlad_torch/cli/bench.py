@@ -117,8 +117,7 @@ def bench_this_machine(repetitions: int = 5) -> list[dict[str, Any]]:
                 timings = time_in_turn(ways, repetitions)
                 for name, timing in timings.items():
                     row = {"preset": preset, "batch": count, "way": name}
-                    for key, value in timing.milliseconds.items():
-                        row[f"{key}_ms"] = value / count
+                    row |= {f"{key}_ms": ms / count for key, ms in timing.milliseconds.items()}
                     if count == 1:
                         ratio = timing.times_faster_than(timings["reference"])
                         row["times_faster"] = ratio["median"]

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from datetime import timedelta
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
 
 import typer
 
@@ -40,17 +40,14 @@ class Progress(NamedTuple):
 
 def note(message: str) -> None:
     """Prints one line on stderr."""
-    print(f"ssrvlad: {printable(' '.join(message.split()))}", file=sys.stderr)
+    say(f"ssrvlad: {' '.join(message.split())}", sys.stderr)
 
 
-def say(text: object) -> None:
-    """Prints one line on stdout."""
-    print(printable(str(text)), flush=True)
-
-
-def printable(text: str) -> str:
-    """A text whose unprintable characters, such as a newline in a file name, are escaped."""
-    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+def say(text: object, file: TextIO | None = None) -> None:
+    """Prints one line, by default on stdout. Unprintable characters, such as a newline in the name
+    of a file, are escaped."""
+    line = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in str(text))
+    print(line, file=file, flush=True)
 
 
 @contextmanager

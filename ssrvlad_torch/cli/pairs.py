@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont, ImageOps
@@ -59,7 +59,7 @@ def draw_pairs(pairs: Sequence[Pair], space: LabelSpace, above: str, below: str)
     draw = ImageDraw.Draw(sheet)
     for number, (heading, row) in enumerate(zip((above, below), rows, strict=True)):
         top = number * step + _MARGIN
-        draw.text((_MARGIN, top), heading, fill="black", font=_font(_HEADING))
+        draw.text((_MARGIN, top), heading, fill="black", font=ImageFont.load_default(_HEADING))
         for column, tile in enumerate(row):
             sheet.paste(tile, (_MARGIN + column * (wide + _MARGIN), top + _HEADING + _MARGIN))
     sheet.paste(legend, (_MARGIN, 2 * step + _MARGIN))
@@ -73,7 +73,7 @@ def _tile(labels: LabelMap, space: LabelSpace, name: str, colour: tuple[int, ...
     picture = picture.resize(size, Image.Resampling.NEAREST)
     top = _TEXT + 2 * _FRAME
     tile = ImageOps.expand(picture, (_FRAME, top, _FRAME, _FRAME), colour)
-    font = _font(_TEXT)
+    font = ImageFont.load_default(_TEXT)
     draw = ImageDraw.Draw(tile)
     while draw.textlength(name, font) > size[0]:
         name = name.removesuffix("...")[:-1] + "..."
@@ -83,7 +83,7 @@ def _tile(labels: LabelMap, space: LabelSpace, name: str, colour: tuple[int, ...
 
 def _legend(width: int, space: LabelSpace, ids: set[int]) -> Image.Image:
     """The classes of these ids with their colours, on as many lines as needed."""
-    draw, font = ImageDraw.Draw(Image.new("RGB", (1, 1))), _font(_TEXT)
+    draw, font = ImageDraw.Draw(Image.new("RGB", (1, 1))), ImageFont.load_default(_TEXT)
     line = _TEXT + 8
     places, x, y = [], 0, 0
     for label in space.classes:
@@ -100,7 +100,3 @@ def _legend(width: int, space: LabelSpace, ids: set[int]) -> Image.Image:
         draw.rectangle((x, y + 3, x + _TEXT, y + 3 + _TEXT), fill=label.colour or (0, 0, 0))
         draw.text((x + _TEXT + 6, y + 2), label.name, fill="black", font=font)
     return legend
-
-
-def _font(size: int) -> Any:
-    return ImageFont.load_default(size)

@@ -81,9 +81,10 @@ def encode(
     else:
         config = SSRVLADConfig.from_preset(preset or "default", labels_as=frames.labels_as)
     head, skipped = SSRVLAD(config), []
+    of_pictures = database and any(origin.segmenter for origin in database.origins.values())
     if not database:
         skipped = _skipped_before_the_first(head, frames, stored)
-    elif frames.segmenter and extra is None and _is_of_label_maps(database):
+    elif frames.segmenter and extra is None and not (database.extra or of_pictures):
         note(f"{output} is of label maps alone: features and HOG are not stored")
     summary = Summary(skipped=skipped)
     if len(skipped) < len(frames.files):
@@ -126,11 +127,6 @@ def _run(
         if new:
             discard_empty(output, error)
         raise
-
-
-def _is_of_label_maps(database: Database) -> bool:
-    by_a_network = any(origin.segmenter for origin in database.origins.values())
-    return not database.extra and not by_a_network
 
 
 def _note_other_spaces(database: Database, own: LabelSpace) -> None:

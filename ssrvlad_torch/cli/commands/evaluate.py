@@ -99,9 +99,7 @@ def _recognised(
         queries = dataclasses.replace(queries, descriptors=middle)
     config, segmenter, dataset = database.config, source.segmenter, source.dataset
     matches, estimate = accepted(recognised, options.min_confidence, options.max_wrong)
-    similarity = None
-    if pairs:
-        similarity = score(queries.descriptors, references.descriptors).numpy()
+    vectors = queries.descriptors, references.descriptors
     return Recognition(
         references=Viewpoints.of_set(references, dataset, source.known),
         queries=Viewpoints.of_set(queries, dataset, folders, [f.frame for f in skipped]),
@@ -111,8 +109,8 @@ def _recognised(
             "accepted": estimate,
             "suggested_without_truth": accept(recognised.sure, 1 - SURE_PRECISION),
         },
-        similarity=similarity,
-        descriptors=(queries.descriptors, references.descriptors),
+        similarity=score(*vectors).numpy() if pairs else None,
+        descriptors=vectors,
         pictures=(
             pictures_of_queries(source.files, dataset, source.labels_as, segmenter),
             pictures_of_references(database, dataset, segmenter),

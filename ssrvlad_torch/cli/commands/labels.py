@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from ...files import read_yaml
 from ..options import NETWORK, Json, argument
 from ..output import print_json, print_table, say
-
-if TYPE_CHECKING:
-    from ...segmentation.features import NetworkFeatures
-    from ...segmentation.segmenter import Segmenter
 
 
 def labels(
@@ -29,11 +25,13 @@ def labels(
     from ...segmentation.segmenter import Segmenter
     from ...taxonomy import CATEGORIES, label_space, label_space_names
 
-    segmenter = None
-    if name not in label_space_names() and _is_network(name):
-        segmenter = Segmenter.load(name)
+    of_network = name not in label_space_names() and _is_network(name)
+    segmenter = Segmenter.load(name) if of_network else None
     space = segmenter.label_space if segmenter else label_space(name)
-    features, problem = _features(segmenter)
+    try:
+        features, problem = segmenter and segmenter.features, ""
+    except ValueError as error:
+        features, problem = None, str(error)
     rows = []
     for label in space.classes:
         unknown = segmenter and category_of_name(label.name) is None
@@ -59,19 +57,9 @@ def labels(
         say(f"features: {taken}")
 
 
-def _features(segmenter: Segmenter | None) -> tuple[NetworkFeatures | None, str]:
-    """The features of a network, or why it has none."""
-    try:
-        return segmenter.features if segmenter else None, ""
-    except ValueError as error:
-        return None, str(error)
-
-
 def _is_network(name: str) -> bool:
     """Whether a name belongs to a network: a YAML file with the key ``network``, or another name
     that has a colon or a suffix, or is a path that exists."""
-    from pathlib import Path
-
     path = Path(name)
     if path.suffix not in (".yaml", ".yml"):
         return ":" in name or bool(path.suffix) or path.exists()

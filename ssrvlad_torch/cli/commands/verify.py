@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -44,23 +44,20 @@ def verify(
     for warning in found.warnings:
         note(f"{model}: {warning}")
     if as_json:
-        print_json({"file": str(model), "provider": provider, **_as_json(found)})
+        report = {
+            **dataclasses.asdict(found),
+            "checks": [each._asdict() for each in found.checks],
+            "skipped": [{"frame": frame, "reason": reason} for frame, reason in found.skipped],
+            "by_default": found.by_default and found.by_default._asdict(),
+            "difference": found.difference,
+            "passed": found.passed,
+        }
+        print_json({"file": str(model), "provider": provider, **report})
     else:
         _print(model, found)
     if not found.passed:
         raise typer.Exit(MISMATCH)
     finish([Skipped(frame, reason) for frame, reason in found.skipped])
-
-
-def _as_json(found: Verification) -> dict[str, Any]:
-    return {
-        **dataclasses.asdict(found),
-        "checks": [check._asdict() for check in found.checks],
-        "skipped": [{"frame": frame, "reason": reason} for frame, reason in found.skipped],
-        "by_default": found.by_default and found.by_default._asdict(),
-        "difference": found.difference,
-        "passed": found.passed,
-    }
 
 
 def _print(model: Path, found: Verification) -> None:
