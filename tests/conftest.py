@@ -176,6 +176,24 @@ def ssrvlad(main_of):
 
 
 @pytest.fixture
+def refusal(ssrvlad):
+    """The one line on stderr with which a command line is refused; the exit code is 2."""
+
+    def run(*arguments: object) -> str:
+        code, out, (line,) = ssrvlad(*arguments)
+        assert (code, out) == (2, "")
+        return line
+
+    return run
+
+
+@pytest.fixture
+def encode(ssrvlad):
+    """Runs ``ssrvlad encode`` on label maps of ``camvid-11``."""
+    return partial(ssrvlad, "encode", "--labels-as", "camvid-11")
+
+
+@pytest.fixture
 def maps(tmp_path):
     """A folder of six label maps."""
     return write_maps(tmp_path / "monday", range(6))
@@ -188,11 +206,10 @@ def town(tmp_path):
 
 
 @pytest.fixture
-def database(ssrvlad, maps, tmp_path):
+def database(encode, maps, tmp_path):
     """A database of ``maps``."""
-    path = tmp_path / "town.ssrdb"
-    assert ssrvlad("encode", maps, "-o", path, "--labels-as", "camvid-11")[0] == 0
-    return path
+    assert encode(maps, "-o", tmp_path / "town.ssrdb")[0] == 0
+    return tmp_path / "town.ssrdb"
 
 
 @pytest.fixture

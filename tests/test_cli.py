@@ -7,49 +7,36 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
-import typer
 from drives import write_maps, write_photos
 from networks import photo
 from PIL import Image
 from segmenting import write_settings
 
 from ssrvlad_torch import __version__
-from ssrvlad_torch.cli.app import app
 from ssrvlad_torch.cli.output import print_json
 from ssrvlad_torch.database.database import Database
 
 
-def leaves(group: object, *names: str) -> Iterator[str]:
-    for name, command in group.commands.items():
-        if hasattr(command, "commands"):
-            yield from leaves(command, *names, name)
-        else:
-            yield " ".join((*names, name))
-
-
-COMMANDS = [*leaves(typer.main.get_command(app))]
-
-
-def test_bare_it_prints_help(ssrvlad):
-    code, out, err = ssrvlad()
+@pytest.mark.parametrize(
+    ("line", "begin", "words"),
+    [
+        ((), "Usage: ", "encode"),
+        (("--version",), f"ssrvlad {__version__}, on a CPU with ", "native core"),
+    ],
+)
+def test_what_it_prints_without_a_command(ssrvlad, line, begin, words):
+    code, out, err = ssrvlad(*line)
     assert (code, err) == (0, [])
-    assert out.startswith("Usage: ")
+    assert out.startswith(begin) and words in out
 
 
 def test_a_number_that_is_not_finite_is_null_in_json(capsys):
     print_json({"a": [math.nan, -math.inf, {"b": math.inf}], "c": 1.5})
     assert capsys.readouterr().out == '{"a": [null, null, {"b": null}], "c": 1.5}\n'
-
-
-def test_version(ssrvlad):
-    code, out, err = ssrvlad("--version")
-    assert (code, err) == (0, [])
-    assert out.startswith(f"ssrvlad {__version__}, on a CPU with ") and "native core" in out
 
 
 NO_TORCH = """
@@ -123,8 +110,7 @@ def test_a_panic_of_a_library_is_one_line(ssrvlad, monkeypatch, database, maps):
     monkeypatch.setattr(Database, "open", panic)
     code, _, err = ssrvlad("query", database, maps)
     assert code == 2
-    message = "an error in ssrvlad itself: PanicException('no more threads')"
-    assert err[-1] == f"ssrvlad: {message}"
+    assert err[-1] == "ssrvlad: an error in ssrvlad itself: PanicException('no more threads')"
 
 
 def test_a_tour_is_written(ssrvlad, tmp_path):
@@ -134,84 +120,85 @@ def test_a_tour_is_written(ssrvlad, tmp_path):
 
 
 CAMVID = "--labels-as camvid-11"
+NONE = f"-o none {CAMVID}"
+EVALUATE = "evaluate town.ssrdb monday"
 
 WRONG_USES = [
     ("verify none.onnx", "ssrvlad: none.onnx does not exist; expected an ONNX graph"),
     ("verify folder", "ssrvlad: folder is a folder; expected a file"),
     ("fly", "No such command 'fly'"),
-    (f"encode -o none {CAMVID}", "Missing argument"),
-    (f"encode '' -o none {CAMVID}", "the argument after encode is empty; expected a text"),
-    (f"encode monday -o none {CAMVID} --sequence=", "--sequence is empty; expected a text"),
+    (f"encode {NONE}", "Missing argument"),
+    (f"encode '' {NONE}", "the argument after encode is empty; expected a text"),
+    (f"encode monday {NONE} --sequence=", "--sequence is empty; expected a text"),
     ("db compact town.ssrdb --keep-days inf", "--keep-days': Input should be less than or"),
     ("encode monday -o none", "Missing option '--labels-as'"),
     ("query town.ssrdb monday --topp 3", "No such option"),
     ("query town.ssrdb monday --top 0", "'--top': Input should be greater than or equal to 1"),
-    (
-        f"encode monday -o none {CAMVID} --preset fast",
-        "preset must be one of paper, default, got 'fast'",
-    ),
+    (f"encode monday {NONE} --preset fast", "preset must be one of paper, default, got 'fast'"),
     ("encode monday -o none --labels-as camvid", "did you mean camvid-11 or camvid-32?"),
-    (f"encode none -o none {CAMVID}", "none does not exist"),
+    (f"encode none {NONE}", "none does not exist"),
     (f"city none --frames {10**30}", "--frames': Input should be less than or equal to 1000000"),
-    (f"export -o none {CAMVID} --size 8x8 --batch {10**30}", "images of 8 x 8"),
-    ("evaluate town.ssrdb monday --tolerance-metres inf", "0 metres or more and finite, got inf"),
-    (f"encode folder -o none {CAMVID}", "folder holds no label maps"),
-    (f"encode jpegs -o none {CAMVID}", "jpegs holds images and no label maps; name the network"),
+    (f"export {NONE} --size 8x8 --batch {10**30}", "images of 8 x 8"),
+    (f"export {NONE} --size 8", "--size 8: expected rows and columns, such as 512x1024"),
+    (f"export {NONE} --batch 2", "--batch 2 needs --size"),
+    (f"encode folder {NONE}", "folder holds no label maps"),
+    (f"encode jpegs {NONE}", "jpegs holds images and no label maps; name the network"),
+    (f"encode monday {NONE} --largest-gap 1", "--largest-gap needs --poses"),
+    (f"encode monday {NONE} --split a", "--split, --role and --labels need --layout"),
+    (f"encode monday short {NONE} --layout auto", "expected the folder of one data set, got 2"),
+    (f"encode monday {NONE} --layout auto --fps 1", "--fps do not go with --layout"),
+    (f"encode monday {NONE} --with hog", "--with hog needs images as SOURCE and --segmenter"),
     ("city monday", "monday is not empty; expected a new or an empty folder"),
     ("demo --out monday", "monday is not empty; expected a new or an empty folder"),
     (f"encode monday -o file {CAMVID}", "file exists and is not a database"),
     (f"encode monday -o file/db {CAMVID}", "file"),
-    (
-        f"encode monday -o none {CAMVID} --start 99",
-        "no sequence has a frame 99; the longest has 6 frames",
-    ),
+    (f"encode monday {NONE} --start 99", "no sequence has a frame 99; the longest has 6 frames"),
     ("query folder monday", "folder is not a database"),
+    ("query town.ssrdb monday --index --extra", "--index does not go with a temporal sum or"),
+    ("poses monday -o poses.csv", "monday: no frame has a pose"),
     (
-        "evaluate town.ssrdb monday --tolerance-frames 1 --tolerance-metres 5",
+        f"{EVALUATE} --tolerance-frames 1 --tolerance-metres 5",
         "expected one of --ground-truth, --tolerance-metres and --tolerance-frames, got 2",
     ),
-    ("evaluate town.ssrdb monday", "got 0 of them"),
+    (EVALUATE, "got 0 of them"),
     (
-        "evaluate town.ssrdb monday --tolerance-frames 1 --tolerance-degrees 5",
+        f"{EVALUATE} --tolerance-frames 1 --tolerance-degrees 5",
         "--tolerance-degrees needs --tolerance-metres",
     ),
     (
-        "evaluate town.ssrdb monday --tolerance-frames 1 --convention sklearn",
+        f"{EVALUATE} --tolerance-frames 1 --convention sklearn",
         "'sklearn' is not one of 'exact', 'vpr-bench', 'vpr-tutorial'",
     ),
     (
         "evaluate town.ssrdb short --tolerance-frames 1",
         "equal length, got 1 query frames and 6 reference frames",
     ),
-    ("evaluate town.ssrdb monday --tolerance-metres 5", "have no pose"),
-    (
-        "evaluate town.ssrdb monday --ground-truth truth.json",
-        "has an entry for none of the 6 queries, as monday/000",
-    ),
-    ("evaluate town.ssrdb monday --ground-truth none", "cannot read"),
+    (f"{EVALUATE} --tolerance-metres inf", "0 metres or more and finite, got inf"),
+    (f"{EVALUATE} --tolerance-metres 5", "have no pose"),
+    (f"{EVALUATE} --ground-truth truth.json", "an entry for none of the 6 queries, as monday/000"),
+    (f"{EVALUATE} --ground-truth none", "cannot read"),
+    (f"{EVALUATE} --max-wrong 0.1 --min-confidence 0.5", "leave out --min-confidence"),
     (f"show photo.png -o x.png {CAMVID}", "is not in label space camvid-11; is this a photo"),
     (f"show monday/001.png -o x.docx {CAMVID}", "docx"),
+    (f"show monday -o x.png {CAMVID}", "ssrvlad: monday: expected one frame, got 6"),
 ]
 
 
 @pytest.mark.parametrize(("line", "message"), WRONG_USES)
 def test_wrong_use_is_one_line_and_exit_code_2(
-    ssrvlad, request, maps, tmp_path, monkeypatch, line, message
+    refusal, request, maps, tmp_path, monkeypatch, line, message
 ):
     if "town.ssrdb" in line:
         request.getfixturevalue("database")
     (tmp_path / "truth.json").write_text('{"tuesday/000": []}')
     (tmp_path / "folder").mkdir()
-    (tmp_path / "jpegs").mkdir()
-    Image.new("RGB", (8, 8)).save(tmp_path / "jpegs" / "0.jpg")
+    write_photos(tmp_path / "jpegs", range(1), ".jpg")
     (tmp_path / "file").write_text("no folder")
     write_photos(tmp_path, range(1)).joinpath("000.png").rename(tmp_path / "photo.png")
     write_maps(tmp_path / "short", range(1))
     monkeypatch.chdir(tmp_path)
-    code, _, err = ssrvlad(*shlex.split(line))
-    assert (code, len(err)) == (2, 1)
-    assert message in err[0]
-    assert err[0].startswith("ssrvlad: ")
+    refused = refusal(*shlex.split(line))
+    assert refused.startswith("ssrvlad: ") and message in refused
     assert not (tmp_path / "none").exists()
 
 

@@ -21,26 +21,29 @@ from ssrvlad_torch.database import engine
 from ssrvlad_torch.database.database import Database
 
 
-def test_the_preset_of_a_database_is_used_again(ssrvlad, maps, tmp_path):
+def uniform(folder, ids):
+    """Label maps of one id each."""
+    for n, label in enumerate(ids):
+        Image.fromarray(np.full((24, 32), label, np.uint8)).save(folder / f"{n:03d}.png")
+
+
+def test_the_preset_of_a_database_is_used_again(ssrvlad, encode, maps, tmp_path):
     db = tmp_path / "paper.ssrdb"
-    ssrvlad("encode", maps, "-o", db, "--labels-as", "camvid-11", "--preset", "paper")
+    encode(maps, "-o", db, "--preset", "paper")
     write_maps(maps, range(6, 7))
-    assert ssrvlad("encode", maps, "-o", db, "--labels-as", "camvid-11")[0] == 0
+    assert encode(maps, "-o", db)[0] == 0
     assert json.loads(ssrvlad("db", "info", db, "--json")[1])["preset"] == "paper"
-    code, _, err = ssrvlad(
-        "encode", maps, "-o", db, "--labels-as", "camvid-11", "--preset", "default"
-    )
-    assert code == 2
-    assert len(err) == 1
-    assert "working_size None there and 120 here" in err[0]
+    code, _, (line,) = encode(maps, "-o", db, "--preset", "default")
+    assert code == 2 and "working_size None there and 120 here" in line
 
 
-def test_names_do_not_depend_on_the_locale(ssrvlad, maps, tmp_path):
+def test_names_do_not_depend_on_the_locale(encode, maps, tmp_path):
     folder = maps.rename(tmp_path / "straße")
     plain = os.environ | {"LC_ALL": "C", "PYTHONUTF8": "0"}
-    command = ["encode", folder, "-o", tmp_path / "db", "--labels-as", "camvid-11"]
-    subprocess.run([sys.executable, "-m", "ssrvlad_torch", *command], env=plain, check=True)
-    assert "6 already there" in ssrvlad(*command)[1]
+    command = [folder, "-o", tmp_path / "db", "--labels-as", "camvid-11"]
+    module = [sys.executable, "-m", "ssrvlad_torch", "encode"]
+    subprocess.run([*module, *command], env=plain, check=True)
+    assert "6 already there" in encode(*command)[1]
     frames = Database.open(tmp_path / "db").load().frames
     assert frames == tuple(f"straße/{n:03d}" for n in range(6))
     code = (
@@ -53,18 +56,16 @@ def test_names_do_not_depend_on_the_locale(ssrvlad, maps, tmp_path):
     assert b"are read as ASCII here, got '" in refused.stderr
 
 
-def test_a_wrong_label_space_is_told_once(ssrvlad, maps, tmp_path):
-    for n in range(25):
-        Image.fromarray(np.full((24, 32), 77, np.uint8)).save(maps / f"{n:03d}.png")
-    code, _, err = ssrvlad("encode", maps, "-o", tmp_path / "db", "--labels-as", "camvid-11")
+def test_a_wrong_label_space_is_told_once(encode, maps, tmp_path):
+    uniform(maps, [77] * 25)
+    code, _, err = encode(maps, "-o", tmp_path / "db")
     assert code == 3 and len(err) == 22
     assert "no frame could be described: is --labels-as the label space" in err[0]
     assert err[-1] == "ssrvlad: skipped 5 more"
 
 
 def test_a_label_space_that_does_not_seem_to_be_the_one_is_told(ssrvlad, maps, tmp_path):
-    for n in range(2):
-        Image.fromarray(np.full((24, 32), n, np.uint8)).save(maps / f"{n:03d}.png")
+    uniform(maps, [0, 1])
     command = ("encode", maps, "-o", tmp_path / "db", "--labels-as")
     _, _, err = ssrvlad(*command, "cityscapes-ids")  # trainIds 0 and 1 are road and sidewalk
     assert f"{maps / '000.png'}: 100% is void in cityscapes-ids; is --labels-as right?" in err[0]
@@ -72,8 +73,7 @@ def test_a_label_space_that_does_not_seem_to_be_the_one_is_told(ssrvlad, maps, t
 
 
 def test_frames_of_other_label_spaces_are_told(ssrvlad, maps, tmp_path):
-    other = tmp_path / "other"
-    write_maps(other, range(2))
+    other = write_maps(tmp_path / "other", range(2))
     base = ("encode", "-o", tmp_path / "db", "--labels-as")
     ssrvlad(*base, "camvid-11", maps)
     for _ in range(2):
@@ -86,13 +86,13 @@ def refused_by_the_disk(*_):
     raise OSError("full")
 
 
-def test_a_first_run_that_fails_leaves_no_database(ssrvlad, maps, tmp_path, monkeypatch):
-    town, command = tmp_path / "town", ("encode", maps, "-o", tmp_path / "town", "--json")
-    Image.fromarray(np.full((24, 32), 77, np.uint8)).save(maps / "000.png")
+def test_a_first_run_that_fails_leaves_no_database(encode, maps, tmp_path, monkeypatch):
+    town, command = tmp_path / "town", (maps, "-o", tmp_path / "town", "--json")
     _, *others = sorted(maps.iterdir())
+    uniform(maps, [77])
     for path in others:
         path.rename(path.with_suffix(".later"))
-    code, out, _ = ssrvlad(*command, "--labels-as", "camvid-11")
+    code, out, _ = encode(*command)
     assert (code, json.loads(out)["encoded"], town.exists()) == (3, 0, False)
     for path in others:
         path.with_suffix(".later").rename(path)
@@ -102,32 +102,29 @@ def test_a_first_run_that_fails_leaves_no_database(ssrvlad, maps, tmp_path, monk
             if linked:
                 (tmp_path / "disk").mkdir()
                 town.symlink_to(tmp_path / "disk")
-            code, _, err = ssrvlad(*command, "--labels-as", "camvid-11")
+            code, _, err = encode(*command)
             assert (code, err) == (2, [f"ssrvlad: {town} cannot be written: full"])
             assert [*town.iterdir()] == [] if linked else not town.exists()
-    code, out, _ = ssrvlad(*command, "--labels-as", "camvid-11")
+    code, out, _ = encode(*command)
     assert (code, json.loads(out)["frames"]) == (3, 5)
-    with monkeypatch.context() as full:
-        full.setattr(engine, "write_fragments", refused_by_the_disk)
-        others[0].touch()
-        assert ssrvlad(*command, "--labels-as", "camvid-11")[0] == 2
+    monkeypatch.setattr(engine, "write_fragments", refused_by_the_disk)
+    others[0].touch()
+    assert encode(*command)[0] == 2
     assert len(Database.open(town)) == 5
 
 
-def test_progress_is_told_where_there_is_no_terminal(ssrvlad, maps, tmp_path, monkeypatch):
+def test_progress_is_told_where_there_is_no_terminal(encode, maps, tmp_path, monkeypatch):
     monkeypatch.setattr(output, "_LINE_SECONDS", 0.0)
-    _, _, err = ssrvlad("encode", maps, "-o", tmp_path / "db", "--labels-as", "camvid-11")
+    _, _, err = encode(maps, "-o", tmp_path / "db")
     assert re.fullmatch(r"ssrvlad: encoding: \d of 6 after \d+ s", err[-1])
 
 
-def test_an_empty_frame_is_counted_and_never_matches(ssrvlad, maps, tmp_path):
-    Image.fromarray(np.full((24, 32), VOID, np.uint8)).save(maps / "000.png")
+def test_an_empty_frame_is_counted_and_never_matches(ssrvlad, encode, maps, tmp_path):
+    uniform(maps, [VOID])
     db = tmp_path / "empty.ssrdb"
-    out = ssrvlad("encode", maps, "-o", db, "--labels-as", "camvid-11")[1]
-    assert "6 frames encoded (1 of them empty)" in out
+    assert "6 frames encoded (1 of them empty)" in encode(maps, "-o", db)[1]
     out = ssrvlad("query", db, maps, "--top", 6)[1]
-    assert out.splitlines()[0].startswith("monday/000: no candidate")
-    assert "monday/000 " not in out
+    assert out.startswith("monday/000: no candidate") and "monday/000 " not in out
 
 
 @pytest.fixture
@@ -142,101 +139,91 @@ def photos(maps, tmp_path, monkeypatch):
     return folder
 
 
-def test_images_and_a_segmenter_give_what_label_maps_give(ssrvlad, database, photos, tmp_path):
+def test_images_and_a_segmenter_give_what_label_maps_give(
+    ssrvlad, encode, database, photos, tmp_path
+):
     db, segmenter = tmp_path / "photos.ssrdb", ["--segmenter", tmp_path / "net.yaml"]
-    command = ["encode", photos, "-o", db, "--labels-as", "camvid-11", *segmenter]
-    code, out, (line,) = ssrvlad(*command)
-    assert code == 0
-    assert "stored without features: " in line
+    code, out, (line,) = encode(photos, "-o", db, *segmenter)
+    assert code == 0 and "stored without features: " in line
     assert "6 frames encoded (0 of them empty), 0 already there, 0 skipped" in out
     by_labels, by_images = Database.open(database).load(), Database.open(db).load()
     assert by_images.frames == by_labels.frames
     assert torch.equal(by_images.descriptors, by_labels.descriptors)
-    assert "0 frames encoded (0 of them empty), 6 already there" in ssrvlad(*command)[1]
+    again = encode(photos, "-o", db, *segmenter)[1]
+    assert "0 frames encoded (0 of them empty), 6 already there" in again
 
     alike = ["--sequence", "monday"]
     code, out, _ = ssrvlad("query", database, photos, "--top", 1, *segmenter, *alike)
-    assert code == 0
-    assert out == ssrvlad("query", database, tmp_path / "monday", "--top", 1)[1]
+    assert (code, out) == (0, ssrvlad("query", database, tmp_path / "monday", "--top", 1)[1])
 
     options = ["--tolerance-frames", 1, "--json", "--no-extra", *alike]
     code, out, _ = ssrvlad("evaluate", database, photos, *options, *segmenter)
-    assert code == 0
-    assert out == ssrvlad("evaluate", db, tmp_path / "monday", *options)[1]
+    assert (code, out) == (0, ssrvlad("evaluate", db, tmp_path / "monday", *options)[1])
 
 
-def test_label_maps_are_kept_in_the_cache_of_the_user_or_where_told(ssrvlad, photos, tmp_path):
-    command = ["encode", photos, "--labels-as", "camvid-11", "--segmenter", tmp_path / "net.yaml"]
-    assert ssrvlad(*command, "-o", tmp_path / "a")[0] == 0
+def test_label_maps_are_kept_in_the_cache_of_the_user_or_where_told(encode, photos, tmp_path):
+    command = [photos, "--segmenter", tmp_path / "net.yaml"]
+    assert encode(*command, "-o", tmp_path / "a")[0] == 0
     kept = list((tmp_path / "cache" / "ssrvlad").rglob("*.png"))
     assert len(kept) == 6
     written = {path: path.stat().st_ino for path in kept}
-    assert ssrvlad(*command, "-o", tmp_path / "b", "--preset", "paper")[0] == 0
+    assert encode(*command, "-o", tmp_path / "b", "--preset", "paper")[0] == 0
     assert {path: path.stat().st_ino for path in kept} == written
     elsewhere = tmp_path / "elsewhere"
-    assert ssrvlad(*command, "-o", tmp_path / "c", "--segmenter-cache", elsewhere)[0] == 0
+    assert encode(*command, "-o", tmp_path / "c", "--segmenter-cache", elsewhere)[0] == 0
     assert len(list(elsewhere.rglob("*.png"))) == 6
 
 
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--segmenter", "none.onnx"], "none.onnx does not exist or is not a file"),
-        (["--segmenter", "none.yaml"], "cannot read the settings none.yaml: No such file"),
-        (["--segmenter", "monday/000.png"], "no network 'monday/000.png'; expected FILE.onnx"),
+        ("--segmenter none.onnx", "none.onnx does not exist or is not a file"),
+        ("--segmenter none.yaml", "cannot read the settings none.yaml: No such file"),
+        ("--segmenter monday/000.png", "no network 'monday/000.png'; expected FILE.onnx"),
         (
-            ["--segmenter", "net.onnx", "--labels-as", "synthia"],
+            "--segmenter net.onnx --labels-as synthia",
             "net.onnx: no output fits label space synthia: got found (?, 12, ?, ?)",
         ),
-        (["--segmenter-cache", "cache"], "--segmenter-cache needs --segmenter"),
+        ("--segmenter-cache cache", "--segmenter-cache needs --segmenter"),
+        ("--engine ray --gpus 1", "--gpus needs --engine ray and --segmenter"),
+        ("--segmenter net.yaml --gpus 1", "--gpus needs --engine ray and --segmenter"),
     ],
 )
-def test_wrong_use_of_a_segmenter(ssrvlad, photos, tmp_path, monkeypatch, options, message):
+def test_wrong_use_of_a_segmenter(refusal, photos, tmp_path, monkeypatch, options, message):
     monkeypatch.chdir(tmp_path)
-    arguments = ["encode", photos, "-o", "db", "--labels-as", "camvid-11", *options]
-    code, _, err = ssrvlad(*arguments)
-    assert (code, len(err)) == (2, 1)
-    assert message in err[0]
+    arguments = ["monday", "-o", "db", "--labels-as", "camvid-11", *options.split()]
+    assert message in refusal("encode", *arguments)
     assert not Path("db").exists()
 
 
-def test_uris_are_sources_and_gpus_are_those_of_ray(ssrvlad, maps, tmp_path):
-    arguments = ["encode", maps.as_uri(), "-o", tmp_path / "db", "--labels-as", "camvid-11"]
-    for more in (["--engine", "ray"], ["--segmenter", "net.yaml"]):
-        code, _, err = ssrvlad(*arguments, "--gpus", 1, *more)
-        assert (code, err) == (2, ["ssrvlad: --gpus needs --engine ray and --segmenter"])
-    code, _, err = ssrvlad("encode", "ftp://host/a", *arguments[2:])
-    assert (code, len(err)) == (2, 1)
-    assert "ftp" in err[0]
+def test_uris_are_sources(encode, maps, tmp_path):
+    code, _, (line,) = encode("ftp://host/a", "-o", tmp_path / "db")
+    assert code == 2 and "ftp" in line
     assert not (tmp_path / "db").exists()
-    code, out, _ = ssrvlad(*arguments)
-    assert "6 frames encoded" in out
+    assert "6 frames encoded" in encode(maps.as_uri(), "-o", tmp_path / "db")[1]
 
 
-def test_two_drives_of_one_folder_name_stay_apart(ssrvlad, tmp_path):
+def test_two_drives_of_one_folder_name_stay_apart(encode, tmp_path):
     db = tmp_path / "db"
     for drive in ("00", "01"):
-        write_maps(tmp_path / drive / "labels", range(3))
-        arguments = ["encode", tmp_path / drive / "labels", "-o", db, "--labels-as", "camvid-11"]
-        code, out, _ = ssrvlad(*arguments, "--prune")
-        assert code == 0
-        assert "3 frames encoded" in out
+        labels = write_maps(tmp_path / drive / "labels", range(3))
+        code, out, _ = encode(labels, "-o", db, "--prune")
+        assert code == 0 and "3 frames encoded" in out
     frames = Database.open(db).load().frames
     assert frames == tuple(f"{s}/{n:03d}" for s in ("01/labels", "labels") for n in range(3))
 
 
-def test_a_stack_beside_its_folder_needs_a_name(ssrvlad, maps, tmp_path):
+def test_a_stack_beside_its_folder_needs_a_name(encode, maps, tmp_path):
     np.save(maps.with_suffix(".npy"), np.ones((2, 6, 8), np.uint8))
-    sources = [maps, maps.with_suffix(".npy")]
-    code, _, err = ssrvlad("encode", *sources, "-o", tmp_path / "db", "--labels-as", "camvid-11")
+    code, _, err = encode(maps, maps.with_suffix(".npy"), "-o", tmp_path / "db")
     assert code == 2 and "needs a name that no sequence has" in err[0]
 
 
-def test_another_segmenter_encodes_anew_and_says_so(ssrvlad, photos, tmp_path):
+def test_another_segmenter_encodes_anew_and_says_so(encode, photos, tmp_path):
     """The same network, with other normalisation, labels the same pictures otherwise."""
     settings = (tmp_path / "net.yaml").read_text()
     (tmp_path / "other.yaml").write_text(settings.replace("std: [1, 1, 1]", "std: [2, 2, 2]"))
-    command = ["encode", photos, "-o", tmp_path / "db", "--labels-as", "camvid-11", "--segmenter"]
-    assert "6 frames encoded" in ssrvlad(*command, tmp_path / "net.yaml")[1]
-    assert "6 encoded anew: segmenter changed" in ssrvlad(*command, tmp_path / "other.yaml")[1]
-    assert "6 already there" in ssrvlad(*command, tmp_path / "other.yaml")[1]
+    command = [photos, "-o", tmp_path / "db", "--segmenter"]
+    assert "6 frames encoded" in encode(*command, tmp_path / "net.yaml")[1]
+    assert "6 encoded anew: segmenter changed" in encode(*command, tmp_path / "other.yaml")[1]
+    assert "6 already there" in encode(*command, tmp_path / "other.yaml")[1]

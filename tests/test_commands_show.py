@@ -18,8 +18,6 @@ def test_show_writes_a_picture(ssrvlad, maps, tmp_path):
     code, out, _ = ssrvlad("show", maps / "001.png", "-o", picture, "--labels-as", "camvid-11")
     assert (code, out.strip()) == (0, str(picture))
     assert Image.open(picture).size[0] > 1000
-    code, _, (line,) = ssrvlad("show", maps, "-o", picture, "--labels-as", "camvid-11")
-    assert (code, line) == (2, f"ssrvlad: {maps}: expected one frame, got 6")
 
 
 def test_demo(ssrvlad, tmp_path):
@@ -28,9 +26,6 @@ def test_demo(ssrvlad, tmp_path):
     for metric in ("RecallRate@1", "AUC-PR", "Recall@100%Precision"):
         assert metric in out
     assert Image.open(tmp_path / "demo" / "demo.png").size[0] > 300
-    code, _, (line,) = ssrvlad("demo", "--out", tmp_path / "demo", "--frames", 8)
-    assert code == 2
-    assert "empty" in line
 
 
 @pytest.mark.parametrize(

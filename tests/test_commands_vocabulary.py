@@ -37,7 +37,7 @@ def test_a_vocabulary_is_trained_and_used(ssrvlad, weights, tmp_path):
     assert json.loads(out)["rows"][0]["recall_at"]["1"] == 1
 
 
-def test_a_vocabulary_needs_weights_and_images(ssrvlad, weights, tmp_path, monkeypatch):
+def test_a_vocabulary_needs_weights_and_images(refusal, weights, tmp_path, monkeypatch):
     monkeypatch.setenv("HOME", str(tmp_path))
     photos = write_photos(tmp_path / "monday", range(1))
     (tmp_path / "empty").mkdir()
@@ -47,7 +47,5 @@ def test_a_vocabulary_needs_weights_and_images(ssrvlad, weights, tmp_path, monke
         "99999 words need": (photos, "--weights", weights, "--words", 99999),
     }
     for message, arguments in cases.items():
-        code, _, err = ssrvlad("vocabulary", *arguments, "-o", tmp_path / "words.npy")
-        assert (code, len(err)) == (2, 1)
-        assert message in err[0]
+        assert message in refusal("vocabulary", *arguments, "-o", tmp_path / "words.npy")
     assert not (tmp_path / "words.npy").exists()
