@@ -51,13 +51,26 @@ def described(page: Page) -> set[str]:
     return {a["alt"] for a in page.all("img") if re.match("photo|label map", a["alt"])}
 
 
+def assert_shows(page: Page, what: str, seed: int) -> None:
+    """Expects that the picture with a description is the label map of a seed."""
+    np.testing.assert_array_equal(shown(page, what), colourise(street(seed), "camvid-11"))
+
+
 def test_a_page_comes_beside_the_figures(ssrvlad, evaluate, database, tmp_path, out):
     page = evaluate("--tolerance-frames", 0)
-    assert "6 queries, 6 of them with a true match, against 6 references." in page.words
-    assert "/friday against town.ssrdb " in page.words
-    assert "true matches at most 0 frames away" in page.words
-    assert "preset default" in page.words
+    for words in (
+        "6 queries, 6 of them with a true match, against 6 references.",
+        "/friday against town.ssrdb ",
+        "true matches at most 0 frames away",
+        "preset default",
+    ):
+        assert words in page.words
     assert "steps standardised, sweep" in page.words or "steps not standardised" in page.words
+    assert {name[:-4] for name in described(page)} == {"label map of monday", "label map of friday"}
+    assert len(described(page)) == 8
+    for picture in described(page):
+        assert_shows(page, picture, int(picture[-3:]))
+
     arguments = ("evaluate", database, tmp_path / "friday", "--tolerance-frames", 1)
     plain, reported = (ssrvlad(*arguments, *rest)[1] for rest in ((), ("--report", out)))
     assert reported == f"{plain}report: {out}\n"
@@ -67,15 +80,6 @@ def test_a_page_comes_beside_the_figures(ssrvlad, evaluate, database, tmp_path, 
     assert f"fingerprint {metrics['fingerprint']}" in page.words
     low, high = metrics["intervals"]["auc_pr"]
     assert f"AUC-PR {metrics['auc_pr']:.3f} {low:.3f} to {high:.3f}" in page.words
-
-
-def test_label_maps_are_shown_as_they_were_encoded(evaluate, tmp_path):
-    page = evaluate("--tolerance-frames", 0)
-    assert {name[:-4] for name in described(page)} == {"label map of monday", "label map of friday"}
-    assert len(described(page)) == 8
-    for picture in described(page):
-        number = int(picture[-3:])
-        np.testing.assert_array_equal(shown(page, picture), colourise(street(number), "camvid-11"))
 
 
 def test_only_the_file_that_was_encoded_is_shown(evaluate, tmp_path):
@@ -90,10 +94,9 @@ def test_only_the_file_that_was_encoded_is_shown(evaluate, tmp_path):
 def test_what_was_left_out_is_told(ssrvlad, evaluate, database, tmp_path, out):
     truth = {f"friday/{n:03d}": [f"monday/{n:03d}"] for n in (0, 2, 3)}
     (tmp_path / "friday" / "005.png").write_text("no image")
-    code, _, err = ssrvlad(
-        "evaluate", database, tmp_path / "friday", "--report", out,
-        "--ground-truth", write_truth(tmp_path / "truth.json", truth),
-    )  # fmt: skip
+    truth = write_truth(tmp_path / "truth.json", truth)
+    arguments = (database, tmp_path / "friday", "--report", out, "--ground-truth", truth)
+    code, _, err = ssrvlad("evaluate", *arguments)
     assert (code, len(err)) == (3, 2)
     page = Page(out.read_text("utf-8"))
     assert "3 queries, 3 of them with a true match" in page.words
@@ -102,20 +105,14 @@ def test_what_was_left_out_is_told(ssrvlad, evaluate, database, tmp_path, out):
     assert {"label map of friday/002", "label map of friday/003"} <= described(page)
 
 
-@pytest.fixture
-def drive(tmp_path):
-    """A data set with photos: a drive of CamVid, its label maps and a network's."""
-    root = tmp_path / "camvid" / "0016E5"
-    write_maps(root / "labels", range(8))
-    for number in range(8):
-        write_street(root / "predicted" / f"{number:03d}.png", number + 1)
-    write_photos(root / "images", range(8), ".jpg")
-    return root.parent
-
-
 @pytest.mark.parametrize("predicted", [False, True])
-def test_a_data_set_has_photos_too(ssrvlad, drive, tmp_path, out, predicted):
-    """Queries with a network's label maps against references with the data set's own."""
+def test_a_data_set_has_photos_too(ssrvlad, tmp_path, out, predicted):
+    """Queries with a network's label maps against references with the data set's own, CamVid."""
+    drive, folder = tmp_path / "camvid", tmp_path / "camvid" / "0016E5"
+    write_maps(folder / "labels", range(8))
+    for number in range(8):
+        write_street(folder / "predicted" / f"{number:03d}.png", number + 1)
+    write_photos(folder / "images", range(8), ".jpg")
     db, layout = tmp_path / "drive.ssrdb", ("--layout", "camvid", "--every", 2)
     assert ssrvlad("encode", drive, "-o", db, *layout)[0] == 0
     labels = ("--labels", "predicted", *CAMVID) if predicted else ()
@@ -127,9 +124,8 @@ def test_a_data_set_has_photos_too(ssrvlad, drive, tmp_path, out, predicted):
     assert {int(frame[-3:]) % 2 for frame in frames} == {0, 1}
     for frame in frames:
         number = int(frame[-3:])
-        labels = colourise(street(number + (predicted and number % 2)), "camvid-11")
-        np.testing.assert_array_equal(shown(page, f"label map of {frame}"), labels)
-        image = Image.open(drive / "0016E5" / "images" / f"{number:03d}.jpg")
+        assert_shows(page, f"label map of {frame}", number + (predicted and number % 2))
+        image = Image.open(folder / "images" / f"{number:03d}.jpg")
         difference = np.abs(np.asarray(image, int) - shown(page, f"photo of {frame}"))
         assert difference.mean() < 12
 
@@ -149,5 +145,4 @@ def test_a_segmenter_shows_what_it_saw(ssrvlad, tmp_path, out, monkeypatch):
     assert days == {f"{kind} of {day}" for kind in kinds for day in ("monday", "friday")}
     for name in described(page):
         if name.startswith("label map"):
-            expected = colourise(street(int(name.rpartition("/")[2])), "camvid-11")
-            np.testing.assert_array_equal(shown(page, name), expected)
+            assert_shows(page, name, int(name.rpartition("/")[2]))

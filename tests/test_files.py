@@ -23,11 +23,19 @@ def old(tmp_path):
     return path
 
 
-def test_the_new_file_takes_the_place_of_the_old_one(old):
+def test_the_new_file_takes_the_place_of_the_old_one(old, monkeypatch):
+    """Its content is flushed before the rename, and the folder after it."""
+    flushed = []
+
+    def watch(descriptor):
+        flushed.append((os.fstat(descriptor).st_ino, old.read_text()))
+
+    monkeypatch.setattr(os, "fsync", watch)
     with replacing(old) as temporary:
         temporary.write_text("new")
         assert old.read_text() == "old"
         assert temporary.parent == old.parent, "a rename works only inside one file system"
+    assert flushed == [(old.stat().st_ino, "old"), (old.parent.stat().st_ino, "new")]
     assert old.read_text() == "new"
     assert names(old.parent) == ["file"]
 
@@ -40,9 +48,14 @@ def test_an_exception_leaves_the_old_file_and_nothing_else(old):
     assert names(old.parent) == ["file"]
 
 
-def test_a_full_disk_leaves_the_old_file_and_nothing_else(old, monkeypatch):
+@pytest.mark.parametrize("flushed", [0, 1])
+def test_a_full_disk_leaves_the_old_file_and_nothing_else(old, monkeypatch, flushed):
+    """Whether the file cannot be flushed, or its folder."""
+    works = iter([True] * flushed)
+
     def full(descriptor):
-        raise OSError(errno.ENOSPC, "No space left on device")
+        if not next(works, False):
+            raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(OSError, match=r"No space left.*file'$"), replacing(old) as temporary:
@@ -51,49 +64,32 @@ def test_a_full_disk_leaves_the_old_file_and_nothing_else(old, monkeypatch):
     assert names(old.parent) == ["file"]
 
 
-def test_the_content_is_flushed_before_the_rename_and_the_folder_after_it(old, monkeypatch):
-    flushed = []
-
-    def watch(descriptor):
-        flushed.append((os.fstat(descriptor).st_ino, old.read_text()))
-
-    monkeypatch.setattr(os, "fsync", watch)
-    with replacing(old) as temporary:
-        temporary.write_text("new")
-    assert flushed == [(old.stat().st_ino, "old"), (old.parent.stat().st_ino, "new")]
-
-
 @pytest.mark.parametrize("folder", ["missing", "file"])
 def test_a_place_that_cannot_hold_a_file_is_an_error(old, folder):
-    target = old.parent / folder / "x"
-    with pytest.raises(OSError, match=folder), replacing(target) as temporary:
+    with pytest.raises(OSError, match=folder), replacing(old.parent / folder / "x") as temporary:
         temporary.write_text("new")
     assert names(old.parent) == ["file"]
 
 
-def test_dots_have_a_name_and_a_parent(tmp_path, monkeypatch):
-    (tmp_path / "maps" / "monday").mkdir(parents=True)
-    monkeypatch.chdir(tmp_path / "maps" / "monday")
+def test_a_folder_has_its_own_name_and_a_parent(tmp_path, monkeypatch):
+    """Also where it is written with dots, or a link."""
     maps = tmp_path / "maps"
+    (maps / "monday").mkdir(parents=True)
+    monkeypatch.chdir(maps / "monday")
     assert absolute_folder(Path()) == maps / "monday"
     assert absolute_folder(Path("..")) == maps
     assert absolute_folder(Path("../../maps/monday")).name == "monday"
     assert absolute_folder(Path("../monday/..")).name == "maps"
-
-
-def test_a_link_keeps_its_own_name(tmp_path):
-    (tmp_path / "target").mkdir()
-    (tmp_path / "link").symlink_to(tmp_path / "target")
+    (tmp_path / "link").symlink_to(maps)
     assert absolute_folder(tmp_path / "link").name == "link"
 
 
-@given(st.permutations(["9", "10", "f", "f9", "f9a", "f9a2", "f9a10", "f09b", "f10", "g01", "g1"]))
-def test_natural_keys(names):
-    expected = ["9", "10", "f", "f9", "f9a", "f9a2", "f9a10", "f09b", "f10", "g01", "g1"]
-    assert sorted(names, key=natural_key) == expected
+NAMES = ["9", "10", "f", "f9", "f9a", "f9a2", "f9a10", "f09b", "f10", "g01", "g1"]
+TIMES = ["7.5", "102.0", "102.125", "102.25", "102.5", "102.75", "103.000001", "a"]
 
 
-@given(st.permutations(["7.5", "102.0", "102.125", "102.25", "102.5", "102.75", "103.000001", "a"]))
-def test_decimal_times_are_ordered_by_value(names):
-    expected = ["7.5", "102.0", "102.125", "102.25", "102.5", "102.75", "103.000001", "a"]
-    assert sorted(names, key=natural_key) == expected
+@given(st.permutations(NAMES), st.permutations(TIMES))
+def test_natural_order(names, times):
+    """Decimal times are ordered by their value."""
+    assert sorted(names, key=natural_key) == NAMES
+    assert sorted(times, key=natural_key) == TIMES

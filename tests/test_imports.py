@@ -7,6 +7,15 @@ from pathlib import Path
 
 import pytest
 
+
+def printed(program, *arguments):
+    """What a program prints in a process of its own, without an error or a note."""
+    command = [sys.executable, "-c", program, *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    return done.stdout
+
+
 LIGHT = """
 import sys, ssrvlad_torch
 from ssrvlad_torch import SSRVLADConfig, LabelSpace
@@ -26,8 +35,7 @@ assert not {*heavy.split()} & {*sys.modules}
 def test_what_is_heavy_is_imported_only_where_it_is_used():
     """Settings, label spaces and names need no torch, the package none of its extras, and of the
     methods only that is imported which is made."""
-    done = subprocess.run([sys.executable, "-c", LIGHT], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == [".label_grid", ".protocol", ".vectors"]
+    assert printed(LIGHT).split() == [".label_grid", ".protocol", ".vectors"]
 
 
 WITHOUT = """
@@ -45,10 +53,9 @@ for given in (reference, show, graph):
 
 
 def test_a_missing_extra_is_named():
-    command = [sys.executable, "-c", WITHOUT]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert done.stdout.count("pip install ssrvlad-torch[eval]") == 2
-    assert done.stdout.count("pip install ssrvlad-torch[onnx]") == 1
+    out = printed(WITHOUT)
+    assert out.count("pip install ssrvlad-torch[eval]") == 2
+    assert out.count("pip install ssrvlad-torch[onnx]") == 1
 
 
 ELSEWHERE = """
@@ -64,10 +71,7 @@ main()
 
 
 def test_every_public_name_and_help_do_without_what_windows_lacks():
-    command = [sys.executable, "-c", ELSEWHERE, "encode", "--help"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (0, "")
-    assert "Example: ssrvlad encode" in done.stdout
+    assert "Example: ssrvlad encode" in printed(ELSEWHERE, "encode", "--help")
 
 
 SCRIPTS = Path(__file__).parents[1] / "scripts" / "pages"
