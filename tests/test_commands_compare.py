@@ -66,7 +66,6 @@ def test_nothing_that_can_run(ssrvlad, compare, two_drives):
         ),
         ("--method hog --odd-even", "--layout and --odd-even need the folder of a data set"),
         ("town --method hog --odd-even --queries query", "--odd-even takes the queries from"),
-        ("town --method hog,orb", "unknown method 'orb'; expected one of ssr-vlad"),
         ("town --method hog --set rows=3", "--set: expected METHOD.NAME=VALUE for one of hog, got"),
         ("town --method hog --set cohog.size=3", "for one of hog, got 'cohog.size'"),
         ("town --method hog --set hog.rows=0", "the grid must be 1 x 1 or more, got 0 x 10"),

@@ -2,13 +2,11 @@
 
 import errno
 import os
-from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ssrvlad_torch.datasets.names import absolute_folder
 from ssrvlad_torch.files import natural_key, replacing
 
 
@@ -69,19 +67,6 @@ def test_a_place_that_cannot_hold_a_file_is_an_error(old, folder):
     with pytest.raises(OSError, match=folder), replacing(old.parent / folder / "x") as temporary:
         temporary.write_text("new")
     assert names(old.parent) == ["file"]
-
-
-def test_a_folder_has_its_own_name_and_a_parent(tmp_path, monkeypatch):
-    """Also where it is written with dots, or a link."""
-    maps = tmp_path / "maps"
-    (maps / "monday").mkdir(parents=True)
-    monkeypatch.chdir(maps / "monday")
-    assert absolute_folder(Path()) == maps / "monday"
-    assert absolute_folder(Path("..")) == maps
-    assert absolute_folder(Path("../../maps/monday")).name == "monday"
-    assert absolute_folder(Path("../monday/..")).name == "maps"
-    (tmp_path / "link").symlink_to(maps)
-    assert absolute_folder(tmp_path / "link").name == "link"
 
 
 NAMES = ["9", "10", "f", "f9", "f9a", "f9a2", "f9a10", "f09b", "f10", "g01", "g1"]

@@ -20,16 +20,12 @@ def blocks(page: Path, language: str) -> list[str]:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_every_command(page, run, photos):  # noqa: F811
+def test_every_command_and_every_snippet(page, run, photos, monkeypatch):  # noqa: F811
     lines = [line for block in blocks(page, "console") for line in block.splitlines()]
     commands = [line.removeprefix("$ ") for line in lines if line.startswith("$ ")]
     for command in commands:
         if not command.startswith(OTHER_PROGRAMS):
             assert run(command.replace("--frames 430", "--frames 60")), command
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_every_snippet(page, run, photos, monkeypatch):  # noqa: F811
     monkeypatch.chdir(photos)
     exec("\n".join(blocks(page, "python")), {})
 
