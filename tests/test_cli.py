@@ -7,7 +7,6 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -200,21 +199,6 @@ TERMINAL = (
 """The command line as a terminal starts it; what runs in the background ignores SIGINT."""
 
 
-def interrupt(folder: Path, begun: str, number: int, *arguments: str) -> tuple[int, str]:
-    """Runs a command in a process of its own and sends it a signal once a file is there."""
-    command = [sys.executable, "-c", TERMINAL, *arguments]
-    environment = {**os.environ, "XDG_CACHE_HOME": str(folder / "cache")}
-    with subprocess.Popen(
-        command, cwd=folder, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
-    ) as process:
-        while not any(folder.glob(begun)):
-            assert process.poll() is None, process.stderr.read()
-            time.sleep(0.01)
-        time.sleep(0.5)
-        process.send_signal(number)
-        return process.wait(), process.stderr.read().decode()
-
-
 @pytest.mark.parametrize("module", ["typer", "torch"])
 def test_ctrl_c_during_an_import(module):
     program = (
@@ -246,7 +230,20 @@ def test_a_run_that_is_ended(tmp_path, segmenter, number, end):
     Image.fromarray(photo(labels) if segmenter else labels).save(first)
     for frame in range(2000):
         (tmp_path / "drive" / f"{frame}.png").symlink_to(first)
-    command = ("encode", "drive", "-o", "db", *CAMVID.split(), *segmenter)
-    code, err = interrupt(tmp_path, "db/_versions/*", number, *command)
-    assert (code, err.splitlines(keepends=True)[-1]) == end
+    command = [sys.executable, "-c", TERMINAL, "encode", "drive", "-o", "db", *CAMVID.split()]
+    with subprocess.Popen(
+        [*command, *segmenter],
+        cwd=tmp_path,
+        env={**os.environ, "XDG_CACHE_HOME": str(tmp_path / "cache")},
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        while not any(tmp_path.glob("db/_versions/*")):
+            assert process.poll() is None, process.stderr.read()
+            time.sleep(0.01)
+        time.sleep(0.5)
+        process.send_signal(number)
+        _, err = process.communicate()
+    assert (process.returncode, err.splitlines(keepends=True)[-1]) == end
     assert len(Database.open(tmp_path / "db")) < 2000

@@ -107,29 +107,22 @@ def test_history_tells_versions_that_other_commands_take(
     assert refusal("db", "info", database, *before) == refused
 
 
-def test_encode_tells_what_is_gone_and_prunes_it(encode, refusal, database, maps):
+def test_encode_tells_what_is_gone_or_has_changed_and_prunes_it(encode, refusal, database, maps):
     (maps / "003.png").unlink()
+    (maps / "004.png").rename(maps / "003.png")
     arguments = (maps, "-o", database)
-    code, out, err = encode(*arguments)
-    assert code == 0 and "5 already there" in out
-    assert err == [
-        f"ssrvlad: monday/003 is in {database}, but its file is gone; --prune removes it"
-    ]
+    code, out, (line,) = encode(*arguments, "--json")
+    report = json.loads(out)
+    assert (code, report["anew"], report["already_there"]) == (0, {"file changed": 1}, 4)
+    assert report["gone"] == ["monday/004"]
+    gone = f"ssrvlad: monday/004 is in {database}, but its file is gone; --prune removes it"
+    assert line == gone
     assert encode(*arguments, "--every", 2)[2] == []
     refused = refusal("encode", *arguments, "--labels-as", "camvid-11", "--every", 2, "--prune")
     assert "--prune needs whole folders" in refused
     code, out, err = encode(*arguments, "--prune")
     assert (code, err) == (0, []) and "1 removed" in out
     assert len(Database.open(database)) == 5
-
-
-def test_encode_tells_what_has_changed(encode, database, maps):
-    (maps / "003.png").unlink()
-    (maps / "004.png").rename(maps / "003.png")
-    code, out, _ = encode(maps, "-o", database, "--json")
-    report = json.loads(out)
-    assert (code, report["anew"], report["already_there"]) == (0, {"file changed": 1}, 4)
-    assert report["gone"] == ["monday/004"]
 
 
 def test_ray_that_is_not_installed_is_named(encode, maps, tmp_path, monkeypatch):

@@ -203,22 +203,6 @@ def test_uris_are_sources(encode, maps, tmp_path):
     assert "6 frames encoded" in encode(maps.as_uri(), "-o", tmp_path / "db")[1]
 
 
-def test_two_drives_of_one_folder_name_stay_apart(encode, tmp_path):
-    db = tmp_path / "db"
-    for drive in ("00", "01"):
-        labels = write_maps(tmp_path / drive / "labels", range(3))
-        code, out, _ = encode(labels, "-o", db, "--prune")
-        assert code == 0 and "3 frames encoded" in out
-    frames = Database.open(db).load().frames
-    assert frames == tuple(f"{s}/{n:03d}" for s in ("01/labels", "labels") for n in range(3))
-
-
-def test_a_stack_beside_its_folder_needs_a_name(encode, maps, tmp_path):
-    np.save(maps.with_suffix(".npy"), np.ones((2, 6, 8), np.uint8))
-    code, _, err = encode(maps, maps.with_suffix(".npy"), "-o", tmp_path / "db")
-    assert code == 2 and "needs a name that no sequence has" in err[0]
-
-
 def test_another_segmenter_encodes_anew_and_says_so(encode, photos, tmp_path):
     """The same network, with other normalisation, labels the same pictures otherwise."""
     settings = (tmp_path / "net.yaml").read_text()

@@ -105,15 +105,16 @@ def run(maps, monkeypatch, capsys):
     return command_line
 
 
-def test_command_1_stands_by_line_15_and_prints_what_the_readme_shows(run):
+def test_command_1_stands_by_line_15_and_prints_what_the_readme_shows(run, maps):
     assert "$ scripts/demo" in README.splitlines()[:15]
     assert "$ scripts/demo\n" + run("ssrvlad demo") == CONSOLE[0]
+    assert Image.open(maps / "ssrvlad-demo" / "demo.png").width > 300
 
 
 def test_the_other_commands_in_order(run, maps):
-    for line in CONSOLE[1].splitlines():
-        assert run(line.removeprefix("$ "))
-    assert (maps / "frame.png").exists()
+    outs = [run(line.removeprefix("$ ")) for line in CONSOLE[1].splitlines()]
+    assert all(outs) and outs[-1] == "frame.png\n"
+    assert Image.open(maps / "frame.png").width > 1000
 
 
 def test_the_commands_on_images(run, maps):
