@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from operator import index
 from typing import Any, Protocol
 
@@ -20,8 +20,6 @@ from .stages.front_end import FrontEnd, as_tensor, label_map
 from .stages.harmonics import Harmonics
 from .stages.layers import refuse_unknown
 from .stages.residuals import ResidualHistograms, Residuals
-from .stages.tracing import is_exporting
-from .taxonomy import LabelSpace
 
 
 class Aggregation(Protocol):
@@ -32,12 +30,6 @@ class Aggregation(Protocol):
 
     def descriptor(self, histograms: Any) -> Tensor:
         """``(B, D)`` float32 descriptors."""
-
-
-AGGREGATIONS: dict[str, Callable[[SSRVLADConfig], Aggregation]] = {
-    "residuals": Residuals,
-    "harmonics": Harmonics,
-}
 
 
 class SSRVLAD(nn.Module):
@@ -86,7 +78,10 @@ class SSRVLAD(nn.Module):
             raise ValueError(f"expected an SSRVLADConfig, got {config!r}; see SSRVLAD.from_preset")
         self.config = config or SSRVLADConfig()
         self._front_end = FrontEnd(self.config)
-        self._aggregation: Aggregation = AGGREGATIONS[self.config.aggregation](self.config)
+        self.label_space = self._front_end.label_space
+        """The label space of the input, as read when the head was created."""
+        harmonic = self.config.aggregation == "harmonics"
+        self._aggregation: Aggregation = (Harmonics if harmonic else Residuals)(self.config)
         self.native = core().library is not None
         self._method = method_of(self.config)
         self._warned = False
@@ -96,26 +91,43 @@ class SSRVLAD(nn.Module):
         """The head of a preset, ``"paper"`` or ``"default"``; see `SSRVLADConfig.from_preset`."""
         return cls(SSRVLADConfig.from_preset(preset, **settings))
 
-    @property
-    def label_space(self) -> LabelSpace:
-        """The label space of the input, as read when the head was created."""
-        return self._front_end.label_space
-
     def forward(self, labels: Tensor | npt.NDArray[Any]) -> Tensor:
         """The descriptors of a batch."""
         labels = self._input(labels)
-        if is_exporting() and isinstance(self._aggregation, Harmonics):
-            found, unknown, *_ = self.counted(labels)
-            return torch.where((unknown > 0).view(-1, *[1] * (found.ndim - 1)), torch.nan, found)
-        if is_exporting() and torch.onnx.is_in_onnx_export():
-            raise ValueError(
-                "torch.onnx.export cannot record the loops of residuals: expected export_head or "
-                "ssrvlad fuse"
-            )
-        if labels.is_cpu and self.native and not self._requires_gradient(labels):
-            return self._describe_by_core(labels)
-        descriptor: Tensor = self._describe_by_stages(labels)
+        if torch.compiler.is_exporting():
+            if isinstance(self._aggregation, Harmonics):
+                found, unknown, *_ = self.counted(labels)
+                wrong = (unknown > 0).view(-1, *[1] * (found.ndim - 1))
+                return torch.where(wrong, torch.nan, found)
+            if torch.onnx.is_in_onnx_export():
+                raise ValueError(
+                    "torch.onnx.export cannot record the loops of residuals: expected export_head "
+                    "or ssrvlad fuse"
+                )
+        descriptor: Tensor
+        requires_gradient = labels.requires_grad and torch.is_grad_enabled()
+        if not (self.native and labels.is_cpu) or requires_gradient:
+            descriptor = self._describe_by_stages(labels)
+            return descriptor
+        ids = label_map(labels, self.label_space)
+        run = operator if torch.compiler.is_compiling() else describe
+        try:
+            descriptor = run(ids, self._front_end.table, self._front_end.origin, self._method)
+        except UnknownIdError:
+            refuse_unknown(ids, self.label_space)
+            raise
         return descriptor
+
+    # torch.compiler.disable would load torch's compiler when this module is imported
+    @torch._disable_dynamo  # type: ignore[attr-defined]
+    def _describe_by_stages(self, labels: Tensor) -> Tensor:
+        with torch.autocast(labels.device.type, enabled=False):
+            layers = self._front_end(labels)  # Table II
+            histograms = self._aggregation.histograms(layers)  # Eq. 1, d_i and d_c of Eq. 2
+            if labels.requires_grad and torch.is_grad_enabled() and not self._warned:
+                warnings.warn(_NO_GRADIENT, stacklevel=2)
+                self._warned = True
+            return self._aggregation.descriptor(histograms)  # Eq. 2
 
     def _input(self, labels: Tensor | npt.NDArray[Any]) -> Tensor:
         tensor, own = as_tensor(labels), self._front_end.table.device
@@ -135,50 +147,22 @@ class SSRVLAD(nn.Module):
             of keypoints of each layer, and ``(B, h, w)`` uint8, the skeletons as bit-planes.
         """
         layers, unknown = self._front_end.counted(label_map(labels, self.label_space))
-        descriptor, *counts = self._describe_layers(layers)
-        return descriptor, unknown, *counts
-
-    def _describe_layers(self, layers: Tensor) -> tuple[Tensor, ...]:
         histograms = self._aggregation.histograms(layers)
         descriptor = self._aggregation.descriptor(histograms)
         if isinstance(histograms, ResidualHistograms):
-            return descriptor, histograms.counts, histograms.skeleton
-        return (descriptor,)
-
-    # torch.compiler.disable would load torch's compiler when this module is imported
-    @torch._disable_dynamo  # type: ignore[attr-defined]
-    def _describe_by_stages(self, labels: Tensor) -> Tensor:
-        with torch.autocast(labels.device.type, enabled=False):
-            layers = self._front_end(labels)  # Table II
-            histograms = self._aggregation.histograms(layers)  # Eq. 1, d_i and d_c of Eq. 2
-            if self._requires_gradient(labels) and not self._warned:
-                warnings.warn(_NO_GRADIENT, stacklevel=2)
-                self._warned = True
-            return self._aggregation.descriptor(histograms)  # Eq. 2
-
-    def _describe_by_core(self, labels: Tensor) -> Tensor:
-        """The descriptors of a batch from the native core: the same numbers."""
-        labels = label_map(labels, self.label_space)
-        table, origin = self._front_end.table, self._front_end.origin
-        try:
-            run = operator if torch.compiler.is_compiling() else describe
-            descriptor: Tensor = run(labels, table, origin, self._method)
-            return descriptor
-        except UnknownIdError:
-            refuse_unknown(labels, self.label_space)
-            raise
+            return descriptor, unknown, histograms.counts, histograms.skeleton
+        return descriptor, unknown
 
     def explain(self, labels: Tensor | npt.NDArray[Any]) -> Explanation:
         """Every step from the label map to the descriptor; input and errors are those of a call.
         Clean layers, skeletons, keypoints and centres are those of the paper; the harmonics of
         ``default`` do not use them."""
-        labels = self._input(labels)
-        with torch.autocast(labels.device.type, enabled=False):
-            layers = self._front_end(labels)
-            ids, space = label_map(labels, self.label_space), self.label_space
+        ids = label_map(self._input(labels), self.label_space)
+        with torch.autocast(ids.device.type, enabled=False):
+            layers = self._front_end(ids)
             histograms = self._aggregation.histograms(layers)
             descriptor = self._aggregation.descriptor(histograms)
-            return explain(ids, space, layers, self.config, histograms, descriptor)
+            return explain(ids, self.label_space, layers, self.config, histograms, descriptor)
 
     def sweep(self, labels: Tensor | npt.NDArray[Any], columns: Sequence[int]) -> Tensor:
         """Descriptors from several anchors, for a query whose camera may be turned or moved aside.
@@ -202,17 +186,7 @@ class SSRVLAD(nn.Module):
             )
         labels = self._input(labels)
         with torch.autocast(labels.device.type, enabled=False):
-            layers = self._front_end(labels)
-            return self._sweep_layers(layers, columns)
-
-    def _sweep_layers(self, layers: Tensor, columns: Sequence[int]) -> Tensor:
-        assert isinstance(self._aggregation, Harmonics)
-        histograms = (self._aggregation.histograms(layers, column) for column in columns)
-        return torch.stack(list(map(self._aggregation.descriptor, histograms)), dim=1)
-
-    @staticmethod
-    def _requires_gradient(labels: Tensor) -> bool:
-        return labels.requires_grad and torch.is_grad_enabled()
+            return self._aggregation.sweep(self._front_end(labels), columns)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Restores a pickle, perhaps on a machine without the native core."""
@@ -226,17 +200,17 @@ class SSRVLAD(nn.Module):
 
 def mirrored(descriptors: Tensor, config: SSRVLADConfig) -> Tensor:
     """Descriptors ``(..., D)`` of mirrored label maps, by those of the label maps."""
-    return _MIRRORS[config.aggregation](descriptors, config)
-
-
-_MIRRORS = {"residuals": residuals.mirrored, "harmonics": harmonics.mirrored}
+    if config.aggregation == "harmonics":
+        return harmonics.mirrored(descriptors, config)
+    return residuals.mirrored(descriptors, config)
 
 
 def query_head(config: SSRVLADConfig, columns: Sequence[int] = ()) -> SSRVLAD:
     """The head for queries: a `SweepHead` if there are columns, see `SSRVLAD.sweep`, and the
     aggregation has an anchor."""
-    sweeps = columns and config.aggregation == "harmonics"
-    return SweepHead(config, columns) if sweeps else SSRVLAD(config)
+    if columns and config.aggregation == "harmonics":
+        return SweepHead(config, columns)
+    return SSRVLAD(config)
 
 
 class SweepHead(SSRVLAD):
@@ -248,10 +222,15 @@ class SweepHead(SSRVLAD):
 
     def forward(self, labels: Tensor | npt.NDArray[Any]) -> Tensor:
         """The descriptors of a batch from every anchor."""
-        return super().forward(labels) if is_exporting() else self.sweep(labels, self.columns)
+        if torch.compiler.is_exporting():
+            return super().forward(labels)
+        return self.sweep(labels, self.columns)
 
-    def _describe_layers(self, layers: Tensor) -> tuple[Tensor, ...]:
-        return (self._sweep_layers(layers, self.columns),)
+    def counted(self, labels: Tensor) -> tuple[Tensor, ...]:
+        """As `SSRVLAD.counted`, with descriptors from every anchor."""
+        layers, unknown = self._front_end.counted(label_map(labels, self.label_space))
+        assert isinstance(self._aggregation, Harmonics)
+        return self._aggregation.sweep(layers, self.columns), unknown
 
 
 def _checked(columns: Sequence[int]) -> tuple[int, ...]:

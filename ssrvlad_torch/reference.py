@@ -82,8 +82,14 @@ def layers_of(label_map: npt.NDArray[Any], config: SSRVLADConfig) -> list[Mask]:
 
 
 def trace(layer: Mask, config: SSRVLADConfig) -> LayerTrace:
-    """One layer of the paper, from its pixels to its keypoints."""
-    clean = clean_layer(layer, config)
+    """One layer of the paper, from its pixels to its keypoints: opened, closed, small enclosed
+    holes filled, small regions dropped, thinned."""
+    opening = config.radius_pixels(config.opening, *layer.shape)
+    closing = config.radius_pixels(config.closing, *layer.shape)
+    clean = dilate(erode(layer, opening), opening)
+    clean = erode(dilate(clean, closing), closing)
+    clean = clean | small_holes(clean, config.area_pixels(config.hole_area, *layer.shape))
+    clean = clean & ~small_regions(clean, config.area_pixels(config.region_area, *layer.shape))
     skeleton = thin(clean, config.thinning)
     keypoints = end_points(skeleton), intersections(skeleton)
     return LayerTrace(layer, clean, skeleton, *keypoints, centroid(clean))
@@ -173,16 +179,6 @@ def reduce_by_majority(categories: Integers, grid: tuple[int, int]) -> Integers:
         for x in range(grid[1]):
             reduced[y, x] = np.bincount(strip[:, column == x].ravel(), minlength=NO_LAYER).argmax()
     return reduced
-
-
-def clean_layer(layer: Mask, config: SSRVLADConfig) -> Mask:
-    """Opening, closing, then small enclosed holes filled, then small regions dropped."""
-    opening = config.radius_pixels(config.opening, *layer.shape)
-    closing = config.radius_pixels(config.closing, *layer.shape)
-    layer = dilate(erode(layer, opening), opening)
-    layer = erode(dilate(layer, closing), closing)
-    layer = layer | small_holes(layer, config.area_pixels(config.hole_area, *layer.shape))
-    return layer & ~small_regions(layer, config.area_pixels(config.region_area, *layer.shape))
 
 
 def dilate(layer: Mask, radius: int) -> Mask:

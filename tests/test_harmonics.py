@@ -1,5 +1,4 @@
 import dataclasses
-import math
 
 import numpy as np
 import pytest
@@ -9,14 +8,7 @@ from drawings import SKY, SPACE, TREE, blobs
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, reference
 from ssrvlad_torch.config import AREA_LAYERS, BOUNDARY_DIRECTIONS
 from ssrvlad_torch.stages.grid_pooling import COLUMNS, ROWS
-from ssrvlad_torch.stages.harmonics import (
-    Harmonics,
-    coefficients,
-    damped,
-    harmonic_tables,
-    mirrored,
-    soft_histograms,
-)
+from ssrvlad_torch.stages.harmonics import HarmonicHistograms, Harmonics, mirrored
 
 CONFIGS = [
     SSRVLADConfig(),
@@ -31,43 +23,26 @@ each_config = pytest.mark.parametrize("config", CONFIGS, ids=range(len(CONFIGS))
 BLOCKS = AREA_LAYERS + BOUNDARY_DIRECTIONS
 
 
-def numbers(config: SSRVLADConfig) -> tuple[int, int]:
-    return config.harmonics, config.boundary_harmonics
-
-
 @each_config
 def test_tables_equal_the_reference(config):
-    bins, basis = harmonic_tables(config)
+    module = Harmonics(config)
     cells = np.random.default_rng(0).random((ROWS, COLUMNS))
+    found = module.table("bins") @ torch.from_numpy(cells).flatten()
     expected = reference.soft_histogram(cells, config).ravel()
-    np.testing.assert_allclose(bins @ torch.from_numpy(cells).flatten(), expected, rtol=1e-12)
-    most = max(numbers(config))
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+    most = max(config.harmonics, config.boundary_harmonics)
     expected = np.array(reference.basis(config, most)).reshape(most, -1)
-    np.testing.assert_allclose(basis, expected, atol=1e-13)
+    np.testing.assert_allclose(module.table("basis"), expected, atol=1e-13)
 
 
 def test_what_is_right_of_the_middle_is_in_the_first_sector():
-    bins = harmonic_tables(SSRVLADConfig()).bins
     cells = torch.zeros(ROWS, COLUMNS, dtype=torch.float64)
     cells[ROWS // 2 - 1 : ROWS // 2 + 1, -1] = 1
+    bins = Harmonics(SSRVLADConfig()).table("bins")
     outermost = (bins @ cells.flatten()).view(6, 20)[-1]
     assert outermost.argmax() == 0
     assert outermost[1] == pytest.approx(outermost[19])  # symmetric about the axis
     assert not outermost[3:18].any()
-
-
-def test_areas_and_boundaries_have_their_own_numbers():
-    """A square root of fractions and of lengths in sides of a cell, the former first."""
-    bins = torch.full((1, ROWS * COLUMNS), 1 / (ROWS * COLUMNS), dtype=torch.float64)
-    cells = torch.zeros(1, BLOCKS, ROWS, COLUMNS, dtype=torch.float64)
-    cells[0, 2], cells[0, 7] = 0.25, 0.09
-    held = soft_histograms(cells, bins)
-    assert held[0, :, 0].tolist() == pytest.approx([0, 0, 0.5, 0, 0, 0, 0, 0.3, 0, 0])
-    basis = torch.tensor([[3.0], [4.0]], dtype=torch.float64)
-    found = coefficients(held, basis, (2, 1), 1.0)[0]
-    expected = torch.zeros(6 * 2 + 4)
-    expected[4:6], expected[13] = torch.tensor([1.5, 2.0]), 0.9
-    torch.testing.assert_close(found, expected / expected.norm())
 
 
 def test_layers_that_few_networks_tell_apart_are_merged():
@@ -79,31 +54,37 @@ def test_layers_that_few_networks_tell_apart_are_merged():
     assert torch.equal(module.histograms(rare).bins, module.histograms(own).bins)
 
 
-def test_empty_images_and_layers_are_exact_zeros():
-    bins, basis = harmonic_tables(SSRVLADConfig(spectral_weight=2.0))
-    cells = torch.rand(2, BLOCKS, ROWS, COLUMNS, dtype=torch.float64)
-    cells[0], cells[1, 4] = 0, 0
-    found = coefficients(soft_histograms(cells, bins), basis, (9, 9), 0.75).view(2, BLOCKS, -1)
-    assert not found[0].any()
-    assert not found[1, 4].any()
-    assert found[1].norm().item() == pytest.approx(1)
+SIX = SSRVLADConfig(
+    rings=2, sectors=4, harmonics=6, boundary_harmonics=3, spectral_weight=0.0, power=0.5
+)
+"""Two rings and four sectors have six basis functions; all have length 1."""
+
+
+def descriptor_of(wanted: dict[tuple[int, int], float]) -> torch.Tensor:
+    """The descriptor of histograms with the wanted coefficients, by block and number, else 0."""
+    module, coefficients = Harmonics(SIX), torch.zeros(1, BLOCKS, 6, dtype=torch.float64)
+    for place, value in wanted.items():
+        coefficients[0][place] = value
+    bins = (coefficients @ module.table("basis")).unflatten(2, (2, 4))
+    return module.descriptor(HarmonicHistograms(bins, torch.zeros(1, dtype=torch.int64)))[0]
+
+
+def test_areas_and_boundaries_have_their_own_numbers_and_keep_their_signs():
+    """Six numbers of each area, three of each direction, to a power."""
+    found = descriptor_of({(2, 0): -4.0, (2, 5): -1.0, (6, 2): 9.0, (7, 4): 9.0})
     assert found.dtype == torch.float32
-
-
-def test_power_keeps_signs_and_order():
-    basis = torch.eye(4, dtype=torch.float64)
-    held = torch.tensor([[[-4.0, -1.0, 0.0, 9.0]]], dtype=torch.float64)
-    found = coefficients(held, basis, (4, 4), 0.5)
-    expected = torch.tensor([-2.0, -1.0, 0.0, 3.0]) / math.sqrt(14)
-    torch.testing.assert_close(found[0], expected)
+    expected = torch.zeros(6 * 6 + 4 * 3)
+    expected[[12, 17, 38]] = torch.tensor([-2.0, -1.0, 3.0]) / 14**0.5
+    torch.testing.assert_close(found, expected, rtol=1e-5, atol=1e-7)
+    assert not found[:12].any()  # of layers without pixels
+    assert not descriptor_of({}).any()
 
 
 def test_close_to_zero_the_power_is_a_straight_line():
     """So a number that rounding makes of a zero stays small."""
-    one, two, coarse = (damped(torch.tensor(x).double(), 0.75) for x in (1e-7, 2e-7, 1.0))
+    large, one, two = descriptor_of({(0, 0): 1.0, (0, 1): 1e-7, (0, 2): 2e-7})[:3]
     assert two / one == pytest.approx(2, rel=1e-5)
-    assert 1e-7 < one / coarse < 2e-6
-    assert damped(torch.tensor(16.0).double(), 0.75) / coarse == pytest.approx(8)
+    assert 1e-7 < one / large < 2e-5
 
 
 MIRRORED = [

@@ -7,6 +7,7 @@ from drawings import MASKS, SPACE, blobs, mask
 from helpers import street
 from torch import Tensor
 
+from ssrvlad_torch import SSRVLADConfig
 from ssrvlad_torch.soft.stages.boundaries import soft_boundaries
 from ssrvlad_torch.soft.stages.grid_pooling import soft_pool
 from ssrvlad_torch.soft.stages.harmonics import safe_root, soft_coefficients
@@ -16,7 +17,7 @@ from ssrvlad_torch.soft.stages.vanishing_column import soft_vanishing_columns
 from ssrvlad_torch.stages.bitplanes import pack, unpack
 from ssrvlad_torch.stages.boundaries import boundaries
 from ssrvlad_torch.stages.grid_pooling import pool
-from ssrvlad_torch.stages.harmonics import basis_table, bin_table, coefficients, soft_histograms
+from ssrvlad_torch.stages.harmonics import Harmonics, basis_table, bin_table
 from ssrvlad_torch.stages.layers import categorise, category_table, entries_of, merge, split
 from ssrvlad_torch.stages.reduction import ballots, reduce_by_majority
 from ssrvlad_torch.stages.vanishing_column import vanishing_columns
@@ -198,12 +199,14 @@ def test_rare_layers_are_merged():
 
 
 def test_coefficients_of_layers():
-    numbers = torch.cat([merge(categories_of(blobs(seed, 48, 64, 12))) for seed in range(3)])
-    still = torch.zeros(3, dtype=torch.int64)
+    config = SSRVLADConfig(anchor="middle", harmonics=60, boundary_harmonics=20)
+    module, still = Harmonics(config), torch.zeros(3, dtype=torch.int64)
+    layers = torch.cat([categories_of(blobs(seed, 48, 64, 12)) for seed in range(3)])
+    numbers = merge(layers)  # a cell has two by two pixels, as a boundary has
     area, lengths = pool(masks_of(numbers), still), pool(boundaries(numbers), still)
-    bins, basis = bin_table((24, 32), 6, 20, 0.5, 1 / 6), basis_table(6, 20, 60, 1.0)
-    hard = coefficients(soft_histograms(torch.cat((area, lengths), 1), bins), basis, (60, 20), 0.75)
-    soft = soft_coefficients(area, lengths, bins, basis, (60, 20), 0.75).float()
+    hard = module.descriptor(module.histograms(layers))
+    tables = module.table("bins"), module.table("basis")
+    soft = soft_coefficients(area, lengths, *tables, (60, 20), config.power).float()
     assert ((hard * soft).sum(1) > 0.99).all()
 
 

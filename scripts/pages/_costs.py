@@ -22,8 +22,8 @@ ENCODED = 10
 
 AGGREGATING: dict[str, tuple[tuple[Any, str], ...]] = {
     "ssr-vlad": (
-        *((residuals, name) for name in ("log_polar_bins", "shape_contexts", "aggregate")),
-        *((Harmonics, name) for name in ("histograms", "descriptor")),
+        *((residuals, name) for name in ("log_polar_bins", "shape_contexts")),
+        *((residuals.Residuals, "descriptor"), (Harmonics, "histograms"), (Harmonics, "descriptor")),
     ),
     "region-vlad": ((region_vlad, "vlad"),),
 }

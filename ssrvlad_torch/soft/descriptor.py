@@ -67,7 +67,12 @@ class SoftSSRVLAD(nn.Module):
         with torch.autocast(scores.device.type, enabled=False):
             wide = scores.float() if scores.dtype in (torch.half, torch.bfloat16) else scores
             label_map(wide.detach(), self._label_space)  # refuses wrong input
-            _refuse_infinite(wide)
+            infinite = wide.detach().amax(1).isinf()  # they have no softmax
+            if bool(infinite.any()):
+                raise ValueError(
+                    f"class scores of {int(infinite.sum())} pixels are infinite; expected finite "
+                    "ones to train through (half precision holds 65504 at most)"
+                )
             return self._describe(wide)
 
     def _describe(self, scores: Tensor) -> Tensor:
@@ -80,27 +85,12 @@ class SoftSSRVLAD(nn.Module):
         if config.anchor == "vanishing-column":
             column = soft_vanishing_columns(layers)
         bins, basis = (self._harmonics.table(name).to(layers.dtype) for name in ("bins", "basis"))
+        area = soft_pool(layers, column, CELLS)
         unit = min(layers.shape[2:]) / ROWS / WIDTH
-        return soft_coefficients(
-            soft_pool(layers, column, CELLS),
-            soft_pool(soft_boundaries(layers), column, CELLS) * unit,
-            bins,
-            basis,
-            (config.harmonics, config.boundary_harmonics),
-            config.power,
-        )
+        lengths = soft_pool(soft_boundaries(layers), column, CELLS) * unit
+        numbers = config.harmonics, config.boundary_harmonics
+        return soft_coefficients(area, lengths, bins, basis, numbers, config.power)
 
     def extra_repr(self) -> str:
         """What ``print(twin)`` shows: the temperature."""
         return f"temperature={self.temperature:g}"
-
-
-def _refuse_infinite(scores: Tensor) -> None:
-    """Raises an error for pixels whose largest score is infinite: they have no softmax."""
-    largest = scores.detach().amax(1)
-    if not bool(largest.isinf().any()):
-        return
-    raise ValueError(
-        f"class scores of {int(largest.isinf().sum())} pixels are infinite; expected finite ones "
-        "to train through (half precision holds 65504 at most)"
-    )

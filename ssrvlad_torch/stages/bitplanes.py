@@ -1,8 +1,8 @@
 """Bit-planes: all eight layers of an image in one byte per pixel.
 
-``planes`` is a ``(B, H, W)`` uint8 tensor whose bit ``k`` is layer ``k``. Set operations on all
-layers at once are bitwise operations, neighbours are slices, and only the few bytes that are not
-zero are read to list pixels or runs.
+``planes``, here and in the stages, is a ``(B, H, W)`` uint8 tensor whose bit ``k`` is layer ``k``.
+Set operations on all layers at once are bitwise operations, neighbours are slices, and only the few
+bytes that are not zero are read to list pixels or runs.
 
 Lists are grouped: group ``k * B + b`` is layer ``k`` of image ``b``. Every list is sorted by group,
 then in raster order. `by_image` turns a value per group into a value per image.
@@ -10,32 +10,16 @@ then in raster order. `by_image` turns a value per group into a value per image.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, Protocol, Self, TypeVar
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from .tracing import MOST, is_exporting, number_in
+from .tracing import MOST, number_in
 
 LAYERS = 8
-
-_BITS = [1 << k for k in range(LAYERS)]
-
-
-class Bitwise(Protocol):
-    """Integers of any shape and width whose bits are pixels: a tensor, or another type with these
-    operators."""
-
-    def __and__(self, other: Self, /) -> Self: ...
-    def __or__(self, other: Self, /) -> Self: ...
-    def __xor__(self, other: Self, /) -> Self: ...
-    def __sub__(self, other: Self, /) -> Self: ...
-    def __invert__(self) -> Self: ...
-
-
-Bits = TypeVar("Bits", bound=Bitwise)
 
 
 class Points(NamedTuple):
@@ -57,31 +41,24 @@ class Runs(NamedTuple):
     first: Tensor
     last: Tensor
 
-
-class Masks(NamedTuple):
-    """The masks of a batch, ``(B, h, w)`` uint8 bit-planes on the working grid.
-
-    Attributes:
-        layers: the categories of Table II after the reduction to the grid.
-        closed: ``layers`` after opening and closing.
-        clean: ``closed`` with small holes filled and small regions dropped.
-        skeleton: of ``clean``.
-    """
-
-    layers: Tensor
-    closed: Tensor
-    clean: Tensor
-    skeleton: Tensor
+    @property
+    def length(self) -> Tensor:
+        """The number of pixels of each run."""
+        return self.last - self.first + 1
 
 
 def pack(layers: Tensor) -> Tensor:
     """``(B, 8, H, W)`` bool layers -> ``(B, H, W)`` uint8 bit-planes."""
-    return (layers.to(torch.uint8) << _bits(layers).view(1, LAYERS, 1, 1)).sum(1, dtype=torch.uint8)
+    return (layers * _bits(layers).view(LAYERS, 1, 1)).sum(1, dtype=torch.uint8)
 
 
 def unpack(planes: Tensor) -> Tensor:
     """``(B, H, W)`` uint8 bit-planes -> ``(B, 8, H, W)`` bool layers."""
-    return (planes[:, None] >> _bits(planes).view(1, LAYERS, 1, 1) & 1).bool()
+    return (planes[:, None] & _bits(planes).view(LAYERS, 1, 1)).bool()
+
+
+def _bits(like: Tensor, dtype: torch.dtype = torch.uint8) -> Tensor:
+    return torch.tensor([1 << k for k in range(LAYERS)], dtype=dtype, device=like.device)
 
 
 def neighbours(planes: Tensor) -> tuple[Tensor, ...]:
@@ -98,30 +75,7 @@ def neighbours(planes: Tensor) -> tuple[Tensor, ...]:
     )
 
 
-def line_neighbours(
-    line: Any, pitch: Any, length: Any, shifted: Callable[[Any, Any, Any], tuple[Any, Any]]
-) -> tuple[Any, tuple[Any, ...]]:
-    """All words of a line and the eight neighbours of their pixels, in the order of `neighbours`.
-
-    A line holds a batch as words of several pixels, ``pitch`` words a row, between two margins of
-    ``pitch + 1`` words of background.
-
-    Args:
-        line: ``(length + 2 * (pitch + 1),)`` int64, a tensor or a symbol of a graph.
-        pitch, length: integers, or symbols of ``()`` int64.
-        shifted: a function of the words ``(before, here, after)``. It returns the words whose
-            pixels are the west, and the east, neighbours of the pixels of ``here``.
-    """
-    inner = line[1:-1]
-    west, east = shifted(line[:-2], inner, line[2:])
-    above, here, below = (slice(start, length + start) for start in (0, pitch, pitch * 2))
-    return inner[here], (
-        *(inner[above], east[above], east[here], east[below]),
-        *(inner[below], west[below], west[here], west[above]),
-    )
-
-
-def two_or_more(planes: Sequence[Bits]) -> Bits:
+def two_or_more(planes: Sequence[Tensor]) -> Tensor:
     """Bits that are set in at least two of two or more planes."""
     once, twice = planes[0] | planes[1], planes[0] & planes[1]
     for plane in planes[2:]:
@@ -129,20 +83,12 @@ def two_or_more(planes: Sequence[Bits]) -> Bits:
     return twice
 
 
-def three_of_four(planes: Sequence[Bits]) -> Bits:
-    """Bits that are set in at least three of four planes."""
-    a, b, c, d = planes
-    return a & b & (c | d) | c & d & (a | b)
-
-
-def steps_around(ring: tuple[Bits, ...]) -> list[Bits]:
-    """The 0 -> 1 steps around every pixel, in four planes; their sum is the crossing number.
+def steps_around(ring: Sequence[Tensor]) -> list[Tensor]:
+    """The 0 -> 1 steps around every pixel, from its eight `neighbours`, in four planes; their sum
+    is the crossing number.
 
     There is at most one step from N over NE to E, and in each of the other quarters. Each
     exclusive or removes a subset of bits: old runtimes do not subtract bytes.
-
-    Args:
-        ring: the eight `neighbours`.
     """
     n, ne, e, se, s, sw, w, nw = ring
     return [
@@ -158,8 +104,8 @@ def points(planes: Tensor) -> Points:
     image, y, x = planes.nonzero().unbind(1)
     torch._check(image.shape[0] <= MOST)
     place = (image * planes.shape[1] + y) * planes.shape[2] + x
-    bits = torch.tensor(_BITS, dtype=torch.uint8, device=planes.device)
-    layer, entry = (planes.flatten().index_select(0, place) & bits[:, None]).nonzero().unbind(1)
+    bits = _bits(planes)[:, None]
+    layer, entry = (planes.flatten().index_select(0, place) & bits).nonzero().unbind(1)
     image, y, x = (each.index_select(0, entry) for each in (image, y, x))
     return Points(layer * planes.shape[0] + image, y, x)
 
@@ -177,7 +123,7 @@ def paint(chosen: Runs, shape: torch.Size) -> Tensor:
     device = chosen.group.device
     layer = chosen.group // torch.full((), count, device=device)  # not the size: it is exported
     row = ((chosen.group - layer * count) * height + chosen.y) * (width + 1)
-    bit = torch.tensor(_BITS, dtype=torch.int32, device=device).index_select(0, layer)
+    bit = _bits(row, torch.int32).index_select(0, layer)
     steps = torch.zeros(count * height * (width + 1), dtype=torch.int32, device=device)
     steps = steps.scatter_add(0, row + chosen.first, bit)
     steps = steps.scatter_add(0, row + chosen.last + 1, -bit).view(count, height, width + 1)
@@ -187,34 +133,27 @@ def paint(chosen: Runs, shape: torch.Size) -> Tensor:
 def repeated(times: Tensor) -> tuple[Tensor, Tensor]:
     """Repeats the number n ``times[n]`` times: the numbers, and for each entry the count of equal
     entries before it, ``(m,)`` int64 each."""
-    if not is_exporting():
+    if not torch.compiler.is_exporting():
         number = torch.repeat_interleave(times)
         within = torch.arange(number.numel(), device=number.device)
         return number, within - (times.cumsum(0) - times)[number]
     ends = F.pad(times.cumsum(0), (1, 0))
-    total = number_in(ends[-1])
-    starts = torch.zeros(total + 1, dtype=torch.int64).scatter_add(
-        0, ends[1:], torch.ones_like(times)
-    )
+    total, ones = number_in(ends[-1]), torch.ones_like(times)
+    starts = torch.zeros(total + 1, dtype=torch.int64).scatter_add(0, ends[1:], ones)
     number = starts[:total].cumsum(0)
     return number, torch.arange(total) - ends.index_select(0, number)
 
 
-def count_points(pixels: Points, count: int) -> Tensor:
-    """``(B, 8)`` int64, the number of points of each layer of each image."""
-    return by_image(count_groups(pixels, count), count)
+def sums_of_groups(amounts: Tensor, group: Tensor, images: int) -> Tensor:
+    """``(8 * B,)``, the sum of the amounts of the entries of each group."""
+    return amounts.new_zeros(LAYERS * images).scatter_add(0, group, amounts)
 
 
-def count_groups(pixels: Points, count: int) -> Tensor:
+def count_groups(pixels: Points, images: int) -> Tensor:
     """``(8 * B,)`` int64, the number of points of each group."""
-    zeros = pixels.group.new_zeros(LAYERS * count)
-    return zeros.scatter_add(0, pixels.group, torch.ones_like(pixels.group))
+    return sums_of_groups(torch.ones_like(pixels.group), pixels.group, images)
 
 
-def by_image(values: Tensor, count: int) -> Tensor:
+def by_image(values: Tensor, images: int) -> Tensor:
     """``(8 * B, ...)`` values by group -> ``(B, 8, ...)``."""
-    return values.view(LAYERS, count, *values.shape[1:]).transpose(0, 1)
-
-
-def _bits(like: Tensor) -> Tensor:
-    return torch.arange(LAYERS, dtype=torch.uint8, device=like.device)
+    return values.view(LAYERS, images, *values.shape[1:]).transpose(0, 1)

@@ -30,15 +30,9 @@ _NUMBERS = _OUTSIDE + 1
 
 
 def boundaries(numbers: Tensor) -> Tensor:
-    """The directions of the boundaries of all layers at each pixel, looked up by the layers of its
-    diagonal neighbours.
-
-    Args:
-        numbers: ``(B, H, W)`` from `merge`.
-
-    Returns:
-        ``(B, 4, H, W)``, 1 or 0 for each direction. Pixels at the image's edge have none.
-    """
+    """The directions ``(B, 4, H, W)``, 1 or 0 each, of the boundaries of all layers at each pixel,
+    looked up by the numbers ``(B, H, W)`` from `merge` of its diagonal neighbours. Pixels at the
+    image's edge have none."""
     padded = F.pad(numbers.float(), (1, 1, 1, 1), value=_OUTSIDE)
     above_below = padded[:, :-2] + padded[:, 2:] * _NUMBERS**2
     code = above_below[..., :-2] + above_below[..., 2:] * _NUMBERS

@@ -12,21 +12,12 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from .bitplanes import LAYERS, Runs, paint, repeated, runs
-from .tracing import is_exporting, repeat_while
+from .tracing import repeat_while
 
 
 def fill_holes(planes: Tensor, area: int | Tensor) -> Tensor:
-    """Fills every enclosed hole of fewer than ``area`` pixels.
-
-    A hole is a 4-connected background region that does not touch the border of the image.
-
-    Args:
-        planes: ``(B, H, W)`` uint8 bit-planes.
-        area: pixels; holes of this size and above stay.
-
-    Returns:
-        ``(B, H, W)`` uint8 bit-planes.
-    """
+    """Bit-planes with every hole of fewer than ``area`` pixels filled. A hole is a 4-connected
+    background region that does not touch the border of the image."""
     if isinstance(area, int) and area <= 1:
         return planes
     _, height, width = planes.shape
@@ -34,34 +25,23 @@ def fill_holes(planes: Tensor, area: int | Tensor) -> Tensor:
     region = _regions(gaps, planes.shape, diagonal=False)
     outside = (gaps.y == 0) | (gaps.y == height - 1) | (gaps.first == 0) | (gaps.last == width - 1)
     enclosed = _total(region, outside) == 0
-    return planes | _paint_where(enclosed & (_areas(gaps, region) < area), gaps, planes.shape)
+    small = _total(region, gaps.length) < area
+    return planes | _paint_where(enclosed & small, gaps, planes.shape)
 
 
 def drop_regions(planes: Tensor, area: int | Tensor) -> Tensor:
-    """Drops every 8-connected region of fewer than ``area`` pixels.
-
-    Args:
-        planes: ``(B, H, W)`` uint8 bit-planes.
-        area: pixels; regions of this size and above stay.
-
-    Returns:
-        ``(B, H, W)`` uint8 bit-planes.
-    """
+    """Bit-planes without the 8-connected regions of fewer than ``area`` pixels."""
     if isinstance(area, int) and area <= 1:
         return planes
     segments = runs(planes)
     region = _regions(segments, planes.shape, diagonal=True)
-    return planes & ~_paint_where(_areas(segments, region) < area, segments, planes.shape)
+    small = _total(region, segments.length) < area
+    return planes & ~_paint_where(small, segments, planes.shape)
 
 
 def _paint_where(chosen: Tensor, segments: Runs, shape: torch.Size) -> Tensor:
     index = chosen.nonzero()[:, 0]
     return paint(Runs(*(column.index_select(0, index) for column in segments)), shape)
-
-
-def _areas(segments: Runs, region: Tensor) -> Tensor:
-    """Number of pixels of each run's region."""
-    return _total(region, segments.last - segments.first + 1)
 
 
 def _total(region: Tensor, values: Tensor) -> Tensor:
@@ -98,21 +78,16 @@ def _touching(segments: Runs, shape: torch.Size, diagonal: bool) -> tuple[Tensor
     row = (segments.group * (height + 1) + segments.y + 1) * pitch + 1
     first, last = row + segments.first, row + segments.last
     reach = pitch + int(diagonal)
-    length = (LAYERS * count * (height + 1) + 1) * pitch
     ends = torch.cat((first - reach, last - pitch + int(diagonal)))
-    begin, end = _rank(first, ends, length).view(2, -1).unbind()
-    before = F.pad(last, (1, 0), value=-1).index_select(
-        0, begin
-    )  # the run that begins at or left of an end
-    begin = begin - (before >= first - reach).long()
+    if torch.compiler.is_exporting():  # without searchsorted: the number of runs up to each place
+        length = (LAYERS * count * (height + 1) + 1) * pitch
+        ones = torch.ones_like(first, dtype=torch.int32)
+        marks = torch.zeros(length, dtype=torch.int32).scatter_add(0, first, ones)
+        up_to = marks.cumsum(0, dtype=torch.int32).index_select(0, ends).long()
+    else:
+        up_to = torch.searchsorted(first, ends, right=True)
+    begin, end = up_to.view(2, -1).unbind()
+    at_or_left = F.pad(last, (1, 0), value=-1).index_select(0, begin)  # where the run before ends
+    begin = begin - (at_or_left >= first - reach).long()
     lower, within = repeated((end - begin).clamp_min(0))
     return begin.index_select(0, lower) + within, lower
-
-
-def _rank(places: Tensor, given: Tensor, length: int) -> Tensor:
-    """For each given place, the number of sorted places up to it; all are below a length."""
-    if not is_exporting():
-        return torch.searchsorted(places, given, right=True)
-    ones = torch.ones_like(places, dtype=torch.int32)
-    marks = torch.zeros(length, dtype=torch.int32).scatter_add(0, places, ones)
-    return marks.cumsum(0, dtype=torch.int32).index_select(0, given).long()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -30,15 +29,9 @@ if TYPE_CHECKING:
 
 _WIDTH, _ROW = 10.0, 3.6
 _ARC_STEPS = 10
-_COLOURS = (
-    "#b58bb5",
-    "#f5a3ee",
-    "#a9a9a9",
-    "#e3c770",
-    "#a9c97b",
-    "#9cc4e4",
-    "#cdbccd",
-    "#fac8be",
+_COLOURS: tuple[str, ...] = (
+    *("#b58bb5", "#f5a3ee", "#a9a9a9", "#e3c770"),
+    *("#a9c97b", "#9cc4e4", "#cdbccd", "#fac8be"),
 )
 _BOUNDARY = "#555555"
 _TARGET = 0.8
@@ -111,7 +104,27 @@ class Explanation:
         """
         if not 0 <= image < len(self.labels):
             raise IndexError(f"expected an image from 0 to {len(self.labels) - 1}, got {image}")
-        return _draw(self, image, title, picture)
+        harmonic = isinstance(self.histograms, HarmonicHistograms)
+        cells = _cells(self, image)
+        columns = len(cells) // 2
+        shown = 2 if picture is None else 3
+        tall = self.layers.shape[2] / self.layers.shape[3]
+        row = _WIDTH * shown / 2 / columns * (tall + _TARGET) + 0.6
+        figure = new_figure(_WIDTH * shown / 2, _ROW + 2 * row)
+        parts: Any = figure.subfigures(3, 1, height_ratios=(_ROW, row, row))
+        *photograph, left, right = parts[0].subplots(1, shown)
+        for axes in photograph:
+            axes.imshow(picture)
+            axes.set_title("the picture", size=11)
+            axes.set_axis_off()
+        _draw_label_map(left, self, image, title)
+        _draw_legend(right, self, image, harmonic)
+        for part, some in zip(parts[1:], (cells[:columns], cells[columns:]), strict=True):
+            grid = part.add_gridspec(2, columns, height_ratios=(tall, _TARGET))
+            for number, cell in enumerate(some):
+                _draw_layer(part.add_subplot(grid[0, number]), self, image, cell)
+                _draw_histogram(part.add_subplot(grid[1, number], polar=True), cell, harmonic)
+        return figure
 
     def __repr__(self) -> str:
         images, (height, width) = len(self.labels), self.layers.shape[2:]
@@ -141,30 +154,24 @@ def explain(
     descriptor: Tensor,
 ) -> Explanation:
     """See `SSRVLAD.explain`; ``layers`` ``(B, h, w)`` uint8 are those of the label maps."""
-    masks = masks_of(layers, config)
+    planes, clean, skeleton = masks_of(layers, config)
     return Explanation(
         labels=labels,
         label_space=label_space,
-        layers=unpack(masks.layers),
-        clean_layers=unpack(masks.clean),
-        skeleton=unpack(masks.skeleton),
-        end_points=unpack(end_points(masks.skeleton)),
-        intersections=unpack(intersections(masks.skeleton)),
-        centres=centre_table(centroids(masks.clean), len(masks.clean)),
+        layers=unpack(planes),
+        clean_layers=unpack(clean),
+        skeleton=unpack(skeleton),
+        end_points=unpack(end_points(skeleton)),
+        intersections=unpack(intersections(skeleton)),
+        centres=centre_table(centroids(clean), len(clean)),
         histograms=histograms,
         descriptor=descriptor,
     )
 
 
 class _Cell(NamedTuple):
-    """A layer or a boundary direction with its histogram.
-
-    Attributes:
-        name: of the layer or direction.
-        mask: ``(h, w)`` bool.
-        colour: of the mask.
-        histogram: ``(N, M)``.
-    """
+    """The name of a layer or of a boundary direction, its mask ``(h, w)`` bool, the colour of the
+    mask, and its histogram ``(N, M)``."""
 
     name: str
     mask: npt.NDArray[np.bool_]
@@ -172,63 +179,27 @@ class _Cell(NamedTuple):
     histogram: npt.NDArray[Any]
 
 
-def _draw(
-    view: Explanation, image: int, title: str, picture: npt.NDArray[np.uint8] | None
-) -> Figure:
-    harmonic = isinstance(view.histograms, HarmonicHistograms)
-    cells = _areas_and_boundaries(view, image) if harmonic else _layers(view, image)
-    columns = len(cells) // 2
-    shown = 2 if picture is None else 3
-    tall = view.layers.shape[2] / view.layers.shape[3]
-    row = _WIDTH * shown / 2 / columns * (tall + _TARGET) + 0.6
-    figure = new_figure(_WIDTH * shown / 2, _ROW + 2 * row)
-    parts: Any = figure.subfigures(3, 1, height_ratios=(_ROW, row, row))
-    top, *rows = parts
-    *photograph, left, right = top.subplots(1, shown)
-    for axes in photograph:
-        axes.imshow(picture)
-        axes.set_title("the picture", size=11)
-        axes.set_axis_off()
-    _draw_labels(left, view, image, title)
-    _draw_legend(right, view, image, harmonic)
-    for part, some in zip(rows, (cells[:columns], cells[columns:]), strict=True):
-        grid = part.add_gridspec(2, columns, height_ratios=(tall, _TARGET))
-        for number, cell in enumerate(some):
-            axes = part.add_subplot(grid[0, number])
-            _draw_mask(axes, cell)
-            if isinstance(view.histograms, HarmonicHistograms):
-                middle = (cell.mask.shape[1] - 1) / 2
-                axes.axvline(middle + int(view.histograms.column[image]), color="tab:red", ls="--")
-            else:
-                _draw_keypoints(axes, view, image, CATEGORIES.index(cell.name))
-            _draw_histogram(part.add_subplot(grid[1, number], polar=True), cell, harmonic)
-    return figure
-
-
-def _layers(view: Explanation, image: int) -> list[_Cell]:
-    """The clean layers with their residuals, the numerators of Eq. 2."""
-    counts = view.histograms
-    assert not isinstance(counts, HarmonicHistograms)
-    residuals = (counts.points - counts.counts[..., None, None] * counts.centre)[image].cpu()
-    columns = CATEGORIES, view.clean_layers[image].cpu().numpy(), _COLOURS, residuals.numpy()
+def _cells(view: Explanation, image: int) -> list[_Cell]:
+    """The clean layers with their residuals, the numerators of Eq. 2; or six layers and the
+    boundaries in four directions with their soft histograms."""
+    found, colours = view.histograms, _COLOURS
+    names: tuple[str, ...] = CATEGORIES
+    if not isinstance(found, HarmonicHistograms):
+        masks = view.clean_layers[image]
+        shown = (found.points - found.counts[..., None, None] * found.centre)[image]
+    else:
+        masks, shown = view.layers[image], found.bins[image]
+        layer = masks.to(torch.uint8).argmax(0).masked_fill(~masks.any(0), NO_LAYER)
+        numbers = merge(layer[None])
+        areas = [numbers[0] == number for number in range(AREA_LAYERS)]
+        masks = torch.stack([*areas, *boundaries(numbers)[0].bool()])
+        names = (*CATEGORIES[:AREA_LAYERS], *(f"{name} boundaries" for name in DIRECTIONS))
+        colours = (*_COLOURS[:AREA_LAYERS], *[_BOUNDARY] * len(DIRECTIONS))
+    columns = names, masks.cpu().numpy(), colours, shown.cpu().numpy()
     return [_Cell(*each) for each in zip(*columns, strict=True)]
 
 
-def _areas_and_boundaries(view: Explanation, image: int) -> list[_Cell]:
-    """Six layers and the boundaries in four directions, with their histograms."""
-    assert isinstance(view.histograms, HarmonicHistograms)
-    masks = view.layers[image].cpu()
-    layer = masks.to(torch.uint8).argmax(0).masked_fill(~masks.any(0), NO_LAYER)
-    numbers = merge(layer[None])
-    areas = [numbers[0] == number for number in range(AREA_LAYERS)]
-    masks = torch.stack([*areas, *boundaries(numbers)[0].bool()])
-    names = (*CATEGORIES[:AREA_LAYERS], *(f"{name} boundaries" for name in DIRECTIONS))
-    colours = (*_COLOURS[:AREA_LAYERS], *(_BOUNDARY for _ in DIRECTIONS))
-    bins = view.histograms.bins[image].cpu().numpy()
-    return [_Cell(*each) for each in zip(names, masks.numpy(), colours, bins, strict=True)]
-
-
-def _draw_labels(axes: Axes, view: Explanation, image: int, title: str) -> None:
+def _draw_label_map(axes: Axes, view: Explanation, image: int, title: str) -> None:
     labels = view.labels[image].cpu().numpy()
     axes.imshow(colourise(labels, view.label_space), interpolation="nearest")
     size = f"{labels.shape[1]} x {labels.shape[0]} pixels, {view.label_space.name}"
@@ -238,6 +209,7 @@ def _draw_labels(axes: Axes, view: Explanation, image: int, title: str) -> None:
 
 def _draw_legend(axes: Axes, view: Explanation, image: int, harmonic: bool) -> None:
     """Draws the classes of the label map with their colours, and explains the marks below."""
+    from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
     ids = set(np.unique(view.labels[image].cpu().numpy()).tolist())
@@ -246,52 +218,42 @@ def _draw_legend(axes: Axes, view: Explanation, image: int, harmonic: bool) -> N
         for each in view.label_space.classes
         if each.id in ids
     ]
-    legend = axes.legend(
-        handles=classes, loc="upper left", ncols=3, frameon=False, fontsize=10, handlelength=1
-    )
-    axes.add_artist(legend)
-    axes.legend(
-        handles=_marks(harmonic), loc="center left", ncols=2, frameon=False, fontsize=10,
-        bbox_to_anchor=(0, 0.34),
-    )  # fmt: skip
-    text = _HARMONICS if harmonic else _RESIDUALS
-    axes.text(0, 0, text, transform=axes.transAxes, fontsize=10, va="bottom")
-    axes.set_axis_off()
-
-
-def _marks(harmonic: bool) -> Sequence[Any]:
-    from matplotlib.lines import Line2D
-
-    if harmonic:
-        return [Line2D([], [], color="tab:red", ls="--", label="vanishing column")]
     dot: dict[str, Any] = {"ls": "", "mec": "black", "mew": 0.5}
-    return [
+    marks = [
         Line2D([], [], color="black", lw=1.5, label="skeleton"),
         Line2D([], [], marker="o", mfc="tab:red", ms=6, label="end point", **dot),
         Line2D([], [], marker="s", mfc="tab:blue", ms=6, label="intersection", **dot),
         Line2D([], [], marker="*", mfc="gold", ms=13, label="centre (Eq. 1)", **dot),
     ]
+    if harmonic:
+        marks = [Line2D([], [], color="tab:red", ls="--", label="vanishing column")]
+    style: dict[str, Any] = {"frameon": False, "fontsize": 10}
+    above = axes.legend(handles=classes, loc="upper left", ncols=3, handlelength=1, **style)
+    axes.add_artist(above)
+    axes.legend(handles=marks, loc="center left", ncols=2, bbox_to_anchor=(0, 0.34), **style)
+    text = _HARMONICS if harmonic else _RESIDUALS
+    axes.text(0, 0, text, transform=axes.transAxes, fontsize=10, va="bottom")
+    axes.set_axis_off()
 
 
-def _draw_mask(axes: Axes, cell: _Cell) -> None:
+def _draw_layer(axes: Axes, view: Explanation, image: int, cell: _Cell) -> None:
+    """Draws the mask, and the vanishing column or the skeleton with its keypoints and centre."""
     from matplotlib.colors import ListedColormap
 
     colours = ListedColormap(["white", cell.colour])
     axes.imshow(cell.mask, cmap=colours, vmin=0, vmax=1, interpolation="nearest")
     axes.set_title(cell.name if cell.mask.any() else f"{cell.name}: none", size=11)
     axes.set(xticks=[], yticks=[])
-
-
-def _draw_keypoints(axes: Axes, view: Explanation, image: int, k: int) -> None:
-    def pixels(mask: Tensor) -> tuple[Any, ...]:
-        return mask[image, k].cpu().numpy().nonzero()[::-1]
-
-    axes.plot(*pixels(view.skeleton), ",", color="black")
-    for mask, shape, colour in (
-        (view.end_points, "o", "tab:red"),
-        (view.intersections, "s", "tab:blue"),
-    ):
-        axes.plot(*pixels(mask), shape, mfc=colour, mec="black", mew=0.4, ms=4)
+    if isinstance(view.histograms, HarmonicHistograms):
+        middle = (cell.mask.shape[1] - 1) / 2
+        axes.axvline(middle + int(view.histograms.column[image]), color="tab:red", ls="--")
+        return
+    k = CATEGORIES.index(cell.name)
+    masks = (view.skeleton, view.end_points, view.intersections)
+    skeleton, ends, crossings = (mask[image, k].cpu().numpy().nonzero()[::-1] for mask in masks)
+    axes.plot(*skeleton, ",", color="black")
+    axes.plot(*ends, "o", mfc="tab:red", mec="black", mew=0.4, ms=4)
+    axes.plot(*crossings, "s", mfc="tab:blue", mec="black", mew=0.4, ms=4)
     y, x = view.centres[image, k].tolist()
     if y >= 0:
         axes.plot(x, y, "*", mfc="gold", mec="black", mew=0.6, ms=12)

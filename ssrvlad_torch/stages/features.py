@@ -14,7 +14,6 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from .grid_pooling import overlaps
-from .tracing import is_exporting
 
 COLUMNS, ROWS, SIGNS = 16, 16, 64
 """Columns and rows of cells, and signs of each cell."""
@@ -58,27 +57,28 @@ class Features(nn.Module):
 
     def forward(self, *activations: Tensor) -> Tensor:
         """The signs of pictures."""
-        means = [cell_means(each) for each in self._of_right_shape(activations)]
-        cells = torch.cat([unit_cells(each) for each in means], 1)
-        if not is_exporting():
-            for each in means:
-                refuse_empty(each)
-        signs = cells.permute(2, 0, 3, 1).flatten(1, 2) @ self.projections > 0
-        by_row = signs.unflatten(1, (-1, COLUMNS)).permute(1, 2, 0, 3)
-        if is_exporting():
-            usable = torch.stack([is_usable(each) for each in means]).all(0)
-            by_row = by_row & usable[:, None, None, None]
-        packed: Tensor = by_row.unflatten(3, (-1, 8)).float() @ self.bits
-        return packed.to(torch.uint8)
-
-    def _of_right_shape(self, activations: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
+        is_exporting = torch.compiler.is_exporting()
         got = [each.shape[1] if each.ndim == 4 else -1 for each in activations]
-        if not is_exporting() and got != self.channels:
+        if not is_exporting and got != self.channels:
             shapes = ", ".join(str(tuple(each.shape)) for each in activations) or "nothing"
             raise ValueError(
                 f"expected activations (B, C, h, w) of {self.channels} channels, got {shapes}"
             )
-        return activations
+        means = [cell_means(each) for each in activations]
+        if not is_exporting:
+            for each in means:
+                if not bool(each.isfinite().all()):
+                    raise ValueError("the activations of the network are not finite")
+                if not bool(is_usable(each).all()):
+                    raise ValueError("the activations of the network are the same everywhere")
+        cells = torch.cat([unit_cells(each) for each in means], 1)
+        signs = cells.permute(2, 0, 3, 1).flatten(1, 2) @ self.projections > 0
+        by_row = signs.unflatten(1, (-1, COLUMNS)).permute(1, 2, 0, 3)
+        if is_exporting:
+            usable = torch.stack([is_usable(each) for each in means]).all(0)
+            by_row = by_row & usable[:, None, None, None]
+        packed: Tensor = by_row.unflatten(3, (-1, 8)).float() @ self.bits
+        return packed.to(torch.uint8)
 
 
 def cell_means(activations: Tensor) -> Tensor:
@@ -99,17 +99,9 @@ def unit_cells(means: Tensor) -> Tensor:
     return F.normalize(centred / (variance + _NO_VARIANCE).sqrt(), dim=1, eps=_NO_LENGTH)
 
 
-def refuse_empty(means: Tensor) -> None:
-    """Raises a ValueError for pictures whose means ``(B, C, ROWS, COLUMNS)`` are not finite, or are
-    the same everywhere but for rounding."""
-    if not bool(means.isfinite().all()):
-        raise ValueError("the activations of the network are not finite")
-    if not bool(is_usable(means).all()):
-        raise ValueError("the activations of the network are the same everywhere")
-
-
 def is_usable(means: Tensor) -> Tensor:
-    """``(B,)`` bool, whether the means of a picture are finite and not the same everywhere."""
+    """``(B,)`` bool, whether the means ``(B, C, ROWS, COLUMNS)`` of a picture are finite and not
+    the same everywhere, but for rounding."""
     spread = (means.amax((2, 3)) - means.amin((2, 3))).amax(1)
     return (spread > _ROUNDING * means.abs().amax((1, 2, 3))) & means.sum((1, 2, 3)).isfinite()
 

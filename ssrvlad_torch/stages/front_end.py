@@ -21,7 +21,7 @@ from .layers import (
     refuse_unknown,
 )
 from .reduction import ballots, reduce_by_majority
-from .tracing import is_exporting, length
+from .tracing import length
 
 PIXELS_AT_ONCE = 1 << 20
 """Label map pixels that are processed at a time, at least one image."""
@@ -30,15 +30,9 @@ PIXELS_AT_ONCE = 1 << 20
 class FrontEnd(nn.Module):
     """Label maps or class scores -> the layer of each pixel of the working grid.
 
-    Args:
-        config: the settings.
-
     Shape:
-        - input: ``(B, H, W)`` label ids or ``(B, C, H, W)`` class scores, as for `SSRVLAD`.
+        - input: as for `SSRVLAD`; what it refuses is a ValueError.
         - output: ``(B, h, w)`` uint8, 0 to 7 or `NO_LAYER`.
-
-    Raises:
-        ValueError: input that `SSRVLAD` refuses.
     """
 
     def __init__(self, config: SSRVLADConfig) -> None:
@@ -64,15 +58,12 @@ class FrontEnd(nn.Module):
         return torch.cat(parts)
 
     def counted(self, labels: Tensor) -> tuple[Tensor, Tensor]:
-        """Layers, and the number of pixels of each image that have an unknown id and no layer.
-
-        Args:
-            labels: ``(B, H, W)`` label ids.
-        """
+        """Layers of a label map, and the number of pixels of each image that have an unknown id and
+        no layer."""
         size = self.config.working_size
         if size is None:
             categories = categorise(labels, self.table, self.origin)  # Table II
-            if is_exporting():
+            if torch.compiler.is_exporting():
                 categories = categories.int()  # old runtimes do not compare bytes
             unknown = (categories == UNKNOWN).sum((1, 2))
             return categories.clamp(max=NO_LAYER).to(torch.uint8), unknown
@@ -105,7 +96,7 @@ def label_map(labels: Tensor, space: LabelSpace) -> Tensor:
         raise ValueError(f"(B, C, H, W) class scores must be floating point, {got}")
     if labels.ndim not in (3, 4) or labels.is_complex():
         raise ValueError(f"expected (B, H, W) label ids or (B, C, H, W) class scores, {got}")
-    if not is_exporting() and labels.numel() == 0:
+    if not torch.compiler.is_exporting() and labels.numel() == 0:
         raise ValueError(f"expected at least one image of at least one pixel, {got}")
     if labels.ndim == 3:
         return labels
@@ -115,7 +106,7 @@ def label_map(labels: Tensor, space: LabelSpace) -> Tensor:
         raise ValueError(
             f"class scores have {labels.shape[1]} classes; label space {space.name} takes {counts}"
         )
-    if is_exporting():
+    if torch.compiler.is_exporting():
         return labels.argmax(1)
     choose = best_class_operator if torch.compiler.is_compiling() else best_class
     return choose(labels)

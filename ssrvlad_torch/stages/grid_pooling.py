@@ -12,19 +12,13 @@ CELLS = ROWS, COLUMNS = 24, 32
 
 
 def pool(masks: Tensor, shift: Tensor) -> Tensor:
-    """The fraction of every cell that each mask covers, the image moved ``shift`` columns left.
+    """The fraction ``(B, K, ROWS, COLUMNS)`` of every cell that each of masks ``(B, K, H, W)``, 1
+    or 0, covers, the image moved ``shift`` ``(B,)`` int64 columns left.
 
     A pixel counts in every cell that it overlaps, by the overlap. Overlaps are whole numbers in
     units of ``1 / (H * ROWS)`` and ``1 / (W * COLUMNS)``, so the sums are whole numbers too, exact
     in any order: in float32 up to ``H * W = 2 ** 24``. Columns that come in from outside the image
     are empty.
-
-    Args:
-        masks: ``(B, K, H, W)``, 1 or 0.
-        shift: ``(B,)`` int64 columns, negative to move right.
-
-    Returns:
-        ``(B, K, ROWS, COLUMNS)``, 0 to 1.
     """
     height, width = masks.shape[2:]
     columns = overlaps(width, COLUMNS, shift)
@@ -36,10 +30,8 @@ def pool(masks: Tensor, shift: Tensor) -> Tensor:
 
 
 def overlaps(pixels: int, cells: int, shift: Tensor) -> Tensor:
-    """``(B, pixels, cells)`` float32 whole numbers: how much of each pixel lies in each cell.
-
-    The unit is ``1 / (pixels * cells)`` of a line of ``pixels`` pixels.
-    """
+    """``(B, pixels, cells)`` float32 whole numbers: how much of each pixel lies in each cell, in
+    units of ``1 / (pixels * cells)`` of a line of ``pixels`` pixels."""
     pixel = (torch.arange(pixels, device=shift.device) - shift[:, None])[..., None] * cells
     cell = torch.arange(cells, device=shift.device) * pixels
     within = torch.minimum(pixel + cells, cell + pixels) - torch.maximum(pixel, cell)

@@ -10,6 +10,7 @@ It is one of the two aggregations: layers -> histograms -> descriptor. `residual
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -21,7 +22,7 @@ from ..config import AREA_LAYERS, BOUNDARY_DIRECTIONS, FAINT, SSRVLADConfig
 from .boundaries import DIRECTIONS, WIDTH, boundaries
 from .grid_pooling import CELLS, ROWS, pool
 from .layers import merge
-from .tracing import MAX_WHOLE, is_exporting
+from .tracing import MAX_WHOLE
 from .vanishing_column import MAX_WIDTH, vanishing_columns
 
 _SAMPLES = 4
@@ -42,33 +43,29 @@ class HarmonicHistograms(NamedTuple):
     column: Tensor
 
 
-class Tables(NamedTuple):
-    """The two tables of a config: `bin_table` and `basis_table`."""
-
-    bins: Tensor
-    basis: Tensor
-
-
 class Harmonics(nn.Module):
     """The aggregation of the preset ``default``.
 
     Its tables are float64 buffers. They are stored as int64 words of the same bits, so that
     ``half()`` does not round them. Under export they are float32 constants.
-
-    Args:
-        config: the settings.
     """
 
     def __init__(self, config: SSRVLADConfig) -> None:
         super().__init__()
         self.config = config
-        tables = harmonic_tables(config)
-        self._narrow = Tables(*(table.float() for table in tables))
-        for name, table in tables._asdict().items():
+        most = max(config.harmonics, config.boundary_harmonics)
+        rings, sectors = config.rings, config.sectors
+        tables = {
+            "bins": bin_table(CELLS, rings, sectors, config.radius, config.inner_radius),
+            "basis": basis_table(rings, sectors, most, config.spectral_weight),
+        }
+        self._narrow = {name: table.float() for name, table in tables.items()}
+        for name, table in tables.items():
             self.register_buffer(name, table.view(torch.int64), persistent=False)
 
     def histograms(self, layers: Tensor, shift: int = 0) -> HarmonicHistograms:
-        """The soft histograms of areas and boundaries around the anchor.
+        """The soft histograms of areas and boundaries around the anchor. The root of the means of
+        bins (Hellinger) keeps large layers from dominating small ones.
 
         Args:
             layers: ``(B, h, w)`` uint8, the layer of each pixel, 0 to 7 or `NO_LAYER`.
@@ -83,93 +80,43 @@ class Harmonics(nn.Module):
 
         areas = numbers[:, None] == torch.arange(AREA_LAYERS, device=layers.device).view(-1, 1, 1)
         shares = pool(torch.cat((areas, boundaries(numbers)), 1), column)
-        side = torch.sym_min(height, width) / ROWS / WIDTH
+        side = torch.sym_min(height, width) / ROWS / WIDTH  # lengths are in sides of a cell
         cells = torch.cat((shares[:, :AREA_LAYERS], shares[:, AREA_LAYERS:] * side), 1)
-        bins = soft_histograms(cells, self.table("bins"))
-        if is_exporting():  # a graph cannot raise an error
+        bins = (cells.flatten(2) @ self.table("bins").T).sqrt()
+        if torch.compiler.is_exporting():  # a graph cannot raise an error
             sizes = torch.stack([torch.full((), size) for size in (width, height * width)])
             is_exact = (sizes <= torch.tensor([MAX_WIDTH, MAX_WHOLE])).all()
             bins = torch.where(is_exact, bins, torch.nan)
         return HarmonicHistograms(bins.unflatten(2, (config.rings, config.sectors)), column)
 
     def descriptor(self, histograms: HarmonicHistograms) -> Tensor:
-        """``(B, 6 * harmonics + 4 * boundary_harmonics)`` float32 descriptors."""
-        bins, config = histograms.bins.flatten(2), self.config
-        numbers = config.harmonics, config.boundary_harmonics
-        return coefficients(bins, self.table("basis"), numbers, config.power)
+        """The coefficients of each image's histograms in the basis, ``(B, 6 * harmonics + 4 *
+        boundary_harmonics)`` float32 of length 1; exact zeros for an image without layers."""
+        bins, config, basis = histograms.bins.flatten(2), self.config, self.table("basis")
+        mean = bins.mean(-1, keepdim=True)  # a part of the first coefficient alone
+        products = (bins - mean) @ basis.T + mean * basis.double().sum(1).to(basis)
+        area = products[:, :AREA_LAYERS, : config.harmonics].flatten(1)
+        length = products[:, AREA_LAYERS:, : config.boundary_harmonics].flatten(1)
+        vector = torch.cat((area, length), 1)
+        # to a power of the absolute value, up to a factor; a straight line far below FAINT
+        vector = vector * ((vector * (1 / FAINT)).square() + 1) ** ((config.power - 1) / 2)
+        norm = (vector * vector).sum(1, keepdim=True).sqrt()  # converters fail at F.normalize
+        return (vector / norm.clamp(min=1e-12)).float()
+
+    def sweep(self, layers: Tensor, columns: Sequence[int]) -> Tensor:
+        """``(B, S, D)``, the descriptors around each of S anchors, see `histograms`."""
+        return torch.stack([self.descriptor(self.histograms(layers, c)) for c in columns], dim=1)
 
     def table(self, name: str) -> Tensor:
-        """``bins`` or ``basis`` of `harmonic_tables`; in a graph in float32."""
+        """``bins``, see `bin_table`, or ``basis``, see `basis_table`; in a graph in float32."""
         table = self.get_buffer(name)
-        if is_exporting():
-            narrow: Tensor = getattr(self._narrow, name)
-            return narrow.to(table.device)
+        if torch.compiler.is_exporting():
+            return self._narrow[name].to(table.device)
         return table.view(torch.float64)
 
 
 @lru_cache(maxsize=8)
-@torch.inference_mode(False)
-def harmonic_tables(config: SSRVLADConfig) -> Tables:
-    """The tables of a config; never inference tensors, so training can use them too."""
-    return Tables(
-        bin_table(CELLS, config.rings, config.sectors, config.radius, config.inner_radius),
-        basis_table(
-            config.rings,
-            config.sectors,
-            max(config.harmonics, config.boundary_harmonics),
-            config.spectral_weight,
-        ),
-    )
-
-
-def soft_histograms(cells: Tensor, bins: Tensor) -> Tensor:
-    """The value of every bin: the square root of the mean over its cells.
-
-    The root (Hellinger) keeps large layers from dominating small ones.
-
-    Args:
-        cells: ``(B, 10, rows, columns)`` float64: the fraction of each cell that a layer covers,
-            and the length of the boundaries in the cell, in sides of a cell.
-        bins: `bin_table`.
-
-    Returns:
-        ``(B, 10, N * M)`` float64.
-    """
-    return (cells.flatten(2) @ bins.T).sqrt()
-
-
-def coefficients(
-    histogram: Tensor, basis: Tensor, numbers: tuple[int, int], power: float
-) -> Tensor:
-    """The descriptor of each image: the coefficients of its histograms in the basis.
-
-    Args:
-        histogram: ``(B, 10, N * M)`` float64 from `soft_histograms`.
-        basis: `basis_table`.
-        numbers: how many coefficients each area has, and each direction.
-        power: exponent of the power normalisation: it applies to each number's absolute value, far
-            above `FAINT`; the sign stays.
-
-    Returns:
-        ``(B, 6 * numbers[0] + 4 * numbers[1])`` float32 of length 1; exact zeros for an image
-        without layers.
-    """
-    mean = histogram.mean(-1, keepdim=True)  # a part of the first coefficient alone
-    products = (histogram - mean) @ basis.T + mean * basis.double().sum(1).to(basis)
-    area = products[:, :AREA_LAYERS, : numbers[0]].flatten(1)
-    length = products[:, AREA_LAYERS:, : numbers[1]].flatten(1)
-    vector = torch.cat((area, length), 1)
-    vector = damped(vector, power)
-    length = (vector * vector).sum(1, keepdim=True).sqrt()  # converters fail at F.normalize
-    return (vector / length.clamp(min=1e-12)).float()
-
-
-def damped(numbers: Tensor, power: float) -> Tensor:
-    """``sign(x) * abs(x) ** power`` up to a factor, but a straight line for x far below `FAINT`."""
-    result: Tensor = numbers * ((numbers * (1 / FAINT)).square() + 1) ** ((power - 1) / 2)
-    return result
-
-
+@torch.inference_mode(False)  # so that training can use it too
 def bin_table(
     cells: tuple[int, int], rings: int, sectors: int, radius: float, inner_radius: float
 ) -> Tensor:
@@ -194,6 +141,15 @@ def bin_table(
     return F.normalize(samples.sum((2, 4)).flatten(1), p=1, dim=1)
 
 
+def _tents(position: Tensor, count: int, around: bool) -> Tensor:
+    """``(count, H, W)``: 1 where the position is the index, falling to 0 at the next indices."""
+    distance = (position - torch.arange(count).double().view(-1, 1, 1)).abs()
+    tents = (1 - distance).clamp(min=0)
+    return tents + (1 - (count - distance)).clamp(min=0) if around else tents
+
+
+@lru_cache(maxsize=8)
+@torch.inference_mode(False)
 def basis_table(rings: int, sectors: int, harmonics: int, spectral_weight: float) -> Tensor:
     """The smoothest functions over the bins: a cosine over the rings times a wave over the sectors.
 
@@ -210,9 +166,8 @@ def basis_table(rings: int, sectors: int, harmonics: int, spectral_weight: float
     functions = []
     for u, v, phase in waves(rings, sectors)[:harmonics]:
         wave = torch.cos(math.pi * u * ring / rings) * torch.cos(v * turn - phase)
-        functions.append(
-            wave.flatten() / wave.norm() * (1 + u * u + v * v) ** (spectral_weight / 2)
-        )
+        length = (1 + u * u + v * v) ** (spectral_weight / 2)
+        functions.append(wave.flatten() / wave.norm() * length)
     return torch.stack(functions)
 
 
@@ -238,18 +193,10 @@ def mirrored(descriptors: Tensor, config: SSRVLADConfig) -> Tensor:
     middle = AREA_LAYERS * config.harmonics
     area = descriptors[..., :middle].unflatten(-1, (AREA_LAYERS, -1))
     length = descriptors[..., middle:].unflatten(-1, (BOUNDARY_DIRECTIONS, -1))
-    rising, falling = DIRECTIONS.index("rising"), DIRECTIONS.index("falling")
-    order = [*range(BOUNDARY_DIRECTIONS)]
-    order[rising], order[falling] = falling, rising
+    swapped = {"rising": "falling", "falling": "rising"}
+    order = [DIRECTIONS.index(swapped.get(name, name)) for name in DIRECTIONS]
     parts = (
         area * signs[: config.harmonics],
         length[..., order, :] * signs[: config.boundary_harmonics],
     )
     return torch.cat([part.flatten(-2) for part in parts], -1)
-
-
-def _tents(position: Tensor, count: int, around: bool) -> Tensor:
-    """``(count, H, W)``: 1 where the position is the index, falling to 0 at the next indices."""
-    distance = (position - torch.arange(count).double().view(-1, 1, 1)).abs()
-    tents = (1 - distance).clamp(min=0)
-    return tents + (1 - (count - distance)).clamp(min=0) if around else tents

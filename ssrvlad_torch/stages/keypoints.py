@@ -1,22 +1,15 @@
-"""Keypoints: the end points and intersections of the skeletons."""
+"""Keypoints: the end points and intersections of skeletons, as bit-planes."""
 
 from __future__ import annotations
 
 import torch.nn.functional as F
 from torch import Tensor
 
-from .bitplanes import neighbours, steps_around, three_of_four, two_or_more
+from .bitplanes import neighbours, steps_around, two_or_more
 
 
 def end_points(skeleton: Tensor) -> Tensor:
-    """Skeleton pixels with one 8-neighbour, or none.
-
-    Args:
-        skeleton: ``(B, H, W)`` uint8 bit-planes.
-
-    Returns:
-        ``(B, H, W)`` uint8 bit-planes.
-    """
+    """Skeleton pixels with one 8-neighbour, or none."""
     return skeleton & ~two_or_more(neighbours(skeleton))
 
 
@@ -25,14 +18,9 @@ def intersections(skeleton: Tensor) -> Tensor:
 
     The crossing number counts the 0 -> 1 steps around the pixel (Rutovitz 1966). A pixel is
     dropped if another intersection pixel is W, NW, N or NE of it.
-
-    Args:
-        skeleton: ``(B, H, W)`` uint8 bit-planes.
-
-    Returns:
-        ``(B, H, W)`` uint8 bit-planes.
     """
-    crossing = skeleton & three_of_four(steps_around(neighbours(skeleton)))
+    a, b, c, d = steps_around(neighbours(skeleton))
+    crossing = skeleton & (a & b & (c | d) | c & d & (a | b))  # three of the four
     height, width = skeleton.shape[-2:]
     padded = F.pad(crossing, (1, 1, 1, 0))
     west, above = padded[:, 1:, :width], padded[:, :height]

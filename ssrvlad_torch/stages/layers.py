@@ -11,21 +11,10 @@ from .tracing import looked_up
 
 UNKNOWN = 255
 
-_MERGED = (0, 1, 2, 3, 4, 5, 2, 0, 6)
-
 
 def best_class(scores: Tensor) -> Tensor:
-    """The class of the largest score at each pixel; of equal scores, the first class.
-
-    Args:
-        scores: ``(B, C, H, W)`` floating class scores.
-
-    Returns:
-        ``(B, H, W)`` int64.
-
-    Raises:
-        ValueError: a score is NaN.
-    """
+    """``(B, H, W)`` int64, the class of the largest of class scores ``(B, C, H, W)``; of equal
+    scores, the first class. A score that is NaN is a ValueError."""
     largest, label = scores.max(1)  # the index of argmax(1), much faster on a CPU; NaN is largest
     if bool(largest.isnan().any()):
         count = int(scores.isnan().sum())
@@ -59,15 +48,8 @@ def category_table(space: LabelSpace) -> tuple[Tensor, int]:
 
 
 def entries_of(labels: Tensor, table: Tensor, origin: int) -> tuple[Tensor, int]:
-    """The entry of every pixel in a table, and the first entry of the part for the labels' dtype.
-
-    Args:
-        labels: ``(B, H, W)`` label map of any integer dtype.
-        table, origin: from `category_table`.
-
-    Returns:
-        ``(B, H, W)`` int64, and the number of entries to leave out at the beginning of the table.
-    """
+    """The entry ``(B, H, W)`` int64 of every pixel of a label map in a `category_table`, and the
+    number of entries to leave out at the beginning of the table, which depends on the dtype."""
     wide = labels.to(torch.int64)
     if labels.dtype == torch.uint8:
         return wide, origin
@@ -77,29 +59,15 @@ def entries_of(labels: Tensor, table: Tensor, origin: int) -> tuple[Tensor, int]
 
 
 def categorise(labels: Tensor, table: Tensor, origin: int) -> Tensor:
-    """Category of every pixel.
-
-    Args:
-        labels: ``(B, H, W)`` label map of any integer dtype.
-        table, origin: from `category_table`.
-
-    Returns:
-        ``(B, H, W)`` uint8: 0 to 7, `NO_LAYER` or `UNKNOWN`.
-    """
+    """The category ``(B, H, W)`` uint8, 0 to 7, `NO_LAYER` or `UNKNOWN`, of every pixel of a label
+    map of any integer dtype, by a `category_table`."""
     entries, first = entries_of(labels, table, origin)
     return table[first:].index_select(0, entries.flatten()).view(labels.shape)
 
 
 def refuse_unknown(labels: Tensor, space: LabelSpace) -> None:
-    """Raises an error if an id is not in the label space.
-
-    Args:
-        labels: label maps.
-        space: the label space.
-
-    Raises:
-        ValueError: an id is unknown. It names the lowest one, its pixel count and the label space.
-    """
+    """Raises a ValueError if label maps hold an id that is not in the label space. It names the
+    lowest one, its pixel count and the label space."""
     ids, counts = np.unique(labels.cpu().numpy(), return_counts=True)
     known = {label.id for label in space.classes}
     pairs = zip(ids.tolist(), counts.tolist(), strict=True)
@@ -117,26 +85,14 @@ def refuse_unknown(labels: Tensor, space: LabelSpace) -> None:
 
 def merge(categories: Tensor) -> Tensor:
     """Six layers from eight: guard rail (6) counts as building (2), parking (7) as ground (0).
-    Fewer networks distinguish all eight.
-
-    Args:
-        categories: ``(B, H, W)`` uint8, 0 to 7 or `NO_LAYER`.
-
-    Returns:
-        ``(B, H, W)`` int64, the number of the layer, 0 to 5, or 6 for none.
-    """
-    table = torch.tensor(_MERGED, device=categories.device)
+    Fewer networks distinguish all eight. ``(B, H, W)`` uint8, 0 to 7 or `NO_LAYER`, become int64, 0
+    to 5, or 6 for none."""
+    table = torch.tensor((0, 1, 2, 3, 4, 5, 2, 0, 6), device=categories.device)
     return looked_up(table, categories.to(torch.int64).flatten()).view(categories.shape)
 
 
 def split(categories: Tensor) -> Tensor:
-    """One layer per category.
-
-    Args:
-        categories: ``(B, H, W)`` uint8, 0 to 7 or `NO_LAYER`.
-
-    Returns:
-        ``(B, H, W)`` uint8 bit-planes, bit ``k`` set where the category is ``k``.
-    """
+    """Bit-planes of categories ``(B, H, W)`` uint8, 0 to 7 or `NO_LAYER`: bit ``k`` is set where
+    the category is ``k``."""
     bits = torch.tensor([*(1 << k for k in range(NO_LAYER)), 0], dtype=torch.uint8)
     return bits.to(categories.device)[categories.long()]

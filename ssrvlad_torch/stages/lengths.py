@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from ..config import SSRVLADConfig
-from .tracing import divided, is_exporting
+from .tracing import divided
 
 _MILLION = 10**6
 _BILLION = 10**9
@@ -38,22 +38,17 @@ def lengths(config: SSRVLADConfig, height: int, width: int) -> Lengths:
     """`SSRVLADConfig.radius_pixels`, `area_pixels` and `ring_limits` of a grid. What is 0 on every
     grid is the integer 0."""
     radii, areas = (config.opening, config.closing), (config.hole_area, config.region_area)
-    opening: Length
-    closing: Length
-    hole: Length
-    region: Length
-    if not is_exporting():
-        opening, closing = (config.radius_pixels(each, height, width) for each in radii)
-        hole, region = (config.area_pixels(each, height, width) for each in areas)
-        return Lengths(opening, closing, hole, region, config.ring_limits(height, width))
+    if not torch.compiler.is_exporting():
+        pixels = [config.radius_pixels(each, height, width) for each in radii]
+        pixels += [config.area_pixels(each, height, width) for each in areas]
+        return Lengths._make([*pixels, config.ring_limits(height, width)])
     h, w = (torch.full((), size).int() for size in (height, width))
     parts = [config.radius_pixels(fraction, _MILLION, _MILLION) for fraction in radii]
-    opening, closing = _floors(torch.minimum(h, w), parts, _MILLION, _MILLION // 2)
-    area_parts = [config.area_pixels(fraction, 1, _MILLION) for fraction in areas]
-    hole, region = _floors(h * w, area_parts, _MILLION, _MILLION - 1)
+    floors = _floors(torch.minimum(h, w), parts, _MILLION, _MILLION // 2)
+    parts = [config.area_pixels(fraction, 1, _MILLION) for fraction in areas]
+    floors += _floors(h * w, parts, _MILLION, _MILLION - 1)
     limits = config.ring_limits(30_000, 10_000)  # the squares of these sides sum to a billion
-    ring_limits = _floors(h * h + w * w, limits, _BILLION)
-    return Lengths(opening, closing, hole, region, ring_limits)
+    return Lengths._make([*floors, _floors(h * h + w * w, limits, _BILLION)])
 
 
 def _floors(amount: Tensor, parts: Sequence[int], unit: int, offset: int = 0) -> list[Length]:

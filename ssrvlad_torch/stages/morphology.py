@@ -1,4 +1,5 @@
-"""Morphology: dilation, erosion, opening and closing of all layers at once by a square."""
+"""Morphology: dilation, erosion, opening and closing of all layers at once by a square of
+``2 * radius + 1`` pixels; radius 0 changes nothing."""
 
 from __future__ import annotations
 
@@ -11,45 +12,20 @@ from .tracing import repeat_while
 
 
 def dilate(planes: Tensor, radius: int) -> Tensor:
-    """Dilation by a square of ``2 * radius + 1`` pixels; outside the image is background.
-
-    The semantics are those of ``skimage.morphology.dilation(mode="ignore")``.
-
-    Args:
-        planes: ``(B, H, W)`` uint8 bit-planes.
-        radius: pixels, 0 for no change.
-
-    Returns:
-        ``(B, H, W)`` uint8 bit-planes.
-    """
+    """Dilation; outside the image is background, as in
+    ``skimage.morphology.dilation(mode="ignore")``."""
     return _spread(_spread(planes, radius, -1), radius, -2)
 
 
 def erode(planes: Tensor, radius: int) -> Tensor:
-    """Erosion by a square; pixels outside the image are ignored, so the border erodes nothing.
-
-    The semantics are those of ``skimage.morphology.erosion(mode="ignore")``.
-
-    Args:
-        planes: ``(B, H, W)`` uint8 bit-planes.
-        radius: pixels, 0 for no change.
-
-    Returns:
-        ``(B, H, W)`` uint8 bit-planes.
-    """
+    """Erosion; pixels outside the image are ignored, so the border erodes nothing, as in
+    ``skimage.morphology.erosion(mode="ignore")``."""
     return ~dilate(~planes, radius)
 
 
 def open_and_close(planes: Tensor, opening: Length, closing: Length) -> Tensor:
-    """Opening, which removes parts thinner than the square, then closing, which fills such gaps.
-
-    Args:
-        planes: ``(B, H, W)`` uint8 bit-planes.
-        opening, closing: radii in pixels, 0 for none; ``()`` int32 under export.
-
-    Returns:
-        ``(B, H, W)`` uint8 bit-planes.
-    """
+    """Opening, which removes parts thinner than the square, then closing, which fills such gaps, by
+    their radii, ``()`` int32 under export."""
     return _close(~_close(~planes, opening), closing)
 
 

@@ -13,7 +13,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ..config import SSRVLADConfig
-from .bitplanes import Masks, count_points, points
+from .bitplanes import by_image, count_groups, points
 from .centroid import centroids
 from .components import drop_regions, fill_holes
 from .keypoints import end_points, intersections
@@ -42,11 +42,7 @@ class ResidualHistograms(NamedTuple):
 
 
 class Residuals:
-    """The paper's aggregation.
-
-    Args:
-        config: the settings.
-    """
+    """The paper's aggregation."""
 
     def __init__(self, config: SSRVLADConfig) -> None:
         self.config = config
@@ -58,10 +54,10 @@ class Residuals:
             layers: ``(B, h, w)`` uint8, the layer of each pixel, 0 to 7 or `NO_LAYER`.
         """
         config, (images, height, width) = self.config, layers.shape
-        masks = masks_of(layers, config)
-        keypoints = points(end_points(masks.skeleton) | intersections(masks.skeleton))
-        centres = centroids(masks.clean)  # Eq. 1
-        context = points(masks.skeleton) if config.context == "skeleton" else keypoints
+        _, clean, skeleton = masks_of(layers, config)
+        keypoints = points(end_points(skeleton) | intersections(skeleton))
+        centres = centroids(clean)  # Eq. 1
+        context = points(skeleton) if config.context == "skeleton" else keypoints
 
         limits = lengths(config, height, width).ring_limits
         bins = log_polar_bins(height, width, limits, config.sectors, layers.device)
@@ -70,39 +66,28 @@ class Residuals:
             sums.reshape(shape)
             for sums in shape_contexts((keypoints, centres), context, bins, images)
         )
-        counts = count_points(keypoints, images)
-        return ResidualHistograms(around_points, around_centre, counts, masks.skeleton)
+        counts = by_image(count_groups(keypoints, images), images)
+        return ResidualHistograms(around_points, around_centre, counts, skeleton)
 
     def descriptor(self, histograms: ResidualHistograms) -> Tensor:
-        """``(B, 8 * N * M)`` float32 descriptors."""
-        return aggregate(*histograms[:3])  # Eq. 2
+        """``(B, 8 * N * M)`` float32: the layers' vectors, each of length 1 or exactly zero,
+        concatenated and normalised; exact zeros for an image in which every layer is zero."""
+        points, centre, counts, _ = histograms
+        residuals = points.flatten(2) - counts[..., None] * centre.flatten(2)  # Eq. 2, numerator
+        layers = F.normalize(residuals.to(real()), dim=-1)  # Eq. 2; zeros stay zeros
+        descriptor = F.normalize(layers.flatten(1), dim=-1).float()
+        too_many = (points < 0).flatten(1).any(1, keepdim=True)  # only under export
+        return torch.where(too_many, torch.nan, descriptor)
 
 
-def masks_of(layers: Tensor, config: SSRVLADConfig) -> Masks:
-    """The masks of the paper for the layers of pixels, ``(B, h, w)`` uint8: opening and closing,
-    small holes filled, small regions dropped, thinning."""
+def masks_of(layers: Tensor, config: SSRVLADConfig) -> tuple[Tensor, Tensor, Tensor]:
+    """The paper's bit-planes of the layers ``(B, h, w)`` uint8 of pixels: as they are; clean, which
+    is opened and closed, small holes filled, small regions dropped; and the skeletons of these."""
     planes = split(layers)
     sizes = lengths(config, layers.shape[1], layers.shape[2])
     closed = open_and_close(planes, sizes.opening, sizes.closing)
     clean = drop_regions(fill_holes(closed, sizes.hole_area), sizes.region_area)
-    return Masks(planes, closed, clean, thin(clean, RULES[config.thinning]))
-
-
-def aggregate(points: Tensor, centre: Tensor, counts: Tensor) -> Tensor:
-    """The descriptor of each image.
-
-    Args:
-        points, centre, counts: as in `ResidualHistograms`.
-
-    Returns:
-        ``(B, 8 * N * M)`` float32: the layers' vectors, each of length 1 or exactly zero,
-        concatenated and normalised; exact zeros for an image in which every layer is zero.
-    """
-    residuals = points.flatten(2) - counts[..., None] * centre.flatten(2)  # Eq. 2, numerator
-    layers = F.normalize(residuals.to(real()), dim=-1)  # Eq. 2; zeros stay zeros
-    descriptor = F.normalize(layers.flatten(1), dim=-1).float()
-    too_many = (points < 0).flatten(1).any(1, keepdim=True)  # only under export
-    return torch.where(too_many, torch.nan, descriptor)
+    return planes, clean, thin(clean, RULES[config.thinning])
 
 
 def mirrored(descriptors: Tensor, config: SSRVLADConfig) -> Tensor:

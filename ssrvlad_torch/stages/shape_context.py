@@ -11,7 +11,7 @@ from torch import Tensor
 
 from .bitplanes import LAYERS, Points, by_image, count_groups
 from .lengths import Length
-from .tracing import MOST, is_exporting, number_in, repeat_while
+from .tracing import MOST, number_in, repeat_while
 
 PAIRS_AT_ONCE = 1 << 16
 """Most pairs of points in memory at a time, not counting those of the last reference point: a few
@@ -59,15 +59,15 @@ def shape_contexts(
         ``(B, 8, N * M)`` int64 each. Under export -1 for a layer of 2 ** 31 pairs or more.
     """
     sums = len(references)
-    around = _joined(references, LAYERS * images)
-    counts = _counts(around, _joined([context] * sums, LAYERS * images), bins, images * sums)
+    around, among = (_joined(lists, LAYERS * images) for lists in (references, [context] * sums))
+    counts = _counts(around, among, bins, images * sums)
     return [by_image(each, images) for each in counts.unflatten(0, (sums, -1)).unbind()]
 
 
 def _joined(lists: Sequence[Points], groups: int) -> Points:
     """One list, with groups of their own for every list."""
     group = torch.cat([each.group + groups * number for number, each in enumerate(lists)])
-    y, x = (torch.cat(places) for places in list(zip(*lists, strict=True))[1:])
+    y, x = (torch.cat(places) for places in zip(*(each[1:] for each in lists), strict=True))
     return Points(group, y, x)
 
 
@@ -79,7 +79,7 @@ def _counts(references: Points, context: Points, bins: Bins, images: int) -> Ten
     population, members = (count_groups(each, images) for each in (context, references))
     group_start = population.cumsum(0) - population
     reference_position = references.y * pitch + references.x - bins.table.numel() // 2
-    if is_exporting():
+    if torch.compiler.is_exporting():
         positions = context_position, reference_position
         counts = _one_by_one(*positions, references.group, group_start, population, bins)
         too_many = population.float() * members.float() >= MOST  # some count in int32
@@ -108,19 +108,14 @@ def _counts(references: Points, context: Points, bins: Bins, images: int) -> Ten
 
 
 def _one_by_one(
-    context: Tensor,
-    references: Tensor,
-    group: Tensor,
-    start: Tensor,
-    population: Tensor,
-    bins: Bins,
+    context: Tensor, references: Tensor, group: Tensor, start: Tensor, size: Tensor, bins: Bins
 ) -> Tensor:
     """Counts of each bin of each group, by a loop over the reference points."""
     stride = bins.total + 1
 
     def count(step: Tensor, counts: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         of = group[step]
-        first, length = number_in(start[of]), number_in(population[of])
+        first, length = number_in(start[of]), number_in(size[of])
         torch._check(first + length <= context.shape[0])
         points = context.narrow(0, first, length) - references[step]
         found = bins.table.flatten().index_select(0, points) + of * stride

@@ -18,16 +18,15 @@ has background N, E, S or W of it: no rule deletes another one.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import reduce
 from operator import and_, or_
-from typing import Protocol
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from .bitplanes import Bits, line_neighbours, steps_around, two_or_more
+from .bitplanes import steps_around, two_or_more
 from .tracing import MOST, length, repeat_while
 
 PIXELS = 3
@@ -43,29 +42,20 @@ row; n and 8 - n are opposite."""
 _BLOCK = 16
 """Words of which one bool says whether any of them belongs to the frontier."""
 
-
-class Rule(Protocol):
-    """A variant of thinning."""
-
-    def __call__(self, pixels: Bits, ring: tuple[Bits, ...], /) -> Bits:
-        """The pixels that remain after the first sub-iteration."""
+Rule = Callable[[Tensor, Sequence[Tensor]], Tensor]
+"""A variant of thinning: of words and their neighbours p2 ... p9, the pixels that remain after the
+first sub-iteration."""
 
 
 def thin(planes: Tensor, rule: Rule) -> Tensor:
-    """The skeleton of every layer.
-
-    Args:
-        planes: ``(B, H, W)`` uint8 bit-planes.
-        rule: `zhang_suen` or `guo_hall`.
-
-    Returns:
-        ``(B, H, W)`` uint8 bit-planes.
-    """
+    """The skeletons of bit-planes by the rule `zhang_suen` or `guo_hall`."""
     line, pitch = _to_line(planes)
     margin = pitch + 1
     words = line.shape[0] - 2 * margin
-    centre, (north, _, east, _, south, _, west, _) = line_neighbours(line, pitch, words, _shifted)
-    border = centre & ~(north & east & south & west) != 0
+    inner = line[1:-1]
+    west, east = _shifted(line[:-2], inner, line[2:])
+    above, here, below = (slice(start, words + start) for start in (0, pitch, pitch * 2))
+    border = inner[here] & ~(inner[above] & east[here] & inner[below] & west[here]) != 0
     rows = torch.stack([torch.full((), row, device=line.device) for row in (0, pitch, 2 * pitch)])
     around = rows[:, None] + torch.arange(3, device=line.device)[:, None, None]
     one_row = line.new_empty(pitch)  # an exported loop takes tensors, and no sizes
@@ -92,7 +82,11 @@ def thin(planes: Tensor, rule: Rule) -> Tensor:
         thinned = rule(here[1], ring)
         index, deleted = frontier + one_row.shape[0] + 1, here[1] - thinned
         line, more = line.scatter(0, index, thinned), deleted.sum() > 0
-        flags = _flags(index, deleted, line)
+        # flagged are words with deleted pixels, and words beside them that touch a deleted pixel
+        indices = torch.cat([index, index + 1, index - 1])
+        changed = torch.cat([deleted > 0, deleted >= _THIRD, deleted & 255 > 0])
+        flags = torch.zeros_like(line, dtype=torch.uint8)
+        flags = flags.scatter_add(0, indices, changed.to(torch.uint8)).to(torch.bool)
         was = last & torch.ones_like(flags)  # an exported loop may not return what it was given
         return some | more, line, was, flags, more, 8 - order
 
@@ -103,7 +97,7 @@ def thin(planes: Tensor, rule: Rule) -> Tensor:
     return _to_planes(line, pitch, planes.shape)
 
 
-def zhang_suen(pixels: Bits, ring: tuple[Bits, ...]) -> Bits:
+def zhang_suen(pixels: Tensor, ring: Sequence[Tensor]) -> Tensor:
     """The first sub-iteration of Zhang & Suen, CACM 27(3), 1984.
 
     `thin` with it equals ``cv2.ximgproc.thinning(THINNING_ZHANGSUEN)`` on an image padded with
@@ -115,23 +109,19 @@ def zhang_suen(pixels: Bits, ring: tuple[Bits, ...]) -> Bits:
     which corners and sides alternate, so B need not be counted: B >= 2 if the arc has a corner and
     a side. If B = 7 and the products are zero, the neighbour that is off is E or S. Subtraction
     removes a subset of bits.
-
-    Args:
-        pixels: `Bits`: a tensor, or a symbol of a graph.
-        ring: p2 ... p9, each of the type of ``pixels``.
-
-    Returns:
-        The pixels that remain.
     """
     n, ne, e, se, s, sw, w, nw = ring
     north_west, south_east = n | w, e | s
     two_on = (north_west | south_east) & (ne | se | sw | nw)
     product = e & s & north_west  # p2 p4 p6 or p4 p6 p8
     seven_on = se & ((ne | e) - e | sw - (s & sw))
-    return pixels - (pixels & _exactly_one(steps_around(ring)) & two_on & ~(product | seven_on))
+    a, b, c, d = steps_around(ring)
+    left, right = a ^ b, c ^ d
+    one_step = (left - (left & (c | d))) | (right - (right & (a | b)))
+    return pixels - (pixels & one_step & two_on & ~(product | seven_on))
 
 
-def guo_hall(pixels: Bits, ring: tuple[Bits, ...]) -> Bits:
+def guo_hall(pixels: Tensor, ring: Sequence[Tensor]) -> Tensor:
     """The first sub-iteration of algorithm A1 of Guo & Hall, CACM 32(3), 1989.
 
     `thin` with it equals ``skimage.morphology.thin``. OpenCV's ``THINNING_GUOHALL`` differs: it
@@ -139,7 +129,7 @@ def guo_hall(pixels: Bits, ring: tuple[Bits, ...]) -> Bits:
 
     The conditions are C(P) = 1 (one 8-connected group around the pixel), 2 <= N(P) <= 3 with
     N = min(N1, N2), the pairs of adjacent neighbours that are on, counted both ways, and a
-    product that is zero. Arguments and result as for `zhang_suen`.
+    product that is zero.
     """
     n, ne, e, se, s, sw, w, nw = ring
     groups = [~n & (ne | e), ~e & (se | s), ~s & (sw | w), ~w & (nw | n)]
@@ -179,19 +169,3 @@ def _shifted(before: Tensor, here: Tensor, after: Tensor) -> tuple[Tensor, Tenso
     west = (here * _SECOND & _ALL) + before // _THIRD
     east = here // _SECOND + (after * _THIRD & _ALL)
     return west, east
-
-
-def _flags(index: Tensor, deleted: Tensor, line: Tensor) -> Tensor:
-    """bool, set for words with deleted pixels, and for words to the right and left of them whose
-    adjacent pixel was deleted."""
-    indices = torch.cat([index, index + 1, index - 1])
-    changed = torch.cat([deleted > 0, deleted >= _THIRD, deleted & 255 > 0])
-    zeros = torch.zeros_like(line, dtype=torch.uint8)
-    return zeros.scatter_add(0, indices, changed.to(torch.uint8)).to(torch.bool)
-
-
-def _exactly_one(planes: Sequence[Bits]) -> Bits:
-    """Bits that are set in exactly one of four planes: in one of a pair and none of the other."""
-    a, b, c, d = planes
-    one, other = a ^ b, c ^ d
-    return (one - (one & (c | d))) | (other - (other & (a | b)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, cast
+from typing import cast
 
 import torch
 from torch import Tensor
@@ -16,15 +16,11 @@ MOST = 1 << 31
 """Of entries in a list. Without a limit, the exporter writes larger numbers than int64 holds."""
 
 
-def is_exporting() -> bool:
-    """Whether `torch.export` or ``torch.onnx.export(dynamo=True)`` is recording."""
-    return torch.compiler.is_exporting()
-
-
 def real(largest: float = math.inf) -> torch.dtype:
     """float64; float32 for whole numbers up to ``largest`` that are exact in it, and under export,
     where it is the only type in which every runtime computes."""
-    return torch.float32 if is_exporting() or largest <= MAX_WHOLE else torch.float64
+    single = torch.compiler.is_exporting() or largest <= MAX_WHOLE
+    return torch.float32 if single else torch.float64
 
 
 def length(size: int) -> int:
@@ -39,23 +35,25 @@ def length(size: int) -> int:
 
 def number_in(tensor: Tensor) -> int:
     """The number in a ``()`` or ``(1,)`` tensor, 0 to 2 ** 31, as a size or an index."""
-    symbol: Any = tensor.item()
+    symbol = cast(int, tensor.item())
     torch._check(symbol >= 0)
     torch._check(symbol <= MOST)
-    return cast(int, symbol)
+    return symbol
 
 
 def looked_up(table: Tensor, index: Tensor) -> Tensor:
     """``table[index]`` of ``(T,)`` and ``(n,)``, by the faster operator: for a million entries ONNX
     Runtime takes 1 ms with gather and 12 with select, torch on a CPU 4 and 1."""
-    return torch.gather(table, 0, index) if is_exporting() else table.index_select(0, index)
+    if torch.compiler.is_exporting():
+        return torch.gather(table, 0, index)
+    return table.index_select(0, index)
 
 
 def repeat_while(
     going: Tensor, body: Callable[..., tuple[Tensor, ...]], *carried: Tensor
 ) -> tuple[Tensor, ...]:
     """``going, *carried = body(*carried)`` while ``going``, ``()`` bool, is true."""
-    if is_exporting():
+    if torch.compiler.is_exporting():
         from torch._higher_order_ops.while_loop import while_loop
 
         results: tuple[Tensor, ...] = while_loop(

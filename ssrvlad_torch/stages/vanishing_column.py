@@ -40,15 +40,10 @@ float32, and are represented by their digits."""
 
 
 def vanishing_columns(numbers: Tensor) -> Tensor:
-    """How many columns right of the middle the vanishing column is, in each image.
+    """``(B,)`` int64, how many columns right of the middle, negative to the left, the vanishing
+    column is in numbers ``(B, H, W)`` from `merge`; under export at most `MAX_WIDTH` columns.
 
     It is the weighted mean of the columns in whole numbers, rounded to the nearest, halves up.
-
-    Args:
-        numbers: ``(B, H, W)`` from `merge`; under export at most `MAX_WIDTH` columns.
-
-    Returns:
-        ``(B,)`` int64, negative to the left.
     """
     height, width = numbers.shape[1:]
     is_open = reduce(or_, [numbers == layer for layer in OPEN_LAYERS])

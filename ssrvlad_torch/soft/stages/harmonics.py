@@ -25,17 +25,15 @@ def soft_coefficients(
 ) -> Tensor:
     """The descriptor of each image, ``(B, 6 * numbers[0] + 4 * numbers[1])`` of length 1 at most:
     the coefficients of its histograms in the basis, of ``area`` ``(B, 6, rows, columns)`` and
-    ``lengths`` ``(B, 4, rows, columns)``, in sides of a cell, from `soft_pool`. Other arguments as
-    for `soft_histograms` and `coefficients`."""
-    coefficients = torch.cat(
-        [
-            (safe_root(cells.flatten(2) @ bins.T) @ basis[:number].T).flatten(1)
-            for cells, number in zip((area, lengths), numbers, strict=True)
-        ],
-        1,
-    )
-    damping = (coefficients.square() + FAINT * FAINT) ** ((power - 1) / 2)
-    damped: Tensor = coefficients * damping
+    ``lengths`` ``(B, 4, rows, columns)``, in sides of a cell, from `soft_pool`; `bin_table`,
+    `basis_table`, how many coefficients each area and each direction has, and the power are those
+    of `Harmonics`."""
+    parts = [
+        (safe_root(cells.flatten(2) @ bins.T) @ basis[:number].T).flatten(1)
+        for cells, number in zip((area, lengths), numbers, strict=True)
+    ]
+    coefficients = torch.cat(parts, 1)
+    damped = coefficients * (coefficients.square() + FAINT * FAINT) ** ((power - 1) / 2)
     return damped / (damped.square().sum(1, keepdim=True) + LEAST * LEAST).sqrt()
 
 
