@@ -143,6 +143,18 @@ def planes(*masks: npt.NDArray[np.bool_]) -> Tensor:
     return pack(torch.from_numpy(layers))
 
 
+def random_planes(seed: int = 0, shape: tuple[int, int, int] = (3, 13, 17)) -> Tensor:
+    """Bit-planes of which half of the pixels of every layer are on."""
+    generator = torch.Generator().manual_seed(seed)
+    return torch.randint(0, 256, shape, dtype=torch.uint8, generator=generator)
+
+
+def every_neighbourhood() -> Tensor:
+    """``(64, 3, 3)`` bit-planes, whose layers are all 512 patterns of 3 x 3 pixels."""
+    patterns = torch.arange(512)[:, None] >> torch.arange(9) & 1
+    return pack(patterns.view(64, 8, 3, 3).bool())
+
+
 def blobs(seed: int, height: int, width: int, grain: float) -> npt.NDArray[np.uint8]:
     """A random label map in ``SPACE``: random ids, enlarged to grains of that many pixels."""
     rng = np.random.default_rng(seed)

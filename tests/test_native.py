@@ -10,13 +10,14 @@ from pathlib import Path
 
 import pytest
 import torch
-from drawings import MASKS, VOID, mask, planes
+from drawings import MASKS, SPACE, VOID, every_neighbourhood, mask, planes
 from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, native
 from ssrvlad_torch.config import CHOICES, PRESETS
+from ssrvlad_torch.native.operator import operator
 from ssrvlad_torch.stages.components import drop_regions, fill_holes
 from ssrvlad_torch.stages.keypoints import end_points, intersections
 from ssrvlad_torch.stages.layers import category_table, entries_of
@@ -26,7 +27,6 @@ from ssrvlad_torch.stages.skeleton import RULES, thin
 from ssrvlad_torch.taxonomy import label_space
 
 ROOT = Path(__file__).parents[1]
-SPACE = "camvid-11"
 SIZES = st.integers(1, 140)
 
 pytestmark = pytest.mark.usefixtures("core")
@@ -61,8 +61,7 @@ def test_drawings(name):
 
 
 def test_every_neighbourhood():
-    patterns = (torch.arange(512)[:, None] >> torch.arange(9) & 1).view(512, 3, 3)
-    assert_the_same(patterns.to(torch.uint8))
+    assert_the_same(every_neighbourhood())
 
 
 def noise(seed: int, height: int, width: int, density: int) -> Tensor:
@@ -127,11 +126,13 @@ def test_votes(seed, height, width, data, dtype):
     assert torch.equal(got, reduce_by_majority(entries, *ballots(table[first:]), grid)[0])
 
 
-def describe(labels: Tensor, config: SSRVLADConfig) -> Tensor:
-    from ssrvlad_torch.native.operator import operator
+def arguments_of(labels: Tensor, config: SSRVLADConfig) -> tuple[Tensor, Tensor, int, str]:
+    """Those of the operator."""
+    return labels, *category_table(label_space(config.labels_as)), json.dumps(config.to_dict())
 
-    table, origin = category_table(label_space(config.labels_as))
-    return operator(labels, table, origin, json.dumps(config.to_dict()))
+
+def describe(labels: Tensor, config: SSRVLADConfig) -> Tensor:
+    return operator(*arguments_of(labels, config))
 
 
 CONFIGS = {
@@ -151,21 +152,24 @@ configs = pytest.mark.parametrize(
 )
 
 
+def assert_described(labels: Tensor, config: SSRVLADConfig) -> None:
+    """The numbers of the stages, and zeros for an image without layers."""
+    expected = SSRVLAD(config).explain(labels).descriptor
+    torch.testing.assert_close(describe(labels, config), expected, rtol=0, atol=1e-6)
+    assert not describe(torch.full_like(labels, VOID), config).any()
+
+
 @configs
 @given(seed=st.integers(0, 1000), height=st.integers(1, 80), width=st.integers(1, 200))
 def test_descriptors(config, seed, height, width):
-    labels = maps(seed, 2, height, width)
-    expected = SSRVLAD(config).explain(labels).descriptor
-    torch.testing.assert_close(describe(labels, config), expected, rtol=0, atol=1e-6)
+    assert_described(maps(seed, 2, height, width), config)
 
 
 def test_many_points():
     """With this many points shape contexts are counted by rows, not by pairs."""
     bare = {"closing": 0.0, "hole_area": 0.0, "region_area": 0.0}
     config = SSRVLADConfig.from_preset("paper", labels_as=SPACE, **bare)
-    labels = maps(8, 1, 150, 260, grain=2)
-    expected = SSRVLAD(config).explain(labels).descriptor
-    torch.testing.assert_close(describe(labels, config), expected, rtol=0, atol=1e-6)
+    assert_described(maps(8, 1, 150, 260, grain=2), config)
 
 
 @configs
@@ -193,12 +197,6 @@ def test_threads_and_batches():
         torch.set_num_threads(before)
 
 
-def test_an_empty_image_gives_zeros():
-    labels = torch.full((1, 40, 70), VOID, dtype=torch.uint8)
-    for preset in PRESETS:
-        assert not describe(labels, SSRVLADConfig.from_preset(preset, labels_as=SPACE)).any()
-
-
 @pytest.mark.parametrize("bad", [12, 255, -1, 1 << 40, -(1 << 40)])
 @pytest.mark.parametrize("working_size", [None, 20])
 def test_unknown_ids(bad, working_size):
@@ -211,16 +209,12 @@ def test_unknown_ids(bad, working_size):
 
 def test_the_operator_passes_opcheck():
     """Schema, fake kernel and ahead-of-time dispatch."""
-    from ssrvlad_torch.native.operator import operator
-
-    config = SSRVLADConfig(labels_as=SPACE)
-    table, origin = category_table(label_space(SPACE))
-    labels, text = maps(2, 2, 40, 50), json.dumps(config.to_dict())
-    torch.library.opcheck(operator, (labels, table, origin, text))
+    arguments = arguments_of(maps(2, 2, 40, 50), SSRVLADConfig(labels_as=SPACE))
+    torch.library.opcheck(operator, arguments)
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_presets_of_the_library(preset, core):
+def test_presets_of_the_library_and_wrong_settings(preset, core):
     own, library = native.Settings(), core.library
     assert library.ssrvlad_preset(preset.encode(), ctypes.byref(own)) == 0
     config = SSRVLADConfig.from_preset(preset)
@@ -228,14 +222,9 @@ def test_presets_of_the_library(preset, core):
         value = getattr(config, name)
         if isinstance(value, (float, int)):
             assert getattr(own, name) == value
-    assert library.ssrvlad_preset(b"other", ctypes.byref(own)) < 0
-
-
-def test_wrong_settings_are_refused(core):
-    own, library = native.Settings(), core.library
-    library.ssrvlad_preset(b"default", ctypes.byref(own))
     own.rings = 0
     assert library.ssrvlad_new(ctypes.byref(own)) is None
+    assert library.ssrvlad_preset(b"other", ctypes.byref(own)) < 0
 
 
 @pytest.mark.slow

@@ -3,55 +3,33 @@
 import cv2
 import numpy as np
 import pytest
-from drawings import (
-    BLOCK,
-    CROSS,
-    CROWDED_CROSSING,
-    DIAGONAL,
-    DOT,
-    EMPTY,
-    HOLES,
-    LINE,
-    MASKS,
-    ROAD,
-    SPACE,
-    SPECKS,
-    TEE,
-    VOID,
-    blobs,
-    mask,
-)
+from drawings import MASKS, ROAD, SPACE, VOID, blobs, mask
 from skimage.morphology import skeletonize, thin
 
 from ssrvlad_torch import SSRVLADConfig, reference
 
+DRAWN = {name.lower(): mask(drawing) for name, drawing in MASKS.items()}
 PLAIN = SSRVLADConfig.from_preset(
     "paper", labels_as=SPACE, closing=0.0, hole_area=0.0, region_area=0.0
 )
 
 
-def opencv_thinning(layer: np.ndarray, variant: int) -> np.ndarray:
-    padded = np.pad(layer, 2).astype(np.uint8) * 255
-    return cv2.ximgproc.thinning(padded, thinningType=variant)[2:-2, 2:-2] > 0
+SHAPES = [*DRAWN.values(), *(blobs(seed, 41, 57, grain=9) < 5 for seed in range(12))]
 
 
-def shapes() -> list[np.ndarray]:
-    drawn = [mask(drawing) for drawing in MASKS.values()]
-    return drawn + [blobs(seed, 41, 57, grain=9) < 5 for seed in range(12)]
-
-
-@pytest.mark.parametrize("layer", shapes())
+@pytest.mark.parametrize("layer", SHAPES)
 def test_zhang_suen_is_opencv_on_a_padded_mask(layer):
-    expected = opencv_thinning(layer, cv2.ximgproc.THINNING_ZHANGSUEN)
+    padded = np.pad(layer, 2).astype(np.uint8) * 255
+    expected = cv2.ximgproc.thinning(padded, thinningType=cv2.ximgproc.THINNING_ZHANGSUEN)
+    expected = expected[2:-2, 2:-2] > 0
     np.testing.assert_array_equal(reference.thin(layer, "zhang-suen"), expected)
 
 
 def test_zhang_suen_is_not_scikit_images():
-    layers = shapes()
-    assert any((reference.zhang_suen(x) != skeletonize(x, method="zhang")).any() for x in layers)
+    assert any((reference.zhang_suen(x) != skeletonize(x, method="zhang")).any() for x in SHAPES)
 
 
-@pytest.mark.parametrize("layer", shapes())
+@pytest.mark.parametrize("layer", SHAPES)
 def test_guo_hall_is_the_published_conditions(layer):
     """Conditions of Guo & Hall 1989, algorithm A1, written out per pixel."""
     expected = guo_hall_by_the_paper(layer)
@@ -85,60 +63,49 @@ def guo_hall_by_the_paper(layer: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("drawing", "ends", "intersections"),
+    ("name", "ends", "intersections"),
     [
-        (LINE, [[1, 1], [1, 5]], []),
-        (DOT, [[1, 2]], []),
-        (EMPTY, [], []),
-        (DIAGONAL, [[0, 0], [4, 4]], []),
-        (CROSS, [[0, 3], [3, 0], [3, 6], [6, 3]], [[3, 3]]),
-        (TEE, [[1, 1], [1, 7], [4, 4]], [[1, 4]]),  # the pixels beside it have crossing number 2
+        ("line", [[1, 1], [1, 5]], []),
+        ("dot", [[1, 2]], []),
+        ("empty", [], []),
+        ("diagonal", [[0, 0], [4, 4]], []),
+        ("cross", [[0, 3], [3, 0], [3, 6], [6, 3]], [[3, 3]]),
+        ("tee", [[1, 1], [1, 7], [4, 4]], [[1, 4]]),  # the pixels beside it have crossing number 2
     ],
-    ids=["line", "dot", "empty", "diagonal", "cross", "tee"],
 )
-def test_keypoints_of_drawings(drawing, ends, intersections):
-    assert np.argwhere(reference.end_points(mask(drawing))).tolist() == ends
-    assert np.argwhere(reference.intersections(mask(drawing))).tolist() == intersections
+def test_keypoints_of_drawings(name, ends, intersections):
+    assert np.argwhere(reference.end_points(DRAWN[name])).tolist() == ends
+    assert np.argwhere(reference.intersections(DRAWN[name])).tolist() == intersections
 
 
 def test_touching_intersections_keep_the_first_in_raster_order():
-    crossing = mask(
-        """
-        .#...#.
-        .#...#.
-        #######
-        .#...#.
-        .##.##.
-        """.replace(" ", "")
-    )
+    crossing = mask(".#...#. .#...#. ####### .#...#. .##.##.")
     kept = reference.intersections(crossing)
     for y, x in np.argwhere(kept):
         around = kept[max(0, y - 1) : y + 2, max(0, x - 1) : x + 2]
         assert around.sum() == 1
-    assert reference.intersections(mask(CROWDED_CROSSING)).sum() == 1
+    assert reference.intersections(DRAWN["crowded_crossing"]).sum() == 1
 
 
 @pytest.mark.parametrize(
-    ("drawing", "centre"),
-    [(DOT, (1, 2)), (LINE, (1, 3)), (BLOCK, (3, 4))],
-    ids=["dot", "line", "block: halves go up"],
+    ("name", "centre"), [("dot", (1, 2)), ("line", (1, 3)), ("block", (3, 4)), ("empty", None)]
 )
-def test_centre_is_the_rounded_centroid(drawing, centre):
-    assert reference.centroid(mask(drawing)) == centre
-    assert reference.centroid(mask(drawing) & False) is None
+def test_centre_is_the_rounded_centroid(name, centre):
+    """The centre of the block is between pixels: halves go up."""
+    assert reference.centroid(DRAWN[name]) == centre
 
 
 def test_holes_are_enclosed_and_small():
-    holes = reference.small_holes(mask(HOLES), 4)
+    holes = reference.small_holes(DRAWN["holes"], 4)
     assert np.argwhere(holes).tolist() == [[2, 5], [3, 6]]  # not joined: holes are 4-connected
-    assert reference.small_holes(mask(HOLES), 5).sum() == 6
-    assert not reference.small_holes(mask(HOLES), 1).any()
+    assert reference.small_holes(DRAWN["holes"], 5).sum() == 6
+    assert not reference.small_holes(DRAWN["holes"], 1).any()
 
 
 def test_regions_are_8_connected():
-    specks = reference.small_regions(mask(SPECKS), 3)
+    specks = reference.small_regions(DRAWN["specks"], 3)
     assert specks.sum() == 5
-    assert reference.small_regions(mask(SPECKS), 5).sum() == 13
+    assert reference.small_regions(DRAWN["specks"], 5).sum() == 13
 
 
 def test_shape_context_by_hand():
@@ -167,7 +134,7 @@ def test_majority_of_a_cell_and_its_ties():
 
 def test_a_cross_describes_itself_by_hand():
     """A cross of 13 pixels: five keypoints, of which the centre's histogram is subtracted."""
-    labels = np.where(mask(CROSS), ROAD, VOID)
+    labels = np.where(DRAWN["cross"], ROAD, VOID)
     traces = [reference.trace(layer, PLAIN) for layer in reference.layers_of(labels, PLAIN)]
     trace, histograms = traces[0], reference.residuals(traces, PLAIN).histograms
     assert trace.centre == (3, 3)
@@ -180,16 +147,17 @@ def test_a_cross_describes_itself_by_hand():
     assert not histograms["points"][1:].any()
 
 
-def test_an_unknown_id_is_an_error():
-    with pytest.raises(ValueError, match="label id 99 is not in label space camvid-11"):
-        reference.describe(np.full((3, 3), 99), PLAIN)
-
-
 @pytest.mark.parametrize(
-    "labels", [np.zeros((3, 3)), np.zeros((1, 3, 3), int), np.zeros((0, 3), int)]
+    ("labels", "message"),
+    [
+        (np.full((3, 3), 99), "label id 99 is not in label space camvid-11"),
+        (np.zeros((3, 3)), r"expected an \(H, W\) label map of integers, got \("),
+        (np.zeros((1, 3, 3), int), r"expected an \(H, W\) label map of integers, got \("),
+        (np.zeros((0, 3), int), r"expected an \(H, W\) label map of integers, got \("),
+    ],
 )
-def test_what_is_no_label_map_is_an_error(labels):
-    with pytest.raises(ValueError, match=r"expected an \(H, W\) label map of integers, got \("):
+def test_what_is_no_label_map_is_an_error(labels, message):
+    with pytest.raises(ValueError, match=message):
         reference.describe(labels, PLAIN)
 
 

@@ -1,10 +1,9 @@
 import numpy as np
 import pytest
 import torch
-from drawings import CROSS, mask, planes
+from drawings import CROSS, mask, planes, random_planes
 from hypothesis import given
 from hypothesis import strategies as st
-from test_bitplanes import random_planes
 
 from ssrvlad_torch import SSRVLADConfig, reference
 from ssrvlad_torch.stages import shape_context

@@ -7,10 +7,7 @@ from helpers import street
 
 from ssrvlad_torch import SSRVLAD, SoftSSRVLAD, SSRVLADConfig, SurrogateSSRVLAD
 
-
-@pytest.fixture
-def config():
-    return SSRVLADConfig.from_preset("default", labels_as=SPACE)
+CONFIG = SSRVLADConfig.from_preset("default", labels_as=SPACE)
 
 
 def scores(dtype: torch.dtype = torch.float32) -> torch.Tensor:
@@ -20,12 +17,12 @@ def scores(dtype: torch.dtype = torch.float32) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.bfloat16])
-def test_numbers_of_the_head_and_gradient_of_the_twin(config, dtype):
+def test_numbers_of_the_head_and_gradient_of_the_twin(dtype):
     given, same = scores(dtype), scores(dtype)
-    found, soft = SurrogateSSRVLAD(config)(given), SoftSSRVLAD(config)(same)
+    found, soft = SurrogateSSRVLAD(CONFIG)(given), SoftSSRVLAD(CONFIG)(same)
     assert found.requires_grad
     assert found.dtype == torch.float32
-    assert torch.equal(found, SSRVLAD(config)(given.detach()))
+    assert torch.equal(found, SSRVLAD(CONFIG)(given.detach()))
     assert not torch.equal(found, soft.float())
     weights = torch.randn(found.shape, generator=torch.Generator().manual_seed(1))
     (found * weights).sum().backward()
@@ -34,8 +31,8 @@ def test_numbers_of_the_head_and_gradient_of_the_twin(config, dtype):
     torch.testing.assert_close(given.grad, same.grad)
 
 
-def test_autocast_changes_nothing(config):
-    head, given = SurrogateSSRVLAD(config), scores()
+def test_autocast_changes_nothing():
+    head, given = SurrogateSSRVLAD(CONFIG), scores()
     outside = head(given.detach())
     with torch.autocast("cpu", torch.bfloat16):
         found = head(given)
@@ -44,17 +41,17 @@ def test_autocast_changes_nothing(config):
     assert given.grad.any()
 
 
-def test_without_a_gradient_it_is_the_head(config):
-    head, given = SurrogateSSRVLAD(config), scores()
+def test_without_a_gradient_it_is_the_head():
+    head, given = SurrogateSSRVLAD(CONFIG), scores()
     labels = given.detach().argmax(1)
-    assert torch.equal(head(labels), SSRVLAD(config)(labels))
+    assert torch.equal(head(labels), SSRVLAD(CONFIG)(labels))
     assert not head(given.detach()).requires_grad
     with torch.no_grad():
         assert not head(given).requires_grad
 
 
-def test_scores_that_require_a_gradient_give_one_warning_without_a_surrogate(config):
-    head, given = SSRVLAD(config), scores()
+def test_scores_that_require_a_gradient_give_one_warning_without_a_surrogate():
+    head, given = SSRVLAD(CONFIG), scores()
     with pytest.warns(UserWarning, match="use SurrogateSSRVLAD") as warned:
         assert not head(given).requires_grad
         head(given)
