@@ -106,11 +106,11 @@ class SSRVLAD(nn.Module):
                 )
         descriptor: Tensor
         requires_gradient = labels.requires_grad and torch.is_grad_enabled()
-        if not (self.native and labels.is_cpu) or requires_gradient:
+        if requires_gradient or not (labels.is_cpu and self.native):
             descriptor = self._describe_by_stages(labels)
             return descriptor
         ids = label_map(labels, self.label_space)
-        run = operator if torch.compiler.is_compiling() else describe
+        run = operator if torch.compiler.is_compiling() else describe  # the native core
         try:
             descriptor = run(ids, self._front_end.table, self._front_end.origin, self._method)
         except UnknownIdError:

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from .config import AREA_LAYERS, CATEGORY_COUNT, FAINT, SSRVLADConfig
 from .files import requiring
-from .taxonomy import NO_LAYER, LabelSpace, label_space
+from .taxonomy import NO_LAYER, label_space
 
 with requiring("eval", "ssrvlad_torch.reference needs"):
     from skimage import measure, morphology, segmentation
@@ -76,7 +76,12 @@ def layers_of(label_map: npt.NDArray[Any], config: SSRVLADConfig) -> list[Mask]:
         raise ValueError(
             f"expected an (H, W) label map of integers, got {label_map.shape} {label_map.dtype}"
         )
-    categories = categorise(label_map, label_space(config.labels_as))
+    space = label_space(config.labels_as)
+    categories: Integers = np.full(label_map.shape, -1, np.int64)
+    for label in space.classes:
+        categories[label_map == label.id] = label.category_index  # Table II, or NO_LAYER
+    if len(unknown := label_map[categories < 0]):
+        raise ValueError(f"label id {unknown.min()} is not in label space {space.name}")
     categories = reduce_by_majority(categories, config.grid(*categories.shape))
     return [categories == k for k in range(CATEGORY_COUNT)]
 
@@ -156,16 +161,6 @@ def boundaries(layers: list[Mask]) -> list[Mask]:
             rising |= odd & ((nw == on) | (se == on))
             falling |= odd & ((ne == on) | (sw == on))
     return masks
-
-
-def categorise(label_map: npt.NDArray[Any], space: LabelSpace) -> Integers:
-    """Category 0 to 7 of every pixel (Table II), or `NO_LAYER`."""
-    categories = np.full(label_map.shape, -1, np.int64)
-    for label in space.classes:
-        categories[label_map == label.id] = label.category_index
-    if len(unknown := label_map[categories < 0]):
-        raise ValueError(f"label id {unknown.min()} is not in label space {space.name}")
-    return categories
 
 
 def reduce_by_majority(categories: Integers, grid: tuple[int, int]) -> Integers:

@@ -55,8 +55,7 @@ class Explanation:
         layers: masks of the categories after the reduction to the grid.
         clean_layers: masks after morphology, hole filling and small-region removal.
         skeleton: masks of the clean layers' skeletons.
-        end_points: masks of the end points of the skeleton.
-        intersections: masks of the intersections of the skeleton.
+        end_points, intersections: masks of the keypoints of the skeletons.
         centres: ``(B, 8, 2)`` int64, row and column of each layer's centre (Eq. 1), -1 for a layer
             without pixels.
         histograms: of the aggregation: `ResidualHistograms` or `HarmonicHistograms`.
@@ -117,7 +116,11 @@ class Explanation:
             axes.imshow(picture)
             axes.set_title("the picture", size=11)
             axes.set_axis_off()
-        _draw_label_map(left, self, image, title)
+        labels = self.labels[image].cpu().numpy()
+        left.imshow(colourise(labels, self.label_space), interpolation="nearest")
+        size = f"{labels.shape[1]} x {labels.shape[0]} pixels, {self.label_space.name}"
+        left.set_title(f"{title}\n{size}" if title else size, size=11)
+        left.set_axis_off()
         _draw_legend(right, self, image, harmonic)
         for part, some in zip(parts[1:], (cells[:columns], cells[columns:]), strict=True):
             grid = part.add_gridspec(2, columns, height_ratios=(tall, _TARGET))
@@ -197,14 +200,6 @@ def _cells(view: Explanation, image: int) -> list[_Cell]:
         colours = (*_COLOURS[:AREA_LAYERS], *[_BOUNDARY] * len(DIRECTIONS))
     columns = names, masks.cpu().numpy(), colours, shown.cpu().numpy()
     return [_Cell(*each) for each in zip(*columns, strict=True)]
-
-
-def _draw_label_map(axes: Axes, view: Explanation, image: int, title: str) -> None:
-    labels = view.labels[image].cpu().numpy()
-    axes.imshow(colourise(labels, view.label_space), interpolation="nearest")
-    size = f"{labels.shape[1]} x {labels.shape[0]} pixels, {view.label_space.name}"
-    axes.set_title(f"{title}\n{size}" if title else size, size=11)
-    axes.set_axis_off()
 
 
 def _draw_legend(axes: Axes, view: Explanation, image: int, harmonic: bool) -> None:

@@ -30,11 +30,9 @@ _ROUNDING = 1e-5
 class Features(nn.Module):
     """Activations of one picture after another -> signs.
 
-    Args:
-        channels: number of channels of each activation.
-
     Shape:
-        - input: for each of ``channels`` an activation ``(B, C, h, w)`` float, of any size.
+        - input: for each of the numbers of ``channels`` an activation ``(B, C, h, w)`` float, of
+          any size.
         - output: ``(B, 16, 16, 8)`` uint8, see `SHAPE`.
 
     Raises:

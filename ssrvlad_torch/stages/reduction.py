@@ -42,10 +42,7 @@ class Grouped(NamedTuple):
 
 
 def ballots(table: Tensor) -> tuple[Tensor, Tensor]:
-    """The votes of the entries of a table of categories.
-
-    Args:
-        table: ``(T,)`` uint8: 0 to 7, `NO_LAYER`, or a larger number for an unknown id.
+    """The votes of the entries of a table ``(T,)`` uint8 from `category_table`.
 
     Returns:
         ``(n, T)`` int32, the votes of each entry, and ``(DIGITS * n,)`` int64, the kind of each

@@ -42,21 +42,13 @@ class Bins(NamedTuple):
 def shape_contexts(
     references: Sequence[Points], context: Points, bins: Bins, images: int
 ) -> list[Tensor]:
-    """Sums of the shape contexts around each layer's reference points.
+    """Sums of the shape contexts around each layer's reference points, ``(B, 8, N * M)`` int64 for
+    each entry of the references. Under export -1 for a layer of 2 ** 31 pairs or more.
 
     Around every reference point the context points of the same layer are counted by ring and
     sector; the reference point itself is not counted. Pairs are listed chunk by chunk. A layer with
     so many pairs that the list would take long is correlated with its reference points by Fourier
     transforms, at about 130 bytes of memory for each pixel.
-
-    Args:
-        references: the centres of the histograms; one sum for each entry.
-        context: the points to count.
-        bins: from `log_polar_bins`, for the size of the image.
-        images: B.
-
-    Returns:
-        ``(B, 8, N * M)`` int64 each. Under export -1 for a layer of 2 ** 31 pairs or more.
     """
     sums = len(references)
     around, among = (_joined(lists, LAYERS * images) for lists in (references, [context] * sums))
@@ -152,16 +144,10 @@ def _chosen(points: Points, which: Tensor) -> Points:
 def log_polar_bins(
     height: int, width: int, limits: Sequence[Length], sectors: int, device: torch.device
 ) -> Bins:
-    """The template for images of one size.
-
-    Args:
-        height, width: size of the image.
-        limits: largest squared distance of each ring, innermost first; a boundary belongs to the
-            ring inside it.
-        sectors: M. Sector ``m`` covers the angles from ``2 pi m / M``, included, to
-            ``2 pi (m + 1) / M``, excluded, counted from +x (right) towards +y (down).
-        device: of the table.
-    """
+    """The template for images of one size. ``limits`` are the largest squared distances of the
+    rings, innermost first; a boundary belongs to the ring inside it. Of M sectors, number ``m``
+    covers the angles from ``2 pi m / M``, included, to ``2 pi (m + 1) / M``, excluded, counted from
+    +x (right) towards +y (down)."""
     total = len(limits) * sectors
     dx = torch.arange(1 - width, width, device=device, dtype=torch.int32)
     dy = torch.arange(1 - height, height, device=device, dtype=torch.int32)[:, None]
