@@ -19,7 +19,7 @@ class InPixels(torch.nn.Module):
         return tuple(map(torch.as_tensor, (*sizes, *limits)))
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def in_graph():
     names = [f"n{number}" for number in range(4 + CONFIG.rings)]
     example = torch.zeros(5, 7, 0)
@@ -28,15 +28,9 @@ def in_graph():
     return lambda height, width: runner.run(names, {"empty": np.zeros((height, width, 0), "f4")})
 
 
-@pytest.mark.parametrize("size", HUGE)
-def test_in_a_graph_they_are_those_of_the_config(size, in_graph):
-    *sizes, limits = lengths(CONFIG, *size)
-    found = in_graph(*size)
-    assert [int(each) for each in found] == [*sizes, *limits]
-    assert all(each.dtype == np.int32 for each in found)
-
-
-def test_many_sizes(in_graph):
-    for size in np.random.default_rng(0).integers(1, 30_000, (300, 2)).tolist():
+def test_in_a_graph_they_are_those_of_the_config(in_graph):
+    for size in (*HUGE, *np.random.default_rng(0).integers(1, 30_000, (300, 2)).tolist()):
         *sizes, limits = lengths(CONFIG, *size)
-        assert [int(each) for each in in_graph(*size)] == [*sizes, *limits]
+        found = in_graph(*size)
+        assert [int(each) for each in found] == [*sizes, *limits]
+        assert all(each.dtype == np.int32 for each in found)

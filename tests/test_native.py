@@ -8,9 +8,10 @@ import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
-from drawings import MASKS, SPACE, VOID, every_neighbourhood, mask, planes
+from drawings import MASKS, SPACE, VOID, blobs, every_neighbourhood, mask, planes
 from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
@@ -94,13 +95,9 @@ def test_large_regions():
 
 
 def maps(seed: int, count: int, height: int, width: int, grain: int = 8) -> Tensor:
-    """Label maps of blocks of ids 0 to 11 with some noise."""
-    generator = torch.Generator().manual_seed(seed)
-    shape = (count, -(-height // grain), -(-width // grain))
-    coarse = torch.randint(12, shape, generator=generator, dtype=torch.uint8)
-    fine = torch.randint(12, (count, height, width), generator=generator, dtype=torch.uint8)
-    large = coarse.repeat_interleave(grain, 1).repeat_interleave(grain, 2)[:, :height, :width]
-    return torch.where(torch.rand(fine.shape, generator=generator) < 0.1, fine, large)
+    """Label maps of ids 0 to 11."""
+    some = [blobs(seed * count + number, height, width, grain) for number in range(count)]
+    return torch.from_numpy(np.stack(some))
 
 
 @given(

@@ -62,23 +62,19 @@ def test_sums_equal_the_reference(seed, height, width, sectors):
             np.testing.assert_array_equal(sums[b, k], expected)
 
 
-def test_chunks_add_up(monkeypatch):
-    some = random_planes(11, (2, 20, 20))
-    bins = log_polar_bins(20, 20, (4, 40, 400), 12, CPU)
-    whole = shape_contexts(points(some), points(some), bins, 2)
-    for chunk in (1000, 997, 4096):
-        monkeypatch.setattr(shape_context, "PAIRS_AT_ONCE", chunk)
-        assert torch.equal(shape_contexts(points(some), points(some), bins, 2), whole)
-
-
+@pytest.mark.parametrize(
+    ("setting", "value"),
+    [*(("PAIRS_AT_ONCE", pairs) for pairs in (1000, 997, 4096)), ("MOST_PAIRS", 0)],
+)
 @pytest.mark.parametrize("size", [(1, 1), (1, 17), (20, 21), (13, 101)])
-def test_a_correlation_counts_what_a_list_counts(monkeypatch, size):
+def test_chunks_and_correlations_count_what_one_list_counts(monkeypatch, size, setting, value):
     some = random_planes(14, (2, *size))
     ends = points(some & random_planes(15, (2, *size)))
     bins = log_polar_bins(*size, (4, 40, 400), 12, CPU)
     listed = shape_contexts(ends, points(some), bins, 2)
-    monkeypatch.setattr(shape_context, "MOST_PAIRS", 0)
-    monkeypatch.setattr(torch, "repeat_interleave", None)  # nothing is left to list
+    monkeypatch.setattr(shape_context, setting, value)
+    if setting == "MOST_PAIRS":
+        monkeypatch.setattr(torch, "repeat_interleave", None)  # nothing is left to list
     assert torch.equal(shape_contexts(ends, points(some), bins, 2), listed)
 
 

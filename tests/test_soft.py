@@ -47,8 +47,9 @@ def cosine(some: Tensor, others: Tensor) -> float:
 
 @pytest.mark.parametrize("fast", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_gradients(config, fast):
-    twin = SoftSSRVLAD(config)
-    for given in (scores(0), scores(1).softmax(1).detach().requires_grad_()):
+    probabilities = scores(1).softmax(1).detach().requires_grad_()
+    for given, temperature in ((scores(0), 1.0), (scores(0), 0.5), (probabilities, 2.0)):
+        twin = SoftSSRVLAD(config, temperature)
         assert torch.autograd.gradcheck(twin, given, fast_mode=fast, atol=1e-4)
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from drawings import MASKS, SPACE, blobs, mask
+from drawings import SPACE, blobs
 from helpers import street
 from torch import Tensor
 
@@ -14,7 +14,7 @@ from ssrvlad_torch.soft.stages.harmonics import safe_root, soft_coefficients
 from ssrvlad_torch.soft.stages.layers import are_probabilities, membership, soft_layers, soft_merge
 from ssrvlad_torch.soft.stages.reduction import soft_majority
 from ssrvlad_torch.soft.stages.vanishing_column import soft_vanishing_columns
-from ssrvlad_torch.stages.bitplanes import pack, unpack
+from ssrvlad_torch.stages.bitplanes import unpack
 from ssrvlad_torch.stages.boundaries import boundaries
 from ssrvlad_torch.stages.grid_pooling import pool
 from ssrvlad_torch.stages.harmonics import Harmonics, basis_table, bin_table
@@ -28,7 +28,6 @@ MEMBERS = membership(label_space(SPACE), 12)
 CELLS = 3, 4
 BINS = bin_table(CELLS, 2, 4, 0.5, 0.5)
 BASIS = basis_table(2, 4, 3, 1.0)
-HALF = torch.rand(1, 8, *SIZE, generator=torch.Generator().manual_seed(1)) < 0.5
 
 
 STAGES = {
@@ -67,36 +66,11 @@ def one_hot(labels: np.ndarray) -> Tensor:
     return torch.eye(12).double()[torch.from_numpy(labels).long()].permute(2, 0, 1)[None]
 
 
-def drawn() -> list[Tensor]:
-    """Each drawing, and random blobs, as ``(1, h, w)`` bit-planes."""
-    drawings = [
-        pack(torch.from_numpy(mask(drawing))[None, None].expand(1, 8, -1, -1))
-        for drawing in MASKS.values()
-    ]
-    return drawings + [layers_of(blobs(seed, 40, 52, 9)) for seed in range(3)]
-
-
-@pytest.fixture(params=range(len(drawn())))
-def planes(request):
-    return drawn()[request.param]
-
-
 @pytest.mark.parametrize("stage", STAGES)
 def test_gradients(stage):
     generator = torch.Generator().manual_seed(3)
     layers = torch.rand(1, 8, *SIZE, generator=generator, dtype=torch.float64)
     assert torch.autograd.gradcheck(STAGES[stage], layers.requires_grad_(), fast_mode=True)
-
-
-@pytest.mark.parametrize("stage", STAGES)
-@pytest.mark.parametrize("kind", ["zeros", "ones", "uniform", "binary"])
-def test_gradients_are_finite_at_the_edge(stage, kind):
-    level = {"zeros": 0.0, "ones": 1.0, "uniform": 1 / 9, "binary": HALF}[kind]
-    layers = (torch.ones(1, 8, *SIZE) * level).double().requires_grad_()
-    found = STAGES[stage](layers)
-    (found * torch.arange(found.numel()).view(found.shape).double().cos()).sum().backward()
-    assert found.isfinite().all()
-    assert layers.grad.isfinite().all()
 
 
 # ---- layers
@@ -135,16 +109,6 @@ def test_a_layer_is_the_sum_of_its_classes():
     torch.testing.assert_close(soft.sum(1), 1 - classes[:, 8:].sum(1))  # dynamic and void
 
 
-def test_gradients_of_layers():
-    logits = torch.randn(1, 12, 2, 3, dtype=torch.float64)
-    for scores in (logits, logits.softmax(1)):
-        for temperature in (0.5, 2.0):
-            assert torch.autograd.gradcheck(
-                lambda x, t=temperature: soft_layers(x, MEMBERS, t), scores.requires_grad_()
-            )
-        scores.detach_()
-
-
 def test_mean_fractions_become_the_majority():
     labels = street(1, 27, 36)
     soft = unpack(layers_of(labels)).double()
@@ -174,13 +138,13 @@ def test_vanishing_columns_of_layers():
     assert ((soft - hard).abs() <= 1.0).all()
 
 
-def test_pooling_by_any_shift(planes):
-    layers = unpack(planes).double()
-    for shift in (0, 3, -7):
-        moved = torch.tensor([shift])
-        hard = pool(unpack(planes), moved)
-        soft = soft_pool(layers, moved.double(), tuple(hard.shape[2:]))
-        torch.testing.assert_close(soft, hard)
+@pytest.mark.parametrize("size", [(40, 52), (7, 5), (1, 1)])
+def test_pooling_by_any_shift(size):
+    layers = unpack(torch.cat([layers_of(blobs(seed, *size, 9)) for seed in range(3)]))
+    moved = torch.tensor([0, 3, -7])
+    hard = pool(layers, moved)
+    soft = soft_pool(layers.double(), moved.double(), tuple(hard.shape[2:]))
+    torch.testing.assert_close(soft, hard)
     layers = torch.rand(1, 8, 12, 16).double()
     one, between, two = (soft_pool(layers, layers.new_tensor([x]), CELLS) for x in (1, 1.25, 2))
     torch.testing.assert_close(between, 0.75 * one + 0.25 * two)
