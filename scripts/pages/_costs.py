@@ -23,7 +23,8 @@ ENCODED = 10
 AGGREGATING: dict[str, tuple[tuple[Any, str], ...]] = {
     "ssr-vlad": (
         *((residuals, name) for name in ("log_polar_bins", "shape_contexts")),
-        *((residuals.Residuals, "descriptor"), (Harmonics, "histograms"), (Harmonics, "descriptor")),
+        (residuals.Residuals, "descriptor"),
+        *((Harmonics, name) for name in ("histograms", "descriptor")),
     ),
     "region-vlad": ((region_vlad, "vlad"),),
 }
