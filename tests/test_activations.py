@@ -1,16 +1,15 @@
 """Which activations of a network are features, and taking them."""
 
-import dataclasses
 from threading import Event, Thread, current_thread
 
 import numpy as np
 import pytest
 import torch
 from cases import REAL, needs_real
-from networks import PLAIN, Street, colour_network, write_graph, write_published, write_street
+from networks import Street, colour_network, write_graph, write_published, write_street
 from torch import nn
 
-from ssrvlad_torch.segmentation.activations import find_activations, is_larger, taken
+from ssrvlad_torch.segmentation.activations import find_activations, taken
 from ssrvlad_torch.segmentation.networks import open_network
 from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
 
@@ -174,16 +173,3 @@ def test_height_and_width_are_not_channels(tmp_path):
     graph = OnnxNetwork(write_graph(tmp_path / "net.onnx", channels_last=True, shape=shape))
     with pytest.raises(ValueError, match="no activation at a stride from 4 to 32"):
         find_activations(graph, torch.zeros(1, 224, 448, 3))
-
-
-def test_a_larger_map():
-    assert is_larger((1, 3, 28, 56), (1, 9, 14, 28))
-    assert not is_larger((1, 3, 28, 56), (1, 3, 27, 55))
-    assert not is_larger((1, 3, 28), (1, 3, 14))
-
-
-def test_settings_name_features():
-    assert dataclasses.replace(PLAIN, features=("a",)).features == ("a",)
-    for wrong in ("a", (), (1,)):
-        with pytest.raises(ValueError, match="features must be a list of names of activations"):
-            dataclasses.replace(PLAIN, features=wrong)

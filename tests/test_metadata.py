@@ -13,29 +13,22 @@ ARRAYS = {
 }
 
 
-def metadata() -> Metadata:
+def test_what_is_written_comes_back():
+    """Settings and label space, and the golden arrays bit by bit."""
     interface = {"opset": 18, "inputs": {}, "outputs": {}}
-    return Metadata.of(SSRVLADConfig(), label_space("camvid-11"), interface, ARRAYS)
-
-
-def test_properties_are_text_and_come_back():
-    properties = metadata().to_properties()
+    metadata = Metadata.of(SSRVLADConfig(), label_space("camvid-11"), interface, ARRAYS)
+    properties = metadata.to_properties()
     assert all(isinstance(value, str) for value in properties.values())
-    assert Metadata.from_properties({"other": "tool", **properties}) == metadata()
+    back = Metadata.from_properties({"other": "tool", **properties})
+    assert back == metadata
     assert properties[PREFIX + "version"] == ssrvlad_torch.__version__
     assert properties[PREFIX + "fingerprint"] == SSRVLADConfig().fingerprint
-
-
-def test_golden_arrays_come_back_bit_by_bit():
-    back = Metadata.from_properties(metadata().to_properties()).golden_arrays()
-    assert list(back) == sorted(ARRAYS)
+    assert LabelSpace.from_dict(back.label_space) == label_space("camvid-11")
+    arrays = back.golden_arrays()
+    assert list(arrays) == sorted(ARRAYS)
     for name, array in ARRAYS.items():
-        assert back[name].dtype == array.dtype
-        np.testing.assert_array_equal(back[name], array)
-
-
-def test_the_label_space_is_whole():
-    assert LabelSpace.from_dict(metadata().label_space) == label_space("camvid-11")
+        assert arrays[name].dtype == array.dtype
+        np.testing.assert_array_equal(arrays[name], array)
 
 
 def test_what_could_not_be_read_is_not_written():

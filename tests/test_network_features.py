@@ -35,18 +35,9 @@ def test_features_are_the_signs_of_the_activations(tmp_path):
         network(segmenter.labels.preparation(torch.from_numpy(np.stack(images))))
         expected = reference.features([inner["x"][0].double().numpy()])
         assert first.features.shape == SHAPE
+        assert segmenter.segment(images[:1])[0].features is None
         assert (bits(first.features) != bits(expected)).mean() < 2e-3
         np.testing.assert_array_equal(first.labels, labels[0])
-
-
-def test_labels_and_features_take_one_pass():
-    segmenter = Segmenter(counted(Street()), SPACE, PLAIN)
-    assert segmenter.features.names == ["act.2"]
-    before = int(segmenter.network.images)
-    said = segmenter.segment(pictures(4), features=True)
-    assert int(segmenter.network.images) == before + 4
-    assert all(each.features is not None for each in said)
-    assert segmenter.segment(pictures(1))[0].features is None
 
 
 def test_the_fingerprint_is_of_the_network_its_settings_and_the_activations():

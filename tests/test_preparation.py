@@ -122,6 +122,10 @@ def test_what_is_no_image_is_an_error(image):
         ({"colour_order": "RGB"}, "colour_order must be rgb or bgr, got 'RGB'"),
         ({"output": 0}, "output must be a name, got 0"),
         ({"classes": (3, 3)}, "classes must be FIRST:LAST"),
+        *(
+            ({"features": wrong}, "features must be a list of names of activations")
+            for wrong in ("a", (), (1,))
+        ),
     ],
 )
 def test_settings_out_of_range(settings, message):

@@ -1,6 +1,7 @@
 """What `verify` reports about correct files and about wrong ones."""
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -49,22 +50,16 @@ class Other(OnnxRuntime):
 
 @pytest.fixture(scope="module")
 def files(tmp_path_factory) -> dict[str, Path]:
-    """A head for labels, one for class scores, and a fused file; not to be changed."""
+    """A head for labels, one for class scores, and fused files without and with features; not to
+    be changed."""
     folder = tmp_path_factory.mktemp("files")
-    paths = {name: folder / f"{name}.onnx" for name in ("labels", "logits", "fused")}
+    paths = {name: folder / f"{name}.onnx" for name in ("labels", "logits", "fused", "features")}
     export_head(CONFIG, paths["labels"])
     export_head(CONFIG, paths["logits"], "logits")
     fuse(write_graph(folder / "seg.onnx"), CONFIG, paths["fused"])
+    street = OnnxNetwork(write_network(folder / "street.onnx"))
+    fuse(Segmenter(street, SPACE, PLAIN), CONFIG, paths["features"])
     return paths
-
-
-@pytest.fixture(scope="module")
-def with_features(tmp_path_factory) -> Path:
-    """A fused file with features; not to be changed."""
-    folder = tmp_path_factory.mktemp("features")
-    segmenter = Segmenter(OnnxNetwork(write_network(folder / "seg.onnx")), SPACE, PLAIN)
-    fuse(segmenter, CONFIG, folder / "place.onnx")
-    return folder / "place.onnx"
 
 
 @pytest.fixture
@@ -104,11 +99,11 @@ def edit_table(model: onnx.ModelProto) -> None:
     table.CopyFrom(numpy_helper.from_array(array, table.name))
 
 
-@pytest.mark.parametrize("kind", ["labels", "logits", "fused"])
+@pytest.mark.parametrize("kind", ["labels", "logits", "fused", "features"])
 def test_a_file_that_is_as_it_should_be(kind, files, streets):
     found = verify(files[kind], find_label_files([str(streets)]))
     names = [check.name for check in found.checks]
-    golden = "golden image" if kind == "fused" else "golden pair"
+    golden = "golden pair" if kind in ("labels", "logits") else "golden image"
     assert names == [golden, "maps/0", "maps/1"]
     assert found.passed
     assert found.verdict == "exact"
@@ -116,47 +111,51 @@ def test_a_file_that_is_as_it_should_be(kind, files, streets):
     assert (found.problems, found.warnings, found.skipped) == ([], [], [])
     assert found.version == ssrvlad_torch.__version__
     assert found.fingerprint == CONFIG.fingerprint
-    assert found.network == ("seg.onnx" if kind == "fused" else None)
+    networks = {"fused": "seg.onnx", "features": "street.onnx"}
+    assert found.network == networks.get(kind)
+    features = "16 x 16 cells, 64 signs of relu_2, " if kind == "features" else ""
+    assert (found.features or "").startswith(features)
+    assert bool(found.features) == bool(features)
 
 
-def test_an_edited_table_is_found_by_the_golden_pair(files, ssrvlad, tmp_path):
-    file = changed(files["labels"], tmp_path / "edited.onnx", edit_table)
-    code, out, err = ssrvlad("verify", file)
-    assert (code, err) == (1, [])
-    assert "WRONG" in out
-    assert "descriptors differ by" in out
-
-
-def edit_bias(model: onnx.ModelProto, change: Callable[[Any], Any]) -> None:
+def edit_bias(model: onnx.ModelProto) -> None:
     (bias,) = (t for t in model.graph.initializer if t.name == "network/bias")
-    bias.CopyFrom(numpy_helper.from_array(change(numpy_helper.to_array(bias)), bias.name))
+    bias.CopyFrom(numpy_helper.from_array(numpy_helper.to_array(bias)[::-1].copy(), bias.name))
 
 
-def test_a_network_that_labels_otherwise_is_found(files, tmp_path):
-    def edit(model: onnx.ModelProto) -> None:
-        edit_bias(model, lambda bias: bias[::-1].copy())
-
-    found = verify(changed(files["fused"], tmp_path / "edited.onnx", edit))
-    assert not found.problems
-    (problem,) = (check.problem for check in found.checks if check.problem)
-    assert "of the pixels have another label" in problem
+def edit_signs(model: onnx.ModelProto) -> None:
+    tables = [table for table in float_tables(model) if table.name.startswith("features/")]
+    table = max(tables, key=lambda one: np.prod(one.dims))
+    table.CopyFrom(numpy_helper.from_array(-numpy_helper.to_array(table), table.name))
 
 
-def test_features_that_are_others_are_found(with_features, tmp_path):
-    """Other signs, and features of another network."""
+WRONG: dict[str, tuple[str, Callable[[onnx.ModelProto], None], str]] = {
+    "table": ("labels", edit_table, r"^descriptors differ by"),
+    "network": ("fused", edit_bias, r"of the pixels have another label$"),
+    "signs": ("features", edit_signs, r"% of the signs of the features are others$"),
+    "other features": (
+        "features",
+        with_property("features", lambda _: "others"),
+        r"^the features are not those that ssrvlad\.features and",
+    ),
+    "fingerprint": (
+        "labels",
+        with_property("fingerprint", lambda _: "0" * 16),
+        r"^fingerprint 0000000000000000 is not that of its settings",
+    ),
+}
 
-    def edit(model: onnx.ModelProto) -> None:
-        tables = [table for table in float_tables(model) if table.name.startswith("features/")]
-        table = max(tables, key=lambda one: np.prod(one.dims))
-        array = -numpy_helper.to_array(table)
-        table.CopyFrom(numpy_helper.from_array(array, table.name))
 
-    assert verify(with_features).features.startswith("16 x 16 cells, 64 signs of relu_2, ")
-    found = verify(changed(with_features, tmp_path / "edited.onnx", edit))
-    assert found.checks[0].problem.endswith("% of the signs of the features are others")
-    other = with_property("features", lambda _: "others")
-    found = verify(changed(with_features, tmp_path / "other.onnx", other))
-    assert "the features are not those that ssrvlad.features and" in found.problems[0]
+@pytest.mark.parametrize("kind", WRONG)
+def test_what_was_changed_in_a_file_is_found(kind, files, ssrvlad, tmp_path):
+    name, change, expected = WRONG[kind]
+    file = changed(files[name], tmp_path / "edited.onnx", change)
+    found = verify(file)
+    (problem,) = (*found.problems, *(check.problem for check in found.checks if check.problem))
+    assert re.search(expected, problem)
+    assert not found.passed
+    code, out, _ = ssrvlad("verify", file)
+    assert (code, "WRONG" in out, problem in " ".join(out.split())) == (1, True, True)
 
 
 def test_another_version_is_named(files, ssrvlad, tmp_path):
@@ -165,16 +164,8 @@ def test_another_version_is_named(files, ssrvlad, tmp_path):
     assert code == 0
     assert len(err) == 1
     assert (
-        f"written by version 0.0.1 of ssrvlad_torch, this is {ssrvlad_torch.__version__}"
-        in (err[0])
+        f"written by version 0.0.1 of ssrvlad_torch, this is {ssrvlad_torch.__version__}" in err[0]
     )
-
-
-def test_another_fingerprint_is_a_mismatch(files, tmp_path):
-    change = with_property("fingerprint", lambda _: "0" * 16)
-    found = verify(changed(files["labels"], tmp_path / "other.onnx", change))
-    assert found.problems[0].startswith("fingerprint 0000000000000000 is not that of its settings")
-    assert not found.passed
 
 
 def without_metadata(model: onnx.ModelProto) -> None:
@@ -228,11 +219,7 @@ def test_label_maps_that_cannot_be_compared_are_skipped(files, ssrvlad, streets)
     report = json.loads(out)
     assert code == 3
     assert report["passed"]
-    assert [check["name"] for check in report["checks"]] == [
-        "golden pair",
-        "maps/0",
-        "maps/1",
-    ]
+    assert [check["name"] for check in report["checks"]] == ["golden pair", "maps/0", "maps/1"]
     reasons = {one["frame"]: one["reason"] for one in report["skipped"]}
     assert "label id 200" in reasons["maps/unknown"]
     assert "label id 300; the file takes uint8" in reasons["maps/wide"]

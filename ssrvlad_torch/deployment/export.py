@@ -13,7 +13,6 @@ from ..config import CATEGORY_COUNT, SSRVLADConfig
 from ..descriptor import SSRVLAD, SweepHead
 from ..files import check_output, replacing
 from ..stages.vanishing_column import MAX_WIDTH
-from ..taxonomy import LabelSpace
 from .golden import SIZE, golden_pair
 from .metadata import Metadata
 from .trace import Axes, interface, traced
@@ -27,10 +26,6 @@ DTYPES = ("uint8", "int32", "int64")
 SKELETON = "skeleton"
 """Of ``paper``: a tensor that is no output, for programs that draw it, ``(B, h, w)`` uint8
 bit-planes."""
-
-_MAX_IMAGES = _MAX_PIXELS = 1 << 24
-_IR_VERSION = 8
-"""The newest that ONNX Runtime 1.17 reads."""
 
 
 def export_head(
@@ -64,8 +59,7 @@ def export_head(
         config: the settings.
         path: the file; an existing one is replaced, whole or not at all.
         input: ``"labels"`` or ``"logits"``.
-        dtype: dtype of the labels: ``"uint8"`` (default), ``"int32"`` or ``"int64"``; class scores
-            are float32.
+        dtype: of the labels: ``"uint8"`` (default), ``"int32"`` or ``"int64"``.
         columns: S anchors of `SSRVLAD.sweep`; empty for single descriptors.
         shape: fixed B, H and W, for the aggregation harmonics; C is the largest number of classes
             of the label space.
@@ -77,11 +71,9 @@ def export_head(
         ImportError: the extra ``onnx`` is not installed.
         OSError: the file cannot be written.
     """
-    path = Path(path)
-    check_output(path)
-    model = head_model(config, input, dtype, columns, shape)
-    content = model.SerializeToString()
-    with replacing(path) as temporary:
+    check_output(Path(path))
+    content = head_model(config, input, dtype, columns, shape).SerializeToString()
+    with replacing(Path(path)) as temporary:
         temporary.write_bytes(content)
 
 
@@ -99,10 +91,10 @@ def head_model(
     if input == "logits" and dtype is not None:
         raise ValueError(f"dtype is for labels, class scores are float32; got {dtype!r}")
     dtype = dtype or DTYPES[0]
-    _check(config, head.label_space, input, dtype, shape)
+    _check(head, input, dtype, shape)
     golden = golden_pair(head, input, dtype, shape)
     model = _graph(head, input, dtype, shape)
-    model.ir_version = _IR_VERSION
+    model.ir_version = 8  # the newest that ONNX Runtime 1.17 reads
     model.producer_name = "ssrvlad_torch"
     model.doc_string = "SSR-VLAD (arXiv 2202.03677): segmentation label maps to place descriptors"
     form = interface(model) | ({"sweep": list(columns)} if columns else {})
@@ -113,8 +105,6 @@ def head_model(
 
 
 class _Counted(nn.Module):
-    """`SSRVLAD.counted` as a module."""
-
     def __init__(self, head: SSRVLAD) -> None:
         super().__init__()
         self.head = head
@@ -147,18 +137,9 @@ def _graph(
     return model
 
 
-def _check(
-    config: SSRVLADConfig,
-    space: LabelSpace,
-    input: str,
-    dtype: str,
-    shape: tuple[int, int, int] | None,
-) -> None:
-    """Checks that the settings have this input and shape.
-
-    Raises:
-        ValueError: they do not.
-    """
+def _check(head: SSRVLAD, input: str, dtype: str, shape: tuple[int, int, int] | None) -> None:
+    """Raises a ValueError if the head does not have this input and shape."""
+    config, space = head.config, head.label_space
     if input not in INPUTS:
         raise ValueError(f"input must be one of {', '.join(INPUTS)}, got {input!r}")
     if dtype not in DTYPES:
@@ -170,7 +151,7 @@ def _check(
     if config.aggregation != "harmonics":
         raise ValueError(f"a fixed size is for harmonics, got aggregation {config.aggregation}")
     images, height, width = shape
-    if min(shape) < 1 or height * width > _MAX_PIXELS or images > _MAX_IMAGES:
+    if min(shape) < 1 or max(images, height * width) > 1 << 24:
         raise ValueError(
             f"{images} images of {height} x {width}; expected 1 to 2 ** 24 images, and as many "
             "pixels in each"

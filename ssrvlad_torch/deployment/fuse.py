@@ -85,14 +85,13 @@ def fuse(
         config: the settings of the head; ``labels_as`` is the label space of the network.
         path: the file; an existing one is replaced, whole or not at all. Above 2 GB the weights
             go to a second file beside it.
-        head_path: file of the head, for two files: `path` then takes pictures to label maps.
+        head_path: of two files, that of the head.
         features: whether the file gives features; ``None`` if the network has some, by the rule
             of `find_activations` or by its setting ``features``.
 
     Raises:
         ValueError: the network cannot be traced, run or converted to opset 18, does not fit the
-            label space, has a head already, or has no features or other activations than its
-            setting names, and they are wanted.
+            label space, has a head already, or lacks the features that are wanted.
         ImportError: a missing extra.
         OSError: the file cannot be written.
     """

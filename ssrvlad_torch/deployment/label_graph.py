@@ -33,11 +33,8 @@ def label_graph(labels: LabelNetwork, features: NetworkFeatures | None = None) -
     features to ``features (B, 16, 16, 8)`` uint8.
 
     A PyTorch network is traced together with preparation, decision and features. For an ONNX graph
-    these are traced and joined to it; a graph below the head's opset is converted to it.
-
-    Raises:
-        ValueError: the network cannot be traced, or the graph cannot be converted.
-        ImportError: the extra ``onnx`` is not installed.
+    these are traced and joined to it; a graph below the head's opset is converted to it. A network
+    that cannot be traced, and a graph that cannot be converted, are a ValueError.
     """
     if not isinstance(labels.network, OnnxNetwork):
         return _traced_network(labels, features)

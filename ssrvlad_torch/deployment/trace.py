@@ -40,16 +40,13 @@ def traced(
     inputs: Mapping[str, tuple[Tensor, Axes]],
     outputs: Mapping[str, Axes],
 ) -> onnx.ModelProto:
-    """A module as a graph.
+    """A module as a graph. One that cannot be traced is a ValueError; without the extra ``onnx``,
+    an ImportError.
 
     Args:
         module: its forward takes the inputs in their order.
         inputs: by name an example and the axes.
         outputs: axes of each output by name.
-
-    Raises:
-        ValueError: it cannot be traced.
-        ImportError: the extra ``onnx`` is not installed.
     """
     with requiring("onnx", "ONNX graphs need"):
         from onnx_ir.passes import common
@@ -156,11 +153,7 @@ def join(
 
 
 def with_opset(model: onnx.ModelProto, version: int) -> onnx.ModelProto:
-    """The model, converted to an opset if its own is lower.
-
-    Raises:
-        ValueError: it cannot be converted.
-    """
+    """The model, converted to an opset if its own is lower, or a ValueError."""
     from onnx import version_converter
 
     if opset(model) >= version:

@@ -11,9 +11,6 @@ from torch.nn.functional import interpolate
 
 from ..files import check_pixels
 
-_IMAGENET_MEAN = (0.485, 0.456, 0.406)
-_IMAGENET_STD = (0.229, 0.224, 0.225)
-
 
 @dataclass(frozen=True)
 class SegmenterConfig:
@@ -43,8 +40,8 @@ class SegmenterConfig:
     longest: int | None = None
     multiple: int = 1
     white: float = 1.0
-    mean: tuple[float, float, float] = _IMAGENET_MEAN
-    std: tuple[float, float, float] = _IMAGENET_STD
+    mean: tuple[float, float, float] = (0.485, 0.456, 0.406)
+    std: tuple[float, float, float] = (0.229, 0.224, 0.225)
     colour_order: str = "rgb"
     output: str | None = None
     classes: tuple[int, int] | None = None
@@ -99,8 +96,8 @@ class SegmenterConfig:
 
 
 class InputForm(nn.Module):
-    """The last step of a preparation: the dtype and the layout of a graph's input. Bytes are
-    rounded; with ``channels_last`` the layout is ``(B, H, W, 3)``, else ``(B, 3, H, W)``."""
+    """The last step of a preparation: images ``(B, 3, H, W)`` in the dtype of a graph's input, with
+    bytes rounded, and with ``channels_last`` in its layout ``(B, H, W, 3)``."""
 
     def __init__(self, dtype: torch.dtype = torch.float32, channels_last: bool = False) -> None:
         super().__init__()
@@ -120,10 +117,9 @@ class Preparation(nn.Module):
     ``nn.Sequential(Preparation(config), network, head)`` is a PyTorch module from pictures to
     descriptors; `torch.onnx.export` traces it for any number of pictures of any size.
 
-    Pictures are resized by the antialiased bilinear filter of `torch.nn.functional.interpolate`. It
-    is the filter of Pillow without rounding to bytes, and of the ONNX operator ``Resize``: PyTorch
-    and ONNX Runtime differ by less than 1e-5. Kornia's ``Resize`` blurs first, with a kernel whose
-    size is a Python number and cannot be traced.
+    Pictures are resized by the antialiased bilinear filter of `torch.nn.functional.interpolate`, as
+    of Pillow, but without rounding to bytes, and of the ONNX operator ``Resize``: PyTorch and ONNX
+    Runtime differ by less than 1e-5.
 
     Args:
         config: the settings.

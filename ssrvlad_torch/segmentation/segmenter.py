@@ -7,7 +7,7 @@ import hashlib
 import json
 import os
 from collections.abc import Iterator, Sequence
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
@@ -148,11 +148,7 @@ class Segmenter:
 
     @cached_property
     def features(self) -> NetworkFeatures:
-        """The features of the network.
-
-        Raises:
-            ValueError: it has none, see `find_activations`.
-        """
+        """The features of the network; if it has none, see `find_activations`, a ValueError."""
         try:
             return NetworkFeatures(self.labels, self._digest())
         except ValueError as error:
@@ -160,11 +156,8 @@ class Segmenter:
 
     @property
     def problem_of_features(self) -> str:
-        """Why the rule of `find_activations` finds no features, in one line; empty if it does.
-
-        Raises:
-            ValueError: the setting ``features`` names what cannot be taken.
-        """
+        """Why the rule of `find_activations` finds no features, in one line; empty if it does. A
+        setting ``features`` that names what cannot be taken is a ValueError."""
         try:
             _ = self.features
         except ValueError as error:
@@ -229,8 +222,17 @@ class Segmenter:
         if self.cache is not None:
             features_key = found.key if found else ""
             cache = SegmentedCache(self.cache, self.key(), self.label_space, features_key)
-        read = read_ahead(partial(_read, cache), files, workers, _AHEAD)
-        while chunk := list(islice(read, _AHEAD)):
+
+        def read(file: FrameFile) -> Segmented | _Picture:
+            content = file.read()
+            if cache is None:
+                return _Picture(decode_image(content), None)
+            digest = hashlib.blake2b(content, digest_size=16).hexdigest()
+            stored = cache.get(digest)
+            return Segmented(*stored) if stored else _Picture(decode_image(content), digest)
+
+        ahead = read_ahead(read, files, workers, _AHEAD)
+        while chunk := list(islice(ahead, _AHEAD)):
             results = self._complete([content for _, content in chunk], cache, found)
             yield from zip((file for file, _ in chunk), results, strict=True)
 
@@ -305,15 +307,6 @@ class Segmenter:
                     break
             results.append(Segmented(labels, None if signs is None else signs[number]))
         return results
-
-
-def _read(cache: SegmentedCache | None, file: FrameFile) -> Segmented | _Picture:
-    content = file.read()
-    if cache is None:
-        return _Picture(decode_image(content), None)
-    digest = hashlib.blake2b(content, digest_size=16).hexdigest()
-    found = cache.get(digest)
-    return _Picture(decode_image(content), digest) if found is None else Segmented(*found)
 
 
 def _space(network: NamedNetwork, labels_as: str, config: SegmenterConfig) -> LabelSpace:
