@@ -69,11 +69,6 @@ class FrameFile:
         return str(self.path)
 
     @property
-    def local_folder(self) -> Path | None:
-        """The folder of the file on this machine, ``None`` for a remote file."""
-        return self.path.parent
-
-    @property
     def state(self) -> str:
         """Size and modification times of the file as text; empty if the file does not exist."""
         try:
@@ -115,11 +110,6 @@ class RemoteFile(FrameFile):
     def location(self) -> str:
         """Address for messages."""
         return f"{self.folder}/{self.path.name}"
-
-    @property
-    def local_folder(self) -> Path | None:
-        """None."""
-        return None
 
     @property
     def state(self) -> str:

@@ -8,14 +8,13 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from itertools import tee
 from os import PathLike
 from pathlib import Path
 from typing import TypeVar
 
 from ..files import check_regular, natural_key, npy_header
 from .bags import bag_files, is_bag
-from .frame_file import FrameFile
+from .frame_file import FrameFile, RemoteFile
 from .gps import read_exif
 from .names import KnownFolders, absolute, is_uri, sequence_names
 from .pose_tables import PoseTable
@@ -26,7 +25,7 @@ from .utm_names import read_name
 from .videos import VideoFile, is_video, video_files
 from .workers import in_order
 
-__all__ = ["FileKind", "FrameFile", "find_frames", "is_npy", "read_ahead"]
+__all__ = ["FileKind", "FrameFile", "find_frames", "read_ahead"]
 
 Content = TypeVar("Content")
 
@@ -66,7 +65,7 @@ def find_frames(
         sequence: name of the sequence, instead of the folder's.
         every, start: of each sequence keep frame ``start`` and every ``every``-th after it.
         known: folders that have a name already, see `sequence_names`.
-        poses: source of the poses, see `_with_given_poses`; if ``None``, the ``poses.csv`` in or
+        poses: source of the poses, see `_given_poses`; if ``None``, the ``poses.csv`` in or
             beside a folder, or file names as in `utm_names`.
         topic: topic of a bag with several topics of images, see `bag_files`.
         fps: most frames in a second, see `at_rate`; then ``every`` and ``start`` count these.
@@ -82,23 +81,25 @@ def find_frames(
     files = [file for source in sources for file in _expand(str(source), kind, topic)]
     names = {} if sequence else sequence_names(dict.fromkeys(file.folder for file in files), known)
     found: dict[str, FrameFile] = {}
+    by_sequence: dict[str, list[FrameFile]] = {}
     for file in files:
         named = replace(file, sequence=sequence or names[file.folder], named=bool(sequence))
         earlier = found.setdefault(named.frame, named)
-        if earlier is not named and not (
-            earlier.row == named.row and earlier.path.resolve() == named.path.resolve()
-        ):
+        if earlier is named:
+            by_sequence.setdefault(named.sequence, []).append(named)
+        elif earlier.row != named.row or earlier.path.resolve() != named.path.resolve():
             raise ValueError(
                 f"frame {named.frame!r} is both {earlier.location} and {named.location}; "
                 "give one of them another --sequence"
             )
-    by_sequence: dict[str, list[FrameFile]] = {}
-    for file in found.values():
-        by_sequence.setdefault(file.sequence, []).append(file)
     drives = [
         sorted(drive, key=lambda file: natural_key(file.name)) for drive in by_sequence.values()
     ]
-    drives = _with_given_poses(drives, poses, largest_gap) if poses else drives
+    if poses:
+        drives = [
+            [replace(file, pose=pose, placed=True) for file, pose in zip(drive, given, strict=True)]
+            for drive, given in zip(drives, _given_poses(drives, poses, largest_gap), strict=True)
+        ]
     selected = list[FrameFile]()
     for drive in drives:
         frames = [file for file in drive if not (isinstance(file, VideoFile) and file.lost)]
@@ -131,13 +132,13 @@ def at_rate(drive: list[FrameFile], fps: float) -> list[FrameFile]:
     return [*chosen.values()]
 
 
-def _with_given_poses(
+def _given_poses(
     drives: Sequence[list[FrameFile]], source: str, largest_gap: float | None
-) -> list[list[FrameFile]]:
-    """All frames of each sequence with the poses of a CSV file, see `read_poses`, of a file of
-    KITTI, TUM, GPX or NMEA, see `read_trajectory`, or with ``exif`` of their EXIF tags."""
+) -> list[list[Pose]]:
+    """The poses of all frames of each sequence in a CSV file, see `read_poses`, in a file of KITTI,
+    TUM, GPX or NMEA, see `read_trajectory`, or with ``exif`` in their EXIF tags."""
     if source == "exif":
-        return [_posed(drive, _poses_of_exif(drive)) for drive in drives]
+        return list(map(_poses_of_exif, drives))
     path = Path(source)
     if not path.is_file():
         raise ValueError(f"{source} is no file; expected a file of poses, or exif")
@@ -146,19 +147,15 @@ def _with_given_poses(
         found = [[table.pose_of(file) or UNKNOWN for file in drive] for drive in drives]
         if all(pose is UNKNOWN for poses in found for pose in poses):
             raise ValueError(f"{source} has none of the frames, for example {drives[0][0].frame}")
-        return list(map(_posed, drives, found))
+        return found
     if len(drives) > 1:
         raise ValueError(f"{source} holds the poses of one drive, got {len(drives)} sequences")
     trajectory = read_trajectory(path, largest_gap)
     names, stamps = zip(*((file.name, file.stamp) for file in drives[0]), strict=True)
     try:
-        return [_posed(drives[0], trajectory.of_frames(names, stamps))]
+        return [trajectory.of_frames(names, stamps)]
     except ValueError as error:
         raise ValueError(f"{source}: {error}") from error
-
-
-def _posed(drive: Sequence[FrameFile], poses: Sequence[Pose]) -> list[FrameFile]:
-    return [replace(file, pose=pose, placed=True) for file, pose in zip(drive, poses, strict=True)]
 
 
 def _poses_of_exif(drive: Sequence[FrameFile]) -> list[Pose]:
@@ -175,14 +172,13 @@ def read_ahead(
     """Reads files in ``workers`` threads, at most ``ahead`` of them in memory, and yields them in
     order with their contents, or with the ValueError that ``read`` raised."""
 
-    def attempt(file: FrameFile) -> Content | ValueError:
+    def attempt(file: FrameFile) -> tuple[FrameFile, Content | ValueError]:
         try:
-            return read(file)
+            return file, read(file)
         except ValueError as error:
-            return error
+            return file, error
 
-    files, named = tee(files)
-    return zip(named, in_order(attempt, files, workers, ahead), strict=False)
+    return in_order(attempt, files, workers, ahead)
 
 
 def found_by(find: Callable[..., list[FrameFile]], *arguments: object) -> list[FrameFile]:
@@ -190,11 +186,6 @@ def found_by(find: Callable[..., list[FrameFile]], *arguments: object) -> list[F
     with suppress(ValueError):
         return find(*arguments)
     return []
-
-
-def is_npy(path: Path) -> bool:
-    """Whether a file has the suffix of a NumPy array."""
-    return path.suffix.lower() == ".npy"
 
 
 def _expand(source: str, kind: FileKind, topic: str | None) -> list[FrameFile]:
@@ -216,43 +207,41 @@ def _expand(source: str, kind: FileKind, topic: str | None) -> list[FrameFile]:
 
 
 def _frames_at(path: Path, kind: FileKind, topic: str | None) -> Iterator[FrameFile]:
-    """The frames of a folder, file, bag or video. A broken link is a frame, skipped when read."""
+    """The frames of a folder, file, bag or video. A broken link is a frame, skipped when read; a
+    stack outside a folder of frames is a sequence."""
     if kind.name == "images" and is_bag(path):
         yield from bag_files(path, topic)
-    elif kind.name == "images" and is_video(path):
+        return
+    if kind.name == "images" and is_video(path):
         yield from video_files(path)
-    elif path.is_dir():
-        folder = absolute(path)
-        for entry in path.iterdir():
-            if not entry.name.startswith(".") and (entry.is_file() or not entry.exists()):
-                yield from _frames(entry, kind, folder, alone=False)
-    else:
-        yield from _frames(path, kind, absolute(path.parent), alone=True)
-
-
-def _frames(path: Path, kind: FileKind, folder: str, alone: bool) -> Iterator[FrameFile]:
-    """The frames of a file; a stack outside a folder of frames is a sequence."""
-    if path.suffix.lower() not in kind.suffixes:
         return
-    length = _stack_length(path, kind) if is_npy(path) else None
-    if length is None:
-        yield FrameFile("", path.stem, path, folder=folder)
-        return
-    folder = absolute(path) if alone else folder
-    for row in range(length):
-        yield FrameFile("", f"{path.stem}-{row:06d}", path, row, folder=folder)
+    is_folder = path.is_dir()
+    folder = absolute(path if is_folder else path.parent)
+    for entry in path.iterdir() if is_folder else (path,):
+        is_shown = not entry.name.startswith(".") and (entry.is_file() or not entry.exists())
+        if entry.suffix.lower() not in kind.suffixes or (is_folder and not is_shown):
+            continue
+        length = _stack_length(entry, kind.stack_rank)
+        if length is None:
+            yield FrameFile("", entry.stem, entry, folder=folder)
+            continue
+        place = folder if is_folder else absolute(path)
+        for row in range(length):
+            yield FrameFile("", f"{entry.stem}-{row:06d}", entry, row, folder=place)
 
 
-def _stack_length(path: Path, kind: FileKind) -> int | None:
+def _stack_length(path: Path, rank: int) -> int | None:
     """Number of frames in a ``.npy`` stack; ``None`` for a file of one frame, and for a damaged
     file, which is skipped when it is read."""
+    if path.suffix.lower() != ".npy":
+        return None
     try:
         check_regular(path)
         with path.open("rb") as file:
             shape = npy_header(file)[0]
     except Exception:  # damaged files raise any exception
         return None
-    if len(shape) != kind.stack_rank:
+    if len(shape) != rank:
         return None
     return shape[0] if math.prod(shape) else 0
 
@@ -262,14 +251,14 @@ def with_poses(
 ) -> Iterator[FrameFile]:
     """Files with the poses of the table that ``find`` gives for their folder, or of their names,
     see `utm_names`; a ValueError if a table is damaged, or can mean two frames."""
-    folders = {file.local_folder for file in files} - {None}
-    tables = {folder: find(folder) for folder in folders if folder}
+    folders = {file.path.parent for file in files if not isinstance(file, RemoteFile)}
+    tables = {folder: find(folder) for folder in folders}
     for file in files:
-        if (folder := file.local_folder) is None:
+        if isinstance(file, RemoteFile):
             yield file
             continue
         pose, stamp = read_name(file.name)
-        table = tables[folder]
+        table = tables[file.path.parent]
         pose = (table and table.pose_of(file)) or pose
         stamp = stamp if math.isnan(file.stamp) else file.stamp
         placed = table is not None or not math.isnan(pose.x)

@@ -11,11 +11,10 @@ import numpy as np
 import numpy.typing as npt
 from numpy.lib.format import MAGIC_PREFIX
 from PIL import Image, UnidentifiedImageError
-from PIL.ImageFile import ImageFile
 
 from ..files import check_pixels, one_line, parse_npy
 from ..taxonomy import LabelSpace, palette
-from .frame_files import FileKind, FrameFile, find_frames, is_npy
+from .frame_files import FileKind, FrameFile, find_frames
 
 SUFFIXES = (".png", ".npy", ".tif", ".tiff", ".bmp")
 _FORMATS = ("PNG", "TIFF", "BMP")
@@ -39,7 +38,7 @@ def read_label_map(file: FrameFile, space: LabelSpace) -> LabelMap:
     """
     content = file.read()
     try:
-        is_array = is_npy(file.path) or content.startswith(MAGIC_PREFIX)
+        is_array = file.path.suffix.lower() == ".npy" or content.startswith(MAGIC_PREFIX)
         labels = parse_npy(content) if is_array else _decode_image(content, space)
     except UnidentifiedImageError as error:
         raise ValueError(f"cannot identify the image; expected {', '.join(_FORMATS)}") from error
@@ -63,10 +62,10 @@ def digest(labels: LabelMap) -> str:
 
 
 def _decode_image(content: bytes, space: LabelSpace) -> npt.NDArray[Any]:
-    with _opened(content) as image:
+    with Image.open(io.BytesIO(content), formats=_FORMATS) as image:
         check_pixels(image.height, image.width)
         image.verify()  # decoding a PNG does not check its checksums
-    with _opened(content) as image:
+    with Image.open(io.BytesIO(content), formats=_FORMATS) as image:
         # Pillow's name for the storage of a pixel is the first argument of the decoder
         arguments = image.tile[0].args if image.tile else ""
         raw_mode = str(arguments[0] if isinstance(arguments, tuple) and arguments else arguments)
@@ -91,17 +90,13 @@ def _decode_image(content: bytes, space: LabelSpace) -> npt.NDArray[Any]:
         raise ValueError(f"expected a label image, got an image of mode {image.mode}")
 
 
-def _opened(content: bytes) -> ImageFile:
-    return Image.open(io.BytesIO(content), formats=_FORMATS)
-
-
 def _first_of_sixteen_bit_channels(content: bytes, raw_mode: str) -> npt.NDArray[Any]:
     """The first channel of an image of 16-bit channels. Pillow reads only the high bytes. Read
     again with swapped bytes, it gives the low bytes; gray with alpha is read as four bytes, and the
     second is the low one."""
-    with _opened(content) as image:
+    with Image.open(io.BytesIO(content), formats=_FORMATS) as image:
         high = np.asarray(image)[..., 0].astype(np.uint16)
-    with _opened(content) as image:
+    with Image.open(io.BytesIO(content), formats=_FORMATS) as image:
         image.tile = [tile._replace(args=_SIXTEEN_BIT_LOW_BYTE[raw_mode]) for tile in image.tile]
         low = np.asarray(image)[..., 1 if raw_mode == "LA;16B" else 0]
     return np.asarray(high << 8 | low)
