@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 import sys
-from collections import Counter
-from collections.abc import Collection, Iterable
+from collections import Counter, defaultdict
+from collections.abc import Collection
 from pathlib import Path, PurePath
 from urllib.parse import unquote
 
@@ -36,33 +36,43 @@ def sequence_names(folders: Collection[str], known: KnownFolders = ()) -> dict[s
         >>> sequence_names(["/data/park"], [("/data/park", "garden")])
         {'/data/park': 'garden'}
     """
-    known_names = _grouped((_real(folder), name) for folder, name in known if folder)
-    owners = _grouped((name, folder) for folder, name in known)
+    known_names, owners = defaultdict[str, set[str]](set), defaultdict[str, set[str]](set)
+    for folder, name in known:
+        owners[name].add(folder)
+        if folder:
+            known_names[_real(folder)].add(name)
     ends = Counter(end for path in {*folders, *(f for f, _ in known)} for end in path_ends(path))
-
-    def name(folder: str) -> str:
+    found: dict[str, str] = {}
+    for folder in folders:
         if names := sorted(known_names.get(_real(folder), ())):
             if len(names) > 1:
                 raise ValueError(
                     f"{folder} is sequence {names[0]!r} and sequence {names[1]!r} of the database: "
                     "choose one with --sequence"
                 )
-            return names[0]
+            found[folder] = names[0]
+            continue
         for end in path_ends(folder):
             if end in owners:
                 _require_existing(owners[end], folder, end)
             elif ends[end] == 1:
-                return end
-        raise ValueError(f"{folder} needs a name that no sequence has: give one with --sequence")
-
-    return {folder: name(folder) for folder in folders}
+                found[folder] = end
+                break
+        else:
+            raise ValueError(
+                f"{folder} needs a name that no sequence has: give one with --sequence"
+            )
+    return found
 
 
 def check_sequences(folders: KnownFolders, known: KnownFolders) -> None:
     """Raises a ValueError for a sequence with the name of a known sequence of another folder."""
-    owners = _grouped((name, _real(folder)) for folder, name in known if folder)
+    owners = defaultdict[str, set[str]](set)
+    for folder, name in known:
+        if folder:
+            owners[name].add(_real(folder))
     for folder, name in folders:
-        if folder and _real(folder) not in owners.get(name, {_real(folder)}):
+        if folder and name in owners and _real(folder) not in owners[name]:
             raise ValueError(
                 f"sequence {name!r} of the database is {min(owners[name])}, not {folder}: give "
                 f"--sequence {name} if the folder was moved, else another name"
@@ -93,13 +103,6 @@ def path_ends(folder: str) -> list[str]:
             path = path.with_suffix("")
         parts = [part for part in path.parts if part != path.anchor] or [path.anchor]
     return ["/".join(parts[-count:]) for count in range(1, len(parts) + 1)]
-
-
-def _grouped(pairs: Iterable[tuple[str, str]]) -> dict[str, set[str]]:
-    grouped: dict[str, set[str]] = {}
-    for key, value in pairs:
-        grouped.setdefault(key, set()).add(value)
-    return grouped
 
 
 def _require_existing(owners: Collection[str], folder: str, name: str) -> None:

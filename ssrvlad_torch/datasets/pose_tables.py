@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -42,8 +42,14 @@ class PoseTable:
     def pose_of(self, file: FrameFile) -> Pose | None:
         """The pose of a frame; ``None`` if it has no row. Rows that differ, and one that can be
         that of another folder, are a ValueError."""
+        folders = path_ends(file.folder)[::-1]
+        other = self.path.parent / file.sequence
+        if file.sequence not in folders and (
+            not other.is_dir() or is_same_folder(str(other), file.folder)
+        ):
+            folders.append(file.sequence)
         suffixes = ("", file.path.suffix)
-        ids = (f"{folder}/{file.name}{s}" for folder in self._folders(file) for s in suffixes)
+        ids = (f"{folder}/{file.name}{suffix}" for folder in folders for suffix in suffixes)
         rows = [key for key in ids if key in self.poses]
         if len({repr(self.poses[row]) for row in rows}) > 1:  # as text, NaN equals NaN
             raise ValueError(
@@ -55,36 +61,24 @@ class PoseTable:
             self._require_one_folder(file, bare[0])
         return self.poses[(rows or bare)[0]] if rows or bare else None
 
-    def _folders(self, file: FrameFile) -> list[str]:
-        """The folders that the frame's id may have, the longest path first."""
-        ends = path_ends(file.folder)[::-1]
-        other = self.path.parent / file.sequence
-        if file.sequence in ends or (
-            other.is_dir() and not is_same_folder(str(other), file.folder)
-        ):
-            return ends
-        return [*ends, file.sequence]
-
     def _require_one_folder(self, file: FrameFile, row: str) -> None:
+        """Raises a ValueError if another frame of the table, or a file of the frame's name without
+        an id in the table in a folder beside the frame's, can have a bare name too."""
         other = self._users.setdefault(row, file.folder)
         if other == file.folder and self.folder and self.path.parent != self.folder:
-            other = next(self._folders_with(file), other)
+            home, place = absolute_folder(self.folder), file.path.relative_to(self.folder)
+            if not self._listed:
+                for folder in (home.parent, *home.parent.iterdir()):
+                    if folder.is_dir() and folder != home:
+                        files = (folder / place.parent).glob("*")
+                        self._listed[folder] = frozenset(path.name for path in files)
+            for folder, names in self._listed.items():
+                ids = (f"{folder.name}/{file.name}{suffix}" for suffix in ("", file.path.suffix))
+                if place.name in names and not any(each in self.poses for each in ids):
+                    other = str(folder)
+                    break
         if other != file.folder:
             raise ValueError(
                 f"row {row!r} of {self.path} can be a frame of {file.folder} and of {other}; "
                 "expected <folder>/<name>, or the table of one folder by --poses"
             )
-
-    def _folders_with(self, file: FrameFile) -> Iterator[str]:
-        """Folders beside the frame's with a file of its name that has no id in the table."""
-        assert self.folder is not None
-        home, place = absolute_folder(self.folder), file.path.relative_to(self.folder)
-        if not self._listed:
-            for folder in (home.parent, *home.parent.iterdir()):
-                if folder.is_dir() and folder != home:
-                    files = (folder / place.parent).glob("*")
-                    self._listed[folder] = frozenset(path.name for path in files)
-        for folder, names in self._listed.items():
-            ids = (f"{folder.name}/{file.name}{suffix}" for suffix in ("", file.path.suffix))
-            if place.name in names and not any(each in self.poses for each in ids):
-                yield str(folder)

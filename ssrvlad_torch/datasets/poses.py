@@ -80,21 +80,18 @@ def _by_frame(
     for row in rows:
         if any(more := row.get(None, ())):  # as by decimal commas, not by one at the end
             raise ValueError(f"more cells than columns: {','.join(more)}")
-        position = kind(*(_number(row, column) for column in columns))
-        if math.isnan(position[0]) != math.isnan(position[1]):
+        numbers = []
+        for column in columns:
+            text = row.get(column) or ""
+            optional = not text and column in ("heading", "course")
+            numbers.append(math.nan if optional else parse_number(text))
+            if math.isinf(numbers[-1]):
+                raise ValueError(f"{column} is {text}; expected a finite number")
+        if math.isnan(numbers[0]) != math.isnan(numbers[1]):
             x, y = (f"{column} is {row[column]}" for column in columns[:2])
             raise ValueError(f"{x} and {y}; expected two numbers, or nan twice")
+        position = kind(*numbers)
         earlier = positions.setdefault(row["frame"], position)
         if repr(earlier) != repr(position):  # as text, NaN equals NaN
             raise ValueError(f"frame {row['frame']!r} has two positions")
     return positions
-
-
-def _number(row: dict[str, str], column: str) -> float:
-    """The number in a column; only the heading or course may be missing."""
-    text = row.get(column) or ""
-    optional = not text and column in ("heading", "course")
-    value = math.nan if optional else parse_number(text)
-    if math.isinf(value):
-        raise ValueError(f"{column} is {text}; expected a finite number")
-    return value

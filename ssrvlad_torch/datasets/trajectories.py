@@ -43,15 +43,11 @@ class Trajectory(NamedTuple):
         micro- or nanoseconds, whichever unit reaches most of the trajectory. Other numbers of
         frames than poses, a name that is no time, no unit that gives poses, and two that reach as
         much of it and give different poses are a ValueError."""
-        if self.stamps:
-            return self._at_times(names, stamps)
-        if len(names) != len(self.poses):
-            raise ValueError(f"expected {len(self.poses)} frames, one per pose, got {len(names)}")
-        return self.poses
-
-    def _at_times(self, names: Sequence[str], stamps: Sequence[float]) -> list[Pose]:
-        """The poses at the stamps, or at the times that are names, in the unit that reaches most of
-        the trajectory: in too small a unit all frames of a drive are near its first pose."""
+        if not self.stamps:
+            if len(names) != len(self.poses):
+                expected = f"expected {len(self.poses)} frames, one per pose"
+                raise ValueError(f"{expected}, got {len(names)}")
+            return self.poses
         whole = all(name.isdecimal() for name in names)
         timed = bool(stamps) and not any(map(math.isnan, stamps))
         times = [stamps] if timed else []
@@ -65,6 +61,7 @@ class Trajectory(NamedTuple):
             named = [[t * unit for t in seconds] for unit in (_UNITS if whole else _UNITS[:1])]
             times += [each for each in named if not (timed and _are_same(each, stamps))]
         found = [[self._at(time) for time in each] for each in times]
+        # in too small a unit all frames of a drive are near its first pose
         reached = [
             len({bisect_left(self.stamps, t) for t, pose in pairs if pose is not UNKNOWN})
             for pairs in (list(zip(*each, strict=True)) for each in zip(times, found, strict=True))
@@ -81,22 +78,16 @@ class Trajectory(NamedTuple):
         return best[0]
 
     def _at(self, time: float) -> Pose:
-        index = bisect_left(self.stamps, time)
-        if self.largest_gap is not None:
-            return self._between(index, time)
-        around = range(max(0, index - 1), min(len(self.stamps), index + 1))
+        after = bisect_left(self.stamps, time)  # the first pose that is not before the time
+        around = range(max(0, after - 1), min(len(self.stamps), after + 1))
         nearest = min(around, key=lambda n: abs(self.stamps[n] - time))
-        near = abs(self.stamps[nearest] - time) <= _MOST_SECONDS
-        return self.poses[nearest] if near else UNKNOWN
-
-    def _between(self, after: int, time: float) -> Pose:
-        """The pose at a time, given the first pose that is not before it."""
-        if after < len(self.stamps) and self.stamps[after] == time:
-            return self.poses[after]
-        if not 0 < after < len(self.stamps):
-            return UNKNOWN
-        seconds = self.stamps[after] - self.stamps[after - 1]
-        if self.largest_gap is None or seconds > self.largest_gap:
+        if self.largest_gap is None:
+            near = abs(self.stamps[nearest] - time) <= _MOST_SECONDS
+            return self.poses[nearest] if near else UNKNOWN
+        if self.stamps[nearest] == time:
+            return self.poses[nearest]
+        seconds = self.stamps[around[-1]] - self.stamps[around[0]]
+        if len(around) == 1 or seconds > self.largest_gap:
             return UNKNOWN
         one, other = self.poses[after - 1], self.poses[after]
         part = (time - self.stamps[after - 1]) / seconds
