@@ -17,9 +17,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from .dataset import Dataset, GroundTruth, Layout, Traverse, files_in, folders_in
-from .image_files import SUFFIXES as IMAGE_SUFFIXES
-from .label_files import SUFFIXES as LABEL_SUFFIXES
+from .dataset import Dataset, GroundTruth, Layout, Traverse, folders_in, images_in, labels_in
 from .names import absolute_folder
 
 _DRIVE = re.compile(r"(0001TP|0006R0|0016E5|Seq05VD|05VD)(?:_.*)?")
@@ -46,17 +44,16 @@ def read(root: Path, labels_as: str | None) -> Dataset:
     images: dict[str, dict[str, Path]] = {}
     labels: dict[str, dict[str, Path]] = {}
     for pair in pairs:
-        for name, path in files_in(pair.images, IMAGE_SUFFIXES).items():
+        for name, path in images_in(pair.images).items():
             images.setdefault(_drive(name, pair), {})[name] = path
-        for name, path in files_in(pair.labels, LABEL_SUFFIXES, pair.ending).items():
+        for name, path in labels_in(pair.labels, pair.ending).items():
             labels.setdefault(_drive(name, pair), {})[name] = path
-    drives = sorted({*images, *labels})
     traverses = tuple(
         Traverse.of(drive, images.get(drive, {}), labels.get(drive, {}), poses={})
-        for drive in drives
+        for drive in sorted({*images, *labels})
     )
-    truth = GroundTruth(frames=1)
-    return Dataset(LAYOUT.name, root, traverses, labels_as or spaces.pop(), truth)
+    space = labels_as or spaces.pop()
+    return Dataset(LAYOUT.name, root, traverses, space, GroundTruth(frames=1))
 
 
 def _pairs(root: Path) -> Iterator[_Pair]:

@@ -11,10 +11,8 @@ import math
 from pathlib import Path
 
 from ..files import read_json
-from .dataset import Dataset, Layout, Traverse, files_in, folders_in
+from .dataset import Dataset, Layout, Traverse, files_in, folders_in, images_in, labels_in
 from .gps import heading_of_course
-from .image_files import SUFFIXES as IMAGE_SUFFIXES
-from .label_files import SUFFIXES as LABEL_SUFFIXES
 from .poses import Pose
 
 _IMAGES = "leftImg8bit"
@@ -25,29 +23,35 @@ _MERIDIAN = 9.0
 
 
 def read(root: Path, labels_as: str | None) -> Dataset:
-    """The data set in ``root``; fine annotations of the label space before coarse ones."""
+    """The data set in ``root``; fine annotations of the label space before coarse ones. The label
+    space is that of the label maps on disk, of the ids if both exist or none."""
     cities = _cities(root)
-    space = labels_as or _published_encoding(root, cities)
+    published = (
+        space
+        for space, ending in _ENCODINGS.items()
+        for kind in _ANNOTATIONS
+        if any(any((root / kind / city).glob(f"*_{ending}.png")) for city in cities)
+    )
+    space = labels_as or next(published, "cityscapes-ids")
     ending = _ENCODINGS.get(space, "labelIds")
     traverses = []
     for city in cities:
-        images = files_in(root / _IMAGES / city, IMAGE_SUFFIXES, f"_{_IMAGES}")
+        images = images_in(root / _IMAGES / city, f"_{_IMAGES}")
         labels: dict[str, Path] = {}
         for kind in reversed(_ANNOTATIONS):
-            labels |= files_in(root / kind / city, LABEL_SUFFIXES, f"_{kind}_{ending}")
+            labels |= labels_in(root / kind / city, f"_{kind}_{ending}")
         fixes = files_in(root / "vehicle" / city, (".json",), "_vehicle")
         poses = {
             name: read_fix(file) for name, file in fixes.items() if name in images or name in labels
         }
         if images or labels:
             traverses.append(Traverse.of(city.replace("/", "-"), images, labels, poses))
-    notes = []
-    if not (root / "vehicle").is_dir():
-        notes.append(
-            f"{root} has no vehicle/, so no frame has a pose; it is vehicle_trainvaltest.zip at "
-            f"{LAYOUT.origin}"
-        )
-    return Dataset(LAYOUT.name, root, tuple(traverses), space, None, tuple(notes))
+    note = (
+        f"{root} has no vehicle/, so no frame has a pose; it is vehicle_trainvaltest.zip at "
+        f"{LAYOUT.origin}"
+    )
+    notes = () if (root / "vehicle").is_dir() else (note,)
+    return Dataset(LAYOUT.name, root, tuple(traverses), space, None, notes)
 
 
 def read_fix(path: Path) -> Pose:
@@ -76,15 +80,6 @@ def _cities(root: Path) -> list[str]:
         for city in folders_in(split)
     }
     return sorted(cities)
-
-
-def _published_encoding(root: Path, cities: list[str]) -> str:
-    """The label space of the label maps on disk; that of the ids if both exist or none."""
-    for space, ending in _ENCODINGS.items():
-        for kind in _ANNOTATIONS:
-            if any(any((root / kind / city).glob(f"*_{ending}.png")) for city in cities):
-                return space
-    return "cityscapes-ids"
 
 
 LAYOUT = Layout(

@@ -16,6 +16,7 @@ from natsort import natsorted
 from ..files import natural_key
 from ..taxonomy import label_space
 from .frame_files import FrameFile, every_nth
+from .image_files import SUFFIXES as IMAGE_SUFFIXES
 from .label_files import SUFFIXES as LABEL_SUFFIXES
 from .poses import UNKNOWN, Pose
 
@@ -168,13 +169,26 @@ class Dataset:
         ``folder`` itself, if all frames have different names.
         """
         label_space(labels_as)
-        find = _label_finder(self, Path(folder))
+        given, listed = Path(folder), cache(labels_in)
+        names = [frame.name for frame in self.frames]
+        unambiguous = len(set(names)) == len(names)
+
+        def find(frame: DatasetFrame) -> Path | None:
+            path = frame.image or frame.label or self.root / frame.name
+            folders = [given / frame.sequence, given / path.parent.relative_to(self.root)]
+            if given.name == str(given):
+                folders.append(path.parent.with_name(given.name))
+            if unambiguous:
+                folders.append(given)
+            places = ((listed(each), stem) for each in folders for stem in (frame.name, path.stem))
+            return next((files[stem] for files, stem in places if stem in files), None)
+
         labelled = self.with_frames(lambda frames: (replace(f, label=find(f)) for f in frames))
         if all(frame.label is None for frame in labelled.frames):
             frame = next(self.frames)
             raise ValueError(
                 f"{folder} holds no label map of a frame of {self.root}; expected, for example, "
-                f"{Path(folder) / frame.sequence / frame.name}.png"
+                f"{given / frame.sequence / frame.name}.png"
             )
         return replace(labelled, labels_as=labels_as)
 
@@ -239,6 +253,16 @@ def files_in(folder: Path, suffixes: Sequence[str], ending: str = "") -> dict[st
     return files
 
 
+def images_in(folder: Path, ending: str = "") -> dict[str, Path]:
+    """The images in a folder, see `files_in`."""
+    return files_in(folder, IMAGE_SUFFIXES, ending)
+
+
+def labels_in(folder: Path, ending: str = "") -> dict[str, Path]:
+    """The label maps in a folder, see `files_in`."""
+    return files_in(folder, LABEL_SUFFIXES, ending)
+
+
 def folders_in(folder: Path) -> list[Path]:
     """The folders in a folder in natural order; empty if ``folder`` is not a folder."""
     entries = folder.iterdir() if folder.is_dir() else ()
@@ -257,22 +281,3 @@ def shortened(names: Sequence[str], most: int = 8) -> str:
         return "nothing"
     rest = f" and {len(names) - most} more" if len(names) > most else ""
     return ", ".join(names[:most]) + rest
-
-
-def _label_finder(dataset: Dataset, folder: Path) -> Callable[[DatasetFrame], Path | None]:
-    """A function from a frame to its label map; it lists each folder once."""
-    files = cache(lambda folder: files_in(folder, LABEL_SUFFIXES))
-    names = [frame.name for frame in dataset.frames]
-    unambiguous = len(set(names)) == len(names)
-
-    def find(frame: DatasetFrame) -> Path | None:
-        path = frame.image or frame.label or dataset.root / frame.name
-        folders = [folder / frame.sequence, folder / path.parent.relative_to(dataset.root)]
-        if folder.name == str(folder):
-            folders.append(path.parent.with_name(folder.name))
-        if unambiguous:
-            folders.append(folder)
-        stems = (frame.name, path.stem)
-        return next((files(f)[stem] for f in folders for stem in stems if stem in files(f)), None)
-
-    return find

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
@@ -50,7 +50,17 @@ class Drives:
         if dataset:
             name = None if layout == "auto" else layout
             whole = _unambiguous(open_dataset(dataset, name, *asked))
-            drives = cls._of_dataset(whole, *names, odd_even)
+            if odd_even and queries:
+                raise ValueError("--odd-even takes the queries from --references; got --queries")
+            if odd_even:
+                both = whole.select(names[0])
+                even = both.with_frames(lambda frames: frames[::2])
+                parts = [even, both.with_frames(lambda frames: frames[1::2])]
+            else:
+                parts = [
+                    whole.select(names[0], None if names[0] else "reference"),
+                    whole.select(names[1], None if names[1] else "query"),
+                ]
         elif layout or odd_even:
             raise ValueError("--layout and --odd-even need the folder of a data set")
         elif not all(names):
@@ -58,29 +68,13 @@ class Drives:
                 "expected the folder of a data set, or folders as --references and --queries"
             )
         else:
-            parts = [[open_dataset(path, "folders", *asked) for path in paths] for paths in names]
-            drives = cls(_joined([*chain(*parts)]), *map(_joined, parts))
-        used = {t.name for part in (drives.references, drives.queries) for t in part.traverses}
-        traverses = tuple(t for t in drives.whole.traverses if t.name in used)
-        for warning in replace(drives.whole, traverses=traverses).warnings:
+            folders = [[open_dataset(path, "folders", *asked) for path in paths] for paths in names]
+            whole, parts = _joined([*chain(*folders)]), list(map(_joined, folders))
+        used = {traverse.name for part in parts for traverse in part.traverses}
+        traverses = tuple(t for t in whole.traverses if t.name in used)
+        for warning in replace(whole, traverses=traverses).warnings:
             note(warning)
-        return drives
-
-    @classmethod
-    def _of_dataset(
-        cls, whole: Dataset, references: Sequence[str], queries: Sequence[str], odd_even: bool
-    ) -> Drives:
-        if odd_even:
-            if queries:
-                raise ValueError("--odd-even takes the queries from --references; got --queries")
-            both = whole.select(references)
-            even = both.with_frames(lambda frames: frames[::2])
-            return cls(whole, even, both.with_frames(lambda frames: frames[1::2]))
-        return cls(
-            whole,
-            whole.select(references, None if references else "reference"),
-            whole.select(queries, None if queries else "query"),
-        )
+        return cls(whole, *parts)
 
     def posed(self) -> Drives:
         """The drives without the frames of unknown pose."""
@@ -92,7 +86,10 @@ class Drives:
         complete = self._filter(
             lambda frame: all(KINDS[kind](frame) for kind in kinds), " and ".join(words)
         )
-        before, after = (sum(1 for _ in drives.frames) for drives in (self, complete))
+        before, after = (
+            sum(len(traverse.frames) for _, part in drives._parts for traverse in part.traverses)
+            for drives in (self, complete)
+        )
         if after < before:
             note(
                 f"{before - after} of {before} frames are left out: they lack {' or '.join(words)}"
@@ -100,24 +97,17 @@ class Drives:
         return complete
 
     @property
-    def frames(self) -> Iterator[DatasetFrame]:
-        """The references, then the queries."""
-        return chain(self.references.frames, self.queries.frames)
-
-    @property
     def _parts(self) -> tuple[tuple[str, Dataset], ...]:
         return ("reference", self.references), ("query", self.queries)
 
     def _filter(self, has: Callable[[DatasetFrame], object], what: str) -> Drives:
         """The drives with only the frames that ``has`` accepts; an error if none is left."""
-        references, queries = (
-            part.with_frames(lambda frames: filter(has, frames)) for _, part in self._parts
-        )
-        filtered = replace(self, references=references, queries=queries)
-        for name, part in filtered._parts:
+        filtered = [part.with_frames(lambda frames: filter(has, frames)) for _, part in self._parts]
+        drives = Drives(self.whole, *filtered)
+        for name, part in drives._parts:
             if not any(part.frames):
                 raise ValueError(f"no {name} of {part.root} ({part.layout}) has {what}")
-        return filtered
+        return drives
 
     def lacks(self, kind: str) -> str | None:
         """The reason why a method that needs a kind of file cannot run; ``None`` if it can."""

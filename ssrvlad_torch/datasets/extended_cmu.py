@@ -12,11 +12,11 @@ from __future__ import annotations
 
 import re
 from datetime import UTC, datetime
+from itertools import product
 from pathlib import Path
 
 from .camera_poses import Z_UP, optical_axis, read_poses
-from .dataset import Dataset, GroundTruth, Layout, Role, Traverse, files_in, itself_or_inside
-from .image_files import SUFFIXES as IMAGE_SUFFIXES
+from .dataset import Dataset, GroundTruth, Layout, Role, Traverse, images_in, itself_or_inside
 from .names import absolute_folder
 from .poses import Pose
 
@@ -28,23 +28,33 @@ _ROLES: dict[str, Role] = {"database": "reference", "query": "query"}
 
 def read(root: Path, labels_as: str | None) -> Dataset:
     """The slices in ``root``, or the slice that ``root`` is."""
-    traverses: list[Traverse] = []
-    notes: list[str] = []
-    for folder in _slices(root):
-        for part, role in _ROLES.items():
-            images = files_in(folder / part, IMAGE_SUFFIXES)
-            pattern = _POSES if part == "database" else "camera-poses/*.txt"
-            files = sorted(folder.glob(pattern))
-            poses = {name: pose for file in files for name, pose in read_list(file).items()}
-            if images and not poses:
-                notes.append(f"{folder / part} has no poses; they are at {LAYOUT.origin}")
-            unknown = [path.name for name, path in images.items() if not _NAME.fullmatch(name)]
-            if unknown:
-                notes.append(
-                    f"{len(unknown)} images in {folder / part} are left out, for example "
-                    f"{unknown[0]!r}: expected names img_<number>_c<camera>_<microseconds>us"
-                )
-            traverses += _traverses(absolute_folder(folder).name, images, poses, role)
+    traverses, notes = list[Traverse](), list[str]()
+    for folder, (part, role) in product(_slices(root), _ROLES.items()):
+        images = images_in(folder / part)
+        pattern = _POSES if part == "database" else "camera-poses/*.txt"
+        lists = [read_list(file) for file in sorted(folder.glob(pattern))]
+        known = {name: pose for poses in lists for name, pose in poses.items()}
+        if images and not known:
+            notes.append(f"{folder / part} has no poses; they are at {LAYOUT.origin}")
+        poses = {name: known[_plain(name)] for name in images if _plain(name) in known}
+        drives: dict[str, dict[str, Path]] = {}
+        unknown = []
+        for name, path in images.items():
+            if parts := _NAME.fullmatch(name):
+                day = datetime.fromtimestamp(int(parts[2]) / 1e6, UTC).date()
+                drive = f"{absolute_folder(folder).name}-{parts[1]}-{day}"
+                drives.setdefault(drive, {})[name] = path
+            else:
+                unknown.append(path.name)
+        if unknown:
+            notes.append(
+                f"{len(unknown)} images in {folder / part} are left out, for example "
+                f"{unknown[0]!r}: expected names img_<number>_c<camera>_<microseconds>us"
+            )
+        traverses += [
+            Traverse.of(drive, files, labels={}, poses=poses, role=role)
+            for drive, files in sorted(drives.items())
+        ]
     truth = GroundTruth(metres=5.0)  # Nie et al., arXiv 2202.03677
     return Dataset(LAYOUT.name, root, tuple(traverses), labels_as, truth, tuple(notes))
 
@@ -66,21 +76,6 @@ def _slices(root: Path) -> list[Path]:
 def _plain(name: str) -> str:
     """The name of an image in the lists of poses: without the ``_rect`` of an undistorted copy."""
     return name.removesuffix("_rect")
-
-
-def _traverses(
-    slice_name: str, images: dict[str, Path], poses: dict[str, Pose], role: Role
-) -> list[Traverse]:
-    drives: dict[str, dict[str, Path]] = {}
-    for name, path in images.items():
-        if parts := _NAME.fullmatch(name):
-            day = datetime.fromtimestamp(int(parts[2]) / 1e6, UTC).date()
-            drives.setdefault(f"{slice_name}-{parts[1]}-{day}", {})[name] = path
-    image_poses = {name: poses[_plain(name)] for name in images if _plain(name) in poses}
-    return [
-        Traverse.of(drive, files, labels={}, poses=image_poses, role=role)
-        for drive, files in sorted(drives.items())
-    ]
 
 
 LAYOUT = Layout(

@@ -10,7 +10,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from .dataset import Dataset, GroundTruth, Layout, Role, Traverse, files_in, itself_or_inside
+from .dataset import (
+    Dataset,
+    GroundTruth,
+    Layout,
+    Role,
+    Traverse,
+    files_in,
+    images_in,
+    itself_or_inside,
+    labels_in,
+)
 from .frame_file import FrameFile
 from .image_files import SUFFIXES as IMAGE_SUFFIXES
 from .label_files import SUFFIXES as LABEL_SUFFIXES
@@ -31,38 +41,31 @@ _ONLY_IMAGES = tuple(suffix for suffix in IMAGE_SUFFIXES if suffix not in LABEL_
 def read(root: Path, labels_as: str | None) -> Dataset:
     """The sequences in ``root``, or the sequence that ``root`` is."""
     file = next((root / name for name in _TRUTHS if (root / name).is_file()), None)
+    traverses = []
+    for folder in _sequences(root):
+        name = absolute_folder(folder).name
+        images, labels = _frames(folder)
+        table, where = PoseTable.of_folder(folder), absolute(folder)
+        poses = {
+            frame: pose
+            for frame, path in (labels | images).items()
+            if table and (pose := table.pose_of(FrameFile(name, frame, path, folder=where)))
+        }
+        traverses.append(Traverse.of(name, images, labels, poses, _ROLES.get(name.lower())))
     truth = GroundTruth(file) if file else None
-    traverses = tuple(_traverse(folder) for folder in _sequences(root))
-    return Dataset(LAYOUT.name, root, traverses, labels_as, truth)
+    return Dataset(LAYOUT.name, root, tuple(traverses), labels_as, truth)
 
 
 def _sequences(root: Path) -> list[Path]:
-    return itself_or_inside(root, lambda folder: any(map(bool, _frames(folder))))
+    return itself_or_inside(root, lambda folder: any(_frames(folder)))
 
 
 def _frames(folder: Path) -> tuple[dict[str, Path], dict[str, Path]]:
     """The images and the label maps of a sequence."""
     if (folder / "images").is_dir() or (folder / "labels").is_dir():
-        images = files_in(folder / "images", IMAGE_SUFFIXES)
-        return images, files_in(folder / "labels", LABEL_SUFFIXES)
-    labels = {
-        name: path
-        for name, path in files_in(folder, LABEL_SUFFIXES).items()
-        if "ground_truth" not in name
-    }
+        return images_in(folder / "images"), labels_in(folder / "labels")
+    labels = {name: path for name, path in labels_in(folder).items() if "ground_truth" not in name}
     return labels | files_in(folder, _ONLY_IMAGES), labels
-
-
-def _traverse(folder: Path) -> Traverse:
-    name = absolute_folder(folder).name
-    images, labels = _frames(folder)
-    table, where = PoseTable.of_folder(folder), absolute(folder)
-    poses = {
-        frame: pose
-        for frame, path in (labels | images).items()
-        if table and (pose := table.pose_of(FrameFile(name, frame, path, folder=where)))
-    }
-    return Traverse.of(name, images, labels, poses, _ROLES.get(name.lower()))
 
 
 LAYOUT = Layout(

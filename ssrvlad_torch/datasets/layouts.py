@@ -21,6 +21,8 @@ LAYOUTS: tuple[Layout, ...] = (
 )
 """The layouts in the order in which they are tried; plain folders, which accept most data, last."""
 
+_MOST = 1000
+
 
 def open_dataset(
     path: str | Path,
@@ -53,7 +55,22 @@ def open_dataset(
         raise ValueError(f"{root} is no folder; expected the folder of a data set")
     if labels is not None and labels_as is None:
         raise ValueError(f"the label maps in {labels} need a label space")
-    chosen = _choose(root, layout)
+    layouts = [each for each in LAYOUTS if layout in (None, each.name)]
+    if not layouts:
+        names = ", ".join(each.name for each in LAYOUTS)
+        raise ValueError(f"unknown layout {layout!r}; expected one of {names}")
+    chosen = next((each for each in layouts if each.recognises(root)), None)
+    if chosen is None and layout is None:
+        expected = "; ".join(f"{each.name}: {each.expected}" for each in layouts)
+        raise ValueError(
+            f"{root} is in no known layout; found {_content(root)}; expected one of {expected}"
+        )
+    if chosen is None:
+        origin = f"; the data set is at {layouts[0].origin}" if layouts[0].origin else ""
+        raise ValueError(
+            f"{root} is not in the layout {layout}: expected {layouts[0].expected}; found "
+            f"{_content(root)}{origin}"
+        )
     dataset = chosen.read(root, labels_as)
     if not dataset.traverses:
         raise ValueError(
@@ -65,33 +82,12 @@ def open_dataset(
     return dataset
 
 
-def _choose(root: Path, name: str | None) -> Layout:
-    layouts = [layout for layout in LAYOUTS if name in (None, layout.name)]
-    if not layouts:
-        names = ", ".join(layout.name for layout in LAYOUTS)
-        raise ValueError(f"unknown layout {name!r}; expected one of {names}")
-    found = next((layout for layout in layouts if layout.recognises(root)), None)
-    if found is None and name is None:
-        expected = "; ".join(f"{layout.name}: {layout.expected}" for layout in layouts)
-        raise ValueError(
-            f"{root} is in no known layout; found {_content(root)}; expected one of {expected}"
-        )
-    if found is None:
-        [layout] = layouts
-        origin = f"; the data set is at {layout.origin}" if layout.origin else ""
-        raise ValueError(
-            f"{root} is not in the layout {name}: expected {layout.expected}; found "
-            f"{_content(root)}{origin}"
-        )
-    return found
-
-
-def _content(root: Path, most: int = 1000) -> str:
+def _content(root: Path) -> str:
     """Names of the files and folders in a folder and in its folders, shortened."""
     inside = [
         f"{folder.name}/{entry.name}"
         for folder in folders_in(root)
-        for entry in [*islice(folder.iterdir(), most)] or [Path()]
+        for entry in [*islice(folder.iterdir(), _MOST)] or [Path()]
     ]
-    files = [entry.name for entry in islice(root.iterdir(), most) if not entry.is_dir()]
+    files = [entry.name for entry in islice(root.iterdir(), _MOST) if not entry.is_dir()]
     return shortened(natsorted(sorted(inside + files)))

@@ -12,8 +12,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from .camera_poses import Z_DOWN, optical_axis, parse_numbers, read_poses
-from .dataset import Dataset, GroundTruth, Layout, Role, Traverse, files_in, folders_in
-from .image_files import SUFFIXES as IMAGE_SUFFIXES
+from .dataset import Dataset, GroundTruth, Layout, Role, Traverse, folders_in, images_in
 from .poses import Pose
 
 _CAMERAS = ("left", "rear", "right")
@@ -34,16 +33,11 @@ def read(root: Path, labels_as: str | None) -> Dataset:
         notes.append(f"{root} has no {_V2_POSES}, so no query has a pose")
     traverses = []
     for camera in _cameras(root):
-        condition, images = camera.parent.name, files_in(camera, IMAGE_SUFFIXES)
-        prefix = f"{condition}/{camera.name}/"
-        of_camera = {
-            name.removeprefix(prefix): pose
-            for name, pose in poses.items()
-            if name.startswith(prefix)
-        }
-        role: Role = "reference" if condition == _REFERENCE else "query"
-        name = f"{condition}-{camera.name}"
+        condition, images = camera.parent.name, images_in(camera)
+        prefix, name = f"{condition}/{camera.name}/", f"{condition}-{camera.name}"
+        of_camera = {key: poses[prefix + key] for key in images if prefix + key in poses}
         if images:
+            role: Role = "reference" if condition == _REFERENCE else "query"
             traverses.append(Traverse.of(name, images, labels={}, poses=of_camera, role=role))
     truth = GroundTruth(metres=5.0)  # the coarse limit of Sattler et al., CVPR 2018
     notes = [f"{note}; it is at {LAYOUT.origin}" for note in notes]
@@ -68,8 +62,7 @@ def read_nvm(path: Path) -> dict[str, Pose]:
                 if not words:
                     raise ValueError(f"the file ends {missing} cameras too early")
                 numbers = parse_numbers(words[1:], 10)
-                pose = Z_DOWN.pose(numbers[5:8], optical_axis(numbers[1:5]))
-                poses[_plain(words[0])] = pose
+                poses[_plain(words[0])] = Z_DOWN.pose(numbers[5:8], optical_axis(numbers[1:5]))
         except StopIteration:
             raise ValueError(f"{path} holds no number of cameras") from None
         except ValueError as error:

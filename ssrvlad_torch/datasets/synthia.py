@@ -12,9 +12,16 @@ from __future__ import annotations
 from pathlib import Path
 
 from .camera_poses import Y_UP_LEFT_HANDED, parse_numbers
-from .dataset import Dataset, GroundTruth, Layout, Traverse, files_in, itself_or_inside
-from .image_files import SUFFIXES as IMAGE_SUFFIXES
-from .label_files import SUFFIXES as LABEL_SUFFIXES
+from .dataset import (
+    Dataset,
+    GroundTruth,
+    Layout,
+    Traverse,
+    files_in,
+    images_in,
+    itself_or_inside,
+    labels_in,
+)
 from .names import absolute_folder
 from .poses import Pose
 
@@ -23,8 +30,7 @@ _LABELS, _IMAGES, _POSES = "GT/LABELS", "RGB", "CameraParams"
 
 def read(root: Path, labels_as: str | None) -> Dataset:
     """The sequences in ``root``, or the sequence that ``root`` is."""
-    traverses: list[Traverse] = []
-    notes: list[str] = []
+    traverses, notes = list[Traverse](), list[str]()
     for folder in _sequences(root):
         notes += [
             f"{folder} has no {part}; it is in the package at {LAYOUT.origin}"
@@ -32,8 +38,8 @@ def read(root: Path, labels_as: str | None) -> Dataset:
             if not (folder / part).is_dir()
         ]
         for camera in _cameras(folder):
-            images = files_in(folder / _IMAGES / camera, IMAGE_SUFFIXES)
-            labels = files_in(folder / _LABELS / camera, LABEL_SUFFIXES)
+            images = images_in(folder / _IMAGES / camera)
+            labels = labels_in(folder / _LABELS / camera)
             poses = {
                 name: read_pose(file)
                 for name, file in files_in(folder / _POSES / camera, (".txt",)).items()
@@ -43,8 +49,7 @@ def read(root: Path, labels_as: str | None) -> Dataset:
             if images or labels:
                 traverses.append(Traverse.of(name, images, labels, poses))
     truth = GroundTruth(metres=7.0)  # on x and z, as in VPR-Bench
-    space = labels_as or "synthia"
-    return Dataset(LAYOUT.name, root, tuple(traverses), space, truth, tuple(notes))
+    return Dataset(LAYOUT.name, root, tuple(traverses), labels_as or "synthia", truth, tuple(notes))
 
 
 def read_pose(path: Path) -> Pose:

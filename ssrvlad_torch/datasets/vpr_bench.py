@@ -8,8 +8,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from .dataset import Dataset, GroundTruth, Layout, Role, Traverse, files_in
-from .image_files import SUFFIXES as IMAGE_SUFFIXES
+from .dataset import Dataset, GroundTruth, Layout, Role, Traverse, images_in
 from .names import absolute_folder
 
 _FOLDERS: tuple[tuple[str, Role], ...] = (("query", "query"), ("ref", "reference"))
@@ -20,7 +19,7 @@ def read(root: Path, labels_as: str | None) -> Dataset:
     """The data set in ``root``; its truth may be ``<folder>.ground_truth_new.npy`` beside it."""
     traverses = []
     for name, role in _FOLDERS:
-        images = files_in(root / name, IMAGE_SUFFIXES)
+        images = images_in(root / name)
         if not images:
             raise ValueError(
                 f"{root / name} holds no images; the data sets of VPR-Bench are at {LAYOUT.origin}"
