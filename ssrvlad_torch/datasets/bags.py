@@ -44,10 +44,7 @@ class BagFile(FrameFile):
     def _content(self) -> bytes:
         assert self.row is not None
         message = _open(self.path, self.topic, self.state).message(self.row)
-        if hasattr(message, "format"):
-            content: bytes = message.data.tobytes()
-            return content
-        return npy_bytes(_pixels(message))
+        return message.data.tobytes() if hasattr(message, "format") else npy_bytes(_pixels(message))
 
 
 def is_bag(path: Path) -> bool:
@@ -81,7 +78,15 @@ class _Topic:
             self.bag.open()
         except Exception as error:  # damaged files raise any exception
             raise ValueError(f"{path} is not a readable bag: {one_line(error)}") from error
-        self.connection = self._connection(path, topic)
+        by_topic = {c.topic: c for c in self.bag.connections if c.msgtype in _MESSAGE_TYPES}
+        names = ", ".join(sorted(by_topic)) or "none"
+        if topic is None and len(by_topic) != 1:
+            raise ValueError(
+                f"{path} has {len(by_topic)} topics of images, {names}; name one with --topic"
+            )
+        if topic is not None and topic not in by_topic:
+            raise ValueError(f"{path} has no topic {topic} of images; it has {names}")
+        self.connection = by_topic[topic or names]
         self._lock = Lock()
         self._start()
 
@@ -104,17 +109,6 @@ class _Topic:
     def _start(self) -> None:
         self._next, self._remaining, self._buffer = 0, self.messages(), dict[int, Any]()
 
-    def _connection(self, path: Path, topic: str | None) -> Any:
-        by_topic = {c.topic: c for c in self.bag.connections if c.msgtype in _MESSAGE_TYPES}
-        names = ", ".join(sorted(by_topic)) or "none"
-        if topic is None and len(by_topic) != 1:
-            raise ValueError(
-                f"{path} has {len(by_topic)} topics of images, {names}; name one with --topic"
-            )
-        if topic is not None and topic not in by_topic:
-            raise ValueError(f"{path} has no topic {topic} of images; it has {names}")
-        return by_topic[topic or names]
-
 
 @lru_cache(maxsize=4)
 def _open(path: Path, topic: str, state: str) -> _Topic:
@@ -130,11 +124,11 @@ def _pixels(message: Any) -> npt.NDArray[np.uint8]:
         raise ValueError(f"image encoding: got {message.encoding!r}, expected one of {expected}")
     check_pixels(message.height, message.width)
     order = _CHANNELS[message.encoding]
-    bytes_per_channel = 2 if message.encoding == "mono16" else 1
-    shape = message.height, message.width, len(order) * bytes_per_channel
+    is_wide = message.encoding == "mono16"
+    shape = message.height, message.width, len(order) * (2 if is_wide else 1)
     lines = message.data.reshape(message.height, message.step)[:, : shape[1] * shape[2]]
     pixels = lines.reshape(shape)
-    if bytes_per_channel == 2:
+    if is_wide:  # the high byte
         pixels = pixels[..., :1] if message.is_bigendian else pixels[..., 1:]
     colours = [channel for channel in order if channel is not None]
     return np.ascontiguousarray(np.broadcast_to(pixels[..., colours], (*shape[:2], 3)))

@@ -29,8 +29,7 @@ def eastings_northings(fixes: Sequence[Fix]) -> list[tuple[float, float]]:
     compare, is a ValueError; without the extra ``gps``, an ImportError."""
     with requiring("gps", "latitudes need"):
         import utm
-    found = [utm.from_latlon(fix.latitude, fix.longitude) for fix in fixes]
-    zones = set()
+    found, zones = [utm.from_latlon(*fix[:2]) for fix in fixes], set()
     for latitude, longitude, _ in fixes:  # and about 1 km from it in each direction
         wide = _KILOMETRE / max(math.cos(math.radians(latitude)), _KILOMETRE)
         for up, right in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)):

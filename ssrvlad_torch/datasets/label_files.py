@@ -22,7 +22,6 @@ _SIXTEEN_BIT_LOW_BYTE = {"RGB;16B": "RGB;16L", "RGBA;16B": "RGBA;16L", "LA;16B":
 
 LabelMap = npt.NDArray[np.integer[Any]]
 
-
 find_label_files = partial(find_frames, FileKind("label maps", SUFFIXES, stack_rank=3))
 """The label maps of the sources; see `find_frames`. A ``.npy`` stack has rank 3."""
 

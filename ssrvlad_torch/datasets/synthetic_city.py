@@ -123,7 +123,20 @@ class SyntheticCity:
     def _drive(
         self, poses: Iterable[Pose], conditions: Conditions, size: tuple[int, int], labels_as: str
     ) -> Iterator[CityFrame]:
-        block = functools.lru_cache(maxsize=64)(functools.partial(self._block, conditions))
+        names = {label.name: label.id for label in label_space(labels_as).classes}
+        ids = np.full(256, 255, np.uint8)  # of the label space, 255 for a class that it lacks
+        for label in label_space("cityscapes-ids").classes:
+            if label.id >= 0:
+                ids[label.id] = names.get(label.name, 255)
+
+        @functools.lru_cache(maxsize=64)
+        def block(column: int, row: int) -> Bodies:
+            """All bodies between streets `column` and `column + 1`, `row` and `row + 1`."""
+            sides = block_sides(self.seed, column, row, self.estates)
+            changing = (changing_bodies(self.seed, side, conditions) for side in sides)
+            fixed = fixed_bodies(self.seed, sides, conditions.season)
+            return pack(itertools.chain(fixed, *changing))
+
         for index, pose in enumerate(poses):
             bodies = [block(*corner) for corner in nearby_blocks(pose)]
             bodies.append(pack(vehicles(self.seed, conditions, pose, index * FRAME_SECONDS)))
@@ -131,13 +144,7 @@ class SyntheticCity:
             if conditions.noise:
                 rng = generator(conditions.seed, "noise", self.seed, index)
                 labels = conditions.noise.apply(labels, rng)
-            yield CityFrame(_convert(labels, labels_as), pose, f"{index:06d}")
-
-    def _block(self, conditions: Conditions, column: int, row: int) -> Bodies:
-        """All bodies between streets `column` and `column + 1`, `row` and `row + 1`."""
-        sides = block_sides(self.seed, column, row, self.estates)
-        changing = (changing_bodies(self.seed, side, conditions) for side in sides)
-        return pack(itertools.chain(fixed_bodies(self.seed, sides, conditions.season), *changing))
+            yield CityFrame(ids[labels], pose, f"{index:06d}")
 
 
 class CityFiles(NamedTuple):
@@ -182,12 +189,16 @@ def write_city(
     files = CityFiles(
         out / "reference", out / "query", out / "poses.csv", out / "ground_truth.json"
     )
-    colours = palette(labels_as)
-    poses: dict[str, dict[str, Pose]] = {}
+    colours, poses = palette(labels_as), dict[str, dict[str, Pose]]()
     for folder, conditions in ((files.reference, REFERENCE), (files.query, query)):
         traverse = city.traverse(frames, conditions, size, labels_as)
         poses[folder.name] = _write_frames(folder, traverse, colours, progress)
-    matches = _true_matches(poses["query"], poses["reference"])
+    names, references = list(poses["reference"]), np.array(list(poses["reference"].values()))
+    matches = {}
+    for name, pose in poses["query"].items():
+        x, y, heading = (references - pose).T
+        same = (np.hypot(x, y) <= RADIUS) & (np.cos(heading) > math.cos(math.pi / 4))
+        matches[name] = [names[index] for index in np.flatnonzero(same)]
     write_poses(files.poses, poses["reference"] | poses["query"])
     with replacing(files.ground_truth) as temporary:
         temporary.write_text(json.dumps(matches, indent=1), encoding="utf-8")
@@ -207,8 +218,7 @@ def write_tour(
     `write_city`."""
     folder = empty_folder(Path(out)) / "tour"
     city = SyntheticCity(seed, TOUR_ESTATES)
-    length = sys.maxsize if frames is None else frames
-    traverse = city.traverse(length, size=size, turns=TOUR)
+    traverse = city.traverse(sys.maxsize if frames is None else frames, size=size, turns=TOUR)
     poses = _write_frames(folder, traverse, palette("cityscapes-trainids"), progress)
     write_poses(folder.with_name("poses.csv"), poses)
     return folder
@@ -232,24 +242,3 @@ def _write_frames(
         if progress:
             progress(1)
     return poses
-
-
-def _convert(labels: NDArray[np.uint8], labels_as: str) -> NDArray[np.uint8]:
-    """Cityscapes ids converted to another label space by class name; 255 for a missing class."""
-    ids = {label.name: label.id for label in label_space(labels_as).classes}
-    table = np.full(256, 255, np.uint8)
-    for label in label_space("cityscapes-ids").classes:
-        if label.id >= 0:
-            table[label.id] = ids.get(label.name, 255)
-    return table[labels]
-
-
-def _true_matches(query: dict[str, Pose], reference: dict[str, Pose]) -> dict[str, list[str]]:
-    """The reference frames that show the same place, for each query frame."""
-    names, poses = list(reference), np.array(list(reference.values()))
-    matches = {}
-    for name, pose in query.items():
-        x, y, heading = (poses - pose).T
-        same = (np.hypot(x, y) <= RADIUS) & (np.cos(heading) > math.cos(math.pi / 4))
-        matches[name] = [names[index] for index in np.flatnonzero(same)]
-    return matches

@@ -66,9 +66,7 @@ def video_files(path: Path) -> list[FrameFile]:
         ValueError: the file cannot be read, or it holds no frames with times.
         ImportError: the extra ``video`` is not installed.
     """
-    video = _Video(path)
-    folder = absolute(path)
-    files = list[FrameFile]()
+    video, folder, files = _Video(path), absolute(path), list[FrameFile]()
     for time in (*video.times, *video.missing()):
         seconds = (time - video.times[0]) * video.unit
         name, stamp = f"{round(seconds * 10**6):010d}", video.created + float(seconds)
@@ -130,10 +128,11 @@ class _Video:
         decode, or an earlier one that it may depend on: decoders conceal that. The last `_BUFFERED`
         frames stay in memory."""
         with self._lock:
-            before = self._decoded_with(time)
-            if time not in self._buffer and (
-                not self._reached <= time or self._key(time)[0] > self._reached
-            ):
+            key, first = self._key(time)
+            last = self._decoded[time]
+            here = slice(bisect_left(self._order, (first,)), bisect_left(self._order, (last + 1,)))
+            before = [shown for _, shown in self._order[here]] or [time]
+            if time not in self._buffer and (not self._reached <= time or key > self._reached):
                 self._start(time)
             if self._reached < max(before):
                 self._decode_up_to(max(before))
@@ -180,12 +179,6 @@ class _Video:
         decoded. The first frame if none is."""
         place = bisect_right(self._keys, time, key=lambda key: key[0])
         return self._keys[place - 1] if place else (self.times[0], self.times[0])
-
-    def _decoded_with(self, time: int) -> list[int]:
-        """The frames that are decoded from `_key` up to the one at a time, with it."""
-        first, last = self._key(time)[1], self._decoded[time]
-        here = slice(bisect_left(self._order, (first,)), bisect_left(self._order, (last + 1,)))
-        return [shown for _, shown in self._order[here]] or [time]
 
     def _start(self, time: int) -> None:
         """Goes to the last frame at or before a time at which decoding can begin."""
