@@ -1,7 +1,5 @@
 """Images in ROS 1 and ROS 2 bags. Needs the extra ``rosbag``."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """Camera poses in space, as data sets store them, projected on the ground plane."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path

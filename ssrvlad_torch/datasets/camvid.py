@@ -10,8 +10,6 @@ are joined again.
 - one folder per drive: ``0016E5/images`` and ``0016E5/labels`` (11 classes and void).
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from pathlib import Path

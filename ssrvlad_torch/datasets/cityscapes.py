@@ -5,8 +5,6 @@ and with parking and guard rails, or train ids, as the scripts of the data set w
 ``vehicle/`` has the GPS fixes of the frames.
 """
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -8,8 +8,6 @@ whose z points up: for the reference traverse in ``ground-truth-database-images-
 for about half of the query images in ``camera-poses/*.txt``.
 """
 
-from __future__ import annotations
-
 import re
 from datetime import UTC, datetime
 from itertools import product

@@ -6,8 +6,6 @@ the command that reads it decides. Poses come from ``poses.csv``; a file with ``
 its name is not a frame.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from .dataset import (

@@ -1,8 +1,6 @@
 """Finding frames in folders, globs, stacks, bags and videos, with their poses, and reading them
 ahead."""
 
-from __future__ import annotations
-
 import glob
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence

@@ -1,7 +1,5 @@
 """GPS positions (WGS 84) as metres of UTM. Needs the extra ``gps``."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from pathlib import Path

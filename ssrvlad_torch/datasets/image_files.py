@@ -1,7 +1,5 @@
 """Images on disk: finding them, and decoding them to 8-bit RGB."""
 
-from __future__ import annotations
-
 import io
 import shutil
 from collections.abc import Sequence

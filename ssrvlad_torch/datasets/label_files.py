@@ -1,7 +1,5 @@
 """Label maps on disk: finding them in folders, globs and stacks, and reading each format."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 from functools import partial

@@ -1,7 +1,5 @@
 """Opening a data set, whose layout is recognised by its files."""
 
-from __future__ import annotations
-
 from itertools import islice
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Names of sequences: the shortest ends of paths that distinguish their folders."""
 
-from __future__ import annotations
-
 import os
 import sys
 from collections import Counter, defaultdict

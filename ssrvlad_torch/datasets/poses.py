@@ -1,7 +1,5 @@
 """Poses of frames, and ``poses.csv``: ``frame,x,y,heading`` in metres and radians."""
 
-from __future__ import annotations
-
 import csv
 import io
 import math

@@ -1,7 +1,5 @@
 """Frames in the file systems of pyarrow: ``s3://``, ``gs://``, ``hdfs://``, ``file://``."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 

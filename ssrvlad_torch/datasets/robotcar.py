@@ -7,8 +7,6 @@ camera). Version 2 adds poses of some query images, ``robotcar_v2_train.txt``: a
 matrix from camera to world, row by row. The world's third axis points down.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from .camera_poses import Z_DOWN, optical_axis, parse_numbers, read_poses

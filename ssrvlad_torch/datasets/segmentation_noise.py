@@ -6,8 +6,6 @@ Cityscapes ids, a strength and a random generator. Smooth random fields choose t
 cover regions instead of single pixels and scale with the image.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -13,8 +13,6 @@ Map coordinates are in metres: x east, y north, z up. Angles are counter-clockwi
 Streets, kerbs and walls are described in (s, d): metres along an axis, and to its left.
 """
 
-from __future__ import annotations
-
 import functools
 import itertools
 import json

@@ -7,8 +7,6 @@ the matrix from camera to world, column by column. The world comes from Unity: i
 with y up, and a camera looks along its own -z. The ground plane is x and z, as in VPR-Bench.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from .camera_poses import Y_UP_LEFT_HANDED, parse_numbers

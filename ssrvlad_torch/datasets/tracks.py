@@ -1,7 +1,5 @@
 """Positions of GPS receivers with their times: GPX and NMEA 0183. Needs the extra ``gps``."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from datetime import UTC, datetime

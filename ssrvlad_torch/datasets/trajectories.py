@@ -1,7 +1,5 @@
 """Poses of one drive in files of KITTI, TUM, GPX and NMEA, and the poses of its frames."""
 
-from __future__ import annotations
-
 import math
 from bisect import bisect_left
 from collections.abc import Sequence

@@ -5,8 +5,6 @@
 missing. The heading is in degrees clockwise from north.
 """
 
-from __future__ import annotations
-
 import math
 from datetime import UTC, datetime
 

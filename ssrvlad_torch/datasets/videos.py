@@ -1,7 +1,5 @@
 """Frames of video files, by their presentation times. Needs the extra ``video``."""
 
-from __future__ import annotations
-
 import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterator, Sequence

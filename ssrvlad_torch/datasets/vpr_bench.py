@@ -4,8 +4,6 @@ Its data sets include parts of SYNTHIA (night to fall) and RobotCar (CrossSeason
 names images by their numbers, from 0, in the order of the file names.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from .dataset import Dataset, GroundTruth, Layout, Role, Traverse, images_in

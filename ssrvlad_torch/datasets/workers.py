@@ -1,7 +1,5 @@
 """Work on many items by several threads: results in order, with few items in memory."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor

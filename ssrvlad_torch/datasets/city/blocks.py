@@ -1,7 +1,5 @@
 """Blocks of the city: paving, kerbs, lots, buildings, barriers, furniture and trees."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Collection, Iterator
 from typing import NamedTuple

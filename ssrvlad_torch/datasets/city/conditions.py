@@ -1,7 +1,5 @@
 """Conditions of a drive through the synthetic city, and its random generators."""
 
-from __future__ import annotations
-
 import math
 import zlib
 from dataclasses import dataclass

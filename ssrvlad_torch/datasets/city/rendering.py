@@ -1,7 +1,5 @@
 """Rendering of the city: bodies painted from far to near, each as the hull of its corners."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 

@@ -1,7 +1,5 @@
 """The infinite grid of streets, the route through it, and the camera poses on the route."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Iterable, Iterator

@@ -1,7 +1,5 @@
 """Vehicles and people, which differ between drives."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Iterator
