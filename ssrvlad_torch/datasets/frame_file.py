@@ -38,6 +38,7 @@ class FrameFile:
         stamp: time in seconds, NaN if unknown.
         placed: whether a file of poses, or a name, says the pose: an unknown one is then none, and
             else may be known elsewhere.
+        readers: number of frames that one process best reads at once.
     """
 
     sequence: str
@@ -49,14 +50,12 @@ class FrameFile:
     folder: str = ""
     stamp: float = float("nan")
     placed: bool = False
+    readers: ClassVar[int] = 1
 
     def __post_init__(self) -> None:
         if not self.folder:
             folder = self.path.parent if self.row is None else self.path
             object.__setattr__(self, "folder", absolute(folder))
-
-    readers: ClassVar[int] = 1
-    """Number of frames that one process best reads at once."""
 
     @property
     def frame(self) -> str:

@@ -56,10 +56,10 @@ def find_frames(
     Args:
         kind: which files are frames.
         sources: folders, files, videos, bags, globs, or URIs of folders that pyarrow can reach, as
-            ``s3://bucket/monday``. The files of a folder are one sequence, named by
-            `sequence_names`; hidden files are left out. A glob that matches no frame stands for
-            the folders that it matches. A ``.npy`` stack that is a source is a sequence named by
-            the file; stacks in the folder of a URI are not supported.
+            ``s3://bucket/monday``. The files of a folder, without hidden ones, are one sequence,
+            named by `sequence_names`. A glob that matches no frame stands for the folders that it
+            matches. A ``.npy`` stack that is a source is a sequence; in the folder of a URI it is
+            not supported.
         sequence: name of the sequence, instead of the folder's.
         every, start: of each sequence keep frame ``start`` and every ``every``-th after it.
         known: folders that have a name already, see `sequence_names`.

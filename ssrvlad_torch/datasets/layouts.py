@@ -32,7 +32,7 @@ def open_dataset(
 
     Args:
         path: the folder.
-        layout: name of a layout in `LAYOUTS`; if ``None``, the first that recognises the folder.
+        layout: name of a layout; if ``None``, the first in `LAYOUTS` that recognises the folder.
         labels: a folder of label maps that replace those of the data set, or the name of such a
             folder beside each folder of images; see `Dataset.with_labels`.
         labels_as: label space of the label maps; ``None`` for that of the layout.

@@ -22,11 +22,7 @@ CONFUSED_WITH = {7: 8, 8: 7, 9: 8, 11: 12, 12: 13, 13: 11, 14: 13, 22: 8}
 
 @dataclass(frozen=True)
 class SegmentationNoise:
-    """All errors together.
-
-    Args:
-        strength: amount of errors; 0 none, 1 as of a good network, about 5 as of a bad one.
-    """
+    """All errors together; strength 0: none, 1: as of a good network, about 5: as of a bad one."""
 
     strength: float = 1.0
 
@@ -61,9 +57,8 @@ def confuse(labels: LabelMap, strength: float, rng: np.random.Generator) -> Labe
 def add_blobs(labels: LabelMap, strength: float, rng: np.random.Generator) -> LabelMap:
     """Paint blobs of random classes over 1 % of the image."""
     classes = rng.choice(np.array(BLOB_IDS, np.uint8), size=(4, 4))
-    painted = np.asarray(
-        Image.fromarray(classes).resize(labels.shape[::-1], Image.Resampling.NEAREST)
-    )
+    enlarged = Image.fromarray(classes).resize(labels.shape[::-1], Image.Resampling.NEAREST)
+    painted = np.asarray(enlarged)
     return np.where(_regions(rng, labels.shape, 0.01 * strength, cells=10), painted, labels)
 
 
@@ -71,14 +66,12 @@ def wobble(labels: LabelMap, strength: float, rng: np.random.Generator) -> Label
     """Displace the pixels by a smooth field of about 0.4 % of the image diagonal."""
     height, width = labels.shape
     pixels = 0.004 * strength * math.hypot(height, width)
-    offsets = [
-        np.rint(
-            pixels * (_smooth_field(rng, labels.shape, 10) + _smooth_field(rng, labels.shape, 24))
-        )
-        for _ in range(2)
-    ]
-    rows = np.clip(np.arange(height)[:, None] + offsets[0], 0, height - 1).astype(np.intp)
-    columns = np.clip(np.arange(width) + offsets[1], 0, width - 1).astype(np.intp)
+    coarse_y, fine_y, coarse_x, fine_x = (
+        _smooth_field(rng, labels.shape, cells) for cells in (10, 24, 10, 24)
+    )
+    down, right = np.rint(pixels * (coarse_y + fine_y)), np.rint(pixels * (coarse_x + fine_x))
+    rows = np.clip(np.arange(height)[:, None] + down, 0, height - 1).astype(np.intp)
+    columns = np.clip(np.arange(width) + right, 0, width - 1).astype(np.intp)
     displaced: LabelMap = labels[rows, columns]
     return displaced
 

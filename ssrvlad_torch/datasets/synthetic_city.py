@@ -163,24 +163,16 @@ def write_city(
     labels_as: str = "cityscapes-trainids",
     progress: Callable[[int], None] | None = None,
 ) -> CityFiles:
-    """Write two traverses of one city, their poses and their true matches.
+    """Write two traverses of one city, of ``frames`` frames each, their poses and their true
+    matches into a new or empty folder; another folder, and a value out of range, are a ValueError.
 
-    The label maps are 8-bit palette PNGs: pixel values are ids, and the palette has the colours of
-    the label space. ``poses.csv`` has a line ``frame,x,y,heading`` for each frame, named
-    ``<sequence>/<name>``. ``ground_truth.json`` maps every query frame to the reference frames
-    within `RADIUS` metres whose headings differ by less than 45 degrees. Each file is written
-    whole or not at all. A query traverse with a `spacing` up to the reference's stays on the
-    mapped part of the route.
-
-    Args:
-        out: folder, new or empty.
-        frames: number of frames of each traverse.
-        seed, size, labels_as: as in `SyntheticCity` and `SyntheticCity.traverse`.
-        query: conditions of the query traverse; the reference traverse has `REFERENCE`.
-        progress: called with 1 after each written frame.
-
-    Raises:
-        ValueError: a value is out of range, or the folder is not empty.
+    The label maps are 8-bit palette PNGs of ids, in the colours of the label space. ``poses.csv``
+    has a line ``frame,x,y,heading`` for each frame, named ``<sequence>/<name>``.
+    ``ground_truth.json`` maps every query frame to the reference frames within `RADIUS` metres
+    whose headings differ by less than 45 degrees. Each file is written whole or not at all. The
+    reference traverse has the conditions `REFERENCE`; a query traverse with a `spacing` up to its
+    stays on the mapped part of the route. For ``seed``, ``size`` and ``labels_as`` see
+    `SyntheticCity.traverse`. ``progress`` is called with 1 after each written frame.
     """
     require(frames >= 1, "frames", frames, "at least 1")
     city, out = SyntheticCity(seed), empty_folder(Path(out))

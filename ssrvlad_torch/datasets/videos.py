@@ -59,10 +59,8 @@ def video_files(path: Path) -> list[FrameFile]:
     on which other frames are used. Its stamp is this time in seconds, after the file's creation
     time if the file has one. Nothing is decoded. A frame that does not decode is refused when it is
     read; of a truncated file that says how long it was, the last one stands for all that are lost.
-
-    Raises:
-        ValueError: the file cannot be read, or it holds no frames with times.
-        ImportError: the extra ``video`` is not installed.
+    A file that cannot be read, or without frames that have times, is a ValueError; without the
+    extra ``video``, an ImportError.
     """
     video, folder, files = _Video(path), absolute(path), list[FrameFile]()
     for time in (*video.times, *video.missing()):

@@ -70,12 +70,20 @@ class Side(NamedTuple):
 
 def fixed_bodies(seed: int, sides: list[Side], season: str) -> Iterator[Body]:
     """The bodies of a block that are the same on every drive."""
-    yield from _paving(sides)
+    cut = [(*side.axis.point(s, 0), 0.0) for side in sides for s in (3.0, side.length - 3.0)]
+    yield SIDEWALK, cut
+    south, east, north, west = sides
+    inside = TERRAIN if south.style.yard == TERRAIN else GROUND
+    across = (west.walk, south.length - east.walk)
+    yield box(south.axis, inside, across, (south.walk, east.length - north.walk))
     for side, following in zip(sides, sides[1:] + sides[:1], strict=True):
-        yield from _kerb_strip(seed, side)
+        yield box(side.axis, side.kerb, (7, side.length - 7), (0, KERB_STRIP))
+        chance, begin, end = generator(seed, "rail", *side.key).random(3)
+        if chance < 0.4 and side.kerb != PARKING:
+            rail = (6 + 8 * begin, side.length - 6 - 8 * end)
+            yield from fence(side.axis, GUARD_RAIL, rail, 0.3, (0.35, 0.85))
         yield from _lots(seed, side, following.walk + LOT_DEPTH, season)
-        yield from _furniture(seed, side)
-        yield from _street_trees(seed, side, season)
+        yield from _furniture(seed, side, season)
 
 
 def block_sides(seed: int, column: int, row: int, estates: Collection[int] = ()) -> list[Side]:
@@ -100,27 +108,9 @@ def block_sides(seed: int, column: int, row: int, estates: Collection[int] = ())
     return sides
 
 
-def _paving(sides: list[Side]) -> Iterator[Body]:
-    """A sidewalk over the whole block, with cut corners, and the ground inside the sidewalks."""
-    cut = [(*side.axis.point(s, 0), 0.0) for side in sides for s in (3.0, side.length - 3.0)]
-    yield SIDEWALK, cut
-    south, east, north, west = sides
-    inside = TERRAIN if south.style.yard == TERRAIN else GROUND
-    across = (west.walk, south.length - east.walk)
-    yield box(south.axis, inside, across, (south.walk, east.length - north.walk))
-
-
-def _kerb_strip(seed: int, side: Side) -> Iterator[Body]:
-    """Parking bays or grass along the kerb, sometimes with a guard rail."""
-    yield box(side.axis, side.kerb, (7, side.length - 7), (0, KERB_STRIP))
-    chance, begin, end = generator(seed, "rail", *side.key).random(3)
-    if chance < 0.4 and side.kerb != PARKING:
-        rail = (6 + 8 * begin, side.length - 6 - 8 * end)
-        yield from fence(side.axis, GUARD_RAIL, rail, 0.3, (0.35, 0.85))
-
-
 def _lots(seed: int, side: Side, corner: float, season: str) -> Iterator[Body]:
-    """Built-up and open lots in a row; the last `corner` metres belong to the next side."""
+    """Lots in a row, built-up, or open: trees behind a barrier or a hedge. The last `corner` metres
+    belong to the next side."""
     style = side.style
     s = side.walk
     for number in itertools.count():
@@ -130,21 +120,14 @@ def _lots(seed: int, side: Side, corner: float, season: str) -> Iterator[Body]:
             return
         lot = side.axis.at(s, side.walk)
         if rng.random() < style.open:
-            yield from _open_lot(lot, width, style, rng, season)
+            yield box(lot, style.yard, (0, width), (0, LOT_DEPTH))
+            label = VEGETATION if rng.random() < 0.3 else style.barrier
+            yield from fence(lot, label, (0, width), 0.1, (0, rng.uniform(0.9, 2.0)))
+            for along, behind in rng.uniform((0, 3), (width, LOT_DEPTH), (3, 2)).tolist():
+                yield from tree(lot.at(along, behind), rng, season)
         else:
             yield from _built_lot(lot, width, style, rng)
         s += width
-
-
-def _open_lot(
-    lot: Axis, width: float, style: _Style, rng: np.random.Generator, season: str
-) -> Iterator[Body]:
-    """A barrier or a hedge, with trees behind it."""
-    yield box(lot, style.yard, (0, width), (0, LOT_DEPTH))
-    label = VEGETATION if rng.random() < 0.3 else style.barrier
-    yield from fence(lot, label, (0, width), 0.1, (0, rng.uniform(0.9, 2.0)))
-    for s, d in rng.uniform((0, 3), (width, LOT_DEPTH), (3, 2)).tolist():
-        yield from tree(lot.at(s, d), rng, season)
 
 
 def _built_lot(lot: Axis, width: float, style: _Style, rng: np.random.Generator) -> Iterator[Body]:
@@ -165,8 +148,9 @@ def _built_lot(lot: Axis, width: float, style: _Style, rng: np.random.Generator)
         yield box(lot, BUILDING, (left, right), d, (height, height + 2.5 + 3 * rise))
 
 
-def _furniture(seed: int, side: Side) -> Iterator[Body]:
-    """Lamps, signs, and at the start of the side a traffic light or a pole group."""
+def _furniture(seed: int, side: Side, season: str) -> Iterator[Body]:
+    """Lamps, signs, at the start of the side a traffic light or a pole group, and a row of trees,
+    with gaps, on most kerb strips of grass."""
     rng = generator(seed, "lamps", *side.key)
     step, height, start = rng.uniform((20, 5, 4), (34, 9, 16)).tolist()
     for s in np.arange(start, side.length - 3, step).tolist():
@@ -181,10 +165,6 @@ def _furniture(seed: int, side: Side) -> Iterator[Body]:
         yield from traffic_light(side.axis.at(3.6, 0.5))
     elif rng.random() < 0.5:
         yield box(side.axis, POLE_GROUP, (3.4, 3.9), (0.5, 0.7), (0, 3.5))
-
-
-def _street_trees(seed: int, side: Side, season: str) -> Iterator[Body]:
-    """A row of trees, with gaps, on most kerb strips of grass."""
     rng = generator(seed, "trees", *side.key)
     step, avenue = rng.uniform(6, 12), rng.random() < 0.75
     if side.kerb == TERRAIN and avenue:

@@ -1,7 +1,6 @@
 """Rendering of the city: bodies painted from far to near, each as the hull of its corners."""
 
 import math
-from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,8 +41,13 @@ def paint(labels: NDArray[np.uint8], groups: list[Bodies], pose: Pose) -> NDArra
     order = np.argsort(-distance, kind="stable")
     image = Image.fromarray(labels)
     draw = ImageDraw.Draw(image)
-    for index, outline in _outlines(corners, order, labels.shape):
-        draw.polygon(outline, fill=int(ids[index]))
+    whole = corners[..., 0].min(axis=1) > NEAR
+    pixels = _project(corners, labels.shape)
+    large = np.ptp(pixels, axis=1).min(axis=1) > SMALLEST_PIXELS
+    for index in order[(large | ~whole)[order]].tolist():
+        near = not whole[index]
+        points = _project(_cut_near(corners[index]), labels.shape) if near else pixels[index]
+        draw.polygon(_hull(np.floor(points).tolist()), fill=int(ids[index]))
     return np.array(image)
 
 
@@ -57,18 +61,6 @@ def _in_view(bodies: Bodies, pose: Pose) -> Bodies:
     visible &= (right < reach).any(axis=1) & (right > -reach).any(axis=1)
     corners = np.stack((ahead[visible], right[visible], up[visible]), axis=-1)
     return Bodies(bodies.labels[visible], corners)
-
-
-def _outlines(
-    corners: NDArray[np.float64], order: NDArray[np.intp], shape: tuple[int, ...]
-) -> Iterator[tuple[int, list[tuple[float, float]]]]:
-    """Index and outline in pixels of the bodies that are large enough to see, in `order`."""
-    whole = corners[..., 0].min(axis=1) > NEAR
-    pixels = _project(corners, shape)
-    large = np.ptp(pixels, axis=1).min(axis=1) > SMALLEST_PIXELS
-    for index in order[(large | ~whole)[order]].tolist():
-        points = pixels[index] if whole[index] else _project(_cut_near(corners[index]), shape)
-        yield index, _hull(np.floor(points).tolist())
 
 
 def _project(points: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.float64]:

@@ -38,7 +38,8 @@ def changing_bodies(seed: int, side: Side, conditions: Conditions) -> Iterator[B
 
 
 def vehicles(seed: int, conditions: Conditions, pose: Pose, seconds: float) -> Iterator[Body]:
-    """Vehicles that drive on the right of the nearby streets, none of them at the camera."""
+    """Cars, trucks (7.5 m) and buses (11 m) that drive on the right of the nearby streets, none of
+    them at the camera."""
     nearest = round(pose.x / PITCH), round(pose.y / PITCH)
     for axis, step, forward in itertools.product((0, 1), (-1, 0, 1), (1, -1)):
         index = nearest[axis] + step
@@ -50,8 +51,14 @@ def vehicles(seed: int, conditions: Conditions, pose: Pose, seconds: float) -> I
             lane = Axis(0, position - offset, forward, 0)
         rng = generator(conditions.seed, "lane", seed, axis, index, forward)
         for vehicle, length in _lane(lane, conditions.traffic, pose, seconds, rng):
-            if math.dist((vehicle.x, vehicle.y), (pose.x, pose.y)) > 4 + length / 2:
-                yield from _vehicle(vehicle, length)
+            if math.dist((vehicle.x, vehicle.y), (pose.x, pose.y)) <= 4 + length / 2:
+                continue
+            if length < 5:
+                yield from car(vehicle, length)
+            else:
+                label, height = (BUS, 3.1) if length > 10 else (TRUCK, 3.4)
+                span = (-length / 2, length / 2)
+                yield box(vehicle, label, span, (-1.25, 1.25), (0.3, height), (0.1, 0.05))
 
 
 def _lane(
@@ -68,13 +75,3 @@ def _lane(
         if chance < 0.25 * traffic:
             length = 7.5 if kind < 0.1 else 11.0 if kind < 0.18 else 4 + 0.6 * kind
             yield lane.at((number + 0.4 * shift) * slot + moved, 0), length
-
-
-def _vehicle(axis: Axis, length: float) -> Iterator[Body]:
-    """A car, a truck (7.5 m) or a bus (11 m)."""
-    if length < 5:
-        yield from car(axis, length)
-    else:
-        label, height = (BUS, 3.1) if length > 10 else (TRUCK, 3.4)
-        half = length / 2
-        yield box(axis, label, (-half, half), (-1.25, 1.25), (0.3, height), (0.1, 0.05))
