@@ -1,9 +1,373 @@
-"""Opening data sets: recognising layouts, and saying what was expected."""
+"""The layouts of data sets: what is found in a small copy of each, and what is said of the rest."""
 
+import json
+import math
+import shutil
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
 import pytest
-from trees import plant, write
+from cases import CAMVID, needs_camvid
+from helpers import COLOUR, write_png, write_street
+from PIL import Image
+from trees import outline, plant, roles, write
+from vpr_bench import CORRIDOR, needs_corridor
 
+from ssrvlad_torch import SSRVLAD
+from ssrvlad_torch.datasets.dataset import GroundTruth
+from ssrvlad_torch.datasets.image_files import read_image
+from ssrvlad_torch.datasets.label_files import find_label_files, read_label_map
 from ssrvlad_torch.datasets.layouts import LAYOUTS, open_dataset
+from ssrvlad_torch.datasets.poses import UNKNOWN
+from ssrvlad_torch.encoding.encoder import encode_to_memory
+from ssrvlad_torch.taxonomy import colourise, label_space
+
+# ---- small copies
+
+CITIES = {
+    "train/aachen": ["aachen_000000_000019", "aachen_000001_000019", "aachen_000010_000019"],
+    "val/frankfurt": ["frankfurt_000000_000294", "frankfurt_000000_000576"],
+    "test/berlin": ["berlin_000000_000019"],
+}
+FIX = {"gpsHeading": 281, "gpsLatitude": 50.78, "gpsLongitude": 6.1, "speed": 10.8}
+DRIVES = {
+    "0001TP": ["0001TP_006690", "0001TP_008550"],
+    "0006R0": ["0006R0_f00930"],
+    "0016E5": ["0016E5_07959"],
+    "Seq05VD": ["Seq05VD_f00000"],
+}
+STILLS = [name for names in DRIVES.values() for name in names]
+FRONT = "Stereo_Left/Omni_F"
+FALL, NIGHT = "SYNTHIA-SEQS-04-FALL", "SYNTHIA-SEQS-04-NIGHT"
+TIMES = (1417176458999821, 1417176459082965)
+MAP, AUTUMN, OCTOBER = 1303398475046031, 1285948800000000, 1287446410000000
+"""Microseconds of 2011-04-21 at 15:07, 2010-10-01 at 16:00 and 2010-10-19 at 00:00 (UTC)."""
+
+
+def cityscapes(root):
+    for city, names in CITIES.items():
+        for name in names:
+            plant(root, f"leftImg8bit/{city}/{name}_leftImg8bit.png")
+            write_street(root / f"gtFine/{city}/{name}_gtFine_labelIds.png", 0)
+            plant(root, f"gtFine/{city}/{name}_gtFine_color.png")
+            write(root / f"gtFine/{city}/{name}_gtFine_polygons.json", "{}")
+            write(root / f"vehicle/{city}/{name}_vehicle.json", json.dumps(FIX))
+
+
+def camvid(root):
+    """The two archives of Cambridge, unpacked side by side, and the list of colours."""
+    plant(root, *(f"701_StillsRaw_full/{name}.png" for name in STILLS))
+    labels = np.arange(32 * 4).reshape(8, 16) // 4
+    for name in STILLS:
+        path = root / "LabeledApproved_full" / f"{name}_L.png"
+        path.parent.mkdir(exist_ok=True)
+        Image.fromarray(colourise(labels, "camvid-32")).save(path)
+    (root / "label_colors.txt").touch()
+
+
+def camvid_in_splits(root):
+    camvid(root)
+    (root / "701_StillsRaw_full").rename(root / "train")
+    (root / "LabeledApproved_full").rename(root / "train_labels")
+
+
+def camvid_of_the_tutorial(root):
+    """The SegNet tutorial: the first drive is in two splits."""
+    for split, numbers in (("train", (0, 2)), ("val", (3,)), ("test", (1, 4))):
+        for number in numbers:
+            plant(root, f"{split}/{STILLS[number]}.png")
+            write_street(root / f"{split}annot" / f"{STILLS[number]}.png", number)
+        (root / f"{split}.txt").touch()
+
+
+def camvid_by_drive(root):
+    for name in ("0016E5/{}/000390.{}", "0016E5/{}/000420.{}", "0001TP/{}/006690.{}"):
+        plant(root, name.format("images", "jpg"))
+        write_street(root / name.format("labels", "png"), 0)
+        write_street(root / name.format("predicted_net", "png"), 1)
+
+
+def synthia(root):
+    """Two seasons of a front camera, of different lengths, one with a second camera. Label maps
+    have 16-bit channels: the class, the instance, and one of zeros. The camera looks along z."""
+    labels = np.arange(30 * 40).reshape(30, 40) // 100 % 13
+    instances = np.random.default_rng(0).integers(0, 1 << 16, labels.shape)
+    for season, count in ((NIGHT, 3), (FALL, 4)):
+        for number in range(count):
+            name = f"{FRONT}/{number:06d}"
+            plant(root / season, f"RGB/{name}.png", f"GT/COLOR/{name}.png")
+            path = root / season / f"GT/LABELS/{name}.png"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_png(path, np.stack((labels, instances, 0 * labels), axis=2), COLOUR, 16)
+            matrix = f"1 0 0 0 0 1 0 0 0 0 -1 0 {2 * number} 1.5 10 1"
+            write(root / season / f"CameraParams/{name}.txt", matrix)
+        write(root / season / "CameraParams/intrinsics.txt", "532.740352\n\n640\n\n380\n\n0.8\n")
+    plant(root / FALL, "RGB/Stereo_Right/Omni_B/000000.png")
+
+
+def robotcar(root):
+    """As it is unpacked; the models were built from PNGs. Every camera is level and looks north."""
+    names = [f"overcast-reference/{side}/{t}" for side in ("left", "rear", "right") for t in TIMES]
+    names += ["dawn/rear/1418721355795420", "dawn/rear/1418721356878649"]
+    names.append("night-rain/rear/1418840450664292")
+    plant(root / "images", *(f"{name}.jpg" for name in names))
+    shown = (("./", names[2], 100, 20), ("", names[3], 101, 20), ("", names[0], 100.5, 20))
+    cameras = [
+        f"{prefix}{name}.png 400 0.5 -0.5 -0.5 -0.5 {x} {y} -2.5 0 0"
+        for prefix, name, x, y in shown
+    ]
+    write(root / "3D-models/all-merged/all.nvm", ["NVM_V3 ", "", "3", *cameras, "", "0"])
+    write(root / "robotcar_v2_train.txt", [f"{names[6]}.png 0 0 1 103 1 0 0 21 0 1 0 -2.5 0 0 0 1"])
+    write(root / "intrinsics/rear_intrinsics.txt", "fx 400.0\n")
+
+
+def image(number, camera, time):
+    return f"img_{number:05d}_c{camera}_{time}us"
+
+
+def extended_cmu(root):
+    """Slices 6 and 7 as their archives unpack; half of the query images have poses."""
+    reference = [image(n, c, MAP + n) for n in (99, 100, 101) for c in (0, 1)]
+    queries = [image(n, 0, AUTUMN + n) for n in (9, 10, 11)] + [image(5, 0, OCTOBER)]
+    places = {
+        "slice7/database": reference,
+        "slice7/query": queries,
+        "slice6/database": [image(7, 0, MAP)],
+        "slice6/query": [image(8, 1, OCTOBER)],
+    }
+    plant(root, *(f"{place}/{name}.jpg" for place, names in places.items() for name in names))
+    write(root / "intrinsics.txt", "c0 OPENCV 1024 768 868.99 866.06 525.94 420.04\n")
+    lists = {
+        "ground-truth-database-images-slice7": [(f, n, 2 * n) for n, f in enumerate(reference)],
+        "camera-poses/a": [(queries[0], 7, 8)],
+        "camera-poses/b": [(queries[3], 5, 6)],
+        "camera-poses/empty": [],
+        "../slice6/ground-truth-database-images-slice6": [],
+    }
+    for place, poses in lists.items():
+        level_north = [f"{name}.jpg 0.5 0.5 -0.5 0.5 {x} {y} 1.5" for name, x, y in poses]
+        write(root / "slice7" / f"{place}.txt", ["", *level_north])
+    write(root / "slice7/test-images-slice7.txt", queries)
+
+
+def vpr_bench(root):
+    """The text and the second ground truth come with some of the sets. Row 10 of the ground truth
+    is the image 10, not the image that sorts tenth as text."""
+    plant(root, *(f"query/{n:07d}.jpg" for n in range(11)), *(f"ref/{n}.jpg" for n in range(12)))
+    for name in ("ground_truth_new.npy", "ReadMe.txt", "query/Thumbs.db"):
+        (root / name).touch()
+
+
+BY_DRIVE = {"0001TP": ["006690"], "0016E5": ["000390", "000420"]}
+CITY_FRAMES = {city.replace("/", "-"): CITIES[city] for city in sorted(CITIES)}
+CMU_FRAMES = {
+    "slice6-c0-2011-04-21": [image(7, 0, MAP)],
+    "slice6-c1-2010-10-19": [image(8, 1, OCTOBER)],
+    "slice7-c0-2011-04-21": [image(n, 0, MAP + n) for n in (99, 100, 101)],
+    "slice7-c1-2011-04-21": [image(n, 1, MAP + n) for n in (99, 100, 101)],
+    "slice7-c0-2010-10-01": [image(n, 0, AUTUMN + n) for n in (9, 10, 11)],
+    "slice7-c0-2010-10-19": [image(5, 0, OCTOBER)],
+}
+SYNTHIA_FRAMES = {
+    f"{FALL}-Stereo_Left-Omni_F": [f"{n:06d}" for n in range(4)],
+    f"{FALL}-Stereo_Right-Omni_B": ["000000"],
+    f"{NIGHT}-Stereo_Left-Omni_F": [f"{n:06d}" for n in range(3)],
+}
+ROBOTCAR_FRAMES = {
+    "dawn-rear": ["1418721355795420", "1418721356878649"],
+    "night-rain-rear": ["1418840450664292"],
+    **{f"overcast-reference-{side}": [*map(str, TIMES)] for side in ("left", "rear", "right")},
+}
+VPR_FRAMES = {"query": [f"{n:07d}" for n in range(11)], "ref": [str(n) for n in range(12)]}
+ALONG = GroundTruth(frames=1)
+FOUND = [
+    (cityscapes, "cityscapes", "cityscapes-ids", None, CITY_FRAMES),
+    (camvid, "camvid", "camvid-32", ALONG, DRIVES),
+    (camvid_in_splits, "camvid", "camvid-32", ALONG, DRIVES),
+    (camvid_of_the_tutorial, "camvid", "camvid-11", ALONG, DRIVES),
+    (camvid_by_drive, "camvid", "camvid-11", ALONG, BY_DRIVE),
+    (synthia, "synthia", "synthia", GroundTruth(metres=7), SYNTHIA_FRAMES),
+    (robotcar, "robotcar-seasons", None, GroundTruth(metres=5), ROBOTCAR_FRAMES),
+    (extended_cmu, "extended-cmu", None, GroundTruth(metres=5), CMU_FRAMES),
+    (vpr_bench, "vpr-bench", None, GroundTruth(Path("ground_truth_new.npy")), VPR_FRAMES),
+]
+REFERENCES = ("overcast-reference", "2011-04-21", "ref")
+"""What names of reference traverses contain."""
+
+
+@pytest.fixture
+def copy(tmp_path, request):
+    """The small copy that `request.param` makes."""
+    root = tmp_path / "data"
+    root.mkdir()
+    request.param(root)
+    return root
+
+
+def of(*makers):
+    return pytest.mark.parametrize("copy", makers, indirect=True)
+
+
+# ---- what is found
+
+
+@pytest.mark.parametrize(("copy", "layout", "space", "truth", "frames"), FOUND, indirect=["copy"])
+def test_traverses_label_space_and_truth(copy, layout, space, truth, frames):
+    dataset = open_dataset(copy)
+    assert (dataset.layout, dataset.labels_as) == (layout, space)
+    assert outline(dataset) == frames
+    declared = layout in ("robotcar-seasons", "extended-cmu", "vpr-bench")
+    assert roles(dataset) == {
+        name: ("reference" if any(map(name.count, REFERENCES)) else "query") if declared else None
+        for name in frames
+    }
+    if truth and truth.file:
+        truth = truth._replace(file=copy / truth.file)
+    assert dataset.truth == truth
+
+
+FILES = [
+    (
+        cityscapes,
+        "val-frankfurt/frankfurt_000000_000294",
+        "leftImg8bit/val/frankfurt/frankfurt_000000_000294_leftImg8bit.png",
+        "gtFine/val/frankfurt/frankfurt_000000_000294_gtFine_labelIds.png",
+    ),
+    (camvid_of_the_tutorial, "0001TP/0001TP_008550", "test/{}.png", "testannot/{}.png"),
+    (
+        synthia,
+        f"{NIGHT}-Stereo_Left-Omni_F/000002",
+        f"{NIGHT}/RGB/{FRONT}/{{}}.png",
+        f"{NIGHT}/GT/LABELS/{FRONT}/{{}}.png",
+    ),
+]
+
+
+@pytest.mark.parametrize(("copy", "frame", "image", "label"), FILES, indirect=["copy"])
+def test_a_frame_has_its_image_and_its_label_map(copy, frame, image, label):
+    [found] = (each for each in open_dataset(copy).frames if each.frame == frame)
+    assert (found.image, found.label) == (
+        copy / image.format(found.name),
+        copy / label.format(found.name),
+    )
+
+
+POSES = {
+    synthia: {f"{NIGHT}-Stereo_Left-Omni_F/000002": (4, 10, math.pi / 2)},
+    robotcar: {  # x of a `Pose` is the world's second axis: east, if its first is north
+        f"overcast-reference-rear/{TIMES[0]}": (20, 100, math.pi / 2),
+        "dawn-rear/1418721355795420": (21, 103, math.pi / 2),
+        "dawn-rear/1418721356878649": UNKNOWN,
+    },
+    extended_cmu: {
+        f"slice7-c1-2011-04-21/{image(100, 1, MAP + 100)}": (3, 6, 0),
+        f"slice7-c0-2010-10-01/{image(9, 0, AUTUMN + 9)}": (7, 8, 0),
+        f"slice7-c0-2010-10-01/{image(10, 0, AUTUMN + 10)}": UNKNOWN,
+    },
+}
+
+
+@pytest.mark.parametrize(("copy", "poses"), POSES.items(), indirect=["copy"])
+def test_poses_are_joined_by_name(copy, poses):
+    found = {frame.frame: frame.pose for frame in open_dataset(copy).frames}
+    for frame, pose in poses.items():
+        assert found[frame] == pytest.approx(pose, abs=1e-12, nan_ok=True)
+
+
+SEQUENCES = "it is in the package at synthia-dataset.net (SYNTHIA-SEQS-<number>-<season>)"
+SEASONS = "it is at visuallocalization.net/datasets (RobotCar Seasons)"
+SLICES = "they are at visuallocalization.net/datasets (Extended CMU Seasons, slice*.tar)"
+LEFT = f"{FALL}-Stereo_Left-Omni_F"
+MISSING = [
+    (cityscapes, [], []),
+    (
+        cityscapes,
+        ["vehicle/val/frankfurt/*294*", "leftImg8bit/test/berlin/*"],
+        [
+            "1 of 6 frames have no image, the first is test-berlin/berlin_000000_000019",
+            "1 of 6 frames have no pose, the first is val-frankfurt/frankfurt_000000_000294",
+        ],
+    ),
+    (
+        cityscapes,
+        ["vehicle"],
+        [
+            "{} has no vehicle/, so no frame has a pose; it is vehicle_trainvaltest.zip at "
+            "cityscapes-dataset.com"
+        ],
+    ),
+    (camvid, [], []),
+    (
+        synthia,
+        [f"{FALL}/CameraParams/{FRONT}/000001.txt", f"{FALL}/GT/LABELS/{FRONT}/000003.png"],
+        [
+            f"2 of 8 frames have no label map, the first is {LEFT}/000003",
+            f"2 of 8 frames have no pose, the first is {LEFT}/000001",
+        ],
+    ),
+    (
+        synthia,
+        [NIGHT, f"{FALL}/GT", f"{FALL}/CameraParams"],
+        [f"{{}}/{FALL} has no {part}; {SEQUENCES}" for part in ("GT/LABELS", "CameraParams")],
+    ),
+    (
+        robotcar,
+        [],
+        ["5 of 9 frames have no pose, the first is dawn-rear/1418721356878649"],
+    ),
+    (
+        robotcar,
+        ["robotcar_v2_train.txt", "3D-models/all-merged/all.nvm"],
+        [
+            f"{{}} has no 3D-models/**/*.nvm, so overcast-reference has no poses; {SEASONS}",
+            f"{{}} has no robotcar_v2_train.txt, so no query has a pose; {SEASONS}",
+        ],
+    ),
+    (
+        extended_cmu,
+        [],
+        [
+            f"{{}}/slice6/database has no poses; {SLICES}",
+            f"{{}}/slice6/query has no poses; {SLICES}",
+            f"4 of 12 frames have no pose, the first is slice6-c0-2011-04-21/{image(7, 0, MAP)}",
+        ],
+    ),
+    (vpr_bench, [], []),
+    (
+        vpr_bench,
+        ["ground_truth_new.npy"],
+        ["{} has no ground_truth_new.npy; it is at github.com/MubarizZaffar/VPR-Bench"],
+    ),
+]
+
+
+@pytest.mark.parametrize(("copy", "gone", "warnings"), MISSING, indirect=["copy"])
+def test_what_is_missing_is_said(copy, gone, warnings):
+    for path in [path for pattern in gone for path in copy.glob(pattern)]:
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
+    assert open_dataset(copy).warnings == [warning.format(copy) for warning in warnings]
+
+
+@pytest.mark.parametrize(
+    ("copy", "folder", "below"),
+    [
+        (camvid_by_drive, "0016E5", "images"),
+        (synthia, FALL, "RGB"),
+        (extended_cmu, "slice7", "database"),
+    ],
+    indirect=["copy"],
+)
+def test_a_part_is_a_data_set_too(copy, folder, below, monkeypatch):
+    names = [name for name in outline(open_dataset(copy)) if name.startswith(folder)]
+    assert list(outline(open_dataset(copy / folder))) == names
+    monkeypatch.chdir(copy / folder / below)
+    assert list(outline(open_dataset(".."))) == names
+
+
+# ---- opening
+
 
 SMALLEST = {
     "extended-cmu": "slice7/database/img_00119_c0_1287503873253450us.jpg",
@@ -22,6 +386,10 @@ def test_each_layout_is_recognised_by_its_folders_and_by_no_other(tmp_path, name
     assert open_dataset(tmp_path).layout == open_dataset(str(tmp_path), name).layout == name
     others = [layout.name for layout in LAYOUTS if layout.recognises(tmp_path)]
     assert set(others) <= {name, "folders"}
+    next(path for path in tmp_path.rglob("*") if path.is_file()).unlink()
+    if name not in ("vpr-bench", "folders"):
+        with pytest.raises(ValueError, match=rf"\({name}\) holds no frames: .* data set is at \w+"):
+            open_dataset(tmp_path)
 
 
 def test_every_layout_is_tried_once_and_plain_folders_last():
@@ -40,37 +408,211 @@ def test_a_layout_that_does_not_fit_is_refused_with_what_was_wanted_and_found(tm
         "slice*/query/*.jpg; found intrinsics.txt, slice7/images, slice10/images; the data set is "
         "at visuallocalization.net/datasets (Extended CMU Seasons, slice*.tar)"
     )
-
-
-@pytest.mark.parametrize(
-    ("name", "folder"),
-    [
-        ("extended-cmu", "slice7/database"),
-        ("robotcar-seasons", "images/dawn/rear"),
-        ("synthia", "SYNTHIA-SEQS-04-FALL/GT/LABELS/Stereo_Left/Omni_F"),
-        ("cityscapes", "leftImg8bit/train/aachen"),
-        ("camvid", "LabeledApproved_full"),
-    ],
-)
-def test_a_data_set_without_frames_is_refused(tmp_path, name, folder):
-    (tmp_path / folder).mkdir(parents=True)
-    with pytest.raises(ValueError, match=rf"\({name}\) holds no frames: .* data set is at \w+"):
-        open_dataset(tmp_path)
+    for name in ("dawn.zip", "rain.zip"):
+        write(tmp_path / "images" / name, "")
+    with pytest.raises(ValueError, match=r"unpacked; found .*images/dawn\.zip, images/rain\.zip"):
+        open_dataset(tmp_path, "robotcar-seasons")
 
 
 def test_what_no_layout_knows_is_refused_with_all_that_are_known(tmp_path):
+    with pytest.raises(ValueError, match=r"folders: expected folders .* found nothing$"):
+        open_dataset(tmp_path, "folders")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(ValueError, match="found empty/; "):
+        open_dataset(tmp_path, "vpr-bench")
     write(tmp_path / "a" / "b" / "c.txt", "")
     with pytest.raises(
-        ValueError, match="in no known layout; found a/b; expected one of"
+        ValueError, match="in no known layout; found a/b, empty/; expected one of"
     ) as raised:
         open_dataset(tmp_path)
     assert all(f"{layout.name}: {layout.expected}" in str(raised.value) for layout in LAYOUTS)
     assert "\n" not in str(raised.value)
 
 
-def test_an_empty_folder_holds_nothing(tmp_path):
-    with pytest.raises(ValueError, match=r"folders: expected folders .* found nothing$"):
-        open_dataset(tmp_path, "folders")
-    (tmp_path / "empty").mkdir()
-    with pytest.raises(ValueError, match="found empty/; "):
-        open_dataset(tmp_path, "vpr-bench")
+# ---- Cityscapes
+
+
+@of(cityscapes)
+def test_train_ids_are_read_when_asked_for_or_alone(copy):
+    name = CITIES["train/aachen"][0]
+    write_street(copy / f"gtFine/train/aachen/{name}_gtFine_labelTrainIds.png", 1)
+    assert open_dataset(copy).labels_as == "cityscapes-ids"
+    asked = open_dataset(copy, labels_as="cityscapes-trainids")
+    assert [file.path.name for file in asked.label_files()] == [f"{name}_gtFine_labelTrainIds.png"]
+    for path in copy.rglob("*_labelIds.png"):
+        path.unlink()
+    alone = open_dataset(copy)
+    assert alone.labels_as == "cityscapes-trainids"
+    assert alone.warnings == [
+        "5 of 6 frames have no label map, the first is test-berlin/berlin_000000_000019"
+    ]
+
+
+@of(cityscapes)
+def test_coarse_annotations_fill_what_is_not_fine(copy):
+    fine, coarse, _ = CITIES["train/aachen"]
+    (copy / f"gtFine/train/aachen/{coarse}_gtFine_labelIds.png").unlink()
+    for name in (fine, coarse):
+        write_street(copy / f"gtCoarse/train/aachen/{name}_gtCoarse_labelIds.png", 0)
+    labels = {file.name: file.path.parents[2].name for file in open_dataset(copy).label_files()}
+    assert (labels[fine], labels[coarse]) == ("gtFine", "gtCoarse")
+
+
+# ---- CamVid
+
+
+@of(camvid)
+def test_published_colours_are_read(copy):
+    labels = read_label_map(open_dataset(copy).label_files()[0], label_space("camvid-32"))
+    np.testing.assert_array_equal(np.unique(labels), np.arange(32))
+
+
+@of(camvid_of_the_tutorial)
+def test_strange_frames_and_label_spaces_of_camvid(copy):
+    """A name without a drive is of a traverse called like its folder; the user's label space is
+    taken, but not two spaces of the data set."""
+    plant(copy, "train/mine.png")
+    assert outline(open_dataset(copy))["train"] == ["mine"]
+    assert open_dataset(copy, labels_as="my.yaml").labels_as == "my.yaml"
+    camvid(copy)
+    with pytest.raises(ValueError, match="label maps of camvid-11 and camvid-32; expected one"):
+        open_dataset(copy)
+
+
+def test_drives_of_ones_own_are_not_taken_for_camvid(tmp_path):
+    """Their labels could mean anything."""
+    plant(tmp_path, "monday/images/1.jpg")
+    write_street(tmp_path / "monday/labels/1.png", 0)
+    dataset = open_dataset(tmp_path)
+    assert (dataset.layout, dataset.labels_as) == ("folders", None)
+
+
+@needs_camvid
+def test_the_shared_drives_of_camvid():
+    dataset = open_dataset(CAMVID)
+    counts = {name: len(frames) for name, frames in outline(dataset).items()}
+    assert counts == {"0001TP": 124, "0016E5": 305}
+    assert dataset.warnings == []
+    by_hand = [
+        replace(file, named=False)
+        for drive in counts
+        for file in find_label_files([str(CAMVID / drive / "labels")], drive, 2, 1)
+    ]
+    assert repr(dataset.label_files(2, 1)) == repr(by_hand)  # NaN where a stamp is not known
+    for network in ("predicted_dicenet", "predicted_espnetv2"):
+        predicted = open_dataset(CAMVID, labels=network, labels_as="cityscapes-trainids")
+        assert predicted.warnings == []
+        first = predicted.label_files()[0]
+        assert first.path.parent.name == network
+        assert read_label_map(first, label_space("cityscapes-trainids")).max() < 19
+
+
+# ---- SYNTHIA
+
+
+@of(synthia)
+def test_a_season_is_encoded(copy):
+    files = open_dataset(copy).select(["*-NIGHT-*"]).label_files()
+    frames, skipped = encode_to_memory(SSRVLAD.from_preset("default", labels_as="synthia"), files)
+    assert skipped == []
+    assert frames.frames[0] == f"{NIGHT}-Stereo_Left-Omni_F/000000"
+    np.testing.assert_allclose(frames.poses[:, :2], [[0, 10], [2, 10], [4, 10]])
+    assert not frames.empty.any()
+
+
+@of(synthia)
+def test_images_or_label_maps_alone_do(copy):
+    (copy / FALL / "RGB").rename(copy / "elsewhere")
+    assert len(open_dataset(copy / FALL).label_files()) == 4
+    (copy / "elsewhere").rename(copy / FALL / "RGB")
+    shutil.rmtree(copy / FALL / "GT")
+    last = open_dataset(copy / FALL).image_files()[-1].frame
+    assert last == f"{FALL}-Stereo_Right-Omni_B/000000"
+
+
+# ---- RobotCar Seasons
+
+
+@of(robotcar)
+def test_parts_are_chosen_by_role(copy):
+    rear = open_dataset(copy).select(["*-rear"])
+    assert [len(list(rear.select(role=role).frames)) for role in ("query", "reference")] == [3, 2]
+
+
+@of(robotcar)
+def test_models_of_single_places_do_as_well(copy):
+    whole = copy / "3D-models/all-merged/all.nvm"
+    cameras = whole.read_text().splitlines()[3:6]
+    whole.unlink()
+    for number, camera in enumerate(cameras):
+        place = copy / f"3D-models/individual/nvm/00{number}_aligned.nvm"
+        write(place, ["NVM_V3 ", "", "1", camera, "", "0"])
+    assert len(list(open_dataset(copy).posed().frames)) == 4
+
+
+# ---- Extended CMU Seasons
+
+
+@pytest.mark.parametrize("zone", ["America/Los_Angeles", "Asia/Tokyo"])
+@of(extended_cmu)
+def test_the_day_is_the_same_wherever_it_is_read(copy, monkeypatch, zone):
+    monkeypatch.setenv("TZ", zone)
+    time.tzset()
+    try:
+        assert list(outline(open_dataset(copy))) == list(CMU_FRAMES)
+    finally:
+        monkeypatch.undo()
+        time.tzset()
+
+
+def test_undistorted_copies_have_the_poses_of_their_originals(tmp_path):
+    name = "img_00122_c0_1303398475046031us"
+    plant(tmp_path / "slice2/database", f"{name}_rect.png")
+    line = f"{name}.jpg 0.5 0.5 -0.5 0.5 -85.392177 55.2 -2.9"
+    write(tmp_path / "slice2/ground-truth-database-images-slice2.txt", [line])
+    frame = next(open_dataset(tmp_path).frames)
+    assert frame.frame == f"slice2-c0-2011-04-21/{name}_rect"
+    assert frame.pose.x == -85.392177
+
+
+@of(extended_cmu)
+def test_strange_names_are_left_out_and_counted(copy):
+    assert len(list(open_dataset(copy).posed().frames)) == 8
+    plant(copy / "slice7/query", "overview.jpg", "img_00001_c0_12us.jpg")
+    dataset = open_dataset(copy)
+    assert len(list(dataset.frames)) == 12
+    assert any(
+        "2 images" in note and "left out, for example 'img_00001_c0_12us.jpg'" in note
+        for note in dataset.warnings
+    )
+
+
+# ---- VPR-Bench
+
+
+@of(vpr_bench)
+def test_the_ground_truth_may_lie_beside_the_folder(copy, monkeypatch):
+    beside = copy.parent / "data.ground_truth_new.npy"
+    (copy / "ground_truth_new.npy").rename(beside)
+    assert open_dataset(copy).truth.file == beside
+    monkeypatch.chdir(copy)
+    assert open_dataset(".").truth.file == beside
+
+
+@of(vpr_bench)
+def test_an_empty_folder_is_refused(copy):
+    for picture in (copy / "ref").iterdir():
+        picture.unlink()
+    with pytest.raises(ValueError, match=r"data/ref holds no images; .*MubarizZaffar"):
+        open_dataset(copy)
+
+
+@needs_corridor
+def test_the_shared_corridor():
+    dataset = open_dataset(CORRIDOR)
+    counts = {name: len(frames) for name, frames in outline(dataset).items()}
+    assert counts == {"query": 111, "ref": 111}
+    assert dataset.truth.file.name == "corridor.ground_truth_new.npy"
+    assert dataset.warnings == []
+    first = dataset.select(role="query").image_files()[0]
+    assert (first.frame, read_image(first).shape) == ("query/0000000", (120, 160, 3))

@@ -1,0 +1,206 @@
+"""Poses as data sets store them: GPS fixes, quaternions and matrices of cameras in space."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from helpers import refused
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+from trees import write
+
+from ssrvlad_torch.datasets.camera_poses import Y_UP_LEFT_HANDED, Z_DOWN, Z_UP, optical_axis
+from ssrvlad_torch.datasets.cityscapes import read_fix
+from ssrvlad_torch.datasets.extended_cmu import read_list
+from ssrvlad_torch.datasets.robotcar import read_nvm, read_v2_poses
+from ssrvlad_torch.datasets.synthia import read_pose
+
+EAST, NORTH, WEST = 0.0, math.pi / 2, math.pi
+LEVEL = "0.5 -0.5 -0.5 -0.5"
+"""From world to camera, of a level camera that looks along +x of a world with z down."""
+README = (
+    "img_00122_c0_1303398475046031us.jpg 0.636779 0.569692 0.379586 -0.354792 "
+    "-85.392177 55.210379 -2.980700"
+)
+"""The line of slice 2 that the README of Extended CMU Seasons shows."""
+
+
+def nvm(*cameras, header="NVM_V3 "):
+    return [header, "", str(len(cameras)), *cameras, "", "1", "1.5 2.5 3.5 10 20 30 1 0 4 5.5 6.5"]
+
+
+def camera(name, x, y, quaternion=LEVEL):
+    return f"{name} 400.000000 {quaternion} {x} {y} -2.5 0 0"
+
+
+# ---- cameras in space and on the ground
+
+
+@given(st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda q: math.hypot(*q) > 1e-3))
+def test_the_axis_is_the_third_row_of_the_rotation(quaternion):
+    w, x, y, z = quaternion
+    rotation = Rotation.from_quat([x, y, z, w]).as_matrix()
+    np.testing.assert_allclose(optical_axis(quaternion), rotation[2], atol=1e-9)
+
+
+@pytest.mark.parametrize("quaternion", [(0, 0, 0, 0), (math.nan, 0, 0, 1), (math.inf, 0, 0, 1)])
+def test_what_is_no_rotation_is_refused(quaternion):
+    with pytest.raises(ValueError, match="is not a rotation"):
+        optical_axis(quaternion)
+
+
+def test_headings_are_counted_from_x_towards_y():
+    for axis, heading in (((1, 0, 0), EAST), ((0, 1, 9), NORTH), ((-2, 0, 0), WEST)):
+        assert Z_UP.pose((1, 2, 3), axis) == (1, 2, heading)
+
+
+def test_seen_from_above_a_left_turn_is_positive_in_every_world():
+    """Ahead, and then to the left of it for someone who stands upright in that world."""
+    turns = {
+        Z_UP: ((1, 0, 0), (0, 1, 0)),  # x east, y north
+        Z_DOWN: ((1, 0, 0), (0, -1, 0)),  # x north, y east: left of north is west
+        Y_UP_LEFT_HANDED: ((0, 0, 1), (-1, 0, 0)),  # z ahead, x to the right
+    }
+    for ground, (ahead, left) in turns.items():
+        first, second = (ground.pose((0, 0, 0), axis).heading for axis in (ahead, left))
+        assert math.remainder(second - first, 2 * math.pi) == pytest.approx(math.pi / 2)
+
+
+# ---- GPS fixes of Cityscapes
+
+
+def fix(tmp_path, latitude, longitude, **others):
+    content = {"gpsLatitude": latitude, "gpsLongitude": longitude, **others}
+    return read_fix(write(tmp_path / "a_vehicle.json", json.dumps(content)))
+
+
+def test_on_the_meridian_north_is_y(tmp_path):
+    """A degree of a circle around a sphere of 6371 km is 111.195 km."""
+    x, y, heading = fix(tmp_path, 50, 9)
+    assert (x, y) == pytest.approx((0, 50 * 111_194.93), abs=1)
+    assert math.isnan(heading), "a course may be left out"
+    assert fix(tmp_path, 0, 10)[0] == pytest.approx(111_194.93, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("course", "heading"),
+    [(0, NORTH), (90, EAST), (180, -math.pi / 2), (281, math.radians(169))],
+)
+def test_courses_become_headings(tmp_path, course, heading):
+    assert fix(tmp_path, 50, 9, gpsHeading=course).heading == pytest.approx(heading)
+
+
+def test_distances_are_those_on_the_sphere(tmp_path):
+    """Between fixes some metres apart anywhere in the data set's cities, against haversines."""
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        latitude, longitude = rng.uniform(47, 54), rng.uniform(6, 14)
+        north, east = rng.uniform(-1e-3, 1e-3, 2)
+        x, y = np.subtract(
+            fix(tmp_path, latitude + north, longitude + east)[:2],
+            fix(tmp_path, latitude, longitude)[:2],
+        )
+        first, second = math.radians(latitude), math.radians(latitude + north)
+        sines = math.sin(math.radians(north) / 2) ** 2
+        sines += math.cos(first) * math.cos(second) * math.sin(math.radians(east) / 2) ** 2
+        expected = 2 * 6_371_000 * math.asin(math.sqrt(sines))
+        assert math.hypot(x, y) == pytest.approx(expected, rel=5e-3)
+
+
+# ---- SYNTHIA
+
+
+@pytest.mark.parametrize(
+    ("yaw", "heading"),
+    [(0, NORTH), (math.pi / 2, EAST), (math.pi, -math.pi / 2), (-math.pi / 4, 3 * math.pi / 4)],
+)
+def test_headings_in_unity(tmp_path, yaw, heading):
+    """Yaw 0 looks along the world's z, which is a `Pose`'s y; a quarter turn clockwise, along x.
+    The columns of the matrix are right, up, back and the position."""
+    right = (math.cos(yaw), 0, -math.sin(yaw))
+    back = (-math.sin(yaw), 0, -math.cos(yaw))
+    numbers = (*right, 0, 0, 1, 0, 0, *back, 0, 3, 1, -4, 1)
+    pose = read_pose(write(tmp_path / "0.txt", " ".join(map(str, numbers))))
+    assert pose == pytest.approx((3, -4, heading))
+
+
+# ---- RobotCar Seasons and Extended CMU Seasons
+
+
+def test_the_example_of_robotcar(tmp_path):
+    """The README's estimate for rear/1417178853389469.jpg: by hand, the third row of its rotation
+    is (0.884, -0.425, 0.192) and the second, which is down, (-0.170, 0.090, 0.981)."""
+    quaternion = "0.655230866337965 -0.536609290501044 -0.340346549997501 -0.408516459863989"
+    line = camera("sun/rear/1417178853389469.jpg", 1, 2, quaternion)
+    pose = read_nvm(write(tmp_path / "all.nvm", nvm(line)))["sun/rear/1417178853389469"]
+    assert pose == pytest.approx((2, 1, math.atan2(0.88446, -0.42513)), abs=1e-4)
+
+
+def test_the_example_of_extended_cmu(tmp_path):
+    """By hand: the third row of the rotation is (-0.888, 0.456, 0.063) and the second, which is
+    down, (-0.019, 0.099, -0.995): so z is up, and the camera looks west by north."""
+    known = read_list(write(tmp_path / "poses.txt", [README]))
+    x, y, heading = known["img_00122_c0_1303398475046031us"]
+    assert (x, y) == (-85.392177, 55.210379)
+    assert heading == pytest.approx(math.atan2(0.4562, -0.8877), abs=1e-3)
+
+
+def test_both_forms_of_a_pose_are_one_pose(tmp_path):
+    for number in range(20):
+        rotation = Rotation.random(rng=np.random.default_rng(number))
+        x, y, z, w = rotation.as_quat()
+        centre = np.random.default_rng(number).normal(size=3) * 100
+        line = " ".join(map(str, ("rain/rear/1.png", 400, w, x, y, z, *centre, 0, 0)))
+        inverse = np.column_stack((rotation.as_matrix().T, centre))
+        lines = [" ".join(map(str, ("rain/rear/1.png", *inverse.ravel(), 0, 0, 0, 1)))]
+        first = read_nvm(write(tmp_path / "all.nvm", nvm(line)))
+        second = read_v2_poses(write(tmp_path / "train.txt", lines))
+        assert first["rain/rear/1"] == pytest.approx(second["rain/rear/1"])
+
+
+def test_the_header_may_hold_a_calibration_and_the_points_are_not_read(tmp_path):
+    model = nvm(camera("a/rear/1.png", 1, 2), header="NVM_V3 FixedK 400 508 400 498 0")
+    path = write(tmp_path / "all.nvm", [*model, "these are no points"])
+    assert list(read_nvm(path)) == ["a/rear/1"]
+
+
+FIX = "must hold numbers gpsLatitude"
+LIST = ["# name qw qx qy qz cx cy cz", README]
+V2 = ["b.png 0 0 1 1 1 0 0 2 0 1 0 -2.5 0 0 0 1"]
+DAMAGED = [
+    (read_fix, "", FIX),
+    (read_fix, "[1, 2]", FIX),
+    (read_fix, '{"gpsLatitude": 50}', FIX),
+    (read_fix, '{"gpsLatitude": "50", "gpsLongitude": 9}', FIX),
+    (read_fix, '{"gpsLatitude": 50, "gpsLongitude": 9, "gpsHeading": Infinity}', FIX),
+    (read_fix, '{"gpsLatitude": 0, "gpsLongitude": 99}', FIX),
+    (read_fix, '{"gpsLatitude": null, "gpsLongitude": 9}', FIX),
+    (read_pose, "", "expected 16 numbers, got 0"),
+    (read_pose, "1 " * 12, "got 12"),
+    (read_pose, "1 " * 15 + "x", "'x'"),
+    (read_nvm, ["ply"], "is not an NVM_V3 model"),
+    (read_nvm, [], "is not an NVM_V3 model"),
+    (read_nvm, ["NVM_V3"], "holds no number of cameras"),
+    (read_nvm, ["NVM_V3", "", "many"], "line 3: .*'many'"),
+    (read_nvm, ["NVM_V3", "", "2", camera("a", 1, 2)], "line 4: the file ends 1 cameras too early"),
+    (read_nvm, ["NVM_V3", "", "1", "a 400 1 0 0 0 1 2"], "line 4: expected 10 numbers, got 7"),
+    (read_nvm, ["NVM_V3", "", "1", camera("a", "x", 2)], "line 4: .*'x'"),
+    (read_nvm, ["NVM_V3", "", "1", camera("a", 1, 2, "0 0 0 0")], "line 4: .* is not a rotation"),
+    (read_v2_poses, [*V2, "a.png 1 2 3"], "line 2: expected 16 numbers, got 3"),
+    (read_v2_poses, [*V2, "a.png " + "x " * 16], "line 2: .*'x'"),
+    (read_list, [*LIST, "a.jpg 1 0 0 0 1 2"], "line 3: expected 7 numbers, got 6"),
+    (read_list, [*LIST, "a.jpg 1 0 0 0 1 2 3 4"], "line 3: expected 7 numbers, got 8"),
+    (read_list, [*LIST, "a.jpg"], "line 3: expected 7 numbers, got 0"),
+    (read_list, [*LIST, "a.jpg 1 0 0 0 east 2 3"], "line 3: .*'east'"),
+    (read_list, [*LIST, "a.jpg 0 0 0 0 1 2 3"], "line 3: .* is not a rotation"),
+    (read_list, [*LIST, "\x00\x01\x02"], "line 3: expected 7 numbers"),
+]
+
+
+@pytest.mark.parametrize(("read", "lines", "message"), DAMAGED)
+def test_damaged_poses_are_refused_by_file_and_line(tmp_path, read, lines, message):
+    path = write(tmp_path / "poses", lines)
+    with refused(message, path):
+        read(path)
