@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from helpers import write_street
+from helpers import touch
 from trees import outline, plant, roles, write
 
 from ssrvlad_torch.datasets.image_files import SUFFIXES as IMAGE_SUFFIXES
@@ -25,20 +25,17 @@ def test_the_synthetic_city(tmp_path):
     assert dataset.labels_as == "cityscapes-trainids"
 
 
-def test_a_folder_of_frames_is_one_sequence(tmp_path, monkeypatch):
-    """What lies in folders in it is passed over, as it is when the folder is encoded."""
-    for name in ("monday/9.png", "monday/10.png", "monday/thumbnails/9.png"):
-        write_street(tmp_path / name, 0)
-    assert outline(open_dataset(tmp_path / "monday")) == {"monday": ["9", "10"]}
-    monkeypatch.chdir(tmp_path / "monday")
-    assert outline(open_dataset(".")) == {"monday": ["9", "10"]}
-
-
-def test_a_folder_of_folders_is_a_sequence_each(tmp_path):
-    for name in ("drive10/1.png", "drive9/1.png", "drive9/2.png", "notes/1.txt"):
-        write_street(tmp_path / name, 0) if name.endswith("png") else write(tmp_path / name, "")
-    assert outline(open_dataset(tmp_path)) == {"drive9": ["1", "2"], "drive10": ["1"]}
+def test_a_folder_of_frames_is_one_sequence_and_one_of_folders_a_sequence_each(
+    tmp_path, monkeypatch
+):
+    """What lies in folders in a sequence is passed over, as it is when the folder is encoded."""
+    names = ("drive10/1.png", "drive9/2.png", "drive9/10.png", "drive9/small/2.png", "notes/1.txt")
+    touch(*(tmp_path / name for name in names))
+    assert outline(open_dataset(tmp_path)) == {"drive9": ["2", "10"], "drive10": ["1"]}
     assert roles(open_dataset(tmp_path)) == {"drive9": None, "drive10": None}
+    monkeypatch.chdir(tmp_path / "drive9")
+    for folder in (tmp_path / "drive9", "."):
+        assert outline(open_dataset(folder)) == {"drive9": ["2", "10"]}
 
 
 def test_jpegs_are_images_and_pngs_may_be_either(tmp_path):
@@ -46,16 +43,12 @@ def test_jpegs_are_images_and_pngs_may_be_either(tmp_path):
     frames = list(open_dataset(tmp_path).frames)
     names = [[path and path.name for path in (frame.image, frame.label)] for frame in frames]
     assert names == [["1.jpg", None], ["2.png", "2.png"], ["3.jpg", "3.png"]]
-
-
-def test_whatever_may_be_a_label_map_may_be_an_image():
-    """On which the rule above rests."""
-    assert set(LABEL_SUFFIXES) < set(IMAGE_SUFFIXES)
+    assert set(LABEL_SUFFIXES) < set(IMAGE_SUFFIXES), "on which this rule rests"
 
 
 def test_images_and_labels_in_folders_of_their_own(tmp_path):
     plant(tmp_path, "monday/images/1.png", "monday/images/2.png")
-    write_street(tmp_path / "monday/labels/2.png", 0)
+    touch(tmp_path / "monday/labels/2.png")
     write(tmp_path / "monday/poses.csv", "frame,x,y\n2,5,6\n")
     first, second = open_dataset(tmp_path).frames
     assert (first.image.parent.name, first.label) == ("images", None)
@@ -65,8 +58,7 @@ def test_images_and_labels_in_folders_of_their_own(tmp_path):
 
 
 def test_poses_beside_the_folders_are_joined_by_id_before_name(tmp_path):
-    for name in ("a/1.png", "a/2.png", "b/1.png"):
-        write_street(tmp_path / name, 0)
+    touch(*(tmp_path / name for name in ("a/1.png", "a/2.png", "b/1.png")))
     write(tmp_path / "poses.csv", "frame,x,y,heading\na/1,1,0,0\n1,3,0,0\n")
     poses = {frame.frame: frame.pose.x for frame in open_dataset(tmp_path).frames}
     assert (poses["a/1"], poses["b/1"]) == (1, 3)
@@ -76,8 +68,7 @@ def test_poses_beside_the_folders_are_joined_by_id_before_name(tmp_path):
 
 @pytest.mark.parametrize("name", ["ground_truth.json", "ground_truth.csv", "ground_truth.npy"])
 def test_a_ground_truth_is_found_and_is_no_frame(tmp_path, name):
-    write_street(tmp_path / "a/1.png", 0)
-    (tmp_path / name).touch()
+    touch(tmp_path / "a/1.png", tmp_path / name)
     dataset = open_dataset(tmp_path)
     assert dataset.truth.file == tmp_path / name
     assert outline(dataset) == {"a": ["1"]}

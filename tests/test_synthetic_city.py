@@ -1,9 +1,9 @@
 """The synthetic city: what its frames show, how they depend on the settings, what is written."""
 
-import csv
 import dataclasses
 import functools
 import hashlib
+import itertools
 import json
 import math
 import subprocess
@@ -47,11 +47,6 @@ def stack(frames):
     return np.stack([frame.labels for frame in frames])
 
 
-@pytest.fixture(scope="module")
-def long_drive():
-    return drive(120, size=(120, 160))
-
-
 def test_frames_are_the_same_in_another_process():
     code = (
         "import hashlib, numpy as np; from ssrvlad_torch.datasets.synthetic_city import *;"
@@ -63,18 +58,16 @@ def test_frames_are_the_same_in_another_process():
     assert there.stdout.strip() == hashlib.sha256(here).hexdigest()
 
 
-def test_other_seeds_give_other_frames():
-    assert not np.array_equal(stack(drive(seed=0)), stack(drive(seed=1)))
-
-
-def test_drive_seed_changes_only_what_moves():
+def test_seeds_choose_the_city_and_what_moves_in_it():
     """Without traffic, sway and noise, two drives of a city see the same."""
 
     def labels(**conditions):
         return stack(SyntheticCity(0).traverse(5, Conditions(**conditions), SIZE))
 
+    usual = labels()
+    assert not np.array_equal(usual, stack(SyntheticCity(1).traverse(5, size=SIZE)))
+    assert not np.array_equal(usual, labels(seed=1))
     assert np.array_equal(labels(seed=0, traffic=0), labels(seed=1, traffic=0))
-    assert not np.array_equal(labels(seed=0), labels(seed=1))
 
 
 def test_a_longer_drive_begins_like_a_shorter_one():
@@ -97,20 +90,11 @@ def test_train_ids_are_the_ids_renamed():
         assert train_names[train] in (names[label], "ignored")
 
 
-def test_every_category_and_every_dynamic_class_occurs(long_drive):
-    ids = set(np.unique(stack(long_drive)))
-    categories = {c.category for c in label_space("cityscapes-ids").classes if c.id in ids}
-    assert categories >= set(CATEGORIES)
-    assert ids >= DYNAMIC
-
-
-def test_without_traffic_nothing_dynamic_occurs():
-    assert not DYNAMIC & set(np.unique(stack(drive(20, traffic=0))))
-
-
 def test_more_traffic_shows_more_of_it():
-    fractions = [np.isin(stack(drive(12, traffic=t)), list(DYNAMIC)).mean() for t in (0, 1, 3)]
-    assert fractions[0] < fractions[1] < fractions[2]
+    none, usual, heavy = (
+        np.isin(stack(drive(12, traffic=t)), list(DYNAMIC)).mean() for t in (0, 1, 3)
+    )
+    assert 0 == none < usual < heavy
 
 
 def test_winter_bares_the_trees_and_nothing_else():
@@ -122,27 +106,24 @@ def test_winter_bares_the_trees_and_nothing_else():
     assert ((summer == VEGETATION) | (winter == VEGETATION))[differing].all()
 
 
-def test_view_has_sky_above_and_road_below(long_drive):
-    labels = stack(long_drive)
+def test_a_long_drive():
+    """Every category and dynamic class occurs, sky above and road below; no two frames are nearly
+    equal; frames are spaced in metres, and the route turns."""
+    frames = drive(120, size=(120, 160))
+    labels, ids = stack(frames), set(np.unique(stack(frames)))
+    categories = {c.category for c in label_space("cityscapes-ids").classes if c.id in ids}
+    assert categories >= set(CATEGORIES)
+    assert ids >= DYNAMIC
     assert (labels[:, :10] == 23).mean() > 0.4
     assert (labels[:, -10:] == 7).mean() > 0.6
     assert not np.isin(labels[:, 70:], 23).any()
     assert not np.isin(labels[:, :50], (6, 7, 8, 9)).any()
-
-
-def test_places_differ(long_drive):
-    """No two frames of a drive are nearly equal."""
-    labels = stack(long_drive)[::4, ::4, ::4]
-    alike = (labels[:, None] == labels[None]).mean(axis=(2, 3))
-    assert np.triu(alike, 1).max() < 0.97
-
-
-def test_frames_are_spaced_in_metres_and_the_route_turns(long_drive):
-    poses = np.array([frame.pose for frame in long_drive])
+    sample = labels[::4, ::4, ::4]
+    assert np.triu((sample[:, None] == sample[None]).mean(axis=(2, 3)), 1).max() < 0.97
+    poses = np.array([frame.pose for frame in frames])
     steps = np.hypot(*np.diff(poses[:, :2], axis=0).T)
     assert np.median(steps) == pytest.approx(3.0)
-    assert steps.min() > 2.0
-    assert steps.max() < 4.0
+    assert steps.min() > 2.0 and steps.max() < 4.0
     assert np.ptp(poses[:, 2]) == pytest.approx(math.pi / 2)
 
 
@@ -227,11 +208,8 @@ def test_offsets_move_and_turn_the_camera():
     assert usual.pose.heading == 0
     assert moved.pose.y - usual.pose.y == pytest.approx(0.7)
     assert math.degrees(moved.pose.heading) == pytest.approx(10)
-
-
-def test_sway_has_the_deviation_asked_for():
-    poses = np.array([frame.pose for frame in drive(60, size=(16, 16), heading_jitter=3.0)])
-    sway = np.degrees(poses[:, 2])
+    swaying = camera_poses(0, Conditions(heading_jitter=3.0))
+    sway = np.degrees([pose.heading for pose in itertools.islice(swaying, 60)])
     assert 1.5 < sway.std() < 4.5
     assert np.abs(np.diff(sway)).max() < 5
 
@@ -239,26 +217,13 @@ def test_sway_has_the_deviation_asked_for():
 @pytest.mark.parametrize("size", [(16, 16), (32, 32), (37, 90), (90, 37)])
 def test_any_size(size):
     (frame,) = drive(1, size=size)
-    assert frame.labels.shape == size
-    assert frame.labels.dtype == np.uint8
-    assert frame.name == "000000"
+    assert (frame.labels.shape, frame.labels.dtype, frame.name) == (size, np.uint8, "000000")
 
 
-@pytest.fixture(scope="module")
-def written(tmp_path_factory):
+def test_a_written_city_is_its_frames_their_poses_and_true_matches(tmp_path):
     calls = []
-    files = write_city(
-        tmp_path_factory.mktemp("city"),
-        frames=12,
-        seed=2,
-        size=SIZE,
-        progress=lambda *done: calls.append(done),
-    )
-    return files, calls
-
-
-def test_written_pictures_are_palette_pngs_of_the_frames(written):
-    files, calls = written
+    files = write_city(tmp_path, 12, 2, SIZE, progress=lambda *done: calls.append(done))
+    assert calls == [(1,)] * 24
     for folder, conditions in ((files.reference, REFERENCE), (files.query, QUERY)):
         paths = sorted(folder.iterdir())
         frames = list(SyntheticCity(2).traverse(12, conditions, SIZE))
@@ -269,15 +234,8 @@ def test_written_pictures_are_palette_pngs_of_the_frames(written):
                 assert np.array_equal(np.asarray(image), frame.labels)
                 colours = np.asarray(image.convert("RGB"))
             assert np.array_equal(colours, palette("cityscapes-trainids")[frame.labels])
-    assert calls == [(1,)] * 24
-
-
-def test_written_ground_truth_agrees_with_written_poses(written):
-    files, _ = written
-    with files.poses.open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert list(rows[0]) == ["frame", "x", "y", "heading"]
-    poses = {r["frame"]: (float(r["x"]), float(r["y"]), float(r["heading"])) for r in rows}
+    assert files.poses.read_text().startswith("frame,x,y,heading\n")
+    poses = read_poses(files.poses)
     truth = json.loads(files.ground_truth.read_text())
     assert list(truth) == [name for name in poses if name.startswith("query/")]
     for query, matches in truth.items():
