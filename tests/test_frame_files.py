@@ -28,14 +28,9 @@ def test_the_files_of_a_folder_are_a_sequence_in_the_order_of_a_person(tmp_path)
             find_label_files(wrong)
 
 
-def test_hidden_files_and_halves_are_no_frames(tmp_path):
-    touch(*(tmp_path / "a" / name for name in ("1.png", "._1.png", ".2.png", ".3.png.part")))
-    assert ids(find_label_files([str(tmp_path / "a")])) == ["a/1"]
-
-
-def test_weird_names_are_kept(tmp_path):
+def test_hidden_files_and_halves_are_no_frames_and_weird_names_are_kept(tmp_path):
     names = ["C:\\maps\\1.png", "straße 3 🚗.png", "a.b.c.png", "[x]*?.png"]
-    touch(*(tmp_path / "[a]" / name for name in names))
+    touch(*(tmp_path / "[a]" / name for name in (*names, "._1.png", ".2.png", "3.png.part")))
     files = find_label_files([str(tmp_path / "[a]")])
     assert {file.name for file in files} == {name.removesuffix(".png") for name in names}
 
@@ -60,72 +55,57 @@ def test_a_relative_folder_gives_its_real_name(tmp_path, monkeypatch, source, ex
     assert ids(find_label_files([source])) == [expected]
 
 
-def test_a_link_to_a_folder_gives_its_own_name(tmp_path):
+def test_links(tmp_path):
+    """To a folder it gives its own name; to nothing it is a frame that is refused by name."""
     touch(tmp_path / "0001" / "1.png")
+    (tmp_path / "0001" / "2.png").symlink_to(tmp_path / "gone.png")
     (tmp_path / "monday").symlink_to(tmp_path / "0001")
-    assert ids(find_label_files([str(tmp_path / "monday")])) == ["monday/1"]
-
-
-def test_a_link_to_nothing_is_a_frame_that_is_refused_by_name(tmp_path):
-    (tmp_path / "1.png").symlink_to(tmp_path / "gone.png")
-    (file,) = find_label_files([str(tmp_path)])
+    files = find_label_files([str(tmp_path / "monday")])
+    assert ids(files) == ["monday/1", "monday/2"]
     with pytest.raises(ValueError, match="No such file"):
-        read_label_map(file, label_space("camvid-11"))
+        read_label_map(files[1], label_space("camvid-11"))
 
 
 def test_globs(tmp_path):
     touch(*(tmp_path / "a" / name for name in ("1.png", "2.png", "2.txt", "x.png")))
-    touch(tmp_path / "b" / "1.png", tmp_path / "b" / "c" / "1.png")
-    find = lambda pattern: ids(find_label_files([str(tmp_path / pattern)]))  # noqa: E731
-    assert find("a/[0-9]*") == ["a/1", "a/2"]
-    assert find("?/1.png") == ["a/1", "b/1"]
-    assert find("**/1.png") == ["a/1", "b/1", "c/1"]
-    assert find("**") == ["a/1", "a/2", "a/x", "b/1", "c/1"]
+    touch(tmp_path / "b" / "1.png", tmp_path / "b" / "c" / "1.png", tmp_path / "ground_truth.json")
+    for pattern, expected in {
+        "a/[0-9]*": ["a/1", "a/2"],
+        "?/1.png": ["a/1", "b/1"],
+        "**/1.png": ["a/1", "b/1", "c/1"],
+        "**": ["a/1", "a/2", "a/x", "b/1", "c/1"],
+        "*": ["a/1", "a/2", "a/x", "b/1"],  # these folders
+    }.items():
+        assert ids(find_label_files([str(tmp_path / pattern)])) == expected
 
 
-def test_a_glob_of_folders_is_these_folders(tmp_path):
-    touch(tmp_path / "a" / "1.png", tmp_path / "b" / "1.png", tmp_path / "b" / "c" / "1.png")
-    touch(tmp_path / "ground_truth.json")
-    assert ids(find_label_files([str(tmp_path / "*")])) == ["a/1", "b/1"]
-
-
-def test_a_glob_is_what_a_shell_would_have_made_of_it(tmp_path):
-    for name in ("x", "y"):
-        np.save(tmp_path / f"{name}.npy", street(0)[None])
-    by_shell = find_label_files([str(tmp_path / "x.npy"), str(tmp_path / "y.npy")])
-    assert find_label_files([str(tmp_path / "*.npy")]) == by_shell
-    assert ids(by_shell) == ["x/x-000000", "y/y-000000"]
-
-
-def test_arrays_and_stacks_in_a_folder_belong_to_its_sequence(tmp_path):
+def test_arrays_and_stacks(tmp_path):
+    """Those in a folder belong to its sequence; a glob is what a shell would have made of it."""
     folder = tmp_path / "a"
     folder.mkdir()
     np.save(folder / "one.npy", street(0))
     np.save(folder / "two.npy", np.stack([street(0)] * 2))
     assert ids(find_label_files([str(folder)])) == ["a/one", "a/two-000000", "a/two-000001"]
-
-
-def test_the_sequence_may_be_named(tmp_path):
-    touch(tmp_path / "a" / "1.png")
-    np.save(tmp_path / "stack.npy", street(0)[None])
-    sources = [str(tmp_path / "a"), str(tmp_path / "stack.npy")]
-    assert ids(find_label_files(sources, "drive")) == ["drive/1", "drive/stack-000000"]
+    stacks = [str(tmp_path / f"{name}.npy") for name in "xy"]
+    for stack in stacks:
+        np.save(stack, street(0)[None])
+    by_shell = find_label_files(stacks)
+    assert find_label_files([str(tmp_path / "*.npy")]) == by_shell
+    assert ids(by_shell) == ["x/x-000000", "y/y-000000"]
+    (folder / "two.npy").unlink()
+    named = find_label_files([str(folder), stacks[0]], "drive")
+    assert ids(named) == ["drive/one", "drive/x-000000"]
 
 
 def test_every_and_start_count_in_each_sequence(tmp_path):
-    for name in "ab":
-        touch(*(tmp_path / name / f"{number}.png" for number in range(8)))
+    touch(*(tmp_path / name / f"{number}.png" for name in "ab" for number in range(8)))
     sources = [str(tmp_path / name) for name in "ab"]
     files = find_label_files(sources, every=3, start=1)
     assert ids(files) == ["a/1", "a/4", "a/7", "b/1", "b/4", "b/7"]
     assert ids(find_label_files(sources[:1], every=100)) == ["a/0"]
-
-
-@pytest.mark.parametrize(("every", "start"), [(0, 0), (-1, 0), (1, -1)])
-def test_every_and_start_out_of_range(tmp_path, every, start):
-    touch(tmp_path / "1.png")
-    with pytest.raises(ValueError, match=f"got {every} and {start}"):
-        find_label_files([str(tmp_path)], every=every, start=start)
+    for every, start in ((0, 0), (-1, 0), (1, -1)):
+        with pytest.raises(ValueError, match=f"got {every} and {start}"):
+            find_label_files(sources, every=every, start=start)
 
 
 def test_one_file_given_twice_is_one_frame(tmp_path, monkeypatch):
@@ -135,18 +115,15 @@ def test_one_file_given_twice_is_one_frame(tmp_path, monkeypatch):
     assert ids(find_label_files(sources)) == ["a/1"]
 
 
-def test_one_frame_of_two_folders_of_one_sequence_is_refused(tmp_path):
+def test_one_frame_of_two_files_is_refused(tmp_path):
     touch(tmp_path / "x" / "a" / "1.png", tmp_path / "y" / "a" / "1.png")
     sources = [str(tmp_path / "x" / "a"), str(tmp_path / "y" / "a")]
     with pytest.raises(ValueError, match=r"frame 'a/1' is both .*x/a/1\.png and .*y/a/1\.png"):
         find_label_files(sources, sequence="a")
     assert ids(find_label_files(sources)) == ["x/a/1", "y/a/1"]
-
-
-def test_one_frame_of_two_formats_is_refused(tmp_path):
-    touch(tmp_path / "1.png", tmp_path / "1.tif")
+    touch(tmp_path / "x" / "a" / "1.tif")
     with pytest.raises(ValueError, match="is both"):
-        find_label_files([str(tmp_path)])
+        find_label_files(sources[:1])
 
 
 @pytest.mark.parametrize(
@@ -186,10 +163,8 @@ def test_reading_ahead_keeps_the_order_and_bounds_what_is_in_memory():
         assert str(content) == ("seven" if position == 7 else str(position))
     assert position == 49
 
-
-def test_what_is_no_refusal_ends_the_reading():
     def fail(file):
         raise MemoryError
 
     with pytest.raises(MemoryError):
-        next(read_ahead(fail, [FrameFile("a", "0", Path("0.png"))], workers=1, ahead=2))
+        next(read_ahead(fail, files, workers=1, ahead=2))

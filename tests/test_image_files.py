@@ -4,7 +4,7 @@ import io
 
 import numpy as np
 import pytest
-from helpers import COLOUR, GRAY, flip_byte, refused, write_png
+from helpers import COLOUR, GRAY, flip_byte, refused, touch, write_png
 from PIL import Image
 
 from ssrvlad_torch.datasets.frame_files import FrameFile
@@ -30,31 +30,24 @@ def read(path, row=None):
 # ---- what a file holds
 
 
-@pytest.mark.parametrize(
-    ("form", "options"),
-    [("PNG", {}), ("BMP", {}), ("TIFF", {}), ("PPM", {}), ("WEBP", {"lossless": True})],
-)
-def test_what_is_stored_without_loss_is_read_without_loss(form, options):
-    np.testing.assert_array_equal(decode_image(encoded(PICTURE, form, **options)), PICTURE)
+@pytest.mark.parametrize("form", ["PNG", "BMP", "TIFF", "PPM", "WEBP"])
+def test_what_is_stored_without_loss_is_read_without_loss(form):
+    content = encoded(PICTURE, form, **({"lossless": True} if form == "WEBP" else {}))
+    np.testing.assert_array_equal(decode_image(content), PICTURE)
 
 
-@pytest.mark.parametrize("options", [{}, {"progressive": True}])
-def test_jpeg(options):
-    image = decode_image(encoded(SMOOTH, "JPEG", quality=95, **options))
-    assert image.dtype == np.uint8
-    assert np.abs(image.astype(int) - SMOOTH).max() < 12
-
-
-def test_the_content_says_the_format_and_not_the_name(tmp_path):
-    (tmp_path / "a.png").write_bytes(encoded(SMOOTH, "JPEG", quality=95))
-    assert np.abs(read(tmp_path / "a.png").astype(int) - SMOOTH).max() < 12
-
-
-def test_cmyk_jpeg_is_not_inverted():
-    """Adobe stores CMYK inverted; read plainly it would be a negative."""
-    content = encoded(Image.fromarray(SMOOTH).convert("CMYK"), "JPEG", quality=95)
-    assert Image.open(io.BytesIO(content)).mode == "CMYK"
-    assert np.abs(decode_image(content).astype(int) - SMOOTH).max() < 12
+def test_jpeg(tmp_path):
+    """The content says the format and not the name. Adobe stores CMYK inverted; read plainly it
+    would be a negative."""
+    cmyk = Image.fromarray(SMOOTH).convert("CMYK")
+    contents = [encoded(cmyk, "JPEG", quality=95)]
+    assert Image.open(io.BytesIO(contents[0])).mode == "CMYK"
+    contents += [encoded(SMOOTH, "JPEG", quality=95, progressive=flag) for flag in (False, True)]
+    for content in contents:
+        (tmp_path / "a.png").write_bytes(content)
+        for pixels in (decode_image(content), read(tmp_path / "a.png")):
+            assert pixels.dtype == np.uint8
+            assert np.abs(pixels.astype(int) - SMOOTH).max() < 12
 
 
 @pytest.mark.parametrize("orientation", range(1, 9))
@@ -89,28 +82,22 @@ def test_gray_has_three_equal_channels(form):
 
 
 @pytest.mark.parametrize("form", ["PNG", "TIFF"])
-def test_sixteen_bit_gray_keeps_its_high_byte(form):
+def test_sixteen_bit_gray_keeps_its_high_byte_and_is_turned_upright(form):
     """Pillow's own conversion would clip nearly all of it to white."""
     low = np.random.default_rng(1).integers(0, 256, SMOOTH.shape[:2])
-    image = decode_image(encoded((SMOOTH[..., 0].astype(np.uint16) << 8) + low.astype("u2"), form))
-    np.testing.assert_array_equal(image, np.repeat(SMOOTH[..., :1], 3, axis=2))
-
-
-def test_sixteen_bit_gray_is_turned_upright_too():
+    stored = (SMOOTH[..., 0].astype(np.uint16) << 8) + low.astype("u2")
+    expected = np.repeat(SMOOTH[..., :1], 3, axis=2)
+    np.testing.assert_array_equal(decode_image(encoded(stored, form)), expected)
     exif = Image.Exif()
     exif[ORIENTATION] = 6
-    stored = np.ascontiguousarray(np.rot90(SMOOTH[..., 0])).astype(np.uint16) << 8
-    image = decode_image(encoded(stored, "PNG", exif=exif))
-    np.testing.assert_array_equal(image[..., 0], SMOOTH[..., 0])
+    turned = encoded(np.ascontiguousarray(np.rot90(stored)), form, exif=exif)
+    np.testing.assert_array_equal(decode_image(turned), expected)
 
 
-def test_sixteen_bit_colour_keeps_its_high_byte(tmp_path):
+def test_bits_that_pillow_does_not_write(tmp_path):
+    """The high byte of colours; a picture of two bits has white, unlike a label map."""
     path = write_png(tmp_path / "a.png", PICTURE.astype(np.uint16) << 8 | 77, COLOUR, 16)
     np.testing.assert_array_equal(read(path), PICTURE)
-
-
-def test_gray_of_few_bits_is_scaled(tmp_path):
-    """A picture of two bits has white, unlike a label map."""
     path = write_png(tmp_path / "a.png", np.array([[0, 1, 2, 3]]), GRAY, 2)
     assert read(path)[0, :, 0].tolist() == [0, 85, 170, 255]
 
@@ -181,13 +168,8 @@ def test_rows_of_a_stack(tmp_path):
     assert [file.frame for file in files] == ["drive/drive-000000", "drive/drive-000001"]
     for file, image in zip(files, stack, strict=True):
         np.testing.assert_array_equal(read_image(file), image)
-
-
-def test_a_row_has_the_bytes_of_the_file_that_it_would_be_alone(tmp_path):
-    np.save(tmp_path / "stack.npy", np.stack([PICTURE, SMOOTH]))
-    np.save(tmp_path / "alone.npy", SMOOTH)
-    row = FrameFile("a", "b", tmp_path / "stack.npy", 1).read()
-    assert row == (tmp_path / "alone.npy").read_bytes()
+        np.save(tmp_path / "alone.npy", image)
+        assert file.read() == (tmp_path / "alone.npy").read_bytes()
 
 
 @pytest.mark.parametrize(
@@ -205,10 +187,8 @@ def test_arrays_that_are_no_images(tmp_path, array):
 
 def test_images_are_found_as_label_maps_are(tmp_path):
     folder = tmp_path / "monday"
-    folder.mkdir()
     names = ["f10.jpg", "f2.JPEG", "f1.webp", "f3.png", ".f4.jpg", "notes.txt", "f5.svg"]
-    for name in names:
-        (folder / name).touch()
+    touch(*(folder / name for name in names))
     (tmp_path / "poses.csv").write_text("frame,x,y\nmonday/f2,3,4\n")
     files = find_image_files([str(folder)])
     assert [file.frame for file in files] == [f"monday/f{n}" for n in (1, 2, 3, 10)]
