@@ -6,40 +6,24 @@ from ssrvlad_torch.datasets.label_files import find_label_files
 from ssrvlad_torch.datasets.names import check_sequences, sequence_names
 
 
-def test_a_folder_alone_is_named_by_its_last_part():
-    assert sequence_names(["/data/monday"]) == {"/data/monday": "monday"}
-    assert sequence_names(["s3://bucket/monday"]) == {"s3://bucket/monday": "monday"}
-
-
 @pytest.mark.parametrize(
     ("folders", "names"),
     [
+        (["/data/monday"], ["monday"]),
+        (["s3://bucket/monday"], ["monday"]),
         (["/d/00/labels", "/d/01/labels", "/d/park"], ["00/labels", "01/labels", "park"]),
         (["/a/x/y", "/b/x/y"], ["a/x/y", "b/x/y"]),
+        (["/d/day.npy", "/d/run.v2.bag"], ["day", "run.v2"]),
     ],
 )
-def test_folders_of_one_name_take_as_much_of_their_paths_as_they_need(folders, names):
-    assert list(sequence_names(folders).values()) == names
+def test_folders_take_as_much_of_their_paths_as_they_need(folders, names):
+    assert sequence_names(folders) == dict(zip(folders, names, strict=True))
 
 
-def test_a_path_that_ends_another_cannot_be_told_apart():
+def test_what_cannot_be_told_apart_is_refused():
+    """A path that ends another; a stack, a bag or a video, and the folder beside it."""
     with pytest.raises(ValueError, match="/y needs a name that no sequence has"):
         sequence_names(["/y", "/b/y"])
-
-
-def test_names_that_are_taken_stay(tmp_path):
-    known = [(str(tmp_path), "labels")]
-    assert sequence_names(["/other/labels", str(tmp_path)], known) == {
-        "/other/labels": "other/labels",
-        str(tmp_path): "labels",
-    }
-
-
-def test_a_stack_or_a_bag_is_named_without_its_suffix_and_is_not_the_folder_beside_it(tmp_path):
-    assert sequence_names(["/d/day.npy", "/d/run.v2.bag"]) == {
-        "/d/day.npy": "day",
-        "/d/run.v2.bag": "run.v2",
-    }
     for suffix in (".npy", ".bag", ".mp4"):
         with pytest.raises(ValueError, match="needs a name that no sequence has"):
             sequence_names(["/d/day", f"/d/day{suffix}"])
@@ -47,15 +31,13 @@ def test_a_stack_or_a_bag_is_named_without_its_suffix_and_is_not_the_folder_besi
             check_sequences([(f"/d/day{suffix}", "day")], [("/d/day", "day")])
 
 
-def test_a_known_folder_has_its_name_by_a_link_too(tmp_path):
+def test_known_folders_keep_their_names(tmp_path):
+    """By a link too. The name of another is the same if it comes with the known ones or later."""
     (tmp_path / "monday").mkdir()
     (tmp_path / "link").symlink_to("monday")
-    known, link = [(str(tmp_path / "monday"), "first drive")], str(tmp_path / "link")
-    assert sequence_names([link], known) == {link: "first drive"}
-
-
-def test_no_other_folder_ends_in_a_name():
-    """The name of a folder is the same whether it comes together with the known ones or later."""
+    link, other = str(tmp_path / "link"), "/other/labels"
+    known = [(str(tmp_path / "monday"), "labels")]
+    assert sequence_names([other, link], known) == {other: "other/labels", link: "labels"}
     known = [("s3://d/00/labels", "00/labels"), ("s3://d/01/labels", "01/labels")]
     assert sequence_names(["s3://d/02/labels"], known) == {"s3://d/02/labels": "02/labels"}
 

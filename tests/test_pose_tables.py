@@ -13,10 +13,9 @@ from ssrvlad_torch.datasets.pose_tables import PoseTable
 
 def plant(root, table, *files):
     """Empty files, and a table of poses: x by frame."""
-    for path in (root / file for file in files):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.touch()
+    touch(*(root / file for file in files))
     rows = "".join(f"{frame},{x},0\n" for frame, x in table.items())
+    root.mkdir(exist_ok=True)
     (root / "poses.csv").write_text(f"frame,x,y\n{rows}")
     return root / "poses.csv"
 
@@ -51,6 +50,8 @@ NAMED = [
     ({"tuesday/0": 2}, {"sequence": "monday"}, 2),
     ({"drive/0": 3}, {"sequence": "drive"}, 3),
     ({"0": 1, "tuesday/0": 2}, {}, 2),
+    ({"0.png": 1, "monday/0": 2}, {"sequence": "tuesday"}, 1),
+    ({"tuesday/0.png": 2}, {}, 2),
 ]
 
 
@@ -81,44 +82,18 @@ def test_a_bare_name_that_two_folders_have_is_refused(tmp_path):
     assert found(tuesday) == [1]
 
 
-def test_poses_are_found_by_id_and_by_name(tmp_path):
-    folder = tmp_path / "a"
-    touch(*(folder / f"{number}.png" for number in range(4)))
-    (folder / "poses.csv").write_text("frame,x,y,heading\na/0,1,2,3\n1,4,5,6\nb/2,7,8,9\n")
-    poses = [file.pose for file in find_label_files([str(folder)])]
-    assert poses[:2] == [(1, 2, 3), (4, 5, 6)]
-    assert np.isnan(poses[2:]).all()
-
-
-def test_names_in_poses_may_have_the_suffix_of_the_file(tmp_path):
-    touch(tmp_path / "a" / "0.png", tmp_path / "a" / "1.png")
-    (tmp_path / "a" / "poses.csv").write_text("frame,x,y\n0.png,1,2\na/1.png,3,4\n")
-    for files in (
-        find_label_files([str(tmp_path / "a")]),
-        find_label_files([str(tmp_path / "a")], poses=str(tmp_path / "a" / "poses.csv")),
-    ):
-        assert [file.pose[:2] for file in files] == [(1, 2), (3, 4)]
-
-
-def test_an_id_in_poses_goes_before_a_bare_name(tmp_path):
-    touch(tmp_path / "a" / "0.png", tmp_path / "b" / "0.png")
-    (tmp_path / "poses.csv").write_text("frame,x,y\n0,1,1\nb/0,2,2\n")
-    files = find_label_files([str(tmp_path / "a"), str(tmp_path / "b")])
-    assert [file.pose.x for file in files] == [1, 2]
-
-
-def test_a_sequence_that_is_named_anew_keeps_its_poses(tmp_path):
-    touch(tmp_path / "a" / "0.png")
-    (tmp_path / "poses.csv").write_text("frame,x,y\na/0,1,2\n")
-    (file,) = find_label_files([str(tmp_path / "a")], sequence="drive")
-    assert file.pose[:2] == (1, 2)
-
-
-def test_poses_of_a_stack(tmp_path):
+def test_each_frame_has_its_own_row(tmp_path):
+    """By id, by name, of a folder beside the table, and of a stack."""
+    path = plant(tmp_path / "a", {"a/0": 1, "1": 4, "b/2": 7}, "0.png", "1.png", "2.png")
+    path.write_text(path.read_text().replace("x,y", "x,y,heading").replace(",0\n", ",2,3\n"))
+    poses = [file.pose for file in find_label_files([str(path.parent)])]
+    assert poses[:2] == [(1, 2, 3), (4, 2, 3)]
+    assert np.isnan(poses[2]).all()
+    plant(tmp_path, {"9": 1, "b/9": 2}, "b/9.png", "c/9.png")
+    assert found(tmp_path / "c", tmp_path / "b") == [1, 2]
     np.save(tmp_path / "s.npy", np.stack([street(0)] * 2))
-    (tmp_path / "poses.csv").write_text("frame,x,y\ns/s-000001,1,2\ns-000000,3,4\n")
-    files = find_label_files([str(tmp_path / "s.npy")])
-    assert [file.pose.x for file in files] == [3, 1]
+    plant(tmp_path, {"s/s-000001": 1, "s-000000": 3})
+    assert found(tmp_path / "s.npy") == [3, 1]
 
 
 def test_damaged_poses_are_refused_before_anything_is_read(tmp_path):

@@ -9,32 +9,33 @@ from ssrvlad_torch.datasets.poses import Pose, read_poses
 
 
 def write(folder, text, encoding="utf-8"):
-    folder.mkdir(parents=True, exist_ok=True)
     path = folder / "poses.csv"
     path.write_text(text, encoding=encoding)
     return path
 
 
-def test_columns_are_read_by_name(tmp_path):
-    path = write(tmp_path, "heading,time,y,frame,x\n0.5,7,-2,monday/001,1.25\n1,8,3e2,002,0\n")
-    assert read_poses(path) == {"monday/001": Pose(1.25, -2, 0.5), "002": Pose(0, 300, 1)}
+NAN = math.nan
 
 
-@pytest.mark.parametrize("text", ["frame,x,y\n1,2,3\n", "frame,x,y,heading\n1,2,3,\n"])
-def test_the_heading_may_be_left_out(tmp_path, text):
-    pose = read_poses(write(tmp_path, text))["1"]
-    assert pose[:2] == (2, 3)
-    assert math.isnan(pose.heading)
-
-
-def test_what_spreadsheets_write_is_read(tmp_path):
-    """A byte order mark, a space after the comma, CRLF, a quoted id, empty cells at the end."""
-    path = write(tmp_path, '\ufeffframe, x, y,,\r\n"a,b", 2, 3,,, ,\r\n')
-    assert read_poses(path)["a,b"][:2] == (2, 3)
-
-
-def test_a_table_without_rows_has_no_poses(tmp_path):
-    assert read_poses(write(tmp_path, "frame,x,y,heading\n")) == {}
+@pytest.mark.parametrize(
+    ("text", "poses"),
+    [
+        (  # columns have names
+            "heading,time,y,frame,x\n0.5,7,-2,monday/001,1.25\n1,8,3e2,002,0\n",
+            {"monday/001": (1.25, -2, 0.5), "002": (0, 300, 1)},
+        ),
+        ("frame,x,y\n1,2,3\n", {"1": (2, 3, NAN)}),
+        ("frame,x,y,heading\n1,2,3,\n", {"1": (2, 3, NAN)}),
+        # what spreadsheets write: a byte order mark, a space after the comma, CRLF, empty cells
+        ('\ufeffframe, x, y,,\r\n"a,b", 2, 3,,, ,\r\n', {"a,b": (2, 3, NAN)}),
+        ("frame,x,y,heading\n", {}),
+    ],
+)
+def test_tables(tmp_path, text, poses):
+    found = read_poses(write(tmp_path, text))
+    assert found.keys() == poses.keys()
+    for frame, pose in poses.items():
+        assert found[frame] == pytest.approx(Pose(*pose), nan_ok=True)
 
 
 @pytest.mark.parametrize(

@@ -25,9 +25,7 @@ def sentence(body):
 
 
 def gpx(*points, head=""):
-    return (
-        f'{head}<gpx version="1.1">' + "<trk><trkseg>" + "".join(points) + "</trkseg></trk></gpx>"
-    )
+    return f'{head}<gpx version="1.1"><trk><trkseg>{"".join(points)}</trkseg></trk></gpx>'
 
 
 POINT = '<trkpt lat="48.1173" lon="11.5"><time>1994-03-23T{time}</time></trkpt>'
@@ -57,26 +55,25 @@ def test_gpx(tmp_path):
     assert all(math.isnan(pose.heading) for pose in read_trajectory(path).poses)
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "message"),
-    [
-        ("a.gpx", gpx(), "holds no positions; expected track points"),
-        ("a.gpx", gpx('<trkpt lat="48" lon="11"/>'), "point 1 has no time"),
-        ("a.gpx", gpx(POINT.format(time="12:35:19Z"), POINT.format(time="12:35:18Z")),
-         "position 2 is earlier than the one before it"),
-        ("a.gpx", gpx(head='<!DOCTYPE gpx [<!ENTITY a "aaa">]>'), "without a document type"),
-        ("a.gpx", gpx(POINT.format(time="12:35:19Z"))[:-9], "Error parsing XML"),
-        ("a.nmea", "", "holds no positions; expected RMC sentences"),
-        ("a.nmea", sentence(RMC.format(time="123519", course="1")).replace("48", "49"),
-         "line 1: .*checksum"),
-        ("a.nmea", sentence(RMC.format(time="123519", course="1").replace("N", "")),
-         "line 1: expected a position, got 4807.038,,01131.000,E"),
-        ("a.gpx", gpx(POINT.format(time="12:35:19Z").replace("48", "88")), "latitude out of range"),
-        ("a.nmea", sentence("GPRMC,x,A,y,N,z,E,022.4,1,230394,,"), "line 1: "),
-    ],
-)  # fmt: skip
-def test_damaged_files_are_refused(tmp_path, name, content, message):
-    path = tmp_path / name
+NOON = POINT.format(time="12:35:19Z")
+NMEA = RMC.format(time="123519", course="1")
+DAMAGED = [
+    ("gpx", gpx(), "holds no positions; expected track points"),
+    ("gpx", gpx('<trkpt lat="48" lon="11"/>'), "point 1 has no time"),
+    ("gpx", gpx(NOON, POINT.format(time="12:35:18Z")), "position 2 is earlier than the one before"),
+    ("gpx", gpx(head='<!DOCTYPE gpx [<!ENTITY a "aaa">]>'), "without a document type"),
+    ("gpx", gpx(NOON)[:-9], "Error parsing XML"),
+    ("gpx", gpx(NOON.replace("48", "88")), "latitude out of range"),
+    ("nmea", "", "holds no positions; expected RMC sentences"),
+    ("nmea", sentence(NMEA).replace("48", "49"), "line 1: .*checksum"),
+    ("nmea", sentence(NMEA.replace("N", "")), "line 1: expected a position, got 4807.038,,01131.0"),
+    ("nmea", sentence("GPRMC,x,A,y,N,z,E,022.4,1,230394,,"), "line 1: "),
+]
+
+
+@pytest.mark.parametrize(("suffix", "content", "message"), DAMAGED)
+def test_damaged_files_are_refused(tmp_path, suffix, content, message):
+    path = tmp_path / f"a.{suffix}"
     path.write_text(content)
     with refused(f"(?i)^{path}.*{message}"):
         read_trajectory(path)

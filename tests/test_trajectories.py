@@ -47,34 +47,33 @@ def test_kitti_goes_by_the_place_of_a_frame(tmp_path):
 
 def test_tum_goes_by_the_time_that_is_a_name(tmp_path):
     turned = math.sqrt(0.5)
-    rows = [
-        "# timestamp tx ty tz qx qy qz qw",
-        f"10.00 1 2 9 {-turned} 0 0 {turned}",
-        f"10.10 3 4 9 0 {turned} 0 {turned}",
-    ]
-    (tmp_path / "groundtruth.txt").write_text("\n".join(rows))
-    folder = pictures(tmp_path / "rgb", ["10.015", "10.050", "10.095"])
-    files = find_image_files([folder], poses=str(tmp_path / "groundtruth.txt"))
+    tables = {
+        "groundtruth": "# timestamp tx ty tz qx qy qz qw\n"
+        f"10.00 1 2 9 {-turned} 0 0 {turned}\n10.10 3 4 9 0 {turned} 0 {turned}",
+        "near": "0 1 2 9 0 0 0 1\n0.01 3 4 9 0 0 0 1",
+        "drive": "".join(f"{n} {n} 0 0 0 0 0 1\n" for n in range(4)),
+    }
+    for name, text in tables.items():
+        (tmp_path / f"{name}.txt").write_text(text)
+
+    def found(table, names, **options):
+        folder = pictures(tmp_path / names[0], names)
+        return poses(find_image_files([folder], poses=str(tmp_path / f"{table}.txt"), **options))
+
     expected = [[1, 2, math.pi / 2], UNKNOWN, [3, 4, 0]]
-    np.testing.assert_allclose(poses(files), expected, atol=1e-12)
-    for digits in (3, 6, 9):
-        names = [f"{time}{'0' * (digits - 3)}" for time in (10015, 10050, 10095)]
-        whole = pictures(tmp_path / f"rgb{digits}", names)
-        files = find_image_files([whole], poses=str(tmp_path / "groundtruth.txt"))
-        np.testing.assert_allclose(poses(files), expected, atol=1e-12)
-    for names, message in (["99.1"], "no pose is near"), (["0", "10"], "several units"):
-        far = pictures(tmp_path / names[0], names)
-        (tmp_path / "near.txt").write_text("0 1 2 9 0 0 0 1\n0.01 3 4 9 0 0 0 1")
-        table = "near.txt" if len(names) > 1 else "groundtruth.txt"
-        with pytest.raises(ValueError, match=rf"{table}: {message}.* '{names[0]}'; expected names"):
-            find_image_files([far], poses=str(tmp_path / table))
-    (tmp_path / "drive.txt").write_text("".join(f"{n} {n} 0 0 0 0 0 1\n" for n in range(4)))
-    drive = pictures(tmp_path / "us", [f"{n}{'0' * 6}" for n in range(4)])
-    files = find_image_files([drive], poses=str(tmp_path / "drive.txt"), largest_gap=1)
-    assert [file.pose.x for file in files] == [0, 1, 2, 3], "in ns all are near the first pose"
-    pictures(tmp_path / "rgb", ["a"])
+    whole = [[f"{time:0<{digits}}" for time in (10015, 10050, 10095)] for digits in (5, 8, 11)]
+    for names in (["10.015", "10.050", "10.095"], *whole):
+        np.testing.assert_allclose(found("groundtruth", names), expected, atol=1e-12)
+    for table, names, message in (
+        ("groundtruth", ["99.1"], "no pose is near"),
+        ("near", ["0", "10"], "several units"),
+    ):
+        with pytest.raises(ValueError, match=rf"{table}.txt: {message}.* '{names[0]}'; expected"):
+            found(table, names)
+    seconds = found("drive", [f"{n}{'0' * 6}" for n in range(4)], largest_gap=1)[:, 0]
+    assert seconds.tolist() == [0, 1, 2, 3], "in ns all are near the first pose"
     with pytest.raises(ValueError, match=r"named by their time in seconds.* 'a'"):
-        find_image_files([folder], poses=str(tmp_path / "groundtruth.txt"))
+        found("groundtruth", ["a", "10.015"])
 
 
 @pytest.mark.parametrize(

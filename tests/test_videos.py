@@ -99,12 +99,6 @@ def test_the_rate_does_not_change_the_ids(tmp_path):
             find_image_files([path], fps=fps)
 
 
-def test_the_creation_time_is_added_to_the_stamps(tmp_path):
-    created = {"created": "2026-05-01T10:00:00Z"}
-    files = video_files(write_video(tmp_path / "a.mp4", [0, 500], **created))
-    assert [file.stamp for file in files] == [1777629600.0, 1777629600.5]
-
-
 def damaged(path, change):
     content = path.read_bytes()
     path.write_bytes(change(content, len(content)))
@@ -196,32 +190,28 @@ def test_sound_alone_is_refused(tmp_path):
 
 
 def test_a_gps_track_gives_poses_between_its_points(tmp_path):
+    """If the video says when it was recorded: that time is added to the stamps."""
     pytest.importorskip("utm")
     created = "2026-05-01T10:00:00Z"
-    path = write_video(tmp_path / "a.mp4", [0, 500, 1000, 1500, 6000, 9000], created=created)
-    (tmp_path / "a.gpx").write_text(
-        '<gpx xmlns="http://www.topografix.com/GPX/1/1" version="1.1"><trk><trkseg>'
-        + "".join(
-            f'<trkpt lat="{48 + n / 1000}" lon="8.5"><time>2026-05-01T10:00:0{n}Z</time></trkpt>'
-            for n in (0, 1, 2, 8)
-        )
-        + "</trkseg></trk></gpx>"
+    path = str(write_video(tmp_path / "a.mp4", [0, 500, 1000, 1500, 6000, 9000], created=created))
+    points = "".join(
+        f'<trkpt lat="{48 + n / 1000}" lon="8.5"><time>2026-05-01T10:00:0{n}Z</time></trkpt>'
+        for n in (0, 1, 2, 8)
     )
-    poses = [file.pose for file in find_image_files([str(path)], poses=str(tmp_path / "a.gpx"))]
-    north = [pose.y - poses[0].y for pose in poses]
+    track = tmp_path / "a.gpx"
+    track.write_text(f'<gpx version="1.1"><trk><trkseg>{points}</trkseg></trk></gpx>')
+    files = find_image_files([path], poses=str(track))
+    assert [file.stamp for file in files[:2]] == [1777629600.0, 1777629600.5]
+    north = [file.pose.y - files[0].pose.y for file in files]
     assert north[:4] == pytest.approx([0, 55.6, 111.2, 166.8], abs=0.1)
     assert all(np.isnan(north[4:])), "6 s lie between two points; nothing lies after the last one"
-    wide = find_image_files([str(path)], poses=str(tmp_path / "a.gpx"), largest_gap=6)
-    assert wide[4].pose.y - poses[0].y == pytest.approx(6 * 111.2, abs=0.5)
+    wide = find_image_files([path], poses=str(track), largest_gap=6)
+    assert wide[4].pose.y - files[0].pose.y == pytest.approx(6 * 111.2, abs=0.5)
     assert np.isnan(wide[5].pose.y)
-    assert len(read_trajectory(tmp_path / "a.gpx").stamps) == 4
-
-
-def test_a_track_needs_a_video_that_says_when_it_was_recorded(tmp_path):
-    path = write_video(tmp_path / "a.mp4", [0, 500])
-    (tmp_path / "a.txt").write_text("1777629600 0 0 0 0 0 0 1\n1777629601 1 0 0 0 0 0 1\n")
+    assert len(read_trajectory(track).stamps) == 4
+    silent = str(write_video(tmp_path / "b.mp4", [0, 500]))
     with pytest.raises(ValueError, match=r"no pose is near in time to the 2 frames, .* or a video"):
-        find_image_files([str(path)], poses=str(tmp_path / "a.txt"))
+        find_image_files([silent], poses=str(track))
 
 
 def test_progress_counts_the_seconds_of_video(tmp_path):
