@@ -59,10 +59,14 @@ LAYERS = {
 }
 
 
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "net.caffemodel"
+
+
 @pytest.mark.parametrize("old", [False, True])
 @pytest.mark.parametrize("packed", [False, True])
-def test_layers_come_out_by_name(old, packed, tmp_path):
-    path = tmp_path / "net.caffemodel"
+def test_layers_come_out_by_name(old, packed, path):
     path.write_bytes(network(LAYERS, old, packed))
     read = read_caffemodel(path)
     assert [*read] == ["conv1.weight", "conv1.bias", "fc6.weight", "fc6.bias"]
@@ -74,35 +78,29 @@ def test_layers_come_out_by_name(old, packed, tmp_path):
             np.testing.assert_array_equal(got.numpy(), expected.astype(np.float32))
 
 
-def test_a_kernel_with_one_output_keeps_its_four_axes(tmp_path):
-    path = tmp_path / "net.caffemodel"
+def test_a_kernel_with_one_output_keeps_its_four_axes(path):
     path.write_bytes(network({"conv": [np.ones((1, 1, 3, 3)), np.ones(1)]}))
     read = read_caffemodel(path)
     assert read["conv.weight"].shape == (1, 1, 3, 3)
     assert read["conv.bias"].shape == (1,)
 
 
-@pytest.mark.parametrize("keep", [30, 100, -1])
-def test_a_cut_file_is_named(keep, tmp_path):
-    path = tmp_path / "net.caffemodel"
-    path.write_bytes(network(LAYERS)[:keep])
-    with refused(r"net\.caffemodel is not a"):
-        read_caffemodel(path)
+SHORT = message(7, message(1, varint(5))) + message(5, bytes(16))
+OTHERS = [b"", b"\x0b", b"name: 'net'\nlayer { name: 'conv1' }", bytes(100), network({})]
 
 
 @pytest.mark.parametrize(
-    "content", [b"", b"\x0b", b"name: 'net'\nlayer { name: 'conv1' }", bytes(100), network({})]
+    ("content", "error"),
+    [
+        *((network(LAYERS)[:keep], r"net\.caffemodel is not a") for keep in (30, 100, -1)),
+        *((other, r"net\.caffemodel is not a (whole )?Caffe network") for other in OTHERS),
+        (
+            message(100, message(1, b"conv") + message(7, SHORT)),
+            r"shape '\[5\]' is invalid for input of size 4",
+        ),
+    ],
 )
-def test_another_file_is_named(content, tmp_path):
-    path = tmp_path / "net.caffemodel"
+def test_a_cut_file_and_another_file_are_named(content, error, path):
     path.write_bytes(content)
-    with pytest.raises(ValueError, match=r"net\.caffemodel is not a (whole )?Caffe network"):
-        read_caffemodel(path)
-
-
-def test_fewer_numbers_than_the_shape_says(tmp_path):
-    path = tmp_path / "net.caffemodel"
-    wrong = message(7, message(1, varint(5))) + message(5, bytes(16))
-    path.write_bytes(message(100, message(1, b"conv") + message(7, wrong)))
-    with pytest.raises(ValueError, match=r"shape '\[5\]' is invalid for input of size 4"):
+    with refused(error):
         read_caffemodel(path)

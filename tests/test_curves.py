@@ -65,10 +65,7 @@ def test_figures_by_hand():
     assert curve.average_precision == pytest.approx((1 + 1 + 3 / 4) / 4)
     assert curve.extended_precision == pytest.approx((1 + 1 / 2) / 2)
     assert roc_auc(curve, np.array(3.0), np.array(1.0)) == pytest.approx(2 / 3)
-
-
-def test_extended_precision_where_the_best_score_is_not_right():
-    """P_R0 of a tie at the top is that of the tie, and R_P100 is then 0."""
+    # of a tie at the top the precision is that of the tie, and no threshold has precision 1
     assert curve_of([0.9, 0.9, 0.9, 0.7], [1, 0, 1, 1], 3).extended_precision == (2 / 3 + 0) / 2
     assert curve_of([0.9, 0.7], [0, 1], 2).extended_precision == 0.0
 
@@ -81,31 +78,22 @@ def test_the_precision_at_recall_zero_can_be_set():
     assert curve.auc == pytest.approx((1 + 1 / 2) / 2)
 
 
-def test_roc_auc_without_both_kinds_is_nan():
+def test_roc_auc_without_both_kinds_or_without_a_candidate():
     for correct in ([1, 1], [0, 0]):
         curve = curve_of([0.9, 0.8], correct, 2)
         right = float(sum(correct))
         assert math.isnan(roc_auc(curve, np.array(right), np.array(2 - right)))
-
-
-def test_a_query_without_candidate_is_the_surest_rejection():
     curve = curve_of([0.9, 0.8, -INF, -INF], [0, 1, 0, 0], 1)
     assert roc_auc(curve, np.array(1.0), np.array(3.0)) == pytest.approx(2 / 3)
-
-
-def heavy_ties(seed):
-    """Scores of few values, and which candidates are right."""
-    rng = np.random.default_rng(seed)
-    scores = rng.integers(0, rng.integers(1, 12), 200) / 8 - 0.5
-    correct = rng.random(200) < 0.2 + 0.6 * (scores - scores.min())
-    correct[:2] = [True, False]
-    return scores, correct
 
 
 @pytest.mark.parametrize("seed", range(20))
 def test_scikit_learn_agrees_on_heavy_ties(seed):
     sklearn = pytest.importorskip("sklearn.metrics", reason="scikit-learn is not installed")
-    scores, correct = heavy_ties(seed)
+    rng = np.random.default_rng(seed)
+    scores = rng.integers(0, rng.integers(1, 12), 200) / 8 - 0.5
+    correct = rng.random(200) < 0.2 + 0.6 * (scores - scores.min())
+    correct[:2] = [True, False]
     right = int(correct.sum())
     curve = precision_recall(scores, correct, right, start=1.0)
     precision, recall, thresholds = sklearn.precision_recall_curve(correct, scores)

@@ -34,27 +34,24 @@ def test_a_drive_worked_by_hand():
     assert (score.precision, score.recall) == (3 / 5, 2 / 4)
 
 
-def test_a_distance_equal_to_the_tolerance_is_near():
-    poses = drive((0, EAST), (5, EAST))
-    assert score_loops(np.array([-1, 0]), poses, 0, 5.0) == (1, 1, 1, 1)
-    assert score_loops(np.array([-1, 0]), poses, 0, 4.9) == (1, 0, 0, 0)
-
-
-def test_an_unknown_heading_fits_any():
-    poses = drive((0, EAST), (0, WEST), (0, math.nan))
-    assert score_loops(np.array([-1, -1, -1]), poses[:2], 0, 1).revisits == 0
-    assert score_loops(np.array([-1, -1, 0]), poses, 0, 1) == (1, 1, 1, 1)
-
-
-def test_frames_without_a_position_are_left_out():
-    poses = drive((0, EAST), (math.nan, EAST), (0, EAST), (0, EAST))
-    loops = np.array([-1, 0, 1, 0])
-    assert score_loops(loops, poses, 0, 1) == (1, 1, 2, 1)
-
-
-def test_frames_before_the_first_are_candidates_only():
-    poses = drive((0, EAST), (0, EAST), (0, EAST))
-    assert score_loops(np.array([-1, 0, 1]), poses, 0, 1, first=2) == (1, 1, 1, 1)
+@pytest.mark.parametrize(
+    ("places", "loops", "settings", "expected"),
+    [
+        # a distance equal to the tolerance is near
+        ([(0, EAST), (5, EAST)], [-1, 0], {"metres": 5.0}, (1, 1, 1, 1)),
+        ([(0, EAST), (5, EAST)], [-1, 0], {"metres": 4.9}, (1, 0, 0, 0)),
+        # an unknown heading fits any
+        ([(0, EAST), (0, WEST)], [-1, -1], {}, (0, 0, 0, 0)),
+        ([(0, EAST), (0, WEST), (0, math.nan)], [-1, -1, 0], {}, (1, 1, 1, 1)),
+        # frames without a position are left out
+        ([(0, EAST), (math.nan, EAST), (0, EAST), (0, EAST)], [-1, 0, 1, 0], {}, (1, 1, 2, 1)),
+        # frames before the first are candidates only
+        ([(0, EAST)] * 3, [-1, 0, 1], {"first": 2}, (1, 1, 1, 1)),
+    ],
+)
+def test_what_counts(places, loops, settings, expected):
+    settings = {"exclude": 0, "metres": 1.0, **settings}
+    assert score_loops(np.array(loops), drive(*places), **settings) == expected
 
 
 def test_where_there_is_nothing_the_shares_are_not_numbers():

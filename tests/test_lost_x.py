@@ -1,9 +1,11 @@
 """LoST-X as a method: windows of references, keypoints, ranking again, errors."""
 
+import methods
 import numpy as np
 import pytest
 import torch
 import torch.nn.functional as F
+from methods import noise
 from scipy.spatial.distance import cosine
 from test_lost import CLASSES as SEEN
 from test_lost import described, mean_feature
@@ -48,12 +50,7 @@ def seen(frame: Frame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def frames(count: int, sequence: str = "drive", seed: int = 0) -> list[Frame]:
-    rng = np.random.default_rng(seed)
-    shape = (count, 32, 48, 3)
-    return [
-        Frame(f"{sequence}/{i}", image=image)
-        for i, image in enumerate(rng.integers(0, 256, shape, np.uint8))
-    ]
+    return methods.frames((noise(100 * seed + n) for n in range(count)), sequence)
 
 
 @pytest.fixture
@@ -75,6 +72,13 @@ def test_a_query_is_the_equations_on_what_the_network_saw(method):
         means = [mean_feature(features, labels, s) for s in SEEN]
         expected = described(features, probabilities, means)
         np.testing.assert_allclose(row.numpy(), expected, atol=1e-5)
+    for i, frame in enumerate(frames(3)):
+        features, _, labels = seen(frame)
+        strongest = features.argmax(axis=1)
+        assert found.places[i].tolist() == strongest.tolist()
+        assert found.labels[i].tolist() == labels[strongest].tolist()
+        assert found.columns[i].tolist() == (strongest % 6).tolist()
+    assert found.widths.tolist() == [[6]] * 3
 
 
 def test_references_take_means_over_15_frames_of_their_sequence(method):
@@ -88,18 +92,6 @@ def test_references_take_means_over_15_frames_of_their_sequence(method):
         features, probabilities, _ = seen(drives[i])
         expected = described(features, probabilities, means)
         np.testing.assert_allclose(found.descriptors[i].numpy(), expected, atol=1e-5)
-
-
-def test_key_points_are_the_strongest_places_with_their_classes(method):
-    found = method.encode_query(frames(2))
-    for i, frame in enumerate(frames(2)):
-        features, _, labels = seen(frame)
-        for d in range(CHANNELS):
-            place = int(features[d].argmax())
-            assert found.places[i, d] == place
-            assert found.labels[i, d] == labels[place]
-            assert found.columns[i, d] == place % 6
-    assert found.widths.tolist() == [[6], [6]]
 
 
 @pytest.mark.parametrize("opposite", [False, True])
@@ -149,15 +141,12 @@ def test_a_frame_finds_itself_and_its_mirror_image(space):
         assert scores.argmax(dim=1).tolist() == list(range(12))
 
 
-def test_rows_do_not_depend_on_each_other_and_encodings_slice(method):
+def test_rows_do_not_depend_on_each_other_and_frames_may_differ_in_size(method):
     queries, references = method.encode_query(frames(5)), method.encode_reference(frames(14))
     whole = method.scores(queries, references)
     part = queries[2:4]
     assert len(part) == 2
     torch.testing.assert_close(method.scores(part, references), whole[2:4])
-
-
-def test_frames_may_differ_in_size(method):
     small, large = frames(2), [Frame("drive/9", image=np.tile(frames(1)[0].image, (2, 2, 1)))]
     found = method.encode_query(small + large)
     assert found.widths.flatten().tolist() == [6, 6, 12]
@@ -210,22 +199,17 @@ def test_class_names_come_from_the_label_space(space):
     [
         ((1, 5, 2, 2), (1, 7, 2, 2), r"C from 4 to 4, got \(1, 5, 2, 2\) and \(1, 7, 2, 2\)"),
         ((1, 5), (1, 4, 2, 2), r"got \(1, 5\) and"),
+        ((1, 5, 2, 2), (-1, 4, 2, 2), r"class probabilities, got -.*put a softmax"),
     ],
 )
 def test_a_network_that_gives_something_else(features, scores, message, space):
+    """The sign of the first size is that of the scores."""
+
     def other(images: Tensor) -> tuple[Tensor, Tensor]:
-        return torch.rand(features), torch.rand(scores)
+        return torch.rand(features), scores[0] * torch.rand(1, *scores[1:])
 
     with pytest.raises(ValueError, match=message):
         LoSTX(network=other, labels_as=space).encode_query(frames(1))
-
-
-def test_logits_are_refused(space):
-    def logits(images: Tensor) -> tuple[Tensor, Tensor]:
-        return torch.rand(1, 5, 2, 2), torch.rand(1, 4, 2, 2) - 1
-
-    with pytest.raises(ValueError, match=r"class probabilities, got -.*put a softmax"):
-        LoSTX(network=logits, labels_as=space).encode_query(frames(1))
 
 
 def test_frames_that_do_not_do_are_named(method):
@@ -233,9 +217,6 @@ def test_frames_that_do_not_do_are_named(method):
         method.encode_query([Frame("drive/1")])
     with pytest.raises(ValueError, match="method lost-x: no frames to encode"):
         method.encode_query([])
-
-
-def test_no_network():
     with pytest.raises(FileNotFoundError, match="no network: lost-x needs a segmentation network"):
         make("lost-x")
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import flip_byte, refused
+from helpers import refused
 from scipy.io import savemat
 
 from ssrvlad_torch.baselines.matconvnet import read_matconvnet
@@ -29,21 +29,26 @@ def layer(name: str, *arrays: np.ndarray) -> dict[str, object]:
     return {"type": "conv", "name": name, "weights": cell}
 
 
-def test_layers_that_are_structs(tmp_path):
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "net.mat"
+
+
+def test_layers_that_are_structs(path):
     rng = np.random.default_rng(0)
     weight, bias = rng.random((3, 3, 2, 4)), rng.random((4, 1))
     layers = [layer("conv", weight, bias), {"type": "relu", "name": "relu"}, layer("empty")]
-    savemat(tmp_path / "net.mat", {"net": network(*layers)})
-    read = read_matconvnet(tmp_path / "net.mat")
+    savemat(path, {"net": network(*layers)})
+    read = read_matconvnet(path)
     assert read.weights.keys() == {"conv"}
     np.testing.assert_array_equal(read.weights["conv"][0], weight.astype(np.float32))
     np.testing.assert_array_equal(read.weights["conv"][1], bias.astype(np.float32))
     assert read.average.tolist() == [123, 117, 104]
 
 
-def test_layers_that_are_objects(tmp_path):
-    (tmp_path / "net.mat").write_bytes(WITH_OBJECTS)
-    weights, average = read_matconvnet(tmp_path / "net.mat")
+def test_layers_that_are_objects(path):
+    path.write_bytes(WITH_OBJECTS)
+    weights, average = read_matconvnet(path)
     assert weights.keys() == {"conv1_1", "vlad:core"}
     assign, minus_centres = weights["vlad:core"]
     numbers = np.arange(6, dtype=np.float32).reshape(1, 1, 3, 2)
@@ -53,49 +58,43 @@ def test_layers_that_are_objects(tmp_path):
     assert average.tolist() == [123, 117, 104]
 
 
-def test_of_a_whole_average_image_the_first_pixel_is_taken(tmp_path):
+def test_of_a_whole_average_image_the_first_pixel_is_taken(path):
     image = np.zeros((4, 5, 3), np.float32)
     image[0, 0] = 1, 2, 3
     content = network() | {"meta": {"normalization": {"averageImage": image}}}
-    savemat(tmp_path / "net.mat", {"net": content})
-    assert read_matconvnet(tmp_path / "net.mat").average.tolist() == [1, 2, 3]
+    savemat(path, {"net": content})
+    assert read_matconvnet(path).average.tolist() == [1, 2, 3]
 
 
 @pytest.mark.parametrize("content", [{"x": 1}, {"net": {"layers": 1}}, {"net": np.ones(3)}])
-def test_another_matlab_file(content, tmp_path):
-    savemat(tmp_path / "net.mat", content)
+def test_another_matlab_file(content, path):
+    savemat(path, content)
     with pytest.raises(ValueError, match=r"net\.mat must hold a MatConvNet network"):
-        read_matconvnet(tmp_path / "net.mat")
+        read_matconvnet(path)
 
 
-@pytest.mark.parametrize("keep", [5, 130, 300, 900])
-def test_a_cut_file(keep, tmp_path):
-    (tmp_path / "net.mat").write_bytes(WITH_OBJECTS[:keep])
-    with refused(r"net\.mat"):
-        read_matconvnet(tmp_path / "net.mat")
+VERSION_7_3 = (b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM").ljust(1024, b"\0")
+DAMAGED = WITH_OBJECTS[:300] + bytes([WITH_OBJECTS[300] ^ 0x55]) + WITH_OBJECTS[301:]
 
 
-def test_a_damaged_file(tmp_path):
-    (tmp_path / "net.mat").write_bytes(WITH_OBJECTS)
-    flip_byte(tmp_path / "net.mat", 300)
-    with pytest.raises(ValueError, match=r"net\.mat is not a whole MATLAB file"):
-        read_matconvnet(tmp_path / "net.mat")
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        *((WITH_OBJECTS[:keep], r"net\.mat") for keep in (5, 130, 300, 900)),
+        (DAMAGED, r"net\.mat is not a whole MATLAB file"),
+        (VERSION_7_3, r"version 7\.3; save it again in MATLAB with -v7"),
+    ],
+)
+def test_a_damaged_file_and_another_version(content, message, path):
+    path.write_bytes(content)
+    with refused(message):
+        read_matconvnet(path)
 
 
-def test_version_7_3_is_named(tmp_path):
-    start = b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM"
-    (tmp_path / "net.mat").write_bytes(start.ljust(1024, b"\0"))
-    with pytest.raises(ValueError, match=r"version 7\.3; save it again in MATLAB with -v7"):
-        read_matconvnet(tmp_path / "net.mat")
-
-
-def test_a_missing_file(tmp_path):
+def test_a_missing_file_and_a_missing_scipy(path, monkeypatch):
     with pytest.raises(FileNotFoundError):
-        read_matconvnet(tmp_path / "net.mat")
-
-
-def test_a_missing_scipy_is_named(tmp_path, monkeypatch):
-    (tmp_path / "net.mat").write_bytes(WITH_OBJECTS)
+        read_matconvnet(path)
+    path.write_bytes(WITH_OBJECTS)
     monkeypatch.setitem(sys.modules, "scipy.io", None)
     with pytest.raises(ImportError, match=r"pip install ssrvlad-torch\[eval\]"):
-        read_matconvnet(tmp_path / "net.mat")
+        read_matconvnet(path)

@@ -11,11 +11,6 @@ from ssrvlad_torch.baselines.netvlad_network import NetVLADLayer, NetVLADNetwork
 WIDTHS = (2, 2, 2, 2, 3)
 
 
-def small(outputs: int | None = 5) -> NetVLADNetwork:
-    torch.manual_seed(0)
-    return NetVLADNetwork(WIDTHS, clusters=4, outputs=outputs)
-
-
 def test_the_published_sizes():
     with torch.device("meta"):
         network = NetVLADNetwork()
@@ -23,12 +18,20 @@ def test_the_published_sizes():
     sizes = {name: p.numel() for name, p in network.named_parameters() if "encoder" not in name}
     assert sizes["pool.centroids"] == sizes["pool.conv.weight"] == 64 * 512
     assert (network.size, NetVLADNetwork(WIDTHS, 4, None).size) == (4096, 12)
+    network = network.encoder
+    assert sum(p.numel() for p in network.parameters()) == 14_714_688
+    shapes = {n: tuple(m.weight.shape) for n, m in enumerate(network) if isinstance(m, nn.Conv2d)}
+    assert [*shapes] == [0, 2, 5, 7, 10, 12, 14, 17, 19, 21, 24, 26, 28]
+    assert (shapes[0], shapes[28]) == ((64, 3, 3, 3), (512, 512, 3, 3))
+    assert len(network) == 29
+    assert network(torch.zeros(1, 3, 64, 70, device="meta")).shape == (1, 512, 4, 4)
 
 
 @torch.no_grad()
 @pytest.mark.parametrize("outputs", [5, None])
 def test_it_is_scaling_trunk_layer_and_whitening(outputs):
-    network = small(outputs).double()
+    torch.manual_seed(0)
+    network = NetVLADNetwork(WIDTHS, clusters=4, outputs=outputs).double()
     network.mean.copy_(torch.tensor([1.0, 2, 3]))
     network.std.copy_(torch.tensor([4.0, 5, 6]))
     image = torch.randint(0, 256, (3, 33, 47), dtype=torch.uint8)
@@ -61,21 +64,6 @@ def test_it_is_equation_4(seed):
     w, b = layer.conv.weight.flatten(1).numpy(), layer.conv.bias.numpy()
     expected = [described(m, w, b, layer.centroids.numpy()) for m in maps.numpy()]
     np.testing.assert_allclose(layer(maps).numpy(), expected, rtol=1e-9)
-
-
-def test_it_has_the_published_size():
-    with torch.device("meta"):
-        network = vgg16()
-    assert sum(p.numel() for p in network.parameters()) == 14_714_688
-    shapes = {n: tuple(m.weight.shape) for n, m in enumerate(network) if isinstance(m, nn.Conv2d)}
-    assert [*shapes] == [0, 2, 5, 7, 10, 12, 14, 17, 19, 21, 24, 26, 28]
-    assert shapes[0] == (64, 3, 3, 3)
-    assert shapes[28] == (512, 512, 3, 3)
-    assert len(network) == 29
-
-
-def test_one_real_size():
-    assert vgg16()(torch.zeros(1, 3, 64, 70)).shape == (1, 512, 4, 4)
 
 
 @torch.no_grad()

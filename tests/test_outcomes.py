@@ -25,11 +25,8 @@ def test_records_by_hand():
     assert outcomes.has_match.tolist() == [True, True, False, True, True]
     assert outcomes.rank.tolist() == [1, 2, 0, 0, 0]
     assert len(outcomes) == 5
-
-
-def test_no_queries_have_no_records():
-    outcomes = judge(np.zeros((0, 3)), np.zeros((0, 3), np.int64), [])
-    assert len(outcomes) == len(outcomes.rank) == 0
+    none = judge(np.zeros((0, 3)), np.zeros((0, 3), np.int64), [])
+    assert len(none) == len(none.rank) == 0
 
 
 @pytest.mark.parametrize(
@@ -41,6 +38,7 @@ def test_no_queries_have_no_records():
         (np.ones(2), np.zeros(2, int), r"for 2 queries, got \(2,\)"),
         (np.array([[1.0, 0], [1, math.nan]]), np.zeros((2, 2), int), "1 of 2 queries .* NaN"),
         (np.array([[INF], [math.nan]]), np.zeros((2, 1), int), "2 of 2 queries"),
+        (np.array([[0.9], [0.9]]), np.array([[0], [-1]]), "a score but no row"),
     ],
 )
 def test_what_does_not_fit_is_refused(scores, indices, message):
@@ -54,8 +52,3 @@ def test_what_does_not_fit_is_refused(scores, indices, message):
 def test_a_matrix_in_place_of_rows_is_refused(truth):
     with pytest.raises(ValueError, match=r"expected the rows .*got a matrix.*flatnonzero"):
         judge(np.ones((2, 1)), np.zeros((2, 1), int), truth)
-
-
-def test_a_score_without_a_row_is_refused():
-    with pytest.raises(ValueError, match="a score but no row"):
-        judge(np.array([[0.9]]), np.array([[-1]]), rows([0]))

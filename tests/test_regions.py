@@ -20,6 +20,7 @@ def test_a_hand_worked_case():
     expected = [[5.5, 3.0], [5.5, 6.0], [2.1 + 0.9 + 1.9 + 2.6, 1.0], [1.9, 0.0]]
     torch.testing.assert_close(region_descriptors(maps, 10), torch.tensor(expected))
     torch.testing.assert_close(region_descriptors(maps, 3), torch.tensor(expected[:3]))
+    assert region_descriptors(torch.full((3, 4, 5), 0.9), 10).shape == (0, 3)
 
 
 def authors_way(maps: np.ndarray, count: int) -> np.ndarray:
@@ -46,10 +47,6 @@ def test_scikit_image_cuts_fractions_off():
     """What the module's text says of the authors' program."""
     levels = np.array([[0.5, 1.2, 1.7], [0.0, 0.0, 2.2]])
     assert label(levels).tolist() == [[0, 1, 1], [0, 0, 2]]
-
-
-def test_nothing_to_find():
-    assert region_descriptors(torch.full((3, 4, 5), 0.9), 10).shape == (0, 3)
 
 
 def test_equal_energies_come_in_the_order_of_maps_rows_and_columns():

@@ -1,6 +1,7 @@
 """The curve over all pairs, against a plain loop over its thresholds."""
 
 import math
+from itertools import product
 
 import numpy as np
 import pytest
@@ -77,22 +78,18 @@ def test_both_modes_by_hand():
     assert single.recall[[0, -1]].tolist() == [0, 1 / 2]
 
 
-def test_what_cannot_match_is_the_least_similar():
+def test_what_cannot_match_is_the_least_similar_and_float32_is_compared_as_it_is():
     similarity = np.array([[0.9, -INF], [0.3, 0.1]])
     filled = np.array([[0.9, 0.1], [0.3, 0.1]])
-    for single in (False, True):
+    noise = np.random.default_rng(0).random((2, 3)).astype(np.float32)
+    for single, (one, other) in product(
+        (False, True), ((similarity, filled), (noise, noise.astype(float)))
+    ):
         found, expected = (
-            whole(count_pairs(matrix, rows([0], [1]), single)) for matrix in (similarity, filled)
+            whole(count_pairs(matrix, rows([0], [1]), single)) for matrix in (one, other)
         )
         np.testing.assert_array_equal(found.precision, expected.precision)
         np.testing.assert_array_equal(found.thresholds, expected.thresholds)
-
-
-def test_float32_is_compared_as_it_is():
-    similarity = np.random.default_rng(0).random((20, 30)).astype(np.float32)
-    truth = rows(*[[n] for n in range(20)])
-    single, double = (whole(count_pairs(similarity.astype(t), truth)) for t in ("f4", "f8"))
-    np.testing.assert_array_equal(single.precision, double.precision)
 
 
 def test_weights_are_copies_of_queries():

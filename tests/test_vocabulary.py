@@ -56,14 +56,10 @@ def test_the_authors_pickle(protocol, kind, scikit_learn, tmp_path, monkeypatch)
         for words in (2, 4):
             found = read_vocabulary(path, words)
             np.testing.assert_array_equal(found.numpy(), WORDS[:words].astype(np.float32))
-
-
-def test_the_authors_pickle_under_numpys_old_module(scikit_learn, tmp_path):
-    path = tmp_path / "Vocabulary_400.pkl"
-    content = pickle.dumps({400: {4: {"conv3": scikit_learn(WORDS)}}}, 2)
-    path.write_bytes(content.replace(b"cnumpy._core.multi", b"cnumpy.core.multi"))
-    assert b"numpy._core" not in path.read_bytes()
-    assert read_vocabulary(path, 4).shape == (4, 384)
+        old = path.read_bytes().replace(b"cnumpy._core.multi", b"cnumpy.core.multi")
+        assert protocol > 3 or (b"numpy._core.multi" not in old and old != path.read_bytes())
+        path.write_bytes(old)
+        assert read_vocabulary(path, 4).shape == (4, 384)
 
 
 def test_an_array(tmp_path):
@@ -71,13 +67,6 @@ def test_an_array(tmp_path):
     found = read_vocabulary(tmp_path / "words.npy", 4)
     assert found.dtype == torch.float32
     np.testing.assert_array_equal(found.numpy(), WORDS.astype(np.float32))
-
-
-@pytest.mark.parametrize("content", [Ran(), {400: Ran()}, {400: {4: {"conv3": Path}}}])
-def test_code_is_refused(content, tmp_path):
-    (tmp_path / "words.pkl").write_bytes(pickle.dumps(content))
-    with pytest.raises(ValueError, match=r"words\.pkl is not a whole vocabulary: it refers to"):
-        read_vocabulary(tmp_path / "words.pkl", 4)
 
 
 def test_objects_in_an_array_are_refused(tmp_path):
@@ -89,6 +78,9 @@ def test_objects_in_an_array_are_refused(tmp_path):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
+        (Ran(), r"words\.pkl is not a whole vocabulary: it refers to"),
+        ({400: Ran()}, "it refers to"),
+        ({400: {4: {"conv3": Path}}}, "it refers to"),
         ({200: {}}, r"expected an entry 400, got \[200\]"),
         ({400: {2: {}}}, r"expected an entry 4, got \[2\]"),
         ({400: {4: {"conv4": 1}}}, r"expected an entry conv3, got \['conv4'\]"),

@@ -19,67 +19,65 @@ def layer(seed: int = 0) -> nn.Linear:
     return nn.Linear(2, 3)
 
 
+@pytest.fixture
+def home(tmp_path, monkeypatch):
+    monkeypatch.setattr(Path, "home", lambda: tmp_path)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
 class TestFinding:
-    def test_a_file_of_any_name(self, tmp_path):
-        file = tmp_path / "mine"
+    def test_a_file_or_a_published_name_in_a_folder(self, home):
+        file = home / "unzipped" / "b.pth"
+        file.parent.mkdir()
         file.touch()
-        assert find_weights(file, ["published.mat"], "them") == file
-        assert find_weights(str(file), ["published.mat"], "them") == file
+        for given in (file, str(file), home):
+            assert find_weights(given, ["a.mat", "unzipped/b.pth"], "them") == file
+        (home / "a.mat").touch()
+        assert find_weights(home, ["a.mat", "unzipped/b.pth"], "them") == home / "a.mat"
 
-    def test_a_published_name_in_a_folder(self, tmp_path):
-        (tmp_path / "unzipped").mkdir()
-        (tmp_path / "unzipped" / "b.pth").touch()
-        assert find_weights(tmp_path, ["a.mat", "unzipped/b.pth"], "them").name == "b.pth"
-        (tmp_path / "a.mat").touch()
-        assert find_weights(tmp_path, ["a.mat", "unzipped/b.pth"], "them").name == "a.mat"
-
-    def test_the_cache_folder_by_default(self, tmp_path, monkeypatch):
-        monkeypatch.setattr(Path, "home", lambda: tmp_path)
-        assert weights.weights_folder() == tmp_path / ".cache" / "ssrvlad" / "weights"
+    def test_the_cache_folder_by_default(self, home):
+        assert weights.weights_folder() == home / ".cache" / "ssrvlad" / "weights"
         weights.weights_folder().mkdir(parents=True)
         (weights.weights_folder() / "a.mat").touch()
         assert find_weights(None, ["a.mat"], "them") == weights.weights_folder() / "a.mat"
 
     @pytest.mark.parametrize("given", [None, "nowhere.mat", "."])
-    def test_what_is_missing_is_named_in_one_line(self, given, tmp_path, monkeypatch):
-        monkeypatch.setattr(Path, "home", lambda: tmp_path)
-        monkeypatch.chdir(tmp_path)
-        with pytest.raises(FileNotFoundError) as error:
-            find_weights(given, ["a.mat", "b.pth"], "the project page")
-        message = str(error.value)
-        assert "\n" not in message
+    def test_what_is_missing_is_named_in_one_line(self, given, home):
         place = given or str(weights.weights_folder())
-        for part in ("a.mat or b.pth", "the project page", str(weights.weights_folder()), place):
-            assert part in message
+        with refused("a.mat or b.pth", "the project page", place, by=FileNotFoundError) as error:
+            find_weights(given, ["a.mat", "b.pth"], "the project page")
+        assert str(weights.weights_folder()) in str(error.value)
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "checkpoint.pth.tar"
 
 
 class TestReading:
     @pytest.mark.parametrize("wrap", [lambda s: s, lambda s: {"state_dict": s, "epoch": 7}])
     @pytest.mark.parametrize("zipped", [True, False])
-    def test_bare_or_wrapped_in_the_present_and_the_old_format(self, wrap, zipped, tmp_path):
-        path = tmp_path / "checkpoint.pth.tar"
+    def test_bare_or_wrapped_in_the_present_and_the_old_format(self, wrap, zipped, path):
         state = layer().state_dict()
         torch.save(wrap(state), path, _use_new_zipfile_serialization=zipped)
         read = read_checkpoint(path)
         assert read.keys() == state.keys()
         assert all(torch.equal(read[name], state[name]) for name in state)
 
-    def test_module_of_data_parallel_is_taken_out(self, tmp_path):
-        path = tmp_path / "checkpoint.pth.tar"
+    def test_module_of_data_parallel_is_taken_out(self, path):
         torch.save({"encoder.module.0.weight": torch.ones(1), "module.a": torch.ones(2)}, path)
         assert read_checkpoint(path).keys() == {"encoder.0.weight", "a"}
 
     @pytest.mark.parametrize("zipped", [True, False])
-    def test_numpy_numbers_beside_the_tensors_are_no_obstacle(self, zipped, tmp_path):
+    def test_numpy_numbers_beside_the_tensors_are_no_obstacle(self, zipped, path):
         """The port's checkpoints keep their recalls, which are NumPy's floats."""
-        path = tmp_path / "checkpoint.pth.tar"
         recalls = {1: np.float64(0.85), 5: np.float32(0.94)}
         content = {"state_dict": OrderedDict(a=torch.ones(2)), "recalls": recalls}
         torch.save(content, path, _use_new_zipfile_serialization=zipped)
         assert read_checkpoint(path).keys() == {"a"}
 
-    def test_numpy_numbers_under_their_old_module(self, tmp_path):
-        path = tmp_path / "checkpoint.pth.tar"
+    def test_numpy_numbers_under_their_old_module(self, path):
         content = {"best": np.float64(0.85), "state_dict": OrderedDict(a=torch.ones(2))}
         torch.save(content, path, _use_new_zipfile_serialization=False)
         renamed = path.read_bytes().replace(b"numpy._core.multi", b"numpy.core.multi")
@@ -87,16 +85,14 @@ class TestReading:
         path.write_bytes(renamed)
         assert read_checkpoint(path).keys() == {"a"}
 
-    def test_code_is_refused(self, tmp_path):
-        path = tmp_path / "checkpoint.pth.tar"
+    def test_code_is_refused(self, path):
         torch.save({"a": torch.ones(2), "b": Path("x")}, path)
         with pytest.raises(ValueError, match=r"checkpoint\.pth\.tar.*Weights only load failed"):
             read_checkpoint(path)
 
     @pytest.mark.parametrize("keep", [0, 1, 10, 0.5, 0.95])
     @pytest.mark.parametrize("zipped", [True, False])
-    def test_a_damaged_file_is_named(self, keep, zipped, tmp_path):
-        path = tmp_path / "checkpoint.pth.tar"
+    def test_a_damaged_file_is_named(self, keep, zipped, path):
         torch.save(layer().state_dict(), path, _use_new_zipfile_serialization=zipped)
         content = path.read_bytes()
         path.write_bytes(content[: keep if isinstance(keep, int) else int(keep * len(content))])
@@ -104,14 +100,12 @@ class TestReading:
             read_checkpoint(path)
 
     @pytest.mark.parametrize("content", [{}, {"state_dict": {}}, [torch.ones(1)], {"epoch": 1}])
-    def test_no_tensors(self, content, tmp_path):
-        path = tmp_path / "checkpoint.pth.tar"
+    def test_no_tensors(self, content, path):
         torch.save(content, path)
         with pytest.raises(ValueError, match="must hold tensors by name"):
             read_checkpoint(path)
 
-    def test_another_file(self, tmp_path):
-        path = tmp_path / "notes.pth"
+    def test_another_file(self, path):
         path.write_bytes(pickle.dumps({"a": 1}, protocol=2)[:-3])
         with pytest.raises(ValueError, match="is not a whole PyTorch checkpoint"):
             read_checkpoint(path)
