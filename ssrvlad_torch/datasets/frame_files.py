@@ -219,7 +219,8 @@ def _frames_at(path: Path, kind: FileKind, topic: str | None) -> Iterator[FrameF
         is_shown = not entry.name.startswith(".") and (entry.is_file() or not entry.exists())
         if entry.suffix.lower() not in kind.suffixes or (is_folder and not is_shown):
             continue
-        length = _stack_length(entry, kind.stack_rank)
+        is_array = entry.suffix.lower() == ".npy"
+        length = _stack_length(entry, kind.stack_rank) if is_array else None
         if length is None:
             yield FrameFile("", entry.stem, entry, folder=folder)
             continue
@@ -231,8 +232,6 @@ def _frames_at(path: Path, kind: FileKind, topic: str | None) -> Iterator[FrameF
 def _stack_length(path: Path, rank: int) -> int | None:
     """Number of frames in a ``.npy`` stack; ``None`` for a file of one frame, and for a damaged
     file, which is skipped when it is read."""
-    if path.suffix.lower() != ".npy":
-        return None
     try:
         check_regular(path)
         with path.open("rb") as file:

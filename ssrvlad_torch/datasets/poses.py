@@ -3,16 +3,14 @@
 import csv
 import io
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 from ..files import read_text, replacing
 from .gps import Fix, eastings_northings, heading_of_course
 
 FILE_NAME = "poses.csv"
-
-Position = TypeVar("Position", bound=tuple[float, ...])
 
 
 class Pose(NamedTuple):
@@ -41,19 +39,42 @@ def read_poses(path: Path) -> dict[str, Pose]:
     columns, a value that is no number, and one NaN of two coordinates are a ValueError that names
     file and line."""
     rows = csv.DictReader(io.StringIO(read_text(path)), restval="", skipinitialspace=True)
+    positions: dict[str, tuple[float, ...]] = {}
     try:
         columns = rows.fieldnames or ()
         if repeated := next((column for column in columns if columns.count(column) > 1), ""):
             raise ValueError(f"two columns {repeated!r}")
-        if {"frame", "latitude", "longitude"} <= set(columns):
-            fixes = _by_frame(rows, Fix, "latitude", "longitude", "course")
-            return dict(zip(fixes, poses_of_fixes([*fixes.values()]), strict=True))
+        is_gps = {"frame", "latitude", "longitude"} <= set(columns)
         missing = {"frame", "x", "y"} - set(columns)
-        if missing:
+        if missing and not is_gps:
             raise ValueError(f"no column {min(missing)!r}; expected frame,x,y,heading")
-        return _by_frame(rows, Pose, *Pose._fields)
+        for row in rows:
+            if any(more := row.get(None, ())):  # as by decimal commas, not by one at the end
+                raise ValueError(f"more cells than columns: {','.join(more)}")
+            position = _numbers(row, Fix._fields if is_gps else Pose._fields)
+            earlier = positions.setdefault(row["frame"], position)
+            if repr(earlier) != repr(position):  # as text, NaN equals NaN
+                raise ValueError(f"frame {row['frame']!r} has two positions")
+        if is_gps:
+            fixes = [Fix(*position) for position in positions.values()]
+            return dict(zip(positions, poses_of_fixes(fixes), strict=True))
+        return {frame: Pose(*position) for frame, position in positions.items()}
     except (csv.Error, ValueError) as error:
         raise ValueError(f"{path} line {rows.line_num}: {error}") from error
+
+
+def _numbers(row: dict[Any, Any], columns: Sequence[str]) -> tuple[float, ...]:
+    """The numbers in the columns of a row; the last may be empty, which is NaN."""
+    numbers = []
+    for column in columns:
+        text = row.get(column) or ""
+        numbers.append(math.nan if not text and column == columns[-1] else parse_number(text))
+        if math.isinf(numbers[-1]):
+            raise ValueError(f"{column} is {text}; expected a finite number")
+    if math.isnan(numbers[0]) != math.isnan(numbers[1]):
+        x, y = (f"{column} is {row[column]}" for column in columns[:2])
+        raise ValueError(f"{x} and {y}; expected two numbers, or nan twice")
+    return tuple(numbers)
 
 
 def write_poses(path: Path, poses: Mapping[str, Pose]) -> None:
@@ -68,28 +89,3 @@ def poses_of_fixes(fixes: Sequence[Fix]) -> list[Pose]:
     """Poses of one drive; errors as for `eastings_northings`."""
     positions = zip(eastings_northings(fixes), fixes, strict=True)
     return [Pose(*position, heading_of_course(fix.course)) for position, fix in positions]
-
-
-def _by_frame(
-    rows: Iterable[dict[Any, Any]], kind: Callable[..., Position], *columns: str
-) -> dict[str, Position]:
-    """The position of each frame. A frame may have several rows if they are equal."""
-    positions: dict[str, Position] = {}
-    for row in rows:
-        if any(more := row.get(None, ())):  # as by decimal commas, not by one at the end
-            raise ValueError(f"more cells than columns: {','.join(more)}")
-        numbers = []
-        for column in columns:
-            text = row.get(column) or ""
-            optional = not text and column in ("heading", "course")
-            numbers.append(math.nan if optional else parse_number(text))
-            if math.isinf(numbers[-1]):
-                raise ValueError(f"{column} is {text}; expected a finite number")
-        if math.isnan(numbers[0]) != math.isnan(numbers[1]):
-            x, y = (f"{column} is {row[column]}" for column in columns[:2])
-            raise ValueError(f"{x} and {y}; expected two numbers, or nan twice")
-        position = kind(*numbers)
-        earlier = positions.setdefault(row["frame"], position)
-        if repr(earlier) != repr(position):  # as text, NaN equals NaN
-            raise ValueError(f"frame {row['frame']!r} has two positions")
-    return positions
