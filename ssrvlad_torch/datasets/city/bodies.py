@@ -109,35 +109,25 @@ def car(axis: Axis, length: float = 4.3) -> Iterator[Body]:
 
 
 def tree(axis: Axis, rng: np.random.Generator, season: str) -> Iterator[Body]:
-    """A tree: a trunk, and a crown or bare branches; all vegetation, as in Cityscapes."""
+    """A tree: a trunk, and a crown of irregular balls or bare branches, thin pyramids from the fork
+    outwards; all vegetation, as in Cityscapes."""
     size, girth, evergreen = rng.random(3)
     height, radius = 5 + 6 * size, 1.4 + 1.6 * girth
     fork = 0.35 * height
-    form = rng.uniform(-0.5, 0.5, (5, 5)).tolist()
+    is_bare = season == "winter" and evergreen <= 0.85
     yield pole(axis, fork + 0.5, 0.35, VEGETATION)
-    if season == "summer" or evergreen > 0.85:
-        yield from (_foliage(axis, radius, (fork, height), *part) for part in form)
-    else:
-        yield from (_branch(axis, 2 * radius, (fork, height), *part[:3]) for part in form)
-
-
-def _foliage(
-    axis: Axis, radius: float, z: Span, s: float, d: float, up: float, wide: float, tall: float
-) -> Body:
-    """One irregular ball of a crown; the last five numbers are in -0.5..0.5."""
-    middle = axis.at(radius * s, radius * d)
-    across, along = radius * (0.75 + 0.3 * wide), (z[1] - z[0]) * (0.4 + 0.15 * tall)
-    height = sum(z) / 2 + radius * up
-    return VEGETATION, [
-        (*middle.point(across * a, across * b), height + along * c) for a, b, c in _BALL
-    ]
-
-
-def _branch(axis: Axis, reach: float, z: Span, s: float, d: float, up: float) -> Body:
-    """A thin pyramid from the fork of a tree outwards."""
-    tip = (*axis.point(reach * s, reach * d), z[1] * (0.9 + 0.2 * up))
-    foot = [(*axis.point(a, b), z[0]) for a, b in ((-0.1, 0), (0.1, 0), (0, -0.1), (0, 0.1))]
-    return VEGETATION, foot + [tip] * 4
+    for s, d, up, wide, tall in rng.uniform(-0.5, 0.5, (5, 5)).tolist():
+        if is_bare:
+            tip = (*axis.point(2 * radius * s, 2 * radius * d), height * (0.9 + 0.2 * up))
+            foot = [
+                (*axis.point(a, b), fork) for a, b in ((-0.1, 0), (0.1, 0), (0, -0.1), (0, 0.1))
+            ]
+            yield VEGETATION, foot + [tip] * 4
+        else:
+            middle, z = axis.at(radius * s, radius * d), (fork + height) / 2 + radius * up
+            across, along = radius * (0.75 + 0.3 * wide), (height - fork) * (0.4 + 0.15 * tall)
+            ball = [(*middle.point(across * a, across * b), z + along * c) for a, b, c in _BALL]
+            yield VEGETATION, ball
 
 
 _BALL = ((1, 0, 0.3), (0.3, 0.9, -0.5), (-0.9, 0.4, 0.4), (-0.6, -0.7, -0.6),
