@@ -31,33 +31,26 @@ def folder(tmp_path):
     return tmp_path / "mon day"
 
 
-def test_frames_are_found_in_order_and_named_by_their_folder(folder):
+def test_frames_are_those_of_the_same_files_here(folder):
     files = find_label_files([folder.as_uri()])
     assert [file.frame for file in files] == [f"mon day/{n}" for n in (0, 2, 10, 11)]
     chosen = find_label_files([folder.as_uri()], "x", every=2, start=1)
     assert [file.frame for file in chosen] == ["x/2", "x/11"]
+    here, _ = encode_to_memory(HEAD, find_label_files([str(folder)]))
+    there, skipped = encode_to_memory(HEAD, files)
+    assert (skipped, there.frames) == ([], here.frames)
+    assert torch.equal(there.descriptors, here.descriptors)
 
 
-def test_an_at_sign_in_a_path_is_no_password(tmp_path):
+def test_no_password_is_taken_from_a_path_or_shown(folder, tmp_path):
     places = [tmp_path / "day1" / "12:30@cam0", tmp_path / "day2" / "12:45@cam0"]
     for place in places:
         write_street(place / "0.png", 0)
     files = find_label_files([f"file://{place}" for place in places])
     assert [file.folder for file in files] == [f"file://{place}" for place in places]
     assert [file.frame for file in files] == ["12:30@cam0/0", "12:45@cam0/0"]
-
-
-def test_what_a_uri_says_beside_the_folder_is_not_shown(folder):
     [file, *_] = find_label_files([f"{folder.as_uri()}?key=secret"])
     assert "secret" not in repr(file)
-
-
-def test_rows_are_those_of_the_same_files_here(folder):
-    here, _ = encode_to_memory(HEAD, find_label_files([str(folder)]))
-    there, skipped = encode_to_memory(HEAD, find_label_files([folder.as_uri()]))
-    assert skipped == []
-    assert there.frames == here.frames
-    assert torch.equal(there.descriptors, here.descriptors)
 
 
 def test_what_has_changed_is_encoded_anew_and_what_is_gone_is_skipped(folder, tmp_path):

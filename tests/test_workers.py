@@ -39,7 +39,9 @@ def test_items_are_taken_as_they_are_needed():
     results.close()
 
 
-def test_an_error_of_the_items_comes_after_earlier_results():
+def test_errors():
+    """Of the items, after earlier results; of the work, which keeps its type."""
+
     def items():
         yield from range(7)
         raise KeyboardInterrupt
@@ -49,8 +51,6 @@ def test_an_error_of_the_items_comes_after_earlier_results():
     with pytest.raises(KeyboardInterrupt):
         next(results)
 
-
-def test_an_error_of_the_work_keeps_its_type():
     def fail(_item):
         raise ZeroDivisionError("nothing to share")
 
