@@ -178,7 +178,8 @@ def test_a_network_runs_in_the_actors(tmp_path, photos, segmenter, pictures):
 
 
 def test_another_network_in_an_actor_is_refused(tmp_path, photos, segmenter, pictures):
-    write_settings(tmp_path, "white: 255\n")  # the settings change after they were read
+    settings = tmp_path / "net.yaml"  # changes after it was read
+    settings.write_text(f"{settings.read_text()}white: 255\n")
     with pytest.raises(OSError, match=r"net\.yaml is another network here than where"):
         encode_with_ray(HEAD, photos, pictures, TWO, segmenter)
     assert len(pictures) == 0

@@ -93,9 +93,9 @@ class StoredRecords(Mapping[str, FrameRecord]):
     them take little memory."""
 
     def __init__(self, table: pa.Table) -> None:
-        self.table = table
-        self._columns = [column.combine_chunks() for column in table.columns]
-        self._rows = {frame: row for row, frame in enumerate(self.column("frame"))}
+        self.table = table.combine_chunks()
+        self._columns = self.table.columns
+        self._rows = {frame: row for row, frame in enumerate(table["frame"].to_pylist())}
 
     def __getitem__(self, frame: str) -> FrameRecord:
         row = self._rows[frame]
@@ -107,11 +107,6 @@ class StoredRecords(Mapping[str, FrameRecord]):
 
     def __len__(self) -> int:
         return len(self._rows)
-
-    def column(self, name: str) -> list[Any]:
-        """One attribute of all records, in their order."""
-        values: list[Any] = self.table[name].to_pylist()
-        return values
 
 
 def folders_of(table: pa.Table) -> set[tuple[str, str]]:

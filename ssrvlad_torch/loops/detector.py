@@ -277,9 +277,9 @@ class LoopDetector:
         detector = cls(config, head, database.extra)
         frames = database.load()
         known = database.known()
-        names = dict.fromkeys(known.column("sequence"))
+        names = dict.fromkeys(known.table["sequence"].to_pylist())
         added = {name: number for number, name in enumerate(names)}
-        arrivals = dict(zip(known, known.column("arrival"), strict=True))
+        arrivals = dict(zip(known, known.table["arrival"].to_pylist(), strict=True))
         order = sorted(
             range(len(frames)),
             key=lambda row: (arrivals[frames.frames[row]], added[frames.sequences[row]]),
