@@ -33,7 +33,7 @@ def encoding_rates(
     describer, starts = Describer(head), list[float]()
     ways: dict[str, Callable[[], object]] = {
         "read": lambda: [read(head.label_space, batch) for batch in batches],
-        "describe": lambda: [describer.describe(batch) for batch in ready],
+        "describe": lambda: [describer(batch) for batch in ready],
         "one": partial(_all, head, files, 0),
         "all": lambda: starts.append(_all(head, files, workers)),
     }

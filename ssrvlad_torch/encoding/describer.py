@@ -41,6 +41,8 @@ def read(space: LabelSpace, items: Sequence[Item]) -> list[Item]:
     """Items with label maps and their digests; those without a label map are read."""
 
     def read_one(item: Item) -> Item:
+        if item.digest:
+            return item
         if item.labels is None:
             item = item._replace(signature=item.file.signature())
             try:
@@ -70,11 +72,8 @@ class Describer:
         self._methods = extra_methods(extra)
 
     def __call__(self, items: Sequence[Item]) -> list[Encoded | Skipped]:
-        """The results of frames, in their order."""
-        return self.describe(read(self.head.label_space, items))
-
-    def describe(self, items: Sequence[Item]) -> list[Encoded | Skipped]:
-        """The results of frames that `read` read; a batch has one size and dtype."""
+        """The results of frames, in their order; a batch has one size and dtype."""
+        items = read(self.head.label_space, items)
         results: dict[int, Encoded | Skipped] = {}
         groups: dict[object, list[int]] = {}
         for number, item in enumerate(items):

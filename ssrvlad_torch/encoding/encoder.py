@@ -181,7 +181,7 @@ def _encode(
         done = in_order(work, batches, workers, AHEAD * workers, one)
     try:
         for batch in done:
-            yield from describer.describe(batch) if reads_only else batch
+            yield from describer(batch) if reads_only else batch
     finally:
         torch.set_num_threads(threads)  # for later threads
 

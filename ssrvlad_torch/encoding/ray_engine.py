@@ -66,9 +66,7 @@ def encode_with_ray(
     options = options or EncodeOptions()
     plan, describer = prepared(head, files, database, options, segmenter)
     path = database.path if is_uri(database.path) else absolute(Path(database.path))
-    encoder = PartEncoder(
-        describer, path, Network.of(segmenter, options.gpus) if segmenter else None
-    )
+    encoder = PartEncoder(describer, path, segmenter, options.gpus)
     with Writer(database, plan, options) as writer:
         for part in _parts(encoder, plan, options):
             if part.staged:
@@ -78,47 +76,35 @@ def encode_with_ray(
     return writer.summary
 
 
-class Network(NamedTuple):
-    """What loads a segmenter in an actor, the key that it must then have, and a number of GPUs."""
-
-    load: Callable[[], Segmenter]
-    key: str
-    gpus: float = 0
-
-    @classmethod
-    def of(cls, segmenter: Segmenter, gpus: float = 0) -> Network:
-        """A network that has a name is loaded by it; another one is sent with its weights."""
-        if not segmenter.name:
-            return cls(lambda: segmenter, segmenter.key(), gpus)
-        how = segmenter.label_space, segmenter.cache, segmenter.config.classes
-        return cls(partial(Segmenter.load, segmenter.name, *how), segmenter.key(), gpus)
-
-    def loaded(self) -> Segmenter:
-        """The segmenter; a ValueError if it is another one."""
-        segmenter = self.load()
-        if self.gpus:
-            segmenter.network.to("cuda")
-        if segmenter.key() != self.key:
-            raise ValueError(f"{segmenter.name} is another network here than where Ray was called")
-        return segmenter
-
-
 class PartEncoder:
-    """Encodes the files of a part, and stages new frames in the database at a path."""
+    """Encodes the files of a part, and stages new frames in the database at a path. An actor loads
+    a segmenter that has a name by it; another one is sent with its weights."""
 
-    def __init__(self, describer: Describer, database: str, network: Network | None = None) -> None:
-        self.describer = describer
-        self.database = database
-        self.network = network
+    def __init__(
+        self, describer: Describer, database: str, segmenter: Segmenter | None, gpus: float
+    ) -> None:
+        self.describer, self.database, self.gpus = describer, database, gpus
+        self.load: Callable[[], Segmenter] | None = None
         self._segmenter: Segmenter | None = None
+        if segmenter:
+            how = segmenter.label_space, segmenter.cache, segmenter.config.classes
+            by_name = partial(Segmenter.load, segmenter.name, *how)
+            self.load = by_name if segmenter.name else lambda: segmenter
+            self._key = segmenter.key()
 
     def __call__(self, files: Sequence[FrameFile], new: bool) -> Part:
         """The results of the files of a part; ``new``: none of its frames is in the database."""
         items = list(map(Item, files))
-        if self.network:
-            self._segmenter = self._segmenter or self.network.loaded()
+        if self.load:
+            segmenter = self._segmenter or self.load()
+            if self.gpus and not self._segmenter:
+                segmenter.network.to("cuda")
+            if not self._segmenter and segmenter.key() != self._key:
+                name = segmenter.name
+                raise ValueError(f"{name} is another network here than where Ray was called")
+            self._segmenter = segmenter
             features = any(each.name == FEATURES for each in self.describer.extra)
-            items = list(segmented_items(files, self._segmenter, 1, features))
+            items = list(segmented_items(files, segmenter, 1, features))
         results = self.describer(items)
         described = [result for result in results if isinstance(result, Encoded)]
         if not new or not described:
@@ -158,7 +144,7 @@ def _parts(encoder: PartEncoder, plan: Plan, options: EncodeOptions) -> Iterator
     import ray.cloudpickle
     import ray.data
 
-    length = PART_OF_PICTURES if encoder.network else PART
+    length = PART_OF_PICTURES if encoder.load else PART
     rows = [
         {"files": pickle.dumps(files[first : first + length]), "new": new}
         for new in (True, False)
@@ -172,7 +158,7 @@ def _parts(encoder: PartEncoder, plan: Plan, options: EncodeOptions) -> Iterator
         ray.init(logging_level=logging.ERROR, log_to_driver=False, include_dashboard=False)
     logging.getLogger("ray.data").setLevel(logging.CRITICAL)
     ray.data.DataContext.get_current().enable_progress_bars = False
-    gpus = options.gpus if encoder.network else 0
+    gpus = options.gpus if encoder.load else 0
     if gpus > (found := ray.cluster_resources().get("GPU", 0)):
         raise ValueError(f"the cluster has {found:g} GPUs, expected {gpus:g} for each worker")
     workers = max(1, min(options.workers or cores(), len(rows)))

@@ -19,13 +19,7 @@ from ..descriptor import mirrored, query_head
 from ..recognition.confidence import Estimate, accept, answered, estimate
 from ..recognition.follow import runs
 from ..recognition.matching import Matches
-from ..recognition.recognise import (
-    SSR_VLAD,
-    Recognised,
-    Steps,
-    recognise,
-    recognise_by_search,
-)
+from ..recognition.recognise import SSR_VLAD, Recognised, Steps, recognise, recognise_by_search
 from ..recognition.standardise import MIN_FRAMES
 from ..recognition.sweep import COLUMNS
 from ..recognition.temporal import frames_within, temporal_sum
