@@ -50,21 +50,14 @@ def test_methods_taken_together(ssrvlad, tmp_path):
     assert single["bytes_a_reference"] == 2 * 480 * 4
 
 
-def test_a_member_that_does_not_run(compare, two_drives):
-    code, rows, _ = compare(two_drives, "--method", "hog,ssr-vlad", "--fuse", "hog,ssr-vlad")
+@pytest.mark.parametrize(("labels", "reason"), [((), "their --labels-as"), (CAMVID, "label id 99")])
+def test_a_member_that_does_not_run_or_fails_on_a_frame(compare, two_drives, labels, reason):
+    unknown = Image.fromarray(np.full((60, 80), 99, np.uint8))
+    unknown.save(two_drives / "query" / "labels" / "003.png")
+    names = "hog,ssr-vlad"
+    code, rows, _ = compare(two_drives, "--method", names, "--fuse", names, *labels)
     assert code == 3
-    assert rows["hog + ssr-vlad"]["reason"] == "ssr-vlad does not run"
-
-
-def test_a_member_that_fails_on_a_frame(compare, two_drives):
-    Image.fromarray(np.full((60, 80), 99, np.uint8)).save(
-        two_drives / "query" / "labels" / "003.png"
-    )
-    code, rows, _ = compare(
-        two_drives, "--method", "hog,ssr-vlad", "--fuse", "hog,ssr-vlad", *CAMVID
-    )
-    assert code == 3
-    assert "99" in rows["ssr-vlad"]["reason"]
+    assert reason in rows["ssr-vlad"]["reason"]
     assert rows["hog + ssr-vlad"]["reason"] == "ssr-vlad does not run"
 
 
@@ -74,10 +67,8 @@ def test_what_a_method_lacks_is_its_row(compare, two_drives, tmp_path, monkeypat
     code, rows, err = compare(two_drives, *methods)
     assert code == 3
     assert rows["hog"]["recall_at"]["1"] == 1
-    assert rows["ssr-vlad"] == {
-        "method": "ssr-vlad",
-        "reason": "it needs label maps and their --labels-as",
-    }
+    reason = "it needs label maps and their --labels-as"
+    assert rows["ssr-vlad"] == {"method": "ssr-vlad", "reason": reason}
     assert f"no weights at {tmp_path}/.cache/ssrvlad/weights" in rows["netvlad"]["reason"]
     assert [line.split(":")[1] for line in err] == [" skipped ssr-vlad", " skipped netvlad"]
 

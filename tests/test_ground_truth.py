@@ -25,16 +25,6 @@ def test_the_distance_includes_its_limit_and_ignores_the_heading():
     assert as_lists(from_poses(queries, references[:0], 5)) == [[], []]
 
 
-@pytest.mark.parametrize("hole", [(0, 0), (0, 1)])
-def test_missing_poses_are_counted(hole):
-    known, holed = np.zeros((3, 3)), np.zeros((2, 3))
-    holed[hole] = math.nan
-    with pytest.raises(ValueError, match="1 of 2 queries have no pose"):
-        from_poses(holed, known, 5)
-    with pytest.raises(ValueError, match=r"1 of 2 references have no pose.*poses\.csv"):
-        from_poses(known, holed, 5)
-
-
 def test_headings_are_compared_the_shorter_way_round():
     """Limits included; x and y are all alike. 359 and 2 degrees are 3 degrees apart."""
     there = np.radians([0, 10, 90, 180, 350, -90, 359])
@@ -45,16 +35,21 @@ def test_headings_are_compared_the_shorter_way_round():
     assert as_lists(from_poses(queries, references, 1, degrees=10)) == expected
     assert as_lists(from_poses(queries[:1], references, 1, degrees=180)) == [[*range(7)]]
     assert as_lists(from_poses(queries[2:3], references, 1, degrees=0)) == [[2]]
-
-
-def test_both_the_distance_and_the_heading_count():
+    # both the distance and the heading count
     references = np.array([[0, 0, 0], [9, 0, 0], [0, 0, math.pi]])
     assert as_lists(from_poses(references[:1], references, 5, degrees=45)) == [[0]]
 
 
-def test_missing_headings_are_counted_only_if_asked_for():
-    known, holed = np.zeros((3, 3)), np.zeros((2, 3))
-    holed[1, 2] = math.nan
+def test_missing_poses_are_counted_and_headings_only_if_asked_for():
+    known = np.zeros((3, 3))
+    for hole in (0, 1):
+        holed = np.zeros((2, 3))
+        holed[0, hole] = math.nan
+        with pytest.raises(ValueError, match="1 of 2 queries have no pose"):
+            from_poses(holed, known, 5)
+        with pytest.raises(ValueError, match=r"1 of 2 references have no pose.*poses\.csv"):
+            from_poses(known, holed, 5)
+    holed = np.array([[0, 0, 0], [0, 0, math.nan]])
     assert as_lists(from_poses(holed, known, 1)) == [[0, 1, 2]] * 2
     with pytest.raises(ValueError, match="1 of 2 queries have no heading; a tolerance in degrees"):
         from_poses(holed, known, 1, degrees=5)
@@ -68,9 +63,7 @@ def test_two_aligned_traverses_are_counted_apart():
     references = ["day/x3", "day/x1", "day/x2"]
     assert as_lists(from_frame_numbers(queries, references, 0)) == [[2], [1], [0]]
     assert as_lists(from_frame_numbers(queries, references, 1)) == [[0, 1, 2], [1, 2], [0, 2]]
-
-
-def test_a_sequence_may_have_slashes():
+    # a sequence may have slashes
     assert as_lists(from_frame_numbers(["a/b/1"], ["a/b/1", "a/c/1"], 9)) == [[0]]
 
 

@@ -68,22 +68,16 @@ def test_every_form_says_the_same(read, name):
     assert read(name, FORMS[name]) == [[0, 2], []]
 
 
-def test_pairs_as_a_list(read):
-    pairs = [["b", "day/1"], ["a", "day/10"], ["b", "day/2"], ["b", "day/1"]]
-    assert read("pairs.json", pairs) == [[2], [0, 1]]
-
-
-@pytest.mark.parametrize(
-    ("name", "content"),
-    [
+def test_of_a_query_that_no_entry_names_nothing_is_known(read):
+    for name, content in (
         ("some.json", {"a": ["day/2"]}),
         ("some.json", [["a", "day/2"]]),
         ("some.csv", "query,reference\na,day/2,\n"),
-    ],
-)
-def test_of_a_query_that_no_entry_names_nothing_is_known(read, name, content):
-    assert read(name, content) == [[1], None]
-    assert read(name, content, ["b", "a", "a"]) == [None, [1], [1]]
+    ):
+        assert read(name, content) == [[1], None]
+        assert read(name, content, ["b", "a", "a"]) == [None, [1], [1]]
+    pairs = [["b", "day/1"], ["a", "day/10"], ["b", "day/2"], ["b", "day/1"]]
+    assert read("pairs.json", pairs) == [[2], [0, 1]]
 
 
 def test_an_entry_may_be_the_end_of_a_path(read):

@@ -32,8 +32,6 @@ def test_queries_without_ground_truth_are_left_out_and_counted(evaluate, tmp_pat
     assert (metrics["queries"], metrics["queries_with_match"]) == (2, 1)
     assert metrics["recall_at"]["1"] == 1.0
 
-
-def test_queries_of_the_ground_truth_that_are_not_there_are_counted(evaluate, tmp_path):
     truth = {f"tuesday/{n}": ["monday/001"] for n in ("001", "10", "9")}
     path = write_truth(tmp_path / "truth.json", truth)
     _, _, err = evaluate("--ground-truth", path)

@@ -75,6 +75,8 @@ def test_a_batch_equals_one_by_one_whatever_the_kinds(name):
     torch.testing.assert_close(parts(references)[0], parts(together)[0])
     assert (len(together), parts(together)[0].dtype) == (len(drive), torch.float32)
     assert references[2:5].nbytes == 3 * BYTES[name] == 3 * references.nbytes // len(drive)
+    chosen = 49 if name == "cohog" else 0
+    assert together[2:5].nbytes == 3 * (BYTES[name] + chosen)
     for part, whole in zip(parts(together[2:5]), parts(together), strict=True):
         assert torch.equal(part, whole[2:5])
 

@@ -68,31 +68,27 @@ def test_it_needs_no_other_file_and_no_network(html, page):
     assert page.all("html")[0]["lang"] == "en"
 
 
-def test_it_tells_every_figure_with_its_interval(report, page):
+def test_it_tells_every_figure_and_every_threshold(report, page):
     assert "40 queries, 35 of them with a true match, against 50 references." in page.words
     assert "Convention exact" in page.words
     assert "2 of 42 are left out" in page.words
     for name, value, ends in figure_rows(report.metrics):
         assert f"{name} {fraction(value)} {fraction(*ends)}" in page.words
-
-
-def test_it_tells_every_threshold(report, page):
     points = report.metrics["thresholds"]
-    expected = [
+    assert points["suggested"]
+    texts = [text for around, text in page.texts if around[-1] in ("th", "td")]
+    for name, point in (
         ("precision 0.99", points["at_precision"]["0.99"]),
         ("precision 1", points["at_precision"]["1"]),
         ("recall 0.5", points["at_recall"]["0.5"]),
         ("suggested", points["suggested"]),
-    ]
-    texts = [text for around, text in page.texts if around[-1] in ("th", "td")]
-    for name, point in expected:
+    ):
         row = texts[texts.index(name) :][1:6]
         if point is None:
             assert row == ["none", *["-"] * 4]
         else:
             fractions = [f"{point[key]:.3f}" for key in ("precision", "precision_low", "recall")]
             assert row == [f"{point['score']:.4f}", *fractions, str(point["accepted"])]
-    assert points["suggested"]
 
 
 def test_scores_have_the_name_of_what_they_are(report):
@@ -176,17 +172,20 @@ def test_a_cell_of_the_matrix_is_its_highest_cosine(most):
     np.testing.assert_array_equal(cells, np.float32(expected))
 
 
-def test_a_place_that_is_not_there_has_no_true_match():
+def test_a_place_that_is_not_there_has_no_true_match_and_an_empty_frame_no_candidate():
     page = Page(render(report_of(*noisy(4, 4), [[]] * 4)))
     assert page.words.count("No reference shows this place") == 4
     assert "true match reference/" not in page.words
     assert "No best candidate is right." in page.words
+    empty = frame_set(torch.zeros(3, 24))
+    page = Page(render(report_of(empty, empty, [[0]] * 3)))
+    assert "3 queries have no candidate" in page.words
 
 
 NASTY = "<img src=x onerror=alert(1)>&amp;\"'</script>$title ${x} %s \N{SNOWMAN} 漢字"
 
 
-def test_texts_are_shown_as_they_are(report, page):
+def test_texts_are_shown_as_they_are(report, page, tmp_path):
     def renamed(frames):
         names = tuple(f"{NASTY}/{frame}" for frame in frames.frames)
         return dataclasses.replace(frames, frames=names)
@@ -206,9 +205,6 @@ def test_texts_are_shown_as_they_are(report, page):
     assert any(NASTY in a["alt"] for a in shown.all("img"))
     for around in ("dt", "dd", "li", "td"):
         assert any(NASTY in text for names, text in shown.texts if names[-1] == around)
-
-
-def test_a_text_that_is_no_unicode_is_no_obstacle(report, tmp_path):
     write_report(tmp_path / "out.html", dataclasses.replace(report, title="bad \udcff name"))
     assert "bad ? name" in (tmp_path / "out.html").read_text("utf-8")
 
@@ -236,9 +232,3 @@ def test_few_frames(queries, references, truth):
     html = without_images(render(report_of(here, there, [truth(row) for row in range(queries)])))
     assert f"{queries} queries" in Page(html).words
     assert not re.search(r"\bnan\b|\binf\b|NaN|Infinity", html)
-
-
-def test_all_frames_empty():
-    empty = frame_set(torch.zeros(3, 24))
-    page = Page(render(report_of(empty, empty, [[0]] * 3)))
-    assert "3 queries have no candidate" in page.words

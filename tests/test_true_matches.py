@@ -8,6 +8,7 @@ import pytest
 from drives import vpr_bench, write_maps, write_photos, write_truth
 
 CAMVID = ("--labels-as", "camvid-11")
+COUNTS = ("references", "queries", "queries_with_match")
 ROLES = [("--role", "reference"), ("--role", "query")]
 
 
@@ -29,35 +30,28 @@ def recognise(ssrvlad, bench, tmp_path):
     maps = ("--layout", "vpr-bench", "--labels", tmp_path / "maps", *CAMVID)
 
     def run(encoding: tuple[object, ...] = (), querying: tuple[object, ...] = ()):
+        """The exit code, references, queries, those with a match, RecallRate@1; and stderr."""
         db = tmp_path / "bench.ssrdb"
         shutil.rmtree(db, ignore_errors=True)
         assert ssrvlad("encode", bench, "-o", db, *maps, *ROLES[0], *encoding)[0] in (0, 3)
         code, out, err = ssrvlad(
             "evaluate", db, bench, *maps, *ROLES[1], "--temporal", 0, *querying, "--json"
         )
-        metrics = json.loads(out) if out else {}
-        return code, metrics, err
+        metrics = json.loads(out) if out else {"recall_at": {"1": None}}
+        figures = (metrics.get(name) for name in COUNTS)
+        return (code, *figures, metrics["recall_at"]["1"]), err
 
     return run
-
-
-def figures(metrics: dict[str, object]) -> tuple[object, ...]:
-    return metrics["queries"], metrics["queries_with_match"], metrics["recall_at"]["1"]
-
-
-def test_the_truth_of_a_whole_data_set(recognise):
-    code, metrics, err = recognise()
-    assert (code, err, figures(metrics)) == (0, [], (6, 4, 1.0))
 
 
 def test_numbers_of_the_truth_count_images_not_label_maps(recognise, tmp_path):
     """The label map of the second query and that of the first reference are missing: the truth
     still speaks of the same images."""
+    assert recognise() == ((0, 6, 6, 4, 1.0), [])
     (tmp_path / "maps" / "query" / "001.png").unlink()
     (tmp_path / "maps" / "ref" / "000.png").unlink()
-    code, metrics, err = recognise()
-    assert (code, figures(metrics)) == (0, (5, 3, 1.0))
-    assert metrics["references"] == 5
+    figures, err = recognise()
+    assert figures == (0, 5, 5, 3, 1.0)
     assert err == [
         "ssrvlad: 1 of 6 frames have no label map, the first is query/001",
         f"ssrvlad: 1 references of {tmp_path}/bench/ground_truth_new.npy are not in the "
@@ -65,11 +59,13 @@ def test_numbers_of_the_truth_count_images_not_label_maps(recognise, tmp_path):
     ]
 
 
+ODD = ("--every", 2, "--start", 1)
+
+
 def test_numbers_of_the_truth_count_images_not_every_so_many(recognise):
-    odd = ("--every", 2, "--start", 1)
-    assert figures(recognise(querying=odd)[1]) == (3, 2, 1.0)
-    code, metrics, err = recognise(encoding=odd)
-    assert (code, figures(metrics)) == (0, (6, 2, 1.0))
+    assert recognise(querying=ODD)[0] == (0, 6, 3, 2, 1.0)
+    figures, err = recognise(encoding=ODD)
+    assert figures == (0, 3, 6, 2, 1.0)
     assert "2 references of " in err[0]
     assert "are not in the database, the first is ref/000" in err[0]
 
@@ -77,23 +73,19 @@ def test_numbers_of_the_truth_count_images_not_every_so_many(recognise):
 def test_a_skipped_frame_keeps_its_number(recognise, tmp_path):
     for folder in ("ref", "query"):
         (tmp_path / "maps" / folder / "000.png").write_text("no image")
-    code, metrics, _ = recognise()
-    assert (code, figures(metrics)) == (3, (5, 3, 1.0))
+    assert recognise()[0] == (3, 5, 5, 3, 1.0)
 
 
-def test_frames_of_the_tolerance_are_those_of_the_data_set(recognise):
-    third = ("--every", 3)
-    near = ("--tolerance-frames", 1, "--every", 3, "--start", 1)
-    assert figures(recognise(third, near)[1])[:2] == (2, 2)
-    apart = ("--tolerance-frames", 0, "--every", 3, "--start", 1)
-    assert figures(recognise(third, apart)[1])[:2] == (2, 0)
+@pytest.mark.parametrize(("frames", "with_match"), [(1, 2), (0, 0)])
+def test_frames_of_the_tolerance_are_those_of_the_data_set(recognise, frames, with_match):
+    near = ("--tolerance-frames", frames, "--every", 3, "--start", 1)
+    assert recognise(("--every", 3), near)[0][:4] == (0, 2, 2, with_match)
 
 
 def test_a_matrix_is_of_all_frames(recognise, tmp_path):
     matrix = ("--ground-truth", write_truth(tmp_path / "truth.npy", np.eye(6)))
-    odd = ("--every", 2, "--start", 1)
-    assert figures(recognise(querying=(*matrix, *odd))[1]) == (3, 3, 1.0)
+    assert recognise(querying=(*matrix, *ODD))[0] == (0, 6, 3, 3, 1.0)
     small = ("--ground-truth", write_truth(tmp_path / "small.npy", np.eye(3)))
-    code, _, err = recognise(querying=(*small, *odd))
-    assert (code, len(err)) == (2, 1)
+    figures, err = recognise(querying=(*small, *ODD))
+    assert (figures[0], len(err)) == (2, 1)
     assert "is a matrix of shape (3, 3), expected (6, 6)" in err[0]
