@@ -1,7 +1,7 @@
 """The exported file against the module: its results, its metadata, and how it is written."""
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,7 @@ from exported import (
     COLUMNS,
     CUSTOM,
     RARE,
+    Maps,
     assert_equal,
     assert_parity,
     by_preset_and_input,
@@ -37,30 +38,21 @@ from ssrvlad_torch.deployment.trace import OPSET
 from ssrvlad_torch.deployment.verify import verify
 from ssrvlad_torch.stages.vanishing_column import MAX_WIDTH
 
-
-@presets
-@pytest.mark.parametrize("name", [*degenerate(), *hand_drawn()])
-def test_degenerate_and_hand_drawn_maps(name, preset):
-    assert_parity({**degenerate(), **hand_drawn()}[name][None], of_preset(preset))
-
-
-@presets
-def test_blobs_and_noise(preset):
-    maps = [random_blobs(seed) for seed in range(6)] + [noise(seed) for seed in range(6)]
-    for labels in maps:
-        assert_parity(labels[None], of_preset(preset))
+LABEL_MAPS: dict[str, Callable[[], Iterable[Maps]]] = {
+    "degenerate and hand-drawn": lambda: [*degenerate().values(), *hand_drawn().values()],
+    "blobs and noise": lambda: [*map(random_blobs, range(6)), *map(noise, range(6))],
+    "synthetic city": lambda: map(in_space, [*city(2, 3, (90, 121)), *city(1, 4, (240, 320))]),
+    "camvid": lambda: camvid_labels(100),
+}
 
 
 @presets
-def test_the_synthetic_city(preset):
-    for labels in (*city(2, 3, (90, 121)), *city(1, 4, (240, 320))):
-        assert_parity(in_space(labels)[None], of_preset(preset))
-
-
-@needs_camvid
-@presets
-def test_camvid(preset):
-    for labels in camvid_labels(100):
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[needs_camvid] * (name == "camvid")) for name in LABEL_MAPS],
+)
+def test_the_file_and_the_module_agree(name, preset):
+    for labels in LABEL_MAPS[name]():
         assert_parity(labels[None], of_preset(preset))
 
 
@@ -221,8 +213,9 @@ def test_the_answer_is_that_of_the_unoptimised_graph(preset):
 
 
 @by_preset_and_input
-def test_the_interface(preset, given, dtype):
-    model = model_of(of_preset(preset), given, dtype)
+def test_the_interface_the_metadata_and_the_golden_pair(preset, given, dtype):
+    config = of_preset(preset)
+    model = model_of(config, given, dtype)
     onnx.checker.check_model(model, full_check=True)
     assert [(each.domain, each.version) for each in model.opset_import] == [("", OPSET)]
     assert not model.functions
@@ -242,6 +235,18 @@ def test_the_interface(preset, given, dtype):
     }
     assert sum(1 for _ in all_nodes(model.graph)) < 2000, "loops are loops"
     assert len(model.SerializeToString()) < 1 << 20
+    head = session(model.SerializeToString())
+    metadata = Metadata.from_properties(head.get_modelmeta().custom_metadata_map)
+    assert SSRVLADConfig.from_dict(metadata.config) == config
+    assert metadata.fingerprint == config.fingerprint
+    assert metadata.label_space["name"] == SPACE
+    assert list(metadata.interface["inputs"]) == [given]
+    assert metadata.interface["opset"] == OPSET
+    golden = metadata.golden_arrays()
+    inputs = {given: golden.pop(given)}
+    for (name, expected), got in zip(golden.items(), head.run(list(golden), inputs), strict=True):
+        np.testing.assert_allclose(got, expected, rtol=0, atol=1e-6, err_msg=name)
+    assert preset == "default" or (golden["keypoints"].sum(1) > 20).all()
 
 
 def all_nodes(graph: onnx.GraphProto) -> Iterator[tuple[onnx.NodeProto, dict[str, int]]]:
@@ -296,24 +301,6 @@ def test_every_input_of_a_loop_has_its_rank(preset):
     ]
     assert preset == "default" or len(inputs) > 20
     assert all(value.type.tensor_type.HasField("shape") for value in inputs)
-
-
-@by_preset_and_input
-def test_the_metadata_and_the_golden_pair(preset, given, dtype):
-    config = of_preset(preset)
-    head = session(model_of(config, given, dtype).SerializeToString())
-    metadata = Metadata.from_properties(head.get_modelmeta().custom_metadata_map)
-    assert SSRVLADConfig.from_dict(metadata.config) == config
-    assert metadata.fingerprint == config.fingerprint
-    assert metadata.label_space["name"] == SPACE
-    assert list(metadata.interface["inputs"]) == [given]
-    assert metadata.interface["opset"] == OPSET
-    golden = metadata.golden_arrays()
-    inputs = {given: golden.pop(given)}
-    results = head.run(list(golden), inputs)
-    for (name, expected), got in zip(golden.items(), results, strict=True):
-        np.testing.assert_allclose(got, expected, rtol=0, atol=1e-6, err_msg=name)
-    assert preset == "default" or (golden["keypoints"].sum(1) > 20).all()
 
 
 def write_space(path: Path, *ids: int) -> Path:

@@ -15,7 +15,16 @@ from cases import REAL, needs_real
 from drawings import SPACE, blobs
 from graphs import session
 from helpers import street
-from networks import CLASSES, PLAIN, Street, Strided, photo, write_graph, write_street
+from networks import (
+    CLASSES,
+    PLAIN,
+    Street,
+    Strided,
+    photo,
+    write_graph,
+    write_segformer,
+    write_street,
+)
 from onnx import TensorProto, helper, numpy_helper
 from torch import Tensor, nn
 
@@ -160,16 +169,10 @@ def test_a_users_own_export_of_network_and_head_is_the_fused_file(tmp_path):
 @pytest.mark.slow
 def test_a_model_of_the_hub(tmp_path):
     """Loading one is tested with the networks, tracing a module above."""
-    transformers = pytest.importorskip("transformers")
-    torch.manual_seed(0)
-    one = {"depths": [1], "hidden_sizes": [8], "decoder_hidden_size": 8, "num_encoder_blocks": 1}
-    config = transformers.SegformerConfig(num_labels=CLASSES, **one)
-    transformers.SegformerForSemanticSegmentation(config).save_pretrained(tmp_path / "tiny")
-    size = {"height": 64, "width": 96}
-    transformers.SegformerImageProcessorPil(size=size).save_pretrained(tmp_path / "tiny")
-    fused = fuse(tmp_path / "tiny", CONFIG, tmp_path / "net.onnx", tmp_path / "head.onnx")
+    segmenter = Segmenter.load(write_segformer(tmp_path / "tiny"))
+    config = SSRVLADConfig(labels_as=segmenter.label_space)
+    fused = fuse(tmp_path / "tiny", config, tmp_path / "net.onnx", tmp_path / "head.onnx")
     assert fused.name == "tiny"
-    segmenter = Segmenter.load(tmp_path / "tiny", SPACE)
     assert_labelled(segmenter, tmp_path / "net.onnx", pictures(), 1e-3)
 
 
@@ -201,39 +204,24 @@ def test_any_opset_and_any_names(opset, tmp_path):
     assert_fused(segmenter, tmp_path / "place.onnx", pictures())
 
 
-def test_the_metadata(tmp_path):
-    network = write_graph(tmp_path / "seg.onnx")
-    segmenter = Segmenter.load(network, SPACE)
-    fuse(network, CONFIG, tmp_path / "place.onnx")
-    properties = session(tmp_path / "place.onnx").get_modelmeta().custom_metadata_map
-    metadata = Metadata.from_properties(properties)
-    assert metadata.fingerprint == CONFIG.fingerprint
-    assert metadata.interface["inputs"]["image"] == {"dtype": "uint8", "shape": ["B", "H", "W", 3]}
-    assert set(metadata.golden) == {"image", "labels", "descriptor", "unknown"}
-    network = json.loads(properties[NETWORK])
-    assert (network["name"], network["key"]) == ("seg.onnx", segmenter.key())
-
-
 def test_what_cannot_be_fused_is_one_line_and_leaves_what_was_there(tmp_path):
     network, target = write_graph(tmp_path / "seg.onnx"), tmp_path / "place.onnx"
     target.write_text("before")
-    with pytest.raises(ValueError, match="no output fits label space cityscapes-trainids"):
-        fuse(network, SSRVLADConfig(), target)
-    with pytest.raises(ValueError, match="gives labels of camvid-11, the head reads cityscapes"):
-        fuse(Segmenter.load(network, SPACE), SSRVLADConfig(), target)
     export_head(CONFIG, tmp_path / "head.onnx", "logits")
-    with pytest.raises(ValueError, match=r"head\.onnx"):
-        fuse(tmp_path / "head.onnx", CONFIG, target)
-    with pytest.raises(ValueError, match=r"Street: fails with 2 pictures of 66x98, .* multiple: "):
-        fuse(Segmenter(Street(), SPACE, PLAIN), CONFIG, target, features=False)
+    other, module = SSRVLADConfig(), Segmenter(Street(), SPACE, PLAIN)
+    for source, config, message in (
+        (network, other, "no output fits label space cityscapes-trainids"),
+        (Segmenter.load(network, SPACE), other, "gives labels of camvid-11, the head reads citysc"),
+        (tmp_path / "head.onnx", CONFIG, r"head\.onnx"),
+        (module, CONFIG, r"Street: fails with 2 pictures of 66x98, .* multiple: "),
+    ):
+        with pytest.raises(ValueError, match=message):
+            fuse(source, config, target, features=False if source is module else None)
     with pytest.raises(FileNotFoundError, match="there is no folder"):
         fuse(network, CONFIG, tmp_path / "none" / "place.onnx")
     assert target.read_text() == "before"
-    assert sorted(path.name for path in tmp_path.iterdir()) == [
-        "head.onnx",
-        "place.onnx",
-        "seg.onnx",
-    ]
+    left = sorted(path.name for path in tmp_path.iterdir())
+    assert left == ["head.onnx", "place.onnx", "seg.onnx"]
 
 
 @pytest.mark.slow
@@ -255,10 +243,6 @@ def test_a_real_network_gives_what_encoding_its_pictures_gives(name, tmp_path):
         assert other_signs(found["features"][0], encoded.extra["features"][row].numpy()) < 1e-3
 
 
-def random_pictures(height: int, width: int) -> Images:
-    return np.random.default_rng(0).integers(0, 256, (2, height, width, 3), np.uint8)
-
-
 RARE_FEATURES = [pytest.param(form, marks=pytest.mark.slow) for form in ("half", "module")]
 
 
@@ -275,7 +259,7 @@ def test_features_are_those_of_the_segmenter(form, tmp_path):
         fuse(segmenter, CONFIG, *paths[1:])
         assert verify(paths[0]).passed and verify(paths[1]).passed
     for size in ((96, 128), (133, 301)):
-        images = random_pictures(*size)
+        images = np.random.default_rng(0).integers(0, 256, (2, *size, 3), np.uint8)
         expected = np.stack([each.features for each in segmenter.segment([*images], True)])
         for file in paths[: 2 if form == "graph" else 1]:
             found = run_of(file)({"image": images})["features"]
@@ -305,12 +289,18 @@ def test_a_file_without_features_and_networks_that_have_none(tmp_path):
 
 
 def test_the_two_files_of_a_split_are_the_one(tmp_path, ssrvlad):
-    """The network and the head apart give what they give together."""
+    """The network and the head apart give what they give together. The one says what it holds."""
     network = write_graph(tmp_path / "seg.onnx")
     both = [tmp_path / name for name in ("net.onnx", "head.onnx")]
     command = ("fuse", network, "-o", both[0], "--split", both[1], "--labels-as", SPACE)
     assert ssrvlad(*command)[0] == 0
     fuse(network, CONFIG, tmp_path / "place.onnx")
+    properties = session(tmp_path / "place.onnx").get_modelmeta().custom_metadata_map
+    metadata, said = Metadata.from_properties(properties), json.loads(properties[NETWORK])
+    assert metadata.fingerprint == CONFIG.fingerprint
+    assert metadata.interface["inputs"]["image"] == {"dtype": "uint8", "shape": ["B", "H", "W", 3]}
+    assert set(metadata.golden) == {"image", "labels", "descriptor", "unknown"}
+    assert (said["name"], said["key"]) == ("seg.onnx", Segmenter.load(network, SPACE).key())
     image = photo(street(3, 60, 90))[None]
     expected = run_of(tmp_path / "place.onnx")({"image": image})
     labels = run_of(both[0])({"image": image})
