@@ -16,6 +16,8 @@ from typing import NamedTuple
 FOLDER = Path(__file__).parent
 LIBRARY = "libssrvlad" + {"darwin": ".dylib", "win32": ".dll"}.get(sys.platform, ".so")
 
+_SIZE, _POINTER = ctypes.c_int64, ctypes.c_void_p
+
 
 class Settings(ctypes.Structure):
     """``ssrvlad_settings`` of ssrvlad.h."""
@@ -35,22 +37,15 @@ class Settings(ctypes.Structure):
 class Table(ctypes.Structure):
     """``ssrvlad_table`` of ssrvlad.h."""
 
-    _fields_ = (
-        ("categories", ctypes.c_void_p),
-        ("entries", ctypes.c_int64),
-        ("origin", ctypes.c_int64),
-    )
+    _fields_ = (("categories", _POINTER), ("entries", _SIZE), ("origin", _SIZE))
 
 
 class Labels(ctypes.Structure):
     """``ssrvlad_labels`` of ssrvlad.h."""
 
     _fields_ = (
-        ("ids", ctypes.c_void_p),
-        ("bytes", ctypes.c_int32),
-        ("images", ctypes.c_int64),
-        ("height", ctypes.c_int64),
-        ("width", ctypes.c_int64),
+        *(("ids", _POINTER), ("bytes", ctypes.c_int32)),
+        *(("images", _SIZE), ("height", _SIZE), ("width", _SIZE)),
     )
 
 
@@ -74,23 +69,18 @@ def core() -> Core:
         library = ctypes.CDLL(str(path))
     except OSError as error:
         return Core(None, f"torch, for the native core cannot be loaded: {error}")
-    size, pointer = ctypes.c_int64, ctypes.c_void_p
-    planes = (pointer, size, size, size)
+    size, pointer, planes = _SIZE, _POINTER, (_POINTER, _SIZE, _SIZE, _SIZE)
+    maps = (ctypes.POINTER(Labels), ctypes.POINTER(Table))
     library.ssrvlad_new.restype = pointer
+    library.ssrvlad_describe.restype = library.ssrvlad_vote.restype = size
     library.ssrvlad_new.argtypes = [ctypes.POINTER(Settings)]
     library.ssrvlad_free.argtypes = [pointer]
-    library.ssrvlad_describe.restype = size
-    library.ssrvlad_describe.argtypes = [
-        *(pointer, ctypes.POINTER(Labels), ctypes.POINTER(Table), ctypes.c_int, pointer)
-    ]
-    library.ssrvlad_vote.restype = size
-    library.ssrvlad_vote.argtypes = [
-        *(ctypes.POINTER(Labels), ctypes.POINTER(Table), size, size, pointer)
-    ]
+    library.ssrvlad_describe.argtypes = [pointer, *maps, ctypes.c_int, pointer]
+    library.ssrvlad_vote.argtypes = [*maps, size, size, pointer]
     library.ssrvlad_differing.argtypes = [
         *(pointer, pointer, size, pointer, size, size, ctypes.c_int, pointer)
     ]
-    library.ssrvlad_weigh.argtypes = [*(pointer, size, size, size, pointer, ctypes.c_int, pointer)]
+    library.ssrvlad_weigh.argtypes = [*planes, pointer, ctypes.c_int, pointer]
     library.ssrvlad_open_and_close.argtypes = [*planes, size, size, pointer]
     library.ssrvlad_fill_holes.argtypes = [*planes, size, pointer]
     library.ssrvlad_drop_regions.argtypes = [*planes, size, pointer]

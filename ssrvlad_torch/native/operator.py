@@ -17,8 +17,6 @@ from torch import Tensor
 from ..config import CHOICES, SSRVLADConfig
 from . import Labels, Settings, Table, core
 
-_CACHED_HEADS = 16
-_NO_ID = 1 << 40
 _NATIVE_DTYPES = (torch.uint8, torch.int16, torch.int32, torch.int64)
 
 
@@ -41,7 +39,7 @@ def describe(labels: Tensor, table: Tensor, origin: int, settings: str) -> Tenso
     head = _Head(settings)
     if labels.dtype == torch.uint64:
         wide = labels.to(torch.int64)
-        labels = torch.where(wide < 0, _NO_ID, wide)
+        labels = torch.where(wide < 0, 1 << 40, wide)  # beyond int64: in no label space
     elif labels.dtype not in _NATIVE_DTYPES:
         labels = labels.to(torch.int64)
     labels, table = labels.contiguous(), table.contiguous()
@@ -76,7 +74,7 @@ def _(labels: Tensor, table: Tensor, origin: int, settings: str) -> Tensor:
     return labels.new_empty((labels.shape[0], length), dtype=torch.float32)
 
 
-@lru_cache(maxsize=_CACHED_HEADS)
+@lru_cache(maxsize=16)
 class _Head:
     """A head of the library, freed together with this object; one for the same settings."""
 
