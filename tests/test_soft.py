@@ -15,6 +15,7 @@ from ssrvlad_torch import SSRVLAD, SSRVLADConfig
 from ssrvlad_torch.datasets.synthetic_city import SyntheticCity
 from ssrvlad_torch.soft.descriptor import SoftSSRVLAD
 
+DEFAULT = SSRVLADConfig.from_preset("default", labels_as=SPACE)
 TINY = {"labels_as": SPACE, "closing": 0.2, "hole_area": 0.02, "region_area": 0.02}
 CONFIGS = {
     "default": SSRVLADConfig.from_preset("default", **TINY),
@@ -62,7 +63,7 @@ def extreme() -> dict[str, Tensor]:
 
 @pytest.mark.parametrize("name", extreme())
 def test_gradients_are_finite_for_extreme_scores(name):
-    twin = SoftSSRVLAD(SSRVLADConfig.from_preset("default", labels_as=SPACE))
+    twin = SoftSSRVLAD(DEFAULT)
     given = extreme()[name].requires_grad_()
     found = twin(given)
     (found.square().sum() + found[0, ::7].sum()).backward()
@@ -73,15 +74,14 @@ def test_gradients_are_finite_for_extreme_scores(name):
 
 def test_an_image_without_layers_has_a_short_descriptor():
     void = one_hot(np.full((20, 30), 11, np.uint8))
-    hard = SSRVLAD.from_preset("default", labels_as=SPACE)
-    other = hard(torch.from_numpy(street(0))[None])
-    twin = SoftSSRVLAD(hard.config)
+    other = SSRVLAD(DEFAULT)(torch.from_numpy(street(0))[None])
+    twin = SoftSSRVLAD(DEFAULT)
     assert abs(float(twin(void) @ other.T)) < 0.5
     assert not twin(torch.where(void > 0, 1e4, -1e4)).any()
 
 
 def test_every_score_of_a_layer_has_a_gradient():
-    twin = SoftSSRVLAD(SSRVLADConfig.from_preset("default", labels_as=SPACE))
+    twin = SoftSSRVLAD(DEFAULT)
     given = (one_hot(street(3)) * 4 - 2).requires_grad_()
     weights = torch.randn(480, generator=torch.Generator().manual_seed(0))
     (twin(given)[0] @ weights).backward()
@@ -109,15 +109,10 @@ def test_label_maps_agree_with_the_hard_descriptor(labels_as, maps, classes):
 
 
 def test_a_low_temperature_leads_to_the_hard_descriptor():
-    hard = SSRVLAD.from_preset("default", labels_as=SPACE)
-    labels = torch.from_numpy(np.stack([street(seed, 60, 80) for seed in range(4)]))
     noise = torch.randn(4, 12, 60, 80, generator=torch.Generator().manual_seed(0))
-    logits = torch.cat([one_hot(one) for one in labels.numpy()]) * 3 + noise
-    hard_one = hard(logits)
-    found = [
-        cosine(SoftSSRVLAD(hard.config, temperature)(logits), hard_one)
-        for temperature in (3.0, 1.0, 0.3, 0.01)
-    ]
+    logits = torch.cat([one_hot(street(seed, 60, 80)) for seed in range(4)]) * 3 + noise
+    twins = [SoftSSRVLAD(DEFAULT, temperature) for temperature in (3.0, 1.0, 0.3, 0.01)]
+    found = [cosine(twin(logits), SSRVLAD(DEFAULT)(logits)) for twin in twins]
     assert found == sorted(found)
     assert found[-1] > 0.97
     assert found[0] < found[-1] - 0.1
@@ -125,9 +120,8 @@ def test_a_low_temperature_leads_to_the_hard_descriptor():
 
 def test_gradients_lead_to_another_place():
     """Scores that follow the twin's gradient towards a place get that place's hard descriptor."""
-    hard = SSRVLAD.from_preset("default", labels_as=SPACE)
-    twin = SoftSSRVLAD(hard.config)
-    here, there = street(1, 24, 32), street(2, 24, 32)
+    hard, twin = SSRVLAD(DEFAULT), SoftSSRVLAD(DEFAULT)
+    here, there = street(1), street(2)
     expected = hard(torch.from_numpy(there)[None])
     given = (one_hot(here) * 2).requires_grad_()
     before = cosine(hard(given.detach()), expected)
@@ -140,7 +134,7 @@ def test_gradients_lead_to_another_place():
 
 
 def test_dtypes_and_shapes():
-    twin = SoftSSRVLAD(SSRVLADConfig.from_preset("default", labels_as=SPACE))
+    twin = SoftSSRVLAD(DEFAULT)
     logits = torch.randn(2, 12, 10, 13)
     assert twin(logits).dtype == torch.float32
     assert twin(logits.double()).dtype == torch.float64
@@ -166,12 +160,11 @@ def test_images_of_a_batch_do_not_mix(config):
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="this machine has no CUDA device")
 def test_cuda_and_autocast():
-    config = SSRVLADConfig.from_preset("default", labels_as=SPACE)
     given = scores(0, torch.float32)
-    here = SoftSSRVLAD(config)(given)
+    here = SoftSSRVLAD(DEFAULT)(given)
     there = given.detach().cuda().requires_grad_()
     with torch.autocast("cuda"):
-        found = SoftSSRVLAD(config).cuda()(there)
+        found = SoftSSRVLAD(DEFAULT).cuda()(there)
     found[0, ::3].sum().backward()
     assert there.grad.isfinite().all()
     assert found.dtype == torch.float32
