@@ -42,14 +42,11 @@ def chosen(right: Sequence[bool], matched: Sequence[bool], count: int) -> list[i
 def draw_pairs(pairs: Sequence[Pair], space: LabelSpace, above: str, below: str) -> Image.Image:
     """Draws a row of queries, a row of their best matches, framed green if right and red if wrong,
     and the classes. ``above`` and ``below`` are headings of the rows. At least one pair."""
-    verdicts = [("right", _RIGHT) if pair.right else ("WRONG", _WRONG) for pair in pairs]
-    rows = [
-        [_tile(pair.query, space, pair.query_name, _QUERY) for pair in pairs],
-        [
-            _tile(pair.match, space, f"{verdict}: {pair.match_name}", colour)
-            for pair, (verdict, colour) in zip(pairs, verdicts, strict=True)
-        ],
-    ]
+    rows: list[list[Image.Image]] = [[], []]
+    for pair in pairs:
+        verdict, colour = ("right", _RIGHT) if pair.right else ("WRONG", _WRONG)
+        rows[0].append(_tile(pair.query, space, pair.query_name, _QUERY))
+        rows[1].append(_tile(pair.match, space, f"{verdict}: {pair.match_name}", colour))
     wide, tall = (max(tile.size[axis] for row in rows for tile in row) for axis in (0, 1))
     width = len(pairs) * (wide + _MARGIN) + _MARGIN
     ids = {label for pair in pairs for part in pair[:2] for label in np.unique(part).tolist()}
@@ -83,13 +80,12 @@ def _tile(labels: LabelMap, space: LabelSpace, name: str, colour: tuple[int, ...
 
 def _legend(width: int, space: LabelSpace, ids: set[int]) -> Image.Image:
     """The classes of these ids with their colours, on as many lines as needed."""
-    draw, font = ImageDraw.Draw(Image.new("RGB", (1, 1))), ImageFont.load_default(_TEXT)
-    line = _TEXT + 8
+    font, line = ImageFont.load_default(_TEXT), _TEXT + 8
     places, x, y = [], 0, 0
     for label in space.classes:
         if label.id not in ids:
             continue
-        long = _TEXT + 8 + int(draw.textlength(label.name, font)) + _MARGIN
+        long = _TEXT + 8 + int(font.getlength(label.name)) + _MARGIN
         if x + long > width:
             x, y = 0, y + line
         places.append((x, y, label))

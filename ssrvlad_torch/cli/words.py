@@ -80,14 +80,6 @@ def without_truth(metrics: Mapping[str, Any]) -> Iterator[str]:
         yield f"{suggested}without ground truth: {estimate_in_words(guess)}{true}"
 
 
-def decided_in_words(
-    used: Mapping[str, Any], temporal: int | Mapping[str, int], found: Estimate
-) -> str:
-    """The steps to a decision, and how many answers are accepted, in a line."""
-    steps = steps_in_words(used, temporal)
-    return f"{steps}; {estimate_in_words(found)}" if used["follow"] else steps
-
-
 def estimate_in_words(found: Estimate) -> str:
     """How many answers are accepted, and how many of them are wrong without ground truth."""
     if not found.accepted:
@@ -101,16 +93,20 @@ def estimate_in_words(found: Estimate) -> str:
     return f"{answers}; {wrong} {found.high:.1%})"
 
 
-def steps_in_words(used: Mapping[str, Any], temporal: int | Mapping[str, int] | None = None) -> str:
-    """The steps between descriptors and a decision; those of Eq. 3 only if given."""
+def steps_in_words(
+    used: Mapping[str, Any],
+    temporal: int | Mapping[str, int] | None = None,
+    found: Estimate | None = None,
+) -> str:
+    """The steps between descriptors and a decision, in a line; those of Eq. 3, and how many answers
+    are accepted, only if given."""
     widths, standard = used["sweep"].values(), used["standardise"]
     if not widths:
         return "no query could be described"
+    columns = "/".join(map(str, dict.fromkeys(widths)))
     words = [
         by_sequence({k: "standardised" if v else "not standardised" for k, v in standard.items()}),
-        f"sweep +-{'/'.join(str(width) for width in dict.fromkeys(widths))} columns"
-        if any(widths)
-        else "no sweep",
+        f"sweep +-{columns} columns" if any(widths) else "no sweep",
         f"followed: {by_sequence(used['follow'])}",
     ]
     words += weights_in_words(list(used["weights"].values()))
@@ -122,7 +118,8 @@ def steps_in_words(used: Mapping[str, Any], temporal: int | Mapping[str, int] | 
         words.append(f"temporal sum t = {t}" if any(ts) else "no temporal sum")
     if used["references"] < MIN_FRAMES:
         words.append(f"no confidence: {used['references']} references are too few")
-    return ", ".join(words)
+    steps = ", ".join(words)
+    return f"{steps}; {estimate_in_words(found)}" if found else steps
 
 
 def by_sequence(values: Mapping[str, str]) -> str:

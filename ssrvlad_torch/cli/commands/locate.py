@@ -26,7 +26,7 @@ def locate(
     from ...encoding.search import accepted, search
     from ...evaluation.measure import estimate_in_json
     from ..sources import resolve
-    from ..words import decided_in_words, score_name
+    from ..words import score_name, steps_in_words
 
     opened = Database.open(database)
     frames = resolve(source, opened, compared=True, images=True)
@@ -52,7 +52,7 @@ def locate(
             sure = f"{kind} {score:.4f}, confidence {confidence:.2f}"
             say(f"{picture}: {place}, {sure}, {_where(*pose)}")
     if not as_json:
-        note(decided_in_words(found.used, t, estimate))
+        note(steps_in_words(found.used, t, estimate))
     finish(skipped, len(queries))
 
 

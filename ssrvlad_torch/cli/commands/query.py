@@ -85,7 +85,7 @@ def _print(
     """Prints a line for each query, with its candidates of a score above ``least``."""
     from ...encoding.search import accepted
     from ...evaluation.measure import estimate_in_json
-    from ..words import decided_in_words, score_name
+    from ..words import score_name, steps_in_words
 
     used, t = found.recognised.used, found.temporal
     matches, estimate = accepted(found.recognised, options.min_confidence, options.max_wrong)
@@ -108,4 +108,4 @@ def _print(
             say(f"{frame}: {listed or 'no candidate'} ({kind}, confidence {confidence:.2f})")
     if not as_json:
         before = ", before --threshold" if least > -math.inf and estimate.accepted else ""
-        note(way + decided_in_words(used, t, estimate) + before)
+        note(way + steps_in_words(used, t, estimate) + before)
