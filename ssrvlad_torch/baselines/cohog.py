@@ -107,13 +107,10 @@ class CoHOG:
 
 
 def region_descriptors(pictures: Tensor) -> Tensor:
-    """HOG of 2 x 2 cells at every cell: square root of gray, 5 x 5 Sobel; each pixel votes for the
-    two bins next to its direction.
-
-    Of pictures ``(B, H, W)`` uint8, sides multiples of 16, ``(B, (H / 16 - 1) * (W / 16 - 1), 32)``
-    float32 of length 1, or zero: cells from the upper left to the lower right, directions from 0 to
-    360 degrees in each.
-    """
+    """HOG of 2 x 2 cells at every cell, by the square root of gray and 5 x 5 Sobel; each pixel
+    votes for the two bins next to its direction. Of pictures ``(B, H, W)`` uint8, sides multiples
+    of 16, ``(B, (H / 16 - 1) * (W / 16 - 1), 32)`` float32 of length 1, or zero: cells from the
+    upper left to the lower right, directions from 0 to 360 degrees in each."""
     brightest = pictures.amax((1, 2), keepdim=True).clamp(min=1)
     rooted = (pictures / brightest).sqrt()
     mirrored = F.pad(rooted[:, None], (2, 2, 2, 2), mode="reflect")[:, 0]  # as OpenCV does

@@ -63,16 +63,13 @@ class LoSTX:
 
     Args:
         network: a segmentation network, or its name, see `open_network`; or any function with
-            features and class probabilities. The setting ``features`` of its YAML file names the
-            activation; the authors took the last of the encoder, conv5 of RefineNet-101.
+            features and class probabilities. None is a FileNotFoundError. The setting ``features``
+            of its YAML file names the activation; the authors took conv5 of RefineNet-101.
         labels_as: label space of its classes; by default that of the segmentation network.
-        classes: names of the classes in that space, by default the paper's.
+        classes: names of the classes in that space, by default the paper's; others are a
+            ValueError.
         opposite: the two traverses run in opposite directions, so the keypoints of queries are
             mirrored left to right. The descriptor does not depend on it.
-
-    Raises:
-        FileNotFoundError: there is no network.
-        ValueError: the network cannot be used, or the label space lacks a class.
     """
 
     name = "lost-x"

@@ -32,9 +32,8 @@ class NetVLAD(VectorMethod):
     """Descriptors of a trained network, compared by their cosine.
 
     Images keep their own size, as in the authors' programs. A descriptor has 4096 numbers; without
-    whitening, 32768. Weights are a file for `read_netvlad_weights`, or a folder with one under its
-    published name, by default ``~/.cache/ssrvlad/weights``; a FileNotFoundError says where to get
-    them. Random ones, which the name then tells, are for the cost of the method.
+    whitening, 32768. Weights are a file for `read_netvlad_weights`, found by `find_weights`. Random
+    ones, which the name then tells, are for the cost of the method.
     """
 
     needs = frozenset({"images", "weights"})

@@ -58,9 +58,8 @@ class RegionFeatures:
     """conv3 of AlexNet-Places365 and the at most ``regions`` regions in it with the highest energy.
 
     Weights are ``alexnet_places365.caffemodel`` as published, or a PyTorch file with the same
-    layers by Caffe's names (``conv1.weight``, ``conv1.bias``, ... ``conv3.bias``), or a folder with
-    one of them, by default ``~/.cache/ssrvlad/weights``; a FileNotFoundError says where to get
-    them. Random ones are for measuring costs.
+    layers by Caffe's names, from ``conv1.weight`` to ``conv3.bias``; for folders and errors see
+    `find_weights`. Random ones are for measuring costs.
     """
 
     def __init__(

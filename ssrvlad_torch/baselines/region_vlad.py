@@ -25,9 +25,8 @@ class RegionVLAD(VectorMethod):
     """VLAD of an image's regions over a vocabulary, compared by the cosine.
 
     ``regions`` and ``words`` are N and V of the paper: 400 and 256, or 200 and 128. For weights,
-    also random ones, see `RegionFeatures`; the vocabulary is a file for `read_vocabulary`, or a
-    folder with ``region_vlad_vocabulary.npy`` or the authors' file, by default
-    ``~/.cache/ssrvlad/weights``.
+    also random ones, see `RegionFeatures`; the vocabulary is ``region_vlad_vocabulary.npy`` or
+    another file for `read_vocabulary`, found by `find_weights`.
     """
 
     needs = frozenset({"images", "weights"})

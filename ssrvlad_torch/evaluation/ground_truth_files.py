@@ -36,15 +36,9 @@ def from_file(path: str | Path, queries: Frames, references: Frames) -> PartialT
     An entry names a frame by its id, or by the end of its path if only one path ends so. A query
     that no entry names has an unknown truth; a query without a true match needs an empty list, or
     in CSV a line with an empty reference. A matrix and VPR-Bench's rows count frames from 0 in the
-    order of ``queries`` and ``references``.
-
-    Args:
-        path: the file.
-        queries, references: the frames.
-
-    Raises:
-        ValueError: the file cannot be read, has another form or size, names an unknown reference,
-            has no entry for any of the queries, or has an entry that fits several frames.
+    order of ``queries`` and ``references``. A file that cannot be read, has another form or size,
+    names an unknown reference, has no entry for any of the queries, or has an entry that fits
+    several frames is a ValueError.
     """
     content = _read(Path(path))
     try:

@@ -83,8 +83,7 @@ def loop_errors(candidates: Rows, poses: Floats) -> Floats:
 def loop_curve(probabilities: Floats, right: Bools, revisits: int) -> PrecisionRecall:
     """Precision and recall over thresholds, by the probabilities ``(L,)`` of the loops that a
     detector with a low threshold found, by which are right ``(L,)``, and by the number of revisits.
-    It is approximate: a higher threshold rejects some loops, which may change the probabilities of
-    later frames."""
+    It is approximate: loops that a higher threshold rejects may change later probabilities."""
     thresholds, steps = np.unique(-probabilities, return_inverse=True)
     return PrecisionRecall(
         accepted=np.cumsum(np.bincount(steps, minlength=len(thresholds))).astype(np.float64),

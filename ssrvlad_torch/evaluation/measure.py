@@ -33,7 +33,6 @@ class Recognition:
     """The candidates of queries, and how they were found.
 
     Attributes:
-        references, queries: the frames.
         matches: candidates of each query, at least `TOP`.
         similarity: ``(Q, R)`` scores of all pairs, if they are needed.
         descriptors: of single frames, of the queries and of the references, for the report.

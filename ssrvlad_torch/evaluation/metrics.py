@@ -68,21 +68,17 @@ def evaluate(
     """All figures of the candidates of a set of queries.
 
     Args:
-        scores, indices: ``(Q, top)`` from `ssrvlad_torch.match`, tensors or arrays.
-        truth: true matches of each query.
+        scores, indices, truth: see `judge`.
         at: the N of RecallRate@N, at most ``top``.
-        convention: one of `CONVENTIONS`.
         similarity: ``(Q, R)`` scores of all pairs, -inf for pairs that cannot match; only for the
             conventions of the tutorial.
-        resamples: number of bootstrap resamples; 0 for no intervals.
-        seed: seed of the bootstrap.
+        resamples, seed: of the `bootstrap`; 0 resamples for no intervals.
 
     Returns:
-        ``convention``, ``recall_at`` by N as text, ``auc_pr``, ``average_precision``,
-        ``recall_at_100_precision``, ``extended_precision``, ``roc_auc``, ``queries``,
-        ``queries_with_match``, and with resamples ``intervals``: ``[low, high]`` of each figure,
-        see `bootstrap`; the tutorial's thresholds are the same in all resamples. A figure without
-        positives is NaN. The ROC-AUC is NaN if every candidate is right; VPR-Bench prints -1.
+        ``convention``, ``recall_at`` by N as text, the keys of `FIGURES`, ``queries``,
+        ``queries_with_match``, and with resamples ``intervals``: ``[low, high]`` of each figure;
+        the tutorial's thresholds are the same in all resamples. A figure without positives is NaN.
+        The ROC-AUC is NaN if every candidate is right; VPR-Bench prints -1.
 
     Raises:
         ValueError: the shapes do not fit, a score is NaN, the convention is unknown, or the

@@ -208,7 +208,7 @@ def score_groups(outcomes: Outcomes) -> dict[str, Floats]:
 def _scores(axes: Axes, report: Report) -> None:
     groups = score_groups(report.outcomes)
     labels = [f"{name} ({len(scores)})" for name, scores in groups.items()]
-    colours = [_RIGHT, _WRONG, _UNKNOWN]
+    colours = (_RIGHT, _WRONG, _UNKNOWN)
     axes.hist([*groups.values()], bins=40, stacked=True, label=labels, color=colours)
     if suggested := report.metrics["thresholds"]["suggested"]:
         axes.axvline(suggested["score"], color="black", ls="--", label="suggested threshold")

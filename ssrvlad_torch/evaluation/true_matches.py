@@ -22,10 +22,9 @@ from .ground_truth_files import PartialTruth, from_file, unmatched_entries
 
 @dataclass(frozen=True)
 class Viewpoints:
-    """Frames, and where they were taken.
+    """Frames by their ids, and where they were taken.
 
     Attributes:
-        frames: ids.
         poses: ``(N, 3)`` float64, x and y in metres and heading in radians, NaN where unknown.
         counted: ids of all frames that a ground truth or a tolerance in frames counts, in order:
             these, the skipped ones, and all that the data set has of their sequences.
@@ -51,14 +50,14 @@ class Viewpoints:
     @classmethod
     def of_set(
         cls,
-        frames: FrameSet,
+        encoded: FrameSet,
         dataset: Dataset | None,
         folders: KnownFolders,
         skipped: Iterable[str] = (),
     ) -> Viewpoints:
         """The places of encoded frames, counted together with the skipped ones."""
-        ids = frames.frames
-        return cls(ids, frames.poses, _counted([*ids, *skipped], dataset), folders)
+        counted = _counted([*encoded.frames, *skipped], dataset)
+        return cls(encoded.frames, encoded.poses, counted, folders)
 
     @property
     def paths(self) -> dict[str, str]:

@@ -20,9 +20,8 @@ STEPS = 100
 
 @dataclass(frozen=True)
 class PairCounts:
-    """Counts of pairs of each query at each threshold: accepted ones and true matches among them
-    ``(Q, T)``, those that can be found ``(Q,)``, and the decreasing thresholds ``(T,)``, all
-    float64."""
+    """Counts of pairs of each query at each threshold, accepted ones and true matches among them
+    ``(Q, T)``; those that can be found ``(Q,)``; decreasing thresholds ``(T,)``; all float64."""
 
     accepted: Floats
     right: Floats
