@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 import torch
-from drawings import VOID
 from helpers import street, touch
 from maps import HEAD, alone, assert_streets, counts
 from PIL import Image
@@ -38,11 +37,10 @@ def test_a_frame_that_cannot_be_read_or_encoded_is_skipped_and_the_others_are_en
     summary = town.encode(skipped=reported.append)
     assert counts(summary) == (10, 0, 2)
     assert reported == summary.skipped
-    first, second = summary.skipped
-    assert first.frame == "a/4"
-    assert f"{town.folder}/a/4.png: cannot identify" in first.reason
-    assert second.frame == "a/7"
-    assert f"{town.folder}/a/7.png: label id 99 (6 pixels) is not in label space" in second.reason
+    (first, unreadable), (second, undefined) = summary.skipped
+    assert (first, second) == ("a/4", "a/7")
+    assert f"{town.folder}/a/4.png: cannot identify" in unreadable
+    assert f"{town.folder}/a/7.png: label id 99 (6 pixels) is not in label space" in undefined
     frames, right = town.database().load(), [n for n in range(12) if n not in (4, 7)]
     assert frames.frames == tuple(f"a/{n}" for n in right)
     assert_streets(frames, right)
@@ -68,16 +66,6 @@ def test_frames_may_differ_in_size_and_format(town):
     for number in (10, 11, 12):
         assert torch.equal(frames.descriptors[number], alone(labels))
         assert known[f"a/{number}"].digest == known["a/0"].digest
-
-
-def test_an_empty_image_has_a_zero_descriptor_and_a_flag(town):
-    town.add("a", [0, 2])
-    town.write("a/1", np.full((24, 32), VOID, np.uint8))
-    summary = town.encode()
-    assert (counts(summary), summary.empty) == ((3, 0, 0), 1)
-    frames = town.database().load()
-    assert frames.empty.tolist() == [False, True, False]
-    assert not frames.descriptors[1].any()
 
 
 def test_unreadable_frames_alone_leave_a_valid_empty_database(town):
