@@ -39,17 +39,15 @@ def read(root: Path, labels_as: str | None) -> Dataset:
         raise ValueError(
             f"{root} holds label maps of {' and '.join(sorted(spaces))}; expected one layout only"
         )
-    images: dict[str, dict[str, Path]] = {}
-    labels: dict[str, dict[str, Path]] = {}
+    drives: dict[str, tuple[dict[str, Path], dict[str, Path]]] = {}
     for pair in pairs:
-        for name, path in images_in(pair.images).items():
-            images.setdefault(_drive(name, pair), {})[name] = path
-        for name, path in labels_in(pair.labels, pair.ending).items():
-            labels.setdefault(_drive(name, pair), {})[name] = path
-    traverses = tuple(
-        Traverse.of(drive, images.get(drive, {}), labels.get(drive, {}), poses={})
-        for drive in sorted({*images, *labels})
-    )
+        found = images_in(pair.images), labels_in(pair.labels, pair.ending)
+        for kind, files in enumerate(found):
+            for name, path in files.items():
+                match = _DRIVE.fullmatch(name)
+                drive = pair.drive or (match[1] if match else pair.images.name)
+                drives.setdefault(drive, ({}, {}))[kind][name] = path
+    traverses = tuple(Traverse.of(drive, *drives[drive], poses={}) for drive in sorted(drives))
     space = labels_as or spaces.pop()
     return Dataset(LAYOUT.name, root, traverses, space, GroundTruth(frames=1))
 
@@ -68,11 +66,6 @@ def _pairs(root: Path) -> Iterator[_Pair]:
         pair = _Pair(folder / "images", folder / "labels", "", "camvid-11", drive)
         if _DRIVE.fullmatch(drive) and (pair.images.is_dir() or pair.labels.is_dir()):
             yield pair
-
-
-def _drive(name: str, pair: _Pair) -> str:
-    match = _DRIVE.fullmatch(name)
-    return pair.drive or (match[1] if match else pair.images.name)
 
 
 LAYOUT = Layout(

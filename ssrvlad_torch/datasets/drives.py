@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
+from typing import Any
 
 from .dataset import Dataset, DatasetFrame
 from .layouts import open_dataset
@@ -121,13 +122,10 @@ class Drives:
 
 def _unambiguous(dataset: Dataset) -> Dataset:
     """The data set with each file as an image or as a label map, not as both."""
-
-    def decide(frame: DatasetFrame) -> DatasetFrame:
-        if frame.image != frame.label:
-            return frame
-        return replace(frame, image=None) if dataset.labels_as else replace(frame, label=None)
-
-    return dataset.with_frames(lambda frames: map(decide, frames))
+    other: dict[str, Any] = {"image" if dataset.labels_as else "label": None}
+    return dataset.with_frames(
+        lambda frames: (replace(f, **other) if f.image == f.label else f for f in frames)
+    )
 
 
 def _joined(parts: Sequence[Dataset]) -> Dataset:

@@ -21,9 +21,7 @@ _V2_POSES = "robotcar_v2_train.txt"
 def read(root: Path, labels_as: str | None) -> Dataset:
     """The data set in ``root``."""
     models = sorted((root / "3D-models").rglob("*.nvm"))
-    poses: dict[str, Pose] = {}
-    for model in models:
-        poses |= read_nvm(model)
+    poses = {name: pose for model in models for name, pose in read_nvm(model).items()}
     notes = [] if models else [f"{root} has no 3D-models/**/*.nvm, so {_REFERENCE} has no poses"]
     if (root / _V2_POSES).is_file():
         poses |= read_v2_poses(root / _V2_POSES)
