@@ -1,20 +1,17 @@
-"""One frame, a label map or an image, on this machine or in remote storage."""
+"""One frame, a label map or an image, on this machine or in the file systems of pyarrow, ``s3://``,
+``gs://``, ``hdfs://`` and ``file://``, and the frames that these hold."""
 
-from __future__ import annotations
-
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, NamedTuple
+from pathlib import Path, PurePosixPath
+from typing import Any, ClassVar, NamedTuple
 
 from numpy.lib.format import open_memmap
 
 from ..files import check_size, npy_bytes, one_line, read_bytes
 from .names import absolute
 from .poses import UNKNOWN, Pose
-
-if TYPE_CHECKING:
-    from pyarrow.fs import FileSystem
 
 
 class Skipped(NamedTuple):
@@ -123,8 +120,34 @@ class RemoteFile(FrameFile):
 
 
 @cache
-def _file_system(uri: str) -> FileSystem:
+def _file_system(uri: str) -> Any:
     """The connection to a file system, one per process."""
     from pyarrow.fs import FileSystem
 
     return FileSystem.from_uri(uri)[0]
+
+
+def remote_files(uri: str, kind: str, suffixes: Sequence[str]) -> list[FrameFile]:
+    """The frames in the folder of a URI, files with one of the suffixes in lower case; their
+    sequence has no name yet. A scheme that pyarrow does not support, and no frames, are a
+    ValueError that names the kind; a folder that cannot be read is an OSError."""
+    from pyarrow.fs import FileSelector, FileSystem, FileType
+
+    system, root = FileSystem.from_uri(uri.rstrip("/"))
+    scheme, _, address = uri.partition("?")[0].rstrip("/").partition("://")
+    authority, slash, rest = address.partition("/")
+    user, _, host = authority.rpartition("@")
+    plain = host if ":" in user else authority  # is stored, so it holds no password
+    folder = f"{scheme}://{plain}{slash}{rest}"
+    found = list[FrameFile]()
+    for entry in system.get_file_info(FileSelector(root)):
+        path = PurePosixPath(entry.path)
+        if entry.type == FileType.Directory or path.name.startswith("."):
+            continue
+        if path.suffix.lower() in suffixes:
+            listed = f"{entry.size} {entry.mtime_ns}"
+            file = RemoteFile("", path.stem, Path(path), folder=folder, listed=listed, uri=uri)
+            found.append(file)
+    if not found:
+        raise ValueError(f"{folder} holds no {kind}; expected {', '.join(suffixes)} files")
+    return found

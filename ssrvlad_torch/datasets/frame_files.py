@@ -12,12 +12,11 @@ from typing import TypeVar
 
 from ..files import check_regular, natural_key, npy_header
 from .bags import bag_files, is_bag
-from .frame_file import FrameFile, RemoteFile
+from .frame_file import FrameFile, RemoteFile, remote_files
 from .gps import read_exif
 from .names import KnownFolders, absolute, is_uri, sequence_names
 from .pose_tables import PoseTable
 from .poses import UNKNOWN, Pose, poses_of_fixes, read_poses
-from .remote_files import remote_files
 from .trajectories import read_trajectory
 from .utm_names import read_name
 from .videos import VideoFile, is_video, video_files
