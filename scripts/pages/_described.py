@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -31,6 +31,7 @@ from conditions import (
     city,
     every_other,
     kept,
+    near_rows,
     places_of,
     real,
 )
@@ -89,8 +90,6 @@ LAST = {
 
 ALONE = Steps(standardise=False, follow=None)
 """Each query as a picture of which nothing else is known, as `locate` takes it."""
-
-Known = tuple[tuple[str, ...], np.ndarray]
 
 
 class Condition(NamedTuple):
@@ -166,7 +165,7 @@ class Described:
         frames, poses = places_of(files)
         self._known[f"{name} about"] = {"frames": frames, "poses": torch.from_numpy(poses)}
 
-    def about(self, name: str) -> Known:
+    def about(self, name: str) -> tuple[tuple[str, ...], np.ndarray]:
         """Ids and poses of a drive's frames."""
 
         def look() -> dict[str, Any]:
@@ -179,24 +178,28 @@ class Described:
     def vectors(self, name: str, method: str) -> Tensor:
         """``(N, D)`` of a drive, of `default` ``(N, S, D)`` over `sweep.COLUMNS`."""
         if method not in SETTINGS:
-            return self.kept(f"{name} {method}", lambda: self._by_method(name, method))
+            made = partial(self.make, method, network_of(name))
+            return self.kept(
+                f"{name} {method}", lambda: made().encode_query(self.drive(name).seen())
+            )
         version = head(method, "camvid-11").config.fingerprint
         return self.kept(f"{name} {method} {version}", lambda: swept(self.drive(name), method))
 
-    def _by_method(self, name: str, method: str) -> Any:
-        network = network_of(name)
-        own = method == FEATURES and network
-        made = EncoderFeatures(self.segmenter(network)) if own else self.make(method)
-        return made.encode_query(self.drive(name).seen())
-
-    def make(self, method: str, random_weights: bool = False) -> baselines.Method:
-        """A method of `baselines` by its name in the pages.
+    def make(
+        self, method: str, network: str | None = None, random_weights: bool = False
+    ) -> baselines.Method:
+        """A method of `baselines` by its name in the pages; features and LoST-X of a network of
+        `NETWORKS`, or of the one of all drives.
 
         Raises:
             FileNotFoundError: a network has no weights, or there is none.
         """
         if method in SETTINGS:
             return baselines.make("ssr-vlad", **SETTINGS[method])
+        if network and method == FEATURES:
+            return EncoderFeatures(self.segmenter(network))
+        if network and method == LOST_X:
+            return LoSTX(self.segmenter(network, LAST[network]))
         own = {}
         if method in OF_NETWORKS and self.network:
             own = {"network": str(self.network), "labels_as": TRAIN_IDS}
@@ -222,9 +225,7 @@ class Described:
 
     def pair(self, search: Search, method: str) -> tuple[Tensor, Tensor]:
         """Vectors of the queries and of the references of a search."""
-        queries, references = (
-            self.vectors(name, method) for name in (search.queries, search.references)
-        )
+        queries, references = (self.vectors(name, method) for name in search[:2])
         if references.ndim == 3:
             references = references[:, COLUMNS.index(0)]
         here, there = self.rows(search)
@@ -234,7 +235,7 @@ class Described:
         """``(Q, R)`` scores of a method whose encodings are not vectors."""
 
         def run() -> Tensor:
-            made = self._of_search(search, method)
+            made = self.make(method, network_of(search.queries))
             here, there = (
                 self.drive(name).seen(rows)
                 for name, rows in zip(search[:2], self.rows(search), strict=True)
@@ -251,25 +252,20 @@ class Described:
         network = f" {self.network.stem}" if method == LOST_X and self.network else ""
         return self.kept(f"{' to '.join(kind)} {method}{network}", run)
 
-    def _of_search(self, search: Search, method: str) -> baselines.Method:
-        network = network_of(search.queries)
-        if method != LOST_X or network is None:
-            return self.make(method)
-        return LoSTX(self.segmenter(network, LAST[network]))
-
     def rows(self, search: Search) -> tuple[list[int], list[int]]:
         """Rows of the queries and of the references in their drives."""
-        ends = (len(self.about(name)[0]) for name in (search.queries, search.references))
         given = (search.query_rows, search.reference_rows)
-        here, there = (rows or list(range(n)) for rows, n in zip(given, ends, strict=True))
+        here, there = (
+            rows or list(range(len(self.about(name)[0])))
+            for name, rows in zip(search[:2], given, strict=True)
+        )
         return here, there
 
     def sequences(self, search: Search) -> tuple[list[str], list[str]]:
         """Sequences of the queries and of the references."""
-        names = (self.about(name)[0] for name in (search.queries, search.references))
         here, there = (
-            [frames[row].rpartition("/")[0] for row in rows]
-            for frames, rows in zip(names, self.rows(search), strict=True)
+            [self.about(name)[0][row].rpartition("/")[0] for row in rows]
+            for name, rows in zip(search[:2], self.rows(search), strict=True)
         )
         return here, there
 
@@ -308,11 +304,9 @@ def real_conditions(described: Described, networks: Sequence[str]) -> Iterator[C
     for dataset, pairs in REAL.items():
         for network in networks:
             for name, (queries, references, rows) in pairs.items():
-                here, there = (f"real {network} {part}" for part in (queries, references))
-                count, others = (len(described.about(drive)[0]) for drive in (here, there))
-                near = np.arange(others)
-                truth = [np.flatnonzero(abs(near - number) <= rows) for number in range(count)]
-                yield Condition(dataset, f"{name}, {network}", [Search(here, there, truth)])
+                drives = [f"real {network} {part}" for part in (queries, references)]
+                truth = near_rows(*(len(described.about(drive)[0]) for drive in drives), rows)
+                yield Condition(dataset, f"{name}, {network}", [Search(*drives, truth)])
 
 
 def camvid_conditions(described: Described) -> Iterator[Condition]:

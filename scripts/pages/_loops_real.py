@@ -17,7 +17,7 @@ from _described import FEATURES, OURS, Described
 from _markdown import Page, head_row, interval, row
 from _sure_cases import FOREIGN, camvid_cases, of
 from _tours import BATCH, CONDITIONS, head
-from conditions import NETWORKS, ROUTES
+from conditions import NETWORKS, ROUTES, near_rows
 from torch import Tensor
 
 from ssrvlad_torch import LoopDetector
@@ -30,19 +30,24 @@ from ssrvlad_torch.recognition.sweep import COLUMNS as ALL_COLUMNS
 
 ALONE: tuple[str, ...] = ()
 METHODS = {"label maps": ALONE, "with features": ("features",)}
+COUNTS = ("wrong", "elsewhere")
 BLOCK, RESAMPLES, NEAR = 10, 2000, 3
 STREETS = range(300, 308)
 
 
+class Drive(NamedTuple):
+    """A drive by label maps ``(N, S, 480)``, and by the methods beside."""
+
+    vectors: Tensor
+    beside: dict[str, Tensor]
+
+
 class Pair(NamedTuple):
-    """Two drives by label maps ``(N, S, 480)`` and by the methods beside, and for each frame of the
-    second its rows of the first."""
+    """Two drives, and for each frame of the second its rows of the first."""
 
     name: str
-    first: Tensor
-    second: Tensor
-    beside_first: dict[str, Tensor]
-    beside_second: dict[str, Tensor]
+    first: Drive
+    second: Drive
     truth: Sequence[np.ndarray]
 
 
@@ -59,8 +64,8 @@ def real_drives(page: Page, data: Path, cached: Path) -> None:
     """The tables of real drives, and of streams with nothing to find."""
     described = Described(data, cached, shorter_side=None)
     chosen, checks = conditions(described)
-    page.table("## Real second drives\n", table(chosen, METHODS))
-    page.table("Pairs that nothing was chosen on", table(checks, METHODS))
+    page.table("## Real second drives\n", table(chosen))
+    page.table("Pairs that nothing was chosen on", table(checks))
     page.table("## Nothing to find\n", nowhere(described, chosen))
 
 
@@ -75,15 +80,16 @@ def nowhere(described: Described, chosen: Sequence[Pair]) -> Iterator[str]:
         yield nothing(f"estate, {name}", streets, ALONE)
 
 
-def table(pairs: Sequence[Pair], methods: dict[str, tuple[str, ...]]) -> Iterator[str]:
+def table(pairs: Sequence[Pair]) -> Iterator[str]:
     """Recall and wrong loops of pairs by each method, and their means."""
-    kinds = [f"{name}: {what}" for name in methods for what in ("recall", *COUNTS)]
-    yield from head_row("drives", *kinds)
-    found: dict[str, list[Outcome]] = {name: [] for name in methods}
+    yield from head_row(
+        "drives", *(f"{m}: {what}" for m in METHODS for what in ("recall", *COUNTS))
+    )
+    found: dict[str, list[Outcome]] = {name: [] for name in METHODS}
     for pair in pairs:
         cells = []
-        for name, beside in methods.items():
-            some = [detect(pair, beside)] if set(beside) <= set(pair.beside_first) else []
+        for name, beside in METHODS.items():
+            some = [detect(pair, beside)] if set(beside) <= set(pair.first.beside) else []
             found[name] += some
             cells += counted(some)
         yield row(pair.name, *cells)
@@ -92,17 +98,10 @@ def table(pairs: Sequence[Pair], methods: dict[str, tuple[str, ...]]) -> Iterato
 
 
 def counted(found: Sequence[Outcome]) -> list[str]:
-    """Cells on one pair, several, or none."""
+    """Cells on one pair, several, or none: the mean recall, with its interval over blocks of
+    frames or over pairs, and `COUNTS`."""
     if not found:
         return [""] * (1 + len(COUNTS))
-    return [recall(found), *(str(sum(getattr(each, kind) for each in found)) for kind in COUNTS)]
-
-
-COUNTS = ("wrong", "elsewhere")
-
-
-def recall(found: Sequence[Outcome]) -> str:
-    """The mean recall of pairs, with its interval over blocks of frames, or over pairs."""
     parts = [each.right for each in found]
     if len(parts) == 1:
         parts = [parts[0][n : n + BLOCK] for n in range(0, len(parts[0]), BLOCK)]
@@ -113,15 +112,17 @@ def recall(found: Sequence[Outcome]) -> str:
         return {"recall": drawn @ (weights * means) / (drawn @ weights)}
 
     value = float(weights @ means / weights.sum())
-    return interval(value, bootstrap(mean, len(parts), RESAMPLES)["recall"], 2)
+    ends = bootstrap(mean, len(parts), RESAMPLES)["recall"]
+    sums = (str(sum(getattr(each, kind) for each in found)) for kind in COUNTS)
+    return [interval(value, ends, 2), *sums]
 
 
 def nothing(name: str, pairs: Sequence[Pair], beside: tuple[str, ...]) -> str:
     """A row on streams that should close no loop."""
-    found = [detect(pair, beside) for pair in pairs if set(beside) <= set(pair.beside_first)]
+    found = [detect(pair, beside) for pair in pairs if set(beside) <= set(pair.first.beside)]
     wrong = [each.wrong for each in found]
     loops = sum(wrong) + sum(int(each.right.sum()) for each in found)
-    frames = sum(len(pair.second) for pair in pairs)
+    frames = sum(len(pair.second.vectors) for pair in pairs)
     print(name, wrong, flush=True)
     counts = len(found), frames, loops, sum(wrong), np.count_nonzero(wrong)
     return row(name, *map(str, counts))
@@ -131,9 +132,8 @@ def detect(pair: Pair, beside: tuple[str, ...]) -> Outcome:
     """Runs a detector over the first drive and then over the second."""
     extra = [ExtraDescriptor(name, 2048, "page", (16, 16, 8)) for name in beside]
     loops = LoopDetector(extra=extra)
-    right, wrong, elsewhere = np.zeros(len(pair.second), bool), 0, 0
-    drives = (("first", pair.first, pair.beside_first), ("second", pair.second, pair.beside_second))
-    for drive, vectors, others in drives:
+    right, wrong, elsewhere = np.zeros(len(pair.second.vectors), bool), 0, 0
+    for drive, (vectors, others) in (("first", pair.first), ("second", pair.second)):
         for number, vector in enumerate(vectors):
             here = {name: others[name][number] for name in beside}
             result = loops.observe(FrameRecord(drive, f"{number}"), vector, here)
@@ -155,27 +155,22 @@ def conditions(described: Described) -> tuple[list[Pair], list[Pair]]:
     checks: list[Pair] = []
     for network, (name, (later, earlier, reach)) in product(NETWORKS, ROUTES.items()):
         first, second = (drive(described, of(network, folder)) for folder in (earlier, later))
-        rows = np.arange(len(second[0]))
-        truth = [np.flatnonzero(abs(rows - number) <= reach) for number in rows]
+        truth = near_rows(len(second.vectors), len(first.vectors), reach)
         back = " -> ".join(reversed(name.split(" -> ")))
-        for kept_in, title, one, two in (
-            (chosen, name, first, second),
-            (checks, back, second, first),
-        ):
-            kept_in.append(Pair(f"{title}, {network}", one[0], two[0], one[1], two[1], truth))
+        chosen.append(Pair(f"{name}, {network}", first, second, truth))
+        checks.append(Pair(f"{back}, {network}", second, first, truth))
     for case in camvid_cases(described):
         queries, references, truth, odd, even = case.search
         here = of_anchors(described.vectors(queries, OURS)[odd])
         there = of_anchors(described.vectors(references, OURS)[even])
-        learned = case.name.endswith("-> labels")
-        (chosen if learned else checks).append(Pair(case.name, there, here, {}, {}, truth))
+        kept_in = chosen if case.name.endswith("-> labels") else checks
+        kept_in.append(Pair(case.name, Drive(there, {}), Drive(here, {}), truth))
     return chosen, checks
 
 
-def drive(described: Described, name: str) -> tuple[Tensor, dict[str, Tensor]]:
-    """A drive by label maps, and by the methods beside."""
+def drive(described: Described, name: str) -> Drive:
     labels, features = (described.vectors(name, method) for method in (OURS, FEATURES))
-    return of_anchors(labels), {"features": features}
+    return Drive(of_anchors(labels), {"features": features})
 
 
 def of_anchors(swept: Tensor) -> Tensor:
@@ -187,16 +182,16 @@ def foreign(described: Described) -> list[Pair]:
     pairs = []
     for network, (later, earlier) in product(NETWORKS, FOREIGN):
         one, two = (drive(described, of(network, folder)) for folder in (earlier, later))
-        truth = [np.zeros(0, int)] * len(two[0])
-        pairs.append(Pair(f"{earlier}, {later}", one[0], two[0], one[1], two[1], truth))
+        truth = [np.zeros(0, int)] * len(two.vectors)
+        pairs.append(Pair(f"{earlier}, {later}", one, two, truth))
     return pairs
 
 
 def mixed(pair: Pair) -> Pair:
     """A pair whose second drive comes in random order."""
-    order = np.random.default_rng(0).permutation(len(pair.second))
-    truth = [pair.truth[row] for row in order]
-    return pair._replace(name=f"{pair.name}, mixed", second=pair.second[order], truth=truth)
+    order = np.random.default_rng(0).permutation(len(pair.truth))
+    second = pair.second._replace(vectors=pair.second.vectors[order])
+    return pair._replace(second=second, truth=[pair.truth[row] for row in order])
 
 
 def estate(described: Described, seed: int, condition: str) -> Pair:
@@ -211,4 +206,4 @@ def estate(described: Described, seed: int, condition: str) -> Pair:
 
     vectors = described.kept(f"estate {seed} {condition}", make)
     truth = [np.zeros(0, int)] * len(vectors)
-    return Pair(f"estate {seed}", vectors[:0], vectors, {}, {}, truth)
+    return Pair(f"estate {seed}", Drive(vectors[:0], {}), Drive(vectors, {}), truth)

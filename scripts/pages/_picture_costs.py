@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from _markdown import head_row, paragraph, row, span
+from _markdown import head_row, row, span
 
 from ssrvlad_torch import SSRVLAD, Segmenter
 from ssrvlad_torch.baselines import Frame
@@ -26,20 +26,9 @@ PARTS = ("decoded", "prepared", "network", "class and size", "head", "features",
 PICTURES = 8
 
 
-def pictures_section(
-    networks: Path | None, pictures: list[Path], repetitions: int
-) -> Iterator[str]:
-    """The table, for every YAML file in a folder whose network gives trainIds."""
-    if networks is None or not pictures:
-        yield "Not measured: expected --networks and --camvid.\n"
-        return
+def pictures_table(networks: Path, pictures: list[Path], repetitions: int) -> Iterator[str]:
+    """A row for every YAML file in a folder whose network gives trainIds."""
     pictures = pictures[:: len(pictures) // PICTURES][:PICTURES]
-    yield paragraph(
-        f"Milliseconds per picture from a JPEG of CamVid to `default`, features and HOG, for "
-        f"{PICTURES} pictures one by one, on one thread. The networks run in ONNX Runtime. "
-        "The parts are timed within the whole; in brackets is their fraction of it. The fused file "
-        "is network, head and features in one ONNX graph."
-    )
     yield from head_row("network", "size", "whole", *PARTS, "fused file, without decoding")
     for settings in sorted(networks.glob("*.yaml")):
         segmenter = Segmenter.load(settings, "cityscapes-trainids")
@@ -63,7 +52,6 @@ def pictures_section(
             *(f"{part:.1f} ({part / parts.sum():.1%})" for part in parts),
             f"{fused.milliseconds['median'] / len(pictures):.0f}",
         )
-    yield ""
 
 
 def _run_all(session: object, images: list[np.ndarray]) -> None:

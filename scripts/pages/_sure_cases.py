@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 from _described import FEATURES, OURS, Described
-from conditions import CAMVID_CONDITIONS, METRES, NETWORKS, ROUTES, Search
+from conditions import CAMVID_CONDITIONS, METRES, NETWORKS, ROUTES, Search, near_rows
 from torch import Tensor
 
 from ssrvlad_torch.evaluation.ground_truth import from_poses
@@ -58,14 +58,13 @@ def cases(described: Described) -> Iterator[Case]:
         for first, second, reach in ROUTES.values():
             for queries, references in ((first, second), (second, first)):
                 here, there = of(network, queries), of(network, references)
-                rows = np.arange(len(described.about(here)[0]))
-                truth = [np.flatnonzero(abs(rows - number) <= reach) for number in rows]
+                frames = len(described.about(there)[0])
+                truth = near_rows(len(described.about(here)[0]), frames, reach)
                 title = f"{queries} -> {references}, {network}"
                 yield Case("real", title, method, Search(here, there, truth))
                 if (queries, references) == (first, second):
-                    half = len(described.about(there)[0]) // 2
-                    left = [true[true < half] for true in truth]
-                    search = Search(here, there, left, None, list(range(half)))
+                    left = [true[true < frames // 2] for true in truth]
+                    search = Search(here, there, left, None, list(range(frames // 2)))
                     yield Case("half map", title, method, search)
         for queries, references in FOREIGN:
             here, there = of(network, queries), of(network, references)

@@ -101,7 +101,7 @@ def costs(
     weights these have random ones; features and LoST-X need a network."""
     able = [name for name in methods if name not in OF_NETWORKS or described.network]
     return measure(
-        {name: partial(described.make, name, True) for name in able},
+        {name: partial(described.make, name, random_weights=True) for name in able},
         frames,
         references,
         {name: rounds[name in TRAINED] for name in able},

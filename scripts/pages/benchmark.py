@@ -2,7 +2,7 @@
 """Writes docs/benchmark.md: time and memory of the method, in one run.
 
     .venv/bin/python scripts/pages/benchmark.py --camvid ../shared/data/camvid \
-        --networks ../shared/data/networks --pictures ../shared/data/uofa/*/images
+        --networks ../shared/data/networks
 
 The rows of a table are timed in turn (`ssrvlad_torch.cli.bench.time_in_turn`) with a fixed number
 of threads. Label maps are those of CamVid, enlarged to each size, or without it of the synthetic
@@ -16,10 +16,10 @@ import os
 import platform
 import subprocess
 import sys
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -27,28 +27,25 @@ import cv2
 import numpy as np
 import scipy.fft
 import torch
-from _cluster import cluster_section
-from _encoding_rates import encoding_rates
+from _encoding_costs import encoding_table
 from _loops_cost import loops_table
 from _markdown import Page, head_row, paragraph, row, save, span
 from _opencv import opencv_describe
-from _picture_costs import pictures_section
-from _stage_costs import stage_table
+from _picture_costs import pictures_table
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
 from torch import Tensor
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, match, reference
-from ssrvlad_torch.cli.bench import Timing, heads, onnx_head, threads, time_in_turn
-from ssrvlad_torch.datasets.label_files import find_label_files
+from ssrvlad_torch.cli.bench import heads, onnx_head, threads, time_in_turn
+from ssrvlad_torch.config import PRESETS
 from ssrvlad_torch.datasets.synthetic_city import SyntheticCity
 
 SIZES = [(512, 512), (1024, 1024)]
 LARGE = (1024, 1024)
 BATCH = 16
 EVERY_BUFFER_GIVEN_BACK = {"MALLOC_MMAP_THRESHOLD_": "65536", "MALLOC_TRIM_THRESHOLD_": "65536"}
-FRAMES_OF_A_RUN = 1000
 SPECKS = [0, 1000, 10_000]
 
 
@@ -95,7 +92,7 @@ def ways_of(maps: Maps, preset: str, labels: Tensor) -> dict[str, Callable[[], o
 def size_table(maps: Maps, repetitions: int, figure: Path) -> Iterator[str]:
     yield from head_row("preset", "size", "way", "ms", "times faster than the reference")
     drawn = {}
-    for preset in ("paper", "default"):
+    for preset in PRESETS:
         for size in SIZES:
             slow = 2 if preset == "paper" and size == LARGE else repetitions
             timings = time_in_turn(ways_of(maps, preset, maps.batch(size, 1)), slow, warm_up=False)
@@ -114,9 +111,8 @@ def draw(timings: dict[str, dict[str, dict[str, float]]], path: Path) -> None:
         ends = [[of["median"] - of["min"] for of in ways.values()]]
         ends += [[of["max"] - of["median"] for of in ways.values()]]
         bars = axes.barh(list(ways), medians, xerr=ends)
-        axes.bar_label(
-            bars, [f" {median:,.{0 if median >= 100 else 1}f}" for median in medians], padding=4
-        )
+        labels = [f" {median:,.{0 if median >= 100 else 1}f}" for median in medians]
+        axes.bar_label(bars, labels, padding=4)
         axes.set_xscale("log")
         axes.set_xlim(right=max(medians) * 30)
         axes.invert_yaxis()
@@ -127,18 +123,14 @@ def draw(timings: dict[str, dict[str, dict[str, float]]], path: Path) -> None:
 
 def batch_table(maps: Maps, repetitions: int) -> Iterator[str]:
     yield from head_row("preset", "way", "batch", "one thread", "two threads", "speed-up")
-    for preset in ("paper", "default"):
-        for name, head in heads(maps.config(preset)).items():
-            for count in (1, BATCH):
-                labels = maps.batch(LARGE, count)
-                ways = {n: partial(with_threads, n, head, labels) for n in (1, 2)}
-                timings = time_in_turn(ways, 3 if preset == "paper" else repetitions)
-                each = [
-                    span({k: v / count for k, v in timings[n].milliseconds.items()}, 2)
-                    for n in (1, 2)
-                ]
-                ratio = span(timings[2].times_faster_than(timings[1]), 2)
-                yield row(preset, name, str(count), *each, ratio)
+    for preset in PRESETS:
+        for (name, head), count in product(heads(maps.config(preset)).items(), (1, BATCH)):
+            labels = maps.batch(LARGE, count)
+            ways = {n: partial(with_threads, n, head, labels) for n in (1, 2)}
+            one, two = time_in_turn(ways, 3 if preset == "paper" else repetitions).values()
+            each = ({k: v / count for k, v in of.milliseconds.items()} for of in (one, two))
+            ratio = span(two.times_faster_than(one), 2)
+            yield row(preset, name, str(count), *(span(times, 2) for times in each), ratio)
 
 
 def with_threads(count: int, head: SSRVLAD, labels: Tensor) -> Tensor:
@@ -146,44 +138,29 @@ def with_threads(count: int, head: SSRVLAD, labels: Tensor) -> Tensor:
         return head(labels)
 
 
-def scene_section(maps: Maps, repetitions: int) -> Iterator[str]:
-    yield paragraph(
-        f"One image of {by(LARGE)} with specks of 3 x 3 pixels of random classes at random places, "
-        "preset `paper`, one thread. *Uncleaned* is without closing, hole filling and region "
-        "removal: every speck is thinned and described. Most of the time then goes into pairs of "
-        "keypoints and skeleton pixels. Their memory is bounded, their number is not."
-    )
+def scene_table(maps: Maps, repetitions: int) -> Iterator[str]:
     yield from head_row("specks", "ms", "ms, uncleaned")
     paper = maps.config("paper")
     configs = [paper, replace(paper, closing=0.0, hole_area=0.0, region_area=0.0)]
-    scenes = {count: strewn(maps.batch(LARGE, 1), count) for count in SPECKS}
+    scenes = [strewn(maps.batch(LARGE, 1), count) for count in SPECKS]
     columns = []
     for config in configs:
-        ways = {str(n): partial(SSRVLAD(config), scene) for n, scene in scenes.items()}
-        columns.append(time_in_turn(ways, repetitions))
-    for count in SPECKS:
-        cells = []
-        for timings in columns:
-            plain, timing = timings[str(SPECKS[0])], timings[str(count)]
-            cost = plain.times_faster_than(timing)["median"]
-            cells.append(f"{span(timing.milliseconds, 1)}, {cost:.1f} x plain")
+        ways = {str(n): partial(SSRVLAD(config), scene) for n, scene in enumerate(scenes)}
+        plain, *others = time_in_turn(ways, repetitions).values()
+        ratios = [plain.times_faster_than(of)["median"] for of in (plain, *others)]
+        times = [span(of.milliseconds, 1) for of in (plain, *others)]
+        columns.append([f"{a}, {b:.1f} x plain" for a, b in zip(times, ratios, strict=True)])
+    for count, *cells in zip(SPECKS, *columns, strict=True):
         yield row(str(count), *cells)
-    layer = np.zeros(LARGE, np.float32)
-    with threads(1):
-        transform = time_in_turn({"fft": partial(correlate, layer, layer)}, repetitions)["fft"]
-    yield ""
-    yield paragraph(
-        "For comparison: Fourier transforms of twice the size (scipy) count all pairs of one layer "
-        f"in {span(transform.milliseconds, 0)} ms, independent of their number."
-    )
+    transform = time_in_turn({"one layer": partial(correlate, LARGE)}, repetitions)["one layer"]
+    yield row("any, one layer by Fourier transforms", span(transform.milliseconds, 0), "")
 
 
-def correlate(points: NDArray[np.float32], context: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The number of pairs of points at every distance and direction."""
-    shape = 2 * points.shape[0], 2 * points.shape[1]
-    product = scipy.fft.rfft2(points, shape).conj() * scipy.fft.rfft2(context, shape)
-    found: NDArray[np.float32] = scipy.fft.irfft2(product, shape)
-    return found
+def correlate(shape: tuple[int, int]) -> None:
+    """Counts the pairs of points of a layer at every distance and direction."""
+    twice = 2 * shape[0], 2 * shape[1]
+    points, context = (scipy.fft.rfft2(np.zeros(shape, np.float32), twice) for _ in range(2))
+    scipy.fft.irfft2(points.conj() * context, twice)
 
 
 def strewn(labels: Tensor, count: int) -> Tensor:
@@ -197,13 +174,10 @@ def strewn(labels: Tensor, count: int) -> Tensor:
 
 def memory_table(options: argparse.Namespace) -> Iterator[str]:
     yield from head_row("preset", "way", "size", "batch", "bytes a pixel")
-    for preset in ("paper", "default"):
-        for name in ("torch", "native core"):
-            for size, count in ((LARGE, 1), (LARGE, BATCH)):
-                numbers = *size, count
-                camvid = ["--camvid", str(options.camvid)] if options.camvid else []
-                memory = in_new_process(preset, name, *map(str, numbers), *camvid)
-                yield row(preset, name, by(size), str(count), memory)
+    camvid = ["--camvid", str(options.camvid)] if options.camvid else []
+    for preset, name, count in product(PRESETS, ("torch", "native core"), (1, BATCH)):
+        memory = in_new_process(preset, name, *map(str, LARGE), str(count), *camvid)
+        yield row(preset, name, by(LARGE), str(count), memory)
 
 
 def in_new_process(*arguments: str) -> str:
@@ -239,31 +213,6 @@ def peak_bytes(call: Callable[[], object]) -> int:
 def status_bytes(field: str) -> int:
     lines = Path("/proc/self/status").read_text().splitlines()
     return next(int(entry.split()[1]) * 1024 for entry in lines if entry.startswith(field))
-
-
-def encoding_table(maps: Maps, repetitions: int) -> Iterator[str]:
-    """The time of `encode` on one core, of its two halves, and on all cores."""
-    workers = os.cpu_count() or 1
-    yield from head_row("describes", "way", "ms a frame", "relative to read + describe")
-    names = {
-        "read": "read only, one core",
-        "describe": "describe only, one core",
-        "one": "`ssrvlad encode`, one core",
-        "all": f"`ssrvlad encode`, {workers} cores",
-    }
-    with tempfile.TemporaryDirectory() as folder:
-        for number, labels in enumerate(maps.batch((360, 480), BATCH)):
-            for copy in range(number, FRAMES_OF_A_RUN, BATCH):
-                Image.fromarray(labels.numpy()).save(f"{folder}/{copy}.png")
-        files = find_label_files([folder])
-        for who, head in reversed(heads(maps.config("default")).items()):
-            timings, _ = encoding_rates(head, files, workers, repetitions)
-            halves = zip(timings["read"].seconds, timings["describe"].seconds, strict=True)
-            both = Timing(tuple(map(sum, halves)))
-            for way, name in names.items():
-                each = Timing(tuple(seconds / FRAMES_OF_A_RUN for seconds in timings[way].seconds))
-                ratio = span(both.times_faster_than(timings[way]), 2)
-                yield row(who, name, span(each.milliseconds, 2), ratio)
 
 
 def matching_section(references: int) -> Iterator[str]:
@@ -317,7 +266,6 @@ def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__)
     arguments.add_argument("--camvid", type=Path, default=None)
     arguments.add_argument("--networks", type=Path, default=None)
-    arguments.add_argument("--pictures", type=Path, nargs="+", help="folders, for the cluster")
     arguments.add_argument("--output", type=Path, default=Path("docs/benchmark.md"))
     arguments.add_argument("--repetitions", type=int, default=5)
     arguments.add_argument("--references", type=int, default=200_000)
@@ -332,24 +280,22 @@ def main() -> None:
     page = Page("benchmark.md", options.output)
     pictures = sorted(options.camvid.glob("0001TP/images/*.jpg")) if options.camvid else []
     figure = options.output.parent / "figures" / "benchmark.svg"
+    again = options.repetitions
+    small = maps.batch((360, 480), BATCH)
     parts = {
-        "## One image, one thread": partial(size_table, maps, options.repetitions, figure),
-        "## Stage by stage": partial(
-            stage_table, maps.batch(LARGE, 1), maps.config("paper"), options.repetitions
-        ),
-        "## Cost against the complexity of the scene": partial(
-            scene_section, maps, options.repetitions
-        ),
+        "## One image, one thread": partial(size_table, maps, again, figure),
+        "## Cost against the complexity of the scene": partial(scene_table, maps, again),
         "## Peak memory": partial(memory_table, options),
         "## From the picture to the place": partial(
-            pictures_section, options.networks, pictures, options.repetitions
+            pictures_table, options.networks, pictures, again
         ),
         "## Loop closures, online": partial(loops_table),
-        "## Batches and threads": partial(batch_table, maps, options.repetitions),
-        "## Encoding": partial(encoding_table, maps, options.repetitions),
-        "## A cluster on one machine": partial(cluster_section, options.networks, options.pictures),
+        "## Batches and threads": partial(batch_table, maps, again),
+        "## Encoding": partial(encoding_table, small, maps.config("default"), again),
         "## Matching": partial(matching_section, options.references),
     }
+    if options.networks is None or not pictures:
+        del parts["## From the picture to the place"]
     with threads(1):
         for heading, part in parts.items():
             name, _, kind = part.func.__name__.rpartition("_")

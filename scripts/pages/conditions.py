@@ -177,6 +177,11 @@ def city(
     )
 
 
+def near_rows(queries: int, references: int, reach: int) -> list[np.ndarray]:
+    """True matches of drives whose rows show the same places: up to a distance in rows."""
+    return [np.flatnonzero(abs(np.arange(references) - row) <= reach) for row in range(queries)]
+
+
 def every_other(frames: Sequence[str], start: int) -> list[int]:
     """Rows of every second frame of each sequence, from frame ``start``."""
     sequences = np.array([frame.rpartition("/")[0] for frame in frames])

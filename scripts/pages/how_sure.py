@@ -4,8 +4,7 @@
     .venv/bin/python scripts/pages/how_sure.py --data ../shared/data
 
 The folder holds `camvid`, `uofa`, `gardens_walk` and `networks`. Descriptors and outcomes are
-cached in `--cache`. With ``--fit`` the script prints the priors of `recognition.confidence`
-instead, fitted to the conditions of `CHOSEN`.
+cached in `--cache`.
 """
 
 from __future__ import annotations
@@ -18,26 +17,19 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-import torch.nn.functional as F
 from _described import Described
 from _markdown import Page, head_row, interval, parser, row, save
 from _sure_cases import METHODS, Case, cases
 from matplotlib.figure import Figure
-from torch import Tensor
 
-from ssrvlad_torch import SSRVLADConfig, follow, standardise
+from ssrvlad_torch import SSRVLADConfig
 from ssrvlad_torch.baselines.hog import HOG
 from ssrvlad_torch.baselines.label_grid import LabelGrid
 from ssrvlad_torch.descriptor import mirrored
 from ssrvlad_torch.evaluation.bootstrap import bootstrap
-from ssrvlad_torch.recognition.confidence import ALONE, accept, answered, estimate
-from ssrvlad_torch.recognition.decoys import decoy_scores, lead_over_decoys
+from ssrvlad_torch.recognition.confidence import accept, answered, estimate
 from ssrvlad_torch.recognition.follow import NEAR
-from ssrvlad_torch.recognition.matching import Rows
 from ssrvlad_torch.recognition.recognise import SSR_VLAD, Steps, recognise
-from ssrvlad_torch.recognition.signs import SignQueries, SignRows
-from ssrvlad_torch.recognition.signs import mirrored as mirrored_signs
-from ssrvlad_torch.recognition.sweep import narrowed, score
 
 CHOSEN = ("uofa", "0001TP", "city 0")
 STEPS = {
@@ -70,20 +62,17 @@ class Outcome(NamedTuple):
 
 
 def main() -> None:
-    arguments = parser(__doc__, "how-sure.md", "how-sure")
-    arguments.add_argument("--fit", action="store_true", help="print the priors of confidence")
-    options = arguments.parse_args()
+    options = parser(__doc__, "how-sure.md", "how-sure").parse_args()
     torch.set_num_threads(1)
     described = Described(options.data, options.cache, shorter_side=None)
     every = list(cases(described))
-    if options.fit:
-        fit(described, [each for each in every if each.group != "foreign"])
-        return
     outcomes: Outcomes = {name: [] for name in STEPS}
     for name, method in product(STEPS, METHODS):
         some = [each for each in every if each.method == method]
-        run = partial(outcomes_of, described, some, name)
-        outcomes[name] += described.kept(f"outcomes {name} {method}", run)
+        outcomes[name] += described.kept(
+            f"outcomes {name} {method}",
+            lambda some=some, name=name: [outcome(described, case, name) for case in some],
+        )
     draw(outcomes, options.output.parent / "figures" / "how-sure.png")
     together = {steps: found for steps, found in outcomes.items() if steps != "one picture"}
     page = Page("how-sure.md", options.output)
@@ -137,22 +126,21 @@ def calibrated_by_method(outcomes: Outcomes) -> Iterator[str]:
 
 def coverage(some: Iterable[Outcome]) -> Iterator[str]:
     """In how many cases answers were accepted, how often the truth was inside, and the width."""
-    cases = hits = strict = 0
-    widths = []
-    tried = 0
+    tried = hits = strict = 0
+    widths: list[float] = []
     for each in some:
         for least, count, _, low, high in each.estimates.values():
             tried += 1
             if not count:
                 continue
             inside = each.beats & (each.sure >= least)
-            cases += 1
             hits += low <= 1 - each.place[inside].mean() <= high
             strict += low <= 1 - each.strict[inside].mean() <= high
             widths.append(high - low)
-    yield f"{cases} of {tried}"
-    yield from (f"{part / cases:.2f}" if cases else "" for part in (hits, strict))
-    yield f"{np.median(widths):.2f}" if widths else ""
+    yield f"{len(widths)} of {tried}"
+    fractions = (hits / len(widths), strict / len(widths), np.median(widths)) if widths else ()
+    yield from (f"{each:.2f}" for each in fractions)
+    yield from [""] * (3 - len(fractions))
 
 
 def accepted(some: Iterable[Outcome]) -> tuple[int, int, int, int]:
@@ -215,10 +203,6 @@ def draw(outcomes: Outcomes, file: Path) -> None:
     save(figure, file)
 
 
-def outcomes_of(described: Described, some: Iterable[Case], steps: str) -> list[Outcome]:
-    return [outcome(described, case, steps) for case in some]
-
-
 def outcome(described: Described, case: Case, steps: str) -> Outcome:
     """Recognises the queries of a case; a sequence of one query is one picture."""
     queries, references, beside = case.descriptors(described)
@@ -228,84 +212,22 @@ def outcome(described: Described, case: Case, steps: str) -> Outcome:
     pair = queries, references
     found = recognise(*pair, *names, STEPS[steps], 1, extra=beside, mirrors=mirrors)
     rows = found.matches.indices[:, 0].numpy()
-    near = [
-        bool(len(true)) and int(abs(true - row).min())
-        for row, true in zip(rows, case.search.truth, strict=True)
-    ]
-    known = np.array([len(true) > 0 for true in case.search.truth])
+    away = np.array(
+        [
+            min(abs(true - row), default=np.inf)
+            for row, true in zip(rows, case.search.truth, strict=True)
+        ]
+    )
     estimates = {
         name: tuple(accept(found.sure, level) if level else estimate(found.sure))
         for name, level in LEVELS.items()
     }
-    away = np.array(near, int)
-    sure = found.confidence.numpy()
-    right = known & (away == 0), known & (away <= NEAR)
-    return Outcome(*case[:3], sure, *right, estimates, answered(found.sure).numpy())
+    right, beats = (away == 0, away <= NEAR), answered(found.sure).numpy()
+    return Outcome(*case[:3], found.confidence.numpy(), *right, estimates, beats)
 
 
 CONFIG = SSRVLADConfig()
 MIRRORS = {"HOG": HOG().mirrored, "label grid": LabelGrid().mirrored}
-
-
-def fit(described: Described, found: Iterable[Case]) -> None:
-    """Prints offset and slope of the logistic regression of the truth on the leads."""
-    names = ("alone", "alone by features", "online", "offline")
-    leads: dict[str, list[Tensor]] = {name: [] for name in names}
-    for case in found:
-        answers = {}
-        if not any(part in case.name for part in CHOSEN):
-            continue
-        if (case.method, case.group) == ("features", "real"):
-            signs, references, _ = case.descriptors(described)
-            rows = SignRows(references)
-            pair = (SignQueries(each, rows).scores() for each in (signs, mirrored_signs(signs)))
-            answers["alone by features"] = judged(*pair)
-        if case.method == "label maps":
-            answers = by_label_maps(*case.descriptors(described)[:2])
-        for name, (lead, best) in answers.items():
-            right = [int(b) in set(t) for b, t in zip(best, case.search.truth, strict=True)]
-            leads[name].append(torch.stack((lead, torch.tensor(right).float())))
-    for name in names:
-        lead, right = torch.cat(leads[name], 1).double()
-        offset = ALONE.offset if name == "alone by features" else None
-        print(name, *(f"{each:.2f}" for each in logistic(lead, right, offset)))
-
-
-def judged(scores: Tensor, decoys: Tensor) -> tuple[Tensor, Tensor]:
-    """The leads of queries that are judged alone, and their first candidates."""
-    leads = [lead_over_decoys(*pair).value for pair in zip(scores, decoys, strict=True)]
-    return torch.tensor(leads), scores.argmax(1)
-
-
-def by_label_maps(queries: Tensor, references: Tensor) -> dict[str, tuple[Tensor, Tensor]]:
-    """The leads and the first candidates of queries alone and followed."""
-    rows = Rows.of(standardise(references))
-    queries = narrowed(queries, rows)[0]
-    scores = score(queries, rows)
-    decoys = decoy_scores(queries, rows, partial(mirrored, config=CONFIG))
-    answers = {"alone": judged(scores, decoys)}
-    for mode in ("online", "offline"):
-        places = follow(scores, ["map"] * len(rows), mode=mode, top=1)
-        near, backward = (each.clamp(min=1e-4) for each in (places.near, places.backward))
-        answers[mode] = ((near / backward).log(), places.indices[:, 0])
-    return answers
-
-
-def logistic(leads: Tensor, right: Tensor, offset: float | None = None) -> list[float]:
-    """Offset and slope of the logistic regression; a given offset is kept."""
-    weights = torch.tensor([offset or 0.0, 1.0], dtype=torch.double, requires_grad=True)
-    search = torch.optim.LBFGS([weights], max_iter=200)
-
-    def loss() -> Tensor:
-        search.zero_grad()
-        value = F.binary_cross_entropy_with_logits(weights[0] + weights[1] * leads, right)
-        value.backward()
-        if offset is not None and weights.grad is not None:
-            weights.grad[0] = 0
-        return value
-
-    search.step(loss)
-    return weights.tolist()
 
 
 if __name__ == "__main__":

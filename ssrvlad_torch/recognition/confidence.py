@@ -39,7 +39,7 @@ ALONE_BY_FEATURES = Prior(-1.35, 3.0)
 ONLINE = Prior(-0.5, 0.9)
 OFFLINE = Prior(-3.0, 1.16)
 """Of queries judged alone, without and with features, and of followed ones.
-`scripts/pages/how_sure.py` chose them, and names the data."""
+docs/how-sure.md names the data, and the script that chose them."""
 
 TRACK = 10
 """Frames that a wrong answer lasts in a followed sequence."""
