@@ -88,6 +88,7 @@ LAST = {
 }
 """The last activation of each encoder: what the authors of LoST-X took of theirs."""
 
+LABELS, IMAGES = "labels", "images"
 ALONE = Steps(standardise=False, follow=None)
 """Each query as a picture of which nothing else is known, as `locate` takes it."""
 
@@ -98,6 +99,16 @@ class Condition(NamedTuple):
     dataset: str
     name: str
     searches: list[Search]
+
+    @property
+    def title(self) -> str:
+        """Data set and name."""
+        return f"{self.dataset}: {self.name}"
+
+    @property
+    def gives(self) -> str:
+        """What the frames of a trial have for a rival: `LABELS` or `IMAGES`."""
+        return IMAGES if self.name.startswith(IMAGES) else LABELS
 
     @property
     def network(self) -> str | None:

@@ -85,7 +85,7 @@ class Page:
     """
 
     def __init__(self, name: str, output: Path) -> None:
-        self._output = output
+        self.output = output
         self.text = (output if output.exists() else DOCS / name).read_text(encoding="utf-8")
 
     def table(self, after: str, rows: Iterable[str]) -> None:
@@ -96,7 +96,7 @@ class Page:
         """
         begin = self.text.index("\n|", self.text.index(after))
         if "\n#" in self.text[self.text.index(after) + len(after) : begin]:
-            raise ValueError(f"{self._output}: expected a table after {after!r}, found a heading")
+            raise ValueError(f"{self.output}: expected a table after {after!r}, found a heading")
         end = re.compile(r"\n(?!\|)").search(self.text, begin + 1).start()
         self._write(begin, "\n" + "\n".join(rows), end)
 
@@ -122,7 +122,7 @@ class Page:
 
     def _write(self, begin: int, new: str, end: int) -> None:
         self.text = self.text[:begin] + new + self.text[end:]
-        write(self._output, self.text)
+        write(self.output, self.text)
 
 
 def quote(file: Path, mark: str, text: str) -> None:

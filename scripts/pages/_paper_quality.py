@@ -4,23 +4,18 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 import _paper
 from _curves import draw
-from _described import UNPROCESSED, Condition, Described, city_conditions
+from _described import IMAGES, LABELS, UNPROCESSED, Condition, Described, city_conditions
 from _markdown import Page, head_row, interval, row
 from _trials import (
     CAMVID,
-    IMAGES,
-    LABELS,
     Outcome,
     Outcomes,
     Rival,
     camvid_trials,
-    gives,
-    named,
     reason,
     trial_of,
     try_all,
@@ -96,6 +91,7 @@ Lacking = dict[tuple[str, str], str]
 def part(page: Page, options: argparse.Namespace, described: Described) -> None:
     """Table I, and the figure beside the page."""
     problems, lacking = open_all(options, described)
+    print("Not here:", *missing(lacking, {}), sep="\n", flush=True)
     outcomes = try_all(described, problems, RIVALS)
     draw(problems, outcomes, DRAWN, CONVENTION, options.output.parent / "figures" / FIGURE)
     page.table("## Table I: recognition\n", in_short(problems, outcomes))
@@ -117,42 +113,10 @@ def open_all(options: argparse.Namespace, described: Described) -> tuple[list[Co
     if options.camvid:
         problems += camvid_trials(described, options.camvid)
     else:
-        for kind in (LABELS, IMAGES):
-            lacking[CAMVID, kind] = (
-                "no --camvid; mi.eng.cam.ac.uk/research/projects/VideoRec/CamVid"
-            )
+        why = "no --camvid; mi.eng.cam.ac.uk/research/projects/VideoRec/CamVid"
+        lacking |= dict.fromkeys([(CAMVID, LABELS), (CAMVID, IMAGES)], why)
     cities = city_conditions(described, CITY_SEEDS, CITY_CONDITIONS)
     return problems + [each._replace(dataset=CITY) for each in cities], lacking
-
-
-def looked_for(options: argparse.Namespace, described: Described) -> Iterator[str]:
-    """Lines of what the tables need, found or missing."""
-    problems, lacking = open_all(options, described)
-    for problem in problems:
-        rows = [described.rows(search) for search in problem.searches]
-        queries, references = (sum(map(len, part)) for part in zip(*rows, strict=True))
-        yield f"found    {named(problem)}: {queries} queries, {references} references"
-    for (name, kind), why in lacking.items():
-        yield f"missing  {name}, {kind}: {why}"
-    for rival in NETWORKS[1:3]:
-        try:
-            described.make(rival)
-            yield f"found    weights of {rival}"
-        except (FileNotFoundError, ImportError) as error:
-            yield f"missing  {rival}: {error}"
-
-
-def folder_of(chosen: PaperSet, places: Sequence[Path]) -> Path:
-    """The folder of a data set, among folders that are it or contain it.
-
-    Raises:
-        ValueError: it is not there.
-    """
-    for place in places:
-        for folder in (place, place / chosen.folder):
-            if folder.name == chosen.folder and folder.is_dir():
-                return folder
-    raise ValueError(f"no folder {chosen.folder} in --data")
 
 
 def open_one(
@@ -163,32 +127,34 @@ def open_one(
     Raises:
         ValueError: it is not there, or lacks this kind.
     """
-    folder = folder_of(chosen, options.data)
+    places = (folder for place in options.data for folder in (place, place / chosen.folder))
+    folder = next((f for f in places if f.name == chosen.folder and f.is_dir()), None)
+    if folder is None:
+        raise ValueError(f"no folder {chosen.folder} in --data")
     own = folder / "labels"
     labels = own if kind == LABELS and own.is_dir() else None
     whole = open_dataset(folder, chosen.layout, labels, chosen.labels_as)
     if whole.truth and whole.truth.metres is not None:
         whole = whole.posed()
-    parts = {name: whole.select([name]) for name in (chosen.queries, chosen.references)}
+    parts = [whole.select([name]) for name in (chosen.queries, chosen.references)]
     segmenter = None
     if kind == LABELS and labels is None:
         if options.segmenter is None:
             raise ValueError(f"no label maps in {chosen.folder}/labels, and no --segmenter")
         kept = options.cache / "segmented"
         segmenter = Segmenter.load(options.segmenter, "cityscapes-trainids", kept)
-    return trial_of(described, chosen.name, kind, list(parts.values()), segmenter)
+    return trial_of(described, chosen.name, kind, parts, segmenter)
 
 
 def in_short(problems: Sequence[Condition], outcomes: Outcomes) -> Iterator[str]:
     """The effect of pre-processing and of the temporal sum, by condition."""
     yield from head_row("condition", "preset", "as in the paper", "no pre-processing", "t = 0")
     for problem in problems:
-        for preset in ("paper", "default") if gives(problem) == LABELS else ():
+        for preset in ("paper", "default") if problem.gives == LABELS else ():
             names = [f"SSR-VLAD, {preset}{end}" for end in ("", ", no pre-processing", ", t = 0")]
-            known = [outcomes.get((named(problem), name)) for name in names]
-            yield row(
-                named(problem), preset, *(_cells(found)[1] if found else "" for found in known)
-            )
+            known = [outcomes.get((problem.title, name)) for name in names]
+            cells = (_cells(found)[1] if found else "" for found in known)
+            yield row(problem.title, preset, *cells)
 
 
 def table(dataset: str, problems: Sequence[Condition], outcomes: Outcomes) -> Iterator[str]:
@@ -199,9 +165,9 @@ def table(dataset: str, problems: Sequence[Condition], outcomes: Outcomes) -> It
     yield from head_row("method", "condition", *own)
     for rival in RIVALS:
         of_paper = printed.get(rival.name, ("",) * 3) if printed else None
-        asked = [p for p in here if gives(p) == rival.sees]
+        asked = [p for p in here if p.gives == rival.sees]
         for problem in asked:
-            cells = _cells(outcomes[named(problem), rival.name])
+            cells = _cells(outcomes[problem.title, rival.name])
             yield row(rival.name, problem.name, *_beside(cells, of_paper))
         if not asked and (here or rival.name in (printed or ())):
             why = f"no {rival.sees}" if dataset == CITY else NOT_HERE

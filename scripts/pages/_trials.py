@@ -16,17 +16,16 @@ from typing import NamedTuple
 import numpy as np
 from _costs import Cost, measure
 from _decide import Decisions, decide
-from _described import OF_NETWORKS, OF_PICTURES, TRAINED, Condition, Described
+from _described import IMAGES, LABELS, OF_NETWORKS, OF_PICTURES, TRAINED, Condition, Described
 from conditions import Search, camvid, every_other, labelled, pictured
 
 from ssrvlad_torch.baselines import Frame
 from ssrvlad_torch.datasets.dataset import Dataset
-from ssrvlad_torch.evaluation.ground_truth import from_frame_numbers, from_poses
-from ssrvlad_torch.evaluation.ground_truth_files import from_file
+from ssrvlad_torch.evaluation.ground_truth import from_frame_numbers
+from ssrvlad_torch.evaluation.true_matches import TrueMatches, Viewpoints
 from ssrvlad_torch.recognition.recognise import AS_PAPER
 from ssrvlad_torch.segmentation.segmenter import Segmenter
 
-LABELS, IMAGES = "labels", "images"
 CAMVID = "CamVid, odd against even"
 
 
@@ -47,23 +46,14 @@ Outcome = Decisions | str
 """Candidates of a method, or the reason why it could not run."""
 
 Outcomes = dict[tuple[str, str], Outcome]
-"""Outcomes by the names of condition and rival."""
-
-
-def named(condition: Condition) -> str:
-    return f"{condition.dataset}: {condition.name}"
-
-
-def gives(condition: Condition) -> str:
-    """What the frames of a condition have for a rival: `LABELS` or `IMAGES`."""
-    return IMAGES if condition.name.startswith(IMAGES) else LABELS
+"""Outcomes by the title of a condition and the name of a rival."""
 
 
 def try_all(
     described: Described, conditions: Iterable[Condition], rivals: Iterable[Rival]
 ) -> Outcomes:
     """Runs every rival on every condition whose frames it can use; prints a line for each."""
-    pairs = [(c, r) for c in conditions for r in rivals if r.sees == gives(c)]
+    pairs = [(c, r) for c in conditions for r in rivals if r.sees == c.gives]
     outcomes: Outcomes = {}
     for number, (condition, rival) in enumerate(pairs, 1):
         begin = time.perf_counter()
@@ -71,10 +61,10 @@ def try_all(
             found: Outcome = decide(described, condition, rival.method, AS_PAPER, rival.reach)
         except (FileNotFoundError, ImportError, ValueError) as error:
             found = str(error).replace(str(Path.home()), "~")
-        outcomes[named(condition), rival.name] = found
+        outcomes[condition.title, rival.name] = found
         where = f"{number} of {len(pairs)}, {time.perf_counter() - begin:.0f} s"
         summary = found if isinstance(found, str) else f"{found.right.mean():.3f} of all right"
-        print(f"[{where}] {named(condition)}: {rival.name}: {summary}", flush=True)
+        print(f"[{where}] {condition.title}: {rival.name}: {summary}", flush=True)
     return outcomes
 
 
@@ -143,9 +133,11 @@ def trial_of(
     Raises:
         ValueError: the data set has no ground truth, or it does not fit the frames.
     """
-    drives = []
+    if (truth := parts[0].truth) is None:
+        raise ValueError("; ".join(parts[0].notes) or f"{parts[0].root} has no ground truth")
+    own = kind == LABELS and segmenter is None
+    drives, places = [], []
     for part in parts:
-        own = kind == LABELS and segmenter is None
         files = part.label_files() if own else part.image_files()
         stats = [(file.frame, file.path.stat()) for file in files]
         stamp = repr([(frame, stat.st_size, stat.st_mtime_ns) for frame, stat in stats])
@@ -153,19 +145,9 @@ def trial_of(
         read = partial(labelled, files, str(part.labels_as)) if own else partial(pictured, files)
         described.add(drive, files, cache(read if segmenter is None else partial(read, segmenter)))
         drives.append(drive)
+        places.append(Viewpoints.of(files))
     word = "segmented" if segmenter else kind
-    truth = truth_of(parts[0], *(described.about(drive) for drive in drives))
-    return Condition(name, f"{word} -> {word}", [Search(*drives, truth)])
-
-
-def truth_of(dataset: Dataset, queries: tuple, references: tuple) -> list[np.ndarray]:
-    """True matches by the ground truth of a data set, of ids and poses."""
-    truth = dataset.truth
-    if truth is None:
-        raise ValueError("; ".join(dataset.notes) or f"{dataset.root} has no ground truth")
-    if truth.metres is not None:
-        return from_poses(queries[1], references[1], truth.metres)
-    if truth.frames is not None:
-        return from_frame_numbers(queries[0], references[0], truth.frames)
-    known = from_file(truth.file, queries[0], references[0])
-    return [np.zeros(0, np.int64) if rows is None else rows for rows in known]
+    rule = TrueMatches.of(None, None, None, None, truth)
+    known = rule.among(places[1], places[0], print)
+    rows = [np.zeros(0, np.int64) if rows is None else rows for rows in known]
+    return Condition(name, f"{word} -> {word}", [Search(*drives, rows)])

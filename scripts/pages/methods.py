@@ -1,43 +1,28 @@
 #!/usr/bin/env python3
 """Writes docs/methods.md: input, cost and accuracy of every method.
 
-    .venv/bin/python scripts/pages/methods.py --camvid ../shared/data/camvid \
-        --corridor ../shared/data/vprbench/corridor --network ../shared/data/networks/espnetv2.yaml
+    .venv/bin/python scripts/pages/methods.py --data ../shared/data
 
-Neither data set is part of this project. For CamVid see `_trials.py`. `corridor` has the layout
-of VPR-Bench: `query` and `ref`, and the ground truth and stored results in the folder or beside it
-(see `stored_in`). The accuracy on real traverses is read from docs/results.csv, see `results.py`.
-Descriptors are cached in `--cache`, so an interrupted run can be resumed.
+The folder holds `camvid` (see `_trials.py`), `networks`, and `vprbench/corridor` in the layout of
+VPR-Bench, with stored results beside it (see `stored_in`). The accuracy on real traverses is read
+from docs/results.csv, see `results.py`. Descriptors are cached in `--cache`, so an interrupted run
+can be resumed.
 """
 
 from __future__ import annotations
 
-import argparse
 import csv
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 from statistics import mean, median
 
+import _trials
 import numpy as np
 from _costs import ENCODED
 from _decide import FIGURES, Decisions
-from _described import OF_PICTURES, Condition, Described
-from _markdown import Page, head_row, interval, paragraph, processor, row, significant
-from _trials import (
-    IMAGES,
-    Outcome,
-    Outcomes,
-    Rival,
-    camvid_trials,
-    costs,
-    named,
-    reason,
-    shown,
-    trial_of,
-    try_all,
-    without,
-)
+from _described import IMAGES, OF_PICTURES, Described
+from _markdown import Page, head_row, interval, paragraph, parser, processor, row, significant
 
 from ssrvlad_torch.cli.bench import threads
 from ssrvlad_torch.datasets.layouts import open_dataset
@@ -62,37 +47,34 @@ There are {{references}} references, for LoST-X and tiny image {ENCODED}."""
 
 
 def main() -> None:
-    arguments = argparse.ArgumentParser(description=__doc__)
-    arguments.add_argument("--camvid", type=Path, help="folder of CamVid")
-    arguments.add_argument("--corridor", type=Path, help="folder of VPR-Bench's corridor")
+    arguments = parser(__doc__, "methods.md", "described")
     arguments.add_argument("--weights", type=Path, help="folder of the trained networks' weights")
-    arguments.add_argument("--network", type=Path, help="YAML file, for features and LoST-X")
-    arguments.add_argument("--cache", type=Path, default=Path(".cache/described"))
-    arguments.add_argument("--output", type=Path, default=Path("docs/methods.md"))
     options = arguments.parse_args()
-    described = Described(None, options.cache, {}, options.weights, options.network)
-    page, outcomes = Page("methods.md", options.output), {}
+    network = options.data / "networks" / "espnetv2.yaml"
+    described = Described(None, options.cache, {}, options.weights, network)
+    page = Page("methods.md", options.output)
     with threads(1):
-        if options.camvid:
-            in_short(page, described, options)
-        if options.corridor:
-            corridor = open_dataset(options.corridor, "vpr-bench")
-            parts = [corridor.select(role=role) for role in ("query", "reference")]
-            problem = trial_of(described, CORRIDOR, IMAGES, parts)
-            outcomes = try_all(described, [problem], [Rival(name, name) for name in RIVALS])
-            page.table(f"## {named(problem)}\n", table(outcomes))
-            theirs = stored(options.corridor, problem, outcomes)
-            page.table(f"## {CORRIDOR}: what VPR-Bench stored\n", theirs)
-    page.section("## What could not be run", missing(options, outcomes))
+        in_short(page, described, options.data / "camvid")
+        folder = options.data / "vprbench" / "corridor"
+        corridor = open_dataset(folder, "vpr-bench")
+        parts = [corridor.select(role=role) for role in ("query", "reference")]
+        trial = _trials.trial_of(described, CORRIDOR, IMAGES, parts)
+        outcomes = _trials.try_all(
+            described, [trial], [_trials.Rival(name, name) for name in RIVALS]
+        )
+        found = {name: outcome for (_, name), outcome in outcomes.items()}
+        page.table(f"## {trial.title}\n", table(found))
+        page.table(f"## {CORRIDOR}: what VPR-Bench stored\n", stored(folder, found))
+    page.section("## What could not be run", _trials.without(outcomes))
 
 
-def in_short(page: Page, described: Described, options: argparse.Namespace) -> None:
+def in_short(page: Page, described: Described, camvid: Path) -> None:
     """The table with a row for every method; minimum and maximum beside the page."""
-    [search] = camvid_trials(described, options.camvid)[0].searches
+    [search] = _trials.camvid_trials(described, camvid)[0].searches
     frames = list(described.drive(search.queries).seen(search.query_rows[:PICTURES]))
     references = len(search.reference_rows)
-    measured = costs(described, RIVALS, frames, references, (ROUNDS, ROUNDS_OF_NETWORKS))
-    found = rates(options.output.parent / "results.csv")
+    measured = _trials.costs(described, RIVALS, frames, references, (ROUNDS, ROUNDS_OF_NETWORKS))
+    found = rates(page.output.with_name("results.csv"))
     size = "{} x {} pixels".format(*frames[0].labels.shape)
     about = COSTS.format(processor=processor(), size=size, references=references)
     page.paragraph("Costs on", paragraph(about))
@@ -102,11 +84,10 @@ def in_short(page: Page, described: Described, options: argparse.Namespace) -> N
         times = (significant(median(values)) for values in (cost.encode, cost.match))
         quality = (found.get((name, way), "-") for way in ("single frames", "with the steps"))
         sees = "images" if name in OF_PICTURES else "label maps"
-        lines.append(
-            row(shown(name, cost), sees, f"{cost.bytes_a_reference:.0f}", *times, *quality)
-        )
+        size = f"{cost.bytes_a_reference:.0f}"
+        lines.append(row(_trials.shown(name, cost), sees, size, *times, *quality))
     page.table("Costs on", lines)
-    with options.output.with_suffix(".csv").open("w", newline="", encoding="utf-8") as file:
+    with page.output.with_suffix(".csv").open("w", newline="", encoding="utf-8") as file:
         sheet = csv.writer(file)
         sheet.writerow(("method", "what", "median ms", "least", "most"))
         for name, cost in measured.items():
@@ -126,26 +107,25 @@ def rates(results: Path) -> dict[tuple[str, str], str]:
     return {key: f"{mean(values):.3f}" for key, values in found.items()}
 
 
-def table(outcomes: Outcomes) -> Iterator[str]:
+def table(outcomes: dict[str, _trials.Outcome]) -> Iterator[str]:
     """The table of one condition."""
     yield from head_row("method", *FIGURES)
-    yield from (row(name, *figures(outcome)) for (_, name), outcome in outcomes.items())
+    yield from (row(name, *figures(outcome)) for name, outcome in outcomes.items())
 
 
-def stored(corridor: Path, problem: Condition, outcomes: Outcomes) -> Iterator[str]:
+def stored(corridor: Path, outcomes: dict[str, _trials.Outcome]) -> Iterator[str]:
     """The results that VPR-Bench stored beside the corridor, and how often our methods agree."""
     yield from head_row("technique", *FIGURES, "same best match as ours")
     for name, theirs in TECHNIQUES.items():
         file = corridor.parent / f"{corridor.name}_{theirs}.npz"
-        if not file.exists():
-            continue
-        found, ours = stored_in(file), outcomes[named(problem), name]
-        same = reason(ours) if isinstance(ours, str) else f"{same_best(ours, found):.1%}"
-        yield row(name, *figures(found), same)
+        if file.exists():
+            found, ours = stored_in(file), outcomes[name]
+            same = _trials.reason(ours) if isinstance(ours, str) else same_best(ours, found)
+            yield row(name, *figures(found), same)
 
 
-def same_best(ours: Decisions, stored: Decisions) -> float:
-    return float((ours.rows[:, 0] == stored.rows[:, 0]).mean())
+def same_best(ours: Decisions, stored: Decisions) -> str:
+    return f"{(ours.rows[:, 0] == stored.rows[:, 0]).mean():.1%}"
 
 
 def stored_in(file: Path) -> Decisions:
@@ -158,20 +138,11 @@ def stored_in(file: Path) -> Decisions:
     return Decisions(scores, ranked, [flat[begin:end] for begin, end in pairwise(offsets)])
 
 
-def figures(outcome: Outcome) -> list[str]:
+def figures(outcome: _trials.Outcome) -> list[str]:
     """Cells of `FIGURES`, or the reason why a method could not be run."""
     if isinstance(outcome, str):
-        return [reason(outcome)] * len(FIGURES)
+        return [_trials.reason(outcome)] * len(FIGURES)
     return [interval(value, ends) for value, *ends in outcome.figures().values()]
-
-
-def missing(options: argparse.Namespace, outcomes: Outcomes) -> Iterator[str]:
-    """Methods and data sets that could not be run, and what they need."""
-    if options.camvid is None:
-        yield "- CamVid: no --camvid; mi.eng.cam.ac.uk/research/projects/VideoRec/CamVid."
-    if options.corridor is None:
-        yield f"- {CORRIDOR}: no --corridor; github.com/MubarizZaffar/VPR-Bench."
-    yield from without(outcomes)
 
 
 if __name__ == "__main__":

@@ -5,10 +5,10 @@
 
 `--data` names the folders of the paper's data sets, or folders that contain them:
 `Synthia-NightToFall` and `CrossSeason_CoHOG_Dataset` in the layout of VPR-Bench, and `slice7` of
-Extended CMU Seasons. Missing ones are left out; `--dry-run` lists what was found. Label maps are
-read from `labels/<sequence>/<name of the image>.png` in each folder, or made by `--segmenter`.
-CamVid (see `_trials.py`) and the synthetic city are also measured. Descriptors are cached in
-`--cache`, so an interrupted run can be resumed. Needs the extra `eval`.
+Extended CMU Seasons. Missing ones are listed and left out. Label maps are read from
+`labels/<sequence>/<name of the image>.png` in each folder, or made by `--segmenter`. CamVid (see
+`_trials.py`) and the synthetic city are also measured. Descriptors are cached in `--cache`, so an
+interrupted run can be resumed. Needs the extra `eval`.
 """
 
 from __future__ import annotations
@@ -30,7 +30,6 @@ def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__)
     data = "folder of one of the paper's data sets, or of several; repeatable"
     arguments.add_argument("--data", type=Path, action="append", default=[], help=data)
-    arguments.add_argument("--dry-run", action="store_true", help="list what is found, and end")
     arguments.add_argument("--camvid", type=Path, help="folder of CamVid")
     arguments.add_argument("--weights", type=Path, help="folder of the trained networks' weights")
     arguments.add_argument("--segmenter", type=Path, help="an .onnx file, or a .yaml that names it")
@@ -39,9 +38,6 @@ def main() -> None:
     arguments.add_argument("--output", type=Path, default=Path("docs/paper.md"))
     options = arguments.parse_args()
     described = Described(None, options.cache, {}, options.weights, options.segmenter)
-    if options.dry_run:
-        print("\n".join(_paper_quality.looked_for(options, described)))
-        return
     page = Page("paper.md", options.output)
     with threads(1):
         for name, part in PARTS.items():
