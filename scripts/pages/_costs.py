@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from contextlib import ExitStack, contextmanager
 from itertools import islice, repeat
 from typing import Any
+from unittest.mock import patch
 
 from torch import Tensor
 
@@ -31,32 +31,48 @@ AGGREGATING: dict[str, tuple[tuple[Any, str], ...]] = {
 """Functions that turn features into the descriptor, by the beginning of a method's name."""
 
 
-@dataclass(frozen=True)
 class Cost:
-    """Milliseconds of every repetition.
+    """A method, and the milliseconds of each of its rounds.
 
     Attributes:
         method: its name, with a note if its weights are random.
         extract: from the frame to the features; for most methods to the descriptor.
-        aggregate: from the features to the descriptor; ``None`` if they are not separate.
+        aggregate: from the features to the descriptor; 0 if they are not separate.
         match: of one query against all references.
         references: their number.
         bytes_a_reference: size of an encoded reference.
     """
 
-    method: str
-    extract: list[float]
-    aggregate: list[float] | None
-    match: list[float]
-    references: int
-    bytes_a_reference: float
+    def __init__(self, method: baselines.Method, frames: Sequence[Frame], references: int) -> None:
+        again = (frame for turn in repeat(frames) for frame in turn)
+        encoded = method.encode_reference(islice(again, ENCODED))
+        self._method, self._frames = method, frames
+        self._known: Any = _repeated(encoded, references)
+        self.method = method.name
+        self.references = len(self._known)
+        self.bytes_a_reference = encoded.nbytes / len(encoded)
+        self.extract, self.aggregate, self.match = list[float](), list[float](), list[float]()
 
     @property
     def encode(self) -> list[float]:
         """From the frame to the descriptor."""
-        if self.aggregate is None:
-            return self.extract
         return [sum(parts) for parts in zip(self.extract, self.aggregate, strict=True)]
+
+    def work(self, number: int) -> None:
+        """Times one frame; frame -1 is not counted."""
+        frame = self._frames[number % len(self._frames)]
+        places = (own for name, own in AGGREGATING.items() if self.method.startswith(name))
+        with watched(next(places, ())) as aggregating:
+            begin = time.perf_counter()
+            query = self._method.encode_query([frame])
+            encoded = time.perf_counter()
+            self._method.scores(query, self._known)
+            matched = time.perf_counter()
+        if number >= 0:
+            within = sum(aggregating)
+            self.extract.append(1e3 * (encoded - begin - within))
+            self.aggregate.append(1e3 * within)
+            self.match.append(1e3 * (matched - encoded))
 
 
 def measure(
@@ -65,63 +81,19 @@ def measure(
     references: int,
     rounds: Mapping[str, int],
 ) -> dict[str, Cost]:
-    """Encodes and matches one frame by every method, then the next frame by every method.
-
-    The first round is not counted. `ENCODED` references are encoded; if an encoding is one tensor,
-    it is repeated up to ``references``.
-
-    Args:
-        methods: functions that make them, by their names in the table.
-        frames: at least one.
-        references: to match with.
-        rounds: number of frames for each; after the last frame, the first is used again.
-    """
+    """Encodes and matches one frame by every method, then the next frame by every method, and
+    after the last the first again, in so many rounds for each method; one more before them is not
+    counted. `ENCODED` references are encoded; if an encoding is one tensor, it is repeated up to
+    ``references``."""
     with threads(1):
-        runs = {name: _Run(make(), frames, references) for name, make in methods.items()}
+        costs = {name: Cost(make(), frames, references) for name, make in methods.items()}
         last = max(rounds.values())
         for number in range(-1, last):
-            for name, run in runs.items():
+            for name, cost in costs.items():
                 if number < rounds[name]:
-                    run.work(number)
+                    cost.work(number)
             print(f"[round {number + 2} of {last + 1}]", flush=True)
-    return {name: run.cost for name, run in runs.items()}
-
-
-class _Run:
-    """A method with the times of its rounds."""
-
-    def __init__(self, method: baselines.Method, frames: Sequence[Frame], references: int) -> None:
-        self._method, self._frames = method, frames
-        again = (frame for turn in repeat(frames) for frame in turn)
-        encoded = method.encode_reference(islice(again, ENCODED))
-        self._bytes = encoded.nbytes / len(encoded)
-        self._references: Any = _repeated(encoded, references)
-        self._watched = next(
-            (part for name, part in AGGREGATING.items() if method.name.startswith(name)), None
-        )
-        self._times: list[tuple[float, float, float]] = []
-
-    def work(self, number: int) -> None:
-        """Times one frame; frame -1 is not counted."""
-        frame = self._frames[number % len(self._frames)]
-        with watched(self._watched or ()) as aggregating:
-            begin = time.perf_counter()
-            query = self._method.encode_query([frame])
-            encoded = time.perf_counter()
-            self._method.scores(query, self._references)
-            matched = time.perf_counter()
-        if number >= 0:
-            within = sum(aggregating)
-            self._times.append((encoded - begin - within, within, matched - encoded))
-
-    @property
-    def cost(self) -> Cost:
-        extract, aggregate, match = (
-            [1e3 * seconds for seconds in column] for column in zip(*self._times, strict=True)
-        )
-        count = len(self._references)
-        aggregated = aggregate if self._watched else None
-        return Cost(self._method.name, extract, aggregated, match, count, self._bytes)
+    return costs
 
 
 def _repeated(encoded: Any, count: int) -> Any:
@@ -145,11 +117,7 @@ def watched(places: Sequence[tuple[Any, str]]) -> Iterator[list[float]]:
 
         return call
 
-    originals = [getattr(*place) for place in places]
-    try:
-        for (owner, name), function in zip(places, originals, strict=True):
-            setattr(owner, name, timed(function))
+    with ExitStack() as stack:
+        for owner, name in places:
+            stack.enter_context(patch.object(owner, name, timed(getattr(owner, name))))
         yield taken
-    finally:
-        for (owner, name), function in zip(places, originals, strict=True):
-            setattr(owner, name, function)

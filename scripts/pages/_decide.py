@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from _described import ALONE, BY_SCORES, FUSED, OF_NETWORKS, OURS, Condition, Described
+from _described import ALONE, BY_SCORES, OF_NETWORKS, Condition, Described
 from conditions import RESAMPLES
 
 from ssrvlad_torch.evaluation.curves import PrecisionRecall
@@ -65,14 +65,11 @@ def decide(
             names = [str(number) for number in range(len(names[0]))], names[1]
         if method in BY_SCORES:
             one = recognise_by_scores(described.scores(search, method), *names, steps, 5)
-        elif method in OF_NETWORKS:
-            members = FUSED.get(method, {})
-            own = described.pair(search, OURS if members else method)
-            beside = {name: described.pair(search, member) for name, member in members.items()}
-            one = recognise(*own, *names, steps, 5, extra=beside)
         else:
-            queries, references = described.pair(search, method)
-            one = recognise(queries, temporal_sum(references, names[1], reach), *names, steps, 5)
+            (queries, references), beside = described.fused(search, method)
+            if method not in OF_NETWORKS:
+                references = temporal_sum(references, names[1], reach)
+            one = recognise(queries, references, *names, steps, 5, extra=beside)
         found.append(one)
         truth += [places + number * OFFSET for places in search.truth]
     return Decisions(

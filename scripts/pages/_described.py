@@ -64,12 +64,6 @@ FUSED = {
 }
 """What is fused with `default`, by its name in a database: all that `encode` stores, and parts."""
 
-NAMES = {
-    **{"label grid": "label-grid", "HOG": "hog", "CoHOG": "cohog", "tiny image": "tiny-image"},
-    **{FEATURES: "features", LOST_X: "lost-x", "NetVLAD": "netvlad", "Region-VLAD": "region-vlad"},
-}
-"""Methods other than SSR-VLAD, by their name in the package."""
-
 TRAINED = ("NetVLAD", "Region-VLAD")
 """Methods whose networks were trained; their weights are not here."""
 
@@ -173,18 +167,16 @@ class Described:
     def add(self, name: str, files: Sequence[FrameFile], make: Callable[[], Drive]) -> None:
         """A drive whose frames are known before it is read."""
         self.added[name] = make
-        frames, poses = places_of(files)
-        self._known[f"{name} about"] = {"frames": frames, "poses": torch.from_numpy(poses)}
+        self._known[f"{name} places"] = places_of(files)
 
     def about(self, name: str) -> tuple[tuple[str, ...], np.ndarray]:
         """Ids and poses of a drive's frames."""
 
-        def look() -> dict[str, Any]:
+        def look() -> tuple[tuple[str, ...], np.ndarray]:
             drive = self.drive(name)
-            return {"frames": drive.frames, "poses": torch.from_numpy(drive.poses)}
+            return drive.frames, drive.poses
 
-        found = self.kept(f"{name} about", look)
-        return tuple(found["frames"]), found["poses"].numpy()
+        return self.kept(f"{name} places", look)
 
     def vectors(self, name: str, method: str) -> Tensor:
         """``(N, D)`` of a drive, of `default` ``(N, S, D)`` over `sweep.COLUMNS`."""
@@ -217,12 +209,13 @@ class Described:
         if method in TRAINED and self.weights:
             places = ("weights", "vocabulary") if method == "Region-VLAD" else ("weights",)
             own = dict.fromkeys(places, str(self.weights))
+        name = method.lower().replace(" ", "-")
         try:
-            return baselines.make(NAMES[method], **own)
+            return baselines.make(name, **own)
         except FileNotFoundError:
             if not random_weights or method not in TRAINED:
                 raise
-            return baselines.make(NAMES[method], random_weights=True)
+            return baselines.make(name, random_weights=True)
 
     def segmenter(self, network: str, activation: str | None = None) -> Segmenter:
         """A network, with one of its activations as features."""
@@ -241,6 +234,14 @@ class Described:
             references = references[:, COLUMNS.index(0)]
         here, there = self.rows(search)
         return queries[here], references[there]
+
+    def fused(
+        self, search: Search, method: str
+    ) -> tuple[tuple[Tensor, Tensor], dict[str, tuple[Tensor, Tensor]]]:
+        """The vectors of a method, or of `default` with those that are fused with it."""
+        members = FUSED.get(method, {})
+        beside = {name: self.pair(search, member) for name, member in members.items()}
+        return self.pair(search, OURS if members else method), beside
 
     def scores(self, search: Search, method: str) -> Tensor:
         """``(Q, R)`` scores of a method whose encodings are not vectors."""

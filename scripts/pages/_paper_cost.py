@@ -76,5 +76,5 @@ def enlarged(pixels: np.ndarray, size: tuple[int, int], smooth: bool) -> np.ndar
 
 def _cells(cost: Cost) -> list[str]:
     pair = [milliseconds / cost.references for milliseconds in cost.match]
-    encoding = largest_mean_smallest(cost.aggregate) if any(cost.aggregate or ()) else ""
+    encoding = largest_mean_smallest(cost.aggregate) if any(cost.aggregate) else ""
     return [largest_mean_smallest(cost.extract), encoding, largest_mean_smallest(pair)]

@@ -26,9 +26,9 @@ DRIVES = ("0001TP", "0016E5")
 STREETS = ("clean", "noise 4", "4 m aside", "all together")
 METHODS = {
     **{"label maps": OURS, "features": FEATURES, "HOG": "HOG", "label grid": "label grid"},
-    "fused": OURS,
+    "fused": "without HOG",
 }
-"""Methods of `_described.py` by their names here; `fused` has features beside."""
+"""Methods of `_described.py` by their names here."""
 
 RUNS = [
     (method, network) for method in METHODS for network in ([""] if method == "HOG" else NETWORKS)
@@ -47,9 +47,8 @@ class Case(NamedTuple):
         self, described: Described
     ) -> tuple[Tensor, Tensor, dict[str, tuple[Tensor, Tensor]]]:
         """Those of queries and of the map, and those beside them."""
-        fused = ("features",) if self.method == "fused" else ()
-        beside = {name: described.pair(self.search, METHODS[name]) for name in fused}
-        return *described.pair(self.search, METHODS[self.method]), beside
+        pair, beside = described.fused(self.search, METHODS[self.method])
+        return *pair, beside
 
 
 def cases(described: Described) -> Iterator[Case]:

@@ -124,22 +124,8 @@ def sections(
 
 
 def scores(outcomes: Sequence[Outcome]) -> list[str]:
+    """Cells of a table: loops, wrong ones, those that lead elsewhere, precision and recall."""
     errors = np.concatenate([outcome.errors for outcome in outcomes])
-    score = total(outcomes)
-    ends = intervals(outcomes)
-    return [
-        *(str(count) for count in (len(errors), (errors > METRES).sum())),
-        str((errors > ELSEWHERE).sum()),
-        interval(score.precision, ends["precision"]),
-        interval(score.recall, ends["recall"]),
-    ]
-
-
-def total(outcomes: Sequence[Outcome]) -> LoopScore:
-    return LoopScore(*np.sum([outcome.score for outcome in outcomes], axis=0).tolist())
-
-
-def intervals(outcomes: Sequence[Outcome]) -> dict[str, tuple[float, float]]:
     counts = np.array([outcome.score for outcome in outcomes], float)
 
     def fractions(drawn: np.ndarray) -> dict[str, np.ndarray]:
@@ -147,7 +133,16 @@ def intervals(outcomes: Sequence[Outcome]) -> dict[str, tuple[float, float]]:
         with np.errstate(invalid="ignore"):
             return {"precision": right / accepted, "recall": recognised / revisits}
 
-    return bootstrap(fractions, len(outcomes), RESAMPLES)
+    score, ends = total(outcomes), bootstrap(fractions, len(outcomes), RESAMPLES)
+    return [
+        *map(str, (len(errors), (errors > METRES).sum(), (errors > ELSEWHERE).sum())),
+        interval(score.precision, ends["precision"]),
+        interval(score.recall, ends["recall"]),
+    ]
+
+
+def total(outcomes: Sequence[Outcome]) -> LoopScore:
+    return LoopScore(*np.sum([outcome.score for outcome in outcomes], axis=0).tolist())
 
 
 def where_and_why(outcomes: Sequence[Outcome]) -> Iterator[str]:

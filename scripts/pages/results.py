@@ -12,8 +12,8 @@ it for CoHOG and LoST-X. Descriptors are cached in `--cache`. The page takes ten
 from __future__ import annotations
 
 import csv
-import io
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -29,8 +29,7 @@ from _described import (
     Described,
     all_conditions,
 )
-from _markdown import DOCS, ROOT, Page, first_table, head_row, parser, quote, row, save, write
-from matplotlib.axes import Axes
+from _markdown import DOCS, ROOT, Page, first_table, head_row, parser, quote, row, save
 from matplotlib.figure import Figure
 from PIL import Image
 
@@ -69,8 +68,8 @@ def main() -> None:
     described = Described(options.data, options.cache)
     measured = measure(described)
     page, folder = Page("results.md", options.output), options.output.parent
-    write(folder / "results.csv", to_csv(measured))
     fill(page, described, measured, folder / "figures")
+    write_csv(folder / "results.csv", measured)
     if options.output.resolve().parent == DOCS:
         quote(ROOT / "README.md", "results", excerpt(page.text))
 
@@ -78,14 +77,11 @@ def main() -> None:
 def measure(described: Described) -> Measured:
     measured: Measured = {}
     for condition in all_conditions(described):
-        for method in METHODS:
-            if not condition.suits(method):
-                continue
-            for way, steps in WAYS.items():
-                alone = way == "single frames" and method in OF_NETWORKS
-                found = decide(described, condition, method, ALONE if alone else steps)
-                measured[condition.dataset, condition.name, method, way] = found.figures()
-        print(f"{condition.dataset}: {condition.name}", flush=True)
+        for method, way in product(filter(condition.suits, METHODS), WAYS):
+            alone = way == "single frames" and method in OF_NETWORKS
+            found = decide(described, condition, method, ALONE if alone else WAYS[way])
+            measured[condition.dataset, condition.name, method, way] = found.figures()
+        print(condition.title, flush=True)
     return measured
 
 
@@ -98,20 +94,18 @@ def fill(page: Page, described: Described, measured: Measured, figures: Path) ->
     for dataset in datasets:
         name = f"results-{dataset.lower().replace(' ', '-')}"
         draw(measured, dataset, figures / f"{name}.png")
+        place = figures if dataset == "City" else described.cache / "matches"
+        place.mkdir(parents=True, exist_ok=True)
         for number, condition in enumerate(PICTURED[dataset], 1):
-            place = figures if dataset == "City" else described.cache / "matches"
-            place.mkdir(parents=True, exist_ok=True)
-            file = place / f"{name}-matches-{number}.png"
-            draw_matches(described, dataset, condition, file)
+            draw_matches(described, dataset, condition, place / f"{name}-matches-{number}.png")
 
 
 def summary(measured: Measured, datasets: Sequence[str]) -> Iterator[str]:
     """RecallRate@1 and AUC-PR, the means over the conditions of each data set."""
     yield from head_row("method", *datasets)
-    for method in METHODS:
-        for way in WAYS:
-            cells = [in_short(measured, dataset, method, way) for dataset in datasets]
-            yield row(f"{method}, {way}", *cells)
+    for method, way in product(METHODS, WAYS):
+        cells = (in_short(measured, dataset, method, way) for dataset in datasets)
+        yield row(f"{method}, {way}", *cells)
 
 
 def in_short(measured: Measured, dataset: str, method: str, way: str) -> str:
@@ -151,7 +145,11 @@ def draw(measured: Measured, dataset: str, path: Path) -> None:
             rates = [measured[key]["RecallRate@1"] for key in keys if key in measured]
             at = np.array([number for number, key in enumerate(keys) if key in measured])
             height = at + (place - (len(shown) - 1) / 2) / (len(shown) + 1.5)
-            _points(axes, np.array(rates), height, COLOURS[method], way == "single frames", method)
+            middle, low, high = np.array(rates).T
+            colour, hollow = COLOURS[method], way == "single frames"
+            points = {"mfc": "white"} if hollow else {"mfc": colour, "label": method}
+            axes.hlines(height, low, high, color=colour, lw=1, alpha=0.6)
+            axes.plot(middle, height, "o", ms=3.5, mec=colour, **points)
     axes.set(xlim=(-0.01, 1.01), xlabel="RecallRate@1 (hollow: single frames)")
     axes.set_yticks(np.arange(len(names)), names, fontsize=8)
     axes.set_ylim(len(names) - 0.45, -0.55)
@@ -159,15 +157,6 @@ def draw(measured: Measured, dataset: str, path: Path) -> None:
     axes.grid(axis="x", lw=0.3)
     figure.legend(loc="outside upper center", ncols=6, fontsize=8, frameon=False)
     save(figure, path)
-
-
-def _points(
-    axes: Axes, rates: np.ndarray, height: np.ndarray, colour: str, hollow: bool, name: str
-) -> None:
-    axes.hlines(height, rates[:, 1], rates[:, 2], color=colour, lw=1, alpha=0.6)
-    face = "white" if hollow else colour
-    label = None if hollow else name
-    axes.plot(rates[:, 0], height, "o", ms=3.5, mfc=face, mec=colour, label=label)
 
 
 def draw_matches(described: Described, dataset: str, name: str, path: Path) -> None:
@@ -202,32 +191,21 @@ def sums(described: Described, measured: Measured, datasets: Sequence[str]) -> I
         cells = [in_short(measured, dataset, method, "single frames") for dataset in datasets]
         yield row(method, "0", *(cell.partition(" ")[0] for cell in cells))
         for reach in REACHES:
-            means = summed(described, method, reach)
-            rates = (f"{np.mean(means[dataset]):.3f}" for dataset in datasets)
-            yield row(method, str(reach), *rates)
+            rates: dict[str, list[float]] = {dataset: [] for dataset in datasets}
+            for condition in all_conditions(described):
+                found = decide(described, condition, method, AS_PAPER, reach)
+                known = [len(rows) > 0 for rows in found.truth]
+                rates[condition.dataset].append(float(found.right[known].mean()))
+            yield row(method, str(reach), *(f"{np.mean(each):.3f}" for each in rates.values()))
 
 
-def summed(described: Described, method: str, reach: int) -> Mapping[str, list[float]]:
-    means: dict[str, list[float]] = {}
-    for condition in all_conditions(described):
-        found = decide(described, condition, method, AS_PAPER, reach)
-        means.setdefault(condition.dataset, []).append(float(found.right[known(condition)].mean()))
-    return means
-
-
-def known(condition: Condition) -> np.ndarray:
-    """``(Q,)`` bool, queries with a true match."""
-    return np.array([len(rows) > 0 for search in condition.searches for rows in search.truth])
-
-
-def to_csv(measured: Measured) -> str:
-    text = io.StringIO()
-    table = csv.writer(text, lineterminator="\n")
-    ends = [f"{name} {end}" for name in FIGURES for end in ("", "low", "high")]
-    table.writerow(["data set", "condition", "method", "way", *(name.strip() for name in ends)])
-    for key, found in measured.items():
-        table.writerow([*key, *(f"{value:.4f}" for name in FIGURES for value in found[name])])
-    return text.getvalue()
+def write_csv(path: Path, measured: Measured) -> None:
+    ends = (f"{name} {end}".strip() for name in FIGURES for end in ("", "low", "high"))
+    with replacing(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
+        table = csv.writer(file, lineterminator="\n")
+        table.writerow(["data set", "condition", "method", "way", *ends])
+        for key, found in measured.items():
+            table.writerow([*key, *(f"{value:.4f}" for name in FIGURES for value in found[name])])
 
 
 def excerpt(page: str) -> str:
