@@ -19,13 +19,13 @@ import resource
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sized
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from _markdown import Page
+from _markdown import Page, head_row, row
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, follow, match
 from ssrvlad_torch.database.database import Database
@@ -159,18 +159,18 @@ def compact(frames: int, folder: Path) -> Report:
     return {"bytes": sum(file.stat().st_size for file in files)}
 
 
-def known(frames: int, folder: Path) -> Report:
-    assert len(opened(frames, folder).known()) == frames
-    return {}
+def reads(every: Callable[[Database], Sized]) -> Callable[[int, Path], Report]:
+    """The step that reads something of every frame."""
+
+    def step(frames: int, folder: Path) -> Report:
+        assert len(every(opened(frames, folder))) == frames
+        return {}
+
+    return step
 
 
 def verify(frames: int, folder: Path) -> Report:
     assert opened(frames, folder).damage() == []
-    return {}
-
-
-def load(frames: int, folder: Path) -> Report:
-    assert len(opened(frames, folder).load()) == frames
     return {}
 
 
@@ -237,11 +237,11 @@ def signs(frames: int, _folder: Path) -> Report:
     drawn = torch.Generator().manual_seed(0)
     stored = torch.randint(256, (frames, *SHAPE), dtype=torch.uint8, generator=drawn)
     rows, times = SignRows(stored), []
-    for row in range(ALONE):
+    for number in range(ALONE):
         began = time.process_time()
-        scores = SignQueries(stored[row : row + 1], rows).scores()
+        scores = SignQueries(stored[number : number + 1], rows).scores()
         times.append(time.process_time() - began)
-        assert int(scores.argmax()) == row
+        assert int(scores.argmax()) == number
     report = {"features": float(np.median(times))}
     del stored, rows
     vectors = torch.randn(frames, 480, generator=drawn)
@@ -272,9 +272,9 @@ STEPS: dict[str, tuple[str, Callable[[int, Path], Report]]] = {
     "nothing": ("import", lambda _frames, _folder: {}),
     "write": (f"write, {COMMIT_ROWS} frames a commit", write),
     "compact": ("`db compact`", compact),
-    "known": ("read all records", known),
+    "known": ("read all records", reads(Database.known)),
     "verify": ("`db verify`", verify),
-    "load": ("load and verify", load),
+    "load": ("load and verify", reads(Database.load)),
     "exact": (f"{QUERIES} exact queries", exact),
     "index": ("`db index`", index),
     "by index": (f"{QUERIES} queries by the index", by_index),
@@ -300,15 +300,12 @@ def fill(page: Page, results: dict[int, dict[str, Report]]) -> None:
     page.table("frames, extrapolated\n", on_paper(frames, results[frames]))
 
 
-def table(reports: dict[str, Report]) -> list[str]:
-    return [
-        "| step | s | CPU s | peak GB |",
-        "|---|---|---|---|",
-        *(
-            f"| {name} | {of['seconds']:.1f} | {of['cpu']:.1f} | {of['peak'] / 1e9:.2f} |"
-            for name, of in ((name, reports[step]) for step, (name, _) in STEPS.items() if name)
-        ),
-    ]
+def table(reports: dict[str, Report]) -> Iterator[str]:
+    yield from head_row("step", "s", "CPU s", "peak GB")
+    for step, (name, _) in STEPS.items():
+        if name:
+            of = reports[step]
+            yield row(name, f"{of['seconds']:.1f}", f"{of['cpu']:.1f}", f"{of['peak'] / 1e9:.2f}")
 
 
 def facts(frames: int, reports: dict[str, Report]) -> list[str]:
@@ -331,39 +328,37 @@ def facts(frames: int, reports: dict[str, Report]) -> list[str]:
     ]
 
 
-def by_features(frames: int, report: Report) -> list[str]:
-    times = [f"{report[name] * 1e3:.0f}" for name in ("features", "one", "swept")]
-    return [
+def by_features(frames: int, report: Report) -> Iterator[str]:
+    yield (
         f"{frames:,} frames, one query alone, all in one process of one thread, medians of {ALONE};"
         " values are random, for times do not depend on them. Descriptors are searched as online, "
         "by cosines alone; compare these times with each other only. Load of the machine: "
-        f"{report['load']:.0f}.",
-        "",
-        "| exact search by | bytes a frame | CPU ms a query |",
-        "|---|---|---|",
-        f"| features, {2 * REACH + 1} moves | {np.prod(SHAPE)} | {times[0]} |",
-        f"| descriptors, one anchor | 1920 | {times[1]} |",
-        f"| descriptors, a sweep of {len(COLUMNS)} anchors | 1920 | {times[2]} |",
-    ]
+        f"{report['load']:.0f}.\n"
+    )
+    yield from head_row("exact search by", "bytes a frame", "CPU ms a query")
+    for name, by, size in (
+        ("features", f"features, {2 * REACH + 1} moves", np.prod(SHAPE)),
+        ("one", "descriptors, one anchor", 1920),
+        ("swept", f"descriptors, a sweep of {len(COLUMNS)} anchors", 1920),
+    ):
+        yield row(by, str(size), f"{report[name] * 1e3:.0f}")
 
 
-def on_paper(frames: int, reports: dict[str, Report]) -> list[str]:
+def on_paper(frames: int, reports: dict[str, Report]) -> Iterator[str]:
     """Costs of a hundred million frames, extrapolated from those per frame."""
     many = ON_PAPER / frames
+    cpu = {step: report["cpu"] * many for step, report in reports.items()}
     held = (reports["known"]["peak"] - reports["nothing"]["peak"]) * many
-    return [
-        "| what | amount |",
-        "|---|---|",
-        f"| database on disk | {reports['compact']['bytes'] * many / 1e9:,.0f} GB |",
-        f"| writing, core hours | {reports['write']['cpu'] * many / 3600:,.1f} |",
-        f"| verifying, core hours | {reports['verify']['cpu'] * many / 3600:,.1f} |",
-        f"| records in the memory of a second run of `encode` | {held / 1e9:,.0f} GB |",
-        f"| descriptors in memory | {1920 * ON_PAPER / 1e9:,.0f} GB |",
-        f"| an exact query, one of a thousand at once, core seconds | "
-        f"{reports['exact']['cpu'] * many / QUERIES:,.2f} |",
-        f"| an exact query alone, core seconds | {reports['exact']['one'] * many:,.1f} |",
-        f"| building the index, core hours | {reports['index']['cpu'] * many / 3600:,.1f} |",
-    ]
+    yield from head_row("what", "amount")
+    yield row("database on disk", f"{reports['compact']['bytes'] * many / 1e9:,.0f} GB")
+    yield row("writing, core hours", f"{cpu['write'] / 3600:,.1f}")
+    yield row("verifying, core hours", f"{cpu['verify'] / 3600:,.1f}")
+    yield row("records in the memory of a second run of `encode`", f"{held / 1e9:,.0f} GB")
+    yield row("descriptors in memory", f"{1920 * ON_PAPER / 1e9:,.0f} GB")
+    one_of_many = "an exact query, one of a thousand at once, core seconds"
+    yield row(one_of_many, f"{cpu['exact'] / QUERIES:,.2f}")
+    yield row("an exact query alone, core seconds", f"{reports['exact']['one'] * many:,.1f}")
+    yield row("building the index, core hours", f"{cpu['index'] / 3600:,.1f}")
 
 
 if __name__ == "__main__":
