@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from browser import Page, browser, served
+from browser import browser, served
 from test_export_web import runtime
 
 _OPEN = """(async () => {
@@ -38,6 +38,7 @@ _REPETITIONS = 5
 
 def run_in_chromium(file: Path, maps: dict[str, npt.NDArray[np.uint8]]) -> dict[str, npt.NDArray]:
     """Outputs of the file for each label map, in the form of `_one_runtime.py`."""
+    times: list[float] = []
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as name:
         folder = Path(name) / "site"
         folder.mkdir()
@@ -46,22 +47,14 @@ def run_in_chromium(file: Path, maps: dict[str, npt.NDArray[np.uint8]]) -> dict[
         (folder / "head.onnx").write_bytes(file.read_bytes())
         with browser(Path(name) / "profile") as page, served(folder) as address:
             page.open(f"{address}/index.html", "true")
-            return _run(page, folder / "map.bin", maps)
-
-
-def _run(page: Page, place: Path, maps: dict[str, npt.NDArray[np.uint8]]) -> dict[str, npt.NDArray]:
-    load, version, agent = page.run(_OPEN)
-    (chromium,) = re.findall(r"Chrome/(\d+)", agent)
-    found = {
-        "name": np.array(f"onnxruntime-web {version} (wasm, one thread), Chromium {chromium}"),
-        "load": np.array(load / 1e3),
-    }
-    times: list[float] = []
-    last = list(maps)[-1]
-    for turn, number in enumerate([*maps, *[last] * _REPETITIONS]):
-        place.write_bytes(maps[number].tobytes())
-        taken, outputs = page.run(_RUN % (turn, json.dumps([1, *maps[number].shape])))
-        times.append(taken / 1e3)
-        for output, kind, dims, numbers in outputs:
-            found[f"{number} {output}"] = np.array(numbers, kind).reshape(dims)
+            load, version, agent = page.run(_OPEN)
+            (chromium,) = re.findall(r"Chrome/(\d+)", agent)
+            title = f"onnxruntime-web {version} (wasm, one thread), Chromium {chromium}"
+            found = {"name": np.array(title), "load": np.array(load / 1e3)}
+            for turn, number in enumerate([*maps, *[list(maps)[-1]] * _REPETITIONS]):
+                (folder / "map.bin").write_bytes(maps[number].tobytes())
+                taken, outputs = page.run(_RUN % (turn, json.dumps([1, *maps[number].shape])))
+                times.append(taken / 1e3)
+                for output, kind, dims, numbers in outputs:
+                    found[f"{number} {output}"] = np.array(numbers, kind).reshape(dims)
     return {**found, "taken": np.array(statistics.median(times[-_REPETITIONS:]))}

@@ -7,16 +7,16 @@ sequence of a stream, the queries the next.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import torch
 from _described import FEATURES, OURS, Described
 from _markdown import Page, head_row, interval, row
 from _sure_cases import FOREIGN, camvid_cases, of
-from _tours import BATCH, CONDITIONS, head
+from _tours import CONDITIONS, swept
 from conditions import NETWORKS, ROUTES, near_rows
 from torch import Tensor
 
@@ -196,14 +196,10 @@ def mixed(pair: Pair) -> Pair:
 
 def estate(described: Described, seed: int, condition: str) -> Pair:
     """A drive through an estate; without a second one."""
-
-    def make() -> Tensor:
-        turns = [STRAIGHT] * 5
-        city = SyntheticCity(seed, (0,))
-        frames = city.traverse(130, CONDITIONS[condition], size=(60, 80), turns=turns)
-        labels = torch.from_numpy(np.stack([frame.labels for frame in frames]))
-        return torch.cat([head().sweep(part, COLUMNS) for part in labels.split(BATCH)])
-
-    vectors = described.kept(f"estate {seed} {condition}", make)
+    drive = partial(SyntheticCity(seed, (0,)).traverse, 130, CONDITIONS[condition])
+    size, turns = (60, 80), [STRAIGHT] * 5
+    vectors = described.kept(
+        f"estate {seed} {condition}", lambda: swept(drive(size=size, turns=turns))
+    )
     truth = [np.zeros(0, int)] * len(vectors)
     return Pair(f"estate {seed}", Drive(vectors[:0], {}), Drive(vectors, {}), truth)

@@ -13,7 +13,7 @@ import statistics
 import sys
 import time
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -21,48 +21,33 @@ REPETITIONS = 5
 _ONLY_FATAL = 4
 
 
-class Opened(NamedTuple):
-    """A runtime with its version, names of the outputs, and a function of ``(1, H, W)`` labels."""
-
-    name: str
-    outputs: Sequence[str]
-    run: Callable[[Any], Sequence[Any]]
+Run = Callable[[Any], Sequence[Any]]
+"""A function of ``(1, H, W)`` labels."""
 
 
-def opened(runtime: str, file: str) -> Opened:
-    """A file on a runtime."""
-    return _in_openvino(file) if runtime == "openvino" else _in_onnxruntime(runtime, file)
+def opened(runtime: str, file: str) -> tuple[str, list[str], Run]:
+    """The name of a runtime with its version, the names of the outputs of a file, and the file as
+    a function."""
+    if runtime == "openvino":
+        import openvino
 
-
-def _in_openvino(file: str) -> Opened:
-    import openvino
-
-    core = openvino.Core()
-    settings = {"INFERENCE_PRECISION_HINT": "f32", "INFERENCE_NUM_THREADS": 1}
-    compiled = core.compile_model(core.read_model(file), "CPU", settings)
-    names = [output.get_any_name() for output in compiled.outputs]
-    version = openvino.get_version().partition("-")[0]
-    return Opened(
-        f"OpenVINO {version}, CPU, single precision",
-        names,
-        lambda maps: list(compiled({"labels": maps}).values()),
-    )
-
-
-def _in_onnxruntime(provider: str, file: str) -> Opened:
+        core = openvino.Core()
+        settings = {"INFERENCE_PRECISION_HINT": "f32", "INFERENCE_NUM_THREADS": 1}
+        compiled = core.compile_model(core.read_model(file), "CPU", settings)
+        names = [output.get_any_name() for output in compiled.outputs]
+        version = openvino.get_version().partition("-")[0]
+        title = f"OpenVINO {version}, CPU, single precision"
+        return title, names, lambda maps: list(compiled({"labels": maps}).values())
     import onnxruntime
 
     options = onnxruntime.SessionOptions()
     options.log_severity_level, options.intra_op_num_threads = _ONLY_FATAL, 1
-    session = onnxruntime.InferenceSession(file, options, providers=[provider])
-    if session.get_providers()[0] != provider:
-        raise ValueError(f"there is no {provider}")
+    session = onnxruntime.InferenceSession(file, options, providers=[runtime])
+    if session.get_providers()[0] != runtime:
+        raise ValueError(f"there is no {runtime}")
     names = [output.name for output in session.get_outputs()]
-    return Opened(
-        f"ONNX Runtime {onnxruntime.__version__}, {provider}",
-        names,
-        lambda maps: session.run(names, {"labels": maps}),
-    )
+    title = f"ONNX Runtime {onnxruntime.__version__}, {runtime}"
+    return title, names, lambda maps: session.run(names, {"labels": maps})
 
 
 def main() -> None:

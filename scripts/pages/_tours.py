@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,13 @@ from torch import Tensor
 from ssrvlad_torch import SSRVLAD
 from ssrvlad_torch.datasets.city.streets import street
 from ssrvlad_torch.datasets.segmentation_noise import SegmentationNoise
-from ssrvlad_torch.datasets.synthetic_city import TOUR, TOUR_ESTATES, Conditions, SyntheticCity
+from ssrvlad_torch.datasets.synthetic_city import (
+    TOUR,
+    TOUR_ESTATES,
+    CityFrame,
+    Conditions,
+    SyntheticCity,
+)
 from ssrvlad_torch.evaluation.loops import FACING
 from ssrvlad_torch.loops.detector import COLUMNS
 
@@ -62,25 +69,26 @@ Tours = dict[str, list[Tour]]
 
 
 def all_tours(cities: Sequence[int], cached: Path) -> Tours:
-    return {name: [tour(city, name, cached) for city in cities] for name in CONDITIONS}
-
-
-def tour(city: int, condition: str, cached: Path) -> Tour:
-    """A tour, kept in a folder."""
-    name = f"tour {city} {condition} {head().config.fingerprint}.pt"
-    return kept(cached / name, partial(render, city, condition))
+    """A tour through each city under each condition, kept in a folder."""
+    version = head().config.fingerprint
+    tours: Tours = {name: [] for name in CONDITIONS}
+    for name, city in product(tours, cities):
+        made = partial(render, city, name)
+        tours[name].append(kept(cached / f"tour {city} {name} {version}.pt", made))
+    return tours
 
 
 def render(city: int, condition: str) -> Tour:
     traverse = SyntheticCity(city, TOUR_ESTATES).traverse(5000, CONDITIONS[condition], turns=TOUR)
     frames = list(traverse)
-    poses = np.array([frame.pose for frame in frames])
-    descriptors: list[Tensor] = []
-    for start in range(0, len(frames), BATCH):
-        labels = np.stack([frame.labels for frame in frames[start : start + BATCH]])
-        descriptors.append(head().sweep(torch.from_numpy(labels), COLUMNS))
     print(f"city {city}, {condition}: {len(frames)} frames", flush=True)
-    return Tour(city, torch.cat(descriptors), poses)
+    return Tour(city, swept(frames), np.array([frame.pose for frame in frames]))
+
+
+def swept(frames: Iterable[CityFrame]) -> Tensor:
+    """``(N, S, 480)``, from the anchors of a detector."""
+    labels = torch.from_numpy(np.stack([frame.labels for frame in frames]))
+    return torch.cat([head().sweep(part, COLUMNS) for part in labels.split(BATCH)])
 
 
 @cache

@@ -31,18 +31,17 @@ FRAMES = 100
 LAYER = 2
 """Buildings."""
 
-_PAPER = (0.86, 0.2, 0.18)
-_OURS = (0.12, 0.37, 0.7)
+_COLOURS = ((0.86, 0.2, 0.18), (0.12, 0.37, 0.7), (0.1, 0.55, 0.25), (0.9, 0.6, 0.1))
+_PAPER, _OURS, *_ = _COLOURS
 
 
 def main() -> None:
-    """Writes the figure."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--output", type=Path, default=Path("docs/figures"))
     given = parser.parse_args()
     with TemporaryDirectory() as folder:
-        write_city(Path(folder) / "city", frames=8)
-        frame = sorted((Path(folder) / "city" / "reference").iterdir())[4]
+        city = write_city(Path(folder) / "city", frames=8)
+        frame = sorted(city.reference.iterdir())[4]
         draw(np.asarray(Image.open(frame))).savefig(given.output / "stages.png", dpi=140)
         _, shown = run_demo(Path(folder) / "demo", FRAMES, 0, lambda _: None)
         shutil.copy(shown, given.output / "demo.png")
@@ -81,8 +80,7 @@ def _default(axes: Any, head: SSRVLAD, given: torch.Tensor) -> None:
     _show(axes[0], _on_white(view.layers[0, LAYER].numpy(), (0.75, 0.75, 0.75)), "layer, 120 rows")
     runs = boundaries(merge(layers))[0].numpy()
     picture = np.ones((*runs.shape[1:], 3))
-    colours = ((0.86, 0.2, 0.18), (0.12, 0.37, 0.7), (0.1, 0.55, 0.25), (0.9, 0.6, 0.1))
-    for run, colour, direction in zip(runs, colours, DIRECTIONS, strict=True):
+    for run, colour, direction in zip(runs, _COLOURS, DIRECTIONS, strict=True):
         picture[run == 1] = colour
         axes[1].plot([], [], color=colour, label=direction)
     _show(axes[1], picture, "boundaries in\nfour directions")

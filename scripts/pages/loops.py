@@ -93,6 +93,7 @@ def sections(
     learned: Tours, measured: Tours, checked: Tours, figures: Path
 ) -> dict[str, list[str]]:
     """Lines about cities by their heading; draws the figures that they show."""
+    figures.mkdir(parents=True, exist_ok=True)
     made: dict[str, list[str]] = {}
     found: dict[str, PrecisionRecall] = {}
     for condition, tours in measured.items():
@@ -102,7 +103,8 @@ def sections(
         chosen = [believed(outcome, point.score) for outcome in outcomes]
         others = [detect(tour) for tour in checked[condition]]
         name = f"loops-{condition.split()[0]}.png"
-        draw(figures / name, chosen[0], condition)
+        picture = draw_loops(chosen[0].loops, tours[0].poses, condition, METRES)
+        write_picture(picture, figures / name)
         found[condition] = curve(outcomes)
         best, checked_best = (
             f"{each.recall_at_full_precision:.3f}" for each in (found[condition], curve(others))
@@ -133,16 +135,13 @@ def scores(outcomes: Sequence[Outcome]) -> list[str]:
         with np.errstate(invalid="ignore"):
             return {"precision": right / accepted, "recall": recognised / revisits}
 
-    score, ends = total(outcomes), bootstrap(fractions, len(outcomes), RESAMPLES)
+    ends = bootstrap(fractions, len(outcomes), RESAMPLES)
+    score = LoopScore(*counts.sum(axis=0).astype(int).tolist())
     return [
         *map(str, (len(errors), (errors > METRES).sum(), (errors > ELSEWHERE).sum())),
         interval(score.precision, ends["precision"]),
         interval(score.recall, ends["recall"]),
     ]
-
-
-def total(outcomes: Sequence[Outcome]) -> LoopScore:
-    return LoopScore(*np.sum([outcome.score for outcome in outcomes], axis=0).tolist())
 
 
 def where_and_why(outcomes: Sequence[Outcome]) -> Iterator[str]:
@@ -195,7 +194,8 @@ def curve(outcomes: Sequence[Outcome]) -> PrecisionRecall:
     errors = [loop_errors(outcome.candidates, outcome.tour.poses) for outcome in outcomes]
     probabilities = [r.probability for o in outcomes for r in o.results if r.candidate is not None]
     right = np.concatenate(errors) <= METRES
-    return loop_curve(np.array(probabilities), right, total(outcomes).revisits)
+    revisits = sum(outcome.score.revisits for outcome in outcomes)
+    return loop_curve(np.array(probabilities), right, revisits)
 
 
 def detect(tour: Tour) -> Outcome:
@@ -216,11 +216,6 @@ def believed(outcome: Outcome, threshold: float) -> Outcome:
     loops = np.where(sure, outcome.candidates, -1)
     score = score_loops(loops, outcome.tour.poses, LoopConfig.exclude, METRES)
     return replace(outcome, loops=loops, score=score)
-
-
-def draw(path: Path, outcome: Outcome, condition: str) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_picture(draw_loops(outcome.loops, outcome.tour.poses, condition, METRES), path)
 
 
 def draw_curves(path: Path, curves: Mapping[str, PrecisionRecall]) -> None:

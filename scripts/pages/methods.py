@@ -4,23 +4,20 @@
     .venv/bin/python scripts/pages/methods.py --data ../shared/data
 
 The folder holds `camvid` (see `_trials.py`), `networks`, and `vprbench/corridor` in the layout of
-VPR-Bench, with stored results beside it (see `stored_in`). The accuracy on real traverses is read
-from docs/results.csv, see `results.py`. Descriptors are cached in `--cache`, so an interrupted run
-can be resumed.
+VPR-Bench. The accuracy on real traverses is read from docs/results.csv, see `results.py`.
+Descriptors are cached in `--cache`, so an interrupted run can be resumed.
 """
 
 from __future__ import annotations
 
 import csv
 from collections.abc import Iterator
-from itertools import pairwise
 from pathlib import Path
 from statistics import mean, median
 
 import _trials
-import numpy as np
 from _costs import ENCODED
-from _decide import FIGURES, Decisions
+from _decide import FIGURES
 from _described import IMAGES, OF_PICTURES, Described
 from _markdown import Page, head_row, interval, paragraph, parser, processor, row, significant
 
@@ -34,10 +31,6 @@ RIVALS = (
     *("SSR-VLAD, paper", "SSR-VLAD, default", "label grid", "HOG", "CoHOG"),
     *("NetVLAD", "Region-VLAD", "LoST-X", "features", "tiny image"),
 )
-TECHNIQUES = {"CoHOG": "CoHOG", "Region-VLAD": "RegionVLAD", "NetVLAD": "NetVLAD"}
-"""VPR-Bench's names of techniques in file names, by our names."""
-
-TOP = 10
 TRAVERSES = ("UofA", "Gardens Point")
 
 COSTS = f"""Costs on {{processor}}, at {{size}}: the median of {ROUNDS} frames
@@ -55,16 +48,13 @@ def main() -> None:
     page = Page("methods.md", options.output)
     with threads(1):
         in_short(page, described, options.data / "camvid")
-        folder = options.data / "vprbench" / "corridor"
-        corridor = open_dataset(folder, "vpr-bench")
+        corridor = open_dataset(options.data / "vprbench" / "corridor", "vpr-bench")
         parts = [corridor.select(role=role) for role in ("query", "reference")]
         trial = _trials.trial_of(described, CORRIDOR, IMAGES, parts)
         outcomes = _trials.try_all(
             described, [trial], [_trials.Rival(name, name) for name in RIVALS]
         )
-        found = {name: outcome for (_, name), outcome in outcomes.items()}
-        page.table(f"## {trial.title}\n", table(found))
-        page.table(f"## {CORRIDOR}: what VPR-Bench stored\n", stored(folder, found))
+        page.table(f"## {trial.title}\n", table(outcomes))
     page.section("## What could not be run", _trials.without(outcomes))
 
 
@@ -107,35 +97,10 @@ def rates(results: Path) -> dict[tuple[str, str], str]:
     return {key: f"{mean(values):.3f}" for key, values in found.items()}
 
 
-def table(outcomes: dict[str, _trials.Outcome]) -> Iterator[str]:
+def table(outcomes: _trials.Outcomes) -> Iterator[str]:
     """The table of one condition."""
     yield from head_row("method", *FIGURES)
-    yield from (row(name, *figures(outcome)) for name, outcome in outcomes.items())
-
-
-def stored(corridor: Path, outcomes: dict[str, _trials.Outcome]) -> Iterator[str]:
-    """The results that VPR-Bench stored beside the corridor, and how often our methods agree."""
-    yield from head_row("technique", *FIGURES, "same best match as ours")
-    for name, theirs in TECHNIQUES.items():
-        file = corridor.parent / f"{corridor.name}_{theirs}.npz"
-        if file.exists():
-            found, ours = stored_in(file), outcomes[name]
-            same = _trials.reason(ours) if isinstance(ours, str) else same_best(ours, found)
-            yield row(name, *figures(found), same)
-
-
-def same_best(ours: Decisions, stored: Decisions) -> str:
-    return f"{(ours.rows[:, 0] == stored.rows[:, 0]).mean():.1%}"
-
-
-def stored_in(file: Path) -> Decisions:
-    """Results of VPR-Bench: ``sim (Q, R)``, and the true matches of query ``i`` as
-    ``gt_flat[gt_off[i] : gt_off[i + 1]]``."""
-    with np.load(file, allow_pickle=False) as stored:
-        similarity, flat, offsets = (stored[name] for name in ("sim", "gt_flat", "gt_off"))
-    ranked = np.argsort(-similarity, axis=1, kind="stable")[:, :TOP]
-    scores = np.take_along_axis(similarity, ranked, axis=1).astype(np.float32)
-    return Decisions(scores, ranked, [flat[begin:end] for begin, end in pairwise(offsets)])
+    yield from (row(name, *figures(outcome)) for (_, name), outcome in outcomes.items())
 
 
 def figures(outcome: _trials.Outcome) -> list[str]:

@@ -5,34 +5,29 @@
 
 ESPNetv2 of the folder `networks` labels every fourth picture of a drive of CamVid with right and
 wrong preparations, and two real pairs of traverses with a background channel. It wins where no
-class has a probability of one half, as in a network that says background where it is unsure. A
-Segformer with random weights runs in PyTorch and in ONNX Runtime. About five minutes on one thread.
+class has a probability of one half, as in a network that says background where it is unsure. About
+five minutes on one thread.
 """
 
 from __future__ import annotations
 
 import math
-import tempfile
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 import torch
 from _described import ALONE
-from _markdown import Page, head_row, paragraph, parser, row, span
+from _markdown import Page, head_row, parser, row
 from conditions import REAL
-from torch import Tensor, nn
-from transformers import SegformerConfig, SegformerForSemanticSegmentation
+from torch import Tensor
 
 from ssrvlad_torch import SSRVLAD, Segmenter
-from ssrvlad_torch.cli.bench import threads, time_in_turn
 from ssrvlad_torch.datasets.image_files import decode_image
 from ssrvlad_torch.datasets.label_files import find_label_files, read_label_map
 from ssrvlad_torch.recognition.recognise import Steps, recognise
 from ssrvlad_torch.segmentation.network_outputs import classes_of, enlarged
-from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
 from ssrvlad_torch.taxonomy import NO_LAYER, label_space
 
 SPACE, CLASSES, VOID, LEAST = "cityscapes-trainids", 19, 255, 0.5
@@ -45,7 +40,6 @@ WRONG = {
     "half the size": {"size": (288, 384)},
 }
 PAIRS = (("UofA", "evening -> day"), ("Gardens Point", "right -> left"))
-SIDES = (512, 1024)
 
 
 def preparations(settings: Path, camvid: Path) -> Iterator[str]:
@@ -58,11 +52,10 @@ def preparations(settings: Path, camvid: Path) -> Iterator[str]:
         counts = np.zeros(2, np.int64)
         for file in truth:
             known = categories(read_label_map(file, label_space("camvid-11")), "camvid-11")
-            (seen,) = wrong([decode_image(picture_of(camvid / "images", file.name).read_bytes())])
-            counts += [
-                (categories(seen, SPACE) == known)[known < NO_LAYER].sum(),
-                (known < NO_LAYER).sum(),
-            ]
+            picture = next((camvid / "images").glob(f"{file.name}.*"))
+            (seen,) = wrong([decode_image(picture.read_bytes())])
+            asked = known < NO_LAYER
+            counts += [(categories(seen, SPACE) == known)[asked].sum(), asked.sum()]
         yield row(name, f"{counts[0] / counts[1]:.3f}")
 
 
@@ -70,14 +63,8 @@ def background(settings: Path, data: Path) -> Iterator[str]:
     """A table: RecallRate@1 with the channel as void, and with every pixel in a class."""
     segmenter = Segmenter.load(settings, SPACE)
     head = SSRVLAD.from_preset("default", labels_as=SPACE)
-    yield from head_row(
-        "traverses",
-        "pixels that it wins",
-        "void",
-        "classes",
-        "void, all steps",
-        "classes, all steps",
-    )
+    ways = ("void", "classes", "void, all steps", "classes, all steps")
+    yield from head_row("traverses", "pixels that it wins", *ways)
     for dataset, name in PAIRS:
         queries, references, rows = REAL[dataset][name]
         sides = [described(data / folder, segmenter, head) for folder in (queries, references)]
@@ -114,36 +101,6 @@ def rate(here: Tensor, there: Tensor, near: np.ndarray, steps: Steps) -> float:
     return float(near[np.arange(len(here)), first.numpy()].mean())
 
 
-def runtimes(repetitions: int) -> str:
-    """A paragraph: the time of a network in PyTorch over that in ONNX Runtime."""
-    network = _Scores(SegformerForSemanticSegmentation(SegformerConfig(num_labels=CLASSES))).eval()
-    picture = torch.rand(1, 3, *SIDES)
-    with tempfile.TemporaryDirectory() as folder, torch.inference_mode(), threads(1):
-        file = Path(folder) / "net.onnx"
-        torch.onnx.export(network, (picture,), file, dynamo=True, verbose=False)
-        graph = OnnxNetwork(file)
-        (answer,) = graph(picture).values()
-        assert torch.allclose(answer, network(picture), atol=1e-3)
-        ways = {"eager": partial(network, picture), "graph": partial(graph, picture)}
-        timings = time_in_turn(ways, repetitions)
-    ratio = timings["graph"].times_faster_than(timings["eager"])
-    return paragraph(
-        f"Segformer-B0 with {CLASSES} classes and random weights, a picture of {SIDES[0]} x "
-        f"{SIDES[1]}, one thread: ONNX Runtime is {span(ratio, 2)} times as fast as eager PyTorch "
-        f"({repetitions} runs in turn)."
-    )
-
-
-class _Scores(nn.Module):
-    def __init__(self, network: nn.Module) -> None:
-        super().__init__()
-        self.network = network
-
-    def forward(self, images: Tensor) -> Tensor:
-        scores: Tensor = self.network(images).logits
-        return scores
-
-
 def categories(labels: np.ndarray, name: str) -> np.ndarray:
     """The category of each pixel, `NO_LAYER` where it has none."""
     table = np.full(256, NO_LAYER, np.uint8)
@@ -152,17 +109,10 @@ def categories(labels: np.ndarray, name: str) -> np.ndarray:
     return table[labels]
 
 
-def picture_of(folder: Path, name: str) -> Path:
-    return next(folder.glob(f"{name}.*"))
-
-
 def main() -> None:
-    arguments = parser(__doc__, "recipes.md")
-    arguments.add_argument("--repetitions", type=int, default=5)
-    options = arguments.parse_args()
+    options = parser(__doc__, "recipes.md").parse_args()
     settings = options.data / "networks" / "espnetv2.yaml"
     page = Page("recipes.md", options.output)
-    page.paragraph("Segformer-B0", runtimes(options.repetitions))
     page.table("## The preparation\n", preparations(settings, options.data / "camvid" / "0001TP"))
     page.table("## A background channel\n", background(settings, options.data))
 
