@@ -72,13 +72,8 @@ class Page:
 
     def screenshot(self, path: Path, width: int) -> None:
         """Writes a picture of the whole page at a width in pixels."""
-        self.call(
-            "Emulation.setDeviceMetricsOverride",
-            width=width,
-            height=900,
-            deviceScaleFactor=1,
-            mobile=False,
-        )
+        size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+        self.call("Emulation.setDeviceMetricsOverride", **size)
         taken = self.call("Page.captureScreenshot", captureBeyondViewport=True)["data"]
         path.write_bytes(base64.b64decode(taken))
 
@@ -96,13 +91,9 @@ def browser(profile: Path) -> Iterator[Page]:
     (their_in, our_out), (our_in, their_out) = os.pipe(), os.pipe()
     flags = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"]
     arguments = [CHROMIUM, *flags, f"--user-data-dir={profile}", "--remote-debugging-pipe"]
-    script = f'exec "$@" 3<&{their_in} 4>&{their_out}'
-    process = subprocess.Popen(
-        ["bash", "-c", script, "bash", *map(str, arguments)],
-        pass_fds=(their_in, their_out),
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
+    command = ["bash", "-c", f'exec "$@" 3<&{their_in} 4>&{their_out}', "bash", *arguments]
+    silent = dict.fromkeys(("stdout", "stderr"), subprocess.DEVNULL)
+    process = subprocess.Popen(command, pass_fds=(their_in, their_out), **silent)
     os.close(their_in)
     os.close(their_out)
     try:

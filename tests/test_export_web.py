@@ -20,6 +20,8 @@ from helpers import COLOUR, GRAY, PALETTES, street, write_palette, write_png
 from networks import PLAIN, colour_network, photo
 from PIL import Image
 from segmenting import write_town
+from ssrvlad_place.database import save
+from ssrvlad_place.model import Seen
 
 from ssrvlad_torch import SSRVLAD, Segmenter, SSRVLADConfig, export_head, match
 from ssrvlad_torch.deployment.fuse import fuse
@@ -35,6 +37,9 @@ CONFIGS = {
 presets = pytest.mark.parametrize("preset", CONFIGS)
 SHOWN = "!document.getElementById('result').hidden"
 FAILED = "document.querySelector('#status.error')"
+ROWS = "Array.from(document.querySelectorAll('#matches tbody tr'), (row) => row.innerText)"
+GOLDEN = "document.getElementById('golden').value"
+STATUS = "document.getElementById('status').textContent"
 CLASSES = json.dumps(label_space(SPACE).to_dict()["classes"])
 
 
@@ -70,11 +75,9 @@ def site(tmp_path_factory):
     write_maps(folder / "maps", range(6))
     for preset, config in CONFIGS.items():
         export_head(config, folder / f"{preset}.onnx")
-        base = folder / f"{preset}.npy"
-        np.save(base, view_of(folder, preset).descriptor.numpy())
-        names = "".join(f"maps/{file.stem}\n" for file in files_of(folder))
-        Path(f"{base}.frames.txt").write_text(names)
-        Path(f"{base}.fingerprint.txt").write_text(f"{config.fingerprint}\n")
+        seen = map(Seen, view_of(folder, preset).descriptor.numpy())
+        names = [f"maps/{file.stem}" for file in files_of(folder)]
+        save(folder / f"{preset}.npy", [*seen], names, config.fingerprint)
     return folder
 
 
@@ -100,6 +103,25 @@ def open_page(page, query="", ready="true"):
     page.open(f"{page.address}{query}", ready)
 
 
+def open_result(page, query):
+    """Opens the page, which may not fail."""
+    open_page(page, query, f"{SHOWN} || {FAILED}")
+    assert page.run(FAILED) is None
+
+
+def matches_of(page, query):
+    """The frames that the page shows, and their scores."""
+    open_result(page, query)
+    found = [row.split() for row in page.run(ROWS)]
+    return [frame for frame, _ in found], [float(score) for _, score in found]
+
+
+def failure(page):
+    """What the page says once it has failed."""
+    page.wait_for(FAILED)
+    return page.run(f"{FAILED}.textContent")
+
+
 def described(page, site, preset, file):
     """What the page's own module says about a label map."""
     return page.run(f"""(async () => {{
@@ -120,20 +142,15 @@ def described(page, site, preset, file):
 def test_the_golden_pair_the_matches_and_what_is_drawn(page, site, preset):
     labels = files_of(site)[2]
     query = f"?model={preset}.onnx&database={preset}.npy&labels=maps/{labels.name}"
-    open_page(page, query, f"{SHOWN} || {FAILED}")
-    assert page.run(FAILED) is None
-    verdict = page.run("document.getElementById('golden').value")
+    shown = matches_of(page, query)
+    verdict = page.run(GOLDEN)
     print(f"{preset} preset in onnxruntime-web: {verdict}")
     assert verdict.startswith("golden pair: largest difference ")
     assert float(verdict.split()[-1]) <= 1e-6
     descriptors = view_of(site, preset).descriptor
     scores, rows = (part[0].tolist() for part in match(descriptors[2:3], descriptors, 5))
-    rows_shown = page.run(
-        "Array.from(document.querySelectorAll('#matches tbody tr'), (row) => row.innerText)"
-    )
-    shown = [row.split() for row in rows_shown]
-    assert [frame for frame, _ in shown] == [f"maps/{files_of(site)[row].stem}" for row in rows]
-    assert [float(score) for _, score in shown] == pytest.approx(scores, abs=1e-4)
+    names = [f"maps/{files_of(site)[row].stem}" for row in rows]
+    assert shown == (names, pytest.approx(scores, abs=1e-4))
     assert_drawn_as_found(page, site, preset, 4)
 
 
@@ -144,11 +161,12 @@ def assert_drawn_as_found(page, site, preset, number):
     np.testing.assert_allclose(found["descriptor"], view.descriptor[number], atol=1e-6)
     rows, columns = view.skeleton.shape[2:]
     assert (found["rows"], found["columns"]) == (rows, columns)
-    check = smooth_parts if preset == "default" else residuals
-    check(np.array(found["targets"]), view, number)
+    targets = np.array(found["targets"])
     if preset == "default":
         assert found["skeleton"] is None
+        assert_smooth_parts(targets, view.histograms.bins[number])
         return
+    np.testing.assert_allclose(targets.ravel(), view.descriptor[number], atol=1e-6, rtol=0)
     assert found["keypoints"] == view.keypoints[number].sum((1, 2)).tolist()
     layers = np.array(found["skeleton"], np.uint8).reshape(rows, columns)
     skeleton = layers >> np.arange(8)[:, None, None] & 1
@@ -156,18 +174,14 @@ def assert_drawn_as_found(page, site, preset, number):
     assert skeleton.any()
 
 
-def smooth_parts(targets, view, number):
+def assert_smooth_parts(targets, bins):
     """Each target is the projection of the histogram on the basis, of one scale for all."""
     config = CONFIGS["default"]
     basis = basis_table(config.rings, config.sectors, config.harmonics, 0.0)
-    areas = view.histograms.bins[number, [0, 1, 2, 3, 4, 5, 2, 0]]
+    areas = bins[[0, 1, 2, 3, 4, 5, 2, 0]]
     expected = (areas.flatten(1) @ basis.T @ basis).numpy()
     scale = np.linalg.norm(expected) / np.linalg.norm(targets)
     np.testing.assert_allclose(targets * scale, expected, atol=1e-5)
-
-
-def residuals(targets, view, number):
-    np.testing.assert_allclose(targets.ravel(), view.descriptor[number].numpy(), atol=1e-6, rtol=0)
 
 
 def test_a_photograph_goes_into_a_fused_file(page, site):
@@ -175,23 +189,19 @@ def test_a_photograph_goes_into_a_fused_file(page, site):
     config = CONFIGS["default"]
     fuse(Segmenter(colour_network(), SPACE, PLAIN), config, site / "place.onnx")
     labels = np.stack([street(seed, 60, 90) for seed in range(3)])
-    np.save(site / "photos.npy", SSRVLAD(config)(labels).numpy())
-    (site / "photos.npy.frames.txt").write_text("".join(f"photos/{n}\n" for n in range(3)))
-    (site / "photos.npy.fingerprint.txt").write_text(config.fingerprint)
+    seen, names = map(Seen, SSRVLAD(config)(labels).numpy()), [f"photos/{n}" for n in range(3)]
+    save(site / "photos.npy", [*seen], names, config.fingerprint)
     Image.fromarray(photo(labels[1])).save(site / "photo.png")
-    open_page(
-        page, "?model=place.onnx&database=photos.npy&labels=photo.png", f"{SHOWN} || {FAILED}"
+    (best, *_), (score, *_) = matches_of(
+        page, "?model=place.onnx&database=photos.npy&labels=photo.png"
     )
-    assert page.run(FAILED) is None
-    best = page.run("document.querySelector('#matches tbody tr').innerText").split()
-    assert best[0] == "photos/1"
-    assert float(best[1]) == pytest.approx(1, abs=1e-4)
-    assert page.run("document.getElementById('golden').value").startswith("golden pair: largest")
+    assert (best, score) == ("photos/1", pytest.approx(1, abs=1e-4))
+    assert page.run(GOLDEN).startswith("golden pair: largest")
     shown = Image.open(site / "photo.png")
     shown.putalpha(254)
     shown.save(site / "alpha.png")
     open_page(page, "?model=place.onnx&labels=alpha.png", f"{SHOWN} || {FAILED}")
-    assert page.run(f"{FAILED}.textContent").startswith("the picture has transparent pixels")
+    assert failure(page).startswith("the picture has transparent pixels")
 
 
 def test_features_are_fused_with_the_descriptor_as_in_python(page, site, drives):
@@ -199,25 +209,18 @@ def test_features_are_fused_with_the_descriptor_as_in_python(page, site, drives)
     frames, scores = write_town(drives, site / "town.npy")[2]
     shutil.copy(drives / "today" / "5.png", site / "street.png")
     query = "?model=street.onnx&database=town.npy&labels=street.png"
-    open_page(page, query, f"{SHOWN} || {FAILED}")
-    assert page.run(FAILED) is None
-    rows = page.run(
-        "Array.from(document.querySelectorAll('#matches tbody tr'), (row) => row.innerText)"
-    )
-    assert [row.split()[0] for row in rows] == frames
-    assert [float(row.split()[1]) for row in rows] == pytest.approx(scores, abs=1e-4)
-    status = "document.getElementById('status').textContent"
-    assert page.run(status).endswith("Scores are of label map and features together.")
+    assert matches_of(page, query) == (frames, pytest.approx(scores, abs=1e-4))
+    assert page.run(STATUS).endswith("Scores are of label map and features together.")
     other = site / "town.npy.features.npy.fingerprint.txt"
     other.write_text("others")
     open_page(page, query, FAILED)
-    assert 'the database has features "others", the model "16 x 16' in page.run(status)
+    assert 'the database has features "others", the model "16 x 16' in page.run(STATUS)
     (site / "town.npy.features.npy").unlink()
     open_page(page, query, SHOWN)
-    assert "the database has none: matched by label maps alone." in page.run(status)
+    assert "the database has none: matched by label maps alone." in page.run(STATUS)
     edit_golden(site / "street.onnx", site / "wrong.onnx", turned("features"))
     open_page(page, "?model=wrong.onnx", FAILED)
-    assert "% of the features differ" in page.run(status)
+    assert "% of the features differ" in page.run(STATUS)
 
 
 def test_a_golden_pair_that_comes_out_otherwise_is_refused(page, site):
@@ -225,15 +228,13 @@ def test_a_golden_pair_that_comes_out_otherwise_is_refused(page, site):
     edit_golden(site / "default.onnx", file, turned("labels"))
     os.utime(file, (0, 0))  # browsers keep old files for long
     query = f"?model=wrong.onnx&labels=maps/{files_of(site)[0].name}"
-    open_page(page, query, FAILED)
-    assert "computed wrong in this browser: golden pair" in page.run(f"{FAILED}.textContent")
-    open_page(page, f"{query}&unchecked", SHOWN)
-    assert page.run(FAILED) is None
-    assert page.run("document.getElementById('golden').value") == "The golden pair was not run."
+    open_page(page, query)
+    assert "computed wrong in this browser: golden pair" in failure(page)
+    open_result(page, f"{query}&unchecked")
+    assert page.run(GOLDEN) == "The golden pair was not run."
     shutil.copy(site / "default.onnx", file)
     os.utime(file, (1, 1))
-    open_page(page, query, f"{SHOWN} || {FAILED}")
-    assert page.run(FAILED) is None, "the file that the server has now"
+    open_result(page, query)  # by the file that the server has now
 
 
 def test_files_are_chosen_and_what_is_wrong_is_said(page, site):
@@ -241,17 +242,15 @@ def test_files_are_chosen_and_what_is_wrong_is_said(page, site):
     labels, base = files_of(site)[0], site / "paper.npy"
     page.wait_for("document.getElementById('status')")
     page.choose("#model-file", site / "paper.onnx")
-    page.wait_for("document.getElementById('golden').value")
+    page.wait_for(GOLDEN)
     page.choose("#labels-file", labels)
     page.wait_for(SHOWN)
     page.choose("#database-file", base)
-    page.wait_for(FAILED)
-    assert "paper.npy.frames.txt together" in page.run(f"{FAILED}.textContent")
+    assert "paper.npy.frames.txt together" in failure(page)
     page.choose("#database-file", base, *site.glob("paper.npy.*.txt"))
-    page.wait_for(f"{SHOWN} && document.querySelectorAll('#matches tbody tr').length === 5")
+    page.wait_for(f"{SHOWN} && {ROWS}.length === 5")
     page.choose("#database-file", site / "default.npy", *site.glob("default.npy.*.txt"))
-    page.wait_for(FAILED)
-    assert CONFIGS["default"].fingerprint in page.run(f"{FAILED}.textContent")
+    assert CONFIGS["default"].fingerprint in failure(page)
 
 
 def test_unknown_ids_and_files_of_another_kind(page, site, tmp_path):
@@ -259,27 +258,24 @@ def test_unknown_ids_and_files_of_another_kind(page, site, tmp_path):
     strange[0, :4] = 99
     Image.fromarray(strange).save(tmp_path / "strange.png")
     (tmp_path / "other.onnx").write_bytes((site / "paper.onnx").read_bytes()[:500])
-    open_page(page, "?model=paper.onnx", "document.getElementById('golden').value")
+    open_page(page, "?model=paper.onnx", GOLDEN)
     page.choose("#labels-file", tmp_path / "strange.png")
-    page.wait_for(FAILED)
-    assert page.run(f"{FAILED}.textContent").startswith("4 pixels have an id outside")
+    assert failure(page).startswith("4 pixels have an id outside")
     page.choose("#model-file", tmp_path / "other.onnx")
     page.wait_for(f"{FAILED} && {FAILED}.textContent.includes('cut short')")
 
 
 def test_a_file_of_fixed_size_takes_no_other(page, site, tmp_path):
     file = files_of(site)[0]
-    height, width = np.asarray(Image.open(file)).shape
-    shape = (1, height, width)
+    shape = (1, *np.asarray(Image.open(file)).shape)
     export_head(CONFIGS["default"], site / "fixed.onnx", "labels", "int32", (), shape)
     Image.fromarray(np.zeros((6, 9), np.uint8)).save(tmp_path / "other.png")
-    open_page(page, "?model=fixed.onnx", "document.getElementById('golden').value")
+    open_page(page, "?model=fixed.onnx", GOLDEN)
     found = described(page, site, "fixed", file)
     expected = view_of(site, "default").descriptor[0]
     np.testing.assert_allclose(found["descriptor"], expected, rtol=0, atol=1e-6)
     page.choose("#labels-file", tmp_path / "other.png")
-    page.wait_for(FAILED)
-    assert f"takes label maps of {shape}, got (1, 6, 9)" in page.run(f"{FAILED}.textContent")
+    assert f"takes label maps of {shape}, got (1, 6, 9)" in failure(page)
 
 
 def test_label_pictures_are_read_bit_by_bit(page, site):
