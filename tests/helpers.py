@@ -1,6 +1,7 @@
 """Label maps on disk, and records of frames that were never seen; shared by the tests."""
 
 import struct
+import subprocess
 import sys
 import zlib
 from collections.abc import Sequence
@@ -127,6 +128,12 @@ def without(blocked: Sequence[str], script: Path, *arguments: object) -> list[st
 def _chunk(kind: bytes, content: bytes) -> bytes:
     checksum = struct.pack(">I", zlib.crc32(kind + content))
     return struct.pack(">I", len(content)) + kind + content + checksum
+
+
+def outcome(*command: object) -> tuple[int, list[str], list[str]]:
+    """The exit code of a program, and the lines that it prints on stdout and on stderr."""
+    done = subprocess.run([*map(str, command)], capture_output=True, text=True, check=False)
+    return done.returncode, done.stdout.splitlines(), done.stderr.splitlines()
 
 
 @contextmanager

@@ -3,7 +3,7 @@ Runtime: in the folder that ORT_ROOT names, or as a CMake package."""
 
 import os
 import shutil
-import subprocess
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,10 +12,12 @@ import torch
 from drives import write_maps
 from exported import COLUMNS
 from graphs import edit_golden, turned
-from helpers import street
+from helpers import outcome, street
 from networks import photo, write_graph
 from PIL import Image
 from segmenting import write_town
+from ssrvlad_place.database import save
+from ssrvlad_place.model import Seen
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, export_head, match
 from ssrvlad_torch.deployment.fuse import fuse
@@ -27,8 +29,10 @@ CONFIG = SSRVLADConfig(labels_as="camvid-11")
 STRICT = "-DCMAKE_CXX_FLAGS=-Wall -Wextra -Werror"
 
 
-def cmake(*arguments) -> subprocess.CompletedProcess:
-    return subprocess.run(["cmake", *arguments], capture_output=True, text=True, check=False)
+def cmake(*arguments):
+    """Must succeed."""
+    code, out, errors = outcome("cmake", *arguments)
+    assert code == 0, out + errors
 
 
 @pytest.fixture(scope="module")
@@ -37,38 +41,26 @@ def build(tmp_path_factory):
     if not shutil.which("cmake"):
         pytest.skip("CMake is not installed")
     folder = tmp_path_factory.mktemp("build")
-    configured = cmake("-S", SOURCE, "-B", folder, STRICT)
-    if configured.returncode:
-        assert "ORT_ROOT" not in os.environ, configured.stderr
-        missing = ("onnxruntime", "ZLIB")
-        assert any(name in configured.stderr for name in missing), configured.stderr
+    code, _, errors = outcome("cmake", "-S", SOURCE, "-B", folder, STRICT)
+    if code:
+        assert "ORT_ROOT" not in os.environ, errors
+        assert any(name in line for name in ("onnxruntime", "ZLIB") for line in errors), errors
         pytest.skip(
             "the C++ headers of ONNX Runtime or zlib are not installed; ORT_ROOT names their folder"
         )
-    built = cmake("--build", folder)
-    assert built.returncode == 0, built.stdout + built.stderr
+    cmake("--build", folder)
     return folder
-
-
-def runner(program):
-    def run(*arguments):
-        command = [program, *map(str, arguments)]
-        ran = subprocess.run(command, capture_output=True, text=True, check=False)
-        return ran.returncode, ran.stdout.splitlines(), ran.stderr.splitlines()
-
-    return run
 
 
 @pytest.fixture(scope="module")
 def place(build):
     """The program."""
-    return runner(build / "place")
+    return partial(outcome, build / "place")
 
 
-def write_database(path, descriptors, names):
-    np.save(path, descriptors)
-    Path(f"{path}.frames.txt").write_text("".join(f"{name}\n" for name in names))
-    Path(f"{path}.fingerprint.txt").write_text(CONFIG.fingerprint)
+def write_database(path, descriptors, folder):
+    names = [f"{folder}/{number}" for number in range(len(descriptors))]
+    save(path, [*map(Seen, descriptors.numpy())], names, CONFIG.fingerprint)
 
 
 @pytest.fixture
@@ -77,10 +69,16 @@ def town(tmp_path):
     files = sorted(write_maps(tmp_path / "maps", range(6)).iterdir())
     labels = np.stack([np.asarray(Image.open(file)) for file in files])
     view = SSRVLAD(CONFIG).explain(torch.from_numpy(labels))
-    write_database(tmp_path / "town.npy", view.descriptor.numpy(), [f"maps/{n}" for n in range(6)])
+    write_database(tmp_path / "town.npy", view.descriptor, "maps")
     np.save(tmp_path / "map.npy", labels[2])
     Image.fromarray(labels[2]).save(tmp_path / "map.pgm")
     return view
+
+
+def ranked(lines):
+    """The frames that the program names, and their scores."""
+    found = [line.split() for line in lines[1:]]
+    return [frame for frame, _ in found], [float(score) for _, score in found]
 
 
 @pytest.mark.parametrize("name", ["map.npy", "map.pgm"])
@@ -89,9 +87,7 @@ def test_it_prints_what_the_module_finds(place, head, town, tmp_path, name):
     assert (code, errors) == (0, [])
     assert lines[0] == "descriptor: 480 numbers, norm 1.000000"
     scores, rows = (part[0].tolist() for part in match(town.descriptor[2:3], town.descriptor, 4))
-    assert [line.split()[0] for line in lines[1:]] == [f"maps/{row}" for row in rows]
-    found = [float(line.split()[1]) for line in lines[1:]]
-    assert found == pytest.approx(scores, abs=1e-5)
+    assert ranked(lines) == ([f"maps/{row}" for row in rows], pytest.approx(scores, abs=1e-5))
 
 
 def test_wrong_use_is_one_line(place, head, town, tmp_path):
@@ -144,8 +140,7 @@ def drive(tmp_path_factory):
     np.save(folder / "photo.npy", pixels[1])
     Image.fromarray(pixels[1]).save(folder / "photo.ppm")
     labels = np.stack(Segmenter.load(network, CONFIG.labels_as)(pixels))
-    descriptors = SSRVLAD(CONFIG)(labels).numpy()
-    write_database(folder / "town.npy", descriptors, [f"photos/{n}" for n in range(3)])
+    write_database(folder / "town.npy", SSRVLAD(CONFIG)(labels), "photos")
     return folder
 
 
@@ -155,10 +150,8 @@ def test_photographs_find_their_place_with_one_file_and_with_two(place, drive, m
     named = [drive / part if part.endswith(".onnx") else part for part in model]
     code, lines, errors = place(*named, drive / name, drive / "town.npy")
     assert (code, errors) == (0, [])
-    best, score = lines[1].split()
-    assert best == "photos/1"
-    assert float(score) == pytest.approx(1, abs=1e-6)
-    assert len(lines) == 4
+    frames, scores = ranked(lines)
+    assert (frames[0], scores[0], len(frames)) == ("photos/1", pytest.approx(1, abs=1e-6), 3)
 
 
 def test_a_photograph_of_fewer_steps_of_light_is_refused(place, drive, tmp_path):
@@ -176,8 +169,7 @@ def test_features_are_fused_with_the_descriptor_as_in_python(place, drives, tmp_
             given = (*model[:-1], drives / model[-1], tmp_path / "photo.npy", town)
             code, lines, errors = place(*given)
             assert (code, errors) == (0, [])
-            assert [line.split()[0] for line in lines[1:]] == frames
-            assert [float(line.split()[1]) for line in lines[1:]] == pytest.approx(scores, abs=1e-5)
+            assert ranked(lines) == (frames, pytest.approx(scores, abs=1e-5))
 
 
 def test_features_of_another_network_or_of_one_side_only(place, drives, tmp_path):
@@ -237,11 +229,9 @@ def test_of_several_anchors_the_best_counts(place, town, tmp_path):
     given = (tmp_path / "sweep.onnx", tmp_path / "map.npy", tmp_path / "town.npy")
     code, lines, _ = place(*given)
     swept = SweepHead(CONFIG, COLUMNS)(labels[None])[0]
-    scores = (town.descriptor @ swept.T).amax(1).sort(descending=True)
-    assert code == 0
-    assert [line.split()[0] for line in lines[1:]] == [f"maps/{n}" for n in scores.indices[:5]]
-    found = [float(line.split()[1]) for line in lines[1:]]
-    assert found == pytest.approx(scores.values[:5].tolist(), abs=1e-5)
+    scores, rows = (town.descriptor @ swept.T).amax(1).topk(5)
+    names, expected = [f"maps/{row}" for row in rows], pytest.approx(scores.tolist(), abs=1e-5)
+    assert (code, ranked(lines)) == (0, (names, expected))
 
 
 CONSUMER = r"""
@@ -264,7 +254,7 @@ int main(int, char** files) {
 def test_a_project_finds_the_installed_package(build, tmp_path):
     """Wide labels, from two threads."""
     installed, source, made = (tmp_path / name for name in ("installed", "source", "made"))
-    assert cmake("--install", build, "--prefix", installed).returncode == 0
+    cmake("--install", build, "--prefix", installed)
     source.mkdir()
     (source / "main.cpp").write_text(CONSUMER)
     (source / "CMakeLists.txt").write_text(
@@ -273,12 +263,10 @@ def test_a_project_finds_the_installed_package(build, tmp_path):
         "add_executable(consumer main.cpp)\n"
         "target_link_libraries(consumer PRIVATE ssrvlad::place Threads::Threads)\n"
     )
-    configured = cmake("-S", source, "-B", made, STRICT, f"-DCMAKE_PREFIX_PATH={installed}")
-    assert configured.returncode == 0, configured.stderr
-    built = cmake("--build", made)
-    assert built.returncode == 0, built.stdout + built.stderr
+    cmake("-S", source, "-B", made, STRICT, f"-DCMAKE_PREFIX_PATH={installed}")
+    cmake("--build", made)
     export_head(CONFIG, tmp_path / "wide.onnx", dtype="int64")
-    code, lines, errors = runner(made / "consumer")(tmp_path / "wide.onnx")
+    code, lines, errors = outcome(made / "consumer", tmp_path / "wide.onnx")
     assert (code, errors) == (0, [])
     expected = SSRVLAD(CONFIG)(np.zeros((1, 12, 9), np.int64))[0]
     np.testing.assert_allclose(np.array(lines, float), expected, atol=1e-6)

@@ -13,6 +13,7 @@ import pytest
 from cases import camvid_labels, degenerate, hand_drawn
 from drives import write_maps
 from exported import hundreds_of_label_maps, noise
+from helpers import outcome
 from PIL import Image
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, reference
@@ -24,8 +25,6 @@ ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "export" / "cpp" / "describe"
 CORE = ROOT / "ssrvlad_torch" / "native"
 SPACE = "camvid-11"
-
-
 ZIG = f"{sys.executable} -m ziglang c++ -s -fPIC -fvisibility=hidden"
 OTHERS = {
     "aarch64": ("aarch64-linux-gnu-g++ -static -O1", "qemu-aarch64", ""),
@@ -44,12 +43,6 @@ OTHERS = {
 """Compiler, what runs its programs, and their suffix."""
 
 
-def run(command, *arguments):
-    command = [*command, *map(str, arguments)]
-    ran = subprocess.run(command, capture_output=True, text=True, check=False)
-    return ran.returncode, ran.stdout.splitlines(), ran.stderr.splitlines()
-
-
 @pytest.fixture(scope="module")
 def describe(core, tmp_path_factory):
     """The program, compiled; the library, which takes longer, is that of the package."""
@@ -57,7 +50,7 @@ def describe(core, tmp_path_factory):
     flags = ["-std=c++17", "-O0", "-pthread", "-Wall", "-Wextra", "-Werror", f"-I{CORE}"]
     given = [SOURCE / "describe.cpp", library, f"-Wl,-rpath,{library.parent}"]
     subprocess.run(["g++", *flags, *given, "-o", program], check=True)
-    return partial(run, [program])
+    return partial(outcome, program)
 
 
 def others():
@@ -79,7 +72,7 @@ def other(request, tmp_path_factory):
     sources = [SOURCE / "describe.cpp", CORE / "ssrvlad.cpp"]
     flags = ["-std=c++17", "-ffp-contract=off", "-pthread", f"-I{CORE}"]
     subprocess.run([*compiler.split(), *flags, *sources, "-o", program], check=True)
-    return partial(run, [*runner.split(), program])
+    return partial(outcome, *runner.split(), program)
 
 
 def stay_up(request, wine):
@@ -168,6 +161,5 @@ def test_wrong_use_is_one_line(describe, inputs, tmp_path):
 
 @pytest.mark.skipif(shutil.which("cmake") is None, reason="CMake is not installed")
 def test_cmake_takes_it(tmp_path):
-    command = ["cmake", "-S", SOURCE, "-B", tmp_path]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    code, _, errors = outcome("cmake", "-S", SOURCE, "-B", tmp_path)
+    assert code == 0, errors

@@ -36,18 +36,8 @@ np.savez(sys.argv[3], **found)
 def test_litert_gives_the_descriptors_of_the_module(tmp_path):
     config = SSRVLADConfig.from_preset("default", labels_as=SPACE)
     export_head(config, tmp_path / "head.onnx", shape=(1, *SIZE))
-    convert = [
-        "-m",
-        "onnx2tf",
-        "-i",
-        tmp_path / "head.onnx",
-        "-o",
-        tmp_path,
-        "-kat",
-        "labels",
-        "-n",
-    ]
-    subprocess.run([PYTHON, *convert], check=True, capture_output=True)
+    convert = [PYTHON, *["-m", "onnx2tf", "-kat", "labels", "-n", "-i"], tmp_path / "head.onnx"]
+    subprocess.run([*convert, "-o", tmp_path], check=True, capture_output=True)
     maps = np.stack([blobs(seed, *SIZE, 4 + 3 * seed) for seed in range(6)])
     maps = np.append(maps, np.random.default_rng(0).integers(0, 15, (3, *SIZE), np.uint8), axis=0)
     np.save(tmp_path / "maps.npy", maps)

@@ -10,13 +10,11 @@ from pathlib import Path
 
 import loops_onnx
 import numpy as np
-import onnx
 import pytest
 import torch
 from helpers import street, without
 from hypothesis import given
-from loop_streams import PLACES, SEEDS, configs, noisy_stream, streams, write_drive
-from onnx import TensorProto, helper
+from loop_streams import PLACES, configs, noisy_stream, streams, write_drive
 from PIL import Image
 from segmenting import write_drives
 from ssrvlad_place import stream
@@ -26,7 +24,6 @@ from ssrvlad_place.model import Seen
 from ssrvlad_torch import SSRVLAD, LoopDetector, SSRVLADConfig
 from ssrvlad_torch.database.frames import FrameRecord
 from ssrvlad_torch.database.metadata import ExtraDescriptor
-from ssrvlad_torch.deployment import export
 from ssrvlad_torch.loops.config import LoopConfig
 
 CONFIG = SSRVLADConfig.from_preset("default", labels_as="camvid-11")
@@ -156,39 +153,6 @@ def test_without_torch_it_says_what_the_command_line_says(ssrvlad, head, drive, 
         out, err = process.communicate()
     assert (process.returncode, err) == (0, b"")
     assert_same_answers(objects(b"".join(lines) + out), expected)
-
-
-def test_images_in_loops_out(tmp_path, drive, run):
-    """A network of one convolution whose scores are the colours, before the head."""
-    weights = np.eye(11, 3, dtype=np.float32)[..., None, None]
-    model = export.head_model(CONFIG, "logits")
-    del model.graph.input[:]
-    model.graph.input.append(
-        helper.make_tensor_value_info("image", TensorProto.UINT8, ["B", "H", "W", 3])
-    )
-    model.graph.initializer.append(onnx.numpy_helper.from_array(weights, "weights"))
-    for node in (
-        helper.make_node("Conv", ["first", "weights"], ["logits"]),
-        helper.make_node("Transpose", ["floats"], ["first"], perm=[0, 3, 1, 2]),
-        helper.make_node("Cast", ["image"], ["floats"], to=TensorProto.FLOAT),
-    ):
-        model.graph.node.insert(0, node)
-    onnx.save(model, tmp_path / "place.onnx")
-    for number, seed in enumerate(SEEDS):
-        colours = np.eye(3, dtype=np.uint8)[street(seed) % 3] * 255
-        path = tmp_path / "photos" / f"{number:02d}.png"
-        path.parent.mkdir(exist_ok=True)
-        Image.fromarray(colours).save(path)
-    command = (tmp_path / "place.onnx", tmp_path / "photos", *SETTINGS)
-    code, out, err = run(*command)
-    assert (code, out) == (2, "")
-    assert "no golden pair for input image" in err[0]
-    code, out, err = run(*command, "--unchecked")
-    assert (code, err) == (0, [])
-    expected = LoopDetector(LoopConfig(exclude=5, threshold=0.7, sweep=False), HEAD)
-    for number, (seed, line) in enumerate(zip(SEEDS, objects(out), strict=True)):
-        result = expected.update(street(seed) % 3, f"photos/{number:02d}")
-        assert_same_answers([line], [result._asdict()])
 
 
 def test_a_bad_frame_is_refused_and_the_stream_goes_on(head, drive, run):
