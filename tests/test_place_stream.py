@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import torch
 from ssrvlad_place.stream import SignMap
 from test_signs import drive
 
@@ -38,19 +37,6 @@ def test_scores_are_those_of_the_package(starts):
             np.testing.assert_allclose(got, expected, rtol=0, atol=1e-6)
         ours.append(signs, products)
         theirs.add(signs)
-
-
-def test_products_are_those_of_numbers():
-    """Of one frame with another, where it is and moved by one column to the right."""
-    here, there = frames_of(2)
-    one = SignMap(SHAPE)
-    one.append(there, one.products(there))
-    (still,), (moved,) = one.products(here)
-    numbers = torch.from_numpy(np.unpackbits(np.stack((here, there)), axis=-1)).double() * 2 - 1
-    new, row = numbers.flatten(2)
-    assert still[2] == moved[2] == float((new * row).sum())
-    assert still[3] == float((new[1:] * row[1:]).sum())
-    assert moved[3] == float((new[:-1] * row[1:]).sum())
 
 
 def test_equal_frames_have_finite_scores():

@@ -280,6 +280,7 @@ def test_wrong_use_is_one_line(head, maps, town, tmp_path, run):
         ((head, maps, "--database", head), f"{head}: expected an array in a .npy file"),
         ((head, *sorted(maps.iterdir()), maps), "is a second frame monday/"),
         ((head, maps, "--save-descriptors", tmp_path / "none" / "o.npy"), "none is no folder"),
+        ((head, maps, "--provider", "Abacus"), "no provider Abacus; expected one of "),
     ]:
         code, out, errors = run(*arguments)
         assert (code, out) == (2, ""), arguments
