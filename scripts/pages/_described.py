@@ -14,27 +14,10 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import conditions
 import numpy as np
 import torch
-from conditions import (
-    BATCH,
-    CAMVID_CONDITIONS,
-    CITY_CONDITIONS,
-    CITY_SEEDS,
-    METRES,
-    NETWORKS,
-    REAL,
-    TRAIN_IDS,
-    Drive,
-    Search,
-    camvid,
-    city,
-    every_other,
-    kept,
-    near_rows,
-    places_of,
-    real,
-)
+from conditions import NETWORKS, TRAIN_IDS, Drive, Search
 from torch import Tensor
 
 from ssrvlad_torch import SSRVLAD, baselines
@@ -155,19 +138,19 @@ class Described:
         if kind == "city":
             seed, _, condition = rest.partition(" ")
             if condition == "reference":
-                return city(int(seed), REFERENCE)
+                return conditions.city(int(seed), REFERENCE)
             named, _, number = condition.rpartition(" ")
-            return city(int(seed), CITY_CONDITIONS[named][int(number)])
+            return conditions.city(int(seed), conditions.CITY_CONDITIONS[named][int(number)])
         assert self.data
         if kind == "camvid":
-            return camvid(self.data / "camvid", rest)
+            return conditions.camvid(self.data / "camvid", rest)
         network, _, folder = rest.partition(" ")
-        return real(self.data / folder, network)
+        return conditions.real(self.data / folder, network)
 
     def add(self, name: str, files: Sequence[FrameFile], make: Callable[[], Drive]) -> None:
         """A drive whose frames are known before it is read."""
         self.added[name] = make
-        self._known[f"{name} places"] = places_of(files)
+        self._known[f"{name} places"] = conditions.places_of(files)
 
     def about(self, name: str) -> tuple[tuple[str, ...], np.ndarray]:
         """Ids and poses of a drive's frames."""
@@ -285,7 +268,7 @@ class Described:
         """What was made, in the cache by its name."""
         file = f"{name.replace(' ', '_').replace('/', '_').replace(',', '')}.pt"
         if name not in self._known:
-            self._known[name] = kept(self.cache / file, make)
+            self._known[name] = conditions.kept(self.cache / file, make)
         return self._known[name]
 
 
@@ -298,12 +281,14 @@ def head(method: str, labels_as: str) -> SSRVLAD:
 def swept(drive: Drive, method: str) -> Tensor:
     """Descriptors of label maps; `default` from every anchor."""
     made = head(method, drive.labels_as)
-    batches = torch.from_numpy(drive.maps).split(BATCH)
+    batches = torch.from_numpy(drive.maps).split(conditions.BATCH)
     return torch.cat([made.sweep(b, COLUMNS) if method == OURS else made(b) for b in batches])
 
 
 def all_conditions(
-    described: Described, seeds: Sequence[int] = CITY_SEEDS, networks: Sequence[str] = NETWORKS
+    described: Described,
+    seeds: Sequence[int] = conditions.CITY_SEEDS,
+    networks: Sequence[str] = NETWORKS,
 ) -> Iterator[Condition]:
     """Every condition of every available data set."""
     if described.data:
@@ -313,11 +298,12 @@ def all_conditions(
 
 
 def real_conditions(described: Described, networks: Sequence[str]) -> Iterator[Condition]:
-    for dataset, pairs in REAL.items():
+    for dataset, pairs in conditions.REAL.items():
         for network in networks:
             for name, (queries, references, rows) in pairs.items():
                 drives = [f"real {network} {part}" for part in (queries, references)]
-                truth = near_rows(*(len(described.about(drive)[0]) for drive in drives), rows)
+                counts = (len(described.about(drive)[0]) for drive in drives)
+                truth = conditions.near_rows(*counts, rows)
                 yield Condition(dataset, f"{name}, {network}", [Search(*drives, truth)])
 
 
@@ -326,23 +312,23 @@ def camvid_conditions(described: Described) -> Iterator[Condition]:
     assert described.data
     places = json.loads((described.data / "camvid/same_place_odd_even.json").read_text())
     names, _ = described.about("camvid labels")
-    odd, even = every_other(names, 1), every_other(names, 0)
+    odd, even = conditions.every_other(names, 1), conditions.every_other(names, 0)
     row_of = {names[number]: place for place, number in enumerate(even)}
     truth = [np.array([row_of[f] for f in places[names[n]]], np.int64) for n in odd]
-    for name, (queries, references) in CAMVID_CONDITIONS.items():
+    for name, (queries, references) in conditions.CAMVID_CONDITIONS.items():
         search = Search(f"camvid {queries}", f"camvid {references}", truth, odd, even)
         yield Condition("CamVid", name, [search])
 
 
 def city_conditions(
-    described: Described, seeds: Sequence[int], names: Iterable[str] = CITY_CONDITIONS
+    described: Described, seeds: Sequence[int], names: Iterable[str] = conditions.CITY_CONDITIONS
 ) -> Iterator[Condition]:
     for name in names:
         searches = []
         for seed in seeds:
             there = f"city {seed} reference"
-            for number in range(len(CITY_CONDITIONS[name])):
+            for number in range(len(conditions.CITY_CONDITIONS[name])):
                 here = f"city {seed} {name} {number}"
                 poses = (described.about(drive)[1] for drive in (here, there))
-                searches.append(Search(here, there, from_poses(*poses, METRES)))
+                searches.append(Search(here, there, from_poses(*poses, conditions.METRES)))
         yield Condition("City", name, searches)
