@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
-from itertools import islice, repeat
+from contextlib import contextmanager
+from itertools import cycle, islice
 from typing import Any
 from unittest.mock import patch
 
@@ -14,21 +14,9 @@ from torch import Tensor
 from ssrvlad_torch import baselines
 from ssrvlad_torch.baselines import Frame, region_vlad
 from ssrvlad_torch.cli.bench import threads
-from ssrvlad_torch.stages import residuals
-from ssrvlad_torch.stages.harmonics import Harmonics
 
 ENCODED = 10
 """Number of references that are encoded: as many as LoST-X ranks again."""
-
-AGGREGATING: dict[str, tuple[tuple[Any, str], ...]] = {
-    "ssr-vlad": (
-        *((residuals, name) for name in ("log_polar_bins", "shape_contexts")),
-        (residuals.Residuals, "descriptor"),
-        *((Harmonics, name) for name in ("histograms", "descriptor")),
-    ),
-    "region-vlad": ((region_vlad, "vlad"),),
-}
-"""Functions that turn features into the descriptor, by the beginning of a method's name."""
 
 
 class Cost:
@@ -37,15 +25,14 @@ class Cost:
     Attributes:
         method: its name, with a note if its weights are random.
         extract: from the frame to the features; for most methods to the descriptor.
-        aggregate: from the features to the descriptor; 0 if they are not separate.
+        aggregate: from the features to the descriptor, of Region-VLAD; else 0.
         match: of one query against all references.
         references: their number.
         bytes_a_reference: size of an encoded reference.
     """
 
     def __init__(self, method: baselines.Method, frames: Sequence[Frame], references: int) -> None:
-        again = (frame for turn in repeat(frames) for frame in turn)
-        encoded = method.encode_reference(islice(again, ENCODED))
+        encoded = method.encode_reference(islice(cycle(frames), ENCODED))
         self._method, self._frames = method, frames
         self._known: Any = _repeated(encoded, references)
         self.method = method.name
@@ -61,8 +48,7 @@ class Cost:
     def work(self, number: int) -> None:
         """Times one frame; frame -1 is not counted."""
         frame = self._frames[number % len(self._frames)]
-        places = (own for name, own in AGGREGATING.items() if self.method.startswith(name))
-        with watched(next(places, ())) as aggregating:
+        with aggregation() as aggregating:
             begin = time.perf_counter()
             query = self._method.encode_query([frame])
             encoded = time.perf_counter()
@@ -104,20 +90,15 @@ def _repeated(encoded: Any, count: int) -> Any:
 
 
 @contextmanager
-def watched(places: Sequence[tuple[Any, str]]) -> Iterator[list[float]]:
-    """The seconds of every call of some functions, by owner and name, as long as it lasts."""
-    taken: list[float] = []
+def aggregation() -> Iterator[list[float]]:
+    """The seconds of every call of `region_vlad.vlad`, as long as it lasts."""
+    taken, vlad = list[float](), region_vlad.vlad
 
-    def timed(function: Callable[..., Any]) -> Callable[..., Any]:
-        def call(*arguments: Any) -> Any:
-            begin = time.perf_counter()
-            result = function(*arguments)
-            taken.append(time.perf_counter() - begin)
-            return result
+    def timed(*arguments: Any) -> Any:
+        begin = time.perf_counter()
+        result = vlad(*arguments)
+        taken.append(time.perf_counter() - begin)
+        return result
 
-        return call
-
-    with ExitStack() as stack:
-        for owner, name in places:
-            stack.enter_context(patch.object(owner, name, timed(getattr(owner, name))))
+    with patch.object(region_vlad, "vlad", timed):
         yield taken
