@@ -31,7 +31,7 @@ from ssrvlad_place.database import Database
 from ssrvlad_place.frames import find_frames
 from ssrvlad_place.model import Seen, add_model, open_model
 from ssrvlad_place.motion import GAP, LEVEL, MAX_LOG, PRIOR, STAY, WAYS
-from ssrvlad_place.output import SOME_SKIPPED, note, one_line, report, run_program
+from ssrvlad_place.output import finished, note, one_line, report, run_program
 from ssrvlad_place.scores import REACH, WEIGHTS, fused, lead, nearness, weights_of
 
 Floats = npt.NDArray[np.float32]
@@ -210,9 +210,7 @@ def run(options: argparse.Namespace) -> int:
         for frame, found, row in zip(drive, track.rows(scores), scores, strict=True):
             ranked = candidates(found, row, track, database.frames, options.top)
             report(frame, not described[frame].descriptor.any(), ranked, options.json)
-    if skipped:
-        note(f"skipped {skipped} of {skipped + len(described)} frames")
-    return SOME_SKIPPED if skipped else 0
+    return finished(skipped, len(described))
 
 
 def main() -> int:

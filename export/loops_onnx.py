@@ -21,12 +21,11 @@ import os
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 from ssrvlad_place.frames import find_frames
 from ssrvlad_place.loops import Detector, Settings
 from ssrvlad_place.model import add_model, open_model
-from ssrvlad_place.output import SOME_SKIPPED, note, one_line, run_program
+from ssrvlad_place.output import finished, note, one_line, run_program
 
 STDIN = Path("-")
 
@@ -62,29 +61,20 @@ def run(options: argparse.Namespace) -> int:
             skipped += 1
             continue
         done.add(frame)
-        result = detector.update(frame, seen)
-        print(json.dumps(result._asdict()), flush=True)
-    if skipped:
-        note(f"skipped {skipped} of {skipped + len(done)} frames")
-    return SOME_SKIPPED if skipped else 0
+        print(json.dumps(detector.update(frame, seen)._asdict()), flush=True)
+    return finished(skipped, len(done))
 
 
-def arguments() -> argparse.ArgumentParser:
-    """The command line."""
-    defaults: dict[str, Any] = Settings()._asdict()
+def main() -> int:
+    """The command line; errors are one line."""
+    defaults = Settings()
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     add_model(parser)
     parser.add_argument("source", type=Path, nargs="+", help="files or folders of frames, or -")
-    parser.add_argument("--exclude", type=int, default=defaults["exclude"])
-    parser.add_argument("--threshold", type=float, default=defaults["threshold"])
-    return parser
-
-
-def main() -> int:
-    """The command line; errors are one line."""
-    parser = arguments()
+    parser.add_argument("--exclude", type=int, default=defaults.exclude)
+    parser.add_argument("--threshold", type=float, default=defaults.threshold)
     options = parser.parse_args()
     alone = STDIN not in options.source or len(options.source) == 1
     if options.exclude < 0 or not 0 <= options.threshold <= 1 or not alone:

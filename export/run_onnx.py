@@ -26,7 +26,7 @@ from pathlib import Path
 from ssrvlad_place.database import Database, require_one_line, save
 from ssrvlad_place.frames import find_frames
 from ssrvlad_place.model import Seen, add_model, open_model
-from ssrvlad_place.output import SOME_SKIPPED, note, report, run_program
+from ssrvlad_place.output import finished, note, report, run_program
 
 
 def run(options: argparse.Namespace) -> int:
@@ -38,9 +38,8 @@ def run(options: argparse.Namespace) -> int:
         return int(not golden.holds)
     if options.save_descriptors and model.anchors:
         raise ValueError("--save-descriptors: expected a file without --sweep")
-    given = options.database
+    given, out = options.database, options.save_descriptors
     database = given and Database(given, model.fingerprint, model.features)
-    out = options.save_descriptors
     if out and not out.parent.is_dir():
         raise ValueError(f"--save-descriptors: {out.parent} is no folder")
     files: dict[str, Path] = {}
@@ -63,11 +62,8 @@ def run(options: argparse.Namespace) -> int:
         candidates = database.search(descriptor, options.top, features) if database else None
         report(frame, not descriptor.any(), candidates, options.json)
     if out and seen:
-        rows, frames = list(seen.values()), list(seen)
-        save(out, rows, frames, model.fingerprint, model.features)
-    if skipped:
-        note(f"skipped {skipped} of {skipped + len(seen)} frames")
-    return SOME_SKIPPED if skipped else 0
+        save(out, list(seen.values()), list(seen), model.fingerprint, model.features)
+    return finished(skipped, len(seen))
 
 
 def main() -> int:

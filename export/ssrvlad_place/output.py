@@ -8,9 +8,6 @@ import os
 import sys
 from collections.abc import Callable
 
-SOME_SKIPPED = 3
-"""The exit code if some frames were skipped."""
-
 
 def note(line: str) -> None:
     """Prints one line on stderr."""
@@ -36,6 +33,14 @@ def run_program(
     except (ValueError, OSError, ImportError) as error:
         note(f"{name}: {one_line(error)}")
         return 2
+
+
+def finished(skipped: int, described: int) -> int:
+    """Says how many frames were skipped; the exit code, 3 if there are some."""
+    if not skipped:
+        return 0
+    note(f"skipped {skipped} of {skipped + described} frames")
+    return 3
 
 
 def report(
