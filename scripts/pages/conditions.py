@@ -31,8 +31,6 @@ RESAMPLES = 1000
 BATCH = 16
 METRES = 5.0
 CITY_SEEDS = (0, 1, 2)
-CITY_FRAMES = 100
-CITY_SIZE = (240, 320)
 TRAIN_IDS = "cityscapes-trainids"
 NETWORKS = ("espnetv2", "dabnet")
 REAL = {
@@ -162,10 +160,7 @@ def real(folder: Path, network: str) -> Drive:
 
 @cache
 def city(
-    seed: int,
-    conditions: Conditions,
-    frames: int = CITY_FRAMES,
-    size: tuple[int, int] = CITY_SIZE,
+    seed: int, conditions: Conditions, frames: int = 100, size: tuple[int, int] = (240, 320)
 ) -> Drive:
     """One drive through one city."""
     drawn = list(SyntheticCity(seed).traverse(frames, conditions, size))
