@@ -32,13 +32,8 @@ def export_database(database: Database, form: Format, file: Path) -> list[Path]:
     (https://github.com/cvg/Hierarchical-Localization), and a data set for each extra descriptor.
     Fingerprint and settings are in the file's attribute ``ssrvlad``.
 
-    Args:
-        database: the database.
-        form: ``npy`` or ``hloc``.
-        file: the array or the HDF5 file; other files are written beside it.
-
     Returns:
-        The files that were written.
+        The files that were written: ``file``, the array or the HDF5 file, and others beside it.
 
     Raises:
         ValueError: the database is damaged, or, for ``npy``, an id has several lines.
@@ -109,25 +104,19 @@ def _replacing(file: Path) -> Iterator[Path]:
 def _write_hloc(frames: FrameSet, about: dict[str, object], file: Path) -> None:
     with requiring("hloc", "hloc's files need"):
         import h5py
+    arrays = {"global_descriptor": frames.descriptors, **frames.extra}
+    groups = len(arrays) * _GROUP_BYTES * (len(frames.frames) + 1)
+    names = sum(len(frame.encode()) for frame in frames.frames)
+    expected = sum(values.nbytes for values in arrays.values()) + groups + names
     with _replacing(file) as temporary:
-        _reserve_space(temporary, frames)
+        if shutil.disk_usage(temporary.parent).free < expected:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        with temporary.open("wb") as stream:  # HDF5 aborts the process on a full disk
+            if hasattr(os, "posix_fallocate"):
+                os.posix_fallocate(stream.fileno(), 0, expected)
         with h5py.File(temporary, "w", libver="latest") as target:
             target.attrs["ssrvlad"] = json.dumps(about)
-            arrays = {"global_descriptor": frames.descriptors, **frames.extra}
             for row, frame in enumerate(frames.frames):
                 group = target.create_group(frame)
                 for name, values in arrays.items():
                     group.create_dataset(name, data=values[row].numpy())
-
-
-def _reserve_space(file: Path, frames: FrameSet) -> None:
-    """Reserves disk space, or raises an OSError: HDF5 aborts the process on a full disk."""
-    names = sum(len(frame.encode()) for frame in frames.frames)
-    arrays = [frames.descriptors, *frames.extra.values()]
-    groups = len(arrays) * _GROUP_BYTES * (len(frames.frames) + 1)
-    expected = sum(values.nbytes for values in arrays) + groups + names
-    if shutil.disk_usage(file.parent).free < expected:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-    with file.open("wb") as stream:
-        if hasattr(os, "posix_fallocate"):
-            os.posix_fallocate(stream.fileno(), 0, expected)
