@@ -54,11 +54,6 @@ def test_a_traverse_joins_images_label_maps_and_poses_by_name():
     assert traverse.frames[0].frame == "monday/9"
 
 
-def test_traverses_of_one_name_are_refused():
-    with pytest.raises(ValueError, match="root has more than one sequence 'a'"):
-        made(drive("a", "1"), drive("b", "1"), drive("a", "2"))
-
-
 # ---- choosing
 
 
@@ -85,23 +80,21 @@ def test_traverses_are_chosen_by_pattern_and_role(patterns, role, names):
     assert (chosen.layout, chosen.root) == (DAYS.layout, DAYS.root)
 
 
-def test_a_choice_of_nothing_is_refused():
+def test_a_choice_of_nothing_and_one_name_of_two_are_refused():
     with pytest.raises(ValueError, match="no sequence 'DAWN'; it has dawn-rear, dawn-left, map-"):
         DAYS.select(["*", "DAWN"])
     with pytest.raises(ValueError, match="which of dawn-rear is a reference"):
         DAYS.select(["dawn-rear"], "reference")
     with pytest.raises(ValueError, match="which of a, b is a query; name it"):
         made(drive("a", "1"), drive("b", "1")).select(role="query")
+    with pytest.raises(ValueError, match="root has more than one sequence 'a'"):
+        made(drive("a", "1"), drive("b", "1"), drive("a", "2"))
 
 
 def test_frames_without_pose_are_dropped_when_asked():
-    half = Pose(1, math.nan, 0)
-    frames = (
-        DatasetFrame("a", "1", pose=HERE),
-        DatasetFrame("a", "2"),
-        DatasetFrame("a", "3", pose=half),
-    )
-    assert outline(made(Traverse("a", frames), drive("b", "1")).posed()) == {"a": ["1"], "b": []}
+    poses = (HERE, UNKNOWN, Pose(1, math.nan, 0))
+    frames = tuple(DatasetFrame("a", f"{n}", pose=pose) for n, pose in enumerate(poses))
+    assert outline(made(Traverse("a", frames), drive("b", "1")).posed()) == {"a": ["0"], "b": []}
     with pytest.raises(ValueError, match=r"no frame of root \(made\) has a pose"):
         made(drive("a", "1")).posed()
 
