@@ -21,8 +21,8 @@ from ..segmentation.segmenter import Segmenter
 from .export import head_model
 from .golden import PATCHES, outputs_of, patches
 from .label_graph import label_graph
-from .metadata import PREFIX, Metadata
-from .runtimes import Arrays, OnnxRuntime, Run
+from .metadata import PREFIX, Arrays, Metadata
+from .runtimes import OnnxRuntime, Run
 from .trace import interface, join, opset, with_opset
 
 NETWORK, SIGNS = f"{PREFIX}network", f"{PREFIX}features"

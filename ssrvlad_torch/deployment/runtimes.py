@@ -12,8 +12,8 @@ import numpy.typing as npt
 
 from ..files import requiring
 from ..segmentation.onnx_files import CPU, open_session
+from .metadata import Arrays
 
-Arrays = Mapping[str, npt.NDArray[Any]]
 Run = Callable[[Arrays], dict[str, npt.NDArray[Any]]]
 """Runs a graph: its inputs by name to its outputs by name."""
 

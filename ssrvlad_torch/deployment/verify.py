@@ -29,8 +29,8 @@ from .fuse import (
     problem_of_network,
 )
 from .golden import as_input, outputs_of
-from .metadata import PREFIX, Metadata
-from .runtimes import Arrays, Run, Runtime, runtime_of
+from .metadata import PREFIX, Arrays, Metadata
+from .runtimes import Run, Runtime, runtime_of
 
 if TYPE_CHECKING:
     import onnx

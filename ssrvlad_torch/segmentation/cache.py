@@ -42,10 +42,17 @@ class SegmentedCache:
 
     def get(self, picture: str) -> tuple[LabelMap, Signs | None] | None:
         """What is stored of the picture of this digest; ``None`` if missing or damaged."""
-        entry = self._entry(picture)
+        entry, features = self._entry(picture), None
         try:
             labels = read_label_map(FrameFile("cache", entry.stem, entry), self.space)
-            features = self._features(entry) if self.features else None
+            if self.features:
+                with Image.open(entry) as image:
+                    image.load()
+                    chunks = {name: content for name, content, *_ in vars(image)["private_chunks"]}
+                key, _, content = chunks.get(_CHUNK, b"").partition(_END)
+                if key != self.features:
+                    return None
+                features = np.frombuffer(content, np.uint8).reshape(SHAPE)
             os.utime(entry)
         except (ValueError, OSError):
             return None
@@ -66,16 +73,6 @@ class SegmentedCache:
             self._size += entry.stat().st_size
         if self._size is None or self._size > LARGEST:
             self._size = self._bounded()
-
-    def _features(self, entry: Path) -> Signs:
-        """The features in an entry; others are a ValueError."""
-        with Image.open(entry) as image:
-            image.load()
-            chunks = {name: content for name, content, *_ in vars(image)["private_chunks"]}
-        key, _, content = chunks.get(_CHUNK, b"").partition(_END)
-        if key != self.features:
-            raise ValueError(f"{entry} holds no features {self.features.decode()}")
-        return np.frombuffer(content, np.uint8).reshape(SHAPE)
 
     def _entry(self, picture: str) -> Path:
         return self.folder / self.key / picture[:2] / f"{picture}.png"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -95,20 +95,12 @@ class SegmenterConfig:
         return next(sides), next(sides)
 
 
-class InputForm(nn.Module):
-    """The last step of a preparation: images ``(B, 3, H, W)`` in the dtype of a graph's input, with
-    bytes rounded, and with ``channels_last`` in its layout ``(B, H, W, 3)``."""
+class InputForm(NamedTuple):
+    """The dtype of a graph's input, and whether its layout is ``(B, H, W, 3)``, not
+    ``(B, 3, H, W)``."""
 
-    def __init__(self, dtype: torch.dtype = torch.float32, channels_last: bool = False) -> None:
-        super().__init__()
-        self.dtype, self.channels_last = dtype, channels_last
-
-    def forward(self, images: Tensor) -> Tensor:
-        """The same images in that form."""
-        if self.dtype == torch.uint8:
-            images = images.round().clamp(0, 255)
-        images = images.permute(0, 2, 3, 1) if self.channels_last else images
-        return images.to(self.dtype)
+    dtype: torch.dtype = torch.float32
+    channels_last: bool = False
 
 
 class Preparation(nn.Module):
@@ -139,12 +131,11 @@ class Preparation(nn.Module):
         from kornia.color import RgbToBgr
         from kornia.enhance import Normalize
 
-        self.config = config
+        self.config, self.form = config, form or InputForm()
         mean, std = (torch.tensor(v) / config.white for v in (config.mean, config.std))
         self.steps = nn.Sequential(
             RgbToBgr() if config.colour_order == "bgr" else nn.Identity(),
             Normalize(mean, std),
-            form or InputForm(),
         )
 
     def forward(self, images: Tensor) -> Tensor:
@@ -154,7 +145,11 @@ class Preparation(nn.Module):
             size = self.config.network_size(*images.shape[1:3])
             planes = interpolate(planes, size, mode="bilinear", antialias=True)
         numbers: Tensor = self.steps(planes)
-        return numbers
+        if self.form.dtype == torch.uint8:
+            numbers = numbers.round().clamp(0, 255)
+        if self.form.channels_last:
+            numbers = numbers.permute(0, 2, 3, 1)
+        return numbers.to(self.form.dtype)
 
 
 def _are_numbers(values: object, count: int, kind: Any, above: float = float("-inf")) -> bool:
