@@ -47,8 +47,13 @@ class Plan:
     def of(cls, files: Sequence[FrameFile], database: Database, origin: Origin) -> Plan:
         """The plan for files whose label maps have an origin; errors as for `check_folders` and
         `FrameRecord.of_id`, or a file is a frame of another sequence."""
-        known = database.known()
-        changes = {key: _why_origin(origin, stored) for key, stored in database.origins.items()}
+        known, changes = database.known(), dict[str, str]()
+        digest = origin.label_space and origin.label_space.digest
+        for key, stored in database.origins.items():
+            if stored.label_space is None or stored.label_space.digest != digest:
+                changes[key] = LABEL_SPACE
+            else:
+                changes[key] = SEGMENTER if stored.segmenter != origin.segmenter else ""
         check_folders(files, known)
         _check_names(files, known)
         todo, reasons, digests = list[FrameFile](), dict[str, str](), dict[str, str]()
@@ -83,15 +88,6 @@ def _why_file(file: FrameFile, record: FrameRecord) -> str | None:
         return FILE if state != signature.rpartition("|")[2] else MOVED
     same = np.array_equal(file.pose, record[2:5], equal_nan=True)
     return POSE if file.placed and not same else None
-
-
-def _why_origin(origin: Origin, stored: Origin) -> str | None:
-    """Why a frame must be encoded again for its origin; ``None`` if the origins agree."""
-    if stored.label_space is None or origin.label_space is None:
-        return LABEL_SPACE
-    if stored.label_space.digest != origin.label_space.digest:
-        return LABEL_SPACE
-    return SEGMENTER if stored.segmenter != origin.segmenter else None
 
 
 def check_folders(files: Sequence[FrameFile], known: StoredRecords) -> None:
