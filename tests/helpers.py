@@ -73,14 +73,19 @@ def write_png(path: Path, pixels: npt.NDArray[np.integer], colour_type: int, bit
     else:
         unpacked = flat.astype(np.uint8)[..., None] >> np.arange(bits - 1, -1, -1) & 1
         rows = [np.packbits(row.ravel()).tobytes() for row in unpacked]
-    header = struct.pack(">IIBBBBB", width, height, bits, colour_type, 0, 0, 0)
-    path.write_bytes(
-        b"\x89PNG\r\n\x1a\n"
-        + _chunk(b"IHDR", header)
-        + _chunk(b"IDAT", zlib.compress(b"".join(b"\0" + row for row in rows)))
-        + _chunk(b"IEND", b"")
-    )
+    packed = zlib.compress(b"".join(b"\0" + row for row in rows))
+    path.write_bytes(png_bytes(width, height, bits, colour_type, packed))
     return path
+
+
+def png_bytes(width: int, height: int, bits: int, colour_type: int, packed: bytes) -> bytes:
+    """A PNG by its packed rows."""
+    header = struct.pack(">IIBBBBB", width, height, bits, colour_type, 0, 0, 0)
+    content = b"\x89PNG\r\n\x1a\n"
+    for kind, data in ((b"IHDR", header), (b"IDAT", packed), (b"IEND", b"")):
+        content += struct.pack(">I", len(data)) + kind + data
+        content += struct.pack(">I", zlib.crc32(kind + data))
+    return content
 
 
 def flip_byte(path: Path, position: int, bits: int = 0x55) -> None:
@@ -123,11 +128,6 @@ def without(blocked: Sequence[str], script: Path, *arguments: object) -> list[st
         f"assert not {{*{list(blocked)!r}}} & {{n for n, m in sys.modules.items() if m}}\n"
     )
     return [sys.executable, "-c", code]
-
-
-def _chunk(kind: bytes, content: bytes) -> bytes:
-    checksum = struct.pack(">I", zlib.crc32(kind + content))
-    return struct.pack(">I", len(content)) + kind + content + checksum
 
 
 def outcome(*command: object) -> tuple[int, list[str], list[str]]:

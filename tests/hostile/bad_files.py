@@ -8,6 +8,7 @@ import zlib
 from pathlib import Path
 
 import numpy as np
+from helpers import png_bytes
 from numpy.lib import format as npy
 
 ALIASES = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
@@ -20,43 +21,38 @@ NESTED = "[" * 100_000
 """Deeper than any parser accepts."""
 
 
-def text(path: Path, content: str) -> Path:
+def made(path: Path) -> Path:
+    """A path in a folder that is there."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(content)
+    return path
+
+
+def text(path: Path, content: str) -> Path:
+    made(path).write_text(content)
     return path
 
 
 def pipe(path: Path) -> Path:
     """A FIFO that nobody writes to: opening it blocks forever."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    os.mkfifo(path)
+    os.mkfifo(made(path))
     return path
 
 
 def endless(path: Path) -> Path:
     """A link to a device that never ends."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.symlink_to("/dev/zero")
+    made(path).symlink_to("/dev/zero")
     return path
 
 
 def png(path: Path, side: int = 13_000, colours: int = 0) -> Path:
     """A PNG of ``side ** 2`` black pixels: 170 million in 165 kB. Gray, or of 3 channels."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     data = zeros(side * (1 + side * (3 if colours else 1)))
-    header = struct.pack(">IIBBBBB", side, side, 8, colours, 0, 0, 0)
-    path.write_bytes(
-        b"\x89PNG\r\n\x1a\n"
-        + _chunk(b"IHDR", header)
-        + _chunk(b"IDAT", data)
-        + _chunk(b"IEND", b"")
-    )
+    made(path).write_bytes(png_bytes(side, side, 8, colours, data))
     return path
 
 
 def tiff(path: Path, side: int = 13_000) -> Path:
     """A deflated TIFF of ``side ** 2`` black pixels."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     data = zeros(side * side)
     entries = [
         (256, 4, side),
@@ -72,28 +68,28 @@ def tiff(path: Path, side: int = 13_000) -> Path:
     folder = struct.pack("<H", len(entries))
     for tag, kind, value in entries:
         folder += struct.pack("<HHII", tag, kind, 1, value)
-    path.write_bytes(b"II*\0" + struct.pack("<I", 8 + len(data)) + data + folder + b"\0\0\0\0")
+    made(path).write_bytes(
+        b"II*\0" + struct.pack("<I", 8 + len(data)) + data + folder + b"\0\0\0\0"
+    )
     return path
 
 
 def array(path: Path, shape: tuple[int, ...], content: bytes = b"", dtype: str = "|u1") -> Path:
     """A ``.npy`` whose header has a shape that its content need not fit."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     file = io.BytesIO()
     header = {"descr": dtype, "fortran_order": False, "shape": shape}
     npy.write_array_header_1_0(file, header)
-    path.write_bytes(file.getvalue() + content)
+    made(path).write_bytes(file.getvalue() + content)
     return path
 
 
 def archive(path: Path, size: int = 6_000_000_000) -> Path:
     """A ``.npz`` of 6 GB of zeros in 6 MB."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     head = io.BytesIO()
     npy.write_array_header_1_0(head, {"descr": "|u1", "fortran_order": False, "shape": (1, size)})
     zeros = b"\0" * (1 << 24)
     with (
-        zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as target,
+        zipfile.ZipFile(made(path), "w", zipfile.ZIP_DEFLATED) as target,
         target.open("x.npy", "w", force_zip64=True) as file,
     ):
         file.write(head.getvalue())
@@ -105,8 +101,7 @@ def archive(path: Path, size: int = 6_000_000_000) -> Path:
 
 def ones(path: Path, shape: tuple[int, ...], dtype: str = "uint8") -> Path:
     """A valid array."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    np.save(path, np.ones(shape, dtype))
+    np.save(made(path), np.ones(shape, dtype))
     return path
 
 
@@ -122,7 +117,3 @@ def zeros(size: int) -> bytes:
     packer = zlib.compressobj(9, wbits=-15)
     end = packer.compress(block[:rest]) + packer.flush()
     return b"\x78\xda" + count * packed + end + struct.pack(">I", checksum)
-
-
-def _chunk(kind: bytes, data: bytes) -> bytes:
-    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
