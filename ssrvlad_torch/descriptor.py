@@ -136,16 +136,10 @@ class SSRVLAD(nn.Module):
         return tensor
 
     def counted(self, labels: Tensor) -> tuple[Tensor, ...]:
-        """The descriptors of a batch, and the number of pixels of each image with an unknown id,
-        which belong to no layer: what exported files give, which cannot raise an error.
-
-        Args:
-            labels: a tensor, as for a call.
-
-        Returns:
-            descriptors as of a call, ``(B,)`` int64, and of ``paper`` ``(B, 8)`` int64, the number
-            of keypoints of each layer, and ``(B, h, w)`` uint8, the skeletons as bit-planes.
-        """
+        """What exported files give, which cannot raise an error: the descriptors of a batch, and
+        ``(B,)`` int64, the number of pixels of each image with an unknown id, which belong to no
+        layer; of ``paper`` also ``(B, 8)`` int64, the number of keypoints of each layer, and
+        ``(B, h, w)`` uint8, the skeletons as bit-planes."""
         layers, unknown = self._front_end.counted(label_map(labels, self.label_space))
         histograms = self._aggregation.histograms(layers)
         descriptor = self._aggregation.descriptor(histograms)

@@ -78,12 +78,8 @@ class FrontEnd(nn.Module):
 
 
 def label_map(labels: Tensor, space: LabelSpace) -> Tensor:
-    """The label map of an input; for class scores, the class of the highest score.
-
-    Raises:
-        ValueError: wrong rank, dtype or number of classes, or an empty batch or image.
-        RuntimeError: under ``torch.jit.trace``.
-    """
+    """The label map of an input; for class scores, the class of the highest score. A wrong rank,
+    dtype or number of classes, and an empty batch or image, are a ValueError."""
     if torch.jit.is_tracing():  # type: ignore[attr-defined]
         raise RuntimeError(
             "torch.jit.trace cannot record SSRVLAD, nor can torch.onnx.export(dynamo=False); "
@@ -113,11 +109,8 @@ def label_map(labels: Tensor, space: LabelSpace) -> Tensor:
 
 
 def as_tensor(labels: Tensor | npt.NDArray[Any]) -> Tensor:
-    """A tensor as it is, or an array as a tensor that shares its memory where possible.
-
-    Raises:
-        ValueError: the input is neither, or a tensor without values in memory.
-    """
+    """A tensor as it is, or an array as a tensor that shares its memory where possible. Other
+    input, and a tensor without values in memory, are a ValueError."""
     if isinstance(labels, Tensor) and not labels.is_meta and labels.layout is torch.strided:
         return labels
     if isinstance(labels, np.ndarray) and labels.dtype.kind in "biufc":

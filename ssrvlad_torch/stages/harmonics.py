@@ -64,12 +64,9 @@ class Harmonics(nn.Module):
             self.register_buffer(name, table.view(torch.int64), persistent=False)
 
     def histograms(self, layers: Tensor, shift: int = 0) -> HarmonicHistograms:
-        """The soft histograms of areas and boundaries around the anchor. The root of the means of
-        bins (Hellinger) keeps large layers from dominating small ones.
-
-        Args:
-            layers: ``(B, h, w)`` uint8, the layer of each pixel, 0 to 7 or `NO_LAYER`.
-            shift: columns by which the anchor moves to the right.
+        """The soft histograms of areas and boundaries around the anchor, moved right by ``shift``
+        columns, of ``(B, h, w)`` uint8, the layer of each pixel, 0 to 7 or `NO_LAYER`. A bin is the
+        root of the mean of its cells (Hellinger), so that large layers do not dominate small ones.
         """
         config, (_, height, width) = self.config, layers.shape
         numbers = merge(layers)

@@ -52,14 +52,9 @@ def lengths(config: SSRVLADConfig, height: int, width: int) -> Lengths:
 
 
 def _floors(amount: Tensor, parts: Sequence[int], unit: int, offset: int = 0) -> list[Length]:
-    """``(parts * amount + offset) / unit``, rounded down; 0 for a part of 0.
-
-    Args:
-        amount: ``()`` int32, not negative.
-        parts: whole numbers up to the unit.
-        unit: at most a billion.
-        offset: below the unit.
-    """
+    """``(parts * amount + offset) / unit``, rounded down, and 0 for a part of 0. The amount is
+    ``()`` int32 from 0, the parts are up to the unit, which is at most a billion, and the offset is
+    below it."""
     whole = torch.tensor(parts, dtype=torch.int32)
     share = torch.tensor([part / unit for part in parts])
     high = amount // _BASE

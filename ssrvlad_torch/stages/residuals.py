@@ -48,11 +48,8 @@ class Residuals:
         self.config = config
 
     def histograms(self, layers: Tensor) -> ResidualHistograms:
-        """Shape contexts around the keypoints and the centre of each layer.
-
-        Args:
-            layers: ``(B, h, w)`` uint8, the layer of each pixel, 0 to 7 or `NO_LAYER`.
-        """
+        """Shape contexts around the keypoints and the centre of each layer, of ``(B, h, w)`` uint8,
+        the layer of each pixel, 0 to 7 or `NO_LAYER`."""
         config, (images, height, width) = self.config, layers.shape
         _, clean, skeleton = masks_of(layers, config)
         keypoints = points(end_points(skeleton) | intersections(skeleton))
