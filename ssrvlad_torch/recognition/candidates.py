@@ -17,15 +17,7 @@ import torch
 from torch import Tensor
 
 from .follow import NEAR, Mode, Places, ranked, runs, stacked, windows
-from .motion import (
-    BACKWARDS,
-    FORWARDS,
-    SPEEDS,
-    Motion,
-    likelihoods,
-    prior_of_speeds,
-    transitions,
-)
+from .motion import BACKWARDS, FORWARDS, PRIOR, SPEEDS, Motion, likelihoods, transitions
 
 _MAX_BELIEVED, _MIN_BELIEF = 64, 1e-4
 """The track may go on from the most probable rows, up to this number and down to this belief."""
@@ -123,9 +115,10 @@ class CandidateFilter:
         self.motion = motion or Motion()
         self._steps = [torch.tensor(self.motion.steps)[:, None] * way for way in ways]
         self._weights = transitions(self.motion).double()
-        self._prior = prior_of_speeds().double().expand(len(ways), -1, -1) / len(ways)
+        self._prior = PRIOR.double().expand(len(ways), -1, -1) / len(ways)
         self._starts = torch.tensor([part.start for part in runs(sequences)], dtype=torch.int64)
         self._length = len(sequences)
+        self._unmapped = self.motion.unmapped if sequences else 1.0
 
     def states(self, search: Search, part: range | None = None) -> Iterator[tuple[State, float]]:
         """The forward algorithm over one sequence of queries: the belief after each query, and how
@@ -139,18 +132,25 @@ class CandidateFilter:
         rows = search.candidates(query)
         rows = rows if before is None else torch.cat((rows, self._reached(before)))
         rows = torch.from_numpy(np.unique(rows.numpy())) if len(rows) else torch.tensor([0])
-        mapped, elsewhere, unmapped = (
-            self._anywhere(rows) if before is None else self._predicted(before, rows)
-        )
+        others = self._length - len(rows)
+        if before is None:
+            unmapped = self._unmapped
+            each = (1 - unmapped) / max(1, self._length)
+            mapped, elsewhere = (self._prior * each).expand(-1, -1, len(rows)), each * others
+        else:
+            mapped, elsewhere, unmapped = self._predicted(before, rows)
         scores, spread = search.scores(query, rows), search.spread(query)
         likelihood = likelihoods(scores, self.motion, spread).double()
-        other = self._likelihood_elsewhere(search, query, rows, spread)
+        sampled, scores_of_sample = search.sample(query)
+        elsewhere_of_sample = scores_of_sample[~torch.isin(sampled, rows)]
+        if len(elsewhere_of_sample):
+            other = float(likelihoods(elsewhere_of_sample, self.motion, spread).mean())
+        else:
+            other = 1.0 if others else 0.0
         mapped, elsewhere = mapped * likelihood, elsewhere * other
         total = float(mapped.sum()) + elsewhere + unmapped
-        chance = self.motion.unmapped_at_start(self._length)
-        others = self._length - len(rows)
         mean = (float(likelihood.sum()) + others * other) / max(1, self._length)
-        alone = (1 - chance) * mean + chance
+        alone = (1 - self._unmapped) * mean + self._unmapped
         belief = mapped / total, elsewhere / total, unmapped / total
         return State(rows, scores, likelihood, other, *belief), math.log(total / alone)
 
@@ -190,13 +190,6 @@ class CandidateFilter:
         decoys = torch.tensor(float(by_way[1:].sum()) + apart)
         return Places(scores, indices, near, torch.tensor(state.unmapped), decoys)
 
-    def _anywhere(self, rows: Tensor) -> tuple[Tensor, float, float]:
-        """The belief in rows, in the other rows and in no row, before the first query."""
-        unmapped = self.motion.unmapped_at_start(self._length)
-        each = (1 - unmapped) / max(1, self._length)
-        mapped = (self._prior * each).expand(-1, -1, len(rows))
-        return mapped, each * (self._length - len(rows)), unmapped
-
     def _predicted(self, state: State, rows: Tensor) -> tuple[Tensor, float, float]:
         """The belief in rows, in the other rows and in no row, one query after a state."""
         mapped = torch.zeros(len(self._steps), len(SPEEDS), len(rows), dtype=torch.double)
@@ -215,8 +208,8 @@ class CandidateFilter:
         lost = max(0.0, 1 - state.unmapped - float(mapped.sum()) - elsewhere)
         any_row, unmapped = self.motion.off_track(lost, state.unmapped)
         each = any_row / max(1, self._length)
-        others = self._length - len(rows)
-        return mapped + self._prior * each, elsewhere + each * others, unmapped
+        elsewhere += each * (self._length - len(rows))
+        return mapped + self._prior * each, elsewhere, unmapped
 
     def _reached(self, state: State) -> Tensor:
         """Rows to which the track may have moved."""
@@ -245,16 +238,6 @@ class CandidateFilter:
         """The fraction of the rows elsewhere that is listed now; which were listed before."""
         known = torch.isin(listed, rows, assume_unique=True)
         return int((~known).sum()) / max(1, self._length - len(rows)), known
-
-    def _likelihood_elsewhere(
-        self, search: Search, query: int, rows: Tensor, spread: tuple[float, float]
-    ) -> float:
-        """The mean likelihood of the sampled rows that are not among these rows."""
-        others, scores = search.sample(query)
-        elsewhere = ~torch.isin(others, rows)
-        if not elsewhere.any():
-            return 0.0 if len(rows) == self._length else 1.0
-        return float(likelihoods(scores[elsewhere], self.motion, spread).mean())
 
     def _sequence(self, rows: Tensor) -> Tensor:
         """The number of the sequence of each row."""

@@ -10,16 +10,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from .motion import (
-    BACKWARDS,
-    CELLS,
-    FORWARDS,
-    SPEEDS,
-    Motion,
-    likelihoods,
-    moved,
-    prior_of_speeds,
-)
+from .motion import BACKWARDS, CELLS, FORWARDS, PRIOR, SPEEDS, Motion, likelihoods, moved
 
 _HIGHEST = 1.001
 """The highest cosine that rounding can give."""
@@ -84,7 +75,7 @@ class Filter:
         self.motion, self._ways = motion or Motion(), ways
         self._cells = torch.zeros(0, dtype=torch.int64)
         self._inside = torch.zeros(self.motion.gap)
-        self._rows = 0
+        self._rows, self._places = 0, len(ways)
         self._sequence: str | None = None
         self._lost: Tensor | None = None
         nothing = torch.zeros(len(ways), len(SPEEDS), self.motion.gap)
@@ -108,6 +99,7 @@ class Filter:
             self._cells = F.pad(self._cells, (0, rows + rows // _ROOM - len(self._cells)))
         self._cells[self._rows : rows] = cells
         self._rows, self._sequence, self._lost = rows, sequences[-1], None
+        self._places = rows * len(self._ways)
         length = int(cells[-1]) + 1 + gap
         if length > len(self._inside):
             more = length + (length // _ROOM if self._rows > len(sequences) else 0)
@@ -119,9 +111,9 @@ class Filter:
 
     def restart(self) -> None:
         """Forgets the place: the next frame starts another sequence."""
-        unmapped = self.motion.unmapped_at_start(len(self))
-        cells = self._inside * self._each(1 - unmapped)
-        mapped = (prior_of_speeds() * cells).repeat(len(self._ways), 1, 1)
+        unmapped = self.motion.unmapped if self._rows else 1.0
+        cells = self._inside * ((1 - unmapped) / self._places)
+        mapped = (PRIOR * cells).repeat(len(self._ways), 1, 1)
         decoys = (1 - unmapped) * (1 - 1 / len(self._ways))
         self.belief = Belief(mapped, cells, decoys, unmapped)
         self._starting, self.gain = True, 0.0
@@ -141,55 +133,54 @@ class Filter:
             self.belief = Belief(mapped / total, cells / total, decoys, belief.unmapped / total)
         else:
             self.belief, total = self.after(self.belief, likelihood)
-        unmapped = self.motion.unmapped_at_start(len(self))
-        alone = (1 - unmapped) * float(likelihood.sum()) / max(1, len(self)) + unmapped
+        unmapped = self.motion.unmapped if self._rows else 1.0
+        alone = (1 - unmapped) * float(likelihood.sum()) / max(1, self._rows) + unmapped
         self.gain += math.log(total / alone)
         self._starting = False
 
     def rows(self, belief: Belief | None = None) -> Tensor:
         """``(R,)`` float32, the probability of each row; without a belief, in the present one."""
-        return (belief or self.belief).cells.index_select(0, self._cells[: len(self)])
+        return (belief or self.belief).cells.index_select(0, self._cells[: self._rows])
 
     def likelihood(self, scores: Tensor) -> Tensor:
         """``(cells,)`` float32, by scores ``(R,)`` float, see `motion.likelihoods`; 0 between
         sequences. Scores of another shape, NaN or above 1 are a ValueError."""
-        if scores.shape != (len(self),):
+        if scores.shape != (self._rows,):
             got = tuple(scores.shape)
-            raise ValueError(f"expected a score for each of {len(self)} rows, got {got}")
-        highest = float(scores.amax()) if len(scores) else 0.0
-        if not highest <= _HIGHEST:
+            raise ValueError(f"expected a score for each of {self._rows} rows, got {got}")
+        if len(scores) and not (highest := float(scores.amax())) <= _HIGHEST:
             raise ValueError(f"expected scores of at most 1, as cosines are, got {highest:g}")
         return self.in_cells(likelihoods(scores, self.motion))
 
     def in_cells(self, rows: Tensor) -> Tensor:
         """``(cells,)``, the values of rows ``(R,)`` in their cells; 0 between sequences."""
-        return torch.zeros_like(self._inside).index_copy_(0, self._cells[: len(self)], rows)
+        return torch.zeros_like(self._inside).index_copy_(0, self._cells[: self._rows], rows)
 
     def after(self, belief: Belief, likelihood: Tensor) -> tuple[Belief, float]:
         """The belief one frame later, by its likelihood ``(cells,)``, and how likely it was."""
-        if not len(self):
+        if not self._rows:
             return belief._replace(decoys=0.0, unmapped=1.0), 1.0
         mapped = moved(belief.mapped, self.motion, self._ways)
         cells = mapped.sum(1)
         lost = max(0.0, 1 - belief.unmapped - float((cells @ self._inside).sum()))
         any_row, unmapped = self.motion.off_track(lost, belief.unmapped)
-        each = self._each(any_row)
+        each = any_row / self._places
         cells.add_(each).mul_(likelihood)
         by_way = cells.sum(1).tolist()
         total = sum(by_way) + unmapped
         factors = (likelihood / total).split(CELLS)
         for block, factor in zip(mapped.split(CELLS, 2), factors, strict=True):
-            block.add_(prior_of_speeds() * each).mul_(factor)
+            block.add_(PRIOR * each).mul_(factor)
         decoys = sum(by_way[1:]) / total
         return Belief(mapped, cells[0].div_(total), decoys, unmapped / total), total
 
     def before(self, likelihood: Tensor, future: Future) -> Future:
         """The future one frame earlier, by the later likelihood ``(cells,)``."""
         weighted = future.mapped * likelihood
-        any_row = float((prior_of_speeds() * weighted).sum()) * self._each(1.0)
+        any_row = float((PRIOR * weighted).sum()) * (1 / self._places)
         lost, unmapped = self.motion.off_track_back(any_row, future.unmapped)
         if self._lost is None:
-            self._lost = 1 - moved(self._anywhere(), self.motion, self._ways, back=True)
+            self._lost = 1 - moved(self.no_future().mapped, self.motion, self._ways, back=True)
         mapped = moved(weighted, self.motion, self._ways, back=True)
         mapped.add_(self._lost, alpha=lost).mul_(self._inside)
         highest = max(unmapped, float(mapped.max()))
@@ -197,12 +188,4 @@ class Filter:
 
     def no_future(self) -> Future:
         """The future from the last frame, with which the backward algorithm starts."""
-        return Future(self._anywhere(), 1.0)
-
-    def _anywhere(self) -> Tensor:
-        """``(W, 7, cells)``, 1 in each cell of a row."""
-        return self._inside.expand(len(self._ways), len(SPEEDS), -1)
-
-    def _each(self, any_row: float) -> float:
-        """The probability of each row and way, by that of any."""
-        return any_row / (max(1, len(self)) * len(self._ways))
+        return Future(self._inside.expand(len(self._ways), len(SPEEDS), -1), 1.0)

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import product
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -22,6 +21,9 @@ SPEEDS: tuple[tuple[float, dict[int, float]], ...] = (
     (0.05, {3: 0.15, 4: 0.7, 5: 0.15}),
 )
 """Probability of each speed, and of its steps in rows: 0, 1/2, 1, 3/2, 2, 3, 4 rows a frame."""
+
+PRIOR = torch.tensor([probability for probability, _ in SPEEDS])[:, None]
+"""``(7, 1)`` float32, the probability of each speed."""
 
 FORWARDS, BACKWARDS = 1, -1
 """Ways to run a map."""
@@ -79,10 +81,8 @@ class Motion:
 
     def __post_init__(self) -> None:
         for name in ("change", "jump", "unmapped", "stay"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(
-                    f"{name}: expected a probability from 0 to 1, got {getattr(self, name)}"
-                )
+            if not 0 <= (got := getattr(self, name)) <= 1:
+                raise ValueError(f"{name}: expected a probability from 0 to 1, got {got}")
         if not 0 < self.weight < math.inf or not math.isfinite(self.level):
             raise ValueError(
                 "expected a finite weight above 0 and a finite level, "
@@ -96,10 +96,6 @@ class Motion:
         from one frame to the next are proportional to it."""
         change, jump = (min(1.0, each * rate) for each in (self.change, self.jump))
         return replace(self, rate=rate, change=change, jump=jump, weight=self.weight * rate)
-
-    def unmapped_at_start(self, rows: int) -> float:
-        """Probability that a map of so many rows lacks the place of the first frame."""
-        return self.unmapped if rows else 1.0
 
     def off_track(self, lost: float, unmapped: float) -> tuple[float, float]:
         """Probabilities of any row and of an unmapped place, from those of a track that was left
@@ -179,26 +175,19 @@ CELLS = 1 << 14
 """Cells that are moved at once: their beliefs before and after fit into the cache of a core."""
 
 
-class _Shift(NamedTuple):
-    """A step in cells, the speeds after and before it, and the probabilities from each to each."""
-
-    step: int
-    to: slice
-    source: slice
-    weights: Tensor
-
-
 @cache
-def _shifts(motion: Motion, back: bool) -> tuple[_Shift, ...]:
-    shifts, any_speed = [], slice(0, len(SPEEDS))
+def _shifts(motion: Motion, back: bool) -> list[tuple[int, slice, slice, Tensor]]:
+    """Each step in cells, the speeds after and before it, and the probabilities of the first from
+    the second."""
+    shifts, any_speed = list[tuple[int, slice, slice, Tensor]](), slice(0, len(SPEEDS))
     for step, by_speed in zip(motion.steps, transitions(motion), strict=True):
         speeds = by_speed.any(1).nonzero().flatten().tolist()
         to = slice(speeds[0], speeds[-1] + 1)
         if back:
-            shifts.append(_Shift(-step, any_speed, to, by_speed[to].T.contiguous()))
+            shifts.append((-step, any_speed, to, by_speed[to].T.contiguous()))
         else:
-            shifts.append(_Shift(step, to, any_speed, by_speed[to].contiguous()))
-    return tuple(shifts)
+            shifts.append((step, to, any_speed, by_speed[to].contiguous()))
+    return shifts
 
 
 @cache
@@ -223,8 +212,3 @@ def steps_of(speed: int, rate: float) -> dict[int, float]:
             after[far + step] = after.get(far + step, 0.0) + chance * part * likely
         steps = {far: chance for far, chance in after.items() if chance > 0}
     return steps
-
-
-def prior_of_speeds() -> Tensor:
-    """``(7, 1)`` float32, the probability of each speed."""
-    return torch.tensor([probability for probability, _ in SPEEDS])[:, None]
