@@ -27,11 +27,10 @@ from .standardise import MIN_FRAMES
 
 
 class Prior(NamedTuple):
-    """``a`` and ``b`` before a traverse is seen; the deviations are of ``a`` and of ``log(b)``."""
+    """``a`` and ``b`` before a traverse is seen."""
 
     offset: float
     slope: float
-    deviations: tuple[float, float] = (1.0, 0.5)
 
 
 ALONE = Prior(-1.35, 1.6)
@@ -44,6 +43,8 @@ docs/how-sure.md names the data, and the script that chose them."""
 TRACK = 10
 """Frames that a wrong answer lasts in a followed sequence."""
 
+_DEVIATIONS = (1.0, 0.5)
+"""Of ``a`` and of ``log(b)`` in a prior."""
 _LEAST_BELIEF = 1e-4
 _GRID, _REACH, _MOST = 33, 4.0, 2000
 """Points of the grid for each of ``a`` and ``log(b)``, its reach in deviations, and the number of
@@ -101,8 +102,8 @@ def _posterior(leads: Tensor, prior: Prior, together: float) -> tuple[Tensor, Te
     """``a``, ``b`` and the weight of each grid point; queries that err together are one."""
     steps = torch.linspace(-_REACH, _REACH, _GRID, dtype=torch.double)
     across, along = (each.flatten() for each in torch.meshgrid(steps, steps, indexing="ij"))
-    offsets = prior.offset + prior.deviations[0] * across
-    slopes = prior.slope * (prior.deviations[1] * along).exp()
+    offsets = prior.offset + _DEVIATIONS[0] * across
+    slopes = prior.slope * (_DEVIATIONS[1] * along).exp()
     log = -(across.square() + along.square()) / 2
     sample = leads[:: -(-len(leads) // _MOST) or 1].double()
     share = len(leads) / max(1, len(sample)) / together

@@ -8,7 +8,6 @@ first candidates on the traverse. Not in the paper.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -54,7 +53,12 @@ class FusedScores(Scores):
             got = ", ".join(map(str, shapes)) or "none"
             raise ValueError(f"expected scores (Q, R) of one shape, got {got}")
         self._members = list(members.values())
-        self.weights = weights_of({name: self._mean_lead(m) for name, m in members.items()})
+        leads = dict.fromkeys(members, 0.0)
+        if len(self) >= MIN_FRAMES:
+            sample = range(0, len(self), max(1, len(self) // _SAMPLE))
+            for name, scores in members.items():
+                leads[name] = sum(z_lead(scores[query]) for query in sample) / len(sample)
+        self.weights = weights_of(leads)
 
     def __len__(self) -> int:
         return len(self._members[0])
@@ -65,13 +69,6 @@ class FusedScores(Scores):
     def whole(self) -> Tensor:
         """``(Q, R)`` float32."""
         return torch.stack([self[query] for query in range(len(self))])
-
-    def _mean_lead(self, scores: Scores) -> float:
-        """The mean lead of the first candidates of a method over a sample of the queries."""
-        if len(self) < MIN_FRAMES:
-            return 0.0
-        sample = range(0, len(self), max(1, len(self) // _SAMPLE))
-        return sum(z_lead(scores[query]) for query in sample) / len(sample)
 
 
 def weights_of(leads: Mapping[str, float]) -> dict[str, float]:
@@ -88,7 +85,7 @@ def z_lead(scores: Tensor) -> float:
     nearness of its scores ``(R,)``; 0 if there are too few scores."""
     if len(scores) <= 2 * ELSEWHERE + 1:
         return 0.0
-    return float(lead(_scaled(scores).z[None]))
+    return float(lead(_scaled(scores)[0][None]))
 
 
 @torch.no_grad()
@@ -104,19 +101,12 @@ def fused(scores: Sequence[Tensor], weights: Sequence[float], first: int | None 
     return (-torch.expm1(-(mean + spread * z))).masked_fill(none, -torch.inf)
 
 
-class _Scaled(NamedTuple):
-    """The z-scores ``(R,)`` of nearness, with its mean and its standard deviation."""
-
-    z: Tensor
-    mean: Tensor
-    spread: Tensor
-
-
-def _scaled(scores: Tensor, first: int | None = None) -> _Scaled:
+def _scaled(scores: Tensor, first: int | None = None) -> tuple[Tensor, Tensor, Tensor]:
+    """The z-scores ``(R,)`` of nearness, its mean and its standard deviation; see `fused`."""
     scored = scores > -torch.inf
     near = nearness(scores.float()).where(scored, 0)
     count = scored[:first].sum().clamp(min=1)
     mean = near[:first].sum() / count
     centred = (near - mean).where(scored, 0)
     spread = (centred[:first].square().sum() / count).sqrt()
-    return _Scaled(centred / spread.clamp(min=_MIN_SPREAD), mean, spread)
+    return centred / spread.clamp(min=_MIN_SPREAD), mean, spread

@@ -65,7 +65,13 @@ def match(
         tensor([[0]])
     """
     queries, vectors = real_tensor(queries, "queries"), real_tensor(references)
-    _check(queries, vectors, top)
+    if queries.ndim != 2 or vectors.ndim != 2 or queries.shape[1] != vectors.shape[1]:
+        raise ValueError(
+            "expected queries (Q, D) and references (R, D) of one width D, "
+            f"got {tuple(queries.shape)} and {tuple(vectors.shape)}"
+        )
+    if not hasattr(top, "__index__") or top < 1:
+        raise ValueError(f"top must be an integer from 1, got {top!r}")
     excluded = checked_excluded(excluded, (len(queries), len(vectors)))
     if threshold is not None and math.isnan(threshold):
         raise ValueError("threshold: expected a number, got nan")
@@ -215,13 +221,3 @@ def best_of(values: Tensor, top: int, rows: Tensor | None = None) -> Matches:
     (scores,), (places,) = _best(padded[None], top)
     found = places if rows is None or not len(rows) else rows[places.clamp(max=len(rows) - 1)]
     return Matches(scores.float(), found.masked_fill(scores == -torch.inf, -1))
-
-
-def _check(queries: Tensor, references: Tensor, top: int) -> None:
-    if queries.ndim != 2 or references.ndim != 2 or queries.shape[1] != references.shape[1]:
-        raise ValueError(
-            "expected queries (Q, D) and references (R, D) of one width D, "
-            f"got {tuple(queries.shape)} and {tuple(references.shape)}"
-        )
-    if not hasattr(top, "__index__") or top < 1:
-        raise ValueError(f"top must be an integer from 1, got {top!r}")

@@ -13,14 +13,7 @@ from torch import Tensor
 
 from .blocks import Computed, fused_decoys, fused_scores, in_blocks, of_vectors
 from .candidates import Search, follow_candidates, gain_of_candidates
-from .confidence import (
-    ALONE,
-    ALONE_BY_FEATURES,
-    Confidence,
-    Prior,
-    answered,
-    answers_together,
-)
+from .confidence import ALONE, ALONE_BY_FEATURES, Confidence, Prior, answered, answers_together
 from .courses import Gain, course
 from .decoys import Lead, Mirror, decoy_scores, lead_over_decoys
 from .display import candidates_table
@@ -233,11 +226,8 @@ def recognise_by_search(
     def decide(run: range) -> _Decision:
         enough = min(len(run), len(reference_sequences)) >= MIN_FRAMES
         standardised = steps.standardise and enough
-        found = search(standardised)
-        sequences, delay = reference_sequences, steps.delay
-
-        def followed(part: range, mode: Mode, motion: Motion, way: int) -> Places:
-            return follow_candidates(found, sequences, part, mode, delay, top, motion, way)
+        found, sequences = search(standardised), reference_sequences
+        mode, delay = steps.follow or "offline", steps.delay
 
         def judged() -> list[tuple[Matches, Lead]]:
             against = decoys(standardised) if decoys else None
@@ -246,7 +236,9 @@ def recognise_by_search(
         decision = _decided(
             run,
             partial(gain_of_candidates, found, sequences),
-            followed,
+            lambda part, motion, way: follow_candidates(
+                found, sequences, part, mode, delay, top, motion, way
+            ),
             lambda query: len(found.candidates(query)) == 0,
             judged,
             steps.follow,
@@ -301,7 +293,9 @@ def _by_scores(
 ) -> _Decision:
     """Decides about one sequence of queries by the scores of all rows."""
 
-    def followed(part: range, mode: Mode, motion: Motion, way: int) -> Places:
+    queries, mode = range(len(scores)), steps.follow or "offline"
+
+    def followed(part: range, motion: Motion, way: int) -> Places:
         some = Computed(lambda query: scores[part[query]], len(part))
         return follow(some, sequences, None, mode, steps.delay, top, motion, way)
 
@@ -312,7 +306,6 @@ def _by_scores(
             found.append((best_of(own, top), lead_over_decoys(own, against)))
         return found
 
-    queries = range(len(scores))
     return _decided(
         queries,
         partial(gain, scores, sequences),
@@ -327,7 +320,7 @@ def _by_scores(
 def _decided(
     queries: range,
     gain: Gain,
-    follow: Callable[[range, Mode, Motion, int], Places],
+    follow: Callable[[range, Motion, int], Places],
     is_empty: Callable[[int], bool],
     judge: Callable[[], Sequence[tuple[Matches, Lead]]],
     mode: Mode | None,
@@ -339,7 +332,7 @@ def _decided(
     taken = course(gain, queries) if mode else None
     if mode and taken:
         parts, motion = taken.parts(queries), Motion().at(taken.rate)
-        streams = [follow(part, mode, motion, taken.way) for part in parts]
+        streams = [follow(part, motion, taken.way) for part in parts]
         order = torch.tensor([query for part in parts for query in part]).argsort()
         places = Places(*(torch.cat(values)[order] for values in zip(*streams, strict=True)))
         empty = torch.tensor([is_empty(query) for query in queries])
