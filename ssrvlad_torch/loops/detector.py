@@ -156,7 +156,10 @@ class LoopDetector:
         if not (sequence and name):
             raise ValueError(f"expected a frame's id <sequence>/<name>, got {frame_id!r}")
         place = checked_pose(pose, frame_id)
-        record = FrameRecord(sequence, name, *place, _stamp(stamp, frame_id))
+        stamps = [math.nan] if stamp is None else numbers_of([stamp])
+        if not stamps:
+            raise ValueError(f"frame {frame_id!r}: expected a stamp in seconds, got {stamp!r}")
+        record = FrameRecord(sequence, name, *place, stamps[0])
         tensor = as_tensor(view)
         if picture is not None and not self._methods:
             raise ValueError("got a picture, but the detector has no extra method to describe it")
@@ -304,10 +307,3 @@ class LoopDetector:
         if self._memory.sequence != sequence:
             for memory in (self._memory, *self._others.values()):
                 memory.start_sequence()
-
-
-def _stamp(stamp: float | None, frame: str) -> float:
-    numbers = [math.nan] if stamp is None else numbers_of([stamp])
-    if not numbers:
-        raise ValueError(f"frame {frame!r}: expected a stamp in seconds, got {stamp!r}")
-    return numbers[0]

@@ -41,13 +41,25 @@ def draw_loops(
     there = loops[here]
     placed = bool(np.isfinite(poses[:, :2]).all(axis=1).any())
     figure = new_figure(10 if placed else 5, 5)
+    from matplotlib.collections import LineCollection
+    from matplotlib.lines import Line2D
+
     figure.suptitle(f"{title}\n{len(here)} of {len(loops)} frames close a loop", wrap=True)
     axes = figure.subplots(1, 2 if placed else 1, squeeze=False)[0]
     if placed:
         _draw_trajectory(axes[0], poses, sequences or [""] * len(poses))
-    for name, colour, chosen in _judged(here, there, poses, metres):
-        if placed:
-            _draw_loops_from_above(axes[0], poses, here[chosen], there[chosen], colour)
+    groups = [("loops", _UNJUDGED, np.full(len(here), True))]
+    if metres is not None:
+        right = np.hypot(*(poses[here, :2] - poses[there, :2]).T) <= metres
+        groups = [
+            (f"right, within {metres:g} m", _RIGHT, right),
+            ("wrong, or of unknown pose", _WRONG, ~right),
+        ]
+    for name, colour, chosen in groups:
+        if placed and chosen.any():
+            lines = np.stack((poses[here[chosen], :2], poses[there[chosen], :2]), axis=1)
+            axes[0].add_collection(LineCollection(list(lines), colors=colour, lw=0.8, alpha=0.7))
+            axes[0].plot(*lines[:, 0].T, ".", ms=4, color=colour)
         label = f"{name}: {np.count_nonzero(chosen)}"
         axes[-1].plot(here[chosen], there[chosen], ".", ms=4, color=colour, label=label)
     if candidates is not None:
@@ -60,21 +72,12 @@ def draw_loops(
     axes[-1].set(xlim=ends, ylim=ends)
     axes[-1].legend(loc="upper left", frameon=False)
     if placed:
-        _below(axes[0])
+        label = "frame, and line to its candidate"
+        loop = Line2D([], [], marker=".", color=_DARK, lw=0.8, label=label)
+        handles, at = [*axes[0].get_legend_handles_labels()[0], loop], (0.5, -0.12)
+        below = {"loc": "upper center", "bbox_to_anchor": at, "ncols": 3, "frameon": False}
+        axes[0].legend(handles=handles, **below)
     return figure
-
-
-def _judged(
-    here: Rows, there: Rows, poses: Floats, metres: float | None
-) -> list[tuple[str, str, Rows]]:
-    """Name, colour and loops of each group."""
-    if metres is None:
-        return [("loops", _UNJUDGED, np.full(len(here), True))]
-    right = np.hypot(*(poses[here, :2] - poses[there, :2]).T) <= metres
-    return [
-        (f"right, within {metres:g} m", _RIGHT, right),
-        ("wrong, or of unknown pose", _WRONG, ~right),
-    ]
 
 
 def _draw_trajectory(axes: Axes, poses: Floats, sequences: Sequence[str]) -> None:
@@ -90,24 +93,3 @@ def _draw_trajectory(axes: Axes, poses: Floats, sequences: Sequence[str]) -> Non
             axes.plot(*poses[known[0], :2], "s", color=_DARK, ms=5, label=label)
     axes.set(xlabel="x in metres", ylabel="y in metres")
     axes.set_aspect("equal", adjustable="datalim")
-
-
-def _draw_loops_from_above(axes: Axes, poses: Floats, here: Rows, there: Rows, colour: str) -> None:
-    from matplotlib.collections import LineCollection
-
-    if not len(here):
-        return
-    lines = np.stack((poses[here, :2], poses[there, :2]), axis=1)
-    axes.add_collection(LineCollection(list(lines), colors=colour, lw=0.8, alpha=0.7))
-    axes.plot(*poses[here, :2].T, ".", ms=4, color=colour)
-
-
-def _below(axes: Axes) -> None:
-    """A legend below the axes."""
-    from matplotlib.lines import Line2D
-
-    loop = Line2D([], [], marker=".", color=_DARK, lw=0.8, label="frame, and line to its candidate")
-    handles = [*axes.get_legend_handles_labels()[0], loop]
-    axes.legend(
-        handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=3, frameon=False
-    )

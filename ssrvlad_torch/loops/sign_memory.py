@@ -65,7 +65,8 @@ class SignVectors:
         self._before += self._total
         self._before_frames = len(signs)
         self._total = torch.zeros_like(self._total)
-        self._with_frames, self._with_moved = (GrowingArray(np.float64, len(_STEPS)) for _ in "12")
+        self._with_frames = GrowingArray(np.float64, len(_STEPS))
+        self._with_moved = GrowingArray(np.float64, len(_STEPS))
 
     def add(self, frame: Signs) -> None:
         """Appends a frame by its signs."""
@@ -153,27 +154,23 @@ class SignVectors:
             return
         first = len(self._lengths.values)
         with_frames, with_moved = self._with_sum(0)
-        self._with_frames, self._with_moved = (GrowingArray(np.float64, len(_STEPS)) for _ in "12")
+        self._with_frames = GrowingArray(np.float64, len(_STEPS))
+        self._with_moved = GrowingArray(np.float64, len(_STEPS))
         for row in with_frames[first:]:
             self._with_frames.append(row)
         for row in with_moved:
             self._with_moved.append(row)
 
     def _products(self, signs: Tensor) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-        return _products(signs, torch.from_numpy(self._signs.values), self._masks)
+        """``(N, S)`` products of the signs of a frame with those of all others, over the columns
+        that are left after each of S moves: where they are, and moved."""
+        queries = [signs[None]] * len(_STEPS) + [moved(signs[None], step) for step in _STEPS]
+        masks, rows = torch.cat([self._masks] * 2), torch.from_numpy(self._signs.values)
+        packed = (each.flatten(1) for each in (torch.cat(queries), masks, rows))
+        both = products(*packed).long().numpy().T
+        return both[:, : len(_STEPS)], both[:, len(_STEPS) :]
 
 
 def _numbers(signs: Tensor) -> Tensor:
     """``(columns, D)`` float64, the numbers 1 and -1 of a frame."""
     return numbers(signs).flatten(1).double()
-
-
-def _products(
-    signs: Tensor, rows: Tensor, masks: Tensor
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """``(N, S)`` products of the signs of a frame with rows, over the columns that are left after
-    each of S moves: where they are, and moved."""
-    queries = [signs[None]] * len(masks) + [moved(signs[None], step) for step in _STEPS]
-    packed = (torch.cat(queries), torch.cat((masks, masks)), rows)
-    both = products(*(each.flatten(1) for each in packed)).long().numpy().T
-    return both[:, : len(masks)], both[:, len(masks) :]
