@@ -51,10 +51,7 @@ def test_every_setting_that_matters_is_in_the_fingerprint(aggregation, unused):
     assert set(base.to_dict()) == {"labels_as", *OTHER}
     (another,) = {"harmonics", "residuals"} - {aggregation}
     other = {**OTHER, "aggregation": another, "sectors": 21, "labels_as": "synthia"}
-    changed = {
-        name: dataclasses.replace(base, **{name: value}).fingerprint
-        for name, value in other.items()
-    }
+    changed = {k: dataclasses.replace(base, **{k: v}).fingerprint for k, v in other.items()}
     same = {name for name, fingerprint in changed.items() if fingerprint == base.fingerprint}
     assert same == unused | {"labels_as"}
     assert len(set(changed.values())) == len(changed) - len(same) + 1
@@ -89,19 +86,13 @@ def test_dict_round_trip():
         ({"thinning": "lee"}, "thinning must be one of zhang-suen, guo-hall, got 'lee'"),
         ({"context": "area"}, "context must be one of skeleton, keypoints, got 'area'"),
         ({"labels_as": 3}, "labels_as must be a name, a path or a LabelSpace, got 3"),
+        ({"preset": "fast"}, "preset must be one of paper, default, got 'fast'"),
+        ({"ring": 3}, "unknown setting 'ring'; the settings are aggregation, anchor"),
     ],
 )
 def test_bad_settings_are_named(settings, message):
     with pytest.raises(ValueError, match=message):
-        SSRVLADConfig(**settings)
-
-
-def test_unknown_names():
-    with pytest.raises(ValueError, match="preset must be one of paper, default, got 'fast'"):
-        SSRVLADConfig.from_preset("fast")
-    settings = "unknown setting 'ring'; the settings are aggregation, anchor"
-    with pytest.raises(ValueError, match=settings):
-        SSRVLADConfig.from_preset("paper", ring=3)
+        SSRVLADConfig.from_preset(**{"preset": "default", **settings})
 
 
 @pytest.mark.parametrize(
