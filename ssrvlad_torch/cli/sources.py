@@ -91,9 +91,12 @@ def resolve(
     try:
         return replace(found, files=find(kind))
     except ValueError:
-        known_kind = dataset or segmenter or images
-        maps = known_kind or any(found_by(find_label_files, [path]) for path in paths)
-        if not maps and found_by(find_image_files, paths):
+        only_images = (
+            not (dataset or segmenter or images)
+            and not any(found_by(find_label_files, [path]) for path in paths)
+            and found_by(find_image_files, paths)
+        )
+        if only_images:
             raise ValueError(
                 f"{' '.join(paths)} holds images and no label maps; name the network that "
                 "labels them with --segmenter"
