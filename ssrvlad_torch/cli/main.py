@@ -32,9 +32,8 @@ def main() -> None:
     arguments = [argument for argument in sys.argv[1:] if argument != "--debug"]
     if signal.getsignal(signal.SIGTERM) == signal.SIG_DFL:
         signal.signal(signal.SIGTERM, lambda *_: sys.exit(TERMINATED))
-    warnings.filterwarnings(
-        "ignore", "Image size .* exceeds limit"
-    )  # of Pillow; the package raises an error
+    # of Pillow; the package raises an error
+    warnings.filterwarnings("ignore", "Image size .* exceeds limit")
     try:
         code = _run(arguments, debug=len(arguments) < len(sys.argv) - 1)
         sys.stdout.flush()
