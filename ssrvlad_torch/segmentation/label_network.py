@@ -17,6 +17,8 @@ from .network_outputs import (
     UnrecognisedError,
     choose_output,
     class_axis,
+    classes_of,
+    enlarged,
     form_of,
     take_output,
 )
@@ -55,6 +57,10 @@ class LabelNetwork(nn.Module):
                 self.axis = class_axis(declared, space, self.config.classes)
         self.preparation = Preparation(self.config, form)
         self.eval()
+
+    def forward(self, images: Tensor) -> Tensor:
+        """The label maps ``(B, H, W)`` of pictures of one size."""
+        return enlarged(classes_of(self.run(images)[0]), *images.shape[1:3])
 
     def run(self, images: Tensor, names: Sequence[str] = ()) -> tuple[Tensor, list[Tensor]]:
         """Class scores ``(B, C, h, w)`` or ids ``(B, h, w)`` of pictures ``(B, H, W, 3)`` uint8 in
