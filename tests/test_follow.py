@@ -184,11 +184,6 @@ def test_refuses(arguments, said):
         follow(**{"scores": torch.rand(3, 5), "reference_sequences": ["m"] * 5, **arguments})
 
 
-def test_refuses_a_motion_out_of_range():
-    with pytest.raises(ValueError, match="jump: expected a probability"):
-        Motion(jump=1.5)
-
-
 @pytest.mark.parametrize("mode", ["online", "offline"])
 def test_a_row_without_a_score_is_no_candidate(mode):
     scores = torch.eye(30)[10:20]

@@ -50,6 +50,8 @@ def accepted(results):
 
 def test_the_first_frames_have_nothing_to_compare_with():
     loops = detector(exclude=5)
+    with pytest.raises(ValueError, match="expected config as a LoopConfig, got SSRVLAD"):
+        LoopDetector(HEAD)
     assert repr(loops).startswith("LoopDetector(0 frames, LoopConfig(")
     results = drive(loops, views(range(8)))
     assert repr(loops).startswith("LoopDetector(8 frames, last drive/7, LoopConfig(exclude=5")
@@ -230,11 +232,6 @@ def test_a_frame_that_is_refused_leaves_no_trace(message):
     assert (len(loops), "drive/a" in loops) == (5, False)
     after = [each.update(PLACES[1], "drive/z", 6.0) for each in (loops, spared)]
     assert after[0] == after[1]
-
-
-def test_the_first_argument_of_a_detector_is_its_settings():
-    with pytest.raises(ValueError, match="expected config as a LoopConfig, got SSRVLAD"):
-        LoopDetector(HEAD)
 
 
 def test_a_stamp_must_not_go_back_in_its_sequence(tmp_path):

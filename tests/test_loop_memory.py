@@ -7,7 +7,6 @@ from hypothesis import given
 from loop_streams import noisy_stream, streams
 
 from ssrvlad_torch.loops.memory import BEFORE, Memory
-from ssrvlad_torch.recognition.standardise import standardise
 from ssrvlad_torch.recognition.sweep import score
 
 
@@ -51,14 +50,6 @@ def test_each_sequence_has_its_own_mean():
     plain = np.concatenate(centred)
     plain /= np.linalg.norm(plain, axis=1, keepdims=True)
     np.testing.assert_allclose(memory.scores(vectors[-1:]), plain[:-1] @ plain[-1], atol=1e-5)
-
-
-def test_one_anchor_gives_what_standardise_gives():
-    vectors = noisy_stream(3, 40, 30, [])[0][:, 0]
-    vectors = vectors[vectors.any(axis=1)]
-    alike = standardise(torch.from_numpy(vectors))
-    got = fed(vectors[:-1]).scores(vectors[-1:])
-    np.testing.assert_allclose(got, alike[:-1] @ alike[-1], rtol=0, atol=1e-5)
 
 
 def test_blocks_do_not_show(monkeypatch):

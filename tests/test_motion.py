@@ -67,6 +67,19 @@ def test_steps_at_a_rate(rate):
         assert set(at_rate) <= set(Motion(rate=rate).steps)
 
 
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"jump": 1.5}, "jump: expected a probability from 0 to 1, got 1.5"),
+        ({"weight": 0}, "expected a finite weight above 0 and a finite level, got 0 and 0.5"),
+        ({"rate": 0}, "rate: expected a finite number above 0, got 0"),
+    ],
+)
+def test_a_motion_out_of_range_is_refused(settings, said):
+    with pytest.raises(ValueError, match=said):
+        Motion(**settings)
+
+
 def test_moments_leave_out_what_has_no_score():
     scores = torch.rand(5000, generator=torch.Generator().manual_seed(0))
     near = nearness(scores).double()
