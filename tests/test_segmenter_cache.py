@@ -114,8 +114,7 @@ def test_the_cache_is_bounded_and_keeps_what_was_used_last(photos, cache, tmp_pa
     first = {entry.name for entry in entries(cache)}
     kept = write_photos(tmp_path / "kept", [2])
     run(segmenter, str(kept))
-    (used,) = {e.name for e in entries(cache) if e.stat().st_mtime_ns == max(
-        each.stat().st_mtime_ns for each in entries(cache))}  # fmt: skip
+    used = max(entries(cache), key=lambda entry: entry.stat().st_mtime_ns).name
     monkeypatch.setattr("ssrvlad_torch.segmentation.cache.LARGEST", 4 * size)
     run(segmenter, str(write_photos(tmp_path / "more", [20])))
     left = {entry.name for entry in entries(cache)}

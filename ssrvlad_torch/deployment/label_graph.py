@@ -87,7 +87,7 @@ class _Preparation(nn.Module):
 
 
 class _Decision(nn.Module):
-    """The last steps of `LabelNetwork.forward`, for an output of known layout."""
+    """The axis of the classes and the decision, for an output of known layout."""
 
     def __init__(self, axis: int | None, classes: tuple[int, int], dtype: torch.dtype) -> None:
         super().__init__()
