@@ -125,7 +125,14 @@ def follow(
         offline = mode == "offline"
         beliefs = _offline(track, scores, part) if offline else _online(track, scores, part, delay)
         for query, belief in beliefs:
-            places[query] = _places(track.rows(belief), belief, top, scores[query], parts)
+            rows = track.rows(belief)
+            best = ranked(rows, scores[query], top)
+            near, row = torch.tensor(0.0), int(best.indices[0])
+            if row >= 0:
+                own = parts[bisect_right(parts, row, key=lambda part: part.start) - 1]
+                near = rows[max(row - NEAR, own.start) : min(row + NEAR + 1, own.stop)].sum()
+            others = torch.tensor(belief.unmapped), torch.tensor(belief.decoys)
+            places[query] = Places(*best, near, *others)
     return stacked([places[query] for query in range(len(drives))], top)
 
 
@@ -185,18 +192,6 @@ def windows(items: Iterable[Item], delay: int) -> Iterator[Sequence[Item]]:
     while held:
         yield tuple(held)
         held.popleft()
-
-
-def _places(
-    rows: Tensor, belief: Belief, top: int, scores: Tensor, sequences: Sequence[range]
-) -> Places:
-    """The places of one query, by the probability of each row."""
-    best = ranked(rows, scores, top)
-    near, row = torch.tensor(0.0), int(best.indices[0])
-    if row >= 0:
-        own = sequences[bisect_right(sequences, row, key=lambda part: part.start) - 1]
-        near = rows[max(row - NEAR, own.start) : min(row + NEAR + 1, own.stop)].sum()
-    return Places(*best, near, torch.tensor(belief.unmapped), torch.tensor(belief.decoys))
 
 
 def _forward(
