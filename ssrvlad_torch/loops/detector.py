@@ -24,7 +24,7 @@ from ..encoding.extra_descriptors import extra_methods
 from ..segmentation.features import NAME as FEATURES
 from ..stages.front_end import as_tensor
 from .config import LoopConfig
-from .memory import Floats, FloatVectors, Memory, checked_vectors
+from .memory import Floats, FloatVectors, Memory
 from .result import LoopResult
 from .sign_memory import SignVectors
 from .tracker import Tracker
@@ -195,7 +195,7 @@ class LoopDetector:
         """
         check_records([record], [record.origin])
         extra = extra or {}
-        swept = checked_vectors(descriptor, record.frame, self.head.config.length)
+        swept = self._memory.checked(descriptor, record.frame)
         if extra.keys() != self._others.keys():
             names, got = (", ".join(each) or "nothing" for each in (self._others, extra))
             raise ValueError(f"frame {record.frame!r}: expected extra {names}, got {got}")

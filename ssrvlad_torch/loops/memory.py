@@ -70,8 +70,20 @@ class FloatVectors:
         return self._empty.values
 
     def checked(self, descriptor: Tensor, frame: str) -> Floats:
-        """See `checked_vectors`."""
-        return checked_vectors(descriptor, frame, len(self._total))
+        """``(S, D)`` descriptors of a frame, from ``(D,)`` or ``(S, D)``; another shape and a
+        length other than 1 or 0 are a ValueError."""
+        vectors: Floats = np.atleast_2d(descriptor.detach().cpu().float().numpy()).copy()
+        if vectors.ndim != 2 or vectors.shape[1] != len(self._total) or not len(vectors) % 2:
+            raise ValueError(
+                f"frame {frame!r}: expected a descriptor ({len(self._total)},), or of an odd "
+                f"number of anchors, got {tuple(descriptor.shape)}"
+            )
+        lengths = np.linalg.norm(vectors, axis=1)
+        if not ((np.abs(lengths - 1) <= _LENGTH_TOLERANCE) | (lengths == 0)).all():
+            raise ValueError(
+                f"frame {frame!r}: expected a descriptor of length 1 or zero, got {lengths.max():g}"
+            )
+        return vectors
 
     def add(self, descriptor: Floats) -> None:
         """Appends a frame by its ``(D,)`` descriptor of length 1 or zero."""
@@ -105,10 +117,8 @@ class FloatVectors:
         """``(D,)`` float32, the mean of the present sequence with another frame."""
         total, counted = self._total + descriptor, self._counted + counted
         if self._counted_before:
-            total, counted = (
-                total + self._before * (BEFORE / self._counted_before),
-                counted + BEFORE,
-            )
+            total = total + self._before * (BEFORE / self._counted_before)
+            counted += BEFORE
         mean: Floats = (total / max(1, counted)).astype(np.float32)
         return mean
 
@@ -175,20 +185,3 @@ class Memory(FloatVectors):
         self.frames.append(frame)
         self._poses.append(pose)
         self.add(descriptor)
-
-
-def checked_vectors(descriptor: Tensor, frame: str, length: int) -> Floats:
-    """``(S, D)`` descriptors of a frame, from ``(D,)`` or ``(S, D)``; another shape and a length
-    other than 1 or 0 are a ValueError."""
-    vectors: Floats = np.atleast_2d(descriptor.detach().cpu().float().numpy()).copy()
-    if vectors.ndim != 2 or vectors.shape[1] != length or not len(vectors) % 2:
-        raise ValueError(
-            f"frame {frame!r}: expected a descriptor ({length},), or of an odd number of "
-            f"anchors, got {tuple(descriptor.shape)}"
-        )
-    lengths = np.linalg.norm(vectors, axis=1)
-    if not ((np.abs(lengths - 1) <= _LENGTH_TOLERANCE) | (lengths == 0)).all():
-        raise ValueError(
-            f"frame {frame!r}: expected a descriptor of length 1 or zero, got {lengths.max():g}"
-        )
-    return vectors

@@ -37,8 +37,7 @@ class SignVectors:
         self._before, self._before_frames = torch.zeros_like(self._total), 0
         self._means, self._frames = list[Tensor](), list[int]()
         self._lengths = GrowingArray(np.float64, len(_STEPS))
-        self._with_frames = GrowingArray(np.float64, len(_STEPS))
-        self._with_moved = GrowingArray(np.float64, len(_STEPS))
+        self._with_sum = GrowingArray(np.float64, 2, len(_STEPS))
 
     def __len__(self) -> int:
         return len(self._signs.values)
@@ -58,35 +57,30 @@ class SignVectors:
             return
         total, count = self._sum()
         mean = total / count
-        for with_mean in self._with(self._kept[:, :, None] * mean, first):
+        for with_mean in self._products_with(self._kept[:, :, None] * mean, first):
             self._lengths.append(self._row_lengths(with_mean, mean))
         self._means.append(mean)
         self._frames.append(len(signs) - first)
         self._before += self._total
         self._before_frames = len(signs)
         self._total = torch.zeros_like(self._total)
-        self._with_frames = GrowingArray(np.float64, len(_STEPS))
-        self._with_moved = GrowingArray(np.float64, len(_STEPS))
+        self._with_sum = GrowingArray(np.float64, 2, len(_STEPS))
 
     def add(self, frame: Signs) -> None:
         """Appends a frame by its signs."""
         self._recount()
-        signs, first = torch.from_numpy(frame), len(self._lengths.values)
-        frames, others = self._products(signs)
-        self._with_frames.values[:] += frames[first:]
-        self._with_moved.values[:] += others
+        signs = torch.from_numpy(frame)
+        self._with_sum.values[:] += self._products(signs)
         self._signs.append(frame)
         self._total += _numbers(signs)
-        [with_frames], [with_moved] = self._with_sum(len(self) - 1)
-        self._with_frames.append(with_frames)
-        self._with_moved.append(with_moved)
+        self._recount()
 
     def extend(self, signs: Tensor) -> None:
         """Appends frames of a sequence by their signs ``(N, *shape)``."""
         for part in signs:
             self._signs.append(part.numpy())
             self._total += _numbers(part)
-        self._with_moved = GrowingArray(np.float64, len(_STEPS))
+        self._with_sum = GrowingArray(np.float64, 2, len(_STEPS))
 
     def descriptors(self, first: int, last: int) -> Signs:
         """``(last - first, columns, rows, bytes)``, a copy."""
@@ -96,26 +90,20 @@ class SignVectors:
         """``(N,)`` float32 best cosines of a new frame ``(1, *shape)`` to all others."""
         self._recount()
         signs, first = torch.from_numpy(swept[0]), len(self._lengths.values)
-        frames, others = self._products(signs)
-        new = _numbers(signs)
+        with_others, new = self._products(signs), _numbers(signs)
         total, count = self._sum()
         mean, count = (total + new) / (count + 1), count + 1
-        rows = np.concatenate(
-            (
-                self._lengths.values,
-                self._row_lengths((self._with_frames.values + frames[first:]) / count, mean),
-            )
-        )
+        with_mean = (self._with_sum.values + with_others) / count
+        own = self._row_lengths(with_mean[first:, 0], mean)
+        rows = np.concatenate((self._lengths.values, own))
         best = np.full(len(self), -np.inf)
         for place, step in enumerate(_STEPS):
             query = moved((new - mean)[None], step)[0]
-            products = (
-                others[:, place] - (self._with_moved.values[:, place] + others[:, place]) / count
-            )
+            cosines = with_others[:, 1, place] - with_mean[:, 1, place]
             of_means = [float((query * each).sum()) for each in (*self._means, mean)]
-            products -= np.repeat(of_means, (*self._frames, len(self) - first))
-            lengths = np.maximum(float(query.norm()) * rows[:, place], _LEAST)
-            best = np.maximum(best, products / lengths)
+            cosines -= np.repeat(of_means, (*self._frames, len(self) - first))
+            cosines /= np.maximum(float(query.norm()) * rows[:, place], _LEAST)
+            best = np.maximum(best, cosines)
         scores: Floats = best.clip(max=1).astype(np.float32)
         return scores
 
@@ -132,7 +120,7 @@ class SignVectors:
         counted = (kept.sum((1, 2)) * mean.shape[1] + (kept * mean.square()).sum((1, 2))).numpy()
         return np.sqrt((counted - 2 * with_mean).clip(0))
 
-    def _with(self, vectors: Tensor, first: int) -> npt.NDArray[np.float64]:
+    def _products_with(self, vectors: Tensor, first: int) -> npt.NDArray[np.float64]:
         """``(N, V)`` products of the frames from the first on with ``(V, columns, D)``."""
         flat = vectors.flatten(1)
         parts = torch.from_numpy(self._signs.values[first:]).split(_FRAMES_AT_ONCE)
@@ -140,35 +128,26 @@ class SignVectors:
         found += [numbers(part).flatten(1).double() @ flat.T for part in parts]
         return torch.cat(found).numpy()
 
-    def _with_sum(self, first: int) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """``(N, S)`` products of the frames from the first on with the sum of the sequence, over
-        the columns that are left after each move: where they are, and moved."""
+    def _recount(self) -> None:
+        """Adds the products of the last frames with the sum of the present sequence: of a new one,
+        or of all after a sequence started or frames were loaded."""
+        counted = len(self._with_sum.values)
+        if counted == len(self):
+            return
         total, _ = self._sum()
         shifts = torch.cat([moved(total[None], step) for step in _STEPS])
-        both = self._with(torch.cat((self._kept[:, :, None] * total, shifts)), first)
-        return both[:, : len(_STEPS)], both[:, len(_STEPS) :]
+        vectors = torch.cat((self._kept[:, :, None] * total, shifts))
+        for row in self._products_with(vectors, counted):
+            self._with_sum.append(row.reshape(2, -1))
 
-    def _recount(self) -> None:
-        """Counts the products with the present sequence after it started or frames were loaded."""
-        if len(self._with_moved.values) == len(self):
-            return
-        first = len(self._lengths.values)
-        with_frames, with_moved = self._with_sum(0)
-        self._with_frames = GrowingArray(np.float64, len(_STEPS))
-        self._with_moved = GrowingArray(np.float64, len(_STEPS))
-        for row in with_frames[first:]:
-            self._with_frames.append(row)
-        for row in with_moved:
-            self._with_moved.append(row)
-
-    def _products(self, signs: Tensor) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-        """``(N, S)`` products of the signs of a frame with those of all others, over the columns
-        that are left after each of S moves: where they are, and moved."""
+    def _products(self, signs: Tensor) -> npt.NDArray[np.int64]:
+        """``(N, 2, S)`` products of a frame with all others, over the columns that are left after
+        each of S moves: where they are, and moved."""
         queries = [signs[None]] * len(_STEPS) + [moved(signs[None], step) for step in _STEPS]
         masks, rows = torch.cat([self._masks] * 2), torch.from_numpy(self._signs.values)
         packed = (each.flatten(1) for each in (torch.cat(queries), masks, rows))
-        both = products(*packed).long().numpy().T
-        return both[:, : len(_STEPS)], both[:, len(_STEPS) :]
+        both: npt.NDArray[np.int64] = products(*packed).long().numpy().T
+        return both.reshape(-1, 2, len(_STEPS))
 
 
 def _numbers(signs: Tensor) -> Tensor:

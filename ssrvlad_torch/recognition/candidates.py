@@ -130,7 +130,12 @@ class CandidateFilter:
 
     def _step(self, before: State | None, search: Search, query: int) -> tuple[State, float]:
         rows = search.candidates(query)
-        rows = rows if before is None else torch.cat((rows, self._reached(before)))
+        if before is not None:  # the track may go on from the rows that were believed
+            beliefs = before.mapped.sum((0, 1))
+            most = beliefs.topk(min(_MAX_BELIEVED, len(beliefs)))
+            believed = before.rows[most.indices[most.values >= _MIN_BELIEF]]
+            targets = believed + torch.cat(self._steps)
+            rows = torch.cat((rows, targets[self._inside(believed, targets)]))
         rows = torch.from_numpy(np.unique(rows.numpy())) if len(rows) else torch.tensor([0])
         others = self._length - len(rows)
         if before is None:
@@ -210,14 +215,6 @@ class CandidateFilter:
         each = any_row / max(1, self._length)
         elsewhere += each * (self._length - len(rows))
         return mapped + self._prior * each, elsewhere, unmapped
-
-    def _reached(self, state: State) -> Tensor:
-        """Rows to which the track may have moved."""
-        beliefs = state.mapped.sum((0, 1))
-        most = beliefs.topk(min(_MAX_BELIEVED, len(beliefs)))
-        rows = state.rows[most.indices[most.values >= _MIN_BELIEF]]
-        targets = rows + torch.cat(self._steps)
-        return targets[self._inside(rows, targets)]
 
     def _targets(
         self, rows: Tensor, steps: Tensor, listed: Tensor

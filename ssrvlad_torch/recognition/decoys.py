@@ -57,32 +57,21 @@ def lead_over_decoys(
         >>> lead_over_decoys(torch.eye(20)[3], torch.zeros(20)).value > 1
         True
     """
-    own = _best(scores, rows)
-    other = _Best(-torch.inf, -torch.inf, -1)
-    if decoys is not None:
-        other = _best(decoys, decoy_rows)
-    if own.row < 0:
-        return Lead(torch.nan, other.row)
+    decoys = scores[:0] if decoys is None else decoys
+    own, elsewhere, row = _best(scores, rows)
+    decoy, other_decoy, decoy_row = _best(decoys, decoy_rows)
+    if row < 0:
+        return Lead(torch.nan, decoy_row)
     if deviation is None:
-        deviation = moments(scores if decoys is None else torch.cat((scores, decoys)))[1]
-    if own.nearness > other.nearness:
-        ahead = own.nearness - max(other.nearness, own.elsewhere)
-    else:
-        ahead = max(own.nearness, other.elsewhere) - other.nearness
-    return Lead(ahead / deviation if abs(ahead) < torch.inf else torch.nan, other.row)
+        _, deviation = moments(torch.cat((scores, decoys)))
+    ahead = own - max(decoy, elsewhere) if own > decoy else max(own, other_decoy) - decoy
+    return Lead(ahead / deviation if abs(ahead) < torch.inf else torch.nan, decoy_row)
 
 
-class _Best(NamedTuple):
+def _best(scores: Tensor, rows: Tensor | None) -> tuple[float, float, int]:
     """The nearness of the nearest row and of the nearest that is elsewhere, and the first's row."""
-
-    nearness: float
-    elsewhere: float
-    row: int
-
-
-def _best(scores: Tensor, rows: Tensor | None) -> _Best:
     if not bool((scores > -torch.inf).any()):
-        return _Best(-torch.inf, -torch.inf, -1)
+        return -torch.inf, -torch.inf, -1
     near = nearness(scores.float())
     best = int(near.argmax())
     if rows is None:
@@ -90,7 +79,7 @@ def _best(scores: Tensor, rows: Tensor | None) -> _Best:
     else:
         apart = near[(rows - rows[best]).abs() > ELSEWHERE]
     elsewhere = float(apart.max()) if len(apart) else -torch.inf
-    return _Best(float(near[best]), elsewhere, best if rows is None else int(rows[best]))
+    return float(near[best]), elsewhere, best if rows is None else int(rows[best])
 
 
 def decoy_scores(
@@ -104,20 +93,14 @@ def decoy_scores(
     turned = mirror(units)
     scores = references.cosines(turned.flatten(0, 1)).view(*swept.shape[:2], -1)
     if mean is not None:
+        # the length of a decoy is |mean + mirror(unit row - mean)|
+        both = torch.stack((mean, mirror(mean)))
+        along, across = (references.vectors.float() @ both.T / references.lengths[:, None]).T
+        squares = 1 + 2 * float(mean @ mean) - 2 * along + 2 * across - 2 * float(mean @ both[1])
+        lengths = squares.clamp(min=_ROUNDING).sqrt().nan_to_num(1.0)
         shift = ((units - turned) @ mean).nan_to_num(0.0)
-        scores = (scores + shift[..., None]) / _lengths(references, mirror, mean)
+        scores = (scores + shift[..., None]) / lengths
     return scores.amax(1)
-
-
-def _lengths(references: Rows, mirror: Mirror, mean: Tensor) -> Tensor:
-    """``(R,)``, the lengths of the decoys: ``|mean + mirror(unit row - mean)|``."""
-    turned, squared = mirror(mean), float(mean @ mean)
-    along, across = (
-        references.vectors.float() @ torch.stack((mean, turned)).T / references.lengths[:, None]
-    ).T
-    square = 1 + 2 * squared - 2 * along + 2 * across - 2 * float(mean @ turned)
-    lengths: Tensor = square.clamp(min=_ROUNDING).sqrt().nan_to_num(1.0)
-    return lengths
 
 
 _ROUNDING = 1e-12

@@ -85,7 +85,8 @@ def z_lead(scores: Tensor) -> float:
     nearness of its scores ``(R,)``; 0 if there are too few scores."""
     if len(scores) <= 2 * ELSEWHERE + 1:
         return 0.0
-    return float(lead(_scaled(scores)[0][None]))
+    z, _, _ = _scaled(scores)
+    return float(lead(z[None]))
 
 
 @torch.no_grad()

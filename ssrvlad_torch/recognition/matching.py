@@ -87,7 +87,13 @@ def match(
             if excluded is not None:
                 without = excluded[part, first:last].to(cosines.device)
                 cosines.masked_fill_(without, -torch.inf)
-            _improve(scores[part], indices[part], cosines, first)
+            better = (cosines.amax(dim=1) > scores[part, -1]).nonzero()[:, 0]
+            if len(better):  # most queries find nothing better in a later block
+                rows = better + start
+                best, columns = _best(cosines[better], top)
+                scores[rows], places = _best(torch.cat((scores[rows], best), 1), top)
+                both = torch.cat((indices[rows], columns + first), 1)
+                indices[rows] = both.gather(1, places)
     no_candidate = ~(scores > (-torch.inf if threshold is None else threshold))
     return Matches(
         scores.masked_fill(no_candidate, -torch.inf), indices.masked_fill(no_candidate, -1)
@@ -172,19 +178,6 @@ def _lengths(vectors: Tensor, name: str = "references") -> Tensor:
     if bool(vectors[lengths == 0].any()):
         raise ValueError(f"{name} hold values too small for float32 to measure their length")
     return lengths
-
-
-def _improve(scores: Tensor, indices: Tensor, cosines: Tensor, first: int) -> None:
-    """Merges the scores of a block, which starts at row ``first``, into the lists, in place.
-
-    Most queries find nothing better in a later block: only those with a higher score are merged.
-    """
-    rows = (cosines.amax(dim=1) > scores[:, -1]).nonzero()[:, 0]
-    if len(rows):
-        best, columns = _best(cosines[rows], scores.shape[1])
-        both = torch.cat((scores[rows], best), 1)
-        scores[rows], places = _best(both, scores.shape[1])
-        indices[rows] = torch.cat((indices[rows], columns + first), 1).gather(1, places)
 
 
 def _best(scores: Tensor, top: int) -> tuple[Tensor, Tensor]:
