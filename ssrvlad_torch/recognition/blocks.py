@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 
 import torch
@@ -64,27 +64,20 @@ def of_vectors(
 
 
 def fused_scores(
-    members: Sequence[Scores], names: Sequence[str]
-) -> tuple[Scores | Tensor, dict[str, float]]:
-    """The scores of all methods as one, and the weights of several methods."""
+    members: Mapping[str, Scores], decoys: Mapping[str, Scores]
+) -> tuple[Scores | Tensor, Scores | None, dict[str, float]]:
+    """The scores of all methods as one, those of the decoys fused alike if all methods have them,
+    and the weights of several methods."""
     if len(members) == 1:
-        return members[0], {}
-    scores = FusedScores(dict(zip(names, members, strict=True)))
-    fits = len(scores) * len(scores[0]) <= IN_MEMORY
-    return scores.whole() if fits else scores, scores.weights
+        [(name, scores)] = members.items()
+        return scores, decoys.get(name), {}
+    every = FusedScores(members)
+    fits = len(every) * len(every[0]) <= IN_MEMORY
 
+    def decoy_row(query: int) -> Tensor:
+        both = [torch.cat((own[query], decoys[name][query])) for name, own in members.items()]
+        rows = len(both[0]) // 2
+        return fused(both, [*every.weights.values()], rows)[rows:]
 
-def fused_decoys(
-    members: Sequence[Scores], decoys: Sequence[Scores], weights: Sequence[float]
-) -> Scores:
-    """Scores of the decoys by all methods as one, as the scores of the map are fused."""
-    if len(decoys) == 1:
-        return decoys[0]
-
-    def row(query: int) -> Tensor:
-        pairs = zip(members, decoys, strict=True)
-        both = [torch.cat((own[query], against[query])) for own, against in pairs]
-        first = len(both[0]) // 2
-        return fused(both, weights, first)[first:]
-
-    return Computed(row, len(decoys[0]))
+    against = Computed(decoy_row, len(every)) if len(decoys) == len(members) else None
+    return every.whole() if fits else every, against, every.weights

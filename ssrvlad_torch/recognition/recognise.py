@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from .blocks import Computed, fused_decoys, fused_scores, in_blocks, of_vectors
+from .blocks import Computed, fused_scores, in_blocks, of_vectors
 from .candidates import Search, follow_candidates, gain_of_candidates
 from .confidence import ALONE, ALONE_BY_FEATURES, Confidence, Prior, answered, answers_together
 from .courses import Gain, course
@@ -160,16 +160,16 @@ def recognise(
         enough = min(len(run), len(reference_sequences)) >= MIN_FRAMES
         standardised = steps.standardise and enough
         without = None if excluded is None else excluded[part]
-        width, members, decoys = 0, list[Scores](), list[Scores]()
+        width, members, decoys = 0, dict[str, Scores](), dict[str, Scores]()
         for name, vectors in queries_of.items():
             rows = rows_of(name, standardised)
             if isinstance(rows, SignRows):
                 reach = REACH if steps.sweep else 0
                 signs = SignQueries(vectors[part], rows, standardised, reach)
                 turned = SignQueries(mirrored_signs(vectors[part]), rows, standardised, reach)
-                for found, each in ((members, signs), (decoys, turned)):
-                    size = len(run), len(rows), each.moves
-                    found.append(in_blocks(each.scores, *size, without))
+                size = len(run), len(rows), signs.moves
+                members[name] = in_blocks(signs.scores, *size, without)
+                decoys[name] = in_blocks(turned.scores, *size, without)
                 continue
             compared, reach = vectors[part], 0
             if compared.ndim == 3 and steps.sweep:
@@ -177,17 +177,15 @@ def recognise(
             else:
                 compared = compared[:, compared.shape[1] // 2] if compared.ndim == 3 else compared
                 compared = standardise(compared) if standardised else compared
-            members.append(of_vectors(compared, rows, without))
+            members[name] = of_vectors(compared, rows, without)
             if mirrors is not None:
                 mean = None if standardised else rows.mean()
                 against = partial(decoy_scores, mirror=mirrors[name], mean=mean)
-                decoys.append(of_vectors(compared, rows, without, against))
+                decoys[name] = of_vectors(compared, rows, without, against)
             width = max(width, reach)
-        scores, weights = fused_scores(members, list(pairs))
-        whole = len(decoys) == len(members)
-        against_decoys = fused_decoys(members, decoys, list(weights.values())) if whole else None
+        scores, of_decoys, weights = fused_scores(members, decoys)
         prior = ALONE if mirrored == set(queries_of) else ALONE_BY_FEATURES
-        decision = _by_scores(scores, reference_sequences, steps, top, against_decoys, prior)
+        decision = _by_scores(scores, reference_sequences, steps, top, of_decoys, prior)
         return replace(decision, standardise=standardised, sweep=width, weights=weights)
 
     return _by_sequence(decide, query_sequences, len(reference_sequences), steps, top)

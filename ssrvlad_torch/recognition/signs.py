@@ -97,22 +97,16 @@ class SignRows:
 
     def __init__(self, signs: Tensor, sequences: Sequence[str] | None = None) -> None:
         self.signs = signs
-        self.traverse = torch.zeros(len(signs), dtype=torch.int64)
-        self.means = numbers(torch.zeros(1, *signs.shape[1:], dtype=torch.uint8)).flatten(2).zero_()
+        lengths, shared = [len(signs)], dict[tuple[int, ...], tuple[int, ...]]()
         if sequences is not None and len(signs):
-            parts = [*runs(sequences)]
-            self.means = self.means.repeat(len(parts), 1, 1)
-            for group, of in sharing([len(part) for part in parts]).items():
-                shared = [signs[parts[each].start : parts[each].stop] for each in of]
-                self.means[list(group)] = mean_of(*shared)
-            lengths = torch.tensor([len(part) for part in parts])
-            self.traverse = torch.arange(len(parts)).repeat_interleave(lengths)
-            spans = [slice(part.start, part.stop) for part in parts]
-        else:
-            spans = [slice(0, len(signs))]
-        self.squares = torch.empty(signs.shape[:2])
-        for span, mean in zip(spans, self.means, strict=True):
-            self.squares[span] = squares(signs[span], mean)
+            lengths = [len(part) for part in runs(sequences)]
+            shared = sharing(lengths)
+        parts = signs.split(lengths)
+        self.traverse = torch.arange(len(parts)).repeat_interleave(torch.tensor(lengths))
+        self.means = torch.zeros(len(parts), signs.shape[1], 8 * signs.shape[2:].numel())
+        for group, of in shared.items():
+            self.means[list(group)] = mean_of(*(parts[each] for each in of))
+        self.squares = torch.cat([*map(squares, parts, self.means)])
 
     def __len__(self) -> int:
         return len(self.signs)
