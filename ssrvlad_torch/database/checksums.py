@@ -31,7 +31,17 @@ def checksums(rows: pa.Table | pa.RecordBatch) -> Words:
         if name == "checksum":
             continue
         if pa.types.is_string(column.type):
-            words = _hash_texts(column)
+            # the hash of the bytes of each text, padded to a row of a matrix, plus its length
+            _, offsets, content = column.buffers()
+            ends = np.frombuffer(offsets, np.int32)[column.offset :][: len(column) + 1]
+            lengths = np.diff(ends)
+            text = np.frombuffer(content or b"", np.uint8)[ends[0] : ends[-1]]
+            padded = np.zeros((len(column), lengths.max(initial=0)), np.uint8)
+            if text.size == padded.size:
+                padded.ravel()[:] = text
+            else:
+                padded[np.arange(padded.shape[1], dtype=np.int32) < lengths[:, None]] = text
+            words = _hash_rows(padded) + lengths.astype(np.uint64)
         elif pa.types.is_fixed_size_list(column.type):
             words = _hash_rows(matrix(column))
         else:
@@ -58,19 +68,4 @@ def _hash_rows(values: npt.NDArray[Any]) -> Words:
     words = np.ascontiguousarray(values).view(np.uint64)
     numbers = np.cumprod(np.full(words.shape[1], _MULTIPLIER, np.uint64), dtype=np.uint64)
     hashes: Words = np.einsum("ij,j->i", words, numbers)
-    return hashes
-
-
-def _hash_texts(column: pa.StringArray) -> Words:
-    """For each text, the hash of its bytes, padded to a row of a matrix, plus its length."""
-    _, offsets, content = column.buffers()
-    ends = np.frombuffer(offsets, np.int32)[column.offset :][: len(column) + 1]
-    lengths = np.diff(ends)
-    text = np.frombuffer(content or b"", np.uint8)[ends[0] : ends[-1]]
-    rows = np.zeros((len(column), lengths.max(initial=0)), np.uint8)
-    if text.size == rows.size:
-        rows.ravel()[:] = text
-    else:
-        rows[np.arange(rows.shape[1], dtype=np.int32) < lengths[:, None]] = text
-    hashes: Words = _hash_rows(rows) + lengths.astype(np.uint64)
     return hashes

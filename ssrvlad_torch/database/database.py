@@ -17,7 +17,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from datetime import datetime, timedelta
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -50,6 +50,7 @@ if TYPE_CHECKING:
 
 
 Check = Callable[[StoredRecords], None]
+Verb = Literal["append", "merge", "remove"]
 
 
 class Version(NamedTuple):
@@ -380,12 +381,12 @@ class Database:
             else record
             for record in _records(frames)
         ]
-        self._change([self.write_apart(records, descriptors, extra)], "merge", check)
+        self.adopt([self.write_apart(records, descriptors, extra)], check, "merge")
 
     def remove(self, frames: Collection[str]) -> None:
         """Removes frames by their ids, in one commit; ignores ids that are not in the database."""
         require_list(frames)
-        self._change([StagedRows((), tuple(sorted(set(frames))))], "remove")
+        self.adopt([StagedRows((), tuple(sorted(set(frames))))], verb="remove")
 
     def write_apart(
         self,
@@ -408,12 +409,33 @@ class Database:
         texts = tuple(json.dumps(fragment.to_json()) for fragment in fragments)
         return StagedRows(texts, tuple(rows["frame"].to_pylist()))
 
-    def adopt(self, written: Sequence[StagedRows], check: Check | None = None) -> None:
-        """Adds rows that `write_apart` wrote, in one commit. A frame that is in the database
-        already, or was written twice, is a ValueError. ``check`` is called with the records of the
+    def adopt(
+        self, written: Sequence[StagedRows], check: Check | None = None, verb: Verb = "append"
+    ) -> None:
+        """Adds rows that `write_apart` wrote, in one commit. ``append`` refuses a frame that is in
+        the database already by a ValueError, ``merge`` replaces it, and ``remove`` removes it; one
+        that was written twice is always a ValueError. ``check`` is called with the records of the
         version that is changed, if others have made it since this object last read or wrote the
         database; an error of it ends the change."""
-        self._change(written, "append", check)
+        self._require_writable()
+        ids = pa.table({"frame": pa.array([f for w in written for f in w.frames], pa.string())})
+        if len(pc.unique(ids["frame"])) < len(ids):
+            raise ValueError(f"frames for {self.path} were written twice")
+
+        def plan(table: LanceDataset) -> Any:
+            if check and table.version != self.version:
+                check(StoredRecords(table.to_table(columns=RECORD_COLUMNS, scan_in_order=True)))
+            stored = table.to_table(columns=["frame"])["frame"]
+            existing = ids.filter(pc.is_in(ids["frame"], stored))["frame"]
+            if verb == "append" and existing:
+                raise ValueError(f"frame {existing[0].as_py()!r} is in {self.path} already")
+            if verb == "remove" and not existing:
+                return None
+            fragments = [text for rows in written for text in rows.fragments]
+            return engine.replacement(table, ids if existing else None, fragments)
+
+        if len(ids):
+            self._apply(partial(engine.commit, plan=plan, message=f"{verb} {len(ids)} frames"))
 
     def drop_damaged(self) -> list[Damage]:
         """Drops damaged rows in one commit, and returns them; `encode` restores them."""
@@ -436,29 +458,6 @@ class Database:
         """
         self._apply(engine.compact)
         engine.clean(self.path, timedelta(days=keep_days))
-
-    def _change(self, written: Sequence[StagedRows], verb: str, check: Check | None = None) -> None:
-        """Removes the rows with the ids of ``written``, and adds its rows; ``append`` refuses ids
-        in the database, the verbs ``merge`` and ``remove`` do not."""
-        self._require_writable()
-        ids = pa.table({"frame": pa.array([f for w in written for f in w.frames], pa.string())})
-        if len(pc.unique(ids["frame"])) < len(ids):
-            raise ValueError(f"frames for {self.path} were written twice")
-
-        def plan(table: LanceDataset) -> Any:
-            if check and table.version != self.version:
-                check(StoredRecords(table.to_table(columns=RECORD_COLUMNS, scan_in_order=True)))
-            stored = table.to_table(columns=["frame"])["frame"]
-            existing = ids.filter(pc.is_in(ids["frame"], stored))["frame"]
-            if verb == "append" and existing:
-                raise ValueError(f"frame {existing[0].as_py()!r} is in {self.path} already")
-            if verb == "remove" and not existing:
-                return None
-            fragments = [text for rows in written for text in rows.fragments]
-            return engine.replacement(table, ids if existing else None, fragments)
-
-        if len(ids):
-            self._apply(partial(engine.commit, plan=plan, message=f"{verb} {len(ids)} frames"))
 
     def _apply(self, change: Callable[[LanceDataset], LanceDataset]) -> None:
         """Changes the newest version; see `engine.change_table`."""

@@ -8,7 +8,6 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
@@ -51,12 +50,34 @@ def schema(shapes: Mapping[str, Shape]) -> pa.Schema:
 def to_table(
     records: Sequence[FrameRecord], descriptors: Mapping[str, Vectors], shapes: Mapping[str, Shape]
 ) -> pa.Table:
-    """N records and their descriptors, which are checked, as rows."""
+    """N records and their descriptors as rows: float32 ``(N, D)``, or uint8 signs of another shape.
+    Other descriptors, and rows that are not finite or whose length does not fit into float32, are a
+    ValueError."""
     columns: dict[str, Any] = {
         name: [getattr(record, name) for record in records] for name in RECORD_COLUMNS
     }
     for name, shape in shapes.items():
-        values = _checked(name, descriptors[name], (len(records), *shape))
+        detach = getattr(descriptors[name], "detach", None)
+        values = np.asarray(detach().cpu() if detach else descriptors[name])
+        expected, kind = (len(records), *shape), dtype_of(shape)
+        if values.dtype.kind not in "biuf":
+            raise ValueError(f"{name}: expected real numbers, got {values.dtype}")
+        if values.shape != expected:
+            raise ValueError(
+                f"{name}: expected {expected} for {len(records)} frames, got {values.shape}"
+            )
+        if (kind == np.uint8) != (values.dtype == np.uint8):
+            raise ValueError(f"{name}: expected {kind.__name__}, got {values.dtype}")
+        values = values.astype(kind, copy=False)
+        if kind == np.float32:
+            if not np.isfinite(values).all():
+                raise ValueError(f"{name}: values that are not finite")
+            with np.errstate(over="ignore"):
+                squares = np.einsum("ij,ij->i", values, values)
+            if not np.isfinite(squares).all():
+                raise ValueError(f"{name}: values too large for float32 to measure their length")
+            if values[squares == 0].any():
+                raise ValueError(f"{name}: values too small for float32 to measure their length")
         if name == DESCRIPTOR:
             columns["empty"] = ~values.any(axis=1)
         flat = pa.array(np.ascontiguousarray(values).ravel())
@@ -117,29 +138,3 @@ def folders_of(table: pa.Table) -> set[tuple[str, str]]:
     pairs = pa.table({"folder": folder, "sequence": table["sequence"]})
     found = pairs.group_by(pairs.column_names).aggregate([])
     return set(zip(*found.to_pydict().values(), strict=True))
-
-
-def _checked(name: str, descriptors: Vectors, shape: Shape) -> npt.NDArray[Any]:
-    """Descriptors as an array: float32 ``(N, D)``, or uint8 signs of another shape. Others, and
-    rows that are not finite or whose length does not fit into float32, are a ValueError."""
-    detach = getattr(descriptors, "detach", None)
-    values = np.asarray(detach().cpu() if detach else descriptors)
-    kind = dtype_of(shape[1:])
-    if values.dtype.kind not in "biuf":
-        raise ValueError(f"{name}: expected real numbers, got {values.dtype}")
-    if values.shape != shape:
-        raise ValueError(f"{name}: expected {shape} for {shape[0]} frames, got {values.shape}")
-    if (kind == np.uint8) != (values.dtype == np.uint8):
-        raise ValueError(f"{name}: expected {kind.__name__}, got {values.dtype}")
-    values = values.astype(kind, copy=False)
-    if kind == np.uint8:
-        return values
-    if not np.isfinite(values).all():
-        raise ValueError(f"{name}: values that are not finite")
-    with np.errstate(over="ignore"):
-        squares = np.einsum("ij,ij->i", values, values)
-    if not np.isfinite(squares).all():
-        raise ValueError(f"{name}: values too large for float32 to measure their length")
-    if values[squares == 0].any():
-        raise ValueError(f"{name}: values too small for float32 to measure their length")
-    return values

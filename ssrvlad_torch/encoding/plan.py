@@ -69,8 +69,8 @@ class Plan:
                 reasons[file.frame], digests[file.frame] = reason, record.digest
                 todo.append(file if file.placed else replace(file, pose=Pose(*record[2:5])))
         present, folders = {file.frame for file in files}, {file.folder for file in files}
-        signatures = zip(known, known.table["signature"].to_pylist(), strict=True)
-        gone = [f for f, s in signatures if folder_of(s) in folders and f not in present]
+        rows = zip(*(known.table[n].to_pylist() for n in ("frame", "signature")), strict=True)
+        gone = [f for f, s in rows if folder_of(s) in folders and f not in present]
         return cls(todo, reasons, digests, len(files) - len(todo), gone)
 
     def reason(self, record: FrameRecord) -> str:
