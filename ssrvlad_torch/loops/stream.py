@@ -155,13 +155,8 @@ def report(
     `evaluation.loops.surest_point` as a mapping, ``None`` if no candidate is right. A distance, but
     no frame with a pose, is a ValueError."""
     counts = Counter(result.reason.value for result in results)
-    steps = {
-        "standardised": "mean so far",
-        "sweep": list(detector.columns),
-        "temporal": 0,
-        "follow": "online",
-        "weights": detector.weights,
-    }
+    steps = {"standardised": "mean so far", "sweep": list(detector.columns), "temporal": 0}
+    steps |= {"follow": "online", "weights": detector.weights}
     summary: dict[str, Any] = {"frames": len(results), "reasons": dict(counts), "steps": steps}
     if metres is not None:
         exclude = detector.config.exclude

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from .follow import NEAR, Mode, Places, ranked, runs, stacked, windows
-from .motion import BACKWARDS, FORWARDS, PRIOR, SPEEDS, Motion, likelihoods, transitions
+from .motion import FORWARDS, PRIOR, SPEEDS, Motion, likelihoods, transitions
 
 _MAX_BELIEVED, _MIN_BELIEF = 64, 1e-4
 """The track may go on from the most probable rows, up to this number and down to this belief."""
@@ -86,7 +86,7 @@ def follow_candidates(
     """The place of each query of one sequence, of the numbers ``part`` or all, given the others;
     for the other arguments see `follow`. Time for a query depends on its candidates, not on the
     map."""
-    track = CandidateFilter(sequences, motion, (way, -way))
+    track = CandidateFilter(sequences, motion or Motion(), (way, -way))
     states = (state for state, _ in track.states(search, part))
     if mode == "offline":
         smoothed = _smoothed(track, [*states])
@@ -106,19 +106,14 @@ def gain_of_candidates(
 class CandidateFilter:
     """The hidden Markov model of `Filter` over candidates."""
 
-    def __init__(
-        self,
-        sequences: Sequence[str],
-        motion: Motion | None = None,
-        ways: Sequence[int] = (FORWARDS, BACKWARDS),
-    ) -> None:
-        self.motion = motion or Motion()
-        self._steps = [torch.tensor(self.motion.steps)[:, None] * way for way in ways]
-        self._weights = transitions(self.motion).double()
+    def __init__(self, sequences: Sequence[str], motion: Motion, ways: Sequence[int]) -> None:
+        self.motion = motion
+        self._steps = [torch.tensor(motion.steps)[:, None] * way for way in ways]
+        self._weights = transitions(motion).double()
         self._prior = PRIOR.double().expand(len(ways), -1, -1) / len(ways)
         self._starts = torch.tensor([part.start for part in runs(sequences)], dtype=torch.int64)
         self._length = len(sequences)
-        self._unmapped = self.motion.unmapped if sequences else 1.0
+        self._unmapped = motion.unmapped if sequences else 1.0
 
     def states(self, search: Search, part: range | None = None) -> Iterator[tuple[State, float]]:
         """The forward algorithm over one sequence of queries: the belief after each query, and how
@@ -187,10 +182,8 @@ class CandidateFilter:
         by_way = state.mapped.sum(1)
         beliefs = by_way[0]
         scores, indices = ranked(beliefs, state.scores, top, state.rows)
-        near = torch.tensor(0.0)
-        if indices[0] >= 0:
-            same = self._sequence(state.rows) == self._sequence(indices[:1])
-            near = beliefs[same & ((state.rows - indices[0]).abs() <= NEAR)].sum().float()
+        same = self._sequence(state.rows) == self._sequence(indices[:1])
+        near = beliefs[same & ((state.rows - indices[0]).abs() <= NEAR)].sum().float()
         apart = state.elsewhere * (len(by_way) - 1) / len(by_way)
         decoys = torch.tensor(float(by_way[1:].sum()) + apart)
         return Places(scores, indices, near, torch.tensor(state.unmapped), decoys)

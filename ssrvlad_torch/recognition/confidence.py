@@ -74,19 +74,15 @@ class Confidence(NamedTuple):
         """Of one traverse by the leads ``(Q,)`` of the winners, negative where it is the decoy, and
         NaN where there is no candidate. Without decoys the prior alone decides."""
         known = ~leads.isnan()
+        lost = known & (leads < 0)
         right, decoy = (torch.zeros(len(leads)) for _ in range(2))
         offsets, slopes, weights = _posterior(leads[known & decoys], prior, together)
-
-        def probability(some: Tensor) -> Tensor:
+        for found, where, some in ((right, known, leads), (decoy, lost, -leads)):
             blocks = [
                 torch.sigmoid(offsets + slopes * block[:, None]) @ weights
-                for block in some.double().split(_BLOCK)
+                for block in some[where].double().split(_BLOCK)
             ]
-            return torch.cat([torch.zeros(0), *(block.float() for block in blocks)])
-
-        right[known] = probability(leads[known])
-        lost = known & (leads < 0)
-        decoy[lost] = probability(-leads[lost])
+            found[where] = torch.cat([torch.zeros(0), *(block.float() for block in blocks)])
         decoy = decoy if decoys else torch.full_like(decoy, torch.nan)
         return cls(right, decoy, torch.full((len(leads),), float(together)))
 

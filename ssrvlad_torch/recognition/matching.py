@@ -119,11 +119,7 @@ class Rows(NamedTuple):
 
     @classmethod
     def of(cls, vectors: Vectors) -> Rows:
-        """Rows of vectors ``(R, D)``.
-
-        Raises:
-            ValueError: they hold values that are not finite.
-        """
+        """Rows of vectors ``(R, D)``; values that are not finite are a ValueError."""
         single = real_tensor(vectors)
         lengths = [_lengths(block.float()) for block in torch.split(single, _REFERENCE_BLOCK)]
         return cls(single, torch.cat(lengths))
@@ -145,21 +141,13 @@ class Rows(NamedTuple):
 
 def unit_queries(queries: Vectors) -> Tensor:
     """Queries in float32, of length 1 along the last axis; a zero query becomes NaN, which matches
-    nothing.
-
-    Raises:
-        ValueError: they hold values that are not finite.
-    """
+    nothing. Values that are not finite are a ValueError."""
     single = real_tensor(queries, "queries").float()
     return single / _lengths(single, "queries")[..., None]
 
 
 def real_tensor(vectors: Vectors, name: str = "references") -> Tensor:
-    """Vectors as a tensor of real numbers.
-
-    Raises:
-        ValueError: they are not real numbers, or not in memory.
-    """
+    """Vectors as a tensor; others than of real numbers in memory are a ValueError."""
     try:
         tensor = torch.as_tensor(vectors)
     except (TypeError, ValueError, RuntimeError) as error:

@@ -55,7 +55,15 @@ def temporal_sum(
         around = torch.cat((before, single[first : last + reach]))
         start = first - len(before)
         before = around[: last - start][-reach:].clone() if reach else single[:0]
-        whole = _summed(around, drive[start : start + len(around)].to(around.device), reach)
+        drives = drive[start : start + len(around)].to(around.device)
+        # Eq. 3 over the block and the frames around it
+        whole = torch.zeros_like(around)
+        reached = min(reach, len(around) - 1)
+        for offset in range(-reached, reached + 1):
+            here = slice(max(0, -offset), len(around) - max(0, offset))
+            there = slice(max(0, offset), len(around) - max(0, -offset))
+            whole[here] += around[there] * (drives[here] == drives[there])[:, None]
+        whole = F.normalize(whole * around.any(dim=1, keepdim=True), dim=1)
         out[first:last] = whole[first - start : last - start]
     return out
 
@@ -78,13 +86,3 @@ def frames_within(
             raise ValueError(f"sequence {name!r} has no poses: expected the temporal sum in frames")
         reaches[name] = round(metres / float(np.median(own)))
     return reaches
-
-
-def _summed(single: Tensor, drive: Tensor, reach: int) -> Tensor:
-    """Eq. 3 over a block of frames; correct for those whose neighbours are all in the block."""
-    total = torch.zeros_like(single)
-    for offset in range(-min(reach, len(single) - 1), min(reach, len(single) - 1) + 1):
-        here = slice(max(0, -offset), len(single) - max(0, offset))
-        there = slice(max(0, offset), len(single) - max(0, -offset))
-        total[here] += single[there] * (drive[here] == drive[there])[:, None]
-    return F.normalize(total * single.any(dim=1, keepdim=True), dim=1)
