@@ -22,7 +22,7 @@ from .datasets.image_files import Pixels, find_image_files, read_image
 from .datasets.poses import Pose
 from .descriptor import SSRVLAD, query_head
 from .encoding.encoder import encode_to_database
-from .encoding.extra_descriptors import extra_descriptors, extra_methods, require_same
+from .encoding.extra_descriptors import check_segmenter, extra_descriptors, extra_methods
 from .encoding.results import Summary
 from .encoding.search import recognise_in
 from .encoding.source import origin_of, require_network
@@ -86,7 +86,7 @@ class Localiser:
         require_network(database, segmenter)
         config = dataclasses.replace(database.config, labels_as=segmenter.label_space)
         self._add, self._locate = SSRVLAD(config), query_head(config, COLUMNS)
-        require_same(database.extra, segmenter)
+        check_segmenter(segmenter, self._add.label_space, database.extra)
         self._methods = extra_methods(database.extra)
         self._features = any(each.name == FEATURES for each in database.extra)
         self._loaded: tuple[int, FrameSet] | None = None

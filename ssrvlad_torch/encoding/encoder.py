@@ -20,9 +20,9 @@ from ..datasets.workers import in_order
 from ..descriptor import SSRVLAD
 from ..segmentation.features import NAME as FEATURES
 from ..segmentation.segmenter import Segmenter
-from ..taxonomy import VOID, LabelSpace
+from ..taxonomy import VOID
 from .describer import BATCH, Describer, Item, read
-from .extra_descriptors import require_same
+from .extra_descriptors import check_segmenter
 from .plan import Plan
 from .results import Encoded, EncodeOptions, Progress, Skipped, Summary, cores, do_nothing
 from .writer import Writer
@@ -82,7 +82,7 @@ def prepared(
 ) -> tuple[Plan, Describer]:
     """What to encode into a database, and how; arguments and errors as for `encode_to_database`."""
     database.require(head.config)
-    check_segmenter(head, segmenter, database.extra)
+    check_segmenter(segmenter, head.label_space, database.extra)
     network = (segmenter.key(), segmenter.name) if segmenter else ()
     origin = database.add_origin(head.label_space, *network)
     plan = Plan.of(files, database, database.origins[origin])
@@ -140,20 +140,8 @@ def encode(
     only read, and the head runs in the caller's thread. A segmenter runs there too, while workers
     describe its earlier label maps.
     """
-    check_segmenter(head, segmenter, extra)
+    check_segmenter(segmenter, head.label_space, extra)
     return _encode(Describer(head, extra=extra), files, workers, segmenter)
-
-
-def check_segmenter(
-    head: SSRVLAD, segmenter: Segmenter | None, extra: Sequence[ExtraDescriptor]
-) -> None:
-    """Requires that a segmenter has the label space of a head, and the extra descriptors."""
-    require_same(extra, segmenter)
-    if segmenter and segmenter.label_space != head.label_space:
-        raise ValueError(
-            f"the segmenter gives labels of {segmenter.label_space.name}, the head reads "
-            f"{head.label_space.name}"
-        )
 
 
 def _encode(
@@ -199,8 +187,22 @@ def segmented_items(
             yield Item(file, signature, *said)
 
 
-def void_share(file: FrameFile, space: LabelSpace) -> float:
-    """The fraction of the pixels of a label map that are void, 0 to 1; errors as those of
-    `read_label_map`."""
-    void = [label.id for label in space.classes if label.category == VOID]
-    return float(np.isin(read_label_map(file, space), void).mean())
+def before_the_first(
+    head: SSRVLAD,
+    files: Sequence[FrameFile],
+    segmenter: Segmenter | None = None,
+    extra: Sequence[ExtraDescriptor] = (),
+) -> tuple[list[Skipped], float]:
+    """The skipped frames before the first that can be encoded, and the fraction of void pixels of
+    its label map, 0 to 1; 0 for a picture. Arguments as for `encode`."""
+    skipped: list[Skipped] = []
+    for file in files:
+        (result,) = encode(head, [file], 1, segmenter, extra)
+        if isinstance(result, Skipped):
+            skipped.append(result)
+            continue
+        if segmenter:
+            break
+        void = [label.id for label in head.label_space.classes if label.category == VOID]
+        return skipped, float(np.isin(read_label_map(file, head.label_space), void).mean())
+    return skipped, 0.0

@@ -8,6 +8,7 @@ from ..baselines.hog import HOG
 from ..database.metadata import ExtraDescriptor
 from ..segmentation.features import NAME as FEATURES
 from ..segmentation.segmenter import Segmenter
+from ..taxonomy import LabelSpace
 
 NONE = "none"
 
@@ -32,8 +33,11 @@ def extra_descriptors(
     return [_of(name, segmenter) for name in dict.fromkeys(names)]
 
 
-def require_same(stored: Sequence[ExtraDescriptor], segmenter: Segmenter | None) -> None:
-    """Raises a ValueError unless extra descriptors are those that are computed now."""
+def check_segmenter(
+    segmenter: Segmenter | None, space: LabelSpace, stored: Sequence[ExtraDescriptor]
+) -> None:
+    """Raises a ValueError unless a segmenter has the label space of a head, and its descriptors are
+    those that are stored."""
     for each in stored:
         if segmenter is None:
             raise ValueError(
@@ -46,6 +50,11 @@ def require_same(stored: Sequence[ExtraDescriptor], segmenter: Segmenter | None)
                 f"stored descriptors by {each.name} are of {each.fingerprint}, got "
                 f"{current.fingerprint}: encode the pictures again, or use what made them"
             )
+    if segmenter and segmenter.label_space != space:
+        raise ValueError(
+            f"the segmenter gives labels of {segmenter.label_space.name}, the head reads "
+            f"{space.name}"
+        )
 
 
 def extra_methods(stored: Sequence[ExtraDescriptor]) -> list[HOG]:

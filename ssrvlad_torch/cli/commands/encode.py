@@ -12,12 +12,10 @@ from ..output import finish, note, print_json, progress_bar, say
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from ...database.database import Database
     from ...database.metadata import ExtraDescriptor
     from ...descriptor import SSRVLAD
-    from ...encoding.results import EncodeOptions, Skipped, Summary
+    from ...encoding.results import EncodeOptions, Summary
     from ...encoding.source import Source
-    from ...taxonomy import LabelSpace
 
 Engine = Literal["local", "ray"]
 
@@ -54,11 +52,10 @@ def encode(
     from ...config import SSRVLADConfig
     from ...database.database import Database
     from ...datasets.names import is_uri
-    from ...datasets.videos import played
     from ...descriptor import SSRVLAD
-    from ...encoding.encoder import encode_to_database
+    from ...encoding.encoder import before_the_first, encode_to_database
     from ...encoding.ray_engine import encode_with_ray
-    from ...encoding.results import EncodeOptions, Summary
+    from ...encoding.results import EncodeOptions, Skipped, Summary
     from ..sources import extra_of, resolve
 
     folders = all(is_uri(path) or Path(path).is_dir() for path in source.paths)
@@ -80,19 +77,21 @@ def encode(
         config = dataclasses.replace(database.config, labels_as=frames.labels_as)
     else:
         config = SSRVLADConfig.from_preset(preset or "default", labels_as=frames.labels_as)
-    head, skipped = SSRVLAD(config), []
+    head, skipped = SSRVLAD(config), list[Skipped]()
     of_pictures = database and any(origin.segmenter for origin in database.origins.values())
     if not database:
-        skipped = _skipped_before_the_first(head, frames, stored)
+        # a run that fails makes no database
+        skipped, void = before_the_first(head, frames.files, frames.segmenter, stored)
+        if void > _MUCH_VOID:
+            first, name = frames.files[len(skipped)].location, head.label_space.name
+            note(f"{first}: {void:.0%} is void in {name}; is --labels-as right?")
     elif frames.segmenter and extra is None and not (database.extra or of_pictures):
         note(f"{output} is of label maps alone: features and HOG are not stored")
     summary = Summary(skipped=skipped)
     if len(skipped) < len(frames.files):
         run = encode_with_ray if engine == "ray" else encode_to_database
-        with progress_bar("encoding", len(frames.files), played(frames.files)) as bar:
-            options = EncodeOptions(source.workers, complete, prune, bar.advance, bar.skip, gpus)
-            summary = _run(run, head, frames, output, stored, options, new)
-        _note_other_spaces(Database.open(output), head.label_space)
+        options = EncodeOptions(source.workers, complete, prune, gpus=gpus)
+        summary = _run(run, head, frames, output, stored, options, new)
     if as_json:
         named = [frame._asdict() for frame in summary.skipped]
         report = {**dataclasses.asdict(summary), "anew": dict(summary.anew), "skipped": named}
@@ -115,41 +114,26 @@ def _run(
     options: EncodeOptions,
     new: bool,
 ) -> Summary:
-    """Encodes into a database; if that fails, a new one without frames is deleted."""
+    """Encodes into a database, and notes which other label spaces it holds; if that fails, a new
+    one without frames is deleted."""
     from ...database.database import Database
     from ...database.engine import discard_empty
+    from ...datasets.videos import played
 
-    database = Database.open_or_create(output, head.config, extra)
-    try:
-        return run(head, source.files, database, options, source.segmenter)
-    except BaseException as error:
-        del database
-        if new:
-            discard_empty(output, error)
-        raise
-
-
-def _note_other_spaces(database: Database, own: LabelSpace) -> None:
+    with progress_bar("encoding", len(source.files), played(source.files)) as bar:
+        options = dataclasses.replace(options, progress=bar.advance, skipped=bar.skip)
+        database = Database.open_or_create(output, head.config, extra)
+        try:
+            summary = run(head, source.files, database, options, source.segmenter)
+        except BaseException as error:
+            del database
+            if new:
+                discard_empty(output, error)
+            raise
+    database, own = Database.open(output), head.label_space
     if len(database.origins) > 1:
         others = [space.name for space in database.label_spaces() if space.digest != own.digest]
         if others:
             names = " and ".join(f"another {own.name}" if n == own.name else n for n in others)
-            note(f"{database.path} also holds frames of {names}")
-
-
-def _skipped_before_the_first(
-    head: SSRVLAD, source: Source, extra: Sequence[ExtraDescriptor]
-) -> list[Skipped]:
-    """The frames before the first that can be encoded: a run that fails makes no database."""
-    from ...encoding.encoder import encode, void_share
-    from ...encoding.results import Skipped
-
-    skipped, space = [], head.label_space
-    for file in source.files:
-        (result,) = encode(head, [file], 1, source.segmenter, extra)
-        if not isinstance(result, Skipped):
-            if not source.segmenter and (void := void_share(file, space)) > _MUCH_VOID:
-                note(f"{file.location}: {void:.0%} is void in {space.name}; is --labels-as right?")
-            break
-        skipped.append(result)
-    return skipped
+            note(f"{output} also holds frames of {names}")
+    return summary
