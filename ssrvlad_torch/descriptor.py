@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import warnings
 from collections.abc import Sequence
 from operator import index
@@ -13,7 +14,7 @@ from torch import Tensor, nn
 
 from .config import SSRVLADConfig
 from .native import core
-from .native.operator import UnknownIdError, describe, method_of, operator
+from .native.operator import UnknownIdError, describe, operator
 from .stages import harmonics, residuals
 from .stages.explanation import Explanation, explain
 from .stages.front_end import FrontEnd, as_tensor, label_map
@@ -83,7 +84,9 @@ class SSRVLAD(nn.Module):
         harmonic = self.config.aggregation == "harmonics"
         self._aggregation: Aggregation = (Harmonics if harmonic else Residuals)(self.config)
         self.native = core().library is not None
-        self._method = method_of(self.config)
+        settings = self.config.to_dict()
+        del settings["labels_as"]
+        self._method = json.dumps(settings)
         self._warned = False
 
     @classmethod

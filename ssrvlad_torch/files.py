@@ -283,6 +283,11 @@ def _format(path: Path) -> str:
     return path.suffix.removeprefix(".").lower() or "png"
 
 
+def is_uri(path: str) -> bool:
+    """Whether a path is a URI, of an object store for example, and not of a local disk."""
+    return "://" in path
+
+
 def empty_folder(path: Path) -> Path:
     """An empty folder, created if it is missing; one that is not empty is a ValueError."""
     path.mkdir(parents=True, exist_ok=True)

@@ -25,9 +25,10 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from ..config import SSRVLADConfig
+from ..files import is_uri
 from ..taxonomy import LabelSpace, label_space, label_space_names
 from . import engine
-from .disk import is_local, local_versions
+from .disk import local_versions
 from .frame_sets import FRAME_SET_COLUMNS, frame_set, load_frame_set, order_of
 from .frames import FrameRecord, FrameSet, require_list
 from .metadata import ExtraDescriptor, Meta, Origin
@@ -110,7 +111,7 @@ class Database:
     @staticmethod
     def exists(path: str | Path) -> bool:
         """Whether a database is at ``path``."""
-        if is_local(str(path)):
+        if not is_uri(str(path)):
             return any(Path(path, "_versions").glob("*.manifest"))
         try:
             engine.open_table(str(path))
@@ -151,7 +152,7 @@ class Database:
             )
         if cls.exists(text):
             raise ValueError(f"{text} is a database already")
-        if is_local(text) and Path(text).exists():
+        if not is_uri(text) and Path(text).exists():
             inside = Path(text).iterdir() if Path(text).is_dir() else [Path(text)]
             remains = ("_transactions", "_versions", "data")  # of an interrupted `create`
             if any(entry.name not in remains for entry in inside) or Path(text).is_file():
@@ -179,7 +180,7 @@ class Database:
                 the files of those after it.
         """
         text = _text(path)
-        if is_local(text) and not cls.exists(text):
+        if not is_uri(text) and not cls.exists(text):
             problem = "is not a database" if Path(text).exists() else "does not exist"
             raise ValueError(f"{text} {problem}")
         try:
@@ -194,7 +195,7 @@ class Database:
                     raise ValueError(f"{text} is damaged in version {version}: {reason}") from error
                 span = " to ".join(map(str, dict.fromkeys((stored[0], stored[-1]))))
                 raise ValueError(f"{text} has no version {version}; it has {span}") from error
-            missing = not is_local(text) and "not found" in reason.lower()
+            missing = is_uri(text) and "not found" in reason.lower()
             problem = "does not exist, or is damaged" if missing else "is damaged"
             readable, later = engine.newest_readable(text)
             hint = f"; --as-of {readable} reads the version before" if readable else ""

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pyarrow as pa
 
-from ..files import flush
+from ..files import flush, is_uri
 
 try:
     import fcntl
@@ -35,15 +35,10 @@ _ARRAY_LIMIT, _BITMAP_BYTES = 4096, 8192
 _LAST_VERSION = (1 << 64) - 1
 
 
-def is_local(uri: str) -> bool:
-    """Whether a table is a local folder, and not in an object store."""
-    return "://" not in uri
-
-
 def flush_fragments(uri: str, fragments: Iterable[FragmentMetadata]) -> None:
     """Flushes the files of fragments; raises OSError unless a data file has the size, and a file of
     deleted rows the number of rows, that Lance recorded."""
-    if not is_local(uri):
+    if is_uri(uri):
         return
     paths: list[Path] = []
     for fragment in fragments:
@@ -63,7 +58,7 @@ def flush_fragments(uri: str, fragments: Iterable[FragmentMetadata]) -> None:
 
 def flush_files(uri: str, files: Iterable[Path]) -> None:
     """Flushes files of a table and the folders that hold them."""
-    if not is_local(uri):
+    if is_uri(uri):
         return
     files = list(files)
     for file in files:
@@ -119,7 +114,7 @@ def local_versions(uri: str) -> list[int]:
 
 def has_leases(uri: str) -> bool:
     """Whether users of a table can hold versions."""
-    return fcntl is not None and is_local(uri)
+    return fcntl is not None and not is_uri(uri)
 
 
 def hold(table: LanceDataset) -> bool:

@@ -29,14 +29,13 @@ from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
 
-from ..files import flush
+from ..files import flush, is_uri
 from .disk import (
     Lease,
     flush_files,
     flush_fragments,
     has_leases,
     hold,
-    is_local,
     local_versions,
     manifest,
     seize,
@@ -165,13 +164,13 @@ def change_table(uri: str, change: Callable[[LanceDataset], LanceDataset]) -> La
 def create(uri: str, schema: pa.Schema) -> LanceDataset:
     """Creates an empty table."""
     with writing(uri):
-        if is_local(uri):
+        if not is_uri(uri):
             Path(uri).mkdir(parents=True, exist_ok=True)
         table: LanceDataset = lance().write_dataset(
             schema.empty_table(), uri, schema=schema, mode="create"
         )
         _flush_version(table)
-        if is_local(uri):
+        if not is_uri(uri):
             flush(Path(uri).absolute().parent)
     return table
 

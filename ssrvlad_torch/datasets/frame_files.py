@@ -10,11 +10,11 @@ from os import PathLike
 from pathlib import Path
 from typing import TypeVar
 
-from ..files import check_regular, natural_key, npy_header
+from ..files import check_regular, is_uri, natural_key, npy_header
 from .bags import bag_files, is_bag
 from .frame_file import FrameFile, RemoteFile, remote_files
 from .gps import read_exif
-from .names import KnownFolders, absolute, is_uri, sequence_names
+from .names import KnownFolders, absolute, sequence_names
 from .pose_tables import PoseTable
 from .poses import UNKNOWN, Pose, poses_of_fixes, read_poses
 from .trajectories import read_trajectory

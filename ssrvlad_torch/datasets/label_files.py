@@ -11,7 +11,7 @@ from numpy.lib.format import MAGIC_PREFIX
 from PIL import Image, UnidentifiedImageError
 
 from ..files import check_pixels, one_line, parse_npy
-from ..taxonomy import LabelSpace, palette
+from ..taxonomy import LabelSpace
 from .frame_files import FileKind, FrameFile, find_frames
 
 SUFFIXES = (".png", ".npy", ".tif", ".tiff", ".bmp")
@@ -112,10 +112,10 @@ def _ids_of_palette(
         ValueError: the palette has grays that are not the indices; either could be the ids. Or some
             colours are those of other ids than their indices, and some of none.
     """
-    ids, own = _ids_by_colour(space), [tuple(colour) for colour in palette(space).tolist()]
+    ids, own = _ids_by_colour(space), {label.id: label.colour for label in space.classes}
     used = np.flatnonzero(np.bincount(indices.ravel())).tolist()
     shown = {i: tuple(colours[i : i + 1].ravel().tolist()) for i in used}
-    others = [i for i in used if shown[i] != own[i]]
+    others = [i for i in used if shown[i] != (own.get(i) or (0, 0, 0))]
     moved = {i: ids[shown[i]] for i in others if shown[i] in ids}
     strays = [i for i in others if i not in moved]
     unclear = strays if moved else []

@@ -7,6 +7,8 @@ from collections.abc import Collection
 from pathlib import Path, PurePath
 from urllib.parse import unquote
 
+from ..files import is_uri
+
 BAG_SUFFIXES = (".bag", ".mcap", ".db3")
 VIDEO_SUFFIXES = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi", ".ts", ".mts")
 
@@ -75,11 +77,6 @@ def check_sequences(folders: KnownFolders, known: KnownFolders) -> None:
                 f"sequence {name!r} of the database is {min(owners[name])}, not {folder}: give "
                 f"--sequence {name} if the folder was moved, else another name"
             )
-
-
-def is_uri(source: str) -> bool:
-    """Whether a source is a URI, not a path or a glob."""
-    return "://" in source
 
 
 def is_same_folder(folder: str, other: str) -> bool:

@@ -5,7 +5,7 @@ import io
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from ..files import read_text, replacing
 from .gps import Fix, eastings_northings, heading_of_course
@@ -45,13 +45,24 @@ def read_poses(path: Path) -> dict[str, Pose]:
         if repeated := next((column for column in columns if columns.count(column) > 1), ""):
             raise ValueError(f"two columns {repeated!r}")
         is_gps = {"frame", "latitude", "longitude"} <= set(columns)
+        names = Fix._fields if is_gps else Pose._fields  # the last may be empty, which is NaN
         missing = {"frame", "x", "y"} - set(columns)
         if missing and not is_gps:
             raise ValueError(f"no column {min(missing)!r}; expected frame,x,y,heading")
         for row in rows:
             if any(more := row.get(None, ())):  # as by decimal commas, not by one at the end
                 raise ValueError(f"more cells than columns: {','.join(more)}")
-            position = _numbers(row, Fix._fields if is_gps else Pose._fields)
+            numbers = []
+            for column in names:
+                text = row.get(column) or ""
+                is_missing = not text and column == names[-1]
+                numbers.append(math.nan if is_missing else parse_number(text))
+                if math.isinf(numbers[-1]):
+                    raise ValueError(f"{column} is {text}; expected a finite number")
+            if math.isnan(numbers[0]) != math.isnan(numbers[1]):
+                x, y = (f"{column} is {row[column]}" for column in names[:2])
+                raise ValueError(f"{x} and {y}; expected two numbers, or nan twice")
+            position = tuple(numbers)
             earlier = positions.setdefault(row["frame"], position)
             if repr(earlier) != repr(position):  # as text, NaN equals NaN
                 raise ValueError(f"frame {row['frame']!r} has two positions")
@@ -61,20 +72,6 @@ def read_poses(path: Path) -> dict[str, Pose]:
         return {frame: Pose(*position) for frame, position in positions.items()}
     except (csv.Error, ValueError) as error:
         raise ValueError(f"{path} line {rows.line_num}: {error}") from error
-
-
-def _numbers(row: dict[Any, Any], columns: Sequence[str]) -> tuple[float, ...]:
-    """The numbers in the columns of a row; the last may be empty, which is NaN."""
-    numbers = []
-    for column in columns:
-        text = row.get(column) or ""
-        numbers.append(math.nan if not text and column == columns[-1] else parse_number(text))
-        if math.isinf(numbers[-1]):
-            raise ValueError(f"{column} is {text}; expected a finite number")
-    if math.isnan(numbers[0]) != math.isnan(numbers[1]):
-        x, y = (f"{column} is {row[column]}" for column in columns[:2])
-        raise ValueError(f"{x} and {y}; expected two numbers, or nan twice")
-    return tuple(numbers)
 
 
 def write_poses(path: Path, poses: Mapping[str, Pose]) -> None:

@@ -15,9 +15,9 @@ import torch
 
 from ..database.database import Database, StagedRows
 from ..datasets.frame_file import FrameFile
-from ..datasets.names import absolute, is_uri
+from ..datasets.names import absolute
 from ..descriptor import SSRVLAD
-from ..files import one_line, requiring
+from ..files import is_uri, one_line, requiring
 from ..segmentation.features import NAME as FEATURES
 from ..segmentation.segmenter import Segmenter
 from .describer import Describer, Item

@@ -24,18 +24,12 @@ class UnknownIdError(ValueError):
     """A label map holds an id that is not in the table."""
 
 
-def method_of(config: SSRVLADConfig) -> str:
-    """The settings of a config as JSON for the operator, without the label space."""
-    settings = config.to_dict()
-    del settings["labels_as"]
-    return json.dumps(settings)
-
-
 def describe(labels: Tensor, table: Tensor, origin: int, settings: str) -> Tensor:
     """The descriptors ``(B, D)`` float32 of label maps ``(B, H, W)`` of any integer dtype; the
     images are shared among torch's threads. The table and its origin are from `category_table`, the
-    settings from `method_of`. An id that is not in the table is an UnknownIdError, short memory and
-    a size that the native core does not accept are a RuntimeError."""
+    settings are those of a config in JSON, without the label space. An id that is not in the table
+    is an UnknownIdError, short memory and a size that the native core does not accept are a
+    RuntimeError."""
     head = _Head(settings)
     if labels.dtype == torch.uint64:
         wide = labels.to(torch.int64)

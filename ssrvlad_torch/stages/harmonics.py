@@ -132,17 +132,16 @@ def bin_table(
     turn = torch.atan2(y[:, None], x[None]) / (2 * math.pi)
     steps = torch.log(distance / radius) / math.log(1 / inner_radius) if inner_radius < 1 else -1
     ring = torch.as_tensor((rings - 1) * (1 + steps)).expand_as(distance).clamp(0, rings - 1)
-    weight = _tents(ring, rings, False)[:, None] * _tents(turn % 1 * sectors, sectors, True)[None]
+    from_ring, from_sector = (
+        (position - torch.arange(count).double().view(-1, 1, 1)).abs()
+        for position, count in ((ring, rings), (turn % 1 * sectors, sectors))
+    )
+    # 1 at the centre of a bin, falling to 0 at the next; sectors go around
+    of_sector = (1 - from_sector).clamp(min=0) + (1 - (sectors - from_sector)).clamp(min=0)
+    weight = (1 - from_ring).clamp(min=0)[:, None] * of_sector[None]
     weight = (weight * (distance <= radius)).flatten(0, 1)
     samples = weight.unflatten(2, (cells[1], _SAMPLES)).unflatten(1, (cells[0], _SAMPLES))
     return F.normalize(samples.sum((2, 4)).flatten(1), p=1, dim=1)
-
-
-def _tents(position: Tensor, count: int, around: bool) -> Tensor:
-    """``(count, H, W)``: 1 where the position is the index, falling to 0 at the next indices."""
-    distance = (position - torch.arange(count).double().view(-1, 1, 1)).abs()
-    tents = (1 - distance).clamp(min=0)
-    return tents + (1 - (count - distance)).clamp(min=0) if around else tents
 
 
 @lru_cache(maxsize=8)

@@ -51,11 +51,11 @@ def encode(
     """
     from ...config import SSRVLADConfig
     from ...database.database import Database
-    from ...datasets.names import is_uri
     from ...descriptor import SSRVLAD
     from ...encoding.encoder import before_the_first, encode_to_database
     from ...encoding.ray_engine import encode_with_ray
     from ...encoding.results import EncodeOptions, Skipped, Summary
+    from ...files import is_uri
     from ..sources import extra_of, resolve
 
     folders = all(is_uri(path) or Path(path).is_dir() for path in source.paths)
