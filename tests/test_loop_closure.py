@@ -29,10 +29,21 @@ def detector(**settings):
 
 def drive(loops, vectors, sequence="drive", poses=None):
     """Shows descriptors to a detector."""
+    start, poses = len(loops), poses or [None] * len(vectors)
     return [
-        loops.update(vector, f"{sequence}/{number}", pose=None if poses is None else poses[row])
-        for row, (number, vector) in enumerate(enumerate(vectors, len(loops)))
+        loops.update(vector, f"{sequence}/{start + row}", pose=poses[row])
+        for row, vector in enumerate(vectors)
     ]
+
+
+@pytest.fixture
+def database(tmp_path):
+    return Database.create(tmp_path / "db", HEAD.config)
+
+
+def reloaded(loops, database):
+    """A detector that knows what this one saved."""
+    return LoopDetector.load(Database.open(database.path), loops.config, HEAD)
 
 
 def reasons(results):
@@ -50,8 +61,6 @@ def accepted(results):
 
 def test_the_first_frames_have_nothing_to_compare_with():
     loops = detector(exclude=5)
-    with pytest.raises(ValueError, match="expected config as a LoopConfig, got SSRVLAD"):
-        LoopDetector(HEAD)
     assert repr(loops).startswith("LoopDetector(0 frames, LoopConfig(")
     results = drive(loops, views(range(8)))
     assert repr(loops).startswith("LoopDetector(8 frames, last drive/7, LoopConfig(exclude=5")
@@ -234,21 +243,23 @@ def test_a_frame_that_is_refused_leaves_no_trace(message):
     assert after[0] == after[1]
 
 
-def test_a_stamp_must_not_go_back_in_its_sequence(tmp_path):
+def test_the_first_argument_of_a_detector_is_its_settings():
+    with pytest.raises(ValueError, match="expected config as a LoopConfig, got SSRVLAD"):
+        LoopDetector(HEAD)
+
+
+def test_a_stamp_must_not_go_back_in_its_sequence(database):
     loops = detector()
     loops.update(PLACES[0], "drive/0", 5.0)
     loops.update(PLACES[1], "drive/1")
     loops.update(PLACES[2], "another/0", 4.0)
-    database = Database.create(tmp_path / "db", HEAD.config)
     loops.save(database)
-    loaded = LoopDetector.load(database, head=HEAD)
-    for each in (loops, loaded):
+    for each in (loops, reloaded(loops, database)):
         with pytest.raises(ValueError, match=r"expected a stamp from 5\.0 on, got 4\.5"):
             each.update(PLACES[2], "drive/2", 4.5)
 
 
-def test_a_checkpoint_is_an_ordinary_database(tmp_path):
-    database = Database.create(tmp_path / "db", HEAD.config)
+def test_a_checkpoint_is_an_ordinary_database(database):
     loops = detector()
     maps = [street(seed) for seed in range(6)]
     for number, labels in enumerate(maps):
@@ -267,30 +278,26 @@ def test_a_checkpoint_is_an_ordinary_database(tmp_path):
         assert (known.digest, known.height, known.width) == (digest(labels), 24, 32)
 
 
-def test_a_loaded_detector_knows_all_frames_and_looks_for_its_place_anew(tmp_path):
+def test_a_loaded_detector_knows_all_frames_and_looks_for_its_place_anew(database):
     vectors = views([*range(100), *range(20, 60)])
-    database = Database.create(tmp_path / "db", HEAD.config)
     loops = detector()
     drive(loops, vectors[:120])
     loops.save(database)
-    loaded = LoopDetector.load(Database.open(database.path), loops.config, HEAD)
+    loaded = reloaded(loops, database)
     assert (loaded.frames, len(loaded)) == (loops.frames, 120)
     went_on, anew = drive(loops, vectors[120:]), drive(loaded, vectors[120:])
     assert anew[0].reason is Reason.BELOW_THRESHOLD
     assert [r[:3] for r in anew[10:]] == [r[:3] for r in went_on[10:]]
     assert set(reasons(anew[10:])) == {"accepted"}
-    again, other = LoopDetector.load(Database.open(database.path), loops.config, HEAD), detector()
+    again, other = reloaded(loops, database), detector()
     drive(other, vectors[:120])
-    both = [
-        [each.update(v, f"next/{n}") for n, v in enumerate(vectors[:40])] for each in (again, other)
-    ]
+    both = [drive(each, vectors[:40], "next") for each in (again, other)]
     assert both[0] == both[1], "another sequence is the same to both from its first frame on"
 
 
-def test_frames_come_back_in_the_order_in_which_they_came_whatever_their_names(tmp_path):
+def test_frames_come_back_in_the_order_in_which_they_came_whatever_their_names(database):
     vectors = views([*range(100), *range(20, 60)])
     names = np.random.default_rng(0).permutation(1000)[:140].tolist()
-    database = Database.create(tmp_path / "db", HEAD.config)
     database.append([f"before/{n}" for n in (2, 10, 1)], views(range(3)))
     loops = LoopDetector.load(database, LoopConfig(exclude=30), HEAD)
     for number, vector in enumerate(vectors[:100]):
@@ -300,23 +307,22 @@ def test_frames_come_back_in_the_order_in_which_they_came_whatever_their_names(t
     loops.save(database)
     encoded = FrameRecord("a", str(names[70]), signature="folder|state")
     database.merge([encoded], torch.from_numpy(vectors[70:71]))
-    loaded = LoopDetector.load(Database.open(database.path), loops.config, HEAD)
+    loaded = reloaded(loops, database)
     expected = [f"before/{n}" for n in (1, 2, 10)]
     expected += [f"{'ba'[n >= 15]}/{names[n]}" for n in range(100)]
     assert loaded.frames == expected
-    went_on = [loaded.update(v, f"c/{n}") for n, v in enumerate(vectors[100:])]
+    went_on = drive(loaded, vectors[100:], "c")
     assert [r.candidate for r in went_on[20:]] == expected[3 + 40 : 3 + 60]
 
 
-def test_a_memory_whose_frames_were_removed_or_encoded_anew_is_gone_on_from(tmp_path):
+def test_a_memory_whose_frames_were_removed_or_encoded_anew_is_gone_on_from(database):
     vectors = views([*range(100), *range(20, 60)])
-    database = Database.create(tmp_path / "db", HEAD.config)
     loops = detector()
     drive(loops, vectors[:100])
     loops.save(database)
     database.remove([f"drive/{n}" for n in range(5)])
     database.merge([FrameRecord("drive", "30")], torch.from_numpy(vectors[110:111]))
-    loaded = LoopDetector.load(Database.open(database.path), loops.config, HEAD)
+    loaded = reloaded(loops, database)
     assert loaded.frames == [f"drive/{n}" for n in range(5, 100)]
     assert accepted(loaded.update(v, f"again/{n}") for n, v in enumerate(vectors[100:]))[20] == 40
     loaded.save(Database.open(database.path))
@@ -327,21 +333,18 @@ def test_a_foreign_database_is_refused(tmp_path):
     loops = detector()
     drive(loops, views(range(3)))
     other = Database.create(tmp_path / "other", SSRVLAD.from_preset("paper").config)
-    with pytest.raises(ValueError, match="has fingerprint"):
-        loops.save(other)
-    with pytest.raises(ValueError, match="has fingerprint"):
-        LoopDetector.load(other, head=HEAD)
+    for use in (loops.save, lambda database: LoopDetector.load(database, head=HEAD)):
+        with pytest.raises(ValueError, match="has fingerprint"):
+            use(other)
     filled = Database.create(tmp_path / "filled", HEAD.config)
     filled.append([FrameRecord("map", "0")], torch.from_numpy(PLACES[:1]))
     with pytest.raises(ValueError, match="holds 1 frames; 0 of this stream were saved"):
         loops.save(filled)
 
 
-def test_a_disk_that_refuses_loses_nothing(tmp_path, monkeypatch):
-    database = Database.create(tmp_path / "db", HEAD.config)
+def test_a_disk_that_refuses_loses_nothing(database, monkeypatch):
     loops = detector()
     drive(loops, views(range(4)))
-
     with monkeypatch.context() as patch:
         patch.setattr(Database, "append", Mock(side_effect=OSError("no space left on device")))
         with pytest.raises(OSError, match="no space"):
@@ -351,9 +354,8 @@ def test_a_disk_that_refuses_loses_nothing(tmp_path, monkeypatch):
     assert Database.open(database.path).load().frames == tuple(f"drive/{n}" for n in range(6))
 
 
-def test_one_updates_while_another_saves(tmp_path):
+def test_one_updates_while_another_saves(database):
     swept, sequences = noisy_stream(8, 400, 40, [150, 300])
-    database = Database.create(tmp_path / "db", HEAD.config)
 
     def show(loops):
         named = zip(swept[:, 0], sequences, strict=True)

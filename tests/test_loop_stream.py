@@ -15,7 +15,6 @@ from loop_streams import SEEDS, write_drive
 from PIL import Image
 
 from ssrvlad_torch import SSRVLAD, Database
-from ssrvlad_torch.cli import main as cli
 from ssrvlad_torch.encoding.results import Skipped
 from ssrvlad_torch.loops import stream as loop_stream
 from ssrvlad_torch.loops.config import LoopConfig
@@ -42,17 +41,12 @@ def drive(tmp_path):
 
 
 @pytest.fixture
-def loops(monkeypatch, capsys):
+def loops(ssrvlad, monkeypatch):
     """Runs the command; returns exit code, stdout and the lines of stderr."""
 
     def run(*arguments, stdin=b"", settings=SETTINGS):
-        words = ["loops", *arguments, "--labels-as", "camvid-11", *settings]
-        monkeypatch.setattr("sys.argv", ["ssrvlad", *map(str, words)])
         monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(stdin)))
-        with pytest.raises(SystemExit) as end:
-            cli.main()
-        out, err = capsys.readouterr()
-        return end.value.code or 0, out, err.splitlines()
+        return ssrvlad("loops", *arguments, "--labels-as", "camvid-11", *settings)
 
     return run
 
@@ -78,26 +72,23 @@ def test_a_line_of_json_for_every_frame(loops, drive):
 
 def test_text_shows_the_loops_and_counts_the_rest(loops, drive):
     code, out, _ = loops(drive)
-    assert code == 0
     lines = out.splitlines()
+    assert (code, len(lines)) == (0, 14)
     for line, (frame, there) in zip(lines, LOOPS.items(), strict=False):
         assert re.fullmatch(rf"{frame}: {there} 0\.[89]\d+ [+-]\d\.\d m", line), line
     assert lines[12].startswith("54 frames: 12 accepted, ")
     assert lines[13] == "steps: standardised, anchors 0, no temporal sum, followed online"
-    assert len(lines) == 14
     assert "anchors -4, 0, 4, no temporal sum" in loops(drive / "00.png", settings=())[1]
 
 
 def test_precision_and_recall_by_poses(loops, drive):
     _, out, _ = loops(drive, "--tolerance-metres", 5)
     precision, suggestion = out.splitlines()[-2:]
-    assert precision == (
-        "precision 1.000 (12 of 12 loops are right), recall 0.857 (12 of 14 revisits)"
-    )
+    right = "precision 1.000 (12 of 12 loops are right), recall 0.857 (12 of 14 revisits)"
+    assert precision == right
     assert re.match(r"surest threshold 0\.\d+: precision 1\.000, by its 95 % ", suggestion)
-    assert suggestion.endswith(
-        "; a proof of precision 0.95 needs at least 73 loops without a mistake"
-    )
+    proof = "; a proof of precision 0.95 needs at least 73 loops without a mistake"
+    assert suggestion.endswith(proof)
     _, out, _ = loops(drive, "--tolerance-metres", 5, "--json")
     *frames, told = objects(out)
     assert len(frames) == 54
@@ -107,9 +98,6 @@ def test_precision_and_recall_by_poses(loops, drive):
     assert told["suggested"]["accepted"] >= 12
     lowest = min(line["probability"] for line in frames if line["reason"] == "accepted")
     assert told["suggested"]["score"] == pytest.approx(lowest, rel=1e-4)
-
-
-def test_poses_may_say_that_a_loop_is_wrong(loops, drive):
     text = (drive / "poses.csv").read_text().replace("drive/50,200", "drive/50,290")
     (drive / "poses.csv").write_text(text)
     _, out, _ = loops(drive, "--tolerance-metres", 5, "--json")
@@ -144,24 +132,20 @@ def test_without_a_loop_the_likeliest_pair_is_told(loops, drive):
 
 
 def test_a_picture_that_cannot_be_is_refused_before_the_first_frame(loops, drive, monkeypatch):
-    code, out, (error,) = loops(drive, "--picture", drive / "loops.xyz")
-    assert (code, out) == (2, "")
-    assert error.startswith(f"ssrvlad: {drive / 'loops.xyz'}: a picture is one of ")
+    other = loops(drive, "--picture", drive / "loops.xyz")
+    assert other[2][0].startswith(f"ssrvlad: {drive / 'loops.xyz'}: a picture is one of ")
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    code, out, (error,) = loops(drive, "--picture", drive / "loops.png")
-    assert (code, out) == (2, "")
-    assert error.endswith("pictures need: pip install ssrvlad-torch[eval]")
+    without = loops(drive, "--picture", drive / "loops.png")
+    assert without[2][0].endswith("pictures need: pip install ssrvlad-torch[eval]")
+    assert [(code, out, len(err)) for code, out, err in (other, without)] == [(2, "", 1)] * 2
 
 
 def test_without_poses_nothing_can_be_judged(loops, drive):
     (drive / "poses.csv").unlink()
-    code, out, err = loops(drive, "--tolerance-metres", 5, "--json")
-    assert code == 2
-    assert len(objects(out)) == 54
-    assert len(err) == 1
-    assert "none of 54 frames has a pose" in err[0]
-    _, out, _ = loops(drive)
-    assert "12 accepted" in out
+    code, out, (error,) = loops(drive, "--tolerance-metres", 5, "--json")
+    assert (code, len(objects(out))) == (2, 54)
+    assert "none of 54 frames has a pose" in error
+    assert "12 accepted" in loops(drive)[1]
 
 
 def test_names_on_stdin_are_the_same_stream(loops, drive):
@@ -194,15 +178,11 @@ def test_a_bad_frame_is_skipped_and_the_stream_goes_on(loops, drive):
     names = [*paths[:8], *bad, str(drive), paths[0], *paths[8:]]
     code, out, err = loops("-", "--json", stdin="\n".join(names).encode())
     assert code == 3, err
-    assert accepted(objects(out)) == LOOPS
-    assert len(objects(out)) == 54
+    assert (accepted(objects(out)), len(objects(out)), len(err)) == (LOOPS, 54, 6)
     skipped = [line.split(": ")[1] for line in err]
-    assert skipped[:4] == [
-        f"skipped drive/{name}" for name in ("damaged", "text", "strange", "gone")
-    ]
-    assert skipped[5] == "skipped drive/00"
-    assert "was there before" in err[5]
-    assert len(skipped) == 6
+    names = ("damaged", "text", "strange", "gone")
+    assert skipped[:4] == [f"skipped drive/{name}" for name in names]
+    assert skipped[5] == "skipped drive/00" and "was there before" in err[5]
 
 
 def test_a_damaged_poses_file_skips_its_frames(loops, drive):
@@ -232,8 +212,8 @@ def test_each_frame_of_a_live_pipe_is_answered_at_once(drive):
 def test_a_memory_is_gone_on_from(loops, drive, tmp_path):
     """Where the drive was is not kept, so that loops wait for the filter again."""
     memory = tmp_path / "drive.ssrdb"
-    moved = {path: path.rename(path.with_suffix(".later")) for path in sorted(drive.glob("4*.png"))}
-    moved |= {path: path.rename(path.with_suffix(".later")) for path in drive.glob("5*.png")}
+    last = [*drive.glob("4*.png"), *drive.glob("5*.png")]
+    moved = {path: path.rename(path.with_suffix(".later")) for path in last}
     first = objects(loops(drive, "--json", "--memory", memory)[1])
     for path, later in moved.items():
         later.rename(path)

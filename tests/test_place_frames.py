@@ -26,19 +26,8 @@ def test_frames_of_a_folder_are_in_natural_order_however_they_are_named(tmp_path
         list(find_frames(files))
     drive = tmp_path / "drive"
     drive.mkdir()
-    for name in (
-        "b2",
-        "b\u00b2",
-        "b10",
-        "b1\u00b2",
-        "12.5",
-        "12.25",
-        "9",
-        "c\u0663",
-        "c2",
-        "\u00bd",
-        "_",
-    ):
+    unusual = ["b\u00b2", "b1\u00b2", "c\u0663", "\u00bd"]
+    for name in ["b2", "b10", "12.5", "12.25", "9", "c2", "_", *unusual]:
         (drive / f"{name}.png").touch()
     expected = [file.frame for file in find_image_files([str(drive)])]
     assert [frame for frame, _ in find_frames([drive])] == expected

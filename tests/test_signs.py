@@ -134,11 +134,10 @@ def test_a_traverse_of_equal_frames_stays_as_it_is():
 
 
 @pytest.mark.parametrize("follow", [None, "offline"])
-def test_recognise_takes_signs(follow, monkeypatch):
+def test_recognise_takes_signs(follow):
     frames = drive(60)
-    noise = grids(40, 5) & grids(40, 6) & grids(40, 7)
-    seen = frames[10:50] ^ noise
-    numbers_only = torch.nn.functional.normalize(torch.rand(60, 16), dim=1)
+    seen = frames[10:50] ^ (grids(40, 5) & grids(40, 6) & grids(40, 7))
+    numbers_only = F.normalize(torch.rand(60, 16), dim=1)
     names, steps = (["q"] * 40, ["r"] * 60), Steps(follow=follow)
     extra = {"features": (seen, frames)}
     found = recognise(numbers_only[10:50], numbers_only, *names, steps, extra=extra)

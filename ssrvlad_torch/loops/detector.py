@@ -177,10 +177,7 @@ class LoopDetector:
         return self.observe(record, descriptor, others)
 
     def observe(
-        self,
-        record: FrameRecord,
-        descriptor: Tensor,
-        extra: Mapping[str, Tensor] | None = None,
+        self, record: FrameRecord, descriptor: Tensor, extra: Mapping[str, Tensor] | None = None
     ) -> LoopResult:
         """As `update`, for a frame that is encoded already.
 
@@ -254,10 +251,7 @@ class LoopDetector:
 
     @classmethod
     def load(
-        cls,
-        database: Database,
-        config: LoopConfig | None = None,
-        head: SSRVLAD | None = None,
+        cls, database: Database, config: LoopConfig | None = None, head: SSRVLAD | None = None
     ) -> LoopDetector:
         """A detector that knows the frames of a database, as if they came before.
 

@@ -43,13 +43,11 @@ def in_blocks(
 
     @lru_cache(maxsize=1)
     def block(number: int) -> Tensor:
-        return compute(slice(number * size, (number + 1) * size))
+        part = slice(number * size, (number + 1) * size)
+        scores = compute(part)
+        return scores if excluded is None else scores.masked_fill_(excluded[part], -torch.inf)
 
-    def row(query: int) -> Tensor:
-        row = block(query // size)[query % size]
-        return row if excluded is None else row.masked_fill(excluded[query], -torch.inf)
-
-    return Computed(row, queries)
+    return Computed(lambda query: block(query // size)[query % size], queries)
 
 
 def of_vectors(

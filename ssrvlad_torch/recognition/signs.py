@@ -137,11 +137,7 @@ class SignQueries:
     """
 
     def __init__(
-        self,
-        signs: Tensor,
-        references: SignRows,
-        standardised: bool = False,
-        reach: int = REACH,
+        self, signs: Tensor, references: SignRows, standardised: bool = False, reach: int = REACH
     ) -> None:
         steps = range(-reach, reach + 1)
         whole = torch.full((1, *signs.shape[1:]), 255, dtype=torch.uint8)

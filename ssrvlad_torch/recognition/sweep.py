@@ -45,10 +45,7 @@ def score(queries: Vectors, references: Vectors | Rows) -> Tensor:
 
 @torch.no_grad()
 def narrowed(
-    queries: Tensor,
-    references: Rows,
-    columns: tuple[int, ...] = COLUMNS,
-    standardised: bool = True,
+    queries: Tensor, references: Rows, columns: tuple[int, ...] = COLUMNS, standardised: bool = True
 ) -> tuple[Tensor, int]:
     """The sweep of one traverse, at the width that suits its scores best.
 
