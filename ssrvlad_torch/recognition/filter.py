@@ -75,7 +75,7 @@ class Filter:
         self.motion, self._ways = motion or Motion(), ways
         self._cells = torch.zeros(0, dtype=torch.int64)
         self._inside = torch.zeros(self.motion.gap)
-        self._rows, self._places = 0, len(ways)
+        self._rows, self._places = 0, len(ways)  # places: rows of all ways, of one row without any
         self._sequence: str | None = None
         self._lost: Tensor | None = None
         nothing = torch.zeros(len(ways), len(SPEEDS), self.motion.gap)

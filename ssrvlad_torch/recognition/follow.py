@@ -149,11 +149,7 @@ def gain(
 
 
 def runs(sequences: Sequence[str]) -> Iterator[range]:
-    """Rows of each sequence.
-
-    Raises:
-        ValueError: the rows of a sequence do not stand together.
-    """
+    """Rows of each sequence; rows of one that do not stand together are a ValueError."""
     first, names = 0, set[str]()
     for sequence, rows in itertools.groupby(sequences):
         if sequence in names:

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from .follow import Scores
-from .motion import ELSEWHERE, lead, nearness
+from .motion import ELSEWHERE, MIN_SPREAD, lead, nearness
 from .standardise import MIN_FRAMES
 
 TRUST = {"features": 6.0, "hog": 2.0}
@@ -21,7 +21,6 @@ TRUST = {"features": 6.0, "hog": 2.0}
 `SSRVLAD`. See docs/fusion.md."""
 
 _SAMPLE = 200
-_MIN_SPREAD = 1e-6
 
 
 class FusedScores(Scores):
@@ -110,4 +109,4 @@ def _scaled(scores: Tensor, first: int | None = None) -> tuple[Tensor, Tensor, T
     mean = near[:first].sum() / count
     centred = (near - mean).where(scored, 0)
     spread = (centred[:first].square().sum() / count).sqrt()
-    return centred / spread.clamp(min=_MIN_SPREAD), mean, spread
+    return centred / spread.clamp(min=MIN_SPREAD), mean, spread

@@ -290,7 +290,6 @@ def _by_scores(
     prior: Prior = ALONE,
 ) -> _Decision:
     """Decides about one sequence of queries by the scores of all rows."""
-
     queries, mode = range(len(scores)), steps.follow or "offline"
 
     def followed(part: range, motion: Motion, way: int) -> Places:
