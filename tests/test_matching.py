@@ -50,6 +50,7 @@ def brute_force(queries, references, top, threshold):
 @example(9, 60, 12, None, 3)  # empty images, opposite vectors and ties
 @example(3, 0, 2, None, 0)  # no references
 @example(0, 5, 2, None, 0)  # no queries
+@example(9, 60, 12, 0.25, 3)  # a score equal to the threshold is left out
 def test_match_equals_brute_force(query_count, reference_count, top, threshold, seed):
     queries = coarse_vectors(seed, query_count)
     references = coarse_vectors(seed + 1, reference_count)
@@ -83,11 +84,6 @@ def test_blocks_do_not_show_on_real_numbers(monkeypatch):
     )
     torch.testing.assert_close(scores.double(), exact, rtol=0, atol=1e-6)
     assert abs(float(exact[0, 1] - scores[0, 0])) < 0.2
-
-
-def test_a_score_equal_to_the_threshold_is_left_out():
-    assert match(torch.eye(2)[:1], torch.eye(2), top=2, threshold=0.0).indices.tolist() == [[0, -1]]
-    assert match(torch.eye(2)[:1], torch.eye(2), top=1, threshold=1.0).indices.tolist() == [[-1]]
 
 
 def test_arrays_and_doubles_are_taken():

@@ -51,20 +51,15 @@ def course(gain: Gain, queries: range) -> Course | None:
     """The course of the queries of one sequence, ``None`` where the data do not show one. Of all
     kinds the one with the highest gain in either way is taken; two streams need a third more than
     one. It must be likelier in one way than in the other."""
-    motions = [Motion(unmapped=0.0, rate=kind.rate) for kind in _KINDS]
-    gains = [
-        {
-            way: sum(gain(motion, way, part) for part in kind.parts(queries))
-            for way in (FORWARDS, BACKWARDS)
-        }
-        for kind, motion in zip(_KINDS, motions, strict=True)
-    ]
-    highest = [
-        max(each.values()) * (1 if kind.streams == 1 else _OF_TWO)
-        for kind, each in zip(_KINDS, gains, strict=True)
-    ]
-    best = highest.index(max(highest))
-    ahead = gains[best][FORWARDS] - gains[best][BACKWARDS]
+    best, highest, ahead = _KINDS[0], -math.inf, 0.0
+    for kind in _KINDS:
+        parts, motion = kind.parts(queries), Motion(unmapped=0.0, rate=kind.rate)
+        forwards, backwards = (
+            sum(gain(motion, way, part) for part in parts) for way in (FORWARDS, BACKWARDS)
+        )
+        counted = max(forwards, backwards) * (1 if kind.streams == 1 else _OF_TWO)
+        if counted > highest:
+            best, highest, ahead = kind, counted, forwards - backwards
     if abs(ahead) <= max(_MIN_LEAD, _MIN_LEAD_BY_ROOT * math.sqrt(len(queries))):
         return None
-    return _KINDS[best]._replace(way=FORWARDS if ahead > 0 else BACKWARDS)
+    return best._replace(way=FORWARDS if ahead > 0 else BACKWARDS)

@@ -188,16 +188,9 @@ def _best(scores: Tensor, top: int) -> tuple[Tensor, Tensor]:
 
 
 def best_of(values: Tensor, top: int, rows: Tensor | None = None) -> Matches:
-    """The highest of ``(N,)`` values above -inf, the first of equals first.
-
-    Args:
-        values: ``(N,)`` float.
-        top: number of values.
-        rows: ``(N,)`` int64 rows to which the values belong; without, their places.
-
-    Returns:
-        ``(top,)`` float32 values and int64 rows; -inf and -1 where there are fewer.
-    """
+    """The highest of ``(N,)`` float values above -inf, the first of equals first, with the rows
+    ``(N,)`` int64 to which they belong, or else their places: ``(top,)`` float32 and int64, -inf
+    and -1 where there are fewer."""
     padded = F.pad(values, (0, max(0, top - len(values))), value=-torch.inf)
     (scores,), (places,) = _best(padded[None], top)
     found = places if rows is None or not len(rows) else rows[places.clamp(max=len(rows) - 1)]
