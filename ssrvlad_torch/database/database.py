@@ -110,7 +110,9 @@ class Database:
 
     @staticmethod
     def exists(path: str | Path) -> bool:
-        """Whether a database is at ``path``."""
+        """Whether a database is at ``path``; what is no path is a ValueError."""
+        if not isinstance(path, (str, os.PathLike)):
+            raise ValueError(f"expected the folder or URI of a database, got {path!r}")
         if not is_uri(str(path)):
             return any(Path(path, "_versions").glob("*.manifest"))
         try:
@@ -139,7 +141,7 @@ class Database:
             ValueError: ``path`` is in use, or an argument is not as above.
             OSError: the folder cannot be written.
         """
-        text = _text(path)
+        text = str(path)
         if (config is None) == (width is None):
             raise ValueError("expected the config of the descriptors, or the width of custom ones")
         if width is not None and (not hasattr(width, "__index__") or width < 1):
@@ -150,7 +152,7 @@ class Database:
                 "expected unique names of extra descriptors that no column has, got "
                 f"{', '.join(names)}"
             )
-        if cls.exists(text):
+        if cls.exists(path):
             raise ValueError(f"{text} is a database already")
         if not is_uri(text) and Path(text).exists():
             inside = Path(text).iterdir() if Path(text).is_dir() else [Path(text)]
@@ -179,8 +181,8 @@ class Database:
                 is damaged; the message then names the last readable version, if there is one, and
                 the files of those after it.
         """
-        text = _text(path)
-        if not is_uri(text) and not cls.exists(text):
+        text = str(path)
+        if not is_uri(text) and not cls.exists(path):
             problem = "is not a database" if Path(text).exists() else "does not exist"
             raise ValueError(f"{text} {problem}")
         try:
@@ -477,12 +479,6 @@ class Database:
             return table.to_table(columns=names, scan_in_order=True)
         except (OSError, ValueError, RuntimeError) as error:
             raise ValueError(f"{self.path} is damaged: {engine.message_of(error)}") from error
-
-
-def _text(path: str | Path) -> str:
-    if not isinstance(path, (str, os.PathLike)):
-        raise ValueError(f"expected the folder or URI of a database, got {path!r}")
-    return str(path)
 
 
 def _records(frames: Sequence[FrameRecord | str]) -> list[FrameRecord]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache, partial
 from typing import NamedTuple
 
@@ -14,6 +14,7 @@ from ..database.database import Database
 from ..database.frames import FrameSet
 from ..database.index_search import IndexSearch
 from ..database.metadata import ExtraDescriptor
+from ..database.selection import excluded_pairs, select
 from ..datasets.names import KnownFolders, check_sequences
 from ..descriptor import mirrored, query_head
 from ..recognition.confidence import Estimate, accept, answered, estimate
@@ -49,15 +50,17 @@ def search(
     top: int,
     reach: tuple[int, float | None] = (0, None),
     extra: bool | None = None,
-    excluded: Callable[[FrameSet, FrameSet], Tensor | None] = lambda *_: None,
+    sequences: Sequence[str] | None = None,
+    exclude: int | None = None,
     progress: Progress = do_nothing,
 ) -> Found:
     """The ``top`` candidates of every frame of a source in a database, by the ``steps`` of
     `recognise`; a ValueError if they do not fit. ``progress`` is called with 1 for every frame.
 
     ``reach`` is that of the temporal sum of Eq. 3 on each side, in frames, or in metres if given.
-    ``extra`` says whether to use the extra descriptors, ``None`` if there are any. ``excluded``
-    gives for queries and references ``(Q, R)`` bool, references that are no candidates.
+    ``extra`` says whether to use the extra descriptors, ``None`` if there are any. Candidates are
+    the frames of some sequences, by default all, but not those within ``exclude`` frames of the
+    query in its own sequence.
     """
     if extra and not database.extra:
         raise ValueError(
@@ -82,7 +85,8 @@ def search(
                 temporal_sum(rows, names, t if isinstance(t, int) else t[names[0]], out=rows)
     columns = COLUMNS if steps.sweep else ()
     queries, skipped, folders = _queries(database, source, columns, methods, progress)
-    vectors, without = queries.descriptors, excluded(queries, references)
+    where, vectors = select(references, sequences), queries.descriptors
+    without = excluded_pairs(queries, references, where, exclude)
     recognised = recognise_in(
         database, references, vectors, queries.extra, queries.sequences, steps, top, without
     )
@@ -128,8 +132,7 @@ def search_by_index(
     progress: Progress = do_nothing,
 ) -> Found:
     """The candidates of every frame of a source in the index of a database, without a sweep, see
-    `search`: of the frames of some sequences, by default all, but not those within ``exclude``
-    frames of the query in its own sequence."""
+    `search`."""
     queries, skipped, folders = _queries(database, source, progress=progress)
     ids, names = queries.frames, queries.sequences
 

@@ -9,8 +9,6 @@ from ..options import AsOf, DatabaseFolder, Json, RecognitionOptions, SourceOpti
 from ..output import finish, note, print_json, progress_bar, say
 
 if TYPE_CHECKING:
-    from torch import Tensor
-
     from ...encoding.search import Found
 
 
@@ -50,8 +48,6 @@ def query(
     Example: ssrvlad query town.ssrdb maps/today --top 3
     """
     from ...database.database import Database
-    from ...database.frames import FrameSet
-    from ...database.selection import excluded_pairs, select
     from ...datasets.videos import played
     from ...encoding.search import search, search_by_index
     from ..sources import resolve
@@ -65,15 +61,21 @@ def query(
     if index and (unused := " and ".join(each.name for each in opened.extra)):
         note(f"--index searches descriptors of label maps, without {unused} of {database}")
 
-    def excluded(queries: FrameSet, references: FrameSet) -> Tensor | None:
-        return excluded_pairs(queries, references, select(references, from_sequence), exclude)
-
     with progress_bar("encoding", len(frames.files), played(frames.files)) as bar:
         if index:
             found = search_by_index(opened, frames, steps, top, from_sequence, exclude, bar.advance)
         else:
-            reach, extra = recognition.reach, recognition.with_extra
-            found = search(opened, frames, steps, top, reach, extra, excluded, bar.advance)
+            found = search(
+                opened,
+                frames,
+                steps,
+                top,
+                recognition.reach,
+                recognition.with_extra,
+                from_sequence,
+                exclude,
+                bar.advance,
+            )
     least = -math.inf if threshold is None else threshold
     _print(found, recognition, least, "candidates of the index, " * index, as_json)
     finish(found.skipped, len(found.queries))
