@@ -110,7 +110,7 @@ def extra_of(source: Source, names: Sequence[str] | None, new: bool) -> list[Ext
     segmenter = source.segmenter
     if names and segmenter is None:
         raise ValueError(f"--with {names[0]} needs images as SOURCE and --segmenter")
-    if names is None and not new:
+    if names is None and not (new and segmenter):
         return []
     found = extra_descriptors(names, segmenter)
     if names is None and segmenter and FEATURES not in {each.name for each in found}:

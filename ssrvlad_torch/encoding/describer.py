@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -72,7 +73,8 @@ class Describer:
         self._methods = extra_methods(extra)
 
     def __call__(self, items: Sequence[Item]) -> list[Encoded | Skipped]:
-        """The results of frames, in their order; a batch has one size and dtype."""
+        """The results of frames, in their order; a batch has one size and dtype, and its frames are
+        described one by one if it fails."""
         items = read(self.head.label_space, items)
         results: dict[int, Encoded | Skipped] = {}
         groups: dict[object, list[int]] = {}
@@ -81,38 +83,39 @@ class Describer:
                 groups.setdefault((item.labels.shape, item.labels.dtype), []).append(number)
             else:
                 results[number] = _skipped(item, item.labels)
-        for group in groups.values():
-            for first in range(0, len(group), BATCH):
-                numbers = group[first : first + BATCH]
-                batch = self._describe([items[number] for number in numbers])
-                results.update(zip(numbers, batch, strict=True))
+        batches = deque(
+            group[first : first + BATCH]
+            for group in groups.values()
+            for first in range(0, len(group), BATCH)
+        )
+        while batches:
+            numbers = batches.popleft()
+            batch = [items[number] for number in numbers]
+            try:
+                stack = torch.from_numpy(np.stack([np.asarray(item.labels) for item in batch]))
+                descriptors = self.head(stack.to(self.device)).cpu().numpy()
+                frames = [
+                    Frame(item.file.frame, image=read_image(item.file))
+                    for item in (batch if self._methods else ())
+                ]
+                extra = {m.name: m.encode_query(frames).numpy() for m in self._methods}
+                if any(each.name == FEATURES for each in self.extra):
+                    extra[FEATURES] = np.stack([np.asarray(item.features) for item in batch])
+            except ValueError as error:
+                if len(batch) == 1:
+                    results[numbers[0]] = _skipped(batch[0], error)
+                else:  # one by one
+                    batches.extendleft([number] for number in reversed(numbers))
+                continue
+            height, width = stack.shape[1:]
+            for row, (number, item) in enumerate(zip(numbers, batch, strict=True)):
+                own = {name: values[row] for name, values in extra.items()}
+                record = FrameRecord(
+                    item.file.sequence, item.file.name, *item.file.pose, item.file.stamp,
+                    item.signature, item.digest, height, width, self.origin,
+                )  # fmt: skip
+                results[number] = Encoded(record, descriptors[row], own)
         return [results[number] for number in range(len(items))]
-
-    def _describe(self, batch: Sequence[Item]) -> list[Encoded | Skipped]:
-        """Describes a batch of one size and dtype; if it fails, frame by frame."""
-        try:
-            stack = torch.from_numpy(np.stack([np.asarray(item.labels) for item in batch]))
-            descriptors = self.head(stack.to(self.device)).cpu().numpy()
-            frames = [
-                Frame(item.file.frame, image=read_image(item.file))
-                for item in (batch if self._methods else ())
-            ]
-            extra = {m.name: m.encode_query(frames).numpy() for m in self._methods}
-            if any(each.name == FEATURES for each in self.extra):
-                extra[FEATURES] = np.stack([np.asarray(item.features) for item in batch])
-        except ValueError as error:
-            if len(batch) == 1:
-                return [_skipped(batch[0], error)]
-            return [result for item in batch for result in self._describe([item])]
-        encoded, (height, width) = list[Encoded | Skipped](), stack.shape[1:]
-        for row, item in enumerate(batch):
-            own = {name: values[row] for name, values in extra.items()}
-            record = FrameRecord(
-                item.file.sequence, item.file.name, *item.file.pose, item.file.stamp,
-                item.signature, item.digest, height, width, self.origin,
-            )  # fmt: skip
-            encoded.append(Encoded(record, descriptors[row], own))
-        return encoded
 
 
 def _skipped(item: Item, reason: object) -> Skipped:

@@ -55,7 +55,8 @@ class Plan:
             else:
                 changes[key] = SEGMENTER if stored.segmenter != origin.segmenter else ""
         check_folders(files, known)
-        _check_names(files, known)
+        if any(file.named for file in files):
+            _check_names(files, known)
         todo, reasons, digests = list[FrameFile](), dict[str, str](), dict[str, str]()
         for file in files:
             record = known.get(file.frame)
