@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 from ..options import AsOf, DatabaseFolder, Json, RecognitionOptions, SourceOptions, option, switch
 from ..output import finish, note, print_json, progress_bar, say
-
-if TYPE_CHECKING:
-    from ...encoding.search import Found
 
 
 def query(
@@ -49,8 +45,10 @@ def query(
     """
     from ...database.database import Database
     from ...datasets.videos import played
-    from ...encoding.search import search, search_by_index
+    from ...encoding.search import accepted, search, search_by_index
+    from ...evaluation.measure import estimate_in_json
     from ..sources import resolve
+    from ..words import score_name, steps_in_words
 
     if index and (any(recognition.reach) or recognition.extra):
         raise ValueError("--index does not go with a temporal sum or --extra")
@@ -77,20 +75,10 @@ def query(
                 bar.advance,
             )
     least = -math.inf if threshold is None else threshold
-    _print(found, recognition, least, "candidates of the index, " * index, as_json)
-    finish(found.skipped, len(found.queries))
-
-
-def _print(
-    found: Found, options: RecognitionOptions, least: float, way: str, as_json: bool
-) -> None:
-    """Prints a line for each query, with its candidates of a score above ``least``."""
-    from ...encoding.search import accepted
-    from ...evaluation.measure import estimate_in_json
-    from ..words import score_name, steps_in_words
-
     used, t = found.recognised.used, found.temporal
-    matches, estimate = accepted(found.recognised, options.min_confidence, options.max_wrong)
+    matches, estimate = accepted(
+        found.recognised, recognition.min_confidence, recognition.max_wrong
+    )
     columns = *(part.tolist() for part in matches), found.recognised.confidence.tolist()
     names = found.queries.frames, found.queries.sequences
     for frame, sequence, scores, rows, confidence in zip(*names, *columns, strict=True):
@@ -110,4 +98,6 @@ def _print(
             say(f"{frame}: {listed or 'no candidate'} ({kind}, confidence {confidence:.2f})")
     if not as_json:
         before = ", before --threshold" if least > -math.inf and estimate.accepted else ""
+        way = "candidates of the index, " * index
         note(way + steps_in_words(used, t, estimate) + before)
+    finish(found.skipped, len(found.queries))
