@@ -94,6 +94,11 @@ def test_arrays_and_doubles_are_taken():
     assert found.indices[:, 0].tolist() == [1, 0, 0]
 
 
+@pytest.mark.parametrize("top", [True, np.int64(1), torch.tensor(1)])
+def test_top_is_any_integer(top):
+    assert match(torch.eye(3), torch.eye(3), top).indices.tolist() == [[0], [1], [2]]
+
+
 @pytest.mark.parametrize(
     ("queries", "references", "top", "message"),
     [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from operator import index
 from typing import NamedTuple
 
 import numpy as np
@@ -72,6 +73,7 @@ def match(
         )
     if not hasattr(top, "__index__") or top < 1:
         raise ValueError(f"top must be an integer from 1, got {top!r}")
+    top = index(top)
     excluded = checked_excluded(excluded, (len(queries), len(vectors)))
     if threshold is not None and math.isnan(threshold):
         raise ValueError("threshold: expected a number, got nan")
