@@ -1,5 +1,7 @@
 """Encoding: every readable frame is encoded once, in order; the others are skipped and reported."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
@@ -7,7 +9,10 @@ from helpers import street, touch
 from maps import HEAD, alone, assert_streets, counts
 from PIL import Image
 
+from ssrvlad_torch.datasets.frame_file import FrameFile
 from ssrvlad_torch.datasets.label_files import digest
+from ssrvlad_torch.encoding import describer
+from ssrvlad_torch.encoding.describer import Item
 from ssrvlad_torch.encoding.encoder import encode_to_database, encode_to_memory
 
 
@@ -98,3 +103,19 @@ def test_memory_and_database_hold_the_same_frames(town, workers):
     np.testing.assert_array_equal(in_memory.poses, on_disk.poses)
     assert in_memory.empty.tolist() == on_disk.empty.tolist()
     assert torch.get_num_threads() == threads
+
+
+def test_no_frames_are_of_single_precision_too():
+    torch.set_default_dtype(torch.float64)
+    try:
+        frames, _ = encode_to_memory(HEAD, [], 1)
+    finally:
+        torch.set_default_dtype(torch.float32)
+    assert (frames.descriptors.dtype, frames.descriptors.shape) == (torch.float32, (0, 480))
+
+
+def test_label_maps_that_were_read_need_no_threads_again(monkeypatch):
+    monkeypatch.setattr(FrameFile, "readers", 4)
+    items = [Item(FrameFile("a", "0", Path("0.png")), "", street(0), None, digest(street(0)))]
+    monkeypatch.setattr(describer, "in_order", None)
+    assert describer.read(HEAD.label_space, items) == items

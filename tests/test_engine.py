@@ -89,6 +89,13 @@ def test_compacting_joins_files_and_deletes_old_versions(path):
     assert len(Database.open(path)) == len(before) + 1
 
 
+def test_no_thread_writes_to_a_database_that_is_cleaned(path, monkeypatch):
+    database, locked = Database.open(path), []
+    monkeypatch.setattr(engine, "clean", lambda *_: locked.append(database._lock.locked()))
+    database.compact()
+    assert locked == [True]
+
+
 def test_rows_that_were_written_apart_are_added_when_they_are_adopted(path):
     database = Database.open(path)
     written = [database.write_apart([f"a/{n}"], descriptors(n, 1)) for n in range(3)]

@@ -40,13 +40,18 @@ def test_what_is_heavy_is_imported_only_where_it_is_used():
 
 WITHOUT = """
 import sys
-sys.modules |= dict.fromkeys(("skimage", "matplotlib", "onnxscript"))
+sys.modules |= dict.fromkeys(("skimage", "matplotlib", "onnx", "onnxscript"))
 import numpy as np
 from ssrvlad_torch import SSRVLAD
 def reference(): import ssrvlad_torch.reference
 def show(): SSRVLAD().explain(np.zeros((1, 9, 9), int)).show()
 def graph(): from ssrvlad_torch.deployment.export import head_model; head_model(SSRVLAD().config)
-for given in (reference, show, graph):
+def fused():
+    import torch
+    from ssrvlad_torch.deployment.fuse import fuse
+    from ssrvlad_torch.segmentation.segmenter import Segmenter
+    fuse(Segmenter(torch.nn.Conv2d(3, 19, 1), SSRVLAD().label_space), SSRVLAD().config, "f.onnx")
+for given in (reference, show, graph, fused):
     try: given()
     except ImportError as error: print(error)
 """
@@ -55,7 +60,7 @@ for given in (reference, show, graph):
 def test_a_missing_extra_is_named():
     out = printed(WITHOUT)
     assert out.count("pip install ssrvlad-torch[eval]") == 2
-    assert out.count("pip install ssrvlad-torch[onnx]") == 1
+    assert out.count("pip install ssrvlad-torch[onnx]") == 2
 
 
 ELSEWHERE = """

@@ -460,7 +460,8 @@ class Database:
         after the next one.
         """
         self._apply(engine.compact)
-        engine.clean(self.path, timedelta(days=keep_days))
+        with self._lock:
+            engine.clean(self.path, timedelta(days=keep_days))
 
     def _apply(self, change: Callable[[LanceDataset], LanceDataset]) -> None:
         """Changes the newest version; see `engine.change_table`."""

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from ..config import CATEGORY_COUNT, SSRVLADConfig
 from ..descriptor import SSRVLAD, SweepHead
-from ..files import check_output, replacing
+from ..files import check_output, replacing, requiring
 from ..stages.vanishing_column import MAX_WIDTH
 from .golden import SIZE, golden_pair
 from .metadata import Metadata
@@ -85,8 +85,8 @@ def head_model(
     shape: tuple[int, int, int] | None = None,
 ) -> onnx.ModelProto:
     """The model that `export_head` writes; arguments and errors as there."""
-    import onnx
-
+    with requiring("onnx", "ONNX graphs need"):
+        import onnx
     head = SweepHead(config, columns) if columns else SSRVLAD(config)
     if input == "logits" and dtype is not None:
         raise ValueError(f"dtype is for labels, class scores are float32; got {dtype!r}")

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from ..config import SSRVLADConfig
 from ..descriptor import SSRVLAD
-from ..files import check_output, replacing
+from ..files import check_output, replacing, requiring
 from ..segmentation.features import NAME, PROBES
 from ..segmentation.onnx_files import load_model, save_model
 from ..segmentation.onnx_network import OnnxNetwork
@@ -116,8 +116,8 @@ def _fuse(
     head_path: Path | None,
     wanted: bool | None,
 ) -> FusedNetwork:
-    from onnx import TensorProto
-
+    with requiring("onnx", "ONNX graphs need"):
+        from onnx import TensorProto
     features = None
     if wanted or (wanted is None and not segmenter.problem_of_features):
         features = segmenter.features

@@ -53,7 +53,7 @@ def read(space: LabelSpace, items: Sequence[Item]) -> list[Item]:
         labels = item.labels
         return item._replace(digest=digest(labels) if isinstance(labels, np.ndarray) else "")
 
-    readers = max((item.file.readers for item in items), default=1)
+    readers = max((item.file.readers for item in items if not item.digest), default=1)
     if readers == 1:
         return list(map(read_one, items))
     return list(in_order(read_one, items, readers, readers))

@@ -109,7 +109,7 @@ def encode_to_memory(
             frames.append(frame)
         progress(1)
     records = [frame.record for frame in frames]
-    descriptors = torch.zeros(0, head.config.length)
+    descriptors = torch.zeros(0, head.config.length, dtype=torch.float32, device="cpu")
     if frames:
         descriptors = torch.from_numpy(np.stack([frame.descriptor for frame in frames]))
     names = [each.name for each in extra if frames]
