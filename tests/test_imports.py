@@ -32,6 +32,18 @@ assert not {*heavy.split()} & {*sys.modules}
 """
 
 
+IN_A_CONTEXT = """
+import torch
+with torch.device("meta"):
+    from ssrvlad_torch import SSRVLAD, follow
+print(follow(torch.eye(30)[:3], ["map"] * 30, top=1).indices.flatten().tolist())
+"""
+
+
+def test_no_tensor_stays_on_the_device_of_an_import():
+    assert printed(IN_A_CONTEXT) == "[0, 1, 2]\n"
+
+
 def test_what_is_heavy_is_imported_only_where_it_is_used():
     """Settings, label spaces and names need no torch, the package none of its extras, and of the
     methods only that is imported which is made."""

@@ -68,8 +68,10 @@ def evaluate(
     """All figures of the candidates of a set of queries.
 
     Args:
-        scores, indices, truth: see `judge`.
+        scores, indices: ``(Q, top)`` from `ssrvlad_torch.match`, tensors or arrays; see `judge`.
+        truth: rows of the true matches of each query.
         at: the N of RecallRate@N, at most ``top``.
+        convention: one of `CONVENTIONS`.
         similarity: ``(Q, R)`` scores of all pairs, -inf for pairs that cannot match; only for the
             conventions of the tutorial.
         resamples, seed: of the `bootstrap`; 0 resamples for no intervals.

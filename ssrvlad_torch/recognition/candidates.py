@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from .follow import NEAR, Mode, Places, ranked, runs, stacked, windows
-from .motion import FORWARDS, PRIOR, SPEEDS, Motion, likelihoods, transitions
+from .motion import FORWARDS, SPEEDS, Motion, likelihoods, prior_of_speeds, transitions
 
 _MAX_BELIEVED, _MIN_BELIEF = 64, 1e-4
 """The track may go on from the most probable rows, up to this number and down to this belief."""
@@ -110,7 +110,7 @@ class CandidateFilter:
         self.motion = motion
         self._steps = [torch.tensor(motion.steps)[:, None] * way for way in ways]
         self._weights = transitions(motion).double()
-        self._prior = PRIOR.double().expand(len(ways), -1, -1) / len(ways)
+        self._prior = prior_of_speeds().double().expand(len(ways), -1, -1) / len(ways)
         self._starts = torch.tensor([part.start for part in runs(sequences)], dtype=torch.int64)
         self._length = len(sequences)
         self._unmapped = motion.unmapped if sequences else 1.0

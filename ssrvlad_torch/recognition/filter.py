@@ -10,7 +10,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from .motion import BACKWARDS, CELLS, FORWARDS, PRIOR, SPEEDS, Motion, likelihoods, moved
+from .motion import BACKWARDS, CELLS, FORWARDS, SPEEDS, Motion, likelihoods, moved, prior_of_speeds
 
 _HIGHEST = 1.001
 """The highest cosine that rounding can give."""
@@ -113,7 +113,7 @@ class Filter:
         """Forgets the place: the next frame starts another sequence."""
         unmapped = self.motion.unmapped if self._rows else 1.0
         cells = self._inside * ((1 - unmapped) / self._places)
-        mapped = (PRIOR * cells).repeat(len(self._ways), 1, 1)
+        mapped = (prior_of_speeds() * cells).repeat(len(self._ways), 1, 1)
         decoys = (1 - unmapped) * (1 - 1 / len(self._ways))
         self.belief = Belief(mapped, cells, decoys, unmapped)
         self._starting, self.gain = True, 0.0
@@ -170,14 +170,14 @@ class Filter:
         total = sum(by_way) + unmapped
         factors = (likelihood / total).split(CELLS)
         for block, factor in zip(mapped.split(CELLS, 2), factors, strict=True):
-            block.add_(PRIOR * each).mul_(factor)
+            block.add_(prior_of_speeds() * each).mul_(factor)
         decoys = sum(by_way[1:]) / total
         return Belief(mapped, cells[0].div_(total), decoys, unmapped / total), total
 
     def before(self, likelihood: Tensor, future: Future) -> Future:
         """The future one frame earlier, by the later likelihood ``(cells,)``."""
         weighted = future.mapped * likelihood
-        any_row = float((PRIOR * weighted).sum()) * (1 / self._places)
+        any_row = float((prior_of_speeds() * weighted).sum()) * (1 / self._places)
         lost, unmapped = self.motion.off_track_back(any_row, future.unmapped)
         if self._lost is None:
             self._lost = 1 - moved(self.no_future().mapped, self.motion, self._ways, back=True)

@@ -22,9 +22,6 @@ SPEEDS: tuple[tuple[float, dict[int, float]], ...] = (
 )
 """Probability of each speed, and of its steps in rows: 0, 1/2, 1, 3/2, 2, 3, 4 rows a frame."""
 
-PRIOR = torch.tensor([probability for probability, _ in SPEEDS])[:, None]
-"""``(7, 1)`` float32, the probability of each speed."""
-
 FORWARDS, BACKWARDS = 1, -1
 """Ways to run a map."""
 
@@ -212,3 +209,8 @@ def steps_of(speed: int, rate: float) -> dict[int, float]:
             after[far + step] = after.get(far + step, 0.0) + chance * part * likely
         steps = {far: chance for far, chance in after.items() if chance > 0}
     return steps
+
+
+def prior_of_speeds() -> Tensor:
+    """``(7, 1)`` float32, the probability of each speed; on the default device of this moment."""
+    return torch.tensor([probability for probability, _ in SPEEDS])[:, None]
