@@ -4,8 +4,6 @@ Read it next to the paper. It defines the result: every fast path must give the 
 counts, and descriptors within 1e-6. It needs the extra ``eval``.
 """
 
-from __future__ import annotations
-
 import math
 from functools import lru_cache
 from typing import Any, NamedTuple

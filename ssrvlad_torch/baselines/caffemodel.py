@@ -1,8 +1,6 @@
 """Networks that Caffe saved: the arrays of a ``.caffemodel``, read by Google's protobuf, which
 skips what `_MESSAGES` does not define."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -10,8 +10,6 @@ explains. This changes 4 of 111 best matches: RecallRate@1 is 0.631, there 0.622
 equal.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Other methods on the files of references and queries: run, fused and measured."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Segmentation networks for methods: by their names, and with two outputs for LoST-X."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Features of a segmentation network as a method, see `stages.features`."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Gray pictures: conversion from colour, and resizing."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Histograms of oriented gradients (Dalal & Triggs, CVPR 2005) on a coarse grid of an image."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import torch

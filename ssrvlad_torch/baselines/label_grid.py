@@ -1,7 +1,5 @@
 """The trivial method for label maps: the fraction of each category in each cell of a grid."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

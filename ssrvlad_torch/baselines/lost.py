@@ -7,8 +7,6 @@ removes keypoints that are close together and uses weighted Euclidean distances,
 every step.
 """
 
-from __future__ import annotations
-
 import math
 
 import torch

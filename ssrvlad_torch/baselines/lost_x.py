@@ -1,7 +1,5 @@
 """LoST-X (Garg, Suenderhauf, Milford, RSS 2018) as a method."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ NetVLAD's own layers are MATLAB objects: the cell refers to them, and the struct
 ``saveobj`` wrote are in a second MAT stream, SciPy's ``__function_workspace__``.
 """
 
-from __future__ import annotations
-
 from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple

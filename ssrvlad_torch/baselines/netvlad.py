@@ -1,7 +1,5 @@
 """NetVLAD (Arandjelovic, Gronat, Torii, Pajdla, Sivic, CVPR 2016) as a method."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -1,8 +1,6 @@
 """The NetVLAD network (Arandjelovic et al., CVPR 2016): image -> descriptor. VGG-16 is
 configuration D of Simonyan and Zisserman, ICLR 2015; the layer is that of Section 3.1."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import torch

@@ -1,7 +1,5 @@
 """Published weights of NetVLAD, in all their file formats, as one dictionary of tensors."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

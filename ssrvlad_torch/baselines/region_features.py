@@ -1,8 +1,6 @@
 """Image -> descriptors of its regions: the first half of Region-VLAD. The network is
 AlexNet-Places365 up to conv3 (Zhou et al., TPAMI 2018), after its published prototxt."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 

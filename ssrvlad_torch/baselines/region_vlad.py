@@ -1,7 +1,5 @@
 """Region-VLAD (Khaliq, Ehsan, Chen, Milford, McDonald-Maier, T-RO 2019) as a method."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -6,8 +6,6 @@ the map to scikit-image's ``label`` and on which their vocabulary was trained; t
 activations that are not zero. It needs the extra ``eval``.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 import torch.nn.functional as F

@@ -1,7 +1,5 @@
 """Runs a method: every query against all references, with the costs."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple

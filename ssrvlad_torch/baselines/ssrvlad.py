@@ -1,7 +1,5 @@
 """SSR-VLAD as a method."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from typing import Any
 

@@ -4,8 +4,6 @@ These are the image comparison and the contrast enhancement of SeqSLAM (Milford 
 over whole sequences of references, without its search over sequences of queries.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Base classes of methods whose encodings are vectors, compared by their cosine."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 
 import torch

@@ -1,7 +1,5 @@
 """Vocabularies of Region-VLAD: reading and training."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,8 +1,6 @@
 """Weights on disk: finds the files, reads checkpoints, and loads them into networks. Nothing is
 ever downloaded."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar

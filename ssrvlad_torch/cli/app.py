@@ -4,8 +4,6 @@ The module of a command defines its options and its output. It imports the rest 
 so that ``--help`` needs no torch.
 """
 
-from __future__ import annotations
-
 from typing import Annotated
 
 import typer

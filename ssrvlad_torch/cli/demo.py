@@ -1,7 +1,5 @@
 """The method on generated data: two drives through a synthetic city."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

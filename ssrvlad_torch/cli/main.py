@@ -6,8 +6,6 @@ with some inputs skipped, 130 interrupted, 143 terminated.
 `main` imports the rest, so that Ctrl-C during an import is handled.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

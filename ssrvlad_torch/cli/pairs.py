@@ -1,7 +1,5 @@
 """A picture of queries above their best matches."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

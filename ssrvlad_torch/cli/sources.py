@@ -1,7 +1,5 @@
 """What the user means by SOURCE: folders, a data set or a database, label maps or images."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Sequence
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """The checksum of a row, which covers all its columns."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

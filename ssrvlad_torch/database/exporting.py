@@ -1,7 +1,5 @@
 """Export of a database to NumPy or to hloc's HDF5."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os

@@ -1,7 +1,5 @@
 """Fuse: a segmentation network and the head in one ONNX file, from pictures to descriptors."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from dataclasses import asdict, dataclass

@@ -1,7 +1,5 @@
 """The golden pair: an input and the module's outputs for it, which every exported file carries."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import count
 from typing import Any

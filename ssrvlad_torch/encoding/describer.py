@@ -1,7 +1,5 @@
 """What a worker does: it reads label maps and computes their descriptors in batches."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Sequence
 from typing import NamedTuple

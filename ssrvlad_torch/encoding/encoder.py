@@ -1,7 +1,5 @@
 """Encoding: label maps, or images with a segmenter -> descriptors in a database or in memory."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing
 from functools import partial

@@ -1,7 +1,5 @@
 """Extra descriptors: of a frame's picture, for `recognition.fusion`."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from ..baselines.hog import HOG

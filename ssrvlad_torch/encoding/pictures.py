@@ -1,7 +1,5 @@
 """Pictures of frames: their photos and their coloured label maps, read where they were encoded."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import cache

@@ -1,7 +1,5 @@
 """Encoding with Ray Data, on this machine or on a cluster; needs the extra ``ray``."""
 
-from __future__ import annotations
-
 import logging
 import os
 import pickle

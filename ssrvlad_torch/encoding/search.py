@@ -1,7 +1,5 @@
 """Candidates of queries in a database."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 from functools import cache, partial

@@ -1,7 +1,5 @@
 """The frames that a command works on, and what is known of them before the first is read."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Writes encoded frames to a database, many in one commit."""
 
-from __future__ import annotations
-
 import time
 from contextlib import AbstractContextManager
 from functools import partial

@@ -1,8 +1,6 @@
 """Precision and recall over thresholds, and the figures that summarise a curve. A curve is stored
 as counts. The counts may have a leading axis of resamples; every figure then has it too."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

@@ -4,8 +4,6 @@ A query may have any number of true matches, also none. `ground_truth_files` rea
 files.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence

@@ -1,7 +1,5 @@
 """Ground truth from files: pairs of frames, a 0/1 matrix, or VPR-Bench's pickled rows."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path

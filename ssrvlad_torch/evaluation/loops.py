@@ -1,7 +1,5 @@
 """Precision and recall of loop closures in one stream, by the poses of its frames."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Statistics to choose the score above which a candidate is accepted."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from statistics import NormalDist

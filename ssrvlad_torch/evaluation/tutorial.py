@@ -4,8 +4,6 @@ Schubert et al., RAM 2024 (arXiv 2303.03281), and its code, reimplemented from t
 the tutorial the references are the rows of the similarity matrix; here they are the columns.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

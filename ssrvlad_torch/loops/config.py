@@ -1,7 +1,5 @@
 """The settings of the loop detector: frozen and validated."""
 
-from __future__ import annotations
-
 import operator
 from dataclasses import dataclass
 from numbers import Real

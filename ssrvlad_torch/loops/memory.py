@@ -1,7 +1,5 @@
 """The frames of a live stream so far, and the scores of a new frame against them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import Any

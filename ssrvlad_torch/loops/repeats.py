@@ -5,8 +5,6 @@ frames that a stream excludes cannot be loops: what they have in common with the
 how alike different places of this street are.
 """
 
-from __future__ import annotations
-
 from collections import deque
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The result of a frame of the loop detector."""
 
-from __future__ import annotations
-
 from enum import StrEnum
 from typing import NamedTuple
 

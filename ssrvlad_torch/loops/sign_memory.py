@@ -1,7 +1,5 @@
 """Signs of the frames of a live stream so far, and the scores of a new frame against them."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Loop closures over files: folders of frames, or names that arrive one by one."""
 
-from __future__ import annotations
-
 import functools
 from collections import Counter
 from collections.abc import Generator, Iterable, Iterator, Sequence

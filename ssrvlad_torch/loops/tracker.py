@@ -1,7 +1,5 @@
 """Tracker: the place of a live stream among its own frames, by a Bayes filter."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import replace

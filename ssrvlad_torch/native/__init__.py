@@ -4,8 +4,6 @@ It is built with the package if a C++ compiler is available, and describes label
 Without it, and on other devices, the stages in torch compute the same numbers.
 """
 
-from __future__ import annotations
-
 import ctypes
 import hashlib
 import sys

@@ -4,8 +4,6 @@ Other callers use the function `describe` directly: the first call of the operat
 import its compiler, which takes as long as importing torch.
 """
 
-from __future__ import annotations
-
 import ctypes
 import json
 import weakref

@@ -1,7 +1,5 @@
 """Scores of queries that are computed when they are read, some queries at a time."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from functools import lru_cache
 

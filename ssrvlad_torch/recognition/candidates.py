@@ -6,8 +6,6 @@ probability for each of them and the mean likelihood of a sample of the map. Whe
 candidates, the numbers are those of `follow`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple, Protocol

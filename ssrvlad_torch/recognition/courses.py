@@ -4,8 +4,6 @@ A fair test: the same scores with the map run backwards. Light and errors that d
 frames likelier as a sequence than each alone, but not likelier forwards than backwards.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import NamedTuple

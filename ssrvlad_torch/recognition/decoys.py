@@ -10,8 +10,6 @@ changed and numbers exchanged. Each method has a function for it, a `Mirror`. Si
 products, the queries are mirrored instead of the map.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Candidates as an HTML table, for notebooks."""
 
-from __future__ import annotations
-
 import math
 
 from torch import Tensor

@@ -1,7 +1,5 @@
 """Filter: the place of a sequence after each of its frames, by the forward algorithm."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import NamedTuple

@@ -10,8 +10,6 @@ it holds shows how much of the belief in the map is chance: the target-decoy com
 and Gygi (Nature Methods 2007).
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from bisect import bisect_right

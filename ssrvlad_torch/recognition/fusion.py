@@ -5,8 +5,6 @@ become z-scores over all references. The weight of a method is its trust, times 
 first candidates on the traverse. Not in the paper.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import torch

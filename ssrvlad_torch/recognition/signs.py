@@ -5,8 +5,6 @@ the cosine of the numbers 1 and -1, or of these without the mean of each travers
 moved by columns to each side; the columns that overlap count, and the best move. Not in the paper.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -4,8 +4,6 @@ Light, season, camera and errors of a network shift all descriptors of a travers
 the place. Schubert, Neubert and Protzel (ICRA 2020) subtract the mean of each traverse.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import groupby
 

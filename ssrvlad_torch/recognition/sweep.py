@@ -3,8 +3,6 @@
 A reference has one descriptor; its score is that of the best anchor. Not in the paper.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

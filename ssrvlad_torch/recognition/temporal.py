@@ -1,7 +1,5 @@
 """Temporal sum: the descriptors of reference frames summed over their neighbours (Eq. 3)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

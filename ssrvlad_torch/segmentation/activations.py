@@ -7,8 +7,6 @@ one that made a map of at least twice as many cells. Activations with at most ha
 the widest belong to the step to the next stride and do not count.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 import threading

@@ -1,7 +1,5 @@
 """A cache of what networks said of pictures, so that none is segmented twice; of bounded size."""
 
-from __future__ import annotations
-
 import os
 from contextlib import suppress
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Label spaces from class names: the name of a network's class gives its category."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Mapping
 from functools import cache

@@ -1,7 +1,5 @@
 """The features of a network as a descriptor of pictures, made in the pass that labels them."""
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import json

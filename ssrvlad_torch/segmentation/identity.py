@@ -1,7 +1,5 @@
 """The identity of a network: a digest of everything that determines its output."""
 
-from __future__ import annotations
-
 import hashlib
 import inspect
 import io

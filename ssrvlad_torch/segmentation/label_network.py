@@ -1,7 +1,5 @@
 """Pictures -> class scores or ids as one module: preparation, network, axis of the classes."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """Outputs of segmentation networks: which output holds labels, and the class of every pixel."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Networks by name: a graph, a YAML file, a published model, or a function that returns one."""
 
-from __future__ import annotations
-
 import dataclasses
 import logging
 import sys

@@ -1,7 +1,5 @@
 """The preparation of pictures for a network: the settings and the module."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 

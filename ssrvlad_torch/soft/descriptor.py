@@ -1,7 +1,5 @@
 """The differentiable twin: class scores -> descriptors, with a gradient for every score."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor, nn
 

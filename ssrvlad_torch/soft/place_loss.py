@@ -1,7 +1,5 @@
 """Multi-similarity loss: pulls frames of one place together and pushes others apart."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

@@ -1,7 +1,5 @@
 """The descriptor to train through: the numbers of the method, the gradient of its twin."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor, nn
 

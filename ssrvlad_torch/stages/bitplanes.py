@@ -8,8 +8,6 @@ Lists are grouped: group ``k * B + b`` is layer ``k`` of image ``b``. Every list
 then in raster order. `by_image` turns a value per group into a value per image.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

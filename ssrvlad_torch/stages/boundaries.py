@@ -5,8 +5,6 @@ two classes. The four diagonal neighbours of a pixel, two rows and two columns a
 direction: two adjacent ones in the layer make a straight boundary, one or three a slanting one.
 """
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

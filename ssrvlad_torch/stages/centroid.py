@@ -1,7 +1,5 @@
 """Centre of a layer: the centroid of its pixels (Eq. 1)."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

@@ -5,8 +5,6 @@ from row to row form an edge of a graph, whose connected components are the regi
 propagation with pointer jumping finds them in a few rounds, also for long and winding regions.
 """
 
-from __future__ import annotations
-
 import torch
 import torch.nn.functional as F
 from torch import Tensor

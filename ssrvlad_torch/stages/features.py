@@ -6,8 +6,6 @@ share the projections, so a picture that is moved by a column of cells has moved
 mirrored one mirrored signs. Not in the paper.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 import torch.nn.functional as F

@@ -1,7 +1,5 @@
 """The front end of the method: label map -> layers on the working grid (Table II)."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

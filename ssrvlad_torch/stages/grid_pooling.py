@@ -1,7 +1,5 @@
 """Grid pooling: the fraction of each of 24 x 32 cells that a mask covers. Not in the paper."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

@@ -7,8 +7,6 @@ shift then changes the histogram only a little.
 It is one of the two aggregations: layers -> histograms -> descriptor. `residuals` is the other.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from functools import lru_cache

@@ -1,7 +1,5 @@
 """Keypoints: the end points and intersections of skeletons, as bit-planes."""
 
-from __future__ import annotations
-
 import torch.nn.functional as F
 from torch import Tensor
 

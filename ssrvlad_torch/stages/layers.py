@@ -1,7 +1,5 @@
 """Categories and layers: label ids -> Table II -> one binary layer per category."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 from torch import Tensor

@@ -5,8 +5,6 @@ fraction is a product of whole numbers of up to sixty bits, which some runtimes 
 So it is divided in two steps, as by hand, see `divided`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

@@ -1,8 +1,6 @@
 """Morphology: dilation, erosion, opening and closing of all layers at once by a square of
 ``2 * radius + 1`` pixels; radius 0 changes nothing."""
 
-from __future__ import annotations
-
 import torch
 import torch.nn.functional as F
 from torch import Tensor

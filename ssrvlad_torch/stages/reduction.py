@@ -6,8 +6,6 @@ digits are separated and added over the groups of a cell. All numbers are whole 
 float32, and no shape depends on the labels: eager torch and exported graphs run the same steps.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import torch

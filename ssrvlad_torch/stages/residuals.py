@@ -4,8 +4,6 @@ It is one of the two aggregations: layers -> clean layers -> skeletons -> keypoi
 descriptor. `harmonics` is the other.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import torch

@@ -1,7 +1,5 @@
 """Shape context: where the points of a layer lie around a reference point, in exact integers."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import NamedTuple

@@ -16,8 +16,6 @@ processes such words only, which are called the frontier; at first they are thos
 has background N, E, S or W of it: no rule deletes another one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import reduce
 from operator import and_, or_

@@ -1,7 +1,5 @@
 """What differs where `torch.export` records a stage for other runtimes."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import cast

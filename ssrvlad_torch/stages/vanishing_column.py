@@ -5,8 +5,6 @@ column in which ground, sidewalk and sky together are tallest shifts with it. It
 vanishing point, which a label map does not show. Not in the paper.
 """
 
-from __future__ import annotations
-
 from functools import reduce
 from operator import or_
 

@@ -1,7 +1,5 @@
 """``ssrvlad bench``."""
 
-from __future__ import annotations
-
 from ..options import Json, option
 
 

@@ -1,7 +1,5 @@
 """``ssrvlad city``."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from ..options import Seed, argument, option, switch

@@ -1,7 +1,5 @@
 """``ssrvlad demo``."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from ..options import Seed, option

@@ -1,7 +1,5 @@
 """``ssrvlad export``."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from ..options import Preset, option, switch

@@ -1,7 +1,5 @@
 """``ssrvlad fuse``."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from ..options import NETWORK, Classes, Preset, argument, option

@@ -1,7 +1,5 @@
 """``ssrvlad labels``."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from ...files import read_yaml

@@ -1,7 +1,5 @@
 """``ssrvlad locate``."""
 
-from __future__ import annotations
-
 import math
 
 from ..options import Json, RecognitionOptions, SourceOptions, option

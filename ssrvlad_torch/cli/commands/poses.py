@@ -1,7 +1,5 @@
 """``ssrvlad poses``."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from ..options import SourceOptions, option

@@ -1,7 +1,5 @@
 """``ssrvlad query``."""
 
-from __future__ import annotations
-
 import math
 
 from ..options import AsOf, DatabaseFolder, Json, RecognitionOptions, SourceOptions, option, switch

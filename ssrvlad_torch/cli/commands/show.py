@@ -1,7 +1,5 @@
 """``ssrvlad show``."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from ..options import NETWORK, Classes, Preset, SourceOptions, argument, option

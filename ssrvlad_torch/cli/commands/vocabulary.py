@@ -1,7 +1,5 @@
 """``ssrvlad vocabulary``."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from ..options import argument, option

@@ -1,7 +1,5 @@
 """Soft boundaries: how likely a boundary of any layer is at each pixel, by direction."""
 
-from __future__ import annotations
-
 import torch
 import torch.nn.functional as F
 from torch import Tensor

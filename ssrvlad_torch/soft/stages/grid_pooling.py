@@ -1,7 +1,5 @@
 """Soft grid pooling: the fraction of each cell that a layer covers, for any real shift."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

@@ -1,7 +1,5 @@
 """Soft harmonics: the coefficients of the basis functions, with roots of finite slope at zero."""
 
-from __future__ import annotations
-
 import math
 
 import torch

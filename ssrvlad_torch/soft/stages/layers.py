@@ -1,7 +1,5 @@
 """Soft layers: class scores -> probabilities of the eight categories (Table II)."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

@@ -1,7 +1,5 @@
 """Soft majority: layers on the working grid, from the fractions of each cell's pixels."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

@@ -1,7 +1,5 @@
 """Soft vanishing column: the column towards which the street narrows, as a real number."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 
