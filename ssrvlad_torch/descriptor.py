@@ -21,6 +21,7 @@ from .stages.front_end import FrontEnd, as_tensor, label_map
 from .stages.harmonics import Harmonics
 from .stages.layers import refuse_unknown
 from .stages.residuals import ResidualHistograms, Residuals
+from .taxonomy import LabelSpace
 
 
 class Aggregation(Protocol):
@@ -79,8 +80,6 @@ class SSRVLAD(nn.Module):
             raise ValueError(f"expected an SSRVLADConfig, got {config!r}; see SSRVLAD.from_preset")
         self.config = config or SSRVLADConfig()
         self._front_end = FrontEnd(self.config)
-        self.label_space = self._front_end.label_space
-        """The label space of the input, as read when the head was created."""
         harmonic = self.config.aggregation == "harmonics"
         self._aggregation: Aggregation = (Harmonics if harmonic else Residuals)(self.config)
         self.native = core().library is not None
@@ -93,6 +92,11 @@ class SSRVLAD(nn.Module):
     def from_preset(cls, preset: str, **settings: Any) -> SSRVLAD:
         """The head of a preset, ``"paper"`` or ``"default"``; see `SSRVLADConfig.from_preset`."""
         return cls(SSRVLADConfig.from_preset(preset, **settings))
+
+    @property
+    def label_space(self) -> LabelSpace:
+        """The label space of the input, as read when the head was created."""
+        return self._front_end.label_space
 
     def forward(self, labels: Tensor | npt.NDArray[Any]) -> Tensor:
         """The descriptors of a batch."""

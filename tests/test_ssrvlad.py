@@ -60,3 +60,8 @@ def test_settings_of_the_method_are_taken():
     method = make("ssr-vlad", preset="paper", rings=3)
     assert method.encode_query(frames([0])).shape == (1, 8 * 3 * 12)
     assert method.config.working_size is None
+
+
+def test_the_label_space_of_a_head_stays():
+    with pytest.raises(AttributeError, match="label_space"):
+        SSRVLAD().label_space = None
