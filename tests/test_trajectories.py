@@ -2,6 +2,7 @@
 
 import csv
 import math
+import os
 
 import numpy as np
 import pytest
@@ -120,8 +121,10 @@ def test_exif(tmp_path):
         tag.GPSImgDirectionRef: "T", tag.GPSImgDirection: 0.0,
     })  # fmt: skip
     Image.new("RGB", (8, 6)).save(tmp_path / "photos" / "1.jpg", exif=exif)
-    files = find_image_files([folder], poses="exif")
-    np.testing.assert_allclose(poses(files), [[EAST, NORTH, math.pi / 2], UNKNOWN], atol=0.01)
+    os.mkfifo(tmp_path / "photos" / "3.png")
+    files = find_image_files([folder, str(tmp_path / "photos" / "*.png")], poses="exif")
+    expected = [[EAST, NORTH, math.pi / 2], UNKNOWN, UNKNOWN]
+    np.testing.assert_allclose(poses(files), expected, atol=0.01)
     with pytest.raises(ValueError, match="no image of none has a position in its EXIF"):
         find_image_files([pictures(tmp_path / "none", ["1"])], poses="exif")
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from PIL import ExifTags, Image
 
-from ..files import requiring
+from ..files import check_regular, requiring
 
 _KILOMETRE = 1 / 111.2
 """Degrees of latitude."""
@@ -27,7 +27,8 @@ def eastings_northings(fixes: Sequence[Fix]) -> list[tuple[float, float]]:
     compare, is a ValueError; without the extra ``gps``, an ImportError."""
     with requiring("gps", "latitudes need"):
         import utm
-    found, zones = [utm.from_latlon(*fix[:2]) for fix in fixes], set()
+    found = [utm.from_latlon(fix.latitude, fix.longitude) for fix in fixes]
+    zones = set[tuple[int, bool]]()
     for latitude, longitude, _ in fixes:  # and about 1 km from it in each direction
         wide = _KILOMETRE / max(math.cos(math.radians(latitude)), _KILOMETRE)
         for up, right in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)):
@@ -51,6 +52,7 @@ def read_exif(path: Path) -> Fix | None:
     direction from magnetic north is ignored."""
     tag = ExifTags.GPS
     try:
+        check_regular(path)
         with Image.open(path) as image:
             tags = image.getexif().get_ifd(ExifTags.IFD.GPSInfo)
         latitude = _degrees(tags[tag.GPSLatitude], tags[tag.GPSLatitudeRef])
