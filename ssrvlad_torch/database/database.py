@@ -384,12 +384,12 @@ class Database:
             else record
             for record in _records(frames)
         ]
-        self.adopt([self.write_apart(records, descriptors, extra)], check, "merge")
+        self._change([self.write_apart(records, descriptors, extra)], "merge", check)
 
     def remove(self, frames: Collection[str]) -> None:
         """Removes frames by their ids, in one commit; ignores ids that are not in the database."""
         require_list(frames)
-        self.adopt([StagedRows((), tuple(sorted(set(frames))))], verb="remove")
+        self._change([StagedRows((), tuple(sorted(set(frames))))], "remove")
 
     def write_apart(
         self,
@@ -412,14 +412,17 @@ class Database:
         texts = tuple(json.dumps(fragment.to_json()) for fragment in fragments)
         return StagedRows(texts, tuple(rows["frame"].to_pylist()))
 
-    def adopt(
-        self, written: Sequence[StagedRows], check: Check | None = None, verb: Verb = "append"
-    ) -> None:
-        """Adds rows that `write_apart` wrote, in one commit. ``append`` refuses a frame that is in
-        the database already by a ValueError, ``merge`` replaces it, and ``remove`` removes it; one
-        that was written twice is always a ValueError. ``check`` is called with the records of the
+    def adopt(self, written: Sequence[StagedRows], check: Check | None = None) -> None:
+        """Adds rows that `write_apart` wrote, in one commit. A frame that is in the database
+        already, or was written twice, is a ValueError. ``check`` is called with the records of the
         version that is changed, if others have made it since this object last read or wrote the
         database; an error of it ends the change."""
+        self._change(written, "append", check)
+
+    def _change(
+        self, written: Sequence[StagedRows], verb: Verb, check: Check | None = None
+    ) -> None:
+        """Appends rows, as `adopt` says; or merges them, which replaces frames; or removes them."""
         self._require_writable()
         ids = pa.table({"frame": pa.array([f for w in written for f in w.frames], pa.string())})
         if len(pc.unique(ids["frame"])) < len(ids):
