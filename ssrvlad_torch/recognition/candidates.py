@@ -111,7 +111,7 @@ class CandidateFilter:
         self._prior = prior_of_speeds().double().expand(len(ways), -1, -1) / len(ways)
         self._starts = torch.tensor([part.start for part in runs(sequences)], dtype=torch.int64)
         self._length = len(sequences)
-        self._unmapped = motion.unmapped if sequences else 1.0
+        self._unmapped = motion.unmapped_at_start(len(sequences))
 
     def states(self, search: Search, part: range | None = None) -> Iterator[tuple[State, float]]:
         """The forward algorithm over one sequence of queries: the belief after each query, and how

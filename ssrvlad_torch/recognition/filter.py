@@ -73,7 +73,7 @@ class Filter:
         self.motion, self._ways = motion or Motion(), ways
         self._cells = torch.zeros(0, dtype=torch.int64)
         self._inside = torch.zeros(self.motion.gap)
-        self._rows, self._places = 0, len(ways)  # places: rows of all ways, of one row without any
+        self._rows = 0
         self._sequence: str | None = None
         self._lost: Tensor | None = None
         nothing = torch.zeros(len(ways), len(SPEEDS), self.motion.gap)
@@ -83,6 +83,11 @@ class Filter:
 
     def __len__(self) -> int:
         return self._rows
+
+    @property
+    def _places(self) -> int:
+        """The number of rows, in all ways; of an empty map as of one row."""
+        return max(1, self._rows) * len(self._ways)
 
     def extend(self, sequences: Sequence[str]) -> None:
         """Adds rows at the end of the map; the belief in them is 0. There is room for some more
@@ -97,7 +102,6 @@ class Filter:
             self._cells = F.pad(self._cells, (0, rows + rows // _ROOM - len(self._cells)))
         self._cells[self._rows : rows] = cells
         self._rows, self._sequence, self._lost = rows, sequences[-1], None
-        self._places = rows * len(self._ways)
         length = int(cells[-1]) + 1 + gap
         if length > len(self._inside):
             more = length + (length // _ROOM if self._rows > len(sequences) else 0)
@@ -109,7 +113,7 @@ class Filter:
 
     def restart(self) -> None:
         """Forgets the place: the next frame starts another sequence."""
-        unmapped = self.motion.unmapped if self._rows else 1.0
+        unmapped = self.motion.unmapped_at_start(self._rows)
         cells = self._inside * ((1 - unmapped) / self._places)
         mapped = (prior_of_speeds() * cells).repeat(len(self._ways), 1, 1)
         decoys = (1 - unmapped) * (1 - 1 / len(self._ways))
@@ -131,7 +135,7 @@ class Filter:
             self.belief = Belief(mapped / total, cells / total, decoys, belief.unmapped / total)
         else:
             self.belief, total = self.after(self.belief, likelihood)
-        unmapped = self.motion.unmapped if self._rows else 1.0
+        unmapped = self.motion.unmapped_at_start(self._rows)
         alone = (1 - unmapped) * float(likelihood.sum()) / max(1, self._rows) + unmapped
         self.gain += math.log(total / alone)
         self._starting = False

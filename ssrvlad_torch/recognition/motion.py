@@ -94,6 +94,10 @@ class Motion:
         change, jump = (min(1.0, each * rate) for each in (self.change, self.jump))
         return replace(self, rate=rate, change=change, jump=jump, weight=self.weight * rate)
 
+    def unmapped_at_start(self, rows: int) -> float:
+        """Probability that a map of so many rows lacks the place of the first frame."""
+        return self.unmapped if rows else 1.0
+
     def off_track(self, lost: float, unmapped: float) -> tuple[float, float]:
         """Probabilities of any row and of an unmapped place, from those of a track that was left
         and of an unmapped place one frame before."""
