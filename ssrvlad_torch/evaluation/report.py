@@ -191,7 +191,7 @@ def _precision_recall(axes: Axes, report: Report) -> None:
             axes.plot(point["recall"], point["precision"], "o", label=name, clip_on=False)
     axes.set(xlabel="recall", ylabel="precision", xlim=(0, 1), ylim=(0, 1.02))
     if axes.has_data():
-        axes.legend()
+        axes.legend(loc="lower left")
 
 
 def score_groups(outcomes: Outcomes) -> dict[str, Floats]:
@@ -213,7 +213,7 @@ def _scores(axes: Axes, report: Report) -> None:
     if suggested := report.metrics["thresholds"]["suggested"]:
         axes.axvline(suggested["score"], color="black", ls="--", label="suggested threshold")
     axes.set(xlabel=f"{report.score} of the best candidate", ylabel="queries")
-    axes.legend()
+    axes.legend(loc="upper left")
 
 
 def _matrix(axes: Axes, report: Report) -> None:
