@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from .descriptor import SSRVLAD as SSRVLAD
     from .encoding.encoder import encode_to_database as encode_to_database
     from .encoding.results import EncodeOptions as EncodeOptions
-    from .localiser import Localiser as Localiser
     from .loops.config import LoopConfig as LoopConfig
     from .loops.detector import LoopDetector as LoopDetector
+    from .map import Map as Map
     from .recognition.follow import follow as follow
     from .recognition.matching import match as match
     from .recognition.standardise import standardise as standardise
@@ -40,7 +40,7 @@ _MODULES = {
     "FrameRecord": "database.frames",
     "FrameSet": "database.frames",
     "LabelSpace": "taxonomy",
-    "Localiser": "localiser",
+    "Map": "map",
     "LoopConfig": "loops.config",
     "LoopDetector": "loops.detector",
     "SSRVLAD": "descriptor",

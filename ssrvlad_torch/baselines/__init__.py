@@ -1,5 +1,5 @@
 """Place-recognition methods behind one protocol: SSR-VLAD, published ones and trivial ones."""
 
-from .protocol import METHODS, Frame, Method, make
+from .protocol import METHODS, Method, make
 
-__all__ = ["METHODS", "Frame", "Method", "make"]
+__all__ = ["METHODS", "Method", "make"]

@@ -17,9 +17,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from .gray import grays, resize
-from .hog import CELL, cell_histograms
-from .protocol import Columns, Frame, batches, image_shape
+from ..channels.gray import grays, resize
+from ..channels.hog import CELL, cell_histograms
+from ..channels.view import View, batches
+from .protocol import Columns
 
 ORIENTATIONS = 8
 REGION_NUMBERS = 4 * ORIENTATIONS
@@ -66,20 +67,20 @@ class CoHOG:
         self.regions = (size // CELL - 1) ** 2
 
     @torch.no_grad()
-    def encode_query(self, frames: Iterable[Frame]) -> Regions:
+    def encode_query(self, frames: Iterable[View]) -> Regions:
         """The regions of every query, and which of them are compared."""
         described = [torch.zeros(0, self.regions, REGION_NUMBERS)]
         chosen = [torch.zeros(0, self.regions, dtype=torch.bool)]
-        for batch in batches(frames, _BATCH, image_shape):
+        for batch in batches(frames, _BATCH):
             pictures = self._pictures(batch)
             described.append(region_descriptors(pictures))
             chosen.append(region_entropies(pictures) >= self.entropy_threshold)
         return Regions(torch.cat(described), torch.cat(chosen))
 
     @torch.no_grad()
-    def encode_reference(self, frames: Iterable[Frame]) -> Tensor:
+    def encode_reference(self, frames: Iterable[View]) -> Tensor:
         """``(R, regions, 32)`` float32, the descriptors of all regions."""
-        pictures = map(self._pictures, batches(frames, _BATCH, image_shape))
+        pictures = map(self._pictures, batches(frames, _BATCH))
         return torch.cat(
             [torch.zeros(0, self.regions, REGION_NUMBERS), *map(region_descriptors, pictures)]
         )
@@ -100,7 +101,7 @@ class CoHOG:
                 part.copy_(cosines.unflatten(1, (len(block), -1)).amax(2).mean(0))
         return scores
 
-    def _pictures(self, frames: Sequence[Frame]) -> Tensor:
+    def _pictures(self, frames: Sequence[View]) -> Tensor:
         return resize(grays(frames, self.name), self.size, self.size)
 
 

@@ -7,8 +7,10 @@ from typing import Any, NamedTuple
 
 import torch
 
+from ..channels.view import View
 from ..datasets.drives import KINDS, Drives
 from ..datasets.frame_files import FrameFile, read_ahead
+from ..datasets.frame_ids import sequence_of
 from ..datasets.image_files import read_image
 from ..datasets.label_files import read_label_map
 from ..evaluation.measure import TOP, Recognition, measure, needs_similarity
@@ -18,7 +20,7 @@ from ..recognition.follow import runs
 from ..recognition.fusion import FusedScores
 from ..recognition.recognise import AS_PAPER, Steps, recognise_by_scores
 from ..taxonomy import label_space
-from .protocol import Frame, Method
+from .protocol import Method
 from .run import run
 
 Row = dict[str, Any]
@@ -94,7 +96,8 @@ def _measured(
             found[1:] = [_by_scores(each, protocol.steps) for each in found[1:]]
         rows[name] = [measure(each, truth, protocol.convention) for each in found]
     if protocol.fused and set(protocol.fused) <= set(members):
-        found = _fused([members[name] for name in protocol.fused], steps or no_following)
+        trust = {each.name: getattr(each, "trust", 1.0) for each in methods.values()}
+        found = _fused([members[name] for name in protocol.fused], trust, steps or no_following)
         rows[_FUSED] = [measure(each, truth, protocol.convention) for each in found]
     return rows
 
@@ -144,7 +147,9 @@ def _recognised(
     return [single, replace(single, matches=stepped.matches, details=details)]
 
 
-def _fused(members: Sequence[Recognition], steps: Steps) -> list[Recognition]:
+def _fused(
+    members: Sequence[Recognition], trust: Mapping[str, float], steps: Steps
+) -> list[Recognition]:
     """The fused recognition of single frames, and the followed one if ``steps.follow``. Members are
     recognitions of single frames by each method, with scores of all pairs."""
     details = [member.details for member in members]
@@ -152,7 +157,7 @@ def _fused(members: Sequence[Recognition], steps: Steps) -> list[Recognition]:
     scores = {each.details["method"]: torch.from_numpy(each.similarity) for each in members}
     parts = {
         sequences[run.start]: FusedScores(
-            {name: pairs[run.start : run.stop] for name, pairs in scores.items()}
+            {name: pairs[run.start : run.stop] for name, pairs in scores.items()}, trust
         )
         for run in runs(sequences)
     }
@@ -188,17 +193,17 @@ def _by_scores(recognition: Recognition, steps: Steps) -> Recognition:
 
 
 def _sequences(frames: Sequence[str]) -> list[str]:
-    return [frame.rpartition("/")[0] for frame in frames]
+    return [sequence_of(frame) for frame in frames]
 
 
-def _frames(files: Sequence[FrameFile], labels_as: str | None, workers: int) -> Iterator[Frame]:
+def _frames(files: Sequence[FrameFile], labels_as: str | None, workers: int) -> Iterator[View]:
     """Frames with their label maps, or, without a label space, with their images."""
     space = label_space(labels_as) if labels_as else None
 
-    def load(file: FrameFile) -> Frame:
+    def load(file: FrameFile) -> View:
         if space:
-            return Frame(file.frame, read_label_map(file, space), labels_as)
-        return Frame(file.frame, image=read_image(file))
+            return View(file.frame, read_label_map(file, space), labels_as)
+        return View(file.frame, picture=read_image(file))
 
     for file, frame in read_ahead(load, files, workers, _AHEAD):
         if isinstance(frame, ValueError):

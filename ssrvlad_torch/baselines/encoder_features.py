@@ -1,18 +1,20 @@
 """Features of a segmentation network as a method, see `stages.features`."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
-from ..recognition.signs import SignQueries, SignRows
+from ..channels.channel import PICTURE
+from ..channels.features import Features
+from ..channels.signs import SignQueries, SignReferences, SignRows
+from ..channels.view import View, batches, picture_of
 from ..segmentation.networks import AUTO
 from ..segmentation.segmenter import Segmenter
 from ..stages.features import SHAPE
 from ..taxonomy import LabelSpace
 from .dense_network import segmenter_of
-from .protocol import Frame, batches, image_of, image_shape
 
 _BATCH = 4
 
@@ -23,26 +25,30 @@ class EncoderFeatures:
     nor its YAML file say it. No network is a FileNotFoundError, one without features is a
     ValueError."""
 
-    name = "features"
-    needs = frozenset({"images", "weights"})
+    name, trust = Features.name, Features.trust
+    needs = frozenset({PICTURE, "weights"})
 
     def __init__(
         self, network: Segmenter | str | Path | None = None, labels_as: str | LabelSpace = AUTO
     ) -> None:
         self._segmenter = segmenter_of(network, self.name, labels_as)
 
-    def encode_query(self, frames: Iterable[Frame]) -> Tensor:
+    def encode_query(self, frames: Iterable[View]) -> Tensor:
         """``(Q, *SHAPE)`` uint8."""
         found = [torch.zeros(0, *SHAPE, dtype=torch.uint8)]
-        for batch in batches(frames, _BATCH, image_shape):
-            pictures = [image_of(frame, self.name) for frame in batch]
+        for batch in batches(frames, _BATCH):
+            pictures = [picture_of(view, self.name) for view in batch]
             said = self._segmenter.segment(pictures, features=True)
             found += [torch.from_numpy(each.features)[None] for each in said]
         return torch.cat(found)
 
-    def encode_reference(self, frames: Iterable[Frame]) -> Tensor:
+    def encode_reference(self, frames: Iterable[View]) -> Tensor:
         """``(R, *SHAPE)``, encoded as queries are."""
         return self.encode_query(frames)
+
+    def references(self, stored: Tensor, sequences: Sequence[str]) -> SignReferences:
+        """See `Channel`."""
+        return SignReferences(stored, sequences)
 
     def scores(self, queries: Tensor, references: Tensor) -> Tensor:
         """``(Q, R)`` cosines of the best move, see `SignQueries`."""

@@ -7,13 +7,14 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from ..channels.channel import LABELS
+from ..channels.view import View, labels_of
 from ..stages.layers import UNKNOWN, categorise, category_table, refuse_unknown
 from ..taxonomy import CATEGORIES, label_space
-from .protocol import Frame, label_kind, labels_of
-from .vectors import GridMethod
+from .vectors import VectorMethod
 
 
-class LabelGrid(GridMethod):
+class LabelGrid(VectorMethod):
     """Square roots of the categories' fractions in the cells of a grid, normalised.
 
     If the grid does not divide the image, neighbouring cells share pixels. Pixels of no category
@@ -22,11 +23,17 @@ class LabelGrid(GridMethod):
     """
 
     name = "label-grid"
-    needs = frozenset({"labels"})
-    _kind = staticmethod(label_kind)
+    needs = frozenset({LABELS})
 
-    def _describe(self, frames: Sequence[Frame]) -> Tensor:
-        maps, spaces = zip(*(labels_of(frame, self.name) for frame in frames), strict=True)
+    def __init__(self, rows: int = 6, columns: int = 10) -> None:
+        if rows < 1 or columns < 1:
+            raise ValueError(f"label-grid: the grid must be 1 x 1 or more, got {rows} x {columns}")
+        self.rows, self.columns, self.length = rows, columns, len(CATEGORIES) * rows * columns
+        self.fingerprint = f"{rows} x {columns} cells"
+
+    def describe(self, views: Sequence[View], _columns: Sequence[int] = ()) -> Tensor:
+        """See `Channel`."""
+        maps, spaces = zip(*(labels_of(view, self.name) for view in views), strict=True)
         labels, space = torch.from_numpy(np.stack(maps)), label_space(spaces[0])
         categories = categorise(labels, *category_table(space))
         if bool((categories == UNKNOWN).any()):
@@ -36,6 +43,6 @@ class LabelGrid(GridMethod):
         return F.normalize(fractions.sqrt().flatten(1), dim=1)
 
     def mirrored(self, vectors: Tensor) -> Tensor:
-        """See `GridMethod`; exact."""
+        """See `VectorChannel`; exact."""
         rows: Tensor = vectors.unflatten(-1, (-1, self.columns))
         return rows.flip(-1).flatten(-2)

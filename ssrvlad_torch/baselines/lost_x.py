@@ -10,13 +10,14 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from ..channels.view import Picture, View, picture_of
 from ..recognition.sweep import score
 from ..segmentation.networks import AUTO
 from ..segmentation.segmenter import Segmenter
 from ..taxonomy import LabelSpace, label_space
 from .dense_network import DenseNetwork, dense_network, segmenter_of
 from .lost import class_sums, layout_cost, lost_descriptor
-from .protocol import Columns, Frame, Image, image_of
+from .protocol import Columns
 
 _REACH = 7
 _CANDIDATES = 10
@@ -93,11 +94,11 @@ class LoSTX:
         self._classes = torch.tensor([ids[name] for name in classes])
         self._opposite = opposite
 
-    def encode_query(self, frames: Iterable[Frame]) -> LoSTEncodings:
+    def encode_query(self, frames: Iterable[View]) -> LoSTEncodings:
         """Descriptors with the mean features of each frame alone; 8 kB per place."""
         return self._encode(frames, reach=0)
 
-    def encode_reference(self, frames: Iterable[Frame]) -> LoSTEncodings:
+    def encode_reference(self, frames: Iterable[View]) -> LoSTEncodings:
         """Descriptors with the mean features of the frames around each; 8 kB per place."""
         return self._encode(frames, _REACH)
 
@@ -125,10 +126,10 @@ class LoSTX:
         cosine = (features[distinct // len(others)] * others[distinct % len(others)]).sum(dim=1)
         return layout_cost((x[0, same], reference.columns[0, same]), 1 - cosine[number])
 
-    def _encode(self, frames: Iterable[Frame], reach: int) -> LoSTEncodings:
+    def _encode(self, frames: Iterable[View], reach: int) -> LoSTEncodings:
         views, sequences = [], []
         for frame in frames:
-            views.append(self._view(image_of(frame, self.name)))
+            views.append(self._view(picture_of(frame, self.name)))
             sequences.append(frame.sequence)
         if not views:
             raise ValueError(f"method {self.name}: no frames to encode")
@@ -150,7 +151,7 @@ class LoSTX:
         )
 
     @torch.no_grad()
-    def _view(self, image: Image) -> _View:
+    def _view(self, image: Picture) -> _View:
         features, scores = self._network(torch.tensor(image)[None])
         counts = self._space.channel_counts
         if features.ndim != 4 or scores.ndim != 4 or scores.shape[1] not in counts:

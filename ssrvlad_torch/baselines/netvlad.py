@@ -6,9 +6,9 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from ..channels.view import View, picture_of
 from .netvlad_network import NetVLADNetwork
 from .netvlad_weights import read_netvlad_weights
-from .protocol import Frame, image_of
 from .vectors import VectorMethod
 from .weights import fill, find_weights, random_network
 
@@ -57,8 +57,8 @@ class NetVLAD(VectorMethod):
         self._network, self.length = network.to(device), network.size
         self._device = device
 
-    def _describe(self, frames: Sequence[Frame]) -> Tensor:
-        image = image_of(frames[0], self.name)
+    def _describe(self, frames: Sequence[View]) -> Tensor:
+        image = picture_of(frames[0], self.name)
         if min(image.shape[:2]) < _SMALLEST:
             raise ValueError(
                 f"method {self.name} needs images of at least {_SMALLEST} x {_SMALLEST} pixels, "

@@ -8,8 +8,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from ..channels.view import Picture
 from .caffemodel import read_caffemodel
-from .protocol import Image
 from .regions import region_descriptors
 from .weights import fill, find_weights, random_network, read_checkpoint
 
@@ -79,7 +79,7 @@ class RegionFeatures:
         self._device = device
 
     @torch.no_grad()
-    def __call__(self, images: Iterable[Image]) -> Iterator[Tensor]:
+    def __call__(self, images: Iterable[Picture]) -> Iterator[Tensor]:
         """``(R, 384)`` float32 for each ``(H, W, 3)`` uint8 RGB image, R at most ``regions``."""
         for image in images:
             pixels = torch.tensor(image, device=self._device).permute(2, 0, 1)

@@ -7,7 +7,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from .protocol import Frame, image_of
+from ..channels.view import View, picture_of
 from .region_features import RegionFeatures
 from .vectors import VectorMethod
 from .vocabulary import CHANNELS, read_vocabulary
@@ -49,8 +49,8 @@ class RegionVLAD(VectorMethod):
             self._words = read_vocabulary(path, words, regions)
         self.length = self._words.numel()
 
-    def _describe(self, frames: Sequence[Frame]) -> Tensor:
-        images = (image_of(frame, self.name) for frame in frames)
+    def _describe(self, frames: Sequence[View]) -> Tensor:
+        images = (picture_of(frame, self.name) for frame in frames)
         return torch.stack([vlad(regions, self._words) for regions in self._features(images)])
 
 

@@ -1,16 +1,18 @@
 """Runs a method: every query against all references, with the costs."""
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
+from ..channels.vectors import VectorReferences
+from ..channels.view import View
+from ..recognition.comparison import Member, References
 from ..recognition.matching import Matches, best_of
 from ..recognition.recognise import Recognised, Steps, recognise, recognise_by_scores
-from ..recognition.signs import are_signs
-from .protocol import Frame, Method, noting
+from .protocol import Method, noting
 
 
 class Retrieval(NamedTuple):
@@ -36,8 +38,8 @@ class Retrieval(NamedTuple):
 
 def run(
     method: Method,
-    queries: Iterable[Frame],
-    references: Iterable[Frame],
+    queries: Iterable[View],
+    references: Iterable[View],
     top: int = 10,
     progress: Callable[[int], None] = lambda _: None,
     steps: Steps | None = None,
@@ -59,9 +61,7 @@ def run(
     encoded = method.encode_reference(noting(references, map_drives, progress))
     if not map_drives:
         raise ValueError(f"method {method.name} got no references")
-    vectors = isinstance(encoded, Tensor) and (
-        are_signs(encoded) or (encoded.ndim == 2 and encoded.is_floating_point())
-    )
+    compared = _references(method, encoded, map_drives)
     sweep = getattr(method, "encode_sweep", None) if steps and steps.sweep else None
     matches, inputs, kept = list[Matches](), list[Any](), list[Tensor]()
     encoding, matching = list[float](), list[float]()
@@ -76,15 +76,16 @@ def run(
         encoding.append(1e3 * (between - begin))
         matches += [best_of(row, top) for row in scores]
         kept += [scores.float()] if all_pairs else []
-        if steps and vectors:
+        if steps and compared:
             inputs.append(sweep([frame]) if sweep else encodings)
         elif steps:
             inputs.append(scores)
     if not matches:
         raise ValueError(f"method {method.name} got no queries")
     stepped = None
-    if steps and vectors:
-        stepped = recognise(torch.cat(inputs), encoded, drives, map_drives, steps, top)
+    if steps and compared:
+        member = Member(torch.cat(inputs), compared)
+        stepped = recognise({method.name: member}, drives, map_drives, steps, top)
     elif steps:
         stepped = recognise_by_scores(torch.cat(inputs), drives, map_drives, steps, top)
     return Retrieval(
@@ -95,6 +96,15 @@ def run(
         similarity=torch.cat(kept) if all_pairs else None,
         stepped=stepped,
     )
+
+
+def _references(method: Method, encoded: Any, sequences: Sequence[str]) -> References | None:
+    """The encodings of a map to be compared with queries; ``None`` if they are no vectors."""
+    if hasattr(method, "references"):
+        references: References = method.references(encoded, sequences)
+        return references
+    are_vectors = isinstance(encoded, Tensor) and encoded.ndim == 2 and encoded.is_floating_point()
+    return VectorReferences(encoded, sequences) if are_vectors else None
 
 
 def _cost(times: list[float]) -> dict[str, float]:

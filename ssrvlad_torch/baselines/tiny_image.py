@@ -11,8 +11,9 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from .gray import grays
-from .protocol import Columns, Frame, batches, image_shape, noting
+from ..channels.gray import grays
+from ..channels.view import View, batches
+from .protocol import Columns, noting
 
 PATCH = 8
 
@@ -61,12 +62,12 @@ class TinyImage:
         self.width, self.height = width, height
 
     @torch.no_grad()
-    def encode_query(self, frames: Iterable[Frame]) -> Tensor:
+    def encode_query(self, frames: Iterable[View]) -> Tensor:
         """``(Q, height * width)`` float32."""
-        pictures = map(self._describe, batches(frames, _BATCH, image_shape))
+        pictures = map(self._describe, batches(frames, _BATCH))
         return torch.cat([torch.zeros(0, self.height * self.width), *pictures])
 
-    def encode_reference(self, frames: Iterable[Frame]) -> Drive:
+    def encode_reference(self, frames: Iterable[View]) -> Drive:
         """The pictures, and the sequence of each."""
         sequences: list[str] = []
         pictures = self.encode_query(noting(frames, sequences))
@@ -84,7 +85,7 @@ class TinyImage:
             part.copy_(enhance(difference, references.sequence))
         return scores
 
-    def _describe(self, frames: Sequence[Frame]) -> Tensor:
+    def _describe(self, frames: Sequence[View]) -> Tensor:
         pictures = grays(frames, self.name)[:, None].float()
         tiny = F.interpolate(pictures, (self.height, self.width), mode="area")
         return normalise_patches(tiny[:, 0]).flatten(1)

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from ..channels.label_shapes import LabelShapes
 from ..config import SSRVLADConfig
 from ..database.database import Database
 from ..datasets.label_files import find_label_files, read_label_map
@@ -42,7 +43,8 @@ def run_demo(
     reference_files = find_label_files([str(city / "reference")])
     query_files = find_label_files([str(city / "query")])
     encode_to_database(head, reference_files, database, EncodeOptions(progress=progress))
-    queries, _ = encode_to_memory(head, query_files, progress=progress)
+    channel, space = LabelShapes(head), head.label_space
+    queries, _ = encode_to_memory([channel], space, query_files, progress=progress)
     references = database.load()
 
     scores, rows = match(queries.descriptors, references.descriptors, top=10)

@@ -22,9 +22,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
 
 import typer
 
+from ..channels import LABEL_SHAPES
 from ..evaluation.metrics import Convention
 
 if TYPE_CHECKING:
+    from ..encoding.source import Wanted
     from ..recognition.recognise import Steps
 
 PAPER_REACH, MOST_REACH = 3, 1_000_000
@@ -57,15 +59,16 @@ MaybePreset = Annotated[
         "for a new one.",
     ),
 ]
-Extra = Annotated[
+StoredChannels = Annotated[
     list[str] | None,
     typer.Option(
-        "--with",
-        metavar="features|hog|none",
-        help="Extra descriptor of each image; recognition then uses all. features: by "
-        "what the encoder of the network sees, in the pass that labels the image. Can be repeated; "
-        "needs --segmenter. Default: both, or hog if the network has no features. A database has "
-        "these descriptors from its first frame on, or never.",
+        "--channel",
+        metavar="features|hog",
+        help="What to store of each image beside the descriptor of its label map; recognition then "
+        "uses all. features: what the encoder of the network sees, in the pass that labels the "
+        "image. Can be repeated; ssr-vlad alone stores nothing beside it. Needs --segmenter. "
+        "Default: both, or hog if the network has no features. A database has these descriptors "
+        "from its first frame on, or never.",
     ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
@@ -144,9 +147,11 @@ class SourceOptions:
         "Number of frames to encode at the same time. Default: one for each core.", min=1
     )
 
-    def given(self, *names: str) -> list[str]:
-        """Those of these options that are not at their defaults."""
-        return [name for name in names if getattr(self, name) != getattr(SourceOptions, name)]
+    def wanted(self, posed: bool | None = False) -> Wanted:
+        """The same as what `Map` takes; for ``posed``, see there."""
+        from ..encoding.source import Wanted
+
+        return Wanted(**vars(self), posed=posed)
 
 
 @dataclass(frozen=True)
@@ -214,19 +219,21 @@ class StepOptions:
 class RecognitionOptions(StepOptions):
     """All steps from the descriptors of a database to a decision."""
 
-    temporal: str | None = option(
-        "Sum each reference descriptor over T frames on each side (Eq. 3), such as 3, or over T "
-        "metres, such as 10m. Default: no sum.",
+    temporal: int | None = option(
+        "Sum each reference descriptor over T frames on each side (Eq. 3), such as 3. Default: no "
+        "sum.",
         metavar="T",
+        min=0,
+        max=MOST_REACH,
     )
     as_paper: bool = switch(
         "--as-paper",
         "Decide as in the paper: cosines of single frames, the temporal sum with t = 3, and no "
         "other step. Options that contradict this are refused.",
     )
-    extra: bool | None = option(
-        "Also use the extra descriptors of pictures, see ssrvlad encode --with. Default: use "
-        "them if the database has them."
+    channel: list[str] | None = option(
+        "Use only this channel of the database: ssr-vlad (label maps), features or hog, see "
+        "ssrvlad encode; can be repeated. Default: all that it has."
     )
     min_confidence: float = option(
         "Print no candidate of a query with a lower confidence, the probability that its first "
@@ -247,40 +254,27 @@ class RecognitionOptions(StepOptions):
         the names of the options on the command line."""
         if "max_wrong" in typed and "min_confidence" in typed:
             raise ValueError("--max-wrong chooses the least confidence; leave out --min-confidence")
-        paper = {"standardise": False, "sweep": False, "follow": "no", "delay": 0, "extra": False}
+        paper = {"standardise": False, "sweep": False, "follow": "no", "delay": 0}
+        paper |= {"channel": [LABEL_SHAPES], "temporal": PAPER_REACH}
         contradicting = [
             name for name, value in paper.items() if name in typed and getattr(self, name) != value
         ]
-        if self.temporal is not None and self.reach != (PAPER_REACH, None):
-            contradicting.append("temporal")
         if self.as_paper and contradicting:
             names = " and ".join(f"--{name}" for name in contradicting)
             raise ValueError(
                 f"--as-paper means --no-standardise --no-sweep --follow no --temporal "
-                f"{PAPER_REACH} --no-extra; it contradicts {names}"
+                f"{PAPER_REACH} --channel {LABEL_SHAPES}; it contradicts {names}"
             )
 
-    @property
-    def with_extra(self) -> bool | None:
-        """Whether to use extra descriptors; ``None`` if there are any."""
-        return False if self.as_paper else self.extra
-
-    @property
-    def reach(self) -> tuple[int, float | None]:
-        """The reach of the temporal sum on each side: in metres if given, else in frames; a
-        ValueError if ``temporal`` is neither."""
-        text = self.temporal
-        if text is None:
-            return PAPER_REACH if self.as_paper else 0, None
-        try:
-            frames, metres = (0, float(text[:-1])) if text.endswith("m") else (int(text), None)
-        except ValueError:
-            frames, metres = -1, None
-        if not (0 <= frames <= MOST_REACH and 0 <= (metres or 0) <= MOST_REACH):
-            raise ValueError(
-                f"--temporal: expected frames (3) or metres (10m) up to {MOST_REACH}, got {text!r}"
-            )
-        return frames, metres
+    def settings(self) -> dict[str, Any]:
+        """What `Map.query` takes beside steps and frames."""
+        paper = self.as_paper
+        return {
+            "temporal": self.temporal or (PAPER_REACH if paper else 0),
+            "channels": [LABEL_SHAPES] if paper else self.channel,
+            "min_confidence": self.min_confidence,
+            "max_wrong": self.max_wrong,
+        }
 
 
 @dataclass(frozen=True)

@@ -14,22 +14,16 @@ from ..evaluation.measure import Recognition
 from ..evaluation.metrics import precision_recall_curve
 from ..evaluation.outcomes import judge
 from ..evaluation.report import Report, write_report
+from ..map import Evaluation
 from ..recognition.sweep import score
 from .words import proof, steps_in_words, without_truth
 
 
-def write_page(
-    path: Path,
-    recognition: Recognition,
-    truth: PartialTruth,
-    metrics: Mapping[str, Any],
-    database: str,
-    sources: Sequence[str],
-    true_matches: str,
-) -> None:
+def write_page(path: Path, found: Evaluation, database: str, sources: Sequence[str]) -> None:
     """Writes the page of the queries whose true matches are known, with the names of the database
-    and of the sources of the queries; ``true_matches`` says in words which matches are right."""
-    known, true_rows = known_matches(truth)
+    and of the sources of the queries."""
+    metrics, recognition = found.metrics, found.recognition
+    known, true_rows = known_matches(found.truth)
     scores, rows = (part.numpy()[known] for part in recognition.matches)
     outcomes = judge(scores, rows, true_rows)
     pairs = None if recognition.similarity is None else recognition.similarity[known]
@@ -52,9 +46,9 @@ def write_page(
         ).numpy(),
         score=metrics["score_is"] or "score",
         pictures=recognition.pictures,
-        settings=_settings(recognition.details, database, sources, true_matches),
+        settings=_settings(recognition.details, database, sources, found.true_matches),
         notes=[
-            *_notes(recognition, truth),
+            *_notes(recognition, found.truth),
             proof(metrics["thresholds"]["suggested"]),
             *without_truth(metrics),
         ],

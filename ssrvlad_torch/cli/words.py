@@ -9,7 +9,6 @@ from ..datasets.dataset import shortened
 from ..evaluation.metrics import figure_rows, fraction
 from ..evaluation.thresholds import SURE_PRECISION, operating_rows, queries_needed
 from ..recognition.confidence import Estimate
-from ..recognition.recognise import NO_SEQUENCE
 from ..recognition.standardise import MIN_FRAMES
 from .output import print_table, weights_in_words
 
@@ -57,16 +56,6 @@ def proof(suggested: Mapping[str, Any] | None) -> str:
     return proven if low >= SURE_PRECISION else f"{proven}; {missing}"
 
 
-def score_name(used: Mapping[str, Any], sequence: str | None = None) -> str:
-    """What the scores of candidates are, by the steps that were taken for one sequence or for all:
-    cosines of queries that were judged alone, fused scores if several methods judged them,
-    probabilities of queries that were followed."""
-    alone = "fused score" if any(used["weights"].values()) else "cosine"
-    modes = used["follow"].values() if sequence is None else [used["follow"][sequence]]
-    names = {alone if mode in ("no", NO_SEQUENCE) else "probability" for mode in modes}
-    return " or ".join(sorted(names))
-
-
 def without_truth(metrics: Mapping[str, Any]) -> Iterator[str]:
     """What decoys say about the accepted answers, beside the truth; nothing for other methods."""
     for name, found in metrics.get("estimates", {}).items():
@@ -93,7 +82,7 @@ def estimate_in_words(found: Estimate) -> str:
 
 def steps_in_words(
     used: Mapping[str, Any],
-    temporal: int | Mapping[str, int] | None = None,
+    temporal: int | None = None,
     found: Estimate | None = None,
 ) -> str:
     """The steps between descriptors and a decision, in a line; those of Eq. 3, and how many answers
@@ -111,9 +100,7 @@ def steps_in_words(
     if used["delay"]:
         words.append(f"answers wait for {used['delay']} queries")
     if temporal is not None:
-        ts = temporal.values() if isinstance(temporal, Mapping) else [temporal]
-        t = "/".join(map(str, dict.fromkeys(ts)))
-        words.append(f"temporal sum t = {t}" if any(ts) else "no temporal sum")
+        words.append(f"temporal sum t = {temporal}" if temporal else "no temporal sum")
     if used["references"] < MIN_FRAMES:
         words.append(f"no confidence: {used['references']} references are too few")
     steps = ", ".join(words)

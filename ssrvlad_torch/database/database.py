@@ -2,7 +2,7 @@
 
 Every change is one commit and makes a new version. A reader keeps the version that it opened while
 others write. The table's metadata hold the settings that made the descriptors and their
-fingerprint, the extra descriptors, and every label space and segmenter that made label maps.
+fingerprint, the columns of descriptors, and every label space and segmenter that made label maps.
 """
 
 from __future__ import annotations
@@ -24,6 +24,8 @@ import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from ..channels import LABEL_SHAPES
+from ..channels.column import Column
 from ..config import SSRVLADConfig
 from ..files import is_uri
 from ..taxonomy import LabelSpace, label_space, label_space_names
@@ -31,12 +33,11 @@ from . import engine
 from .disk import local_versions
 from .frame_sets import FRAME_SET_COLUMNS, frame_set, load_frame_set, order_of
 from .frames import FrameRecord, FrameSet, require_list
-from .metadata import ExtraDescriptor, Meta, Origin
+from .metadata import Meta, Origin
 from .reading import Damage, read_rows, replacement_of_damaged
 from .rows import (
     DESCRIPTOR,
     RECORD_COLUMNS,
-    Shape,
     StoredRecords,
     check_records,
     folders_of,
@@ -82,9 +83,7 @@ class Database:
     Attributes:
         path: the folder, or the URI of an object store, for example ``s3://bucket/town``.
         version: number of the version that is read; every change has another.
-        fingerprint: of all descriptors; empty if they are custom.
-        width: length of a descriptor.
-        extra: the extra descriptors of every frame.
+        columns: of the descriptors of every frame, one for each channel.
         origins: of label maps by key, see `FrameRecord.origin`.
 
     Examples:
@@ -102,11 +101,7 @@ class Database:
 
     def _use(self, table: LanceDataset) -> None:
         self._table, self.version = table, int(table.version)
-        self._config, self.extra, self.origins = Meta.of(table.schema.metadata or {}, self.path)
-        self.fingerprint = self._config.fingerprint if self._config else ""
-        self.width = int(table.schema.field(DESCRIPTOR).type.list_size)
-        self._shapes: dict[str, Shape] = {DESCRIPTOR: (self.width,)}
-        self._shapes |= {each.name: each.shape for each in self.extra}
+        self._config, self.columns, self.origins = Meta.of(table.schema.metadata or {}, self.path)
 
     @staticmethod
     def exists(path: str | Path) -> bool:
@@ -127,15 +122,16 @@ class Database:
         path: str | Path,
         config: SSRVLADConfig | None = None,
         width: int | None = None,
-        extra: Sequence[ExtraDescriptor] = (),
+        columns: Sequence[Column] = (),
     ) -> Database:
         """Creates an empty database.
 
         Args:
             path: a new or an empty folder, or a URI.
-            config: the settings of all descriptors; a custom label space is stored with them.
+            config: the settings of the descriptors of label maps, the first channel; a custom label
+                space is stored with them.
             width: instead of ``config``, the length of descriptors that another method makes.
-            extra: extra descriptors that every frame has, with names that no other column has.
+            columns: of further channels, with names that no other column has.
 
         Raises:
             ValueError: ``path`` is in use, or an argument is not as above.
@@ -146,11 +142,11 @@ class Database:
             raise ValueError("expected the config of the descriptors, or the width of custom ones")
         if width is not None and (not hasattr(width, "__index__") or width < 1):
             raise ValueError(f"width: expected an integer from 1, got {width!r}")
-        names = [each.name for each in extra]
-        if len({*names, DESCRIPTOR, *schema({}).names}) < len(names) + 1 + len(schema({})):
+        columns = [_first_column(config, width), *columns]
+        names = [column.name for column in columns]
+        if len({*names, *schema([]).names}) < len(names) + len(schema([])):
             raise ValueError(
-                "expected unique names of extra descriptors that no column has, got "
-                f"{', '.join(names)}"
+                f"expected unique names of channels that no column has, got {', '.join(names)}"
             )
         if cls.exists(path):
             raise ValueError(f"{text} is a database already")
@@ -163,9 +159,8 @@ class Database:
                 )
         if config and config.labels_as not in label_space_names():
             config = dataclasses.replace(config, labels_as=label_space(config.labels_as))
-        shapes = {DESCRIPTOR: (config.length if config else width or 0,)}
-        columns = schema({**shapes, **{each.name: each.shape for each in extra}})
-        table = engine.create(text, columns.with_metadata(Meta.to_dict(config, extra)))
+        metadata = Meta.to_dict(config, columns)
+        table = engine.create(text, schema(columns).with_metadata(metadata))
         return cls(text, table, read_only=False)
 
     @classmethod
@@ -207,18 +202,18 @@ class Database:
 
     @classmethod
     def open_or_create(
-        cls, path: str | Path, config: SSRVLADConfig, extra: Sequence[ExtraDescriptor] = ()
+        cls, path: str | Path, config: SSRVLADConfig, columns: Sequence[Column] = ()
     ) -> Database:
         """Opens the database at ``path``, or creates it if it does not exist; one of other settings
         is a ValueError, see `require`."""
         if not cls.exists(path):
             try:
-                return cls.create(path, config, extra=extra)
+                return cls.create(path, config, columns=columns)
             except (OSError, ValueError):
                 if not cls.exists(path):  # not created by another process meanwhile
                     raise
         database = cls.open(path)
-        database.require(config, extra)
+        database.require(config, columns)
         return database
 
     def __len__(self) -> int:
@@ -230,11 +225,21 @@ class Database:
 
     def __repr__(self) -> str:
         kind = f"fingerprint {self.fingerprint}" if self.fingerprint else "without settings"
-        extra = "".join(f" and {each.name}" for each in self.extra)
+        names = " and ".join(column.name for column in self.columns)
         return (
-            f"<Database {self.path}: {len(self)} frames, descriptors of {self.width}{extra}, "
-            f"{kind}, version {self.version}>"
+            f"<Database {self.path}: {len(self)} frames, {names} of {self.width}, {kind}, "
+            f"version {self.version}>"
         )
+
+    @property
+    def fingerprint(self) -> str:
+        """Of the first channel; empty if the descriptors are custom."""
+        return self.columns[0].fingerprint
+
+    @property
+    def width(self) -> int:
+        """Length of a descriptor of the first channel."""
+        return self.columns[0].shape[0]
 
     @property
     def config(self) -> SSRVLADConfig:
@@ -249,14 +254,14 @@ class Database:
         found = (self.origins.get(key, Origin()).label_space for key in keys)
         return list({space.digest: space for space in found if space}.values())
 
-    def require(self, config: SSRVLADConfig, extra: Sequence[ExtraDescriptor] = ()) -> None:
+    def require(self, config: SSRVLADConfig, columns: Sequence[Column] = ()) -> None:
         """Raises a ValueError if the descriptors were made with other settings, which are shown
-        with both fingerprints, or if frames lack one of these extra descriptors."""
-        for each in extra:
-            if each not in self.extra:
-                others = ", ".join(f"{other.name}, {other.fingerprint}" for other in self.extra)
+        with both fingerprints, or if frames lack one of these further columns."""
+        for column in columns:
+            if column not in self.columns:
+                others = ", ".join(f"{each.name}, {each.fingerprint}" for each in self.columns[1:])
                 raise ValueError(
-                    f"{self.path} has no descriptors by {each.name}, {each.fingerprint}, but "
+                    f"{self.path} has no descriptors by {column.name}, {column.fingerprint}, but "
                     f"{others or 'none'}: they can only be added when a database is created"
                 )
         if config.fingerprint == self.fingerprint:
@@ -285,13 +290,12 @@ class Database:
         row of each in the order in which rows are stored."""
         table = self._columns(FRAME_SET_COLUMNS)
         order = order_of(table)
-        none = np.empty((len(order), 0), np.float32)
-        return frame_set(table.take(order), {DESCRIPTOR: none}), order
+        return frame_set(table.take(order), {}), order
 
     def load(self) -> FrameSet:
         """Loads all frames into memory and verifies every byte; damage is a ValueError that names
         the file."""
-        return load_frame_set(self.table(), self._shapes)
+        return load_frame_set(self.table(), self.columns)
 
     def damage(self, progress: Callable[[int], object] | None = None) -> list[Damage]:
         """Reads everything and reports all damage. ``progress`` is called with the number of frames
@@ -330,7 +334,7 @@ class Database:
             "width": self.width,
             "preset": config.preset if config else None,
             "fingerprint": self.fingerprint,
-            "extra": {each.name: each.fingerprint for each in self.extra},
+            "channels": {column.name: column.fingerprint for column in self.columns},
             "config": {**config.to_dict(), "labels_as": config.labels_name} if config else None,
             "version": self.version,
         }
@@ -348,29 +352,26 @@ class Database:
     def append(
         self,
         frames: Sequence[FrameRecord | str],
-        descriptors: Vectors,
-        extra: Mapping[str, Vectors] | None = None,
+        descriptors: Vectors | Mapping[str, Vectors],
     ) -> None:
         """Adds new frames in one commit, flushed to disk when this returns.
 
         Args:
             frames: N records, or only ids: ``<sequence>/<name>``, or a name without ``/``. Neither
                 part is empty or starts or ends with white space.
-            descriptors: ``(N, D)`` float32, raw: neither summed over time nor centred.
-            extra: for each extra descriptor by name ``(N, D')`` float32, or uint8 signs ``(N,
-                *cells)``.
+            descriptors: ``(N, *shape)`` for each column by its name, or of the only one; raw:
+                neither summed over time nor centred.
 
         Raises:
             ValueError: a shape is wrong; a row is not finite, or its length overflows or underflows
                 float32; or an id is invalid or is in the database.
         """
-        self.adopt([self.write_apart(frames, descriptors, extra)])
+        self.adopt([self.write_apart(frames, descriptors)])
 
     def merge(
         self,
         frames: Sequence[FrameRecord | str],
-        descriptors: Vectors,
-        extra: Mapping[str, Vectors] | None = None,
+        descriptors: Vectors | Mapping[str, Vectors],
         check: Check | None = None,
     ) -> None:
         """Adds frames and replaces those with the same ids, in one commit. A replaced frame keeps
@@ -384,7 +385,7 @@ class Database:
             else record
             for record in _records(frames)
         ]
-        self._change([self.write_apart(records, descriptors, extra)], "merge", check)
+        self._change([self.write_apart(records, descriptors)], "merge", check)
 
     def remove(self, frames: Collection[str]) -> None:
         """Removes frames by their ids, in one commit; ignores ids that are not in the database."""
@@ -394,19 +395,19 @@ class Database:
     def write_apart(
         self,
         frames: Sequence[FrameRecord | str],
-        descriptors: Vectors,
-        extra: Mapping[str, Vectors] | None = None,
+        descriptors: Vectors | Mapping[str, Vectors],
     ) -> StagedRows:
         """Writes rows to disk without a commit; `adopt` commits them, also in another process.
         Arguments and errors as for `append`. `compact` deletes rows that are never adopted."""
         self._require_writable()
         records = _records(frames)
-        arrays = {DESCRIPTOR: descriptors, **(extra or {})}
-        if arrays.keys() != self._shapes.keys():
-            names, got = ", ".join(self._shapes), ", ".join(arrays)
-            raise ValueError(f"{self.path} holds {names} of every frame, got {got}")
+        names = [column.name for column in self.columns]
+        arrays = descriptors if isinstance(descriptors, Mapping) else {names[0]: descriptors}
+        if arrays.keys() != set(names):
+            held, got = ", ".join(names), ", ".join(arrays)
+            raise ValueError(f"{self.path} holds {held} of every frame, got {got}")
         check_records(records, self.origins)
-        rows = to_table(records, arrays, self._shapes)
+        rows = to_table(records, arrays, self.columns)
         with engine.writing(self.path):
             fragments = engine.write_fragments(self.table(), rows) if records else []
         texts = tuple(json.dumps(fragment.to_json()) for fragment in fragments)
@@ -483,6 +484,12 @@ class Database:
             return table.to_table(columns=names, scan_in_order=True)
         except (OSError, ValueError, RuntimeError) as error:
             raise ValueError(f"{self.path} is damaged: {engine.message_of(error)}") from error
+
+
+def _first_column(config: SSRVLADConfig | None, width: int | None) -> Column:
+    if config:
+        return Column(LABEL_SHAPES, config.fingerprint, (config.length,))
+    return Column(DESCRIPTOR, "", (int(width or 0),))
 
 
 def _records(frames: Sequence[FrameRecord | str]) -> list[FrameRecord]:

@@ -24,10 +24,10 @@ def export_database(database: Database, form: Format, file: Path) -> list[Path]:
     """Writes raw descriptors and frame ids, in natural order, to files of another format.
 
     ``npy`` is an ``(R, D)`` float32 array, a text file with one frame id per line, a JSON file with
-    fingerprint and settings, and an array for each extra descriptor, with its fingerprint in a text
+    fingerprint and settings, and an array for each further channel, with its fingerprint in a text
     file. ``hloc`` is an HDF5 file with one group per frame, named by its id: ``global_descriptor``,
     ``(D,)`` float32, as hloc's ``extract_features`` writes it
-    (https://github.com/cvg/Hierarchical-Localization), and a data set for each extra descriptor.
+    (https://github.com/cvg/Hierarchical-Localization), and a data set for each further channel.
     Fingerprint and settings are in the file's attribute ``ssrvlad``.
 
     Returns:
@@ -39,7 +39,7 @@ def export_database(database: Database, form: Format, file: Path) -> list[Path]:
         OSError: the files cannot be written.
     """
     frames, info = database.load(), database.info()
-    about = {name: info[name] for name in ("fingerprint", "config", "extra", "label_spaces")}
+    about = {name: info[name] for name in ("fingerprint", "config", "channels", "label_spaces")}
     if form == "hloc":
         _write_hloc(frames, about, file)
         return [file]
@@ -54,13 +54,14 @@ def export_database(database: Database, form: Format, file: Path) -> list[Path]:
     }
     if database.fingerprint:
         texts[".fingerprint.txt"] = f"{database.fingerprint}\n"
-    arrays = {file.with_name(f"{file.name}.{name}.npy"): v for name, v in frames.extra.items()}
-    for each in database.extra:
-        texts[f".{each.name}.npy.fingerprint.txt"] = f"{each.fingerprint}\n"
+    first, *others = database.columns
+    arrays = {file.with_name(f"{file.name}.{c.name}.npy"): frames.channels[c.name] for c in others}
+    for column in others:
+        texts[f".{column.name}.npy.fingerprint.txt"] = f"{column.fingerprint}\n"
     text_files = {file.with_name(file.name + suffix): text for suffix, text in texts.items()}
-    written, earlier = [file, *arrays, *text_files], _extra_files(file)
+    written, earlier = [file, *arrays, *text_files], _channel_files(file)
     with ExitStack() as stack:  # all files are whole before the first replaces an earlier one
-        for path, values in {file: frames.descriptors, **arrays}.items():
+        for path, values in {file: frames.channels[first.name], **arrays}.items():
             with stack.enter_context(_replacing(path)).open("wb") as stream:
                 np.save(stream, values.numpy())
         for path, text in text_files.items():
@@ -71,13 +72,13 @@ def export_database(database: Database, form: Format, file: Path) -> list[Path]:
     return written
 
 
-def _extra_files(file: Path) -> set[Path]:
-    """The files of extra descriptors that the JSON of an earlier export lists; none if that file is
+def _channel_files(file: Path) -> set[Path]:
+    """The files of further channels that the JSON of an earlier export lists; none if that file is
     missing, damaged or of something else."""
     try:
         match read_json(file.with_name(f"{file.name}.json")):
-            case {"fingerprint": _, "config": _, "extra": dict(extra), "label_spaces": _}:
-                arrays = {file.with_name(f"{file.name}.{name}.npy") for name in extra}
+            case {"fingerprint": _, "config": _, "channels": dict(names), "label_spaces": _}:
+                arrays = {file.with_name(f"{file.name}.{name}.npy") for name in names}
                 return arrays | {path.with_name(f"{path.name}.fingerprint.txt") for path in arrays}
     except (OSError, ValueError):
         pass
@@ -102,7 +103,8 @@ def _replacing(file: Path) -> Iterator[Path]:
 def _write_hloc(frames: FrameSet, about: dict[str, object], file: Path) -> None:
     with requiring("hloc", "hloc's files need"):
         import h5py
-    arrays = {"global_descriptor": frames.descriptors, **frames.extra}
+    (first, *_), arrays = frames.channels, dict(frames.channels)
+    arrays = {"global_descriptor": arrays.pop(first), **arrays}
     groups = len(arrays) * _GROUP_BYTES * (len(frames.frames) + 1)
     names = sum(len(frame.encode()) for frame in frames.frames)
     expected = sum(values.nbytes for values in arrays.values()) + groups + names

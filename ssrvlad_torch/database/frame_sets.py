@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,11 +11,12 @@ import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from ..channels.column import Column
 from ..files import natural_key
 from .checksums import matrix
 from .frames import FrameSet
 from .reading import read_rows
-from .rows import DESCRIPTOR, POSE, Shape, dtype_of, schema
+from .rows import POSE, schema
 
 if TYPE_CHECKING:
     from lance import LanceDataset
@@ -26,13 +27,13 @@ FRAME_SET_COLUMNS = ["frame", "sequence", *POSE, "stamp", "empty"]
 _BYTES_AT_ONCE = 64
 
 
-def load_frame_set(table: LanceDataset, shapes: Mapping[str, Shape]) -> FrameSet:
-    """See `Database.load`; ``shapes`` are those of descriptors by column."""
+def load_frame_set(table: LanceDataset, columns: Sequence[Column]) -> FrameSet:
+    """See `Database.load`."""
     rows = table.count_rows()
-    arrays = {
-        name: np.empty((rows, math.prod(shape)), dtype_of(shape)) for name, shape in shapes.items()
+    arrays: dict[str, npt.NDArray[Any]] = {
+        column.name: np.empty((rows, math.prod(column.shape)), column.dtype) for column in columns
     }
-    tables, done = [schema({}).empty_table().select(FRAME_SET_COLUMNS)], 0
+    tables, done = [schema([]).empty_table().select(FRAME_SET_COLUMNS)], 0
     for batch in read_rows(table):
         for name, values in arrays.items():
             values[done : done + len(batch)] = matrix(batch[name])
@@ -44,13 +45,14 @@ def load_frame_set(table: LanceDataset, shapes: Mapping[str, Shape]) -> FrameSet
     if twice:
         raise ValueError(f"{table.uri} is damaged: it holds {twice} frames twice")
     order = order_of(others)
-    for name, values in arrays.items():
+    for column in columns:
+        values = arrays[column.name]
         if (order[1:] < order[:-1]).any():
             step = _BYTES_AT_ONCE // values.itemsize
             for first in range(0, values.shape[1], step):  # in place, to save memory
-                columns = slice(first, first + step)
-                values[:, columns] = values[order, columns]
-        arrays[name] = values.reshape(-1, *shapes[name])
+                some = slice(first, first + step)
+                values[:, some] = values[order, some]
+        arrays[column.name] = values.reshape(-1, *column.shape)
     return frame_set(others.take(order), arrays)
 
 
@@ -73,13 +75,11 @@ def frame_set(table: pa.Table, descriptors: Mapping[str, npt.NDArray[Any]]) -> F
     """The frames of a table with `FRAME_SET_COLUMNS`, and their descriptors by column."""
     import torch
 
-    extra = {name: torch.from_numpy(values) for name, values in descriptors.items()}
     return FrameSet(
         frames=tuple(table["frame"].to_pylist()),
         sequences=tuple(pc.dictionary_encode(table["sequence"]).to_pylist()),
-        descriptors=extra.pop(DESCRIPTOR),
+        channels={name: torch.from_numpy(values) for name, values in descriptors.items()},
         poses=np.stack([table[axis].to_numpy() for axis in POSE], axis=1),
         stamps=table["stamp"].to_numpy(),
         empty=table["empty"].to_numpy(),
-        extra=extra,
     )

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+
+from ..datasets.frame_ids import split_id
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -57,8 +59,8 @@ class FrameRecord(NamedTuple):
     @classmethod
     def of_id(cls, frame: str) -> FrameRecord:
         """A record with only the frame's id; a ValueError if the text is not one."""
-        sequence, slash, name = frame.rpartition("/")
-        parts = (sequence, name) if slash else (name,)
+        sequence, name = split_id(frame)
+        parts = (sequence, name) if "/" in frame else (name,)
         if not all(part and part == part.strip() for part in parts):
             raise ValueError(f"expected a frame id, <sequence>/<name> or <name>, got {frame!r}")
         return cls(sequence, name)
@@ -71,33 +73,35 @@ class FrameSet:
     Attributes:
         frames: ids.
         sequences: the sequence of each frame.
-        descriptors: ``(R, D)`` float32, raw: neither summed over time nor centred.
+        channels: ``(R, *shape)`` descriptors by the name of their column, see `Database.columns`;
+            raw: neither summed over time nor centred.
         poses: ``(R, 3)`` float64, x and y in metres and heading in radians, NaN if unknown.
         stamps: ``(R,)`` float64, seconds, NaN if unknown.
-        empty: ``(R,)`` bool, frames whose descriptor is zero; they match nothing.
-        extra: each extra descriptor by name, see `Database.extra`: ``(R, D')`` float32, or uint8
-            signs ``(R, *cells)``.
+        empty: ``(R,)`` bool, frames whose first descriptor is zero; they match nothing.
     """
 
     frames: tuple[str, ...]
     sequences: tuple[str, ...]
-    descriptors: Tensor
+    channels: Mapping[str, Tensor]
     poses: npt.NDArray[np.float64]
     stamps: npt.NDArray[np.float64]
     empty: npt.NDArray[np.bool_]
-    extra: Mapping[str, Tensor] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.frames)
 
     def __repr__(self) -> str:
         posed = int((~np.isnan(self.poses[:, 0])).sum())
-        extra = "".join(f" and {name}" for name in self.extra)
+        names = " and ".join(self.channels)
         return (
-            f"<FrameSet: {len(self)} frames of {len(set(self.sequences))} sequences, descriptors "
-            f"of {self.descriptors.shape[-1]}{extra}, {int(self.empty.sum())} empty, {posed} with "
-            "a pose>"
+            f"<FrameSet: {len(self)} frames of {len(set(self.sequences))} sequences, {names}, "
+            f"{int(self.empty.sum())} empty, {posed} with a pose>"
         )
+
+    @property
+    def descriptors(self) -> Tensor:
+        """``(R, D)`` float32, those of the first channel: of label maps, or custom ones."""
+        return next(iter(self.channels.values()))
 
 
 def require_list(frames: Collection[object]) -> None:

@@ -1,4 +1,4 @@
-"""The metadata of a database: settings, extra descriptors, and the origins of label maps."""
+"""The metadata of a database: columns of descriptors, settings, and the origins of label maps."""
 
 from __future__ import annotations
 
@@ -7,34 +7,13 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
+from ..channels.column import Column
 from ..config import SSRVLADConfig
 from ..taxonomy import LabelSpace
 
-FORMAT = "ssrvlad-database-5"
+FORMAT = "ssrvlad-database-6"
 
 _META, _DIGEST, _ORIGIN = "ssrvlad", "ssrvlad-digest", "origin:"
-
-
-class ExtraDescriptor(NamedTuple):
-    """A further descriptor of every frame, made from its picture.
-
-    Attributes:
-        name: name of its method, and of its column.
-        width: its length, in numbers or bytes.
-        fingerprint: descriptors are comparable only if their fingerprints are equal.
-        cells: for signs, eight in a uint8: columns and rows of cells, and bytes of each; empty for
-            float32 numbers.
-    """
-
-    name: str
-    width: int
-    fingerprint: str
-    cells: tuple[int, ...] = ()
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Of the descriptor in memory."""
-        return self.cells or (self.width,)
 
 
 class Origin(NamedTuple):
@@ -62,23 +41,21 @@ class Origin(NamedTuple):
 
 
 class Meta(NamedTuple):
-    """A table's metadata: settings (or ``None``), extra descriptors, and origins by their keys."""
+    """A table's metadata: the settings of the first column (or ``None``), the columns of
+    descriptors, and origins by their keys."""
 
     config: SSRVLADConfig | None
-    extra: tuple[ExtraDescriptor, ...]
+    columns: tuple[Column, ...]
     origins: dict[str, Origin]
 
     @staticmethod
-    def to_dict(
-        config: SSRVLADConfig | None, extra: Sequence[ExtraDescriptor] = ()
-    ) -> dict[str, str]:
+    def to_dict(config: SSRVLADConfig | None, columns: Sequence[Column]) -> dict[str, str]:
         """The entries of a new table, which has no origins."""
         text = json.dumps(
             {
                 "format": FORMAT,
-                "fingerprint": config.fingerprint if config else "",
                 "config": config and config.to_dict(),
-                "beside": [each._asdict() for each in extra],
+                "columns": [column._asdict() for column in columns],
             }
         )
         return {_META: text, _DIGEST: _digest(text)}
@@ -105,22 +82,21 @@ class Meta(NamedTuple):
                 if origins[key].key != key:
                     raise ValueError(f"{path} is damaged: origin {key} does not match its content")
         content = json.loads(text)
-        extra = tuple(
-            ExtraDescriptor(**{**each, "cells": tuple(each.get("cells", ()))})
-            for each in content.get("beside", ())
+        columns = tuple(
+            Column(**{**column, "shape": tuple(column["shape"])}) for column in content["columns"]
         )
         if content["config"] is None:
-            return cls(None, extra, origins)
+            return cls(None, columns, origins)
         try:
             config = SSRVLADConfig.from_dict(content["config"])
         except ValueError as error:
             raise ValueError(f"{path} has settings of another version: {error}") from error
-        if config.fingerprint != content["fingerprint"]:
+        if config.fingerprint != columns[0].fingerprint:
             raise ValueError(
-                f"{path} has fingerprint {content['fingerprint']}, made by another version of the "
+                f"{path} has fingerprint {columns[0].fingerprint}, made by another version of the "
                 f"method; the same settings have {config.fingerprint} here: encode it again"
             )
-        return cls(config, extra, origins)
+        return cls(config, columns, origins)
 
 
 def _digest(text: str) -> str:

@@ -8,9 +8,11 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from ..channels.column import Column
 from .checksums import checksums
 from .frames import FrameRecord, checked_pose, is_text
 
@@ -18,74 +20,70 @@ if TYPE_CHECKING:
     from ..recognition.matching import Vectors
 
 DESCRIPTOR = "descriptor"
-"""The column of the method's descriptors."""
+"""The column of custom descriptors."""
 
 POSE = ["x", "y", "heading"]
 RECORD_COLUMNS = ["frame", "sequence", *POSE, "stamp", "signature", "digest", "height", "width"]
 RECORD_COLUMNS += ["origin", "arrival"]
 
 
-Shape = tuple[int, ...]
-"""Of a descriptor: one length for float32 numbers; columns, rows and bytes for uint8 signs."""
-
-
-def dtype_of(shape: Shape) -> type[np.float32 | np.uint8]:
-    """The dtype of descriptors of a shape."""
-    return np.float32 if len(shape) == 1 else np.uint8
-
-
-def schema(shapes: Mapping[str, Shape]) -> pa.Schema:
-    """The columns of a database, with those of descriptors by name and shape."""
+def schema(columns: Sequence[Column]) -> pa.Schema:
+    """The columns of a database, with those of descriptors."""
     kinds = dict.fromkeys(RECORD_COLUMNS, pa.string())
     kinds |= dict.fromkeys([*POSE, "stamp"], pa.float64())
     kinds |= {"height": pa.int32(), "width": pa.int32(), "arrival": pa.int64(), "empty": pa.bool_()}
     kinds |= {
-        name: pa.list_(pa.from_numpy_dtype(dtype_of(shape)), math.prod(shape))
-        for name, shape in shapes.items()
+        column.name: pa.list_(pa.from_numpy_dtype(column.dtype), math.prod(column.shape))
+        for column in columns
     }
     kinds["checksum"] = pa.uint64()
     return pa.schema([pa.field(name, kind, nullable=False) for name, kind in kinds.items()])
 
 
 def to_table(
-    records: Sequence[FrameRecord], descriptors: Mapping[str, Vectors], shapes: Mapping[str, Shape]
+    records: Sequence[FrameRecord], descriptors: Mapping[str, Vectors], columns: Sequence[Column]
 ) -> pa.Table:
-    """N records and their descriptors as rows: float32 ``(N, D)``, or uint8 signs of another shape.
-    Other descriptors, and rows that are not finite or whose length does not fit into float32, are a
-    ValueError."""
-    columns: dict[str, Any] = {
+    """N records and their descriptors ``(N, *shape)`` as rows; a frame is empty if its first one is
+    zero. Descriptors of another shape or dtype, and rows of numbers that are not finite or whose
+    length does not fit into float32, are a ValueError."""
+    cells: dict[str, Any] = {
         name: [getattr(record, name) for record in records] for name in RECORD_COLUMNS
     }
-    for name, shape in shapes.items():
-        detach = getattr(descriptors[name], "detach", None)
-        values = np.asarray(detach().cpu() if detach else descriptors[name])
-        expected, kind = (len(records), *shape), dtype_of(shape)
-        if values.dtype.kind not in "biuf":
-            raise ValueError(f"{name}: expected real numbers, got {values.dtype}")
-        if values.shape != expected:
-            raise ValueError(
-                f"{name}: expected {expected} for {len(records)} frames, got {values.shape}"
-            )
-        if (kind == np.uint8) != (values.dtype == np.uint8):
-            raise ValueError(f"{name}: expected {kind.__name__}, got {values.dtype}")
-        values = values.astype(kind, copy=False)
-        if kind == np.float32:
-            if not np.isfinite(values).all():
-                raise ValueError(f"{name}: values that are not finite")
-            with np.errstate(over="ignore"):
-                squares = np.einsum("ij,ij->i", values, values)
-            if not np.isfinite(squares).all():
-                raise ValueError(f"{name}: values too large for float32 to measure their length")
-            if values[squares == 0].any():
-                raise ValueError(f"{name}: values too small for float32 to measure their length")
-        if name == DESCRIPTOR:
-            columns["empty"] = ~values.any(axis=1)
+    for column in columns:
+        values = _checked(column, descriptors[column.name], len(records))
+        if column is columns[0]:
+            cells["empty"] = ~values.any(axis=1)
         flat = pa.array(np.ascontiguousarray(values).ravel())
-        columns[name] = pa.FixedSizeListArray.from_arrays(flat, math.prod(shape))
-    columns["checksum"] = np.zeros(len(records), np.uint64)
-    table = pa.table(columns, schema=schema(shapes))
+        cells[column.name] = pa.FixedSizeListArray.from_arrays(flat, math.prod(column.shape))
+    cells["checksum"] = np.zeros(len(records), np.uint64)
+    table = pa.table(cells, schema=schema(columns))
     index = table.schema.get_field_index("checksum")
     return table.set_column(index, table.schema.field(index), pa.array(checksums(table)))
+
+
+def _checked(column: Column, descriptors: Vectors, frames: int) -> npt.NDArray[Any]:
+    """The descriptors of some frames as an array; errors as for `to_table`."""
+    name, dtype = column.name, column.dtype
+    detach = getattr(descriptors, "detach", None)
+    values = np.asarray(detach().cpu() if detach else descriptors)
+    expected = (frames, *column.shape)
+    if values.dtype.kind not in "biuf":
+        raise ValueError(f"{name}: expected real numbers, got {values.dtype}")
+    if values.shape != expected:
+        raise ValueError(f"{name}: expected {expected} for {frames} frames, got {values.shape}")
+    if (dtype == "uint8") != (values.dtype == np.uint8):
+        raise ValueError(f"{name}: expected {dtype}, got {values.dtype}")
+    values = values.astype(dtype, copy=False)
+    if dtype == "float32":
+        if not np.isfinite(values).all():
+            raise ValueError(f"{name}: values that are not finite")
+        with np.errstate(over="ignore"):
+            squares = np.einsum("ij,ij->i", values, values)
+        if not np.isfinite(squares).all():
+            raise ValueError(f"{name}: values too large for float32 to measure their length")
+        if values[squares == 0].any():
+            raise ValueError(f"{name}: values too small for float32 to measure their length")
+    return values
 
 
 def check_records(records: Sequence[FrameRecord], origins: Collection[str]) -> None:

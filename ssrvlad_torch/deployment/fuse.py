@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ..channels import channel
 from ..config import SSRVLADConfig
 from ..descriptor import SSRVLAD
 from ..files import check_output, replacing, requiring
-from ..segmentation.features import NAME, PROBES
+from ..segmentation.features import PROBES
 from ..segmentation.onnx_files import load_model, save_model
 from ..segmentation.onnx_network import OnnxNetwork
 from ..segmentation.segmenter import Segmenter
@@ -26,7 +27,7 @@ from .trace import interface, join, opset, with_opset
 NETWORK, SIGNS = f"{PREFIX}network", f"{PREFIX}features"
 """Properties of a fused file: `FusedNetwork`, and the fingerprint of its features."""
 
-IMAGE, LABELS, FEATURES = "image", "labels", NAME
+IMAGE, LABELS, FEATURES = "image", "labels", channel.FEATURES
 HEAD = "ssrvlad/"
 """Prefix of the names of the head's nodes and tables."""
 
@@ -132,7 +133,7 @@ def _fuse(
     model = label_graph(segmenter.labels, features)
     narrow = model.graph.output[0].type.tensor_type.elem_type == TensorProto.UINT8
     head_part = head_model(config, LABELS, "uint8" if narrow else "int64")
-    key = features.descriptor.fingerprint if features else ""
+    key = features.fingerprint if features else ""
     fused = FusedNetwork(name, segmenter.key(), dataclasses.asdict(segmenter.config), key)
     extra = {NETWORK: json.dumps(asdict(fused))} | ({SIGNS: key} if key else {})
     if head_path is None:

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor, nn
 
+from ..channels.channel import FEATURES as NAME
 from ..files import one_line
-from ..segmentation.features import NAME, NetworkFeatures
+from ..segmentation.features import NetworkFeatures
 from ..segmentation.label_network import LabelNetwork
 from ..segmentation.network_outputs import classes_of, enlarged
 from ..segmentation.onnx_files import load_model

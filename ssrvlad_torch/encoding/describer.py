@@ -1,24 +1,20 @@
-"""What a worker does: it reads label maps and computes their descriptors in batches."""
+"""What a worker does: it reads label maps and describes frames in batches, by all channels."""
 
 from collections import deque
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-import torch
 
-from ..baselines.protocol import Frame
+from ..channels.channel import PICTURE, Channel
+from ..channels.view import View
 from ..database.frames import FrameRecord
-from ..database.metadata import ExtraDescriptor
 from ..datasets.frame_files import FrameFile
 from ..datasets.image_files import read_image
 from ..datasets.label_files import LabelMap, digest, read_label_map
 from ..datasets.workers import in_order
-from ..descriptor import SSRVLAD
-from ..segmentation.features import NAME as FEATURES
 from ..taxonomy import LabelSpace
-from .extra_descriptors import extra_methods
 from .results import Encoded, Skipped
 
 BATCH = 16
@@ -58,22 +54,27 @@ def read(space: LabelSpace, items: Sequence[Item]) -> list[Item]:
 
 
 class Describer:
-    """Items -> descriptors, with an origin for their records, see `Database.add_origin`, and extra
-    descriptors, if their files are images. It can be pickled."""
+    """Items of a label space -> descriptors by some channels, from anchors, the ``columns``, if
+    any, with an origin for their records, see `Database.add_origin`. It can be pickled."""
 
     def __init__(
-        self, head: SSRVLAD, origin: str = "", extra: Sequence[ExtraDescriptor] = ()
+        self,
+        channels: Sequence[Channel],
+        space: LabelSpace,
+        columns: Sequence[int] = (),
+        origin: str = "",
     ) -> None:
-        self.head = head
-        self.origin = origin
-        self.extra = tuple(extra)
-        self.device = next(head.buffers()).device
-        self._methods = extra_methods(extra)
+        self.channels, self.space = tuple(channels), space
+        self.columns, self.origin = tuple(columns), origin
+
+    def needs(self, what: str) -> bool:
+        """Whether a channel needs labels, the picture or features of a view."""
+        return any(what in channel.needs for channel in self.channels)
 
     def __call__(self, items: Sequence[Item]) -> list[Encoded | Skipped]:
         """The results of frames, in their order; a batch has one size and dtype, and its frames are
         described one by one if it fails."""
-        items = read(self.head.label_space, items)
+        items = read(self.space, items)
         results: dict[int, Encoded | Skipped] = {}
         groups: dict[object, list[int]] = {}
         for number, item in enumerate(items):
@@ -90,30 +91,42 @@ class Describer:
             numbers = batches.popleft()
             batch = [items[number] for number in numbers]
             try:
-                stack = torch.from_numpy(np.stack([np.asarray(item.labels) for item in batch]))
-                descriptors = self.head(stack.to(self.device)).cpu().numpy()
-                frames = [
-                    Frame(item.file.frame, image=read_image(item.file))
-                    for item in (batch if self._methods else ())
-                ]
-                extra = {m.name: m.encode_query(frames).numpy() for m in self._methods}
-                if any(each.name == FEATURES for each in self.extra):
-                    extra[FEATURES] = np.stack([np.asarray(item.features) for item in batch])
+                described = self._described(batch)
             except ValueError as error:
                 if len(batch) == 1:
                     results[numbers[0]] = _skipped(batch[0], error)
                 else:  # one by one
                     batches.extendleft([number] for number in reversed(numbers))
                 continue
-            height, width = stack.shape[1:]
             for row, (number, item) in enumerate(zip(numbers, batch, strict=True)):
-                own = {name: values[row] for name, values in extra.items()}
-                record = FrameRecord(
-                    item.file.sequence, item.file.name, *item.file.pose, item.file.stamp,
-                    item.signature, item.digest, height, width, self.origin,
-                )  # fmt: skip
-                results[number] = Encoded(record, descriptors[row], own)
+                own = {name: values[row] for name, values in described.items()}
+                results[number] = Encoded(self._record(item), own)
         return [results[number] for number in range(len(items))]
+
+    def _described(self, batch: Sequence[Item]) -> dict[str, npt.NDArray[Any]]:
+        """The descriptors of frames of one size, by the names of the channels."""
+        pictured = self.needs(PICTURE)
+        views = [
+            View(
+                item.file.frame,
+                np.asarray(item.labels),
+                self.space,
+                read_image(item.file) if pictured else None,
+                item.features,
+            )
+            for item in batch
+        ]
+        return {
+            channel.column.name: channel.describe(views, self.columns).numpy()
+            for channel in self.channels
+        }
+
+    def _record(self, item: Item) -> FrameRecord:
+        height, width = np.asarray(item.labels).shape
+        return FrameRecord(
+            item.file.sequence, item.file.name, *item.file.pose, item.file.stamp,
+            item.signature, item.digest, height, width, self.origin,
+        )  # fmt: skip
 
 
 def _skipped(item: Item, reason: object) -> Skipped:

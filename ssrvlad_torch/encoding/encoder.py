@@ -9,28 +9,32 @@ from typing import Any
 import numpy as np
 import torch
 
+from ..channels import LABEL_SHAPES, channels_of, new_channels
+from ..channels.channel import FEATURES, Channel
 from ..database.database import Database
 from ..database.frames import FrameSet
-from ..database.metadata import ExtraDescriptor
 from ..datasets.frame_files import FrameFile
-from ..datasets.label_files import read_label_map
 from ..datasets.workers import in_order
 from ..descriptor import SSRVLAD
-from ..segmentation.features import NAME as FEATURES
 from ..segmentation.segmenter import Segmenter
-from ..taxonomy import VOID
+from ..taxonomy import LabelSpace
 from .describer import BATCH, Describer, Item, read
-from .extra_descriptors import check_segmenter
 from .plan import Plan
-from .results import Encoded, EncodeOptions, Progress, Skipped, Summary, cores, do_nothing
+from .results import (
+    Encoded,
+    EncodeOptions,
+    Note,
+    Progress,
+    Skipped,
+    Summary,
+    cores,
+    do_nothing,
+    stacked,
+)
 from .writer import Writer
 
 AHEAD = 3
 """Batches in memory for each worker."""
-
-MOST_TORCH_THREADS = 2
-"""Threads of the torch path: its many short operators wait for Python's global lock, which the
-native core and the decoders of images release."""
 
 
 def encode_to_database(
@@ -48,7 +52,7 @@ def encode_to_database(
     Args:
         head: its settings must have the database's fingerprint.
         files: from `find_label_files`; with a segmenter, from `find_image_files`.
-        database: receives the raw descriptors and the extra descriptors that it stores.
+        database: receives the raw descriptors by all channels of which it has a column.
         options: workers, pruning and callbacks.
         segmenter: makes label maps in the head's label space; without it, files are label maps.
 
@@ -80,66 +84,107 @@ def prepared(
 ) -> tuple[Plan, Describer]:
     """What to encode into a database, and how; arguments and errors as for `encode_to_database`."""
     database.require(head.config)
-    check_segmenter(segmenter, head.label_space, database.extra)
+    channels = channels_of(database.columns, head)
+    check_segmenter(segmenter, head, channels)
     network = (segmenter.key(), segmenter.name) if segmenter else ()
     origin = database.add_origin(head.label_space, *network)
     plan = Plan.of(files, database, database.origins[origin])
     options.progress(plan.already_there)
-    return plan, Describer(head, origin, database.extra)
+    return plan, Describer(channels, head.label_space, origin=origin)
+
+
+def channels_to_store(
+    database: Database | None,
+    head: SSRVLAD,
+    segmenter: Segmenter | None,
+    names: Sequence[str] | None,
+    note: Note = do_nothing,
+) -> list[Channel]:
+    """The channels beside that of label maps that a user names; without names, of a new database
+    all that the frames have, with a note if the network has no features, and of an existing one
+    none. Names of channels of pictures without a segmenter are a ValueError."""
+    if names is None and database:
+        of_pictures = any(origin.segmenter for origin in database.origins.values())
+        if segmenter and len(database.columns) == 1 and not of_pictures:
+            note(f"{database.path} is of label maps alone: features and HOG are not stored")
+        return []
+    if names and segmenter is None and (beside := [n for n in names if n != LABEL_SHAPES]):
+        raise ValueError(f"--channel {beside[0]} needs images as SOURCE and --segmenter")
+    if names is None and segmenter and (problem := segmenter.problem_of_features):
+        note(f"stored without features: {problem}")
+    return new_channels(names, head, segmenter)[1:]
+
+
+def check_segmenter(
+    segmenter: Segmenter | None, head: SSRVLAD, channels: Sequence[Channel]
+) -> None:
+    """Raises a ValueError unless a segmenter has the label space of a head, and views of it have
+    these channels."""
+    for channel in channels:
+        (current,) = new_channels([channel.column.name], head, segmenter)[-1:]
+        if current.column != channel.column:
+            raise ValueError(
+                f"stored descriptors by {channel.column.name} are of {channel.column.fingerprint}, "
+                f"got {current.column.fingerprint}: encode the pictures again, or use what made "
+                "them"
+            )
+    if segmenter and segmenter.label_space != head.label_space:
+        raise ValueError(
+            f"the segmenter gives labels of {segmenter.label_space.name}, the head reads "
+            f"{head.label_space.name}"
+        )
 
 
 def encode_to_memory(
-    head: SSRVLAD,
+    channels: Sequence[Channel],
+    space: LabelSpace,
     files: Sequence[FrameFile],
     workers: int | None = None,
     progress: Progress = do_nothing,
     segmenter: Segmenter | None = None,
-    extra: Sequence[ExtraDescriptor] = (),
+    columns: Sequence[int] = (),
 ) -> tuple[FrameSet, list[Skipped]]:
     """The frames that could be encoded and those that were skipped, in order. ``progress`` is
     called with 1 for each frame; other arguments and errors as for `encode`."""
     frames: list[Encoded] = []
     skipped: list[Skipped] = []
-    for frame in encode(head, files, workers, segmenter, extra):
+    for frame in encode(channels, space, files, workers, segmenter, columns):
         if isinstance(frame, Skipped):
             skipped.append(frame)
         else:
             frames.append(frame)
         progress(1)
     records = [frame.record for frame in frames]
-    descriptors = torch.zeros(0, head.config.length, dtype=torch.float32, device="cpu")
-    if frames:
-        descriptors = torch.from_numpy(np.stack([frame.descriptor for frame in frames]))
-    names = [each.name for each in extra if frames]
+    stored = [channel.column for channel in channels]
+    nothing = {each.name: np.zeros((0, *each.shape), each.dtype) for each in stored}
+    descriptors = stacked(frames) if frames else nothing
     return FrameSet(
         frames=tuple(record.frame for record in records),
         sequences=tuple(record.sequence for record in records),
-        descriptors=descriptors,
+        channels={name: torch.from_numpy(values) for name, values in descriptors.items()},
         poses=np.array([record[2:5] for record in records], np.float64).reshape(-1, 3),
         stamps=np.array([record.stamp for record in records], np.float64),
-        empty=~descriptors.flatten(1).any(1).numpy(),
-        extra={n: torch.from_numpy(np.stack([f.extra[n] for f in frames])) for n in names},
+        empty=np.array([frame.is_empty for frame in frames], np.bool_),
     ), skipped
 
 
 def encode(
-    head: SSRVLAD,
+    channels: Sequence[Channel],
+    space: LabelSpace,
     files: Sequence[FrameFile],
     workers: int | None = None,
     segmenter: Segmenter | None = None,
-    extra: Sequence[ExtraDescriptor] = (),
+    columns: Sequence[int] = (),
 ) -> Iterator[Encoded | Skipped]:
-    """Encodes label maps, or images with a segmenter, in order, with extra descriptors of the
-    pictures. Extra descriptors without a segmenter, and a segmenter of another label space or
-    with other descriptors, are a ValueError.
+    """Encodes label maps of a label space, or images with a segmenter, in order, by some channels.
 
-    Each worker, by default one for each core, is a thread that reads and describes one batch at a
-    time; with 0 or 1 everything runs in the caller's thread. If the head is not on the CPU, workers
-    only read, and the head runs in the caller's thread. A segmenter runs there too, while workers
-    describe its earlier label maps.
+    ``columns`` are the anchors of channels that can sweep, see `Channel.describe`. Each worker, by
+    default one for each core, is a thread that reads and describes one batch at a time; with 0 or 1
+    everything runs in the caller's thread. Where a channel describes in the caller's thread alone,
+    workers only read. A segmenter runs there too, while workers describe its earlier
+    label maps.
     """
-    check_segmenter(segmenter, head.label_space, extra)
-    return _encode(Describer(head, extra=extra), files, workers, segmenter)
+    return _encode(Describer(channels, space, columns), files, workers, segmenter)
 
 
 def _encode(
@@ -151,15 +196,15 @@ def _encode(
     workers = cores() if workers is None else workers
     items: Iterator[Item] = map(Item, files)
     if segmenter:
-        features = any(each.name == FEATURES for each in describer.extra)
-        items = segmented_items(files, segmenter, workers, features)
+        items = segmented_items(files, segmenter, workers, describer.needs(FEATURES))
     batches = iter(lambda: list(islice(items, BATCH)), [])
-    reads_only = describer.device.type != "cpu"
-    if not (reads_only or describer.head.native):
-        workers = min(workers, MOST_TORCH_THREADS)
+    limits = [channel.threads for channel in describer.channels if channel.threads is not None]
+    reads_only = 0 in limits
+    if not reads_only:
+        workers = min([workers, *limits])
     work: Callable[[list[Item]], Any] = describer
     if reads_only:
-        work = partial(read, describer.head.label_space)
+        work = partial(read, describer.space)
     threads = torch.get_num_threads()
     done: Iterator[Any] = map(work, batches)
     if workers > 1:
@@ -183,24 +228,3 @@ def segmented_items(
             yield Item(file, signature, said)
         else:
             yield Item(file, signature, *said)
-
-
-def before_the_first(
-    head: SSRVLAD,
-    files: Sequence[FrameFile],
-    segmenter: Segmenter | None = None,
-    extra: Sequence[ExtraDescriptor] = (),
-) -> tuple[list[Skipped], float]:
-    """The skipped frames before the first that can be encoded, and the fraction of void pixels of
-    its label map, 0 to 1; 0 for a picture. Arguments as for `encode`."""
-    skipped: list[Skipped] = []
-    for file in files:
-        (result,) = encode(head, [file], 1, segmenter, extra)
-        if isinstance(result, Skipped):
-            skipped.append(result)
-            continue
-        if segmenter:
-            break
-        void = [label.id for label in head.label_space.classes if label.category == VOID]
-        return skipped, float(np.isin(read_label_map(file, head.label_space), void).mean())
-    return skipped, 0.0

@@ -8,20 +8,19 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
 import torch
 
+from ..channels.channel import FEATURES
 from ..database.database import Database, StagedRows
 from ..datasets.frame_file import FrameFile
 from ..datasets.names import absolute
 from ..descriptor import SSRVLAD
 from ..files import is_uri, one_line, requiring
-from ..segmentation.features import NAME as FEATURES
 from ..segmentation.segmenter import Segmenter
 from .describer import Describer, Item
 from .encoder import prepared, segmented_items
 from .plan import NEW, Plan
-from .results import Encoded, EncodeOptions, Skipped, Summary, cores
+from .results import Encoded, EncodeOptions, Skipped, Summary, cores, stacked
 from .writer import Writer
 
 PART = 1024
@@ -101,21 +100,16 @@ class PartEncoder:
                 name = segmenter.name
                 raise ValueError(f"{name} is another network here than where Ray was called")
             self._segmenter = segmenter
-            features = any(each.name == FEATURES for each in self.describer.extra)
+            features = self.describer.needs(FEATURES)
             items = list(segmented_items(files, segmenter, 1, features))
         results = self.describer(items)
         described = [result for result in results if isinstance(result, Encoded)]
         if not new or not described:
             return Part(results)
-        descriptors = np.stack([result.descriptor for result in described])
-        extra = {
-            each.name: np.stack([result.extra[each.name] for result in described])
-            for each in self.describer.extra
-        }
         records = [result.record for result in described]
-        staged = Database.open(self.database).write_apart(records, descriptors, extra)
+        staged = Database.open(self.database).write_apart(records, stacked(described))
         skipped = [result for result in results if isinstance(result, Skipped)]
-        return Part([*skipped], staged, int((~descriptors.any(axis=1)).sum()))
+        return Part([*skipped], staged, sum(result.is_empty for result in described))
 
 
 class Actor:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -17,18 +17,43 @@ from ..datasets.frame_file import Skipped
 if TYPE_CHECKING:
     from ..database.frames import FrameRecord
 
-__all__ = ["EncodeOptions", "Encoded", "Progress", "Skipped", "Summary", "cores", "do_nothing"]
+__all__ = [
+    "EncodeOptions",
+    "Encoded",
+    "Note",
+    "Progress",
+    "Skipped",
+    "Summary",
+    "cores",
+    "do_nothing",
+    "stacked",
+]
+
+Note = Callable[[str], object]
+"""Called with what the user should know."""
 
 Progress = Callable[[int], object]
 """Called with the number of frames done since the last call."""
 
 
 class Encoded(NamedTuple):
-    """A frame, its ``(D,)`` float32 descriptor, and extra ones by name: float32, or uint8 signs."""
+    """A frame, and its descriptors by the names of the channels."""
 
     record: FrameRecord
-    descriptor: npt.NDArray[np.float32]
-    extra: dict[str, npt.NDArray[Any]]
+    descriptors: dict[str, npt.NDArray[Any]]
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether the descriptor of the first channel is zero."""
+        return not next(iter(self.descriptors.values())).any()
+
+
+def stacked(frames: Sequence[Encoded]) -> dict[str, npt.NDArray[Any]]:
+    """``(N, *shape)`` descriptors of frames, at least one, by the names of the channels."""
+    return {
+        name: np.stack([frame.descriptors[name] for frame in frames])
+        for name in frames[0].descriptors
+    }
 
 
 def cores() -> int:

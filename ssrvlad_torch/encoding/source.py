@@ -1,43 +1,164 @@
-"""The frames that a command works on, and what is known of them before the first is read."""
+"""Source: the frames that a user means: folders, a data set or a database; maps or images."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import os
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
 
 from ..database.database import Database
 from ..database.metadata import Origin
 from ..datasets.dataset import Dataset, GroundTruth
-from ..datasets.frame_file import FrameFile
+from ..datasets.frame_files import FrameFile, found_by
+from ..datasets.image_files import find_image_files, read_image
+from ..datasets.label_files import find_label_files, read_label_map
+from ..datasets.layouts import open_dataset
 from ..datasets.names import KnownFolders
-from ..segmentation.networks import runs_code
-from ..segmentation.segmenter import Segmenter
-from ..taxonomy import LabelSpace
+from ..segmentation.networks import AUTO, channels, open_network, runs_code
+from ..segmentation.segmenter import Segmenter, space_of
+from ..taxonomy import LabelSpace, label_space
+from .results import Note, do_nothing
+
+_OF_FILES = ("poses", "largest_gap", "topic", "fps", "every", "start", "segmenter", "classes")
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """Which frames are wanted, as a user says it; ``ssrvlad encode --help`` explains every field.
+
+    Attributes:
+        posed: leave out frames of a data set without a pose; ``None``: if its ground truth is by
+            poses.
+    """
+
+    paths: Sequence[str]
+    labels_as: str | LabelSpace | None = None
+    layout: str | None = None
+    split: Sequence[str] | None = None
+    role: Literal["reference", "query"] | None = None
+    labels: Path | None = None
+    sequence: str | None = None
+    poses: str | None = None
+    largest_gap: float | None = None
+    topic: str | None = None
+    fps: float | None = None
+    every: int = 1
+    start: int = 0
+    segmenter: str | Segmenter | None = None
+    classes: str | None = None
+    segmenter_cache: Path | None = None
+    workers: int | None = None
+    posed: bool | None = False
+
+    def given(self, *names: str) -> list[str]:
+        """Those of these fields that are not at their defaults."""
+        return [name for name in names if getattr(self, name) != getattr(Wanted, name)]
 
 
 @dataclass(frozen=True)
 class Source:
-    """Frames on disk, or those of a database.
+    """Frames on disk, or those of a database, and what is known before the first is read.
 
     Attributes:
+        wanted: what the user said.
         labels_as: label space of the label maps; empty for images that are not labelled.
         files: the frames: label maps, or images with a segmenter.
         segmenter: labels images.
         database: holds the frames, in place of files.
-        sequence: name of their one sequence, if it is not that of the folder.
         dataset: of which the frames are, with all its sequences.
-        truth: its ground truth.
         known: folders whose sequences already have a name, see `sequence_names`.
-        workers: frames to encode at the same time; ``None`` for one for each core.
     """
 
+    wanted: Wanted
     labels_as: str | LabelSpace = ""
     files: Sequence[FrameFile] = ()
     segmenter: Segmenter | None = None
     database: Database | None = None
-    sequence: str | None = None
     dataset: Dataset | None = None
-    truth: GroundTruth | None = None
     known: KnownFolders = ()
-    workers: int | None = None
+
+    @property
+    def truth(self) -> GroundTruth | None:
+        """The ground truth of the data set."""
+        return self.dataset.truth if self.dataset else None
+
+
+def open_source(
+    wanted: Wanted,
+    database: Database | None = None,
+    *,
+    compared: bool = False,
+    images: bool = False,
+    note: Note = do_nothing,
+) -> Source:
+    """The source, before its first frame is read.
+
+    Args:
+        wanted: which frames.
+        database: with which they are ``compared``, and where they may be a database themselves, or
+            to which they are added.
+        images: the frames can only be images.
+        note: gets what a data set lacks, and the network that labels pictures if the user names
+            none.
+
+    Raises:
+        ValueError: settings do not go together, there are no frames or no label space, or the
+            network of the database cannot be opened or has changed.
+    """
+    source = open_network_of(wanted, database, compared=compared, images=images, note=note)
+    if source.database:
+        return source
+    paths, dataset = wanted.paths, source.dataset
+    find = find_image_files if images or source.segmenter else find_label_files
+    try:
+        return replace(source, files=_find(wanted, dataset, source.known, find))
+    except ValueError:
+        only_images = (
+            not (dataset or source.segmenter or images)
+            and not any(found_by(find_label_files, [path]) for path in paths)
+            and found_by(find_image_files, paths)
+        )
+        if only_images:
+            raise ValueError(
+                f"{' '.join(paths)} holds images and no label maps; name the network that "
+                "labels them with --segmenter"
+            ) from None
+        raise
+
+
+def open_network_of(
+    wanted: Wanted,
+    database: Database | None = None,
+    *,
+    compared: bool = False,
+    images: bool = False,
+    note: Note = do_nothing,
+) -> Source:
+    """The source without its files: the data set, the label space and the network; arguments and
+    errors as for `open_source`."""
+    dataset = _open_dataset(wanted, note)
+    source = Source(wanted, dataset=dataset, known=database.folders() if database else ())
+    network, labels_as = wanted.segmenter, wanted.labels_as
+    if network and labels_as in (None, AUTO):
+        labels_as = _space_of_network(network, labels_as, wanted.classes)
+    labels_as = labels_as or (dataset.labels_as if dataset else None)
+    if compared and len(wanted.paths) == 1 and Database.exists(wanted.paths[0]):
+        if unused := [f"--{name.replace('_', '-')}" for name in wanted.given(*_OF_FILES)]:
+            raise ValueError(f"{wanted.paths[0]} is a database: expected no {', '.join(unused)}")
+        space = _space(labels_as, database, compared, images)
+        return replace(source, labels_as=space, database=Database.open(wanted.paths[0]))
+    if database and not network and (images or not labels_as):
+        network, labels_as = _network_of_database(source, database, labels_as, images)
+    space = _space(labels_as, database, compared, images)
+    segmenter = _segmenter(network, wanted, space, note) if space else None
+    if segmenter and database and not wanted.segmenter:
+        require_network(database, segmenter)
+        note(f"{segmenter.name}, the network of {database.path}, labels the pictures")
+    return replace(source, labels_as=space, segmenter=segmenter)
 
 
 def origin_of(database: Database) -> Origin:
@@ -65,3 +186,131 @@ def require_network(database: Database, segmenter: Segmenter) -> None:
         raise ValueError(
             f"{database.path} was made by {expected} as it was then; {got} gives other label maps"
         )
+
+
+def _open_dataset(wanted: Wanted, note: Note) -> Dataset | None:
+    """The data set, of the wanted split, role and poses; none without a layout."""
+    if wanted.layout and wanted.given("sequence", "poses", "topic", "fps"):
+        raise ValueError("--sequence, --poses, --topic and --fps do not go with --layout")
+    if wanted.largest_gap is not None and not wanted.poses:
+        raise ValueError("--largest-gap needs --poses")
+    if wanted.layout is None:
+        if wanted.split or wanted.role or wanted.labels:
+            raise ValueError("--split, --role and --labels need --layout, such as --layout auto")
+        return None
+    if len(wanted.paths) != 1:
+        raise ValueError(
+            f"--layout: expected the folder of one data set, got {len(wanted.paths)} sources"
+        )
+    name = None if wanted.layout == "auto" else wanted.layout
+    space = wanted.labels_as
+    labels_as = space.name if isinstance(space, LabelSpace) else space
+    whole = open_dataset(wanted.paths[0], name, wanted.labels, labels_as)
+    for warning in whole.select(wanted.split or (), wanted.role).warnings:
+        note(warning)
+    return whole
+
+
+def _selected(wanted: Wanted, dataset: Dataset) -> Dataset:
+    """The frames of a data set of the wanted split, role and poses."""
+    selected, truth = dataset.select(wanted.split or (), wanted.role), dataset.truth
+    by_poses = wanted.posed is None and truth is not None and truth.metres is not None
+    return selected.posed() if wanted.posed or by_poses else selected
+
+
+def _space_of_network(
+    network: str | Segmenter, labels_as: str | LabelSpace | None, classes: str | None
+) -> LabelSpace | None:
+    """The label space that a network names, if it names one."""
+    if isinstance(network, Segmenter):
+        return network.label_space
+    named = _network(network)
+    if labels_as or named.class_names or named.labels_as is not None:
+        return space_of(named, AUTO, channels(classes))
+    return None
+
+
+def _network_of_database(
+    source: Source, database: Database, labels_as: str | LabelSpace | None, images: bool
+) -> tuple[str | None, str | LabelSpace | None]:
+    """The name and the label space of the network that labelled the frames of a database, if the
+    source holds pictures."""
+    spaces = [origin.label_space for origin in database.origins.values() if origin.segmenter]
+    if not images:
+        where = source.wanted, source.dataset, source.known
+        if not (spaces and _are_pictures(found_by(_find, *where, find_image_files), spaces)):
+            return None, labels_as
+    origin = origin_of(database)
+    return origin.network, origin.label_space or label_space(database.config.labels_as)
+
+
+def _find(
+    wanted: Wanted,
+    dataset: Dataset | None,
+    known: KnownFolders,
+    find: Callable[..., list[FrameFile]],
+) -> list[FrameFile]:
+    """The frames that ``find`` finds, or those of the data set."""
+    if dataset:
+        chosen = _selected(wanted, dataset)
+        of = chosen.image_files if find is find_image_files else chosen.label_files
+        return of(wanted.every, wanted.start)
+    names = ("sequence", "every", "start", "poses", "topic", "fps", "largest_gap")
+    settings = {name: getattr(wanted, name) for name in names}
+    return find([*wanted.paths], known=known, **settings)
+
+
+def _are_pictures(files: Sequence[FrameFile], spaces: Sequence[LabelSpace | None]) -> bool:
+    """Whether the first file that can be read is no label map of any of the label spaces."""
+    for file in files:
+        for space in filter(None, spaces):
+            with suppress(ValueError):
+                ids = np.unique(read_label_map(file, space)).tolist()
+                if {*ids} <= {each.id for each in space.classes}:
+                    return False
+        with suppress(ValueError):
+            read_image(file)
+            return True
+    return False
+
+
+def _space(
+    labels_as: str | LabelSpace | None, database: Database | None, compared: bool, images: bool
+) -> str | LabelSpace:
+    """The label space of the source, or else of a database; empty for images alone."""
+    if database and not labels_as:
+        spaces = database.label_spaces()
+        if len(spaces) > 1:
+            names = " and ".join(space.name for space in spaces)
+            raise ValueError(
+                f"{database.path} holds frames of {names}; choose one with --labels-as"
+            )
+        labels_as = spaces[0] if spaces else None
+    if labels_as is None and compared and database:
+        return label_space(database.config.labels_as)
+    if labels_as is None and not images:
+        raise ValueError("Missing option '--labels-as': label space of the label maps")
+    return labels_as or ""
+
+
+def _segmenter(
+    network: str | Segmenter | None, wanted: Wanted, labels_as: str | LabelSpace, note: Note
+) -> Segmenter | None:
+    """The segmenter with its cache; ``None`` without a network."""
+    folder = wanted.segmenter_cache
+    if network is None:
+        if folder is not None:
+            raise ValueError("--segmenter-cache needs --segmenter")
+        return None
+    if isinstance(network, Segmenter):
+        return network
+    classes, opened = channels(wanted.classes), _network(network)
+    if folder is None:
+        folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "ssrvlad"
+    segmenter = Segmenter.load(opened, labels_as, folder, classes)
+    if opened.assumed:
+        note(f"{network} does not say how it wants pictures; assumed: {opened.preparation}")
+    return segmenter
+
+
+_network = cache(open_network)

@@ -4,11 +4,9 @@ import time
 from contextlib import AbstractContextManager
 from functools import partial
 
-import numpy as np
-
 from ..database.database import Database, StagedRows
 from .plan import NEW, Plan, check_folders
-from .results import Encoded, EncodeOptions, Skipped, Summary
+from .results import Encoded, EncodeOptions, Skipped, Summary, stacked
 
 COMMIT_ROWS, COMMIT_SECONDS = 8192, 10.0
 """A commit is made after this number of frames or this time."""
@@ -62,11 +60,9 @@ class Writer(AbstractContextManager["Writer"]):
         check = partial(check_folders, self._plan.files)
         self._database.adopt(staged, check)
         if frames:
-            descriptors = np.stack([frame.descriptor for frame in frames])
-            extra = {n: np.stack([f.extra[n] for f in frames]) for n in frames[0].extra}
-            self._database.merge([frame.record for frame in frames], descriptors, extra, check)
+            self._database.merge([frame.record for frame in frames], stacked(frames), check)
             reasons = [self._plan.reason(frame.record) for frame in frames]
             self.summary.encoded += reasons.count(NEW)
             self.summary.anew.update(reason for reason in reasons if reason != NEW)
-            self.summary.empty += int((~descriptors.any(axis=1)).sum())
+            self.summary.empty += sum(frame.is_empty for frame in frames)
         self._due = time.monotonic() + COMMIT_SECONDS

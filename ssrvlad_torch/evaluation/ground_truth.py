@@ -11,6 +11,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 import numpy.typing as npt
 
+from ..datasets.frame_ids import name_of, sequence_of
 from ..files import natural_key
 from .outcomes import Rows
 
@@ -60,7 +61,7 @@ def from_frame_numbers(
     if frames < 0:
         raise ValueError(f"the tolerance must be 0 frames or more, got {frames}")
     of_queries, of_references = (
-        {frame.rpartition("/")[0] for frame in ids} for ids in (queries, references)
+        {sequence_of(frame) for frame in ids} for ids in (queries, references)
     )
     shared = of_queries <= of_references
     if shared:
@@ -91,8 +92,8 @@ def from_frame_numbers(
 def _numbers(frames: Iterable[str]) -> dict[str, tuple[str, int]]:
     """Sequence of each frame, and its number in the sequence."""
     counts, numbers = Counter[str](), {}
-    for frame in sorted(frames, key=lambda frame: natural_key(frame.rpartition("/")[2])):
-        sequence = frame.rpartition("/")[0]
+    for frame in sorted(frames, key=lambda frame: natural_key(name_of(frame))):
+        sequence = sequence_of(frame)
         numbers[frame] = sequence, counts[sequence]
         counts[sequence] += 1
     return numbers

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ..datasets.frame_ids import name_of
 from ..files import check_regular, npy_header, one_line, parse_npy, read_bytes, read_json, read_npz
 from .object_arrays import PickledArray, load_object_array
 from .outcomes import Rows
@@ -159,14 +160,14 @@ def _finder(frames: Frames) -> Callable[[str], str | None]:
     paths = frames if isinstance(frames, Mapping) else dict(zip(frames, frames, strict=True))
     by_name: dict[str, list[str]] = {}
     for frame in paths:
-        by_name.setdefault(frame.rpartition("/")[2], []).append(frame)
+        by_name.setdefault(name_of(frame), []).append(frame)
 
     def find(entry: str) -> str | None:
         if paths.get(entry) == entry:
             return entry
         fitting = [
             frame
-            for frame in by_name.get(entry.rpartition("/")[2], ())
+            for frame in by_name.get(name_of(entry), ())
             if any(f"/{name}".endswith(f"/{entry}") for name in (frame, paths[frame]))
         ]
         if len(fitting) > 1:

@@ -14,6 +14,7 @@ from ..database.frames import FrameSet
 from ..datasets.dataset import Dataset, DatasetFrame
 from ..datasets.dataset import GroundTruth as DatasetTruth
 from ..datasets.frame_files import FrameFile
+from ..datasets.frame_ids import sequence_of, split_id
 from ..datasets.names import KnownFolders
 from ..files import natural_key
 from .ground_truth import from_frame_numbers, from_poses
@@ -64,7 +65,7 @@ class Viewpoints:
         """The file path of each counted id whose sequence is one folder, else the id."""
         count = Counter(sequence for _, sequence in self.folders)
         folder = {name: folder for folder, name in self.folders if folder and count[name] == 1}
-        parts = ((frame, *frame.rpartition("/")[::2]) for frame in self.counted)
+        parts = ((frame, *split_id(frame)) for frame in self.counted)
         return {
             frame: PurePath(folder[sequence], name).as_posix() if sequence in folder else frame
             for frame, sequence, name in parts
@@ -168,7 +169,7 @@ class TrueMatches:
 def _counted(frames: Iterable[str], dataset: Dataset | None) -> tuple[str, ...]:
     """`Viewpoints.counted` of some frames."""
     ids = {*frames}
-    sequences = {frame.rpartition("/")[0] for frame in ids}
+    sequences = {sequence_of(frame) for frame in ids}
     if dataset:
         ids |= {frame.frame for frame in dataset.frames if frame.sequence in sequences}
     return tuple(_in_order(ids))
@@ -176,4 +177,4 @@ def _counted(frames: Iterable[str], dataset: Dataset | None) -> tuple[str, ...]:
 
 def _in_order(frames: Iterable[str]) -> list[str]:
     """The ids by sequence, then by name, both in natural order."""
-    return sorted(frames, key=lambda frame: tuple(map(natural_key, frame.rpartition("/")[::2])))
+    return sorted(frames, key=lambda frame: tuple(map(natural_key, split_id(frame))))

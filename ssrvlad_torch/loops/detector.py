@@ -10,23 +10,23 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import torch
 from torch import Tensor
 
-from ..baselines.protocol import Frame
+from ..channels import channels_of
+from ..channels.channel import FEATURES, PICTURE, Channel
+from ..channels.label_shapes import LabelShapes
+from ..channels.live_vectors import Floats
+from ..channels.view import View
 from ..database.database import Database
 from ..database.frames import FrameRecord, checked_pose, is_text, numbers_of
-from ..database.metadata import ExtraDescriptor
 from ..database.rows import check_records
+from ..datasets.frame_ids import split_id
 from ..datasets.label_files import digest
-from ..descriptor import SSRVLAD, SweepHead
-from ..encoding.extra_descriptors import extra_methods
-from ..segmentation.features import NAME as FEATURES
+from ..descriptor import SSRVLAD
 from ..stages.front_end import as_tensor
 from .config import LoopConfig
-from .memory import Floats, FloatVectors, Memory
+from .memory import Memory
 from .result import LoopResult
-from .sign_memory import SignVectors
 from .tracker import Tracker
 
 COLUMNS = (-4, 0, 4)
@@ -48,8 +48,8 @@ class LoopDetector:
         config: the settings; without, the defaults.
         head: describes label maps; given descriptors must have its settings. Without, the preset
             ``default``.
-        extra: methods that describe frames by their pictures. The scores of all methods
-            are fused; a method weighs by the lead of its first candidates so far.
+        channels: what is known of frames beside their label maps. The scores of all channels are
+            fused; a channel weighs by the lead of its first candidates so far.
 
     Examples:
         >>> detector = LoopDetector(head=SSRVLAD())
@@ -61,19 +61,15 @@ class LoopDetector:
         self,
         config: LoopConfig | None = None,
         head: SSRVLAD | None = None,
-        extra: Sequence[ExtraDescriptor] = (),
+        channels: Sequence[Channel] = (),
     ) -> None:
         if not isinstance(config, LoopConfig | None):
             raise ValueError(f"expected config as a LoopConfig, got {type(config).__name__}")
         self.config = config or LoopConfig()
         self.head = head or SSRVLAD()
-        self.extra, self._methods = tuple(extra), extra_methods(extra)
-        self._memory = Memory(self.head.config.length)
-        self._others = {
-            each.name: SignVectors(each.cells) if each.cells else FloatVectors(each.width)
-            for each in extra
-        }
-        self._tracker = Tracker(self.config, self._memory, self._others)
+        self.channels: tuple[Channel, ...] = (LabelShapes(self.head), *channels)
+        self._memory = Memory(self.channels)
+        self._tracker = Tracker(self.config, self._memory)
         self._sequence: str | None = None
         self._stamps: dict[str, float] = {}
         self._arrivals = 0
@@ -111,8 +107,8 @@ class LoopDetector:
         """
         if not len(self):
             raise IndexError("no frame was seen yet")
-        last: Floats = self._memory.descriptors(len(self) - 1, len(self))[0]
-        return last
+        first: Floats = self._memory.first.descriptors(len(self) - 1, len(self))[0]
+        return first
 
     @property
     def columns(self) -> tuple[int, ...]:
@@ -121,12 +117,8 @@ class LoopDetector:
 
     @property
     def weights(self) -> dict[str, float]:
-        """The present weight of each method; empty without extra methods."""
-        return self._tracker.weights if self._others else {}
-
-    def encoder(self) -> SSRVLAD:
-        """A head that describes frames for `observe`, from all `columns`."""
-        return SweepHead(self.head.config, self.columns) if self.columns else self.head
+        """The present weight of each channel; empty if there is one."""
+        return self._tracker.weights if len(self.channels) > 1 else {}
 
     def update(
         self,
@@ -145,14 +137,14 @@ class LoopDetector:
             frame_id: ``<sequence>/<name>``; the filter starts anew with each sequence.
             stamp: seconds, not less than those of earlier frames of the sequence.
             pose: x and y in metres, and heading in radians if it is known.
-            picture: ``(H, W, 3)`` uint8 in RGB, for the extra methods that describe pictures.
-            features: from `Segmenter.segment`, if they are an extra method.
+            picture: ``(H, W, 3)`` uint8 in RGB, for the channels that describe pictures.
+            features: from `Segmenter.segment`, if they are a channel.
 
         Raises:
             ValueError: the frame cannot be described, its id has another form or was there before,
                 or a stamp or pose is wrong. The detector is unchanged.
         """
-        sequence, _, name = frame_id.rpartition("/") if is_text(frame_id) else ("", "", "")
+        sequence, name = split_id(frame_id) if is_text(frame_id) else ("", "")
         if not (sequence and name):
             raise ValueError(f"expected a frame's id <sequence>/<name>, got {frame_id!r}")
         place = checked_pose(pose, frame_id)
@@ -160,45 +152,37 @@ class LoopDetector:
         if not stamps:
             raise ValueError(f"frame {frame_id!r}: expected a stamp in seconds, got {stamp!r}")
         record = FrameRecord(sequence, name, *place, stamps[0])
-        tensor = as_tensor(view)
-        if picture is not None and not self._methods:
-            raise ValueError("got a picture, but the detector has no extra method to describe it")
-        frame = Frame(frame_id, image=picture)
-        others = {each.name: each.encode_query([frame])[0] for each in self._methods}
-        if features is not None:
-            others[FEATURES] = torch.tensor(np.asarray(features))
+        tensor, (first, *others) = as_tensor(view), self.channels
+        for need, given in ((PICTURE, picture), (FEATURES, features)):
+            if given is not None and not any(need in channel.needs for channel in others):
+                raise ValueError(f"got {need}, but the detector has no channel that describes them")
+        seen = View(frame_id, picture=picture, features=features)
+        described = {channel.column.name: channel.describe([seen])[0] for channel in others}
         if tensor.ndim == 1:
-            return self.observe(record, tensor, others)
+            return self.observe(record, {first.column.name: tensor, **described})
         swept = self.head.sweep(tensor[None], self.columns) if self.columns else None
         [descriptor] = self.head(tensor[None]) if swept is None else swept
         labels = (tensor.argmax(0) if tensor.ndim == 3 else tensor).cpu().numpy()
         height, width = labels.shape
         record = record._replace(digest=digest(labels), height=height, width=width)
-        return self.observe(record, descriptor, others)
+        return self.observe(record, {first.column.name: descriptor, **described})
 
     def observe(
-        self, record: FrameRecord, descriptor: Tensor, extra: Mapping[str, Tensor] | None = None
+        self, record: FrameRecord, descriptors: Mapping[str, Tensor] | Tensor
     ) -> LoopResult:
-        """As `update`, for a frame that is encoded already.
+        """As `update`, for a frame that is described already.
 
         Args:
             record: the frame as a database stores it.
-            descriptor: ``(D,)``, or ``(S, D)`` from S anchors with the usual one in the middle; of
-                length 1 or zero.
-            extra: ``(D',)``, or the signs of features, for each name of `extra`.
+            descriptors: of each channel by its name, or of the only one: as it is stored, or from S
+                anchors ``(S, *shape)`` with the usual one in the middle; vectors are of length 1 or
+                zero.
 
         Raises:
             ValueError: as for `update`.
         """
         check_records([record], [record.origin])
-        extra = extra or {}
-        swept = self._memory.checked(descriptor, record.frame)
-        if extra.keys() != self._others.keys():
-            names, got = (", ".join(each) or "nothing" for each in (self._others, extra))
-            raise ValueError(f"frame {record.frame!r}: expected extra {names}, got {got}")
-        others: dict[str, npt.NDArray[Any]] = {
-            name: memory.checked(extra[name], record.frame) for name, memory in self._others.items()
-        }
+        swept = self._memory.checked(descriptors, record.frame)
         with self._updating:
             last = self._stamps.get(record.sequence, -math.inf)
             if record.frame in self:
@@ -210,11 +194,9 @@ class LoopDetector:
             if record.sequence != self._sequence:
                 self._start_sequence(record.sequence)
                 self._tracker.start_sequence()
-            result = self._tracker.step(record.frame, swept, others)
-            centre = swept[len(swept) // 2]
-            self._memory.append(record.frame, (record.x, record.y, record.heading), centre)
-            for name, [vector] in others.items():
-                self._others[name].add(vector)
+            result = self._tracker.step(record.frame, swept)
+            centres = {name: anchors[len(anchors) // 2] for name, anchors in swept.items()}
+            self._memory.append(record.frame, (record.x, record.y, record.heading), centres)
             self._unsaved.append(record._replace(arrival=self._arrivals))
             self._arrivals += 1
             self._sequence = record.sequence
@@ -233,19 +215,21 @@ class LoopDetector:
             OSError: writing failed; the database is unchanged.
         """
         with self._saving:
-            database.require(self.head.config, self.extra)
+            columns = [channel.column for channel in self.channels[1:]]
+            database.require(self.head.config, columns)
             with self._updating:
                 fresh, last = self._unsaved.copy(), len(self)
                 saved = last - len(fresh)
-                vectors = self._memory.descriptors(saved, last)
-                others = {name: v.descriptors(saved, last) for name, v in self._others.items()}
+                described = {
+                    name: live.descriptors(saved, last) for name, live in self._memory.lives.items()
+                }
             if len(database) != saved:
                 raise ValueError(
                     f"{database.path} holds {len(database)} frames; {saved} of this stream were "
                     "saved"
                 )
             if fresh:
-                database.append(fresh, vectors, others)
+                database.append(fresh, described)
             with self._updating:
                 del self._unsaved[: len(fresh)]
 
@@ -271,7 +255,7 @@ class LoopDetector:
         """
         head = head or SSRVLAD(database.config)
         database.require(head.config)
-        detector = cls(config, head, database.extra)
+        detector = cls(config, head, channels_of(database.columns[1:], head))
         frames = database.load()
         known = database.known()
         names = dict.fromkeys(known.table["sequence"].to_pylist())
@@ -282,22 +266,20 @@ class LoopDetector:
             key=lambda row: (arrivals[frames.frames[row]], added[frames.sequences[row]]),
         )
         detector._arrivals = max(arrivals.values(), default=-1) + 1
-        vectors = frames.descriptors.numpy()
         for sequence, part in groupby(order, lambda row: frames.sequences[row]):
             rows = [*part]
             detector._start_sequence(sequence)
             for row in rows:
-                pose = frames.poses[row].tolist()
-                detector._memory.append(frames.frames[row], pose, vectors[row])
+                detector._memory.place(frames.frames[row], frames.poses[row].tolist())
                 if not np.isnan(frames.stamps[row]):
                     detector._stamps[sequence] = float(frames.stamps[row])
-            for name, others in detector._others.items():
-                others.extend(frames.extra[name][rows])
+            for name, live in detector._memory.lives.items():
+                live.extend(frames.channels[name][rows])
         detector._tracker.extend(len(detector) - 1)  # as before the last frame came
         return detector
 
     def _start_sequence(self, sequence: str) -> None:
         """The next frame is of this sequence; the last one may be too, if it was loaded."""
         if self._memory.sequence != sequence:
-            for memory in (self._memory, *self._others.values()):
-                memory.start_sequence()
+            for live in self._memory.lives.values():
+                live.start_sequence()

@@ -10,7 +10,7 @@ from collections import deque
 import numpy as np
 import numpy.typing as npt
 
-from .memory import Floats, GrowingArray
+from ..channels.live_vectors import Floats, GrowingArray
 
 MARGIN = 1.2
 """A frame counts as seen again where it is so much nearer than different places are."""

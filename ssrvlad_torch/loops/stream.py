@@ -12,14 +12,13 @@ import torch
 
 from ..config import SSRVLADConfig
 from ..database.database import Database
-from ..database.metadata import ExtraDescriptor
 from ..datasets.frame_files import FrameFile, with_poses
 from ..datasets.names import absolute, sequence_names
 from ..datasets.pose_tables import PoseTable
 from ..descriptor import SSRVLAD
-from ..encoding.encoder import encode
+from ..encoding.encoder import channels_to_store, check_segmenter, encode
 from ..encoding.plan import check_folder
-from ..encoding.results import Encoded, Skipped
+from ..encoding.results import Encoded, Note, Skipped, do_nothing
 from ..evaluation.loops import loop_curve, loop_errors, score_loops, surest_point
 from ..evaluation.outcomes import Rows
 from ..segmentation.segmenter import Segmenter
@@ -37,20 +36,25 @@ def open_detector(
     memory: Path | None,
     preset: str | None,
     labels_as: str | LabelSpace,
-    extra: Sequence[ExtraDescriptor] = (),
+    segmenter: Segmenter | None = None,
+    channels: Sequence[str] | None = None,
+    note: Note = do_nothing,
 ) -> tuple[LoopDetector, Database | None]:
     """A detector, and the database that it was loaded from and is saved to: the folder ``memory``,
-    created if it does not exist; without it, nothing is saved. Without a preset or extra methods,
-    those of the database, or ``default`` and none; others, and a damaged database, are a
-    ValueError."""
-    if memory is not None and preset is None and Database.exists(memory):
-        method = replace(Database.open(memory).config, labels_as=labels_as)
+    created if it does not exist; without it, nothing is saved. Without a preset or names of
+    channels, those of the database, or ``default`` and all that the frames have; others, and a
+    damaged database, are a ValueError."""
+    stored = Database.open(memory) if memory is not None and Database.exists(memory) else None
+    if stored and preset is None:
+        method = replace(stored.config, labels_as=labels_as)
     else:
         method = SSRVLADConfig.from_preset(preset or "default", labels_as=labels_as)
     head = SSRVLAD(method)
+    beside = channels_to_store(stored, head, segmenter, channels, note)
     if memory is None:
-        return LoopDetector(config, head, extra), None
-    database = Database.open_or_create(memory, method, extra)
+        return LoopDetector(config, head, beside), None
+    columns = [channel.column for channel in beside]
+    database = Database.open_or_create(memory, method, columns)
     return LoopDetector.load(database, config, head), database
 
 
@@ -61,8 +65,10 @@ def encode_files(
     segmenter: Segmenter | None = None,
 ) -> Iterator[Encoded | Skipped]:
     """Encodes the files whose frames the detector does not know yet; see `encoding.encode`."""
+    check_segmenter(segmenter, detector.head, detector.channels)
     fresh = [file for file in files if file.frame not in detector]
-    return encode(detector.encoder(), fresh, workers, segmenter, detector.extra)
+    space = detector.head.label_space
+    return encode(detector.channels, space, fresh, workers, segmenter, detector.columns)
 
 
 def encode_as_they_come(
@@ -76,7 +82,8 @@ def encode_as_they_come(
     ignored. Frames that the detector knew at the start are omitted. A ``poses.csv`` in or beside a
     file's folder is read once. The sequence is named by the folder, as in the database from which
     the detector was loaded. A segmenter labels images; without one, the files are label maps."""
-    at_start, encoder = frozenset(detector.frames), detector.encoder()
+    check_segmenter(segmenter, detector.head, detector.channels)
+    at_start, space = frozenset(detector.frames), detector.head.label_space
     records, folders = (database.known(), database.folders()) if database else ({}, set())
     find = functools.cache(PoseTable.of_folder)
 
@@ -101,7 +108,7 @@ def encode_as_they_come(
         except ValueError as error:
             yield Skipped(frame, str(error))
             continue
-        yield from encode(encoder, posed, 1, segmenter, detector.extra)
+        yield from encode(detector.channels, space, posed, 1, segmenter, detector.columns)
 
 
 def detect_loops(
@@ -115,10 +122,9 @@ def detect_loops(
             if isinstance(frame, Skipped):
                 result = frame
             else:
-                extra = {name: torch.from_numpy(values) for name, values in frame.extra.items()}
+                described = {n: torch.from_numpy(values) for n, values in frame.descriptors.items()}
                 try:
-                    descriptor = torch.from_numpy(frame.descriptor)
-                    result = detector.observe(frame.record, descriptor, extra)
+                    result = detector.observe(frame.record, described)
                 except ValueError as error:
                     result = Skipped(frame.record.frame, str(error))
             yield result

@@ -1,24 +1,21 @@
 """Tracker: the place of a live stream among its own frames, by a Bayes filter."""
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from ..channels.live_vectors import GrowingArray
+from ..datasets.frame_ids import sequence_of
 from ..recognition.filter import Filter
 from ..recognition.fusion import fused, weights_of, z_lead
 from ..recognition.motion import MIN_SPREAD, Motion, likelihoods, moments, nearness
-from ..recognition.recognise import SSR_VLAD
 from .config import LoopConfig
-from .memory import Floats, FloatVectors, GrowingArray, Memory
+from .memory import Described, Memory
 from .repeats import MARGIN, Repeats
 from .result import LoopResult, Reason
-from .sign_memory import SignVectors
 
 MOTION = Motion(change=0.01, jump=0.01, unmapped=0.3, weight=0.25, level=0.5)
 """How a stream moves along its own frames, and those frames run backwards."""
@@ -43,21 +40,18 @@ RECENT = 10
 
 
 class Tracker:
-    """The filter of `LoopDetector` over the frames of a memory, to which the detector appends, with
-    their descriptors by extra methods."""
+    """The filter of `LoopDetector` over the frames of a memory, to which the detector appends."""
 
-    def __init__(
-        self, config: LoopConfig, memory: Memory, others: Mapping[str, FloatVectors | SignVectors]
-    ) -> None:
-        self._config, self._memory, self._others = config, memory, others
-        self._leads = dict.fromkeys([SSR_VLAD, *others], 0.0)
+    def __init__(self, config: LoopConfig, memory: Memory) -> None:
+        self._config, self._memory = config, memory
+        self._leads = dict.fromkeys(memory.lives, 0.0)
         self._filter = Filter(motion=MOTION)
         self.start_sequence()
 
     @property
     def weights(self) -> dict[str, float]:
-        """The present weights of the methods by their names, see `fusion.weights_of`."""
-        return weights_of(self._leads)
+        """The present weights of the channels by their names, see `fusion.weights_of`."""
+        return weights_of(self._leads, self._memory.trust)
 
     def start_sequence(self) -> None:
         """Forgets the place: the next frame starts another sequence."""
@@ -69,27 +63,28 @@ class Tracker:
         """Makes states of the first frames of the memory, but not of the most recent of them."""
         last = max(0, frames - min(RECENT, self._config.exclude))
         fresh = self._memory.frames[len(self._filter) : last]
-        self._filter.extend([each.rpartition("/")[0] for each in fresh])
+        self._filter.extend([sequence_of(each) for each in fresh])
 
-    def step(self, frame: str, swept: Floats, others: Mapping[str, npt.NDArray[Any]]) -> LoopResult:
-        """The result of the next frame, by its ``(S, D)`` descriptors from S anchors, the usual one
-        in the middle, and those by the extra methods."""
+    def step(self, frame: str, swept: Described) -> LoopResult:
+        """The result of the next frame, by its descriptors from S anchors, the usual one in the
+        middle."""
         frames, exclude = len(self._memory), self._config.exclude
         old = max(0, frames - exclude)
         self.extend(frames)
-        described, empty = ~self._memory.empty, not swept[len(swept) // 2].any()
+        first = next(iter(swept.values()))
+        described, empty = ~self._memory.first.empty, not first[len(first) // 2].any()
         if np.count_nonzero(described[:old]) < 2:
             if empty:
                 return LoopResult(frame, Reason.EMPTY_FRAME)
             if not described.any():
                 return LoopResult(frame, Reason.NO_CANDIDATE)
-            scores = self._scores(swept, others, 0)
+            scores = self._scores(swept, 0)
             self._repeats.after(nearness(scores[self._start :]).numpy())
             return LoopResult(frame, Reason.TOO_RECENT)
         if empty:
             self._filter.step(torch.full((len(self._filter),), -torch.inf))
             return LoopResult(frame, Reason.EMPTY_FRAME)
-        scores = self._scores(swept, others, old)
+        scores = self._scores(swept, old)
         likelihood = self._likelihood(scores, moments(scores[:old]))
         self._filter.update(self._filter.in_cells(likelihood[: len(self._filter)]))
         rows = self._filter.rows()
@@ -101,14 +96,14 @@ class Tracker:
         name, score = self._memory.frames[candidate], float(scores[candidate])
         return LoopResult(frame, reason, name, score, probability, ahead)
 
-    def _scores(self, swept: Floats, others: Mapping[str, npt.NDArray[Any]], old: int) -> Tensor:
-        """``(N,)`` scores of a frame by all methods, scaled by those of the old frames, if any."""
-        scores = [torch.from_numpy(self._memory.scores(swept))]
-        if not others:
+    def _scores(self, swept: Described, old: int) -> Tensor:
+        """``(N,)`` scores of a frame by all channels, scaled by those of the old frames, if any."""
+        lives = self._memory.lives
+        scores = [torch.from_numpy(live.scores(swept[name])) for name, live in lives.items()]
+        if len(scores) == 1:
             return scores[0]
-        scores += [torch.from_numpy(self._others[name].scores(v)) for name, v in others.items()]
-        for method, each in zip(self._leads, scores, strict=True):
-            self._leads[method] += max(0.0, z_lead(each[:old]))
+        for name, each in zip(self._leads, scores, strict=True):
+            self._leads[name] += max(0.0, z_lead(each[:old]))
         return fused(scores, [*self.weights.values()], old or None)
 
     def _likelihood(self, scores: Tensor, spread: tuple[float, float]) -> Tensor:
@@ -146,9 +141,9 @@ class Tracker:
     def _ahead(self, candidate: int, near: slice, rows: Tensor) -> float | None:
         """`LoopResult.ahead`, by the probabilities of the rows."""
         frames = self._memory.frames
-        sequence = frames[candidate].rpartition("/")[0]
+        sequence = sequence_of(frames[candidate])
         around = range(near.start, near.stop)
-        same = [row for row in around if frames[row].rpartition("/")[0] == sequence]
+        same = [row for row in around if sequence_of(frames[row]) == sequence]
         places = self._memory.poses[same, :2]
         if np.isnan(places).any():
             return None

@@ -5,9 +5,9 @@ frames likelier as a sequence than each alone, but not likelier forwards than ba
 """
 
 import math
-from collections.abc import Callable
 from typing import NamedTuple
 
+from .evidence import Evidence
 from .motion import BACKWARDS, FORWARDS, Motion
 
 
@@ -32,10 +32,6 @@ class Course(NamedTuple):
         return [queries[number :: self.streams] for number in range(self.streams)]
 
 
-Gain = Callable[[Motion, int, range], float]
-"""How much likelier queries are as a sequence that runs the map in a way than each alone, as a
-natural logarithm; see `filter.Filter.gain`."""
-
 _KINDS = (Course(), Course(rate=3), Course(rate=0.25), Course(streams=2))
 _OF_TWO = 0.75
 """What counts of the gain of two streams: a slow one is hardly less likely as two in turn."""
@@ -45,15 +41,16 @@ square root of their number. Of 272 random draws of 10, of 30 and of all queries
 docs/fusion.md none had it, and of 16 of these maps in random order one."""
 
 
-def course(gain: Gain, queries: range) -> Course | None:
-    """The course of the queries of one sequence, ``None`` where the data do not show one. Of all
+def course(evidence: Evidence) -> Course | None:
+    """The course of the queries of one sequence, ``None`` if the evidence shows none. Of all
     kinds the one with the highest gain in either way is taken; two streams need a third more than
     one. It must be likelier in one way than in the other."""
+    queries = evidence.queries
     best, highest, ahead = _KINDS[0], -math.inf, 0.0
     for kind in _KINDS:
         parts, motion = kind.parts(queries), Motion(unmapped=0.0, rate=kind.rate)
         forwards, backwards = (
-            sum(gain(motion, way, part) for part in parts) for way in (FORWARDS, BACKWARDS)
+            sum(evidence.gain(part, motion, way) for part in parts) for way in (FORWARDS, BACKWARDS)
         )
         counted = max(forwards, backwards) * (1 if kind.streams == 1 else _OF_TWO)
         if counted > highest:

@@ -1,8 +1,9 @@
 """Fusion: the scores of several methods as one, without labels.
 
 Label maps, features and pictures err at different places. The scores of each method for a query
-become z-scores over all references. The weight of a method is its trust, times the lead of its
-first candidates on the traverse. Not in the paper.
+become z-scores over all references. The weight of a method is its trust, how much it counts before
+anything is known of a traverse, times the lead of its first candidates there. The trust of each
+channel was chosen as docs/fusion.md says. Not in the paper.
 """
 
 from collections.abc import Mapping, Sequence
@@ -10,13 +11,11 @@ from collections.abc import Mapping, Sequence
 import torch
 from torch import Tensor
 
+from .blocks import IN_MEMORY, Computed
+from .comparison import Comparison
 from .follow import Scores
 from .motion import ELSEWHERE, MIN_SPREAD, lead, nearness
 from .standardise import MIN_FRAMES
-
-TRUST = {"features": 6.0, "hog": 2.0}
-"""How much a method counts before anything is known of a traverse; others count 1, among them
-`SSRVLAD`. See docs/fusion.md."""
 
 _SAMPLE = 200
 
@@ -31,6 +30,7 @@ class FusedScores(Scores):
     Args:
         members: by the name of each method ``(Q, R)`` float scores, at most 1, higher for what is
             more alike; -inf where there can be no match.
+        trust: of methods by their names; others count 1.
 
     Attributes:
         weights: by the names of the methods; their sum is 1.
@@ -40,11 +40,14 @@ class FusedScores(Scores):
 
     Examples:
         >>> here, there = torch.eye(20), torch.eye(20).roll(1, 0)
-        >>> FusedScores({"hog": here, "ssr-vlad": there}).whole().argmax(1).equal(torch.arange(20))
+        >>> fused = FusedScores({"hog": here, "ssr-vlad": there}, {"hog": 2})
+        >>> fused.whole().argmax(1).equal(torch.arange(20))
         True
     """
 
-    def __init__(self, members: Mapping[str, Scores]) -> None:
+    def __init__(
+        self, members: Mapping[str, Scores], trust: Mapping[str, float] | None = None
+    ) -> None:
         shapes = {(len(m), *m[0].shape) if len(m) else (0,) for m in members.values()}
         if len(shapes) != 1 or len(next(iter(shapes))) != 2:
             got = ", ".join(map(str, shapes)) or "none"
@@ -55,7 +58,7 @@ class FusedScores(Scores):
             sample = range(0, len(self), max(1, len(self) // _SAMPLE))
             for name, scores in members.items():
                 leads[name] = sum(z_lead(scores[query]) for query in sample) / len(sample)
-        self.weights = weights_of(leads)
+        self.weights = weights_of(leads, trust or {})
 
     def __len__(self) -> int:
         return len(self._members[0])
@@ -68,10 +71,31 @@ class FusedScores(Scores):
         return torch.stack([self[query] for query in range(len(self))])
 
 
-def weights_of(leads: Mapping[str, float]) -> dict[str, float]:
-    """The weights of methods by their names and the leads of their first candidates; their sum
-    is 1. Where no method leads, trust decides."""
-    trust = {name: TRUST.get(name, 1.0) for name in leads}
+def fused_scores(
+    comparisons: Mapping[str, Comparison], trust: Mapping[str, float]
+) -> tuple[Scores | Tensor, Scores | None, dict[str, float]]:
+    """The scores of all channels as one, those of the decoys fused alike if all channels have them,
+    and the weights of several channels."""
+    if len(comparisons) == 1:
+        [only] = comparisons.values()
+        return only.scores, only.decoys, {}
+    every = FusedScores({name: each.scores for name, each in comparisons.items()}, trust)
+    both = [(each.scores, each.decoys) for each in comparisons.values() if each.decoys is not None]
+
+    def decoy_row(query: int) -> Tensor:
+        rows = [torch.cat((scores[query], decoys[query])) for scores, decoys in both]
+        size = len(rows[0]) // 2
+        return fused(rows, [*every.weights.values()], size)[size:]
+
+    against = Computed(decoy_row, len(every)) if len(both) == len(comparisons) else None
+    fits = len(every) * len(every[0]) <= IN_MEMORY
+    return every.whole() if fits else every, against, every.weights
+
+
+def weights_of(leads: Mapping[str, float], trusted: Mapping[str, float]) -> dict[str, float]:
+    """The weights of methods by their names, the leads of their first candidates and their trust,
+    which is 1 where none is given; their sum is 1. Where no method leads, trust decides."""
+    trust = {name: trusted.get(name, 1.0) for name in leads}
     known = {name: trust[name] * max(0.0, lead) for name, lead in leads.items()}
     weights = known if sum(known.values()) > 0 else trust
     return {name: weight / sum(weights.values()) for name, weight in weights.items()}

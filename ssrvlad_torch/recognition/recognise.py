@@ -2,31 +2,24 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from functools import cache, partial
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
-from .blocks import Computed, fused_scores, in_blocks, of_vectors
-from .candidates import Search, follow_candidates, gain_of_candidates
-from .confidence import ALONE, ALONE_BY_FEATURES, Confidence, Prior, answered, answers_together
-from .courses import Gain, course
-from .decoys import Lead, Mirror, decoy_scores, lead_over_decoys
+from .candidates import Search
+from .comparison import Member
+from .confidence import ALONE, Confidence, Prior, answered, answers_together
+from .courses import Course, course
 from .display import candidates_table
-from .follow import Mode, Places, Scores, follow, gain, runs
-from .matching import Matches, Rows, Vectors, best_of, checked_excluded
+from .evidence import AllRows, Candidates, Evidence
+from .follow import Mode, Places, runs
+from .fusion import fused_scores
+from .matching import Matches, checked_excluded
 from .motion import Motion
-from .signs import REACH, SignQueries, SignRows, are_signs
-from .signs import mirrored as mirrored_signs
-from .standardise import MIN_FRAMES, standardise
-from .sweep import COLUMNS, narrowed
-
-SSR_VLAD = "ssr-vlad"
-"""The name of the descriptor among fused methods."""
+from .standardise import MIN_FRAMES
 
 NO_SEQUENCE = "no, no sequence"
 """How queries are followed of which the data do not show that they run the map."""
@@ -80,7 +73,7 @@ class Recognised(NamedTuple):
             references.
         used: the steps as a report: `Steps` and the number of references, and by sequence whether
             it was standardised, the width of its sweep, how it was followed (the mode and the
-            `Course`, ``no``, or `NO_SEQUENCE`), and the weights of fused methods.
+            `Course`, ``no``, or `NO_SEQUENCE`), and the weights of fused channels.
     """
 
     matches: Matches
@@ -92,103 +85,71 @@ class Recognised(NamedTuple):
         """``(Q,)`` float32, the probability that the first candidate is right; see `Confidence`."""
         return self.sure.right
 
+    def score_is(self, sequence: str | None = None) -> str:
+        """What the scores of candidates are, of one sequence of queries or of all: cosines of
+        queries that were judged alone, fused scores if several channels judged them, probabilities
+        of queries that were followed."""
+        alone = "fused score" if any(self.used["weights"].values()) else "cosine"
+        followed = self.used["follow"]
+        modes = followed.values() if sequence is None else [followed[sequence]]
+        names = {alone if mode in ("no", NO_SEQUENCE) else "probability" for mode in modes}
+        return " or ".join(sorted(names))
+
     def _repr_html_(self) -> str:
         return candidates_table(*self.matches, confidence=self.confidence)
 
 
 @torch.no_grad()
 def recognise(
-    queries: Vectors,
-    references: Vectors,
+    members: Mapping[str, Member],
     query_sequences: Sequence[str],
     reference_sequences: Sequence[str],
     steps: Steps | None = None,
     top: int = 5,
     excluded: Tensor | None = None,
-    extra: Mapping[str, tuple[Vectors, Vectors]] | None = None,
-    mirrors: Mapping[str, Mirror] | None = None,
 ) -> Recognised:
     """Candidates of each query, and the confidence in the first.
 
     Args:
-        queries: ``(Q, D)`` raw descriptors, or ``(Q, S, D)`` of a sweep over `sweep.COLUMNS`.
-        references: ``(R, D)`` raw descriptors.
+        members: raw descriptors of queries and map by each channel; the scores of all are fused,
+            see `FusedScores`. Queries that are judged alone are calibrated by decoys if all
+            channels have them, else by their lead over other places.
         query_sequences, reference_sequences: the sequence of each; the frames of one stand
             together and in order.
         steps: what is done; without, all steps.
         top: number of candidates of each query.
         excluded: ``(Q, R)`` bool, references that are no candidates.
-        extra: queries ``(Q, D')`` and references ``(R, D')`` of extra methods by their names,
-            or signs, see `signs`; the scores of all methods are fused, see `FusedScores`.
-        mirrors: of all methods but signs by their names, `SSR_VLAD` for the descriptors: the decoys
-            by which queries that are judged alone are calibrated. Without, by their lead over other
-            places.
 
     Raises:
-        ValueError: shapes do not fit, or a method has no mirror.
+        ValueError: shapes do not fit.
 
     Examples:
         >>> frames = torch.eye(20)
-        >>> recognise(frames[5:9], frames, ["a"] * 4, ["b"] * 20).matches.indices[:, 0].tolist()
+        >>> member = Member(frames[5:9], VectorReferences(frames, ["b"] * 20))
+        >>> recognise({"x": member}, ["a"] * 4, ["b"] * 20).matches.indices[:, 0].tolist()
         [5, 6, 7, 8]
     """
     steps = steps or Steps()
-    pairs = {SSR_VLAD: (queries, references), **(extra or {})}
-    queries_of = {name: torch.as_tensor(pair[0]) for name, pair in pairs.items()}
-    sides = {"queries": query_sequences, "references": reference_sequences}
-    for pair in pairs.values():
-        for (what, names), vectors in zip(sides.items(), pair, strict=True):
-            if len(names) != len(vectors):
-                size = f"{len(vectors)} {what}"
-                raise ValueError(f"expected a sequence for each of {size}, got {len(names)}")
+    _check_lengths(members, query_sequences, reference_sequences)
     excluded = checked_excluded(excluded, (len(query_sequences), len(reference_sequences)))
-    mirrored = {name for name, vectors in queries_of.items() if not are_signs(vectors)}
-    if mirrors is not None and not mirrored <= set(mirrors):
-        named = ", ".join(mirrors) or "none"
-        raise ValueError(f"expected mirrors of {', '.join(sorted(mirrored))}, got {named}")
-
-    @cache
-    def rows_of(name: str, standardised: bool) -> Rows | SignRows:
-        vectors = torch.as_tensor(pairs[name][1])
-        if are_signs(vectors):
-            return SignRows(vectors, reference_sequences if standardised else None)
-        vectors = vectors.float()
-        return Rows.of(standardise(vectors, reference_sequences) if standardised else vectors)
-
-    def decide(run: range) -> _Decision:
+    trust = {name: member.trust for name, member in members.items()}
+    decisions: dict[str, _Decision] = {}
+    for run in runs(query_sequences):
         part = slice(run.start, run.stop)
-        enough = min(len(run), len(reference_sequences)) >= MIN_FRAMES
-        standardised = steps.standardise and enough
+        standardised = steps.standardise and _are_enough(run, reference_sequences)
         without = None if excluded is None else excluded[part]
-        width, members, decoys = 0, dict[str, Scores](), dict[str, Scores]()
-        for name, vectors in queries_of.items():
-            rows = rows_of(name, standardised)
-            if isinstance(rows, SignRows):
-                reach = REACH if steps.sweep else 0
-                signs = SignQueries(vectors[part], rows, standardised, reach)
-                turned = SignQueries(mirrored_signs(vectors[part]), rows, standardised, reach)
-                size = len(run), len(rows), signs.moves
-                members[name] = in_blocks(signs.scores, *size, without)
-                decoys[name] = in_blocks(turned.scores, *size, without)
-                continue
-            compared, reach = vectors[part], 0
-            if compared.ndim == 3 and steps.sweep:
-                compared, reach = narrowed(compared, rows, COLUMNS, standardised)
-            else:
-                compared = compared[:, compared.shape[1] // 2] if compared.ndim == 3 else compared
-                compared = standardise(compared) if standardised else compared
-            members[name] = of_vectors(compared, rows, without)
-            if mirrors is not None:
-                mean = None if standardised else rows.mean()
-                against = partial(decoy_scores, mirror=mirrors[name], mean=mean)
-                decoys[name] = of_vectors(compared, rows, without, against)
-            width = max(width, reach)
-        scores, of_decoys, weights = fused_scores(members, decoys)
-        prior = ALONE if mirrored == set(queries_of) else ALONE_BY_FEATURES
-        decision = _by_scores(scores, reference_sequences, steps, top, of_decoys, prior)
-        return replace(decision, standardise=standardised, sweep=width, weights=weights)
-
-    return _by_sequence(decide, query_sequences, len(reference_sequences), steps, top)
+        compared = {
+            name: each.references.compare(each.queries[part], standardised, steps.sweep, without)
+            for name, each in members.items()
+        }
+        scores, decoys, weights = fused_scores(compared, trust)
+        prior = max((each.prior for each in compared.values()), key=lambda prior: prior.slope)
+        decision = _decide(AllRows(scores, reference_sequences, decoys), steps, top, prior)
+        width = max(each.width for each in compared.values())
+        decisions[query_sequences[run.start]] = replace(
+            decision, standardise=standardised, sweep=width, weights=weights
+        )
+    return _joined(decisions, len(reference_sequences), steps, top)
 
 
 def recognise_by_scores(
@@ -201,49 +162,33 @@ def recognise_by_scores(
     """As `recognise`, by scores ``(Q, R)`` float, at most 1, -inf where there can be no match. For
     methods whose encodings are no vectors; following is the only step."""
     steps = replace(steps or Steps(), standardise=False, sweep=False)
-
-    def decide(run: range) -> _Decision:
-        return _by_scores(scores[run.start : run.stop], reference_sequences, steps, top)
-
-    return _by_sequence(decide, query_sequences, len(reference_sequences), steps, top)
+    decisions = {
+        query_sequences[run.start]: _decide(
+            AllRows(scores[run.start : run.stop], reference_sequences), steps, top
+        )
+        for run in runs(query_sequences)
+    }
+    return _joined(decisions, len(reference_sequences), steps, top)
 
 
 def recognise_by_search(
-    search: Callable[[bool], Search],
+    search: Callable[[bool], tuple[Search, Search]],
     query_sequences: Sequence[str],
     reference_sequences: Sequence[str],
     steps: Steps | None = None,
     top: int = 5,
-    decoys: Callable[[bool], Search] | None = None,
 ) -> Recognised:
     """As `recognise`, for maps that are too large to score every row; without a sweep. ``search``
-    returns what finds candidates, by standardised descriptors if its argument is true; ``decoys``
-    the same for mirrored queries."""
+    returns what finds candidates, and the same for mirrored queries, by standardised descriptors if
+    its argument is true."""
     steps = replace(steps or Steps(), sweep=False)
-
-    def decide(run: range) -> _Decision:
-        enough = min(len(run), len(reference_sequences)) >= MIN_FRAMES
-        standardised = steps.standardise and enough
-        found, sequences = search(standardised), reference_sequences
-        mode, delay = steps.follow or "offline", steps.delay
-
-        def judged() -> list[tuple[Matches, Lead]]:
-            against = decoys(standardised) if decoys else None
-            return [_best_candidates(found, against, query, top) for query in run]
-
-        decision = _decided(
-            run,
-            partial(gain_of_candidates, found, sequences),
-            lambda part, motion, way: follow_candidates(
-                found, sequences, part, mode, delay, top, motion, way
-            ),
-            lambda query: len(found.candidates(query)) == 0,
-            judged,
-            steps.follow,
-        )
-        return replace(decision, standardise=standardised)
-
-    return _by_sequence(decide, query_sequences, len(reference_sequences), steps, top)
+    decisions: dict[str, _Decision] = {}
+    for run in runs(query_sequences):
+        standardised = steps.standardise and _are_enough(run, reference_sequences)
+        own, decoys = search(standardised)
+        decision = _decide(Candidates(own, reference_sequences, run, decoys), steps, top)
+        decisions[query_sequences[run.start]] = replace(decision, standardise=standardised)
+    return _joined(decisions, len(reference_sequences), steps, top)
 
 
 @dataclass(frozen=True)
@@ -258,110 +203,79 @@ class _Decision:
     weights: dict[str, float] = field(default_factory=dict)
 
 
-def _by_sequence(
-    decide: Callable[[range], _Decision],
-    sequences: Sequence[str],
-    references: int,
-    steps: Steps,
-    top: int,
+def _decide(evidence: Evidence, steps: Steps, top: int, prior: Prior = ALONE) -> _Decision:
+    """Follows one sequence of queries. Judges each query alone if that is asked for, without a
+    course, and if the decoy beats every answer, as in a map of sequences too short to be run."""
+    if steps.follow and (taken := course(evidence)):
+        decision = _followed(evidence, taken, steps.follow, steps.delay, top)
+        if bool(answered(decision.sure).any()):
+            return decision
+    return replace(_alone(evidence, top, prior), follow=NO_SEQUENCE if steps.follow else "no")
+
+
+def _followed(evidence: Evidence, taken: Course, mode: Mode, delay: int, top: int) -> _Decision:
+    """Follows each stream of a course. An empty query has no candidate."""
+    queries, motion = evidence.queries, Motion().at(taken.rate)
+    parts = taken.parts(queries)
+    streams = [evidence.follow(part, motion, taken.way, mode, delay, top) for part in parts]
+    order = torch.tensor([query for part in parts for query in part]).argsort()
+    places = Places(*(torch.cat(values)[order] for values in zip(*streams, strict=True)))
+    empty = torch.tensor([evidence.is_empty(query) for query in queries])
+    scores = torch.cat((places.near[:, None], places.scores[:, 1:]), 1)
+    scores = scores.masked_fill(empty[:, None] | (places.indices < 0), -torch.inf)
+    matches = Matches(scores, places.indices.masked_fill(empty[:, None], -1))
+    near = places.near.masked_fill(empty, torch.nan)
+    sure = Confidence.of_places(near, places.backward, mode)
+    return _Decision(matches, sure, follow=", ".join(filter(None, (mode, str(taken)))))
+
+
+def _alone(evidence: Evidence, top: int, prior: Prior) -> _Decision:
+    """Judges each query by itself."""
+    judged = [evidence.judge(query, top) for query in evidence.queries]
+    matches = Matches(*map(torch.stack, zip(*(found for found, _ in judged), strict=True)))
+    leads = torch.tensor([lead.value for _, lead in judged])
+    rows = torch.tensor([lead.decoy for _, lead in judged])
+    decoys = bool((rows >= 0).any())
+    together = answers_together(rows) if decoys else 1.0
+    return _Decision(matches, Confidence.of_leads(leads, prior, together, decoys))
+
+
+def _joined(
+    decisions: Mapping[str, _Decision], references: int, steps: Steps, top: int
 ) -> Recognised:
-    """Decides about each sequence of queries, and joins the decisions."""
-    decisions = {run: decide(run) for run in runs(sequences)}
+    """The decisions about all sequences of queries, by their names, as one."""
     used: dict[str, Any] = {**asdict(steps), "references": references}
     for step in ("standardise", "sweep", "follow", "weights"):
-        used[step] = {sequences[run.start]: getattr(d, step) for run, d in decisions.items()}
+        used[step] = {name: getattr(decision, step) for name, decision in decisions.items()}
     none = torch.zeros(0, top)
     matches = [decision.matches for decision in decisions.values()]
     scores = torch.cat([none, *(each.scores for each in matches)])
     indices = torch.cat([none.long(), *(each.indices for each in matches)])
-    each_sure = [Confidence(*[none.sum(1)] * 3), *(each.sure for each in decisions.values())]
-    sure = Confidence(*map(torch.cat, zip(*each_sure, strict=True)))
+    sures = [Confidence(*[none.sum(1)] * 3), *(each.sure for each in decisions.values())]
+    sure = Confidence(*map(torch.cat, zip(*sures, strict=True)))
     if references < MIN_FRAMES:
         sure = sure._replace(right=torch.zeros_like(sure.right))
     return Recognised(Matches(scores, indices), sure, used)
 
 
-def _by_scores(
-    scores: Tensor | Scores,
-    sequences: Sequence[str],
-    steps: Steps,
-    top: int,
-    decoys: Scores | None = None,
-    prior: Prior = ALONE,
-) -> _Decision:
-    """Decides about one sequence of queries by the scores of all rows."""
-    queries, mode = range(len(scores)), steps.follow or "offline"
-
-    def followed(part: range, motion: Motion, way: int) -> Places:
-        some = Computed(lambda query: scores[part[query]], len(part))
-        return follow(some, sequences, None, mode, steps.delay, top, motion, way)
-
-    def judged() -> list[tuple[Matches, Lead]]:
-        found = []
-        for query in queries:
-            own, against = scores[query], None if decoys is None else decoys[query]
-            found.append((best_of(own, top), lead_over_decoys(own, against)))
-        return found
-
-    return _decided(
-        queries,
-        partial(gain, scores, sequences),
-        followed,
-        lambda query: not scores[query].isfinite().any(),
-        judged,
-        steps.follow,
-        prior,
-    )
+def _are_enough(queries: range, references: Sequence[str]) -> bool:
+    return min(len(queries), len(references)) >= MIN_FRAMES
 
 
-def _decided(
-    queries: range,
-    gain: Gain,
-    follow: Callable[[range, Motion, int], Places],
-    is_empty: Callable[[int], bool],
-    judge: Callable[[], Sequence[tuple[Matches, Lead]]],
-    mode: Mode | None,
-    prior: Prior = ALONE,
-) -> _Decision:
-    """Follows one sequence of queries, each stream of its course by itself. Judges each query alone
-    without a mode, without a course, and if the decoy beats every answer, as in a map of sequences
-    too short to be run. An empty query has no candidate. For scores, see `Recognised`."""
-    taken = course(gain, queries) if mode else None
-    if mode and taken:
-        parts, motion = taken.parts(queries), Motion().at(taken.rate)
-        streams = [follow(part, motion, taken.way) for part in parts]
-        order = torch.tensor([query for part in parts for query in part]).argsort()
-        places = Places(*(torch.cat(values)[order] for values in zip(*streams, strict=True)))
-        empty = torch.tensor([is_empty(query) for query in queries])
-        scores = torch.cat((places.near[:, None], places.scores[:, 1:]), 1)
-        scores = scores.masked_fill(empty[:, None] | (places.indices < 0), -torch.inf)
-        matches = Matches(scores, places.indices.masked_fill(empty[:, None], -1))
-        near = places.near.masked_fill(empty, torch.nan)
-        sure = Confidence.of_places(near, places.backward, mode)
-        if answered(sure).any():
-            how = ", ".join(part for part in (mode, str(taken)) if part)
-            return _Decision(matches, sure, follow=how)
-    judged = judge()
-    matches = Matches(*map(torch.stack, zip(*(each for each, _ in judged), strict=True)))
-    leads = torch.tensor([lead.value for _, lead in judged])
-    rows = torch.tensor([lead.decoy for _, lead in judged])
-    decoys = bool((rows >= 0).any())
-    sure = Confidence.of_leads(leads, prior, answers_together(rows) if decoys else 1.0, decoys)
-    return _Decision(matches, sure, follow=NO_SEQUENCE if mode else "no")
-
-
-def _best_candidates(
-    search: Search, decoys: Search | None, query: int, top: int
-) -> tuple[Matches, Lead]:
-    """The candidates of a query alone, and its lead over the decoys."""
-    rows = search.candidates(query).sort().values
-    scores = search.scores(query, rows)
-    mean, deviation = search.spread(query)
-    found = best_of(scores, top, rows)
-    if decoys is None:
-        return found, lead_over_decoys(scores, rows=rows, deviation=deviation)
-    against = decoys.candidates(query).sort().values
-    mean_of_decoys, of_decoys = decoys.spread(query)
-    apart = (mean - mean_of_decoys) / 2
-    both = math.sqrt((deviation**2 + of_decoys**2) / 2 + apart**2)
-    return found, lead_over_decoys(scores, decoys.scores(query, against), rows, against, both)
+def _check_lengths(
+    members: Mapping[str, Member],
+    query_sequences: Sequence[str],
+    reference_sequences: Sequence[str],
+) -> None:
+    """Raises a ValueError unless there is a channel, and a sequence for each frame."""
+    if not members:
+        raise ValueError("expected a channel by which to recognise, got none")
+    for member in members.values():
+        for side, names, frames in (
+            ("queries", query_sequences, len(member.queries)),
+            ("references", reference_sequences, len(member.references)),
+        ):
+            if len(names) != frames:
+                raise ValueError(
+                    f"expected a sequence for each of {frames} {side}, got {len(names)}"
+                )

@@ -3,21 +3,17 @@
 import dataclasses
 import hashlib
 import json
-import math
 from collections.abc import Sequence
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from ..database.metadata import ExtraDescriptor
 from ..files import one_line
-from ..stages.features import COLUMNS, ROWS, SHAPE, SIGNS, Features
+from ..stages.features import COLUMNS, ROWS, SIGNS, Features
 from .activations import Activation, find_activations
 from .label_network import LabelNetwork
 from .onnx_network import OnnxNetwork
-
-NAME = "features"
 
 PROBES = ((224, 448), (512, 512), (512, 1024), (1024, 2048), (96, 128))
 """Sizes of pictures that are tried until the network takes one."""
@@ -35,7 +31,7 @@ class NetworkFeatures(nn.Module):
         names: of the activations, in the order that `forward` takes.
         key: in hex, of the digest of the network, see `identity.digest_of`, its settings, the
             activations and the form of the signs.
-        descriptor: name, length and fingerprint under which a database stores the signs.
+        fingerprint: a text under which a database stores the signs.
     """
 
     def __init__(self, labels: LabelNetwork, digest: str) -> None:
@@ -46,12 +42,12 @@ class NetworkFeatures(nn.Module):
         if isinstance(labels.network, OnnxNetwork):
             labels.network.take(self.names)
         settings = dataclasses.asdict(labels.config)
-        for name in ("output", "classes", NAME):  # activations do not depend on them
+        for name in ("output", "classes", "features"):  # activations do not depend on them
             del settings[name]
         content = [_REVISION, digest, settings, self.names, ROWS, COLUMNS, SIGNS]
         self.key = hashlib.blake2b(json.dumps(content).encode(), digest_size=8).hexdigest()
-        text = f"{ROWS} x {COLUMNS} cells, {SIGNS} signs of {', '.join(self.names)}, {self.key}"
-        self.descriptor = ExtraDescriptor(NAME, math.prod(SHAPE), text, SHAPE)
+        form = f"{ROWS} x {COLUMNS} cells, {SIGNS} signs"
+        self.fingerprint = f"{form} of {', '.join(self.names)}, {self.key}"
 
     def forward(self, activations: Sequence[Tensor]) -> Tensor:
         """``(B, *SHAPE)`` uint8, the signs of the activations of pictures."""

@@ -141,7 +141,7 @@ class Segmenter:
         if classes is not None:
             config = dataclasses.replace(config, classes=classes)
         if not isinstance(labels_as, LabelSpace):
-            labels_as = _space(named, str(labels_as), config)
+            labels_as = space_of(named, str(labels_as), config.classes)
         path = Path(named.name.removeprefix("hf:"))  # absolute, to be valid in any folder
         name = absolute(path) if path.exists() else named.name
         return cls(named.network, labels_as, config, cache, name=name)
@@ -153,6 +153,11 @@ class Segmenter:
             return NetworkFeatures(self.labels, self._digest())
         except ValueError as error:
             raise ValueError(f"{self.name or 'the network'}: {error}") from error
+
+    @property
+    def fingerprint_of_features(self) -> str:
+        """Under which a database stores the features; errors as of `features`."""
+        return self.features.fingerprint
 
     @property
     def problem_of_features(self) -> str:
@@ -309,13 +314,16 @@ class Segmenter:
         return results
 
 
-def _space(network: NamedNetwork, labels_as: str, config: SegmenterConfig) -> LabelSpace:
-    """The label space of a network's classes."""
+def space_of(
+    network: NamedNetwork, labels_as: str = AUTO, classes: tuple[int, int] | None = None
+) -> LabelSpace:
+    """The label space of a network's classes, or of these channels of it; ``"auto"`` as for
+    `Segmenter.load`. A network that does not say it is a ValueError."""
     name = (network.labels_as or AUTO) if labels_as == AUTO else labels_as
     if name != AUTO:
         return label_space(name)
     if not network.class_names:
         raise ValueError(f"{network.name} does not name its classes; give --labels-as")
-    first, last = config.classes or (0, max(network.class_names) + 1)
+    first, last = classes or network.config.classes or (0, max(network.class_names) + 1)
     names = {c - first: name for c, name in network.class_names.items() if first <= c < last}
     return label_space_of_names(names, network.name)

@@ -19,39 +19,41 @@ def locate(
 
     Example: ssrvlad locate photos/today/000002.png --in photos.ssrdb
     """
-    from ...database.database import Database
+    from ...datasets.poses import Pose
     from ...datasets.videos import played
-    from ...encoding.search import accepted, search
     from ...evaluation.measure import estimate_in_json
-    from ..sources import resolve
-    from ..words import score_name, steps_in_words
+    from ...map import Map
+    from ..words import steps_in_words
 
-    opened = Database.open(database)
-    frames = resolve(source, opened, compared=True, images=True)
+    town = Map.open(database)
+    town.database  # noqa: B018 - is there
+    frames = town.source(source.wanted(), compared=True, images=True, note=note)
     with progress_bar("encoding", len(frames.files), played(frames.files)) as bar:
-        steps, reach, extra = recognition.steps(), recognition.reach, recognition.with_extra
-        searched = search(opened, frames, steps, 1, reach, extra, progress=bar.advance)
-    queries, references, found, t, skipped, _ = searched
-    (scores, rows), estimate = accepted(found, recognition.min_confidence, recognition.max_wrong)
-    columns = scores[:, 0].tolist(), rows[:, 0].tolist(), found.confidence.tolist()
-    names = queries.frames, queries.sequences
-    for picture, sequence, score, row, confidence in zip(*names, *columns, strict=True):
-        kind = score_name(found.used, sequence)
-        place = references.frames[row] if row >= 0 else None
-        pose = references.poses[row].tolist() if row >= 0 else [math.nan] * 3
+        settings = recognition.settings()
+        answers = town.query(frames, recognition.steps(), 1, progress=bar.advance, **settings)
+    for answer in answers:
+        place = answer.candidates[0] if answer.candidates else None
+        pose = place.pose if place else Pose(*[math.nan] * 3)
         if as_json:
-            where = dict(zip(("x", "y", "heading"), pose, strict=True))
-            match = {"picture": picture, "place": place, "score": score if place else None}
-            match |= {"score_is": kind, "confidence": confidence}
-            print_json({**match, "estimate": estimate_in_json(estimate), **where})
+            print_json(
+                {
+                    "picture": answer.query,
+                    "place": place and place.frame,
+                    "score": place and place.score,
+                    "score_is": answer.score_is,
+                    "confidence": answer.confidence,
+                    "estimate": estimate_in_json(answers.estimate),
+                    **pose._asdict(),
+                }
+            )
         elif place is None:
-            say(f"{picture}: no place (confidence {confidence:.2f})")
+            say(f"{answer.query}: no place (confidence {answer.confidence:.2f})")
         else:
-            sure = f"{kind} {score:.4f}, confidence {confidence:.2f}"
-            say(f"{picture}: {place}, {sure}, {_where(*pose)}")
+            sure = f"{answer.score_is} {place.score:.4f}, confidence {answer.confidence:.2f}"
+            say(f"{answer.query}: {place.frame}, {sure}, {_where(*pose)}")
     if not as_json:
-        note(steps_in_words(found.used, t, estimate))
-    finish(skipped, len(queries))
+        note(steps_in_words(answers.recognised.used, answers.temporal, answers.estimate))
+    finish(answers.skipped, len(answers))
 
 
 def _where(x: float, y: float, heading: float) -> str:

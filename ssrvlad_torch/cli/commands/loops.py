@@ -13,8 +13,8 @@ from ...evaluation.loops import EVEN
 from ...evaluation.metrics import fraction
 from ...evaluation.thresholds import SURE_PRECISION, queries_needed
 from ...loops.config import LoopConfig
-from ..options import Extra, Json, MaybePreset, SourceOptions, option
-from ..output import finish, print_json, say, weights_in_words
+from ..options import Json, MaybePreset, SourceOptions, StoredChannels, option
+from ..output import finish, note, print_json, say, weights_in_words
 
 if TYPE_CHECKING:
     from ...loops.result import LoopResult
@@ -43,7 +43,7 @@ def loops(
         "Measure precision and recall: largest distance of a right loop in metres."
     ),
     preset: MaybePreset = None,
-    extra: Extra = None,
+    channel: StoredChannels = None,
     as_json: Json = False,
 ) -> None:
     """Find loop closures in a stream of frames, frame by frame.
@@ -53,15 +53,16 @@ def loops(
     Example: ssrvlad loops maps/monday --labels-as camvid-11 --picture loops.png
     """
     from ...database.database import Database
+    from ...datasets.frame_ids import sequence_of
     from ...encoding.plan import check_folders
     from ...encoding.results import Skipped
+    from ...encoding.source import open_network_of, open_source
     from ...files import require_picture, write_picture
     from ...loops import stream
     from ...loops.picture import draw_loops
-    from ..sources import extra_of, resolve
 
-    live = STDIN in source.paths
-    if live and (len(source.paths) > 1 or source.given(*LEFT_OUT)):
+    live, wanted = STDIN in source.paths, source.wanted()
+    if live and (len(source.paths) > 1 or wanted.given(*LEFT_OUT)):
         raise ValueError(
             f"SOURCE {STDIN} takes no other SOURCE, no --layout, --poses, --largest-gap, --topic, "
             "--fps, --every and --start"
@@ -70,10 +71,11 @@ def loops(
     stored = Database.open(memory) if memory and Database.exists(memory) else None
     if picture:
         require_picture(picture)
-    opened = resolve(source, stored, listed=not live)
-    methods = extra_of(opened, extra, stored is None)
-    detector, database = stream.open_detector(config, memory, preset, opened.labels_as, methods)
+    opened = (open_network_of if live else open_source)(wanted, stored, note=note)
     segmenter = opened.segmenter
+    detector, database = stream.open_detector(
+        config, memory, preset, opened.labels_as, segmenter, channel, note
+    )
     if live:
         names = map(os.fsdecode, sys.stdin.buffer)
         frames = stream.encode_as_they_come(detector, names, source.sequence, segmenter, database)
@@ -99,7 +101,7 @@ def loops(
     if picture:
         pairs = stream.loops_of(detector, results)
         candidates = stream.candidates_of(detector, results)
-        drives = [frame.rpartition("/")[0] for frame in detector.frames]
+        drives = [sequence_of(frame) for frame in detector.frames]
         title = ", ".join(dict.fromkeys(drives))
         figure = draw_loops(pairs, detector.poses, title, tolerance_metres, drives, candidates)
         write_picture(figure, picture)
@@ -126,7 +128,7 @@ def _print_likeliest(results: Sequence[LoopResult], config: LoopConfig) -> None:
         f"{best.probability:.4f}{unlikely}, --threshold {config.threshold:g}"
     )
     say(
-        "pictures and --with, or frames nearer to each other, may find more; a street driven the "
+        "pictures, or frames nearer to each other, may find more; a street driven the "
         "other way is never found"
     )
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from ..options import SourceOptions, option
-from ..output import say
+from ..output import note, say
 
 
 def poses(
@@ -25,9 +25,9 @@ def poses(
 
     from ...datasets.image_files import write_pictures
     from ...datasets.poses import write_poses
-    from ..sources import resolve
+    from ...encoding.source import open_source
 
-    files = resolve(source, images=True).files
+    files = open_source(source.wanted(), images=True, note=note).files
     posed = [file for file in files if not math.isnan(file.pose.x)]
     if not posed:
         raise ValueError(f"{' '.join(source.paths)}: no frame has a pose")

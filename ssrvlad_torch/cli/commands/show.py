@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from ..options import NETWORK, Classes, Preset, SourceOptions, argument, option
-from ..output import say
+from ..options import NETWORK, Classes, Preset, argument, option
+from ..output import note, say
 
 
 def show(
@@ -26,11 +26,12 @@ def show(
     from ...datasets.image_files import read_image
     from ...datasets.label_files import LabelMap, read_label_map
     from ...descriptor import SSRVLAD
+    from ...encoding.source import Wanted, open_source
     from ...files import require_picture, write_picture
-    from ..sources import resolve
 
     require_picture(output)
-    source = resolve(SourceOptions([str(frame)], labels_as, segmenter=segmenter, classes=classes))
+    wanted = Wanted([str(frame)], labels_as, segmenter=segmenter, classes=classes)
+    source = open_source(wanted, note=note)
     head = SSRVLAD.from_preset(preset, labels_as=source.labels_as)
     if len(source.files) != 1:
         raise ValueError(f"{frame}: expected one frame, got {len(source.files)}")

@@ -1,25 +1,30 @@
-"""Search of a map by a database's index, for `recognition.candidates`."""
+"""Candidates by a database's index, for `recognition.candidates`."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from copy import copy
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
 import torch.nn.functional as F
 
+from ..channels.vectors import VectorChannel
+from ..database.checksums import intact, matrix
+from ..database.engine import require_unforked
+from ..database.reading import read_rows
+from ..encoding.results import Progress, do_nothing
 from ..recognition.matching import Rows
 from ..recognition.motion import moments
-from ..recognition.standardise import sharing, standardise, without_mean
+from ..recognition.recognise import Steps, recognise_by_search
+from ..recognition.standardise import MIN_FRAMES, sharing, standardise, without_mean
 from ..recognition.sweep import score
-from .checksums import intact, matrix
-from .engine import require_unforked
+from .answers import Answers
+from .exact import chosen_channels, queries_of
 from .index import CANDIDATES, condition_of, nearest, require_index
-from .reading import read_rows
-from .rows import DESCRIPTOR
 from .selection import neighbours, select
 
 if TYPE_CHECKING:
@@ -28,8 +33,9 @@ if TYPE_CHECKING:
     from lance import LanceDataset
     from torch import Tensor
 
+    from ..database.database import Database
+    from ..encoding.source import Source
     from ..recognition.decoys import Mirror
-    from .database import Database
 
 _SAMPLE_ROWS = 1000
 _CACHED_ROWS = 50_000
@@ -61,7 +67,7 @@ class IndexSearch:
         allowed: Collection[str] | None = None,
         excluded: tuple[Sequence[str], int | None] = ((), None),
     ) -> None:
-        self._table = require_index(database)
+        self._table, self._column = require_index(database), database.columns[0].name
         self.frames, stored = database.placed()
         self._row_of_stored = np.argsort(stored)
         ids = self._table.to_table(columns=[], with_row_id=True, scan_in_order=True)
@@ -78,7 +84,7 @@ class IndexSearch:
         self._excluded = None if reach is None else neighbours(ids, self.frames, reach)
         means = self._mean_of_each(len(names)) if standardised else None
         self._queries = standardise(queries, query_sequences) if standardised else queries
-        self._cache = _RowCache(self._table, stored, self._sequences, means)
+        self._cache = _RowCache(self._table, self._column, stored, self._sequences, means)
         self._candidates: dict[int, Tensor] = {}
         self._pending: dict[int, Future[pa.Table | None]] = {}
         self._pool = ThreadPoolExecutor(_THREADS)
@@ -144,7 +150,9 @@ class IndexSearch:
             return None
         first, last = (0, 0) if self._excluded is None else self._excluded[query].tolist()
         count = CANDIDATES + last - first  # so many are left without the excluded ones
-        return nearest(self._table, vector, count, self._condition, self._cache.columns)
+        return nearest(
+            self._table, self._column, vector, count, self._condition, self._cache.columns
+        )
 
     def _may_match(self, query: int, rows: Tensor) -> Tensor:
         may = torch.ones(len(rows), dtype=torch.bool)
@@ -158,10 +166,12 @@ class IndexSearch:
     def _mean_of_each(self, count: int) -> Tensor:
         """``(count, D)`` float32, what is subtracted from each sequence, see
         `standardise.sharing`, in one pass that verifies all rows."""
-        totals = np.zeros((count, int(self._table.schema.field(DESCRIPTOR).type.list_size)))
+        totals = np.zeros((count, int(self._table.schema.field(self._column).type.list_size)))
         counts, first = np.zeros(count), 0
         for batch in read_rows(self._table):
-            vectors = F.normalize(torch.from_numpy(matrix(batch[DESCRIPTOR]).copy()), dim=1).numpy()
+            vectors = F.normalize(
+                torch.from_numpy(matrix(batch[self._column]).copy()), dim=1
+            ).numpy()
             sequences = self._sequences[self._row_of_stored[first : first + len(batch)]]
             for sequence in np.unique(sequences):
                 totals[sequence] += vectors[sequences == sequence].sum(0, dtype=np.float64)
@@ -173,22 +183,54 @@ class IndexSearch:
         return torch.from_numpy(means).float()
 
 
+def search_by_index(
+    database: Database,
+    source: Source,
+    steps: Steps,
+    top: int,
+    sequences: Sequence[str] | None = None,
+    exclude: int | None = None,
+    progress: Progress = do_nothing,
+) -> Answers:
+    """The candidates of every frame of a source in the index of a database, by the first channel,
+    without a sweep; arguments as for `exact.search`."""
+    [channel] = chosen_channels(database, [database.columns[0].name])
+    queries, skipped, folders = queries_of(database, source, [channel], progress=progress)
+    ids, names = queries.frames, queries.sequences
+
+    @cache
+    def index(standardised: bool) -> tuple[IndexSearch, IndexSearch]:
+        found = IndexSearch(
+            database, queries.descriptors, names, standardised, sequences, (ids, exclude)
+        )
+        assert isinstance(channel, VectorChannel) and channel.mirrored
+        return found, found.mirrored(channel.mirrored)
+
+    long = names.count(names[0]) >= MIN_FRAMES if names else False
+    references = index(steps.standardise and long)[0].frames
+    recognised = recognise_by_search(index, names, references.sequences, steps, top)
+    return Answers.of(queries, references, recognised, 0, tuple(skipped), folders)
+
+
 class _RowCache:
-    """Descriptors of R rows, read from disk when they are first needed: row n is ``stored[n]`` of
-    the table and of the sequence of number ``sequences[n]``, whose mean, of ``means`` ``(S, D)``,
-    is subtracted. Raw descriptors, without means, are verified when they are read."""
+    """Descriptors in a column of R rows, read from disk when they are first needed: row n is
+    ``stored[n]`` of the table and of the sequence of number ``sequences[n]``, whose mean, of
+    ``means`` ``(S, D)``, is subtracted. Raw descriptors, without means, are verified when they are
+    read."""
 
     def __init__(
         self,
         table: LanceDataset,
+        column: str,
         stored: npt.NDArray[np.int64],
         sequences: npt.NDArray[np.int32],
         means: Tensor | None,
     ) -> None:
-        self.columns = table.schema.names if means is None else [DESCRIPTOR]
+        self.columns = table.schema.names if means is None else [column]
+        self._column = column
         self._table, self._stored, self._sequences, self._means = table, stored, sequences, means
         self._slots, self._used = torch.full((len(stored),), -1), 0
-        self._vectors = torch.empty(0, int(table.schema.field(DESCRIPTOR).type.list_size))
+        self._vectors = torch.empty(0, int(table.schema.field(column).type.list_size))
 
     def read(self, rows: Tensor) -> Tensor:
         """``(N, D)`` descriptors of rows; rows around missing ones are read for later calls."""
@@ -210,7 +252,7 @@ class _RowCache:
         """Caches the descriptors of rows, given as rows of the table."""
         if "checksum" in self.columns and not intact(found.select(self.columns)).all():
             raise ValueError(f"{self._table.uri} is damaged; ssrvlad db verify shows where")
-        vectors = torch.from_numpy(matrix(found[DESCRIPTOR]).copy())
+        vectors = torch.from_numpy(matrix(found[self._column]).copy())
         new = (self._slots[rows] < 0).nonzero()[:, 0]
         rows, vectors = rows[new], vectors[new]
         if self._means is not None:

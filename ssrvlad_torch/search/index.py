@@ -18,17 +18,16 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
+from ..database.checksums import intact, matrix
+from ..database.reading import read_rows
 from ..recognition.matching import match
-from .checksums import intact, matrix
-from .reading import read_rows
-from .rows import DESCRIPTOR
 
 if TYPE_CHECKING:
     import pyarrow as pa
     from lance import LanceDataset
     from torch import Tensor
 
-    from .database import Database
+    from ..database.database import Database
 
 ROWS_OF_A_LIST = 4096
 LEAST_ROWS = 256
@@ -67,15 +66,16 @@ def build_index(database: Database) -> IndexReport:
         )
     lists = max(1, rows // ROWS_OF_A_LIST)
     began = time.perf_counter()
+    column = database.columns[0].name
     if database.width % 8:  # one bit per number would not fill whole bytes
-        database.write_index(DESCRIPTOR, "IVF_FLAT", lists)
+        database.write_index(column, "IVF_FLAT", lists)
     else:
-        database.write_index(DESCRIPTOR, "IVF_RQ", lists, num_bits=1)
+        database.write_index(column, "IVF_RQ", lists, num_bits=1)
     seconds = time.perf_counter() - began
     frames = list(database.known())
     sample = np.random.default_rng(0).choice(len(frames), min(_SAMPLE, len(frames)), replace=False)
     sample.sort()
-    queries, exact = _exact(database.table(), sample)
+    queries, exact = _exact(database.table(), column, sample)
     found, times = torch.full((len(queries), 10), -torch.inf), []
     for number, (query, row) in enumerate(zip(queries, sample, strict=True)):
         began = time.perf_counter()
@@ -91,14 +91,14 @@ def build_index(database: Database) -> IndexReport:
     return IndexReport(lists, seconds, recall, 1000 * float(np.median(times)))
 
 
-def _exact(table: LanceDataset, rows: npt.NDArray[np.int64]) -> tuple[Tensor, Tensor]:
+def _exact(table: LanceDataset, column: str, rows: npt.NDArray[np.int64]) -> tuple[Tensor, Tensor]:
     """Descriptors of rows, and the scores of their 10 best matches except the row itself."""
-    stored = table.take(rows.tolist(), columns=[DESCRIPTOR])[DESCRIPTOR]
+    stored = table.take(rows.tolist(), columns=[column])[column]
     queries = torch.from_numpy(matrix(stored).copy())
     scores, first = torch.full((len(rows), 10), -torch.inf), 0
     for batch in read_rows(table):
         itself = torch.from_numpy(rows[:, None] - first == np.arange(len(batch)))
-        found = match(queries, matrix(batch[DESCRIPTOR]).copy(), 10, excluded=itself)
+        found = match(queries, matrix(batch[column]).copy(), 10, excluded=itself)
         scores = torch.cat([scores, found.scores], 1).topk(10).values
         first += len(batch)
     return queries, scores
@@ -110,15 +110,17 @@ def search_index(
     """The ``top`` best matches of queries ``(Q, D)`` float among the frames of some sequences, by
     default all, of a database, by its index. No index, or a damaged row, is a ValueError."""
     table, condition = require_index(database), condition_of(sequences)
+    column = database.columns[0].name
     candidates: list[Candidates] = []
     for query in queries:
         if not query.any():
             candidates.append([])
             continue
-        found = nearest(table, query, max(CANDIDATES, 4 * top), condition, table.schema.names)
-        if not intact(found.select(table.schema.names)).all():
+        names = table.schema.names
+        found = nearest(table, column, query, max(CANDIDATES, 4 * top), condition, names)
+        if not intact(found.select(names)).all():
             raise ValueError(f"{table.uri} is damaged; ssrvlad db verify shows where")
-        best = match(query[None], matrix(found[DESCRIPTOR]).copy(), top)
+        best = match(query[None], matrix(found[column]).copy(), top)
         frames = found["frame"].to_pylist()
         pairs = zip(best.indices[0].tolist(), best.scores[0].tolist(), strict=True)
         candidates.append([(frames[row], score) for row, score in pairs if row >= 0])
@@ -127,19 +129,25 @@ def search_index(
 
 def require_index(database: Database) -> LanceDataset:
     """The table of a database; raises ValueError if it has no index."""
-    table = database.table()
-    if not any(DESCRIPTOR in index.field_names for index in table.describe_indices()):
+    table, column = database.table(), database.columns[0].name
+    if not any(column in index.field_names for index in table.describe_indices()):
         raise ValueError(f"{database.path} has no index; ssrvlad db index builds one")
     return table
 
 
 def nearest(
-    table: LanceDataset, query: Tensor, count: int, condition: str | None, columns: list[str]
+    table: LanceDataset,
+    column: str,
+    query: Tensor,
+    count: int,
+    condition: str | None,
+    columns: list[str],
 ) -> pa.Table:
-    """Columns of the rows nearest to a ``(D,)`` query that fulfil an SQL condition, if any."""
+    """Columns of the rows whose descriptors in a column are nearest to a ``(D,)`` query, and that
+    fulfil an SQL condition, if any."""
     return table.to_table(
         columns=columns,
-        nearest={"column": DESCRIPTOR, "q": query.float().numpy(), "k": count, "nprobes": PROBES},
+        nearest={"column": column, "q": query.float().numpy(), "k": count, "nprobes": PROBES},
         filter=condition,
         prefilter=condition is not None,
         with_row_id=True,

@@ -12,19 +12,18 @@ import torch
 from torch import Tensor
 
 from ..native import core
-from .follow import runs
-from .standardise import sharing
+from ..recognition.blocks import in_blocks
+from ..recognition.comparison import Comparison
+from ..recognition.confidence import ALONE_BY_FEATURES
+from ..recognition.follow import runs
+from ..recognition.matching import Vectors
+from ..recognition.standardise import sharing
 
 REACH = 2
 """Columns by which a query is moved to each side."""
 
 _ROWS_AT_ONCE = 256
 _LEAST = 1e-3
-
-
-def are_signs(vectors: Tensor) -> bool:
-    """Whether descriptors are signs and not numbers."""
-    return vectors.dtype == torch.uint8
 
 
 def mirrored(signs: Tensor) -> Tensor:
@@ -82,6 +81,32 @@ def weighed(signs: Tensor, weights: Tensor) -> Tensor:
         torch.get_num_threads(), sums.data_ptr(),
     )  # fmt: skip
     return sums
+
+
+class SignReferences:
+    """The signs ``(R, columns, rows, bytes)`` of a map, and the sequence of each."""
+
+    def __init__(self, signs: Vectors, sequences: Sequence[str]) -> None:
+        self._signs, self._sequences = torch.as_tensor(signs), sequences
+        self._rows: dict[bool, SignRows] = {}
+
+    def __len__(self) -> int:
+        return len(self._signs)
+
+    def compare(
+        self, queries: Tensor, standardised: bool, sweep: bool, excluded: Tensor | None = None
+    ) -> Comparison:
+        """See `References`; the sweep moves queries by up to `REACH` columns."""
+        if standardised not in self._rows:
+            sequences = self._sequences if standardised else None
+            self._rows[standardised] = SignRows(self._signs, sequences)
+        rows, reach = self._rows[standardised], REACH if sweep else 0
+        scores, decoys = (
+            in_blocks(moved.scores, len(queries), len(rows), moved.moves, excluded)
+            for signs in (queries, mirrored(queries))
+            for moved in [SignQueries(signs, rows, standardised, reach)]
+        )
+        return Comparison(scores, decoys, ALONE_BY_FEATURES)
 
 
 class SignRows:

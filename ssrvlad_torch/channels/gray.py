@@ -7,14 +7,14 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from .protocol import Frame, image_of
+from .view import View, picture_of
 
 _WEIGHT_UNIT = 2048
 
 
-def grays(frames: Sequence[Frame], method: str) -> Tensor:
-    """``(B, H, W)`` uint8, the luma (ITU-R BT.601) of frames of one size; errors of `image_of`."""
-    pictures = [Image.fromarray(image_of(frame, method)).convert("L") for frame in frames]
+def grays(views: Sequence[View], channel: str) -> Tensor:
+    """``(B, H, W)`` uint8, the luma (ITU-R BT.601) of views of one size; errors of `picture_of`."""
+    pictures = [Image.fromarray(picture_of(view, channel)).convert("L") for view in views]
     return torch.from_numpy(np.stack([np.asarray(picture) for picture in pictures]))
 
 

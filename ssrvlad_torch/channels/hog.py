@@ -7,8 +7,8 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from .gray import grays, resize
-from .protocol import Frame, image_shape
-from .vectors import GridMethod
+from .vectors import VectorChannel
+from .view import View
 
 CELL = 16
 """Side of a cell in pixels, after the picture has become ``CELL`` times the grid."""
@@ -16,24 +16,25 @@ CELL = 16
 ORIENTATIONS = 8
 
 
-class HOG(GridMethod):
-    """A trivial method: one histogram of gradient directions for each cell of a grid.
+class HOG(VectorChannel):
+    """One histogram of gradient directions for each cell of a grid.
 
     The gray picture is resized to 16 pixels a cell; histograms are those of ``skimage.feature.hog``
     with one cell a block and ``block_norm="L2"``. The whole descriptor has length 1.
     """
 
     name = "hog"
-    needs = frozenset({"images"})
-    _kind = staticmethod(image_shape)
+    trust = 2.0
 
-    @property
-    def fingerprint(self) -> str:
-        """A text that is equal for comparable descriptors."""
-        return f"{self.rows} x {self.columns} cells, {ORIENTATIONS} directions"
+    def __init__(self, rows: int = 6, columns: int = 10) -> None:
+        if rows < 1 or columns < 1:
+            raise ValueError(f"hog: the grid must be 1 x 1 or more, got {rows} x {columns}")
+        self.rows, self.columns, self.length = rows, columns, ORIENTATIONS * rows * columns
+        self.fingerprint = f"{rows} x {columns} cells, {ORIENTATIONS} directions"
 
-    def _describe(self, frames: Sequence[Frame]) -> Tensor:
-        pictures = grays(frames, self.name)
+    def describe(self, views: Sequence[View], _columns: Sequence[int] = ()) -> Tensor:
+        """See `Channel`."""
+        pictures = grays(views, self.name)
         small = resize(pictures, CELL * self.rows, CELL * self.columns).float()
         along_x = F.pad(small[:, :, 2:] - small[:, :, :-2], (1, 1))
         along_y = F.pad(small[:, 2:] - small[:, :-2], (0, 0, 1, 1))
@@ -43,8 +44,8 @@ class HOG(GridMethod):
         return F.normalize(F.normalize(cells, dim=-1).flatten(1), dim=1)
 
     def mirrored(self, vectors: Tensor) -> Tensor:
-        """See `GridMethod`. Not exact: a direction between two bins, as of a vertical edge, counts
-        in the bin above it, also in a mirrored picture, and here in the one below."""
+        """See `VectorChannel`. Not exact: a direction between two bins, as of a vertical edge,
+        counts in the bin above it, also in a mirrored picture, and here in the one below."""
         cells: Tensor = vectors.unflatten(-1, (-1, self.columns, ORIENTATIONS))
         return cells.flip(-2, -1).flatten(-3)
 

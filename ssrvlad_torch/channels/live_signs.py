@@ -7,8 +7,8 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from ..recognition.signs import REACH, moved, numbers, products
-from .memory import BEFORE, Floats, GrowingArray
+from .live_vectors import BEFORE, Floats, GrowingArray
+from .signs import REACH, moved, numbers, products
 
 Signs = npt.NDArray[np.uint8]
 
@@ -17,12 +17,12 @@ _LEAST = 1e-3
 _FRAMES_AT_ONCE = 256
 
 
-class SignVectors:
+class LiveSigns:
     """Signs of the frames of a stream by one method, in order; ``shape`` is columns, rows and
     bytes.
 
-    Scores are those of `recognition.signs`, each frame without the mean of its sequence as in
-    `memory.FloatVectors`. The products of each frame with the mean of the present sequence are sums
+    Scores are those of `channels.signs`, each frame without the mean of its sequence as in
+    `LiveVectors`. The products of each frame with the mean of the present sequence are sums
     of products of frames, which are whole numbers: a new frame adds its own.
     """
 
@@ -39,6 +39,11 @@ class SignVectors:
 
     def __len__(self) -> int:
         return len(self._signs.values)
+
+    @property
+    def empty(self) -> npt.NDArray[np.bool_]:
+        """See `Live`; of no frame is nothing known."""
+        return np.zeros(len(self), np.bool_)
 
     def checked(self, signs: Tensor, frame: str) -> Signs:
         """The signs of a frame, ``(1, *shape)``; another shape or dtype is a ValueError."""

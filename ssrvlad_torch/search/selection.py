@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from ..database.frames import FrameSet
+from ..datasets.frame_ids import name_of, split_id
 from ..files import natural_key
-from .frames import FrameSet
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -40,7 +41,7 @@ def neighbours(queries: Sequence[str], references: FrameSet, reach: int) -> npt.
         ends[sequence] = row + 1
     ranges = np.zeros((len(queries), 2), np.int64)
     for number, query in enumerate(queries):
-        sequence, _, name = query.rpartition("/")
+        sequence, name = split_id(query)
         if sequence in starts:
             start, end = starts[sequence], ends[sequence]
             place = bisect_left(
@@ -48,7 +49,7 @@ def neighbours(queries: Sequence[str], references: FrameSet, reach: int) -> npt.
                 natural_key(name),
                 start,
                 end,
-                key=lambda frame: natural_key(frame.rpartition("/")[2]),
+                key=lambda frame: natural_key(name_of(frame)),
             )
             is_reference = place < end and references.frames[place] == query
             ranges[number] = max(start, place - reach), min(end, place + reach + is_reference)

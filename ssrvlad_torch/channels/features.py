@@ -1,0 +1,67 @@
+"""Features: what the encoder of the network sees in a picture, as signs; see `stages.features`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..stages.features import SHAPE
+from .channel import FEATURES, Network
+from .column import Column
+from .live_signs import LiveSigns
+from .signs import SignReferences
+from .view import View
+
+if TYPE_CHECKING:
+    from ..descriptor import SSRVLAD
+
+
+class Features:
+    """The features of the network with a fingerprint, which views hold."""
+
+    name = "features"
+    needs = frozenset({FEATURES})
+    trust = 6.0
+    threads = None
+
+    def __init__(self, fingerprint: str) -> None:
+        self.column = Column(self.name, fingerprint, SHAPE, "uint8")
+
+    @classmethod
+    def lacks(cls, network: Network | None) -> str:
+        """See `Channel`."""
+        if network is None:
+            return "features are of a network: expected images and a segmenter"
+        return network.problem_of_features
+
+    @classmethod
+    def make(cls, _head: SSRVLAD, network: Network | None) -> Self:
+        """See `Channel`."""
+        if network is None:
+            raise ValueError(cls.lacks(network))
+        return cls(network.fingerprint_of_features)
+
+    @classmethod
+    def of(cls, column: Column, _head: SSRVLAD) -> Self:
+        """See `Channel`."""
+        return cls(column.fingerprint)
+
+    def describe(self, views: Sequence[View], _columns: Sequence[int] = ()) -> Tensor:
+        """See `Channel`."""
+        for view in views:
+            if view.features is None or np.shape(view.features) != SHAPE:
+                got = "none" if view.features is None else np.shape(view.features)
+                raise ValueError(f"frame {view.frame}: expected features {SHAPE}, got {got}")
+        return torch.from_numpy(np.stack([np.asarray(view.features) for view in views]))
+
+    def references(self, stored: Tensor, sequences: Sequence[str]) -> SignReferences:
+        """See `Channel`."""
+        return SignReferences(stored, sequences)
+
+    def live(self) -> LiveSigns:
+        """See `Channel`."""
+        return LiveSigns(SHAPE)

@@ -1,0 +1,444 @@
+"""Map: known places. Add drives, find others in it, measure how well that goes."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import errno
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from .channels import LABEL_SHAPES
+from .channels.channel import Channel
+from .channels.column import Column
+from .channels.view import View
+from .config import SSRVLADConfig
+from .database.database import Database
+from .database.engine import discard_empty
+from .database.frames import FrameSet
+from .datasets.frame_file import FrameFile
+from .datasets.image_files import Pixels, read_image
+from .datasets.label_files import read_label_map
+from .descriptor import SSRVLAD
+from .encoding.encoder import channels_to_store, check_segmenter, encode_to_database
+from .encoding.ray_engine import encode_with_ray
+from .encoding.results import EncodeOptions, Note, Progress, Summary, do_nothing
+from .encoding.source import Source, Wanted, open_source, origin_of, require_network
+from .evaluation.ground_truth_files import PartialTruth
+from .evaluation.measure import TOP, Recognition, measure, needs_similarity
+from .evaluation.metrics import Convention
+from .evaluation.thresholds import SURE_PRECISION
+from .evaluation.true_matches import TrueMatches, Viewpoints
+from .recognition.confidence import accept
+from .recognition.recognise import AS_PAPER, Steps
+from .recognition.sweep import COLUMNS, score
+from .search.answers import Answer, Answers
+from .search.exact import chosen_channels, recognise_in, search
+from .search.index_search import search_by_index
+from .search.pictures import pictures_of_queries, pictures_of_references
+from .segmentation.segmenter import Segmenter
+from .taxonomy import VOID, LabelSpace
+
+Frames = str | os.PathLike[str] | Sequence[str | os.PathLike[str]] | Wanted
+"""Folders, globs or files, each folder a sequence; or `Wanted`, with all that can be said."""
+
+Engine = Literal["local", "ray"]
+
+_ALONE = Steps(follow=None)
+_MUCH_VOID = 0.5
+
+
+class Evaluation(NamedTuple):
+    """What `Map.evaluate` measures: the metrics, ready for JSON; the candidates; the rows of the
+    references that are true matches of each query; and how these are defined, in words."""
+
+    metrics: dict[str, Any]
+    recognition: Recognition
+    truth: PartialTruth
+    true_matches: str
+
+
+class Map:
+    """Known places: the frames of a database, and the network that labels pictures. Use `open`.
+
+    Changes that are made through this object count at once; those of other processes when the map
+    is opened again.
+
+    Attributes:
+        path: of the database, a folder or a URI.
+        network: labels pictures; a name, see `open_network`, or a `Segmenter`. Without one, frames
+            are label maps, or pictures of the network that made the map.
+        labels_as: label space of the label maps, or of the network's classes.
+
+    Examples:
+        >>> town = Map.open("town.ssrdb", network="seg.yaml")  # doctest: +SKIP
+        >>> town.add("images/monday").encoded  # doctest: +SKIP
+        1000
+        >>> for answer in town.query("images/today"):  # doctest: +SKIP
+        ...     print(answer.query, answer.candidates[0].frame, answer.confidence)
+        >>> town.locate("images/today/000007.jpg").candidates[0].frame  # doctest: +SKIP
+        'monday/000007'
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        network: str | os.PathLike[str] | Segmenter | None = None,
+        labels_as: str | LabelSpace | None = None,
+        preset: str | None = None,
+        channels: Sequence[str] | None = None,
+        version: int | None = None,
+    ) -> None:
+        self.path, self.labels_as = str(path), labels_as
+        self.network = (
+            network if network is None or isinstance(network, Segmenter) else str(network)
+        )
+        self._preset, self._channels, self._version = preset, channels, version
+        self._database: Database | None = None
+        self._located: tuple[int, FrameSet, list[Channel]] | None = None
+        if version is not None or Database.exists(self.path):
+            self._database = Database.open(self.path, version)
+
+    @classmethod
+    def open(
+        cls,
+        path: str | os.PathLike[str],
+        network: str | os.PathLike[str] | Segmenter | None = None,
+        labels_as: str | LabelSpace | None = None,
+        preset: str | None = None,
+        channels: Sequence[str] | None = None,
+        version: int | None = None,
+    ) -> Map:
+        """A map; a new one is made by the first `add`.
+
+        Args:
+            path: a folder or a URI.
+            network, labels_as: see `Map`.
+            preset: of a new map, ``"default"`` or ``"paper"``; by default ``"default"``.
+            channels: what a new map stores of pictures beside the descriptor of label maps, of
+                `channels.CHANNELS`; by default all that the network gives.
+            version: of the database, opened read-only; by default the newest.
+
+        Raises:
+            ValueError: the database is damaged, or was made by another version of the method.
+        """
+        return cls(path, network, labels_as, preset, channels, version)
+
+    def __len__(self) -> int:
+        """Number of frames."""
+        return len(self._database) if self._database else 0
+
+    def __repr__(self) -> str:
+        return f"<Map {self.path}: {len(self)} frames>"
+
+    @property
+    def database(self) -> Database:
+        """The database; a ValueError before the first `add`."""
+        if self._database is None:
+            self._database = Database.open(self.path)
+        return self._database
+
+    def source(
+        self,
+        frames: Frames,
+        *,
+        compared: bool = False,
+        images: bool = False,
+        note: Note = do_nothing,
+    ) -> Source:
+        """The frames on disk, before the first is read; see `open_source`."""
+        return open_source(
+            self._wanted(frames), self._database, compared=compared, images=images, note=note
+        )
+
+    def add(
+        self,
+        frames: Frames | Source,
+        options: EncodeOptions | None = None,
+        engine: Engine = "local",
+        note: Note = do_nothing,
+    ) -> Summary:
+        """Adds frames that the map lacks, and those whose file, pose or labels have changed.
+
+        Args:
+            frames: folders, globs or files of label maps, or of pictures with a network. The poses
+                of a folder are in a ``poses.csv`` in or beside it.
+            options: workers, pruning, and callbacks.
+            engine: threads of this process, or Ray.
+            note: gets what the user should know.
+
+        Raises:
+            ValueError: there are no frames, or they do not fit the map.
+            OSError: the map cannot be written.
+        """
+        options = options or EncodeOptions()
+        source = frames if isinstance(frames, Source) else self.source(frames, note=note)
+        if options.gpus and not source.segmenter:
+            raise ValueError("--gpus needs --engine ray and --segmenter")
+        head = SSRVLAD(self._config(source))
+        beside = channels_to_store(self._database, head, source.segmenter, self._channels, note)
+        columns = [channel.column for channel in beside]
+        if self._database is None:
+            self._note_void(source, head, note)
+        summary = self._encoded(head, source, columns, options, engine)
+        if self._database:
+            self._note_other_spaces(head.label_space, note)
+        return summary
+
+    def query(
+        self,
+        frames: Frames | Source,
+        steps: Steps | None = None,
+        top: int = 5,
+        *,
+        temporal: int = 0,
+        channels: Sequence[str] | None = None,
+        sequences: Sequence[str] | None = None,
+        exclude: int | None = None,
+        min_confidence: float = 0.0,
+        max_wrong: float | None = None,
+        index: bool = False,
+        progress: Progress = do_nothing,
+    ) -> Answers:
+        """Finds a drive, or any frames, in the map. A drive is found far better as a whole: give
+        its folder, not its pictures one by one.
+
+        Args:
+            frames: as for `add`, or a database.
+            steps: between descriptors and a decision; by default all.
+            top: number of candidates of each frame.
+            temporal, channels, sequences, exclude, progress: see `search.exact.search`.
+            min_confidence, max_wrong: which answers are accepted, see `Answers.accepted`.
+            index: search by the index on disk, see ``ssrvlad db index``.
+
+        Raises:
+            ValueError: there are no frames, or they do not fit the map.
+        """
+        source = frames if isinstance(frames, Source) else self.source(frames, compared=True)
+        steps, top = steps or Steps(), min(top, max(1, len(self)))
+        if index:
+            found = search_by_index(self.database, source, steps, top, sequences, exclude, progress)
+        else:
+            found = search(
+                self.database, source, steps, top, temporal, channels, sequences, exclude, progress
+            )
+        return found.accepted(min_confidence, max_wrong)
+
+    def locate(self, pictures: Any, top: int = 5) -> Any:
+        """The places of pictures, each judged alone, in memory; of a drive, use `query`.
+
+        Args:
+            pictures: one picture or a sequence of them: ``(H, W, 3)`` uint8 in RGB, images of
+                Pillow, or image files.
+            top: number of candidates of each.
+
+        Returns:
+            An `Answer`, or a list of them for a sequence. Its candidates are given at any
+            confidence; none if the picture or every frame is empty.
+
+        Raises:
+            FileNotFoundError: a file does not exist.
+            ValueError: something is no picture, the network fails, or the map has no frames.
+        """
+        several = isinstance(pictures, Sequence) and not isinstance(pictures, str | os.PathLike)
+        frames = [_pixels(picture) for picture in (pictures if several else [pictures])]
+        references, channels = self._loaded()
+        features = any("features" in channel.needs for channel in channels)
+        said = self._segmenter().segment(frames, features=features)
+        space = self._segmenter().label_space
+        views = [
+            View(f"picture/{number}", labels.labels, space, frame, labels.features)
+            for number, (frame, labels) in enumerate(zip(frames, said, strict=True))
+        ]
+        answers = [self._located_view(view, references, channels, top) for view in views]
+        return answers if several else answers[0]
+
+    def evaluate(
+        self,
+        frames: Frames | Source,
+        true: TrueMatches,
+        steps: Steps | None = None,
+        *,
+        convention: Convention = "exact",
+        note: Note = do_nothing,
+        **settings: Any,
+    ) -> Evaluation:
+        """Measures how well frames are found: RecallRate@N, AUC-PR, Recall@100%Precision and more.
+
+        Args:
+            frames, steps, settings: as for `query`.
+            true: what a true match is.
+            convention: of the metrics; one that needs the scores of all pairs measures cosines of
+                label maps, without any step.
+            note: gets what is left out.
+
+        Raises:
+            ValueError: as for `query`, or no true match is known.
+        """
+        pairs = needs_similarity(convention)
+        if pairs:
+            steps, settings["channels"] = AS_PAPER, [LABEL_SHAPES]
+        source = frames if isinstance(frames, Source) else self.source(frames, compared=True)
+        answers = self.query(source, steps, TOP, **settings)
+        recognition = self._recognition(answers, source, pairs)
+        truth = true.among(recognition.references, recognition.queries, note)
+        return Evaluation(measure(recognition, truth, convention), recognition, truth, true.words)
+
+    def _wanted(self, frames: Frames) -> Wanted:
+        """What the user wants, with the network and the label space of the map."""
+        if not isinstance(frames, Wanted):
+            paths = [frames] if isinstance(frames, str | os.PathLike) else frames
+            frames = Wanted([str(path) for path in paths])
+        if frames.segmenter is None and frames.labels_as is None:
+            frames = dataclasses.replace(frames, segmenter=self.network, labels_as=self.labels_as)
+        return frames
+
+    def _config(self, source: Source) -> SSRVLADConfig:
+        """The settings of the map, or of a new one, for the label space of a source."""
+        if self._preset is None and self._database:
+            return dataclasses.replace(self._database.config, labels_as=source.labels_as)
+        return SSRVLADConfig.from_preset(self._preset or "default", labels_as=source.labels_as)
+
+    def _encoded(
+        self,
+        head: SSRVLAD,
+        source: Source,
+        columns: Sequence[Column],
+        options: EncodeOptions,
+        engine: Engine,
+    ) -> Summary:
+        """Encodes a source into the database; a new one that stays without frames is deleted."""
+        new = self._database is None
+        run = encode_with_ray if engine == "ray" else encode_to_database
+        database = Database.open_or_create(self.path, head.config, columns)
+        try:
+            summary = run(head, source.files, database, options, source.segmenter)
+        except BaseException as error:
+            del database
+            if new:
+                discard_empty(self.path, error)
+            raise
+        if not new or len(database):
+            self._database = database
+            return summary
+        del database
+        discard_empty(self.path, None)
+        return summary
+
+    def _note_void(self, source: Source, head: SSRVLAD, note: Note) -> None:
+        """Notes a first label map that is mostly void: the label space may be wrong."""
+        void = [label.id for label in head.label_space.classes if label.category == VOID]
+        for file in () if source.segmenter else source.files:
+            with contextlib.suppress(ValueError):
+                share = float(np.isin(read_label_map(file, head.label_space), void).mean())
+                if share > _MUCH_VOID:
+                    name = head.label_space.name
+                    note(f"{file.location}: {share:.0%} is void in {name}; is --labels-as right?")
+                return
+
+    def _note_other_spaces(self, own: LabelSpace, note: Note) -> None:
+        """Notes which other label spaces the map holds."""
+        if len(self.database.origins) > 1:
+            spaces = self.database.label_spaces()
+            others = [space.name for space in spaces if space.digest != own.digest]
+            if others:
+                names = " and ".join(f"another {own.name}" if n == own.name else n for n in others)
+                note(f"{self.path} also holds frames of {names}")
+
+    def _segmenter(self) -> Segmenter:
+        """The network, or the one that made the map."""
+        if not isinstance(self.network, Segmenter):
+            name, labels_as = self.network, self.labels_as
+            if name is None:
+                origin = origin_of(self.database)
+                name, labels_as = origin.network, labels_as or origin.label_space
+            self.network = Segmenter.load(name, labels_as or "auto")
+        return self.network
+
+    def _loaded(self) -> tuple[FrameSet, list[Channel]]:
+        """The frames and the channels, loaded anew after a change; the network must fit them."""
+        version = self.database.version
+        if self._located is None or self._located[0] != version:
+            frames = self.database.load()
+            if not frames.frames:
+                raise ValueError(f"{self.path} holds no frames yet")
+            segmenter, channels = self._segmenter(), chosen_channels(self.database)
+            require_network(self.database, segmenter)
+            config = dataclasses.replace(self.database.config, labels_as=segmenter.label_space)
+            check_segmenter(segmenter, SSRVLAD(config), channels)
+            self._located = version, frames, channels
+        return self._located[1:]
+
+    def _located_view(
+        self, view: View, references: FrameSet, channels: Sequence[Channel], top: int
+    ) -> Answer:
+        """The answer to one picture."""
+        descriptors = {each.column.name: each.describe([view], COLUMNS) for each in channels}
+        unknown = np.full((1, 3), np.nan)
+        empty = np.array([not bool(next(iter(descriptors.values())).any())])
+        queries = FrameSet(
+            (view.frame,), (view.sequence,), descriptors, unknown, unknown[:, 0], empty
+        )
+        top = min(top, len(references))
+        recognised = recognise_in(references, queries, channels, _ALONE, top)
+        [answer] = Answers.of(queries, references, recognised)
+        return answer
+
+    def _recognition(self, answers: Answers, source: Source, pairs: bool) -> Recognition:
+        """The candidates of every query, for the metrics and the report."""
+        queries, dataset, segmenter = answers.queries, source.dataset, source.segmenter
+        references, recognised = answers.references, answers.recognised
+        own = queries.descriptors
+        if own.ndim == 3:
+            own = own[:, COLUMNS.index(0)].contiguous()
+        config, skipped = self.database.config, answers.skipped
+        return Recognition(
+            references=Viewpoints.of_set(references, dataset, source.known),
+            queries=Viewpoints.of_set(
+                queries, dataset, answers.folders, [frame.frame for frame in skipped]
+            ),
+            matches=answers.matches,
+            recognised=recognised,
+            estimates={
+                "accepted": answers.estimate,
+                "suggested_without_truth": accept(recognised.sure, 1 - SURE_PRECISION),
+            },
+            similarity=score(own, references.descriptors).numpy() if pairs else None,
+            descriptors=(own, references.descriptors),
+            pictures=(
+                pictures_of_queries(source.files, dataset, source.labels_as, segmenter),
+                pictures_of_references(self.database, dataset, segmenter),
+            ),
+            skipped=skipped,
+            details={
+                "preset": config.preset,
+                "fingerprint": config.fingerprint,
+                "temporal": answers.temporal,
+                "steps": recognised.used,
+                "score_is": recognised.score_is(),
+            },
+        )
+
+
+def _pixels(picture: Any) -> Pixels:
+    """A picture in memory, from an array, an image of Pillow, or a file."""
+    if isinstance(picture, str | os.PathLike):
+        path = Path(picture)
+        if not path.exists():
+            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
+        try:
+            return read_image(FrameFile("", "", path))
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from error
+    if hasattr(picture, "convert"):
+        return np.asarray(picture.convert("RGB"))
+    if not isinstance(picture, np.ndarray):
+        raise ValueError(
+            "expected a picture as an (H, W, 3) uint8 array, an image of Pillow or the path of a "
+            f"file, got {type(picture).__name__}"
+        )
+    return picture

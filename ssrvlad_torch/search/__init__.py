@@ -1,0 +1,1 @@
+"""Search: the frames of a source in a map, exactly or by an index on disk."""

@@ -1,0 +1,121 @@
+"""Answers: the candidates of the frames of a source in a map."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import torch
+
+from ..database.frames import FrameSet
+from ..datasets.frame_file import Skipped
+from ..datasets.names import KnownFolders
+from ..datasets.poses import Pose
+from ..recognition.confidence import Estimate, accept, answered, estimate
+from ..recognition.display import candidates_table
+from ..recognition.matching import Matches
+from ..recognition.recognise import Recognised
+
+
+class Candidate(NamedTuple):
+    """A frame of the map, its score for a query, and its pose: in metres and radians, NaN where
+    unknown."""
+
+    frame: str
+    score: float
+    pose: Pose
+
+
+class Answer(NamedTuple):
+    """The answer to one query.
+
+    Attributes:
+        query: id of the frame.
+        candidates: best first; none if the query is empty or not accepted.
+        score_is: ``"cosine"``, ``"fused score"`` or ``"probability"``, see `Recognised`.
+        confidence: probability that the first candidate is right, 0 to 1.
+    """
+
+    query: str
+    candidates: list[Candidate]
+    score_is: str
+    confidence: float
+
+
+@dataclass(frozen=True, repr=False)
+class Answers:
+    """The answers to all frames of a source; iterating gives an `Answer` for each.
+
+    Attributes:
+        queries, references: the frames of the source and of the map.
+        recognised: all candidates, also those that are not accepted, and the steps as taken.
+        matches: the candidates of the accepted queries.
+        estimate: how many of these are wrong, without ground truth.
+        temporal: t of Eq. 3.
+        skipped: frames that could not be encoded.
+        folders: of the sequences of the queries.
+    """
+
+    queries: FrameSet
+    references: FrameSet
+    recognised: Recognised
+    matches: Matches
+    estimate: Estimate
+    temporal: int = 0
+    skipped: tuple[Skipped, ...] = ()
+    folders: KnownFolders = ()
+
+    @classmethod
+    def of(
+        cls,
+        queries: FrameSet,
+        references: FrameSet,
+        recognised: Recognised,
+        temporal: int = 0,
+        skipped: tuple[Skipped, ...] = (),
+        folders: KnownFolders = (),
+    ) -> Answers:
+        """The answers to all queries, of which none is refused; see `accepted`."""
+        every = cls(
+            queries, references, recognised, recognised.matches, estimate(recognised.sure),
+            temporal, skipped, folders,
+        )  # fmt: skip
+        return every.accepted()
+
+    def __len__(self) -> int:
+        return len(self.queries)
+
+    def __iter__(self) -> Iterator[Answer]:
+        sure = self.recognised.confidence.tolist()
+        for number, (query, sequence) in enumerate(
+            zip(self.queries.frames, self.queries.sequences, strict=True)
+        ):
+            scores, rows = (part[number].tolist() for part in self.matches)
+            candidates = [
+                Candidate(self.references.frames[row], score, Pose(*self.references.poses[row]))
+                for row, score in zip(rows, scores, strict=True)
+                if row >= 0
+            ]
+            yield Answer(query, candidates, self.recognised.score_is(sequence), sure[number])
+
+    def __repr__(self) -> str:
+        return f"<Answers: {len(self)} queries, {self.estimate.accepted} accepted>"
+
+    def _repr_html_(self) -> str:
+        return candidates_table(*self.matches, confidence=self.recognised.confidence)
+
+    def accepted(self, min_confidence: float = 0.0, max_wrong: float | None = None) -> Answers:
+        """The answers with a confidence of at least ``min_confidence``, or, if ``max_wrong`` is
+        given, as many as this fraction of wrong answers permits; the others have no candidate.
+        Scores that are rounded above 1 are 1."""
+        sure = self.recognised.sure
+        found = estimate(sure, min_confidence) if max_wrong is None else accept(sure, max_wrong)
+        least = min_confidence if max_wrong is None else found.confidence
+        unsure = self.recognised.confidence < least
+        if least > 0:
+            unsure |= ~answered(sure)
+        scores, indices = self.recognised.matches
+        scores = scores.clamp(max=1).masked_fill(unsure[:, None], -torch.inf)
+        matches = Matches(scores, indices.masked_fill(unsure[:, None], -1))
+        return replace(self, matches=matches, estimate=found)
