@@ -5,7 +5,7 @@ from collections.abc import Iterable
 import numpy as np
 import numpy.typing as npt
 
-from ssrvlad_torch.baselines import Frame
+from ssrvlad_torch.channels.view import View
 
 Picture = npt.NDArray[np.uint8]
 
@@ -22,6 +22,6 @@ def noise(seed: int, height: int = 32, width: int = 48) -> Picture:
     return np.random.default_rng(seed).integers(0, 256, (height, width, 3), np.uint8)
 
 
-def frames(pictures: Iterable[Picture], sequence: str = "a") -> list[Frame]:
+def frames(pictures: Iterable[Picture], sequence: str = "a") -> list[View]:
     """Frames of one sequence, by number."""
-    return [Frame(f"{sequence}/{n}", image=image) for n, image in enumerate(pictures)]
+    return [View(f"{sequence}/{n}", picture=image) for n, image in enumerate(pictures)]

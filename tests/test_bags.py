@@ -105,7 +105,7 @@ def test_a_drive_is_one_argument(tmp_path, ssrvlad, monkeypatch):
     network = write_graph(tmp_path / "net.onnx")
     bag = write_bag(tmp_path / "drive.bag", {"/left": "rgb8", "/right": "bgr8"})
     given = (bag, "-o", tmp_path / "town", "--segmenter", network, "--labels-as", SPACE)
-    given = (*given, "--with", "none")
+    given = (*given, "--channel", "ssr-vlad")
     code, _, (*_, line) = ssrvlad("encode", *given)
     assert code == 2 and "/left, /right; name one with --topic" in line
     rows = [f"{FIRST * 1e-9 + n / 10:.9f} {n} 0 0 0 0 0 1" for n in range(5)]

@@ -12,8 +12,9 @@ from skimage.filters.rank import entropy
 from skimage.morphology import disk
 from vpr_bench import CORRIDOR, needs_corridor
 
-from ssrvlad_torch.baselines import Frame, cohog, make
+from ssrvlad_torch.baselines import cohog, make
 from ssrvlad_torch.baselines.cohog import local_entropy, region_descriptors, region_entropies
+from ssrvlad_torch.channels.view import View
 
 
 def gray_noise(seed, height, width, grain=4):
@@ -111,7 +112,7 @@ def test_only_regions_of_high_entropy_are_looked_for():
 
 def corridor(folder, every):
     files = sorted((CORRIDOR / folder).iterdir())[::every]
-    return [Frame(f"{folder}/{file.stem}", image=np.array(Image.open(file))) for file in files]
+    return [View(f"{folder}/{file.stem}", picture=np.array(Image.open(file))) for file in files]
 
 
 def corridor_scores(every, every_reference=1):

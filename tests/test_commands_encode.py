@@ -156,7 +156,7 @@ def test_images_and_a_segmenter_give_what_label_maps_give(
     code, out, _ = ssrvlad("query", database, photos, "--top", 1, *segmenter, *alike)
     assert (code, out) == (0, ssrvlad("query", database, tmp_path / "monday", "--top", 1)[1])
 
-    options = ["--tolerance-frames", 1, "--json", "--no-extra", *alike]
+    options = ["--tolerance-frames", 1, "--json", "--channel", "ssr-vlad", *alike]
     code, out, _ = ssrvlad("evaluate", database, photos, *options, *segmenter)
     assert (code, out) == (0, ssrvlad("evaluate", db, tmp_path / "monday", *options)[1])
 

@@ -13,12 +13,12 @@ from segmenting import write_photos
 from torch import nn
 
 from ssrvlad_torch import Database, Localiser, LoopConfig, LoopDetector
-from ssrvlad_torch.baselines import Frame
-from ssrvlad_torch.baselines.hog import HOG
-from ssrvlad_torch.cli import sources
+from ssrvlad_torch.channels.hog import HOG
+from ssrvlad_torch.channels.view import View
 from ssrvlad_torch.datasets.frame_file import FrameFile
 from ssrvlad_torch.datasets.image_files import read_image
 from ssrvlad_torch.descriptor import SSRVLAD
+from ssrvlad_torch.encoding import source as sources
 from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
 from ssrvlad_torch.segmentation.segmenter import Segmenter
 from ssrvlad_torch.stages.features import SHAPE
@@ -82,7 +82,7 @@ def test_features_are_stored_by_default(town, photos, ssrvlad):
     stored = database.load().extra["features"]
     said = segmenter.segment(pictures_of(photos / "monday"), features=True)
     assert torch.equal(stored, torch.from_numpy(np.stack([each.features for each in said])))
-    frames = [Frame("", image=image) for image in pictures_of(photos / "monday")]
+    frames = [View("", picture=image) for image in pictures_of(photos / "monday")]
     assert torch.equal(database.load().extra["hog"], HOG().encode_query(frames))
     assert database.damage() == []
     network = ("--segmenter", photos / "net.yaml")
@@ -94,7 +94,7 @@ def test_features_are_stored_by_default(town, photos, ssrvlad):
     assert ssrvlad(*again)[0] == 3
     (photos / "monday" / "32.png").unlink()
     for option in ("none", "hog", "features"):
-        given, other = (*network, "--with", option), photos / option
+        given, other = (*network, "--channel", option), photos / option
         assert ssrvlad("encode", photos / "monday", "-o", other, *given)[0] == 0
         stored = [each.name for each in Database.open(other).extra]
         assert stored == ([] if option == "none" else [option])
@@ -115,7 +115,14 @@ def test_labels_and_features_take_one_pass_and_are_cached(photos, ssrvlad, runs)
 def test_queries_use_features(town, photos, ssrvlad):
     network, found = ("--segmenter", photos / "net.yaml"), {}
     query = ("query", town, photos / "today", *network)
-    for options in ((), ("--no-extra",), ("--as-paper", "--no-extra")):
+    for options in (
+        (),
+        (
+            "--channel",
+            "ssr-vlad",
+        ),
+        ("--as-paper", "--channel", "ssr-vlad"),
+    ):
         single = () if "--as-paper" in options else ("--follow", "no")
         code, out, _ = ssrvlad(*query, *single, *options, "--json")
         assert code == 0
@@ -137,7 +144,7 @@ def test_queries_use_features(town, photos, ssrvlad):
     assert json.loads(out.splitlines()[0])["steps"]["weights"]["monday"].keys() == weights.keys()
     line = refused(ssrvlad, *query, "--temporal", "2")
     assert "features are signs, which have no temporal sum; expected --no-extra" in line
-    assert ssrvlad(*query, "--temporal", "2", "--no-extra")[0] == 0
+    assert ssrvlad(*query, "--temporal", "2", "--channel", "ssr-vlad")[0] == 0
 
 
 def test_the_localiser_uses_features(photos, runs, ssrvlad):
@@ -206,26 +213,28 @@ def test_wrong_use_of_extra_descriptors(town, photos, maps, ssrvlad):
     network = ("--segmenter", photos / "net.yaml")
     plain = photos / "plain"
     labels = ("--labels-as", SPACE)
-    message = refused(ssrvlad, "encode", maps, "-o", plain, *labels, "--with", "hog")
+    message = refused(ssrvlad, "encode", maps, "-o", plain, *labels, "--channel", "hog")
     assert "--with hog needs images as SOURCE and --segmenter" in message
-    assert message in refused(ssrvlad, "loops", photos / "today", *labels, "--with", "hog")
+    assert message in refused(ssrvlad, "loops", photos / "today", *labels, "--channel", "hog")
     assert not plain.exists()
     assert "describes pictures: expected images" in refused(ssrvlad, "encode", maps, "-o", town)
-    alone = ("encode", photos / "today", "-o", plain, *network, "--with", "none")
+    alone = ("encode", photos / "today", "-o", plain, *network, "--channel", "ssr-vlad")
     assert ssrvlad(*alone)[0] == 0
     assert "label maps alone" not in "".join(ssrvlad(*alone[:4], *network)[2])
     maps_first = ("encode", "-o", photos / "maps.ssrdb")
     assert ssrvlad(*maps_first, maps, *labels)[0] == 0
     notes = ["".join(ssrvlad(*maps_first, photos / "today", *network)[2]) for _ in range(2)]
     assert ["is of label maps alone" in each for each in notes] == [True, False]
-    message = refused(ssrvlad, "encode", photos / "today", "-o", plain, *network, "--with", "hog")
+    message = refused(
+        ssrvlad, "encode", photos / "today", "-o", plain, *network, "--channel", "hog"
+    )
     assert "has no descriptors by hog" in message
     message = refused(ssrvlad, "query", plain, photos / "today", *network, "--extra")
     assert "holds no extra descriptors; encode a new database with --with features" in message
     for source in (maps, plain):
         message = refused(ssrvlad, "query", town, source)
         assert "expected images and --segmenter, or --no-extra" in message
-        assert ssrvlad("query", town, source, "--no-extra")[0] == 0
+        assert ssrvlad("query", town, source, "--channel", "ssr-vlad")[0] == 0
     assert "--as-paper" in refused(ssrvlad, "query", town, maps, "--extra", "--as-paper")
     assert "or --extra" in refused(ssrvlad, "query", town, maps, "--extra", "--index")
 
@@ -235,7 +244,7 @@ def test_a_network_without_features(photos, ssrvlad):
     settings = "network: plain.onnx\nmean: [0, 0, 0]\nstd: [1, 1, 1]\nlabels_as: " + SPACE
     (photos / "plain.yaml").write_text(settings)
     given = ("encode", photos / "monday", "-o", photos / "none", "--segmenter")
-    line = refused(ssrvlad, *given, photos / "plain.yaml", "--with", "features")
+    line = refused(ssrvlad, *given, photos / "plain.yaml", "--channel", "features")
     assert "plain.yaml: the encoder has no activation at a stride from 4 to 32" in line
     assert not (photos / "none").exists()
     code, _, err = ssrvlad(*given, photos / "plain.yaml")
@@ -263,7 +272,7 @@ def test_wrong_names_store_nothing(photos, ssrvlad, features, message):
         ("loops", photos / "monday", "--memory", photos / "none", "--segmenter", settings),
         ("fuse", settings, "-o", photos / "none", "--labels-as", SPACE),
     ):
-        for extra in (("--with", "features"), ())[given[0] == "fuse" :]:
+        for extra in (("--channel", "features"), ())[given[0] == "fuse" :]:
             assert message in refused(ssrvlad, *given, *extra)
             assert not (photos / "none").exists()
 

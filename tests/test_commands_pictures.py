@@ -13,7 +13,7 @@ from PIL import Image
 from segmenting import write_image, write_photos, write_settings
 
 from ssrvlad_torch import Database
-from ssrvlad_torch.cli import sources
+from ssrvlad_torch.encoding import source as sources
 from ssrvlad_torch.taxonomy import label_space
 
 TRUTH = "same_place_odd_even.json"
@@ -39,7 +39,7 @@ def town(network, ssrvlad, tmp_path):
     (tmp_path / "poses.csv").write_text("\n".join(poses))
     town = tmp_path / "town"
     cache = ("--segmenter-cache", tmp_path / "cache")
-    given = ("--segmenter", network, "--with", "none", *cache)
+    given = ("--segmenter", network, "--channel", "ssr-vlad", *cache)
     ssrvlad("encode", tmp_path / "photos", "-o", town, *given)
     return town
 
@@ -107,7 +107,7 @@ def test_every_command_takes_the_network_of_the_database(
         assert (code, without_version(out)) == (0, without_version(expected)), command
         clear()
         assert err[0] == f"ssrvlad: {network}, the network of {town}, labels the pictures"
-    code, _, err = ssrvlad("query", town, maps, "--no-extra")
+    code, _, err = ssrvlad("query", town, maps, "--channel", "ssr-vlad")
     assert (code, len(err)) == (0, 1), "label maps need no network"
 
 

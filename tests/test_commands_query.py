@@ -44,7 +44,7 @@ def test_as_paper_contradicts_other_options(ssrvlad, refusal, database, maps):
         line = refusal("query", database, maps, "--as-paper", *option)
         assert line.startswith("ssrvlad: --as-paper means --no-standardise --no-sweep")
         assert line.endswith(f"it contradicts {name}")
-    alike = ("--no-sweep", "--follow", "no", "--temporal", 3, "--no-extra")
+    alike = ("--no-sweep", "--follow", "no", "--temporal", 3, "--channel", "ssr-vlad")
     as_paper = ssrvlad("query", database, maps, "--as-paper")
     assert ssrvlad("query", database, maps, "--as-paper", *alike) == as_paper
     assert as_paper[0] == 0

@@ -9,11 +9,12 @@ from drawings import SPACE
 from networks import PLAIN, Street, write_street
 from segmenting import write_photos
 
-from ssrvlad_torch.baselines import Frame, make
+from ssrvlad_torch.baselines import make
 from ssrvlad_torch.baselines.encoder_features import EncoderFeatures
 from ssrvlad_torch.baselines.run import run
+from ssrvlad_torch.channels.signs import SignQueries, SignRows
+from ssrvlad_torch.channels.view import View
 from ssrvlad_torch.recognition.recognise import Steps
-from ssrvlad_torch.recognition.signs import SignQueries, SignRows
 from ssrvlad_torch.segmentation.segmenter import Segmenter
 
 
@@ -22,11 +23,11 @@ def segmenter():
     return Segmenter(Street(), SPACE, PLAIN)
 
 
-def frames(count: int, sequence: str = "a") -> list[Frame]:
+def frames(count: int, sequence: str = "a") -> list[View]:
     """Pictures of one size, each of another street of noise in blocks."""
     noise = np.random.default_rng(0).integers(0, 256, (count, 8, 12, 3), np.uint8)
     pictures = noise.repeat(16, 1).repeat(16, 2)
-    return [Frame(f"{sequence}/{n}", image=picture) for n, picture in enumerate(pictures)]
+    return [View(f"{sequence}/{n}", picture=picture) for n, picture in enumerate(pictures)]
 
 
 def test_scores_are_the_cosines_of_the_signs_of_the_segmenter(segmenter):

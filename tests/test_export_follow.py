@@ -12,9 +12,9 @@ from cases import REAL, needs_real
 from segmenting import write_drives, write_town
 
 from ssrvlad_torch import SSRVLADConfig, export_head
+from ssrvlad_torch.channels.signs import SignQueries, SignRows
 from ssrvlad_torch.datasets.synthetic_city import write_city
 from ssrvlad_torch.recognition.fusion import FusedScores
-from ssrvlad_torch.recognition.signs import SignQueries, SignRows
 from ssrvlad_torch.recognition.standardise import standardise
 from ssrvlad_torch.stages.features import SHAPE
 

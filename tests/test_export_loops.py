@@ -23,7 +23,6 @@ from ssrvlad_place.model import Seen
 
 from ssrvlad_torch import SSRVLAD, LoopDetector, SSRVLADConfig
 from ssrvlad_torch.database.frames import FrameRecord
-from ssrvlad_torch.database.metadata import ExtraDescriptor
 from ssrvlad_torch.loops.config import LoopConfig
 
 CONFIG = SSRVLADConfig.from_preset("default", labels_as="camvid-11")
@@ -123,7 +122,7 @@ def test_with_features_it_says_what_the_command_line_says(ssrvlad, tmp_path, run
     """Of photographs, over a second drive along the first, by one file and by two."""
     write_drives(tmp_path, range(20), range(4, 18), (96, 128))
     streams = (tmp_path / "monday", tmp_path / "today")
-    given = ("--segmenter", tmp_path / "net.yaml", "--with", "features", "--no-sweep")
+    given = ("--segmenter", tmp_path / "net.yaml", "--channel", "features", "--no-sweep")
     code, out, err = ssrvlad("loops", *streams, *given, *SETTINGS, "--json", "--workers", 1)
     assert (code, err) == (0, [])
     expected = objects(out)

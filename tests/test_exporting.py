@@ -10,7 +10,6 @@ from helpers import descriptors, record, refused, touch
 from ssrvlad_torch import SSRVLADConfig
 from ssrvlad_torch.database.database import Database
 from ssrvlad_torch.database.exporting import export_database
-from ssrvlad_torch.database.metadata import ExtraDescriptor
 
 CONFIG = SSRVLADConfig.from_preset("paper", labels_as="camvid-11")
 FRAMES = ("a/2", "a/1", "b/straße 🚗", "a/10")

@@ -7,8 +7,8 @@ import torch
 from methods import frames, noise
 from PIL import Image
 
-from ssrvlad_torch.baselines import Frame
-from ssrvlad_torch.baselines.gray import grays, resize
+from ssrvlad_torch.channels.gray import grays, resize
+from ssrvlad_torch.channels.view import View
 
 
 def test_gray_is_that_of_pillow_and_frames_of_one_size_become_one_tensor():
@@ -18,7 +18,7 @@ def test_gray_is_that_of_pillow_and_frames_of_one_size_become_one_tensor():
     expected = [np.asarray(Image.fromarray(frame.image).convert("L")) for frame in drive]
     np.testing.assert_array_equal(together.numpy(), expected)
     with pytest.raises(ValueError, match="method hog needs images, but frame a/9 has none"):
-        grays([*drive, Frame("a/9")], "hog")
+        grays([*drive, View("a/9")], "hog")
 
 
 @pytest.mark.parametrize("after", [(512, 512), (100, 100), (96, 160), (1, 1)])

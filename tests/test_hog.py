@@ -6,7 +6,7 @@ from methods import frames, noise
 from skimage.feature import hog as skimage_hog
 
 from ssrvlad_torch.baselines import make
-from ssrvlad_torch.baselines.hog import CELL, ORIENTATIONS
+from ssrvlad_torch.channels.hog import CELL, ORIENTATIONS
 
 
 @pytest.mark.parametrize("seed", range(3))

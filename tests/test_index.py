@@ -6,11 +6,11 @@ import torch.nn.functional as F
 from helpers import descriptors, spoil
 
 from ssrvlad_torch import Database, match, standardise
-from ssrvlad_torch.database import index_search
-from ssrvlad_torch.database.index import build_index, search_index
-from ssrvlad_torch.database.index_search import IndexSearch
 from ssrvlad_torch.recognition.recognise import SSR_VLAD, Steps, recognise, recognise_by_search
 from ssrvlad_torch.recognition.sweep import score
+from ssrvlad_torch.search import index_search
+from ssrvlad_torch.search.index import build_index, search_index
+from ssrvlad_torch.search.index_search import IndexSearch
 
 
 @pytest.fixture(scope="module")

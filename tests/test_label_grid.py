@@ -7,12 +7,13 @@ import pytest
 import torch
 from drawings import ROAD, SKY, SPACE, TREE, blobs
 
-from ssrvlad_torch.baselines import Frame, make
+from ssrvlad_torch.baselines import make
+from ssrvlad_torch.channels.view import View
 from ssrvlad_torch.taxonomy import CATEGORIES, label_space
 
 
 def frame(labels, name="a/1", space=SPACE):
-    return Frame(name, labels=labels, labels_as=space)
+    return View(name, labels=labels, labels_as=space)
 
 
 def plain(labels, rows, columns):

@@ -11,10 +11,11 @@ from test_lost import CLASSES as SEEN
 from test_lost import described, mean_feature
 from torch import Tensor, nn
 
-from ssrvlad_torch.baselines import Frame, make
+from ssrvlad_torch.baselines import make
 from ssrvlad_torch.baselines.dense_network import dense_network
 from ssrvlad_torch.baselines.lost import layout_cost
 from ssrvlad_torch.baselines.lost_x import LoSTX
+from ssrvlad_torch.channels.view import View
 from ssrvlad_torch.segmentation.preparation import SegmenterConfig
 from ssrvlad_torch.segmentation.segmenter import Segmenter
 
@@ -39,7 +40,7 @@ def network(images: Tensor) -> tuple[Tensor, Tensor]:
     return features, scores.softmax(dim=1)
 
 
-def seen(frame: Frame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def seen(frame: View) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Features ``(D, P)``, probabilities ``(4, P)`` and most likely classes, place by place."""
     features, scores = (
         part[0].double().numpy() for part in network(torch.tensor(frame.image)[None])
@@ -49,7 +50,7 @@ def seen(frame: Frame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return features.reshape(CHANNELS, -1), probabilities, probabilities.argmax(axis=0)
 
 
-def frames(count: int, sequence: str = "drive", seed: int = 0) -> list[Frame]:
+def frames(count: int, sequence: str = "drive", seed: int = 0) -> list[View]:
     return methods.frames((noise(100 * seed + n) for n in range(count)), sequence)
 
 
@@ -113,7 +114,7 @@ def test_the_ten_best_are_ranked_by_their_key_points(space, opposite):
         assert row[others].max() < row[best].min()
 
 
-def layout(query: Frame, reference: Frame, opposite: bool) -> float:
+def layout(query: View, reference: View, opposite: bool) -> float:
     """The cost over the channels whose strongest places in both images have one class."""
     (one, _, labels_one), (other, _, labels_other) = seen(query), seen(reference)
     columns, distances = [], []
@@ -128,7 +129,7 @@ def layout(query: Frame, reference: Frame, opposite: bool) -> float:
 
 def test_a_frame_finds_itself_and_its_mirror_image(space):
     drive = frames(12)
-    mirrored = [Frame(f.frame, image=f.image[:, ::-1].copy()) for f in drive]
+    mirrored = [View(f.frame, picture=f.image[:, ::-1].copy()) for f in drive]
 
     def symmetric(images: Tensor) -> tuple[Tensor, Tensor]:
         """What it sees in a mirror is the mirror image of what it sees."""
@@ -147,7 +148,7 @@ def test_rows_do_not_depend_on_each_other_and_frames_may_differ_in_size(method):
     part = queries[2:4]
     assert len(part) == 2
     torch.testing.assert_close(method.scores(part, references), whole[2:4])
-    small, large = frames(2), [Frame("drive/9", image=np.tile(frames(1)[0].image, (2, 2, 1)))]
+    small, large = frames(2), [View("drive/9", picture=np.tile(frames(1)[0].image, (2, 2, 1)))]
     found = method.encode_query(small + large)
     assert found.widths.flatten().tolist() == [6, 6, 12]
     assert method.scores(found, found).isfinite().all()
@@ -162,7 +163,7 @@ def test_candidates_without_key_points_stand_behind_the_ranked(space):
         shifted[:, 2 if images.float().mean() > 178 else 0] = 1
         return features, shifted
 
-    bright = [Frame(f.frame, image=(f.image // 4 + 191).astype(np.uint8)) for f in frames(2)]
+    bright = [View(f.frame, picture=(f.image // 4 + 191).astype(np.uint8)) for f in frames(2)]
     method = LoSTX(network=blind, labels_as=space)
     queries = method.encode_query(frames(1, seed=5))
     scores = method.scores(queries, method.encode_query(bright + frames(5, seed=6)))[0]
@@ -214,7 +215,7 @@ def test_a_network_that_gives_something_else(features, scores, message, space):
 
 def test_frames_that_do_not_do_are_named(method):
     with pytest.raises(ValueError, match="method lost-x needs images, but frame drive/1"):
-        method.encode_query([Frame("drive/1")])
+        method.encode_query([View("drive/1")])
     with pytest.raises(ValueError, match="method lost-x: no frames to encode"):
         method.encode_query([])
     with pytest.raises(FileNotFoundError, match="no network: lost-x needs a segmentation network"):

@@ -8,9 +8,10 @@ from helpers import refused
 from methods import frames, noise
 from test_netvlad_weights import write_port
 
-from ssrvlad_torch.baselines import Frame, make
+from ssrvlad_torch.baselines import make
 from ssrvlad_torch.baselines.netvlad import NetVLAD
 from ssrvlad_torch.baselines.netvlad_network import NetVLADNetwork
+from ssrvlad_torch.channels.view import View
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +43,7 @@ def test_it_is_the_network_on_each_frame(checkpoint):
     torch.testing.assert_close(scores[[0, 1, 2], [0, 1, 0]], torch.ones(3))
     assert method.encode_query([]).shape == (0, 32768)
     with pytest.raises(ValueError, match="method netvlad needs images, but frame drive/1"):
-        method.encode_query([Frame("drive/1")])
+        method.encode_query([View("drive/1")])
     with pytest.raises(ValueError, match="at least 16 x 16 pixels, got 15 x 40"):
         method.encode_query(frames([noise(0, 15, 40)]))
 

@@ -5,7 +5,7 @@ import pytest
 from ssrvlad_place.stream import SignMap
 from test_signs import drive
 
-from ssrvlad_torch.loops.sign_memory import SignVectors
+from ssrvlad_torch.channels.live_signs import LiveSigns
 
 SHAPE = (8, 3, 8)
 
@@ -25,7 +25,7 @@ def counting(request, monkeypatch):
 @pytest.mark.parametrize("starts", [(), (1,), (20, 33)])
 def test_scores_are_those_of_the_package(starts):
     """Over sequences, of which each has its own mean, and more rows than fit at first."""
-    frames, ours, theirs = frames_of(70), SignMap(SHAPE), SignVectors(SHAPE)
+    frames, ours, theirs = frames_of(70), SignMap(SHAPE), LiveSigns(SHAPE)
     for number, signs in enumerate(frames):
         if number in starts:
             ours.start_sequence()

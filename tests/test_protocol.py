@@ -8,8 +8,9 @@ import torch
 from drawings import SPACE, VOID, blobs
 from methods import frames, picture
 
-from ssrvlad_torch.baselines import METHODS, Frame, make
+from ssrvlad_torch.baselines import METHODS, make
 from ssrvlad_torch.baselines.protocol import batches, image_of, labels_of
+from ssrvlad_torch.channels.view import View
 
 NEEDS = {"labels", "images", "weights"}
 WITHOUT_WEIGHTS = ["ssr-vlad", "cohog", "label-grid", "hog", "tiny-image"]
@@ -28,7 +29,7 @@ def mixed(name, count=20):
         return frames(picture(n, *((96, 160) if n % 5 else (60, 48))) for n in range(count))
     kinds = [((24, 40), np.uint8), ((24, 40), np.int32), ((18, 20), np.uint8)]
     drawn = [(n, *kinds[n % 7 % 3]) for n in range(2 * count)]
-    return [Frame(f"a/{n}", blobs(n, *size, grain=5).astype(t), SPACE) for n, size, t in drawn]
+    return [View(f"a/{n}", blobs(n, *size, grain=5).astype(t), SPACE) for n, size, t in drawn]
 
 
 def parts(encodings):
@@ -36,8 +37,8 @@ def parts(encodings):
 
 
 def test_the_sequence_is_the_part_before_the_last_slash():
-    assert Frame("monday/morning/000042").sequence == "monday/morning"
-    assert Frame("000042").sequence == ""
+    assert View("monday/morning/000042").sequence == "monday/morning"
+    assert View("000042").sequence == ""
 
 
 @pytest.mark.parametrize("name", METHODS)
@@ -86,7 +87,7 @@ def test_a_frame_of_nothing_matches_nothing(name):
     method = small(name)
     drive = frames([np.full((50, 60, 3), 9, np.uint8), np.zeros((50, 60, 3), np.uint8)])
     if method.needs == {"labels"}:
-        drive = [Frame(f"a/{void}", np.full((12, 20), void), SPACE) for void in (VOID, VOID)]
+        drive = [View(f"a/{void}", np.full((12, 20), void), SPACE) for void in (VOID, VOID)]
     references = method.encode_reference([*drive, mixed(name)[0]])
     assert not references[:2].any() and references[2].any()
     assert method.scores(method.encode_query(drive), references).isneginf().all()
@@ -131,16 +132,19 @@ def test_a_frame_without_what_a_method_reads_is_named(name):
     method = make(name)
     (need,) = method.needs
     with pytest.raises(ValueError, match=f"method {name} needs {need}, but frame b/7 "):
-        method.encode_reference([Frame("b/7")])
+        method.encode_reference([View("b/7")])
 
 
 @pytest.mark.parametrize(
     ("frame", "message"),
     [
-        (Frame("a/1"), "method hog needs images, but frame a/1 has none"),
-        (Frame("a/1", image=np.zeros((4, 5), np.uint8)), r"frame a/1 must be .*got \(4, 5\) uint8"),
-        (Frame("a/1", image=np.zeros((4, 5, 3))), r"got \(4, 5, 3\) float64"),
-        (Frame("a/1", image=np.zeros((0, 5, 3), np.uint8)), r"got \(0, 5, 3\) uint8"),
+        (View("a/1"), "method hog needs images, but frame a/1 has none"),
+        (
+            View("a/1", picture=np.zeros((4, 5), np.uint8)),
+            r"frame a/1 must be .*got \(4, 5\) uint8",
+        ),
+        (View("a/1", picture=np.zeros((4, 5, 3))), r"got \(4, 5, 3\) float64"),
+        (View("a/1", picture=np.zeros((0, 5, 3), np.uint8)), r"got \(0, 5, 3\) uint8"),
     ],
 )
 def test_a_wrong_image_is_named(frame, message):
@@ -151,10 +155,10 @@ def test_a_wrong_image_is_named(frame, message):
 @pytest.mark.parametrize(
     ("frame", "message"),
     [
-        (Frame("a/1", labels_as="camvid-11"), "needs labels, but frame a/1 lacks a label map"),
-        (Frame("a/1", labels=np.zeros((4, 5), int)), "frame a/1 lacks the label space"),
-        (Frame("a/1", np.zeros((4, 5)), "camvid-11"), r"must be \(H, W\) integers, .* float64"),
-        (Frame("a/1", np.zeros((4, 5, 1), int), "camvid-11"), r"got \(4, 5, 1\) int64"),
+        (View("a/1", labels_as="camvid-11"), "needs labels, but frame a/1 lacks a label map"),
+        (View("a/1", labels=np.zeros((4, 5), int)), "frame a/1 lacks the label space"),
+        (View("a/1", np.zeros((4, 5)), "camvid-11"), r"must be \(H, W\) integers, .* float64"),
+        (View("a/1", np.zeros((4, 5, 1), int), "camvid-11"), r"got \(4, 5, 1\) int64"),
     ],
 )
 def test_a_wrong_label_map_is_named(frame, message):

@@ -8,6 +8,7 @@ import torch
 from helpers import write_street as write_map
 from networks import write_street
 from segmenting import write_photos, write_settings
+from ssrvlad_torch.encoding.extra_descriptors import extra_descriptors
 
 from ssrvlad_torch import SSRVLAD
 from ssrvlad_torch.database.database import Database
@@ -15,7 +16,6 @@ from ssrvlad_torch.datasets.image_files import find_image_files
 from ssrvlad_torch.datasets.label_files import find_label_files
 from ssrvlad_torch.encoding import ray_engine, writer
 from ssrvlad_torch.encoding.encoder import encode_to_database, encode_to_memory
-from ssrvlad_torch.encoding.extra_descriptors import extra_descriptors
 from ssrvlad_torch.encoding.ray_engine import PartEncoder, encode_with_ray
 from ssrvlad_torch.encoding.results import EncodeOptions
 from ssrvlad_torch.segmentation.segmenter import Segmenter

@@ -2,10 +2,10 @@ import pytest
 import torch
 import torch.nn.functional as F
 
+from ssrvlad_torch.channels.signs import SignQueries, SignRows, mirrored
 from ssrvlad_torch.recognition.confidence import ALONE, ALONE_BY_FEATURES, Confidence, accept
 from ssrvlad_torch.recognition.decoys import lead_over_decoys
 from ssrvlad_torch.recognition.recognise import AS_PAPER, NO_SEQUENCE, SSR_VLAD, Steps, recognise
-from ssrvlad_torch.recognition.signs import SignQueries, SignRows, mirrored
 from ssrvlad_torch.recognition.sweep import COLUMNS
 
 

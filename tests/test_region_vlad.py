@@ -10,9 +10,10 @@ from methods import frames
 from plain_layers import Array, unit
 from test_region_features import images, write
 
-from ssrvlad_torch.baselines import Frame, make
+from ssrvlad_torch.baselines import make
 from ssrvlad_torch.baselines.region_features import AlexNetPlaces365, RegionFeatures
 from ssrvlad_torch.baselines.region_vlad import RegionVLAD, vlad
+from ssrvlad_torch.channels.view import View
 
 
 def described(descriptors: Array, words: Array) -> Array:
@@ -86,4 +87,4 @@ def test_random_weights_say_what_they_are():
     assert method.name == "region-vlad (random weights)"
     assert method.encode_query(frames(images(1))).shape == (1, 256 * 384)
     with pytest.raises(ValueError, match=r"method region-vlad .* needs images, but frame a/b"):
-        method.encode_query([Frame("a/b")])
+        method.encode_query([View("a/b")])

@@ -3,8 +3,8 @@
 import pytest
 import torch
 
-from ssrvlad_torch.baselines import Frame
 from ssrvlad_torch.baselines.run import run
+from ssrvlad_torch.channels.view import View
 
 
 class Numbers:
@@ -29,7 +29,7 @@ class Numbers:
 
 
 def numbered(sequence, *numbers):
-    return (Frame(f"{sequence}/{number}") for number in numbers)
+    return (View(f"{sequence}/{number}") for number in numbers)
 
 
 def test_candidates_are_ranked():

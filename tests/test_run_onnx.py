@@ -72,7 +72,7 @@ def test_without_torch_it_finds_what_the_command_line_finds(ssrvlad, head, datab
 
 def test_with_features_it_finds_what_the_command_line_finds(drives, ssrvlad, tmp_path, run):
     """In a database of the command line and in its own, with one file and with two."""
-    given = ("--segmenter", drives / "net.yaml", "--with", "features", "--workers", 1)
+    given = ("--segmenter", drives / "net.yaml", "--channel", "features", "--workers", 1)
     for drive in ("monday", "today"):
         assert ssrvlad("encode", drives / drive, "-o", tmp_path / drive, *given)[0] == 0
     alone = ("--no-standardise", "--follow", "no", "--top", 12, "--json")

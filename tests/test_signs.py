@@ -8,9 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ssrvlad_torch import native
-from ssrvlad_torch.recognition import signs as module
-from ssrvlad_torch.recognition.recognise import Steps, recognise
-from ssrvlad_torch.recognition.signs import (
+from ssrvlad_torch.channels import signs as module
+from ssrvlad_torch.channels.signs import (
     REACH,
     SignQueries,
     SignRows,
@@ -20,6 +19,7 @@ from ssrvlad_torch.recognition.signs import (
     products,
     weighed,
 )
+from ssrvlad_torch.recognition.recognise import Steps, recognise
 
 SHAPE = (8, 3, 4)
 

@@ -7,12 +7,13 @@ from drawings import SPACE, VOID
 from helpers import street
 
 from ssrvlad_torch import SSRVLAD, match
-from ssrvlad_torch.baselines import Frame, make
+from ssrvlad_torch.baselines import make
+from ssrvlad_torch.channels.view import View
 from ssrvlad_torch.recognition.temporal import temporal_sum
 
 
 def frames(seeds, sequence="a"):
-    return [Frame(f"{sequence}/{seed}", street(seed), SPACE) for seed in seeds]
+    return [View(f"{sequence}/{seed}", street(seed), SPACE) for seed in seeds]
 
 
 @pytest.mark.parametrize("preset", ["paper", "default"])
@@ -35,7 +36,7 @@ def test_references_are_summed_inside_their_sequence(temporal):
 
 def test_scores_are_those_of_match():
     method = make("ssr-vlad")
-    empty = Frame("a/void", np.full((24, 32), VOID, np.uint8), SPACE)
+    empty = View("a/void", np.full((24, 32), VOID, np.uint8), SPACE)
     queries = method.encode_query([*frames(range(4)), empty])
     references = method.encode_reference([*frames(range(10, 16)), empty])
     scores = method.scores(queries, references)
@@ -49,7 +50,7 @@ def test_scores_are_those_of_match():
 
 def test_frames_of_several_label_spaces_are_read_each_as_its_own():
     camvid = frames([1])[0]
-    cityscapes = Frame("a/2", np.where(street(2) > 5, 8, 0).astype(np.int32), "cityscapes-trainids")
+    cityscapes = View("a/2", np.where(street(2) > 5, 8, 0).astype(np.int32), "cityscapes-trainids")
     found = make("ssr-vlad").encode_query([camvid, cityscapes, camvid])
     for row, frame in zip(found, [camvid, cityscapes, camvid], strict=True):
         head = SSRVLAD.from_preset("default", labels_as=frame.labels_as)

@@ -204,7 +204,9 @@ def test_commands_take_videos(ssrvlad, tmp_path, monkeypatch):
     town = tmp_path / "town.ssrdb"
     network = ("--segmenter", write_graph(tmp_path / "seg.onnx"), "--labels-as", "camvid-11")
     network = (*network, "--segmenter-cache", tmp_path / "cache")
-    code, _, err = ssrvlad("encode", drive, "-o", town, *network, "--fps", 5, "--with", "none")
+    code, _, err = ssrvlad(
+        "encode", drive, "-o", town, *network, "--fps", 5, "--channel", "ssr-vlad"
+    )
     assert code == 0 and err.pop().endswith(", 0:00:01 of 0:00:01 of video")
     assert all("assumed" in line or "of 0:00:01 of video" in line for line in err)
     assert Database.open(town).load().frames == tuple(f"drive/{200_000 * n:010d}" for n in range(5))

@@ -12,7 +12,8 @@ from unittest.mock import patch
 from torch import Tensor
 
 from ssrvlad_torch import baselines
-from ssrvlad_torch.baselines import Frame, region_vlad
+from ssrvlad_torch.baselines import region_vlad
+from ssrvlad_torch.channels.view import View
 from ssrvlad_torch.cli.bench import threads
 
 ENCODED = 10
@@ -31,7 +32,7 @@ class Cost:
         bytes_a_reference: size of an encoded reference.
     """
 
-    def __init__(self, method: baselines.Method, frames: Sequence[Frame], references: int) -> None:
+    def __init__(self, method: baselines.Method, frames: Sequence[View], references: int) -> None:
         encoded = method.encode_reference(islice(cycle(frames), ENCODED))
         self._method, self._frames = method, frames
         self._known: Any = _repeated(encoded, references)
@@ -63,7 +64,7 @@ class Cost:
 
 def measure(
     methods: Mapping[str, Callable[[], baselines.Method]],
-    frames: Sequence[Frame],
+    frames: Sequence[View],
     references: int,
     rounds: Mapping[str, int],
 ) -> dict[str, Cost]:

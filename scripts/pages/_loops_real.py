@@ -22,7 +22,6 @@ from torch import Tensor
 
 from ssrvlad_torch import LoopDetector
 from ssrvlad_torch.database.frames import FrameRecord
-from ssrvlad_torch.database.metadata import ExtraDescriptor
 from ssrvlad_torch.datasets.synthetic_city import STRAIGHT, SyntheticCity
 from ssrvlad_torch.evaluation.bootstrap import bootstrap
 from ssrvlad_torch.loops.detector import COLUMNS

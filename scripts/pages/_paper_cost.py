@@ -13,7 +13,7 @@ from _markdown import Page, head_row, largest_mean_smallest, processor, row
 from _trials import camvid_trials, costs, shown
 from PIL import Image
 
-from ssrvlad_torch.baselines import Frame
+from ssrvlad_torch.channels.view import View
 
 SIZE = (1024, 1024)
 REFERENCES = 191
@@ -35,7 +35,7 @@ def part(page: Page, options: argparse.Namespace, described: Described) -> None:
     [search] = camvid_trials(described, options.camvid)[0].searches
     rows = search.query_rows[: EVERY * PICTURES : EVERY]
     pictures = [
-        Frame(
+        View(
             frame.frame,
             enlarged(frame.labels, Image.Resampling.NEAREST),
             frame.labels_as,

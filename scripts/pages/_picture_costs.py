@@ -13,8 +13,8 @@ import torch
 from _markdown import head_row, row, span
 
 from ssrvlad_torch import SSRVLAD, Segmenter
-from ssrvlad_torch.baselines import Frame
-from ssrvlad_torch.baselines.hog import HOG
+from ssrvlad_torch.channels.hog import HOG
+from ssrvlad_torch.channels.view import View
 from ssrvlad_torch.cli.bench import Timing, time_in_turn
 from ssrvlad_torch.datasets.image_files import decode_image
 from ssrvlad_torch.deployment.fuse import fuse
@@ -80,7 +80,7 @@ def _parts(segmenter: Segmenter, head: SSRVLAD, pictures: list[Path]) -> list[fl
         marks.append(time.perf_counter())
         features([result[name] for name in features.names])
         marks.append(time.perf_counter())
-        hog.encode_query([Frame("picture", image=pixels)])
+        hog.encode_query([View("picture", picture=pixels)])
         marks.append(time.perf_counter())
         taken = [sum(pair) for pair in zip(taken, np.diff(marks).tolist(), strict=True)]
     return taken

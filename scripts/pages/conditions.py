@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
-from ssrvlad_torch.baselines import Frame
+from ssrvlad_torch.channels.view import View
 from ssrvlad_torch.datasets.frame_files import FrameFile
 from ssrvlad_torch.datasets.image_files import decode_image
 from ssrvlad_torch.datasets.label_files import find_label_files, read_label_map
@@ -98,12 +98,12 @@ class Drive:
     labels_as: str | None = None
     pictures: tuple[Path, ...] = ()
 
-    def seen(self, rows: Sequence[int] | None = None) -> Iterator[Frame]:
+    def seen(self, rows: Sequence[int] | None = None) -> Iterator[View]:
         """Frames for a method, all or some."""
         for row in range(len(self.frames)) if rows is None else rows:
             labels = None if self.maps is None else self.maps[row]
             picture = decode_image(self.pictures[row].read_bytes()) if self.pictures else None
-            yield Frame(self.frames[row], labels, self.labels_as, picture)
+            yield View(self.frames[row], labels, self.labels_as, picture)
 
 
 def labelled(files: Sequence[FrameFile], labels_as: str, pictures: Sequence[Path] = ()) -> Drive:

@@ -23,8 +23,8 @@ from _sure_cases import METHODS, Case, cases
 from matplotlib.figure import Figure
 
 from ssrvlad_torch import SSRVLADConfig
-from ssrvlad_torch.baselines.hog import HOG
 from ssrvlad_torch.baselines.label_grid import LabelGrid
+from ssrvlad_torch.channels.hog import HOG
 from ssrvlad_torch.descriptor import mirrored
 from ssrvlad_torch.evaluation.bootstrap import bootstrap
 from ssrvlad_torch.recognition.confidence import accept, answered, estimate

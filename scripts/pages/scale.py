@@ -28,16 +28,16 @@ import torch
 from _markdown import Page, head_row, row
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, follow, match
+from ssrvlad_torch.channels.signs import REACH, SignQueries, SignRows
 from ssrvlad_torch.database.database import Database
 from ssrvlad_torch.database.frames import FrameRecord
-from ssrvlad_torch.database.index import build_index, search_index
-from ssrvlad_torch.database.index_search import IndexSearch
 from ssrvlad_torch.datasets.synthetic_city import SyntheticCity
 from ssrvlad_torch.encoding.writer import COMMIT_ROWS
 from ssrvlad_torch.recognition.matching import Rows
 from ssrvlad_torch.recognition.recognise import recognise_by_search
-from ssrvlad_torch.recognition.signs import REACH, SignQueries, SignRows
 from ssrvlad_torch.recognition.sweep import COLUMNS, score
+from ssrvlad_torch.search.index import build_index, search_index
+from ssrvlad_torch.search.index_search import IndexSearch
 from ssrvlad_torch.stages.features import SHAPE
 
 LABELS_AS = "cityscapes-trainids"

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ssrvlad_torch.database.metadata import ExtraDescriptor
 from ssrvlad_torch.deployment.fuse import FEATURES, IMAGE, LABELS, SIGNS, problem_of_network
 from ssrvlad_torch.deployment.metadata import Metadata
 from ssrvlad_torch.files import one_line

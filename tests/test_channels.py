@@ -11,16 +11,15 @@ from drawings import SPACE
 from helpers import descriptors, street
 from networks import photo
 from segmenting import write_settings
+from ssrvlad_torch.encoding.extra_descriptors import extra_descriptors
 
 from ssrvlad_torch import Database, Localiser, LoopConfig, LoopDetector, SSRVLADConfig
-from ssrvlad_torch.baselines import Frame
-from ssrvlad_torch.baselines.hog import HOG
+from ssrvlad_torch.channels.hog import HOG
+from ssrvlad_torch.channels.view import View
 from ssrvlad_torch.database.checksums import intact
 from ssrvlad_torch.database.exporting import export_database
 from ssrvlad_torch.database.frames import FrameRecord
-from ssrvlad_torch.database.index import build_index, search_index
-from ssrvlad_torch.database.metadata import ExtraDescriptor
-from ssrvlad_torch.encoding.extra_descriptors import extra_descriptors
+from ssrvlad_torch.search.index import build_index, search_index
 
 CONFIG = SSRVLADConfig.from_preset("default", labels_as=SPACE)
 FRAMES = ["day/10", "day/2", "night/1"]
@@ -181,7 +180,7 @@ def test_a_detector_stores_extra_descriptors(tmp_path):
     for row, picture in enumerate(pictures):
         detector.update(torch.full((60, 80), row), f"drive/{row}", picture=picture)
     detector.save(database)
-    expected = HOG().encode_query([Frame("", image=picture) for picture in pictures])
+    expected = HOG().encode_query([View("", picture=picture) for picture in pictures])
     assert torch.equal(database.load().extra["hog"], expected)
     again, other = (LoopDetector.load(database, detector.config) for _ in range(2))
     seen = partial(LoopDetector.update, view=torch.full((60, 80), 2), picture=pictures[2])

@@ -6,9 +6,9 @@ import torch
 import torch.nn.functional as F
 from test_signs import SHAPE, drive
 
+from ssrvlad_torch.channels.live_signs import LiveSigns
+from ssrvlad_torch.channels.signs import REACH, moved, numbers
 from ssrvlad_torch.loops.memory import BEFORE
-from ssrvlad_torch.loops.sign_memory import SignVectors
-from ssrvlad_torch.recognition.signs import REACH, moved, numbers
 
 
 def of_centred(centred):
@@ -23,7 +23,7 @@ def of_centred(centred):
 
 
 def test_scores_are_those_of_numbers_without_the_mean_so_far():
-    frames, memory = drive(50).numpy(), SignVectors(SHAPE)
+    frames, memory = drive(50).numpy(), LiveSigns(SHAPE)
     every = numbers(torch.from_numpy(frames)).double()
     memory.add(frames[0])
     for row in range(1, 50):
@@ -38,7 +38,7 @@ def test_scores_are_those_of_numbers_without_the_mean_so_far():
 
 def test_each_sequence_has_its_own_mean():
     """A row and a new frame without the means of their sequences, by matrices of numbers."""
-    frames, memory = drive(60), SignVectors(SHAPE)
+    frames, memory = drive(60), LiveSigns(SHAPE)
     for number, frame in enumerate(frames[:-1].numpy()):
         if number in (25, 40):
             memory.start_sequence()
@@ -52,7 +52,7 @@ def test_each_sequence_has_its_own_mean():
 
 
 def test_frames_that_are_loaded_count_as_if_they_had_come():
-    frames, one, both = drive(40).numpy(), SignVectors(SHAPE), SignVectors(SHAPE)
+    frames, one, both = drive(40).numpy(), LiveSigns(SHAPE), LiveSigns(SHAPE)
     for frame in frames[:12]:
         one.add(frame)
     both.extend(torch.from_numpy(frames[:12]))
@@ -68,7 +68,7 @@ def test_frames_that_are_loaded_count_as_if_they_had_come():
 
 
 def test_equal_frames_have_finite_scores():
-    frame, memory = drive(1)[0].numpy(), SignVectors(SHAPE)
+    frame, memory = drive(1)[0].numpy(), LiveSigns(SHAPE)
     for _ in range(3):
         memory.add(frame)
     assert abs(memory.scores(frame[None])).max() <= 1
@@ -77,4 +77,4 @@ def test_equal_frames_have_finite_scores():
 @pytest.mark.parametrize("wrong", [torch.zeros(SHAPE), torch.zeros(SHAPE[1:], dtype=torch.uint8)])
 def test_other_signs_are_refused(wrong):
     with pytest.raises(ValueError, match=r"frame 'a': expected signs \(8, 3, 4\) uint8, got"):
-        SignVectors(SHAPE).checked(wrong, "a")
+        LiveSigns(SHAPE).checked(wrong, "a")
