@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from helpers import descriptors
 
-from ssrvlad_torch import FrameSet
+from ssrvlad_torch.database.frames import FrameSet
 from ssrvlad_torch.evaluation.metrics import Convention, evaluate, precision_recall_curve
 from ssrvlad_torch.evaluation.outcomes import judge
 from ssrvlad_torch.evaluation.report import Report

@@ -13,12 +13,13 @@ from networks import photo
 from segmenting import write_settings
 from ssrvlad_torch.encoding.extra_descriptors import extra_descriptors
 
-from ssrvlad_torch import Database, Localiser, LoopConfig, LoopDetector, SSRVLADConfig
+from ssrvlad_torch import Database, Localiser, LoopDetector, SSRVLADConfig
 from ssrvlad_torch.channels.hog import HOG
 from ssrvlad_torch.channels.view import View
 from ssrvlad_torch.database.checksums import intact
 from ssrvlad_torch.database.exporting import export_database
 from ssrvlad_torch.database.frames import FrameRecord
+from ssrvlad_torch.loops.config import LoopConfig
 from ssrvlad_torch.search.index import build_index, search_index
 
 CONFIG = SSRVLADConfig.from_preset("default", labels_as=SPACE)

@@ -12,13 +12,14 @@ from PIL import Image
 from segmenting import write_photos
 from torch import nn
 
-from ssrvlad_torch import Database, Localiser, LoopConfig, LoopDetector
+from ssrvlad_torch import Database, Localiser, LoopDetector
 from ssrvlad_torch.channels.hog import HOG
 from ssrvlad_torch.channels.view import View
 from ssrvlad_torch.datasets.frame_file import FrameFile
 from ssrvlad_torch.datasets.image_files import read_image
 from ssrvlad_torch.descriptor import SSRVLAD
 from ssrvlad_torch.encoding import source as sources
+from ssrvlad_torch.loops.config import LoopConfig
 from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
 from ssrvlad_torch.segmentation.segmenter import Segmenter
 from ssrvlad_torch.stages.features import SHAPE

@@ -35,7 +35,8 @@ assert not {*heavy.split()} & {*sys.modules}
 IN_A_CONTEXT = """
 import torch
 with torch.device("meta"):
-    from ssrvlad_torch import SSRVLAD, follow
+    from ssrvlad_torch import SSRVLAD
+    from ssrvlad_torch.recognition.follow import follow
 print(follow(torch.eye(30)[:3], ["map"] * 30, top=1).indices.flatten().tolist())
 """
 

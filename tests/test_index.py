@@ -5,8 +5,9 @@ import torch
 import torch.nn.functional as F
 from helpers import descriptors, spoil
 
-from ssrvlad_torch import Database, match, standardise
+from ssrvlad_torch import Database, match
 from ssrvlad_torch.recognition.recognise import SSR_VLAD, Steps, recognise, recognise_by_search
+from ssrvlad_torch.recognition.standardise import standardise
 from ssrvlad_torch.recognition.sweep import score
 from ssrvlad_torch.search import index_search
 from ssrvlad_torch.search.index import build_index, search_index

@@ -286,7 +286,7 @@ def test_a_stream_that_breaks_off_is_saved(drive, tmp_path, monkeypatch):
 KILLED = """
 import os, signal, sys
 from pathlib import Path
-from ssrvlad_torch import LoopConfig
+from ssrvlad_torch.loops.config import LoopConfig
 from ssrvlad_torch.loops import stream as loop_stream
 loop_stream.CHECKPOINT_FRAMES = 5
 memory, *names = sys.argv[1:]

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from ssrvlad_torch import multi_similarity
+from ssrvlad_torch.soft.place_loss import multi_similarity
 
 
 def plainly(similarity, same, other, alpha, beta, base):

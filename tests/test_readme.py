@@ -13,7 +13,7 @@ import typer
 from networks import write_graph, write_segformer
 from PIL import Image
 
-from ssrvlad_torch import SSRVLAD, Database, encode_to_database
+from ssrvlad_torch import SSRVLAD, Database
 from ssrvlad_torch.baselines.region_features import AlexNetPlaces365
 from ssrvlad_torch.baselines.weights import random_network
 from ssrvlad_torch.cli import main as cli
@@ -21,6 +21,7 @@ from ssrvlad_torch.cli.app import app
 from ssrvlad_torch.datasets.label_files import find_label_files
 from ssrvlad_torch.datasets.synthetic_city import write_city
 from ssrvlad_torch.encoding import source as sources
+from ssrvlad_torch.encoding.encoder import encode_to_database
 from ssrvlad_torch.taxonomy import colourise
 
 ROOT = Path(__file__).parents[1]

@@ -199,7 +199,7 @@ def test_wrong_input_is_an_error(given, message):
 COST = """
 import sys, torch
 from pathlib import Path
-from ssrvlad_torch import SoftSSRVLAD
+from ssrvlad_torch.soft.descriptor import SoftSSRVLAD
 coarse = torch.randn(8, 19, 8, 16, generator=torch.Generator().manual_seed(0)) * 5
 scores = torch.nn.functional.interpolate(coarse, size=(128, 256), mode="bilinear").requires_grad_()
 SoftSSRVLAD()(scores).square().sum().backward()

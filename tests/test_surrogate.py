@@ -5,7 +5,8 @@ import torch
 from drawings import SPACE
 from helpers import street
 
-from ssrvlad_torch import SSRVLAD, SoftSSRVLAD, SSRVLADConfig, SurrogateSSRVLAD
+from ssrvlad_torch import SSRVLAD, SSRVLADConfig, SurrogateSSRVLAD
+from ssrvlad_torch.soft.descriptor import SoftSSRVLAD
 
 CONFIG = SSRVLADConfig.from_preset("default", labels_as=SPACE)
 

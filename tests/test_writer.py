@@ -66,7 +66,9 @@ def test_a_full_disk_is_an_error_and_committed_frames_stay(town, monkeypatch):
 SCRIPT = """
 import signal, sys, time
 signal.signal(signal.SIGINT, signal.default_int_handler)
-from ssrvlad_torch import SSRVLAD, Database, EncodeOptions, encode_to_database
+from ssrvlad_torch import SSRVLAD, Database
+from ssrvlad_torch.encoding.results import EncodeOptions
+from ssrvlad_torch.encoding.encoder import encode_to_database
 from ssrvlad_torch.datasets.label_files import find_label_files
 from ssrvlad_torch.encoding import describer, encoder, writer
 describer.BATCH, encoder.BATCH, writer.COMMIT_ROWS = 1, 1, 8

@@ -8,7 +8,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from _markdown import head_row, row
 
-from ssrvlad_torch import SSRVLAD, LoopConfig
+from ssrvlad_torch import SSRVLAD
+from ssrvlad_torch.loops.config import LoopConfig
 from ssrvlad_torch.loops.memory import Memory
 from ssrvlad_torch.loops.tracker import Tracker
 

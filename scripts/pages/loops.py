@@ -33,7 +33,7 @@ from _tours import Tour, Tours, all_tours, head
 from conditions import ROUTES
 from matplotlib.figure import Figure
 
-from ssrvlad_torch import LoopConfig, LoopDetector
+from ssrvlad_torch import LoopDetector
 from ssrvlad_torch.cli.bench import threads
 from ssrvlad_torch.database.frames import FrameRecord
 from ssrvlad_torch.evaluation.bootstrap import bootstrap
@@ -46,6 +46,7 @@ from ssrvlad_torch.evaluation.loops import (
     surest_point,
 )
 from ssrvlad_torch.files import write_picture
+from ssrvlad_torch.loops.config import LoopConfig
 from ssrvlad_torch.loops.picture import draw_loops
 from ssrvlad_torch.loops.result import LoopResult, Reason
 from ssrvlad_torch.loops.stream import candidates_of, loops_of

@@ -27,12 +27,13 @@ import numpy as np
 import torch
 from _markdown import Page, head_row, row
 
-from ssrvlad_torch import SSRVLAD, SSRVLADConfig, follow, match
+from ssrvlad_torch import SSRVLAD, SSRVLADConfig, match
 from ssrvlad_torch.channels.signs import REACH, SignQueries, SignRows
 from ssrvlad_torch.database.database import Database
 from ssrvlad_torch.database.frames import FrameRecord
 from ssrvlad_torch.datasets.synthetic_city import SyntheticCity
 from ssrvlad_torch.encoding.writer import COMMIT_ROWS
+from ssrvlad_torch.recognition.follow import follow
 from ssrvlad_torch.recognition.matching import Rows
 from ssrvlad_torch.recognition.recognise import recognise_by_search
 from ssrvlad_torch.recognition.sweep import COLUMNS, score

@@ -82,7 +82,7 @@ def index(database: DatabaseFolder, as_json: Json = False) -> None:
     Example: ssrvlad db index town.ssrdb
     """
     from ...database.database import Database
-    from ...database.index import build_index
+    from ...search.index import build_index
 
     report = build_index(Database.open(database))
     if as_json:
