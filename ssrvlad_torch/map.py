@@ -8,9 +8,12 @@ import errno
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, overload
 
 import numpy as np
+import numpy.typing as npt
+import torch
+from PIL.Image import Image
 
 from .channels import LABEL_SHAPES
 from .channels.channel import Channel
@@ -31,11 +34,12 @@ from .encoding.source import Source, Wanted, open_source, origin_of, require_net
 from .evaluation.ground_truth_files import PartialTruth
 from .evaluation.measure import TOP, Recognition, measure, needs_similarity
 from .evaluation.metrics import Convention
+from .evaluation.outcomes import Rows
 from .evaluation.thresholds import SURE_PRECISION
 from .evaluation.true_matches import TrueMatches, Viewpoints
 from .recognition.confidence import accept
 from .recognition.recognise import AS_PAPER, Steps
-from .recognition.sweep import COLUMNS, score
+from .recognition.sweep import COLUMNS
 from .search.answers import Answer, Answers
 from .search.exact import chosen_channels, recognise_in, search
 from .search.index_search import search_by_index
@@ -45,6 +49,9 @@ from .taxonomy import VOID, LabelSpace
 
 Frames = str | os.PathLike[str] | Sequence[str | os.PathLike[str]] | Wanted
 """Folders, globs or files, each folder a sequence; or `Wanted`, with all that can be said."""
+
+Picture = str | os.PathLike[str] | Pixels | Image
+"""An image file, ``(H, W, 3)`` uint8 in RGB, or an image of Pillow."""
 
 Engine = Literal["local", "ray"]
 
@@ -228,7 +235,11 @@ class Map:
             )
         return found.accepted(min_confidence, max_wrong)
 
-    def locate(self, pictures: Any, top: int = 5) -> Any:
+    @overload
+    def locate(self, pictures: Picture, top: int = 5) -> Answer: ...  # type: ignore[overload-overlap]
+    @overload
+    def locate(self, pictures: Sequence[Picture], top: int = 5) -> list[Answer]: ...
+    def locate(self, pictures: Picture | Sequence[Picture], top: int = 5) -> Answer | list[Answer]:
         """The places of pictures, each judged alone, in memory; of a drive, use `query`.
 
         Args:
@@ -244,8 +255,9 @@ class Map:
             FileNotFoundError: a file does not exist.
             ValueError: something is no picture, the network fails, or the map has no frames.
         """
-        several = isinstance(pictures, Sequence) and not isinstance(pictures, str | os.PathLike)
-        frames = [_pixels(picture) for picture in (pictures if several else [pictures])]
+        several = isinstance(pictures, Sequence) and not isinstance(pictures, str)
+        given: Sequence[Picture] = pictures if several else [pictures]  # type: ignore[assignment,list-item]
+        frames = [_pixels(picture) for picture in given]
         references, channels = self._loaded()
         features = any("features" in channel.needs for channel in channels)
         said = self._segmenter().segment(frames, features=features)
@@ -392,10 +404,17 @@ class Map:
         """The candidates of every query, for the metrics and the report."""
         queries, dataset, segmenter = answers.queries, source.dataset, source.segmenter
         references, recognised = answers.references, answers.recognised
-        own = queries.descriptors
-        if own.ndim == 3:
-            own = own[:, COLUMNS.index(0)].contiguous()
         config, skipped = self.database.config, answers.skipped
+        [channel] = chosen_channels(self.database, [next(iter(queries.channels))])
+
+        def cosines(rows: Rows, columns: Rows) -> npt.NDArray[np.float32]:
+            places = [references.sequences[row] for row in columns]
+            known = channel.references(references.descriptors[columns], places)
+            compared = known.compare(queries.descriptors[rows], False, False, None)
+            scores = [compared.scores[query] for query in range(len(rows))]
+            found: npt.NDArray[np.float32] = torch.stack(scores).numpy()
+            return found
+
         return Recognition(
             references=Viewpoints.of_set(references, dataset, source.known),
             queries=Viewpoints.of_set(
@@ -407,8 +426,8 @@ class Map:
                 "accepted": answers.estimate,
                 "suggested_without_truth": accept(recognised.sure, 1 - SURE_PRECISION),
             },
-            similarity=score(own, references.descriptors).numpy() if pairs else None,
-            descriptors=(own, references.descriptors),
+            similarity=cosines(*map(np.arange, (len(queries), len(references)))) if pairs else None,
+            cosines=cosines,
             pictures=(
                 pictures_of_queries(source.files, dataset, source.labels_as, segmenter),
                 pictures_of_references(self.database, dataset, segmenter),
@@ -424,7 +443,7 @@ class Map:
         )
 
 
-def _pixels(picture: Any) -> Pixels:
+def _pixels(picture: Picture) -> Pixels:
     """A picture in memory, from an array, an image of Pillow, or a file."""
     if isinstance(picture, str | os.PathLike):
         path = Path(picture)
@@ -434,7 +453,7 @@ def _pixels(picture: Any) -> Pixels:
             return read_image(FrameFile("", "", path))
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from error
-    if hasattr(picture, "convert"):
+    if isinstance(picture, Image):
         return np.asarray(picture.convert("RGB"))
     if not isinstance(picture, np.ndarray):
         raise ValueError(

@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import torch
+import numpy as np
 
 from ..config import package_version
 from ..datasets.dataset import shortened
@@ -15,7 +15,6 @@ from ..evaluation.metrics import precision_recall_curve
 from ..evaluation.outcomes import judge
 from ..evaluation.report import Report, write_report
 from ..map import Evaluation
-from ..recognition.sweep import score
 from .words import proof, steps_in_words, without_truth
 
 
@@ -27,7 +26,8 @@ def write_page(path: Path, found: Evaluation, database: str, sources: Sequence[s
     scores, rows = (part.numpy()[known] for part in recognition.matches)
     outcomes = judge(scores, rows, true_rows)
     pairs = None if recognition.similarity is None else recognition.similarity[known]
-    queries, references = recognition.descriptors[0][known], recognition.descriptors[1]
+    assert recognition.cosines
+    of, all_known = recognition.cosines, np.array(known, np.int64)
     names = shortened(["/".join(Path(source).parts[-2:]) or source for source in sources])
     report = Report(
         title=f"{names} against {Path(database).name or database}",
@@ -41,9 +41,7 @@ def write_page(path: Path, found: Evaluation, database: str, sources: Sequence[s
         outcomes=outcomes,
         truth=true_rows,
         curve=precision_recall_curve(outcomes, true_rows, metrics["convention"], pairs),
-        cosines=lambda rows, columns: score(
-            queries[torch.from_numpy(rows)], references[torch.from_numpy(columns)]
-        ).numpy(),
+        cosines=lambda rows, columns: of(all_known[rows], columns),
         score=metrics["score_is"] or "score",
         pictures=recognition.pictures,
         settings=_settings(recognition.details, database, sources, found.true_matches),

@@ -1,13 +1,11 @@
 """Metrics of the candidates of queries."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import torch
-from torch import Tensor
 
 from ..datasets.frame_file import Skipped
 from ..recognition.confidence import Estimate, answered
@@ -15,7 +13,7 @@ from ..recognition.matching import Matches
 from ..recognition.recognise import Recognised
 from .ground_truth_files import PartialTruth, known_matches
 from .metrics import Convention, evaluate, precision_recall_curve
-from .outcomes import judge
+from .outcomes import Rows, judge
 from .report import Pictures
 from .thresholds import operating_points
 from .true_matches import Viewpoints
@@ -33,7 +31,8 @@ class Recognition:
     Attributes:
         matches: candidates of each query, at least `TOP`.
         similarity: ``(Q, R)`` scores of all pairs, if they are needed.
-        descriptors: of single frames, of the queries and of the references, for the report.
+        cosines: ``(q, r)`` of some queries and references, single frames, by their rows, for the
+            report.
         pictures: of the queries and of the references, by their ids, for the report.
         skipped: queries that could not be encoded.
         recognised: all candidates and how sure they are, if they are from a database.
@@ -45,7 +44,7 @@ class Recognition:
     queries: Viewpoints
     matches: Matches
     similarity: npt.NDArray[np.float32] | None = None
-    descriptors: tuple[Tensor, Tensor] = (torch.zeros(0), torch.zeros(0))
+    cosines: Callable[[Rows, Rows], npt.NDArray[np.float32]] | None = None
     pictures: tuple[Pictures, Pictures] = (lambda _: {}, lambda _: {})
     skipped: Sequence[Skipped] = ()
     recognised: Recognised | None = None
