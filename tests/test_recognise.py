@@ -2,10 +2,12 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from ssrvlad_torch.channels.signs import SignQueries, SignRows, mirrored
+from ssrvlad_torch.channels.signs import SignQueries, SignReferences, SignRows, mirrored
+from ssrvlad_torch.channels.vectors import VectorReferences
+from ssrvlad_torch.recognition.comparison import Member
 from ssrvlad_torch.recognition.confidence import ALONE, ALONE_BY_FEATURES, Confidence, accept
 from ssrvlad_torch.recognition.decoys import lead_over_decoys
-from ssrvlad_torch.recognition.recognise import AS_PAPER, NO_SEQUENCE, SSR_VLAD, Steps, recognise
+from ssrvlad_torch.recognition.recognise import AS_PAPER, NO_SEQUENCE, Steps, recognise
 from ssrvlad_torch.recognition.sweep import COLUMNS
 
 
@@ -24,10 +26,16 @@ def two_traverses(
     return tuple(traverses)
 
 
+def by_vectors(queries, references, query_names, names, *steps, mirror=None, **options):
+    """What is recognised by one channel of vectors."""
+    member = Member(queries, VectorReferences(references, names, mirror))
+    return recognise({"x": member}, query_names, names, *steps, **options)
+
+
 def whole(queries: torch.Tensor, references: torch.Tensor, *steps, **options):
     """What is recognised of one sequence of queries in a map of one sequence."""
     names = ["q"] * len(queries), ["r"] * len(references)
-    return recognise(queries, references, *names, *steps, **options)
+    return by_vectors(queries, references, *names, *steps, **options)
 
 
 def right(found, rows: torch.Tensor | None = None) -> float:
@@ -60,7 +68,7 @@ def test_a_map_in_small_folders_is_searched_as_one_that_is_whole():
     """Folders of two frames would have v and -v after their own means are subtracted."""
     queries, references = two_traverses(80, 0.8)
     for names in (["r"] * 80, [f"{row // 2:02d}" for row in range(80)]):
-        assert right(recognise(queries, references, ["q"] * 80, names, Steps(follow=None))) > 0.95
+        assert right(by_vectors(queries, references, ["q"] * 80, names, Steps(follow=None))) > 0.95
 
 
 ORDER = torch.arange(80)
@@ -77,7 +85,7 @@ def test_queries_that_are_no_sequence_are_judged_one_by_one(order, names, likene
     """Shuffled ones, and those of a map in folders too short to be followed."""
     queries, references = two_traverses(80, 0.8, **likeness)
     found, alone = (
-        recognise(queries[order], references, ["q"] * 80, names, Steps(follow=each))
+        by_vectors(queries[order], references, ["q"] * 80, names, Steps(follow=each))
         for each in (mode, None)
     )
     assert found.used["follow"] == {"q": NO_SEQUENCE}
@@ -128,11 +136,11 @@ def test_a_sweep_is_used_or_left():
     assert narrow.used["sweep"] == {"q": 0} and right(narrow) < 0.2
 
 
-def test_what_is_barred_is_no_candidate():
+def test_an_excluded_reference_is_no_candidate():
     queries, references = two_traverses(30, 0.3)
-    barred = torch.eye(30, dtype=torch.bool)
+    excluded = torch.eye(30, dtype=torch.bool)
     for steps in (Steps(), AS_PAPER):
-        assert right(whole(queries, references, steps, 3, barred)) == 0
+        assert right(whole(queries, references, steps, 3, excluded)) == 0
 
 
 def exchange(vectors: torch.Tensor) -> torch.Tensor:
@@ -140,22 +148,26 @@ def exchange(vectors: torch.Tensor) -> torch.Tensor:
     return vectors * torch.tensor([1.0, -1]).repeat(vectors.shape[-1] // 2)
 
 
-@pytest.mark.parametrize("extra", [False, True])
+@pytest.mark.parametrize("names", [["x"], ["x", "y"]])
 @pytest.mark.parametrize("steps", [Steps(follow=None), AS_PAPER])
-def test_decoys_tell_right_answers_from_wrong_ones(steps, extra):
+def test_decoys_tell_right_answers_from_wrong_ones(steps, names):
+    """By one channel, and by two that are fused."""
     queries, references = two_traverses(120, 1.3 if steps.standardise else 0.8)
     foreign = two_traverses(240, 1.3)[0][120:]
-    pairs = {"own": (queries, references)} if extra else None
-    mirrors = {SSR_VLAD: exchange, "own": exchange}
-    found = whole(queries, references, steps, 1, extra=pairs, mirrors=mirrors)
+
+    def first(queries):
+        of_map = VectorReferences(references, ["r"] * 120, exchange)
+        members = {name: Member(queries, of_map) for name in names}
+        return recognise(members, ["q"] * len(queries), ["r"] * 120, steps, 1)
+
+    found = first(queries)
     wrong = found.matches.indices[:, 0] != torch.arange(120)
     sure = found.confidence
     assert sure[wrong].mean() < 0.7 * sure[~wrong].mean() and wrong.float().mean() > 0.05
     kept = accept(found.sure, 0.1)
     assert kept.accepted > 30
     assert wrong[sure >= kept.confidence].float().mean() <= kept.high
-    pairs = {"own": (foreign, references)} if extra else None
-    lost = whole(foreign, references, steps, 1, extra=pairs, mirrors=mirrors)
+    lost = first(foreign)
     assert accept(lost.sure, 0.1).accepted == 0
     assert 40 <= (lost.sure.decoy > 0).sum() <= 80
 
@@ -163,10 +175,7 @@ def test_decoys_tell_right_answers_from_wrong_ones(steps, extra):
 def test_a_few_pictures_with_much_in_common_have_fair_decoys():
     """Mirroring what all frames share would leave decoys that are never near."""
     queries, references = two_traverses(240, 3.0, common=8.0)
-    alone = [
-        whole(query[None], references[:120], mirrors={SSR_VLAD: exchange})
-        for query in queries[120:]
-    ]
+    alone = [whole(query[None], references[:120], mirror=exchange) for query in queries[120:]]
     assert 40 <= sum(bool(each.sure.decoy > 0) for each in alone) <= 80
 
 
@@ -187,7 +196,8 @@ def test_a_lead_says_more_where_features_are_compared():
         SignQueries(each, SignRows(signs)).scores()[0] for each in (query, mirrored(query))
     )
     lead = torch.tensor([lead_over_decoys(scores, decoys).value])
-    found = whole(query, signs, Steps(follow=None)).confidence
+    member = Member(query, SignReferences(signs, ["r"] * 40))
+    found = recognise({"x": member}, ["q"], ["r"] * 40, Steps(follow=None)).confidence
     torch.testing.assert_close(found, Confidence.of_leads(lead, ALONE_BY_FEATURES, 1.0).right)
     assert found > Confidence.of_leads(lead, ALONE, 1.0).right + 0.01
 
@@ -199,14 +209,21 @@ def test_few_references_give_no_confidence():
 
 
 def test_refuses():
-    with pytest.raises(ValueError, match="each of 4 queries, got 1"):
-        recognise(torch.eye(4), torch.eye(4), ["a"], ["b"] * 4)
+    frames = torch.eye(4)
+    for message, arguments in (
+        ("each of 4 queries, got 1", (frames, frames, ["a"], ["b"] * 4)),
+        (
+            r"excluded: expected \(4, 4\) bool, got \(1, 4\)",
+            (frames, frames, ["a"] * 4, ["b"] * 4, None, 5, torch.ones(1, 4) > 0),
+        ),
+    ):
+        with pytest.raises(ValueError, match=message):
+            by_vectors(*arguments)
+    member = Member(frames, VectorReferences(frames, ["b"] * 4))
     with pytest.raises(ValueError, match="a sequence for each of 4 references, got 3"):
-        recognise(torch.eye(4), torch.eye(4), ["a"] * 4, ["b"] * 3, AS_PAPER)
-    with pytest.raises(ValueError, match=r"excluded: expected \(4, 4\) bool, got \(1, 4\)"):
-        whole(torch.eye(4), torch.eye(4), excluded=torch.ones(1, 4) > 0)
-    with pytest.raises(ValueError, match="expected mirrors of ssr-vlad, got hog"):
-        whole(torch.eye(4), torch.eye(4), mirrors={"hog": exchange})
+        recognise({"x": member}, ["a"] * 4, ["b"] * 3, AS_PAPER)
+    with pytest.raises(ValueError, match="expected a channel by which to recognise, got none"):
+        recognise({}, ["a"] * 4, ["b"] * 4)
 
 
 def test_no_queries_give_no_candidates():
