@@ -1,4 +1,4 @@
-"""Descriptors of pictures besides those of label maps: stored, verified, exported, fused."""
+"""Channels: their columns stored, verified and exported, and the channels of columns and frames."""
 
 import json
 from functools import partial
@@ -11,9 +11,9 @@ from drawings import SPACE
 from helpers import descriptors, street
 from networks import photo
 from segmenting import write_settings
-from ssrvlad_torch.encoding.extra_descriptors import extra_descriptors
 
-from ssrvlad_torch import Database, Localiser, LoopDetector, SSRVLADConfig
+from ssrvlad_torch import SSRVLAD, Database, LoopDetector, Map, SSRVLADConfig
+from ssrvlad_torch.channels.column import Column
 from ssrvlad_torch.channels.hog import HOG
 from ssrvlad_torch.channels.view import View
 from ssrvlad_torch.database.checksums import intact
@@ -24,38 +24,45 @@ from ssrvlad_torch.search.index import build_index, search_index
 
 CONFIG = SSRVLADConfig.from_preset("default", labels_as=SPACE)
 FRAMES = ["day/10", "day/2", "night/1"]
-[HOG_STORED] = extra_descriptors(["hog"], None)
-OWN = ExtraDescriptor("own", 7, "seven numbers")
+HOG_STORED = HOG().column
+OWN = Column("own", "seven numbers", (7,))
 
 
 @pytest.fixture
 def made(tmp_path):
-    database = Database.create(tmp_path / "town", CONFIG, extra=[OWN])
-    database.append(FRAMES, descriptors(0, 3), {"own": descriptors(1, 3, 7)})
+    database = Database.create(tmp_path / "town", CONFIG, columns=[OWN])
+    database.append(FRAMES, both(0, 1, 3))
     return database
 
 
-def test_extra_descriptors_are_loaded_bit_for_bit_and_in_order(made):
+def both(first, second, count):
+    """Descriptors of label maps and by `OWN`."""
+    return {"ssr-vlad": descriptors(first, count), "own": descriptors(second, count, 7)}
+
+
+def test_descriptors_of_all_channels_are_loaded_bit_for_bit_and_in_order(made):
     opened = Database.open(made.path)
     frames = opened.load()
     assert frames.frames == ("day/2", "day/10", "night/1")
     assert torch.equal(frames.descriptors, descriptors(0, 3)[[1, 0, 2]])
-    assert torch.equal(frames.extra["own"], descriptors(1, 3, 7)[[1, 0, 2]])
-    assert opened.extra == (OWN,)
-    assert opened.info()["extra"] == {"own": "seven numbers"}
-    assert "descriptors of 480 and own" in repr(opened)
-    assert "descriptors of 480 and own" in repr(frames)
-    opened.merge(["day/2"], descriptors(2, 1), {"own": descriptors(3, 1, 7)})
-    assert torch.equal(opened.load().extra["own"][0], descriptors(3, 1, 7)[0])
+    assert torch.equal(frames.channels["own"], descriptors(1, 3, 7)[[1, 0, 2]])
+    assert opened.columns[1:] == (OWN,)
+    assert opened.info()["channels"] == {"ssr-vlad": CONFIG.fingerprint, "own": "seven numbers"}
+    assert "ssr-vlad and own of 480" in repr(opened)
+    assert "ssr-vlad and own" in repr(frames)
+    opened.merge(["day/2"], both(2, 3, 1))
+    assert torch.equal(opened.load().channels["own"][0], descriptors(3, 1, 7)[0])
 
 
 def test_every_frame_has_all_descriptors(made):
-    for extra, message in (
-        ({}, "holds descriptor, own of every frame, got descriptor$"),
-        ({"own": descriptors(0, 1, 8)}, r"own: expected \(1, 7\) for 1 frames, got \(1, 8\)"),
+    number = descriptors(0, 1)
+    wider = {"ssr-vlad": number, "own": descriptors(0, 1, 8)}
+    for given, message in (
+        (number, "holds ssr-vlad, own of every frame, got ssr-vlad$"),
+        (wider, r"own: expected \(1, 7\) for 1 frames, got \(1, 8\)"),
     ):
         with pytest.raises(ValueError, match=message):
-            made.append(["day/3"], descriptors(0, 1), extra)
+            made.append(["day/3"], given)
     with pytest.raises(ValueError, match="has no descriptors by own, eight numbers"):
         made.require(CONFIG, [OWN._replace(fingerprint="eight numbers")])
     made.require(CONFIG, [OWN])
@@ -63,14 +70,14 @@ def test_every_frame_has_all_descriptors(made):
 
 
 def test_signs_are_bytes_on_a_grid(tmp_path):
-    grid = ExtraDescriptor("features", 48, "signs of a network", (4, 6, 2))
+    grid = Column("features", "signs of a network", (4, 6, 2), "uint8")
     signs = torch.randint(0, 256, (300, 4, 6, 2), dtype=torch.uint8)
     names = [f"day/{row}" for row in reversed(range(300))]
-    database = Database.create(tmp_path / "town", CONFIG, extra=[grid])
-    database.append(names, descriptors(0, 300), {"features": signs})
+    database = Database.create(tmp_path / "town", CONFIG, columns=[grid])
+    database.append(names, {"ssr-vlad": descriptors(0, 300), "features": signs})
     opened = Database.open(tmp_path / "town")
-    assert opened.extra == (grid,)
-    assert torch.equal(opened.load().extra["features"], signs.flip(0))
+    assert opened.columns[1:] == (grid,)
+    assert torch.equal(opened.load().channels["features"], signs.flip(0))
     assert opened.damage() == []
     assert opened.table().to_table()["features"].type.value_type == pa.uint8()
     assert not intact(_changed(opened.table().to_table(), "features")).all()
@@ -78,10 +85,10 @@ def test_signs_are_bytes_on_a_grid(tmp_path):
     for numbers, wrong, message in (
         (number, sign.float(), "features: expected uint8, got float32"),
         (number, sign[:, 1:], r"features: expected \(1, 4, 6, 2\) .*, got \(1, 3, 6, 2\)"),
-        (number.byte(), sign, "descriptor: expected float32, got uint8"),
+        (number.byte(), sign, "ssr-vlad: expected float32, got uint8"),
     ):
         with pytest.raises(ValueError, match=message):
-            database.append(["day/x"], numbers, {"features": wrong})
+            database.append(["day/x"], {"ssr-vlad": numbers, "features": wrong})
     export_database(opened, "npy", tmp_path / "out.npy")
     np.testing.assert_array_equal(np.load(tmp_path / "out.npy.features.npy"), signs.flip(0))
 
@@ -95,24 +102,25 @@ def _changed(table, name):
     return table.set_column(place, table.schema.field(place), column)
 
 
-@pytest.mark.parametrize("names", [["frame"], ["descriptor"], ["own", "own"]])
+@pytest.mark.parametrize("names", [["frame"], ["ssr-vlad"], ["own", "own"]])
 def test_names_of_columns_are_unique(tmp_path, names):
-    extra = [OWN._replace(name=name) for name in names]
-    with pytest.raises(ValueError, match="expected unique names of extra descriptors"):
-        Database.create(tmp_path / "town", CONFIG, extra=extra)
+    columns = [OWN._replace(name=name) for name in names]
+    with pytest.raises(ValueError, match="expected unique names of channels"):
+        Database.create(tmp_path / "town", CONFIG, columns=columns)
 
 
-def test_the_checksum_covers_extra_descriptors(made):
+def test_the_checksum_covers_all_channels(made):
     table = made.table().to_table()
     assert intact(table).all()
     assert intact(_changed(table, "own")).tolist() == [True, False, True]
 
 
-def test_exports_hold_extra_descriptors(made, tmp_path):
-    files, own = export_database(made, "npy", tmp_path / "out.npy"), made.load().extra["own"]
+def test_exports_hold_all_channels(made, tmp_path):
+    files, own = export_database(made, "npy", tmp_path / "out.npy"), made.load().channels["own"]
     assert tmp_path / "out.npy.own.npy" in files
     np.testing.assert_array_equal(np.load(tmp_path / "out.npy.own.npy"), own)
-    assert json.loads((tmp_path / "out.npy.json").read_text())["extra"] == {"own": "seven numbers"}
+    channels = {"ssr-vlad": CONFIG.fingerprint, "own": "seven numbers"}
+    assert json.loads((tmp_path / "out.npy.json").read_text())["channels"] == channels
     h5py = pytest.importorskip("h5py", reason="needs the extra hloc")
     export_database(made, "hloc", tmp_path / "out.h5")
     with h5py.File(tmp_path / "out.h5", "r") as stored:
@@ -121,17 +129,20 @@ def test_exports_hold_extra_descriptors(made, tmp_path):
 
 def test_descriptors_of_another_version_are_refused(tmp_path):
     changed = HOG_STORED._replace(fingerprint="7 x 7 cells")
-    database = Database.create(tmp_path / "town", CONFIG, extra=[changed])
+    database = Database.create(tmp_path / "town", CONFIG, columns=[changed])
     settings = write_settings(tmp_path, f"labels_as: {SPACE}\n")
-    with pytest.raises(ValueError, match="stored descriptors by hog are of 7 x 7 cells, got 6 x"):
-        Localiser.from_pretrained(settings, database.path)
+    numbers = {"ssr-vlad": descriptors(0, 1), "hog": descriptors(0, 1, 480)}
+    database.append(FRAMES[:1], numbers)
+    town = Map.open(database.path, settings)
+    with pytest.raises(ValueError, match="by hog are of 7 x 7 cells, this version makes 6 x"):
+        town.locate(photo(street(0, 60, 80)))
 
 
 def test_an_index_is_of_label_maps_and_says_what_it_leaves_out(ssrvlad, maps, tmp_path):
     path, numbers = tmp_path / "town", descriptors(0, 300)
-    database = Database.create(path, CONFIG, extra=[HOG_STORED])
-    extra = {"hog": descriptors(1, 300, HOG_STORED.width)}
-    database.append([f"a/{number}" for number in range(300)], numbers, extra)
+    database = Database.create(path, CONFIG, columns=[HOG_STORED])
+    given = {"ssr-vlad": numbers, "hog": descriptors(1, 300, *HOG_STORED.shape)}
+    database.append([f"a/{number}" for number in range(300)], given)
     build_index(database)
     [found] = search_index(Database.open(path), numbers[17][None], 1)
     assert found[0][0] == "a/17"
@@ -153,11 +164,11 @@ def laps(seed: int, noise: float, length: int = 60) -> torch.Tensor:
 
 def run(detector: LoopDetector, *methods: torch.Tensor) -> int:
     """The number of right loops in the second lap; asserts that there are no wrong ones."""
-    names = [one.name for one in detector.extra]
+    names = [channel.column.name for channel in detector.channels]
     right = 0
-    for row, (own, *others) in enumerate(zip(*methods, strict=True)):
-        extra = dict(zip(names, others, strict=True))
-        found = detector.observe(FrameRecord("drive", str(row)), own, extra)
+    for row, described in enumerate(zip(*methods, strict=True)):
+        given = dict(zip(names, described, strict=True))
+        found = detector.observe(FrameRecord("drive", str(row)), given)
         if found.accepted:
             assert abs(int(found.candidate.partition("/")[2]) - (row - 60)) <= 2
             right += 1
@@ -167,28 +178,27 @@ def run(detector: LoopDetector, *methods: torch.Tensor) -> int:
 def test_a_detector_closes_more_loops_with_both():
     noisy = laps(0, 2.5), laps(1, 2.5)
     alone = [run(LoopDetector(LoopConfig(exclude=20)), one) for one in noisy]
-    seen = OWN._replace(name="hog", width=480, fingerprint=HOG_STORED.fingerprint)
-    detector = LoopDetector(LoopConfig(exclude=20), extra=[seen])
+    detector = LoopDetector(LoopConfig(exclude=20), channels=[HOG()])
     assert run(detector, *noisy) > max(alone) + 5
     assert detector.weights.keys() == {"ssr-vlad", "hog"}
     assert LoopDetector().weights == {}
 
 
-def test_a_detector_stores_extra_descriptors(tmp_path):
-    detector = LoopDetector(LoopConfig(exclude=2), extra=[HOG_STORED])
-    database = Database.create(tmp_path / "memory", detector.head.config, extra=detector.extra)
+def test_a_detector_stores_all_channels(tmp_path):
+    detector = LoopDetector(LoopConfig(exclude=2), channels=[HOG()])
+    database = Database.create(tmp_path / "memory", detector.head.config, columns=[HOG_STORED])
     pictures = [photo(street(seed, 60, 80)) for seed in range(6)]
     for row, picture in enumerate(pictures):
         detector.update(torch.full((60, 80), row), f"drive/{row}", picture=picture)
     detector.save(database)
-    expected = HOG().encode_query([View("", picture=picture) for picture in pictures])
-    assert torch.equal(database.load().extra["hog"], expected)
+    expected = HOG().describe([View("", picture=picture) for picture in pictures])
+    assert torch.equal(database.load().channels["hog"], expected)
     again, other = (LoopDetector.load(database, detector.config) for _ in range(2))
     seen = partial(LoopDetector.update, view=torch.full((60, 80), 2), picture=pictures[2])
     assert seen(again, frame_id="later/0") == seen(other, frame_id="later/0")
-    with pytest.raises(ValueError, match="needs images, but frame later/1 has none"):
+    with pytest.raises(ValueError, match="needs pictures, but frame later/1 has none"):
         again.update(torch.full((60, 80), 2), "later/1")
-    with pytest.raises(ValueError, match="expected extra hog, got nothing"):
+    with pytest.raises(ValueError, match="expected descriptors by ssr-vlad, hog, got ssr-vlad"):
         again.observe(FrameRecord("later", "1"), torch.zeros(480))
     with pytest.raises(ValueError, match="has no descriptors by hog"):
         detector.save(Database.create(tmp_path / "other", detector.head.config))
