@@ -8,9 +8,10 @@ import torch
 from helpers import write_street as write_map
 from networks import write_street
 from segmenting import write_photos, write_settings
-from ssrvlad_torch.encoding.extra_descriptors import extra_descriptors
 
 from ssrvlad_torch import SSRVLAD
+from ssrvlad_torch.channels import new_channels
+from ssrvlad_torch.channels.label_shapes import LabelShapes
 from ssrvlad_torch.database.database import Database
 from ssrvlad_torch.datasets.image_files import find_image_files
 from ssrvlad_torch.datasets.label_files import find_label_files
@@ -48,15 +49,15 @@ def database(tmp_path):
     return Database.create(tmp_path / "db", HEAD.config)
 
 
-def assert_same_as_local(path, files, segmenter=None, extra=()):
+def assert_same_as_local(path, files, segmenter=None, columns=()):
     """Asserts that a database holds the rows that the local engine makes of the same files."""
-    local = Database.create(path.with_name("local"), HEAD.config, extra=extra)
+    local = Database.create(path.with_name("local"), HEAD.config, columns=columns)
     encode_to_database(HEAD, files, local, EncodeOptions(workers=0), segmenter)
     expected, found = local.load(), Database.open(path).load()
     assert found.frames == expected.frames
-    assert torch.equal(found.descriptors, expected.descriptors)
-    assert found.extra.keys() == expected.extra.keys()
-    assert all(torch.equal(found.extra[name], expected.extra[name]) for name in found.extra)
+    assert found.channels.keys() == expected.channels.keys()
+    for name, stored in found.channels.items():
+        assert torch.equal(stored, expected.channels[name])
     known = sorted(Database.open(path).known().values())
     assert repr(known) == repr(sorted(local.known().values()))
 
@@ -65,7 +66,7 @@ def test_files_of_a_uri_give_the_same_descriptors(tmp_path, files, database):
     remote = find_label_files([(tmp_path / "a").as_uri()])
     summary = encode_with_ray(HEAD, remote, database, TWO)
     assert (summary.encoded, summary.skipped) == (20, [])
-    expected, _ = encode_to_memory(HEAD, files)
+    expected, _ = encode_to_memory([LabelShapes(HEAD)], HEAD.label_space, files)
     assert torch.equal(database.load().descriptors, expected.descriptors)
 
 
@@ -104,7 +105,7 @@ def test_a_killed_worker_loses_nothing(tmp_path, monkeypatch, request, by):
     monkeypatch.setattr(ray_engine, "PartEncoder", Mortal)
     assert encode_with_ray(HEAD, files, database, TWO, *segmenter).encoded == 20
     assert flag.exists()
-    assert_same_as_local(tmp_path / "db", files, *segmenter, extra=database.extra)
+    assert_same_as_local(tmp_path / "db", files, *segmenter, columns=database.columns[1:])
 
 
 def test_frames_committed_before_an_interruption_stay(tmp_path, files, database, monkeypatch):
@@ -160,9 +161,9 @@ def segmenter(tmp_path):
 @pytest.fixture
 def pictures(tmp_path, segmenter):
     """A database with features and HOG beside the descriptors."""
-    extra = extra_descriptors(None, segmenter)
-    assert [each.name for each in extra] == ["features", "hog"]
-    return Database.create(tmp_path / "db", HEAD.config, extra=extra)
+    columns = [channel.column for channel in new_channels(None, HEAD, segmenter)]
+    assert [column.name for column in columns] == ["ssr-vlad", "features", "hog"]
+    return Database.create(tmp_path / "db", HEAD.config, columns=columns[1:])
 
 
 def test_a_network_runs_in_the_actors(tmp_path, photos, segmenter, pictures):
@@ -170,7 +171,7 @@ def test_a_network_runs_in_the_actors(tmp_path, photos, segmenter, pictures):
     photos[7].path.write_text("no image")
     summary = encode_with_ray(HEAD, photos, pictures, TWO, segmenter)
     assert (summary.encoded, [frame.frame for frame in summary.skipped]) == (19, ["photos/7"])
-    assert_same_as_local(tmp_path / "db", photos, segmenter, pictures.extra)
+    assert_same_as_local(tmp_path / "db", photos, segmenter, pictures.columns[1:])
     write_photos(tmp_path / "photos", [7], size=(96, 128))
     write_photos(tmp_path / "photos", [3], size=(96, 160))
     summary = encode_with_ray(HEAD, photos, Database.open(tmp_path / "db"), TWO, segmenter)

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ssrvlad_torch.database.frames import FrameSet
+from ssrvlad_torch.datasets.frame_ids import sequence_of, split_id
 from ssrvlad_torch.files import natural_key
 from ssrvlad_torch.recognition.matching import match
 from ssrvlad_torch.search.selection import excluded_pairs, neighbours, select
@@ -16,11 +17,11 @@ from ssrvlad_torch.search.selection import excluded_pairs, neighbours, select
 
 def frame_set(*frames):
     """Frames without descriptors, in natural order."""
-    ordered = sorted(frames, key=lambda f: tuple(natural_key(p) for p in f.rsplit("/", 1)))
+    ordered = sorted(frames, key=lambda frame: tuple(map(natural_key, split_id(frame))))
     return FrameSet(
         frames=tuple(ordered),
-        sequences=tuple(frame.rpartition("/")[0] for frame in ordered),
-        descriptors=torch.zeros(len(ordered), 0),
+        sequences=tuple(sequence_of(frame) for frame in ordered),
+        channels={"descriptor": torch.zeros(len(ordered), 0)},
         poses=np.zeros((len(ordered), 3)),
         stamps=np.zeros(len(ordered)),
         empty=np.zeros(len(ordered), bool),
