@@ -10,10 +10,12 @@ from networks import write_street as write_network
 from PIL import Image
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig
+from ssrvlad_torch.channels import new_channels
 from ssrvlad_torch.datasets.image_files import find_image_files
 from ssrvlad_torch.deployment.fuse import fuse
 from ssrvlad_torch.encoding.encoder import encode_to_memory
-from ssrvlad_torch.recognition.recognise import Steps, recognise
+from ssrvlad_torch.recognition.recognise import Steps
+from ssrvlad_torch.search.exact import recognise_in
 from ssrvlad_torch.segmentation.preparation import SegmenterConfig
 from ssrvlad_torch.segmentation.segmenter import Segmenter
 
@@ -77,23 +79,20 @@ def write_town(folder, path, top=5):
     """The database of ``monday`` in NumPy's form; the frames and scores of the candidates of the
     photos of ``today``, judged alone by label maps and features."""
     segmenter = Segmenter.load(folder / "net.yaml")
-    head, extra = SSRVLAD(SSRVLADConfig(labels_as="camvid-11")), segmenter.features.descriptor
+    head = SSRVLAD(SSRVLADConfig(labels_as="camvid-11"))
+    channels = new_channels(["features"], head, segmenter)
     (today, _), (monday, _) = (
-        encode_to_memory(head, find_image_files([str(folder / drive)]), 1, segmenter=segmenter,
-                         extra=[extra])
+        encode_to_memory(channels, head.label_space, files, 1, segmenter=segmenter)
         for drive in ("today", "monday")
-    )  # fmt: skip
-    for end, values in {"": monday.descriptors, ".features.npy": monday.extra["features"]}.items():
+        for files in [find_image_files([str(folder / drive)])]
+    )
+    for end, values in zip(("", ".features.npy"), monday.channels.values(), strict=True):
         np.save(f"{path}{end}", values.numpy())
     Path(f"{path}.frames.txt").write_text("".join(f"{frame}\n" for frame in monday.frames))
     Path(f"{path}.fingerprint.txt").write_text(f"{head.config.fingerprint}\n")
-    Path(f"{path}.features.npy.fingerprint.txt").write_text(f"{extra.fingerprint}\n")
-    extra = {"features": (today.extra["features"], monday.extra["features"])}
+    Path(f"{path}.features.npy.fingerprint.txt").write_text(f"{channels[1].column.fingerprint}\n")
     steps = Steps(standardise=False, follow=None)
-    names = ["today"] * len(today.frames), ["monday"] * len(monday.frames)
-    found = recognise(
-        today.descriptors, monday.descriptors, *names, steps=steps, top=top, extra=extra
-    ).matches
+    found = recognise_in(monday, today, channels, steps, top).matches
     return [
         ([monday.frames[row] for row in rows], scores)
         for scores, rows in zip(found.scores.tolist(), found.indices.tolist(), strict=True)
