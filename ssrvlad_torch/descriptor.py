@@ -102,27 +102,13 @@ class SSRVLAD(nn.Module):
         """The descriptors of a batch."""
         labels = self._input(labels)
         if torch.compiler.is_exporting():
+            self._refuse_loops_in_onnx()
             if isinstance(self._aggregation, Harmonics):
-                found, unknown, *_ = self.counted(labels)
-                wrong = (unknown > 0).view(-1, *[1] * (found.ndim - 1))
-                return torch.where(wrong, torch.nan, found)
-            if torch.onnx.is_in_onnx_export():
-                raise ValueError(
-                    "torch.onnx.export cannot record the loops of residuals: expected export_head "
-                    "or ssrvlad fuse"
-                )
-        descriptor: Tensor
+                return self._describe_in_graph(labels)
         requires_gradient = labels.requires_grad and torch.is_grad_enabled()
-        if requires_gradient or not (labels.is_cpu and self.native):
-            descriptor = self._describe_by_stages(labels)
-            return descriptor
-        ids = label_map(labels, self.label_space)
-        run = operator if torch.compiler.is_compiling() else describe  # the native core
-        try:
-            descriptor = run(ids, self._front_end.table, self._front_end.origin, self._method)
-        except UnknownIdError:
-            refuse_unknown(ids, self.label_space)
-            raise
+        if labels.is_cpu and self.native and not requires_gradient:
+            return self._describe_by_core(labels)
+        descriptor: Tensor = self._describe_by_stages(labels)
         return descriptor
 
     # torch.compiler.disable would load torch's compiler when this module is imported
@@ -135,6 +121,31 @@ class SSRVLAD(nn.Module):
                 warnings.warn(_NO_GRADIENT, stacklevel=2)
                 self._warned = True
             return self._aggregation.descriptor(histograms)  # Eq. 2
+
+    def _describe_by_core(self, labels: Tensor) -> Tensor:
+        ids = label_map(labels, self.label_space)
+        run = operator if torch.compiler.is_compiling() else describe
+        try:
+            descriptor: Tensor = run(
+                ids, self._front_end.table, self._front_end.origin, self._method
+            )
+            return descriptor
+        except UnknownIdError:
+            refuse_unknown(ids, self.label_space)
+            raise
+
+    def _describe_in_graph(self, labels: Tensor) -> Tensor:
+        """As torch.export records it. A graph cannot raise: an unknown id gives NaN."""
+        found, unknown, *_ = self.counted(labels)
+        wrong = (unknown > 0).view(-1, *[1] * (found.ndim - 1))
+        return torch.where(wrong, torch.nan, found)
+
+    def _refuse_loops_in_onnx(self) -> None:
+        if torch.onnx.is_in_onnx_export() and not isinstance(self._aggregation, Harmonics):
+            raise ValueError(
+                "torch.onnx.export cannot record the loops of residuals: expected export_head or "
+                "ssrvlad fuse"
+            )
 
     def _input(self, labels: Tensor | npt.NDArray[Any]) -> Tensor:
         tensor, own = as_tensor(labels), self._front_end.table.device

@@ -105,6 +105,7 @@ class Map:
             network if network is None or isinstance(network, Segmenter) else str(network)
         )
         self._preset, self._channels, self._version = preset, channels, version
+        self._opened = self.network if isinstance(self.network, Segmenter) else None
         self._database: Database | None = None
         self._located: tuple[int, FrameSet, list[Channel]] | None = None
         if version is not None or Database.exists(self.path):
@@ -158,9 +159,11 @@ class Map:
         note: Note = do_nothing,
     ) -> Source:
         """The frames on disk, before the first is read; see `open_source`."""
-        return open_source(
-            self._wanted(frames), self._database, compared=compared, images=images, note=note
-        )
+        wanted, database = self._wanted(frames), self._database
+        source = open_source(wanted, database, compared=compared, images=images, note=note)
+        if source.segmenter and not isinstance(frames, Wanted):
+            self._opened = source.segmenter
+        return source
 
     def add(
         self,
@@ -306,7 +309,8 @@ class Map:
             paths = [frames] if isinstance(frames, str | os.PathLike) else frames
             frames = Wanted([str(path) for path in paths])
         if frames.segmenter is None and frames.labels_as is None:
-            frames = dataclasses.replace(frames, segmenter=self.network, labels_as=self.labels_as)
+            network = self.network and (self._opened or self.network)
+            frames = dataclasses.replace(frames, segmenter=network, labels_as=self.labels_as)
         return frames
 
     def _config(self, source: Source) -> SSRVLADConfig:
@@ -363,13 +367,13 @@ class Map:
 
     def _segmenter(self) -> Segmenter:
         """The network, or the one that made the map."""
-        if not isinstance(self.network, Segmenter):
+        if self._opened is None:
             name, labels_as = self.network, self.labels_as
             if name is None:
                 origin = origin_of(self.database)
                 name, labels_as = origin.network, labels_as or origin.label_space
-            self.network = Segmenter.load(name, labels_as or "auto")
-        return self.network
+            self._opened = Segmenter.load(name, labels_as or "auto")
+        return self._opened
 
     def _loaded(self) -> tuple[FrameSet, list[Channel]]:
         """The frames and the channels, loaded anew after a change; the network must fit them."""
