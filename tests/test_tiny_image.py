@@ -67,7 +67,7 @@ def test_scores_equal_loops_whatever_the_block(monkeypatch):
     assert (found.shape, found.dtype) == ((5, 9), torch.float32)
     alone = method.encode_reference([*frames([image(0)], "a"), *frames([image(1)] * 50, "b")])
     assert not method.scores(method.encode_query(frames(queries)), alone).any(), "all are alike"
-    there = np.stack([plain_picture(frame.image[..., 0], 32, 64) for frame in drives])
+    there = np.stack([plain_picture(frame.picture[..., 0], 32, 64) for frame in drives])
     here = np.stack([plain_picture(query[..., 0], 32, 64) for query in queries])
     difference = np.abs(here[:, None] - there).mean((2, 3))
     expected = plain_scores(difference, [frame.sequence for frame in drives])

@@ -57,8 +57,9 @@ class NetVLAD(VectorMethod):
         self._network, self.length = network.to(device), network.size
         self._device = device
 
-    def _describe(self, frames: Sequence[View]) -> Tensor:
-        image = picture_of(frames[0], self.name)
+    def describe(self, views: Sequence[View], _columns: Sequence[int] = ()) -> Tensor:
+        """See `Channel`."""
+        image = picture_of(views[0], self.name)
         if min(image.shape[:2]) < _SMALLEST:
             raise ValueError(
                 f"method {self.name} needs images of at least {_SMALLEST} x {_SMALLEST} pixels, "

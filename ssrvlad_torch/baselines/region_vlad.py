@@ -49,8 +49,9 @@ class RegionVLAD(VectorMethod):
             self._words = read_vocabulary(path, words, regions)
         self.length = self._words.numel()
 
-    def _describe(self, frames: Sequence[View]) -> Tensor:
-        images = (picture_of(frame, self.name) for frame in frames)
+    def describe(self, views: Sequence[View], _columns: Sequence[int] = ()) -> Tensor:
+        """See `Channel`."""
+        images = (picture_of(view, self.name) for view in views)
         return torch.stack([vlad(regions, self._words) for regions in self._features(images)])
 
 
