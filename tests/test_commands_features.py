@@ -12,7 +12,8 @@ from PIL import Image
 from segmenting import write_photos
 from torch import nn
 
-from ssrvlad_torch import Database, Localiser, LoopDetector
+from ssrvlad_torch import Database, LoopDetector, Map
+from ssrvlad_torch.channels import new_channels
 from ssrvlad_torch.channels.hog import HOG
 from ssrvlad_torch.channels.view import View
 from ssrvlad_torch.datasets.frame_file import FrameFile
@@ -77,14 +78,13 @@ def refused(ssrvlad, *arguments):
 
 def test_features_are_stored_by_default(town, photos, ssrvlad):
     database, segmenter = Database.open(town), Segmenter.load(photos / "net.yaml")
-    assert [each.name for each in database.extra] == ["features", "hog"]
-    assert database.extra[0] == segmenter.features.descriptor
-    assert database.extra[0].cells == SHAPE
-    stored = database.load().extra["features"]
+    assert [column.name for column in database.columns] == ["ssr-vlad", "features", "hog"]
+    assert database.columns[1][1:] == (segmenter.features.fingerprint, SHAPE, "uint8")
+    stored = database.load().channels["features"]
     said = segmenter.segment(pictures_of(photos / "monday"), features=True)
     assert torch.equal(stored, torch.from_numpy(np.stack([each.features for each in said])))
     frames = [View("", picture=image) for image in pictures_of(photos / "monday")]
-    assert torch.equal(database.load().extra["hog"], HOG().encode_query(frames))
+    assert torch.equal(database.load().channels["hog"], HOG().describe(frames))
     assert database.damage() == []
     network = ("--segmenter", photos / "net.yaml")
     again = ("encode", photos / "monday", photos / "today", "-o", town, *network)
@@ -94,11 +94,10 @@ def test_features_are_stored_by_default(town, photos, ssrvlad):
     (photos / "monday" / "32.png").write_bytes(b"no picture")
     assert ssrvlad(*again)[0] == 3
     (photos / "monday" / "32.png").unlink()
-    for option in ("none", "hog", "features"):
+    for option in ("ssr-vlad", "hog", "features"):
         given, other = (*network, "--channel", option), photos / option
         assert ssrvlad("encode", photos / "monday", "-o", other, *given)[0] == 0
-        stored = [each.name for each in Database.open(other).extra]
-        assert stored == ([] if option == "none" else [option])
+        assert {column.name for column in Database.open(other).columns} == {"ssr-vlad", option}
 
 
 def test_labels_and_features_take_one_pass_and_are_cached(photos, ssrvlad, runs):
@@ -109,7 +108,7 @@ def test_labels_and_features_take_one_pass_and_are_cached(photos, ssrvlad, runs)
     ssrvlad("encode", photos / "monday", "-o", photos / "two", *network)
     assert runs[0] == 32 + 2 * probe
     one, two = (Database.open(photos / name).load() for name in ("one", "two"))
-    assert torch.equal(one.extra["features"], two.extra["features"])
+    assert torch.equal(one.channels["features"], two.channels["features"])
     assert torch.equal(one.descriptors, two.descriptors)
 
 
@@ -118,10 +117,8 @@ def test_queries_use_features(town, photos, ssrvlad):
     query = ("query", town, photos / "today", *network)
     for options in (
         (),
-        (
-            "--channel",
-            "ssr-vlad",
-        ),
+        ("--channel", "ssr-vlad"),
+        ("--channel", "features"),
         ("--as-paper", "--channel", "ssr-vlad"),
     ):
         single = () if "--as-paper" in options else ("--follow", "no")
@@ -133,8 +130,8 @@ def test_queries_use_features(town, photos, ssrvlad):
             firsts = [line["candidates"][0]["frame"] for line in lines]
             assert firsts == [line["query"].replace("today", "monday") for line in lines]
     weights, *others = found.values()
-    assert weights.keys() == {"ssr-vlad", "features", "hog"} and others == [{}, {}]
-    _, _, err = ssrvlad(*query, "--follow", "no", "--extra")
+    assert weights.keys() == {"ssr-vlad", "features", "hog"} and others == [{}, {}, {}]
+    _, _, err = ssrvlad(*query, "--follow", "no")
     named = " + ".join(f"{name} {weight:.2f}" for name, weight in weights.items())
     assert f"fused: {named}" in err[-1]
     truth = ("--tolerance-frames", 0, "--follow", "no", "--json")
@@ -144,34 +141,39 @@ def test_queries_use_features(town, photos, ssrvlad):
     _, out, _ = ssrvlad("query", town, town, "--follow", "no", "--json")
     assert json.loads(out.splitlines()[0])["steps"]["weights"]["monday"].keys() == weights.keys()
     line = refused(ssrvlad, *query, "--temporal", "2")
-    assert "features are signs, which have no temporal sum; expected --no-extra" in line
+    assert "features are signs, which have no temporal sum; expected --channel ssr-vlad" in line
     assert ssrvlad(*query, "--temporal", "2", "--channel", "ssr-vlad")[0] == 0
 
 
-def test_the_localiser_uses_features(photos, runs, ssrvlad):
-    localiser = Localiser.from_pretrained(photos / "net.yaml", photos / "town")
-    assert localiser.add(photos / "monday").encoded == 32
+def test_a_map_uses_features(photos, maps, runs, ssrvlad):
+    town = Map.open(photos / "town", photos / "net.yaml")
+    assert town.add(photos / "monday").encoded == 32
     before = runs[0]
-    assert localiser.locate(photos / "today" / "7.png").frame == "monday/7"
+    assert town.locate(photos / "today" / "7.png").candidates[0].frame == "monday/7"
     assert runs[0] == before + 1
     picture = photos / "today" / "7.png"
     code, out, err = ssrvlad("locate", picture, "--in", photos / "town")
     assert code == 0 and out.startswith("today/7: monday/7, fused score ")
     assert "fused: ssr-vlad 0.11 + features 0.67 + hog 0.22" in err[-1]
     found = json.loads(ssrvlad("locate", picture, "--in", photos / "town", "--json")[1])
-    place = localiser.locate(picture)
-    assert (place.score, place.confidence) == pytest.approx((found["score"], found["confidence"]))
-    again = Localiser.open(photos / "town")
-    assert again.locate(pictures_of(photos / "today")[9]).frame == "monday/9"
-    plain = Localiser.from_pretrained(photos / "net.yaml", photos / "plain", extra=["none"])
-    assert plain.database.extra == ()
-    for where, extra, message in (
+    answer = town.locate(picture)
+    given = answer.candidates[0].score, answer.confidence
+    assert given == pytest.approx((found["score"], found["confidence"]))
+    again = Map.open(photos / "town")
+    assert again.locate(pictures_of(photos / "today")[9]).candidates[0].frame == "monday/9"
+    with pytest.raises(ValueError, match="expected images and --segmenter"):
+        again.query(maps)  # label maps are still none of its pictures
+    plain = Map.open(photos / "plain", photos / "net.yaml", channels=["ssr-vlad"])
+    plain.add(photos / "monday")
+    assert [column.name for column in plain.database.columns] == ["ssr-vlad"]
+    for where, channels, message in (
         ("plain", ["hog"], "has no descriptors by hog"),
-        ("x", "hog", "expected a list of methods of pictures, got the text"),
-        ("x", ["sift"], "expected a method of pictures, features, hog, none, got 'sift'"),
+        ("x", "hog", "expected a list of channels, got the text"),
+        ("x", ["sift"], "expected a channel, ssr-vlad, features, hog, got 'sift'"),
     ):
         with pytest.raises(ValueError, match=message):
-            Localiser.from_pretrained(photos / "net.yaml", photos / where, extra=extra)
+            Map.open(photos / where, photos / "net.yaml", channels=channels).add(photos / "monday")
+        assert not (photos / "x").exists()
 
 
 def test_loops_use_features(photos, ssrvlad):
@@ -181,7 +183,7 @@ def test_loops_use_features(photos, ssrvlad):
     assert code == 0
     assert "followed online, fused: ssr-vlad 0." in out and "features" in out
     database = Database.open(photos / "memory")
-    assert [each.name for each in database.extra] == ["features", "hog"]
+    assert [column.name for column in database.columns] == ["ssr-vlad", "features", "hog"]
     code, out, _ = ssrvlad("loops", photos / "today", *network, *memory, "--json")
     results = [json.loads(line) for line in out.splitlines()]
     assert code == 0 and len(results) == 32
@@ -194,31 +196,33 @@ def test_loops_use_features(photos, ssrvlad):
 def test_a_detector_takes_features(photos, tmp_path):
     segmenter = Segmenter.load(photos / "net.yaml")
     head = SSRVLAD.from_preset("default", labels_as=SPACE)
-    detector = LoopDetector(LoopConfig(exclude=2), head, [segmenter.features.descriptor])
+    channels = new_channels(["features"], head, segmenter)[1:]
+    detector = LoopDetector(LoopConfig(exclude=2), head, channels)
     said = segmenter.segment(pictures_of(photos / "monday")[:6], features=True)
     for row, each in enumerate(said):
         detector.update(each.labels, f"drive/{row}", features=each.features)
-    database = Database.create(tmp_path / "memory", head.config, extra=detector.extra)
+    columns = [channel.column for channel in channels]
+    database = Database.create(tmp_path / "memory", head.config, columns=columns)
     detector.save(database)
     features = torch.from_numpy(np.stack([each.features for each in said]))
-    assert torch.equal(database.load().extra["features"], features)
-    with pytest.raises(ValueError, match="expected extra features, got nothing"):
+    assert torch.equal(database.load().channels["features"], features)
+    with pytest.raises(ValueError, match=r"frame drive/7: expected features \(.*, got none"):
         detector.update(said[0].labels, "drive/7")
-    with pytest.raises(ValueError, match="expected signs"):
+    with pytest.raises(ValueError, match=r"frame drive/7: expected features \(.*, got \("):
         detector.update(said[0].labels, "drive/7", features=said[0].features[1:])
-    with pytest.raises(ValueError, match="no extra method"):
+    with pytest.raises(ValueError, match="got images, but the detector has no channel"):
         detector.update(said[0].labels, "drive/7", picture=np.zeros((9, 9, 3), np.uint8))
 
 
-def test_wrong_use_of_extra_descriptors(town, photos, maps, ssrvlad):
+def test_wrong_use_of_channels(town, photos, maps, ssrvlad):
     network = ("--segmenter", photos / "net.yaml")
     plain = photos / "plain"
     labels = ("--labels-as", SPACE)
     message = refused(ssrvlad, "encode", maps, "-o", plain, *labels, "--channel", "hog")
-    assert "--with hog needs images as SOURCE and --segmenter" in message
+    assert "--channel hog needs images as SOURCE and --segmenter" in message
     assert message in refused(ssrvlad, "loops", photos / "today", *labels, "--channel", "hog")
     assert not plain.exists()
-    assert "describes pictures: expected images" in refused(ssrvlad, "encode", maps, "-o", town)
+    assert "expected images and a segmenter" in refused(ssrvlad, "encode", maps, "-o", town)
     alone = ("encode", photos / "today", "-o", plain, *network, "--channel", "ssr-vlad")
     assert ssrvlad(*alone)[0] == 0
     assert "label maps alone" not in "".join(ssrvlad(*alone[:4], *network)[2])
@@ -230,14 +234,16 @@ def test_wrong_use_of_extra_descriptors(town, photos, maps, ssrvlad):
         ssrvlad, "encode", photos / "today", "-o", plain, *network, "--channel", "hog"
     )
     assert "has no descriptors by hog" in message
-    message = refused(ssrvlad, "query", plain, photos / "today", *network, "--extra")
-    assert "holds no extra descriptors; encode a new database with --with features" in message
+    features = ("--channel", "features")
+    message = refused(ssrvlad, "query", plain, photos / "today", *network, *features)
+    assert "holds ssr-vlad of every frame, not features; encode a new database with" in message
+    assert message.endswith(" --channel features")
     for source in (maps, plain):
         message = refused(ssrvlad, "query", town, source)
-        assert "expected images and --segmenter, or --no-extra" in message
+        assert "expected images and --segmenter, or --channel ssr-vlad" in message
         assert ssrvlad("query", town, source, "--channel", "ssr-vlad")[0] == 0
-    assert "--as-paper" in refused(ssrvlad, "query", town, maps, "--extra", "--as-paper")
-    assert "or --extra" in refused(ssrvlad, "query", town, maps, "--extra", "--index")
+    assert "--as-paper" in refused(ssrvlad, "query", town, maps, *features, "--as-paper")
+    assert "or --channel" in refused(ssrvlad, "query", town, maps, *features, "--index")
 
 
 def test_a_network_without_features(photos, ssrvlad):
@@ -251,7 +257,7 @@ def test_a_network_without_features(photos, ssrvlad):
     code, _, err = ssrvlad(*given, photos / "plain.yaml")
     assert code == 0
     assert len(err) == 1 and "stored without features: " in err[0]
-    assert [each.name for each in Database.open(photos / "none").extra] == ["hog"]
+    assert [column.name for column in Database.open(photos / "none").columns[1:]] == ["hog"]
 
 
 @pytest.mark.parametrize(
@@ -302,7 +308,7 @@ def test_features_of_another_network_are_refused(town, photos, ssrvlad):
         assert "signs of relu_1" in line and "signs of relu_2" in line
     assert len(Database.open(town)) == 32
     with pytest.raises(ValueError, match="stored descriptors by features are of "):
-        Localiser(Segmenter.load(other), Database.open(town))
+        Map.open(town, Segmenter.load(other)).locate(photos / "today" / "7.png")
 
 
 class Blinded(nn.Module):
