@@ -12,12 +12,14 @@ from pyarrow.fs import FileSystem, copy_files
 from segmenting import write_photos, write_settings
 
 from ssrvlad_torch import SSRVLAD
+from ssrvlad_torch.channels.label_shapes import LabelShapes
 from ssrvlad_torch.database.database import Database
 from ssrvlad_torch.datasets import frame_file
 from ssrvlad_torch.datasets.label_files import find_label_files
 from ssrvlad_torch.encoding.encoder import encode_to_database, encode_to_memory
 
 HEAD = SSRVLAD.from_preset("default", labels_as="camvid-11")
+BY_LABELS = [LabelShapes(HEAD)], HEAD.label_space
 
 
 @pytest.fixture
@@ -36,8 +38,8 @@ def test_frames_are_those_of_the_same_files_here(folder):
     assert [file.frame for file in files] == [f"mon day/{n}" for n in (0, 2, 10, 11)]
     chosen = find_label_files([folder.as_uri()], "x", every=2, start=1)
     assert [file.frame for file in chosen] == ["x/2", "x/11"]
-    here, _ = encode_to_memory(HEAD, find_label_files([str(folder)]))
-    there, skipped = encode_to_memory(HEAD, files)
+    here, _ = encode_to_memory(*BY_LABELS, find_label_files([str(folder)]))
+    there, skipped = encode_to_memory(*BY_LABELS, files)
     assert (skipped, there.frames) == ([], here.frames)
     assert torch.equal(there.descriptors, here.descriptors)
 
@@ -101,9 +103,9 @@ def test_pictures_from_a_bucket(bucket, ssrvlad, tmp_path, monkeypatch, engine):
     assert code == 0 and "5 frames encoded (0 of them empty)" in out
     expected, stored = Database.open(here).load(), Database.open(there).load()
     assert stored.frames == expected.frames
-    assert torch.equal(stored.descriptors, expected.descriptors)
-    assert list(stored.extra) == ["features", "hog"]
-    assert all(torch.equal(stored.extra[name], expected.extra[name]) for name in stored.extra)
+    assert list(stored.channels) == ["ssr-vlad", "features", "hog"]
+    for name, channel in stored.channels.items():
+        assert torch.equal(channel, expected.channels[name])
 
 
 def test_from_a_bucket_into_a_bucket(bucket, ssrvlad, tmp_path, engine):
@@ -116,7 +118,7 @@ def test_from_a_bucket_into_a_bucket(bucket, ssrvlad, tmp_path, engine):
     code, out, _ = ssrvlad("encode", *arguments, "--engine", engine)
     assert code == 0
     assert out == ("s3://town/db: 5 frames encoded (0 of them empty), 0 already there, 0 skipped\n")
-    local, _ = encode_to_memory(HEAD, find_label_files([str(tmp_path / "monday")]))
+    local, _ = encode_to_memory(*BY_LABELS, find_label_files([str(tmp_path / "monday")]))
     stored = Database.open(f"{bucket}/db").load()
     assert stored.frames == local.frames
     assert torch.equal(stored.descriptors, local.descriptors)
