@@ -21,15 +21,12 @@ def test_nothing_that_can_be_described(ssrvlad, database, tmp_path):
     ]
 
 
-def test_a_sum_in_metres_tells_its_t(ssrvlad, database, maps):
-    (maps / "poses.csv").write_text(
-        "frame,x,y\n" + "".join(f"{n:03d},{n * 2},0\n" for n in range(6))
-    )
-    ssrvlad("encode", maps, "-o", database)
-    found = json.loads(
-        ssrvlad("query", database, maps, "--temporal", "4.2m", "--json")[1].splitlines()[0]
-    )
-    assert found["temporal"] == {"monday": 2}
+def test_the_temporal_sum_is_told(ssrvlad, database, maps):
+    for options, told in (((), 0), (("--temporal", 2), 2), (("--as-paper",), 3)):
+        _, out, _ = ssrvlad("query", database, maps, *options, "--json")
+        assert json.loads(out.splitlines()[0])["temporal"] == told
+    code, _, err = ssrvlad("query", database, maps, "--temporal", "4.2m")
+    assert code == 2 and "--temporal" in err[0] and "a valid integer" in err[0]
 
 
 def test_enough_references_tell_how_sure(ssrvlad, database, maps):

@@ -12,9 +12,10 @@ from segmenting import LABELS, PHOTOS, write_image, write_photos
 from torch import nn
 
 from ssrvlad_torch import SSRVLAD
+from ssrvlad_torch.channels.label_shapes import LabelShapes
 from ssrvlad_torch.datasets.image_files import find_image_files
 from ssrvlad_torch.datasets.label_files import find_label_files
-from ssrvlad_torch.encoding.encoder import encode_to_memory
+from ssrvlad_torch.encoding.encoder import check_segmenter, encode_to_memory
 from ssrvlad_torch.segmentation import segmenter as segmentation
 from ssrvlad_torch.segmentation.segmenter import Segmenter
 
@@ -37,7 +38,8 @@ def test_progress_moves_while_the_network_works(tmp_path):
     head = SSRVLAD.from_preset("default", labels_as=SPACE)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(segmentation, "PIXELS_AT_ONCE", 1)
-        encode_to_memory(head, files, 1, done.append, Segmenter(network, SPACE, PLAIN))
+        given = [LabelShapes(head)], head.label_space, files, 1, done.append
+        encode_to_memory(*given, Segmenter(network, SPACE, PLAIN))
     assert len(behind) == sum(done) == 80
     assert max(behind) <= 50
 
@@ -56,12 +58,14 @@ def test_images_give_the_descriptors_of_their_label_maps(tmp_path):
     network = Then(lambda scores: scores.argmax(1).masked_fill_(scores.argmax(1) == SIGN, 99))
     segmenter = Segmenter(network, SPACE, PLAIN)
     files = find_image_files([str(tmp_path / "a")])
-    frames, skipped = encode_to_memory(head, files, segmenter=segmenter)
-    by_maps, _ = encode_to_memory(head, find_label_files([str(tmp_path / "maps" / "a")]))
+    channels = [LabelShapes(head)]
+    frames, skipped = encode_to_memory(channels, head.label_space, files, segmenter=segmenter)
+    maps = find_label_files([str(tmp_path / "maps" / "a")])
+    by_maps, _ = encode_to_memory(channels, head.label_space, maps)
     assert frames.frames == by_maps.frames
     assert torch.equal(frames.descriptors, by_maps.descriptors)
     assert [each.frame for each in skipped] == ["a/4", "a/7"]
     assert "label id 99 (6 pixels) is not in" in skipped[1].reason
     other = Segmenter(colour_network(), "synthia", PLAIN)
     with pytest.raises(ValueError, match="gives labels of synthia, the head reads camvid-11"):
-        encode_to_memory(head, files, segmenter=other)
+        check_segmenter(other, head, channels)
