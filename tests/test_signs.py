@@ -12,6 +12,7 @@ from ssrvlad_torch.channels import signs as module
 from ssrvlad_torch.channels.signs import (
     REACH,
     SignQueries,
+    SignReferences,
     SignRows,
     mirrored,
     moved,
@@ -19,6 +20,8 @@ from ssrvlad_torch.channels.signs import (
     products,
     weighed,
 )
+from ssrvlad_torch.channels.vectors import VectorReferences
+from ssrvlad_torch.recognition.comparison import Member
 from ssrvlad_torch.recognition.recognise import Steps, recognise
 
 SHAPE = (8, 3, 4)
@@ -129,8 +132,11 @@ def test_recognise_takes_signs(follow):
     frames = drive(60)
     seen = frames[10:50] ^ (grids(40, 5) & grids(40, 6) & grids(40, 7))
     numbers_only = F.normalize(torch.rand(60, 16), dim=1)
-    names, steps = (["q"] * 40, ["r"] * 60), Steps(follow=follow)
-    extra = {"features": (seen, frames)}
-    found = recognise(numbers_only[10:50], numbers_only, *names, steps, extra=extra)
+    names = ["q"] * 40, ["r"] * 60
+    members = {
+        "ssr-vlad": Member(numbers_only[10:50], VectorReferences(numbers_only, names[1])),
+        "features": Member(seen, SignReferences(frames, names[1]), 6),
+    }
+    found = recognise(members, *names, Steps(follow=follow))
     assert found.matches.indices[:, 0].tolist() == list(range(10, 50))
     assert set(found.used["weights"]["q"]) == {"ssr-vlad", "features"}
