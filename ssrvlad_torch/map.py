@@ -229,7 +229,7 @@ class Map:
             ValueError: there are no frames, or they do not fit the map.
         """
         source = frames if isinstance(frames, Source) else self.source(frames, compared=True)
-        steps, top = steps or Steps(), min(top, max(1, len(self)))
+        steps, top = steps or Steps(), min(top, max(TOP, len(self)))
         if index:
             found = search_by_index(self.database, source, steps, top, sequences, exclude, progress)
         else:
@@ -410,10 +410,11 @@ class Map:
         references, recognised = answers.references, answers.recognised
         config, skipped = self.database.config, answers.skipped
         [channel] = chosen_channels(self.database, [next(iter(queries.channels))])
+        stored = references.channels[channel.column.name]
 
         def cosines(rows: Rows, columns: Rows) -> npt.NDArray[np.float32]:
             places = [references.sequences[row] for row in columns]
-            known = channel.references(references.descriptors[columns], places)
+            known = channel.references(stored[columns], places)
             compared = known.compare(queries.descriptors[rows], False, False, None)
             scores = [compared.scores[query] for query in range(len(rows))]
             found: npt.NDArray[np.float32] = torch.stack(scores).numpy()

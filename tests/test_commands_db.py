@@ -36,7 +36,7 @@ def test_info(ssrvlad, database):
     code, out, _ = ssrvlad("db", "info", database)
     assert code == 0
     assert "frames: 6" in out and "sequences: monday 6" in out
-    assert "extra" not in out and "thinning" not in out and "anchor vanishing-column" in out
+    assert "channels" not in out and "thinning" not in out and "anchor vanishing-column" in out
     info = json.loads(ssrvlad("db", "info", database, "--json")[1])
     assert info["preset"] == "default"
     assert info["label_spaces"] == {"camvid-11": 6}

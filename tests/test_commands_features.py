@@ -20,6 +20,7 @@ from ssrvlad_torch.datasets.frame_file import FrameFile
 from ssrvlad_torch.datasets.image_files import read_image
 from ssrvlad_torch.descriptor import SSRVLAD
 from ssrvlad_torch.encoding import source as sources
+from ssrvlad_torch.evaluation.true_matches import TrueMatches
 from ssrvlad_torch.loops.config import LoopConfig
 from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
 from ssrvlad_torch.segmentation.segmenter import Segmenter
@@ -163,6 +164,12 @@ def test_a_map_uses_features(photos, maps, runs, ssrvlad):
     assert again.locate(pictures_of(photos / "today")[9]).candidates[0].frame == "monday/9"
     with pytest.raises(ValueError, match="expected images and --segmenter"):
         again.query(maps)  # label maps are still none of its pictures
+    true = TrueMatches.of(None, None, None, 0, None)
+    for channel in ("features", "hog"):
+        found = town.evaluate(photos / "today", true, channels=[channel])
+        assert found.metrics["recall_at"]["1"] == 1
+        alike = found.recognition.cosines(np.arange(32), np.arange(32))
+        assert alike.argmax(1).tolist() == [*range(32)]
     plain = Map.open(photos / "plain", photos / "net.yaml", channels=["ssr-vlad"])
     plain.add(photos / "monday")
     assert [column.name for column in plain.database.columns] == ["ssr-vlad"]

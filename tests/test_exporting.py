@@ -8,6 +8,7 @@ import pytest
 from helpers import descriptors, record, refused, touch
 
 from ssrvlad_torch import SSRVLADConfig
+from ssrvlad_torch.channels.column import Column
 from ssrvlad_torch.database.database import Database
 from ssrvlad_torch.database.exporting import export_database
 
@@ -52,9 +53,10 @@ def test_global_descriptors_as_hloc_reads_them(database, tmp_path):
 
 def test_nothing_stays_of_an_earlier_export(database, tmp_path):
     """Features of another map, or a fingerprint, would be taken for those of the array."""
-    extra = [ExtraDescriptor("signs", 8, "of a network", (2, 4))]
-    seen = Database.create(tmp_path / "seen", CONFIG, extra=extra)
-    seen.append(FRAMES, descriptors(0, 4), {"signs": np.zeros((4, 2, 4), np.uint8)})
+    columns = [Column("signs", "of a network", (2, 4), "uint8")]
+    seen = Database.create(tmp_path / "seen", CONFIG, columns=columns)
+    signs = np.zeros((4, 2, 4), np.uint8)
+    seen.append(FRAMES, {"ssr-vlad": descriptors(0, 4), "signs": signs})
     file, other = tmp_path / "out.npy", tmp_path / "out.npy2.npy"
     whole = [{*export_database(seen, "npy", each)} for each in (other, file)]
     assert [len(files) for files in whole] == [6, 6]
@@ -68,7 +70,7 @@ def test_nothing_stays_of_an_earlier_export(database, tmp_path):
     assert {*tmp_path.glob("out*")} == stays | left and len(left) == 3
 
 
-@pytest.mark.parametrize("content", ["{", "[]", '{"extra": {"mine": ""}}', None])
+@pytest.mark.parametrize("content", ["{", "[]", '{"channels": {"mine": ""}}', None])
 def test_only_what_an_export_lists_is_deleted(database, tmp_path, content):
     """Without a JSON file, or with a damaged or another one, nothing is known of the others."""
     file = tmp_path / "out.npy"

@@ -29,8 +29,8 @@ def info(database: DatabaseFolder, as_of: AsOf = None, as_json: Json = False) ->
         return
     if report["config"]:
         report["config"] = {name: report["config"][name] for name in opened.config.used()}
-    if not report["extra"]:
-        del report["extra"]
+    if len(report["channels"]) == 1:
+        del report["channels"]
     for name, value in report.items():
         entries = value if isinstance(value, dict) else {}
         text = ", ".join(f"{key} {entry}" for key, entry in entries.items()) or value
