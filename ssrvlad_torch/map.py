@@ -368,8 +368,10 @@ class Map:
     def _segmenter(self) -> Segmenter:
         """The network, or the one that made the map."""
         if self._opened is None:
-            name, labels_as = self.network, self.labels_as
-            if name is None:
+            labels_as = self.labels_as
+            if isinstance(self.network, str):
+                name = self.network
+            else:
                 origin = origin_of(self.database)
                 name, labels_as = origin.network, labels_as or origin.label_space
             self._opened = Segmenter.load(name, labels_as or "auto")

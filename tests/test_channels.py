@@ -12,13 +12,13 @@ from helpers import descriptors, street
 from networks import photo
 from segmenting import write_settings
 
-from ssrvlad_torch import SSRVLAD, Database, LoopDetector, Map, SSRVLADConfig
+from ssrvlad_torch import Database, LoopDetector, Map, SSRVLADConfig
 from ssrvlad_torch.channels.column import Column
 from ssrvlad_torch.channels.hog import HOG
 from ssrvlad_torch.channels.view import View
-from ssrvlad_torch.database.checksums import intact
 from ssrvlad_torch.database.exporting import export_database
 from ssrvlad_torch.database.frames import FrameRecord
+from ssrvlad_torch.database.rows import intact
 from ssrvlad_torch.loops.config import LoopConfig
 from ssrvlad_torch.search.index import build_index, search_index
 

@@ -1,13 +1,11 @@
 """`recognition.courses`: whether queries run a map, and how, against sequences that are none."""
 
-from functools import partial
-
 import numpy as np
 import pytest
 from test_follow import TRACKS, noisy
 
 from ssrvlad_torch.recognition.courses import Course, course
-from ssrvlad_torch.recognition.follow import gain
+from ssrvlad_torch.recognition.evidence import AllRows
 from ssrvlad_torch.recognition.motion import BACKWARDS
 
 ROWS = 240
@@ -33,14 +31,14 @@ COURSES = {
 def test_how_queries_run_a_map(name):
     track, expected = COURSES[name]
     scores = noisy([*track], ROWS, strength=0.5)
-    assert course(partial(gain, scores, ["map"] * ROWS), range(len(scores))) == expected
+    assert course(AllRows(scores, ["map"] * ROWS)) == expected
 
 
 def test_a_map_in_another_order_or_of_short_folders_is_run_by_nothing():
     scores = noisy([*range(60)], ROWS, strength=0.5)
     shuffled, folders = scores[:, RANDOM.permutation(ROWS)], [str(row // 2) for row in range(ROWS)]
-    assert course(partial(gain, shuffled, ["map"] * ROWS), range(60)) is None
-    assert course(partial(gain, scores, folders), range(60)) is None
+    assert course(AllRows(shuffled, ["map"] * ROWS)) is None
+    assert course(AllRows(scores, folders)) is None
 
 
 def test_a_course_in_words():

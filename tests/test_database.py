@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 import ssrvlad_torch.config as config_module
 from ssrvlad_torch import Database, SSRVLADConfig
-from ssrvlad_torch.database.frame_sets import order_of
+from ssrvlad_torch.database.reading import order_of
 from ssrvlad_torch.files import natural_key
 from ssrvlad_torch.taxonomy import LabelClass, LabelSpace, label_space
 

@@ -9,11 +9,14 @@ from helpers import street, touch
 from maps import HEAD, alone, assert_streets, counts
 from PIL import Image
 
+from ssrvlad_torch.channels.label_shapes import LabelShapes
 from ssrvlad_torch.datasets.frame_file import FrameFile
 from ssrvlad_torch.datasets.label_files import digest
 from ssrvlad_torch.encoding import describer
 from ssrvlad_torch.encoding.describer import Item
 from ssrvlad_torch.encoding.encoder import encode_to_database, encode_to_memory
+
+CHANNELS = [LabelShapes(HEAD)]
 
 
 def test_descriptors_equal_those_of_single_frames(town):
@@ -79,7 +82,7 @@ def test_unreadable_frames_alone_leave_a_valid_empty_database(town):
     assert counts(town.encode()) == (0, 0, 3)
     assert town.database().load().frames == ()
     assert counts(encode_to_database(HEAD, [], town.database())) == (0, 0, 0)
-    frames, skipped = encode_to_memory(HEAD, town.files())
+    frames, skipped = encode_to_memory(CHANNELS, HEAD.label_space, town.files())
     assert (len(skipped), frames.descriptors.shape, frames.poses.shape) == (3, (0, 480), (0, 3))
 
 
@@ -91,7 +94,7 @@ def test_memory_and_database_hold_the_same_frames(town, workers):
     town.add("a", range(70, 110))
     (town.folder / "a" / "75.png").write_text("no image")
     (town.folder / "poses.csv").write_text("frame,x,y\na/70,1,2\nb/2,3,4\n")
-    in_memory, skipped = encode_to_memory(HEAD, town.files(), workers)
+    in_memory, skipped = encode_to_memory(CHANNELS, HEAD.label_space, town.files(), workers)
     assert_streets(in_memory, [n for n in range(70, 110) if n != 75] + [0, 1, 2])
     summary = town.encode()
     on_disk = town.database().load()
@@ -108,7 +111,7 @@ def test_memory_and_database_hold_the_same_frames(town, workers):
 def test_no_frames_are_of_single_precision_too():
     torch.set_default_dtype(torch.float64)
     try:
-        frames, _ = encode_to_memory(HEAD, [], 1)
+        frames, _ = encode_to_memory(CHANNELS, HEAD.label_space, [], 1)
     finally:
         torch.set_default_dtype(torch.float32)
     assert (frames.descriptors.dtype, frames.descriptors.shape) == (torch.float32, (0, 480))

@@ -22,6 +22,7 @@ from ssrvlad_place.loops import Detector, Settings
 from ssrvlad_place.model import Seen
 
 from ssrvlad_torch import SSRVLAD, LoopDetector, SSRVLADConfig
+from ssrvlad_torch.channels.features import Features
 from ssrvlad_torch.database.frames import FrameRecord
 from ssrvlad_torch.loops.config import LoopConfig
 
@@ -73,15 +74,15 @@ def both(stream, config, features=False):
     """What the program and the package say of a stream."""
     chosen = {name: getattr(config, name) for name in Settings._fields}
     theirs = Detector(Settings(**chosen))
-    beside = [ExtraDescriptor("features", 2048, "drawn", SHAPE)] * features
-    ours = LoopDetector(config, HEAD, beside)
+    ours = LoopDetector(config, HEAD, [Features("drawn")] * features)
     got, expected = [], []
     for number, (swept, sequence) in enumerate(zip(*stream, strict=True)):
         signs = signs_of(swept[len(swept) // 2]) if features else None
         got.append(theirs.update(f"{sequence}/{number}", Seen(swept, signs))._asdict())
         record = FrameRecord(sequence, str(number))
-        others = {"features": torch.from_numpy(signs)} if features else {}
-        expected.append(ours.observe(record, torch.from_numpy(swept), others)._asdict())
+        described = {"ssr-vlad": torch.from_numpy(swept)}
+        described |= {"features": torch.from_numpy(signs)} if features else {}
+        expected.append(ours.observe(record, described)._asdict())
     return got, expected
 
 

@@ -1,6 +1,6 @@
 import pytest
 
-from ssrvlad_torch.datasets.frame_ids import name_of, sequence_of, split_id
+from ssrvlad_torch.datasets.names import name_of, sequence_of, split_id
 
 
 @pytest.mark.parametrize(

@@ -29,6 +29,7 @@ from onnx import TensorProto, helper, numpy_helper
 from torch import Tensor, nn
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig
+from ssrvlad_torch.channels import new_channels
 from ssrvlad_torch.datasets.image_files import find_image_files, read_image
 from ssrvlad_torch.deployment.export import export_head
 from ssrvlad_torch.deployment.fuse import NETWORK, fuse, other_signs
@@ -233,14 +234,15 @@ def test_a_real_network_gives_what_encoding_its_pictures_gives(name, tmp_path):
     fused = fuse(segmenter, config, tmp_path / "place.onnx")
     folders = [REAL / "camvid" / "0001TP" / "images", REAL / "uofa" / "evening" / "images"]
     files = [find_image_files([str(folder)])[7] for folder in folders]
-    extra = [segmenter.features.descriptor]
-    encoded, _ = encode_to_memory(SSRVLAD(config), files, segmenter=segmenter, extra=extra)
-    assert fused.features == extra[0].fingerprint
+    channels = new_channels(["features"], SSRVLAD(config), segmenter)
+    space = segmenter.label_space
+    encoded, _ = encode_to_memory(channels, space, files, segmenter=segmenter)
+    assert fused.features == segmenter.fingerprint_of_features
     for row, file in enumerate(files):
         found = run_of(tmp_path / "place.onnx")({"image": read_image(file)[None]})
         expected = encoded.descriptors[row].numpy()
         np.testing.assert_allclose(found["descriptor"][0], expected, rtol=0, atol=1e-6)
-        assert other_signs(found["features"][0], encoded.extra["features"][row].numpy()) < 1e-3
+        assert other_signs(found["features"][0], encoded.channels["features"][row].numpy()) < 1e-3
 
 
 RARE_FEATURES = [pytest.param(form, marks=pytest.mark.slow) for form in ("half", "module")]

@@ -1,8 +1,13 @@
 import pytest
 import torch
 
+from ssrvlad_torch.channels.features import Features
+from ssrvlad_torch.channels.hog import HOG
+from ssrvlad_torch.channels.label_shapes import LabelShapes
 from ssrvlad_torch.recognition.fusion import FusedScores
 from ssrvlad_torch.recognition.motion import nearness
+
+TRUST = {channel.name: channel.trust for channel in (LabelShapes, HOG, Features)}
 
 
 def noisy(seed: int, noise: float, queries: int = 40, references: int = 60) -> torch.Tensor:
@@ -69,11 +74,12 @@ def test_few_frames_weigh_alike(shape):
 
 
 def test_trust_decides_until_frames_show_which_method_leads():
-    names, alike = ("ssr-vlad", "hog", "features"), noisy(7, 0.05)
-    few = FusedScores(dict.fromkeys(names, torch.rand(3, 20)))
+    alike = noisy(7, 0.05)
+    few = FusedScores(dict.fromkeys(TRUST, torch.rand(3, 20)), TRUST)
     assert few.weights == pytest.approx({"ssr-vlad": 1 / 9, "hog": 2 / 9, "features": 6 / 9})
-    assert FusedScores(dict.fromkeys(names, alike)).weights == pytest.approx(few.weights)
-    blind = FusedScores({"features": noisy(8, 10.0).clamp(max=0.99), "hog": noisy(9, 0.01)})
+    assert FusedScores(dict.fromkeys(TRUST, alike), TRUST).weights == pytest.approx(few.weights)
+    both = {"features": noisy(8, 10.0).clamp(max=0.99), "hog": noisy(9, 0.01)}
+    blind = FusedScores(both, TRUST)
     assert blind.weights["hog"] > 3 * blind.weights["features"]
 
 

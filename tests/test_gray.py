@@ -15,9 +15,9 @@ def test_gray_is_that_of_pillow_and_frames_of_one_size_become_one_tensor():
     drive = frames(noise(seed, 30, 40) for seed in range(3))
     together = grays(drive, "hog")
     assert together.dtype == torch.uint8
-    expected = [np.asarray(Image.fromarray(frame.image).convert("L")) for frame in drive]
+    expected = [np.asarray(Image.fromarray(frame.picture).convert("L")) for frame in drive]
     np.testing.assert_array_equal(together.numpy(), expected)
-    with pytest.raises(ValueError, match="method hog needs images, but frame a/9 has none"):
+    with pytest.raises(ValueError, match="hog needs pictures, but frame a/9 has none"):
         grays([*drive, View("a/9")], "hog")
 
 

@@ -6,7 +6,10 @@ import torch.nn.functional as F
 from helpers import descriptors, spoil
 
 from ssrvlad_torch import Database, match
-from ssrvlad_torch.recognition.recognise import SSR_VLAD, Steps, recognise, recognise_by_search
+from ssrvlad_torch.channels.vectors import VectorReferences
+from ssrvlad_torch.recognition.comparison import Comparison, Member
+from ssrvlad_torch.recognition.confidence import ALONE
+from ssrvlad_torch.recognition.recognise import Steps, recognise, recognise_by_search
 from ssrvlad_torch.recognition.standardise import standardise
 from ssrvlad_torch.recognition.sweep import score
 from ssrvlad_torch.search import index_search
@@ -94,6 +97,14 @@ def exchange(vectors):
     return vectors * torch.tensor([1.0, -1]).repeat(vectors.shape[-1] // 2)
 
 
+class Raw(VectorReferences):
+    """Vectors whose decoys are mirrored whole, also what they have in common."""
+
+    def compare(self, queries, *_):
+        scores, decoys = (score(each, self._vectors) for each in (queries, exchange(queries)))
+        return Comparison(scores, decoys, ALONE)
+
+
 @pytest.mark.parametrize("follow", ["offline", "online", None])
 @pytest.mark.parametrize("off", [True, False])
 def test_with_all_frames_as_candidates_results_equal_exact_search(town, monkeypatch, follow, off):
@@ -104,19 +115,15 @@ def test_with_all_frames_as_candidates_results_equal_exact_search(town, monkeypa
     queries[11] = 0
     steps = Steps(standardise=off, sweep=False, follow=follow)
     names = ["q"] * 40
-    mirrors = {SSR_VLAD: exchange} if off else None
-    expected = recognise(
-        queries, frames.descriptors, names, frames.sequences, steps, 3, mirrors=mirrors
-    )
+    known = (VectorReferences if off else Raw)(frames.descriptors, frames.sequences, exchange)
+    member = {"ssr-vlad": Member(queries, known)}
+    expected = recognise(member, names, frames.sequences, steps, 3)
 
-    def search(own: bool) -> IndexSearch:
-        return IndexSearch(database, queries, names, own)
+    def search(standardised: bool) -> tuple[IndexSearch, IndexSearch]:
+        found = IndexSearch(database, queries, names, standardised)
+        return found, found.mirrored(exchange)
 
-    def decoys(own: bool) -> IndexSearch:
-        return search(own).mirrored(exchange)
-
-    sequences = names, frames.sequences
-    got = recognise_by_search(search, *sequences, steps, 3, decoys if off else None)
+    got = recognise_by_search(search, names, frames.sequences, steps, 3)
     assert got.used == {**expected.used, "sweep": {"q": 0}}
     assert torch.equal(got.matches.indices, expected.matches.indices)
     torch.testing.assert_close(got.matches.scores, expected.matches.scores, atol=1e-4, rtol=0)

@@ -34,7 +34,7 @@ from layout_copies import (
 from trees import outline, plant, roles, write
 from vpr_bench import CORRIDOR, needs_corridor
 
-from ssrvlad_torch import SSRVLAD
+from ssrvlad_torch.channels.label_shapes import LabelShapes
 from ssrvlad_torch.datasets.dataset import GroundTruth
 from ssrvlad_torch.datasets.image_files import read_image
 from ssrvlad_torch.datasets.label_files import find_label_files, read_label_map
@@ -381,7 +381,8 @@ def test_the_shared_drives_of_camvid():
 @of(synthia)
 def test_a_season_is_encoded(copy):
     files = open_dataset(copy).select(["*-NIGHT-*"]).label_files()
-    frames, skipped = encode_to_memory(SSRVLAD.from_preset("default", labels_as="synthia"), files)
+    channel, space = LabelShapes(), label_space("synthia")
+    frames, skipped = encode_to_memory([channel], space, files)
     assert skipped == []
     assert frames.frames[0] == f"{NIGHT}-Stereo_Left-Omni_F/000000"
     np.testing.assert_allclose(frames.poses[:, :2], [[0, 10], [2, 10], [4, 10]])

@@ -15,6 +15,7 @@ from ssrvlad_ros import label_table, live_loops
 from ssrvlad_ros.place_model import PlaceModel
 
 from ssrvlad_torch import SSRVLAD, Database, LoopDetector, SSRVLADConfig
+from ssrvlad_torch.channels.features import Features
 from ssrvlad_torch.datasets.label_files import digest
 from ssrvlad_torch.loops.config import LoopConfig
 from ssrvlad_torch.segmentation.segmenter import Segmenter
@@ -182,14 +183,15 @@ def test_with_a_model_it_finds_what_the_detector_finds(drives, file):
     """By label maps from several anchors and by features, of one file or of the network's file."""
     segmenter = Segmenter.load(drives / "net.yaml")
     head = SSRVLAD.from_preset("default", labels_as="camvid-11")
-    detector = LoopDetector(LoopConfig(exclude=5), head, [segmenter.features.descriptor])
+    channel = Features(segmenter.fingerprint_of_features)
+    detector = LoopDetector(LoopConfig(exclude=5), head, [channel])
     expected = []
     for number, said in enumerate(segmenter.segment(photos(), features=True)):
         frame = f"drive/{number * SECOND:019d}"
         expected.append(detector.update(said.labels, frame, number, features=said.features))
     assert sum(result.accepted for result in expected) > 5
     model = PlaceModel(drives / file)
-    assert model.extra == [segmenter.features.descriptor]
+    assert model.fingerprint_of_features == segmenter.fingerprint_of_features
     assert live(model)[1] == expected
 
 
@@ -207,8 +209,8 @@ def test_frames_of_a_model_are_kept_and_gone_on_from(drives, tmp_path):
     with pytest.raises(ValueError, match="has features of its frames"):
         live_loops.LiveLoops(CONFIG, memory=memory, model=plain)
     other = tmp_path / "other.ssrdb"
-    extra = [model.extra[0]._replace(fingerprint="of another network")]
-    Database.create(other, core._detector.head.config, extra=extra)
+    columns = [Features("of another network").column]
+    Database.create(other, core._detector.head.config, columns=columns)
     with pytest.raises(ValueError, match="of another network"):
         live_loops.LiveLoops(CONFIG, memory=other, model=model)
     with pytest.raises(ValueError, match="the model has settings e79189ee9e88a037, this node fae2"):
@@ -235,8 +237,8 @@ def test_models_that_do_not_fit_are_refused(drives, tmp_path):
         with pytest.raises((ValueError, OSError), match=message) as error:
             PlaceModel(path)
         assert path.name in str(error.value) and "\n" not in str(error.value)
-    assert PlaceModel(tmp_path / "plain.onnx", features=False).extra == []
-    assert PlaceModel(tmp_path / "wrong.onnx", check=False).extra
+    assert PlaceModel(tmp_path / "plain.onnx", features=False).fingerprint_of_features == ""
+    assert PlaceModel(tmp_path / "wrong.onnx", check=False).fingerprint_of_features
 
 
 def test_a_picture_that_the_network_cannot_take_changes_nothing(drives):

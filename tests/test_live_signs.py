@@ -7,8 +7,8 @@ import torch.nn.functional as F
 from test_signs import SHAPE, drive
 
 from ssrvlad_torch.channels.live_signs import LiveSigns
+from ssrvlad_torch.channels.live_vectors import BEFORE
 from ssrvlad_torch.channels.signs import REACH, moved, numbers
-from ssrvlad_torch.loops.memory import BEFORE
 
 
 def of_centred(centred):

@@ -1,4 +1,4 @@
-"""The growing map: its scores against the steps of `recognition`, and its blocks."""
+"""Vectors of a live stream: their scores against the steps of `recognition`, and their blocks."""
 
 import numpy as np
 import pytest
@@ -6,14 +6,14 @@ import torch
 from hypothesis import given
 from loop_streams import noisy_stream, streams
 
-from ssrvlad_torch.loops.memory import BEFORE, Memory
+from ssrvlad_torch.channels.live_vectors import BEFORE, LiveVectors
 from ssrvlad_torch.recognition.sweep import score
 
 
 def fed(vectors):
-    memory = Memory(480)
-    for number, vector in enumerate(vectors):
-        memory.append(f"a/{number}", (number, 0, 0), vector)
+    memory = LiveVectors(480)
+    for vector in vectors:
+        memory.add(vector)
     return memory
 
 
@@ -37,11 +37,11 @@ def test_scores_are_those_of_standardised_descriptors(stream):
 def test_each_sequence_has_its_own_mean():
     vectors = noisy_stream(3, 90, 80, [])[0][:, 0]
     vectors = vectors[vectors.any(axis=1)]
-    memory, ends = Memory(480), (40, 55, len(vectors) - 1)
+    memory, ends = LiveVectors(480), (40, 55, len(vectors) - 1)
     for number, vector in enumerate(vectors[:-1]):
         if number in ends:
             memory.start_sequence()
-        memory.append(f"a/{number}", (0, 0, 0), vector)
+        memory.add(vector)
     parts, centred = np.split(vectors.astype(np.float64), ends[:-1]), []
     for number, part in enumerate(parts):
         before = np.concatenate([np.empty((0, 480)), *parts[:number]])
@@ -55,7 +55,7 @@ def test_each_sequence_has_its_own_mean():
 def test_blocks_do_not_show(monkeypatch):
     vectors = noisy_stream(1, 26, 12, [])[0][:, 0]
     whole = fed(vectors[:25])
-    monkeypatch.setattr("ssrvlad_torch.loops.memory.BLOCK_ROWS", 4)
+    monkeypatch.setattr("ssrvlad_torch.channels.live_vectors.BLOCK_ROWS", 4)
     parts = fed(vectors[:25])
     np.testing.assert_array_equal(parts.descriptors(3, 22), vectors[3:22])
     np.testing.assert_array_equal(whole.descriptors(3, 22), vectors[3:22])

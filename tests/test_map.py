@@ -1,17 +1,20 @@
-"""Pictures in, places out, in Python."""
+"""Known places: drives in, places of pictures and of drives out."""
+
+import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 from drawings import SPACE
+from drives import write_maps
 from helpers import street
 from networks import PLAIN, Strided, photo
 from PIL import Image
-from segmenting import write_photos, write_settings
+from segmenting import counted, write_photos, write_settings
 
-from ssrvlad_torch import SSRVLAD, Database, Localiser, Segmenter
-from ssrvlad_torch.datasets.label_files import find_label_files
-from ssrvlad_torch.encoding.encoder import encode_to_database
-from ssrvlad_torch.segmentation.networks import runs_code
+from ssrvlad_torch import Database, Map, Segmenter
+from ssrvlad_torch.evaluation.true_matches import TrueMatches
+from ssrvlad_torch.recognition.recognise import AS_PAPER
 
 
 @pytest.fixture
@@ -20,12 +23,7 @@ def settings(tmp_path):
 
 
 @pytest.fixture
-def localiser(settings, tmp_path):
-    return Localiser.from_pretrained(settings, tmp_path / "town")
-
-
-@pytest.fixture
-def folder(tmp_path):
+def photos(tmp_path):
     """Thirty photos, half of them with a pose."""
     write_photos(tmp_path / "monday", range(30), (60, 80))
     rows = [f"monday/{seed},{seed},{-seed},0.5" for seed in range(15)]
@@ -33,74 +31,203 @@ def folder(tmp_path):
     return tmp_path / "monday"
 
 
-def test_a_picture_finds_its_place(localiser, folder, tmp_path):
-    with pytest.raises(ValueError, match="town holds no frames yet"):
-        localiser.locate(folder / "7.png")
-    assert localiser.add(folder).encoded == len(localiser) == 30
-    place = localiser.locate(folder / "7.png")
-    assert place.frame == "monday/7"
-    assert place.pose == (7, -7, 0.5)
-    assert 0.5 < place.confidence <= 1
-    assert place.estimate.accepted == 1
-    assert place.estimate.wrong == pytest.approx(1 - place.confidence)
-    again = Localiser.open(tmp_path / "town").locate(photo(street(22, 60, 80)))
-    assert (again.frame, again.pose) == ("monday/22", None)
-    assert max(place.score, again.score) <= 1
-    with pytest.raises(FileNotFoundError, match=r"No such file or directory: '.*none\.png'"):
-        localiser.locate(folder / "none.png")
-    localiser.database.remove(["monday/7"])
-    assert localiser.locate(folder / "7.png").frame != "monday/7"
+@pytest.fixture
+def town(settings, tmp_path):
+    """A map by a network, not made yet."""
+    return Map.open(tmp_path / "town.ssrdb", network=settings)
 
 
-def test_frames_that_are_added_while_others_are_loaded_are_found(localiser, folder, monkeypatch):
-    localiser.add(folder / "1.png")
+@pytest.fixture
+def drawn(maps, tmp_path):
+    """A map of six label maps."""
+    drawn = Map.open(tmp_path / "drawn.ssrdb", labels_as=SPACE)
+    drawn.add(maps)
+    return drawn
+
+
+def test_a_picture_finds_its_place(town, photos):
+    """As an array, an image of Pillow, a path, or several of these."""
+    assert len(town) == 0 and repr(town).endswith("town.ssrdb: 0 frames>")
+    assert town.add(photos).encoded == len(town) == 30
+    answer = town.locate(photos / "7.png")
+    place = answer.candidates[0]
+    assert (place.frame, tuple(place.pose)) == ("monday/7", (7, -7, 0.5))
+    assert len(answer.candidates) == 5
+    assert 0.5 < answer.confidence <= 1 and answer.score_is == "cosine"
+    pixels = photo(street(22, 60, 80))
+    several = [pixels, Image.fromarray(pixels), str(photos / "22.png"), photos / "7.png"]
+    answers = Map.open(town.path).locate(several, top=2)
+    assert [len(each.candidates) for each in answers] == [2] * 4
+    assert [each.candidates[0].frame for each in answers] == ["monday/22"] * 3 + ["monday/7"]
+    assert len({each.candidates for each in map(_hashable, answers[:3])}) == 1
+    assert all(map(math.isnan, answers[0].candidates[0].pose))
+    assert max(each.candidates[0].score for each in answers) <= 1
+    assert answers[3].candidates == answer.candidates[:2]
+    assert town.locate([]) == []
+    town.database.remove(["monday/7"])
+    assert town.locate(photos / "7.png").candidates[0].frame != "monday/7"
+
+
+def _hashable(answer):
+    return answer._replace(candidates=tuple(c[:2] for c in answer.candidates))
+
+
+def test_a_picture_that_shows_nothing_has_no_place(settings, photos, tmp_path):
+    town = Map.open(tmp_path / "town.ssrdb", settings, preset="paper")
+    town.add([photos / "1.png", photos / "2.png"])
+    cars = photo(np.full((60, 80), 8))
+    nowhere, somewhere = town.locate([cars, photos / "1.png"])
+    assert (nowhere.candidates, nowhere.confidence) == ([], 0)
+    assert somewhere.candidates[0].frame == "monday/1"
+    assert somewhere.confidence == 0, "two frames are nothing to go by"
+
+
+def test_frames_that_are_added_while_others_are_loaded_are_found(town, photos, monkeypatch):
+    town.add(photos / "1.png")
     original = Database.load
 
     def load(database):
         monkeypatch.setattr(Database, "load", original)
         frames = database.load()
-        localiser.add(folder / "7.png")
+        town.add(photos / "7.png")
         return frames
 
     monkeypatch.setattr(Database, "load", load)
-    found = [localiser.locate(folder / "7.png").frame for _ in range(2)]
+    found = [town.locate(photos / "7.png").candidates[0].frame for _ in range(2)]
     assert found == ["monday/1", "monday/7"]
 
 
-def test_what_cannot_be_known_has_no_place(settings, folder, tmp_path):
-    localiser = Localiser.from_pretrained(settings, tmp_path / "town", preset="paper")
-    localiser.add(folder / "1.png", folder / "2.png")
-    assert localiser.locate(photo(np.full((60, 80), 8))) is None, "only cars"
-    place = localiser.locate(folder / "1.png")
-    assert place.confidence == place.estimate.accepted == 0, "two frames are nothing to go by"
-    (folder.parent / "torn.jpg").write_bytes(b"torn")
-    for picture, message in (
-        (np.zeros((3, 4)), r"expected a list of \(H, W, 3\) uint8"),
-        (Image.open(folder / "1.png").convert("RGB"), r"expected a picture as .* got Image"),
-        (folder.parent / "torn.jpg", r"torn\.jpg: is no image file"),
+def test_a_drive_is_found_in_it(drawn, tmp_path):
+    """As a folder, as files, as a database."""
+    today = write_maps(tmp_path / "today", range(2, 6))
+    Map.open(tmp_path / "other.ssrdb", labels_as=SPACE).add(today)
+    for frames in (today, [today], sorted(today.glob("*.png")), tmp_path / "other.ssrdb"):
+        answers = drawn.query(frames, top=2)
+        assert len(answers) == 4
+        assert [each.query for each in answers] == [f"today/{n:03d}" for n in range(2, 6)]
+        assert [each.candidates[0].frame for each in answers] == [
+            f"monday/{n:03d}" for n in range(2, 6)
+        ]
+        assert {len(each.candidates) for each in answers} == {2}
+        assert repr(answers) == "<Answers: 4 queries, 0 accepted>"
+        assert answers._repr_html_().count("<tr>") >= 4
+    [first, *_] = drawn.query(today, AS_PAPER, top=1, temporal=1)
+    assert first.score_is == "cosine"
+    [none, *_] = drawn.query(today, min_confidence=0.5)
+    assert none.candidates == [] and none.confidence == 0
+
+
+def test_only_some_sequences_and_no_neighbours_are_candidates(drawn, maps, tmp_path):
+    drawn.add(write_maps(tmp_path / "tuesday", range(6)))
+    for answer in drawn.query(maps, AS_PAPER, sequences=["tuesday"]):
+        assert {each.frame.split("/")[0] for each in answer.candidates} == {"tuesday"}
+    [first, *_] = drawn.query(maps, AS_PAPER, top=12, exclude=5)
+    assert {each.frame.split("/")[0] for each in first.candidates} == {"tuesday"}
+
+
+def test_how_well_a_drive_is_found_is_measured(drawn, tmp_path):
+    today = write_maps(tmp_path / "today", range(6))
+    notes = []
+    for settings in ({}, {"convention": "vpr-tutorial"}):
+        true = TrueMatches.of(None, None, None, 1, None)
+        found = drawn.evaluate(today, true, note=notes.append, **settings)
+        assert found.metrics["recall_at"]["1"] == 1
+        assert (found.metrics["queries"], found.metrics["references"]) == (6, 6)
+        assert found.metrics["fingerprint"] == drawn.database.fingerprint
+        assert found.true_matches == "at most 1 frame away"
+        assert [rows.tolist() for rows in found.truth][:2] == [[0, 1], [0, 1, 2]]
+        assert (found.recognition.similarity is None) == (not settings)
+    assert notes == []
+    with pytest.raises(ValueError, match="pose"):
+        drawn.evaluate(today, TrueMatches.of(None, 5.0, None, None, None))
+
+
+def test_a_network_runs_once_for_each_picture(photos, tmp_path):
+    """Also where the map has features; the segmenter is the user's own."""
+    network = counted(Strided(2))
+    town = Map.open(tmp_path / "town.ssrdb", Segmenter(network, SPACE, PLAIN))
+    town.add(photos)
+    probed = int(network.images) - 30
+    town.locate([photos / "3.png", photos / "4.png"])
+    assert int(network.images) <= 32 + 2 * probed
+    before = int(network.images)
+    town.locate(photos / "3.png")
+    assert int(network.images) == before + 1
+
+
+def test_it_is_made_by_its_first_frames(settings, photos, tmp_path):
+    """A failing `add` leaves nothing behind."""
+    (tmp_path / "torn").mkdir()
+    (tmp_path / "torn" / "1.jpg").write_bytes(b"torn")
+    town = Map.open(tmp_path / "town.ssrdb", settings)
+    assert not Path(town.path).exists()
+    assert [each.frame for each in town.add(tmp_path / "torn").skipped] == ["torn/1"]
+    assert not Path(town.path).exists() and len(town) == 0
+
+    def fail(_done):
+        raise KeyboardInterrupt
+
+    from ssrvlad_torch.encoding.results import EncodeOptions
+
+    with pytest.raises(FileNotFoundError, match="nowhere"):
+        town.add(tmp_path / "nowhere")
+    with pytest.raises(ValueError, match="expected a channel, ssr-vlad, features, hog, got 'x'"):
+        Map.open(town.path, settings, channels=["x"]).add(photos)
+    with pytest.raises(KeyboardInterrupt):
+        town.add(tmp_path / "torn", EncodeOptions(progress=fail, skipped=fail))
+    assert not Path(town.path).exists() and len(town) == 0
+    assert town.add(photos).encoded == len(town) == len(Map.open(town.path)) == 30
+    assert town.add(photos).already_there == 30
+
+
+def test_channels_of_a_new_map_are_chosen(settings, photos, tmp_path):
+    for chosen, stored in (
+        (None, ("ssr-vlad", "hog")),
+        (["hog"], ("ssr-vlad", "hog")),
+        (["ssr-vlad"], ("ssr-vlad",)),
     ):
-        with pytest.raises(ValueError, match=message):
-            localiser.locate(picture)
+        town = Map.open(tmp_path / f"{chosen}.ssrdb", settings, channels=chosen)
+        town.add(photos)
+        assert tuple(column.name for column in town.database.columns) == stored
+        kind = "cosine" if stored == ("ssr-vlad",) else "fused score"
+        assert town.locate(photos / "3.png").score_is == kind
 
 
-def test_another_network_is_refused_and_label_maps_are_not(localiser, folder, maps, tmp_path):
-    localiser.add(folder)
+def test_an_older_version_is_read_only(drawn, maps, tmp_path):
+    version = drawn.database.version
+    drawn.add(write_maps(tmp_path / "tuesday", range(6)))
+    older = Map.open(drawn.path, labels_as=SPACE, version=version)
+    assert (len(older), len(drawn)) == (6, 12)
+    assert {each.candidates[0].frame.split("/")[0] for each in older.query(maps)} == {"monday"}
+    with pytest.raises(ValueError, match="read-only"):
+        older.add(write_maps(tmp_path / "wednesday", range(6)))
+
+
+def test_another_network_is_refused_and_label_maps_are_not(town, drawn, photos, tmp_path):
+    town.add(photos)
     other = Segmenter(Strided(2), SPACE, PLAIN)
     with pytest.raises(ValueError, match=r"made by .*net\.yaml as it was then; the given network"):
-        Localiser(other, Database.open(tmp_path / "town"))
-    head = SSRVLAD.from_preset("default", labels_as=SPACE)
-    drawn = Database.create(tmp_path / "drawn", head.config)
-    encode_to_database(head, find_label_files([str(maps)]), drawn)
-    assert Localiser(other, drawn).locate(folder / "3.png")
+        Map.open(town.path, other).locate(photos / "3.png")
+    assert Map.open(drawn.path, other).locate(photos / "3.png").candidates
     with pytest.raises(ValueError, match="was not made from pictures"):
-        Localiser.open(tmp_path / "drawn")
+        drawn.locate(photos / "3.png")
 
 
-@pytest.mark.parametrize(
-    ("network", "code"),
-    [("net.onnx", False), ("hf:ORG/NAME", False), ("torchhub:O/R/M", True), ("nets:mine", True)],
-)
-def test_a_name_that_runs_code_is_told_also_through_a_file(tmp_path, network, code):
-    (tmp_path / "net.yaml").write_text(f"network: {network}\n")
-    assert runs_code(network) == code
-    assert runs_code(str(tmp_path / "net.yaml")) == code
+def test_what_is_no_picture_is_refused(town, photos):
+    with pytest.raises(ValueError, match="town.ssrdb does not exist"):
+        town.locate(photos / "7.png")
+    town.add(photos / "1.png")
+    torn = photos.parent / "torn.jpg"
+    torn.write_bytes(b"torn")
+    for picture, message in (
+        (np.zeros((3, 4)), r"expected .*\(H, W, 3\) uint8.*, got \(3, 4\) float64"),
+        (np.zeros((3, 4, 3)), r"expected .*\(H, W, 3\) uint8.*, got \(3, 4, 3\) float64"),
+        (7, r"expected a picture as an \(H, W, 3\) uint8 array, .*, got int"),
+        ([photos / "1.png", None], "expected a picture as .*, got NoneType"),
+        (torn, r"torn\.jpg: is no image file"),
+    ):
+        with pytest.raises(ValueError, match=message) as error:
+            town.locate(picture)
+        assert "\n" not in str(error.value)
+    with pytest.raises(FileNotFoundError, match=r"No such file or directory: '.*none\.png'"):
+        town.locate(photos / "none.png")

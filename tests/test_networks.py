@@ -6,7 +6,7 @@ from drawings import SPACE
 from networks import NAMES, PLAIN, write_graph, write_published, write_segformer
 from segmenting import NOISE, PHOTOS, assert_right
 
-from ssrvlad_torch.segmentation.networks import open_network
+from ssrvlad_torch.segmentation.networks import open_network, runs_code
 from ssrvlad_torch.segmentation.preparation import SegmenterConfig
 from ssrvlad_torch.segmentation.segmenter import Segmenter
 
@@ -116,3 +116,13 @@ def test_a_model_that_is_not_there_is_an_error_in_one_line(tmp_path, monkeypatch
     with pytest.raises(ValueError, match="empty cannot be used: Unrecognized model"):
         open_network(tmp_path / "empty")
     assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize(
+    ("network", "code"),
+    [("net.onnx", False), ("hf:ORG/NAME", False), ("torchhub:O/R/M", True), ("nets:mine", True)],
+)
+def test_a_name_that_runs_code_is_told_also_through_a_file(tmp_path, network, code):
+    (tmp_path / "net.yaml").write_text(f"network: {network}\n")
+    assert runs_code(network) == code
+    assert runs_code(str(tmp_path / "net.yaml")) == code

@@ -9,10 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ssrvlad_torch.database.frames import FrameSet
-from ssrvlad_torch.datasets.frame_ids import sequence_of, split_id
+from ssrvlad_torch.datasets.names import sequence_of, split_id
 from ssrvlad_torch.files import natural_key
 from ssrvlad_torch.recognition.matching import match
-from ssrvlad_torch.search.selection import excluded_pairs, neighbours, select
+from ssrvlad_torch.search.exact import excluded_pairs, neighbours, select
 
 
 def frame_set(*frames):

@@ -9,9 +9,8 @@ import pytest
 from PIL import ExifTags, Image
 
 from ssrvlad_torch.datasets.image_files import find_image_files
-from ssrvlad_torch.datasets.poses import UNKNOWN, Pose, read_poses
+from ssrvlad_torch.datasets.poses import UNKNOWN, Pose, read_name, read_poses, write_name
 from ssrvlad_torch.datasets.trajectories import read_trajectory
-from ssrvlad_torch.datasets.utm_names import read_name, write_name
 
 CAMBRIDGE = (52.2, 0.12)
 EAST, NORTH = 303189.31, 5787193.03

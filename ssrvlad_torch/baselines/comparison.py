@@ -10,9 +10,9 @@ import torch
 from ..channels.view import View
 from ..datasets.drives import KINDS, Drives
 from ..datasets.frame_files import FrameFile, read_ahead
-from ..datasets.frame_ids import sequence_of
 from ..datasets.image_files import read_image
 from ..datasets.label_files import read_label_map
+from ..datasets.names import sequence_of
 from ..evaluation.measure import TOP, Recognition, measure, needs_similarity
 from ..evaluation.metrics import Convention
 from ..evaluation.true_matches import TrueMatches, Viewpoints

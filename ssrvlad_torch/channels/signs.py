@@ -12,10 +12,9 @@ import torch
 from torch import Tensor
 
 from ..native import core
-from ..recognition.blocks import in_blocks
 from ..recognition.comparison import Comparison
 from ..recognition.confidence import ALONE_BY_FEATURES
-from ..recognition.follow import runs
+from ..recognition.follow import in_blocks, runs
 from ..recognition.matching import Vectors
 from ..recognition.standardise import sharing
 

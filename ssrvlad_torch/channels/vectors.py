@@ -9,11 +9,10 @@ from typing import TYPE_CHECKING, Self
 import torch
 from torch import Tensor
 
-from ..recognition.blocks import in_blocks
 from ..recognition.comparison import Comparison
 from ..recognition.confidence import ALONE
 from ..recognition.decoys import Mirror, decoy_scores
-from ..recognition.follow import Scores
+from ..recognition.follow import Scores, in_blocks
 from ..recognition.matching import Rows, Vectors
 from ..recognition.standardise import standardise
 from ..recognition.sweep import COLUMNS, narrowed, score

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..datasets.frame_ids import sequence_of
+from ..datasets.names import sequence_of
 from ..taxonomy import LabelSpace
 
 LabelMap = npt.NDArray[np.integer[Any]]

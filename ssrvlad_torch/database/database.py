@@ -31,10 +31,17 @@ from ..files import is_uri
 from ..taxonomy import LabelSpace, label_space, label_space_names
 from . import engine
 from .disk import local_versions
-from .frame_sets import FRAME_SET_COLUMNS, frame_set, load_frame_set, order_of
 from .frames import FrameRecord, FrameSet, require_list
 from .metadata import Meta, Origin
-from .reading import Damage, read_rows, replacement_of_damaged
+from .reading import (
+    FRAME_SET_COLUMNS,
+    Damage,
+    frame_set,
+    load_frame_set,
+    order_of,
+    read_rows,
+    replacement_of_damaged,
+)
 from .rows import (
     DESCRIPTOR,
     RECORD_COLUMNS,

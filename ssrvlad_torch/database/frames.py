@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ..datasets.frame_ids import split_id
+from ..datasets.names import split_id
 
 if TYPE_CHECKING:
     from torch import Tensor

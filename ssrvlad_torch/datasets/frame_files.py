@@ -16,9 +16,8 @@ from .frame_file import FrameFile, RemoteFile, remote_files
 from .gps import read_exif
 from .names import KnownFolders, absolute, sequence_names
 from .pose_tables import PoseTable
-from .poses import UNKNOWN, Pose, poses_of_fixes, read_poses
+from .poses import UNKNOWN, Pose, poses_of_fixes, read_name, read_poses
 from .trajectories import read_trajectory
-from .utm_names import read_name
 from .videos import VideoFile, is_video, video_files
 from .workers import in_order
 

@@ -13,7 +13,7 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 
 from ..files import check_pixels, empty_folder, one_line, parse_npy
 from .frame_files import FileKind, FrameFile, find_frames
-from .utm_names import write_name
+from .poses import write_name
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff", ".ppm", ".npy")
 _FORMATS = ("JPEG", "PNG", "WEBP", "BMP", "TIFF", "PPM")

@@ -1,4 +1,4 @@
-"""Names of sequences: the shortest ends of paths that distinguish their folders."""
+"""Names of sequences: the shortest ends of paths that distinguish their folders; ids of frames."""
 
 import os
 import sys
@@ -127,3 +127,19 @@ def absolute_folder(folder: Path) -> Path:
     link keeps its own name."""
     path = folder.absolute()
     return path.resolve() if path.name == ".." else path
+
+
+def split_id(frame: str) -> tuple[str, str]:
+    """The sequence, empty if there is none, and the name of a frame."""
+    sequence, _, name = frame.rpartition("/")
+    return sequence, name
+
+
+def sequence_of(frame: str) -> str:
+    """The sequence of a frame, empty if there is none."""
+    return split_id(frame)[0]
+
+
+def name_of(frame: str) -> str:
+    """The name of a frame in its sequence."""
+    return split_id(frame)[1]

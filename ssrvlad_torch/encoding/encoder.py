@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from ..channels import LABEL_SHAPES, channels_of, new_channels
-from ..channels.channel import FEATURES, Channel
+from ..channels.channel import FEATURES, Channel, Network
 from ..database.database import Database
 from ..database.frames import FrameSet
 from ..datasets.frame_files import FrameFile
@@ -96,23 +96,25 @@ def prepared(
 def channels_to_store(
     database: Database | None,
     head: SSRVLAD,
-    segmenter: Segmenter | None,
+    network: Network | None,
     names: Sequence[str] | None,
     note: Note = do_nothing,
 ) -> list[Channel]:
     """The channels beside that of label maps that a user names; without names, of a new database
     all that the frames have, with a note if the network has no features, and of an existing one
-    none. Names of channels of pictures without a segmenter are a ValueError."""
+    none. Names of channels of pictures without a network are a ValueError."""
+    if names is None and segmenter is None:
+        return []
     if names is None and database:
         of_pictures = any(origin.segmenter for origin in database.origins.values())
-        if segmenter and len(database.columns) == 1 and not of_pictures:
+        if network and len(database.columns) == 1 and not of_pictures:
             note(f"{database.path} is of label maps alone: features and HOG are not stored")
         return []
-    if names and segmenter is None and (beside := [n for n in names if n != LABEL_SHAPES]):
+    if names and network is None and (beside := [n for n in names if n != LABEL_SHAPES]):
         raise ValueError(f"--channel {beside[0]} needs images as SOURCE and --segmenter")
-    if names is None and segmenter and (problem := segmenter.problem_of_features):
+    if names is None and network and (problem := network.problem_of_features):
         note(f"stored without features: {problem}")
-    return new_channels(names, head, segmenter)[1:]
+    return new_channels(names, head, network)[1:]
 
 
 def check_segmenter(

@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from ..datasets.frame_ids import name_of, sequence_of
+from ..datasets.names import name_of, sequence_of
 from ..files import natural_key
 from .outcomes import Rows
 

@@ -14,8 +14,7 @@ from ..database.frames import FrameSet
 from ..datasets.dataset import Dataset, DatasetFrame
 from ..datasets.dataset import GroundTruth as DatasetTruth
 from ..datasets.frame_files import FrameFile
-from ..datasets.frame_ids import sequence_of, split_id
-from ..datasets.names import KnownFolders
+from ..datasets.names import KnownFolders, sequence_of, split_id
 from ..files import natural_key
 from .ground_truth import from_frame_numbers, from_poses
 from .ground_truth_files import PartialTruth, from_file, unmatched_entries

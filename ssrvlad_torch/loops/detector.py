@@ -20,8 +20,8 @@ from ..channels.view import View
 from ..database.database import Database
 from ..database.frames import FrameRecord, checked_pose, is_text, numbers_of
 from ..database.rows import check_records
-from ..datasets.frame_ids import split_id
 from ..datasets.label_files import digest
+from ..datasets.names import split_id
 from ..descriptor import SSRVLAD
 from ..stages.front_end import as_tensor
 from .config import LoopConfig

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from ..channels.channel import Channel, Live
 from ..channels.live_vectors import GrowingArray
-from ..datasets.frame_ids import sequence_of
+from ..datasets.names import sequence_of
 
 Described = dict[str, npt.NDArray[Any]]
 """The descriptors of a frame by the names of the channels."""

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from ..channels.channel import Network
 from ..config import SSRVLADConfig
 from ..database.database import Database
 from ..datasets.frame_files import FrameFile, with_poses
@@ -36,7 +37,7 @@ def open_detector(
     memory: Path | None,
     preset: str | None,
     labels_as: str | LabelSpace,
-    segmenter: Segmenter | None = None,
+    network: Network | None = None,
     channels: Sequence[str] | None = None,
     note: Note = do_nothing,
 ) -> tuple[LoopDetector, Database | None]:
@@ -50,7 +51,7 @@ def open_detector(
     else:
         method = SSRVLADConfig.from_preset(preset or "default", labels_as=labels_as)
     head = SSRVLAD(method)
-    beside = channels_to_store(stored, head, segmenter, channels, note)
+    beside = channels_to_store(stored, head, network, channels, note)
     if memory is None:
         return LoopDetector(config, head, beside), None
     columns = [channel.column for channel in beside]

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from ..channels.live_vectors import GrowingArray
-from ..datasets.frame_ids import sequence_of
+from ..datasets.names import sequence_of
 from ..recognition.filter import Filter
 from ..recognition.fusion import fused, weights_of, z_lead
 from ..recognition.motion import MIN_SPREAD, Motion, likelihoods, moments, nearness

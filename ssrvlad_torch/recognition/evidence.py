@@ -6,10 +6,9 @@ from typing import Protocol
 
 from torch import Tensor
 
-from .blocks import Computed
 from .candidates import Search, follow_candidates, gain_of_candidates
 from .decoys import Lead, lead_over_decoys
-from .follow import Mode, Places, Scores, follow, gain
+from .follow import Computed, Mode, Places, Scores, follow, gain
 from .matching import Matches, best_of
 from .motion import Motion
 

@@ -11,9 +11,8 @@ from collections.abc import Mapping, Sequence
 import torch
 from torch import Tensor
 
-from .blocks import IN_MEMORY, Computed
 from .comparison import Comparison
-from .follow import Scores
+from .follow import IN_MEMORY, Computed, Scores
 from .motion import ELSEWHERE, MIN_SPREAD, lead, nearness
 from .standardise import MIN_FRAMES
 

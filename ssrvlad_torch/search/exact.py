@@ -1,20 +1,23 @@
 """Search: the candidates of the frames of a source, among all frames of a map in memory."""
 
 import dataclasses
-from collections.abc import Sequence
+from bisect import bisect_left
+from collections.abc import Collection, Sequence
 
+import numpy as np
+import numpy.typing as npt
 from torch import Tensor
 
 from ..channels import channels_of
 from ..channels.channel import Channel
 from ..database.database import Database
 from ..database.frames import FrameSet
-from ..datasets.frame_ids import name_of
-from ..datasets.names import KnownFolders, check_sequences
+from ..datasets.names import KnownFolders, check_sequences, name_of, split_id
 from ..descriptor import SSRVLAD
 from ..encoding.encoder import check_segmenter, encode_to_memory
 from ..encoding.results import Progress, Skipped, do_nothing
 from ..encoding.source import Source
+from ..files import natural_key
 from ..recognition.comparison import Member
 from ..recognition.follow import runs
 from ..recognition.recognise import Recognised, Steps, recognise
@@ -22,7 +25,6 @@ from ..recognition.sweep import COLUMNS
 from ..recognition.temporal import temporal_sum
 from ..taxonomy import label_space
 from .answers import Answers
-from .selection import excluded_pairs, select
 
 
 def search(
@@ -163,3 +165,60 @@ def _loaded(
     ids = tuple(f"{name}/{name_of(frame)}" for frame in frames.frames)
     named = dataclasses.replace(frames, frames=ids, sequences=(name,) * len(frames))
     return named, [], ()
+
+
+def select(frames: FrameSet, sequences: Collection[str] | None = None) -> npt.NDArray[np.bool_]:
+    """``(R,)`` bool, the frames of some sequences, by default all; others are a ValueError."""
+    if sequences is None:
+        return np.ones(len(frames), bool)
+    missing = sorted(set(sequences) - set(frames.sequences))
+    if missing:
+        raise ValueError(f"there is no sequence {missing[0]!r} in the database")
+    return np.fromiter((s in sequences for s in frames.sequences), bool, len(frames))
+
+
+def neighbours(queries: Sequence[str], references: FrameSet, reach: int) -> npt.NDArray[np.int64]:
+    """The references around each query in its own sequence: ``(Q, 2)`` int64, the first of these
+    rows and the one after the last, with the query's own. ``reach`` is the number of frames, from
+    0, on each side of the position that the query has or would have among the references, which are
+    in natural order."""
+    if reach < 0:
+        raise ValueError(f"the reach of neighbours must be 0 or more frames, got {reach}")
+    starts: dict[str, int] = {}
+    ends: dict[str, int] = {}
+    for row, sequence in enumerate(references.sequences):
+        starts.setdefault(sequence, row)
+        ends[sequence] = row + 1
+    ranges = np.zeros((len(queries), 2), np.int64)
+    for number, query in enumerate(queries):
+        sequence, name = split_id(query)
+        if sequence in starts:
+            start, end = starts[sequence], ends[sequence]
+            place = bisect_left(
+                references.frames,
+                natural_key(name),
+                start,
+                end,
+                key=lambda frame: natural_key(name_of(frame)),
+            )
+            is_reference = place < end and references.frames[place] == query
+            ranges[number] = max(start, place - reach), min(end, place + reach + is_reference)
+    return ranges
+
+
+def excluded_pairs(
+    queries: FrameSet, references: FrameSet, where: npt.NDArray[np.bool_], reach: int | None
+) -> Tensor | None:
+    """``(Q, R)`` bool, the references that are no candidates of a query: those not in ``where``
+    ``(R,)`` bool, from `select`, and its `neighbours` within a reach, if any; ``None`` if all
+    are."""
+    import torch
+
+    if where.all() and reach is None:
+        return None
+    excluded = np.repeat(~where[None], len(queries), axis=0)
+    if reach is not None:
+        first, last = neighbours(queries.frames, references, reach).T[:, :, None]
+        rows = np.arange(len(references))
+        excluded |= (rows >= first) & (rows < last)
+    return torch.from_numpy(excluded)

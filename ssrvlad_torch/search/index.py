@@ -18,8 +18,8 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from ..database.checksums import intact, matrix
 from ..database.reading import read_rows
+from ..database.rows import intact, matrix
 from ..recognition.matching import match
 
 if TYPE_CHECKING:

@@ -13,9 +13,9 @@ import torch
 import torch.nn.functional as F
 
 from ..channels.vectors import VectorChannel
-from ..database.checksums import intact, matrix
 from ..database.engine import require_unforked
 from ..database.reading import read_rows
+from ..database.rows import intact, matrix
 from ..encoding.results import Progress, do_nothing
 from ..recognition.matching import Rows
 from ..recognition.motion import moments
@@ -23,9 +23,8 @@ from ..recognition.recognise import Steps, recognise_by_search
 from ..recognition.standardise import MIN_FRAMES, sharing, standardise, without_mean
 from ..recognition.sweep import score
 from .answers import Answers
-from .exact import chosen_channels, queries_of
+from .exact import chosen_channels, neighbours, queries_of, select
 from .index import CANDIDATES, condition_of, nearest, require_index
-from .selection import neighbours, select
 
 if TYPE_CHECKING:
     import numpy.typing as npt

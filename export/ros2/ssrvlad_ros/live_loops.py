@@ -101,9 +101,12 @@ class LiveLoops:
     ) -> None:
         self.sequence, self._model = sequence, model
         self._meanings = dict(meanings or {})
-        labels_as, extra = (model.labels_as, model.extra) if model else (LABELS_AS, [])
-        self._detector, self._database = open_detector(config, memory, preset, labels_as, extra)
-        self._require_same(memory)
+        labels_as = model.labels_as if model else LABELS_AS
+        names = ["features"] if model and model.fingerprint_of_features else []
+        self._detector, self._database = open_detector(
+            config, memory, preset, labels_as, model, names
+        )
+        self._require_same(memory, names)
         if check:
             check_head(self._detector.head)
         for frame in self._detector.frames:
@@ -111,12 +114,14 @@ class LiveLoops:
         self._saved = len(self._detector)
         self._table: LabelTable | None = None
 
-    def _require_same(self, memory: Path | None) -> None:
-        """Refuses a memory or a model whose frames do not compare with those of this stream."""
-        stored, model = self._detector.extra, self._model
-        if list(stored) != (model.extra if model else []):
-            names = ", ".join(each.name for each in stored)
-            raise ValueError(f"{memory} has {names} of its frames, which this stream has not")
+    def _require_same(self, memory: Path | None, names: list[str]) -> None:
+        """Refuses a memory or a model whose frames do not compare with those of this stream, which
+        have channels with these names beside that of label maps."""
+        stored, model = [each.column.name for each in self._detector.channels[1:]], self._model
+        if stored != names:
+            raise ValueError(
+                f"{memory} has {', '.join(stored)} of its frames, which this stream has not"
+            )
         fingerprint = self._detector.head.config.fingerprint
         if model and model.fingerprint != fingerprint:
             raise ValueError(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,6 @@ from ssrvlad_torch.deployment.metadata import Metadata
 from ssrvlad_torch.files import one_line
 from ssrvlad_torch.segmentation.onnx_files import open_session
 from ssrvlad_torch.segmentation.segmenter import Segmented
-from ssrvlad_torch.stages.features import SHAPE
 from ssrvlad_torch.taxonomy import LabelSpace
 
 
@@ -29,7 +27,7 @@ class PlaceModel:
     Attributes:
         fingerprint: of the settings of the head in the file.
         labels_as: label space of the label maps.
-        extra: the features, as a database names them; empty without.
+        fingerprint_of_features: under which a database stores them; empty without.
 
     Raises:
         ValueError: the file is of another kind or damaged, gives no features, or the golden image
@@ -61,9 +59,7 @@ class PlaceModel:
                 f"{path} gives no features: fuse it again without --no-features, or set the "
                 "parameter features to false"
             )
-        self.extra: list[ExtraDescriptor] = []
-        if features:
-            self.extra = [ExtraDescriptor(FEATURES, math.prod(SHAPE), signs, SHAPE)]
+        self.fingerprint_of_features, self.problem_of_features = signs if features else "", ""
         self._outputs = [LABELS, FEATURES] if features else [LABELS]
         if check:
             wanted = {name: golden[name] for name in self._outputs}

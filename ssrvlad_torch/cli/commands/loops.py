@@ -53,7 +53,7 @@ def loops(
     Example: ssrvlad loops maps/monday --labels-as camvid-11 --picture loops.png
     """
     from ...database.database import Database
-    from ...datasets.frame_ids import sequence_of
+    from ...datasets.names import sequence_of
     from ...encoding.plan import check_folders
     from ...encoding.results import Skipped
     from ...encoding.source import open_network_of, open_source
