@@ -103,11 +103,11 @@ def channels_to_store(
     """The channels beside that of label maps that a user names; without names, of a new database
     all that the frames have, with a note if the network has no features, and of an existing one
     none. Names of channels of pictures without a network are a ValueError."""
-    if names is None and segmenter is None:
+    if names is None and network is None:
         return []
     if names is None and database:
         of_pictures = any(origin.segmenter for origin in database.origins.values())
-        if network and len(database.columns) == 1 and not of_pictures:
+        if len(database.columns) == 1 and not of_pictures:
             note(f"{database.path} is of label maps alone: features and HOG are not stored")
         return []
     if names and network is None and (beside := [n for n in names if n != LABEL_SHAPES]):
