@@ -186,6 +186,8 @@ class Map:
             OSError: the map cannot be written.
         """
         options = options or EncodeOptions()
+        if self._version is not None:
+            raise ValueError(f"{self.path} was opened as of version {self._version}, read-only")
         source = frames if isinstance(frames, Source) else self.source(frames, note=note)
         if options.gpus and not source.segmenter:
             raise ValueError("--gpus needs --engine ray and --segmenter")
