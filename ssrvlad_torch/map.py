@@ -16,9 +16,8 @@ import torch
 from PIL.Image import Image
 
 from .channels import LABEL_SHAPES
-from .channels.channel import Channel
+from .channels.channel import Channel, View
 from .channels.column import Column
-from .channels.view import View
 from .config import SSRVLADConfig
 from .database.database import Database
 from .database.engine import discard_empty

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 import numpy as np
 import numpy.typing as npt
 
-from ssrvlad_torch.channels.view import View
+from ssrvlad_torch.channels.channel import View
 
 Picture = npt.NDArray[np.uint8]
 

@@ -10,7 +10,7 @@ from networks import write_street as write_network
 from PIL import Image
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig
-from ssrvlad_torch.channels import new_channels
+from ssrvlad_torch.channels.channel import new_channels
 from ssrvlad_torch.datasets.image_files import find_image_files
 from ssrvlad_torch.deployment.fuse import fuse
 from ssrvlad_torch.encoding.encoder import encode_to_memory

@@ -14,7 +14,7 @@ from vpr_bench import CORRIDOR, needs_corridor
 
 from ssrvlad_torch.baselines import cohog, make
 from ssrvlad_torch.baselines.cohog import local_entropy, region_descriptors, region_entropies
-from ssrvlad_torch.channels.view import View
+from ssrvlad_torch.channels.channel import View
 
 
 def gray_noise(seed, height, width, grain=4):

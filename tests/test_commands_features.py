@@ -13,9 +13,8 @@ from segmenting import write_photos
 from torch import nn
 
 from ssrvlad_torch import Database, LoopDetector, Map
-from ssrvlad_torch.channels import new_channels
+from ssrvlad_torch.channels.channel import View, new_channels
 from ssrvlad_torch.channels.hog import HOG
-from ssrvlad_torch.channels.view import View
 from ssrvlad_torch.datasets.frame_file import FrameFile
 from ssrvlad_torch.datasets.image_files import read_image
 from ssrvlad_torch.descriptor import SSRVLAD

@@ -12,8 +12,8 @@ from segmenting import write_photos
 from ssrvlad_torch.baselines import make
 from ssrvlad_torch.baselines.encoder_features import EncoderFeatures
 from ssrvlad_torch.baselines.run import run
+from ssrvlad_torch.channels.channel import View
 from ssrvlad_torch.channels.signs import SignQueries, SignRows
-from ssrvlad_torch.channels.view import View
 from ssrvlad_torch.recognition.recognise import Steps
 from ssrvlad_torch.segmentation.segmenter import Segmenter
 

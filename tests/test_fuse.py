@@ -29,7 +29,7 @@ from onnx import TensorProto, helper, numpy_helper
 from torch import Tensor, nn
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig
-from ssrvlad_torch.channels import new_channels
+from ssrvlad_torch.channels.channel import new_channels
 from ssrvlad_torch.datasets.image_files import find_image_files, read_image
 from ssrvlad_torch.deployment.export import export_head
 from ssrvlad_torch.deployment.fuse import NETWORK, fuse, other_signs

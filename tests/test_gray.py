@@ -7,8 +7,8 @@ import torch
 from methods import frames, noise
 from PIL import Image
 
+from ssrvlad_torch.channels.channel import View
 from ssrvlad_torch.channels.gray import grays, resize
-from ssrvlad_torch.channels.view import View
 
 
 def test_gray_is_that_of_pillow_and_frames_of_one_size_become_one_tensor():

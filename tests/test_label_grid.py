@@ -8,7 +8,7 @@ import torch
 from drawings import ROAD, SKY, SPACE, TREE, blobs
 
 from ssrvlad_torch.baselines import make
-from ssrvlad_torch.channels.view import View
+from ssrvlad_torch.channels.channel import View
 from ssrvlad_torch.taxonomy import CATEGORIES, label_space
 
 

@@ -15,7 +15,7 @@ from ssrvlad_torch.baselines import make
 from ssrvlad_torch.baselines.dense_network import dense_network
 from ssrvlad_torch.baselines.lost import layout_cost
 from ssrvlad_torch.baselines.lost_x import LoSTX
-from ssrvlad_torch.channels.view import View
+from ssrvlad_torch.channels.channel import View
 from ssrvlad_torch.segmentation.preparation import SegmenterConfig
 from ssrvlad_torch.segmentation.segmenter import Segmenter
 
@@ -43,7 +43,7 @@ def network(images: Tensor) -> tuple[Tensor, Tensor]:
 def seen(frame: View) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Features ``(D, P)``, probabilities ``(4, P)`` and most likely classes, place by place."""
     features, scores = (
-        part[0].double().numpy() for part in network(torch.tensor(frame.image)[None])
+        part[0].double().numpy() for part in network(torch.tensor(frame.picture)[None])
     )
     nearest = scores[:, 1::2, 1::2]  # of four places in a square the one after the middle
     probabilities = nearest.reshape(CLASSES, -1)
@@ -129,7 +129,7 @@ def layout(query: View, reference: View, opposite: bool) -> float:
 
 def test_a_frame_finds_itself_and_its_mirror_image(space):
     drive = frames(12)
-    mirrored = [View(f.frame, picture=f.image[:, ::-1].copy()) for f in drive]
+    mirrored = [View(f.frame, picture=f.picture[:, ::-1].copy()) for f in drive]
 
     def symmetric(images: Tensor) -> tuple[Tensor, Tensor]:
         """What it sees in a mirror is the mirror image of what it sees."""
@@ -148,7 +148,7 @@ def test_rows_do_not_depend_on_each_other_and_frames_may_differ_in_size(method):
     part = queries[2:4]
     assert len(part) == 2
     torch.testing.assert_close(method.scores(part, references), whole[2:4])
-    small, large = frames(2), [View("drive/9", picture=np.tile(frames(1)[0].image, (2, 2, 1)))]
+    small, large = frames(2), [View("drive/9", picture=np.tile(frames(1)[0].picture, (2, 2, 1)))]
     found = method.encode_query(small + large)
     assert found.widths.flatten().tolist() == [6, 6, 12]
     assert method.scores(found, found).isfinite().all()
@@ -163,7 +163,7 @@ def test_candidates_without_key_points_stand_behind_the_ranked(space):
         shifted[:, 2 if images.float().mean() > 178 else 0] = 1
         return features, shifted
 
-    bright = [View(f.frame, picture=(f.image // 4 + 191).astype(np.uint8)) for f in frames(2)]
+    bright = [View(f.frame, picture=(f.picture // 4 + 191).astype(np.uint8)) for f in frames(2)]
     method = LoSTX(network=blind, labels_as=space)
     queries = method.encode_query(frames(1, seed=5))
     scores = method.scores(queries, method.encode_query(bright + frames(5, seed=6)))[0]
@@ -214,7 +214,7 @@ def test_a_network_that_gives_something_else(features, scores, message, space):
 
 
 def test_frames_that_do_not_do_are_named(method):
-    with pytest.raises(ValueError, match="method lost-x needs images, but frame drive/1"):
+    with pytest.raises(ValueError, match="lost-x needs pictures, but frame drive/1"):
         method.encode_query([View("drive/1")])
     with pytest.raises(ValueError, match="method lost-x: no frames to encode"):
         method.encode_query([])
@@ -228,7 +228,7 @@ def test_a_segmentation_network(tmp_path, space):
     layers = nn.Sequential(*trunk, nn.Conv2d(2 * CHANNELS, CLASSES, 1), nn.Upsample(scale_factor=8))
     config = SegmenterConfig(mean=(0, 0, 0), std=(1, 1, 1), features=("0",))
     segmenter = Segmenter(layers, space, config)
-    picture = torch.tensor(frames(1)[0].image)[None]
+    picture = torch.tensor(frames(1)[0].picture)[None]
     features, scores = dense_network(segmenter)(picture)
     numbers = picture.permute(0, 3, 1, 2) / 255
     torch.testing.assert_close(features, layers[0](numbers))

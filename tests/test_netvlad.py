@@ -11,7 +11,7 @@ from test_netvlad_weights import write_port
 from ssrvlad_torch.baselines import make
 from ssrvlad_torch.baselines.netvlad import NetVLAD
 from ssrvlad_torch.baselines.netvlad_network import NetVLADNetwork
-from ssrvlad_torch.channels.view import View
+from ssrvlad_torch.channels.channel import View
 
 
 @pytest.fixture(scope="module")

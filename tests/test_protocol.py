@@ -9,7 +9,7 @@ from drawings import SPACE, VOID, blobs
 from methods import frames, picture
 
 from ssrvlad_torch.baselines import METHODS, make
-from ssrvlad_torch.channels.view import View
+from ssrvlad_torch.channels.channel import View
 
 NEEDS = {"labels", "images", "weights"}
 WITHOUT_WEIGHTS = ["ssr-vlad", "cohog", "label-grid", "hog", "tiny-image"]

@@ -10,7 +10,7 @@ from networks import write_street
 from segmenting import write_photos, write_settings
 
 from ssrvlad_torch import SSRVLAD
-from ssrvlad_torch.channels import new_channels
+from ssrvlad_torch.channels.channel import new_channels
 from ssrvlad_torch.channels.label_shapes import LabelShapes
 from ssrvlad_torch.database.database import Database
 from ssrvlad_torch.datasets.image_files import find_image_files

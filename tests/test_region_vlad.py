@@ -13,7 +13,7 @@ from test_region_features import images, write
 from ssrvlad_torch.baselines import make
 from ssrvlad_torch.baselines.region_features import AlexNetPlaces365, RegionFeatures
 from ssrvlad_torch.baselines.region_vlad import RegionVLAD, vlad
-from ssrvlad_torch.channels.view import View
+from ssrvlad_torch.channels.channel import View
 
 
 def described(descriptors: Array, words: Array) -> Array:

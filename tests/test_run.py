@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from ssrvlad_torch.baselines.run import run
-from ssrvlad_torch.channels.view import View
+from ssrvlad_torch.channels.channel import View
 
 
 class Numbers:

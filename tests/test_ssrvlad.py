@@ -8,7 +8,7 @@ from helpers import street
 
 from ssrvlad_torch import SSRVLAD, match
 from ssrvlad_torch.baselines import make
-from ssrvlad_torch.channels.view import View
+from ssrvlad_torch.channels.channel import View
 from ssrvlad_torch.recognition.temporal import temporal_sum
 
 

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from ssrvlad_torch import baselines
 from ssrvlad_torch.baselines import region_vlad
-from ssrvlad_torch.channels.view import View
+from ssrvlad_torch.channels.channel import View
 from ssrvlad_torch.cli.bench import threads
 
 ENCODED = 10

@@ -13,7 +13,7 @@ from _markdown import Page, head_row, largest_mean_smallest, processor, row
 from _trials import camvid_trials, costs, shown
 from PIL import Image
 
-from ssrvlad_torch.channels.view import View
+from ssrvlad_torch.channels.channel import View
 
 SIZE = (1024, 1024)
 REFERENCES = 191

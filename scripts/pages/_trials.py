@@ -19,7 +19,7 @@ from _decide import Decisions, decide
 from _described import IMAGES, LABELS, OF_NETWORKS, OF_PICTURES, TRAINED, Condition, Described
 from conditions import Search, camvid, every_other, labelled, pictured
 
-from ssrvlad_torch.channels.view import View
+from ssrvlad_torch.channels.channel import View
 from ssrvlad_torch.datasets.dataset import Dataset
 from ssrvlad_torch.evaluation.ground_truth import from_frame_numbers
 from ssrvlad_torch.evaluation.true_matches import TrueMatches, Viewpoints

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
-from ssrvlad_torch.channels.view import View
+from ssrvlad_torch.channels.channel import View
 from ssrvlad_torch.datasets.frame_files import FrameFile
 from ssrvlad_torch.datasets.image_files import decode_image
 from ssrvlad_torch.datasets.label_files import find_label_files, read_label_map

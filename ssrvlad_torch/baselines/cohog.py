@@ -17,9 +17,9 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from ..channels.channel import View, batches
 from ..channels.gray import grays, resize
 from ..channels.hog import CELL, cell_histograms
-from ..channels.view import View, batches
 from .protocol import Columns
 
 ORIENTATIONS = 8

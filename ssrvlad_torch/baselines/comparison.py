@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import torch
 
-from ..channels.view import View
+from ..channels.channel import View
 from ..datasets.drives import KINDS, Drives
 from ..datasets.frame_files import FrameFile, read_ahead
 from ..datasets.image_files import read_image

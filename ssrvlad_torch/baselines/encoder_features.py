@@ -6,10 +6,9 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from ..channels.channel import PICTURE
+from ..channels.channel import PICTURE, View, batches, picture_of
 from ..channels.features import Features
 from ..channels.signs import SignQueries, SignReferences, SignRows
-from ..channels.view import View, batches, picture_of
 from ..segmentation.networks import AUTO
 from ..segmentation.segmenter import Segmenter
 from ..stages.features import SHAPE

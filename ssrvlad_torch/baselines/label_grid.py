@@ -7,8 +7,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ..channels.channel import LABELS
-from ..channels.view import View, labels_of
+from ..channels.channel import LABELS, View, labels_of
 from ..stages.layers import UNKNOWN, categorise, category_table, refuse_unknown
 from ..taxonomy import CATEGORIES, label_space
 from .vectors import VectorMethod

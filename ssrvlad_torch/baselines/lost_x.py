@@ -10,7 +10,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ..channels.view import Picture, View, picture_of
+from ..channels.channel import Picture, View, picture_of
 from ..recognition.sweep import score
 from ..segmentation.networks import AUTO
 from ..segmentation.segmenter import Segmenter

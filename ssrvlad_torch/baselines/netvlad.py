@@ -6,7 +6,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from ..channels.view import View, picture_of
+from ..channels.channel import View, picture_of
 from .netvlad_network import NetVLADNetwork
 from .netvlad_weights import read_netvlad_weights
 from .vectors import VectorMethod

@@ -7,7 +7,7 @@ from importlib import import_module
 from inspect import signature
 from typing import TYPE_CHECKING, Any, Protocol, Self
 
-from ..channels.view import View
+from ..channels.channel import View
 
 if TYPE_CHECKING:
     from torch import Tensor

@@ -8,7 +8,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from ..channels.view import Picture
+from ..channels.channel import Picture
 from .caffemodel import read_caffemodel
 from .regions import region_descriptors
 from .weights import fill, find_weights, random_network, read_checkpoint

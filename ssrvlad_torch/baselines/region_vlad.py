@@ -7,7 +7,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ..channels.view import View, picture_of
+from ..channels.channel import View, picture_of
 from .region_features import RegionFeatures
 from .vectors import VectorMethod
 from .vocabulary import CHANNELS, read_vocabulary

@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from ..channels.channel import View
 from ..channels.vectors import VectorReferences
-from ..channels.view import View
 from ..recognition.comparison import Member, References
 from ..recognition.matching import Matches, best_of
 from ..recognition.recognise import Recognised, Steps, recognise, recognise_by_scores

@@ -6,8 +6,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from ..channels.channel import View, batches
 from ..channels.label_shapes import LabelShapes
-from ..channels.view import View, batches
 from ..config import SSRVLADConfig
 from ..descriptor import SSRVLAD
 from ..recognition.sweep import COLUMNS

@@ -11,8 +11,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from ..channels.channel import View, batches
 from ..channels.gray import grays
-from ..channels.view import View, batches
 from .protocol import Columns, noting
 
 PATCH = 8

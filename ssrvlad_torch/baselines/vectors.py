@@ -5,9 +5,9 @@ from collections.abc import Iterable
 import torch
 from torch import Tensor
 
+from ..channels.channel import View, batches
 from ..channels.hog import HOG
 from ..channels.vectors import VectorChannel
-from ..channels.view import View, batches
 from ..recognition.sweep import score
 
 

@@ -1,23 +1,96 @@
-"""The protocol of a channel."""
+"""A channel, the views that it describes, and the channels of a database or of new frames."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from itertools import groupby, islice
 from typing import TYPE_CHECKING, Any, Protocol, Self
 
 import numpy as np
 import numpy.typing as npt
 from torch import Tensor
 
+from ..datasets.names import sequence_of
 from ..recognition.comparison import References
+from ..taxonomy import LabelSpace
+from . import CHANNELS, LABEL_SHAPES
 from .column import Column
-from .view import View
 
 if TYPE_CHECKING:
     from ..descriptor import SSRVLAD
 
 LABELS, PICTURE, FEATURES = "labels", "images", "features"
 """What a channel may need of a view."""
+
+LabelMap = npt.NDArray[np.integer[Any]]
+Picture = npt.NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class View:
+    """A frame, by its id ``<sequence>/<name>``. What no channel needs may be missing.
+
+    Attributes:
+        labels: ``(H, W)`` ids of a label space.
+        labels_as: the label space.
+        picture: ``(H, W, 3)`` uint8, RGB.
+        features: signs of `stages.features.SHAPE`, uint8.
+    """
+
+    frame: str
+    labels: LabelMap | None = None
+    labels_as: str | LabelSpace | None = None
+    picture: Picture | None = None
+    features: npt.NDArray[np.uint8] | None = None
+
+    @property
+    def sequence(self) -> str:
+        """The part of the id before the last slash."""
+        return sequence_of(self.frame)
+
+    @property
+    def kind(self) -> object:
+        """What is equal in a batch: the sizes, the dtype of the label map, and its label space."""
+        labels = None if self.labels is None else (self.labels.shape, self.labels.dtype)
+        return labels, self.labels_as, None if self.picture is None else self.picture.shape
+
+
+def picture_of(view: View, channel: str) -> Picture:
+    """The picture of a view. A missing one, or one that is not ``(H, W, 3)`` uint8, is a
+    ValueError that names the channel."""
+    if view.picture is None:
+        raise ValueError(f"{channel} needs pictures, but frame {view.frame} has none")
+    got = view.picture
+    if got.ndim != 3 or got.shape[2] != 3 or got.dtype != np.uint8 or got.size == 0:
+        raise ValueError(
+            f"{channel}: the picture of frame {view.frame} must be (H, W, 3) uint8, "
+            f"got {got.shape} {got.dtype}"
+        )
+    return got
+
+
+def labels_of(view: View, channel: str) -> tuple[LabelMap, str | LabelSpace]:
+    """The label map of a view and its label space. A missing one, or a label map that is not
+    ``(H, W)`` integers, is a ValueError that names the channel."""
+    if view.labels is None or view.labels_as is None:
+        lacks = "a label map" if view.labels is None else "the label space of its label map"
+        raise ValueError(f"{channel} needs labels, but frame {view.frame} lacks {lacks}")
+    got = view.labels
+    if got.ndim != 2 or got.dtype.kind not in "iu" or got.size == 0:
+        raise ValueError(
+            f"{channel}: the label map of frame {view.frame} must be (H, W) integers, "
+            f"got {got.shape} {got.dtype}"
+        )
+    return got, view.labels_as
+
+
+def batches(views: Iterable[View], size: int) -> Iterator[list[View]]:
+    """The views in order, in lists of at most ``size`` of one `View.kind`."""
+    for _, run in groupby(views, lambda view: view.kind):
+        while batch := list(islice(run, size)):
+            yield batch
 
 
 class Network(Protocol):
@@ -110,3 +183,45 @@ class Live(Protocol):
 
     def descriptors(self, first: int, last: int) -> npt.NDArray[Any]:
         """``(last - first, *shape)``, a copy."""
+
+
+def channels_of(columns: Sequence[Column], head: SSRVLAD) -> list[Channel]:
+    """The channels whose descriptors are in columns of a database; ``head`` describes label maps. A
+    column that no channel makes, or that this version makes otherwise, is a ValueError."""
+    channels = []
+    for column in columns:
+        channel = _class(column.name).of(column, head)
+        if channel.column != column:
+            raise ValueError(
+                f"stored descriptors by {column.name} are of {column.fingerprint}, this version "
+                f"makes {channel.column.fingerprint}: encode the frames again"
+            )
+        channels.append(channel)
+    return channels
+
+
+def new_channels(
+    names: Sequence[str] | None, head: SSRVLAD, network: Network | None
+) -> list[Channel]:
+    """The channels of frames that a network labels, or of label maps without one: that of the label
+    maps, and those with these names. Without names, all that the frames have: without a network
+    none of pictures, and no features of a network that has none. An unknown name, and a channel
+    that the frames do not have, are a ValueError."""
+    if isinstance(names, str):
+        raise ValueError(f"expected a list of channels, got the text {names!r}")
+    if names is None:
+        wanted = [name for name in CHANNELS if not _class(name).lacks(network)]
+    else:
+        wanted = list(dict.fromkeys([LABEL_SHAPES, *names]))
+    return [_class(name).make(head, network) for name in wanted]
+
+
+def _class(name: str) -> type[Channel]:
+    entry = CHANNELS.get(name)
+    if entry is None:
+        raise ValueError(f"expected a channel, {', '.join(CHANNELS)}, got {name!r}")
+    if not isinstance(entry, str):
+        return entry
+    module, _, class_name = entry.partition(".")
+    channel: type[Channel] = getattr(import_module(f".{module}", __package__), class_name)
+    return channel

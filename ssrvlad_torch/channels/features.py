@@ -10,11 +10,10 @@ import torch
 from torch import Tensor
 
 from ..stages.features import SHAPE
-from .channel import FEATURES, Network
+from .channel import FEATURES, Network, View
 from .column import Column
 from .live_signs import LiveSigns
 from .signs import SignReferences
-from .view import View
 
 if TYPE_CHECKING:
     from ..descriptor import SSRVLAD

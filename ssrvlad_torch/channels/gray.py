@@ -7,7 +7,7 @@ import torch
 from PIL import Image
 from torch import Tensor
 
-from .view import View, picture_of
+from .channel import View, picture_of
 
 _WEIGHT_UNIT = 2048
 

@@ -13,10 +13,9 @@ from torch import Tensor
 from ..config import SSRVLADConfig
 from ..descriptor import SSRVLAD, mirrored
 from ..taxonomy import LabelSpace, label_space
-from .channel import LABELS, Network
+from .channel import LABELS, Network, View, labels_of
 from .column import Column
 from .vectors import VectorChannel
-from .view import View, labels_of
 
 TORCH_THREADS = 2
 """Threads of the stages in torch: their many short operators wait for Python's global lock, which

@@ -16,10 +16,9 @@ from ..recognition.follow import Scores, in_blocks
 from ..recognition.matching import Rows, Vectors
 from ..recognition.standardise import standardise
 from ..recognition.sweep import COLUMNS, narrowed, score
-from .channel import PICTURE, Network
+from .channel import PICTURE, Network, View
 from .column import Column
 from .live_vectors import LiveVectors
-from .view import View
 
 if TYPE_CHECKING:
     from ..descriptor import SSRVLAD

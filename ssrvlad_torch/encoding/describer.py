@@ -7,8 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ..channels.channel import PICTURE, Channel
-from ..channels.view import View
+from ..channels.channel import PICTURE, Channel, View
 from ..database.frames import FrameRecord
 from ..datasets.frame_files import FrameFile
 from ..datasets.image_files import read_image

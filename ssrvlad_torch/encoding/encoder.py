@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from ..channels import LABEL_SHAPES, channels_of, new_channels
-from ..channels.channel import FEATURES, Channel, Network
+from ..channels import LABEL_SHAPES
+from ..channels.channel import FEATURES, Channel, Network, channels_of, new_channels
 from ..database.database import Database
 from ..database.frames import FrameSet
 from ..datasets.frame_files import FrameFile

@@ -12,11 +12,9 @@ import numpy as np
 import numpy.typing as npt
 from torch import Tensor
 
-from ..channels import channels_of
-from ..channels.channel import FEATURES, PICTURE, Channel
+from ..channels.channel import FEATURES, PICTURE, Channel, View, channels_of
 from ..channels.label_shapes import LabelShapes
 from ..channels.live_vectors import Floats
-from ..channels.view import View
 from ..database.database import Database
 from ..database.frames import FrameRecord, checked_pose, is_text, numbers_of
 from ..database.rows import check_records

@@ -8,8 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from torch import Tensor
 
-from ..channels import channels_of
-from ..channels.channel import Channel
+from ..channels.channel import Channel, channels_of
 from ..database.database import Database
 from ..database.frames import FrameSet
 from ..datasets.names import KnownFolders, check_sequences, name_of, split_id

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ssrvlad_torch.channels.view import View, batches, labels_of, picture_of
+from ssrvlad_torch.channels.channel import View, batches, labels_of, picture_of
 
 
 def test_the_sequence_is_the_part_before_the_last_slash():
