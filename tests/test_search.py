@@ -21,17 +21,6 @@ def test_nothing_that_can_be_described(ssrvlad, database, tmp_path):
     ]
 
 
-def test_a_sum_in_metres_tells_its_t(ssrvlad, database, maps):
-    (maps / "poses.csv").write_text(
-        "frame,x,y\n" + "".join(f"{n:03d},{n * 2},0\n" for n in range(6))
-    )
-    ssrvlad("encode", maps, "-o", database)
-    found = json.loads(
-        ssrvlad("query", database, maps, "--temporal", "4.2m", "--json")[1].splitlines()[0]
-    )
-    assert found["temporal"] == {"monday": 2}
-
-
 def test_enough_references_tell_how_sure(ssrvlad, database, maps):
     write_maps(maps, range(6, 30))
     ssrvlad("encode", maps, "-o", database)

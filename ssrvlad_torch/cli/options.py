@@ -27,8 +27,8 @@ from ..evaluation.metrics import Convention
 if TYPE_CHECKING:
     from ..recognition.recognise import Steps
 
-PAPER_REACH, MOST_REACH = 3, 1_000_000
-"""Frames on each side of the temporal sum: in the paper, and at most."""
+PAPER_REACH = 3
+"""Frames on each side of the temporal sum in the paper."""
 
 NETWORK = (
     "FILE.onnx, FILE.yaml (a network and its settings), hf:ORG/NAME[@REVISION], a folder, "
@@ -214,10 +214,11 @@ class StepOptions:
 class RecognitionOptions(StepOptions):
     """All steps from the descriptors of a database to a decision."""
 
-    temporal: str | None = option(
-        "Sum each reference descriptor over T frames on each side (Eq. 3), such as 3, or over T "
-        "metres, such as 10m. Default: no sum.",
-        metavar="T",
+    temporal: int = option(
+        "Sum each reference descriptor over this many frames on each side (Eq. 3).",
+        default=0,
+        min=0,
+        max=1_000_000,
     )
     as_paper: bool = switch(
         "--as-paper",
@@ -248,11 +249,10 @@ class RecognitionOptions(StepOptions):
         if "max_wrong" in typed and "min_confidence" in typed:
             raise ValueError("--max-wrong chooses the least confidence; leave out --min-confidence")
         paper = {"standardise": False, "sweep": False, "follow": "no", "delay": 0, "extra": False}
+        paper["temporal"] = PAPER_REACH
         contradicting = [
             name for name, value in paper.items() if name in typed and getattr(self, name) != value
         ]
-        if self.temporal is not None and self.reach != (PAPER_REACH, None):
-            contradicting.append("temporal")
         if self.as_paper and contradicting:
             names = " and ".join(f"--{name}" for name in contradicting)
             raise ValueError(
@@ -266,21 +266,9 @@ class RecognitionOptions(StepOptions):
         return False if self.as_paper else self.extra
 
     @property
-    def reach(self) -> tuple[int, float | None]:
-        """The reach of the temporal sum on each side: in metres if given, else in frames; a
-        ValueError if ``temporal`` is neither."""
-        text = self.temporal
-        if text is None:
-            return PAPER_REACH if self.as_paper else 0, None
-        try:
-            frames, metres = (0, float(text[:-1])) if text.endswith("m") else (int(text), None)
-        except ValueError:
-            frames, metres = -1, None
-        if not (0 <= frames <= MOST_REACH and 0 <= (metres or 0) <= MOST_REACH):
-            raise ValueError(
-                f"--temporal: expected frames (3) or metres (10m) up to {MOST_REACH}, got {text!r}"
-            )
-        return frames, metres
+    def reach(self) -> int:
+        """The frames on each side of the temporal sum."""
+        return PAPER_REACH if self.as_paper else self.temporal
 
 
 @dataclass(frozen=True)

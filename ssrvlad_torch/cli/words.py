@@ -93,7 +93,7 @@ def estimate_in_words(found: Estimate) -> str:
 
 def steps_in_words(
     used: Mapping[str, Any],
-    temporal: int | Mapping[str, int] | None = None,
+    temporal: int | None = None,
     found: Estimate | None = None,
 ) -> str:
     """The steps between descriptors and a decision, in a line; those of Eq. 3, and how many answers
@@ -111,9 +111,7 @@ def steps_in_words(
     if used["delay"]:
         words.append(f"answers wait for {used['delay']} queries")
     if temporal is not None:
-        ts = temporal.values() if isinstance(temporal, Mapping) else [temporal]
-        t = "/".join(map(str, dict.fromkeys(ts)))
-        words.append(f"temporal sum t = {t}" if any(ts) else "no temporal sum")
+        words.append(f"temporal sum t = {temporal}" if temporal else "no temporal sum")
     if used["references"] < MIN_FRAMES:
         words.append(f"no confidence: {used['references']} references are too few")
     steps = ", ".join(words)

@@ -16,12 +16,11 @@ from ..database.selection import excluded_pairs, select
 from ..datasets.names import KnownFolders, check_sequences
 from ..descriptor import mirrored, query_head
 from ..recognition.confidence import Estimate, accept, answered, estimate
-from ..recognition.follow import runs
 from ..recognition.matching import Matches
 from ..recognition.recognise import SSR_VLAD, Recognised, Steps, recognise, recognise_by_search
 from ..recognition.standardise import MIN_FRAMES
 from ..recognition.sweep import COLUMNS
-from ..recognition.temporal import frames_within, temporal_sum
+from ..recognition.temporal import temporal_sum
 from .encoder import encode_to_memory
 from .extra_descriptors import extra_methods
 from .results import Progress, Skipped, do_nothing
@@ -29,14 +28,13 @@ from .source import Source
 
 
 class Found(NamedTuple):
-    """The frames of a source and of the database, the candidates of every query, t of Eq. 3, one
-    for each sequence if they differ, the frames that could not be encoded, and the folders of the
-    sequences of the queries."""
+    """The frames of a source and of the database, the candidates of every query, t of Eq. 3, the
+    frames that could not be encoded, and the folders of the sequences of the queries."""
 
     queries: FrameSet
     references: FrameSet
     recognised: Recognised
-    temporal: int | dict[str, int]
+    temporal: int
     skipped: list[Skipped]
     folders: KnownFolders
 
@@ -46,7 +44,7 @@ def search(
     source: Source,
     steps: Steps,
     top: int,
-    reach: tuple[int, float | None] = (0, None),
+    reach: int = 0,
     extra: bool | None = None,
     sequences: Sequence[str] | None = None,
     exclude: int | None = None,
@@ -55,10 +53,10 @@ def search(
     """The ``top`` candidates of every frame of a source in a database, by the ``steps`` of
     `recognise`; a ValueError if they do not fit. ``progress`` is called with 1 for every frame.
 
-    ``reach`` is that of the temporal sum of Eq. 3 on each side, in frames, or in metres if given.
-    ``extra`` says whether to use the extra descriptors, ``None`` if there are any. Candidates are
-    the frames of some sequences, by default all, but not those within ``exclude`` frames of the
-    query in its own sequence.
+    ``reach`` is the number of frames on each side of the temporal sum (Eq. 3). ``extra`` says
+    whether to use the extra descriptors, ``None`` if there are any. Candidates are the frames of
+    some sequences, by default all, but not those within ``exclude`` frames of the query in its own
+    sequence.
     """
     if extra and not database.extra:
         raise ValueError(
@@ -66,21 +64,15 @@ def search(
             "--with features"
         )
     methods = () if extra is False else database.extra
-    if any(reach) and any(each.cells for each in methods):
+    if reach and any(each.cells for each in methods):
         raise ValueError("features are signs, which have no temporal sum; expected --no-extra")
     references = database.load()
     if not references.frames:
         raise ValueError(f"{database.path} holds no frames yet")
-    t: int | dict[str, int] = reach[0]
-    if any(reach):
-        if reach[1] is not None:
-            t = frames_within(references.poses, references.sequences, reach[1])
+    if reach:
         numbers = [each for each in references.extra.values() if each.is_floating_point()]
-        for run in runs(references.sequences):
-            names = references.sequences[run.start : run.stop]
-            for values in (references.descriptors, *numbers):
-                rows = values[run.start : run.stop]
-                temporal_sum(rows, names, t if isinstance(t, int) else t[names[0]], out=rows)
+        for values in (references.descriptors, *numbers):
+            temporal_sum(values, references.sequences, reach, out=values)
     columns = COLUMNS if steps.sweep else ()
     queries, skipped, folders = _queries(database, source, columns, methods, progress)
     where, vectors = select(references, sequences), queries.descriptors
@@ -88,7 +80,7 @@ def search(
     recognised = recognise_in(
         database, references, vectors, queries.extra, queries.sequences, steps, top, without
     )
-    return Found(queries, references, recognised, t, skipped, folders)
+    return Found(queries, references, recognised, reach, skipped, folders)
 
 
 def recognise_in(

@@ -48,7 +48,7 @@ def query(
     from ..sources import resolve
     from ..words import score_name, steps_in_words
 
-    if index and (any(recognition.reach) or recognition.extra):
+    if index and (recognition.reach or recognition.extra):
         raise ValueError("--index does not go with a temporal sum or --extra")
     opened = Database.open(database, as_of)
     top = min(top, max(1, len(opened)))
