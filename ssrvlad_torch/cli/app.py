@@ -10,7 +10,6 @@ import typer
 
 from ..config import package_version
 from ..native import core
-from .commands.bench import bench
 from .commands.city import city
 from .commands.compare import compare
 from .commands.db import db
@@ -61,7 +60,7 @@ def ssrvlad(
 
 for command in (
     *(demo, city, encode, query, locate, evaluate, loops, compare, vocabulary),
-    *(export, fuse, verify, labels, poses, show, bench),
+    *(export, fuse, verify, labels, poses, show),
 ):
     app.command()(expand(command))
 app.add_typer(db, name="db")
