@@ -25,7 +25,6 @@ from .commands.poses import poses
 from .commands.query import query
 from .commands.show import show
 from .commands.verify import verify
-from .commands.vocabulary import vocabulary
 from .options import expand
 
 app = typer.Typer(
@@ -59,7 +58,7 @@ def ssrvlad(
 
 
 for command in (
-    *(demo, city, encode, query, locate, evaluate, loops, compare, vocabulary),
+    *(demo, city, encode, query, locate, evaluate, loops, compare),
     *(export, fuse, verify, labels, poses, show),
 ):
     app.command()(expand(command))
