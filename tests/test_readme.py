@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 import typer
 from networks import write_graph, write_segformer
 from PIL import Image

@@ -26,7 +26,9 @@ def compare(
     truth: TruthOptions,
     steps: StepOptions,
     method: str = option(
-        f"Methods to compare, separated by commas: {', '.join(METHODS)}.", default=...
+        f"Methods to compare, separated by commas: {', '.join(METHODS)}, or FILE.h5, the "
+        "descriptors of any other method as hloc stores them.",
+        default=...,
     ),
     settings: list[str] | None = option(
         "Setting of a method, METHOD.NAME=VALUE, such as netvlad.weights=FILE; can be repeated.",
