@@ -61,8 +61,8 @@ AREA_LAYERS = 6
 BOUNDARY_DIRECTIONS = 4
 
 FAINT = 1e-4
-"""Coefficients of harmonics far below it are not raised to a power: that would make 5e-6 of the
-1e-7 by which float32 misses a zero."""
+"""Far below this, coefficients of harmonics stay linear: a power would amplify a rounding error of
+1e-7 to 5e-6."""
 
 _ONLY_RESIDUALS = ("opening", "closing", "hole_area", "region_area", "thinning", "context")
 _ONLY_HARMONICS = ("anchor", "harmonics", "boundary_harmonics", "spectral_weight", "power")

@@ -32,11 +32,3 @@ def write_truth(path: Path, content: object) -> Path:
     else:
         path.write_text(content if isinstance(content, str) else json.dumps(content))
     return path
-
-
-def vpr_bench(matches: list[object]) -> np.ndarray:
-    """``ground_truth_new.npy``: the references of each query, by their numbers."""
-    rows = np.empty((len(matches), 2), object)
-    for query, references in enumerate(matches):
-        rows[query, 0], rows[query, 1] = query, references
-    return rows

@@ -139,5 +139,5 @@ def vpr_bench(root):
     """The text and the second ground truth come with some of the sets. Row 10 of the ground truth
     is the image 10, not the image that sorts tenth as text."""
     plant(root, *(f"query/{n:07d}.jpg" for n in range(11)), *(f"ref/{n}.jpg" for n in range(12)))
-    for name in ("ground_truth_new.npy", "ReadMe.txt", "query/Thumbs.db"):
+    for name in ("ground_truth_new.json", "ReadMe.txt", "query/Thumbs.db"):
         (root / name).touch()

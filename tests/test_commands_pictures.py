@@ -104,7 +104,7 @@ def test_every_command_takes_the_network_of_the_database(
         expected = ssrvlad(*command, *named)[1]
         clear()
         code, out, err = ssrvlad(*command)
-        assert (code, without_version(out)) == (0, without_version(expected)), command
+        assert (code, without_version(out)) == (0, without_version(expected)), (command, err)
         clear()
         assert err[0] == f"ssrvlad: {network}, the network of {town}, labels the pictures"
     code, _, err = ssrvlad("query", town, maps, "--channel", "ssr-vlad")

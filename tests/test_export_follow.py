@@ -10,6 +10,7 @@ import run_onnx
 import torch
 from cases import REAL, needs_real
 from segmenting import write_drives, write_town
+from test_fusion import TRUST
 
 from ssrvlad_torch import SSRVLADConfig, export_head
 from ssrvlad_torch.channels.signs import SignQueries, SignRows
@@ -81,9 +82,8 @@ def test_scores_of_features_and_weights_are_those_of_query():
         )
         np.testing.assert_allclose(got, expected, atol=1e-5)
         both = [cosines[:frames], got]
-        fused = FusedScores(
-            {name: torch.from_numpy(v) for name, v in zip(MEMBERS, both, strict=True)}
-        )
+        members = {name: torch.from_numpy(v) for name, v in zip(MEMBERS, both, strict=True)}
+        fused = FusedScores(members, TRUST)
         leads = [program.mean_lead(each) for each in both]
         weights = program.weights_of(leads) if whole else program.WEIGHTS
         np.testing.assert_allclose(weights, [*fused.weights.values()], atol=1e-5)

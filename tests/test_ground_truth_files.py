@@ -1,6 +1,9 @@
 """Ground truth from files of every form, and what is wrong with others."""
 
 import json
+import shutil
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -38,14 +41,6 @@ def read(tmp_path):
     return write_and_read
 
 
-def vpr_bench(*rows):
-    table = np.empty((len(rows), 2), object)
-    for place, (query, matches) in enumerate(rows):
-        table[place] = [query, None]
-        table[place, 1] = matches
-    return table
-
-
 FORMS = {
     "mapping.json": {"b": [], "a": ["day/10", "day/1"], "unasked": ["nowhere"]},
     "pairs.csv": "query,reference\na,day/10\na,day/1\nb,\n",
@@ -57,9 +52,8 @@ FORMS = {
     "fortran.npy": np.asfortranarray(MATRIX),
     "matrix.npz": {"truth": MATRIX},
     "tutorial.npz": {"GThard": MATRIX.T, "GTsoft": np.ones((3, 2))},
-    "vpr_bench.npy": vpr_bench((0, [2, 0, 2]), (1, [])),
-    "vpr_bench of arrays.npy": vpr_bench((np.int64(0), np.array([0, 2])), (1, np.zeros(0))),
-    "vpr_bench in another order.npy": vpr_bench((1, []), (0, (0.0, 2.0))),
+    "vpr_bench.json": [[0, [2, 0, 2]], [1, []]],
+    "vpr_bench in another order.json": [[1, []], [0, [0, 2]]],
 }
 
 
@@ -138,18 +132,18 @@ def test_the_known_queries_can_be_chosen():
         ("a.npz", b"PK", "cannot read the ground truth"),
         ("a.npz", {"x": MATRIX, "y": MATRIX}, "expected one matrix, or GThard, got x, y"),
         ("a.npz", {"x": np.array([[0, []]], object)}, "cannot read the ground truth"),
-        ("a.npy", vpr_bench((0, [])), "has 1 rows, expected one for each of 2 queries"),
-        ("a.npy", vpr_bench(*[(n, []) for n in range(3)]), "has 3 rows"),
-        ("a.npy", vpr_bench((0, []), (0, [])), "has query 0 in row 1, expected each of 2 once"),
-        ("a.npy", vpr_bench((1, []), (2, [])), "has query 2 in row 1"),
-        ("a.npy", vpr_bench((0, []), (1, [0, 3])), "names reference 3 of query 1; .* has 3"),
-        ("a.npy", vpr_bench((0, [-1]), (1, [])), "names reference -1 of query 0"),
-        ("a.npy", vpr_bench((0, [0.5]), (1, [])), "of integers in row 0"),
-        ("a.npy", vpr_bench((0, [np.inf]), (1, [])), "of integers in row 0"),
-        ("a.npy", vpr_bench((0, 1), (1, [])), "of integers in row 0"),
-        ("a.npy", vpr_bench((0, []), (None, [])), "of integers in row 1"),
-        ("a.npy", vpr_bench((0, [[0]]), (1, [])), "of integers in row 0"),
-        ("a.npy", np.array([[[0], [1]], [[1], [2]]], object), "of integers in row 0"),
+        ("a.json", [[0, []]], "has 1 rows, expected one for each of 2 queries"),
+        ("a.json", [[n, []] for n in range(3)], "has 3 rows"),
+        ("a.json", [[0, []], [0, []]], "has query 0 in row 1, expected each of 2 once"),
+        ("a.json", [[1, []], [2, []]], "has query 2 in row 1"),
+        ("a.json", [[0, []], [1, [0, 3]]], "names reference 3 of query 1; .* has 3"),
+        ("a.json", [[0, [-1]], [1, []]], "names reference -1 of query 0"),
+        ("a.json", [[0, [0.5]], [1, []]], "of whole numbers"),
+        ("a.json", [[0, [True]], [1, []]], "of whole numbers"),
+        ("a.json", [[0, 1], [1, []]], "of whole numbers"),
+        ("a.json", [[0, []], [None, []]], "of whole numbers"),
+        ("a.json", [[0, [[0]]], [1, []]], "of whole numbers"),
+        ("a.npy", np.array([[0, [1]]], object), r"pickle, which can run any code; .*json\.dumps"),
         ("a.mat", b"", r"a\.mat: expected a file in \.json, \.csv, \.npy, \.npz"),
     ],
 )
@@ -174,12 +168,19 @@ def test_a_missing_file_is_refused(tmp_path):
         ("corridor", 111, 111, range(3), [108, 109, 110]),
     ],
 )
-def test_files_that_vpr_bench_ships(name, queries, references, first, last):
-    path = VPR_BENCH / f"{name}.ground_truth_new.npy"
+def test_files_that_vpr_bench_ships(name, queries, references, first, last, tmp_path):
+    """By the conversion that the refusal says."""
+    shipped = tmp_path / f"{name}.ground_truth_new.npy"
+    shutil.copy(VPR_BENCH / shipped.name, shipped)
     frames = [list(map(str, range(count))) for count in (queries, references)]
+    with pytest.raises(ValueError, match="which can run any code; if you trust it: ") as refusal:
+        from_file(shipped, *frames)
+    command = str(refusal.value).partition("if you trust it: ")[2]
+    subprocess.run(command.replace("python", sys.executable, 1), shell=True, check=True)
+    path = shipped.with_suffix(".json")
     truth = as_lists(from_file(path, *frames))
     assert (truth[0], truth[-1]) == ([*first], [*last])
-    trusting = np.load(path, allow_pickle=True)
+    trusting = np.load(shipped, allow_pickle=True)
     assert truth == [sorted(set(matches)) for _, matches in trusting]
     with pytest.raises(ValueError, match="expected one for each of"):
         from_file(path, frames[0][1:], frames[1])

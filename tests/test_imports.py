@@ -27,7 +27,7 @@ make("label-grid")
 name = "ssrvlad_torch.baselines"
 print(*sorted(m.removeprefix(name) for m in sys.modules if m.startswith(name)))
 import ssrvlad_torch.cli.main, ssrvlad_torch.cli.demo, ssrvlad_torch.files
-heavy = "skimage scipy matplotlib kornia onnx onnxscript onnxruntime sklearn"
+heavy = "skimage scipy matplotlib kornia onnx onnxscript onnxruntime"
 assert not {*heavy.split()} & {*sys.modules}
 """
 

@@ -74,7 +74,7 @@ FOUND = [
     (synthia, "synthia", "synthia", GroundTruth(metres=7), SYNTHIA_FRAMES),
     (robotcar, "robotcar-seasons", None, GroundTruth(metres=5), ROBOTCAR_FRAMES),
     (extended_cmu, "extended-cmu", None, GroundTruth(metres=5), CMU_FRAMES),
-    (vpr_bench, "vpr-bench", None, GroundTruth(Path("ground_truth_new.npy")), VPR_FRAMES),
+    (vpr_bench, "vpr-bench", None, GroundTruth(Path("ground_truth_new.json")), VPR_FRAMES),
 ]
 REFERENCES = ("overcast-reference", "2011-04-21", "ref")
 """What names of reference traverses contain."""
@@ -217,8 +217,8 @@ MISSING = [
     (vpr_bench, [], []),
     (
         vpr_bench,
-        ["ground_truth_new.npy"],
-        ["{} has no ground_truth_new.npy; it is at github.com/MubarizZaffar/VPR-Bench"],
+        ["ground_truth_new.json"],
+        ["{} has no ground_truth_new.json; see github.com/MubarizZaffar/VPR-Bench"],
     ),
 ]
 
@@ -453,7 +453,9 @@ def test_strange_names_are_left_out_and_counted(copy):
 @of(vpr_bench)
 def test_the_ground_truth_may_lie_beside_the_folder(copy, monkeypatch):
     beside = copy.parent / "data.ground_truth_new.npy"
-    (copy / "ground_truth_new.npy").rename(beside)
+    (copy / "ground_truth_new.json").rename(beside)
+    assert open_dataset(copy).truth.file == beside, "the refusal of a pickle says what to do"
+    beside = beside.rename(beside.with_suffix(".json"))
     assert open_dataset(copy).truth.file == beside
     monkeypatch.chdir(copy)
     assert open_dataset(".").truth.file == beside

@@ -1,6 +1,7 @@
 """Known places: drives in, places of pictures and of drives out."""
 
 import math
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,6 @@ from ssrvlad_torch import Database, Map, Segmenter
 from ssrvlad_torch.encoding.results import EncodeOptions
 from ssrvlad_torch.evaluation.true_matches import TrueMatches
 from ssrvlad_torch.recognition.recognise import AS_PAPER
-
 from ssrvlad_torch.segmentation.networks import open_network
 
 
@@ -162,7 +162,7 @@ def test_the_network_of_a_map_is_loaded_once(settings, photos, tmp_path, monkeyp
         return open_network(name)
 
     monkeypatch.setattr("ssrvlad_torch.segmentation.segmenter.open_network", opening)
-    monkeypatch.setattr("ssrvlad_torch.encoding.source._network", opening)
+    monkeypatch.setattr("ssrvlad_torch.encoding.source._network", cache(opening))
     town = Map.open(tmp_path / "town.ssrdb", network=settings)
     town.add(photos)
     town.add(photos)
@@ -238,7 +238,7 @@ def test_another_network_is_refused_and_label_maps_are_not(town, drawn, photos, 
 
 
 def test_what_is_no_picture_is_refused(town, photos):
-    with pytest.raises(ValueError, match="town.ssrdb does not exist"):
+    with pytest.raises(ValueError, match=r"town\.ssrdb does not exist"):
         town.locate(photos / "7.png")
     town.add(photos / "1.png")
     torn = photos.parent / "torn.jpg"

@@ -8,14 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 import typer
 from networks import write_graph, write_segformer
 from PIL import Image
 
 from ssrvlad_torch import SSRVLAD, Database
-from ssrvlad_torch.baselines.region_features import AlexNetPlaces365
-from ssrvlad_torch.baselines.weights import random_network
 from ssrvlad_torch.cli import main as cli
 from ssrvlad_torch.cli.app import app
 from ssrvlad_torch.datasets.label_files import find_label_files
@@ -69,8 +66,6 @@ def photos(maps):
     shutil.copy(maps / "city" / "poses.csv", maps / "town")
     truth = {f"query/{n:06d}": [f"reference/{n:06d}"] for n in range(4)}
     (maps / "town" / "ground_truth.json").write_text(json.dumps(truth))
-    weights = random_network(AlexNetPlaces365).state_dict()
-    torch.save(weights, maps / "alexnet_places365.caffemodel")
     write_graph(maps / "net.onnx", labels=True)
     choosing = (GUIDES / "choosing.md").read_text(encoding="utf-8")
     settings = re.findall(r"```yaml\n(.*?)```", choosing, re.DOTALL)[0]
@@ -134,7 +129,7 @@ def test_python(town, photos, monkeypatch):
 
 COMMANDS = typer.main.get_command(app).commands
 NAMES = [*(COMMANDS.keys() - {"db"}), *(f"db {name}" for name in COMMANDS["db"].commands)]
-FEW = {"city": "--frames 3", "demo": "--frames 3", "vocabulary": "--words 6 --regions 20"}
+FEW = {"city": "--frames 3", "demo": "--frames 3"}
 """Added to the examples of commands that would take long: the last of an option holds."""
 
 
@@ -157,7 +152,7 @@ def test_every_command_is_in_the_table_and_its_help_has_examples(
     text = re.split(r"(?:Arguments|Options):", text)[0]
     examples = re.findall(r"Example: (ssrvlad .*?)(?= Example:|\s*$)", text)
     assert examples, text
-    for line in examples if command != "bench" else ():  # it takes minutes
+    for line in examples:
         database = "large.ssrdb" if command == "db index" else "town.ssrdb"
         typed = line.replace("/tmp/", f"{tmp_path}/").replace("town.ssrdb", database)
         assert run(f"{typed} {FEW.get(command, '')}")

@@ -1,19 +1,137 @@
-"""VLAD over regions against loops, and Region-VLAD as a method."""
+"""Region-VLAD: network, regions and VLAD against loops, the vocabulary, and the method."""
 
+import pickle
+import re
+import sys
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
 import torch
 from helpers import refused
-from methods import frames
-from plain_layers import Array, unit
-from test_region_features import images, write
+from methods import frames, noise
+from plain_layers import Array, convolve, local_response_norm, max_pool, relu, unit
+from skimage.measure import label, regionprops
 
 from ssrvlad_torch.baselines import make
-from ssrvlad_torch.baselines.region_features import AlexNetPlaces365, RegionFeatures
-from ssrvlad_torch.baselines.region_vlad import RegionVLAD, vlad
+from ssrvlad_torch.baselines.region_vlad import (
+    AlexNetPlaces365,
+    RegionVLAD,
+    read_vocabulary,
+    region_descriptors,
+    vlad,
+)
 from ssrvlad_torch.channels.channel import View
+
+WORDS = np.random.default_rng(0).random((4, 384))
+
+
+def images(count: int = 2) -> list[np.ndarray]:
+    return [noise(i, 40 + 10 * i, 60) for i in range(count)]
+
+
+def test_it_has_the_published_sizes():
+    network = AlexNetPlaces365()
+    counts = {n: sum(p.numel() for p in m.parameters()) for n, m in network.named_children()}
+    assert counts == {"conv1": 34_944, "conv2": 307_456, "conv3": 885_120, "pool": 0, "norm": 0}
+    kernels = {"conv1": (96, 3, 11, 11), "conv2": (256, 48, 5, 5), "conv3": (384, 256, 3, 3)}
+    assert {n: tuple(t.shape) for n, t in network.state_dict().items()} == {
+        **{f"{name}.weight": shape for name, shape in kernels.items()},
+        **{f"{name}.bias": shape[:1] for name, shape in kernels.items()},
+    }
+    with torch.no_grad():
+        maps = network(torch.randint(0, 256, (2, 3, 120, 160), dtype=torch.uint8))
+    assert maps.shape == (2, 384, 13, 13)
+    assert bool((maps >= 0).all())
+
+
+@torch.no_grad()
+def test_it_is_the_layers_of_the_prototxt():
+    """Loops over a part of the picture and some of the channels: what one place of conv3 sees."""
+    torch.manual_seed(0)
+    network = AlexNetPlaces365()
+    for conv in (network.conv1, network.conv2, network.conv3):
+        torch.nn.init.uniform_(conv.bias, -20, 20)
+    image = torch.randint(0, 256, (3, 227, 227), dtype=torch.uint8)
+    got = network(image[None])[0, :, 6, 6].double().numpy()
+    weights = {n: t.double().numpy() for n, t in network.state_dict().items()}
+    bgr = image.numpy()[::-1] - np.array([104.051, 112.514, 116.676])[:, None, None]
+    top = 64  # pixels of conv1's window for the 3 x 3 places around (6, 6) of conv3
+    window = bgr[:, top : top + 99, top : top + 99]
+    maps = relu(convolve(window, weights["conv1.weight"], weights["conv1.bias"], stride=4))
+    maps = local_response_norm(max_pool(maps, 3, 2), 5, 1e-4, 0.75)
+    maps = relu(convolve(maps, weights["conv2.weight"], weights["conv2.bias"], groups=2))
+    maps = local_response_norm(max_pool(maps, 3, 2), 5, 1e-4, 0.75)
+    assert maps.shape[1:] == (3, 3)
+    maps = relu(convolve(maps, weights["conv3.weight"], weights["conv3.bias"]))
+    np.testing.assert_allclose(got, maps[:, 0, 0], rtol=1e-3, atol=1e-2)
+
+
+@torch.no_grad()
+def test_images_are_resized_as_caffe_does():
+    """``caffe.io.resize_image``: bilinear, no blur before it."""
+    from skimage.transform import resize
+
+    rng = np.random.default_rng(0)
+    pixels = rng.integers(0, 256, (300, 400, 3), np.uint8)
+    small = resize(pixels / 255.0, (227, 227), order=1, anti_aliasing=False) * 255
+    network = AlexNetPlaces365()
+    one = network(torch.tensor(pixels).permute(2, 0, 1)[None])
+    other = network(torch.tensor(small).float().permute(2, 0, 1)[None])
+    torch.testing.assert_close(one, other, rtol=1e-3, atol=1e-1)
+
+
+def test_a_hand_worked_case():
+    """Levels of the first map: a 5 alone (energy 5.5), two 2s that touch by a corner (2.35), a 1
+    that touches them (1.9); what is below 1 is no region. The second map has one region of 3s."""
+    maps = torch.tensor(
+        [
+            [[2.1, 0.9, 0.0], [1.9, 2.6, 0.0], [0.0, 0.0, 5.5]],
+            [[0.5, 0.5, 0.0], [0.0, 0.0, 0.0], [0.0, 3.0, 3.0]],
+        ]
+    )
+    expected = [[5.5, 3.0], [5.5, 6.0], [2.1 + 0.9 + 1.9 + 2.6, 1.0], [1.9, 0.0]]
+    torch.testing.assert_close(region_descriptors(maps, 10), torch.tensor(expected))
+    torch.testing.assert_close(region_descriptors(maps, 3), torch.tensor(expected[:3]))
+    assert region_descriptors(torch.full((3, 4, 5), 0.9), 10).shape == (0, 3)
+
+
+def authors_way(maps: np.ndarray, count: int) -> np.ndarray:
+    """Every map is labelled, boxes are sorted by mean activation, columns summed over each box."""
+    found = []
+    for levels in maps:
+        regions = regionprops(label(levels.astype(int)), intensity_image=levels)
+        found += [(region.intensity_mean, region.bbox) for region in regions]
+    found.sort(key=lambda entry: -entry[0])
+    boxes = [maps[:, top:low, left:right] for _, (top, left, low, right) in found[:count]]
+    return np.array([box.sum(axis=(1, 2)) for box in boxes])
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("scale", [1.5, 4, 40])
+def test_the_authors_way(seed, scale):
+    rng = np.random.default_rng(seed)
+    maps = np.maximum(rng.normal(0, scale, (7, 13, 11)), 0).astype(np.float32)
+    got = region_descriptors(torch.from_numpy(maps), 60)
+    np.testing.assert_allclose(got.numpy(), authors_way(maps, 60), rtol=1e-5)
+
+
+def test_scikit_image_cuts_fractions_off():
+    """What the module's text says of the authors' program."""
+    levels = np.array([[0.5, 1.2, 1.7], [0.0, 0.0, 2.2]])
+    assert label(levels).tolist() == [[0, 1, 1], [0, 0, 2]]
+
+
+def test_equal_energies_come_in_the_order_of_maps_rows_and_columns():
+    maps = torch.zeros(40, 9, 9)
+    maps[:, ::2, ::2] = 2
+    marks = maps[:1] * torch.arange(81.0).reshape(1, 9, 9) / 2  # a map that tells the places
+    found = region_descriptors(torch.cat([maps, marks / 100]), 300)
+    place = (100 * found[:, -1]).round().long()
+    expected = (maps > 0)[:12].nonzero()
+    assert torch.equal(place, expected[:, 1] * 9 + expected[:, 2])
+    assert len(expected) == len(found) == 300
 
 
 def described(descriptors: Array, words: Array) -> Array:
@@ -36,21 +154,32 @@ def test_vlad_is_what_it_says(seed):
     assert not vlad(words[:0], words).any() and not vlad(words, words).any()
 
 
+def write(path: Path, network: AlexNetPlaces365) -> None:
+    """As a conversion of all of Caffe's layers leaves it."""
+    state = {**network.state_dict(), "fc8.weight": torch.ones(365, 4), "fc8.bias": torch.ones(365)}
+    torch.save(state, path)
+
+
 @pytest.fixture
 def folder(tmp_path):
     torch.manual_seed(1)
-    write(tmp_path / "alexnet_places365.caffemodel", AlexNetPlaces365(), "caffe")
+    write(tmp_path / "alexnet_places365.caffemodel.pt", AlexNetPlaces365())
     words = 300 * np.random.default_rng(0).random((256, 384))
     np.save(tmp_path / "region_vlad_vocabulary.npy", words)
     return tmp_path
 
 
+@torch.no_grad()
 def test_it_is_vlad_of_the_regions(folder):
     method = RegionVLAD(folder, folder)
     assert (method.name, method.needs) == ("region-vlad", {"images", "weights"})
     found = method.encode_query(frames(images()))
     words = np.load(folder / "region_vlad_vocabulary.npy")
-    for row, regions in zip(found, RegionFeatures(folder)(images()), strict=True):
+    torch.manual_seed(1)
+    network = AlexNetPlaces365()
+    for row, image in zip(found, images(), strict=True):
+        maps = network(torch.tensor(image).permute(2, 0, 1)[None])[0]
+        regions = region_descriptors(maps, 400)
         assert regions.shape == (400, 384)
         expected = described(regions.double().numpy(), words)
         np.testing.assert_allclose(row.numpy(), expected, atol=1e-5)
@@ -60,11 +189,11 @@ def test_it_is_vlad_of_the_regions(folder):
 
 
 def test_a_black_picture_matches_nothing(folder):
-    path = folder / "alexnet_places365.caffemodel"
+    path = folder / "alexnet_places365.caffemodel.pt"
     network = AlexNetPlaces365()
     for parameter in network.parameters():
         torch.nn.init.zeros_(parameter)
-    write(path, network, "caffe")
+    write(path, network)
     method = RegionVLAD(folder, folder)
     black = method.encode_query(frames(images(1)))
     assert not black.any()
@@ -74,9 +203,8 @@ def test_a_black_picture_matches_nothing(folder):
 def test_missing_files_are_one_line_each(folder, monkeypatch):
     monkeypatch.setattr(Path, "home", lambda: folder / "nobody")
     for settings, part in (
-        ({}, r"alexnet_places365\.caffemodel .*Places365"),
-        ({"weights": folder}, "region_vlad_vocabulary.npy or Vocabulary_400.pkl"),
-        ({"weights": folder, "regions": 200}, "Vocabulary_100_200_300.pkl"),
+        ({}, r"alexnet_places365\.caffemodel\.pt, .*Places365 .* as docs/methods\.md says"),
+        ({"weights": folder}, r"region_vlad_vocabulary\.npy, .*the authors .* docs/methods\.md"),
     ):
         with refused(part, by=FileNotFoundError):
             make("region-vlad", **settings)
@@ -86,5 +214,70 @@ def test_random_weights_say_what_they_are():
     method = RegionVLAD(random_weights=True)
     assert method.name == "region-vlad (random weights)"
     assert method.encode_query(frames(images(1))).shape == (1, 256 * 384)
-    with pytest.raises(ValueError, match=r"region-vlad .* needs pictures, but frame a/b"):
+    with pytest.raises(ValueError, match=r"method region-vlad .* needs images, but frame a/b"):
         method.encode_query([View("a/b")])
+
+
+def test_torchvisions_alexnet_is_refused(tmp_path):
+    """The PyTorch file of Places365 holds another network under the same name."""
+    path = tmp_path / "alexnet_places365.pth.tar"
+    torch.save({"state_dict": {"features.module.0.weight": torch.ones(64, 3, 11, 11)}}, path)
+    with pytest.raises(ValueError, match=r"lacks conv1\.weight \(96, 3, 11, 11\); it has features"):
+        RegionVLAD(path)
+
+
+def test_a_vocabulary_is_an_array(tmp_path):
+    np.save(tmp_path / "words.npy", WORDS)
+    found = read_vocabulary(tmp_path / "words.npy", 4)
+    assert found.dtype == torch.float32
+    np.testing.assert_array_equal(found.numpy(), WORDS.astype(np.float32))
+
+
+@pytest.mark.parametrize("array", [WORDS[:3], WORDS[:, :9], WORDS[0], WORDS * np.nan, WORDS > 0])
+def test_a_vocabulary_of_another_shape_or_no_numbers_is_refused(array, tmp_path):
+    np.save(tmp_path / "words.npy", array)
+    with refused(r"must hold a vocabulary \(4, 384\) of finite numbers, got "):
+        read_vocabulary(tmp_path / "words.npy", 4)
+
+
+OBJECTS = np.array([Path("x")], object)
+
+
+@pytest.mark.parametrize("keep", [0, 3, 50, 2000])
+def test_a_vocabulary_that_is_cut_off_is_refused(keep, tmp_path):
+    np.save(tmp_path / "words.npy", WORDS)
+    path = tmp_path / "words.npy"
+    path.write_bytes(path.read_bytes()[:keep])
+    with refused(r"words\.npy: expected a vocabulary in a \.npy file, see docs/methods\.md: "):
+        read_vocabulary(path, 4)
+
+
+def test_nothing_is_unpickled(tmp_path):
+    np.save(tmp_path / "words.npy", OBJECTS, allow_pickle=True)
+    with refused("see docs/methods.md: holds Python objects"):
+        read_vocabulary(tmp_path / "words.npy", 4)
+    (tmp_path / "words.pkl").write_bytes(pickle.dumps({400: {4: {"conv3": WORDS}}}))
+    with refused("expected a vocabulary in a .npy file, see docs/methods.md"):
+        read_vocabulary(tmp_path / "words.pkl", 4)
+
+
+@pytest.mark.parametrize("protocol", [0, 2, 4])
+def test_the_authors_pickle_is_converted_as_the_page_says(protocol, tmp_path, monkeypatch):
+    """By regions, words and layer; scikit-learn no longer has the module that it names."""
+    gone = ModuleType("sklearn.cluster.k_means_")
+    gone.KMeans = type("KMeans", (), {"__module__": gone.__name__})
+    with monkeypatch.context() as patch:
+        for name in ("sklearn", "sklearn.cluster"):
+            patch.setitem(sys.modules, name, ModuleType(name))
+        patch.setitem(sys.modules, gone.__name__, gone)
+        fitted = gone.KMeans()
+        words = np.random.default_rng(0).random((256, 384))
+        fitted.cluster_centers_, fitted.random_state = words, np.random.RandomState(0)
+        content = pickle.dumps({400: {256: {"conv3": fitted}}}, protocol)
+    (tmp_path / "Vocabulary_400.pkl").write_bytes(content)
+    monkeypatch.chdir(tmp_path)
+    page = (Path(__file__).parents[1] / "docs" / "methods.md").read_text("utf-8")
+    [snippet] = re.findall(r"```python\n(import pickle.*?)```", page, re.S)
+    exec(snippet, {})
+    found = read_vocabulary(tmp_path / "region_vlad_vocabulary.npy", 256)
+    np.testing.assert_array_equal(found.numpy(), words.astype(np.float32))

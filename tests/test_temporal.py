@@ -8,7 +8,7 @@ import torch
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from ssrvlad_torch.recognition.temporal import frames_within, temporal_sum
+from ssrvlad_torch.recognition.temporal import temporal_sum
 
 
 def plain_temporal_sum(descriptors, sequences, reach):
@@ -55,16 +55,3 @@ def test_temporal_sum_refuses_wrong_arguments():
         temporal_sum(torch.eye(3), ["a", "a"], 1)
     with pytest.raises(ValueError, match="0 or more frames, got -1"):
         temporal_sum(torch.eye(3), ["a"] * 3, -1)
-
-
-def test_a_reach_in_metres_is_another_t_for_each_sequence():
-    dense, sparse = np.arange(9) * 0.5, np.arange(5) * 2.0
-    x = np.concatenate((dense[:4], [1.5] * 6, dense[4:], sparse))
-    poses = np.stack((x, np.zeros(len(x)), np.full(len(x), np.nan)), 1)
-    sequences = ["a"] * 15 + ["b"] * 5
-    assert frames_within(poses, sequences, 4.0) == {"a": 8, "b": 2}
-    poses[17] = np.nan
-    assert frames_within(poses, sequences, 4.0)["b"] == 2
-    poses[15:] = np.nan
-    with pytest.raises(ValueError, match="sequence 'b' has no poses"):
-        frames_within(poses, sequences, 4.0)

@@ -5,7 +5,7 @@ import shutil
 
 import numpy as np
 import pytest
-from drives import vpr_bench, write_maps, write_photos, write_truth
+from drives import write_maps, write_photos, write_truth
 
 CAMVID = ("--labels-as", "camvid-11")
 COUNTS = ("references", "queries", "queries_with_match")
@@ -20,7 +20,8 @@ def bench(tmp_path):
     for folder in ("query", "ref"):
         write_photos(root / folder, range(6), ".jpg")
         write_maps(tmp_path / "maps" / folder, range(6))
-    write_truth(root / "ground_truth_new.npy", vpr_bench([[0], [], [2], [3], [], [5]]))
+    rows = enumerate([[0], [], [2], [3], [], [5]])
+    write_truth(root / "ground_truth_new.json", [*rows])
     return root
 
 
@@ -54,7 +55,7 @@ def test_numbers_of_the_truth_count_images_not_label_maps(recognise, tmp_path):
     assert figures == (0, 5, 5, 3, 1.0)
     assert err == [
         "ssrvlad: 1 of 6 frames have no label map, the first is query/001",
-        f"ssrvlad: 1 references of {tmp_path}/bench/ground_truth_new.npy are not in the "
+        f"ssrvlad: 1 references of {tmp_path}/bench/ground_truth_new.json are not in the "
         "database, the first is ref/000",
     ]
 

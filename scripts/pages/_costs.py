@@ -9,12 +9,12 @@ from itertools import cycle, islice
 from typing import Any
 from unittest.mock import patch
 
+from _timing import threads
 from torch import Tensor
 
 from ssrvlad_torch import baselines
 from ssrvlad_torch.baselines import region_vlad
 from ssrvlad_torch.channels.channel import View
-from ssrvlad_torch.cli.bench import threads
 
 ENCODED = 10
 """Number of references that are encoded: as many as LoST-X ranks again."""

@@ -10,11 +10,11 @@ from functools import partial
 from pathlib import Path
 
 from _markdown import head_row, row, span
+from _timing import Timing, heads, time_in_turn
 from PIL import Image
 from torch import Tensor
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig
-from ssrvlad_torch.cli.bench import Timing, heads, time_in_turn
 from ssrvlad_torch.database.database import Database
 from ssrvlad_torch.datasets.frame_files import FrameFile
 from ssrvlad_torch.datasets.label_files import find_label_files

@@ -44,7 +44,7 @@ def interval(value: float, ends: Sequence[float], digits: int = 3) -> str:
 
 
 def span(values: dict[str, float], digits: int) -> str:
-    """``1.94 [1.87, 2.30]``: median, min and max of `cli.bench`."""
+    """``1.94 [1.87, 2.30]``: median, min and max of `_timing`."""
     median, low, high = (f"{values[key]:.{digits}f}" for key in ("median", "min", "max"))
     return f"{median} [{low}, {high}]"
 

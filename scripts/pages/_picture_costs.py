@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import torch
 from _markdown import head_row, row, span
+from _timing import Timing, time_in_turn
 
 from ssrvlad_torch import SSRVLAD, Segmenter
 from ssrvlad_torch.channels.channel import View
 from ssrvlad_torch.channels.hog import HOG
-from ssrvlad_torch.cli.bench import Timing, time_in_turn
 from ssrvlad_torch.datasets.image_files import decode_image
 from ssrvlad_torch.deployment.fuse import fuse
 from ssrvlad_torch.segmentation.network_outputs import classes_of, enlarged

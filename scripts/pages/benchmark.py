@@ -4,7 +4,7 @@
     .venv/bin/python scripts/pages/benchmark.py --camvid ../shared/data/camvid \
         --networks ../shared/data/networks
 
-The rows of a table are timed in turn (`ssrvlad_torch.cli.bench.time_in_turn`) with a fixed number
+The rows of a table are timed in turn (`_timing.time_in_turn`) with a fixed number
 of threads. Label maps are those of CamVid, enlarged to each size, or without it of the synthetic
 city. Needs the extra `dev`; `pip install faiss-cpu` adds the comparison of matching.
 """
@@ -32,13 +32,13 @@ from _loops_cost import loops_table
 from _markdown import Page, head_row, paragraph, row, save, span
 from _opencv import opencv_describe
 from _picture_costs import pictures_table
+from _timing import heads, onnx_head, threads, time_in_turn
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
 from torch import Tensor
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, match, reference
-from ssrvlad_torch.cli.bench import heads, onnx_head, threads, time_in_turn
 from ssrvlad_torch.config import PRESETS
 from ssrvlad_torch.datasets.synthetic_city import SyntheticCity
 
@@ -89,7 +89,7 @@ def ways_of(maps: Maps, preset: str, labels: Tensor) -> dict[str, Callable[[], o
     return ways
 
 
-def size_table(maps: Maps, repetitions: int, figure: Path) -> Iterator[str]:
+def size_table(maps: Maps, repetitions: int, figure: Path | None = None) -> Iterator[str]:
     yield from head_row("preset", "size", "way", "ms", "times faster than the reference")
     drawn = {}
     for preset in PRESETS:
@@ -100,7 +100,8 @@ def size_table(maps: Maps, repetitions: int, figure: Path) -> Iterator[str]:
                 ratio = span(timing.times_faster_than(timings["reference"]), 1)
                 yield row(preset, by(size), name, span(timing.milliseconds, 1), ratio)
         drawn[preset] = {name: timing.milliseconds for name, timing in timings.items()}
-    draw(drawn, figure)
+    if figure:
+        draw(drawn, figure)
 
 
 def draw(timings: dict[str, dict[str, dict[str, float]]], path: Path) -> None:
@@ -270,6 +271,7 @@ def main() -> None:
     arguments.add_argument("--repetitions", type=int, default=5)
     arguments.add_argument("--references", type=int, default=200_000)
     arguments.add_argument("--only", nargs="+", help="sections of the page; without, all")
+    arguments.add_argument("--here", action="store_true", help="print the first table only")
     arguments.add_argument("--memory", nargs=5, default=None, help=argparse.SUPPRESS)
     options = arguments.parse_args()
     maps = Maps(options.camvid)
@@ -277,6 +279,11 @@ def main() -> None:
         print_memory(maps, *options.memory)
         return
     cv2.setNumThreads(1)
+    if options.here:
+        with threads(1):
+            for line in size_table(maps, options.repetitions):
+                print(line, flush=True)
+        return
     page = Page("benchmark.md", options.output)
     pictures = sorted(options.camvid.glob("0001TP/images/*.jpg")) if options.camvid else []
     figure = options.output.parent / "figures" / "benchmark.svg"

@@ -29,12 +29,12 @@ from _markdown import (
     row,
     save,
 )
+from _timing import threads
 from _tours import Tour, Tours, all_tours, head
 from conditions import ROUTES
 from matplotlib.figure import Figure
 
 from ssrvlad_torch import LoopDetector
-from ssrvlad_torch.cli.bench import threads
 from ssrvlad_torch.database.frames import FrameRecord
 from ssrvlad_torch.evaluation.bootstrap import bootstrap
 from ssrvlad_torch.evaluation.curves import PrecisionRecall

@@ -20,8 +20,8 @@ from _costs import ENCODED
 from _decide import FIGURES
 from _described import IMAGES, OF_PICTURES, Described
 from _markdown import Page, head_row, interval, paragraph, parser, processor, row, significant
+from _timing import threads
 
-from ssrvlad_torch.cli.bench import threads
 from ssrvlad_torch.datasets.layouts import open_dataset
 
 CORRIDOR = "Corridor"

@@ -20,8 +20,7 @@ import _paper_cost
 import _paper_quality
 from _described import Described
 from _markdown import Page
-
-from ssrvlad_torch.cli.bench import threads
+from _timing import threads
 
 PARTS = {"table1": _paper_quality.part, "table3": _paper_cost.part}
 

@@ -332,8 +332,8 @@ def facts(frames: int, reports: dict[str, Report]) -> list[str]:
 def by_features(frames: int, report: Report) -> Iterator[str]:
     yield (
         f"{frames:,} frames, one query alone, all in one process of one thread, medians of {ALONE};"
-        " values are random, for times do not depend on them. Descriptors are searched as online, "
-        "by cosines alone; compare these times with each other only. Load of the machine: "
+        " the values are random, because times do not depend on them. Descriptors are searched as "
+        "online, by cosines alone; compare these times with each other only. Load of the machine: "
         f"{report['load']:.0f}.\n"
     )
     yield from head_row("exact search by", "bytes a frame", "CPU ms a query")

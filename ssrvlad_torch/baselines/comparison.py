@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import torch
 
 from ..channels.channel import View
+from ..datasets.dataset import Dataset, DatasetFrame
 from ..datasets.drives import KINDS, Drives
 from ..datasets.frame_files import FrameFile, read_ahead
 from ..datasets.image_files import read_image
@@ -22,6 +23,7 @@ from ..recognition.recognise import AS_PAPER, Steps, recognise_by_scores
 from ..taxonomy import label_space
 from .protocol import Method
 from .run import run
+from .stored_descriptors import StoredDescriptors
 
 Row = dict[str, Any]
 """The metrics and costs of a method, or its name and the reason why it could not run."""
@@ -110,16 +112,17 @@ def _recognised(
     method: Method, drives: Drives, protocol: Protocol, steps: Steps | None, all_pairs: bool
 ) -> list[Recognition]:
     """The candidates of every query: of single frames, and, if steps are given, after the steps."""
-    labels_as = drives.whole.labels_as if "labels" in method.needs else None
-    references, queries = (
-        part.label_files() if labels_as else part.image_files()
-        for part in (drives.references, drives.queries)
-    )
+    if isinstance(method, StoredDescriptors):
+        frames = [*drives.references.frames, *drives.queries.frames]
+        method.read({each.frame: each.image or each.label for each in frames})
+    labels_as = drives.whole.labels_as
+    references, encoded = _given(method, drives.references, labels_as, protocol.workers)
+    queries, asked = _given(method, drives.queries, labels_as, protocol.workers)
     with protocol.progress(method.name, len(references) + len(queries)) as advance:
         retrieval = run(
             method,
-            _frames(queries, labels_as, protocol.workers),
-            _frames(references, labels_as, protocol.workers),
+            asked,
+            encoded,
             top=TOP,
             progress=advance,
             steps=steps,
@@ -194,6 +197,18 @@ def _by_scores(recognition: Recognition, steps: Steps) -> Recognition:
 
 def _sequences(frames: Sequence[str]) -> list[str]:
     return [sequence_of(frame) for frame in frames]
+
+
+def _given(
+    method: Method, part: Dataset, labels_as: str | None, workers: int
+) -> tuple[Sequence[DatasetFrame | FrameFile], Iterator[View]]:
+    """References or queries on disk, and as the method needs them."""
+    if not method.needs:
+        frames = [*part.frames]
+        return frames, (View(each.frame) for each in frames)
+    labels_as = labels_as if "labels" in method.needs else None
+    files = part.label_files() if labels_as else part.image_files()
+    return files, _frames(files, labels_as, workers)
 
 
 def _frames(files: Sequence[FrameFile], labels_as: str | None, workers: int) -> Iterator[View]:

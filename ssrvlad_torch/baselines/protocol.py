@@ -40,7 +40,8 @@ class Method(Protocol):
 
     Attributes:
         name: its name in `METHODS`.
-        needs: any of ``"labels"``, ``"images"`` and ``"weights"``.
+        needs: any of ``"labels"``, ``"images"`` and ``"weights"``; nothing if descriptors are
+            stored.
     """
 
     name: str
@@ -71,12 +72,23 @@ METHODS = {
 }
 """Methods by name: the module of this package and the class in it."""
 
+STORED = (".h5", ".hdf5")
+"""Suffixes of files of stored descriptors, whose name is that of a method."""
+
 
 def make(name: str, **settings: Any) -> Method:
-    """A method of `METHODS` with settings; an unknown name or setting is a ValueError."""
-    if name not in METHODS:
-        raise ValueError(f"unknown method {name!r}; expected one of {', '.join(METHODS)}")
-    module, class_name = METHODS[name]  # imported here, not earlier
+    """A method of `METHODS` with settings, or a file of stored descriptors; an unknown name or
+    setting is a ValueError."""
+    known = METHODS
+    if name.endswith(STORED):
+        known, settings = (
+            {name: ("stored_descriptors", "StoredDescriptors")},
+            {"file": name, **settings},
+        )
+    elif name not in METHODS:
+        known_names = f"{', '.join(METHODS)}, or a file of stored descriptors (.h5)"
+        raise ValueError(f"unknown method {name!r}; expected one of {known_names}")
+    module, class_name = known[name]  # imported here, not earlier
     method: type[Method] = getattr(import_module(f".{module}", __package__), class_name)
     try:
         signature(method).bind(**settings)

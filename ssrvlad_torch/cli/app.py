@@ -10,7 +10,6 @@ import typer
 
 from ..config import package_version
 from ..native import core
-from .commands.bench import bench
 from .commands.city import city
 from .commands.compare import compare
 from .commands.db import db
@@ -26,7 +25,6 @@ from .commands.poses import poses
 from .commands.query import query
 from .commands.show import show
 from .commands.verify import verify
-from .commands.vocabulary import vocabulary
 from .options import expand
 
 app = typer.Typer(
@@ -60,8 +58,8 @@ def ssrvlad(
 
 
 for command in (
-    *(demo, city, encode, query, locate, evaluate, loops, compare, vocabulary),
-    *(export, fuse, verify, labels, poses, show, bench),
+    *(demo, city, encode, query, locate, evaluate, loops, compare),
+    *(export, fuse, verify, labels, poses, show),
 ):
     app.command()(expand(command))
 app.add_typer(db, name="db")

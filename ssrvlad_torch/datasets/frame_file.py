@@ -33,8 +33,8 @@ class FrameFile:
         named: whether the user chose the name of the sequence.
         folder: absolute path of the sequence's folder, or of a stack or bag that is a sequence.
         stamp: time in seconds, NaN if unknown.
-        placed: whether a file of poses, or a name, says the pose: an unknown one is then none, and
-            else may be known elsewhere.
+        placed: whether a pose source, a file of poses or the name, covers this frame. If so, NaN
+            deletes a stored pose; if not, a stored pose stays.
         readers: number of frames that one process best reads at once.
     """
 

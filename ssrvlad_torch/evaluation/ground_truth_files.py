@@ -1,4 +1,4 @@
-"""Ground truth from files: pairs of frames, a 0/1 matrix, or VPR-Bench's pickled rows."""
+"""Ground truth from files: pairs of frames, a 0/1 matrix, or VPR-Bench's rows of numbers."""
 
 import csv
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -10,12 +10,13 @@ import numpy.typing as npt
 
 from ..datasets.names import name_of
 from ..files import check_regular, npy_header, one_line, parse_npy, read_bytes, read_json, read_npz
-from .object_arrays import PickledArray, load_object_array
 from .outcomes import Rows
 
 Matrix = npt.NDArray[Any]
 Pairs = dict[str, list[str]]
 """Ids of the true matches of each query, by the query's id."""
+Numbers = list[tuple[int, list[int]]]
+"""VPR-Bench's rows: the number of each query, and those of its true matches."""
 PartialTruth = list[Rows | None]
 """True matches of each query; ``None`` for a query that the ground truth does not cover."""
 Frames = Sequence[str] | Mapping[str, str]
@@ -28,22 +29,23 @@ def from_file(path: str | Path, queries: Frames, references: Frames) -> PartialT
     | file | holds |
     |---|---|
     | ``.json`` | ``{"<query>": ["<reference>", ...]}`` or ``[["<query>", "<reference>"], ...]`` |
+    | ``.json`` | VPR-Bench's ``ground_truth_new.npy``, converted: ``[[0, [0, 1, ...]], ...]`` |
     | ``.csv`` | a first line ``query,reference`` and a line for each pair, or a 0/1 matrix |
     | ``.npy``, ``.npz`` | a 0/1 matrix ``(Q, R)``; ``GThard`` ``(R, Q)`` as in VPR-Tutorial |
-    | ``.npy`` of objects | VPR-Bench's ``ground_truth_new.npy``: ``[query, [reference, ...]]`` |
 
     An entry names a frame by its id, or by the end of its path if only one path ends so. A query
     that no entry names has an unknown truth; a query without a true match needs an empty list, or
     in CSV a line with an empty reference. A matrix and VPR-Bench's rows count frames from 0 in the
     order of ``queries`` and ``references``. A file that cannot be read, has another form or size,
     names an unknown reference, has no entry for any of the queries, or has an entry that fits
-    several frames is a ValueError.
+    several frames is a ValueError. ``ground_truth_new.npy`` is a pickle, which would run code: the
+    ValueError says how to convert it.
     """
     content = _read(Path(path))
     try:
         if isinstance(content, dict):
             return _from_pairs(content, queries, references)
-        if isinstance(content, PickledArray):
+        if isinstance(content, list):
             return _from_vpr_bench(content, len(queries), len(references))
         return _from_matrix(content, len(queries), len(references))
     except ValueError as error:
@@ -56,7 +58,7 @@ def unmatched_entries(path: str | Path, queries: Frames) -> list[str]:
     return [entry for entry in content if find(entry) is None] if isinstance(content, dict) else []
 
 
-def _read(path: Path) -> Pairs | PickledArray | Matrix:
+def _read(path: Path) -> Pairs | Numbers | Matrix:
     suffix = path.suffix.lower()
     if suffix not in _READERS:
         expected = ", ".join(_READERS)
@@ -74,15 +76,17 @@ def known_matches(truth: PartialTruth) -> tuple[list[int], list[Rows]]:
     return list(known), list(known.values())
 
 
-def _read_json(path: Path) -> Pairs:
+def _read_json(path: Path) -> Pairs | Numbers:
     content = read_json(path)
+    if isinstance(content, list) and content and all(map(_is_numbers, content)):
+        return content
     if isinstance(content, dict) and all(map(_is_ids, content.values())):
         return content
     if isinstance(content, list) and all(_is_ids(pair) and len(pair) == 2 for pair in content):
         return _grouped(content)
     raise ValueError(
-        'expected {"<query id>": ["<reference id>", ...], ...} or '
-        '[["<query id>", "<reference id>"], ...]'
+        'expected {"<query id>": ["<reference id>", ...], ...}, '
+        '[["<query id>", "<reference id>"], ...] or [[0, [0, 1, ...]], ...] of whole numbers'
     )
 
 
@@ -105,11 +109,19 @@ def _read_csv(path: Path) -> Pairs | Matrix:
     return np.loadtxt(path, delimiter=",", ndmin=2, encoding="utf-8-sig")
 
 
-def _read_npy(path: Path) -> PickledArray | Matrix:
+def _read_npy(path: Path) -> Matrix:
     with path.open("rb") as file:
         if npy_header(file)[2].hasobject:
-            return load_object_array(file)
+            raise ValueError(f"it is a pickle, which can run any code; {_convert(path)}")
     return parse_npy(read_bytes(path))
+
+
+def _convert(path: Path) -> str:
+    """How to convert VPR-Bench's ``ground_truth_new.npy``."""
+    rows = f"np.load({str(path)!r}, allow_pickle=True)"
+    numbers = f"[[int(query), [*map(int, matches)]] for query, matches in {rows}]"
+    program = f"import json, numpy as np; print(json.dumps({numbers}))"
+    return f'if you trust it: python -c "{program}" > "{path.with_suffix(".json")}"'
 
 
 def _read_npz(path: Path) -> Matrix:
@@ -122,6 +134,14 @@ def _read_npz(path: Path) -> Matrix:
 
 
 _READERS = {".json": _read_json, ".csv": _read_csv, ".npy": _read_npy, ".npz": _read_npz}
+
+
+def _is_numbers(row: object) -> bool:
+    """Whether a row is ``[query, [reference, ...]]``, all whole numbers."""
+    match row:
+        case [query, list(matches)]:
+            return all(type(number) is int for number in (query, *matches))
+    return False
 
 
 def _is_ids(value: object) -> bool:
@@ -192,21 +212,12 @@ def _from_matrix(matrix: Matrix, queries: int, references: int) -> PartialTruth:
     return [np.flatnonzero(row) for row in matrix]
 
 
-def _from_vpr_bench(rows: PickledArray, queries: int, references: int) -> PartialTruth:
-    """Rows ``[query, [reference, ...]]`` of numbers from 0, in any order of the queries."""
+def _from_vpr_bench(rows: Numbers, queries: int, references: int) -> PartialTruth:
+    """Rows of numbers from 0, in any order of the queries."""
     if len(rows) != queries:
         raise ValueError(f"has {len(rows)} rows, expected one for each of {queries} queries")
     truth: dict[int, Rows] = {}
-    for number, row in enumerate(rows):
-        try:
-            query, matches = row
-            values = [query, *matches]
-            query, *matches = map(int, values)
-            whole = values == [query, *matches]
-        except (TypeError, ValueError, OverflowError):
-            whole = False
-        if not whole:
-            raise ValueError(f"has no [query, [reference, ...]] of integers in row {number}")
+    for number, (query, matches) in enumerate(rows):
         if not 0 <= query < queries or query in truth:
             raise ValueError(f"has query {query} in row {number}, expected each of {queries} once")
         outside = [match for match in matches if not 0 <= match < references]

@@ -15,8 +15,9 @@ from torch import Tensor
 from .matching import Vectors
 
 MIN_FRAMES = 30
-"""Least number of frames of a traverse whose mean is subtracted. The mean of fewer describes their
-place: subtracted, it lowered Recall@1 of single pictures on CamVid, swept, from 0.84 to 0.69."""
+"""Least number of frames of a traverse whose mean is subtracted. The mean of fewer frames describes
+their place: subtracting it lowered Recall@1 of single pictures on CamVid, swept, from 0.84 to
+0.69."""
 
 
 @torch.no_grad()
@@ -63,12 +64,12 @@ def standardise(descriptors: Vectors, sequences: Sequence[str] | None = None) ->
 
 
 def sharing(frames: Sequence[int]) -> dict[tuple[int, ...], tuple[int, ...]]:
-    """Which traverses have a mean in common, and which ones it is the mean of, by their numbers,
-    from the number of frames of each, in the order of the map.
+    """Groups of traverses that share a mean, and for each group the traverses whose frames make the
+    mean. Traverses are numbers in the order of the map; ``frames`` holds their numbers of frames.
 
-    A traverse of `MIN_FRAMES` frames has its own. Shorter ones that follow one another, such as the
-    folders of a drive that was cut up, have one together, or that of all traverses if they are too
-    few. Without `MIN_FRAMES` frames in all there is no mean.
+    A traverse of `MIN_FRAMES` frames has a mean of its own. Adjacent shorter traverses, such as the
+    folders of a drive that was cut up, share a mean; if they still have too few frames, the mean of
+    all is used. With fewer than `MIN_FRAMES` frames in all there is no mean.
     """
     every = tuple(range(len(frames)))
     if sum(frames) < MIN_FRAMES:

@@ -2,8 +2,6 @@
 
 from collections.abc import Sequence
 
-import numpy as np
-import numpy.typing as npt
 import torch
 import torch.nn.functional as F
 from torch import Tensor
@@ -11,8 +9,6 @@ from torch import Tensor
 from .matching import Vectors
 
 _BLOCK = 1 << 12
-_STANDING = 0.01
-"""Neighbouring frames nearer than this stand still, in metres."""
 
 
 def temporal_sum(
@@ -64,23 +60,3 @@ def temporal_sum(
         whole = F.normalize(whole * around.any(dim=1, keepdim=True), dim=1)
         out[first:last] = whole[first - start : last - start]
     return out
-
-
-def frames_within(
-    poses: npt.NDArray[np.float64], sequences: Sequence[str], metres: float
-) -> dict[str, int]:
-    """The t of Eq. 3 in frames for a reach in metres, for each sequence: the reach over the median
-    distance of neighbouring frames, without those that stand still. ``poses`` are ``(R, 3)``, x and
-    y in metres, NaN where unknown; the frames of a sequence stand together and in order. A sequence
-    whose frames have no two poses is a ValueError."""
-    names = np.array(sequences)
-    steps = np.hypot(*np.diff(poses[:, :2], axis=0).T)
-    steps[(names[1:] != names[:-1]) | ~(steps > _STANDING)] = np.nan
-    reaches = {}
-    for name in dict.fromkeys(sequences):
-        own = steps[names[1:] == name]
-        own = own[~np.isnan(own)]
-        if not len(own):
-            raise ValueError(f"sequence {name!r} has no poses: expected the temporal sum in frames")
-        reaches[name] = round(metres / float(np.median(own)))
-    return reaches

@@ -26,7 +26,9 @@ def compare(
     truth: TruthOptions,
     steps: StepOptions,
     method: str = option(
-        f"Methods to compare, separated by commas: {', '.join(METHODS)}.", default=...
+        f"Methods to compare, separated by commas: {', '.join(METHODS)}, or FILE.h5, the "
+        "descriptors of any other method as hloc stores them.",
+        default=...,
     ),
     settings: list[str] | None = option(
         "Setting of a method, METHOD.NAME=VALUE, such as netvlad.weights=FILE; can be repeated.",
@@ -43,8 +45,8 @@ def compare(
     --standardise needs descriptors that are vectors or signs, --sweep needs ssr-vlad or features.
     Methods without their images, label maps or weights are left out. The others are compared on
     the frames that all of them can use. --fuse adds the scores of methods; features count more
-    than HOG, HOG more than label maps. The farther ahead its first candidates are, the more a
-    method counts.
+    than HOG, HOG more than label maps, and the weight of a method grows with how clearly its first
+    candidates lead.
 
     Example: ssrvlad compare town --method ssr-vlad,cohog --labels-as camvid-11
 

@@ -4,23 +4,18 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
 from statistics import median
-from typing import Any
 
 import torch
 from torch import Tensor
 
-from ..config import PRESETS, SSRVLADConfig
-from ..datasets.synthetic_city import SyntheticCity
-from ..descriptor import SSRVLAD
-from ..native import core
-
-LABELS_AS = "cityscapes-trainids"
-SIZE = (480, 640)
-BATCH = 16
+from ssrvlad_torch.config import SSRVLADConfig
+from ssrvlad_torch.deployment.export import head_model
+from ssrvlad_torch.descriptor import SSRVLAD
+from ssrvlad_torch.native import core
+from ssrvlad_torch.segmentation.onnx_files import open_session
 
 
 @dataclass(frozen=True)
@@ -78,10 +73,7 @@ def heads(config: SSRVLADConfig) -> dict[str, SSRVLAD]:
 
 
 def onnx_head(config: SSRVLADConfig) -> Callable[[Tensor], Tensor]:
-    """The exported head in ONNX Runtime, on one thread; it needs the extra ``onnx``."""
-    from ..deployment.export import head_model
-    from ..segmentation.onnx_files import open_session
-
+    """The exported head in ONNX Runtime, on one thread."""
     session = open_session(head_model(config).SerializeToString(), "the head", threads=1)
 
     def describe(labels: Tensor) -> Tensor:
@@ -89,37 +81,3 @@ def onnx_head(config: SSRVLADConfig) -> Callable[[Tensor], Tensor]:
         return torch.from_numpy(descriptor)
 
     return describe
-
-
-def bench_this_machine(repetitions: int = 5) -> list[dict[str, Any]]:
-    """The table of ``ssrvlad bench``, both presets on frames of the synthetic city, on one thread:
-    a row for each preset, batch and implementation, with the milliseconds for each image, and for a
-    batch of one the speed-up over the reference, which needs the extra ``eval``. ONNX Runtime needs
-    the extra ``onnx``."""
-    from .. import reference
-
-    frames = SyntheticCity(seed=0).traverse(BATCH, size=SIZE, labels_as=LABELS_AS)
-    batch = torch.stack([torch.from_numpy(frame.labels) for frame in frames])
-    rows: list[dict[str, Any]] = []
-    with threads(1):
-        for preset in PRESETS:
-            config = SSRVLADConfig.from_preset(preset, labels_as=LABELS_AS)
-            modules: dict[str, Callable[[Tensor], Tensor]] = {**heads(config)}
-            with suppress(ImportError):
-                modules["ONNX Runtime"] = onnx_head(config)
-            for count in (1, BATCH):
-                ways: dict[str, Callable[[], object]] = {
-                    name: partial(head, batch[:count]) for name, head in modules.items()
-                }
-                if count == 1:
-                    plain = partial(reference.describe, batch[0].numpy(), config)
-                    ways = {"reference": plain, **ways}
-                timings = time_in_turn(ways, repetitions)
-                for name, timing in timings.items():
-                    row = {"preset": preset, "batch": count, "way": name}
-                    row |= {f"{key}_ms": ms / count for key, ms in timing.milliseconds.items()}
-                    if count == 1:
-                        ratio = timing.times_faster_than(timings["reference"])
-                        row["times_faster"] = ratio["median"]
-                    rows.append(row)
-    return rows

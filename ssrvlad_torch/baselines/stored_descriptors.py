@@ -1,0 +1,104 @@
+"""Descriptors of any method, computed elsewhere and stored as hloc does
+(https://github.com/cvg/Hierarchical-Localization)."""
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path, PurePath
+from typing import Any
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from ..channels.channel import View
+from ..datasets.dataset import shortened
+from ..files import check_regular, one_line, requiring
+from .vectors import VectorMethod
+
+_KEY = "global_descriptor"
+
+
+class StoredDescriptors(VectorMethod):
+    """The vectors of an HDF5 file, compared by their cosine.
+
+    A group ``<name>`` with the data set ``global_descriptor``, ``(D,)`` float, is the descriptor of
+    an image: hloc names it by the image's relative path, ``ssrvlad db export --format hloc`` by the
+    frame's id. `read` comes before frames are encoded; what an encoding costs is not known.
+
+    Raises:
+        ImportError: the extra ``hloc`` is not installed.
+        OSError: there is no such file.
+        ValueError: the file is no HDF5 file, or has no such group.
+    """
+
+    needs: frozenset[str] = frozenset()
+
+    def __init__(self, file: str | Path) -> None:
+        self.name, self._file = str(file), file
+        self._vectors: dict[str, Tensor] = {}
+        check_regular(file)
+        names: list[str] = []
+        with self._opened() as stored:
+            stored.visit(names.append)
+        groups = (name.rpartition("/") for name in names)
+        self._groups = {group for group, _, key in groups if group and key == _KEY}
+        if not self._groups:
+            raise ValueError(f"{file} has no group with a {_KEY}, as hloc writes them")
+
+    def read(self, frames: Mapping[str, Path | None]) -> None:
+        """Reads the descriptors of frames, given by their ids and files. The name of a group is the
+        id of its frame, or an end of the file's path, with or without suffix; the longest counts.
+
+        Raises:
+            ValueError: frames have no group, two frames have the same, or a descriptor is damaged.
+        """
+        found: dict[str, str] = {}
+        for frame, path in frames.items():
+            names = [frame, *_ends(path), *_ends(path and path.with_suffix(""))]
+            if group := max(self._groups.intersection(names), key=len, default=None):
+                found[frame] = group
+        if lacking := [frame for frame in frames if frame not in found]:
+            raise ValueError(
+                f"{self.name} has no descriptor of {len(lacking)} of {len(frames)} frames: "
+                f"{shortened(lacking, most=3)}; it has {shortened(sorted(self._groups), most=2)}"
+            )
+        for group, count in Counter(found.values()).most_common(1):
+            if count > 1:
+                twins = shortened([frame for frame in frames if found[frame] == group], most=3)
+                raise ValueError(f"{self.name}: {group} fits {twins}; expected more of the path")
+        with self._opened() as stored:
+            arrays = {frame: np.asarray(stored[f"{found[frame]}/{_KEY}"]) for frame in frames}
+        self.length = next(iter(arrays.values())).size
+        for frame, array in arrays.items():
+            if (
+                array.shape != (self.length,)
+                or array.dtype.kind != "f"
+                or not np.isfinite(array).all()
+            ):
+                expected = (
+                    f"{self.name}: {found[frame]}/{_KEY} must be ({self.length},) finite floats"
+                )
+                raise ValueError(f"{expected}, got {array.shape} {array.dtype}")
+            self._vectors[frame] = F.normalize(torch.from_numpy(array.astype(np.float32)), dim=0)
+
+    def describe(self, views: Sequence[View], _columns: Sequence[int] = ()) -> Tensor:
+        """See `Channel`."""
+        return torch.stack([self._vectors[view.frame] for view in views])
+
+    @contextmanager
+    def _opened(self) -> Iterator[Any]:
+        with requiring("hloc", "stored descriptors need"):
+            import h5py
+        try:
+            with h5py.File(self._file, "r") as stored:
+                yield stored
+        except (OSError, RuntimeError, TypeError) as error:
+            raise ValueError(f"{self.name} is no whole HDF5 file: {one_line(error)}") from error
+
+
+def _ends(path: PurePath | None) -> list[str]:
+    """All ends of a path."""
+    parts = path.parts if path else ()
+    return ["/".join(parts[place:]) for place in range(len(parts))]
