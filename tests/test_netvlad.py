@@ -172,14 +172,14 @@ def test_it_is_the_network_on_each_frame(checkpoint):
     found = method.encode_query(drive)
     assert found.shape == (3, 32768)
     with torch.no_grad():
-        expected = [network(torch.tensor(f.image).permute(2, 0, 1)[None])[0] for f in drive]
+        expected = [network(torch.tensor(f.picture).permute(2, 0, 1)[None])[0] for f in drive]
     torch.testing.assert_close(found, torch.stack(expected))
     assert torch.equal(method.encode_reference(drive), found)
     scores = method.scores(found, found[:2])
     torch.testing.assert_close(scores, found @ found[:2].T)
     torch.testing.assert_close(scores[[0, 1, 2], [0, 1, 0]], torch.ones(3))
     assert method.encode_query([]).shape == (0, 32768)
-    with pytest.raises(ValueError, match="method netvlad needs images, but frame drive/1"):
+    with pytest.raises(ValueError, match="netvlad needs pictures, but frame drive/1"):
         method.encode_query([View("drive/1")])
     with pytest.raises(ValueError, match="at least 16 x 16 pixels, got 15 x 40"):
         method.encode_query(frames([noise(0, 15, 40)]))

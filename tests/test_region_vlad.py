@@ -214,7 +214,7 @@ def test_random_weights_say_what_they_are():
     method = RegionVLAD(random_weights=True)
     assert method.name == "region-vlad (random weights)"
     assert method.encode_query(frames(images(1))).shape == (1, 256 * 384)
-    with pytest.raises(ValueError, match=r"method region-vlad .* needs images, but frame a/b"):
+    with pytest.raises(ValueError, match=r"region-vlad .* needs pictures, but frame a/b"):
         method.encode_query([View("a/b")])
 
 
