@@ -91,6 +91,29 @@ def test_an_entry_may_be_the_end_of_a_path(read):
         read("t.json", {"a": ["ight/labels/3"]}, ["a"], paths)
 
 
+def test_an_entry_may_have_the_suffix_of_the_file_and_be_a_whole_path(read):
+    """As the listing of a folder writes it. A dot in the name of a frame is no suffix."""
+    paths = {f"{day}/000002": f"/d/{day}/images/000002" for day in ("dawn", "evening")}
+    paths |= {"evening/12.5": "/d/evening/images/12.5"}
+    for entry in (
+        "evening/images/000002.jpg",
+        "./evening/images//000002.PNG",
+        "/d/evening/images/000002.jpg",
+        "/d/evening/images/000002",
+        "evening/000002.jpg",
+        "evening/000002",
+    ):
+        assert read("t.json", {entry: [entry]}, paths, paths) == [None, [1], None], entry
+    for entry in ("12.5", "12.5.jpg", "images/12.5.tif"):
+        assert read("t.json", {entry: []}, paths, ["a"]) == [None, None, []]
+    for entry in ("12.6", "12.5.txt", "000002.5", "/evening/images/000002.jpg", "/"):
+        with pytest.raises(ValueError, match="has an entry for none of the 3 queries"):
+            read("t.json", {entry: []}, paths, ["a"])
+    with pytest.raises(ValueError, match=r"'000002\.jpg', which may be /d/dawn/.* or /d/evening/"):
+        read("t.json", {"000002.jpg": []}, paths, ["a"])
+    assert read("t.json", {"a.jpg": ["b"]}, ["a", "a.jpg"], ["b"]) == [None, [0]]
+
+
 def test_the_known_queries_can_be_chosen():
     known, truth = known_matches([None, np.array([3]), np.array([], np.int64), None])
     assert known == [1, 2]

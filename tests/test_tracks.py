@@ -39,7 +39,7 @@ def test_nmea(tmp_path):
         + sentence("GPRMC,123520,V,,,,,,,230394,,")
         + sentence(RMC.format(time="123521", course=""))
     )
-    (first, fix), (second, other) = read_track(path)
+    (((first, fix), (second, other)),) = read_track(path)
     assert (first, second) == (START + 0.5, START + 2)
     assert fix == pytest.approx((48 + 7.038 / 60, 11 + 31 / 60, 84.4))
     assert math.isnan(other.course)
@@ -51,7 +51,8 @@ def test_nmea(tmp_path):
 def test_gpx(tmp_path):
     path = tmp_path / "a.gpx"
     path.write_text(gpx(POINT.format(time="12:35:19Z"), POINT.format(time="14:35:20.25+02:00")))
-    assert [time for time, _ in read_track(path)] == [START, START + 1.25]
+    (segment,) = read_track(path)
+    assert [time for time, _ in segment] == [START, START + 1.25]
     assert all(math.isnan(pose.heading) for pose in read_trajectory(path).poses)
 
 
@@ -67,6 +68,14 @@ DAMAGED = [
     ("nmea", "", "holds no positions; expected RMC sentences"),
     ("nmea", sentence(NMEA).replace("48", "49"), "line 1: .*checksum"),
     ("nmea", sentence(NMEA.replace("N", "")), "line 1: expected a position, got 4807.038,,01131.0"),
+    ("gpx", gpx(POINT.format(time="12:35:60Z")), "point 1 has no time, as 2026-"),
+    ("nmea", sentence(NMEA.replace("4807.038", "4875.038")), "at most 60 minutes, got 4875.038,N,"),
+    (
+        "nmea",
+        sentence(NMEA.replace(",E,", ",O,")),
+        "expected a position, got 4807.038,N,01131.000,O",
+    ),
+    ("nmea", sentence(NMEA.replace("123519", "235960")), "expected a time of day, got 235960"),
     ("nmea", sentence("GPRMC,x,A,y,N,z,E,022.4,1,230394,,"), "line 1: "),
 ]
 
@@ -77,6 +86,36 @@ def test_damaged_files_are_refused(tmp_path, suffix, content, message):
     path.write_text(content)
     with refused(f"(?i)^{path}.*{message}"):
         read_trajectory(path)
+
+
+def test_nothing_lies_between_two_segments_of_gpx(tmp_path):
+    """The receiver was off: between these 11 km it was at no place that could be guessed."""
+    path = tmp_path / "a.gpx"
+    there, later = (POINT.format(time=f"12:35:{second}Z") for second in (19, 20))
+    away, further = (
+        POINT.format(time=f"12:35:{second}Z").replace("48.1", "48.2") for second in (24, 25)
+    )
+    border = "</trkseg><trkseg/><trkseg>"
+    for text in (border, "</trkseg></trk><trk><trkseg>"):
+        path.write_text(gpx(there, later, text, away, further))
+        trajectory = read_trajectory(path, largest_gap=math.inf)
+        known = trajectory.of_frames(list("abcde"), [START + s for s in (0.5, 1, 3, 5, 5.5)])
+        assert [math.isnan(pose.x) for pose in known] == [False, False, True, False, False]
+        assert known[4].y - known[0].y == pytest.approx(11_120, abs=20)
+    path.write_text(gpx(there, later, away, further))
+    (bridged,) = read_trajectory(path).of_frames(["a"], [START + 3])
+    assert not math.isnan(bridged.x)
+
+
+@pytest.mark.parametrize("gap", [math.nan, -1, -0.001])
+def test_a_gap_is_a_time(tmp_path, gap):
+    """NaN would bridge every gap."""
+    path = tmp_path / "a.gpx"
+    path.write_text(gpx(NOON))
+    with refused(rf"largest gap of 0 seconds or more, got {gap}"):
+        read_trajectory(path, largest_gap=gap)
+    with refused("largest gap of 0 seconds or more"):
+        Trajectory([Pose(0, 0, 0)], [0.0], gap)
 
 
 def test_poses_between_two():

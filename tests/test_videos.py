@@ -1,5 +1,6 @@
 """Frames of videos, which PyAV wrote."""
 
+import re
 from fractions import Fraction
 
 import numpy as np
@@ -12,7 +13,7 @@ from ssrvlad_torch.cli import output
 from ssrvlad_torch.datasets.frame_file import FrameFile
 from ssrvlad_torch.datasets.image_files import find_image_files, read_image
 from ssrvlad_torch.datasets.trajectories import read_trajectory
-from ssrvlad_torch.datasets.videos import played, video_files
+from ssrvlad_torch.datasets.videos import _Video, played, video_files
 
 av = pytest.importorskip("av", reason="needs the extra video")
 
@@ -21,6 +22,10 @@ UNEVEN = [0, 33, 67, 100, 250, 400, 401, 700, 1000, 1033, 1066, 1100]
 """Milliseconds."""
 
 H264 = {"codec": "libx264", "b_frames": 2}
+OPEN = {**H264, "options": {"x264-params": "open-gop=1:keyint=10:min-keyint=10:scenecut=0"}}
+"""Groups of pictures whose first ones in the order of showing need the group before."""
+REFRESH = {"codec": "libx264", "options": {"x264-params": "intra-refresh=1:keyint=10"}}
+"""Key frames after which a decoder still needs some frames from before."""
 
 
 def picture(number, height=120, width=160):
@@ -36,13 +41,21 @@ def number_in(pixels):
 
 
 def write_video(
-    path, times, codec="mpeg4", b_frames=0, rotation=0, rate=1000, created="", draw=picture
+    path,
+    times,
+    codec="mpeg4",
+    b_frames=0,
+    rotation=0,
+    rate=1000,
+    created="",
+    draw=picture,
+    options=None,
 ):
     """A video whose frames are shown at times in units of ``1 / rate`` seconds."""
     with av.open(str(path), "w") as container:
         if created:
             container.metadata["creation_time"] = created
-        stream = container.add_stream(codec, rate=rate)
+        stream = container.add_stream(codec, rate=rate, options=options)
         stream.height, stream.width, _ = draw(0).shape
         stream.pix_fmt, stream.codec_context.time_base = "yuv420p", Fraction(1, rate)
         stream.codec_context.gop_size, stream.codec_context.max_b_frames = 10, b_frames
@@ -67,6 +80,98 @@ def test_frames_at_uneven_times_in_any_order(tmp_path, name, codec):
     assert [file.stamp for file in files] == [time / 1000 for time in UNEVEN]
     for number in (0, 1, 2, 11, 3, 4, 4, 10, 9, 0, 5, 11):
         assert number_in(read_image(files[number])) == number % 10
+
+
+def readings(path):
+    """What is read of each frame: in order, in reverse, and alone by a reader that is new; pixels,
+    or why there are none."""
+
+    def read(video, time):
+        try:
+            return video.pixels(time).tobytes()
+        except ValueError as error:
+            return str(error)
+
+    video = _Video(path)
+    forward = [read(video, time) for time in video.times]
+    backward = [read(video, time) for time in reversed(video.times)][::-1]
+    alone = [read(_Video(path), time) for time in video.times]
+    return forward, backward, alone
+
+
+@pytest.mark.parametrize("kind", [H264, OPEN, REFRESH], ids=["closed", "open", "refresh"])
+@pytest.mark.parametrize("suffix", ["avi", "mkv", "mp4", "ts"])
+def test_a_frame_is_the_same_whatever_was_read_before(tmp_path, suffix, kind):
+    """Also in AVI, which has no times of presentation: H.264 gives its frames in another order."""
+    path = write_video(tmp_path / f"a.{suffix}", range(40), rate=25, **kind)
+    video = _Video(path)
+    assert [number_in(video.pixels(time)) for time in video.times] == [n % 10 for n in range(40)]
+    forward, backward, alone = readings(path)
+    assert forward == backward == alone
+
+
+DAMAGES = [
+    *((suffix, H264, seed) for suffix in ("avi", "mkv", "mp4", "ts") for seed in range(2)),
+    *((suffix, OPEN, 2) for suffix in ("avi", "ts")),
+    *((suffix, {"b_frames": 2}, 3) for suffix in ("avi", "mkv")),
+    ("mkv", REFRESH, 4),
+]
+
+
+@pytest.mark.parametrize(
+    ("suffix", "kind", "seed"),
+    [
+        *DAMAGES,
+        *(
+            pytest.param(suffix, kind, 10 * turn + seed, marks=pytest.mark.slow)
+            for turn in range(1, 9)
+            for suffix, kind, seed in DAMAGES
+        ),
+    ],
+)
+def test_so_is_a_frame_of_a_damaged_video(tmp_path, suffix, kind, seed):
+    rng = np.random.default_rng(seed)
+    grain = rng.integers(0, 40, (120, 160, 3), np.uint8)
+    path = write_video(
+        tmp_path / f"a.{suffix}",
+        range(40),
+        rate=25,
+        draw=lambda n: picture(n) // 2 + np.roll(grain, 7 * n, 1),
+        **kind,
+    )
+    content = bytearray(path.read_bytes())
+    for place in rng.integers(len(content) // 10, len(content), rng.integers(1, 5)):
+        content[place : place + 3] = rng.bytes(3)
+    path.write_bytes(content)
+    forward, backward, alone = readings(path)
+    assert forward == backward == alone
+
+
+def test_a_time_that_leaps_is_refused(tmp_path):
+    """One bit of a time in an MPEG transport stream is 47,722 s, another 3 hours; a pause is not
+    told from these there, but where the header of a file says how long it lasts."""
+    path = write_video(tmp_path / "a.ts", range(40), rate=25, **H264)
+    content = bytearray(path.read_bytes())
+    places = [
+        found.start() for found in re.finditer(rb"\x00\x00\x01\xe0..[\x80-\xbf]\xc0", content, re.S)
+    ]
+    assert len(places) == 40
+    content[places[20] + 9] ^= 8
+    content[places[30] + 9] ^= 2
+    path.write_bytes(content)
+    *files, leaping = find_image_files([str(path)])
+    assert len(files) == 38 and files[-1].stamp - files[0].stamp < 2
+    for file in files:
+        read_image(file)
+    with pytest.raises(ValueError, match=r"damaged: the times of 2 frames leap, for example to 47"):
+        read_image(leaping)
+    assert find_image_files([str(path)], fps=1) == [files[0], files[24], leaping]
+    pause = [*range(0, 1000, 40), *range(60_000, 60_400, 40)]
+    for name in ("a.mp4", "a.mkv"):
+        assert len(video_files(write_video(tmp_path / name, pause, **H264))) == len(pause)
+    *files, leaping = video_files(write_video(tmp_path / "b.ts", pause, **H264))
+    assert len(files) == 25
+    assert leaping.damage == "the times of 10 frames leap, for example to 60.360 s"
 
 
 @pytest.mark.parametrize("rotation", [0, 90, 180, -90])

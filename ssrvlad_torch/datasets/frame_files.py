@@ -98,9 +98,10 @@ def find_frames(
         ]
     selected = list[FrameFile]()
     for drive in drives:
-        frames = [file for file in drive if not (isinstance(file, VideoFile) and file.lost)]
+        damaged = [file for file in drive if isinstance(file, VideoFile) and file.damage]
+        frames = [file for file in drive if file not in damaged]
         chosen = frames if fps is None else at_rate(frames, fps)
-        selected += [*every_nth(chosen, every, start), *drive[len(frames) :]]
+        selected += [*every_nth(chosen, every, start), *damaged]
     if not selected:
         longest = max(map(len, drives))
         raise ValueError(f"no sequence has a frame {start}; the longest has {longest} frames")

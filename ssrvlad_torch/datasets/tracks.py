@@ -2,8 +2,8 @@
 
 import math
 from collections.abc import Iterator
-from datetime import UTC, datetime
-from itertools import pairwise
+from datetime import UTC, datetime, time
+from itertools import chain, count, pairwise
 from pathlib import Path
 
 from ..files import one_line, read_text
@@ -12,38 +12,44 @@ from .gps import Fix
 SUFFIXES = (".gpx", ".nmea")
 
 
-def read_track(path: Path) -> list[tuple[float, Fix]]:
-    """The positions of a receiver, each with its time in seconds since 1970 UTC: all track points
-    of a GPX file, or the RMC sentences of an NMEA file with a valid position, which have position,
-    course, time and date. A damaged file, a point without a time, and times out of order are a
-    ValueError; without the extra ``gps``, an ImportError."""
+def read_track(path: Path) -> list[list[tuple[float, Fix]]]:
+    """The positions of a receiver, each with its time in seconds since 1970 UTC: the track points
+    of each segment of a GPX file, between which nothing was recorded, or the RMC sentences of an
+    NMEA file with a valid position, which have position, course, time and date. A damaged file, a
+    point without a time, and times out of order are a ValueError; without the extra ``gps``, an
+    ImportError."""
     text = read_text(path)
     try:
-        track = list((_of_gpx if path.suffix.lower() == ".gpx" else _of_nmea)(text))
+        track = _of_gpx(text) if path.suffix.lower() == ".gpx" else [list(_of_nmea(text))]
     except ImportError as error:
         raise ImportError(f"{path} needs: pip install ssrvlad-torch[gps]") from error
     except Exception as error:  # the parsers raise any exception on damaged text
         raise ValueError(f"{path}: {one_line(error)}") from error
-    if not track:
+    if not any(track):
         expected = "track points" if path.suffix.lower() == ".gpx" else "RMC sentences"
         raise ValueError(f"{path} holds no positions; expected {expected}")
-    for number, ((before, _), (after, _)) in enumerate(pairwise(track), 2):
+    for number, ((before, _), (after, _)) in enumerate(pairwise(chain(*track)), 2):
         if after < before:
             raise ValueError(f"{path}: position {number} is earlier than the one before it")
-    return track
+    return [segment for segment in track if segment]
 
 
-def _of_gpx(text: str) -> Iterator[tuple[float, Fix]]:
+def _of_gpx(text: str) -> list[list[tuple[float, Fix]]]:
     import gpxpy
 
     if "<!" in text.replace("<!--", "").replace("<![CDATA[", ""):
         raise ValueError("expected GPX without a document type")  # its entities can grow
-    points = gpxpy.parse(text).walk(only_points=True)
-    for number, point in enumerate(points, 1):
-        if point.time is None:
-            raise ValueError(f"point {number} has no time")
-        course = math.nan if point.course is None else float(point.course)
-        yield _seconds(point.time), Fix(point.latitude, point.longitude, course)
+    track, numbers = list[list[tuple[float, Fix]]](), count(1)
+    for segment in (segment for each in gpxpy.parse(text).tracks for segment in each.segments):
+        track.append([])
+        for point in segment.points:
+            number = next(numbers)
+            if point.time is None:
+                raise ValueError(f"point {number} has no time, as 2026-05-01T10:00:00Z")
+            course = math.nan if point.course is None else float(point.course)
+            fix = Fix(point.latitude, point.longitude, course)
+            track[-1].append((_seconds(point.time), fix))
+    return track
 
 
 def _of_nmea(text: str) -> Iterator[tuple[float, Fix]]:
@@ -57,8 +63,13 @@ def _of_nmea(text: str) -> Iterator[tuple[float, Fix]]:
             if sentence.status != "A":
                 continue
             position = sentence.lat, sentence.lat_dir, sentence.lon, sentence.lon_dir
-            if not all(position):  # the parser would say 0
+            ways = sentence.lat_dir in ("N", "S") and sentence.lon_dir in ("E", "W")
+            if not (ways and sentence.lat and sentence.lon):  # the parser would say 0
                 raise ValueError(f"expected a position, got {','.join(position)}")
+            if any(float(angle) % 100 > 60 for angle in position[::2]):
+                raise ValueError(f"expected at most 60 minutes, got {','.join(position)}")
+            if not isinstance(sentence.timestamp, time):  # as in a leap second, 235960
+                raise ValueError(f"expected a time of day, got {sentence.timestamp}")
             course = float(sentence.true_course or "nan")
             fix = Fix(sentence.latitude, sentence.longitude, course)
             yield _seconds(sentence.datetime), fix

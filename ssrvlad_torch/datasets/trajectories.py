@@ -3,8 +3,9 @@
 import math
 from bisect import bisect_left
 from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import accumulate, chain
 from pathlib import Path
-from typing import NamedTuple
 
 from ..files import read_text
 from .camera_poses import Y_DOWN, Z_UP, optical_axis
@@ -19,8 +20,9 @@ _UNITS = (1, 1e-3, 1e-6, 1e-9)
 """Seconds, milliseconds, microseconds and nanoseconds."""
 
 
-class Trajectory(NamedTuple):
-    """Poses of one drive.
+@dataclass(frozen=True)
+class Trajectory:
+    """Poses of one drive. A gap that is NaN or negative is a ValueError.
 
     Attributes:
         poses: in order.
@@ -29,11 +31,17 @@ class Trajectory(NamedTuple):
         largest_gap: between two poses at most this many seconds apart a frame's pose is
             interpolated, its heading along the shorter arc; elsewhere it is unknown. ``None``: the
             nearest pose is used if it is at most 0.02 s away, as in TUM's own tools.
+        starts: places of poses before which nothing was recorded: none is interpolated there.
     """
 
     poses: list[Pose]
     stamps: list[float]
     largest_gap: float | None = None
+    starts: frozenset[int] = frozenset()
+
+    def __post_init__(self) -> None:
+        if self.largest_gap is not None and not self.largest_gap >= 0:
+            raise ValueError(f"expected a largest gap of 0 seconds or more, got {self.largest_gap}")
 
     def of_frames(self, names: Sequence[str], stamps: Sequence[float] = ()) -> list[Pose]:
         """The pose of each frame: the n-th pose, or, if poses have stamps, the pose at its time,
@@ -85,7 +93,7 @@ class Trajectory(NamedTuple):
         if self.stamps[nearest] == time:
             return self.poses[nearest]
         seconds = self.stamps[around[-1]] - self.stamps[around[0]]
-        if len(around) == 1 or seconds > self.largest_gap:
+        if len(around) == 1 or seconds > self.largest_gap or after in self.starts:
             return UNKNOWN
         one, other = self.poses[after - 1], self.poses[after]
         part = (time - self.stamps[after - 1]) / seconds
@@ -111,13 +119,15 @@ def read_trajectory(path: Path, largest_gap: float | None = None) -> Trajectory:
     to the right, y down, z ahead). TUM: ``time x y z qx qy qz qw``, the camera in a world whose z
     is up. The heading is the direction of the camera's z axis. GPX and NMEA: east and north in
     metres of UTM; the heading is the course, unknown where the file has none. The largest gap, see
-    `Trajectory`, is 5 s for these by default.
+    `Trajectory`, is 5 s for these by default; between segments of GPX no gap is bridged.
     """
     if path.suffix.lower() in SUFFIXES:
-        times, fixes = zip(*read_track(path), strict=True)
+        segments = read_track(path)
+        times, fixes = zip(*chain(*segments), strict=True)
         gap = _GAP if largest_gap is None else largest_gap
+        starts = frozenset(accumulate(map(len, segments)))
         try:
-            return Trajectory(poses_of_fixes(fixes), list(times), gap)
+            return Trajectory(poses_of_fixes(fixes), list(times), gap, starts)
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from error
     poses, stamps = list[Pose](), list[float]()

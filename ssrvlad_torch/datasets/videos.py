@@ -2,10 +2,8 @@
 
 import math
 from bisect import bisect_left, bisect_right
-from collections.abc import Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import datetime
 from fractions import Fraction
 from functools import lru_cache
 from itertools import accumulate, pairwise
@@ -16,24 +14,28 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..files import check_pixels, npy_bytes, one_line, requiring
+from ..files import check_pixels, npy_bytes
 from .frame_file import FrameFile
 from .names import VIDEO_SUFFIXES, absolute
+from .video_packets import VideoPackets
+from .video_run import DecodingRun
 
-_FORMATS = "mov,matroska,avi,mpegts"
-"""No format that names other files, as playlists do."""
-
-_BUFFERED = 16
 _TOLERATED = 0.5
 """Seconds by which a header may say that a video is longer than its frames."""
+_STARTS = 4
+"""Key frames with which decoding is tried to begin."""
+_LEAP, _LEAP_STEPS = 10, 100
+"""A leap of time is longer than so many seconds, which is FFmpeg's bound, and so many frames."""
+_REORDERED = 16
+"""Frames by which a decoder moves one to show them in order."""
 
 
 @dataclass(frozen=True)
 class VideoFile(FrameFile):
-    """One frame of a video; its ``row`` is its presentation time in the units of the stream.
-    ``lost`` are the seconds from here to the end that cannot be read; 0 for a frame."""
+    """One frame of a video; its ``row`` is its presentation time in the units of the stream. With
+    ``damage``, which says why, it stands for frames that cannot be read."""
 
-    lost: float = 0
+    damage: str = ""
 
     @property
     def location(self) -> str:
@@ -42,8 +44,8 @@ class VideoFile(FrameFile):
 
     def _content(self) -> bytes:
         assert self.row is not None
-        if self.lost:
-            raise ValueError(f"the video is damaged: its last {self.lost:.3f} s cannot be read")
+        if self.damage:
+            raise ValueError(f"the video is damaged: {self.damage}")
         return npy_bytes(_open(self.path, self.state).pixels(self.row))
 
 
@@ -58,17 +60,19 @@ def video_files(path: Path) -> list[FrameFile]:
     A frame is named by its time after the first frame, in microseconds: the name does not depend
     on which other frames are used. Its stamp is this time in seconds, after the file's creation
     time if the file has one. Nothing is decoded. A frame that does not decode is refused when it is
-    read; of a truncated file that says how long it was, the last one stands for all that are lost.
+    read. The last files stand for frames that cannot be read: one for those whose times leap, and
+    one for those that are missing at the end, if the file says how long it was.
     A file that cannot be read, or without frames that have times, is a ValueError; without the
     extra ``video``, an ImportError.
     """
-    video, folder, files = _Video(path), absolute(path), list[FrameFile]()
-    for time in (*video.times, *video.missing()):
+    folder, video = absolute(path), _open(path, FrameFile("", "", path).state)
+
+    def file(time: int, damage: str = "") -> VideoFile:
         seconds = (time - video.times[0]) * video.unit
         name, stamp = f"{round(seconds * 10**6):010d}", video.created + float(seconds)
-        lost = float((video.end - time) * video.unit) if time > video.times[-1] else 0
-        files.append(VideoFile("", name, path, time, folder=folder, stamp=stamp, lost=lost))
-    return files
+        return VideoFile("", name, path, time, folder=folder, stamp=stamp, damage=damage)
+
+    return [*map(file, video.times), *(file(*damage) for damage in video.damages())]
 
 
 def played(files: Sequence[FrameFile]) -> list[float]:
@@ -80,136 +84,144 @@ def played(files: Sequence[FrameFile]) -> list[float]:
 
 
 class _Video:
-    """The first video stream of a file. Reading frames in order decodes each once.
+    """The frames of a video, ranked by their times. For a frame, decoding begins at the last key
+    frame at or before it with a decoder that has seen nothing: whatever was read before, a frame is
+    the same or refused. Reading in order decodes each frame once.
 
     Attributes:
         times: presentation times of all frames, increasing, in units of ``unit`` seconds.
-        end: the time at which the video ends by its header; that of the last frame if unknown.
         created: time of the first frame in seconds since 1970, or 0 if the file does not say it.
     """
 
     def __init__(self, path: Path) -> None:
-        with requiring("video", f"{path} needs"):
-            import av
-        self._errors = av.error.FFmpegError
-        try:
-            options = {"format_whitelist": _FORMATS}
-            self._container = av.open(str(path), options=options, metadata_errors="replace")
-            if not self._container.streams.video:
-                raise ValueError("it has no stream of pictures")
-            self._stream = self._container.streams.video[0]
-            check_pixels(self._stream.height, self._stream.width)
-            self._stream.thread_type = "AUTO"
-            self._stream.codec_context.options = {"err_detect": "explode"}
-        except Exception as error:  # damaged files raise any exception
-            raise ValueError(f"{path} is not a readable video: {one_line(error)}") from error
-        self.unit = Fraction(self._stream.time_base or 0)
-        packets = sorted(self._scan())
-        if not packets or not self.unit:
-            raise ValueError(f"{path} holds no frames with presentation times")
-        self.times = [time for time, _, _ in packets]
-        self._keys = [(time, decoded) for time, is_key, decoded in packets if is_key]
-        self._order = sorted((decoded, time) for time, _, decoded in packets)
-        self._decoded = {time: decoded for time, _, decoded in packets}
-        self.end = self.times[0] + self._duration()
-        self.created = 0.0
-        with suppress(KeyError, ValueError):
-            created = datetime.fromisoformat(self._container.metadata["creation_time"])
-            self.created = created.timestamp()
+        self._source = VideoPackets(path)
+        self.unit, self.created = self._source.unit, self._source.created
+        packets = self._source.packets
+        shown = [(p.time, number) for number, p in enumerate(packets) if p.time is not None]
+        kept = _without_leaps(shown, self.unit, self._source.duration)
+        self._leaping = sorted({time for time, _ in shown} - {time for time, _ in kept})
+        kept.sort()
+        self.times = [time for time, _ in kept]
+        self._numbers: list[int | None] = [number for _, number in kept]
+        self._keys = sorted(number for _, number in kept if packets[number].is_key)
+        self._ranks: dict[int, int] = {}
+        self._is_ordered = not self._source.lacks_times
         self._lock = Lock()
-        self._start(self.times[0])
+        self._failed = dict[tuple[int, int], int]()
+        """By the ends of runs, the first packet that is known to be damaged."""
+        self._run = DecodingRun(self._source, {}, 0, 0, self._failed)
 
     def pixels(self, time: int) -> npt.NDArray[np.uint8]:
         """``(H, W, 3)`` uint8 of the frame at a time, turned upright; a ValueError if it does not
-        decode, or an earlier one that it may depend on: decoders conceal that. The last `_BUFFERED`
-        frames stay in memory."""
+        decode, or an earlier one that it may depend on, see `DecodingRun`."""
         with self._lock:
-            key, first = self._key(time)
-            last = self._decoded[time]
-            here = slice(bisect_left(self._order, (first,)), bisect_left(self._order, (last + 1,)))
-            before = [shown for _, shown in self._order[here]] or [time]
-            if time not in self._buffer and (not self._reached <= time or key > self._reached):
-                self._start(time)
-            if self._reached < max(before):
-                self._decode_up_to(max(before))
-            frame = self._buffer.get(time)
-            is_whole = self._whole.issuperset(before) if self._failed else frame is not None
-            if frame is None or not is_whole:
+            frame = self._frame(bisect_left(self.times, time))
+            if frame is None:
                 raise ValueError("the frame does not decode")
             check_pixels(frame.height, frame.width)
             pixels = np.rot90(frame.to_ndarray(format="rgb24"), round(frame.rotation / 90) % 4)
             return np.ascontiguousarray(pixels)
 
-    def missing(self) -> list[int]:
-        """The time after the last frame, if the video should go on there for more than a frame."""
-        steps = np.diff(self.times) if len(self.times) > 1 else np.array([self.end])
+    def damages(self) -> list[tuple[int, str]]:
+        """Times outside `times` at which frames cannot be read, and what is damaged."""
+        steps = np.diff(self.times) if len(self.times) > 1 else np.array([self._source.duration])
+        end = self.times[0] + self._source.duration
         following = self.times[-1] + round(float(np.median(steps)))
-        longest = max(int(steps.max()), round(_TOLERATED / self.unit))
-        return [following] if self.end > following + longest else []
+        damages = list[tuple[int, str]]()
+        if self._leaping:
+            seconds = float((self._leaping[-1] - self.times[0]) * self.unit)
+            count = f"{len(self._leaping)} frame{'s' if len(self._leaping) > 1 else ''}"
+            reason = f"the times of {count} leap, for example to {seconds:.3f} s"
+            damages.append((self._leaping[-1], reason))
+        if end > following + max(int(steps.max()), round(_TOLERATED / self.unit)):
+            seconds = float((end - following) * self.unit)
+            damages.append((following, f"its last {seconds:.3f} s cannot be read"))
+        return damages
 
-    def _scan(self) -> Iterator[tuple[int, bool, int]]:
-        """Of every shown frame: time, whether decoding can begin there, when it is decoded."""
-        seen = set[int]()
-        with suppress(self._errors):  # a truncated file ends here
-            for packet in self._container.demux(self._stream):
-                if packet.pts is None or packet.is_discard or packet.pts in seen:
-                    continue
-                seen.add(packet.pts)
-                decoded = packet.pts if packet.dts is None else packet.dts
-                yield packet.pts, packet.is_keyframe, decoded
-
-    def _duration(self) -> int:
-        """How long the header says that the stream is, in its units; 0 if it does not say."""
-        if self._stream.duration:
-            return int(self._stream.duration)
-        hours, _, rest = self._stream.metadata.get("DURATION", "").partition(":")  # Matroska
-        minutes, _, seconds = rest.partition(":")
-        try:
-            total = 3600 * int(hours) + 60 * int(minutes) + float(seconds)
-        except ValueError:
-            return 0
-        return round(total / self.unit)
-
-    def _key(self, time: int) -> tuple[int, int]:
-        """The last frame at or before a time at which decoding can begin: its time, and when it is
-        decoded. The first frame if none is."""
-        place = bisect_right(self._keys, time, key=lambda key: key[0])
-        return self._keys[place - 1] if place else (self.times[0], self.times[0])
-
-    def _start(self, time: int) -> None:
-        """Goes to the last frame at or before a time at which decoding can begin."""
-        self._container.seek(self._key(time)[1], stream=self._stream)
-        self._buffer = dict[int, Any]()
-        self._whole, self._failed = set[int](), False
-        self._reached = -math.inf
-        self._remaining = _frames(self._container, self._stream, self._errors)
-
-    def _decode_up_to(self, time: int) -> None:
-        for frame in self._remaining:
-            if frame is None or frame.is_corrupt:
-                self._failed = True
-            if frame is None or frame.pts is None:
+    def _frame(self, rank: int) -> Any:
+        """The frame of a rank; ``None`` if it, or one before it from the key frame on, fails."""
+        if not self._is_ordered:
+            self._numbers, self._is_ordered = self._order_of_showing(), True
+        if not self._ranks:
+            self._ranks = {n: rank for rank, n in enumerate(self._numbers) if n is not None}
+        number = self._numbers[rank]
+        if number is None:
+            return None
+        place, tried = bisect_right(self._keys, number) - 1, 0
+        stop = self._stop_of(self._keys[place] if place >= 0 else 0)
+        while place >= 0 and tried < _STARTS:
+            start, place = self._keys[place], place - 1
+            if self._ranks.get(start, math.inf) > rank:
                 continue
-            if not frame.is_corrupt:
-                self._whole.add(frame.pts)
-            self._reached = max(self._reached, frame.pts)
-            self._buffer[frame.pts] = frame
-            if len(self._buffer) > _BUFFERED:
-                del self._buffer[min(self._buffer)]
-            if frame.pts >= time:
-                return
+            run = self._run_of(start, stop, number)
+            if run and not run.opens():  # an intra refresh, which ends later
+                self._keys.remove(start)
+                continue
+            frame = run and run.frame(number)
+            if frame is not None:
+                return frame
+            tried += 1
+        run = None if tried else self._run_of(0, stop, number)
+        return run and run.frame(number)
+
+    def _run_of(self, start: int, stop: int, number: int) -> DecodingRun | None:
+        """A run that may give the frame of a packet; ``None`` if it was damaged before it."""
+        if self._failed.get((start, stop), math.inf) <= number:
+            return None
+        if self._run.ends != (start, stop) or self._run.has_passed(number):
+            self._run = DecodingRun(self._source, self._ranks, start, stop, self._failed)
+        return self._run
+
+    def _stop_of(self, start: int) -> int:
+        """The packet before which decoding from a key frame ends: the next key frame, or after
+        frames that are decoded after that one and shown before it."""
+        place, count = bisect_right(self._keys, start), len(self._source.packets)
+        key, following = (*self._keys[place : place + 2], count, count)[:2]
+        shown = self._ranks.get(key, -1)
+        earlier = (n for n in range(key, following) if self._ranks.get(n, shown) < shown)
+        return max(earlier, default=key - 1) + 1
+
+    def _order_of_showing(self) -> list[int | None]:
+        """The packets in the order in which a decoder shows them, between two key frames each
+        time; ``None`` where one of these is not shown."""
+        numbers = [number for number in self._numbers if number is not None]
+        groups: dict[int, list[int]] = {}
+        for number, frame in self._source.decoded(0, len(self._source.packets)):
+            if frame is not None:
+                groups.setdefault(bisect_right(self._keys, number), []).append(number)
+        order = list[int | None]()
+        for place in range(len(self._keys) + 1):
+            first, stop = (0, *self._keys, math.inf)[place : place + 2]
+            count = bisect_left(numbers, stop) - bisect_left(numbers, first)
+            group = groups.get(place, [])
+            order += group if len(group) == count else [None] * count
+        return order
 
 
-def _frames(container: Any, stream: Any, errors: type[Exception]) -> Iterator[Any]:
-    """The frames from where a container is, ``None`` for a packet that is damaged; no method, which
-    would keep the video in a cycle."""
-    with suppress(errors):
-        for packet in container.demux(stream):
-            try:
-                frames = [None] if packet.is_corrupt else packet.decode()
-            except errors:
-                frames = [None]
-            yield from frames
+def _without_leaps(
+    shown: list[tuple[int, int]], unit: Fraction, duration: int
+) -> list[tuple[int, int]]:
+    """Pairs of a time and a number, without those whose time leaps from that of the packet before.
+    Where the header says that the video lasts until the last of them, and they rise, it may have
+    paused. Else the longest stretch without a leap is right, and what continues it."""
+    times = [time for time, _ in shown]
+    steps = np.diff(np.array(sorted(times)))
+    leap = max(_LEAP / unit, _LEAP_STEPS * float(np.median(steps)) if len(steps) else 0)
+    moved = np.argsort(np.array(times), kind="stable") - np.arange(len(times))
+    beyond = max(times) - min(times) - duration
+    if duration and np.abs(moved).max() <= _REORDERED and beyond <= max(_TOLERATED / unit, *steps):
+        return shown
+    borders = [0, *(n for n in range(1, len(times)) if abs(times[n] - times[n - 1]) > leap)]
+    stretches = list(pairwise([*borders, len(times)]))
+    first, stop = max(stretches, key=lambda ends: ends[1] - ends[0])
+    kept = list(range(first, stop))
+    for direction in (range(first - 1, -1, -1), range(stop, len(times))):
+        last = times[first if direction.step < 0 else stop - 1]
+        for place in direction:
+            if abs(times[place] - last) <= leap:
+                kept.append(place)
+                last = times[place]
+    return [shown[place] for place in sorted(kept)]
 
 
 @lru_cache(maxsize=4)

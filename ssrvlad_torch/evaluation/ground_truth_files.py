@@ -2,12 +2,13 @@
 
 import csv
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from ..datasets.image_files import SUFFIXES
 from ..datasets.names import name_of
 from ..files import check_regular, npy_header, one_line, parse_npy, read_bytes, read_json, read_npz
 from .outcomes import Rows
@@ -33,7 +34,8 @@ def from_file(path: str | Path, queries: Frames, references: Frames) -> PartialT
     | ``.csv`` | a first line ``query,reference`` and a line for each pair, or a 0/1 matrix |
     | ``.npy``, ``.npz`` | a 0/1 matrix ``(Q, R)``; ``GThard`` ``(R, Q)`` as in VPR-Tutorial |
 
-    An entry names a frame by its id, or by the end of its path if only one path ends so. A query
+    An entry names a frame by its id, or by the end of its path if only one path ends so; after
+    either may stand a suffix of images, as ``.jpg``, of the file. A query
     that no entry names has an unknown truth; a query without a true match needs an empty list, or
     in CSV a line with an empty reference. A matrix and VPR-Bench's rows count frames from 0 in the
     order of ``queries`` and ``references``. A file that cannot be read, has another form or size,
@@ -176,7 +178,8 @@ def _from_pairs(pairs: Pairs, queries: Frames, references: Frames) -> PartialTru
 
 def _finder(frames: Frames) -> Callable[[str], str | None]:
     """A function from an entry to the frame that it names: the frame without a path that has this
-    id, or the only frame whose id or path ends in the entry."""
+    id, or the only frame whose id or path ends in the entry, or in the entry without the suffix of
+    a file."""
     paths = frames if isinstance(frames, Mapping) else dict(zip(frames, frames, strict=True))
     by_name: dict[str, list[str]] = {}
     for frame in paths:
@@ -185,11 +188,9 @@ def _finder(frames: Frames) -> Callable[[str], str | None]:
     def find(entry: str) -> str | None:
         if paths.get(entry) == entry:
             return entry
-        fitting = [
-            frame
-            for frame in by_name.get(name_of(entry), ())
-            if any(f"/{name}".endswith(f"/{entry}") for name in (frame, paths[frame]))
-        ]
+        path = PurePosixPath(entry)
+        stems = [path, path.with_suffix("")] if path.suffix.lower() in SUFFIXES else [path]
+        fitting = next(filter(None, map(fitting_frames, stems)), [])
         if len(fitting) > 1:
             first, second = (paths[frame] for frame in fitting[:2])
             raise ValueError(
@@ -197,6 +198,13 @@ def _finder(frames: Frames) -> Callable[[str], str | None]:
                 "path"
             )
         return fitting[0] if fitting else None
+
+    def fitting_frames(end: PurePosixPath) -> list[str]:
+        return [
+            frame
+            for frame in by_name.get(end.name, ())
+            if any(f"/{name}".endswith(f"/{end}") for name in (frame, paths[frame]))
+        ]
 
     return find
 
