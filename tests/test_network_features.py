@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 from drawings import SPACE
-from networks import PLAIN, Street, colour_network, write_street
+from networks import PLAIN, Street, colour_network, shared_street, write_street
 from segmenting import PHOTOS, counted, write_photos
 from torch import nn
 
@@ -38,6 +38,13 @@ def test_features_are_the_signs_of_the_activations(tmp_path):
         assert segmenter.segment(images[:1])[0].features is None
         assert (bits(first.features) != bits(expected)).mean() < 2e-3
         np.testing.assert_array_equal(first.labels, labels[0])
+
+
+def test_features_of_a_module_that_runs_several_times():
+    """They are those of the same network with a module for each call."""
+    alone, shared = (Segmenter(each, SPACE, PLAIN) for each in (Street(), shared_street()))
+    expected, got = (each.segment(pictures(1), features=True)[0] for each in (alone, shared))
+    np.testing.assert_array_equal(got.features, expected.features)
 
 
 def test_the_fingerprint_is_of_the_network_its_settings_and_the_activations():
