@@ -26,7 +26,7 @@ from ..taxonomy import LabelSpace, label_space
 from .cache import SegmentedCache
 from .class_names import label_space_of_names
 from .features import NetworkFeatures
-from .identity import digest_of
+from .identity import ChangedError, Identity, digest_of, training
 from .label_network import LabelNetwork
 from .network_outputs import UnrecognisedError, channel_counts, classes_of, enlarged
 from .networks import AUTO, NamedNetwork, open_network
@@ -68,7 +68,8 @@ class Segmenter:
 
     Args:
         network: any module that takes ``(B, 3, H, W)`` floats, or an `OnnxNetwork`. It is put into
-            evaluation mode and runs on the device of its weights.
+            evaluation mode and runs on the device of its weights. It must stay as it is once its
+            label maps have an identity, `key` or `features`, and stay in evaluation mode.
         labels_as: label space of its classes.
         config: the preparation of its pictures.
         cache: folder in which `segmented` stores its results, by the content of the image file, the
@@ -98,10 +99,12 @@ class Segmenter:
         self.label_space = space = label_space(labels_as)
         self.labels = LabelNetwork(network, space, config or SegmenterConfig())
         self.cache, self.name = cache, name
+        self._in_training = training(network)  # a module may ignore eval()
 
     def __getstate__(self) -> dict[str, object]:
-        """Pickles no features: they are taken anew of the network in another process."""
-        return {name: value for name, value in self.__dict__.items() if name != "features"}
+        """Pickles no features and no identity: they are taken anew in another process."""
+        own = ("features", "_identity")
+        return {name: value for name, value in self.__dict__.items() if name not in own}
 
     @property
     def network(self) -> nn.Module:
@@ -151,6 +154,8 @@ class Segmenter:
         """The features of the network; if it has none, see `find_activations`, a ValueError."""
         try:
             return NetworkFeatures(self.labels, self._digest())
+        except ChangedError:
+            raise
         except ValueError as error:
             raise ValueError(f"{self.name or 'the network'}: {error}") from error
 
@@ -161,7 +166,7 @@ class Segmenter:
         try:
             _ = self.features
         except ValueError as error:
-            if self.config.features:
+            if self.config.features or isinstance(error, ChangedError):
                 raise
             return str(error)
         return ""
@@ -179,7 +184,8 @@ class Segmenter:
 
         Raises:
             ValueError: a picture has another shape or dtype, the network fails, its output is not
-                recognised or holds NaN scores, or it has no features.
+                recognised or holds NaN scores, it has no features, is in training mode, or was
+                changed after its label maps got an identity.
         """
         for image in images:
             if not isinstance(image, np.ndarray):
@@ -214,7 +220,8 @@ class Segmenter:
             features: whether to take the features too, in the same pass.
 
         Raises:
-            ValueError: the network's output is not recognised, or it has no features.
+            ValueError: the network's output is not recognised, it has no features, is in training
+                mode, or was changed meanwhile.
             OSError: the cache cannot be written.
         """
         found = self.features if features else None
@@ -237,7 +244,8 @@ class Segmenter:
             yield from zip((file for file, _ in chunk), results, strict=True)
 
     def key(self) -> str:
-        """The key in the cache, in hex; other networks and settings have other keys."""
+        """The key in the cache, in hex; other networks and settings have other keys. A network that
+        was changed since its first key, or its features, is a ValueError."""
         settings = dataclasses.astuple(dataclasses.replace(self.config, features=None))[:-1]
         key = [REVISION, self._digest(), settings]
         key.append(list(channel_counts(self.label_space, self.config.classes))[:2])
@@ -247,9 +255,17 @@ class Segmenter:
         probe = np.random.default_rng(0).integers(0, 256, (224, 448, 3), np.uint8)
         try:
             labels = b"" if isinstance(self.network, OnnxNetwork) else self([probe])[0].tobytes()
+        except ChangedError:
+            raise
         except ValueError:  # the network does not take pictures of this size
             labels = b"none"
-        return digest_of(self.network, labels)
+        digest = digest_of(self.network, labels)
+        self._identity.take(digest)
+        return digest
+
+    @cached_property
+    def _identity(self) -> Identity:
+        return Identity(self.network)
 
     def _complete(
         self,
@@ -280,6 +296,7 @@ class Segmenter:
         self, pictures: Sequence[Pixels], features: NetworkFeatures | None
     ) -> list[Segmented | ValueError]:
         """What the network says of a batch; if it fails, each picture is tried alone."""
+        self._identity.require(self._in_training)
         images = torch.from_numpy(np.stack(pictures))
         height, width = images.shape[1:3]
         try:
