@@ -8,7 +8,7 @@ import pytest
 from cases import REAL, needs_real
 from drawings import SPACE
 from helpers import street
-from networks import photo, write_street
+from networks import photo, write_graph, write_street
 from PIL import Image
 from segmenting import write_image, write_photos, write_settings
 
@@ -147,6 +147,30 @@ def test_labels_lists_classes_and_features(network, ssrvlad, tmp_path):
         code, _, (line,) = ssrvlad("labels", given)
         assert code == 2 and message in line
     assert ssrvlad("labels", "mapillary-vistas-1.2")[::2] == (0, [])
+
+
+def test_labels_lists_all_activations(ssrvlad, tmp_path):
+    """Also of a network that has no features by the rule, and of one without class names."""
+    write_street(tmp_path / "street.onnx")
+    command = ("labels", tmp_path / "street.onnx", "--labels-as", SPACE)
+    code, out, err = ssrvlad(*command, "--all")
+    assert (code, err) == (0, [])
+    rows = [[cell.strip() for cell in line.split("│")[1:-1]] for line in out.splitlines()]
+    assert [row for row in rows if "features" in row] == [
+        ["relu_2", "32", "28", "56", "8", "features"]
+    ]
+    assert out.splitlines()[-1] == "features: relu_2 (1, 32, 28, 56), stride 8"
+    listed = json.loads(ssrvlad(*command, "--all", "--json")[1])["activations"]
+    by_name = {each["name"]: each for each in listed}
+    assert by_name["relu_2"]["chosen"] and by_name["relu_2"]["shape"] == [1, 32, 28, 56]
+    assert (by_name["relu_3"]["stride"], by_name["relu_3"]["raised"]) == (16, False)
+    assert by_name["conv2d_9"]["raised"], "of the decoder"
+    assert sum(each["chosen"] for each in listed) == 1
+    assert "activations" not in json.loads(ssrvlad(*command, "--json")[1])
+    write_graph(tmp_path / "net.onnx")
+    out = ssrvlad("labels", tmp_path / "net.onnx", "--labels-as", SPACE, "--all")[1]
+    assert "classes" in out and "features: none: " in out
+    assert "--labels-as and --all are for networks" in ssrvlad("labels", SPACE, "--all")[2][0]
 
 
 def test_show_takes_an_image(network, ssrvlad, tmp_path, monkeypatch):

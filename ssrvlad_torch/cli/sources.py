@@ -20,7 +20,8 @@ from ..datasets.names import KnownFolders
 from ..encoding.extra_descriptors import extra_descriptors
 from ..encoding.source import Source, origin_of, require_network
 from ..segmentation.features import NAME as FEATURES
-from ..segmentation.networks import AUTO, channels, open_network
+from ..segmentation.networks import AUTO, open_network
+from ..segmentation.preparation import channels
 from ..segmentation.segmenter import Segmenter
 from ..taxonomy import LabelSpace, label_space
 from .options import SourceOptions

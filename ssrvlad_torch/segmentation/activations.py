@@ -68,10 +68,7 @@ def find_activations(
     ``numbers``, its input for one picture, ``(1, 3, H, W)`` or of the layout of the graph. A name
     that is unknown or of something else than ``(B, C, h, w)`` floats, and an encoder without an
     activation at a stride that is near enough, are a ValueError."""
-    if isinstance(network, OnnxNetwork):
-        found = _of_graph(network, numbers)
-    else:
-        found = _of_module(network, numbers)
+    found = all_activations(network, numbers)
     if names is None:
         states = [each for each in found if each.name.startswith(HIDDEN)]
         if chosen := _chosen(states) or _chosen(found):
@@ -90,6 +87,14 @@ def find_activations(
                 f"features: expected (B, C, h, w) floats, {name} is {by_name[name].shape}"
             )
     return [by_name[name] for name in names]
+
+
+def all_activations(network: nn.Module, numbers: Tensor) -> list[Activation]:
+    """All activations of a network in a run on ``numbers``, in order, those that cannot be features
+    too; see `find_activations`."""
+    if isinstance(network, OnnxNetwork):
+        return _of_graph(network, numbers)
+    return _of_module(network, numbers)
 
 
 def _chosen(found: Sequence[Activation]) -> Activation | None:

@@ -115,20 +115,11 @@ def _of_file(path: Path) -> NamedNetwork:
     """The network that a YAML file names, with its settings."""
     name, document = _named(path)
     labels_as, arguments = document.pop("labels_as", None), document.pop("arguments", {})
-    names = [field.name for field in dataclasses.fields(SegmenterConfig)]
-    unknown = [key for key in document if key not in names]
-    if unknown:
-        expected = ", ".join(("network", "labels_as", "arguments", *names))
-        raise ValueError(f"{path}: unknown setting {unknown[0]!r}; expected {expected}")
-    if isinstance(document.get("classes"), str):
-        document["classes"] = channels(document["classes"])
-    settings: dict[str, Any] = {
-        k: tuple(v) if isinstance(v, list) else v for k, v in document.items()
-    }
     try:
-        SegmenterConfig(**settings)
+        config = SegmenterConfig.of(document, ("network", "labels_as", "arguments"))
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
+    settings = {key: getattr(config, key) for key in document}
     network = _open(name, settings, arguments)
     if labels_as and (path.parent / str(labels_as)).is_file():
         labels_as = str(path.parent / labels_as)
@@ -147,16 +138,6 @@ def _named(path: Path) -> tuple[str, dict[str, Any]]:
     if name.startswith((".", "/")) or (path.parent / name).exists() or name.endswith(".onnx"):
         name = str(path.parent / name)
     return name, document
-
-
-def channels(text: str | None) -> tuple[int, int] | None:
-    """``"0:19"`` as two numbers; ``None`` stays ``None``; other text is a ValueError."""
-    if text is None:
-        return None
-    first, colon, last = text.partition(":")
-    if not colon or not last.isdigit() or not (first or "0").isdigit():
-        raise ValueError(f"classes must be FIRST:LAST, LAST not included, got {text!r}")
-    return int(first or 0), int(last)
 
 
 def _function(name: str) -> Callable[..., object]:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import math
 import os
 from collections.abc import Iterator, Sequence
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -23,9 +24,10 @@ from ..datasets.label_files import LabelMap
 from ..datasets.names import absolute
 from ..files import check_pixels, one_line
 from ..taxonomy import LabelSpace, label_space
+from .activations import Activation, all_activations
 from .cache import SegmentedCache
 from .class_names import label_space_of_names
-from .features import NetworkFeatures
+from .features import NetworkFeatures, probed
 from .identity import ChangedError, Identity, digest_of, training
 from .label_network import LabelNetwork
 from .network_outputs import UnrecognisedError, channel_counts, classes_of, enlarged
@@ -71,17 +73,22 @@ class Segmenter:
             evaluation mode and runs on the device of its weights. It must stay as it is once its
             label maps have an identity, `key` or `features`, and stay in evaluation mode.
         labels_as: label space of its classes.
-        config: the preparation of its pictures.
+        config: the preparation of its pictures, such as that of another segmenter.
         cache: folder in which `segmented` stores its results, by the content of the image file, the
             settings and the digest of the network (`digest_of`).
         name: of the network for `load`, if it has one.
+        settings: of the preparation, in place of those of ``config``: the keys of a YAML file by
+            their names, ``size``, ``longest``, ``multiple``, ``white``, ``mean``, ``std``,
+            ``colour_order``, ``output``, ``classes`` and ``features``; see `SegmenterConfig`.
 
     Raises:
-        ValueError: the settings or the label space do not fit the ONNX graph.
+        ValueError: a setting is unknown or outside its range, or the settings or the label space do
+            not fit the ONNX graph.
         ImportError: an extra is not installed.
 
     Examples:
-        >>> segmenter = Segmenter(nn.Conv2d(3, 19, 1), "cityscapes-trainids")
+        >>> network = nn.Conv2d(3, 19, 1)
+        >>> segmenter = Segmenter(network, "cityscapes-trainids", size=512, colour_order="bgr")
         >>> (labels,) = segmenter([np.zeros((240, 320, 3), np.uint8)])
         >>> labels.shape
         (240, 320)
@@ -95,9 +102,11 @@ class Segmenter:
         cache: Path | None = None,
         *,
         name: str = "",
+        **settings: Any,
     ) -> None:
         self.label_space = space = label_space(labels_as)
-        self.labels = LabelNetwork(network, space, config or SegmenterConfig())
+        given = vars(config) if config else {}
+        self.labels = LabelNetwork(network, space, SegmenterConfig.of({**given, **settings}))
         self.cache, self.name = cache, name
         self._in_training = training(network)  # a module may ignore eval()
 
@@ -170,6 +179,13 @@ class Segmenter:
                 raise
             return str(error)
         return ""
+
+    @torch.inference_mode()
+    def activations(self) -> list[Activation]:
+        """The activations of the network that can be `features` by their names, in the order in
+        which they are computed for one picture. A network that takes no picture is a ValueError."""
+        found = all_activations(self.network, probed(self.labels))
+        return [each for each in found if math.isfinite(each.stride)]
 
     def __call__(self, images: Sequence[Pixels]) -> list[LabelMap]:
         """The label maps of pictures in memory, without the cache; see `segment`."""
