@@ -8,6 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from ..files import one_line
+from ..segmentation.activations import is_script
 from ..segmentation.features import NAME, NetworkFeatures
 from ..segmentation.label_network import LabelNetwork
 from ..segmentation.network_outputs import classes_of, enlarged
@@ -118,6 +119,8 @@ class _Whole(nn.Module):
 
 
 def _traced_network(labels: LabelNetwork, features: NetworkFeatures | None) -> onnx.ModelProto:
+    if any(map(is_script, labels.network.modules())):
+        raise ValueError("TorchScript cannot be traced; fuse the module that it was made of")
     example = torch.zeros(2, *_EXAMPLE, 3, dtype=torch.uint8)
     try:
         with torch.inference_mode():

@@ -66,8 +66,11 @@ def find_activations(
 ) -> list[Activation]:
     """The activations of a network that are features, by the rule or by their names, in a run on
     ``numbers``, its input for one picture, ``(1, 3, H, W)`` or of the layout of the graph. A name
-    that is unknown or of something else than ``(B, C, h, w)`` floats, and an encoder without an
-    activation at a stride that is near enough, are a ValueError."""
+    that is unknown or of something else than ``(B, C, h, w)`` floats, an encoder without an
+    activation at a stride that is near enough, and, without names, a network with a part in
+    TorchScript, whose activations cannot be taken, are a ValueError."""
+    if names is None and any(map(is_script, network.modules())):
+        raise ValueError("the activations of a TorchScript module cannot be taken")
     found = all_activations(network, numbers)
     if names is None:
         states = [each for each in found if each.name.startswith(HIDDEN)]
@@ -144,6 +147,11 @@ def _call_of(name: str) -> tuple[str, int]:
     return (module, int(call)) if call.isdecimal() else (name, 1)
 
 
+def is_script(module: nn.Module) -> bool:
+    """Whether a module is in TorchScript."""
+    return isinstance(module, torch.jit.ScriptModule)
+
+
 @contextmanager
 def _hooked(
     network: nn.Module,
@@ -151,7 +159,7 @@ def _hooked(
     names: Collection[str] | None = None,
 ) -> Iterator[None]:
     """Gives the names of modules, or of those named, that run in this thread, the number of the
-    call, and its output."""
+    call, and its output. A module in TorchScript takes no hooks."""
     own, calls = threading.get_ident(), Counter[str]()
 
     def hook(name: str, _module: nn.Module, _inputs: object, output: object) -> None:
@@ -161,7 +169,7 @@ def _hooked(
 
     with ExitStack() as stack:
         for name, module in network.named_modules():
-            if name and (names is None or name in names):
+            if name and (names is None or name in names) and not is_script(module):
                 stack.callback(module.register_forward_hook(partial(hook, name)).remove)
         yield
 
