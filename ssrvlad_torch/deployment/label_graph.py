@@ -14,7 +14,7 @@ from ..segmentation.label_network import LabelNetwork
 from ..segmentation.network_outputs import classes_of, enlarged
 from ..segmentation.onnx_files import load_model
 from ..segmentation.onnx_network import OnnxNetwork
-from ..segmentation.preparation import InputForm, Preparation, SegmenterConfig
+from ..segmentation.preparation import OF_SIDES, InputForm, Preparation, SegmenterConfig
 from ..stages.features import SHAPE, Features
 from .trace import OPSET, Axes, join, opset, traced, with_opset
 
@@ -127,11 +127,9 @@ def _traced_network(labels: LabelNetwork, features: NetworkFeatures | None) -> o
             narrow = labels.run(example)[0].is_floating_point()
     except RuntimeError as error:
         size = "x".join(map(str, labels.config.network_size(*EXAMPLE)))
-        hint = "; a network for one size, or for sides that are multiples of a number, needs size: "
-        hint += "or multiple: in a YAML file"
         raise ValueError(
             f"fails with 2 pictures of {size}, and a file takes any number of any size: "
-            f"{one_line(error)}{'' if labels.config.resizes else hint}"
+            f"{one_line(error)}{'' if labels.config.resizes else f'; {OF_SIDES}'}"
         ) from error
     module = _Whole(labels, torch.uint8 if narrow else torch.int64, features)
     forms: dict[str, Axes] = {"labels": ["B", "H", "W"], NAME: ["B", *SHAPE]}

@@ -12,6 +12,12 @@ from torch.nn.functional import interpolate
 
 from ..files import check_pixels
 
+OF_SIDES = (
+    "a network for one size, or for sides that are multiples of a number, needs size: or "
+    "multiple: in a YAML file"
+)
+"""What may be wrong where a network fails at a size."""
+
 
 @dataclass(frozen=True)
 class SegmenterConfig:

@@ -33,7 +33,7 @@ from .label_network import LabelNetwork
 from .network_outputs import UnrecognisedError, channel_counts, classes_of, enlarged
 from .networks import AUTO, NamedNetwork, open_network
 from .onnx_network import OnnxNetwork
-from .preparation import SegmenterConfig
+from .preparation import OF_SIDES, SegmenterConfig
 
 PIXELS_AT_ONCE = 1 << 21
 """Most pixels of a batch for the network, which has at least one image."""
@@ -324,7 +324,7 @@ class Segmenter:
         except Exception as error:  # networks raise many kinds of errors
             if len(pictures) > 1:
                 return [said for picture in pictures for said in self._segment([picture], features)]
-            return [ValueError(f"the network fails at {height}x{width}: {one_line(error)}")]
+            return [ValueError(self._failure(height, width, error))]
         if len(output) != len(images):
             raise ValueError(f"the network gives {len(output)} outputs for {len(images)} images")
         results: list[Segmented | ValueError] = []
@@ -340,6 +340,15 @@ class Segmenter:
                     break
             results.append(Segmented(labels, None if signs is None else signs[number]))
         return results
+
+    def _failure(self, height: int, width: int, error: Exception) -> str:
+        """Why there is no label map of a picture of this size."""
+        fed = self.config.network_size(height, width)
+        at = f", fed at {fed[0]}x{fed[1]}" if fed != (height, width) else ""
+        free = self.config.multiple == 1 and not isinstance(self.config.size, tuple)
+        other = isinstance(error, ValueError | torch.OutOfMemoryError)
+        hint = f"; {OF_SIDES}" if free and not other else ""
+        return f"the network fails at {height}x{width}{at}: {one_line(error)}{hint}"
 
 
 def _space(network: NamedNetwork, labels_as: str, config: SegmenterConfig) -> LabelSpace:

@@ -100,10 +100,12 @@ def _print_table(head: tuple[str, ...], rows: list[tuple[Any, ...]]) -> None:
 
 
 def _is_network(name: str) -> bool:
-    """Whether a name belongs to a network: a YAML file with the key ``network``, or another name
-    that has a colon or a suffix, or is a path that exists."""
+    """Whether a name belongs to a network: a YAML file with the key ``network``, or without a name
+    and a source, which a label space has, or another name that has a colon or a suffix, or is a
+    path that exists."""
     path = Path(name)
     if path.suffix not in (".yaml", ".yml"):
         return ":" in name or bool(path.suffix) or path.exists()
     document = read_yaml(name) if path.is_file() else None
-    return isinstance(document, dict) and "network" in document
+    of_space = {"name", "source"}
+    return isinstance(document, dict) and ("network" in document or not of_space & document.keys())
