@@ -295,6 +295,16 @@ def test_features_of_another_network_are_refused(town, photos, ssrvlad):
         Localiser(Segmenter.load(other), Database.open(town))
 
 
+def test_a_module_and_its_graph_do_not_compare_and_why_is_told(photos, town, monkeypatch, ssrvlad):
+    monkeypatch.syspath_prepend(photos)
+    (photos / "modules.py").write_text("from networks import Street as street\n")
+    (photos / "module.yaml").write_text(SETTINGS.replace("net.onnx", "modules:street"))
+    line = refused(ssrvlad, "query", town, photos / "today", "--segmenter", photos / "module.yaml")
+    assert "signs of act.2" in line and "signs of relu_2" in line
+    assert "encode again, with the file that will be deployed" in line
+    assert "a module, its ONNX file and another size are different networks" in line
+
+
 class Blinded(nn.Module):
     """Sees nothing in dark pictures, and what is no number in white ones."""
 

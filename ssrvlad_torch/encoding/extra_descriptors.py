@@ -46,7 +46,8 @@ def check_segmenter(
         if current != each:
             raise ValueError(
                 f"stored descriptors by {each.name} are of {each.fingerprint}, got "
-                f"{current.fingerprint}: encode the pictures again, or use what made them"
+                f"{current.fingerprint}: encode again, with the file that will be deployed, or use "
+                "what made them; a module, its ONNX file and another size are different networks"
             )
     if segmenter and segmenter.label_space != space:
         raise ValueError(

@@ -63,5 +63,6 @@ def require_network(database: Database, segmenter: Segmenter) -> None:
         got = segmenter.name or "the given network"
         expected = ", ".join(name or "a network without a name" for name in others.values())
         raise ValueError(
-            f"{database.path} was made by {expected} as it was then; {got} gives other label maps"
+            f"{database.path} was made by {expected} as it was then; {got} gives other label maps "
+            "(a module and its ONNX file are two networks: encode with the file to be deployed)"
         )
