@@ -118,11 +118,24 @@ def without_version(out):
 
 def test_what_is_assumed_of_a_network_is_told(network, ssrvlad, tmp_path):
     given = ("--labels-as", SPACE, "--segmenter-cache", tmp_path / "cache", "--segmenter")
-    for name, told in ((network, False), (tmp_path / "net.onnx", True)):
-        town = tmp_path / f"town {told}"
+    accepting = {each: tmp_path / f"{each}.yaml" for each in ("true", "false", "3")}
+    for each, path in accepting.items():
+        path.write_text(f"network: net.onnx\nsize: 60\naccept_defaults: {each}\n")
+    for name, told in (
+        (network, False), (tmp_path / "net.onnx", True), (accepting["true"], False),
+        (accepting["false"], True),
+    ):  # fmt: skip
+        town = tmp_path / f"town of {name.name}"
         _, _, err = ssrvlad("encode", tmp_path / "photos", "-o", town, *given, name)
         assumed = [line for line in err if "assumed: rgb, 0 to 1, mean (0.485, 0.456" in line]
         assert len(assumed) == told
+        assert all(
+            "(accept_defaults: true in a YAML file accepts that)" in line for line in assumed
+        )
+    (line,) = ssrvlad("encode", tmp_path / "photos", "-o", tmp_path / "x", *given, accepting["3"])[
+        2
+    ]
+    assert "3.yaml: accept_defaults must be true or false, got 3" in line
 
 
 def test_labels_lists_classes_and_features(network, ssrvlad, tmp_path):

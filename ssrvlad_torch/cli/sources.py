@@ -20,7 +20,7 @@ from ..datasets.names import KnownFolders
 from ..encoding.extra_descriptors import extra_descriptors
 from ..encoding.source import Source, origin_of, require_network
 from ..segmentation.features import NAME as FEATURES
-from ..segmentation.networks import AUTO, open_network
+from ..segmentation.networks import ACCEPT, AUTO, open_network
 from ..segmentation.preparation import channels
 from ..segmentation.segmenter import Segmenter
 from ..taxonomy import LabelSpace, label_space
@@ -150,7 +150,10 @@ def _segmenter(
         folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "ssrvlad"
     segmenter = Segmenter.load(opened, labels_as, folder, classes)
     if opened.assumed:
-        note(f"{network} does not say how it wants pictures; assumed: {opened.preparation}")
+        note(
+            f"{network} does not say how it wants pictures; assumed: {opened.preparation} "
+            f"({ACCEPT}: true in a YAML file accepts that)"
+        )
     return segmenter
 
 

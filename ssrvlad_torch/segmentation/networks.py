@@ -22,6 +22,12 @@ AUTO = "auto"
 
 _GIVEN = {"mean", "std", "white", "colour_order"}
 """Settings of which one, given, shows that the preparation was thought of."""
+
+ACCEPT = "accept_defaults"
+"""The key of a YAML file that accepts what is assumed of a network, so that nothing is noted."""
+
+_KEYS = ("network", "labels_as", "arguments", ACCEPT)
+"""Keys of a YAML file that are no settings of the preparation."""
 _WEIGHTS = (".pth", ".pt", ".ckpt", ".bin", ".safetensors", ".pkl")
 _MASK_NETWORKS = ("maskformer", "mask2former", "oneformer")
 _WHERE = "FILE.onnx, FILE.yaml, hf:ORG/NAME[@REVISION], a folder, torchhub:REPO/MODEL, MODULE:NAME"
@@ -56,8 +62,9 @@ def open_network(name: str | Path) -> NamedNetwork:
 
             - the path of an ``.onnx`` file;
             - the path of a ``.yaml`` file with ``network``, one of these names, and those settings
-              of `SegmenterConfig` that are not the defaults; also ``labels_as``, and ``arguments``
-              for a function. Paths, modules and files are looked for beside the file first;
+              of `SegmenterConfig` that are not the defaults; also ``labels_as``, ``arguments`` for
+              a function, and ``accept_defaults``. Paths, modules and files are looked for beside
+              the file first;
             - ``hf:ORG/NAME`` or ``hf:ORG/NAME@REVISION`` of the Hugging Face hub, or a folder in
               that format (extra ``hf``): any model for semantic segmentation, with the settings
               of its image processor;
@@ -124,20 +131,24 @@ def _of_file(path: Path) -> NamedNetwork:
     """The network that a YAML file names, with its settings."""
     name, document = _named(path)
     labels_as, arguments = document.pop("labels_as", None), document.pop("arguments", {})
+    accepted = document.pop(ACCEPT, False)
     try:
-        config = SegmenterConfig.of(document, ("network", "labels_as", "arguments"))
+        config = SegmenterConfig.of(document, _KEYS)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
     settings = {key: getattr(config, key) for key in document}
     if not isinstance(arguments, dict):
         raise ValueError(f"{path}: arguments must be names with values, got {arguments!r}")
+    if not isinstance(accepted, bool):
+        raise ValueError(f"{path}: {ACCEPT} must be true or false, got {accepted!r}")
     for key, value in arguments.items():
         if isinstance(value, str) and value and (path.parent / value).exists():
             arguments[key] = str(path.parent / value)
     network = _open(name, settings, arguments, path.parent)
     if labels_as and (path.parent / str(labels_as)).is_file():
         labels_as = str(path.parent / labels_as)
-    return dataclasses.replace(network, name=str(path), labels_as=labels_as)
+    assumed = network.assumed and not accepted
+    return dataclasses.replace(network, name=str(path), labels_as=labels_as, assumed=assumed)
 
 
 def _named(path: Path) -> tuple[str, dict[str, Any]]:
