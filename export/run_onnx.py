@@ -79,7 +79,8 @@ def main() -> int:
     parser.add_argument("--json", action="store_true", help="a JSON object a line")
     parser.add_argument("--check", action="store_true", help="run the golden pair and stop")
     options = parser.parse_args()
-    if bool(options.source) == options.check or options.top < 1:
+    usable = bool(options.source) != options.check and options.top > 0
+    if options.model.exists() and not usable:
         parser.error("expected frames or --check, and --top of at least 1")
     return run_program("run_onnx", run, options)
 

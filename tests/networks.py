@@ -99,6 +99,13 @@ class Street(nn.Module):
         return F.interpolate(self.scores(x), images.shape[2:], mode="bilinear")
 
 
+def shared_street() -> Street:
+    """`Street` with one activation module, which runs four times."""
+    network = Street()
+    network.act = nn.ModuleList([network.act[0]] * 4)
+    return network
+
+
 def write_street(path: Path, half: bool = False) -> Path:
     """`Street` as an ONNX graph with free axes, perhaps in half precision."""
     path.write_bytes(_street_graph(half))

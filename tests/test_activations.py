@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 import torch
 from cases import REAL, needs_real
-from networks import Street, colour_network, write_graph, write_published, write_street
+from networks import (
+    Street,
+    colour_network,
+    shared_street,
+    write_graph,
+    write_published,
+    write_street,
+)
 from torch import nn
 
 from ssrvlad_torch.segmentation.activations import find_activations, taken
@@ -33,6 +40,20 @@ def test_the_end_of_the_encoder_at_stride_8_is_found(street_graph):
     """Neither the narrow skip after stride 16, nor the wider decoder, nor a smaller picture."""
     assert found(Street()) == [("act.2", (1, 32, 28, 56))]
     assert found(OnnxNetwork(street_graph)) == [("relu_2", (1, 32, 28, 56))]
+
+
+def test_of_a_module_that_runs_several_times_the_chosen_call_is_taken():
+    """Its calls have other sizes and other channels."""
+    alone, shared = Street(), shared_street()
+    assert found(shared) == [("act.0#3", (1, 32, 28, 56))]
+    assert found(shared, ["act.0#1"]) == [("act.0#1", (1, 8, 112, 224))]
+    with taken(alone, ["act.2", "act.0"]) as expected, taken(shared, ["act.0#3", "act.0#1"]) as got:
+        alone(NUMBERS)
+        shared(NUMBERS)
+    assert torch.equal(got["act.0#3"], expected["act.2"])
+    assert torch.equal(got["act.0#1"], expected["act.0"])
+    with pytest.raises(ValueError, match=r"no activation 'act\.0'; the nearest are act\.0#\d, act"):
+        find_activations(shared, NUMBERS, ["act.0"])
 
 
 def test_another_thread_does_not_change_what_is_taken():

@@ -317,6 +317,16 @@ def test_features_of_another_network_are_refused(town, photos, ssrvlad):
         Map.open(town, Segmenter.load(other)).locate(photos / "today" / "7.png")
 
 
+def test_a_module_and_its_graph_do_not_compare_and_why_is_told(photos, town, monkeypatch, ssrvlad):
+    monkeypatch.syspath_prepend(photos)
+    (photos / "modules.py").write_text("from networks import Street as street\n")
+    (photos / "module.yaml").write_text(SETTINGS.replace("net.onnx", "modules:street"))
+    line = refused(ssrvlad, "query", town, photos / "today", "--segmenter", photos / "module.yaml")
+    assert "signs of act.2" in line and "signs of relu_2" in line
+    assert "encode again, with the file that will be deployed" in line
+    assert "a module, its ONNX file and another size are different networks" in line
+
+
 class Blinded(nn.Module):
     """Sees nothing in dark pictures, and what is no number in white ones."""
 
@@ -345,3 +355,21 @@ def test_a_picture_without_activations_is_skipped(photos, monkeypatch, ssrvlad):
         (line,) = (each for each in err if f"{number}.png" in each)
         assert f"the activations of the network are {problem}" in line
     assert len(Database.open(photos / "town")) == 30
+
+
+def test_a_torchscript_network_stores_hog_alone_and_says_so(photos, monkeypatch, ssrvlad):
+    monkeypatch.syspath_prepend(photos)
+    torch.jit.trace(Street(), torch.rand(1, 3, 96, 128)).save(photos / "street.pt")
+    (photos / "scripts.py").write_text(
+        f"import torch\ndef street(): return torch.jit.load({str(photos / 'street.pt')!r})\n"
+    )
+    given = ("--segmenter", "scripts:street", "--labels-as", SPACE)
+    code, _, err = ssrvlad("encode", photos / "monday", "-o", photos / "town", *given)
+    assert code == 0
+    (line,) = (each for each in err if "stored without features" in each)
+    assert "scripts:street: the activations of a TorchScript module cannot be taken" in line
+    assert [each.name for each in Database.open(photos / "town").extra] == ["hog"]
+    (photos / "script.yaml").write_text("network: scripts:street\nmultiple: 16\n")
+    fuse = ("fuse", photos / "script.yaml", "-o", photos / "x.onnx", "--labels-as", SPACE)
+    code, _, (line,) = ssrvlad(*fuse)
+    assert code == 2 and "TorchScript cannot be traced; fuse the module that it was made of" in line

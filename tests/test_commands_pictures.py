@@ -8,7 +8,7 @@ import pytest
 from cases import REAL, needs_real
 from drawings import SPACE
 from helpers import street
-from networks import photo, write_street
+from networks import photo, write_graph, write_street
 from PIL import Image
 from segmenting import write_image, write_photos, write_settings
 
@@ -118,11 +118,24 @@ def without_version(out):
 
 def test_what_is_assumed_of_a_network_is_told(network, ssrvlad, tmp_path):
     given = ("--labels-as", SPACE, "--segmenter-cache", tmp_path / "cache", "--segmenter")
-    for name, told in ((network, False), (tmp_path / "net.onnx", True)):
-        town = tmp_path / f"town {told}"
+    accepting = {each: tmp_path / f"{each}.yaml" for each in ("true", "false", "3")}
+    for each, path in accepting.items():
+        path.write_text(f"network: net.onnx\nsize: 60\naccept_defaults: {each}\n")
+    for name, told in (
+        (network, False), (tmp_path / "net.onnx", True), (accepting["true"], False),
+        (accepting["false"], True),
+    ):  # fmt: skip
+        town = tmp_path / f"town of {name.name}"
         _, _, err = ssrvlad("encode", tmp_path / "photos", "-o", town, *given, name)
         assumed = [line for line in err if "assumed: rgb, 0 to 1, mean (0.485, 0.456" in line]
         assert len(assumed) == told
+        assert all(
+            "(accept_defaults: true in a YAML file accepts that)" in line for line in assumed
+        )
+    (line,) = ssrvlad("encode", tmp_path / "photos", "-o", tmp_path / "x", *given, accepting["3"])[
+        2
+    ]
+    assert "3.yaml: accept_defaults must be true or false, got 3" in line
 
 
 def test_labels_lists_classes_and_features(network, ssrvlad, tmp_path):
@@ -147,6 +160,30 @@ def test_labels_lists_classes_and_features(network, ssrvlad, tmp_path):
         code, _, (line,) = ssrvlad("labels", given)
         assert code == 2 and message in line
     assert ssrvlad("labels", "mapillary-vistas-1.2")[::2] == (0, [])
+
+
+def test_labels_lists_all_activations(ssrvlad, tmp_path):
+    """Also of a network that has no features by the rule, and of one without class names."""
+    write_street(tmp_path / "street.onnx")
+    command = ("labels", tmp_path / "street.onnx", "--labels-as", SPACE)
+    code, out, err = ssrvlad(*command, "--all")
+    assert (code, err) == (0, [])
+    rows = [[cell.strip() for cell in line.split("│")[1:-1]] for line in out.splitlines()]
+    assert [row for row in rows if "features" in row] == [
+        ["relu_2", "32", "28", "56", "8", "features"]
+    ]
+    assert out.splitlines()[-1] == "features: relu_2 (1, 32, 28, 56), stride 8"
+    listed = json.loads(ssrvlad(*command, "--all", "--json")[1])["activations"]
+    by_name = {each["name"]: each for each in listed}
+    assert by_name["relu_2"]["chosen"] and by_name["relu_2"]["shape"] == [1, 32, 28, 56]
+    assert (by_name["relu_3"]["stride"], by_name["relu_3"]["raised"]) == (16, False)
+    assert by_name["conv2d_9"]["raised"], "of the decoder"
+    assert sum(each["chosen"] for each in listed) == 1
+    assert "activations" not in json.loads(ssrvlad(*command, "--json")[1])
+    write_graph(tmp_path / "net.onnx")
+    out = ssrvlad("labels", tmp_path / "net.onnx", "--labels-as", SPACE, "--all")[1]
+    assert "classes" in out and "features: none: " in out
+    assert "--labels-as and --all are for networks" in ssrvlad("labels", SPACE, "--all")[2][0]
 
 
 def test_show_takes_an_image(network, ssrvlad, tmp_path, monkeypatch):

@@ -21,6 +21,7 @@ from networks import (
     Street,
     Strided,
     photo,
+    shared_street,
     write_graph,
     write_segformer,
     write_street,
@@ -245,14 +246,16 @@ def test_a_real_network_gives_what_encoding_its_pictures_gives(name, tmp_path):
         assert other_signs(found["features"][0], encoded.channels["features"][row].numpy()) < 1e-3
 
 
-RARE_FEATURES = [pytest.param(form, marks=pytest.mark.slow) for form in ("half", "module")]
+RARE_FEATURES = [
+    pytest.param(form, marks=pytest.mark.slow) for form in ("half", "module", "shared")
+]
 
 
 @pytest.mark.parametrize("form", ["graph", *RARE_FEATURES])
 def test_features_are_those_of_the_segmenter(form, tmp_path):
     """Of one file, and of the first of two."""
-    network = Street()
-    if form != "module":
+    network = shared_street() if form == "shared" else Street()
+    if form in ("graph", "half"):
         network = OnnxNetwork(write_street(tmp_path / "seg.onnx", half=form == "half"))
     segmenter = Segmenter(network, SPACE, replace(PLAIN, multiple=16))
     paths = tmp_path / "place.onnx", tmp_path / "net.onnx", tmp_path / "head.onnx"

@@ -37,6 +37,13 @@ def test_the_pages_name_files_that_are_there():
             assert (page.parent / target).exists(), (page.name, target)
 
 
+def test_the_page_of_cpp_says_where_the_headers_of_onnx_runtime_come_from():
+    """From the package that the tests take, among others."""
+    page = (ROOT / "export" / "README.md").read_text("utf-8")
+    (package,) = re.findall(r"apt download (\S+)", (ROOT / ".ci" / "onnxruntime").read_text())
+    assert f"`{package}`" in page and "](../.ci/onnxruntime)" in page
+
+
 def test_the_page_of_networks_has_every_setting():
     page = (ROOT / "docs" / "guides" / "own-network.md").read_text("utf-8")
     keys = {
@@ -45,7 +52,7 @@ def test_the_page_of_networks_has_every_setting():
         for key in re.findall(r"`(\w+)`", row)
     }
     settings = {each.name for each in dataclasses.fields(SegmenterConfig)}
-    assert keys == settings | {"network", "labels_as", "arguments"}
+    assert keys == settings | {"network", "labels_as", "arguments", "accept_defaults"}
     (example,) = re.findall(r"```yaml\n(.*?)```", page, re.S)
     document = yaml.safe_load(example)
     assert document.keys() <= keys

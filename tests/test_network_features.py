@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 import torch
 from drawings import SPACE
-from networks import PLAIN, Street, colour_network, write_street
+from networks import PLAIN, Street, colour_network, shared_street, write_street
 from segmenting import PHOTOS, counted, write_photos
 from torch import nn
 
 from ssrvlad_torch import reference
 from ssrvlad_torch.datasets.image_files import find_image_files
+from ssrvlad_torch.encoding.extra_descriptors import extra_descriptors
 from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
 from ssrvlad_torch.segmentation.segmenter import Segmenter
 from ssrvlad_torch.stages.features import SHAPE
@@ -38,6 +39,13 @@ def test_features_are_the_signs_of_the_activations(tmp_path):
         assert segmenter.segment(images[:1])[0].features is None
         assert (bits(first.features) != bits(expected)).mean() < 2e-3
         np.testing.assert_array_equal(first.labels, labels[0])
+
+
+def test_features_of_a_module_that_runs_several_times():
+    """They are those of the same network with a module for each call."""
+    alone, shared = (Segmenter(each, SPACE, PLAIN) for each in (Street(), shared_street()))
+    expected, got = (each.segment(pictures(1), features=True)[0] for each in (alone, shared))
+    np.testing.assert_array_equal(got.features, expected.features)
 
 
 def test_the_fingerprint_is_of_the_network_its_settings_and_the_activations():
@@ -90,6 +98,23 @@ def test_both_are_cached_together(tmp_path):
     entry.write_bytes(entry.read_bytes()[:-40])
     again, count = run(True, ("act.1",))
     assert count == 1 and same(again, others)
+
+
+def scripted(frozen=False):
+    program = torch.jit.trace(Street(), torch.rand(1, 3, 96, 128), check_trace=False)
+    return torch.jit.freeze(program.eval()) if frozen else program
+
+
+@pytest.mark.parametrize(
+    "network", [scripted(), scripted(frozen=True), nn.Sequential(nn.Identity(), scripted())]
+)
+def test_a_torchscript_network_has_labels_and_no_features(network):
+    segmenter = Segmenter(network, SPACE, PLAIN)
+    (said,) = segmenter.segment(pictures(1))
+    expected = Segmenter(Street(), SPACE, PLAIN)(pictures(1))
+    np.testing.assert_array_equal(said.labels, expected[0])
+    assert "activations of a TorchScript module cannot be taken" in segmenter.problem_of_features
+    assert [each.name for each in extra_descriptors(None, segmenter)] == ["hog"]
 
 
 class Same(nn.Module):

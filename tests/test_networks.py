@@ -1,9 +1,11 @@
 """Networks by name: files of settings, functions, published models."""
 
+import sys
+
 import pytest
 import torch
 from drawings import SPACE
-from networks import NAMES, PLAIN, write_graph, write_published, write_segformer
+from networks import NAMES, PLAIN, colour_network, write_graph, write_published, write_segformer
 from segmenting import NOISE, PHOTOS, assert_right
 
 from ssrvlad_torch.segmentation.networks import open_network, runs_code
@@ -64,6 +66,60 @@ def test_functions_that_make_a_network(tmp_path, monkeypatch):
             open_network(name)
     with pytest.raises(ValueError, match="gives a list; expected an nn"):
         open_network("builtins:list")
+
+
+def test_a_module_and_its_weights_are_found_beside_the_settings(tmp_path, monkeypatch):
+    """From any folder; and a module of this name from elsewhere is not taken for it."""
+    nets, elsewhere = tmp_path / "nets", tmp_path / "elsewhere"
+    code = (
+        "import torch\nfrom networks import colour_network\ndef mine(weights):\n"
+        "    network = colour_network()\n"
+        "    network.load_state_dict(torch.load(weights, weights_only=True))\n"
+        "    return network\n"
+    )
+    settings = "network: beside_yaml:mine\narguments: {weights: best.pth}\nmean: [0, 0, 0]\n"
+    for folder in (nets, elsewhere):
+        folder.mkdir()
+        (folder / "beside_yaml.py").write_text(code)
+        (folder / "net.yaml").write_text(settings + "std: [1, 1, 1]\n")
+        torch.save(colour_network().state_dict(), folder / "best.pth")
+    monkeypatch.chdir(tmp_path)
+    assert_right(Segmenter.load("nets/net.yaml", SPACE))
+    assert str(nets) not in sys.path
+    with pytest.raises(ValueError, match=r"beside_yaml is loaded already, .*nets/.*; rename .*els"):
+        open_network(elsewhere / "net.yaml")
+    (nets / "net.yaml").write_text(settings.replace("best", "none"))
+    message = r"^beside_yaml:mine\(weights: none\.pth\) fails: none\.pth: No such file"
+    with pytest.raises(ValueError, match=message):
+        open_network("nets/net.yaml")
+    (tmp_path / "hubconf.py").write_text("def mine(weights): return open(weights)\n")
+    (tmp_path / "hub.yaml").write_text(
+        f"network: torchhub:{tmp_path}/mine\narguments: {{weights: none.pth}}\n"
+    )
+    with pytest.raises(OSError, match=r"mine cannot be loaded: none\.pth: No such file"):
+        open_network("hub.yaml")
+
+
+def test_weights_alone_are_told_to_need_a_function(tmp_path, refusal):
+    torch.save(colour_network().state_dict(), tmp_path / "net.pth")
+    (tmp_path / "net.yaml").write_text("network: net.pth\n")
+    for name in ("net.pth", "net.yaml"):
+        message = "net.pth can only be the weights of a network; expected MODULE:NAME, a function"
+        assert message in refusal("labels", tmp_path / name)
+    (tmp_path / "code.yaml").write_text("network: broken_code:mine\n")
+    (tmp_path / "broken_code.py").write_text("def mine(:\n")
+    assert "no network 'broken_code:mine': invalid syntax" in refusal(
+        "labels", tmp_path / "code.yaml"
+    )
+    (tmp_path / "code.yaml").write_text("network: net.pth\narguments: 3\n")
+    assert "arguments must be names with values, got 3" in refusal("labels", tmp_path / "code.yaml")
+
+
+def test_settings_without_a_network_are_no_label_space(tmp_path, refusal):
+    (tmp_path / "net.yaml").write_text("mean: [0, 0, 0]\nclasses: 0:19\n")
+    assert "net.yaml names no network; expected network: NAME" in refusal(
+        "labels", tmp_path / "net.yaml"
+    )
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ import pytest
 import torch
 from drawings import SPACE
 from helpers import street
-from networks import PLAIN, colour_network, photo
+from networks import PLAIN, Street, Then, colour_network, photo
 from PIL import Image
 from segmenting import LABELS, NOISE, assert_right, write_photos
 from torch import nn
@@ -98,7 +98,9 @@ def test_what_fails_in_a_batch_is_tried_alone_and_named(tmp_path):
 
 def test_a_long_picture_is_not_resized_to_any_size():
     segmenter = Segmenter(colour_network(), SPACE, SegmenterConfig(size=2000))
-    with pytest.raises(ValueError, match="at 1x40: has 2000 x 80000 pixels; expected at most"):
+    with pytest.raises(
+        ValueError, match="at 1x40, fed at 2000x80000: has 2000 x 80000 pixels; expected at most"
+    ):
         segmenter([NOISE[:1].repeat(2, 1)[:, :40]])
 
 
@@ -131,3 +133,18 @@ def test_what_is_no_image_is_an_error(image):
 def test_settings_out_of_range(settings, message):
     with pytest.raises(ValueError, match=message):
         SegmenterConfig(**settings)
+
+
+def test_where_a_network_fails_it_is_told_at_what_size_it_was_fed():
+    """And what settings may mend it, unless they are given or it fails for another reason."""
+    picture = [np.zeros((30, 40, 3), np.uint8)]
+    hint = "; a network for one size, or for sides that are multiples of a number, needs size: or m"
+    for settings, fed in (({}, ""), ({"size": 90}, ", fed at 90x120")):
+        with pytest.raises(ValueError, match=f"fails at 30x40{fed}: Sizes of tensors .*{hint}"):
+            Segmenter(Street(), SPACE, PLAIN, **settings)(picture)
+    with pytest.raises(ValueError, match=r"fails at 30x40, fed at 90x120: Sizes [^;]*$"):
+        Segmenter(Street(), SPACE, PLAIN, size=(90, 120))(picture)
+    assert Segmenter(Street(), SPACE, PLAIN, size=90, multiple=16)(picture)
+    broken = Then(lambda scores: int("x"))
+    with pytest.raises(ValueError, match=r"fails at 30x40: invalid literal [^;]*$"):
+        Segmenter(broken, SPACE, PLAIN)(picture)

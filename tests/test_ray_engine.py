@@ -186,6 +186,17 @@ def test_another_network_in_an_actor_is_refused(tmp_path, photos, segmenter, pic
     assert len(pictures) == 0
 
 
+def test_ray_that_does_not_start_is_an_error_in_one_line(files, database, monkeypatch):
+    def fail(**settings):
+        raise RuntimeError("no room in\n/dev/shm")
+
+    ray = sys.modules["ray"]
+    monkeypatch.setattr(ray, "is_initialized", lambda: False)
+    monkeypatch.setattr(ray, "init", fail)
+    with pytest.raises(OSError, match=r"^Ray does not start: no room in /dev/shm$"):
+        encode_with_ray(HEAD, files, database, TWO)
+
+
 def test_too_few_gpus_are_an_error(photos, segmenter, pictures):
     few = r"^the cluster has \d+ GPUs, expected 999 for each worker$"
     with pytest.raises(ValueError, match=few):

@@ -271,11 +271,19 @@ def test_wrong_use_is_one_line(head, maps, town, tmp_path, run):
     damaged.write_bytes(town.read_bytes())
     Path(f"{damaged}.frames.txt").write_text("a/1\n")
     flip_byte(damaged, 0)
+    lonely = tmp_path / "lonely.npy"
+    lonely.write_bytes(town.read_bytes())
+    Path(f"{lonely}.fingerprint.txt").write_text(f"{CONFIG.fingerprint}\n")
+    (tmp_path / "empty").mkdir()
     for arguments, message in [
-        ((tmp_path / "none.onnx", maps), "No such file"),
+        ((tmp_path / "none.onnx", maps), "none.onnx does not exist"),
+        ((tmp_path / "none.onnx",), "none.onnx does not exist"),
         ((other, maps), "no metadata ssrvlad.*"),
         ((cut, maps), str(cut)),
-        ((head, tmp_path / "nowhere"), "holds no frames"),
+        ((head, tmp_path / "nowhere"), "nowhere does not exist; expected a file or a folder of fr"),
+        ((head, tmp_path / "empty"), "empty holds no frames"),
+        ((head, maps, "--database", tmp_path / "no.npy"), "no.npy does not exist"),
+        ((head, maps, "--database", lonely), "lonely.npy.frames.txt does not exist; expected the"),
         ((head, maps, "--database", damaged), "expected an array in a .npy file"),
         ((head, maps, "--database", head), f"{head}: expected an array in a .npy file"),
         ((head, *sorted(maps.iterdir()), maps), "is a second frame monday/"),

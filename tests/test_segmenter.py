@@ -1,13 +1,16 @@
 """From images to descriptors."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 import torch
+import yaml
 from drawings import SIGN, SKY, SPACE
 from helpers import street
 from kornia.enhance import Denormalize, Normalize
 from kornia.geometry import Resize
-from networks import PLAIN, Then, colour_network, photo
+from networks import PLAIN, Then, colour_network, photo, write_graph
 from segmenting import LABELS, PHOTOS, write_image, write_photos
 from torch import nn
 
@@ -26,6 +29,27 @@ def test_kornia_a_network_and_the_head_are_one_module():
                           colour_network(), head)  # fmt: skip
     images = torch.from_numpy(np.stack(PHOTOS)).permute(0, 3, 1, 2) / 255
     assert torch.equal(whole(images), head(torch.from_numpy(np.stack(LABELS))))
+
+
+def test_settings_are_keyword_arguments(tmp_path):
+    """They are those of a YAML file, by the same names and in the same forms."""
+    given = {"size": [24, 32], "mean": [0, 0, 0], "std": [1, 1, 1], "colour_order": "bgr",
+             "classes": "0:12"}  # fmt: skip
+    segmenter = Segmenter(colour_network(), SPACE, **given)
+    write_graph(tmp_path / "net.onnx")
+    (tmp_path / "net.yaml").write_text(yaml.safe_dump({"network": "net.onnx", **given}))
+    by_file = Segmenter.load(tmp_path / "net.yaml", SPACE)
+    assert segmenter.config == dataclasses.replace(by_file.config, output=None)
+    assert segmenter.config.classes == (0, 12)
+    one = PHOTOS[:1]
+    np.testing.assert_array_equal(segmenter(one), by_file(one))
+    other = Segmenter(segmenter.network, SPACE, segmenter.config, colour_order="rgb")
+    assert other.config == dataclasses.replace(segmenter.config, colour_order="rgb")
+    np.testing.assert_array_equal(other(one), LABELS[:1])
+    with pytest.raises(ValueError, match="unknown setting 'means'; expected size, longest, mult"):
+        Segmenter(colour_network(), SPACE, means=(0, 0, 0))
+    with pytest.raises(ValueError, match="mean must be three numbers, got 3"):
+        Segmenter(colour_network(), SPACE, mean=3)
 
 
 def test_progress_moves_while_the_network_works(tmp_path):

@@ -44,7 +44,9 @@ class Database:
             note(f"only {which} has features: frames are matched by their label maps alone")
         elif features:
             self.signs = _rows(signs, features, 4)
-        self.frames = beside(path, "frames").read_text(encoding="utf-8").splitlines()
+        if not (ids := beside(path, "frames")).exists():
+            raise ValueError(f"{ids} does not exist; expected the ids of {path}, one a line")
+        self.frames = ids.read_text(encoding="utf-8").splitlines()
         for rows in (self.descriptors, self.signs):
             if rows is not None and len(rows) != len(self.frames):
                 raise ValueError(f"{path}: {rows.shape} for {len(self.frames)} frames")

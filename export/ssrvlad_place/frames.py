@@ -42,6 +42,8 @@ def find_frames(
         files = [path for path in source.glob("[!.]*") if path.suffix.lower() in suffixes]
         if source.is_file():
             files = [source]
+        elif not source.exists():
+            raise ValueError(f"{source} does not exist; expected a file or a folder of frames")
         if not files:
             raise ValueError(f"{source} holds no frames; expected {', '.join(suffixes)} files")
         for path in files:

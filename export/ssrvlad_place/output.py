@@ -16,6 +16,8 @@ def note(line: str) -> None:
 
 def one_line(error: Exception) -> str:
     """The message of an error as one line, never empty."""
+    if isinstance(error, FileNotFoundError) and error.filename:
+        return f"{error.filename} does not exist"
     return " ".join(str(error).split()) or type(error).__name__
 
 

@@ -12,14 +12,14 @@ import numpy.typing as npt
 from ..channels import channel
 from ..config import SSRVLADConfig
 from ..descriptor import SSRVLAD
-from ..files import check_output, replacing, requiring
+from ..files import check_output, one_line, replacing, requiring
 from ..segmentation.features import PROBES
 from ..segmentation.onnx_files import load_model, save_model
 from ..segmentation.onnx_network import OnnxNetwork
 from ..segmentation.segmenter import Segmenter
 from .export import head_model
-from .golden import PATCHES, outputs_of, patches
-from .label_graph import label_graph
+from .golden import outputs_of, photograph
+from .label_graph import EXAMPLE, label_graph
 from .metadata import PREFIX, Arrays, Metadata
 from .runtimes import OnnxRuntime, Run
 from .trace import interface, join, opset, with_opset
@@ -146,7 +146,7 @@ def _fuse(
     form = interface(model)
 
     def describe(file: Path) -> dict[str, str]:
-        golden = _golden(OnnxRuntime().open(file), expected, head)
+        golden = _golden(OnnxRuntime().open(file), expected, head, segmenter)
         metadata = Metadata.of(head.config, head.label_space, form, golden)
         return metadata.to_properties() | extra
 
@@ -164,31 +164,31 @@ def _golden_image(segmenter: Segmenter, features: bool) -> Arrays:
     network, error = segmenter.network, ValueError("takes no picture")
     count = (network.batch if isinstance(network, OnnxNetwork) else None) or 1
     for height, width in sorted(PROBES):
-        rng, pictures = np.random.default_rng(0), []
-        for _ in range(count):  # patches of a few colours, so that the image compresses well
-            drawn = patches(rng, height, width)
-            colours = rng.integers(0, 9, (PATCHES, 3)) * 255 // 8
-            pictures.append(colours[drawn].astype(np.uint8))
-        images = np.stack(pictures)
+        rng = np.random.default_rng(0)
+        pictures = [photograph(rng, height, width) for _ in range(count)]
         try:
             said = segmenter.segment(pictures, features)
         except ValueError as reason:
             error = reason
             continue
-        golden = {IMAGE: images, LABELS: np.stack([each.labels for each in said])}
+        golden = {IMAGE: np.stack(pictures), LABELS: np.stack([each.labels for each in said])}
         signs = [each.features for each in said if each.features is not None]
         return golden | ({FEATURES: np.stack(signs)} if signs else {})
     raise error
 
 
-def _golden(run: Run, expected: Arrays, head: SSRVLAD) -> Arrays:
+def _golden(run: Run, expected: Arrays, head: SSRVLAD, segmenter: Segmenter) -> Arrays:
     """The golden image, the labels and features that the graph gives it, and the module's outputs
     for those labels if the head is in the graph. If the graph disagrees with the segmenter or with
     the module, it is a ValueError."""
-    outputs = run({IMAGE: expected[IMAGE]})
+    try:
+        outputs = run({IMAGE: expected[IMAGE]})
+        problem = problem_of_network(outputs, expected)
+    except Exception as error:  # runtimes have no common error type
+        problem = f"the graph fails: {one_line(error)}"
+    if problem:
+        raise ValueError(f"of a golden image, {problem}{_cause(run, segmenter)}")
     golden = {name: outputs.get(name, array) for name, array in expected.items()}
-    if problem := problem_of_network(outputs, expected):
-        raise ValueError(f"of a golden image, {problem}")
     if "descriptor" not in outputs:
         return golden
     module = outputs_of(head, outputs[LABELS])
@@ -196,6 +196,23 @@ def _golden(run: Run, expected: Arrays, head: SSRVLAD) -> Arrays:
         if not np.allclose(outputs[name], array, rtol=0, atol=1e-6):
             raise ValueError(f"the fused head gives another {name} than the PyTorch module")
     return golden | module
+
+
+def _cause(run: Run, segmenter: Segmenter) -> str:
+    """Why a graph gives other labels than the module of which it was traced: if it is right at the
+    traced size, what Python computed of this size has become a constant."""
+    fixed = isinstance(segmenter.config.size, tuple)
+    if fixed or isinstance(segmenter.network, OnnxNetwork):
+        return ""
+    picture = photograph(np.random.default_rng(0), *EXAMPLE)
+    traced, [labels] = run({IMAGE: picture[None]})[LABELS], segmenter([picture])
+    if (traced[0] != labels).mean() > MAX_OTHER_PIXELS:
+        return ""
+    return (
+        f"; at {EXAMPLE[0]}x{EXAMPLE[1]} it is right: the network computes with the size in "
+        "Python, and the traced graph has the result for that size as a constant; a fixed size "
+        "mends it, size: [H, W] in a YAML file"
+    )
 
 
 def problem_of_network(got: Arrays, expected: Arrays) -> str:

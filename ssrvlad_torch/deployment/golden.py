@@ -104,6 +104,13 @@ def patches(rng: np.random.Generator, height: int, width: int) -> npt.NDArray[np
     return nearest
 
 
+def photograph(rng: np.random.Generator, height: int, width: int) -> npt.NDArray[np.uint8]:
+    """``(height, width, 3)``, patches of a few colours, so that the picture compresses well."""
+    drawn = patches(rng, height, width)
+    colours = rng.integers(0, 9, (PATCHES, 3)) * 255 // 8
+    return colours[drawn].astype(np.uint8)
+
+
 def _drawn(head: SSRVLAD, ids: Array, size: tuple[int, int], seed: int) -> npt.NDArray[np.int64]:
     """``(H, W)``: each pixel has the id of the nearest of some random points, or is a speck. Every
     second map has a strip of open layers from top to bottom, which moves the vanishing column."""

@@ -9,12 +9,13 @@ from torch import Tensor, nn
 
 from ..channels.channel import FEATURES as NAME
 from ..files import one_line
+from ..segmentation.activations import is_script
 from ..segmentation.features import NetworkFeatures
 from ..segmentation.label_network import LabelNetwork
 from ..segmentation.network_outputs import classes_of, enlarged
 from ..segmentation.onnx_files import load_model
 from ..segmentation.onnx_network import OnnxNetwork
-from ..segmentation.preparation import InputForm, Preparation, SegmenterConfig
+from ..segmentation.preparation import OF_SIDES, InputForm, Preparation, SegmenterConfig
 from ..stages.features import SHAPE, Features
 from .trace import OPSET, Axes, join, opset, traced, with_opset
 
@@ -25,7 +26,7 @@ FEATURES = f"{NAME}/"
 """Prefix of the names of the nodes and tables that make features of activations."""
 
 _IMAGE = ("B", "H", "W", 3)
-_EXAMPLE = (66, 98)
+EXAMPLE = (66, 98)
 """Height and width of the pictures that a module is traced with; the values are arbitrary."""
 
 
@@ -119,17 +120,17 @@ class _Whole(nn.Module):
 
 
 def _traced_network(labels: LabelNetwork, features: NetworkFeatures | None) -> onnx.ModelProto:
-    example = torch.zeros(2, *_EXAMPLE, 3, dtype=torch.uint8)
+    if any(map(is_script, labels.network.modules())):
+        raise ValueError("TorchScript cannot be traced; fuse the module that it was made of")
+    example = torch.zeros(2, *EXAMPLE, 3, dtype=torch.uint8)
     try:
         with torch.inference_mode():
             narrow = labels.run(example)[0].is_floating_point()
     except RuntimeError as error:
-        size = "x".join(map(str, labels.config.network_size(*_EXAMPLE)))
-        hint = "; a network for one size, or for sides that are multiples of a number, needs size: "
-        hint += "or multiple: in a YAML file"
+        size = "x".join(map(str, labels.config.network_size(*EXAMPLE)))
         raise ValueError(
             f"fails with 2 pictures of {size}, and a file takes any number of any size: "
-            f"{one_line(error)}{'' if labels.config.resizes else hint}"
+            f"{one_line(error)}{'' if labels.config.resizes else f'; {OF_SIDES}'}"
         ) from error
     module = _Whole(labels, torch.uint8 if narrow else torch.int64, features)
     forms: dict[str, Axes] = {"labels": ["B", "H", "W"], NAME: ["B", *SHAPE]}
@@ -151,7 +152,7 @@ def _traced_preparation(
     config: SegmenterConfig, dtype: torch.dtype, channels_last: bool
 ) -> onnx.ModelProto:
     module = _Preparation(Preparation(config, InputForm(dtype, channels_last)))
-    example = torch.zeros(2, *_EXAMPLE, 3, dtype=torch.uint8)
+    example = torch.zeros(2, *EXAMPLE, 3, dtype=torch.uint8)
     forms: dict[str, Axes] = {"numbers": [None] * 4, "picture": ["B", "H", "W"]}
     return traced(module, {"image": (example, _IMAGE)}, forms)
 
@@ -162,9 +163,9 @@ def _traced_decision(
     scores = dtype.is_floating_point
     narrow = classes[1] - classes[0] <= 256 if scores else dtype == torch.uint8
     module = _Decision(axis, classes, torch.uint8 if narrow else torch.int64)
-    sizes = [2, *_EXAMPLE] if axis is None else [2, 33, 49, 25]
+    sizes = [2, *EXAMPLE] if axis is None else [2, 33, 49, 25]
     example = torch.zeros([n or m for n, m in zip(shape, sizes, strict=True)], dtype=dtype)
     axes: Axes = [n or f"n{number}" for number, n in enumerate(shape)]
-    picture = torch.zeros(2, *_EXAMPLE, dtype=torch.uint8)
+    picture = torch.zeros(2, *EXAMPLE, dtype=torch.uint8)
     inputs = {"output": (example, axes), "picture": (picture, ["B", "H", "W"])}
     return traced(module, inputs, {"labels": ["B", "H", "W"]})

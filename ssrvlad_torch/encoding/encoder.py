@@ -127,8 +127,9 @@ def check_segmenter(
         if current.column != channel.column:
             raise ValueError(
                 f"stored descriptors by {channel.column.name} are of {channel.column.fingerprint}, "
-                f"got {current.column.fingerprint}: encode the pictures again, or use what made "
-                "them"
+                f"got {current.column.fingerprint}: encode again, with the file that will be "
+                "deployed, or use what made them; a module, its ONNX file and another size are "
+                "different networks"
             )
     if segmenter and segmenter.label_space != head.label_space:
         raise ValueError(

@@ -147,7 +147,10 @@ def _parts(encoder: PartEncoder, plan: Plan, options: EncodeOptions) -> Iterator
         return
     if not ray.is_initialized():
         os.environ.setdefault("RAY_BACKEND_LOG_LEVEL", "fatal")
-        ray.init(logging_level=logging.ERROR, log_to_driver=False, include_dashboard=False)
+        try:
+            ray.init(logging_level=logging.ERROR, log_to_driver=False, include_dashboard=False)
+        except Exception as error:  # Ray has no common error type for this
+            raise OSError(f"Ray does not start: {one_line(error)}") from error
     logging.getLogger("ray.data").setLevel(logging.CRITICAL)
     ray.data.DataContext.get_current().enable_progress_bars = False
     gpus = options.gpus if encoder.load else 0

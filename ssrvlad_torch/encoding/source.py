@@ -18,7 +18,8 @@ from ..datasets.image_files import find_image_files, read_image
 from ..datasets.label_files import find_label_files, read_label_map
 from ..datasets.layouts import open_dataset
 from ..datasets.names import KnownFolders
-from ..segmentation.networks import AUTO, channels, open_network, runs_code
+from ..segmentation.networks import ACCEPT, AUTO, open_network, runs_code
+from ..segmentation.preparation import channels
 from ..segmentation.segmenter import Segmenter, space_of
 from ..taxonomy import LabelSpace, label_space
 from .results import Note, do_nothing
@@ -184,7 +185,8 @@ def require_network(database: Database, segmenter: Segmenter) -> None:
         got = segmenter.name or "the given network"
         expected = ", ".join(name or "a network without a name" for name in others.values())
         raise ValueError(
-            f"{database.path} was made by {expected} as it was then; {got} gives other label maps"
+            f"{database.path} was made by {expected} as it was then; {got} gives other label maps "
+            "(a module and its ONNX file are two networks: encode with the file to be deployed)"
         )
 
 
@@ -309,7 +311,10 @@ def _segmenter(
         folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "ssrvlad"
     segmenter = Segmenter.load(opened, labels_as, folder, classes)
     if opened.assumed:
-        note(f"{network} does not say how it wants pictures; assumed: {opened.preparation}")
+        note(
+            f"{network} does not say how it wants pictures; assumed: {opened.preparation} "
+            f"({ACCEPT}: true in a YAML file accepts that)"
+        )
     return segmenter
 
 

@@ -5,12 +5,16 @@ coarsest stride if that is finer, or at the stride nearest to it, before the enc
 coarser stride. The encoder is all that does not depend on an operator that raised the resolution,
 one that made a map of at least twice as many cells. Activations with at most half the channels of
 the widest belong to the step to the next stride and do not count.
+
+An activation has the name of its module, and of a module that runs several times ``NAME#CALL``:
+``act#2`` is the output of the second call.
 """
 
 import itertools
 import math
 import threading
 import weakref
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from difflib import get_close_matches
@@ -30,6 +34,8 @@ STRIDE, STRIDES = 8, (4, 32)
 
 HIDDEN = "hidden_states"
 """What the names of the activations of a transformer begin with."""
+
+_CALL = "#"
 
 _RAISING = ("upsample", "convolution", "pixel_shuffle", "unpool", "grid_sampler")
 _RAISING_NODES = ("Resize", "Upsample", "ConvTranspose", "DepthToSpace", "MaxUnpool", "GridSample")
@@ -60,12 +66,12 @@ def find_activations(
 ) -> list[Activation]:
     """The activations of a network that are features, by the rule or by their names, in a run on
     ``numbers``, its input for one picture, ``(1, 3, H, W)`` or of the layout of the graph. A name
-    that is unknown or of something else than ``(B, C, h, w)`` floats, and an encoder without an
-    activation at a stride that is near enough, are a ValueError."""
-    if isinstance(network, OnnxNetwork):
-        found = _of_graph(network, numbers)
-    else:
-        found = _of_module(network, numbers)
+    that is unknown or of something else than ``(B, C, h, w)`` floats, an encoder without an
+    activation at a stride that is near enough, and, without names, a network with a part in
+    TorchScript, whose activations cannot be taken, are a ValueError."""
+    if names is None and any(map(is_script, network.modules())):
+        raise ValueError("the activations of a TorchScript module cannot be taken")
+    found = all_activations(network, numbers)
     if names is None:
         states = [each for each in found if each.name.startswith(HIDDEN)]
         if chosen := _chosen(states) or _chosen(found):
@@ -84,6 +90,14 @@ def find_activations(
                 f"features: expected (B, C, h, w) floats, {name} is {by_name[name].shape}"
             )
     return [by_name[name] for name in names]
+
+
+def all_activations(network: nn.Module, numbers: Tensor) -> list[Activation]:
+    """All activations of a network in a run on ``numbers``, in order, those that cannot be features
+    too; see `find_activations`."""
+    if isinstance(network, OnnxNetwork):
+        return _of_graph(network, numbers)
+    return _of_module(network, numbers)
 
 
 def _chosen(found: Sequence[Activation]) -> Activation | None:
@@ -114,30 +128,48 @@ def taken(network: nn.Module, names: Sequence[str]) -> Iterator[dict[str, Tensor
     """Takes activations of a module while it runs in this thread, whatever others run: the mapping
     holds them by name afterwards."""
     values: dict[str, Tensor] = {}
+    wanted = {_call_of(name): name for name in names}
 
-    def take(name: str, output: Tensor) -> None:
-        values[name] = output.clone()  # a later module may change it in place
+    def take(module: str, call: int, output: Tensor) -> None:
+        if name := wanted.get((module, call)):
+            values[name] = output.clone()  # a later module may change it in place
 
-    with _hooked(network, take, names), ExitStack() as stack:
+    modules = {module for module, _ in wanted}
+    with _hooked(network, take, modules), ExitStack() as stack:
         if any(name.startswith(HIDDEN) for name in names):
             stack.enter_context(_hidden_states(network, values))
         yield values
 
 
+def _call_of(name: str) -> tuple[str, int]:
+    """The module of an activation and the number of its call, from 1."""
+    module, _, call = name.partition(_CALL)
+    return (module, int(call)) if call.isdecimal() else (name, 1)
+
+
+def is_script(module: nn.Module) -> bool:
+    """Whether a module is in TorchScript."""
+    return isinstance(module, torch.jit.ScriptModule)
+
+
 @contextmanager
 def _hooked(
-    network: nn.Module, take: Callable[[str, Tensor], None], names: Collection[str] | None = None
+    network: nn.Module,
+    take: Callable[[str, int, Tensor], None],
+    names: Collection[str] | None = None,
 ) -> Iterator[None]:
-    """Gives the names and outputs of modules, or of those named, that run in this thread."""
-    own = threading.get_ident()
+    """Gives the names of modules, or of those named, that run in this thread, the number of the
+    call, and its output. A module in TorchScript takes no hooks."""
+    own, calls = threading.get_ident(), Counter[str]()
 
     def hook(name: str, _module: nn.Module, _inputs: object, output: object) -> None:
         if isinstance(output, Tensor) and threading.get_ident() == own:
-            take(name, output)
+            calls[name] += 1
+            take(name, calls[name], output)
 
     with ExitStack() as stack:
         for name, module in network.named_modules():
-            if name and (names is None or name in names):
+            if name and (names is None or name in names) and not is_script(module):
                 stack.callback(module.register_forward_hook(partial(hook, name)).remove)
         yield
 
@@ -187,15 +219,21 @@ def _of_module(network: nn.Module, numbers: Tensor) -> list[Activation]:
     """All activations of one run but the output, in order."""
     size, states = numbers.shape[2:], dict[str, Tensor]()
     seen: list[tuple[Activation, weakref.ref[Tensor]]] = []
-    operators = _Operators()
+    operators, calls = _Operators(), Counter[str]()
 
-    def note(name: str, output: Tensor) -> None:
-        activation = _activation(name, output, size, output in operators.raised)
+    def note(name: str, call: int, output: Tensor) -> None:
+        calls[name] = call
+        activation = _activation(f"{name}{_CALL}{call}", output, size, output in operators.raised)
         seen.append((activation, weakref.ref(output)))
 
     with torch.no_grad(), _hidden_states(network, states), _hooked(network, note), operators:
         outputs = [each for each in tree_leaves(network(numbers)) if isinstance(each, Tensor)]
     found = [each for each, value in seen if not any(value() is output for output in outputs)]
+    modules = [_call_of(each.name)[0] for each in found]
+    found = [
+        each if calls[module] > 1 else each._replace(name=module)
+        for module, each in zip(modules, found, strict=True)
+    ]
     return [*found, *(_activation(name, state, size) for name, state in states.items())]
 
 

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from ..files import one_line
 from ..stages.features import COLUMNS, ROWS, SIGNS, Features
-from .activations import Activation, find_activations
+from .activations import find_activations
 from .label_network import LabelNetwork
 from .onnx_network import OnnxNetwork
 
@@ -36,7 +36,8 @@ class NetworkFeatures(nn.Module):
 
     def __init__(self, labels: LabelNetwork, digest: str) -> None:
         super().__init__()
-        self.activations = _activations(labels, labels.config.features)
+        numbers = probed(labels)
+        self.activations = find_activations(labels.network, numbers, labels.config.features)
         self.names = [each.name for each in self.activations]
         self.signs = Features([each.shape[1] for each in self.activations])
         if isinstance(labels.network, OnnxNetwork):
@@ -56,7 +57,9 @@ class NetworkFeatures(nn.Module):
 
 
 @torch.inference_mode()
-def _activations(labels: LabelNetwork, names: Sequence[str] | None) -> list[Activation]:
+def probed(labels: LabelNetwork) -> Tensor:
+    """The input of the network for a picture of the first of `PROBES` that it takes; a ValueError
+    if it takes none."""
     reason = ValueError("takes no picture")
     for height, width in PROBES:
         probe = np.random.default_rng(0).integers(0, 256, (1, height, width, 3), np.uint8)
@@ -66,5 +69,5 @@ def _activations(labels: LabelNetwork, names: Sequence[str] | None) -> list[Acti
         except Exception as error:  # networks raise many kinds of errors
             reason = ValueError(f"the network fails at {height}x{width}: {one_line(error)}")
             continue
-        return find_activations(labels.network, numbers, names)
+        return numbers
     raise reason

@@ -69,9 +69,16 @@ def choose_output(
 def take_output(
     result: object, space: LabelSpace, name: str | None = None, classes: Classes = None
 ) -> Tensor:
-    """The output that holds labels, see `choose_output`, from the result of a network: a tensor, a
-    mapping of names to tensors, an object with ``logits``, or a tuple, whose tensors are named
-    ``0``, ``1`` and so on."""
+    """The output that holds labels, see `choose_output`, from the result of a network."""
+    tensors = tensors_of(result)
+    forms = {key: form_of(tensor) for key, tensor in tensors.items()}
+    return tensors[choose_output(forms, space, name, classes)]
+
+
+def tensors_of(result: object) -> dict[str, Tensor]:
+    """The tensors in the result of a network by name: a tensor, a mapping of names to tensors, an
+    object with ``logits``, or a tuple, whose tensors are named ``0``, ``1`` and so on. A result
+    without tensors is an UnrecognisedError."""
     if isinstance(result, Tensor):
         named: Mapping[object, object] = {"output": result}
     elif isinstance(result, Mapping):
@@ -83,8 +90,7 @@ def take_output(
     tensors = {str(key): value for key, value in named.items() if isinstance(value, Tensor)}
     if not tensors:
         raise UnrecognisedError(f"the network gives a {type(result).__name__} without tensors")
-    forms = {key: form_of(tensor) for key, tensor in tensors.items()}
-    return tensors[choose_output(forms, space, name, classes)]
+    return tensors
 
 
 def channel_counts(space: LabelSpace, classes: Classes = None) -> range:

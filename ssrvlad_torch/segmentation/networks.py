@@ -22,6 +22,13 @@ AUTO = "auto"
 
 _GIVEN = {"mean", "std", "white", "colour_order"}
 """Settings of which one, given, shows that the preparation was thought of."""
+
+ACCEPT = "accept_defaults"
+"""The key of a YAML file that accepts what is assumed of a network, so that nothing is noted."""
+
+_KEYS = ("network", "labels_as", "arguments", ACCEPT)
+"""Keys of a YAML file that are no settings of the preparation."""
+_WEIGHTS = (".pth", ".pt", ".ckpt", ".bin", ".safetensors", ".pkl")
 _MASK_NETWORKS = ("maskformer", "mask2former", "oneformer")
 _WHERE = "FILE.onnx, FILE.yaml, hf:ORG/NAME[@REVISION], a folder, torchhub:REPO/MODEL, MODULE:NAME"
 
@@ -54,9 +61,10 @@ def open_network(name: str | Path) -> NamedNetwork:
         name: one of
 
             - the path of an ``.onnx`` file;
-            - the path of a ``.yaml`` file with ``network``, one of these names, in which a path is
-              relative to the file, and those settings of `SegmenterConfig` that are not the
-              defaults; also ``labels_as``, and ``arguments`` for a function;
+            - the path of a ``.yaml`` file with ``network``, one of these names, and those settings
+              of `SegmenterConfig` that are not the defaults; also ``labels_as``, ``arguments`` for
+              a function, and ``accept_defaults``. Paths, modules and files are looked for beside
+              the file first;
             - ``hf:ORG/NAME`` or ``hf:ORG/NAME@REVISION`` of the Hugging Face hub, or a folder in
               that format (extra ``hf``): any model for semantic segmentation, with the settings
               of its image processor;
@@ -82,7 +90,10 @@ def runs_code(name: str) -> bool:
     return not data and not name.startswith("hf:")
 
 
-def _open(name: str, settings: dict[str, Any], arguments: dict[str, Any]) -> NamedNetwork:
+def _open(
+    name: str, settings: dict[str, Any], arguments: dict[str, Any], folder: Path | None = None
+) -> NamedNetwork:
+    """A network by its name, which is in a YAML file in a folder, or was given alone."""
     path, assumed = Path(name), not _GIVEN & settings.keys()
     if path.suffix.lower() in (".yaml", ".yml"):
         return _of_file(path)
@@ -103,7 +114,12 @@ def _open(name: str, settings: dict[str, Any], arguments: dict[str, Any]) -> Nam
         with _quiet(name):
             network = torch.hub.load(repository, model, source=source, trust_repo=True, **arguments)
     elif ":" in name:
-        network = _function(name)(**arguments)
+        network = _called(name, arguments, folder)
+    elif path.suffix.lower() in _WEIGHTS:
+        raise ValueError(
+            f"{name} can only be the weights of a network; expected MODULE:NAME, a function in "
+            "Python that makes the network and loads them"
+        )
     else:
         raise ValueError(f"no network {name!r}; expected {_WHERE}")
     if not isinstance(network, nn.Module):
@@ -115,24 +131,24 @@ def _of_file(path: Path) -> NamedNetwork:
     """The network that a YAML file names, with its settings."""
     name, document = _named(path)
     labels_as, arguments = document.pop("labels_as", None), document.pop("arguments", {})
-    names = [field.name for field in dataclasses.fields(SegmenterConfig)]
-    unknown = [key for key in document if key not in names]
-    if unknown:
-        expected = ", ".join(("network", "labels_as", "arguments", *names))
-        raise ValueError(f"{path}: unknown setting {unknown[0]!r}; expected {expected}")
-    if isinstance(document.get("classes"), str):
-        document["classes"] = channels(document["classes"])
-    settings: dict[str, Any] = {
-        k: tuple(v) if isinstance(v, list) else v for k, v in document.items()
-    }
+    accepted = document.pop(ACCEPT, False)
     try:
-        SegmenterConfig(**settings)
+        config = SegmenterConfig.of(document, _KEYS)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
-    network = _open(name, settings, arguments)
+    settings = {key: getattr(config, key) for key in document}
+    if not isinstance(arguments, dict):
+        raise ValueError(f"{path}: arguments must be names with values, got {arguments!r}")
+    if not isinstance(accepted, bool):
+        raise ValueError(f"{path}: {ACCEPT} must be true or false, got {accepted!r}")
+    for key, value in arguments.items():
+        if isinstance(value, str) and value and (path.parent / value).exists():
+            arguments[key] = str(path.parent / value)
+    network = _open(name, settings, arguments, path.parent)
     if labels_as and (path.parent / str(labels_as)).is_file():
         labels_as = str(path.parent / labels_as)
-    return dataclasses.replace(network, name=str(path), labels_as=labels_as)
+    assumed = network.assumed and not accepted
+    return dataclasses.replace(network, name=str(path), labels_as=labels_as, assumed=assumed)
 
 
 def _named(path: Path) -> tuple[str, dict[str, Any]]:
@@ -149,26 +165,41 @@ def _named(path: Path) -> tuple[str, dict[str, Any]]:
     return name, document
 
 
-def channels(text: str | None) -> tuple[int, int] | None:
-    """``"0:19"`` as two numbers; ``None`` stays ``None``; other text is a ValueError."""
-    if text is None:
-        return None
-    first, colon, last = text.partition(":")
-    if not colon or not last.isdigit() or not (first or "0").isdigit():
-        raise ValueError(f"classes must be FIRST:LAST, LAST not included, got {text!r}")
-    return int(first or 0), int(last)
-
-
-def _function(name: str) -> Callable[..., object]:
-    """The function in a Python module, in this folder too, that ``MODULE:NAME`` names."""
-    module, _, function = name.partition(":")
-    sys.path.insert(0, str(Path.cwd()))
+def _called(name: str, arguments: dict[str, Any], folder: Path | None) -> object:
+    """What the function gives that ``MODULE:NAME`` names; an error of the function names what it
+    was given."""
+    function = _function(name, folder)
     try:
-        return cast(Callable[..., object], getattr(import_module(module), function))
-    except (ImportError, AttributeError, ValueError) as error:
+        return function(**arguments)
+    except Exception as error:  # a user's code
+        given = ", ".join(f"{key}: {value}" for key, value in arguments.items())
+        raise ValueError(f"{name}({given}) fails: {_reason(error)}") from error
+
+
+def _function(name: str, folder: Path | None) -> Callable[..., object]:
+    """The function that ``MODULE:NAME`` names in a Python module: beside the YAML file, in this
+    folder, or on the path."""
+    module, _, function = name.partition(":")
+    places = [str(each.absolute()) for each in (folder, Path()) if each is not None]
+    sys.path[:0] = places
+    try:
+        loaded = import_module(module)
+        found = cast(Callable[..., object], getattr(loaded, function))
+    except Exception as error:  # a user's code
         raise ValueError(f"no network {name!r}: {one_line(error)}; expected {_WHERE}") from error
     finally:
-        sys.path.pop(0)
+        del sys.path[: len(places)]
+    own, path = getattr(loaded, "__file__", None), Path(places[0], *module.split("."))
+    beside = next((p for p in (path / "__init__.py", path.with_suffix(".py")) if p.is_file()), None)
+    if own and beside and not beside.samefile(own):
+        raise ValueError(f"another module {module} is loaded already, {own}; rename {beside}")
+    return found
+
+
+def _reason(error: Exception) -> str:
+    """An error in one line, with the file that is missing or cannot be read."""
+    file = getattr(error, "filename", None)
+    return f"{file}: {one_line(error)}" if file else one_line(error)
 
 
 class MaskScores(nn.Module):
@@ -259,7 +290,7 @@ def _quiet(name: str) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        reason = one_line(error).partition(" Check your internet")[0]
+        reason = _reason(error).partition(" Check your internet")[0]
         raise OSError(f"{name} cannot be loaded: {reason}") from error
     except Exception as error:  # the libraries raise many kinds of errors
         raise ValueError(f"{name} cannot be used: {one_line(error)}") from error

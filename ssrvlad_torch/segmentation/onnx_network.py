@@ -146,10 +146,14 @@ class OnnxNetwork(nn.Module):
         threads = torch.get_num_threads()
         return open_session(content, self.path, provider, CPU, settings, threads)
 
+    def metadata(self) -> dict[str, str]:
+        """The metadata properties of the file."""
+        return dict(self._session.get_modelmeta().custom_metadata_map)
+
     def class_names(self) -> dict[int, str]:
         """Names of its classes by channel, from the metadata that exporters write: a mapping or a
         list, in JSON or as a Python literal, as of Ultralytics. Others are empty."""
-        properties = self._session.get_modelmeta().custom_metadata_map
+        properties = self.metadata()
         keys = ("id2label", "names", "classes", "class_names")
         text = next((properties[key] for key in keys if key in properties), "")
         names: Any = {}

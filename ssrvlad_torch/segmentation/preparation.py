@@ -1,6 +1,9 @@
 """The preparation of pictures for a network: the settings and the module."""
 
-from dataclasses import dataclass
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 
 import torch
@@ -8,6 +11,12 @@ from torch import Tensor, nn
 from torch.nn.functional import interpolate
 
 from ..files import check_pixels
+
+OF_SIDES = (
+    "a network for one size, or for sides that are multiples of a number, needs size: or "
+    "multiple: in a YAML file"
+)
+"""What may be wrong where a network fails at a size."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +80,19 @@ class SegmenterConfig:
             if not fits:
                 raise ValueError(f"{name} must be {expected}, got {getattr(self, name)!r}")
         check_pixels(sides[0], sides[-1])
+
+    @classmethod
+    def of(cls, settings: Mapping[str, Any], others: Sequence[str] = ()) -> SegmenterConfig:
+        """Settings by their names, as in a YAML file: a list counts as a tuple, and ``classes`` may
+        be a text, ``"0:19"``. An unknown name is a ValueError that lists the known ones, and
+        before them the ``others`` that stand beside settings."""
+        names = [*others, *(field.name for field in fields(cls))]
+        if unknown := [name for name in settings if name not in names]:
+            raise ValueError(f"unknown setting {unknown[0]!r}; expected {', '.join(names)}")
+        plain = {k: tuple(v) if isinstance(v, list) else v for k, v in settings.items()}
+        if isinstance(plain.get("classes"), str):
+            plain["classes"] = channels(plain["classes"])
+        return cls(**plain)
 
     @property
     def resizes(self) -> bool:
@@ -148,6 +170,16 @@ class Preparation(nn.Module):
         if self.form.channels_last:
             numbers = numbers.permute(0, 2, 3, 1)
         return numbers.to(self.form.dtype)
+
+
+def channels(text: str | None) -> tuple[int, int] | None:
+    """``"0:19"`` as two numbers; ``None`` stays ``None``; other text is a ValueError."""
+    if text is None:
+        return None
+    first, colon, last = text.partition(":")
+    if not colon or not last.isdigit() or not (first or "0").isdigit():
+        raise ValueError(f"classes must be FIRST:LAST, LAST not included, got {text!r}")
+    return int(first or 0), int(last)
 
 
 def _are_numbers(values: object, count: int, kind: Any, above: float = float("-inf")) -> bool:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import math
 import os
 from collections.abc import Iterator, Sequence
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -23,15 +24,16 @@ from ..datasets.label_files import LabelMap
 from ..datasets.names import absolute
 from ..files import check_pixels, one_line
 from ..taxonomy import LabelSpace, label_space
+from .activations import Activation, all_activations
 from .cache import SegmentedCache
 from .class_names import label_space_of_names
-from .features import NetworkFeatures
-from .identity import digest_of
+from .features import NetworkFeatures, probed
+from .identity import ChangedError, Identity, digest_of, training
 from .label_network import LabelNetwork
 from .network_outputs import UnrecognisedError, channel_counts, classes_of, enlarged
 from .networks import AUTO, NamedNetwork, open_network
 from .onnx_network import OnnxNetwork
-from .preparation import SegmenterConfig
+from .preparation import OF_SIDES, SegmenterConfig
 
 PIXELS_AT_ONCE = 1 << 21
 """Most pixels of a batch for the network, which has at least one image."""
@@ -68,19 +70,25 @@ class Segmenter:
 
     Args:
         network: any module that takes ``(B, 3, H, W)`` floats, or an `OnnxNetwork`. It is put into
-            evaluation mode and runs on the device of its weights.
+            evaluation mode and runs on the device of its weights. It must stay as it is once its
+            label maps have an identity, `key` or `features`, and stay in evaluation mode.
         labels_as: label space of its classes.
-        config: the preparation of its pictures.
+        config: the preparation of its pictures, such as that of another segmenter.
         cache: folder in which `segmented` stores its results, by the content of the image file, the
             settings and the digest of the network (`digest_of`).
         name: of the network for `load`, if it has one.
+        settings: of the preparation, in place of those of ``config``: the keys of a YAML file by
+            their names, ``size``, ``longest``, ``multiple``, ``white``, ``mean``, ``std``,
+            ``colour_order``, ``output``, ``classes`` and ``features``; see `SegmenterConfig`.
 
     Raises:
-        ValueError: the settings or the label space do not fit the ONNX graph.
+        ValueError: a setting is unknown or outside its range, or the settings or the label space do
+            not fit the ONNX graph.
         ImportError: an extra is not installed.
 
     Examples:
-        >>> segmenter = Segmenter(nn.Conv2d(3, 19, 1), "cityscapes-trainids")
+        >>> network = nn.Conv2d(3, 19, 1)
+        >>> segmenter = Segmenter(network, "cityscapes-trainids", size=512, colour_order="bgr")
         >>> (labels,) = segmenter([np.zeros((240, 320, 3), np.uint8)])
         >>> labels.shape
         (240, 320)
@@ -94,14 +102,18 @@ class Segmenter:
         cache: Path | None = None,
         *,
         name: str = "",
+        **settings: Any,
     ) -> None:
         self.label_space = space = label_space(labels_as)
-        self.labels = LabelNetwork(network, space, config or SegmenterConfig())
+        given = vars(config) if config else {}
+        self.labels = LabelNetwork(network, space, SegmenterConfig.of({**given, **settings}))
         self.cache, self.name = cache, name
+        self._in_training = training(network)  # a module may ignore eval()
 
     def __getstate__(self) -> dict[str, object]:
-        """Pickles no features: they are taken anew of the network in another process."""
-        return {name: value for name, value in self.__dict__.items() if name != "features"}
+        """Pickles no features and no identity: they are taken anew in another process."""
+        own = ("features", "_identity")
+        return {name: value for name, value in self.__dict__.items() if name not in own}
 
     @property
     def network(self) -> nn.Module:
@@ -151,6 +163,8 @@ class Segmenter:
         """The features of the network; if it has none, see `find_activations`, a ValueError."""
         try:
             return NetworkFeatures(self.labels, self._digest())
+        except ChangedError:
+            raise
         except ValueError as error:
             raise ValueError(f"{self.name or 'the network'}: {error}") from error
 
@@ -166,10 +180,17 @@ class Segmenter:
         try:
             _ = self.features
         except ValueError as error:
-            if self.config.features:
+            if self.config.features or isinstance(error, ChangedError):
                 raise
             return str(error)
         return ""
+
+    @torch.inference_mode()
+    def activations(self) -> list[Activation]:
+        """The activations of the network that can be `features` by their names, in the order in
+        which they are computed for one picture. A network that takes no picture is a ValueError."""
+        found = all_activations(self.network, probed(self.labels))
+        return [each for each in found if math.isfinite(each.stride)]
 
     def __call__(self, images: Sequence[Pixels]) -> list[LabelMap]:
         """The label maps of pictures in memory, without the cache; see `segment`."""
@@ -184,7 +205,8 @@ class Segmenter:
 
         Raises:
             ValueError: a picture has another shape or dtype, the network fails, its output is not
-                recognised or holds NaN scores, or it has no features.
+                recognised or holds NaN scores, it has no features, is in training mode, or was
+                changed after its label maps got an identity.
         """
         for image in images:
             if not isinstance(image, np.ndarray):
@@ -219,7 +241,8 @@ class Segmenter:
             features: whether to take the features too, in the same pass.
 
         Raises:
-            ValueError: the network's output is not recognised, or it has no features.
+            ValueError: the network's output is not recognised, it has no features, is in training
+                mode, or was changed meanwhile.
             OSError: the cache cannot be written.
         """
         found = self.features if features else None
@@ -242,7 +265,8 @@ class Segmenter:
             yield from zip((file for file, _ in chunk), results, strict=True)
 
     def key(self) -> str:
-        """The key in the cache, in hex; other networks and settings have other keys."""
+        """The key in the cache, in hex; other networks and settings have other keys. A network that
+        was changed since its first key, or its features, is a ValueError."""
         settings = dataclasses.astuple(dataclasses.replace(self.config, features=None))[:-1]
         key = [REVISION, self._digest(), settings]
         key.append(list(channel_counts(self.label_space, self.config.classes))[:2])
@@ -252,9 +276,17 @@ class Segmenter:
         probe = np.random.default_rng(0).integers(0, 256, (224, 448, 3), np.uint8)
         try:
             labels = b"" if isinstance(self.network, OnnxNetwork) else self([probe])[0].tobytes()
+        except ChangedError:
+            raise
         except ValueError:  # the network does not take pictures of this size
             labels = b"none"
-        return digest_of(self.network, labels)
+        digest = digest_of(self.network, labels)
+        self._identity.take(digest)
+        return digest
+
+    @cached_property
+    def _identity(self) -> Identity:
+        return Identity(self.network)
 
     def _complete(
         self,
@@ -285,6 +317,7 @@ class Segmenter:
         self, pictures: Sequence[Pixels], features: NetworkFeatures | None
     ) -> list[Segmented | ValueError]:
         """What the network says of a batch; if it fails, each picture is tried alone."""
+        self._identity.require(self._in_training)
         images = torch.from_numpy(np.stack(pictures))
         height, width = images.shape[1:3]
         try:
@@ -296,7 +329,7 @@ class Segmenter:
         except Exception as error:  # networks raise many kinds of errors
             if len(pictures) > 1:
                 return [said for picture in pictures for said in self._segment([picture], features)]
-            return [ValueError(f"the network fails at {height}x{width}: {one_line(error)}")]
+            return [ValueError(self._failure(height, width, error))]
         if len(output) != len(images):
             raise ValueError(f"the network gives {len(output)} outputs for {len(images)} images")
         results: list[Segmented | ValueError] = []
@@ -312,6 +345,15 @@ class Segmenter:
                     break
             results.append(Segmented(labels, None if signs is None else signs[number]))
         return results
+
+    def _failure(self, height: int, width: int, error: Exception) -> str:
+        """Why there is no label map of a picture of this size."""
+        fed = self.config.network_size(height, width)
+        at = f", fed at {fed[0]}x{fed[1]}" if fed != (height, width) else ""
+        free = self.config.multiple == 1 and not isinstance(self.config.size, tuple)
+        other = isinstance(error, ValueError | torch.OutOfMemoryError)
+        hint = f"; {OF_SIDES}" if free and not other else ""
+        return f"the network fails at {height}x{width}{at}: {one_line(error)}{hint}"
 
 
 def space_of(

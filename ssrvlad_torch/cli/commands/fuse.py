@@ -32,7 +32,7 @@ def fuse(
     """
     from ...config import SSRVLADConfig
     from ...deployment.fuse import fuse as join
-    from ...segmentation.networks import channels
+    from ...segmentation.preparation import channels
     from ...segmentation.segmenter import Segmenter
 
     segmenter = Segmenter.load(network, labels_as, classes=channels(classes))

@@ -1,10 +1,16 @@
 """``ssrvlad labels``."""
 
+from __future__ import annotations
+
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from ...files import read_yaml
-from ..options import NETWORK, Json, argument
+from ..options import NETWORK, Json, argument, option, switch
 from ..output import print_json, print_table, say
+
+if TYPE_CHECKING:
+    from ...segmentation.segmenter import Segmenter
 
 
 def labels(
@@ -12,19 +18,32 @@ def labels(
     name: str = argument(
         f"Label space: a name or a .yaml file; or segmentation network: {NETWORK}"
     ),
+    labels_as: str | None = option(
+        "Of a network: the label space of its classes. Default: the one of its YAML file, else the "
+        "one of its class names."
+    ),
+    every: bool = switch(
+        "--all",
+        "Of a network: print all activations with channels and strides, and mark those that are "
+        "features. A YAML file chooses others by their names, features: [NAME].",
+    ),
     as_json: Json = False,
 ) -> None:
     """Print the category of each class of a label space. A class has no category if it moves, if
     none fits, or if its name is unknown. Of a network, also print which activations are features.
 
     Example: ssrvlad labels cityscapes-trainids
+    Example: ssrvlad labels seg.yaml --labels-as cityscapes-trainids --all
     """
     from ...segmentation.class_names import category_of_name
+    from ...segmentation.networks import AUTO
     from ...segmentation.segmenter import Segmenter
     from ...taxonomy import CATEGORIES, label_space, label_space_names
 
     of_network = name not in label_space_names() and _is_network(name)
-    segmenter = Segmenter.load(name) if of_network else None
+    if not of_network and (labels_as or every):
+        raise ValueError(f"{name} is a label space; --labels-as and --all are for networks")
+    segmenter = Segmenter.load(name, labels_as or AUTO) if of_network else None
     space = segmenter.label_space if segmenter else label_space(name)
     try:
         features, problem = segmenter and segmenter.features, ""
@@ -32,34 +51,61 @@ def labels(
         features, problem = None, str(error)
     rows = []
     for label in space.classes:
-        unknown = segmenter and category_of_name(label.name) is None
+        unknown = segmenter and not labels_as and category_of_name(label.name) is None
         rows.append((label.id, label.name, "unknown name" if unknown else label.category))
+    names = features.names if features else []
+    activations = _activations(segmenter, names) if segmenter and every else []
     if as_json:
         classes = [dict(zip(("id", "name", "category"), row, strict=True)) for row in rows]
-        names = features and features.names
-        print_json({"name": space.name, "classes": classes, "features": names})
+        found = {"name": space.name, "classes": classes, "features": features and names}
+        print_json(found | ({"activations": activations} if every else {}))
         return
-    from rich.table import Table
-
-    table = Table("id", "name", "category")
-    for row in rows:
-        table.add_row(*map(str, row))
-    print_table(table)
+    _print_table(("id", "name", "category"), rows)
     out = [class_name for _, class_name, category in rows if category not in CATEGORIES]
     say(
         f"{space.name}: {len(rows) - len(out)} of {len(rows)} classes have a category; left out: "
         f"{', '.join(out) or 'none'}"
     )
+    if every:
+        _print_table(("activation", "channels", "height", "width", "stride", ""), [
+            (each["name"], *each["shape"][1:], f"{each['stride']:.3g}", _remark(each))
+            for each in activations
+        ])  # fmt: skip
     if segmenter:
         taken = ", ".join(map(str, features.activations)) if features else f"none: {problem}"
         say(f"features: {taken}")
 
 
+def _activations(segmenter: Segmenter, names: list[str]) -> list[dict[str, Any]]:
+    return [
+        {"name": each.name, "shape": each.shape, "stride": each.stride, "raised": each.raised,
+         "chosen": each.name in names}
+        for each in segmenter.activations()
+    ]  # fmt: skip
+
+
+def _remark(activation: dict[str, Any]) -> str:
+    if activation["chosen"]:
+        return "features"
+    return "after the resolution was raised" if activation["raised"] else ""
+
+
+def _print_table(head: tuple[str, ...], rows: list[tuple[Any, ...]]) -> None:
+    from rich.table import Table
+
+    table = Table(*head)
+    for row in rows:
+        table.add_row(*map(str, row))
+    print_table(table)
+
+
 def _is_network(name: str) -> bool:
-    """Whether a name belongs to a network: a YAML file with the key ``network``, or another name
-    that has a colon or a suffix, or is a path that exists."""
+    """Whether a name belongs to a network: a YAML file with the key ``network``, or without a name
+    and a source, which a label space has, or another name that has a colon or a suffix, or is a
+    path that exists."""
     path = Path(name)
     if path.suffix not in (".yaml", ".yml"):
         return ":" in name or bool(path.suffix) or path.exists()
     document = read_yaml(name) if path.is_file() else None
-    return isinstance(document, dict) and "network" in document
+    of_space = {"name", "source"}
+    return isinstance(document, dict) and ("network" in document or not of_space & document.keys())
