@@ -7,6 +7,7 @@ import pytest
 import torch
 import torch.nn.functional as F
 from drawings import SPACE
+from drives import write_maps
 from segmenting import write_photos, write_settings
 
 from ssrvlad_torch import Database, Map
@@ -64,12 +65,15 @@ def test_encode_stores_it(stored, photos, ssrvlad):
     assert "brightness" in ssrvlad("db", "info", stored)[1]
 
 
-def test_query_and_locate_use_it(stored, ssrvlad, photos, tmp_path):
+def test_query_and_locate_use_it(stored, settings, ssrvlad, photos, tmp_path):
     today = write_photos(tmp_path / "today", range(4, 28), (60, 80))
     for options, weighed in (((), {"ssr-vlad", "brightness"}), (("--channel", "brightness"), ())):
-        code, out, _ = ssrvlad("query", stored, today, *options, "--json")
+        code, out, err = ssrvlad(
+            "query", stored, today, "--segmenter", settings, *options, "--json"
+        )
+        assert code == 0, err
         first, *_ = answers = [json.loads(line) for line in out.splitlines()]
-        assert code == 0 and len(answers) == 24
+        assert len(answers) == 24
         best = {answer["query"]: answer["candidates"][0]["frame"] for answer in answers}
         assert best == {f"today/{n}": f"monday/{n}" for n in range(4, 28)}
         assert set(first["steps"]["weights"]["today"]) == set(weighed)
@@ -82,13 +86,15 @@ def test_query_and_locate_use_it(stored, ssrvlad, photos, tmp_path):
 def test_loops_weigh_it(ssrvlad, settings, tmp_path):
     round_trips = write_photos(tmp_path / "monday", range(14), (60, 80))
     for number in range(14, 28):
-        (round_trips / f"{number}.png").write_bytes((round_trips / f"{number - 14}.png").read_bytes())
+        (round_trips / f"{number}.png").write_bytes(
+            (round_trips / f"{number - 14}.png").read_bytes()
+        )
     memory = tmp_path / "loops.ssrdb"
     code, out, _ = ssrvlad(
         "loops", round_trips, "--segmenter", settings, "--exclude", 8, "--memory", memory,
         "--channel", "brightness",
     )  # fmt: skip
-    assert code == 0 and "monday/20: monday/6" in out
+    assert code == 0 and "monday/25: monday/11 " in out
     assert "brightness " in out.splitlines()[-1]
     columns = [column.name for column in Database.open(memory).columns]
     assert columns == ["ssr-vlad", "brightness"]
@@ -104,7 +110,8 @@ def test_a_map_has_it_beside_all_others(settings, photos, tmp_path):
     assert {each.query == each.candidates[0].frame for each in answers} == {True}
 
 
-def test_label_maps_have_it_not(ssrvlad, maps, stored, refusal, tmp_path):
+def test_label_maps_have_it_not(stored, refusal, tmp_path):
+    maps = write_maps(tmp_path / "maps", range(3))
     line = refusal("encode", maps, "-o", tmp_path / "b", "--labels-as", SPACE, "--channel",
                    "brightness")  # fmt: skip
     assert "--channel brightness needs images as SOURCE and --segmenter" in line
