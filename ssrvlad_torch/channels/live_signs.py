@@ -22,8 +22,8 @@ class LiveSigns:
     bytes.
 
     Scores are those of `channels.signs`, each frame without the mean of its sequence as in
-    `LiveVectors`. The products of each frame with the mean of the present sequence are sums
-    of products of frames, which are whole numbers: a new frame adds its own.
+    `LiveVectors`. Products with the running mean are kept as sums of whole numbers, so a new
+    frame is one addition.
     """
 
     def __init__(self, shape: tuple[int, ...]) -> None:

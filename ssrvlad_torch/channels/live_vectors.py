@@ -19,8 +19,8 @@ _MIN_SQUARE = 1e-9
 _LENGTH_TOLERANCE = 1e-3
 
 BEFORE = 10
-"""How many frames the mean of all earlier sequences counts in that of a sequence: its first frames
-have nearly all in common, which is where they are."""
+"""A new sequence's mean starts as the mean of all earlier sequences, weighted as this number of
+frames: what its own first frames have in common is their place."""
 
 
 class GrowingArray:

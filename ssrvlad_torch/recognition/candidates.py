@@ -223,7 +223,7 @@ class CandidateFilter:
         return inside & (self._sequence(targets) == self._sequence(rows))
 
     def _fresh(self, rows: Tensor, listed: Tensor) -> tuple[float, Tensor]:
-        """The fraction of the rows elsewhere that is listed now; which were listed before."""
+        """Fraction of unlisted rows that became listed; mask of rows listed before."""
         known = torch.isin(listed, rows, assume_unique=True)
         return int((~known).sum()) / max(1, self._length - len(rows)), known
 

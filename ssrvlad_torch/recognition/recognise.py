@@ -22,7 +22,7 @@ from .motion import Motion
 from .standardise import MIN_FRAMES
 
 NO_SEQUENCE = "no, no sequence"
-"""How queries are followed of which the data do not show that they run the map."""
+"""Reported as the way of following where no sequence was found in the map."""
 
 
 @dataclass(frozen=True)
@@ -34,9 +34,9 @@ class Steps:
             than `standardise.MIN_FRAMES` queries, and the references for it, stay raw; so does all
             for a map of fewer references.
         sweep: use all anchors of queries that have several, see `sweep.narrowed`.
-        follow: see `follow.follow`; ``None`` judges each query alone. So are sequences of which
-            the data do not show that they run the map, see `courses.course`, and those whose
-            answers the decoy beats without exception.
+        follow: see `follow.follow`; ``None`` judges each query alone. Queries are also judged
+            alone if they fit the map no better than its reverse, see `courses.course`, or if the
+            decoy beats every answer.
         delay: number of later queries that an online answer waits for.
 
     Raises:
