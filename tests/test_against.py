@@ -1,6 +1,7 @@
 """A network's ONNX file against the network in PyTorch."""
 
 import json
+import sys
 import warnings
 
 import pytest
@@ -51,7 +52,8 @@ def export(network, path, size, axes=(0, 2, 3)):
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """Here `mynets` is a module with networks."""
+    """Here is a module with networks."""
+    monkeypatch.delitem(sys.modules, "mynets_of_against", raising=False)
     (tmp_path / "mynets_of_against.py").write_text(MODULE)
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.chdir(tmp_path)

@@ -7,7 +7,7 @@ computes of a size while it is traced becomes a constant. Comparing files with f
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -21,7 +21,7 @@ from ..segmentation.label_network import LabelNetwork
 from ..segmentation.network_outputs import tensors_of
 from ..segmentation.networks import AUTO, NamedNetwork, open_network
 from ..segmentation.onnx_network import OnnxNetwork
-from ..segmentation.preparation import Preparation, SegmenterConfig
+from ..segmentation.preparation import SegmenterConfig
 from ..taxonomy import DYNAMIC, LabelClass, LabelSpace, label_space
 from .fuse import LABELS, MAX_OTHER_PIXELS, NETWORK
 from .golden import photograph
@@ -148,16 +148,15 @@ def _space(graph: NamedNetwork, module: NamedNetwork, config: SegmenterConfig) -
 
 def _channels(module: NamedNetwork, config: SegmenterConfig) -> int:
     """The channels of the class scores of a network, as many as ids of bytes if it gives ids."""
-    module.network.eval()
+    prepared = LabelNetwork(module.network, label_space("cityscapes-trainids"), config)
     for size in SIZES:
         try:
-            result = module.network(Preparation(config)(_picture(*size)))
+            result = module.network(prepared.numbers(_picture(*size)))
         except Exception as error:  # networks raise many kinds of errors
             reason = one_line(error)
             continue
-        tensors: Mapping[str, Tensor] = tensors_of(result)
-        name = config.output if config.output in tensors else None
-        names = [each for each in (name, "out", "logits", *tensors) if each in tensors]
-        scores = [tensors[n] for n in names if tensors[n].ndim == 4]
+        tensors = tensors_of(result)
+        names = (str(config.output), "out", "logits", *tensors)
+        scores = [tensors[n] for n in names if n in tensors and tensors[n].ndim == 4]
         return scores[0].shape[1] if scores and scores[0].is_floating_point() else _IDS
     raise ValueError(f"{module.name} fails: {reason}")

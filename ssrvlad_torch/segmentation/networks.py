@@ -191,7 +191,7 @@ def _function(name: str, folder: Path | None) -> Callable[..., object]:
         del sys.path[: len(places)]
     own, path = getattr(loaded, "__file__", None), Path(places[0], *module.split("."))
     beside = next((p for p in (path / "__init__.py", path.with_suffix(".py")) if p.is_file()), None)
-    if own and beside and not beside.samefile(own):
+    if own and beside and beside.resolve() != Path(own).resolve():
         raise ValueError(f"another module {module} is loaded already, {own}; rename {beside}")
     return found
 

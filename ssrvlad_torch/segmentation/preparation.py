@@ -89,7 +89,8 @@ class SegmenterConfig:
         names = [*others, *(field.name for field in fields(cls))]
         if unknown := [name for name in settings if name not in names]:
             raise ValueError(f"unknown setting {unknown[0]!r}; expected {', '.join(names)}")
-        plain = {k: tuple(v) if isinstance(v, list) else v for k, v in settings.items()}
+        plain: dict[str, Any] = dict(settings)
+        plain |= {k: tuple(v) for k, v in settings.items() if isinstance(v, list)}
         if isinstance(plain.get("classes"), str):
             plain["classes"] = channels(plain["classes"])
         return cls(**plain)
