@@ -32,21 +32,11 @@ from ssrvlad_torch.taxonomy import label_space_names
 
 torch.set_num_threads(1)
 
-LONG = (
-    "test_export test_descriptor test_cli test_export_describe test_wheel test_commands_features "
-    "test_synthetic_city test_notebook test_loop_closure test_fuse test_readme test_export_loops "
-    "test_verify test_export_cpp test_place_model test_guides test_report test_writer test_engine "
-    "test_live_loops test_activations test_native test_loop_stream test_index test_imports "
-    "test_commands_report test_run_onnx test_export_web test_crashes test_export_adapters"
-)
-"""The files that take longest, in this order: graphs are traced by the first."""
-
 
 def pytest_collection_modifyitems(items):
-    """The files that take long come first, so that workers which share the files end together."""
-    order = LONG.split()
-    rank = {name: place for place, name in enumerate(order)}
-    items.sort(key=lambda item: rank.get(item.path.stem, len(order)))
+    """The longest files come first, so that workers which share the files end together."""
+    size = cache(lambda path: path.stat().st_size)
+    items.sort(key=lambda item: -size(item.path))
 
 
 settings.register_profile("steady", max_examples=16, derandomize=True, deadline=None)
@@ -69,7 +59,7 @@ def core():
 ROOT = Path(__file__).parents[1]
 
 
-ABOVE = {"baselines", "cli", "encoding", "evaluation", "loops"}
+ABOVE = {"baselines", "cli", "encoding", "evaluation", "loops", "map.py", "search"}
 """Rooms that no traced graph depends on."""
 
 

@@ -49,8 +49,7 @@ def traced(
         outputs: axes of each output by name.
     """
     with requiring("onnx", "ONNX graphs need"):
-        from onnx_ir.passes import common
-        from onnxscript import optimizer
+        import onnxscript  # noqa: F401
     log = logging.getLogger("torch.onnx")
     level, auto = log.level, torch.export.Dim.AUTO
     log.setLevel(logging.ERROR)
@@ -77,18 +76,7 @@ def traced(
                 optimize=False,  # its rules of rewriting take long and make no runtime faster
             )
             assert program is not None
-            optimizer.fold_constants(program.model, onnx_shape_inference=True)
-            for tidy in (
-                common.RemoveUnusedNodesPass(),
-                common.LiftConstantsToInitializersPass(lift_all_constants=True, size_limit=0),
-                common.LiftSubgraphInitializersToMainGraphPass(),
-                common.DeduplicateInitializersPass(),
-                common.CommonSubexpressionEliminationPass(),
-                common.OutputFixPass(),
-                common.NameFixPass(),
-                common.ClearMetadataAndDocStringPass(),
-            ):
-                tidy(program.model)
+            _tidy(program.model)
     except Exception as error:  # the exporter can raise anything
         raise ValueError(f"cannot be traced: {one_line(error)}") from error
     finally:
@@ -102,6 +90,25 @@ def traced(
             elif given is not None:
                 axis.dim_param = given
     return model
+
+
+def _tidy(model: Any) -> None:
+    """Folds the constants of a model of onnx_ir, and leaves out what is unused or there twice."""
+    from onnx_ir.passes import common
+    from onnxscript import optimizer
+
+    optimizer.fold_constants(model, onnx_shape_inference=True)
+    for change in (
+        common.RemoveUnusedNodesPass(),
+        common.LiftConstantsToInitializersPass(lift_all_constants=True, size_limit=0),
+        common.LiftSubgraphInitializersToMainGraphPass(),
+        common.DeduplicateInitializersPass(),
+        common.CommonSubexpressionEliminationPass(),
+        common.OutputFixPass(),
+        common.NameFixPass(),
+        common.ClearMetadataAndDocStringPass(),
+    ):
+        change(model)
 
 
 def _divided(number: Any, divisor: Any) -> Any:

@@ -153,24 +153,7 @@ def _verify(
     module = _module(metadata)
     text = properties.get(NETWORK)
     fused = FusedNetwork(**parse_json(text, NETWORK)) if text else None
-    result = Verification(
-        runtime.name,
-        metadata.version,
-        metadata.fingerprint,
-        metadata.label_space["name"],
-        fused.name if fused else None,
-        fused.features or None if fused else None,
-    )
-    if metadata.version != package_version():
-        result.warnings.append(
-            f"written by version {metadata.version} of ssrvlad_torch, this is {package_version()}"
-        )
-    if module.config.fingerprint != metadata.fingerprint:
-        result.problems.append(
-            f"fingerprint {metadata.fingerprint} is not that of its settings in this version, "
-            f"{module.config.fingerprint}"
-        )
-    result.warnings.extend(filter(None, [runtime.cpu_fallback(path)]))
+    result = _begun(metadata, module, fused, runtime, path)
     golden, source = metadata.golden_arrays(), path
     if properties.get(SIGNS) != result.features or (FEATURES in golden) != bool(result.features):
         result.problems.append(f"the features are not those that {SIGNS} and {NETWORK} name")
@@ -207,6 +190,31 @@ def _verify(
         _check_frame(result, head, value, module, frame)
         if progress:
             progress(1)
+    return result
+
+
+def _begun(
+    metadata: Metadata, module: SSRVLAD, fused: FusedNetwork | None, runtime: Runtime, path: Path
+) -> Verification:
+    """What is known of a file before it runs."""
+    result = Verification(
+        runtime.name,
+        metadata.version,
+        metadata.fingerprint,
+        metadata.label_space["name"],
+        fused.name if fused else None,
+        fused.features or None if fused else None,
+    )
+    if metadata.version != package_version():
+        result.warnings.append(
+            f"written by version {metadata.version} of ssrvlad_torch, this is {package_version()}"
+        )
+    if module.config.fingerprint != metadata.fingerprint:
+        result.problems.append(
+            f"fingerprint {metadata.fingerprint} is not that of its settings in this version, "
+            f"{module.config.fingerprint}"
+        )
+    result.warnings.extend(filter(None, [runtime.cpu_fallback(path)]))
     return result
 
 

@@ -11,6 +11,7 @@ from ..output import print_json, print_table, say
 
 if TYPE_CHECKING:
     from ...segmentation.segmenter import Segmenter
+    from ...taxonomy import LabelSpace
 
 
 def labels(
@@ -35,7 +36,6 @@ def labels(
     Example: ssrvlad labels cityscapes-trainids
     Example: ssrvlad labels seg.yaml --labels-as cityscapes-trainids --all
     """
-    from ...segmentation.class_names import category_of_name
     from ...segmentation.networks import AUTO
     from ...segmentation.segmenter import Segmenter
     from ...taxonomy import CATEGORIES, label_space, label_space_names
@@ -49,10 +49,7 @@ def labels(
         features, problem = segmenter and segmenter.features, ""
     except ValueError as error:
         features, problem = None, str(error)
-    rows = []
-    for label in space.classes:
-        unknown = segmenter and not labels_as and category_of_name(label.name) is None
-        rows.append((label.id, label.name, "unknown name" if unknown else label.category))
+    rows = _classes(space, of_names=bool(segmenter and not labels_as))
     names = features.names if features else []
     activations = _activations(segmenter, names) if segmenter and every else []
     if as_json:
@@ -62,10 +59,8 @@ def labels(
         return
     _print_table(("id", "name", "category"), rows)
     out = [class_name for _, class_name, category in rows if category not in CATEGORIES]
-    say(
-        f"{space.name}: {len(rows) - len(out)} of {len(rows)} classes have a category; left out: "
-        f"{', '.join(out) or 'none'}"
-    )
+    have = f"{space.name}: {len(rows) - len(out)} of {len(rows)} classes have a category"
+    say(f"{have}; left out: {', '.join(out) or 'none'}")
     if every:
         _print_table(("activation", "channels", "height", "width", "stride", ""), [
             (each["name"], *each["shape"][1:], f"{each['stride']:.3g}", _remark(each))
@@ -74,6 +69,17 @@ def labels(
     if segmenter:
         taken = ", ".join(map(str, features.activations)) if features else f"none: {problem}"
         say(f"features: {taken}")
+
+
+def _classes(space: LabelSpace, of_names: bool) -> list[tuple[int, str, str]]:
+    """Id, name and category of each class; ``of_names``: the names of the classes decide."""
+    from ...segmentation.class_names import category_of_name
+
+    return [
+        (label.id, label.name, "unknown name" if unknown else label.category)
+        for label in space.classes
+        for unknown in [of_names and category_of_name(label.name) is None]
+    ]
 
 
 def _activations(segmenter: Segmenter, names: list[str]) -> list[dict[str, Any]]:

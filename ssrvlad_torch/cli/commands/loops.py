@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,6 +17,10 @@ from ..options import Json, MaybePreset, SourceOptions, StoredChannels, option
 from ..output import finish, note, print_json, say, weights_in_words
 
 if TYPE_CHECKING:
+    from ...database.database import Database
+    from ...encoding.results import Encoded, Skipped
+    from ...encoding.source import Source, Wanted
+    from ...loops.detector import LoopDetector
     from ...loops.result import LoopResult
 
 STDIN = "-"
@@ -53,59 +57,98 @@ def loops(
     Example: ssrvlad loops maps/monday --labels-as camvid-11 --picture loops.png
     """
     from ...database.database import Database
-    from ...datasets.names import sequence_of
-    from ...encoding.plan import check_folders
-    from ...encoding.results import Skipped
     from ...encoding.source import open_network_of, open_source
-    from ...files import require_picture, write_picture
+    from ...files import require_picture
     from ...loops import stream
-    from ...loops.picture import draw_loops
 
     live, wanted = STDIN in source.paths, source.wanted()
-    if live and (len(source.paths) > 1 or wanted.given(*LEFT_OUT)):
-        raise ValueError(
-            f"SOURCE {STDIN} takes no other SOURCE, no --layout, --poses, --largest-gap, --topic, "
-            "--fps, --every and --start"
-        )
+    if live:
+        _check_stdin(wanted)
     config = LoopConfig(exclude, threshold, sweep)
     stored = Database.open(memory) if memory and Database.exists(memory) else None
     if picture:
         require_picture(picture)
     opened = (open_network_of if live else open_source)(wanted, stored, note=note)
-    segmenter = opened.segmenter
     detector, database = stream.open_detector(
-        config, memory, preset, opened.labels_as, segmenter, channel, note
+        config, memory, preset, opened.labels_as, opened.segmenter, channel, note
     )
-    if live:
-        names = map(os.fsdecode, sys.stdin.buffer)
-        frames = stream.encode_as_they_come(detector, names, source.sequence, segmenter, database)
+    frames = (_described_live if live else _described)(detector, opened, database)
+    results, skipped = _printed(stream.detect_loops(detector, frames, database), as_json)
+    if results or skipped or as_json or not len(detector):
+        summary = stream.report(detector, results, tolerance_metres)
+        _print_report(summary, results, config, as_json)
     else:
-        if database:
-            check_folders(opened.files, database.known())
-        frames = stream.encode_files(detector, opened.files, source.workers, segmenter)
+        count = f"{len(opened.files)} " if opened.files else ""  # names on stdin are not counted
+        say(f"all {count}frames are in the memory already")
+    if picture:
+        _draw(picture, detector, results, tolerance_metres)
+    finish(skipped, len(results))
+
+
+def _check_stdin(wanted: Wanted) -> None:
+    if len(wanted.paths) > 1 or wanted.given(*LEFT_OUT):
+        raise ValueError(
+            f"SOURCE {STDIN} takes no other SOURCE, no --layout, --poses, --largest-gap, --topic, "
+            "--fps, --every and --start"
+        )
+
+
+def _described_live(
+    detector: LoopDetector, source: Source, database: Database | None
+) -> Iterator[Encoded | Skipped]:
+    """The frames whose names arrive on stdin."""
+    from ...loops.stream import encode_as_they_come
+
+    names = map(os.fsdecode, sys.stdin.buffer)
+    sequence = source.wanted.sequence
+    return encode_as_they_come(detector, names, sequence, source.segmenter, database)
+
+
+def _described(
+    detector: LoopDetector, source: Source, database: Database | None
+) -> Iterator[Encoded | Skipped]:
+    """The frames of a source."""
+    from ...encoding.plan import check_folders
+    from ...loops.stream import encode_files
+
+    if database:
+        check_folders(source.files, database.known())
+    return encode_files(detector, source.files, source.wanted.workers, source.segmenter)
+
+
+def _printed(
+    found: Generator[LoopResult | Skipped], as_json: bool
+) -> tuple[list[LoopResult], list[Skipped]]:
+    """The results and the skipped frames of a stream; each result is printed as it comes."""
+    from ...encoding.results import Skipped
+
     results: list[LoopResult] = []
     skipped: list[Skipped] = []
-    with closing(stream.detect_loops(detector, frames, database)) as found:
+    with closing(found):
         for result in found:
             if isinstance(result, Skipped):
                 skipped.append(result)
             else:
                 results.append(result)
                 _print_result(result, as_json)
-    summary = stream.report(detector, results, tolerance_metres)
-    if results or skipped or as_json or not len(detector):
-        _print_report(summary, results, config, as_json)
-    else:
-        count = f"{len(opened.files)} " if opened.files else ""  # names on stdin are not counted
-        say(f"all {count}frames are in the memory already")
-    if picture:
-        pairs = stream.loops_of(detector, results)
-        candidates = stream.candidates_of(detector, results)
-        drives = [sequence_of(frame) for frame in detector.frames]
-        title = ", ".join(dict.fromkeys(drives))
-        figure = draw_loops(pairs, detector.poses, title, tolerance_metres, drives, candidates)
-        write_picture(figure, picture)
-    finish(skipped, len(results))
+    return results, skipped
+
+
+def _draw(
+    picture: Path, detector: LoopDetector, results: Sequence[LoopResult], metres: float | None
+) -> None:
+    """Writes the picture of the loops on the trajectory."""
+    from ...datasets.names import sequence_of
+    from ...files import write_picture
+    from ...loops import stream
+    from ...loops.picture import draw_loops
+
+    pairs = stream.loops_of(detector, results)
+    candidates = stream.candidates_of(detector, results)
+    drives = [sequence_of(frame) for frame in detector.frames]
+    title = ", ".join(dict.fromkeys(drives))
+    figure = draw_loops(pairs, detector.poses, title, metres, drives, candidates)
+    write_picture(figure, picture)
 
 
 def _print_result(result: LoopResult, as_json: bool) -> None:

@@ -1,9 +1,15 @@
 """``ssrvlad query``."""
 
+from __future__ import annotations
+
 import math
+from typing import TYPE_CHECKING
 
 from ..options import AsOf, DatabaseFolder, Json, RecognitionOptions, SourceOptions, option, switch
 from ..output import finish, note, print_json, progress_bar, say
+
+if TYPE_CHECKING:
+    from ...search.answers import Answers
 
 
 def query(
@@ -42,45 +48,44 @@ def query(
     Example: ssrvlad query town.ssrdb maps/today --top 3
     """
     from ...datasets.videos import played
-    from ...evaluation.measure import estimate_in_json
     from ...map import Map
-    from ..words import steps_in_words
 
-    settings = recognition.settings()
+    settings = {**recognition.settings(), "sequences": from_sequence, "exclude": exclude}
     if index and (settings["temporal"] or recognition.channel):
         raise ValueError("--index does not go with a temporal sum or --channel")
     town = Map.open(database, version=as_of)
-    beside = " and ".join(column.name for column in town.database.columns[1:])
+    beside = " and ".join(column.name for column in town.database.columns[1:]) if index else ""
     frames = town.source(source.wanted(), compared=True, note=note)
-    if index and beside:
+    if beside:
         note(f"--index searches descriptors of label maps, without {beside} of {database}")
     with progress_bar("encoding", len(frames.files), played(frames.files)) as bar:
-        answers = town.query(
-            frames,
-            recognition.steps(),
-            top,
-            sequences=from_sequence,
-            exclude=exclude,
-            index=index,
-            progress=bar.advance,
-            **settings,
-        )
+        steps, progress = recognition.steps(), bar.advance
+        answers = town.query(frames, steps, top, index=index, progress=progress, **settings)
+    _print(answers, threshold, as_json, index)
+    finish(answers.skipped, len(answers))
+
+
+def _print(answers: Answers, threshold: float | None, as_json: bool, index: bool) -> None:
+    """Prints the candidates of each query whose score is above a threshold, and the steps."""
+    from ...evaluation.measure import estimate_in_json
+    from ..words import steps_in_words
+
     least = -math.inf if threshold is None else threshold
     used, t = answers.recognised.used, answers.temporal
     for answer in answers:
-        ranked = [each for each in answer.candidates if each.score > least]
+        ranked = [candidate for candidate in answer.candidates if candidate.score > least]
         if as_json:
-            candidates = [{"frame": each.frame, "score": each.score} for each in ranked]
+            candidates = [{"frame": frame, "score": score} for frame, score, _ in ranked]
             details = {"confidence": answer.confidence, "temporal": t, "steps": used}
             details["estimate"] = estimate_in_json(answers.estimate)
             named = {"query": answer.query, "candidates": candidates, "score_is": answer.score_is}
             print_json({**named, **details})
         else:
-            listed = ", ".join(f"{each.frame} {each.score:.4f}" for each in ranked)
+            listed = ", ".join(f"{frame} {score:.4f}" for frame, score, _ in ranked)
             sure = f"{answer.score_is}, confidence {answer.confidence:.2f}"
             say(f"{answer.query}: {listed or 'no candidate'} ({sure})")
     if not as_json:
-        before = ", before --threshold" if least > -math.inf and answers.estimate.accepted else ""
-        way = "candidates of the index, " * index
-        note(way + steps_in_words(used, t, answers.estimate) + before)
-    finish(answers.skipped, len(answers))
+        is_before = threshold is not None and answers.estimate.accepted
+        before = ", before --threshold" if is_before else ""
+        steps = steps_in_words(used, t, answers.estimate)
+        note("candidates of the index, " * index + steps + before)
