@@ -6,14 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from _described import ALONE, BY_SCORES, OF_NETWORKS, Condition, Described
+from _described import ALONE, BY_SCORES, Condition, Described
 from conditions import RESAMPLES
 
 from ssrvlad_torch.evaluation.curves import PrecisionRecall
 from ssrvlad_torch.evaluation.metrics import Convention, evaluate, precision_recall_curve
 from ssrvlad_torch.evaluation.outcomes import judge
 from ssrvlad_torch.recognition.recognise import Steps, recognise, recognise_by_scores
-from ssrvlad_torch.recognition.temporal import temporal_sum
 
 FIGURES = ("RecallRate@1", "RecallRate@5", "AUC-PR", "Recall@100%Precision")
 OFFSET = 10**6
@@ -66,10 +65,8 @@ def decide(
         if method in BY_SCORES:
             one = recognise_by_scores(described.scores(search, method), *names, steps, 5)
         else:
-            (queries, references), beside = described.fused(search, method)
-            if method not in OF_NETWORKS:
-                references = temporal_sum(references, names[1], reach)
-            one = recognise(queries, references, *names, steps, 5, extra=beside)
+            members = described.members(search, method, names[1], reach)
+            one = recognise(members, *names, steps, 5)
         found.append(one)
         truth += [places + number * OFFSET for places in search.truth]
     return Decisions(

@@ -22,12 +22,20 @@ from torch import Tensor
 
 from ssrvlad_torch import SSRVLAD, baselines
 from ssrvlad_torch.baselines.encoder_features import EncoderFeatures
+from ssrvlad_torch.baselines.label_grid import LabelGrid
 from ssrvlad_torch.baselines.lost_x import LoSTX
+from ssrvlad_torch.channels.channel import Channel
+from ssrvlad_torch.channels.features import Features
+from ssrvlad_torch.channels.hog import HOG
+from ssrvlad_torch.channels.label_shapes import LabelShapes
+from ssrvlad_torch.channels.vectors import VectorReferences
 from ssrvlad_torch.datasets.frame_files import FrameFile
 from ssrvlad_torch.datasets.synthetic_city import REFERENCE
 from ssrvlad_torch.evaluation.ground_truth import from_poses
+from ssrvlad_torch.recognition.comparison import Member
 from ssrvlad_torch.recognition.recognise import Steps
 from ssrvlad_torch.recognition.sweep import COLUMNS
+from ssrvlad_torch.recognition.temporal import temporal_sum
 from ssrvlad_torch.segmentation.networks import open_network
 from ssrvlad_torch.segmentation.segmenter import Segmenter
 
@@ -218,13 +226,28 @@ class Described:
         here, there = self.rows(search)
         return queries[here], references[there]
 
-    def fused(
-        self, search: Search, method: str
-    ) -> tuple[tuple[Tensor, Tensor], dict[str, tuple[Tensor, Tensor]]]:
-        """The vectors of a method, or of `default` with those that are fused with it."""
-        members = FUSED.get(method, {})
-        beside = {name: self.pair(search, member) for name, member in members.items()}
-        return self.pair(search, OURS if members else method), beside
+    def members(
+        self, search: Search, method: str, sequences: Sequence[str], reach: int = 0
+    ) -> dict[str, Member]:
+        """What `recognise` compares by a method, or by `default` and what is fused with it.
+
+        Args:
+            sequences: of the references.
+            reach: t of the temporal sum over the references (Eq. 3).
+        """
+        fused = {OURS: OURS, **FUSED[method]} if method in FUSED else {method: method}
+        members = {}
+        for name, each in fused.items():
+            queries, references = self.pair(search, each)
+            if method not in OF_NETWORKS:
+                references = temporal_sum(references, sequences, reach)
+            if each in TRAINED:
+                members[name] = Member(queries, VectorReferences(references, sequences))
+                continue
+            channel = channel_of(each)
+            known = channel.references(references, sequences)
+            members[name] = Member(queries, known, channel.trust)
+        return members
 
     def scores(self, search: Search, method: str) -> Tensor:
         """``(Q, R)`` scores of a method whose encodings are not vectors."""
@@ -270,6 +293,14 @@ class Described:
         if name not in self._known:
             self._known[name] = conditions.kept(self.cache / file, make)
         return self._known[name]
+
+
+@cache
+def channel_of(method: str) -> Channel:
+    """A method whose encodings are vectors or signs as a channel."""
+    if method in SETTINGS:
+        return LabelShapes(head(method, "camvid-11"))
+    return {FEATURES: Features("of a page"), "HOG": HOG(), "label grid": LabelGrid()}[method]
 
 
 @cache

@@ -15,6 +15,7 @@ from PIL import Image
 from torch import Tensor
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig
+from ssrvlad_torch.channels.label_shapes import LabelShapes
 from ssrvlad_torch.database.database import Database
 from ssrvlad_torch.datasets.frame_files import FrameFile
 from ssrvlad_torch.datasets.label_files import find_label_files
@@ -49,7 +50,8 @@ def _in_turn(head: SSRVLAD, files: Sequence[FrameFile], repetitions: int) -> dic
     items = [Item(file) for file in files]
     batches = [items[first : first + BATCH] for first in range(0, len(items), BATCH)]
     ready = [read(head.label_space, batch) for batch in batches]
-    describer, starts = Describer(head), list[float]()
+    describer = Describer([LabelShapes(head)], head.label_space)
+    starts = list[float]()
     by_workers = f"`ssrvlad encode`, {WORKERS} cores"
     ways: dict[str, Callable[[], object]] = {
         "read only, one core": lambda: [read(head.label_space, batch) for batch in batches],

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from _markdown import head_row, row
 
-from ssrvlad_torch import SSRVLAD
+from ssrvlad_torch.channels.label_shapes import LabelShapes
 from ssrvlad_torch.loops.config import LoopConfig
 from ssrvlad_torch.loops.memory import Memory
 from ssrvlad_torch.loops.tracker import Tracker
@@ -30,29 +30,31 @@ def loops_table(sizes: Sequence[int] = SIZES) -> Iterator[str]:
 def timed(size: int) -> np.ndarray:
     """``(FRAMES, 2)`` seconds of a search and of a step. All rows of the map have something in
     common."""
-    length, rng = SSRVLAD().config.length, np.random.default_rng(0)
-    memory, drive = Memory(length), size // DRIVES
+    channel, rng, drive = LabelShapes(), np.random.default_rng(0), size // DRIVES
+    name, length, nowhere = channel.name, channel.length, [np.nan] * 3
+    memory = Memory([channel])
+    live = memory.lives[name]
     common = rng.standard_normal(length, dtype=np.float32)
     for number in range(size):
         if number % drive == 0:
-            memory.start_sequence()
+            live.start_sequence()
         vector = unit(common + rng.standard_normal(length, dtype=np.float32))
-        memory.append(f"{number // drive}/{number}", [np.nan] * 3, vector)
-    memory.start_sequence()
-    tracker = Tracker(LoopConfig(), memory, {})
+        memory.append(f"{number // drive}/{number}", nowhere, {name: vector})
+    live.start_sequence()
+    tracker = Tracker(LoopConfig(), memory)
     taken: list[np.ndarray] = []
     for number in range(WARM_UP + FRAMES):
-        [seen] = memory.descriptors(size - drive + number, size - drive + number + 1)
-        vector = unit(seen + 0.01 * rng.standard_normal(len(seen), dtype=np.float32))
+        [seen] = live.descriptors(size - drive + number, size - drive + number + 1)
+        vector = unit(seen + 0.01 * rng.standard_normal(length, dtype=np.float32))
         swept = np.repeat(vector[None], ANCHORS, axis=0)
         times = [time.process_time()]
-        memory.scores(swept)
+        live.scores(swept)
         times.append(time.process_time())
-        tracker.step(f"now/{number}", swept, {})
+        tracker.step(f"now/{number}", {name: swept})
         times.append(time.process_time())
         if number >= WARM_UP:
             taken.append(np.diff(times))
-        memory.append(f"now/{number}", [np.nan] * 3, vector)
+        memory.append(f"now/{number}", nowhere, {name: vector})
     return np.array(taken)
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from _described import FEATURES, OURS, Described
+from _described import FEATURES, OURS, Described, channel_of
 from _markdown import Page, head_row, interval, row
 from _sure_cases import FOREIGN, camvid_cases, of
 from _tours import CONDITIONS, swept
@@ -28,7 +28,7 @@ from ssrvlad_torch.loops.detector import COLUMNS
 from ssrvlad_torch.recognition.sweep import COLUMNS as ALL_COLUMNS
 
 ALONE: tuple[str, ...] = ()
-METHODS = {"label maps": ALONE, "with features": ("features",)}
+METHODS = {"label maps": ALONE, "with features": (FEATURES,)}
 COUNTS = ("wrong", "elsewhere")
 BLOCK, RESAMPLES, NEAR = 10, 2000, 3
 STREETS = range(300, 308)
@@ -129,13 +129,12 @@ def nothing(name: str, pairs: Sequence[Pair], beside: tuple[str, ...]) -> str:
 
 def detect(pair: Pair, beside: tuple[str, ...]) -> Outcome:
     """Runs a detector over the first drive and then over the second."""
-    extra = [ExtraDescriptor(name, 2048, "page", (16, 16, 8)) for name in beside]
-    loops = LoopDetector(extra=extra)
+    loops = LoopDetector(channels=[channel_of(name) for name in beside])
     right, wrong, elsewhere = np.zeros(len(pair.second.vectors), bool), 0, 0
     for drive, (vectors, others) in (("first", pair.first), ("second", pair.second)):
         for number, vector in enumerate(vectors):
-            here = {name: others[name][number] for name in beside}
-            result = loops.observe(FrameRecord(drive, f"{number}"), vector, here)
+            here = {"ssr-vlad": vector} | {name: others[name][number] for name in beside}
+            result = loops.observe(FrameRecord(drive, f"{number}"), here)
             if not result.accepted:
                 continue
             there, _, place = str(result.candidate).partition("/")
@@ -169,7 +168,7 @@ def conditions(described: Described) -> tuple[list[Pair], list[Pair]]:
 
 def drive(described: Described, name: str) -> Drive:
     labels, features = (described.vectors(name, method) for method in (OURS, FEATURES))
-    return Drive(of_anchors(labels), {"features": features})
+    return Drive(of_anchors(labels), {FEATURES: features})
 
 
 def of_anchors(swept: Tensor) -> Tensor:

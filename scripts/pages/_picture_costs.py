@@ -80,7 +80,7 @@ def _parts(segmenter: Segmenter, head: SSRVLAD, pictures: list[Path]) -> list[fl
         marks.append(time.perf_counter())
         features([result[name] for name in features.names])
         marks.append(time.perf_counter())
-        hog.encode_query([View("picture", picture=pixels)])
+        hog.describe([View("picture", picture=pixels)])
         marks.append(time.perf_counter())
         taken = [sum(pair) for pair in zip(taken, np.diff(marks).tolist(), strict=True)]
     return taken

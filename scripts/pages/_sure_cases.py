@@ -10,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 from _described import FEATURES, OURS, Described
 from conditions import CAMVID_CONDITIONS, METRES, NETWORKS, ROUTES, Search, near_rows
-from torch import Tensor
 
 from ssrvlad_torch.evaluation.ground_truth import from_poses
 
@@ -42,13 +41,6 @@ class Case(NamedTuple):
     name: str
     method: str
     search: Search
-
-    def descriptors(
-        self, described: Described
-    ) -> tuple[Tensor, Tensor, dict[str, tuple[Tensor, Tensor]]]:
-        """Those of queries and of the map, and those beside them."""
-        pair, beside = described.fused(self.search, METHODS[self.method])
-        return *pair, beside
 
 
 def cases(described: Described) -> Iterator[Case]:

@@ -10,7 +10,6 @@ cached in `--cache`.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import NamedTuple
@@ -22,14 +21,10 @@ from _markdown import Page, head_row, interval, parser, row, save
 from _sure_cases import METHODS, Case, cases
 from matplotlib.figure import Figure
 
-from ssrvlad_torch import SSRVLADConfig
-from ssrvlad_torch.baselines.label_grid import LabelGrid
-from ssrvlad_torch.channels.hog import HOG
-from ssrvlad_torch.descriptor import mirrored
 from ssrvlad_torch.evaluation.bootstrap import bootstrap
 from ssrvlad_torch.recognition.confidence import accept, answered, estimate
 from ssrvlad_torch.recognition.follow import NEAR
-from ssrvlad_torch.recognition.recognise import SSR_VLAD, Steps, recognise
+from ssrvlad_torch.recognition.recognise import Steps, recognise
 
 CHOSEN = ("uofa", "0001TP", "city 0")
 STEPS = {
@@ -205,12 +200,10 @@ def draw(outcomes: Outcomes, file: Path) -> None:
 
 def outcome(described: Described, case: Case, steps: str) -> Outcome:
     """Recognises the queries of a case; a sequence of one query is one picture."""
-    queries, references, beside = case.descriptors(described)
-    sequences = [f"{number * (steps == 'one picture')}" for number in range(len(queries))]
-    names = sequences, ["map"] * len(references)
-    mirrors = {SSR_VLAD: MIRRORS.get(case.method, partial(mirrored, config=CONFIG))}
-    pair = queries, references
-    found = recognise(*pair, *names, STEPS[steps], 1, extra=beside, mirrors=mirrors)
+    sequences = [f"{number * (steps == 'one picture')}" for number in range(len(case.search.truth))]
+    known = ["map"] * len(described.rows(case.search)[1])
+    members = described.members(case.search, METHODS[case.method], known)
+    found = recognise(members, sequences, known, STEPS[steps], 1)
     rows = found.matches.indices[:, 0].numpy()
     away = np.array(
         [
@@ -224,10 +217,6 @@ def outcome(described: Described, case: Case, steps: str) -> Outcome:
     }
     right, beats = (away == 0, away <= NEAR), answered(found.sure).numpy()
     return Outcome(*case[:3], found.confidence.numpy(), *right, estimates, beats)
-
-
-CONFIG = SSRVLADConfig()
-MIRRORS = {"HOG": HOG().mirrored, "label grid": LabelGrid().mirrored}
 
 
 if __name__ == "__main__":

@@ -24,8 +24,10 @@ from conditions import REAL
 from torch import Tensor
 
 from ssrvlad_torch import SSRVLAD, Segmenter
+from ssrvlad_torch.channels.vectors import VectorReferences
 from ssrvlad_torch.datasets.image_files import decode_image
 from ssrvlad_torch.datasets.label_files import find_label_files, read_label_map
+from ssrvlad_torch.recognition.comparison import Member
 from ssrvlad_torch.recognition.recognise import Steps, recognise
 from ssrvlad_torch.segmentation.network_outputs import classes_of, enlarged
 from ssrvlad_torch.taxonomy import NO_LAYER, label_space
@@ -97,7 +99,9 @@ def described(
 def rate(here: Tensor, there: Tensor, near: np.ndarray, steps: Steps) -> float:
     """RecallRate@1."""
     alone = [str(n) for n in range(len(here))] if steps == ALONE else ["q"] * len(here)
-    first = recognise(here, there, alone, ["r"] * len(there), steps, 1).matches.indices[:, 0]
+    names = ["r"] * len(there)
+    member = Member(here, VectorReferences(there, names))
+    first = recognise({"x": member}, alone, names, steps, 1).matches.indices[:, 0]
     return float(near[np.arange(len(here)), first.numpy()].mean())
 
 

@@ -74,18 +74,20 @@ def _draw(
 ) -> np.ndarray:
     """``(DRAWS, 3)``: whether each was followed, RecallRate@1 of single frames and default."""
     [search] = condition.searches
-    (queries, references), beside = described.fused(search, method)
     names, random = described.sequences(search)[1], np.random.default_rng(length)
+    members, queries = described.members(search, method, names), len(search.truth)
     results = []
     for _ in range(DRAWS):
         if way == WAYS[0]:
-            rows = random.choice(len(queries), length, replace=False)
+            rows = random.choice(queries, length, replace=False)
         else:
-            rows = random.integers(len(queries) - length) + np.arange(length)
-        drawn = queries[rows], references, ["drawn"] * length, names
-        extra = {name: (here[rows], there) for name, (here, there) in beside.items()}
+            rows = random.integers(queries - length) + np.arange(length)
+        drawn = {
+            name: member._replace(queries=member.queries[rows]) for name, member in members.items()
+        }
         alone, default = (
-            recognise(*drawn, steps, 1, extra=extra) for steps in (Steps(follow=None), Steps())
+            recognise(drawn, ["drawn"] * length, names, steps, 1)
+            for steps in (Steps(follow=None), Steps())
         )
         truth = [search.truth[row] for row in rows]
         rates = [
