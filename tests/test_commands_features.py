@@ -368,7 +368,7 @@ def test_a_torchscript_network_stores_hog_alone_and_says_so(photos, monkeypatch,
     assert code == 0
     (line,) = (each for each in err if "stored without features" in each)
     assert "scripts:street: the activations of a TorchScript module cannot be taken" in line
-    assert [each.name for each in Database.open(photos / "town").extra] == ["hog"]
+    assert [column.name for column in Database.open(photos / "town").columns[1:]] == ["hog"]
     (photos / "script.yaml").write_text("network: scripts:street\nmultiple: 16\n")
     fuse = ("fuse", photos / "script.yaml", "-o", photos / "x.onnx", "--labels-as", SPACE)
     code, _, (line,) = ssrvlad(*fuse)

@@ -118,8 +118,10 @@ def test_wrong_use_is_one_line(main_of, town, tmp_path):
     city = write_city(tmp_path / "city", frames=2, size=(60, 80))
     _, head, exported = town(city.reference)
     follow = partial(main_of, program.main, "follow_onnx.py", head)
-    code, _, err = follow(tmp_path / "none", "--database", exported)
-    assert (code, len(err)) == (2, 1) and "holds no frames" in err[0]
+    (tmp_path / "empty").mkdir()
+    for folder, problem in (("none", "does not exist"), ("empty", "holds no frames")):
+        code, _, err = follow(tmp_path / folder, "--database", exported)
+        assert (code, len(err)) == (2, 1) and problem in err[0]
     np.save(tmp_path / "none.npy", np.zeros((0, 480), np.float32))
     (tmp_path / "none.npy.frames.txt").touch()
     code, _, err = follow(city.query, "--database", tmp_path / "none.npy")

@@ -23,6 +23,7 @@ from ssrvlad_place.model import Seen
 
 from ssrvlad_torch import SSRVLAD, LoopDetector, SSRVLADConfig
 from ssrvlad_torch.channels.features import Features
+from ssrvlad_torch.channels.live_signs import LiveSigns
 from ssrvlad_torch.database.frames import FrameRecord
 from ssrvlad_torch.loops.config import LoopConfig
 
@@ -70,11 +71,16 @@ def signs_of(descriptor):
     return np.packbits(descriptor[:120] @ DRAWN > 0).reshape(SHAPE)
 
 
+class Drawn(Features):
+    def live(self):
+        return LiveSigns(SHAPE)
+
+
 def both(stream, config, features=False):
     """What the program and the package say of a stream."""
     chosen = {name: getattr(config, name) for name in Settings._fields}
     theirs = Detector(Settings(**chosen))
-    ours = LoopDetector(config, HEAD, [Features("drawn")] * features)
+    ours = LoopDetector(config, HEAD, [Drawn("drawn")] * features)
     got, expected = [], []
     for number, (swept, sequence) in enumerate(zip(*stream, strict=True)):
         signs = signs_of(swept[len(swept) // 2]) if features else None
@@ -170,9 +176,13 @@ def test_wrong_use_is_one_line(head, drive, tmp_path, run):
     code, out, (error,) = run(tmp_path / "none.onnx", drive)
     assert (code, out) == (2, "")
     assert error.startswith("loops_onnx: ")
-    code, _, (error,) = run(head, tmp_path / "nowhere")
-    assert (code, error) == (2, f"loops_onnx: {tmp_path / 'nowhere'} holds no frames; expected "
-                             ".png, .npy, .tif, .tiff, .bmp files")  # fmt: skip
+    (tmp_path / "empty").mkdir()
+    for folder, problem in (
+        ("nowhere", "does not exist; expected a file or a folder of frames"),
+        ("empty", "holds no frames; expected .png, .npy, .tif, .tiff, .bmp files"),
+    ):
+        code, _, (error,) = run(head, tmp_path / folder)
+        assert (code, error) == (2, f"loops_onnx: {tmp_path / folder} {problem}")
     for wrong in (("-", drive), (drive, "--exclude", -1), (drive, "--threshold", 2)):
         code, _, errors = run(head, *wrong)
         assert code == 2
