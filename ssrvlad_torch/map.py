@@ -37,6 +37,7 @@ from .evaluation.outcomes import Rows
 from .evaluation.thresholds import SURE_PRECISION
 from .evaluation.true_matches import TrueMatches, Viewpoints
 from .recognition.confidence import accept
+from .recognition.matching import at_least_one
 from .recognition.recognise import AS_PAPER, Steps
 from .recognition.sweep import COLUMNS
 from .search.answers import Answer, Answers
@@ -99,6 +100,8 @@ class Map:
         channels: Sequence[str] | None = None,
         version: int | None = None,
     ) -> None:
+        if not isinstance(path, str | os.PathLike):
+            raise ValueError(f"expected the folder or URI of a map, got {path!r}")
         self.path, self.labels_as = str(path), labels_as
         self.network = (
             network if network is None or isinstance(network, Segmenter) else str(network)
@@ -229,8 +232,10 @@ class Map:
         Raises:
             ValueError: there are no frames, or they do not fit the map.
         """
-        source = frames if isinstance(frames, Source) else self.source(frames, compared=True)
-        steps, top = steps or Steps(), min(top, max(TOP, len(self)))
+        source, steps = self._source(frames), steps or Steps()
+        if not isinstance(steps, Steps):
+            raise ValueError(f"expected steps as Steps, got {steps!r}")
+        top = min(at_least_one(top), max(TOP, len(self)))
         if index:
             found = search_by_index(self.database, source, steps, top, sequences, exclude, progress)
         else:
@@ -276,9 +281,12 @@ class Map:
     def evaluate(
         self,
         frames: Frames | Source,
-        true: TrueMatches,
         steps: Steps | None = None,
         *,
+        ground_truth: Path | None = None,
+        tolerance_metres: float | None = None,
+        tolerance_degrees: float | None = None,
+        tolerance_frames: int | None = None,
         convention: Convention = "exact",
         note: Note = do_nothing,
         **settings: Any,
@@ -287,22 +295,33 @@ class Map:
 
         Args:
             frames, steps, settings: as for `query`.
-            true: what a true match is.
+            ground_truth: a file of true matches, see ``ssrvlad evaluate --help``; by default that
+                of the data set.
+            tolerance_metres, tolerance_degrees, tolerance_frames: instead of it, the largest
+                distance of a true match, by the poses or in frames.
             convention: of the metrics; one that needs the scores of all pairs measures cosines of
                 label maps, without any step.
             note: gets what is left out.
 
         Raises:
-            ValueError: as for `query`, or no true match is known.
+            ValueError: as for `query`, or no true match is defined or known.
         """
+        source = self._source(frames)
+        true = TrueMatches.of(
+            ground_truth, tolerance_metres, tolerance_degrees, tolerance_frames, source.truth
+        )
         pairs = needs_similarity(convention)
         if pairs:
             steps, settings["channels"] = AS_PAPER, [LABEL_SHAPES]
-        source = frames if isinstance(frames, Source) else self.source(frames, compared=True)
         answers = self.query(source, steps, TOP, **settings)
         recognition = self._recognition(answers, source, pairs)
         truth = true.among(recognition.references, recognition.queries, note)
         return Evaluation(measure(recognition, truth, convention), recognition, truth, true.words)
+
+    def _source(self, frames: Frames | Source) -> Source:
+        """The frames to be compared with the map, which must exist."""
+        _ = self.database
+        return frames if isinstance(frames, Source) else self.source(frames, compared=True)
 
     def _wanted(self, frames: Frames) -> Wanted:
         """What the user wants, with the network and the label space of the map."""

@@ -19,7 +19,6 @@ from ssrvlad_torch.datasets.frame_file import FrameFile
 from ssrvlad_torch.datasets.image_files import read_image
 from ssrvlad_torch.descriptor import SSRVLAD
 from ssrvlad_torch.encoding import source as sources
-from ssrvlad_torch.evaluation.true_matches import TrueMatches
 from ssrvlad_torch.loops.config import LoopConfig
 from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
 from ssrvlad_torch.segmentation.segmenter import Segmenter
@@ -163,9 +162,8 @@ def test_a_map_uses_features(photos, maps, runs, ssrvlad):
     assert again.locate(pictures_of(photos / "today")[9]).candidates[0].frame == "monday/9"
     with pytest.raises(ValueError, match="expected images and --segmenter"):
         again.query(maps)  # label maps are still none of its pictures
-    true = TrueMatches.of(None, None, None, 0, None)
     for channel in ("features", "hog"):
-        found = town.evaluate(photos / "today", true, channels=[channel])
+        found = town.evaluate(photos / "today", tolerance_frames=0, channels=[channel])
         assert found.metrics["recall_at"]["1"] == 1
         alike = found.recognition.cosines(np.arange(32), np.arange(32))
         assert alike.argmax(1).tolist() == [*range(32)]

@@ -9,13 +9,13 @@ import torch
 from drawings import SPACE
 from networks import PLAIN, Street
 from segmenting import PHOTOS, write_photos
+from ssrvlad_torch.encoding.extra_descriptors import extra_descriptors
 from torch import nn
 
 from ssrvlad_torch import SSRVLAD
 from ssrvlad_torch.database.database import Database
 from ssrvlad_torch.datasets.image_files import find_image_files, read_image
 from ssrvlad_torch.encoding.encoder import encode_to_database
-from ssrvlad_torch.encoding.extra_descriptors import extra_descriptors
 from ssrvlad_torch.encoding.results import EncodeOptions
 from ssrvlad_torch.segmentation import segmenter as segmentation
 from ssrvlad_torch.segmentation.identity import ChangedError

@@ -1,6 +1,7 @@
 """Known places: drives in, places of pictures and of drives out."""
 
 import math
+import re
 from functools import cache
 from pathlib import Path
 
@@ -15,7 +16,6 @@ from segmenting import counted, write_photos, write_settings
 
 from ssrvlad_torch import Database, Map, Segmenter
 from ssrvlad_torch.encoding.results import EncodeOptions
-from ssrvlad_torch.evaluation.true_matches import TrueMatches
 from ssrvlad_torch.recognition.recognise import AS_PAPER
 from ssrvlad_torch.segmentation.networks import open_network
 
@@ -128,8 +128,7 @@ def test_how_well_a_drive_is_found_is_measured(drawn, tmp_path):
     today = write_maps(tmp_path / "today", range(6))
     notes = []
     for settings in ({}, {"convention": "vpr-tutorial"}):
-        true = TrueMatches.of(None, None, None, 1, None)
-        found = drawn.evaluate(today, true, note=notes.append, **settings)
+        found = drawn.evaluate(today, tolerance_frames=1, note=notes.append, **settings)
         assert found.metrics["recall_at"]["1"] == 1
         assert (found.metrics["queries"], found.metrics["references"]) == (6, 6)
         assert found.metrics["fingerprint"] == drawn.database.fingerprint
@@ -138,7 +137,7 @@ def test_how_well_a_drive_is_found_is_measured(drawn, tmp_path):
         assert (found.recognition.similarity is None) == (not settings)
     assert notes == []
     with pytest.raises(ValueError, match="pose"):
-        drawn.evaluate(today, TrueMatches.of(None, 5.0, None, None, None))
+        drawn.evaluate(today, tolerance_metres=5.0)
 
 
 def test_a_network_runs_once_for_each_picture(tmp_path):
@@ -255,3 +254,24 @@ def test_what_is_no_picture_is_refused(town, photos):
         assert "\n" not in str(error.value)
     with pytest.raises(FileNotFoundError, match=r"No such file or directory: '.*none\.png'"):
         town.locate(photos / "none.png")
+
+
+REFUSED = [
+    (lambda town, today: Map.open(3), "expected the folder or URI of a map, got 3"),
+    (lambda town, today: Map.open("none.ssrdb").query(today), "none.ssrdb does not exist"),
+    (lambda town, today: town.query(today, top=0), "top must be an integer from 1, got 0"),
+    (lambda town, today: town.query(today, "online"), "expected steps as Steps, got 'online'"),
+    (lambda town, today: town.query(today, channels="hog"), "expected a list of channels"),
+    (lambda town, today: town.query(today, channels=["hog"]), "holds ssr-vlad of every frame, not"),
+    (lambda town, today: town.query(today, min_confidence=0.5, max_wrong=0.1), "no min_confidence"),
+    (lambda town, today: town.evaluate(today), "expected one of --ground-truth"),
+    (lambda town, today: town.add(today / "none"), "does not exist"),
+]
+
+
+@pytest.mark.parametrize("call, message", REFUSED, ids=[message for _, message in REFUSED])
+def test_wrong_use_is_one_line(drawn, tmp_path, call, message):
+    today = write_maps(tmp_path / "today", range(2))
+    with pytest.raises(ValueError, match=re.escape(message)) as refusal:
+        call(drawn, today)
+    assert "\n" not in str(refusal.value)

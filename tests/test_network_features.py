@@ -8,11 +8,11 @@ import torch
 from drawings import SPACE
 from networks import PLAIN, Street, colour_network, shared_street, write_street
 from segmenting import PHOTOS, counted, write_photos
+from ssrvlad_torch.encoding.extra_descriptors import extra_descriptors
 from torch import nn
 
 from ssrvlad_torch import reference
 from ssrvlad_torch.datasets.image_files import find_image_files
-from ssrvlad_torch.encoding.extra_descriptors import extra_descriptors
 from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
 from ssrvlad_torch.segmentation.segmenter import Segmenter
 from ssrvlad_torch.stages.features import SHAPE

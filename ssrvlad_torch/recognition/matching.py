@@ -71,9 +71,7 @@ def match(
             "expected queries (Q, D) and references (R, D) of one width D, "
             f"got {tuple(queries.shape)} and {tuple(vectors.shape)}"
         )
-    if not hasattr(top, "__index__") or top < 1:
-        raise ValueError(f"top must be an integer from 1, got {top!r}")
-    top = index(top)
+    top = at_least_one(top)
     excluded = checked_excluded(excluded, (len(queries), len(vectors)))
     if threshold is not None and math.isnan(threshold):
         raise ValueError("threshold: expected a number, got nan")
@@ -100,6 +98,13 @@ def match(
     return Matches(
         scores.masked_fill(no_candidate, -torch.inf), indices.masked_fill(no_candidate, -1)
     )
+
+
+def at_least_one(top: int) -> int:
+    """A number of candidates; another thing than an integer from 1 is a ValueError."""
+    if not hasattr(top, "__index__") or top < 1:
+        raise ValueError(f"top must be an integer from 1, got {top!r}")
+    return index(top)
 
 
 def checked_excluded(excluded: Tensor | None, size: tuple[int, int]) -> Tensor | None:

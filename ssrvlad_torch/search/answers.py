@@ -87,13 +87,13 @@ class Answers:
         return len(self.queries)
 
     def __iter__(self) -> Iterator[Answer]:
-        sure = self.recognised.confidence.tolist()
+        sure, poses = self.recognised.confidence.tolist(), self.references.poses.tolist()
         for number, (query, sequence) in enumerate(
             zip(self.queries.frames, self.queries.sequences, strict=True)
         ):
             scores, rows = (part[number].tolist() for part in self.matches)
             candidates = [
-                Candidate(self.references.frames[row], score, Pose(*self.references.poses[row]))
+                Candidate(self.references.frames[row], score, Pose(*poses[row]))
                 for row, score in zip(rows, scores, strict=True)
                 if row >= 0
             ]
@@ -109,6 +109,8 @@ class Answers:
         """The answers with a confidence of at least ``min_confidence``, or, if ``max_wrong`` is
         given, as many as this fraction of wrong answers permits; the others have no candidate.
         Scores that are rounded above 1 are 1."""
+        if max_wrong is not None and min_confidence:
+            raise ValueError("max_wrong chooses the least confidence; expected no min_confidence")
         sure = self.recognised.sure
         found = estimate(sure, min_confidence) if max_wrong is None else accept(sure, max_wrong)
         least = min_confidence if max_wrong is None else found.confidence

@@ -78,6 +78,8 @@ def search(
 def chosen_channels(database: Database, names: Sequence[str] | None = None) -> list[Channel]:
     """The channels of a database, all or those with these names; others are a ValueError."""
     stored = [column.name for column in database.columns]
+    if isinstance(names, str):
+        raise ValueError(f"expected a list of channels, got the text {names!r}")
     if names is not None and (missing := [name for name in names if name not in stored]):
         raise ValueError(
             f"{database.path} holds {', '.join(stored)} of every frame, not {missing[0]}; encode a "

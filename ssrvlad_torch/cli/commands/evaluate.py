@@ -35,7 +35,6 @@ def evaluate(
 
     Example: ssrvlad evaluate town.ssrdb maps/today --tolerance-metres 5
     """
-    from ...evaluation.true_matches import TrueMatches
     from ...files import check_output
     from ...map import Map
     from ..report import write_page
@@ -47,13 +46,11 @@ def evaluate(
     town.database  # noqa: B018 - is there
     by_poses = None if truth.definition == (None,) * 4 else truth.tolerance_metres is not None
     frames = town.source(source.wanted(by_poses), compared=True, note=note)
-    true = TrueMatches.of(*truth.definition, frames.truth)
     with progress_bar("encoding", len(frames.files)) as bar:
         found = town.evaluate(
             frames,
-            true,
             recognition.steps(),
-            convention=truth.convention,
+            **vars(truth),
             note=note,
             progress=bar.advance,
             **recognition.settings(),
