@@ -227,19 +227,19 @@ class Described:
         return queries[here], references[there]
 
     def members(
-        self, search: Search, method: str, sequences: Sequence[str], reach: int = 0
+        self, search: Search, method: str, sequences: Sequence[str], reach: int | None = None
     ) -> dict[str, Member]:
         """What `recognise` compares by a method, or by `default` and what is fused with it.
 
         Args:
             sequences: of the references.
-            reach: t of the temporal sum over the references (Eq. 3).
+            reach: t of the temporal sum over the references (Eq. 3); by default no sum.
         """
         fused = {OURS: OURS, **FUSED[method]} if method in FUSED else {method: method}
         members = {}
         for name, each in fused.items():
             queries, references = self.pair(search, each)
-            if method not in OF_NETWORKS:
+            if reach is not None and method not in OF_NETWORKS:
                 references = temporal_sum(references, sequences, reach)
             if each in TRAINED:
                 members[name] = Member(queries, VectorReferences(references, sequences))
