@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
 import typer
 
 from ..evaluation.metrics import Convention
+from .output import results_alone
 
 if TYPE_CHECKING:
     from ..recognition.recognise import Steps
@@ -335,7 +336,8 @@ def expand(command: Callable[..., None]) -> Callable[..., None]:
             values[name] = kind(**{each.name: values.pop(each.name) for each in fields(kind)})
             if hasattr(kind, "check"):
                 values[name].check(typed)
-        command(**values)
+        with results_alone():
+            command(**values)
 
     parameters.append(
         inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
