@@ -1,3 +1,6 @@
+import math
+
+import numpy as np
 import pytest
 import torch
 import torch.nn.functional as F
@@ -207,6 +210,25 @@ def test_refuses():
         whole(torch.eye(4), torch.eye(4), excluded=torch.ones(1, 4) > 0)
     with pytest.raises(ValueError, match="expected mirrors of ssr-vlad, got hog"):
         whole(torch.eye(4), torch.eye(4), mirrors={"hog": exchange})
+    for side, pair in {
+        "queries": ("x", torch.eye(4)),
+        "references": (torch.eye(4), "abcd"),
+    }.items():
+        message = f"expected features of {side} as a tensor or an array, got str"
+        names = ["a"] * len(pair[0]), ["a"] * 4
+        with pytest.raises(ValueError, match=message):
+            recognise(torch.eye(4)[: len(pair[0])], torch.eye(4), *names, extra={"features": pair})
+    with pytest.raises(ValueError, match="top must be at most 2147483647"):
+        whole(torch.eye(4), torch.eye(4), top=2**70)
+
+
+@pytest.mark.parametrize("delay", [1.5, math.nan, True, -1, "1", None])
+def test_a_delay_is_a_number_of_queries(delay):
+    with pytest.raises(ValueError, match=f"delay must be an integer from 0, got {delay!r}"):
+        Steps(follow="online", delay=delay)
+    with pytest.raises(ValueError, match="expected 0, or more with follow online, got 2 with off"):
+        Steps(delay=2)
+    assert Steps(follow="online", delay=np.int64(2)) == Steps(follow="online", delay=2)
 
 
 def test_no_queries_give_no_candidates():

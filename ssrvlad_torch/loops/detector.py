@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import torch
 from torch import Tensor
 
 from ..baselines.protocol import Frame
@@ -21,6 +20,7 @@ from ..database.rows import check_records
 from ..datasets.label_files import digest
 from ..descriptor import SSRVLAD, SweepHead
 from ..encoding.extra_descriptors import extra_methods
+from ..recognition.matching import real_tensor
 from ..segmentation.features import NAME as FEATURES
 from ..stages.front_end import as_tensor
 from .config import LoopConfig
@@ -166,7 +166,7 @@ class LoopDetector:
         frame = Frame(frame_id, image=picture)
         others = {each.name: each.encode_query([frame])[0] for each in self._methods}
         if features is not None:
-            others[FEATURES] = torch.tensor(np.asarray(features))
+            others[FEATURES] = real_tensor(features, "features")
         if tensor.ndim == 1:
             return self.observe(record, tensor, others)
         swept = self.head.sweep(tensor[None], self.columns) if self.columns else None
@@ -203,7 +203,11 @@ class LoopDetector:
             last = self._stamps.get(record.sequence, -math.inf)
             if record.frame in self:
                 raise ValueError(f"frame {record.frame!r} was there before")
-            if not math.isnan(record.stamp) and not last <= record.stamp < math.inf:
+            if math.isinf(record.stamp):
+                raise ValueError(
+                    f"frame {record.frame!r}: expected a finite stamp, got {record.stamp}"
+                )
+            if record.stamp < last:
                 raise ValueError(
                     f"frame {record.frame!r}: expected a stamp from {last} on, got {record.stamp}"
                 )

@@ -18,7 +18,7 @@ from .courses import Gain, course
 from .decoys import Lead, Mirror, decoy_scores, lead_over_decoys
 from .display import candidates_table
 from .follow import Mode, Places, Scores, follow, gain, runs
-from .matching import Matches, Rows, Vectors, best_of, checked_excluded
+from .matching import Matches, Rows, Vectors, best_of, checked_excluded, checked_number, real_tensor
 from .motion import Motion
 from .signs import REACH, SignQueries, SignRows, are_signs
 from .signs import mirrored as mirrored_signs
@@ -47,8 +47,8 @@ class Steps:
         delay: number of later queries that an online answer waits for.
 
     Raises:
-        ValueError: ``follow`` is none of these, the delay is negative, or there is a delay and
-            ``follow`` is not online.
+        ValueError: ``follow`` is none of these, the delay is no whole number from 0, or there
+            is a delay and ``follow`` is not online.
     """
 
     standardise: bool = True
@@ -59,7 +59,8 @@ class Steps:
     def __post_init__(self) -> None:
         if self.follow not in (None, "online", "offline"):
             raise ValueError(f"follow: expected online, offline or None, got {self.follow!r}")
-        if self.delay < 0 or (self.delay and self.follow != "online"):
+        object.__setattr__(self, "delay", checked_number("delay", self.delay, least=0))
+        if self.delay and self.follow != "online":
             raise ValueError(
                 f"delay: expected 0, or more with follow online, got {self.delay} with "
                 f"{self.follow or 'no'}"
@@ -134,7 +135,7 @@ def recognise(
     """
     steps = steps or Steps()
     pairs = {SSR_VLAD: (queries, references), **(extra or {})}
-    queries_of = {name: torch.as_tensor(pair[0]) for name, pair in pairs.items()}
+    queries_of = {name: real_tensor(pair[0], f"{name} of queries") for name, pair in pairs.items()}
     sides = {"queries": query_sequences, "references": reference_sequences}
     for pair in pairs.values():
         for (what, names), vectors in zip(sides.items(), pair, strict=True):
@@ -149,7 +150,7 @@ def recognise(
 
     @cache
     def rows_of(name: str, standardised: bool) -> Rows | SignRows:
-        vectors = torch.as_tensor(pairs[name][1])
+        vectors = real_tensor(pairs[name][1], f"{name} of references")
         if are_signs(vectors):
             return SignRows(vectors, reference_sequences if standardised else None)
         vectors = vectors.float()
@@ -266,6 +267,7 @@ def _by_sequence(
     top: int,
 ) -> Recognised:
     """Decides about each sequence of queries, and joins the decisions."""
+    top = checked_number("top", top, least=1)
     decisions = {run: decide(run) for run in runs(sequences)}
     used: dict[str, Any] = {**asdict(steps), "references": references}
     for step in ("standardise", "sweep", "follow", "weights"):
