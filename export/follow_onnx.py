@@ -5,7 +5,8 @@ python export/follow_onnx.py place.onnx photos/today --database photos.npy
 
 Takes the steps of `ssrvlad query` that need no torch. Own mean off: descriptors lose the mean of
 their drive if it has 30 frames, else that of all; so do features, which are fused with them where
-the file and the database have some. Follow: a hidden Markov model over the rows of the map finds
+the file and the database have some, and moved to both sides, as `ssrvlad query` does without
+`--no-sweep`. Follow: a hidden Markov model over the rows of the map finds
 each folder as a sequence, with its later frames too. It does not ask whether the frames are a
 sequence along the map, which `ssrvlad query` does, and it takes every drive to run at 0 to 4 rows a
 frame: give it drives only, and single pictures to `run_onnx.py`. Prints for each frame the best

@@ -37,7 +37,7 @@ from .evaluation.outcomes import Rows
 from .evaluation.thresholds import SURE_PRECISION
 from .evaluation.true_matches import TrueMatches, Viewpoints
 from .recognition.confidence import accept
-from .recognition.matching import at_least_one
+from .recognition.matching import checked_number
 from .recognition.recognise import AS_PAPER, Steps
 from .recognition.sweep import COLUMNS
 from .search.answers import Answer, Answers
@@ -235,7 +235,7 @@ class Map:
         source, steps = self._source(frames), steps or Steps()
         if not isinstance(steps, Steps):
             raise ValueError(f"expected steps as Steps, got {steps!r}")
-        top = min(at_least_one(top), max(TOP, len(self)))
+        top = min(checked_number("top", top, least=1), max(TOP, len(self)))
         if index:
             found = search_by_index(self.database, source, steps, top, sequences, exclude, progress)
         else:

@@ -1,5 +1,6 @@
 """The command line on images: a network by name, its own class names, what maps where."""
 
+import io
 import json
 
 import numpy as np
@@ -221,3 +222,42 @@ def test_a_real_network_finds_what_its_stored_predictions_find(ssrvlad, tmp_path
         )
     )
     assert made["recall_at"]["1"] >= stored["recall_at"]["1"] - 0.02
+
+
+def test_only_results_are_on_stdout_whatever_a_network_prints(ssrvlad, tmp_path, monkeypatch):
+    """With --json each line of stdout is an object, though the network prints where it is built
+    and where it labels."""
+    (tmp_path / "loud.py").write_text(
+        "from networks import Street\n"
+        "class Loud(Street):\n"
+        "    def forward(self, images):\n"
+        "        print('labelling')\n"
+        "        return super().forward(images)\n"
+        "def loud():\n"
+        "    print('built')\n"
+        "    return Loud().eval()\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    photos = write_photos(tmp_path / "photos", range(5), (64, 96))
+    (tmp_path / "truth.json").write_text(json.dumps({"photos/1": ["photos/1"]}))
+    names = "".join(f"{photos / name}.png\n" for name in "123")
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(names.encode())))
+    settings = tmp_path / "net.yaml"
+    settings.write_text(f"network: loud:loud\nmean: [0, 0, 0]\nlabels_as: {SPACE}\n")
+    truth = ("--ground-truth", tmp_path / "truth.json")
+    for number, command in enumerate([
+        ("labels", settings),
+        ("encode", photos, "-o", tmp_path / "town"),
+        ("query", tmp_path / "town", photos),
+        ("locate", photos / "1.png", "--in", tmp_path / "town"),
+        ("evaluate", tmp_path / "town", photos, *truth),
+        ("loops", photos),
+        ("loops", "-"),
+    ]):  # fmt: skip
+        sources._network.cache_clear()
+        cache = ("--segmenter-cache", tmp_path / f"cache {number}")
+        network = ("--segmenter", settings, *cache) if number else ()
+        code, out, err = ssrvlad(*command, *network, "--json")
+        assert code == 0, err
+        assert out and all(isinstance(json.loads(line), dict) for line in out.splitlines()), command
+        assert {"built", "labelling"} <= {*err}, command

@@ -9,7 +9,9 @@ import pytest
 import run_onnx
 import torch
 from cases import REAL, needs_real
-from segmenting import write_drives, write_town
+from helpers import street
+from networks import photo
+from segmenting import write_drives, write_image, write_town
 from test_fusion import TRUST
 
 from ssrvlad_torch import SSRVLADConfig, export_head
@@ -103,6 +105,29 @@ def test_a_drive_with_features_is_found(main_of, tmp_path):
     assert np.mean(right) > 0.9
 
 
+def test_with_features_it_gives_the_rows_of_query_not_those_without_a_sweep(
+    main_of, ssrvlad, tmp_path
+):
+    """It moves features to both sides, as `query` does; these pictures look two cells aside."""
+    write_drives(tmp_path, range(36), (), (96, 128))
+    for seed in range(2, 35):
+        pixels = np.roll(photo(street(seed, 96, 128)), 14, axis=1)
+        write_image(tmp_path / "today" / f"{seed}.png", pixels)
+    database, exported = tmp_path / "town", tmp_path / "town.npy"
+    network = ("--segmenter", tmp_path / "net.yaml", "--labels-as", "camvid-11")
+    ssrvlad("encode", tmp_path / "monday", "-o", database, *network, "--with", "features")
+    ssrvlad("db", "export", database, "--format", "npy", "-o", exported)
+    given = (tmp_path / "place.onnx", tmp_path / "today", "--database", exported, "--json")
+    got = first(main_of(program.main, "follow_onnx.py", *given)[1])
+    query = ("query", database, tmp_path / "today", *network[:2], "--json")
+    same, still = (first(ssrvlad(*query, *options)[1]) for options in ((), ("--no-sweep",)))
+    assert len(got) == 33 and [*got] == [*same]
+    for frame, candidate in got.items():
+        assert candidate["frame"] == same[frame]["frame"] == frame.replace("today", "monday")
+        assert candidate["score"] == pytest.approx(same[frame]["score"], abs=1e-4)
+    assert np.mean([got[frame]["frame"] == still[frame]["frame"] for frame in got]) < 0.5
+
+
 @pytest.mark.parametrize("frames", [(40,), (12, 40), (5, 6), (20, 20)])
 def test_means_are_those_of_standardise(frames):
     rng = np.random.default_rng(0)
@@ -149,6 +174,29 @@ def test_what_following_is_worth(main_of, ssrvlad, town):
         recalls.append(recall(first(out)))
     recalls.append(recall(first(ssrvlad("query", database, evening, "--no-sweep", "--json")[1])))
     assert [f"{each:.2f}" for each in recalls] == ["0.53", "1.00", "1.00"]
+
+
+@pytest.mark.slow
+@needs_real
+def test_what_features_change(main_of, ssrvlad, tmp_path):
+    """The figures of export/README.md: UofA, evening against day, by pictures."""
+    network = REAL / "networks" / "espnetv2.yaml"
+    day, evening = (REAL / "uofa" / each / "images" for each in ("day", "evening"))
+    database, exported, place = tmp_path / "town", tmp_path / "town.npy", tmp_path / "place.onnx"
+    given = ("--segmenter", network, "--segmenter-cache", tmp_path / "cache")
+    own = ("--labels-as", SPACE, "--sequence", "day", "--with", "features")
+    assert ssrvlad("encode", day, "-o", database, *given, *own)[0] == 0
+    ssrvlad("db", "export", database, "--format", "npy", "-o", exported)
+    ssrvlad("fuse", network, "-o", place, "--labels-as", SPACE)
+    followed = first(
+        main_of(program.main, "x", place, evening, "--database", exported, "--json")[1]
+    )
+    same = []
+    for options in ((), ("--no-sweep",)):
+        query = first(ssrvlad("query", database, evening, *given, *options, "--json")[1])
+        pairs = zip(followed.values(), query.values(), strict=True)
+        same.append(sum(one["frame"] == other["frame"] for one, other in pairs))
+    assert same == [150, 130]
 
 
 def recall(found):

@@ -62,6 +62,18 @@ def test_its_defaults_are_those_of_the_package():
     assert Settings()._asdict() == {name: plain[name] for name in Settings._fields}
 
 
+def test_what_is_excluded_costs_what_there_is():
+    """Frames, and not settings, are stored and compared."""
+    swept = [PLACES[number : number + 1] for number in range(40)]
+    answers = []
+    for exclude in (40, 10**12):
+        loops = Detector(Settings(exclude=exclude))
+        answers.append(
+            [loops.update(f"drive/{n}", Seen(each, None)) for n, each in enumerate(swept)]
+        )
+    assert answers[0] == answers[1]
+
+
 SHAPE = (16, 2, 8)
 DRAWN = np.random.default_rng(0).normal(size=(120, 16 * 2 * 64)).astype(np.float32)
 

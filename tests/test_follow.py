@@ -1,6 +1,7 @@
 """`recognition.follow`: the sequence filter against a plain dense one, and what it is for."""
 
 import itertools
+import math
 
 import numpy as np
 import pytest
@@ -166,7 +167,10 @@ def test_scores_may_be_an_array():
     ("arguments", "said"),
     [
         ({"mode": "both"}, "online or offline, got 'both'"),
-        ({"delay": -1}, "a delay from 0"),
+        ({"delay": -1}, "delay must be an integer from 0, got -1"),
+        ({"delay": 1.5}, "delay must be an integer from 0, got 1.5"),
+        ({"delay": math.nan}, "delay must be an integer from 0, got nan"),
+        ({"top": 2**70}, "top must be at most 2147483647, got 1180591620717411303424"),
         ({"way": 5}, "way: expected 1 or -1, got 5"),
         ({"query_sequences": ["a"]}, "each of 3 queries, got 1"),
         ({"reference_sequences": ["m"] * 4}, "each of 4 rows, got"),

@@ -219,7 +219,9 @@ BAD_FRAMES = {
     "77": (np.full((9, 9), 77), "drive/a"),
     "class scores must be floating point": (np.zeros((2, 9, 9), int), "drive/a"),
     r"expected a stamp from 4\.0 on, got 3\.9": (PLACES[0], "drive/a", 3.9),
-    "stamp from 4.0 on, got inf": (PLACES[0], "drive/a", math.inf),
+    "a finite stamp, got inf": (PLACES[0], "drive/a", math.inf),
+    "a finite stamp, got -inf": (PLACES[0], "other/a", -math.inf),
+    "features as a tensor or an array, got str": (PLACES[0], "drive/a", 5.0, None, None, "x"),
     "stamp in seconds, got '7'": (PLACES[0], "drive/a", "7"),
     r"x, y, heading, got \(None, 1\)": (PLACES[0], "drive/a", 5.0, (None, 1)),
     r"x, y, heading, got \(1, nan\)": (PLACES[0], "drive/a", 5.0, (1, math.nan)),
@@ -241,6 +243,15 @@ def test_a_frame_that_is_refused_leaves_no_trace(message):
     assert (len(loops), "drive/a" in loops) == (5, False)
     after = [each.update(PLACES[1], "drive/z", 6.0) for each in (loops, spared)]
     assert after[0] == after[1]
+
+
+def test_what_is_excluded_costs_what_there_is():
+    """Frames, and not settings, are stored and compared."""
+    results = []
+    for exclude in (len(PLACES), 2**31, 10**12):
+        loops = detector(exclude=exclude)
+        results.append([loops.update(place, f"drive/{n}") for n, place in enumerate(PLACES)])
+    assert results[0] == results[1] == results[2]
 
 
 def test_the_first_argument_of_a_detector_is_its_settings():

@@ -94,7 +94,7 @@ def test_arrays_and_doubles_are_taken():
     assert found.indices[:, 0].tolist() == [1, 0, 0]
 
 
-@pytest.mark.parametrize("top", [True, np.int64(1), torch.tensor(1)])
+@pytest.mark.parametrize("top", [1, np.int64(1), torch.tensor(1)])
 def test_top_is_any_integer(top):
     assert match(torch.eye(3), torch.eye(3), top).indices.tolist() == [[0], [1], [2]]
 
@@ -106,6 +106,8 @@ def test_top_is_any_integer(top):
         (torch.zeros(3), torch.zeros(2, 3), 1, r"got \(3,\)"),
         (torch.eye(3), torch.eye(3), 0, "top must be an integer from 1, got 0"),
         (torch.eye(3), torch.eye(3), 2.5, "top must be an integer from 1, got 2.5"),
+        (torch.eye(3), torch.eye(3), True, "top must be an integer from 1, got True"),
+        (torch.eye(3), torch.eye(3), 2**70, "top must be at most 2147483647, got 11805916"),
         (torch.eye(3), torch.eye(3), "2", "top must be an integer from 1, got '2'"),
         (torch.eye(3) * torch.nan, torch.eye(3), 1, "queries hold values that are not finite"),
         (torch.eye(3), torch.full((2, 3), torch.inf), 1, "references hold values"),

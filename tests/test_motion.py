@@ -1,5 +1,7 @@
 """`recognition.motion`: beliefs move as each step says, and back by the transpose."""
 
+import math
+
 import pytest
 import torch
 from torch import Tensor
@@ -72,7 +74,9 @@ def test_steps_at_a_rate(rate):
     [
         ({"jump": 1.5}, "jump: expected a probability from 0 to 1, got 1.5"),
         ({"weight": 0}, "expected a finite weight above 0 and a finite level, got 0 and 0.5"),
-        ({"rate": 0}, "rate: expected a finite number above 0, got 0"),
+        ({"rate": 0}, "rate: expected a number above 0, and at most 100, got 0"),
+        ({"rate": 1e9}, "rate: expected a number above 0, and at most 100, got 1000000000.0"),
+        ({"rate": math.nan}, "rate: expected a number above 0, and at most 100, got nan"),
     ],
 )
 def test_a_motion_out_of_range_is_refused(settings, said):

@@ -1,3 +1,6 @@
+import math
+
+import numpy as np
 import pytest
 import torch
 import torch.nn.functional as F
@@ -224,6 +227,17 @@ def test_refuses():
         recognise({"x": member}, ["a"] * 4, ["b"] * 3, AS_PAPER)
     with pytest.raises(ValueError, match="expected a channel by which to recognise, got none"):
         recognise({}, ["a"] * 4, ["b"] * 4)
+    with pytest.raises(ValueError, match="top must be at most 2147483647"):
+        recognise({"x": member}, ["a"] * 4, ["b"] * 4, top=2**70)
+
+
+@pytest.mark.parametrize("delay", [1.5, math.nan, True, -1, "1", None])
+def test_a_delay_is_a_number_of_queries(delay):
+    with pytest.raises(ValueError, match=f"delay must be an integer from 0, got {delay!r}"):
+        Steps(follow="online", delay=delay)
+    with pytest.raises(ValueError, match="expected 0, or more with follow online, got 2 with off"):
+        Steps(delay=2)
+    assert Steps(follow="online", delay=np.int64(2)) == Steps(follow="online", delay=2)
 
 
 def test_no_queries_give_no_candidates():

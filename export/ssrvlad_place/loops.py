@@ -107,7 +107,7 @@ class Repeats:
     same street, see `ssrvlad_torch.loops.repeats`."""
 
     def __init__(self, exclude: int) -> None:
-        self._distances = np.arange(max(1, exclude // APART), exclude + 1)
+        self._nearest, self._farthest = max(1, exclude // APART), exclude
         self._last: list[Floats] = []
         self._highest = np.empty(0, np.float32)
 
@@ -115,17 +115,20 @@ class Repeats:
         """``(N,)``, by the nearness ``(N,)`` of the next frame to all earlier ones."""
         more = len(near) + 1 - len(self._highest)
         self._highest = np.append(self._highest, np.full(more, -np.inf, np.float32))
-        rows = len(near) - self._distances
-        rows = rows[rows >= 0]
-        seen = np.full(len(self._distances) + 2, -np.inf, np.float32)
+        rows = len(near) - np.arange(self._nearest, min(self._farthest, len(near)) + 1)
+        # as many as there are, and one that is beside the last
+        distances = max(0, min(self._farthest + 1 - self._nearest, len(rows) + 1))
+        seen = np.full(distances + 2, -np.inf, np.float32)
         seen[1 : len(rows) + 1] = near[rows]
         widest = np.maximum(np.maximum(seen[:-2], seen[1:-1]), seen[2:])
         self._last = [*self._last, widest][-TRACK:]
-        if len(self._last) == TRACK and len(rows):
-            track, highest = np.mean(self._last, axis=0), self._highest
+        shared = min(len(rows), *map(len, self._last))
+        if len(self._last) == TRACK and shared:
+            track = np.mean([each[:shared] for each in self._last], axis=0)
+            highest = self._highest
             highest[-TRACK:] = np.maximum(highest[-TRACK:], track.max())
             for age in range(TRACK):
-                here = rows[rows >= age] - age
+                here = rows[:shared][rows[:shared] >= age] - age
                 highest[here] = np.maximum(highest[here], track[: len(here)])
         earlier: Floats = self._highest[:-1]
         return earlier

@@ -15,7 +15,7 @@ from ..native import core
 from ..recognition.comparison import Comparison
 from ..recognition.confidence import ALONE_BY_FEATURES
 from ..recognition.follow import in_blocks, runs
-from ..recognition.matching import Vectors
+from ..recognition.matching import Vectors, real_tensor
 from ..recognition.standardise import sharing
 
 REACH = 2
@@ -86,7 +86,7 @@ class SignReferences:
     """The signs ``(R, columns, rows, bytes)`` of a map, and the sequence of each."""
 
     def __init__(self, signs: Vectors, sequences: Sequence[str]) -> None:
-        self._signs, self._sequences = torch.as_tensor(signs), sequences
+        self._signs, self._sequences = real_tensor(signs), sequences
         self._rows: dict[bool, SignRows] = {}
 
     def __len__(self) -> int:

@@ -6,14 +6,13 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Self
 
-import torch
 from torch import Tensor
 
 from ..recognition.comparison import Comparison
 from ..recognition.confidence import ALONE
 from ..recognition.decoys import Mirror, decoy_scores
 from ..recognition.follow import Scores, in_blocks
-from ..recognition.matching import Rows, Vectors
+from ..recognition.matching import Rows, Vectors, real_tensor
 from ..recognition.standardise import standardise
 from ..recognition.sweep import COLUMNS, narrowed, score
 from .channel import PICTURE, Network, View
@@ -81,7 +80,7 @@ class VectorReferences:
     def __init__(
         self, vectors: Vectors, sequences: Sequence[str], mirror: Mirror | None = None
     ) -> None:
-        self._vectors, self._sequences = torch.as_tensor(vectors).float(), sequences
+        self._vectors, self._sequences = real_tensor(vectors).float(), sequences
         self._mirror = mirror
         self._rows: dict[bool, Rows] = {}
 

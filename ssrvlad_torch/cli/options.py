@@ -24,6 +24,7 @@ import typer
 
 from ..channels import LABEL_SHAPES
 from ..evaluation.metrics import Convention
+from .output import results_alone
 
 if TYPE_CHECKING:
     from ..encoding.source import Wanted
@@ -329,7 +330,8 @@ def expand(command: Callable[..., None]) -> Callable[..., None]:
             values[name] = kind(**{each.name: values.pop(each.name) for each in fields(kind)})
             if hasattr(kind, "check"):
                 values[name].check(typed)
-        command(**values)
+        with results_alone():
+            command(**values)
 
     parameters.append(
         inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)

@@ -1,4 +1,5 @@
-"""Output of commands: results on stdout, notes and a progress bar on stderr."""
+"""Output of commands: results on stdout, notes and a progress bar on stderr. What others print, as
+a network while it is loaded, goes to stderr too."""
 
 from __future__ import annotations
 
@@ -6,7 +7,7 @@ import json
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from datetime import timedelta
 from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
 
@@ -31,6 +32,27 @@ _LINE_SECONDS = 15.0
 """Time between two lines of progress where there is no terminal."""
 
 
+class _Stderr:
+    """Stands for ``sys.stdout`` while a command runs: stderr, which knows where results go."""
+
+    def __init__(self, results: TextIO) -> None:
+        self.results = results
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(sys.stderr, name)
+
+
+@contextmanager
+def results_alone() -> Iterator[None]:
+    """While it lasts, only this module prints on stdout."""
+    with redirect_stdout(_Stderr(_results())):
+        yield
+
+
+def _results() -> TextIO:
+    return getattr(sys.stdout, "results", sys.stdout)
+
+
 class Progress(NamedTuple):
     """Updates of a progress bar: the number of steps that were done, and a skipped frame."""
 
@@ -47,7 +69,7 @@ def say(text: object, file: TextIO | None = None) -> None:
     """Prints one line, by default on stdout. Unprintable characters, such as a newline in the name
     of a file, are escaped."""
     line = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in str(text))
-    print(line, file=file, flush=True)
+    print(line, file=file or _results(), flush=True)
 
 
 @contextmanager
@@ -106,17 +128,17 @@ def print_table(table: Table) -> None:
     """Prints a table on stdout, in full width if stdout is no terminal."""
     from rich.console import Console
 
-    console = Console(width=None if sys.stdout.isatty() else _WIDE)
+    console = Console(file=_results(), width=None if _results().isatty() else _WIDE)
     with console.capture() as captured:
         console.print(table)
-    print(captured.get(), end="")
+    print(captured.get(), end="", file=_results())
 
 
 def print_json(value: Mapping[str, Any]) -> None:
     """Prints one object on one line. A number that is not finite, such as a metric without a value,
     becomes null."""
     finite = json.loads(json.dumps(value), parse_constant=lambda _: None)
-    print(json.dumps(finite), flush=True)
+    print(json.dumps(finite), file=_results(), flush=True)
 
 
 def weights_in_words(weights: Sequence[Mapping[str, float]]) -> list[str]:

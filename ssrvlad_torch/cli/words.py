@@ -10,7 +10,7 @@ from ..evaluation.metrics import figure_rows, fraction
 from ..evaluation.thresholds import SURE_PRECISION, operating_rows, queries_needed
 from ..recognition.confidence import Estimate
 from ..recognition.standardise import MIN_FRAMES
-from .output import print_table, weights_in_words
+from .output import print_table, say, weights_in_words
 
 
 def print_metrics(metrics: Mapping[str, Any]) -> None:
@@ -28,10 +28,10 @@ def print_metrics(metrics: Mapping[str, Any]) -> None:
             fractions = [fraction(point[key]) for key in ("precision", "precision_low", "recall")]
             table.add_row(name, f"{point['score']:.4f}", *fractions, str(point["accepted"]))
     print_table(table)
-    print(proof(metrics["thresholds"]["suggested"]))
+    say(proof(metrics["thresholds"]["suggested"]))
     for line in without_truth(metrics):
-        print(line)
-    print(counts(metrics))
+        say(line)
+    say(counts(metrics))
 
 
 def counts(metrics: Mapping[str, Any]) -> str:

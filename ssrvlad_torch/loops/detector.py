@@ -151,6 +151,8 @@ class LoopDetector:
             raise ValueError(f"frame {frame_id!r}: expected a stamp in seconds, got {stamp!r}")
         record = FrameRecord(sequence, name, *place, stamps[0])
         tensor, (first, *others) = as_tensor(view), self.channels
+        if features is not None:
+            features = real_tensor(features, "features").numpy(force=True)
         for need, given in ((PICTURE, picture), (FEATURES, features)):
             if given is not None and not any(need in channel.needs for channel in others):
                 raise ValueError(f"got {need}, but the detector has no channel that describes them")
@@ -185,7 +187,11 @@ class LoopDetector:
             last = self._stamps.get(record.sequence, -math.inf)
             if record.frame in self:
                 raise ValueError(f"frame {record.frame!r} was there before")
-            if not math.isnan(record.stamp) and not last <= record.stamp < math.inf:
+            if math.isinf(record.stamp):
+                raise ValueError(
+                    f"frame {record.frame!r}: expected a finite stamp, got {record.stamp}"
+                )
+            if record.stamp < last:
                 raise ValueError(
                     f"frame {record.frame!r}: expected a stamp from {last} on, got {record.stamp}"
                 )

@@ -28,7 +28,7 @@ class Repeats:
     same street, by the last ``exclude`` frames, which are no candidates."""
 
     def __init__(self, exclude: int) -> None:
-        self._distances = np.arange(max(1, exclude // APART), exclude + 1)
+        self._nearest, self._farthest = max(1, exclude // APART), exclude
         self._last: deque[Floats] = deque(maxlen=TRACK)
         self._highest = GrowingArray(np.float32)
 
@@ -37,16 +37,19 @@ class Repeats:
         known. ``near`` ``(N,)`` is their nearness to the next frame, see `motion.nearness`."""
         while len(self._highest.values) <= len(near):
             self._highest.append(-np.inf)
-        highest, rows = self._highest.values, len(near) - self._distances
-        rows = rows[rows >= 0]
-        seen = np.full(len(self._distances) + 2, -np.inf, np.float32)
+        highest, last = self._highest.values, min(self._farthest, len(near))
+        rows = len(near) - np.arange(self._nearest, last + 1)
+        # as many as there are, and one that is beside the last
+        distances = max(0, min(self._farthest + 1 - self._nearest, len(rows) + 1))
+        seen = np.full(distances + 2, -np.inf, np.float32)
         seen[1 : len(rows) + 1] = near[rows]
         self._last.append(np.maximum(np.maximum(seen[:-2], seen[1:-1]), seen[2:]))
-        if len(self._last) == TRACK and len(rows):
-            track = np.mean(self._last, axis=0)
+        shared = min(len(rows), *map(len, self._last))
+        if len(self._last) == TRACK and shared:
+            track = np.mean([each[:shared] for each in self._last], axis=0)
             highest[-TRACK:] = np.maximum(highest[-TRACK:], track.max())
             for age in range(TRACK):
-                here = rows[rows >= age] - age
+                here = rows[:shared][rows[:shared] >= age] - age
                 highest[here] = np.maximum(highest[here], track[: len(here)])
         earlier: npt.NDArray[np.float32] = highest[:-1].copy()
         return earlier

@@ -24,7 +24,7 @@ from torch import Tensor
 
 from .display import candidates_table
 from .filter import Belief, Filter, Future
-from .matching import Matches, best_of
+from .matching import Matches, best_of, checked_number
 from .motion import BACKWARDS, FORWARDS, Motion
 
 NEAR = 3
@@ -110,8 +110,7 @@ def follow(
     if way not in (FORWARDS, BACKWARDS):
         raise ValueError(f"way: expected {FORWARDS} or {BACKWARDS}, got {way!r}")
     scores = torch.from_numpy(scores) if isinstance(scores, np.ndarray) else scores
-    if delay < 0 or top < 1:
-        raise ValueError(f"expected a delay from 0 and a top from 1, got {delay} and {top}")
+    delay, top = checked_number("delay", delay, least=0), checked_number("top", top, least=1)
     drives = [""] * len(scores) if query_sequences is None else query_sequences
     if len(drives) != len(scores):
         raise ValueError(

@@ -18,6 +18,7 @@ Vectors = Tensor | npt.NDArray[np.float32] | npt.NDArray[np.uint8]
 
 _QUERY_BLOCK = 1024
 _REFERENCE_BLOCK = 1 << 12
+_MOST = 2**31 - 1
 
 
 class Matches(NamedTuple):
@@ -59,7 +60,8 @@ def match(
 
     Raises:
         ValueError: the vectors are not two matrices of equal width or hold values that are not
-            finite, ``top`` is below 1, ``threshold`` is NaN, or ``excluded`` has another shape.
+            finite, ``top`` is not from 1 to 2**31 - 1, ``threshold`` is NaN, or ``excluded`` has
+            another shape.
 
     Examples:
         >>> match(torch.eye(3)[:1], torch.eye(3), top=1).indices
@@ -71,7 +73,7 @@ def match(
             "expected queries (Q, D) and references (R, D) of one width D, "
             f"got {tuple(queries.shape)} and {tuple(vectors.shape)}"
         )
-    top = at_least_one(top)
+    top = checked_number("top", top, least=1)
     excluded = checked_excluded(excluded, (len(queries), len(vectors)))
     if threshold is not None and math.isnan(threshold):
         raise ValueError("threshold: expected a number, got nan")
@@ -100,11 +102,14 @@ def match(
     )
 
 
-def at_least_one(top: int) -> int:
-    """A number of candidates; another thing than an integer from 1 is a ValueError."""
-    if not hasattr(top, "__index__") or top < 1:
-        raise ValueError(f"top must be an integer from 1, got {top!r}")
-    return index(top)
+def checked_number(name: str, value: int, least: int) -> int:
+    """A whole number as `int`; another thing, a bool, a number below the least, and one from 2**31
+    on are a ValueError."""
+    if not hasattr(value, "__index__") or isinstance(value, bool) or index(value) < least:
+        raise ValueError(f"{name} must be an integer from {least}, got {value!r}")
+    if index(value) > _MOST:
+        raise ValueError(f"{name} must be at most {_MOST}, got {value!r}")
+    return index(value)
 
 
 def checked_excluded(excluded: Tensor | None, size: tuple[int, int]) -> Tensor | None:

@@ -29,6 +29,8 @@ ELSEWHERE = 5
 """Rows farther apart than this show different places."""
 
 _MIN_STEP, _MAX_STEP = -1, 5
+MOST_RATE = 100
+"""Highest `Motion.rate`: time and memory grow with its square."""
 MIN_SPREAD = 1e-6
 _MAX_LOG = 50.0
 """Largest logarithm of a likelihood: frames that equal their rows must not overflow float32."""
@@ -51,11 +53,11 @@ class Motion:
             frames are correlated, so it is less than for independent frames, where it is 1 or more.
         level: the z-score above which a frame is more likely at the row than at a new place.
         rate: mean number of steps of `SPEEDS` from one frame to the next: 3 for every third frame,
-            0.25 for frames four times as dense.
+            0.25 for frames four times as dense. At most `MOST_RATE`.
 
     Raises:
-        ValueError: a probability is not from 0 to 1, the weight not above 0, or a number not
-            finite.
+        ValueError: a probability is not from 0 to 1, the weight or the rate not above 0, the rate
+            too high, or a number not finite.
     """
 
     change: float = 0.05
@@ -85,8 +87,10 @@ class Motion:
                 "expected a finite weight above 0 and a finite level, "
                 f"got {self.weight} and {self.level}"
             )
-        if not 0 < self.rate < math.inf:
-            raise ValueError(f"rate: expected a finite number above 0, got {self.rate}")
+        if not 0 < self.rate <= MOST_RATE:
+            raise ValueError(
+                f"rate: expected a number above 0, and at most {MOST_RATE}, got {self.rate}"
+            )
 
     def at(self, rate: float) -> Motion:
         """The same motion for frames at another rate: what happens and what is learned on the way

@@ -17,7 +17,7 @@ from .display import candidates_table
 from .evidence import AllRows, Candidates, Evidence
 from .follow import Mode, Places, runs
 from .fusion import fused_scores
-from .matching import Matches, checked_excluded
+from .matching import Matches, checked_excluded, checked_number
 from .motion import Motion
 from .standardise import MIN_FRAMES
 
@@ -40,8 +40,8 @@ class Steps:
         delay: number of later queries that an online answer waits for.
 
     Raises:
-        ValueError: ``follow`` is none of these, the delay is negative, or there is a delay and
-            ``follow`` is not online.
+        ValueError: ``follow`` is none of these, the delay is no whole number from 0, or there
+            is a delay and ``follow`` is not online.
     """
 
     standardise: bool = True
@@ -52,7 +52,8 @@ class Steps:
     def __post_init__(self) -> None:
         if self.follow not in (None, "online", "offline"):
             raise ValueError(f"follow: expected online, offline or None, got {self.follow!r}")
-        if self.delay < 0 or (self.delay and self.follow != "online"):
+        object.__setattr__(self, "delay", checked_number("delay", self.delay, least=0))
+        if self.delay and self.follow != "online":
             raise ValueError(
                 f"delay: expected 0, or more with follow online, got {self.delay} with "
                 f"{self.follow or 'no'}"
@@ -244,6 +245,7 @@ def _joined(
     decisions: Mapping[str, _Decision], references: int, steps: Steps, top: int
 ) -> Recognised:
     """The decisions about all sequences of queries, by their names, as one."""
+    top = checked_number("top", top, least=1)
     used: dict[str, Any] = {**asdict(steps), "references": references}
     for step in ("standardise", "sweep", "follow", "weights"):
         used[step] = {name: getattr(decision, step) for name, decision in decisions.items()}
