@@ -21,6 +21,7 @@ from ..database.rows import check_records
 from ..datasets.label_files import digest
 from ..datasets.names import split_id
 from ..descriptor import SSRVLAD
+from ..recognition.matching import real_tensor
 from ..stages.front_end import as_tensor
 from .config import LoopConfig
 from .memory import Memory

@@ -130,7 +130,7 @@ def recognise(
         >>> recognise({"x": member}, ["a"] * 4, ["b"] * 20).matches.indices[:, 0].tolist()
         [5, 6, 7, 8]
     """
-    steps = steps or Steps()
+    steps, top = steps or Steps(), checked_number("top", top, least=1)
     _check_lengths(members, query_sequences, reference_sequences)
     excluded = checked_excluded(excluded, (len(query_sequences), len(reference_sequences)))
     trust = {name: member.trust for name, member in members.items()}
@@ -163,6 +163,7 @@ def recognise_by_scores(
     """As `recognise`, by scores ``(Q, R)`` float, at most 1, -inf where there can be no match. For
     methods whose encodings are no vectors; following is the only step."""
     steps = replace(steps or Steps(), standardise=False, sweep=False)
+    top = checked_number("top", top, least=1)
     decisions = {
         query_sequences[run.start]: _decide(
             AllRows(scores[run.start : run.stop], reference_sequences), steps, top
@@ -182,7 +183,7 @@ def recognise_by_search(
     """As `recognise`, for maps that are too large to score every row; without a sweep. ``search``
     returns what finds candidates, and the same for mirrored queries, by standardised descriptors if
     its argument is true."""
-    steps = replace(steps or Steps(), sweep=False)
+    steps, top = replace(steps or Steps(), sweep=False), checked_number("top", top, least=1)
     decisions: dict[str, _Decision] = {}
     for run in runs(query_sequences):
         standardised = steps.standardise and _are_enough(run, reference_sequences)
@@ -245,7 +246,6 @@ def _joined(
     decisions: Mapping[str, _Decision], references: int, steps: Steps, top: int
 ) -> Recognised:
     """The decisions about all sequences of queries, by their names, as one."""
-    top = checked_number("top", top, least=1)
     used: dict[str, Any] = {**asdict(steps), "references": references}
     for step in ("standardise", "sweep", "follow", "weights"):
         used[step] = {name: getattr(decision, step) for name, decision in decisions.items()}
