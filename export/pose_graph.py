@@ -209,6 +209,7 @@ def correct(
     odometry: Odometry | None = None,
     sideways: float = SIDEWAYS,
     drives: Sequence[slice] = (),
+    robust: bool = True,
 ) -> Corrected:
     """Corrects a drive by its loops.
 
@@ -218,6 +219,7 @@ def correct(
         odometry: how it errs.
         sideways: standard deviation in metres of the distance between two drives of one street.
         drives: rows of each drive in order; without, all are one.
+        robust: whether to refuse loops that contradict the odometry and the other loops.
 
     Examples:
         >>> square = np.array([[0, 0, 0], [9, 0, 1.6], [9, 9, 3.2], [0, 9, 4.8], [1, 1, 6.4]])
@@ -242,15 +244,19 @@ def correct(
         graph.add(gtsam.BetweenFactorPose2(loop.candidate, loop.frame, seen, noise))
     if not loops:
         return Corrected(start, np.ones(0), graph)
-    settings = gtsam.GncLMParams()
-    settings.setKnownInliers(list(range(certain)))
-    settings.setLossType(gtsam.GncLossType.TLS)
-    optimiser = gtsam.GncLMOptimizer(graph, values, settings)
-    optimiser.setInlierCostThresholdsAtProbability(MOST_UNLIKELY)
-    result = optimiser.optimize()
+    believed = np.ones(len(loops))
+    if robust:
+        settings = gtsam.GncLMParams()
+        settings.setKnownInliers(list(range(certain)))
+        settings.setLossType(gtsam.GncLossType.TLS)
+        optimiser = gtsam.GncLMOptimizer(graph, values, settings)
+        optimiser.setInlierCostThresholdsAtProbability(MOST_UNLIKELY)
+        result, believed = optimiser.optimize(), optimiser.getWeights()[certain:]
+    else:
+        result = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
     best = [result.atPose2(row) for row in range(len(poses))]
     after = np.array([[pose.x(), pose.y(), pose.theta()] for pose in best])
-    return Corrected(after, optimiser.getWeights()[certain:], graph)
+    return Corrected(after, believed, graph)
 
 
 def _step(row: int, step: Floats, odometry: Odometry) -> gtsam.BetweenFactorPose2:
