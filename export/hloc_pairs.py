@@ -68,11 +68,11 @@ def pairs_of(lines: Iterable[str]) -> Iterator[Pair]:
     for number, line in enumerate(lines, 1):
         try:
             found: dict[str, Any] = json.loads(line)
-            if "candidates" in found:
-                yield from ((found["query"], each["frame"]) for each in found["candidates"])
-            elif "reason" in found:
+            if "reason" in found:
                 if found["reason"] == ACCEPTED:
                     yield found["frame"], found["candidate"]
+            elif "candidates" in found:
+                yield from ((found["query"], each["frame"]) for each in found["candidates"])
             elif "precision" not in found:
                 raise KeyError("candidates")
         except (ValueError, TypeError, KeyError) as error:

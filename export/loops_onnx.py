@@ -5,12 +5,12 @@ python export/loops_onnx.py place.onnx images/monday
 camera | python export/loops_onnx.py place.onnx -
 
 Prints a JSON object a line for every frame, as `ssrvlad loops --json` does: `frame`, `reason`,
-`candidate`, `score`, `probability`, `ahead`. `-` reads names of files on stdin, one a line, and
-answers each at once. The rules and thresholds are those of `ssrvlad_torch.LoopDetector`: with one
-anchor a frame, those of `ssrvlad loops --no-sweep`; of a fused file that gives features, those of
-`ssrvlad loops --no-sweep --with features`. Needs numpy, onnxruntime and the folder `ssrvlad_place`
-beside it; `run_onnx.py` lists the formats of frames. Exit code 0 for success, 2 for wrong use, 3
-for finished with some frames skipped.
+`candidate`, `score`, `probability`, `ahead`, `candidates`. `-` reads names of files on stdin, one a
+line, and answers each at once. The rules and thresholds are those of `ssrvlad_torch.LoopDetector`:
+with one anchor a frame, those of `ssrvlad loops --no-sweep`; of a fused file that gives features,
+those of `ssrvlad loops --no-sweep --with features`. Needs numpy, onnxruntime and the folder
+`ssrvlad_place` beside it; `run_onnx.py` lists the formats of frames. Exit code 0 for success, 2 for
+wrong use, 3 for finished with some frames skipped.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def run(options: argparse.Namespace) -> int:
             skipped += 1
             continue
         done.add(frame)
-        print(json.dumps(detector.update(frame, seen)._asdict()), flush=True)
+        print(json.dumps(detector.update(frame, seen).as_json()), flush=True)
     return finished(skipped, len(done))
 
 

@@ -65,7 +65,7 @@ def test_the_first_frames_have_nothing_to_compare_with():
     results = drive(loops, views(range(8)))
     assert repr(loops).startswith("LoopDetector(8 frames, last drive/7, LoopConfig(exclude=5")
     assert reasons(results) == ["no_candidate", *["too_recent"] * 6, "below_threshold"]
-    assert results[6]._replace(frame="") == ("", Reason.TOO_RECENT, None, None, None, None)
+    assert results[6]._replace(frame="") == ("", Reason.TOO_RECENT, None, None, None, None, ())
 
 
 @pytest.mark.parametrize(
@@ -147,6 +147,18 @@ def test_an_empty_frame_matches_nothing_and_the_stream_goes_on():
 def test_two_places_alike_are_ambiguous():
     places = [*range(80), *range(20, 40), *range(80, 140), *range(20, 40)]
     assert "ambiguous" in reasons(drive(detector(threshold=0.9), views(places)))[160:]
+
+
+def test_both_of_two_places_alike_are_candidates():
+    """For a back end that verifies; the first is the candidate of the result."""
+    places = [*range(80), *range(20, 40), *range(80, 140), *range(20, 40)]
+    results = drive(detector(threshold=0.9), views(places))[160:]
+    result = next(each for each in results if each.reason is Reason.AMBIGUOUS)
+    (one, likely), (other, less), *_ = result.candidates
+    assert (one, likely) == (result.candidate, result.probability)
+    assert abs(row_of(one) - row_of(other)) == 60
+    assert likely >= less > 0.1
+    assert result.as_json()["candidates"][1] == {"frame": other, "probability": less}
 
 
 def test_clear_frames_must_fit_better_than_noisy_ones():

@@ -64,7 +64,7 @@ def test_a_line_of_json_for_every_frame(loops, drive):
     lines = objects(out)
     assert (code, err) == (0, [])
     assert [line["frame"] for line in lines] == [f"drive/{n:02d}" for n in range(54)]
-    assert [*lines[0].values()] == ["drive/00", "no_candidate", None, None, None, None]
+    assert [*lines[0].values()] == ["drive/00", "no_candidate", None, None, None, None, []]
     assert {line["reason"] for line in lines[1:7]} == {"too_recent"}
     assert accepted(lines) == LOOPS
     assert lines[-1]["score"] == pytest.approx(1)

@@ -25,6 +25,8 @@ EVIDENCE, LEVEL_FRACTION, NEIGHBOURS = 3.0, 0.9, 1000
 z-score that three quarters of the last frames have with their previous frame."""
 STRIDE = 50
 """The previous frame is one frame before where 50 are excluded, and two where 100 are."""
+PLACES, LEAST = 5, 0.01
+"""A result lists at most so many places, each with at least this probability."""
 RECENT = 10
 """Least age, in frames, of an excluded frame that can be the present place."""
 
@@ -44,6 +46,13 @@ class Settings(NamedTuple):
     threshold: float = 0.8
 
 
+class Place(NamedTuple):
+    """An old frame, and the probability that the place is near it."""
+
+    frame: str
+    probability: float
+
+
 class Loop(NamedTuple):
     """The result of a frame, see `ssrvlad_torch.loops.result.LoopResult`; without poses, `ahead` is
     always `None`."""
@@ -54,6 +63,11 @@ class Loop(NamedTuple):
     score: float | None = None
     probability: float | None = None
     ahead: float | None = None
+    candidates: tuple[Place, ...] = ()
+
+    def as_json(self) -> dict[str, Any]:
+        """The fields by name, for JSON."""
+        return {**self._asdict(), "candidates": [place._asdict() for place in self.candidates]}
 
 
 class Filter:
@@ -201,7 +215,22 @@ class Detector:
         around = rows[:old][max(0, candidate - NEAR) : candidate + NEAR + 1]
         probability = min(1.0, float(around.sum()))
         reason = self._reason(probability, float(rows[:old].sum()), float(rows[old:].sum()))
-        return Loop(frame, reason, self.frames[candidate], float(scores[candidate]), probability)
+        name, score = self.frames[candidate], float(scores[candidate])
+        places = self._places(rows[:old].copy(), candidate)
+        return Loop(frame, reason, name, score, probability, candidates=places)
+
+    def _places(self, left: Floats, row: int) -> tuple[Place, ...]:
+        """The most probable places by the probabilities of the old rows; the first is given."""
+        places = list[Place]()
+        while len(places) < PLACES:
+            near = slice(max(0, row - NEAR), row + NEAR + 1)
+            probability = min(1.0, float(left[near].sum()))
+            if probability < LEAST:
+                break
+            places.append(Place(self.frames[row], probability))
+            left[near] = 0
+            row = int(left.argmax())
+        return tuple(places)
 
     def _scores(self, swept: Floats, signs: tuple[Any, Any], old: int) -> Floats:
         """``(rows,)`` float32 scores of a frame, scaled by those of the old frames, if any."""

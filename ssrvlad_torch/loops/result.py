@@ -1,7 +1,7 @@
 """The result of a frame of the loop detector."""
 
 from enum import StrEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 
 class Reason(StrEnum):
@@ -13,6 +13,13 @@ class Reason(StrEnum):
     TOO_RECENT = "too_recent"
     AMBIGUOUS = "ambiguous"
     BELOW_THRESHOLD = "below_threshold"
+
+
+class Place(NamedTuple):
+    """An old frame, and the probability that the place is within `tracker.NEAR` frames of it."""
+
+    frame: str
+    probability: float
 
 
 class LoopResult(NamedTuple):
@@ -36,6 +43,8 @@ class LoopResult(NamedTuple):
         ahead: distance in metres from the candidate to the frame along the candidate's drive,
             negative behind it: a mean over the frames around the candidate by their poses, weighted
             with their probabilities; ``None`` where a pose is unknown, and unless accepted.
+        candidates: the most probable old places, best first, for a back end that verifies them: at
+            most `tracker.PLACES`, each of at least `tracker.LEAST`, whatever the reason.
     """
 
     frame: str
@@ -44,8 +53,13 @@ class LoopResult(NamedTuple):
     score: float | None = None
     probability: float | None = None
     ahead: float | None = None
+    candidates: tuple[Place, ...] = ()
 
     @property
     def accepted(self) -> bool:
         """Whether the frame closes a loop."""
         return self.reason is Reason.ACCEPTED
+
+    def as_json(self) -> dict[str, Any]:
+        """The fields by name, for JSON."""
+        return {**self._asdict(), "candidates": [place._asdict() for place in self.candidates]}

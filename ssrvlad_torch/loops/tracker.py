@@ -15,7 +15,7 @@ from ..recognition.motion import MIN_SPREAD, Motion, likelihoods, moments, nearn
 from .config import LoopConfig
 from .memory import Described, Memory
 from .repeats import MARGIN, Repeats
-from .result import LoopResult, Reason
+from .result import LoopResult, Place, Reason
 
 MOTION = Motion(change=0.01, jump=0.01, unmapped=0.3, weight=0.25, level=0.5)
 """How a stream moves along its own frames, and those frames run backwards."""
@@ -34,6 +34,9 @@ one frame before; where it excludes 100, two."""
 
 NEAR = 5
 """Frames on each side of a frame that show the same place."""
+
+PLACES, LEAST = 5, 0.01
+"""A result lists at most so many places, each with at least this probability."""
 
 RECENT = 10
 """Least age, in frames, of an excluded frame that can be the present place."""
@@ -94,7 +97,21 @@ class Tracker:
         reason = self._reason(probability, float(rows[:old].sum()), float(rows[old:].sum()))
         ahead = self._ahead(candidate, near, rows) if reason is Reason.ACCEPTED else None
         name, score = self._memory.frames[candidate], float(scores[candidate])
-        return LoopResult(frame, reason, name, score, probability, ahead)
+        places = self._places(rows[:old], candidate)
+        return LoopResult(frame, reason, name, score, probability, ahead, places)
+
+    def _places(self, rows: Tensor, row: int) -> tuple[Place, ...]:
+        """`LoopResult.candidates`, by the probabilities of the old rows; the first is given."""
+        places, left = list[Place](), rows.clone()
+        while len(places) < PLACES:
+            near = slice(max(0, row - NEAR), row + NEAR + 1)
+            probability = min(1.0, float(left[near].sum()))
+            if probability < LEAST:
+                break
+            places.append(Place(self._memory.frames[row], probability))
+            left[near] = 0
+            row = int(left.argmax())
+        return tuple(places)
 
     def _scores(self, swept: Described, old: int) -> Tensor:
         """``(N,)`` scores of a frame by all channels, scaled by those of the old frames, if any."""

@@ -153,7 +153,7 @@ def _draw(
 
 def _print_result(result: LoopResult, as_json: bool) -> None:
     if as_json:
-        print_json(result._asdict())
+        print_json(result.as_json())
     elif result.accepted:
         ahead = "" if result.ahead is None else f" {result.ahead:+.1f} m"
         say(f"{result.frame}: {result.candidate} {result.probability:.4f}{ahead}")

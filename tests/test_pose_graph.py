@@ -1,0 +1,194 @@
+"""`export/pose_graph.py`: from loops to a corrected drive."""
+
+import json
+import math
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pose_graph
+import pytest
+from PIL import Image
+from pose_graph import Loop, correct, in_front, moved, read_loops, relative, tum_line
+
+from ssrvlad_torch.datasets.poses import Pose, read_poses, write_poses
+from ssrvlad_torch.datasets.trajectories import read_trajectory
+
+SIDE, LAPS = 25, 3
+
+
+def laps(turn_error=0.0):
+    """Rounds of a square of 50 m, a pose every 2 m; the odometry turns too much at each corner."""
+    poses = [np.zeros(3)]
+    for number in range(4 * SIDE * LAPS):
+        corner = (math.pi / 2 + turn_error) * (number % SIDE == SIDE - 1)
+        poses.append(moved(poses[-1], np.array([2.0, 0.0, corner])))
+    return np.stack(poses)
+
+
+def loops_of(poses, ahead=0.0):
+    """Every frame after the first round is where it was a round ago."""
+    return [Loop(row, row - 4 * SIDE, ahead) for row in range(4 * SIDE, len(poses))]
+
+
+def error(poses, truth):
+    return float(np.sqrt(np.square(poses - truth)[:, :2].sum(1).mean()))
+
+
+def test_loops_take_the_drift_out_of_a_drive():
+    truth, odometry = laps(), laps(turn_error=0.02)
+    after = correct(odometry, loops_of(truth))
+    assert error(odometry, truth) > 3
+    assert error(after.poses, truth) < 0.3 * error(odometry, truth)
+    assert after.believed.min() > 0.9
+
+
+@pytest.mark.parametrize("run", [1, 10])
+def test_one_wrong_loop_in_twenty_changes_nothing(run):
+    """Alone, and as runs of neighbouring frames that agree with each other."""
+    truth, odometry = laps(), laps(turn_error=0.02)
+    loops, rng = loops_of(truth), np.random.default_rng(0)
+    wrong = []
+    while len(wrong) < len(loops) / 20:
+        frame, there = rng.integers(150, 290), rng.integers(0, 80)
+        if np.hypot(*(truth[frame] - truth[there])[:2]) > 20:
+            wrong += [Loop(int(frame) + n, int(there) + n) for n in range(run)]
+    alone, after = correct(odometry, loops), correct(odometry, loops + wrong)
+    assert after.believed[len(loops) :].max() < 0.01
+    assert after.poses == pytest.approx(alone.poses, abs=0.05)
+
+
+def test_ahead_is_along_the_drive_also_around_a_corner():
+    poses = laps()
+    corner = in_front(poses, SIDE - 2, 8.0)
+    assert corner == pytest.approx([50, 4, math.pi / 2])
+    assert in_front(poses, SIDE - 2, -3.0) == pytest.approx([43, 0, 0])
+    assert in_front(poses, 0, -3.0) == pytest.approx([-3, 0, 0])
+    assert in_front(poses, 0, 3.0) == pytest.approx([3, 0, 0])
+
+
+def test_a_frame_ahead_of_its_candidate_stays_ahead():
+    odometry = np.array([[x, 0.0, 0.0] for x in range(0, 50, 2)])
+    again = np.concatenate((odometry, odometry + np.array([1.0, 0, 0])))
+    drives = [slice(0, 25), slice(25, 50)]
+    loops = [Loop(25 + row, row, 1.0) for row in range(25)]
+    shifted = np.concatenate((odometry, moved(np.array([99.0, 7.0, 2.0]), odometry)))
+    after = correct(shifted, loops, drives=drives).poses
+    assert after == pytest.approx(again, abs=1e-3)
+
+
+def test_a_second_drive_without_a_loop_into_the_first_is_refused():
+    with pytest.raises(ValueError, match="frames 25 to 49 have no loop"):
+        correct(np.zeros((50, 3)), [Loop(20, 3)], drives=[slice(0, 25), slice(25, 50)])
+
+
+def test_a_pose_seen_from_another_is_found_again():
+    one, other = np.array([3.0, -2.0, 2.5]), np.array([-7.0, 1.0, -2.0])
+    assert moved(one, relative(one, other))[:2] == pytest.approx(other[:2])
+
+
+def test_tum_poses_are_read_as_they_were_written(tmp_path):
+    poses = [Pose(1, 2, 0.3), Pose(4, -1, -2.5), Pose(0, 0, math.pi / 2)]
+    lines = [tum_line(number / 3, pose) for number, pose in enumerate(poses)]
+    (tmp_path / "x.tum").write_text("".join(lines))
+    read = read_trajectory(tmp_path / "x.tum")
+    assert np.array(read.poses) == pytest.approx(np.array(poses), abs=1e-5)
+    assert read.stamps == pytest.approx([0, 1 / 3, 2 / 3], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        (['{"frame": "a/1"}'], "line 1: expected JSON"),
+        (["nothing"], "line 1: expected JSON"),
+        ([{"frame": "a/1", "reason": "no_candidate"}] * 2, "line 2: frame 'a/1' was there before"),
+        (
+            [{"frame": "a/1", "reason": "accepted", "candidate": "b/1", "ahead": None}],
+            "line 1: candidate 'b/1' has no line",
+        ),
+    ],
+)
+def test_lines_of_another_form_are_refused(lines, message):
+    texts = [line if isinstance(line, str) else json.dumps(line) for line in lines]
+    with pytest.raises(ValueError, match=message):
+        read_loops(texts)
+
+
+@pytest.fixture
+def drive(tmp_path):
+    """Lines of `ssrvlad loops --json`, and odometry, of rounds of a square."""
+    odometry = laps(turn_error=0.02)
+    frames = [f"drive/{row:06d}" for row in range(len(odometry))]
+    lines = []
+    for row, frame in enumerate(frames):
+        there = f"drive/{row - 4 * SIDE:06d}" if row >= 4 * SIDE else None
+        reason = "accepted" if there else "no_candidate"
+        lines.append({"frame": frame, "reason": reason, "candidate": there, "ahead": 0.0})
+    lines.append({"frames": len(frames), "precision": 1.0})
+    (tmp_path / "loops.jsonl").write_text("\n".join(map(json.dumps, lines)))
+    poses = [Pose(*pose) for pose in odometry.tolist()]
+    write_poses(tmp_path / "poses.csv", dict(zip(frames, poses, strict=True)))
+    stamped = [tum_line(float(row), pose) for row, pose in enumerate(poses)]
+    (tmp_path / "odometry.tum").write_text("".join(stamped))
+    return tmp_path
+
+
+def run(*arguments):
+    program = Path(pose_graph.__file__)
+    command = [sys.executable, str(program), *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+@pytest.mark.parametrize("odometry", ["poses.csv", "odometry.tum"])
+def test_the_program_writes_the_corrected_drive(drive, odometry):
+    out = drive / "corrected"
+    done = run(drive / "loops.jsonl", "--odometry", drive / odometry, "-o", out)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == f"301 poses, 201 loops, 0 refused: {out}\n"
+    corrected = np.array(list(read_poses(out / "poses.csv").values()))
+    assert error(corrected, laps()) < 0.3 * error(laps(turn_error=0.02), laps())
+    tum = read_trajectory(out / "poses.tum")
+    assert np.array(tum.poses)[:, :2] == pytest.approx(corrected[:, :2], abs=1e-5)
+    assert tum.stamps == [float(row) for row in range(301)]
+    words = [line.split()[0] for line in (out / "graph.g2o").read_text().splitlines()]
+    assert words.count("VERTEX_SE2") == 301
+    assert words.count("EDGE_SE2") == 300 + 201
+    assert Image.open(out / "drive.png").size > (400, 200)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--odometry", "missing.csv"], "missing.csv"),
+        (["--odometry", "loops.jsonl"], "loops.jsonl line 1"),
+        (["--odometry", "poses.csv", "--drift", "0"], "above 0"),
+        (["--odometry", "poses.csv", "--intrinsics", "1", "1", "1", "1"], "go together"),
+    ],
+)
+def test_wrong_arguments_are_one_line(drive, arguments, message):
+    given = [drive / a if "." in a and not a.startswith("-") else a for a in arguments]
+    done = run(drive / "loops.jsonl", *given, "-o", drive / "out")
+    assert done.returncode == 2
+    assert message in done.stderr.splitlines()[-1]
+    assert not (drive / "out").exists()
+
+
+def test_local_features_tell_how_far_the_camera_turned(tmp_path):
+    """A far wall of random blocks, seen before and after a turn of 4 degrees to the left."""
+    blocks = np.random.default_rng(0).integers(0, 255, (60, 90), np.uint8)
+    wall = np.asarray(Image.fromarray(blocks).resize((480, 320), Image.Resampling.BICUBIC))
+    focal, turn = 600.0, math.radians(4)
+    camera = np.array([[focal, 0, 240], [0, focal, 160], [0, 0, 1]])
+    c, s = math.cos(turn), math.sin(turn)
+    seen_from = camera @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]) @ np.linalg.inv(camera)
+    cv2.imwrite(str(tmp_path / "there.png"), wall)
+    cv2.imwrite(str(tmp_path / "here.png"), cv2.warpPerspective(wall, seen_from, (480, 320)))
+    another = np.random.default_rng(1).integers(0, 255, (60, 90), np.uint8)
+    cv2.imwrite(str(tmp_path / "other.png"), cv2.resize(another, (480, 320)))
+    there, here, other = (tmp_path / f"{name}.png" for name in ("there", "here", "other"))
+    intrinsics, loop = (focal, focal, 240.0, 160.0), Loop(9, 0)
+    seen = pose_graph.verified(loop, (there, here), intrinsics)
+    assert seen.turn == pytest.approx(turn, abs=math.radians(1.5))
+    assert pose_graph.verified(loop, (there, other), intrinsics) == loop
