@@ -25,7 +25,7 @@ def frame_set(vectors: torch.Tensor, sequence: str = "drive") -> FrameSet:
     return FrameSet(
         frames=tuple(f"{sequence}/{row:04d}" for row in range(count)),
         sequences=(sequence,) * count,
-        descriptors=vectors,
+        channels={"descriptor": vectors},
         poses=poses,
         stamps=np.full(count, np.nan),
         empty=~vectors.any(dim=1).numpy(),

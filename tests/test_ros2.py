@@ -252,7 +252,8 @@ def test_the_node_reads_pictures_with_a_model(node, store, monkeypatch, drives, 
     assert len(loops) > 5
     assert all(each.header.stamp.sec - each.time_ref.sec == 16 for each in loops)
     running.close()
-    assert [each.name for each in Database.open(tmp_path / "db").extra] == ["features"]
+    columns = Database.open(tmp_path / "db").columns
+    assert [column.name for column in columns] == ["ssr-vlad", "features"]
 
 
 def test_wrong_parameters_are_one_line(node, monkeypatch, drives):
