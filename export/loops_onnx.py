@@ -8,7 +8,7 @@ Prints a JSON object a line for every frame, as `ssrvlad loops --json` does: `fr
 `candidate`, `score`, `probability`, `ahead`, `candidates`. `-` reads names of files on stdin, one a
 line, and answers each at once. The rules and thresholds are those of `ssrvlad_torch.LoopDetector`:
 with one anchor a frame, those of `ssrvlad loops --no-sweep`; of a fused file that gives features,
-those of `ssrvlad loops --no-sweep --with features`. Needs numpy, onnxruntime and the folder
+those of `ssrvlad loops --no-sweep --channel features`. Needs numpy, onnxruntime and the folder
 `ssrvlad_place` beside it; `run_onnx.py` lists the formats of frames. Exit code 0 for success, 2 for
 wrong use, 3 for finished with some frames skipped.
 """

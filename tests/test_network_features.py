@@ -8,10 +8,10 @@ import torch
 from drawings import SPACE
 from networks import PLAIN, Street, colour_network, shared_street, write_street
 from segmenting import PHOTOS, counted, write_photos
-from ssrvlad_torch.encoding.extra_descriptors import extra_descriptors
 from torch import nn
 
-from ssrvlad_torch import reference
+from ssrvlad_torch import SSRVLAD, reference
+from ssrvlad_torch.channels.channel import new_channels
 from ssrvlad_torch.datasets.image_files import find_image_files
 from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
 from ssrvlad_torch.segmentation.segmenter import Segmenter
@@ -114,7 +114,8 @@ def test_a_torchscript_network_has_labels_and_no_features(network):
     expected = Segmenter(Street(), SPACE, PLAIN)(pictures(1))
     np.testing.assert_array_equal(said.labels, expected[0])
     assert "activations of a TorchScript module cannot be taken" in segmenter.problem_of_features
-    assert [each.name for each in extra_descriptors(None, segmenter)] == ["hog"]
+    channels = new_channels(None, SSRVLAD.from_preset("default", labels_as=SPACE), segmenter)
+    assert [channel.column.name for channel in channels] == ["ssr-vlad", "hog"]
 
 
 class Same(nn.Module):
