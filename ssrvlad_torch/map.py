@@ -161,7 +161,7 @@ class Map:
         note: Note = do_nothing,
     ) -> Source:
         """The frames on disk, before the first is read; see `open_source`."""
-        wanted, database = self._wanted(frames), self._database
+        wanted, database = self._wanted(frames), self.database if compared else self._database
         source = open_source(wanted, database, compared=compared, images=images, note=note)
         if source.segmenter and not isinstance(frames, Wanted):
             self._opened = source.segmenter

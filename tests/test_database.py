@@ -121,11 +121,11 @@ def test_each_row_names_the_label_space_and_segmenter_that_made_it(path):
 
 
 REFUSED = {
-    r"descriptor: expected \(2, 480\)": [
+    r"ssr-vlad: expected \(2, 480\)": [
         (["a/1", "a/2"], torch.zeros(shape))
         for shape in ((1, 480), (3, 480), (2, 479), (2, 1, 480), (960,))
     ],
-    "descriptor: expected real numbers, got ": [
+    "ssr-vlad: expected real numbers, got ": [
         (["a/1"], np.full((1, 480), value)) for value in (1j, "1")
     ],
     "not finite": [(["a/1"], ONE * math.nan), (["a/1"], ONE * math.inf)],

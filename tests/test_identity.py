@@ -9,10 +9,10 @@ import torch
 from drawings import SPACE
 from networks import PLAIN, Street
 from segmenting import PHOTOS, write_photos
-from ssrvlad_torch.encoding.extra_descriptors import extra_descriptors
 from torch import nn
 
 from ssrvlad_torch import SSRVLAD
+from ssrvlad_torch.channels.channel import new_channels
 from ssrvlad_torch.database.database import Database
 from ssrvlad_torch.datasets.image_files import find_image_files, read_image
 from ssrvlad_torch.encoding.encoder import encode_to_database
@@ -145,11 +145,11 @@ def test_no_frame_is_stored_under_the_identity_of_another_network(tmp_path, monk
             step(module)
 
     network.register_forward_hook(change)
-    extra = extra_descriptors(None, segmenter)
-    database = Database.create(tmp_path / "town", head.config, extra=extra)
+    columns = [channel.column for channel in new_channels(None, head, segmenter)[1:]]
+    database = Database.create(tmp_path / "town", head.config, columns=columns)
     with pytest.raises(ChangedError, match=r"steps\.1\.bias"):
         encode_to_database(head, files, database, EncodeOptions(workers=1), segmenter)
     assert (sum(seen), len(database)) == (18, 16)
     pictures = [read_image(file) for file in files[:16]]
     expected = [each.features for each in Segmenter(street(), SPACE, PLAIN).segment(pictures, True)]
-    np.testing.assert_array_equal(database.load().extra["features"].numpy(), expected)
+    np.testing.assert_array_equal(database.load().channels["features"].numpy(), expected)

@@ -7,10 +7,10 @@ from importlib import import_module
 from inspect import signature
 from typing import TYPE_CHECKING, Any, Protocol, Self
 
-from ..channels.channel import View
-
 if TYPE_CHECKING:
     from torch import Tensor
+
+    from ..channels.channel import View
 
 
 class Columns:

@@ -6,13 +6,14 @@ import math
 import threading
 from collections.abc import Mapping, Sequence
 from itertools import groupby
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from torch import Tensor
 
-from ..channels.channel import FEATURES, PICTURE, Channel, View, channels_of
+from ..channels.channel import FEATURES, PICTURE, Channel, View, channels_of, new_channels
 from ..channels.label_shapes import LabelShapes
 from ..channels.live_vectors import Floats
 from ..database.database import Database
@@ -22,7 +23,10 @@ from ..datasets.label_files import digest
 from ..datasets.names import split_id
 from ..descriptor import SSRVLAD
 from ..recognition.matching import real_tensor
+from ..segmentation.networks import AUTO
+from ..segmentation.segmenter import Segmented, Segmenter
 from ..stages.front_end import as_tensor
+from ..taxonomy import LabelSpace
 from .config import LoopConfig
 from .memory import Memory
 from .result import LoopResult
@@ -65,6 +69,7 @@ class LoopDetector:
         if not isinstance(config, LoopConfig | None):
             raise ValueError(f"expected config as a LoopConfig, got {type(config).__name__}")
         self.config = config or LoopConfig()
+        self.segmenter: Segmenter | None = None
         self.head = head or SSRVLAD()
         self.channels: tuple[Channel, ...] = (LabelShapes(self.head), *channels)
         self._memory = Memory(self.channels)
@@ -74,6 +79,32 @@ class LoopDetector:
         self._arrivals = 0
         self._unsaved: list[FrameRecord] = []
         self._updating, self._saving = threading.Lock(), threading.Lock()
+
+    @classmethod
+    def from_pretrained(
+        cls,
+        network: str | Path,
+        labels_as: str | LabelSpace = AUTO,
+        config: LoopConfig | None = None,
+        channels: Sequence[str] | None = None,
+    ) -> LoopDetector:
+        """A detector whose `update` takes pictures.
+
+        Args:
+            network: name of the network that labels them, see `open_network`.
+            labels_as: label space of its classes; with ``"auto"`` the one that it names.
+            config: the settings; without, the defaults.
+            channels: names of what is known of frames beside their label maps; by default all that
+                the network gives.
+
+        Raises:
+            ValueError: the network cannot be used, or gives no such channel.
+        """
+        segmenter = Segmenter.load(network, labels_as)
+        head = SSRVLAD.from_preset("default", labels_as=segmenter.label_space)
+        detector = cls(config, head, new_channels(channels, head, segmenter)[1:])
+        detector.segmenter = segmenter
+        return detector
 
     def __len__(self) -> int:
         return len(self._memory)
@@ -132,7 +163,8 @@ class LoopDetector:
 
         Args:
             view: ``(H, W)`` integer label map, ``(C, H, W)`` class scores, or the frame's ``(D,)``
-                descriptor.
+                descriptor; with a network, see `from_pretrained`, an ``(H, W, 3)`` uint8 picture in
+                RGB.
             frame_id: ``<sequence>/<name>``; the filter starts anew with each sequence.
             stamp: seconds, not less than those of earlier frames of the sequence.
             pose: x and y in metres, and heading in radians if it is known.
@@ -151,11 +183,13 @@ class LoopDetector:
         if not stamps:
             raise ValueError(f"frame {frame_id!r}: expected a stamp in seconds, got {stamp!r}")
         record = FrameRecord(sequence, name, *place, stamps[0])
+        if self.segmenter and np.shape(view)[2:] == (3,):
+            picture, (view, features) = np.asarray(view), self._labelled(view)
         tensor, (first, *others) = as_tensor(view), self.channels
         if features is not None:
             features = real_tensor(features, "features").numpy(force=True)
         for need, given in ((PICTURE, picture), (FEATURES, features)):
-            if given is not None and not any(need in channel.needs for channel in others):
+            if given is not None and not (self.segmenter or self._needs(need)):
                 raise ValueError(f"got {need}, but the detector has no channel that describes them")
         seen = View(frame_id, picture=picture, features=features)
         described = {channel.column.name: channel.describe([seen])[0] for channel in others}
@@ -167,6 +201,15 @@ class LoopDetector:
         height, width = labels.shape
         record = record._replace(digest=digest(labels), height=height, width=width)
         return self.observe(record, {first.column.name: descriptor, **described})
+
+    def _needs(self, what: str) -> bool:
+        return any(what in channel.needs for channel in self.channels)
+
+    def _labelled(self, picture: Any) -> Segmented:
+        """What the network says of a picture."""
+        assert self.segmenter
+        [said] = self.segmenter.segment([picture], self._needs(FEATURES))
+        return said
 
     def observe(
         self, record: FrameRecord, descriptors: Mapping[str, Tensor] | Tensor

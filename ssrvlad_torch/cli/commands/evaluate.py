@@ -43,7 +43,6 @@ def evaluate(
     if report:
         check_output(report)
     town = Map.open(database, version=as_of)
-    town.database  # noqa: B018 - is there
     by_poses = None if truth.definition == (None,) * 4 else truth.tolerance_metres is not None
     frames = town.source(source.wanted(by_poses), compared=True, note=note)
     with progress_bar("encoding", len(frames.files)) as bar:

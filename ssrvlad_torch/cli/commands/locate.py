@@ -26,7 +26,6 @@ def locate(
     from ..words import steps_in_words
 
     town = Map.open(database)
-    town.database  # noqa: B018 - is there
     frames = town.source(source.wanted(), compared=True, images=True, note=note)
     with progress_bar("encoding", len(frames.files), played(frames.files)) as bar:
         settings = recognition.settings()

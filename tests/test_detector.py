@@ -1,0 +1,56 @@
+"""The detector with a network of its own; its decisions are asked by test_loop_closure.py."""
+
+import numpy as np
+import pytest
+import yaml
+from helpers import street
+from networks import photo
+
+from ssrvlad_torch import LoopDetector, Segmenter
+from ssrvlad_torch.loops.config import LoopConfig
+
+SPACE = "camvid-11"
+PLACES = (*range(12), *range(4, 10))
+CONFIG = LoopConfig(exclude=5)
+
+
+@pytest.fixture(scope="module")
+def network(tmp_path_factory):
+    """A network in a YAML file, as its function in a module beside it."""
+    folder = tmp_path_factory.mktemp("network")
+    (folder / "streets.py").write_text("from networks import Street as street\n")
+    settings = {"network": "streets:street", "labels_as": SPACE, "mean": [0] * 3, "std": [1] * 3}
+    path = folder / "net.yaml"
+    path.write_text(yaml.safe_dump(settings))
+    return path
+
+
+@pytest.mark.parametrize("channels", [None, ["hog"], ["ssr-vlad"]])
+def test_a_picture_is_labelled_and_described_as_if_all_were_given(network, channels):
+    ours = LoopDetector.from_pretrained(network, config=CONFIG, channels=channels)
+    names = [channel.column.name for channel in ours.channels]
+    assert names == (["ssr-vlad", "features", "hog"] if channels is None else names)
+    segmenter = Segmenter.load(network)
+    theirs = LoopDetector(CONFIG, ours.head, ours.channels[1:])
+    for number, seed in enumerate(PLACES):
+        picture = photo(street(seed, 96, 128))
+        [said] = segmenter.segment([picture], "features" in names)
+        given = {"picture": picture} if "hog" in names else {}
+        given |= {"features": said.features} if "features" in names else {}
+        expected = theirs.update(said.labels, f"drive/{number:03d}", float(number), **given)
+        assert ours.update(picture, f"drive/{number:03d}", float(number)) == expected
+    assert ours.weights.keys() == (set(names) if len(names) > 1 else set())
+
+
+def test_what_is_no_picture_is_refused_and_leaves_no_trace(network):
+    detector = LoopDetector.from_pretrained(network)
+    with pytest.raises(ValueError, match=r"expected a list of \(H, W, 3\) uint8 images"):
+        detector.update(np.zeros((96, 128, 3)), "drive/000")
+    assert len(detector) == 0
+    with pytest.raises(ValueError, match="expected a channel"):
+        LoopDetector.from_pretrained(network, channels=["nothing"])
+
+
+def test_without_a_network_a_picture_is_no_label_map():
+    with pytest.raises(ValueError, match="class scores must be floating point"):
+        LoopDetector().update(photo(street(0, 96, 128)), "drive/000")
