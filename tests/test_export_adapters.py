@@ -112,7 +112,7 @@ def test_the_settings_name_the_file(rtabmap, tmp_path):
     ("settings", "dimension", "message"),
     [
         (None, 128, "gives 480 numbers; set PyDescriptor/Dim, 128"),
-        ('{"model": "gone.onnx"}', 480, "No such file"),
+        ('{"model": "gone.onnx"}', 480, "gone.onnx does not exist"),
         ('{"model": "head.onnx"}', 480, "expected a file of `ssrvlad fuse`, whose input is images"),
         ('{"colour": [1]}', 480, "rtabmap_ssrvlad.json: no setting colour"),
         ("{", 480, "Expecting property name"),
