@@ -235,7 +235,8 @@ class Map:
         source, steps = self._source(frames), steps or Steps()
         if not isinstance(steps, Steps):
             raise ValueError(f"expected steps as Steps, got {steps!r}")
-        top = min(checked_number("top", top, least=1), max(TOP, len(self)))
+        most = max(TOP, len(self))
+        top = most if isinstance(top, int) and top > most else checked_number("top", top, least=1)
         if index:
             found = search_by_index(self.database, source, steps, top, sequences, exclude, progress)
         else:

@@ -19,9 +19,9 @@ from pathlib import Path
 
 import numpy as np
 from _markdown import ROOT, Page, head_row, parser, row, save
+from _timing import threads
 from _tours import Tour, all_tours, head
 from PIL import Image
-from ssrvlad_torch.cli.bench import threads
 
 from ssrvlad_torch import LoopDetector
 from ssrvlad_torch.database.frames import FrameRecord
