@@ -115,7 +115,7 @@ def test_with_features_it_gives_the_rows_of_query_not_those_without_a_sweep(
         write_image(tmp_path / "today" / f"{seed}.png", pixels)
     database, exported = tmp_path / "town", tmp_path / "town.npy"
     network = ("--segmenter", tmp_path / "net.yaml", "--labels-as", "camvid-11")
-    ssrvlad("encode", tmp_path / "monday", "-o", database, *network, "--with", "features")
+    ssrvlad("encode", tmp_path / "monday", "-o", database, *network, "--channel", "features")
     ssrvlad("db", "export", database, "--format", "npy", "-o", exported)
     given = (tmp_path / "place.onnx", tmp_path / "today", "--database", exported, "--json")
     got = first(main_of(program.main, "follow_onnx.py", *given)[1])
