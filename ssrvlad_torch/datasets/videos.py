@@ -205,11 +205,12 @@ def _without_leaps(
     Where the header says that the video lasts until the last of them, and they rise, it may have
     paused. Else the longest stretch without a leap is right, and what continues it."""
     times = [time for time, _ in shown]
-    steps = np.diff(np.array(sorted(times)))
+    steps = np.diff(np.array(sorted(times), np.float64))
     leap = max(_LEAP / unit, _LEAP_STEPS * float(np.median(steps)) if len(steps) else 0)
     moved = np.argsort(np.array(times), kind="stable") - np.arange(len(times))
     beyond = max(times) - min(times) - duration
-    if duration and np.abs(moved).max() <= _REORDERED and beyond <= max(_TOLERATED / unit, *steps):
+    allowed = max(_TOLERATED / unit, *steps, 0)
+    if duration and np.abs(moved).max() <= _REORDERED and beyond <= allowed:
         return shown
     borders = [0, *(n for n in range(1, len(times)) if abs(times[n] - times[n - 1]) > leap)]
     stretches = list(pairwise([*borders, len(times)]))
