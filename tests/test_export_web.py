@@ -25,8 +25,9 @@ from ssrvlad_place.model import Seen
 
 from ssrvlad_torch import SSRVLAD, Segmenter, SSRVLADConfig, export_head, match
 from ssrvlad_torch.deployment.fuse import fuse
+from ssrvlad_torch.stages.boundaries import AREA_LAYERS, DIRECTIONS
 from ssrvlad_torch.stages.harmonics import basis_table
-from ssrvlad_torch.taxonomy import label_space
+from ssrvlad_torch.taxonomy import CATEGORIES, label_space
 
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "export" / "web"
@@ -40,6 +41,15 @@ FAILED = "document.querySelector('#status.error')"
 ROWS = "Array.from(document.querySelectorAll('#matches tbody tr'), (row) => row.innerText)"
 GOLDEN = "document.getElementById('golden').value"
 STATUS = "document.getElementById('status').textContent"
+TARGETS = "Array.from(document.querySelectorAll('.target'), (target) => target.innerText.trim())"
+TARGETS_OF = {
+    "default": [
+        *("ground, parking", "sidewalk", "building, guard-rail", "pole", "vegetation", "sky"),
+        *(f"{direction} boundaries" for direction in DIRECTIONS),
+    ],
+    "paper": list(CATEGORIES),
+}
+"""No layer twice: where parking counts as ground, the page drew the target of ground for both."""
 CLASSES = json.dumps(label_space(SPACE).to_dict()["classes"])
 
 
@@ -127,14 +137,15 @@ def described(page, site, preset, file):
     return page.run(f"""(async () => {{
         const {{ Model }} = await import('./model.js');
         const {{ readLabels }} = await import('./label_png.js');
-        const {{ targetOf }} = await import('./targets.js');
+        const {{ targetsOf }} = await import('./targets.js');
         const bytes = async (a) => new Uint8Array(await (await fetch(a)).arrayBuffer());
         const model = await Model.load(await bytes('{preset}.onnx'));
         const found = await model.describe(await readLabels(await bytes('maps/{file.name}')));
-        const target = (k) => Array.from(targetOf(model.config, found.descriptor, k).values);
+        const categories = {json.dumps(CATEGORIES)};
+        const targets = targetsOf(model.config, found.descriptor, categories);
         return {{ ...found, descriptor: Array.from(found.descriptor),
           skeleton: found.skeleton && Array.from(found.skeleton),
-          targets: Array.from({{ length: 8 }}, (_, k) => target(k)) }};
+          targets: targets.map(({{ values }}) => Array.from(values)) }};
     }})()""")
 
 
@@ -151,6 +162,7 @@ def test_the_golden_pair_the_matches_and_what_is_drawn(page, site, preset):
     scores, rows = (part[0].tolist() for part in match(descriptors[2:3], descriptors, 5))
     names = [f"maps/{files_of(site)[row].stem}" for row in rows]
     assert shown == (names, pytest.approx(scores, abs=1e-4))
+    assert page.run(TARGETS) == TARGETS_OF[preset]
     assert_drawn_as_found(page, site, preset, 4)
 
 
@@ -177,9 +189,13 @@ def assert_drawn_as_found(page, site, preset, number):
 def assert_smooth_parts(targets, bins):
     """Each target is the projection of the histogram on the basis, of one scale for all."""
     config = CONFIGS["default"]
-    basis = basis_table(config.rings, config.sectors, config.harmonics, 0.0)
-    areas = bins[[0, 1, 2, 3, 4, 5, 2, 0]]
-    expected = (areas.flatten(1) @ basis.T @ basis).numpy()
+    expected = []
+    for part, count in (
+        (bins[:AREA_LAYERS], config.harmonics),
+        (bins[AREA_LAYERS:], config.boundary_harmonics),
+    ):
+        basis = basis_table(config.rings, config.sectors, count, 0.0)
+        expected += [*(part.flatten(1) @ basis.T @ basis).numpy()]
     scale = np.linalg.norm(expected) / np.linalg.norm(targets)
     np.testing.assert_allclose(targets * scale, expected, atol=1e-5)
 

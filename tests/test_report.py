@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 import torch
 from helpers import street
+from matplotlib.figure import Figure
 from reports import Page, frame_set, noisy, report_of
 
+from ssrvlad_torch.evaluation import report as evaluation_report
 from ssrvlad_torch.evaluation.metrics import CONVENTIONS, figure_rows, fraction
 from ssrvlad_torch.evaluation.outcomes import judge
 from ssrvlad_torch.evaluation.report import (
@@ -66,6 +68,18 @@ def test_it_needs_no_other_file_and_no_network(html, page):
     assert all(attributes["alt"] for attributes in page.all("img"))
     assert all(attributes["scope"] in ("row", "col") for attributes in page.all("th"))
     assert page.all("html")[0]["lang"] == "en"
+
+
+@pytest.mark.parametrize("name", ["_precision_recall", "_scores", "_matrix"])
+def test_no_legend_covers_what_is_drawn(report, name):
+    figure = Figure(figsize=(6, 4.2), layout="constrained")
+    axes = figure.add_subplot()
+    getattr(evaluation_report, name)(axes, report)
+    figure.draw_without_rendering()
+    (legend,) = [*figure.legends, *filter(None, [axes.get_legend()])]
+    assert not legend.get_window_extent().overlaps(axes.get_window_extent())
+    assert figure.bbox.x0 <= legend.get_window_extent().x0
+    assert legend.get_window_extent().x1 <= figure.bbox.x1
 
 
 def test_it_tells_every_figure_and_every_threshold(report, page):

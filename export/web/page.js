@@ -4,7 +4,7 @@
 import { Database } from "./database.js";
 import { readLabels } from "./label_png.js";
 import { Model } from "./model.js";
-import { drawTarget, targetOf } from "./targets.js";
+import { drawTarget, targetsOf } from "./targets.js";
 
 const CATEGORIES = {
   ground: "#b58bb5",
@@ -125,19 +125,24 @@ function drawTargets({ config }, { descriptor }) {
     config.aggregation === "residuals"
       ? "Rings by distance, sectors by direction: red where there is more skeleton around the keypoints " +
         "of a category than around its centre, blue where there is less."
-      : "Rings by distance from the vanishing column, sectors by direction: how much of a category " +
-        "lies there, reconstructed from its numbers. Red is much, white nothing; pale blue is an " +
-        "error of the smooth basis.";
-  const targets = Object.entries(CATEGORIES).map(([name, colour], k) => {
+      : "Rings by distance from the vanishing column, sectors by direction: how much of a category, of " +
+        "two that count as one, or of the boundaries between categories lies there, reconstructed from " +
+        "its numbers. Red is much, white nothing; pale blue is an error of the smooth basis.";
+  const targets = targetsOf(config, descriptor, Object.keys(CATEGORIES)).map((found) => {
+    const name = found.names.join(", ");
     const target = document.createElement("div");
     target.className = "target";
     target.innerHTML =
       '<canvas width="320" height="320" role="img"></canvas>' +
-      "<p><i></i> <b></b></p>";
+      "<p><b></b></p>";
     target.querySelector("canvas").setAttribute("aria-label", `target of ${name}`);
-    target.querySelector("i").style.background = colour;
     target.querySelector("b").textContent = name;
-    drawTarget(target.querySelector("canvas"), targetOf(config, descriptor, k));
+    for (const category of found.names.filter((each) => each in CATEGORIES).reverse()) {
+      const square = document.createElement("i");
+      square.style.background = CATEGORIES[category];
+      target.querySelector("p").prepend(square, " ");
+    }
+    drawTarget(target.querySelector("canvas"), found);
     return target;
   });
   element("targets").replaceChildren(...targets);

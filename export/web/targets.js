@@ -1,17 +1,23 @@
 // The numbers of a layer as a target: rings by distance, sectors by direction.
 
-/** The merged layer of each layer: guard rail is building, parking is ground. */
-const MERGED = [0, 1, 2, 3, 4, 5, 2, 0];
+/** What `default` counts: the areas of layers of one or two categories, and boundaries. */
+const AREAS = [["ground", "parking"], ["sidewalk"], ["building", "guard-rail"], ["pole"], ["vegetation"], ["sky"]];
+const BOUNDARIES = ["upright", "level", "rising", "falling"].map((direction) => [`${direction} boundaries`]);
 
-/** ``{rings, sectors, values, turned}`` of layer k; values ring by ring. The centre of a soft sector
- * is its angle, so the target is turned back by half a sector. */
-export function targetOf(config, descriptor, k) {
-  const { rings, sectors, aggregation, harmonics } = config;
-  const numbersOf = (block, length) => descriptor.subarray(block * length, (block + 1) * length);
-  if (aggregation === "residuals")
-    return { rings, sectors, values: numbersOf(k, rings * sectors), turned: 0 };
-  const values = histogramOf(config, numbersOf(MERGED[k], harmonics));
-  return { rings, sectors, values, turned: 0.5 };
+/** A target of each layer, ``{names, rings, sectors, values, turned}``; values ring by ring. The centre
+ * of a soft sector is its angle, so the target is turned back by half a sector. */
+export function targetsOf(config, descriptor, categories) {
+  const { rings, sectors } = config;
+  let start = 0;
+  const next = (length) => descriptor.subarray(start, (start += length));
+  if (config.aggregation === "residuals")
+    return categories.map((name) => {
+      return { names: [name], rings, sectors, values: next(rings * sectors), turned: 0 };
+    });
+  const smooth = (length) => (names) => {
+    return { names, rings, sectors, values: histogramOf(config, next(length)), turned: 0.5 };
+  };
+  return [...AREAS.map(smooth(config.harmonics)), ...BOUNDARIES.map(smooth(config.boundary_harmonics))];
 }
 
 /** The smooth part of the histogram, up to a factor; the numbers are its coefficients. */

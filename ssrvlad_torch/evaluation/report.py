@@ -191,7 +191,7 @@ def _precision_recall(axes: Axes, report: Report) -> None:
             axes.plot(point["recall"], point["precision"], "o", label=name, clip_on=False)
     axes.set(xlabel="recall", ylabel="precision", xlim=(0, 1), ylim=(0, 1.02))
     if axes.has_data():
-        axes.legend(loc="lower left")
+        axes.figure.legend(loc="outside upper center", ncols=3)
 
 
 def score_groups(outcomes: Outcomes) -> dict[str, Floats]:
@@ -213,7 +213,7 @@ def _scores(axes: Axes, report: Report) -> None:
     if suggested := report.metrics["thresholds"]["suggested"]:
         axes.axvline(suggested["score"], color="black", ls="--", label="suggested threshold")
     axes.set(xlabel=f"{report.score} of the best candidate", ylabel="queries")
-    axes.legend(loc="upper left")
+    axes.figure.legend(loc="outside upper center", ncols=2)
 
 
 def _matrix(axes: Axes, report: Report) -> None:
@@ -238,7 +238,7 @@ def _matrix(axes: Axes, report: Report) -> None:
     ):
         axes.plot(across, down, ".", ms=2, color=colour, label=name)
     axes.set(xlabel="references", ylabel="queries")
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.12), ncols=3, markerscale=4)
+    axes.figure.legend(loc="outside upper center", ncols=3, markerscale=4)
 
 
 def _row(report: Report, match: Match) -> dict[str, Any]:
