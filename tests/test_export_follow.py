@@ -184,7 +184,7 @@ def test_what_features_change(main_of, ssrvlad, tmp_path):
     day, evening = (REAL / "uofa" / each / "images" for each in ("day", "evening"))
     database, exported, place = tmp_path / "town", tmp_path / "town.npy", tmp_path / "place.onnx"
     given = ("--segmenter", network, "--segmenter-cache", tmp_path / "cache")
-    own = ("--labels-as", SPACE, "--sequence", "day", "--with", "features")
+    own = ("--labels-as", SPACE, "--sequence", "day", "--channel", "features")
     assert ssrvlad("encode", day, "-o", database, *given, *own)[0] == 0
     ssrvlad("db", "export", database, "--format", "npy", "-o", exported)
     ssrvlad("fuse", network, "-o", place, "--labels-as", SPACE)
