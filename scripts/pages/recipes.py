@@ -3,15 +3,16 @@
 
     .venv/bin/python scripts/pages/recipes.py --data ../shared/data
 
-ESPNetv2 of the folder `networks` labels every fourth picture of a drive of CamVid with right and
-wrong preparations, and two real pairs of traverses with a background channel. It wins where no
-class has a probability of one half, as in a network that says background where it is unsure. About
-five minutes on one thread.
+The networks of the folder `networks` run in ONNX Runtime and in OpenVINO in turn. ESPNetv2 labels
+every fourth picture of a drive of CamVid with right and wrong preparations, and two real pairs of
+traverses with a background channel. It wins where no class has a probability of one half, as in a
+network that says background where it is unsure. About six minutes on one thread.
 """
 
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -19,21 +20,25 @@ from pathlib import Path
 import numpy as np
 import torch
 from _described import ALONE
-from _markdown import Page, head_row, parser, row
-from conditions import REAL
+from _markdown import Page, head_row, interval, parser, processor, row
+from conditions import NETWORKS, REAL
 from torch import Tensor
 
 from ssrvlad_torch import SSRVLAD, Segmenter
+from ssrvlad_torch.channels.signs import SignQueries, SignRows
 from ssrvlad_torch.channels.vectors import VectorReferences
 from ssrvlad_torch.datasets.image_files import decode_image
 from ssrvlad_torch.datasets.label_files import find_label_files, read_label_map
 from ssrvlad_torch.recognition.comparison import Member
 from ssrvlad_torch.recognition.recognise import Steps, recognise
 from ssrvlad_torch.segmentation.network_outputs import classes_of, enlarged
+from ssrvlad_torch.segmentation.networks import open_network
+from ssrvlad_torch.segmentation.onnx_network import RUNTIMES, OnnxNetwork
+from ssrvlad_torch.segmentation.segmenter import Segmented
 from ssrvlad_torch.taxonomy import NO_LAYER, label_space
 
 SPACE, CLASSES, VOID, LEAST = "cityscapes-trainids", 19, 255, 0.5
-EVERY = 4
+EVERY, PICTURES = 4, 30
 WRONG = {
     "as the network was trained": {},
     "BGR for RGB": {"colour_order": "bgr"},
@@ -42,6 +47,50 @@ WRONG = {
     "half the size": {"size": (288, 384)},
 }
 PAIRS = (("UofA", "evening -> day"), ("Gardens Point", "right -> left"))
+
+
+def runtimes(data: Path) -> Iterator[str]:
+    """A table: OpenVINO against ONNX Runtime, on one picture after another in turn."""
+    others = ("pixels with another label", "other signs", "other first answers")
+    yield from head_row("network", "times as fast", *others)
+    head = SSRVLAD.from_preset("default", labels_as=SPACE)
+    for name in NETWORKS:
+        config = open_network(data / "networks" / f"{name}.yaml").config
+        graph = data / "networks" / f"{name}_city.onnx"
+        both = [Segmenter(OnnxNetwork(graph, runtime), SPACE, config) for runtime in RUNTIMES]
+        known = [both[0].segment([each], features=True)[0] for each in pictures(data, "day")]
+        seen: tuple[list[Segmented], list[Segmented]] = ([], [])
+        times = np.zeros((2, PICTURES))
+        for number, picture in enumerate(pictures(data, "evening")):
+            for way in (0, 1) if number % 2 else (1, 0):
+                begin = time.process_time()
+                seen[way].extend(both[way].segment([picture], features=True))
+                times[way, number] = time.process_time() - begin
+        pairs = list(zip(*seen, strict=True))
+        faster = np.quantile(times[0, 1:] / times[1, 1:], (0.5, 0.05, 0.95))
+        labels = np.mean([np.mean(a.labels != b.labels) for a, b in pairs])
+        signs = np.mean([np.unpackbits(a.features ^ b.features).mean() for a, b in pairs])
+        first = [first_answers(each, known, head) for each in seen]
+        changed = int((first[0] != first[1]).sum())
+        counts = f"{changed} of {len(first[0])}"
+        yield row(name, interval(faster[0], faster[1:], 2), f"{labels:.1e}", f"{signs:.1e}", counts)
+
+
+def pictures(data: Path, part: str) -> list[np.ndarray]:
+    """Some pictures of a traverse of UofA."""
+    files = sorted((data / "uofa" / part / "images").iterdir())
+    chosen = files[:: len(files) // PICTURES][:PICTURES]
+    return [decode_image(file.read_bytes()) for file in chosen]
+
+
+def first_answers(seen: list[Segmented], known: list[Segmented], head: SSRVLAD) -> Tensor:
+    """The first answers of queries by label maps, then by features, each alone."""
+    shapes, signs = [], []
+    for said in (seen, known):
+        shapes.append(torch.cat([head(torch.from_numpy(each.labels)[None]) for each in said]))
+        signs.append(torch.from_numpy(np.stack([each.features for each in said])))
+    by_signs = SignQueries(signs[0], SignRows(signs[1])).scores()
+    return torch.cat(((shapes[0] @ shapes[1].T).argmax(1), by_signs.argmax(1)))
 
 
 def preparations(settings: Path, camvid: Path) -> Iterator[str]:
@@ -117,6 +166,8 @@ def main() -> None:
     options = parser(__doc__, "recipes.md").parse_args()
     settings = options.data / "networks" / "espnetv2.yaml"
     page = Page("recipes.md", options.output)
+    page.paragraph("Measured on", f"Measured on {processor()}.")
+    page.table("## ONNX Runtime or OpenVINO\n", runtimes(options.data))
     page.table("## The preparation\n", preparations(settings, options.data / "camvid" / "0001TP"))
     page.table("## A background channel\n", background(settings, options.data))
 

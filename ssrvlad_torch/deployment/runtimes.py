@@ -7,20 +7,17 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import numpy.typing as npt
 
 from ..files import requiring
 from ..segmentation.onnx_files import CPU, open_session
+from ..segmentation.onnx_network import OPENVINO
+from ..segmentation.openvino_session import SINGLE, OpenVinoSession
 from .metadata import Arrays
 
 Run = Callable[[Arrays], dict[str, npt.NDArray[Any]]]
 """Runs a graph: its inputs by name to its outputs by name."""
 
-OPENVINO = "openvino"
-"""Name of OpenVINO's own runtime; other names are execution providers of ONNX Runtime."""
-
-_SINGLE = {"INFERENCE_PRECISION_HINT": "f32"}
 _RECORD = {"session.record_ep_graph_assignment_info": "1"}
 
 
@@ -97,27 +94,19 @@ class OpenVino(Runtime):
             that has it.
     """
 
-    needs = f"compile_model(model, 'CPU', {_SINGLE})"
+    needs = f"compile_model(model, 'CPU', {SINGLE})"
 
-    def __init__(self, settings: Mapping[str, str] = _SINGLE) -> None:
-        try:
+    def __init__(self, settings: Mapping[str, str] = SINGLE) -> None:
+        with requiring("openvino", "OpenVINO needs"):
             import openvino
-        except ImportError as error:
-            raise ImportError("OpenVINO needs: pip install openvino") from error
         version = openvino.get_version().partition("-")[0]
         precision = ", in single precision" if settings else ", as it is by default"
         self.name = f"OpenVINO {version}, CPU{precision}"
         self.plain = OpenVino({}) if settings else None
-        self._core, self._settings = openvino.Core(), dict(settings)
+        self._settings = dict(settings)
 
     def open(self, source: Path | bytes) -> Run:
         """A function that runs a compiled model."""
-        model = self._core.read_model(source)
-        names = [output.get_any_name() for output in model.outputs]
-        compiled = self._core.compile_model(model, "CPU", self._settings)
-
-        def run(inputs: Arrays) -> dict[str, npt.NDArray[Any]]:
-            outputs = compiled(dict(inputs))
-            return {name: np.array(outputs[number]) for number, name in enumerate(names)}
-
-        return run
+        session = OpenVinoSession(source, "the graph", settings=self._settings)
+        names = session.outputs
+        return lambda inputs: dict(zip(names, session.run(names, inputs), strict=True))

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from ..files import one_line, read_yaml, requiring
-from .onnx_network import OnnxNetwork
+from .onnx_network import ONNX_RUNTIME, RUNTIMES, OnnxNetwork
 from .preparation import SegmenterConfig
 
 AUTO = "auto"
@@ -26,7 +26,7 @@ _GIVEN = {"mean", "std", "white", "colour_order"}
 ACCEPT = "accept_defaults"
 """The key of a YAML file that accepts what is assumed of a network, so that nothing is noted."""
 
-_KEYS = ("network", "labels_as", "arguments", ACCEPT)
+_KEYS = ("network", "labels_as", "arguments", "runtime", ACCEPT)
 """Keys of a YAML file that are no settings of the preparation."""
 _WEIGHTS = (".pth", ".pt", ".ckpt", ".bin", ".safetensors", ".pkl")
 _MASK_NETWORKS = ("maskformer", "mask2former", "oneformer")
@@ -63,8 +63,8 @@ def open_network(name: str | Path) -> NamedNetwork:
             - the path of an ``.onnx`` file;
             - the path of a ``.yaml`` file with ``network``, one of these names, and those settings
               of `SegmenterConfig` that are not the defaults; also ``labels_as``, ``arguments`` for
-              a function, and ``accept_defaults``. Paths, modules and files are looked for beside
-              the file first;
+              a function, ``runtime`` for an ONNX file, and ``accept_defaults``. Paths, modules and
+              files are looked for beside the file first;
             - ``hf:ORG/NAME`` or ``hf:ORG/NAME@REVISION`` of the Hugging Face hub, or a folder in
               that format (extra ``hf``): any model for semantic segmentation, with the settings
               of its image processor;
@@ -91,14 +91,18 @@ def runs_code(name: str) -> bool:
 
 
 def _open(
-    name: str, settings: dict[str, Any], arguments: dict[str, Any], folder: Path | None = None
+    name: str,
+    settings: dict[str, Any],
+    arguments: dict[str, Any],
+    folder: Path | None = None,
+    runtime: str = ONNX_RUNTIME,
 ) -> NamedNetwork:
     """A network by its name, which is in a YAML file in a folder, or was given alone."""
     path, assumed = Path(name), not _GIVEN & settings.keys()
     if path.suffix.lower() in (".yaml", ".yml"):
         return _of_file(path)
     if path.suffix.lower() == ".onnx":
-        graph = OnnxNetwork(path)
+        graph = OnnxNetwork(path, runtime)
         names = graph.class_names()
         return NamedNetwork(name, graph, SegmenterConfig(**settings), names, assumed=assumed)
     if name.startswith("hf:") or path.is_dir():
@@ -131,7 +135,7 @@ def _of_file(path: Path) -> NamedNetwork:
     """The network that a YAML file names, with its settings."""
     name, document = _named(path)
     labels_as, arguments = document.pop("labels_as", None), document.pop("arguments", {})
-    accepted = document.pop(ACCEPT, False)
+    accepted, runtime = document.pop(ACCEPT, False), document.pop("runtime", ONNX_RUNTIME)
     try:
         config = SegmenterConfig.of(document, _KEYS)
     except ValueError as error:
@@ -141,10 +145,14 @@ def _of_file(path: Path) -> NamedNetwork:
         raise ValueError(f"{path}: arguments must be names with values, got {arguments!r}")
     if not isinstance(accepted, bool):
         raise ValueError(f"{path}: {ACCEPT} must be true or false, got {accepted!r}")
+    if runtime not in RUNTIMES:
+        raise ValueError(f"{path}: runtime must be {' or '.join(RUNTIMES)}, got {runtime!r}")
     for key, value in arguments.items():
         if isinstance(value, str) and value and (path.parent / value).exists():
             arguments[key] = str(path.parent / value)
-    network = _open(name, settings, arguments, path.parent)
+    network = _open(name, settings, arguments, path.parent, runtime)
+    if runtime != getattr(network.network, "runtime", ONNX_RUNTIME):
+        raise ValueError(f"{path}: runtime: {runtime} is for ONNX files, got network: {name}")
     if labels_as and (path.parent / str(labels_as)).is_file():
         labels_as = str(path.parent / labels_as)
     assumed = network.assumed and not accepted

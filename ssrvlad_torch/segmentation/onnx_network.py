@@ -1,4 +1,5 @@
-"""An ONNX graph as a PyTorch module: images in, named outputs out. Needs the extra ``onnx``."""
+"""An ONNX graph as a PyTorch module: images in, named outputs out. Needs the extra ``onnx``, and
+``openvino`` for that runtime."""
 
 from __future__ import annotations
 
@@ -17,6 +18,7 @@ from torch import Tensor, nn
 
 from .network_outputs import OutputForm
 from .onnx_files import CPU, external_files, open_session
+from .openvino_session import OpenVinoSession
 from .preparation import InputForm
 
 if TYPE_CHECKING:
@@ -29,12 +31,20 @@ _FLOATS = {
 }
 _DTYPES = {**_FLOATS, "tensor(uint8)": torch.uint8}
 
+RUNTIMES = ONNX_RUNTIME, OPENVINO = "onnxruntime", "openvino"
+"""What runs a graph."""
+
+OTHER = 1e-3
+"""Fraction by which an output may differ where runtimes compute the network in another order."""
+
 
 class OnnxNetwork(nn.Module):
-    """A graph in ONNX Runtime with one image input, on CUDA if the runtime supports it.
+    """A graph with one image input: in ONNX Runtime, on CUDA if it supports that, or in OpenVINO on
+    the CPU, in single precision.
 
     Args:
         path: the ``.onnx`` file; external weights lie beside it.
+        runtime: one of `RUNTIMES`.
 
     Attributes:
         size: height and width of the input, ``None`` for a free side.
@@ -46,18 +56,21 @@ class OnnxNetwork(nn.Module):
         - output: a mapping of the requested names, or all, to tensors.
 
     Raises:
-        ValueError: the file is missing, cannot be run, or does not take one image input.
-        ImportError: the extra ``onnx`` is not installed.
+        ValueError: the file is missing, cannot be run, or does not take one image input, or there
+            is no such runtime.
+        ImportError: an extra is not installed.
     """
 
-    def __init__(self, path: str | Path) -> None:
+    def __init__(self, path: str | Path, runtime: str = ONNX_RUNTIME) -> None:
         super().__init__()
-        self.path = Path(path)
+        self.path, self.runtime = Path(path), runtime
+        if runtime not in RUNTIMES:
+            raise ValueError(f"runtime must be {' or '.join(RUNTIMES)}, got {runtime!r}")
         if not self.path.is_file():
             raise ValueError(f"{path} does not exist or is not a file; expected an ONNX graph")
         self._files = [self.path]
         before = self._state_of_files()
-        self._session = open_session(
+        self._session: Any = open_session(
             self.path, path, "CUDAExecutionProvider", CPU, threads=torch.get_num_threads()
         )
         self._files += external_files(self.path)
@@ -84,10 +97,13 @@ class OnnxNetwork(nn.Module):
             kind = "ids" if output.type.startswith(("tensor(int", "tensor(uint")) else ""
             kind = "scores" if output.type in _FLOATS else kind
             self.outputs[output.name] = OutputForm(_shape(output), output.type, kind)
+        self._metadata = self._session.get_modelmeta().custom_metadata_map
+        if runtime == OPENVINO:
+            self._session = self._in_openvino()
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickles the path: another process opens the file again."""
-        return OnnxNetwork, (self.path.absolute(),)
+        return OnnxNetwork, (self.path.absolute(), self.runtime)
 
     def forward(self, images: Tensor, names: Iterable[str] = ()) -> dict[str, Tensor]:
         """Runs the graph, in batches of the length that it declares, if it declares one."""
@@ -106,10 +122,14 @@ class OnnxNetwork(nn.Module):
 
     def take(self, names: Sequence[str]) -> None:
         """Makes inner tensors outputs; a ValueError if the graph cannot run with them."""
-        self._session = self._session_with(names)
+        if self.runtime == OPENVINO:
+            self._require_unchanged()
+            self._session = self._in_openvino(names)
+        else:
+            self._session = self._session_with(names)
 
     def run_all(self, images: Tensor, names: Sequence[str]) -> dict[str, Tensor]:
-        """The inner tensors with these names for one picture."""
+        """The inner tensors with these names for one picture, by ONNX Runtime on the CPU."""
         session, array = self._session_with(names, whole=False), images.numpy(force=True)
         if self.batch:
             array = np.repeat(array, self.batch, axis=0)
@@ -146,9 +166,24 @@ class OnnxNetwork(nn.Module):
         threads = torch.get_num_threads()
         return open_session(content, self.path, provider, CPU, settings, threads)
 
+    def differs(self, images: Tensor, name: str) -> bool:
+        """Whether an output for some images is another than that of ONNX Runtime: more than `OTHER`
+        of the ids, or a score by more than that of the largest."""
+        if self.runtime == ONNX_RUNTIME:
+            return False
+        got, expected = (
+            network(images, [name])[name] for network in (self, OnnxNetwork(self.path))
+        )
+        if not got.is_floating_point():
+            return bool((got != expected).double().mean() > OTHER)
+        return not bool((got - expected).abs().max() <= OTHER * expected.abs().max())
+
+    def _in_openvino(self, taken: Sequence[str] = ()) -> OpenVinoSession:
+        return OpenVinoSession(self.path, self.path, taken, threads=torch.get_num_threads())
+
     def metadata(self) -> dict[str, str]:
         """The metadata properties of the file."""
-        return dict(self._session.get_modelmeta().custom_metadata_map)
+        return dict(self._metadata)
 
     def class_names(self) -> dict[int, str]:
         """Names of its classes by channel, from the metadata that exporters write: a mapping or a

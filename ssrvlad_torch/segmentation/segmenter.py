@@ -32,7 +32,7 @@ from .identity import ChangedError, Identity, digest_of, training
 from .label_network import LabelNetwork
 from .network_outputs import UnrecognisedError, channel_counts, classes_of, enlarged
 from .networks import AUTO, NamedNetwork, open_network
-from .onnx_network import OnnxNetwork
+from .onnx_network import ONNX_RUNTIME, OnnxNetwork
 from .preparation import OF_SIDES, SegmenterConfig
 
 PIXELS_AT_ONCE = 1 << 21
@@ -280,9 +280,19 @@ class Segmenter:
             raise
         except ValueError:  # the network does not take pictures of this size
             labels = b"none"
-        digest = digest_of(self.network, labels)
+        digest = digest_of(self.network, labels) + self._runtime
         self._identity.take(digest)
         return digest
+
+    @cached_property
+    def _runtime(self) -> str:
+        """What the runtime of a graph adds to its digest: nothing if it gives the numbers of ONNX
+        Runtime."""
+        network, output = self.network, self.config.output
+        if not isinstance(network, OnnxNetwork) or network.runtime == ONNX_RUNTIME:
+            return ""
+        other = network.differs(probed(self.labels), str(output))
+        return f" in {network.runtime}" if other else ""
 
     @cached_property
     def _identity(self) -> Identity:

@@ -1,0 +1,65 @@
+"""OpenVINO on the CPU in the place of a session of ONNX Runtime. Needs the extra ``openvino``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ..files import one_line, requiring
+
+SINGLE = {"INFERENCE_PRECISION_HINT": "f32"}
+"""The settings for single precision: OpenVINO computes in bfloat16 on a processor that has it."""
+
+
+class OpenVinoSession:
+    """A graph that OpenVINO has compiled for the CPU. Threads may run it at the same time.
+
+    Args:
+        source: the file or its content.
+        name: of the file in messages.
+        taken: inner tensors that become outputs.
+        settings: of `compile_model`.
+        threads: of one run, 0 for one per core.
+
+    Attributes:
+        outputs: their names.
+
+    Raises:
+        ValueError: the graph cannot run in OpenVINO, or has no such inner tensor.
+        ImportError: the extra ``openvino`` is not installed.
+    """
+
+    def __init__(
+        self,
+        source: Path | bytes,
+        name: object,
+        taken: Sequence[str] = (),
+        settings: Mapping[str, str] = SINGLE,
+        threads: int = 0,
+    ) -> None:
+        with requiring("openvino", "OpenVINO needs"):
+            import openvino
+        core, self._name = openvino.Core(), name
+        limits = {"INFERENCE_NUM_THREADS": threads} if threads else {}
+        try:
+            model = core.read_model(source)
+            model.add_outputs([*taken])
+            self._compiled = core.compile_model(model, "CPU", {**settings, **limits})
+        except Exception as error:  # OpenVINO raises RuntimeErrors of many kinds
+            raise ValueError(f"{name} cannot run in OpenVINO: {one_line(error)}") from error
+        self._numbers = {
+            each: number for number, output in enumerate(model.outputs) for each in output.names
+        }
+        self.outputs = [output.get_any_name() for output in model.outputs]
+
+    def run(
+        self, names: Sequence[str], inputs: Mapping[str, npt.NDArray[Any]]
+    ) -> list[npt.NDArray[Any]]:
+        """The outputs with these names."""
+        request = self._compiled.create_infer_request()
+        results = request.infer(dict(inputs))
+        return [np.array(results[self._numbers[name]]) for name in names]

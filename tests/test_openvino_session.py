@@ -1,0 +1,95 @@
+"""OpenVINO in the place of a session of ONNX Runtime."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from drawings import SPACE
+from helpers import street
+from networks import PLAIN, photo, write_graph
+from segmenting import assert_right
+
+from ssrvlad_torch.segmentation import onnx_network
+from ssrvlad_torch.segmentation.networks import open_network
+from ssrvlad_torch.segmentation.onnx_network import OPENVINO, OnnxNetwork
+from ssrvlad_torch.segmentation.openvino_session import OpenVinoSession
+from ssrvlad_torch.segmentation.segmenter import Segmenter
+
+pytest.importorskip("openvino", reason="the extra openvino is not installed")
+
+FORMS = {
+    "dynamic": {},
+    "a batch of three": {"shape": (3, 3, 24, 32)},
+    "external weights": {"external": True},
+    "channels last, labels inside": {
+        "shape": (1, 24, 32, 3),
+        "channels_last": True,
+        "labels": True,
+    },
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_a_graph_gives_what_the_network_gives(tmp_path, form):
+    path = write_graph(tmp_path / "net.onnx", **FORMS[form])
+    assert_right(Segmenter(OnnxNetwork(path, OPENVINO), SPACE, PLAIN))
+
+
+def test_a_yaml_file_names_the_runtime_and_the_identity_stays(tmp_path, monkeypatch):
+    write_graph(tmp_path / "net.onnx")
+    text = "network: net.onnx\nmean: [0, 0, 0]\nstd: [1, 1, 1]\n"
+    (tmp_path / "net.yaml").write_text(text)
+    (tmp_path / "fast.yaml").write_text(text + "runtime: openvino\n")
+    plain, fast = (Segmenter.load(tmp_path / f"{name}.yaml", SPACE) for name in ("net", "fast"))
+    assert (plain.network.runtime, fast.network.runtime) == onnx_network.RUNTIMES
+    assert_right(fast)
+    assert fast.key() == plain.key()
+    monkeypatch.setattr(onnx_network, "OTHER", -1.0)  # as if the scores were others
+    other = Segmenter.load(tmp_path / "fast.yaml", SPACE)
+    assert other.key() != plain.key()
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            "network: net.onnx\nruntime: tensorrt",
+            "must be onnxruntime or openvino, got .te",
+        ),
+        (
+            "network: nets:mine\nruntime: openvino",
+            "openvino is for ONNX files, got network: nets:m",
+        ),
+        (
+            "network: net.yaml\nruntime: openvino",
+            "openvino is for ONNX files, got network: .*net.y",
+        ),
+    ],
+)
+def test_a_runtime_that_cannot_be_taken_is_named(tmp_path, monkeypatch, text, message):
+    monkeypatch.chdir(tmp_path)
+    write_graph(tmp_path / "net.onnx")
+    (tmp_path / "net.yaml").write_text("network: net.onnx")
+    (tmp_path / "nets.py").write_text("from networks import colour_network as mine\n")
+    (tmp_path / "fast.yaml").write_text(text)
+    with pytest.raises(ValueError, match=rf"^fast\.yaml: runtime.*{message}") as error:
+        open_network("fast.yaml")
+    assert "\n" not in str(error.value)
+
+
+def test_what_openvino_cannot_run_is_named(tmp_path):
+    path = write_graph(tmp_path / "net.onnx")
+    with pytest.raises(ValueError, match=r"^net cannot run in OpenVINO: .*no_such") as error:
+        OpenVinoSession(path, "net", ["no_such"])
+    assert "\n" not in str(error.value)
+    with pytest.raises(ValueError, match=r"^net cannot run in OpenVINO: "):
+        OpenVinoSession(b"no graph", "net")
+
+
+def test_threads_run_one_graph_at_the_same_time(tmp_path):
+    network = OnnxNetwork(write_graph(tmp_path / "net.onnx"), OPENVINO)
+    segmenter = Segmenter(network, SPACE, PLAIN)
+    labels = [street(seed, 24, 32) for seed in range(40)]
+    with ThreadPoolExecutor(4) as pool:
+        seen = list(pool.map(lambda each: segmenter([photo(each)])[0], labels))
+    assert all(map(np.array_equal, seen, labels))
