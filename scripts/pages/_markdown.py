@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 import platform
 import re
+import subprocess
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Iterable, Iterator, Sequence
+from functools import cache
 from itertools import dropwhile, takewhile
 from pathlib import Path
 from textwrap import fill
@@ -77,7 +79,8 @@ def _model() -> str:
 
 
 class Page:
-    """A page of docs/. Its text is written by hand; a script fills tables and sections.
+    """A page of docs/. Its text is written by hand; a script fills tables and sections, and the
+    commit after ``Written by `SCRIPT` ``.
 
     Args:
         name: in docs/.
@@ -121,8 +124,24 @@ class Page:
         self._write(begin, text.rstrip("\n"), end if end >= 0 else len(self.text.rstrip("\n")))
 
     def _write(self, begin: int, new: str, end: int) -> None:
-        self.text = self.text[:begin] + new + self.text[end:]
+        text = self.text[:begin] + new + self.text[end:]
+        script = re.compile(
+            r"(Written by `scripts/pages/\w+\.py`)( of commit \w+( with changes)?)?"
+        )
+        self.text = script.sub(rf"\1 of commit {commit()}", text, count=1)
         write(self.output, self.text)
+
+
+@cache
+def commit() -> str:
+    """The short hash of the commit that is measured, and whether the sources have changes."""
+
+    def git(*arguments: str) -> str:
+        command = ["git", "-C", str(ROOT), *arguments]
+        return subprocess.run(command, check=True, capture_output=True, text=True).stdout.strip()
+
+    changed = git("status", "--porcelain", "--", "ssrvlad_torch", "scripts", "export")
+    return git("rev-parse", "--short", "HEAD") + " with changes" * bool(changed)
 
 
 def quote(file: Path, mark: str, text: str) -> None:
