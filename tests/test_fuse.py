@@ -30,7 +30,8 @@ from onnx import TensorProto, helper, numpy_helper
 from torch import Tensor, nn
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig
-from ssrvlad_torch.channels.channel import new_channels
+from ssrvlad_torch.channels.channel import View, new_channels
+from ssrvlad_torch.channels.hog import HOG
 from ssrvlad_torch.datasets.image_files import find_image_files, read_image
 from ssrvlad_torch.deployment.export import export_head
 from ssrvlad_torch.deployment.fuse import NETWORK, fuse, other_signs
@@ -59,10 +60,13 @@ run_of = cache(OnnxRuntime().open)
 def assert_fused(
     segmenter: Segmenter, file: Path, images: Images, config: SSRVLADConfig = CONFIG
 ) -> None:
-    """The labels and descriptors of a file are those of the segmenter and of the head."""
+    """The labels, HOG and descriptors of a file are those of the segmenter, of `encode` and of the
+    head."""
     outputs = run_of(file)({"image": images})
-    labels = outputs.pop("labels")
+    labels, histograms = outputs.pop("labels"), outputs.pop("hog")
     outputs.pop("features", None)
+    expected = HOG().describe([View("a/0", picture=picture) for picture in images])
+    np.testing.assert_allclose(histograms, expected.numpy(), rtol=0, atol=1e-6)
     np.testing.assert_array_equal(labels, segmenter(list(images)))
     expected = outputs_of(SSRVLAD(config), labels)
     assert outputs.keys() == expected.keys()
@@ -277,7 +281,7 @@ def test_a_file_without_features_and_networks_that_have_none(tmp_path):
     target = tmp_path / "place.onnx"
     assert fuse(plain, CONFIG, target).features == ""
     assert fuse(street, CONFIG, target, features=False).features == ""
-    assert {"labels", "descriptor", "unknown"} == {
+    assert {"labels", "descriptor", "unknown", "hog"} == {
         value.name for value in onnx.load(target).graph.output
     }
     target.write_text("before")
@@ -304,13 +308,13 @@ def test_the_two_files_of_a_split_are_the_one(tmp_path, ssrvlad):
     metadata, said = Metadata.from_properties(properties), json.loads(properties[NETWORK])
     assert metadata.fingerprint == CONFIG.fingerprint
     assert metadata.interface["inputs"]["image"] == {"dtype": "uint8", "shape": ["B", "H", "W", 3]}
-    assert set(metadata.golden) == {"image", "labels", "descriptor", "unknown"}
+    assert set(metadata.golden) == {"image", "labels", "descriptor", "unknown", "hog"}
     assert (said["name"], said["key"]) == ("seg.onnx", Segmenter.load(network, SPACE).key())
     image = photo(street(3, 60, 90))[None]
     expected = run_of(tmp_path / "place.onnx")({"image": image})
     labels = run_of(both[0])({"image": image})
-    assert labels.keys() == {"labels"}
-    got = run_of(both[1])(labels)
+    assert labels.keys() == {"labels", "hog"}
+    got = run_of(both[1])({"labels": labels["labels"]})
     for name, array in {**labels, **got}.items():
         np.testing.assert_array_equal(array, expected[name])
     for file in both:

@@ -113,9 +113,13 @@ def test_a_file_that_is_as_it_should_be(kind, files, streets):
     assert found.fingerprint == CONFIG.fingerprint
     networks = {"fused": "seg.onnx", "features": "street.onnx"}
     assert found.network == networks.get(kind)
-    features = "16 x 16 cells, 64 signs of relu_2, " if kind == "features" else ""
-    assert (found.features or "").startswith(features)
-    assert bool(found.features) == bool(features)
+    expected = {
+        "features": "16 x 16 cells, 64 signs of relu_2, " if kind == "features" else "",
+        "hog": "6 x 10 cells, 8 directions" if kind in networks else "",
+    }
+    for channel, fingerprint in expected.items():
+        assert found.channels.get(channel, "").startswith(fingerprint)
+        assert (channel in found.channels) == bool(fingerprint)
 
 
 def edit_bias(model: onnx.ModelProto) -> None:
@@ -127,6 +131,14 @@ def edit_signs(model: onnx.ModelProto) -> None:
     tables = [table for table in float_tables(model) if table.name.startswith("features/")]
     table = max(tables, key=lambda one: np.prod(one.dims))
     table.CopyFrom(numpy_helper.from_array(-numpy_helper.to_array(table), table.name))
+
+
+def edit_hog(model: onnx.ModelProto) -> None:
+    """Another weight of red."""
+    [weight] = (
+        t for t in model.graph.initializer if numpy_helper.to_array(t).flatten().tolist() == [19595]
+    )
+    weight.CopyFrom(numpy_helper.from_array(numpy_helper.to_array(weight) - 9999, weight.name))
 
 
 def edit_table_and_golden(model: onnx.ModelProto) -> None:
@@ -143,7 +155,13 @@ WRONG: dict[str, tuple[str, Callable[[onnx.ModelProto], None], str]] = {
     "other features": (
         "features",
         with_property("features", lambda _: "others"),
-        r"^the features are not those that ssrvlad\.features and",
+        r"^features: not what the properties ssrvlad\.features and",
+    ),
+    "hog": ("fused", edit_hog, r"^hog differs by 0\.\d+$"),
+    "other hog": (
+        "fused",
+        with_property("hog", lambda _: "others"),
+        r"^hog: not what the properties ssrvlad\.hog and",
     ),
     "fingerprint": (
         "labels",

@@ -10,6 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ..channels import channel
+from ..channels.channel import View
+from ..channels.hog import HOG
 from ..config import SSRVLADConfig
 from ..descriptor import SSRVLAD
 from ..files import check_output, one_line, replacing, requiring
@@ -24,10 +26,13 @@ from .metadata import PREFIX, Arrays, Metadata
 from .runtimes import OnnxRuntime, Run
 from .trace import interface, join, opset, with_opset
 
-NETWORK, SIGNS = f"{PREFIX}network", f"{PREFIX}features"
-"""Properties of a fused file: `FusedNetwork`, and the fingerprint of its features."""
+NETWORK = f"{PREFIX}network"
+"""The property of a fused file that holds its `FusedNetwork`."""
 
 IMAGE, LABELS, FEATURES = "image", "labels", channel.FEATURES
+OF_PICTURES = (FEATURES, HOG.name)
+"""Channels of a fused file, in which they are outputs and properties with their fingerprints."""
+
 HEAD = "ssrvlad/"
 """Prefix of the names of the head's nodes and tables."""
 
@@ -39,6 +44,9 @@ MAX_OTHER_SIGNS = 0.01
 """The same of the signs of the features. A sign can only turn where its projection is near zero, so
 in single precision about one of 10,000 does."""
 
+MAX_OTHER_HOG = 1e-6
+"""By how much a number of HOG may differ: all but its last steps are in whole numbers."""
+
 
 @dataclass(frozen=True)
 class FusedNetwork:
@@ -48,13 +56,19 @@ class FusedNetwork:
         name: name of the network; of a file, its name without the folder.
         key: digest of what it computes and of its settings; see `Segmenter.key`.
         settings: the settings of the preparation, as `SegmenterConfig`.
-        features: fingerprint of the features in the file, as in a database; empty without them.
+        features, hog: fingerprints of the channels in the file, as in a database; empty without.
     """
 
     name: str
     key: str
     settings: dict[str, Any]
     features: str = ""
+    hog: str = ""
+
+    @property
+    def channels(self) -> dict[str, str]:
+        """The fingerprints of `OF_PICTURES` in the file."""
+        return {name: key for name in OF_PICTURES if (key := getattr(self, name))}
 
 
 def fuse(
@@ -76,8 +90,9 @@ def fuse(
         - input: ``image (B, H, W, 3)`` uint8 in RGB, of any size.
         - outputs: those of `export_head`, and ``labels (B, H, W)`` uint8, or int64 for wider ids.
           With features also ``features (B, 16, 16, 8)`` uint8, the signs that `Segmenter.segment`
-          gives; all 0 for activations that are not finite or the same everywhere. Of two files,
-          the first gives ``labels`` and ``features``, and the second takes the labels.
+          gives; all 0 for activations that are not finite or the same everywhere. ``hog (B, 480)``
+          float32 is that of `HOG`. Of two files, the first gives all these, and the second takes
+          the labels.
 
     Args:
         network: a segmenter, or the name of a network; see `open_network`.
@@ -134,13 +149,15 @@ def _fuse(
     narrow = model.graph.output[0].type.tensor_type.elem_type == TensorProto.UINT8
     head_part = head_model(config, LABELS, "uint8" if narrow else "int64")
     key = features.fingerprint if features else ""
-    fused = FusedNetwork(name, segmenter.key(), dataclasses.asdict(segmenter.config), key)
-    extra = {NETWORK: json.dumps(asdict(fused))} | ({SIGNS: key} if key else {})
+    settings, hog = dataclasses.asdict(segmenter.config), HOG().fingerprint
+    fused = FusedNetwork(name, segmenter.key(), settings, key, hog)
+    extra = {NETWORK: json.dumps(asdict(fused))}
+    extra |= {PREFIX + name: fingerprint for name, fingerprint in fused.channels.items()}
     if head_path is None:
         first = list(model.graph.output)
         parts = [model, with_opset(head_part, opset(model))]
         model = join(parts, ["", HEAD], [[(LABELS, f"{HEAD}{LABELS}")]])
-        last = [value for value in model.graph.output if value.name != FEATURES]
+        last = [value for value in model.graph.output if value.name not in OF_PICTURES]
         del model.graph.output[:]
         model.graph.output.extend([*last, *first])
     form = interface(model)
@@ -171,7 +188,9 @@ def _golden_image(segmenter: Segmenter, features: bool) -> Arrays:
         except ValueError as reason:
             error = reason
             continue
+        views = [View("golden", picture=picture) for picture in pictures]
         golden = {IMAGE: np.stack(pictures), LABELS: np.stack([each.labels for each in said])}
+        golden[HOG.name] = HOG().describe(views).numpy()
         signs = [each.features for each in said if each.features is not None]
         return golden | ({FEATURES: np.stack(signs)} if signs else {})
     raise error
@@ -226,6 +245,10 @@ def problem_of_network(got: Arrays, expected: Arrays) -> str:
         fraction = other_signs(got[FEATURES], expected[FEATURES])
         if fraction > MAX_OTHER_SIGNS:
             return f"{fraction:.1%} of the signs of the features are others"
+    if HOG.name in expected:
+        difference = np.abs(got[HOG.name].astype(np.float64) - expected[HOG.name]).max(initial=0)
+        if not difference <= MAX_OTHER_HOG:
+            return f"hog differs by {difference:.2g}"
     return ""
 
 

@@ -1,4 +1,4 @@
-"""Pictures to label maps and features as an ONNX graph: traced parts, joined with the network."""
+"""Pictures to label maps, features and HOG as one ONNX graph: traced parts and the network."""
 
 from __future__ import annotations
 
@@ -8,12 +8,14 @@ import torch
 from torch import Tensor, nn
 
 from ..channels.channel import FEATURES as NAME
+from ..channels.gray import luma
+from ..channels.hog import HOG
 from ..files import one_line
 from ..segmentation.activations import is_script
 from ..segmentation.features import NetworkFeatures
 from ..segmentation.label_network import LabelNetwork
 from ..segmentation.network_outputs import classes_of, enlarged
-from ..segmentation.onnx_files import load_model
+from ..segmentation.onnx_files import load_model, rename
 from ..segmentation.onnx_network import OnnxNetwork
 from ..segmentation.preparation import OF_SIDES, InputForm, Preparation, SegmenterConfig
 from ..stages.features import SHAPE, Features
@@ -26,13 +28,14 @@ FEATURES = f"{NAME}/"
 """Prefix of the names of the nodes and tables that make features of activations."""
 
 _IMAGE = ("B", "H", "W", 3)
+_HISTOGRAMS: Axes = ["B", HOG().length]
 EXAMPLE = (66, 98)
 """Height and width of the pictures that a module is traced with; the values are arbitrary."""
 
 
 def label_graph(labels: LabelNetwork, features: NetworkFeatures | None = None) -> onnx.ModelProto:
-    """A graph from ``image (B, H, W, 3)`` uint8 to ``labels (B, H, W)`` uint8 or int64, and with
-    features to ``features (B, 16, 16, 8)`` uint8.
+    """A graph from ``image (B, H, W, 3)`` uint8 to ``labels (B, H, W)`` uint8 or int64, to
+    ``hog (B, 480)`` float32, and with features to ``features (B, 16, 16, 8)`` uint8.
 
     A PyTorch network is traced together with preparation, decision and features. For an ONNX graph
     these are traced and joined to it; a graph below the head's opset is converted to it. A network
@@ -71,21 +74,24 @@ def label_graph(labels: LabelNetwork, features: NetworkFeatures | None = None) -
         signs = _traced_features(*forms)
         pairs = [(f"network/{name}", f"{FEATURES}{at}") for at, name in enumerate(names)]
         joined = join([joined, with_opset(signs, version)], ["", FEATURES], [pairs])
-    outputs = [value for value in joined.graph.output if value.name in ("labels", NAME)]
+    histograms = f"prepare/{HOG.name}"
+    ends = {value.name: value for value in joined.graph.output}
+    outputs = [ends[name] for name in ("labels", NAME, histograms) if name in ends]
     del joined.graph.output[:]
     joined.graph.output.extend(outputs)
+    rename(joined.graph, lambda name: HOG.name if name == histograms else name)
     return joined
 
 
 class _Preparation(nn.Module):
-    """The preparation, which also returns the picture for its size."""
+    """The preparation, which also returns the picture for its size, and HOG."""
 
     def __init__(self, preparation: Preparation) -> None:
         super().__init__()
         self.preparation = preparation
 
-    def forward(self, image: Tensor) -> tuple[Tensor, Tensor]:
-        return self.preparation(image), image[:, :, :, 0]
+    def forward(self, image: Tensor) -> tuple[Tensor, ...]:
+        return self.preparation(image), image[:, :, :, 0], HOG().histograms(luma(image))
 
 
 class _Decision(nn.Module):
@@ -105,7 +111,7 @@ class _Decision(nn.Module):
 
 
 class _Whole(nn.Module):
-    """A `LabelNetwork` whose labels have a fixed dtype, and its features if they are wanted."""
+    """A `LabelNetwork` whose labels have a fixed dtype, HOG, and features if they are wanted."""
 
     def __init__(
         self, labels: LabelNetwork, dtype: torch.dtype, features: NetworkFeatures | None
@@ -116,7 +122,8 @@ class _Whole(nn.Module):
     def forward(self, image: Tensor) -> tuple[Tensor, ...]:
         output, activations = self.labels.run(image, self.features.names if self.features else ())
         labels = enlarged(classes_of(output), *image.shape[1:3]).to(self.dtype)
-        return (labels, self.features(activations)) if self.features else (labels,)
+        signs = [self.features(activations)] if self.features else []
+        return labels, *signs, HOG().histograms(luma(image))
 
 
 def _traced_network(labels: LabelNetwork, features: NetworkFeatures | None) -> onnx.ModelProto:
@@ -133,8 +140,8 @@ def _traced_network(labels: LabelNetwork, features: NetworkFeatures | None) -> o
             f"{one_line(error)}{'' if labels.config.resizes else f'; {OF_SIDES}'}"
         ) from error
     module = _Whole(labels, torch.uint8 if narrow else torch.int64, features)
-    forms: dict[str, Axes] = {"labels": ["B", "H", "W"], NAME: ["B", *SHAPE]}
-    outputs = forms if features else {"labels": forms["labels"]}
+    signs: dict[str, Axes] = {NAME: ["B", *SHAPE]} if features else {}
+    outputs = {"labels": ["B", "H", "W"], **signs, HOG.name: _HISTOGRAMS}
     return traced(module, {"image": (example, _IMAGE)}, outputs)
 
 
@@ -154,7 +161,7 @@ def _traced_preparation(
     module = _Preparation(Preparation(config, InputForm(dtype, channels_last)))
     example = torch.zeros(2, *EXAMPLE, 3, dtype=torch.uint8)
     forms: dict[str, Axes] = {"numbers": [None] * 4, "picture": ["B", "H", "W"]}
-    return traced(module, {"image": (example, _IMAGE)}, forms)
+    return traced(module, {"image": (example, _IMAGE)}, {**forms, HOG.name: _HISTOGRAMS})
 
 
 def _traced_decision(

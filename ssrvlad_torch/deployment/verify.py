@@ -19,12 +19,11 @@ from ..files import one_line, parse_json
 from ..segmentation.onnx_files import CPU, load_model
 from ..taxonomy import LabelSpace
 from .fuse import (
-    FEATURES,
     HEAD,
     IMAGE,
     LABELS,
     NETWORK,
-    SIGNS,
+    OF_PICTURES,
     FusedNetwork,
     problem_of_network,
 )
@@ -64,7 +63,7 @@ class Verification:
         version: version of the package that wrote the file.
         fingerprint, labels_as: fingerprint and label space of the settings in the file.
         network: name of the network in the file, ``None`` for a head alone.
-        features: fingerprint of the features that the file gives, ``None`` without.
+        channels: fingerprints of the channels of pictures that the file gives, by name.
         warnings: remarks that are no problems.
         problems: problems of the file as a whole.
         checks: the comparisons.
@@ -78,7 +77,7 @@ class Verification:
     fingerprint: str
     labels_as: str
     network: str | None
-    features: str | None = None
+    channels: dict[str, str] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
     checks: list[Check] = field(default_factory=list)
@@ -114,8 +113,8 @@ def verify(
     The file runs on its golden pair; its head runs on `labels`, and is compared with the module on
     each. Of a fused file, the head is extracted for this, and on the golden image at most 1 % of
     the pixels may have another label than the recorded one, and at most 1 % of the signs of its
-    features be others, because runtimes compute networks differently; the head must agree with the
-    module on these labels. Of a network without a head, only labels and features are compared.
+    features be others, because runtimes compute networks differently; its HOG and the head on these
+    labels must agree with the module. Of a network without a head, the rest is compared.
 
     Args:
         path: the file.
@@ -155,8 +154,13 @@ def _verify(
     fused = FusedNetwork(**parse_json(text, NETWORK)) if text else None
     result = _begun(metadata, module, fused, runtime, path)
     golden, source = metadata.golden_arrays(), path
-    if properties.get(SIGNS) != result.features or (FEATURES in golden) != bool(result.features):
-        result.problems.append(f"the features are not those that {SIGNS} and {NETWORK} name")
+    own = fused.channels if fused else {}
+    for name in OF_PICTURES:
+        if properties.get(PREFIX + name, "") != own.get(name, "") or (name in golden) != (
+            name in own
+        ):
+            problem = f"{name}: not what the properties {PREFIX}{name} and {NETWORK} name"
+            result.problems.append(problem)
     if fused:
 
         def judge(name: str, got: Arrays) -> Check:
@@ -173,7 +177,7 @@ def _verify(
         source = model.SerializeToString()
     head, value = _File(runtime, source), model.graph.input[0]
     given = {value.name: golden.pop(value.name)}
-    expected = {name: golden[name] for name in golden if name not in (IMAGE, FEATURES)}
+    expected = {name: golden[name] for name in golden if name not in (IMAGE, *OF_PICTURES)}
     expected = expected or outputs_of(module, given[value.name])
     judge_pair = partial(compare, expected=expected)
     if runtime.plain:
@@ -203,7 +207,7 @@ def _begun(
         metadata.fingerprint,
         metadata.label_space["name"],
         fused.name if fused else None,
-        fused.features or None if fused else None,
+        fused.channels if fused else {},
     )
     if metadata.version != package_version():
         result.warnings.append(
@@ -228,7 +232,8 @@ def _head_of(model: onnx.ModelProto) -> onnx.ModelProto:
     nodes = [node for node in model.graph.node if node.name.startswith(HEAD)]
     tables = [tensor for tensor in model.graph.initializer if tensor.name.startswith(HEAD)]
     inputs = [value for value in model.graph.output if value.name == LABELS]
-    outputs = [value for value in model.graph.output if value.name not in (LABELS, FEATURES)]
+    others = (LABELS, *OF_PICTURES)
+    outputs = [value for value in model.graph.output if value.name not in others]
     graph = helper.make_graph(nodes, "ssrvlad", inputs, outputs, tables)
     return helper.make_model(graph, opset_imports=model.opset_import, ir_version=model.ir_version)
 
