@@ -4,15 +4,15 @@
 python export/follow_onnx.py place.onnx photos/today --database photos.npy
 
 Takes the steps of `ssrvlad query` that need no torch. Own mean off: descriptors lose the mean of
-their drive if it has 30 frames, else that of all; so do features, which are fused with them where
-the file and the database have some, and moved to both sides, as `ssrvlad query` does without
-`--no-sweep`. Follow: a hidden Markov model over the rows of the map finds
-each folder as a sequence, with its later frames too. It does not ask whether the frames are a
-sequence along the map, which `ssrvlad query` does, and it takes every drive to run at 0 to 4 rows a
-frame: give it drives only, and single pictures to `run_onnx.py`. Prints for each frame the best
-rows with their probabilities; the first is that of the place, a few rows wide. Needs numpy,
-onnxruntime, and the folder `ssrvlad_place` beside it. Memory: 56 bytes for each pair of a
-frame and a row, and 128 kB for each frame and row with features. Exit code 0 for success, 2 for
+their drive if it has 30 frames, else that of all. So do features and HOG, which are fused with them
+where the file and the database have some; features are moved to both sides, as `ssrvlad query` does
+without `--no-sweep`. Follow: a hidden Markov model over the rows of the map finds each folder as a
+sequence, with its later frames too. It does not ask whether the frames are a sequence along the
+map, which `ssrvlad query` does, and it takes every drive to run at 0 to 4 rows a frame: give it
+drives only, and single pictures to `run_onnx.py`. Prints for each frame the best rows with their
+probabilities; the first is that of the place, a few rows wide. Needs numpy, onnxruntime, and the
+folder `ssrvlad_place` beside it. Memory: 56 bytes for each pair of a frame and a row, and 128 kB
+for each frame and row with features. Exit code 0 for success, 2 for
 wrong use, 3 for finished with some frames skipped.
 """
 
@@ -33,7 +33,7 @@ from ssrvlad_place.frames import find_frames
 from ssrvlad_place.model import Seen, add_model, open_model
 from ssrvlad_place.motion import GAP, LEVEL, MAX_LOG, PRIOR, STAY, WAYS
 from ssrvlad_place.output import finished, note, one_line, report, run_program
-from ssrvlad_place.scores import REACH, WEIGHTS, fused, lead, nearness, weights_of
+from ssrvlad_place.scores import FEATURES, REACH, fused, lead, nearness, weights_of
 
 Floats = npt.NDArray[np.float32]
 
@@ -62,6 +62,45 @@ def without_means(descriptors: Floats, sequences: Sequence[str]) -> Floats:
         mean = of[of.any(axis=2)].mean(axis=0, dtype=np.float64).astype(np.float32)
         after[rows] = np.where(anchors[rows].any(axis=2, keepdims=True), anchors[rows] - mean, 0)
     return after / np.maximum(np.linalg.norm(after, axis=2, keepdims=True), _ROUNDING)
+
+
+def scores_of_drive(drive: Sequence[Seen], name: str, database: Database) -> Floats:
+    """``(Q, R)`` scores of the frames of a drive to those of a map, fused of all channels that both
+    have. The weights of fewer than `MIN_FRAMES` frames are those of single frames."""
+    sequences, standardised = [name] * len(drive), len(drive) >= MIN_FRAMES
+    names = [frame.rpartition("/")[0] for frame in database.frames]
+    parts: dict[str, Floats] = {}
+    for channel, rows in database.channels.items():
+        queries = np.stack([seen.channels[channel] for seen in drive])
+        if channel == FEATURES:
+            sides = (numbers(queries, sequences, standardised), numbers(rows, names, standardised))
+            parts[channel] = scores_of_signs(*sides)
+        else:
+            references = np.asarray(rows, np.float32)
+            parts[channel] = scores_of_vectors(queries, references, sequences, names, standardised)
+    if len(parts) == 1:
+        return next(iter(parts.values()))
+    leads = {each: mean_lead(scores) if standardised else 0.0 for each, scores in parts.items()}
+    weights = weights_of(leads)
+    return np.stack([fused(row, weights) for row in zip(*parts.values(), strict=True)]).astype(
+        np.float32
+    )
+
+
+def scores_of_vectors(
+    queries: Floats,
+    references: Floats,
+    sequences: Sequence[str],
+    names: Sequence[str],
+    standardised: bool,
+) -> Floats:
+    """``(Q, R)`` cosines of vectors ``(Q, D)``, or ``(Q, S, D)`` by the best anchor, to those
+    of ``(R, D)``, without the means of their drives if standardised; -inf where one is zero."""
+    rows = without_means(references, names)[:, 0] if standardised else references
+    scores: Floats = (without_means(queries, sequences) @ rows.T).max(axis=1)
+    scores[:, ~rows.any(axis=1)] = -np.inf
+    scores[~queries.reshape(len(queries), -1).any(axis=1)] = -np.inf
+    return scores
 
 
 def scores_of_signs(queries: Floats, references: Floats) -> Floats:
@@ -174,7 +213,7 @@ def candidates(
 def run(options: argparse.Namespace) -> int:
     """Runs the program; the exit code."""
     model = open_model(options)
-    database = Database(options.database, model.fingerprint, model.features)
+    database = Database(options.database, model.fingerprints)
     if not database.frames:
         raise ValueError(f"{options.database} holds no frames")
     described: dict[str, Seen] = {}
@@ -188,26 +227,10 @@ def run(options: argparse.Namespace) -> int:
             note(f"{path}: {one_line(error)}")
             skipped += 1
     names = [frame.rpartition("/")[0] for frame in database.frames]
-    references = without_means(np.asarray(database.descriptors), names)[:, 0]
     track = Track(names)
     for sequence, group in groupby(described, lambda frame: frame.rpartition("/")[0]):
         drive = list(group)
-        queries = np.stack([described[frame].descriptor for frame in drive])
-        standardised = len(drive) >= MIN_FRAMES
-        swept = without_means(queries, [sequence] * len(drive))
-        rows = references if standardised else np.asarray(database.descriptors, np.float32)
-        scores = (swept @ rows.T).max(axis=1)
-        scores[:, ~rows.any(axis=1)] = -np.inf
-        scores[~queries.reshape(len(drive), -1).any(axis=1)] = -np.inf
-        if database.signs is not None:
-            signs = np.stack([described[frame].features for frame in drive])
-            ours = numbers(signs, [sequence] * len(drive), standardised)
-            cosines = scores_of_signs(ours, numbers(database.signs, names, standardised))
-            methods = [scores, cosines]
-            leads = [mean_lead(each) for each in methods]
-            weights = weights_of(leads) if standardised else WEIGHTS
-            pairs = zip(*methods, strict=True)
-            scores = np.stack([fused(pair, weights) for pair in pairs]).astype(np.float32)
+        scores = scores_of_drive([described[frame] for frame in drive], sequence, database)
         for frame, found, row in zip(drive, track.rows(scores), scores, strict=True):
             ranked = candidates(found, row, track, database.frames, options.top)
             report(frame, not described[frame].descriptor.any(), ranked, options.json)

@@ -11,10 +11,10 @@ TIFF or BMP, or `.npy` (H, W); with `--input logits` class scores as `.npy` (C, 
 files of `ssrvlad fuse --split` the network runs on --provider and the head on the CPU. Every file
 is run on its golden pair when it is loaded, and refused if this runtime gives other outputs. A
 database is written by `ssrvlad db export --format npy` or by --save-descriptors. Where the file and
-the database have features, they are fused with the descriptors of label maps. Each frame is judged
-alone, without the steps of `ssrvlad query`; `follow_onnx.py` takes them for drives. Exit code 0 for
-success, 1 if --check finds the golden pair wrong, 2 for wrong use, 3 for finished with some frames
-skipped.
+the database have features and HOG, they are fused with the descriptors of label maps. Each frame is
+judged alone, without the steps of `ssrvlad query`; `follow_onnx.py` takes them for drives. Exit
+code 0 for success, 1 if --check finds the golden pair wrong, 2 for wrong use, 3 for finished with
+some frames skipped.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def run(options: argparse.Namespace) -> int:
     if options.save_descriptors and model.anchors:
         raise ValueError("--save-descriptors: expected a file without --sweep")
     given, out = options.database, options.save_descriptors
-    database = given and Database(given, model.fingerprint, model.features)
+    database = given and Database(given, model.fingerprints)
     if out and not out.parent.is_dir():
         raise ValueError(f"--save-descriptors: {out.parent} is no folder")
     files: dict[str, Path] = {}
@@ -58,11 +58,10 @@ def run(options: argparse.Namespace) -> int:
             note(f"{path}: {error}")
             skipped += 1
             continue
-        descriptor, features = seen[frame]
-        candidates = database.search(descriptor, options.top, features) if database else None
-        report(frame, not descriptor.any(), candidates, options.json)
+        candidates = database.search(seen[frame], options.top) if database else None
+        report(frame, not seen[frame].descriptor.any(), candidates, options.json)
     if out and seen:
-        save(out, list(seen.values()), list(seen), model.fingerprint, model.features)
+        save(out, list(seen.values()), list(seen), model.fingerprints)
     return finished(skipped, len(seen))
 
 

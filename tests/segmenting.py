@@ -77,20 +77,21 @@ def write_drives(folder, monday=range(12), today=range(3, 9), size=(96, 144)):
 
 def write_town(folder, path, top=5):
     """The database of ``monday`` in NumPy's form; the frames and scores of the candidates of the
-    photos of ``today``, judged alone by label maps and features."""
+    photos of ``today``, judged alone by all channels."""
     segmenter = Segmenter.load(folder / "net.yaml")
     head = SSRVLAD(SSRVLADConfig(labels_as="camvid-11"))
-    channels = new_channels(["features"], head, segmenter)
+    channels = new_channels(None, head, segmenter)
     (today, _), (monday, _) = (
         encode_to_memory(channels, head.label_space, files, 1, segmenter=segmenter)
         for drive in ("today", "monday")
         for files in [find_image_files([str(folder / drive)])]
     )
-    for end, values in zip(("", ".features.npy"), monday.channels.values(), strict=True):
+    ends = ("", ".features.npy", ".hog.npy")
+    for end, values in zip(ends, monday.channels.values(), strict=True):
         np.save(f"{path}{end}", values.numpy())
     Path(f"{path}.frames.txt").write_text("".join(f"{frame}\n" for frame in monday.frames))
-    Path(f"{path}.fingerprint.txt").write_text(f"{head.config.fingerprint}\n")
-    Path(f"{path}.features.npy.fingerprint.txt").write_text(f"{channels[1].column.fingerprint}\n")
+    for end, channel in zip(ends, channels, strict=True):
+        Path(f"{path}{end}.fingerprint.txt").write_text(f"{channel.column.fingerprint}\n")
     steps = Steps(standardise=False, follow=None)
     found = recognise_in(monday, today, channels, steps, top).matches
     return [

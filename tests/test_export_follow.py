@@ -86,8 +86,8 @@ def test_scores_of_features_and_weights_are_those_of_query():
         both = [cosines[:frames], got]
         members = {name: torch.from_numpy(v) for name, v in zip(MEMBERS, both, strict=True)}
         fused = FusedScores(members, TRUST)
-        leads = [program.mean_lead(each) for each in both]
-        weights = program.weights_of(leads) if whole else program.WEIGHTS
+        leads = [program.mean_lead(each) if whole else 0.0 for each in both]
+        weights = program.weights_of(dict(zip(MEMBERS, leads, strict=True)))
         np.testing.assert_allclose(weights, [*fused.weights.values()], atol=1e-5)
         for row, right in zip(zip(*both, strict=True), fused.whole(), strict=True):
             np.testing.assert_allclose(program.fused(row, weights), right, atol=1e-5)
@@ -105,7 +105,7 @@ def test_a_drive_with_features_is_found(main_of, tmp_path):
     assert np.mean(right) > 0.9
 
 
-def test_with_features_it_gives_the_rows_of_query_not_those_without_a_sweep(
+def test_with_all_channels_it_gives_the_rows_of_query_not_those_without_a_sweep(
     main_of, ssrvlad, tmp_path
 ):
     """It moves features to both sides, as `query` does; these pictures look two cells aside."""
@@ -115,7 +115,7 @@ def test_with_features_it_gives_the_rows_of_query_not_those_without_a_sweep(
         write_image(tmp_path / "today" / f"{seed}.png", pixels)
     database, exported = tmp_path / "town", tmp_path / "town.npy"
     network = ("--segmenter", tmp_path / "net.yaml", "--labels-as", "camvid-11")
-    ssrvlad("encode", tmp_path / "monday", "-o", database, *network, "--channel", "features")
+    ssrvlad("encode", tmp_path / "monday", "-o", database, *network)
     ssrvlad("db", "export", database, "--format", "npy", "-o", exported)
     given = (tmp_path / "place.onnx", tmp_path / "today", "--database", exported, "--json")
     got = first(main_of(program.main, "follow_onnx.py", *given)[1])

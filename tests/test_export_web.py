@@ -87,7 +87,7 @@ def site(tmp_path_factory):
         export_head(config, folder / f"{preset}.onnx")
         seen = map(Seen, view_of(folder, preset).descriptor.numpy())
         names = [f"maps/{file.stem}" for file in files_of(folder)]
-        save(folder / f"{preset}.npy", [*seen], names, config.fingerprint)
+        save(folder / f"{preset}.npy", [*seen], names, {"ssr-vlad": config.fingerprint})
     return folder
 
 
@@ -206,7 +206,7 @@ def test_a_photograph_goes_into_a_fused_file(page, site):
     fuse(Segmenter(colour_network(), SPACE, PLAIN), config, site / "place.onnx")
     labels = np.stack([street(seed, 60, 90) for seed in range(3)])
     seen, names = map(Seen, SSRVLAD(config)(labels).numpy()), [f"photos/{n}" for n in range(3)]
-    save(site / "photos.npy", [*seen], names, config.fingerprint)
+    save(site / "photos.npy", [*seen], names, {"ssr-vlad": config.fingerprint})
     Image.fromarray(photo(labels[1])).save(site / "photo.png")
     (best, *_), (score, *_) = matches_of(
         page, "?model=place.onnx&database=photos.npy&labels=photo.png"
@@ -226,14 +226,14 @@ def test_features_are_fused_with_the_descriptor_as_in_python(page, site, drives)
     shutil.copy(drives / "today" / "5.png", site / "street.png")
     query = "?model=street.onnx&database=town.npy&labels=street.png"
     assert matches_of(page, query) == (frames, pytest.approx(scores, abs=1e-4))
-    assert page.run(STATUS).endswith("Scores are of label map and features together.")
+    assert page.run(STATUS).endswith("Scores are of descriptor, features, hog together.")
     other = site / "town.npy.features.npy.fingerprint.txt"
     other.write_text("others")
     open_page(page, query, FAILED)
     assert 'the database has features "others", the model "16 x 16' in page.run(STATUS)
     (site / "town.npy.features.npy").unlink()
     open_page(page, query, SHOWN)
-    assert "the database has none: matched by label maps alone." in page.run(STATUS)
+    assert "Only the model has features: matched without." in page.run(STATUS)
     edit_golden(site / "street.onnx", site / "wrong.onnx", turned("features"))
     open_page(page, "?model=wrong.onnx", FAILED)
     assert "% of the features differ" in page.run(STATUS)

@@ -172,7 +172,7 @@ def test_of_a_sweep_the_best_anchor_counts(tmp_path, run):
     model = Model(tmp_path / "sweep.onnx")
     swept = model.see(tmp_path / "query.npy").descriptor
     seen, names = list(map(Seen, swept)), ["left", "right"]
-    save(tmp_path / "town.npy", seen, names, model.fingerprint)
+    save(tmp_path / "town.npy", seen, names, model.fingerprints)
     source = (tmp_path / "sweep.onnx", tmp_path / "query.npy")
     code, out, _ = run(*source, "--database", tmp_path / "town.npy", "--top", 2)
     assert (code, out.count("1.0000")) == (0, 2)

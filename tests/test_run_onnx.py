@@ -17,7 +17,7 @@ from drives import write_maps
 from helpers import COLOUR, GRAY, PALETTES, flip_byte, outcome, without, write_palette, write_png
 from networks import write_graph
 from PIL import Image
-from ssrvlad_place import database as place_database
+from ssrvlad_place import scores as place_scores
 from ssrvlad_place.database import Database, save
 from ssrvlad_place.model import Seen
 
@@ -70,9 +70,9 @@ def test_without_torch_it_finds_what_the_command_line_finds(ssrvlad, head, datab
     assert_same("\n".join(lines), expected_lines)
 
 
-def test_with_features_it_finds_what_the_command_line_finds(drives, ssrvlad, tmp_path, run):
+def test_with_all_channels_it_finds_what_the_command_line_finds(drives, ssrvlad, tmp_path, run):
     """In a database of the command line and in its own, with one file and with two."""
-    given = ("--segmenter", drives / "net.yaml", "--channel", "features", "--workers", 1)
+    given = ("--segmenter", drives / "net.yaml", "--workers", 1)
     for drive in ("monday", "today"):
         assert ssrvlad("encode", drives / drive, "-o", tmp_path / drive, *given)[0] == 0
     alone = ("--no-standardise", "--follow", "no", "--top", 12, "--json")
@@ -83,6 +83,7 @@ def test_with_features_it_finds_what_the_command_line_finds(drives, ssrvlad, tmp
     own = tmp_path / "own.npy"
     assert run(drives / "place.onnx", drives / "monday", "--save-descriptors", own)[0] == 0
     np.testing.assert_array_equal(*(np.load(f"{each}.features.npy") for each in (town, own)))
+    np.testing.assert_allclose(*(np.load(f"{each}.hog.npy") for each in (town, own)), atol=1e-6)
     two = ("--network", drives / "net.onnx")
     for model, database, network in (("place", town, ()), ("head", own, two)):
         arguments = (drives / "today", "--database", database, "--top", 12, "--json", *network)
@@ -104,7 +105,7 @@ def test_features_of_one_side_only_and_of_another_network(drives, tmp_path, run)
     Path(f"{town}.features.npy").unlink()
     code, out, (line,) = run(drives / "place.onnx", *frames, "--database", town)
     assert (code, out.startswith("today/5: monday/")) == (0, True)
-    assert line == "only the model has features: frames are matched by their label maps alone"
+    assert line == "only the model has features: frames are matched without"
 
 
 def test_arrays_need_no_pillow_and_pictures_say_so(head, maps, tmp_path):
@@ -206,7 +207,7 @@ def test_an_id_of_several_lines_is_refused_where_ids_are_lines(head, maps, tmp_p
     assert "a database has one id a line; frame 'day/a\\nb' has several" in errors[0]
     assert run(head, folder)[0] == 0
     with pytest.raises(ValueError, match="has several lines"):
-        save(out, [Seen(np.ones(3))], ["a\x85b"], "")
+        save(out, [Seen(np.ones(3))], ["a\x85b"], {"ssr-vlad": ""})
     assert not list(tmp_path.glob("town*"))
 
 
@@ -226,17 +227,18 @@ def test_an_empty_frame_matches_nothing_and_is_no_candidate(head, maps, tmp_path
 
 
 def test_equal_scores_go_to_the_earlier_frame_across_blocks(tmp_path, monkeypatch):
-    monkeypatch.setattr(place_database, "_BLOCK", 3)
+    monkeypatch.setattr(place_scores, "_BLOCK", 3)
     rng = np.random.default_rng(0)
     vectors = rng.integers(-1, 2, (20, 4)).astype(np.float32)
     frames = [f"s/{row}" for row in range(20)]
-    save(tmp_path / "d.npy", list(map(Seen, vectors)), frames, "f")
-    database = Database(tmp_path / "d.npy", "f")
+    fingerprints = {"ssr-vlad": "f"}
+    save(tmp_path / "d.npy", list(map(Seen, vectors)), frames, fingerprints)
+    database = Database(tmp_path / "d.npy", fingerprints)
     query = np.array([1, 0, 0, 0], np.float32)
     pairs = zip(frames, vectors, strict=True)
     scores = {frame: each[0] / np.linalg.norm(each) for frame, each in pairs if each.any()}
     best = sorted(scores, key=lambda frame: -scores[frame])[:7]
-    assert [frame for frame, _ in database.search(query, 7)] == best
+    assert [frame for frame, _ in database.search(Seen(query), 7)] == best
 
 
 def test_class_scores_and_wide_labels(maps, tmp_path, run):

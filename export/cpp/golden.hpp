@@ -29,10 +29,11 @@ struct Golden {
   double other_pixels = 0;  // fraction of pixels with another label than recorded
   float cosine = 1;         // cosine to the expected descriptor
   double other_signs = 0;   // fraction of other signs of the features
+  float hog = 0;            // largest difference of HOG
 
   bool holds() const {
     const bool is_similar = other_pixels > 0 && cosine >= kMinCosine;
-    return other_pixels <= kMaxOtherPixels && other_signs <= kMaxOtherSigns &&
+    return other_pixels <= kMaxOtherPixels && other_signs <= kMaxOtherSigns && hog <= kTolerance &&
            (difference <= kTolerance || is_similar);
   }
 };

@@ -7,7 +7,7 @@
 //
 // A map is an (H, W) .npy array of uint8, int32 or int64, or a binary 8-bit PGM; a photograph is an
 // (H, W, 3) .npy array of uint8 in RGB, or a binary 8-bit PPM. The database is written by
-// `ssrvlad db export --format npy`; features are used where the file and the database have some.
+// `ssrvlad db export --format npy`; features and HOG are used where the file and the database have some.
 // The frame is judged alone, without the steps of `ssrvlad query`; ../README.md has what that
 // costs. --unchecked does not run the golden pair first. Exit code 0 for success, 2 for wrong use
 // or bad input, with one line on stderr.
@@ -83,7 +83,7 @@ void run(const std::string& network, const std::vector<std::string>& arguments, 
               static_cast<double>(ssrvlad::detail::length_of(described.descriptor.data(),
                                                              described.length)));
   if (arguments.size() < 3) return;
-  const ssrvlad::Database database(arguments[2], place.fingerprint(), place.features());
+  const ssrvlad::Database database(arguments[2], place.fingerprints());
   const auto top = arguments.size() > 3 ? number(arguments[3]) : 5;
   for (const auto& match : database.match(described, top))
     std::printf("%s %.6f\n", match.frame.c_str(), static_cast<double>(match.score));

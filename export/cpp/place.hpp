@@ -1,7 +1,7 @@
 // Descriptors of label maps and photographs with files of `ssrvlad export` and `ssrvlad fuse`.
 //
 //     ssrvlad::Place place("place.onnx");
-//     ssrvlad::Database town("town.npy", place.fingerprint(), place.features());
+//     ssrvlad::Database town("town.npy", place.fingerprints());
 //     auto query = place.describe(pixels, height, width);
 //     for (const auto& match : town.match(query, 5)) std::cout << match.frame << match.score;
 //
@@ -39,6 +39,13 @@ struct Described {
   std::vector<float> descriptor;
   std::size_t length = 0;  // of one descriptor
   std::vector<std::uint8_t> features;  // 16 columns x 16 rows x 8 bytes of signs, if the file gives some
+  std::vector<float> hog;              // 480 numbers, if the file gives them
+};
+
+// Fingerprints of what a file gives: of the settings of the head, of features and of HOG; empty for
+// what it does not give. Descriptors of other fingerprints do not compare.
+struct Fingerprints {
+  std::string descriptor, features, hog;
 };
 
 struct Match {
@@ -137,14 +144,16 @@ class Session {
 
   static void compare(const std::string& name, const Ort::Value& output, const Tensor& expected,
                       Golden& golden) {
-    if (name == "descriptor") {
+    if (name == "descriptor" || name == "hog") {
       const float* got = output.GetTensorData<float>();
       const float* recorded = expected.as<float>();
+      float& largest = name == "hog" ? golden.hog : golden.difference;
       for (std::size_t at = 0; at < expected.count<float>(); ++at) {
         const float step = std::abs(got[at] - recorded[at]);
-        if (!(step <= golden.difference))
-          golden.difference = std::isnan(step) ? std::numeric_limits<float>::infinity() : step;
+        if (!(step <= largest))
+          largest = std::isnan(step) ? std::numeric_limits<float>::infinity() : step;
       }
+      if (name == "hog") return;
       const auto length = static_cast<std::size_t>(expected.shape.back());
       for (std::size_t at = 0; at < expected.count<float>(); at += length) {
         const float cosine = std::inner_product(got + at, got + at + length, recorded + at, 0.0F);
@@ -208,11 +217,10 @@ class Place {
     if (check) require_golden();
   }
 
-  // Fingerprint of the settings; descriptors of another one do not compare.
-  std::string fingerprint() const { return head_.property("ssrvlad.fingerprint"); }
-
-  // Fingerprint of the features that the file gives; empty if it gives none.
-  std::string features() const { return first().property("ssrvlad.features"); }
+  Fingerprints fingerprints() const {
+    return {head_.property("ssrvlad.fingerprint"), first().property("ssrvlad.features"),
+            first().property("ssrvlad.hog")};
+  }
 
   // Whether it takes photographs, not label maps.
   bool takes_photographs() const { return first().input() == "image"; }
@@ -240,6 +248,7 @@ class Place {
     const auto network = network_->golden();
     golden.other_pixels = network.other_pixels;
     golden.other_signs = network.other_signs;
+    golden.hog = network.hog;
     return golden;
   }
 
@@ -253,7 +262,7 @@ class Place {
         first().path() + " is computed wrong here: the golden pair differs by " +
         std::to_string(result.difference) + ", and " + std::to_string(100 * result.other_pixels) +
         " % of its labels and " + std::to_string(100 * result.other_signs) +
-        " % of its features differ");
+        " % of its features differ, and HOG by " + std::to_string(result.hog));
   }
 
   Described describe_bytes(const void* data, std::int64_t height, std::int64_t width,
@@ -269,8 +278,10 @@ class Place {
     const auto size = static_cast<std::size_t>(height * width) * bytes * (takes_photographs() ? 3 : 1);
     const auto input = detail::Session::value_of(data, size, shape, type);
     std::vector<const char*> names{"descriptor", "unknown"}, of_network{"labels"};
-    const bool has_features = !features().empty();
-    if (has_features) (network_ ? of_network : names).push_back("features");
+    const auto given = fingerprints();
+    auto& of_pictures = network_ ? of_network : names;
+    if (!given.features.empty()) of_pictures.push_back("features");
+    if (!given.hog.empty()) of_pictures.push_back("hog");
     std::vector<Ort::Value> seen;
     if (network_) seen = network_->run(input, of_network);
     const auto outputs = head_.run(network_ ? seen[0] : input, names);
@@ -287,8 +298,14 @@ class Place {
         throw std::runtime_error(
             "the frame is too wide, or has too many keypoints, for an exported file");
     described.length = static_cast<std::size_t>(info.GetShape().back());
-    if (!has_features) return described;
-    const auto& signs = (network_ ? seen : outputs).back();
+    const auto& channels = network_ ? seen : outputs;
+    if (!given.hog.empty()) {
+      const float* histograms = channels.back().GetTensorData<float>();
+      const auto count = channels.back().GetTensorTypeAndShapeInfo().GetElementCount();
+      described.hog.assign(histograms, histograms + count);
+    }
+    if (given.features.empty()) return described;
+    const auto& signs = channels[network_ ? 1 : 2];
     const auto* first_byte = signs.GetTensorData<std::uint8_t>();
     const auto count = signs.GetTensorTypeAndShapeInfo().GetElementCount();
     described.features.assign(first_byte, first_byte + count);
@@ -303,27 +320,24 @@ class Place {
 };
 
 // Descriptors of reference frames from `ssrvlad db export --format npy`: FILE.npy,
-// FILE.npy.frames.txt and FILE.npy.fingerprint.txt; and their features, FILE.npy.features.npy.
+// FILE.npy.frames.txt and FILE.npy.fingerprint.txt; and their other channels, FILE.npy.features.npy
+// and FILE.npy.hog.npy.
 class Database {
  public:
-  // The fingerprints are those of the model; features are used if both have some.
-  Database(const std::string& path, const std::string& fingerprint, const std::string& features = "")
-      : array_(npy::load(path)) {
+  // The fingerprints are those of the model; channels are used that both have.
+  Database(const std::string& path, const Fingerprints& model) : array_(npy::load(path)) {
     if (array_.dtype != "<f4" || array_.shape.size() != 2)
       throw std::runtime_error(path + ": expected an (R, D) array of float32");
-    require_fingerprint(path, fingerprint);
-    const auto file = path + ".features.npy";
-    const bool has_features = std::ifstream(file).good();
-    if (has_features == features.empty())
-      std::cerr << "only " << (has_features ? path : "the model")
-                << " has features: frames are matched by their label maps alone\n";
-    else if (has_features) {
-      signs_ = npy::load(file);
-      if (signs_.dtype != "|u1" || signs_.shape.size() != 4 || signs_.shape[0] != array_.shape[0] ||
-          signs_.shape[1] <= kReach || signs_.shape[3] != 8)
-        throw std::runtime_error(file + ": expected an (R, 16, 16, 8) array of uint8");
-      require_fingerprint(file, features);
-    }
+    require_fingerprint(path, model.descriptor);
+    signs_ = channel(path, "features", model.features);
+    hog_ = channel(path, "hog", model.hog);
+    if (!signs_.bytes.empty() &&
+        (signs_.dtype != "|u1" || signs_.shape.size() != 4 || signs_.shape[0] != array_.shape[0] ||
+         signs_.shape[1] <= kReach || signs_.shape[3] % 8 != 0))
+      throw std::runtime_error(path + ".features.npy: expected an (R, 16, 16, 8) array of uint8");
+    if (!hog_.bytes.empty() && (hog_.dtype != "<f4" || hog_.shape.size() != 2 ||
+                                hog_.shape[0] != array_.shape[0]))
+      throw std::runtime_error(path + ".hog.npy: expected an (R, D) array of float32");
     std::ifstream names(path + ".frames.txt");
     for (std::string line; std::getline(names, line);) frames_.push_back(line);
     if (frames_.size() != static_cast<std::size_t>(array_.shape[0]))
@@ -334,29 +348,17 @@ class Database {
   std::size_t size() const { return frames_.size(); }
 
   // The frames with the highest scores, best first; of equal ones the earlier first. A score is a
-  // cosine (Eq. 4), of several anchors the best one; with features in the query and here, a fused
-  // score.
+  // cosine (Eq. 4), of several anchors the best one; with other channels in the query and here, a
+  // fused score.
   std::vector<Match> match(const Described& query, std::size_t top) const {
     const auto length = static_cast<std::size_t>(array_.shape[1]);
     if (query.length != length)
       throw std::runtime_error("expected a database of " + std::to_string(query.length) +
                                " numbers a frame, got " + std::to_string(length));
-    std::vector<float> cosines(size(), detail::kNoScore);
-    for (std::size_t row = 0; row < size(); ++row) {
-      const float* reference = array_.as<float>() + row * length;
-      const float norm = detail::length_of(reference, length);
-      float& best = cosines[row];
-      for (const float* anchor = query.descriptor.data();
-           anchor < query.descriptor.data() + query.descriptor.size(); anchor += length) {
-        const float norms = norm * detail::length_of(anchor, length);
-        const float product = std::inner_product(anchor, anchor + length, reference, 0.0F);
-        if (norms > 0) best = std::max(best, product / norms);
-      }
-    }
-    if (!signs_.bytes.empty() && !query.features.empty()) cosines = fused_with(query, cosines);
+    const auto best = scores_of(query);
     std::vector<std::pair<float, std::size_t>> scores;
     for (std::size_t row = 0; row < size(); ++row)
-      if (cosines[row] != detail::kNoScore) scores.emplace_back(cosines[row], row);
+      if (best[row] != detail::kNoScore) scores.emplace_back(best[row], row);
     const auto last = scores.begin() + static_cast<std::ptrdiff_t>(std::min(top, scores.size()));
     std::partial_sort(scores.begin(), last, scores.end(), [](const auto& a, const auto& b) {
       return a.first != b.first ? a.first > b.first : a.second < b.second;
@@ -377,20 +379,48 @@ class Database {
                                ": they do not compare");
   }
 
-  std::vector<float> fused_with(const Described& query, const std::vector<float>& cosines) const {
-    const auto length = query.features.size();
-    if (signs_.size() != length * size())
-      throw std::runtime_error("expected features of " + std::to_string(length) + " bytes a frame");
-    std::vector<float> of_signs(size());
-    const auto columns = signs_.shape[1];
-    for (std::size_t row = 0; row < size(); ++row)
-      of_signs[row] = detail::cosine_of_signs(
-          query.features.data(), signs_.as<std::uint8_t>() + row * length, columns,
-          static_cast<std::int64_t>(length) / columns);
-    return detail::fused({cosines, of_signs});
+  // The array of a channel, if both sides have it.
+  static npy::Array channel(const std::string& path, const std::string& name,
+                            const std::string& fingerprint) {
+    const auto file = path + "." + name + ".npy";
+    const bool is_here = std::ifstream(file).good();
+    if (is_here == fingerprint.empty())
+      std::cerr << "only " << (is_here ? path : "the model") << " has " << name
+                << ": frames are matched without\n";
+    if (!is_here || fingerprint.empty()) return {};
+    auto rows = npy::load(file);
+    require_fingerprint(file, fingerprint);
+    return rows;
   }
 
-  npy::Array array_, signs_;
+  std::vector<float> scores_of(const Described& query) const {
+    std::vector<detail::Scores> channels{
+        {kLabelShapes, detail::cosines(query.descriptor, query.length, array_)}};
+    if (!signs_.bytes.empty() && !query.features.empty())
+      channels.push_back({kFeatures, cosines_of_signs(query.features)});
+    if (!hog_.bytes.empty() && !query.hog.empty()) {
+      if (hog_.size() != query.hog.size() * size())
+        throw std::runtime_error("expected HOG of " + std::to_string(query.hog.size()) +
+                                 " numbers a frame");
+      channels.push_back({kHog, detail::cosines(query.hog, query.hog.size(), hog_)});
+    }
+    return channels.size() == 1 ? channels[0].of_rows : detail::fused(channels);
+  }
+
+  std::vector<float> cosines_of_signs(const std::vector<std::uint8_t>& query) const {
+    const auto length = query.size();
+    if (signs_.size() != length * size())
+      throw std::runtime_error("expected features of " + std::to_string(length) + " bytes a frame");
+    std::vector<float> cosines(size());
+    const auto columns = signs_.shape[1];
+    for (std::size_t row = 0; row < size(); ++row)
+      cosines[row] =
+          detail::cosine_of_signs(query.data(), signs_.as<std::uint8_t>() + row * length, columns,
+                                  static_cast<std::int64_t>(length) / columns);
+    return cosines;
+  }
+
+  npy::Array array_, signs_, hog_;
   std::vector<std::string> frames_;
 };
 

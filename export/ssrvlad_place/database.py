@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,85 +13,87 @@ import numpy.typing as npt
 from .frames import read_npy
 from .model import Seen
 from .output import note
-from .scores import WEIGHTS, cosines_of_signs, fused
+from .scores import (
+    FEATURES,
+    HOG,
+    LABEL_SHAPES,
+    TRUST,
+    cosines,
+    cosines_of_signs,
+    fused,
+    weights_of,
+)
 
 Array = npt.NDArray[Any]
 
-_BLOCK = 1 << 14
+AXES = {LABEL_SHAPES: 2, FEATURES: 4, HOG: 2}
+"""Of the array of each channel."""
 
 
 class Database:
     """Descriptors of reference frames in a `.npy` file, read block by block, and the frames' ids.
 
     ``FILE.frames.txt`` holds the ids, one a line, ``FILE.fingerprint.txt`` the fingerprint, and
-    ``FILE.features.npy`` features, with a fingerprint of their own.
+    ``FILE.features.npy`` and ``FILE.hog.npy`` the other channels, with fingerprints of their own.
 
     Args:
         path: FILE.
-        fingerprint: of the model.
-        features: fingerprint of its features; empty without.
+        fingerprints: of the channels of the model, by name; see `Model.fingerprints`.
+
+    Attributes:
+        channels: the arrays of the channels that both have, by name.
 
     Raises:
         ValueError: the files do not fit each other or the model.
         OSError: a file cannot be read.
     """
 
-    def __init__(self, path: Path, fingerprint: str, features: str = "") -> None:
-        self.descriptors, self.signs = _rows(path, fingerprint, 2), None
-        signs = path.with_name(f"{path.name}.features.npy")
-        if bool(features) != signs.exists():
-            which = "the model" if features else path
-            note(f"only {which} has features: frames are matched by their label maps alone")
-        elif features:
-            self.signs = _rows(signs, features, 4)
+    def __init__(self, path: Path, fingerprints: Mapping[str, str]) -> None:
+        self.channels: dict[str, Array] = {}
+        for name, fingerprint in fingerprints.items():
+            rows = array_of(path, name)
+            if name == LABEL_SHAPES or rows.exists():
+                self.channels[name] = _rows(rows, fingerprint, AXES[name])
+        for name in TRUST:
+            if (name in fingerprints) != array_of(path, name).exists():
+                which = "the model" if name in fingerprints else path
+                note(f"only {which} has {name}: frames are matched without")
         if not (ids := beside(path, "frames")).exists():
             raise ValueError(f"{ids} does not exist; expected the ids of {path}, one a line")
         self.frames = ids.read_text(encoding="utf-8").splitlines()
-        for rows in (self.descriptors, self.signs):
-            if rows is not None and len(rows) != len(self.frames):
+        for rows in self.channels.values():
+            if len(rows) != len(self.frames):
                 raise ValueError(f"{path}: {rows.shape} for {len(self.frames)} frames")
 
-    def search(
-        self, query: Array, top: int, features: Array | None = None
-    ) -> list[tuple[str, float]]:
+    def search(self, seen: Seen, top: int) -> list[tuple[str, float]]:
         """The frames with the highest scores, best first; of equal ones the earlier first.
 
-        A score is a cosine (Eq. 4), of several anchors the best one, with features in the query
-        and in the database a fused score, see `fused`. A zero vector, the descriptor of an empty
-        frame, matches nothing.
+        A score is a cosine (Eq. 4), of several anchors the best one, and with several channels in
+        the frame and in the database a fused score, see `fused`. A zero vector, the descriptor of
+        an empty frame, matches nothing.
 
         Raises:
-            ValueError: the query has another length.
+            ValueError: the descriptor has another length.
         """
-        scores = self._cosines(query)
-        if features is not None and self.signs is not None:
-            scores = fused([scores, cosines_of_signs(features, self.signs)], WEIGHTS)
+        given = seen.channels
+        length, expected = seen.descriptor.shape[-1], self.channels[LABEL_SHAPES].shape[1]
+        if length != expected:
+            raise ValueError(f"expected a database of {length} numbers a frame, got {expected}")
+        compare = {FEATURES: cosines_of_signs}
+        parts = {
+            name: compare.get(name, cosines)(given[name], rows)
+            for name, rows in self.channels.items()
+        }
+        scores = next(iter(parts.values()))
+        if len(parts) > 1:
+            scores = fused([*parts.values()], weights_of(dict.fromkeys(parts, 0.0)))
         rows = np.flatnonzero(np.isfinite(scores))
         rows = rows[np.argsort(-scores[rows], kind="stable")[:top]]
         return [(self.frames[row], float(scores[row])) for row in rows]
 
-    def _cosines(self, query: Array) -> Array:
-        """``(R,)`` float32, -inf where a vector is zero."""
-        anchors = query if query.ndim == 2 else query[None]
-        if anchors.shape[1:] != self.descriptors.shape[1:]:
-            raise ValueError(
-                f"expected a database of {query.shape[-1]} numbers a frame, "
-                f"got {self.descriptors.shape[1]}"
-            )
-        cosines = np.full(len(self.frames), -np.inf, np.float32)
-        for first in range(0, len(cosines) if query.any() else 0, _BLOCK):
-            block = np.asarray(self.descriptors[first : first + _BLOCK], np.float32)
-            norms, products = np.linalg.norm(block, axis=1), (block @ anchors.T).max(1)
-            np.divide(products, norms, out=cosines[first : first + len(block)], where=norms > 0)
-        return cosines
-
 
 def save(
-    path: Path,
-    seen: Sequence[Seen],
-    frames: Sequence[str],
-    fingerprint: str,
-    features: str = "",
+    path: Path, seen: Sequence[Seen], frames: Sequence[str], fingerprints: Mapping[str, str]
 ) -> None:
     """Writes frames as a database: the arrays, and files with ids and fingerprints beside them.
 
@@ -101,8 +103,7 @@ def save(
         path: the array of descriptors.
         seen: the frames.
         frames: their ids.
-        fingerprint: of the descriptors.
-        features: fingerprint of the features, if the frames have some.
+        fingerprints: of the channels that the frames have, by name.
 
     Raises:
         ValueError: an id has several lines.
@@ -111,11 +112,12 @@ def save(
     for frame in frames:
         require_one_line(frame)
     beside(path, "frames").write_text("".join(f"{frame}\n" for frame in frames), encoding="utf-8")
-    signs = path.with_name(f"{path.name}.features.npy")
-    signs.unlink(missing_ok=True)
-    if features:
-        _save(signs, [each.features for each in seen], features)
-    _save(path, [each.descriptor for each in seen], fingerprint)
+    for name in reversed(TRUST):
+        array = array_of(path, name)
+        if name in fingerprints:
+            _save(array, [each.channels[name] for each in seen], fingerprints[name])
+        else:
+            array.unlink(missing_ok=True)
 
 
 def _save(path: Path, rows: Sequence[Any], fingerprint: str) -> None:
@@ -132,6 +134,11 @@ def _save(path: Path, rows: Sequence[Any], fingerprint: str) -> None:
 def beside(path: Path, what: str) -> Path:
     """A text file that belongs to an array."""
     return path.with_name(f"{path.name}.{what}.txt")
+
+
+def array_of(path: Path, channel: str) -> Path:
+    """The array of a channel of a database."""
+    return path if channel == LABEL_SHAPES else path.with_name(f"{path.name}.{channel}.npy")
 
 
 def _rows(path: Path, fingerprint: str, axes: int) -> Array:

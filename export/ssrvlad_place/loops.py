@@ -11,7 +11,7 @@ import numpy.typing as npt
 from . import motion
 from .model import Seen
 from .motion import GAP, LEVEL, MAX_LOG
-from .scores import fused, lead, nearness, weights_of
+from .scores import FEATURES, LABEL_SHAPES, fused, lead, nearness, weights_of
 from .stream import Map, SignMap
 
 Floats = npt.NDArray[np.float32]
@@ -158,7 +158,7 @@ class Detector:
         self.signs: SignMap | None = None
         self.start, self.neighbours = 0, list[float]()
         self.frames: list[str] = []
-        self._leads = np.zeros(2)
+        self._leads = {LABEL_SHAPES: 0.0, FEATURES: 0.0}
 
     def update(self, frame: str, seen: Seen) -> Loop:
         """Looks for the place of the next frame among the earlier frames, then stores it.
@@ -238,7 +238,8 @@ class Detector:
         if self.signs is None:
             return scores
         both = [scores, self.signs.scores(*signs)]
-        self._leads += [max(0.0, lead(each[:old])) for each in both]
+        for name, each in zip(self._leads, both, strict=True):
+            self._leads[name] += max(0.0, lead(each[:old]))
         return fused(both, weights_of(self._leads), old or None).astype(np.float32)
 
     def _log_likelihood(self, z: Floats, repeats: Floats) -> Floats:

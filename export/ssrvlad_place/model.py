@@ -16,6 +16,7 @@ import onnxruntime
 from .frames import SUFFIXES, SUFFIXES_OF_MAPS, read_labels, read_photograph, read_scores
 from .golden import TOLERANCE, Golden, require_golden, run_golden
 from .output import one_line
+from .scores import FEATURES, HOG, LABEL_SHAPES
 
 Array = npt.NDArray[Any]
 
@@ -27,11 +28,18 @@ _ONLY_FATAL = 4
 
 class Seen(NamedTuple):
     """A frame: its descriptor ``(D,)`` float32 of length 1, or zeros for an empty frame, with
-    `ssrvlad export --sweep` ``(S, D)``, one for each anchor; and its features ``(16, 16, 8)``
-    uint8, or ``None`` if the file gives none."""
+    `ssrvlad export --sweep` ``(S, D)``, one for each anchor; its features ``(16, 16, 8)`` uint8 and
+    its HOG ``(480,)`` float32, or ``None`` if the file does not give them."""
 
     descriptor: Array
     features: Array | None = None
+    hog: Array | None = None
+
+    @property
+    def channels(self) -> dict[str, Array]:
+        """What is there, by the names of the channels."""
+        named = {LABEL_SHAPES: self.descriptor, FEATURES: self.features, HOG: self.hog}
+        return {name: array for name, array in named.items() if array is not None}
 
 
 class Model:
@@ -61,9 +69,9 @@ class Model:
         return str(self.properties["ssrvlad.fingerprint"])
 
     @property
-    def features(self) -> str:
-        """Fingerprint of the features that the file gives, or ``""``."""
-        return self.properties.get("ssrvlad.features", "")
+    def fingerprints(self) -> dict[str, str]:
+        """Fingerprints of the channels that the file gives, by name; that of label maps first."""
+        return {LABEL_SHAPES: self.fingerprint, **_of_pictures(self.properties)}
 
     @property
     def anchors(self) -> list[int]:
@@ -78,7 +86,7 @@ class Model:
         return (".npy",) if self.input.name == "logits" else SUFFIXES
 
     def see(self, path: Path) -> Seen:
-        """The descriptor and the features of the frame in a file.
+        """The channels of the frame in a file.
 
         Raises:
             ValueError: it cannot be read, or as of `see_array`.
@@ -97,8 +105,7 @@ class Model:
             raise ValueError(one_line(error)) from error
 
     def see_array(self, array: Array) -> Seen:
-        """The descriptor and the features of a frame in memory: the input of the file without the
-        batch axis.
+        """The channels of a frame in memory: the input of the file without the batch axis.
 
         Raises:
             ValueError: it has ids outside the label space, more than the file can count, or another
@@ -107,7 +114,7 @@ class Model:
         expected, shape = self.input.shape, (1, *array.shape)
         if any(isinstance(n, int) and n != m for n, m in zip(expected, shape, strict=True)):
             raise ValueError(f"the file takes {self.input.name} of {tuple(expected)}, got {shape}")
-        descriptor, unknown, *features = self._run(array[None])
+        descriptor, unknown, *others = self._run(array[None])
         if unknown[0]:
             space = json.loads(self.properties["ssrvlad.label_space"])["name"]
             channels = {"labels": 1, "logits": array.shape[0]}.get(self.input.name, 3)
@@ -119,11 +126,12 @@ class Model:
             raise ValueError(
                 "the frame is too wide, or has too many keypoints, for an exported file"
             )
-        if features and not features[0].any():
+        seen = {name: each[0] for name, each in zip([*self.fingerprints][1:], others, strict=True)}
+        if FEATURES in seen and not seen[FEATURES].any():
             raise ValueError(
                 "the activations of the network are not finite, or the same everywhere"
             )
-        return Seen(np.asarray(descriptor[0]), features[0][0] if features else None)
+        return Seen(np.asarray(descriptor[0]), **seen)
 
     def golden(self) -> Golden:
         """Runs the golden pair.
@@ -134,7 +142,7 @@ class Model:
         return run_golden(self.session, self.input.name, self.properties)
 
     def _run(self, batch: Array) -> list[Array]:
-        names = ["descriptor", "unknown", *["features"] * bool(self.features)]
+        names = ["descriptor", "unknown", *[*self.fingerprints][1:]]
         return list(self.session.run(names, {self.input.name: batch}))
 
 
@@ -169,23 +177,24 @@ class Split(Model):
             require_golden(network if golden.difference <= TOLERANCE else head, golden)
 
     @property
-    def features(self) -> str:
-        """As of `Model`; the file of the network gives them."""
-        return self.network_properties.get("ssrvlad.features", "")
+    def fingerprints(self) -> dict[str, str]:
+        """As of `Model`; the file of the network gives the channels of pictures."""
+        return {LABEL_SHAPES: self.fingerprint, **_of_pictures(self.network_properties)}
 
     def golden(self) -> Golden:
         """Runs the golden pairs of both files."""
         head = run_golden(self.session, "labels", self.properties)
         network = run_golden(self.network, "image", self.network_properties)
         others = {"other_pixels": network.other_pixels, "other_signs": network.other_signs}
-        return head._replace(**others) if head.holds else head
+        hog = max(head.hog, network.hog)
+        return head._replace(**others, hog=hog) if head.holds else head
 
     def _run(self, batch: Array) -> list[Array]:
         image = onnxruntime.OrtValue.ortvalue_from_numpy(batch)
-        names = ["labels", *["features"] * bool(self.features)]
-        labels, *features = self.network.run_with_ort_values(names, {"image": image})
+        names = ["labels", *[*self.fingerprints][1:]]
+        labels, *others = self.network.run_with_ort_values(names, {"image": image})
         outputs = self.session.run_with_ort_values(["descriptor", "unknown"], {"labels": labels})
-        return [output.numpy() for output in [*outputs, *features]]
+        return [output.numpy() for output in [*outputs, *others]]
 
 
 def open_model(options: argparse.Namespace) -> Model:
@@ -226,6 +235,12 @@ def _properties(path: Path, session: Any) -> dict[str, str]:
     if number != FORMAT:
         raise ValueError(f"{path}: a file of format {number}; expected {FORMAT}: export it again")
     return properties
+
+
+def _of_pictures(properties: dict[str, str]) -> dict[str, str]:
+    """Fingerprints of the channels of pictures in a file."""
+    named = {name: properties.get(f"ssrvlad.{name}", "") for name in (FEATURES, HOG)}
+    return {name: fingerprint for name, fingerprint in named.items() if fingerprint}
 
 
 def _input(path: Path, session: Any) -> Any:

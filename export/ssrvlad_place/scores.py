@@ -1,8 +1,8 @@
-"""Scores of frames by features, and of several methods as one."""
+"""Scores of frames by channels, and of several channels as one."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,14 +10,15 @@ import numpy.typing as npt
 
 Array = npt.NDArray[Any]
 
-WEIGHTS = (1 / 7, 6 / 7)
-"""Of label maps and of features, as `ssrvlad query` weighs them for single frames."""
+LABEL_SHAPES, FEATURES, HOG = "ssr-vlad", "features", "hog"
+TRUST = {LABEL_SHAPES: 1.0, FEATURES: 6.0, HOG: 2.0}
+"""How much each channel counts before anything is known of a drive, as in `ssrvlad query`."""
 REACH = 2
 """Columns of cells by which features are moved to each side."""
 ELSEWHERE = 5
 """Rows beyond which a candidate is another place than the first."""
 
-_BLOCK = 1 << 10
+_BLOCK, _SIGNS_AT_ONCE = 1 << 14, 1 << 10
 _ONES = (
     np.unpackbits(np.arange(1 << 16, dtype=np.uint16).view(np.uint8))
     .reshape(-1, 16)
@@ -32,9 +33,9 @@ def nearness(scores: Array) -> Array:
 
 
 def fused(scores: Sequence[Array], weights: Sequence[float], first: int | None = None) -> Array:
-    """``(R,)`` scores of one query by several methods as one, by the rule of `ssrvlad query`: the
+    """``(R,)`` scores of one query by several channels as one, by the rule of `ssrvlad query`: the
     weighted means of their z-scores of nearness, by the mean and deviation of the first rows, or of
-    all. -inf where no method has a score."""
+    all. -inf where no channel has a score."""
     parts = []
     for each, weight in zip(scores, weights, strict=True):
         known = np.isfinite(each)
@@ -49,11 +50,12 @@ def fused(scores: Sequence[Array], weights: Sequence[float], first: int | None =
     return np.where(none, -np.inf, -np.expm1(-(mean + spread * z)))
 
 
-def weights_of(leads: Sequence[float]) -> Sequence[float]:
-    """The weights of methods by the leads of their first candidates, as `ssrvlad query` weighs them
-    for a drive."""
-    known = [weight * max(0.0, lead) for weight, lead in zip(WEIGHTS, leads, strict=True)]
-    return [weight / sum(known) for weight in known] if sum(known) > 0 else WEIGHTS
+def weights_of(leads: Mapping[str, float]) -> list[float]:
+    """The weights of channels by the leads of their first candidates, as `ssrvlad query` weighs
+    them for a drive; where none leads, as for single frames."""
+    known = {name: TRUST[name] * max(0.0, lead) for name, lead in leads.items()}
+    weights = known if sum(known.values()) > 0 else {name: TRUST[name] for name in leads}
+    return [weight / sum(weights.values()) for weight in weights.values()]
 
 
 def lead(scores: Array) -> float:
@@ -70,13 +72,24 @@ def lead(scores: Array) -> float:
     return float((near[first] - near[elsewhere].max()) / max(spread, _ROUNDING))
 
 
+def cosines(query: Array, rows: Array) -> Array:
+    """``(R,)`` float32 by a vector ``(D,)``, or by those of several anchors ``(S, D)``, of which
+    the best counts; -inf where a vector is zero."""
+    anchors, found = np.atleast_2d(query), np.full(len(rows), -np.inf, np.float32)
+    for first in range(0, len(found) if query.any() else 0, _BLOCK):
+        block = np.asarray(rows[first : first + _BLOCK], np.float32)
+        norms, products = np.linalg.norm(block, axis=1), (block @ anchors.T).max(1)
+        np.divide(products, norms, out=found[first : first + len(block)], where=norms > 0)
+    return found
+
+
 def cosines_of_signs(query: Array, rows: Array) -> Array:
     """``(R,)`` float32 by signs ``(16, 16, 8)`` and ``(R, 16, 16, 8)``, of the columns of cells
     that overlap, for the best of all moves."""
     cosines = np.full(len(rows), -1, np.float32)
     columns = len(query)
-    for first in range(0, len(rows), _BLOCK):
-        block = np.asarray(rows[first : first + _BLOCK])
+    for first in range(0, len(rows), _SIGNS_AT_ONCE):
+        block = np.asarray(rows[first : first + _SIGNS_AT_ONCE])
         best = cosines[first : first + len(block)]
         for move in range(-REACH, REACH + 1):
             ours = query[max(0, -move) : columns - max(0, move)]

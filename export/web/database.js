@@ -1,6 +1,6 @@
-// Descriptors and features of reference frames from `ssrvlad db export --format npy`.
+// Channels of reference frames from `ssrvlad db export --format npy`.
 
-const WEIGHTS = [1 / 7, 6 / 7]; // of label maps and of features, as `ssrvlad query` weighs single frames
+const TRUST = { descriptor: 1, features: 6, hog: 2 }; // how `ssrvlad query` weighs channels of single frames
 const REACH = 2; // columns of cells by which features are moved to each side
 
 const ONES = Uint8Array.from({ length: 256 }, (_, byte) => byte.toString(2).replaceAll("0", "").length);
@@ -15,38 +15,37 @@ export function differentBits(one, other, size, begin = 0, otherBegin = 0) {
 
 export class Database {
   /**
-   * From the bytes of the array and the text files beside it; `fingerprint` may be undefined, and so
-   * may the bytes and the fingerprint of the array of features.
+   * From the ids of the frames and, by the name of the channel, ``{bytes, fingerprint}`` of the arrays:
+   * `descriptor`, and `features` and `hog` where there are some. A fingerprint may be undefined.
    */
-  constructor(array, frames, fingerprint, signs, features) {
-    const { shape, rows } = readArray(array, "<f4", 2);
-    this.length = shape[1];
-    this.rows = rows;
-    this.signs = signs && readArray(signs, "|u1", 4);
-    this.features = features?.trim();
-    if (signs && this.signs.shape[0] !== shape[0])
-      throw new Error(`the array has ${shape[0]} rows, its features ${this.signs.shape[0]}`);
+  constructor(frames, channels) {
     this.frames = frames.split("\n").slice(0, -1);
-    this.fingerprint = fingerprint?.trim();
-    if (this.frames.length !== shape[0])
-      throw new Error(`the array has ${shape[0]} rows, the text file ${this.frames.length} ids`);
+    this.channels = {};
+    for (const [name, { bytes, fingerprint }] of Object.entries(channels)) {
+      const array = name === "features" ? readArray(bytes, "|u1", 4) : readArray(bytes, "<f4", 2);
+      if (array.shape[0] !== this.frames.length)
+        throw new Error(`${name}: the array has ${array.shape[0]} rows, the text file ${this.frames.length} ids`);
+      this.channels[name] = { ...array, fingerprint: fingerprint?.trim() };
+    }
   }
 
   /**
-   * ``[{frame, score}]``, highest first: cosines (Eq. 4), or with features, here and of the query,
-   * fused scores. A zero vector matches nothing.
+   * ``[{frame, score}]``, highest first: cosines (Eq. 4), or with several channels, here and of the
+   * query, fused scores. A zero vector matches nothing.
    */
-  search(query, top, features) {
-    if (query.length !== this.length)
-      throw new Error(`expected a database of ${query.length} numbers a frame, got ${this.length}`);
-    const norm = Math.sqrt(product(query, query));
-    let scores = this.rows.map((row) => product(query, row) / norm / Math.sqrt(product(row, row)));
-    if (features && this.signs) {
-      const columns = this.signs.shape[1];
-      const cosines = this.signs.rows.map((row) => cosineOfSigns(features, row, columns));
-      scores = fused([scores, cosines]);
-    }
-    return scores
+  search(described, top) {
+    const names = Object.keys(this.channels).filter((name) => described[name]);
+    const scores = names.map((name) => {
+      const { shape, rows } = this.channels[name];
+      const query = described[name];
+      const length = shape.slice(1).reduce((product, axis) => product * axis, 1);
+      if (query.length !== length)
+        throw new Error(`expected a database of ${query.length} numbers a frame, got ${length}`);
+      if (name === "features") return rows.map((row) => cosineOfSigns(query, row, shape[1]));
+      const norm = Math.sqrt(product(query, query));
+      return rows.map((row) => product(query, row) / norm / Math.sqrt(product(row, row)));
+    });
+    return (names.length > 1 ? fused(scores, names.map((name) => TRUST[name])) : scores[0])
       .map((score, at) => ({ frame: this.frames[at], score }))
       .filter(({ score }) => !Number.isNaN(score))
       .sort((a, b) => b.score - a.score)
@@ -73,11 +72,12 @@ function cosineOfSigns(query, row, columns) {
 }
 
 /**
- * The scores of one query by several methods as one, by the rule of `ssrvlad query`: the weighted
+ * The scores of one query by several channels as one, by the rule of `ssrvlad query`: the weighted
  * means of their z-scores of nearness, minus the logarithm of 1 - cosine. NaN where there is none.
  */
-function fused(methods) {
-  const scaled = methods.map((scores) => {
+function fused(channels, trust) {
+  const whole = trust.reduce((sum, value) => sum + value, 0);
+  const scaled = channels.map((scores) => {
     const near = scores.map((score) => -Math.log(Math.max(1 - score, 1e-6)));
     const known = near.filter((value) => !Number.isNaN(value));
     const meanOf = (values) => values.reduce((sum, value) => sum + value, 0) / Math.max(1, known.length);
@@ -85,10 +85,10 @@ function fused(methods) {
     const spread = Math.sqrt(meanOf(known.map((value) => (value - mean) ** 2)));
     return { near, mean, spread };
   });
-  const weighted = (value) => scaled.reduce((sum, each, at) => sum + WEIGHTS[at] * value(each), 0);
+  const weighted = (value) => scaled.reduce((sum, each, at) => sum + (trust[at] / whole) * value(each), 0);
   const [mean, spread] = [weighted((each) => each.mean), weighted((each) => each.spread)];
-  return methods[0].map((_, row) => {
-    if (methods.every((scores) => Number.isNaN(scores[row]))) return NaN;
+  return channels[0].map((_, row) => {
+    if (channels.every((scores) => Number.isNaN(scores[row]))) return NaN;
     const z = weighted((each) => ((each.near[row] - each.mean) || 0) / Math.max(each.spread, 1e-6));
     return -Math.expm1(-(mean + spread * z));
   });

@@ -50,7 +50,8 @@ export class Model {
     this.session = session;
     this.skeleton = skeleton;
     this.fingerprint = metadata.fingerprint;
-    this.features = metadata.features;
+    /** Fingerprints of the channels that the file gives, by name. */
+    this.channels = { descriptor: metadata.fingerprint, features: metadata.features, hog: metadata.hog };
     this.config = JSON.parse(metadata.config);
     this.space = JSON.parse(metadata.label_space);
     this.golden = JSON.parse(metadata.golden);
@@ -107,7 +108,8 @@ export class Model {
     const other = expected.labels ? fractionOfOthers(outputs.labels, expected.labels) : 0;
     const { length } = expected.features ?? [];
     const signs = length ? differentBits(outputs.features, expected.features, length) / (8 * length) : 0;
-    const near = ["descriptor", "labels", "features"];
+    const hog = expected.hog ? largestDifference(outputs.hog, expected.hog) : 0;
+    const near = ["descriptor", "labels", "features", "hog"];
     const counts = Object.keys(expected).filter((name) => !near.includes(name));
     const difference = counts.some((name) => largestDifference(outputs[name], expected[name]))
       ? Infinity
@@ -119,12 +121,14 @@ export class Model {
       holds:
         other <= MAX_OTHER_PIXELS &&
         signs <= MAX_OTHER_SIGNS &&
+        hog <= TOLERANCE &&
         (difference <= TOLERANCE || isSimilar),
       difference,
       text:
         `golden pair: largest difference ${difference.toExponential(2)}` +
         (other ? `, ${(100 * other).toFixed(2)} % of the labels differ` : "") +
-        (signs ? `, ${(100 * signs).toFixed(2)} % of the features differ` : ""),
+        (signs ? `, ${(100 * signs).toFixed(2)} % of the features differ` : "") +
+        (hog > TOLERANCE ? `, HOG by ${hog.toExponential(2)}` : ""),
     };
   }
 

@@ -30,7 +30,7 @@ const textOf = (bytes) => bytes && new TextDecoder().decode(bytes);
 async function openFiles(files) {
   const named = (ending) => Object.keys(files).find((name) => name.endsWith(ending));
   const model = named(".onnx");
-  const array = Object.keys(files).find((name) => /(?<!\.features)\.npy$/.test(name));
+  const array = Object.keys(files).find((name) => /(?<!\.features|\.hog)\.npy$/.test(name));
   const frame = PHOTOS.map(named).find((name) => name);
   if (model) {
     say("Loading the model …");
@@ -42,13 +42,16 @@ async function openFiles(files) {
     element("golden").value = open.model.checked?.text ?? "The golden pair was not run.";
   }
   if (array) {
-    const [frames, fingerprint] = ["frames", "fingerprint"].map((what) =>
-      textOf(files[`${array}.${what}.txt`]),
-    );
+    const frames = textOf(files[`${array}.frames.txt`]);
     if (frames === undefined) throw new Error(`choose ${array}.frames.txt together with ${array}`);
-    const signs = `${array}.features.npy`;
-    const features = textOf(files[`${signs}.fingerprint.txt`]);
-    open.database = new Database(files[array], frames, fingerprint, files[signs], features);
+    const named = { descriptor: array, features: `${array}.features.npy`, hog: `${array}.hog.npy` };
+    const channels = Object.entries(named)
+      .filter(([, file]) => files[file])
+      .map(([name, file]) => [
+        name,
+        { bytes: files[file], fingerprint: textOf(files[`${file}.fingerprint.txt`]) },
+      ]);
+    open.database = new Database(frames, Object.fromEntries(channels));
   }
   if (frame) open.frame = { name: frame, bytes: files[frame] };
   if (!model && !array && !frame) throw new Error("expected .onnx, .npy with .txt, or picture files");
@@ -72,12 +75,10 @@ async function describe() {
   element("result").hidden = true;
   if (open.refusal) throw open.refusal;
   if (!model) return say("Choose a model.");
-  const own = database?.fingerprint;
-  if (own && own !== model.fingerprint)
-    throw new Error(`the database has fingerprint ${own}, the model ${model.fingerprint}`);
-  const both = database?.signs && model.features;
-  if (both && database.features !== model.features)
-    throw new Error(`the database has features "${database.features}", the model "${model.features}"`);
+  const channels = database?.channels ?? {};
+  for (const [name, { fingerprint }] of Object.entries(channels))
+    if (fingerprint && model.channels[name] && fingerprint !== model.channels[name])
+      throw new Error(`the database has ${name} "${fingerprint}", the model "${model.channels[name]}"`);
   if (!frame && model.takesPhotos) return say("Choose a photograph.");
   if (!frame) return say(`Labels of ${model.space.name}: choose a label map.`);
   const picture = model.takesPhotos
@@ -89,14 +90,15 @@ async function describe() {
   element("result").hidden = false;
   drawMap(model, { ...picture, labels: described.labels ?? picture.labels }, described);
   drawTargets(model, described);
-  listMatches(database?.search(described.descriptor, TOP, described.features) ?? []);
-  const unchecked = database && !own ? " The database has no fingerprint." : "";
-  const [some, none] = model.features ? ["model", "database"] : ["database", "model"];
-  const apart = database && !both && (database.signs || model.features);
-  const alone = apart ? ` The ${some} has features, the ${none} has none: matched by label maps alone.` : "";
-  const scores = both ? " Scores are of label map and features together." : "";
+  listMatches(database?.search(described, TOP) ?? []);
+  const unchecked = database && !channels.descriptor.fingerprint ? " The database has no fingerprint." : "";
+  const shared = Object.keys(channels).filter((name) => model.channels[name]);
+  const apart = Object.keys(model.channels)
+    .filter((name) => database && !channels[name] !== !model.channels[name])
+    .map((name) => ` Only the ${channels[name] ? "database" : "model"} has ${name}: matched without.`);
+  const scores = shared.length > 1 ? ` Scores are of ${shared.join(", ")} together.` : "";
   const size = `${picture.height} x ${picture.width}`;
-  say(`${frame.name}: ${size}, ${milliseconds} ms.${scores}${unchecked}${alone}`);
+  say(`${frame.name}: ${size}, ${milliseconds} ms.${scores}${unchecked}${apart.join("")}`);
 }
 
 function drawMap({ space }, { labels, height, width }, { skeleton, rows, columns }) {
@@ -185,9 +187,11 @@ async function bytesOf(list) {
 /** The file of a URL and, for an array, the files beside it, as the server has them now. */
 async function fetched(address) {
   const files = {};
-  const beside = [".frames.txt", ".fingerprint.txt", ".features.npy", ".features.npy.fingerprint.txt"];
-  const texts = address.endsWith(".npy") ? beside : [];
-  for (const ending of ["", ...texts]) {
+  const arrays = [".features.npy", ".hog.npy"];
+  const texts = ["", ...arrays].map((ending) => `${ending}.fingerprint.txt`);
+  const beside = [".frames.txt", ...arrays, ...texts];
+  const others = address.endsWith(".npy") ? beside : [];
+  for (const ending of ["", ...others]) {
     const response = await fetch(address + ending, { cache: "no-cache" });
     if (response.ok) files[(address + ending).split("/").pop()] = new Uint8Array(await response.arrayBuffer());
     else if (!ending) throw new Error(`${address}: ${response.status} ${response.statusText}`);

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ssrvlad_torch.deployment.fuse import FEATURES, IMAGE, LABELS, SIGNS, problem_of_network
-from ssrvlad_torch.deployment.metadata import Metadata
+from ssrvlad_torch.deployment.fuse import FEATURES, IMAGE, LABELS, problem_of_network
+from ssrvlad_torch.deployment.metadata import PREFIX, Metadata
 from ssrvlad_torch.files import one_line
 from ssrvlad_torch.segmentation.onnx_files import open_session
 from ssrvlad_torch.segmentation.segmenter import Segmented
@@ -53,7 +53,7 @@ class PlaceModel:
             self.labels_as = LabelSpace.from_dict({"source": "ssrvlad.", **metadata.label_space})
         except (ValueError, KeyError) as error:
             raise ValueError(f"{path}: {one_line(error)}") from error
-        self.fingerprint, signs = metadata.fingerprint, properties.get(SIGNS, "")
+        self.fingerprint, signs = metadata.fingerprint, properties.get(PREFIX + FEATURES, "")
         if features and not (signs and FEATURES in names):
             raise ValueError(
                 f"{path} gives no features: fuse it again without --no-features, or set the "
