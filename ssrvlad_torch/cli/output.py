@@ -7,7 +7,7 @@ import json
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stdout
+from contextlib import AbstractContextManager, contextmanager, redirect_stdout
 from datetime import timedelta
 from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
 
@@ -16,6 +16,7 @@ import typer
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from ..datasets.frame_file import FrameFile
     from ..encoding.results import Skipped
 
 SOME_SKIPPED = 3
@@ -122,6 +123,13 @@ def progress_bar(what: str, total: int, played: Sequence[float] = ()) -> Iterato
         finally:
             if console.is_terminal:
                 show()
+
+
+def encoding_bar(files: Sequence[FrameFile]) -> AbstractContextManager[Progress]:
+    """The progress bar of encoding files."""
+    from ..datasets.videos import played
+
+    return progress_bar("encoding", len(files), played(files))
 
 
 def print_table(table: Table) -> None:

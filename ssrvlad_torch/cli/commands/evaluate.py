@@ -11,7 +11,7 @@ from ..options import (
     TruthOptions,
     option,
 )
-from ..output import finish, note, print_json, progress_bar, say
+from ..output import encoding_bar, finish, note, print_json, say
 
 
 def evaluate(
@@ -45,7 +45,7 @@ def evaluate(
     town = Map.open(database, version=as_of)
     by_poses = None if truth.definition == (None,) * 4 else truth.tolerance_metres is not None
     frames = town.source(source.wanted(by_poses), compared=True, note=note)
-    with progress_bar("encoding", len(frames.files)) as bar:
+    with encoding_bar(frames.files) as bar:
         found = town.evaluate(
             frames,
             recognition.steps(),
