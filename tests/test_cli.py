@@ -1,5 +1,7 @@
 """The command line as a user meets it: help, exit codes, one-line errors, Ctrl-C."""
 
+import io
+import json
 import math
 import os
 import shlex
@@ -10,14 +12,17 @@ import time
 
 import numpy as np
 import pytest
+from drawings import SPACE
 from drives import write_maps, write_photos
 from networks import photo
 from PIL import Image
+from segmenting import write_photos as write_streets
 from segmenting import write_settings
 
 from ssrvlad_torch import __version__
 from ssrvlad_torch.cli.output import print_json
 from ssrvlad_torch.database.database import Database
+from ssrvlad_torch.encoding import source as sources
 
 
 @pytest.mark.parametrize(
@@ -249,3 +254,42 @@ def test_a_run_that_is_ended(tmp_path, segmenter, number, end):
         _, err = process.communicate()
     assert (process.returncode, err.splitlines(keepends=True)[-1]) == end
     assert len(Database.open(tmp_path / "db")) < 2000
+
+
+def test_only_results_are_on_stdout_whatever_a_network_prints(ssrvlad, tmp_path, monkeypatch):
+    """With --json each line of stdout is an object, though the network prints where it is built
+    and where it labels."""
+    (tmp_path / "loud.py").write_text(
+        "from networks import Street\n"
+        "class Loud(Street):\n"
+        "    def forward(self, images):\n"
+        "        print('labelling')\n"
+        "        return super().forward(images)\n"
+        "def loud():\n"
+        "    print('built')\n"
+        "    return Loud().eval()\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    photos = write_streets(tmp_path / "photos", range(5), (64, 96))
+    (tmp_path / "truth.json").write_text(json.dumps({"photos/1": ["photos/1"]}))
+    names = "".join(f"{photos / name}.png\n" for name in "123")
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(names.encode())))
+    settings = tmp_path / "net.yaml"
+    settings.write_text(f"network: loud:loud\nmean: [0, 0, 0]\nlabels_as: {SPACE}\n")
+    truth = ("--ground-truth", tmp_path / "truth.json")
+    for number, command in enumerate([
+        ("labels", settings),
+        ("encode", photos, "-o", tmp_path / "town"),
+        ("query", tmp_path / "town", photos),
+        ("locate", photos / "1.png", "--in", tmp_path / "town"),
+        ("evaluate", tmp_path / "town", photos, *truth),
+        ("loops", photos),
+        ("loops", "-"),
+    ]):  # fmt: skip
+        sources._network.cache_clear()
+        cache = ("--segmenter-cache", tmp_path / f"cache {number}")
+        network = ("--segmenter", settings, *cache) if number else ()
+        code, out, err = ssrvlad(*command, *network, "--json")
+        assert code == 0, err
+        assert out and all(isinstance(json.loads(line), dict) for line in out.splitlines()), command
+        assert {"built", "labelling"} <= {*err}, command

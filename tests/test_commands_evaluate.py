@@ -2,6 +2,9 @@
 
 import json
 
+import pytest
+from cases import REAL, needs_real
+from drawings import SPACE
 from drives import write_maps, write_truth
 
 
@@ -63,3 +66,26 @@ def test_a_ground_truth_says_as_much_of_a_path_as_it_likes(ssrvlad, database, tm
                 assert code == 2 and all(word in err[-1] for word in words)
             else:
                 assert (code, json.loads(out)["queries"]) == (0, 1)
+
+
+TRUTH = "same_place_odd_even.json"
+
+
+@pytest.mark.slow
+@needs_real
+def test_a_real_network_finds_what_its_stored_predictions_find(ssrvlad, tmp_path):
+    """ESPNetv2 on every other picture of CamVid against the label maps of those between."""
+    camvid, town = REAL / "camvid", tmp_path / "town"
+    known = (camvid, "--layout", "folders", "--every", 2)
+    assert ssrvlad("encode", *known, "--labels-as", SPACE, "-o", town)[0] == 0
+    asked = ("--start", 1, "--labels-as", "cityscapes-trainids", "--json", "--follow", "no")
+    truth = ("--no-standardise", "--no-sweep", "--ground-truth", camvid / TRUTH)
+    network = REAL / "networks" / "espnetv2.yaml"
+    stored, made = (
+        json.loads(ssrvlad("evaluate", town, *known, *asked, *truth, *labelled)[1])
+        for labelled in (
+            ("--labels", "predicted_espnetv2"),
+            ("--segmenter", network, "--segmenter-cache", tmp_path / "cache"),
+        )
+    )
+    assert made["recall_at"]["1"] >= stored["recall_at"]["1"] - 0.02

@@ -351,3 +351,41 @@ def test_input_on_another_device_is_refused():
     head = SSRVLAD.from_preset("default").to("meta")
     with pytest.raises(ValueError, match="expected labels on meta, as the head is, got cpu"):
         head(torch.zeros(1, 4, 4, dtype=torch.uint8))
+
+
+IN_CITY = dataclasses.replace(DEFAULT, labels_as="cityscapes-trainids")
+
+
+@pytest.fixture(scope="module")
+def city() -> torch.Tensor:
+    frames = SyntheticCity(3).traverse(3)
+    return torch.stack([torch.from_numpy(frame.labels) for frame in frames])
+
+
+def test_the_usual_anchor_gives_the_descriptor(city):
+    head = SSRVLAD(IN_CITY)
+    swept = SweepHead(IN_CITY, (-4, 0, 4))(city)
+    assert swept.shape == (3, 3, 480)
+    assert torch.equal(swept[:, 1], head(city))
+    assert not torch.equal(swept[:, 0], swept[:, 1])
+
+
+def test_an_anchor_is_a_column_from_the_usual_one(city):
+    head = SSRVLAD(IN_CITY)
+    middle = SSRVLAD(dataclasses.replace(IN_CITY, anchor="middle"))
+    columns = head.explain(city).histograms.column
+    for number, column in enumerate(columns.tolist()):
+        one = city[number : number + 1]
+        assert torch.equal(middle.sweep(one, [column, column + 8]), head.sweep(one, [0, 8]))
+
+
+def test_the_paper_has_no_anchor_to_move(city):
+    head = SSRVLAD.from_preset("paper", labels_as="cityscapes-trainids")
+    with pytest.raises(ValueError, match="aggregation harmonics, got residuals"):
+        head.sweep(city, [0])
+
+
+@pytest.mark.parametrize("columns", [[], [2**62], [0.5], ["a"]])
+def test_wrong_columns_are_an_error(city, columns):
+    with pytest.raises(ValueError, match="columns: expected one or more integers"):
+        SSRVLAD(IN_CITY).sweep(city, columns)

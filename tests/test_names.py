@@ -3,7 +3,13 @@
 import pytest
 
 from ssrvlad_torch.datasets.label_files import find_label_files
-from ssrvlad_torch.datasets.names import check_sequences, sequence_names
+from ssrvlad_torch.datasets.names import (
+    check_sequences,
+    name_of,
+    sequence_names,
+    sequence_of,
+    split_id,
+)
 
 
 @pytest.mark.parametrize(
@@ -76,3 +82,12 @@ def test_sources_stay_in_the_order_in_which_they_are_given(tmp_path):
     sources = [str(tmp_path / name) for name in ("morning", "evening", "day*")]
     found = [file.sequence for file in find_label_files(sources)]
     assert found == ["morning", "evening", "day9", "day10"]
+
+
+@pytest.mark.parametrize(
+    ("frame", "sequence", "name"),
+    [("monday/7", "monday", "7"), ("town/monday/7", "town/monday", "7"), ("7", "", "7")],
+)
+def test_an_id_is_cut_at_its_last_slash(frame, sequence, name):
+    assert split_id(frame) == (sequence, name)
+    assert (sequence_of(frame), name_of(frame)) == (sequence, name)

@@ -64,18 +64,6 @@ def test_images_of_like_size_share_a_batch_of_bounded_pixels(monkeypatch):
     assert sorted(batches) == [(1, 3, 24, 32), (2, 3, 24, 32), (2, 3, 24, 32), (2, 3, 30, 20)]
 
 
-def test_the_network_is_in_evaluation_mode_and_takes_no_gradients():
-    network = nn.Sequential(colour_network(), nn.Dropout(0.9))
-    network[0].weight.requires_grad_(True)
-    assert_right(Segmenter(network.train(), SPACE, PLAIN))
-    assert not network.training
-
-
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no CUDA device")
-def test_the_network_runs_where_its_weights_lie():
-    assert_right(Segmenter(colour_network().cuda(), SPACE, PLAIN))
-
-
 def test_what_fails_in_a_batch_is_tried_alone_and_named(tmp_path):
     class Picky(nn.Module):
         def __init__(self):

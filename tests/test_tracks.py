@@ -116,17 +116,3 @@ def test_a_gap_is_a_time(tmp_path, gap):
         read_trajectory(path, largest_gap=gap)
     with refused("largest gap of 0 seconds or more"):
         Trajectory([Pose(0, 0, 0)], [0.0], gap)
-
-
-def test_poses_between_two():
-    """The heading turns by the shorter way, and is unknown if one of the two is."""
-    poses = [Pose(0, 0, 3), Pose(10, 20, -3), Pose(20, 20, math.nan), Pose(50, 20, 0)]
-    trajectory = Trajectory(poses, [100, 102, 103, 110], 2)
-    quarter, exact, after, gap, before = trajectory.of_frames(
-        list("abcde"), [100.5, 102, 102.5, 105, 99.9]
-    )
-    assert quarter == pytest.approx((2.5, 5, 3 + (math.tau - 6) / 4))
-    assert exact == poses[1]
-    assert after[:2] == (15, 20) and math.isnan(after.heading)
-    assert math.isnan(gap.x) and math.isnan(before.x)
-    assert trajectory.of_frames(["100.5"]) == [quarter]

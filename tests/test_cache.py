@@ -5,14 +5,12 @@ import pytest
 import torch
 from drawings import SPACE
 from helpers import flip_byte
-from networks import CLASSES, PLAIN, Strided, Then, colour_network, write_graph
+from networks import CLASSES, PLAIN, Strided, Then, colour_network
 from segmenting import LABELS, counted, write_photos
 from torch import nn
 
 from ssrvlad_torch.datasets.image_files import find_image_files
 from ssrvlad_torch.segmentation import segmenter as segmentation
-from ssrvlad_torch.segmentation.onnx_files import external_files
-from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
 from ssrvlad_torch.segmentation.preparation import SegmenterConfig
 from ssrvlad_torch.segmentation.segmenter import Segmenter
 
@@ -76,17 +74,6 @@ def test_what_computes_something_else_has_another_key():
     ]
     assert len({segmenter.key() for segmenter in segmenters}) == len(segmenters)
     assert segmenters[0].key() == Segmenter(colour_network(), SPACE, PLAIN).key()
-
-
-@pytest.mark.parametrize("external", [False, True])
-def test_a_graph_is_known_by_its_file_and_its_weights(tmp_path, external):
-    def key(white):
-        path = write_graph(tmp_path / "net.onnx", external=external, white=white)
-        return Segmenter(OnnxNetwork(path), SPACE, PLAIN).key()
-
-    first, second, third = key(1.0), key(1.5), key(1.0)
-    assert first == third != second
-    assert external_files(tmp_path / "net.onnx") == [tmp_path / "net.data"] * external
 
 
 @pytest.mark.parametrize("damage", ["flip", "cut", "empty", "dangling link"])
