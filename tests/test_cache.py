@@ -50,7 +50,7 @@ def test_a_label_map_is_made_once_and_found_by_the_content_of_the_image(photos, 
     assert len(first) == 5
 
 
-def test_what_computes_something_else_has_another_key():
+def test_every_network_and_setting_has_its_own_key():
     other = colour_network()
     other.bias.data[3] += 1e-3
 
@@ -120,7 +120,7 @@ def test_wide_ids_are_kept_and_those_that_no_png_can_hold_are_made_each_time(pho
     assert len(entries(cache)) == 5
 
 
-def test_ctrl_c_keeps_what_was_made(photos, cache, monkeypatch):
+def test_label_maps_made_before_ctrl_c_are_kept(photos, cache, monkeypatch):
     monkeypatch.setattr(segmentation, "PIXELS_AT_ONCE", 1)
     segmenter = Segmenter(colour_network(), SPACE, PLAIN, cache)
     segmenter.key()

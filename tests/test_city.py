@@ -102,7 +102,7 @@ def test_winter_bares_the_trees_and_nothing_else():
     assert ((summer == VEGETATION) | (winter == VEGETATION))[differing].all()
 
 
-def test_a_long_drive():
+def test_a_long_drive_shows_every_category_at_even_spacing_and_turns():
     """Every category and dynamic class occurs, sky above and road below; no two frames are nearly
     equal; frames are spaced in metres, and the route turns."""
     frames = drive(120, size=(120, 160))
@@ -152,7 +152,7 @@ def test_only_the_streets_of_an_estate_change():
 
 
 @pytest.mark.parametrize("size", [(16, 16), (32, 32), (37, 90), (90, 37)])
-def test_any_size(size):
+def test_a_frame_has_any_size_asked_for(size):
     (frame,) = drive(1, size=size)
     assert (frame.labels.shape, frame.labels.dtype, frame.name) == (size, np.uint8, "000000")
 

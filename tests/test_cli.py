@@ -32,7 +32,7 @@ from ssrvlad_torch.encoding import source as sources
         (("--version",), f"ssrvlad {__version__}, on a CPU with ", "native core"),
     ],
 )
-def test_what_it_prints_without_a_command(ssrvlad, line, begin, words):
+def test_without_a_command_it_prints_help_or_the_version(ssrvlad, line, begin, words):
     code, out, err = ssrvlad(*line)
     assert (code, err) == (0, [])
     assert out.startswith(begin) and words in out
@@ -70,7 +70,7 @@ def test_debug_shows_the_traceback(ssrvlad):
     assert err[-1].startswith("ssrvlad: ")
 
 
-def test_a_reader_that_has_enough_is_no_error(database, maps):
+def test_a_closed_pipe_is_no_error(database, maps):
     """What `ssrvlad query ... | head -1` does, with a pipe that nobody reads."""
     reader, writer = os.pipe()
     os.close(reader)
@@ -97,7 +97,7 @@ def test_a_closed_stream_is_the_null_device(database, maps, tmp_path, closed):
     assert len(Database.open(database).load()) == 6
 
 
-def test_too_few_open_files_are_told(database, maps):
+def test_too_few_open_files_are_one_line(database, maps):
     line = f"ulimit -n 8; {sys.executable} -m ssrvlad_torch query {database} {maps}"
     done = subprocess.run(line, shell=True, check=False, capture_output=True, text=True)
     assert (done.returncode, done.stdout, len(done.stderr.splitlines())) == (2, "", 1)
@@ -117,7 +117,7 @@ def test_a_panic_of_a_library_is_one_line(ssrvlad, monkeypatch, database, maps):
     assert err[-1] == "ssrvlad: an error in ssrvlad itself: PanicException('no more threads')"
 
 
-def test_a_tour_is_written(ssrvlad, tmp_path):
+def test_city_writes_a_tour(ssrvlad, tmp_path):
     code, out, _ = ssrvlad("city", tmp_path / "town", "--tour", "--frames", 3)
     assert (code, out) == (0, f"{tmp_path / 'town' / 'tour'}: 3 frames\n")
     assert len((tmp_path / "town" / "poses.csv").read_text().splitlines()) == 4
@@ -205,7 +205,7 @@ TERMINAL = (
 
 
 @pytest.mark.parametrize("module", ["typer", "torch"])
-def test_ctrl_c_during_an_import(module):
+def test_ctrl_c_during_an_import_is_exit_code_130(module):
     program = (
         "import os, signal, sys\n"
         "class Interrupts:\n"
@@ -225,7 +225,7 @@ def test_ctrl_c_during_an_import(module):
         (("--segmenter", "net.yaml"), signal.SIGINT, (130, "ssrvlad: interrupted\n")),
     ],
 )
-def test_a_run_that_is_ended(tmp_path, segmenter, number, end):
+def test_a_signal_ends_a_run_and_done_frames_are_stored(tmp_path, segmenter, number, end):
     """The frames that are done land; a run afterwards goes on from there."""
     maps = write_maps(tmp_path / "maps", range(1))
     write_settings(tmp_path)

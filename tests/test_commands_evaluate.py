@@ -8,14 +8,14 @@ from drawings import SPACE
 from drives import write_maps, write_truth
 
 
-def test_queries_that_are_in_the_database_are_mentioned(ssrvlad, database, maps):
+def test_a_note_counts_queries_that_are_in_the_database(ssrvlad, database, maps):
     """The database may be a URI."""
     for town in (database, f"file://{database}"):
         code, _, err = ssrvlad("evaluate", town, maps, "--tolerance-frames", 1)
         assert (code, err) == (0, ["ssrvlad: 6 of 6 queries have ids of the database"])
 
 
-def test_a_folder_of_the_same_name_is_another_drive(ssrvlad, database, tmp_path):
+def test_another_folder_of_the_same_name_is_another_sequence(ssrvlad, database, tmp_path):
     """Its frames are named by time, as those of an aligned drive that was later."""
     other = write_maps(tmp_path / "other" / "monday", range(6))
     for path in sorted(other.iterdir()):
@@ -53,7 +53,7 @@ def test_a_convention_that_needs_all_pairs_measures_cosines(evaluate):
     assert (code, metrics["score_is"], metrics["recall_at"]["1"]) == (0, "cosine", 1)
 
 
-def test_a_ground_truth_says_as_much_of_a_path_as_it_likes(ssrvlad, database, tmp_path):
+def test_a_ground_truth_names_frames_by_any_end_of_their_paths(ssrvlad, database, tmp_path):
     """The ids of queries depend on what else is asked; what their paths end in does not."""
     dusk, night = (write_maps(tmp_path / t / "tuesday", range(6)) for t in ("dusk", "night"))
     for end in ("tuesday", "dusk/tuesday", f"{tmp_path.name}/dusk/tuesday"):

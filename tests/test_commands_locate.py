@@ -41,7 +41,7 @@ def test_locate_takes_the_network_of_the_database(town, network, ssrvlad, tmp_pa
     assert "gives other label maps" in line
 
 
-def test_locate_takes_no_network_from_label_maps_or_of_code(ssrvlad, database, tmp_path):
+def test_locate_refuses_a_database_of_label_maps_and_a_network_of_code(ssrvlad, database, tmp_path):
     code, _, (line,) = ssrvlad("locate", tmp_path, "--in", database)
     assert code == 2
     assert "was not made from pictures; name a --segmenter" in line

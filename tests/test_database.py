@@ -198,7 +198,7 @@ def test_a_path_that_is_not_a_database_is_refused_and_not_changed(path, tmp_path
         ("db", None, r"config .* or the width"),
     ],
 )
-def test_what_no_database_can_be_created_with_is_refused(tmp_path, path, width, message):
+def test_a_database_of_wrong_path_or_width_is_refused(tmp_path, path, width, message):
     with pytest.raises(ValueError, match=message):
         Database.create(path and tmp_path / path, width=width)
     assert not any(tmp_path.iterdir())
@@ -298,7 +298,7 @@ def test_a_database_lives_in_a_bucket(bucket):
     assert len(Database.open(uri)) == 2
 
 
-def test_what_is_not_in_the_store_is_one_line_after_one_attempt(bucket, monkeypatch):
+def test_a_database_missing_in_a_bucket_is_one_line_after_one_attempt(bucket, monkeypatch):
     uri, open_dataset, attempts = f"{bucket}/morning.ssrdb", engine.lance().dataset, []
     database = Database.create(uri, width=8)
     with refused(rf"^{uri} has no version 99; it has {database.version}$"):

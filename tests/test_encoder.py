@@ -60,7 +60,7 @@ def test_memory_and_database_hold_the_same_frames(town, workers):
     assert torch.get_num_threads() == threads
 
 
-def test_no_frames_are_of_single_precision_too():
+def test_no_frames_give_an_empty_float32_array():
     torch.set_default_dtype(torch.float64)
     try:
         frames, _ = encode_to_memory(CHANNELS, HEAD.label_space, [], 1)

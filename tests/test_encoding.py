@@ -56,7 +56,7 @@ def test_frames_may_differ_in_size_and_format(town):
         assert known[f"a/{number}"].digest == known["a/0"].digest
 
 
-def test_label_maps_that_were_read_need_no_threads_again(monkeypatch):
+def test_label_maps_already_read_start_no_threads(monkeypatch):
     monkeypatch.setattr(FrameFile, "readers", 4)
     items = [Item(FrameFile("a", "0", Path("0.png")), "", street(0), None, digest(street(0)))]
     monkeypatch.setattr(describer, "in_order", None)

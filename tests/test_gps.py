@@ -32,7 +32,7 @@ def test_latitudes_become_metres(tmp_path):
         read_poses(path)
 
 
-def test_exif(tmp_path):
+def test_exif_tags_give_poses_of_some_pictures(tmp_path):
     pytest.importorskip("utm")
     folder = plant(tmp_path / "photos", "1.jpg", "2.jpg")
     tag, exif = ExifTags.GPS, Image.Exif()

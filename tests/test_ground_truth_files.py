@@ -58,11 +58,11 @@ FORMS = {
 
 
 @pytest.mark.parametrize("name", FORMS)
-def test_every_form_says_the_same(read, name):
+def test_every_form_of_file_gives_the_same_truth(read, name):
     assert read(name, FORMS[name]) == [[0, 2], []]
 
 
-def test_of_a_query_that_no_entry_names_nothing_is_known(read):
+def test_a_query_without_an_entry_has_unknown_matches(read):
     for name, content in (
         ("some.json", {"a": ["day/2"]}),
         ("some.json", [["a", "day/2"]]),
@@ -114,7 +114,7 @@ def test_an_entry_may_have_the_suffix_of_the_file_and_be_a_whole_path(read):
     assert read("t.json", {"a.jpg": ["b"]}, ["a", "a.jpg"], ["b"]) == [None, [0]]
 
 
-def test_the_known_queries_can_be_chosen():
+def test_queries_of_known_matches_are_chosen():
     known, truth = known_matches([None, np.array([3]), np.array([], np.int64), None])
     assert known == [1, 2]
     assert as_lists(truth) == [[3], []]
@@ -191,7 +191,7 @@ def test_a_missing_file_is_refused(tmp_path):
         ("corridor", 111, 111, range(3), [108, 109, 110]),
     ],
 )
-def test_files_that_vpr_bench_ships(name, queries, references, first, last, tmp_path):
+def test_converted_files_of_vpr_bench_are_read(name, queries, references, first, last, tmp_path):
     """By the conversion that the refusal says."""
     shipped = tmp_path / f"{name}.ground_truth_new.npy"
     shutil.copy(VPR_BENCH / shipped.name, shipped)

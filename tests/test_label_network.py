@@ -13,7 +13,7 @@ from ssrvlad_torch.segmentation.preparation import SegmenterConfig
 from ssrvlad_torch.segmentation.segmenter import Segmenter
 
 
-def test_a_graph_that_takes_bytes(tmp_path):
+def test_a_graph_that_takes_bytes_needs_white_255(tmp_path):
     shape = (1, 24, 32, 3)
     path = write_graph(tmp_path / "net.onnx", shape, "bytes", channels_last=True, white=255)
     assert_right(Segmenter(OnnxNetwork(path), SPACE, BYTES))

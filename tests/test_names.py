@@ -26,7 +26,7 @@ def test_folders_take_as_much_of_their_paths_as_they_need(folders, names):
     assert sequence_names(folders) == dict(zip(folders, names, strict=True))
 
 
-def test_what_cannot_be_told_apart_is_refused():
+def test_folders_that_would_share_a_name_are_refused():
     """A path that ends another; a stack, a bag or a video, and the folder beside it."""
     with pytest.raises(ValueError, match="/y needs a name that no sequence has"):
         sequence_names(["/y", "/b/y"])
@@ -62,7 +62,7 @@ def test_known_folders_keep_their_names(tmp_path):
         ),
     ],
 )
-def test_what_may_mean_two_things_is_refused(known, message):
+def test_a_folder_that_may_be_two_sequences_is_refused(known, message):
     with pytest.raises(ValueError, match=message):
         sequence_names(["/other/labels"], known)
 

@@ -71,7 +71,7 @@ def test_classes_that_are_as_many_as_rows_or_columns_are_told_apart(tmp_path, op
     assert_right(segmenter, [photo(one) for one in labels], labels)
 
 
-def test_an_axis_of_the_classes_that_nothing_tells_is_refused(tmp_path):
+def test_an_ambiguous_axis_of_classes_is_refused(tmp_path):
     path = write_graph(tmp_path / "net.onnx", (1, 3, 12, 12), scores_last=True)
     expected = r"output \(1, 12, 12, 12\) float32 for images of 12x12 can be \(B, C, h, w\) or "
     with pytest.raises(ValueError, match=expected):
@@ -104,6 +104,6 @@ def value(name, shape, dtype=onnx.TensorProto.FLOAT):
         ([value("a", [1, 3, 4, 4], onnx.TensorProto.INT64)], r"tensor\(int64\); expected"),
     ],
 )
-def test_a_graph_that_takes_no_image(tmp_path, inputs, message):
+def test_a_graph_that_takes_no_image_is_refused(tmp_path, inputs, message):
     with pytest.raises(ValueError, match=message):
         OnnxNetwork(graph_of(inputs, tmp_path / "net.onnx"))

@@ -35,7 +35,7 @@ NAN = math.nan
         ("frame,x,y,heading\n", {}),
     ],
 )
-def test_tables(tmp_path, text, poses):
+def test_tables_of_poses_are_read_by_column_name(tmp_path, text, poses):
     found = read_poses(write(tmp_path, text))
     assert found.keys() == poses.keys()
     for frame, pose in poses.items():
@@ -72,7 +72,7 @@ def test_another_encoding_is_refused_by_name(tmp_path):
         read_poses(path)
 
 
-def test_names_with_utm_fields(tmp_path):
+def test_utm_fields_of_a_file_name_are_pose_and_time(tmp_path):
     published = "@0584300.52@4477100.10@17@T@40.44@-79.99@pano@3@180@@@@20210305_101500@x"
     pose, stamp = read_name(published)
     np.testing.assert_allclose(pose, [584300.52, 4477100.10, -math.pi / 2], atol=1e-9)

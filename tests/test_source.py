@@ -57,7 +57,7 @@ def without_version(out):
     return [{key: line[key] for key in line.keys() - {"version"}} for line in lines]
 
 
-def test_what_is_assumed_of_a_network_is_told(network, ssrvlad, tmp_path):
+def test_an_assumed_preparation_is_noted_unless_accepted(network, ssrvlad, tmp_path):
     given = ("--labels-as", SPACE, "--segmenter-cache", tmp_path / "cache", "--segmenter")
     accepting = {each: tmp_path / f"{each}.yaml" for each in ("true", "false", "3")}
     for each, path in accepting.items():
@@ -129,7 +129,7 @@ WRONG = [
 ]
 
 
-def test_wrong_use_of_a_data_set(ssrvlad, city, reference):
+def test_wrong_use_of_a_data_set_is_one_line(ssrvlad, city, reference):
     for options, message in WRONG:
         for command in ("query", "evaluate"):
             code, out, err = ssrvlad(command, reference, city, *options.split())

@@ -89,7 +89,7 @@ def test_query_without_a_match_has_an_empty_list(tmp_path):
         (lambda: write_city("unused", frames=0), "frames: got 0"),
     ],
 )
-def test_errors_name_what_was_wrong(call, message, tmp_path, monkeypatch):
+def test_wrong_arguments_are_refused_by_name(call, message, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ValueError, match=message):
         call()

@@ -89,7 +89,7 @@ def test_a_table_that_fits_no_frame_is_refused(tmp_path):
         find_image_files([folder], poses="gps")
 
 
-def test_poses_between_two():
+def test_poses_are_interpolated_by_time_and_the_shorter_turn():
     """The heading turns by the shorter way, and is unknown if one of the two is."""
     poses = [Pose(0, 0, 3), Pose(10, 20, -3), Pose(20, 20, math.nan), Pose(50, 20, 0)]
     trajectory = Trajectory(poses, [100, 102, 103, 110], 2)
