@@ -15,21 +15,12 @@ def test_every_method_is_where_the_registry_says(name):
         assert callable(getattr(method, function))
 
 
-def test_an_unknown_method_is_an_error_that_lists_the_known():
-    with pytest.raises(ValueError, match="unknown method 'orb'; expected one of ssr-vlad, feat"):
-        make("orb")
-
-
-def test_an_unknown_setting_is_an_error():
-    with pytest.raises(ValueError, match="method cohog: got an unexpected keyword argument 'cell'"):
-        make("cohog", cell=3)
-    with pytest.raises(ValueError, match="unknown setting 'cell'"):
-        make("ssr-vlad", cell=3)
-
-
 @pytest.mark.parametrize(
     ("name", "settings", "message"),
     [
+        ("orb", {}, "unknown method 'orb'; expected one of ssr-vlad, feat"),
+        ("cohog", {"cell": 3}, "method cohog: got an unexpected keyword argument 'cell'"),
+        ("ssr-vlad", {"cell": 3}, "unknown setting 'cell'"),
         ("cohog", {"size": 16}, "method cohog: size must be 32, 48, 64, ..., got 16"),
         ("cohog", {"size": 100}, "method cohog: size must be 32, 48, 64, ..., got 100"),
         ("cohog", {"entropy_threshold": 1.5}, "entropy_threshold must be from 0 to 1, got 1.5"),
@@ -41,6 +32,6 @@ def test_an_unknown_setting_is_an_error():
         ("ssr-vlad", {"preset": "best"}, "preset must be one of paper, default, got 'best'"),
     ],
 )
-def test_wrong_settings_are_refused(name, settings, message):
+def test_unknown_methods_and_wrong_settings_are_refused(name, settings, message):
     with pytest.raises(ValueError, match=message):
         make(name, **settings)
