@@ -136,9 +136,9 @@ class SSRVLAD(nn.Module):
 
     def _describe_in_graph(self, labels: Tensor) -> Tensor:
         """As torch.export records it. A graph cannot raise: an unknown id gives NaN."""
-        found, unknown, *_ = self.counted(labels)
-        wrong = (unknown > 0).view(-1, *[1] * (found.ndim - 1))
-        return torch.where(wrong, torch.nan, found)
+        descriptors, unknown, *_ = self.counted(labels)
+        wrong = (unknown > 0).view(-1, *[1] * (descriptors.ndim - 1))
+        return torch.where(wrong, torch.nan, descriptors)
 
     def _refuse_loops_in_onnx(self) -> None:
         if torch.onnx.is_in_onnx_export() and not isinstance(self._aggregation, Harmonics):

@@ -100,7 +100,7 @@ def progress_bar(what: str, total: int, played: Sequence[float] = ()) -> Iterato
             also = f", {skipped} skipped" if skipped else ""
             if played:
                 times = (played[min(max(done, 1), len(played)) - 1], played[-1])
-                passed, whole = (str(timedelta(seconds=round(each))) for each in times)
+                passed, whole = (str(timedelta(seconds=round(t))) for t in times)
                 also += f", {passed} of {whole} of video"
             if console.is_terminal:
                 rate = bar.tasks[task].speed
@@ -153,7 +153,7 @@ def weights_in_words(weights: Sequence[Mapping[str, float]]) -> list[str]:
     """The weights of fused methods in each sequence; an empty list for a single method."""
     if not any(weights):
         return []
-    names = (f"{name} {'/'.join(f'{each[name]:.2f}' for each in weights)}" for name in weights[0])
+    names = (f"{name} {'/'.join(f'{drive[name]:.2f}' for drive in weights)}" for name in weights[0])
     return [f"fused: {' + '.join(names)}"]
 
 

@@ -258,15 +258,17 @@ class Database:
     def label_spaces(self) -> list[LabelSpace]:
         """The label spaces of the frames, or of the origins of an empty database, each once."""
         keys = self._columns(["origin"])["origin"].unique().to_pylist() or list(self.origins)
-        found = (self.origins.get(key, Origin()).label_space for key in keys)
-        return list({space.digest: space for space in found if space}.values())
+        spaces = (self.origins.get(key, Origin()).label_space for key in keys)
+        return list({space.digest: space for space in spaces if space}.values())
 
     def require(self, config: SSRVLADConfig, columns: Sequence[Column] = ()) -> None:
         """Raises a ValueError if the descriptors were made with other settings, which are shown
         with both fingerprints, or if frames lack one of these further columns."""
         for column in columns:
             if column not in self.columns:
-                others = ", ".join(f"{each.name}, {each.fingerprint}" for each in self.columns[1:])
+                others = ", ".join(
+                    f"{column.name}, {column.fingerprint}" for column in self.columns[1:]
+                )
                 raise ValueError(
                     f"{self.path} has no descriptors by {column.name}, {column.fingerprint}, but "
                     f"{others or 'none'}: they can only be added when a database is created"
@@ -307,11 +309,11 @@ class Database:
     def damage(self, progress: Callable[[int], object] | None = None) -> list[Damage]:
         """Reads everything and reports all damage. ``progress`` is called with the number of frames
         done since the last call."""
-        found: list[Damage] = []
-        for batch in read_rows(self.table(), found):
+        damages: list[Damage] = []
+        for batch in read_rows(self.table(), damages):
             if progress:
                 progress(len(batch))
-        return found
+        return damages
 
     def table(self) -> LanceDataset:
         """The version that is read, as a table of Lance, for what this class does not offer."""

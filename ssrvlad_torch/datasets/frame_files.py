@@ -149,10 +149,10 @@ def _given_poses(
         raise ValueError(f"{source} is no file; expected a file of poses, or exif")
     if path.suffix.lower() == ".csv":
         table = PoseTable(path, read_poses(path))
-        found = [[table.pose_of(file) or UNKNOWN for file in drive] for drive in drives]
-        if all(pose is UNKNOWN for poses in found for pose in poses):
+        given = [[table.pose_of(file) or UNKNOWN for file in drive] for drive in drives]
+        if all(pose is UNKNOWN for poses in given for pose in poses):
             raise ValueError(f"{source} has none of the frames, for example {drives[0][0].frame}")
-        return found
+        return given
     if len(drives) > 1:
         raise ValueError(f"{source} holds the poses of one drive, got {len(drives)} sequences")
     trajectory = read_trajectory(path, largest_gap)

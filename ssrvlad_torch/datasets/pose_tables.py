@@ -74,7 +74,7 @@ class PoseTable:
                         self._listed[folder] = frozenset(path.name for path in files)
             for folder, names in self._listed.items():
                 ids = (f"{folder.name}/{file.name}{suffix}" for suffix in ("", file.path.suffix))
-                if place.name in names and not any(each in self.poses for each in ids):
+                if place.name in names and not any(name in self.poses for name in ids):
                     other = str(folder)
                     break
         if other != file.folder:

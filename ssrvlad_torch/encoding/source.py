@@ -268,7 +268,7 @@ def _are_pictures(files: Sequence[FrameFile], spaces: Sequence[LabelSpace | None
         for space in filter(None, spaces):
             with suppress(ValueError):
                 ids = np.unique(read_label_map(file, space)).tolist()
-                if {*ids} <= {each.id for each in space.classes}:
+                if {*ids} <= {label.id for label in space.classes}:
                     return False
         with suppress(ValueError):
             read_image(file)

@@ -154,9 +154,9 @@ class TrueMatches:
             if positions is None:
                 truth.append(None)
                 continue
-            found = rows[positions]
-            truth.append(np.sort(found[found >= 0]))
-            missing |= {references.counted[at] for at in positions[found < 0].tolist()}
+            matches = rows[positions]
+            truth.append(np.sort(matches[matches >= 0]))
+            missing |= {references.counted[at] for at in positions[matches < 0].tolist()}
         if self.file and missing:
             note(
                 f"{len(missing)} references of {self.file} are not in the database, "

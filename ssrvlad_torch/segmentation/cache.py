@@ -84,9 +84,9 @@ class SegmentedCache:
                 entries.append((status.st_mtime_ns, status.st_size, path))
         size = sum(size for _, size, _ in entries)
         left = size if size <= LARGEST else 0.9 * LARGEST
-        for _, part, path in sorted(entries):
+        for _, length, path in sorted(entries):
             if size <= left:
                 break
             path.unlink(missing_ok=True)
-            size -= part
+            size -= length
         return size

@@ -189,12 +189,12 @@ class Segmenter:
     def activations(self) -> list[Activation]:
         """The activations of the network that can be `features` by their names, in the order in
         which they are computed for one picture. A network that takes no picture is a ValueError."""
-        found = all_activations(self.network, probed(self.labels))
-        return [each for each in found if math.isfinite(each.stride)]
+        listed = all_activations(self.network, probed(self.labels))
+        return [activation for activation in listed if math.isfinite(activation.stride)]
 
     def __call__(self, images: Sequence[Pixels]) -> list[LabelMap]:
         """The label maps of pictures in memory, without the cache; see `segment`."""
-        return [each.labels for each in self.segment(images)]
+        return [segmented.labels for segmented in self.segment(images)]
 
     def segment(self, images: Sequence[Pixels], features: bool = False) -> list[Segmented]:
         """What the network says of pictures in memory, without the cache.
@@ -215,9 +215,9 @@ class Segmenter:
                 raise ValueError(
                     f"expected a list of (H, W, 3) uint8 images, got {image.shape} {image.dtype}"
                 )
-        found = self.features if features else None
+        wanted = self.features if features else None
         results = []
-        for result in self._complete([_Picture(image, None) for image in images], None, found):
+        for result in self._complete([_Picture(image, None) for image in images], None, wanted):
             if isinstance(result, ValueError):
                 raise result
             results.append(result)
@@ -245,10 +245,10 @@ class Segmenter:
                 mode, or was changed meanwhile.
             OSError: the cache cannot be written.
         """
-        found = self.features if features else None
+        wanted = self.features if features else None
         cache = None
         if self.cache is not None:
-            features_key = found.key if found else ""
+            features_key = wanted.key if wanted else ""
             cache = SegmentedCache(self.cache, self.key(), self.label_space, features_key)
 
         def read(file: FrameFile) -> Segmented | _Picture:
@@ -261,7 +261,7 @@ class Segmenter:
 
         ahead = read_ahead(read, files, workers, _AHEAD)
         while chunk := list(islice(ahead, _AHEAD)):
-            results = self._complete([content for _, content in chunk], cache, found)
+            results = self._complete([content for _, content in chunk], cache, wanted)
             yield from zip((file for file, _ in chunk), results, strict=True)
 
     def key(self) -> str:
@@ -333,9 +333,9 @@ class Segmenter:
         if len(output) != len(images):
             raise ValueError(f"the network gives {len(output)} outputs for {len(images)} images")
         results: list[Segmented | ValueError] = []
-        for number, part in enumerate(output.split(1)):
+        for number, scores in enumerate(output.split(1)):
             try:
-                labels = enlarged(classes_of(part), height, width)[0].numpy(force=True)
+                labels = enlarged(classes_of(scores), height, width)[0].numpy(force=True)
             except ValueError as error:
                 results.append(error)
                 continue

@@ -117,15 +117,15 @@ def _described(
 
 
 def _printed(
-    found: Generator[LoopResult | Skipped], as_json: bool
+    outcomes: Generator[LoopResult | Skipped], as_json: bool
 ) -> tuple[list[LoopResult], list[Skipped]]:
     """The results and the skipped frames of a stream; each result is printed as it comes."""
     from ...encoding.results import Skipped
 
     results: list[LoopResult] = []
     skipped: list[Skipped] = []
-    with closing(found):
-        for result in found:
+    with closing(outcomes):
+        for result in outcomes:
             if isinstance(result, Skipped):
                 skipped.append(result)
             else:
