@@ -154,9 +154,9 @@ class SSRVLAD(nn.Module):
         return tensor
 
     def counted(self, labels: Tensor) -> tuple[Tensor, ...]:
-        """What exported files give, which cannot raise an error: the descriptors of a batch, and
-        ``(B,)`` int64, the number of pixels of each image with an unknown id, which belong to no
-        layer; of ``paper`` also ``(B, 8)`` int64, the number of keypoints of each layer, and
+        """The outputs of exported files, which cannot raise an error: the descriptors of a batch,
+        and ``(B,)`` int64, the number of pixels of each image with an unknown id, which belong to
+        no layer; of ``paper`` also ``(B, 8)`` int64, the number of keypoints of each layer, and
         ``(B, h, w)`` uint8, the skeletons as bit-planes."""
         layers, unknown = self._front_end.counted(label_map(labels, self.label_space))
         histograms = self._aggregation.histograms(layers)

@@ -57,7 +57,9 @@ if TYPE_CHECKING:
 
     from ..recognition.matching import Vectors
 
+    Descriptors = Vectors | Mapping[str, Vectors]
 
+Frames = Sequence[FrameRecord | str]
 Check = Callable[[StoredRecords], None]
 Verb = Literal["append", "merge", "remove"]
 
@@ -149,7 +151,10 @@ class Database:
             raise ValueError("expected the config of the descriptors, or the width of custom ones")
         if width is not None and (not hasattr(width, "__index__") or width < 1):
             raise ValueError(f"width: expected an integer from 1, got {width!r}")
-        columns = [_first_column(config, width), *columns]
+        first = Column(DESCRIPTOR, "", (int(width or 0),))
+        if config:
+            first = Column(LABEL_SHAPES, config.fingerprint, (config.length,))
+        columns = [first, *columns]
         names = [column.name for column in columns]
         if len({*names, *schema([]).names}) < len(names) + len(schema([])):
             raise ValueError(
@@ -266,9 +271,7 @@ class Database:
         with both fingerprints, or if frames lack one of these further columns."""
         for column in columns:
             if column not in self.columns:
-                others = ", ".join(
-                    f"{column.name}, {column.fingerprint}" for column in self.columns[1:]
-                )
+                others = ", ".join(f"{own.name}, {own.fingerprint}" for own in self.columns[1:])
                 raise ValueError(
                     f"{self.path} has no descriptors by {column.name}, {column.fingerprint}, but "
                     f"{others or 'none'}: they can only be added when a database is created"
@@ -358,11 +361,7 @@ class Database:
             self._apply(partial(engine.add_metadata, entries=origin.to_entry()))
         return origin.key
 
-    def append(
-        self,
-        frames: Sequence[FrameRecord | str],
-        descriptors: Vectors | Mapping[str, Vectors],
-    ) -> None:
+    def append(self, frames: Frames, descriptors: Descriptors) -> None:
         """Adds new frames in one commit, flushed to disk when this returns.
 
         Args:
@@ -377,12 +376,7 @@ class Database:
         """
         self.adopt([self.write_apart(frames, descriptors)])
 
-    def merge(
-        self,
-        frames: Sequence[FrameRecord | str],
-        descriptors: Vectors | Mapping[str, Vectors],
-        check: Check | None = None,
-    ) -> None:
+    def merge(self, frames: Frames, descriptors: Descriptors, check: Check | None = None) -> None:
         """Adds frames and replaces those with the same ids, in one commit. A replaced frame keeps
         its arrival if the new record has none. Arguments and errors as for `append`; ``check`` as
         for `adopt`."""
@@ -401,11 +395,7 @@ class Database:
         require_list(frames)
         self._change([StagedRows((), tuple(sorted(set(frames))))], "remove")
 
-    def write_apart(
-        self,
-        frames: Sequence[FrameRecord | str],
-        descriptors: Vectors | Mapping[str, Vectors],
-    ) -> StagedRows:
+    def write_apart(self, frames: Frames, descriptors: Descriptors) -> StagedRows:
         """Writes rows to disk without a commit; `adopt` commits them, also in another process.
         Arguments and errors as for `append`. `compact` deletes rows that are never adopted."""
         self._require_writable()
@@ -495,12 +485,6 @@ class Database:
             raise ValueError(f"{self.path} is damaged: {engine.message_of(error)}") from error
 
 
-def _first_column(config: SSRVLADConfig | None, width: int | None) -> Column:
-    if config:
-        return Column(LABEL_SHAPES, config.fingerprint, (config.length,))
-    return Column(DESCRIPTOR, "", (int(width or 0),))
-
-
-def _records(frames: Sequence[FrameRecord | str]) -> list[FrameRecord]:
+def _records(frames: Frames) -> list[FrameRecord]:
     require_list(frames)
     return [FrameRecord.of_id(f) if isinstance(f, str) else f for f in frames]

@@ -15,7 +15,8 @@ from .tracks import SUFFIXES, read_track
 _KITTI, _TUM = 12, 8
 _MOST_SECONDS = 0.02
 _GAP = 5.0
-"""Seconds between positions of a receiver, which gives one a second, that are bridged."""
+"""Seconds between two positions of a GPS receiver, up to which positions are interpolated; a
+receiver gives one a second."""
 _UNITS = (1, 1e-3, 1e-6, 1e-9)
 """Seconds, milliseconds, microseconds and nanoseconds."""
 

@@ -84,7 +84,7 @@ class Source:
 
     @property
     def truth(self) -> GroundTruth | None:
-        """The ground truth of the data set."""
+        """The ground truth of the data set, if it declares one."""
         return self.dataset.truth if self.dataset else None
 
 

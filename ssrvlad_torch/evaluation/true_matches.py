@@ -99,7 +99,7 @@ class TrueMatches:
         frames: int | None,
         dataset: DatasetTruth | None,
     ) -> TrueMatches:
-        """By the first four, or by the data set if they define nothing."""
+        """The definition by a file or a distance, or that of the data set if none is given."""
         if (file, metres, frames) == (None,) * 3 and dataset:
             file, metres, frames = dataset.file, dataset.metres, dataset.frames
         return cls(file, metres, degrees, frames)

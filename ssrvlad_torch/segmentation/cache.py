@@ -1,4 +1,4 @@
-"""A cache of what networks said of pictures, so that none is segmented twice; of bounded size."""
+"""A cache of label maps and features, so that no picture is segmented twice; of bounded size."""
 
 import os
 from contextlib import suppress
@@ -39,7 +39,8 @@ class SegmentedCache:
         self._size: int | None = None
 
     def get(self, picture: str) -> tuple[LabelMap, Signs | None] | None:
-        """What is stored of the picture of this digest; ``None`` if missing or damaged."""
+        """The label map and the features that are stored for the picture with this digest; ``None``
+        if they are missing or damaged."""
         entry, features = self._entry(picture), None
         try:
             labels = read_label_map(FrameFile("cache", entry.stem, entry), self.space)

@@ -21,10 +21,10 @@ AUTO = "auto"
 """The label space that the network's own class names define."""
 
 _GIVEN = {"mean", "std", "white", "colour_order"}
-"""Settings of which one, given, shows that the preparation was thought of."""
+"""If one of these settings is given, the preparation counts as chosen, not assumed."""
 
 ACCEPT = "accept_defaults"
-"""The key of a YAML file that accepts what is assumed of a network, so that nothing is noted."""
+"""The key of a YAML file that accepts the assumed preparation, so that it is not noted."""
 
 _KEYS = ("network", "labels_as", "arguments", ACCEPT)
 """Keys of a YAML file that are no settings of the preparation."""
@@ -166,8 +166,8 @@ def _named(path: Path) -> tuple[str, dict[str, Any]]:
 
 
 def _called(name: str, arguments: dict[str, Any], folder: Path | None) -> object:
-    """What the function gives that ``MODULE:NAME`` names; an error of the function names what it
-    was given."""
+    """The network that the function ``MODULE:NAME`` returns; an error of the function names its
+    arguments."""
     function = _function(name, folder)
     try:
         return function(**arguments)

@@ -45,8 +45,8 @@ _AHEAD = 16
 
 
 class Segmented(NamedTuple):
-    """What a network says of a picture: an ``(H, W)`` label map, uint8, or uint16 or int64 for ids
-    that need it, and, if asked for, features, uint8 signs of `stages.features.SHAPE`."""
+    """The result of a network for a picture: an ``(H, W)`` label map, uint8, or uint16 or int64 for
+    ids that need it, and, if asked for, features, uint8 signs of `stages.features.SHAPE`."""
 
     labels: LabelMap
     features: npt.NDArray[np.uint8] | None = None
@@ -294,7 +294,7 @@ class Segmenter:
         cache: SegmentedCache | None,
         features: NetworkFeatures | None,
     ) -> list[Segmented | ValueError]:
-        """Replaces pictures by what the network says of them; pictures of one size form batches."""
+        """Replaces pictures by their label maps and features; pictures of one size form batches."""
         results = {i: item for i, item in enumerate(chunk) if not isinstance(item, _Picture)}
         by_size: dict[tuple[int, ...], list[tuple[int, _Picture]]] = {}
         for i, item in enumerate(chunk):
@@ -316,7 +316,7 @@ class Segmenter:
     def _segment(
         self, pictures: Sequence[Pixels], features: NetworkFeatures | None
     ) -> list[Segmented | ValueError]:
-        """What the network says of a batch; if it fails, each picture is tried alone."""
+        """The results of a batch; if it fails, each picture is tried alone."""
         self._identity.require(self._in_training)
         images = torch.from_numpy(np.stack(pictures))
         height, width = images.shape[1:3]

@@ -50,9 +50,9 @@ def lengths(config: SSRVLADConfig, height: int, width: int) -> Lengths:
 
 
 def _floors(amount: Tensor, fractions: Sequence[int], unit: int, offset: int = 0) -> list[Length]:
-    """``(parts * amount + offset) / unit``, rounded down, and 0 for a part of 0. The amount is
-    ``()`` int32 from 0, the parts are up to the unit, which is at most a billion, and the offset is
-    below it."""
+    """``(fractions * amount + offset) / unit``, rounded down, and 0 for a fraction of 0. The amount
+    is ``()`` int32 from 0; fractions are whole numbers up to the unit, which is at most a billion;
+    the offset is below it."""
     whole = torch.tensor(fractions, dtype=torch.int32)
     share = torch.tensor([fraction / unit for fraction in fractions])
     high = amount // _BASE

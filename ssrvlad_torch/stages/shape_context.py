@@ -12,11 +12,11 @@ from .lengths import Length
 from .tracing import MOST, number_in, repeat_while
 
 PAIRS_AT_ONCE = 1 << 16
-"""Most pairs of points in memory at a time, not counting those of the last reference point: a few
+"""Most pairs of points in memory at a time, without those of the last reference point: a few
 megabytes for any number of points."""
 
 MOST_PAIRS = 4
-"""Pairs of points for each offset of the table; of more, a correlation is faster than a list."""
+"""Pairs of points for each offset of the table, up to which a list is faster than a correlation."""
 
 _BASE = 512
 _DIGITS = 5
