@@ -217,14 +217,6 @@ def mirrored(descriptors: Tensor, config: SSRVLADConfig) -> Tensor:
     return residuals.mirrored(descriptors, config)
 
 
-def query_head(config: SSRVLADConfig, columns: Sequence[int] = ()) -> SSRVLAD:
-    """The head for queries: a `SweepHead` if there are columns, see `SSRVLAD.sweep`, and the
-    aggregation has an anchor."""
-    if columns and config.aggregation == "harmonics":
-        return SweepHead(config, columns)
-    return SSRVLAD(config)
-
-
 class SweepHead(SSRVLAD):
     """`SSRVLAD.sweep` over some columns as a module: its output is ``(B, S, 480)``."""
 

@@ -59,7 +59,7 @@ def loops(
     Example: ssrvlad loops maps/monday --labels-as camvid-11 --picture loops.png
     """
     from ...database.database import Database
-    from ...encoding.source import open_network_of, open_source
+    from ...encoding.source import open_source
     from ...files import require_picture
     from ...loops import stream
 
@@ -70,7 +70,7 @@ def loops(
     stored = Database.open(memory) if memory and Database.exists(memory) else None
     if picture:
         require_picture(picture)
-    opened = (open_network_of if live else open_source)(wanted, stored, note=note)
+    opened = open_source(wanted, stored, live=live, note=note)
     network = opened.labels_as, opened.segmenter
     detector, database = stream.open_detector(config, memory, preset, *network, channel, note)
     frames = (_described_live if live else _described)(detector, opened, database)
