@@ -136,9 +136,9 @@ class SSRVLAD(nn.Module):
 
     def _describe_in_graph(self, labels: Tensor) -> Tensor:
         """As torch.export records it. A graph cannot raise: an unknown id gives NaN."""
-        found, unknown, *_ = self.counted(labels)
-        wrong = (unknown > 0).view(-1, *[1] * (found.ndim - 1))
-        return torch.where(wrong, torch.nan, found)
+        descriptors, unknown, *_ = self.counted(labels)
+        wrong = (unknown > 0).view(-1, *[1] * (descriptors.ndim - 1))
+        return torch.where(wrong, torch.nan, descriptors)
 
     def _refuse_loops_in_onnx(self) -> None:
         if torch.onnx.is_in_onnx_export() and not isinstance(self._aggregation, Harmonics):
@@ -154,9 +154,9 @@ class SSRVLAD(nn.Module):
         return tensor
 
     def counted(self, labels: Tensor) -> tuple[Tensor, ...]:
-        """What exported files give, which cannot raise an error: the descriptors of a batch, and
-        ``(B,)`` int64, the number of pixels of each image with an unknown id, which belong to no
-        layer; of ``paper`` also ``(B, 8)`` int64, the number of keypoints of each layer, and
+        """The outputs of exported files, which cannot raise an error: the descriptors of a batch,
+        and ``(B,)`` int64, the number of pixels of each image with an unknown id, which belong to
+        no layer; of ``paper`` also ``(B, 8)`` int64, the number of keypoints of each layer, and
         ``(B, h, w)`` uint8, the skeletons as bit-planes."""
         layers, unknown = self._front_end.counted(label_map(labels, self.label_space))
         histograms = self._aggregation.histograms(layers)
@@ -215,14 +215,6 @@ def mirrored(descriptors: Tensor, config: SSRVLADConfig) -> Tensor:
     if config.aggregation == "harmonics":
         return harmonics.mirrored(descriptors, config)
     return residuals.mirrored(descriptors, config)
-
-
-def query_head(config: SSRVLADConfig, columns: Sequence[int] = ()) -> SSRVLAD:
-    """The head for queries: a `SweepHead` if there are columns, see `SSRVLAD.sweep`, and the
-    aggregation has an anchor."""
-    if columns and config.aggregation == "harmonics":
-        return SweepHead(config, columns)
-    return SSRVLAD(config)
 
 
 class SweepHead(SSRVLAD):

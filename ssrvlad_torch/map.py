@@ -238,12 +238,14 @@ class Map:
         most = max(TOP, len(self))
         top = most if isinstance(top, int) and top > most else checked_number("top", top, least=1)
         if index:
-            found = search_by_index(self.database, source, steps, top, sequences, exclude, progress)
+            answers = search_by_index(
+                self.database, source, steps, top, sequences, exclude, progress
+            )
         else:
-            found = search(
+            answers = search(
                 self.database, source, steps, top, temporal, channels, sequences, exclude, progress
             )
-        return found.accepted(min_confidence, max_wrong)
+        return answers.accepted(min_confidence, max_wrong)
 
     @overload
     def locate(self, pictures: Picture, top: int = 5) -> Answer: ...  # type: ignore[overload-overlap]
@@ -416,7 +418,9 @@ class Map:
         self, view: View, references: FrameSet, channels: Sequence[Channel], top: int
     ) -> Answer:
         """The answer to one picture."""
-        descriptors = {each.column.name: each.describe([view], COLUMNS) for each in channels}
+        descriptors = {
+            channel.column.name: channel.describe([view], COLUMNS) for channel in channels
+        }
         unknown = np.full((1, 3), np.nan)
         empty = np.array([not bool(next(iter(descriptors.values())).any())])
         queries = FrameSet(
@@ -440,8 +444,8 @@ class Map:
             known = channel.references(stored[columns], places)
             compared = known.compare(queries.descriptors[rows], False, False, None)
             scores = [compared.scores[query] for query in range(len(rows))]
-            found: npt.NDArray[np.float32] = torch.stack(scores).numpy()
-            return found
+            pairs: npt.NDArray[np.float32] = torch.stack(scores).numpy()
+            return pairs
 
         return Recognition(
             references=Viewpoints.of_set(references, dataset, source.known),

@@ -22,7 +22,8 @@ from drives import write_maps, write_photos, write_truth
 from filelock import FileLock
 from hypothesis import settings
 from maps import Maps
-from segmenting import write_drives
+from segmenting import write_drives, write_named_network
+from segmenting import write_photos as write_photos_of_streets
 from skips import pytest_make_collect_report, pytest_runtest_makereport  # noqa: F401 - hooks
 
 from ssrvlad_torch import SSRVLADConfig, native
@@ -139,6 +140,13 @@ def drives(tmp_path_factory):
     """A network with features as ``net.yaml``, photos in ``monday`` and ``today``, and the fused
     files: ``place.onnx``, or ``net.onnx`` and ``head.onnx``. Not to be changed."""
     return write_drives(tmp_path_factory.mktemp("drives"))
+
+
+@pytest.fixture
+def network(tmp_path):
+    """The settings of a network that says what its classes are, and three ``photos``."""
+    write_photos_of_streets(tmp_path / "photos", range(3), (60, 80))
+    return write_named_network(tmp_path)
 
 
 @pytest.fixture

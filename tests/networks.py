@@ -138,27 +138,20 @@ def write_graph(
     external: bool = False,
     white: float = 1.0,
 ) -> Path:
-    """The colour network as an ONNX graph, node by node.
+    """The colour network as an ONNX graph, node by node; ``dtype`` is a key of ``DTYPES``.
 
-    Args:
-        path: the file to write.
-        shape: of its input.
-        dtype: of its input, a key of ``DTYPES``.
-        labels: its output are int64 ids ``(B, 1, H, W)``, not scores.
-        channels_last: its input and output are ``(B, H, W, C)``.
-        scores_last: its output is ``(B, H, W, C)``, its input is not.
-        aux: a second output, ``aux``, has scores that are all wrong.
-        external: its weights lie in a file of their own beside it.
-        white: the number for the brightest pixel.
+    With ``labels`` the output is int64 ids ``(B, 1, H, W)``. Input and output, or with
+    ``scores_last`` the output alone, have their channels last. ``aux`` adds an output of wrong
+    scores, ``external`` stores the weights beside the file, ``white`` is the brightest pixel.
     """
     network = colour_network(white)
     weights = {"weight": network.weight.numpy(), "bias": network.bias.numpy()}
-    nodes = [helper.make_node("Cast", ["images"], ["floats"], to=TensorProto.FLOAT)]
-    transposed = "floats"
-    if channels_last:
-        nodes.append(helper.make_node("Transpose", ["floats"], ["planes"], perm=[0, 3, 1, 2]))
-        transposed = "planes"
-    nodes.append(helper.make_node("Conv", [transposed, "weight", "bias"], ["classes"]))
+    order = [0, 3, 1, 2] if channels_last else [0, 1, 2, 3]
+    nodes = [
+        helper.make_node("Cast", ["images"], ["floats"], to=TensorProto.FLOAT),
+        helper.make_node("Transpose", ["floats"], ["planes"], perm=order),
+        helper.make_node("Conv", ["planes", "weight", "bias"], ["classes"]),
+    ]
     if labels:
         nodes.append(helper.make_node("ArgMax", ["classes"], ["found"], axis=1, keepdims=1))
     elif channels_last or scores_last:

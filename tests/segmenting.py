@@ -1,9 +1,12 @@
 """A painted world, photographs of it, and what the tests of segmentation share."""
 
+import json
 from pathlib import Path
 
 import numpy as np
+import onnx
 import torch
+from drawings import SPACE
 from helpers import street
 from networks import photo, write_graph
 from networks import write_street as write_network
@@ -18,6 +21,7 @@ from ssrvlad_torch.recognition.recognise import Steps
 from ssrvlad_torch.search.exact import recognise_in
 from ssrvlad_torch.segmentation.preparation import SegmenterConfig
 from ssrvlad_torch.segmentation.segmenter import Segmenter
+from ssrvlad_torch.taxonomy import label_space
 
 LABELS = [street(seed) for seed in range(5)]
 PHOTOS = [photo(labels) for labels in LABELS]
@@ -48,6 +52,16 @@ def write_settings(folder, more=""):
     path = folder / "net.yaml"
     path.write_text(f"network: net.onnx\nmean: [0, 0, 0]\nstd: [1, 1, 1]\n{more}")
     return path
+
+
+def write_named_network(folder):
+    """`write_settings`, of a graph that says what its classes are."""
+    settings = write_settings(folder)
+    model = onnx.load(folder / "net.onnx")
+    names = {label.id: label.name for label in label_space(SPACE).classes}
+    onnx.helper.set_model_props(model, {"id2label": json.dumps(names)})
+    onnx.save(model, folder / "net.onnx")
+    return settings
 
 
 def counted(network):

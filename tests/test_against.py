@@ -64,7 +64,7 @@ def by_size(found):
     return {check.size: bool(check.problem) for check in found}
 
 
-def test_an_export_that_is_right_only_at_its_own_size_is_told(folder, ssrvlad):
+def test_an_export_that_is_right_only_at_its_own_size_is_wrong(folder, ssrvlad):
     export(Pooled(), folder / "net.onnx", (256, 384))
     (folder / "net.yaml").write_text(f"network: net.onnx\n{SETTINGS}")
     for file in ("net.onnx", "net.yaml"):
@@ -96,7 +96,7 @@ def test_the_export_of_a_network_gives_its_labels_at_all_sizes(folder, ssrvlad):
         assert {check.fed for check in found} == {(64, 96)}
 
 
-def test_other_weights_and_other_preparation_are_told(folder):
+def test_other_weights_and_other_preparation_are_wrong(folder):
     write_graph(folder / "net.onnx")
     (folder / "net.yaml").write_text(f"network: net.onnx\n{SETTINGS}")
     (folder / "half.yaml").write_text(f"network: mynets_of_against:colour_network\n{SETTINGS}")
@@ -160,7 +160,7 @@ def test_sizes_that_a_network_does_not_take_are_not_compared(folder, ssrvlad):
         verify_against("net.onnx", "none.yaml")
 
 
-def test_what_cannot_be_compared_is_one_line(folder, refusal):
+def test_arguments_that_cannot_be_compared_are_refused(folder, refusal):
     write_graph(folder / "net.onnx")
     for arguments, message in (
         (("net.onnx", "--against", "net.onnx"), "net.onnx is an ONNX file; expected the network"),

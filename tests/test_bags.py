@@ -63,7 +63,7 @@ def write_bag(path, topics, kind=1, padding=0, storage=rosbag2.StoragePlugin.SQL
 
 
 @pytest.mark.parametrize("encoding", [*(form for form in FORMS if form != "16UC1"), "png"])
-def test_every_encoding(encoding, tmp_path):
+def test_every_image_encoding_gives_the_picture(encoding, tmp_path):
     bag = write_bag(tmp_path / "drive.bag", {"/camera": encoding}, padding=3)
     files = find_image_files([str(bag)])
     assert [file.frame for file in files] == [f"drive/{FIRST + n * 10**8}" for n in range(5)]
@@ -74,7 +74,7 @@ def test_every_encoding(encoding, tmp_path):
 
 
 @pytest.mark.parametrize(("storage", "suffix"), [("SQLITE3", "db3"), ("MCAP", "mcap")])
-def test_ros_2(tmp_path, storage, suffix):
+def test_a_ros_2_bag_is_read_as_folder_or_file(tmp_path, storage, suffix):
     plugin = rosbag2.StoragePlugin[storage]
     folder = write_bag(tmp_path / "drive", {"/camera": "rgb8"}, kind=2, storage=plugin)
     for source in (folder, next(folder.glob(f"*.{suffix}"))):
@@ -100,7 +100,7 @@ def test_a_topic_is_named_where_there_are_several_and_damage_is_refused(tmp_path
         find_image_files([bag])
 
 
-def test_a_drive_is_one_argument(tmp_path, ssrvlad, monkeypatch):
+def test_a_bag_is_encoded_as_one_sequence_with_poses(tmp_path, ssrvlad, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     network = write_graph(tmp_path / "net.onnx")
     bag = write_bag(tmp_path / "drive.bag", {"/left": "rgb8", "/right": "bgr8"})

@@ -41,7 +41,7 @@ def test_equals_resamples_evaluated_one_by_one(convention, block, monkeypatch):
     np.testing.assert_allclose(flat(found["intervals"]), expected, rtol=1e-12)
 
 
-def test_a_seed_is_a_draw():
+def test_a_seed_gives_the_same_draw():
     first, again, other = (
         evaluate(*results(50), at=(1,), resamples=30, seed=seed)["intervals"] for seed in (1, 1, 2)
     )
@@ -55,7 +55,7 @@ def test_the_interval_of_a_mean_is_that_of_the_normal_approximation():
     np.testing.assert_allclose(found, (values.mean() - spread, values.mean() + spread), atol=0.004)
 
 
-def test_resamples_without_a_meaning_are_passed_over():
+def test_resamples_without_a_figure_are_passed_over():
     """One query in three has a true match; a resample without it has no recall."""
     scores, indices = np.ones((3, 1)), np.zeros((3, 1), np.int64)
     truth = [np.array([0]), np.array([], np.int64), np.array([], np.int64)]

@@ -42,7 +42,7 @@ def test_workflows_call_scripts_that_exist():
     assert all(os.access(ROOT / program, os.X_OK) for program in called)
 
 
-def test_the_section_of_a_version():
+def test_notes_are_the_section_of_a_version():
     section = runpy.run_path(str(NOTES))["section"]
     text = "# C\n\n## Unreleased\n\n## 1.2.3, 2027-01-31\n\nNew.\n\n### Parts\n- a\n\n## 1.2\nOld\n"
     assert section(text, "v1.2.3") == "New.\n\n### Parts\n- a\n"

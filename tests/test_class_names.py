@@ -42,7 +42,7 @@ def test_names_mean_what_the_label_spaces_say(name):
         ("LABEL_0", None),
     ],
 )
-def test_names_of_published_models(name, category):
+def test_names_of_published_models_have_their_category(name, category):
     assert category_of_name(name) == category
 
 

@@ -1,5 +1,7 @@
 """The command line as a user meets it: help, exit codes, one-line errors, Ctrl-C."""
 
+import io
+import json
 import math
 import os
 import shlex
@@ -10,14 +12,17 @@ import time
 
 import numpy as np
 import pytest
+from drawings import SPACE
 from drives import write_maps, write_photos
 from networks import photo
 from PIL import Image
+from segmenting import write_photos as write_streets
 from segmenting import write_settings
 
 from ssrvlad_torch import __version__
 from ssrvlad_torch.cli.output import print_json
 from ssrvlad_torch.database.database import Database
+from ssrvlad_torch.encoding import source as sources
 
 
 @pytest.mark.parametrize(
@@ -27,7 +32,7 @@ from ssrvlad_torch.database.database import Database
         (("--version",), f"ssrvlad {__version__}, on a CPU with ", "native core"),
     ],
 )
-def test_what_it_prints_without_a_command(ssrvlad, line, begin, words):
+def test_without_a_command_it_prints_help_or_the_version(ssrvlad, line, begin, words):
     code, out, err = ssrvlad(*line)
     assert (code, err) == (0, [])
     assert out.startswith(begin) and words in out
@@ -65,7 +70,7 @@ def test_debug_shows_the_traceback(ssrvlad):
     assert err[-1].startswith("ssrvlad: ")
 
 
-def test_a_reader_that_has_enough_is_no_error(database, maps):
+def test_a_closed_pipe_is_no_error(database, maps):
     """What `ssrvlad query ... | head -1` does, with a pipe that nobody reads."""
     reader, writer = os.pipe()
     os.close(reader)
@@ -92,7 +97,7 @@ def test_a_closed_stream_is_the_null_device(database, maps, tmp_path, closed):
     assert len(Database.open(database).load()) == 6
 
 
-def test_too_few_open_files_are_told(database, maps):
+def test_too_few_open_files_are_one_line(database, maps):
     line = f"ulimit -n 8; {sys.executable} -m ssrvlad_torch query {database} {maps}"
     done = subprocess.run(line, shell=True, check=False, capture_output=True, text=True)
     assert (done.returncode, done.stdout, len(done.stderr.splitlines())) == (2, "", 1)
@@ -112,7 +117,7 @@ def test_a_panic_of_a_library_is_one_line(ssrvlad, monkeypatch, database, maps):
     assert err[-1] == "ssrvlad: an error in ssrvlad itself: PanicException('no more threads')"
 
 
-def test_a_tour_is_written(ssrvlad, tmp_path):
+def test_city_writes_a_tour(ssrvlad, tmp_path):
     code, out, _ = ssrvlad("city", tmp_path / "town", "--tour", "--frames", 3)
     assert (code, out) == (0, f"{tmp_path / 'town' / 'tour'}: 3 frames\n")
     assert len((tmp_path / "town" / "poses.csv").read_text().splitlines()) == 4
@@ -200,7 +205,7 @@ TERMINAL = (
 
 
 @pytest.mark.parametrize("module", ["typer", "torch"])
-def test_ctrl_c_during_an_import(module):
+def test_ctrl_c_during_an_import_is_exit_code_130(module):
     program = (
         "import os, signal, sys\n"
         "class Interrupts:\n"
@@ -220,7 +225,7 @@ def test_ctrl_c_during_an_import(module):
         (("--segmenter", "net.yaml"), signal.SIGINT, (130, "ssrvlad: interrupted\n")),
     ],
 )
-def test_a_run_that_is_ended(tmp_path, segmenter, number, end):
+def test_a_signal_ends_a_run_and_done_frames_are_stored(tmp_path, segmenter, number, end):
     """The frames that are done land; a run afterwards goes on from there."""
     maps = write_maps(tmp_path / "maps", range(1))
     write_settings(tmp_path)
@@ -249,3 +254,42 @@ def test_a_run_that_is_ended(tmp_path, segmenter, number, end):
         _, err = process.communicate()
     assert (process.returncode, err.splitlines(keepends=True)[-1]) == end
     assert len(Database.open(tmp_path / "db")) < 2000
+
+
+def test_only_results_are_on_stdout_whatever_a_network_prints(ssrvlad, tmp_path, monkeypatch):
+    """With --json each line of stdout is an object, though the network prints where it is built
+    and where it labels."""
+    (tmp_path / "loud.py").write_text(
+        "from networks import Street\n"
+        "class Loud(Street):\n"
+        "    def forward(self, images):\n"
+        "        print('labelling')\n"
+        "        return super().forward(images)\n"
+        "def loud():\n"
+        "    print('built')\n"
+        "    return Loud().eval()\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    photos = write_streets(tmp_path / "photos", range(5), (64, 96))
+    (tmp_path / "truth.json").write_text(json.dumps({"photos/1": ["photos/1"]}))
+    names = "".join(f"{photos / name}.png\n" for name in "123")
+    monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(names.encode())))
+    settings = tmp_path / "net.yaml"
+    settings.write_text(f"network: loud:loud\nmean: [0, 0, 0]\nlabels_as: {SPACE}\n")
+    truth = ("--ground-truth", tmp_path / "truth.json")
+    for number, command in enumerate([
+        ("labels", settings),
+        ("encode", photos, "-o", tmp_path / "town"),
+        ("query", tmp_path / "town", photos),
+        ("locate", photos / "1.png", "--in", tmp_path / "town"),
+        ("evaluate", tmp_path / "town", photos, *truth),
+        ("loops", photos),
+        ("loops", "-"),
+    ]):  # fmt: skip
+        sources._network.cache_clear()
+        cache = ("--segmenter-cache", tmp_path / f"cache {number}")
+        network = ("--segmenter", settings, *cache) if number else ()
+        code, out, err = ssrvlad(*command, *network, "--json")
+        assert code == 0, err
+        assert out and all(isinstance(json.loads(line), dict) for line in out.splitlines()), command
+        assert {"built", "labelling"} <= {*err}, command

@@ -34,7 +34,7 @@ def test_a_ground_truth_counts_by_a_convention(compare, two_drives, tmp_path):
         assert (row["queries"], row["queries_with_match"], row["recall_at"]["1"]) == (5, 2, 0.5)
 
 
-def test_the_tables(ssrvlad, two_drives):
+def test_the_tables_show_metrics_costs_and_what_did_not_run(ssrvlad, two_drives):
     code, out, err = ssrvlad("compare", two_drives, "--method", "label-grid,hog,lost-x", *CAMVID)
     assert (code, len(err)) == (3, 1)
     assert err[0].startswith("ssrvlad: skipped lost-x: no network: ")
@@ -43,7 +43,7 @@ def test_the_tables(ssrvlad, two_drives):
     assert "6 queries (6 with a true match) against 6 references, convention exact" in out
 
 
-def test_nothing_that_can_run(ssrvlad, compare, two_drives):
+def test_methods_that_cannot_run_are_rows_with_exit_code_3(ssrvlad, compare, two_drives):
     code, rows, err = compare(two_drives, "--method", "label-grid")
     assert (code, len(rows), len(err)) == (3, 1, 1)
     code, out, _ = ssrvlad("compare", two_drives, "--method", "label-grid")

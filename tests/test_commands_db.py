@@ -32,7 +32,7 @@ def candidates(ssrvlad):
     return run
 
 
-def test_info(ssrvlad, database):
+def test_info_prints_preset_label_spaces_and_settings(ssrvlad, database):
     code, out, _ = ssrvlad("db", "info", database)
     assert code == 0
     assert "frames: 6" in out and "sequences: monday 6" in out
@@ -131,7 +131,9 @@ def test_ray_that_is_not_installed_is_named(encode, maps, tmp_path, monkeypatch)
     assert code == 2 and "pip install ssrvlad-torch[ray]" in err[0]
 
 
-def test_a_query_can_be_limited(candidates, encode, refusal, database, maps, tuesday):
+def test_candidates_are_limited_to_a_sequence_or_far_frames(
+    candidates, encode, refusal, database, maps, tuesday
+):
     encode(tuesday, "-o", database)
     query = (database, maps, "--top", 20, "--temporal", 0)
     found = candidates(*query, "--from-sequence", "tuesday")[0]["monday/002"]

@@ -56,7 +56,7 @@ def test_names_do_not_depend_on_the_locale(encode, maps, tmp_path):
     assert b"are read as ASCII here, got '" in refused.stderr
 
 
-def test_a_wrong_label_space_is_told_once(encode, maps, tmp_path):
+def test_a_wrong_label_space_is_one_note_and_skips_are_cut_short(encode, maps, tmp_path):
     uniform(maps, [77] * 25)
     code, _, err = encode(maps, "-o", tmp_path / "db")
     assert code == 3 and len(err) == 22
@@ -64,7 +64,7 @@ def test_a_wrong_label_space_is_told_once(encode, maps, tmp_path):
     assert err[-1] == "ssrvlad: skipped 5 more"
 
 
-def test_a_label_space_that_does_not_seem_to_be_the_one_is_told(ssrvlad, maps, tmp_path):
+def test_a_label_map_that_is_mostly_void_is_noted(ssrvlad, maps, tmp_path):
     uniform(maps, [0, 1])
     command = ("encode", maps, "-o", tmp_path / "db", "--labels-as")
     _, _, err = ssrvlad(*command, "cityscapes-ids")  # trainIds 0 and 1 are road and sidewalk
@@ -72,7 +72,7 @@ def test_a_label_space_that_does_not_seem_to_be_the_one_is_told(ssrvlad, maps, t
     assert not ssrvlad(*command, "cityscapes-trainids")[2], "all frames were encoded anew"
 
 
-def test_frames_of_other_label_spaces_are_told(ssrvlad, maps, tmp_path):
+def test_other_label_spaces_of_the_database_are_noted(ssrvlad, maps, tmp_path):
     other = write_maps(tmp_path / "other", range(2))
     base = ("encode", "-o", tmp_path / "db", "--labels-as")
     ssrvlad(*base, "camvid-11", maps)
@@ -113,7 +113,7 @@ def test_a_first_run_that_fails_leaves_no_database(encode, maps, tmp_path, monke
     assert len(Database.open(town)) == 5
 
 
-def test_progress_is_told_where_there_is_no_terminal(encode, maps, tmp_path, monkeypatch):
+def test_without_a_terminal_progress_is_lines(encode, maps, tmp_path, monkeypatch):
     monkeypatch.setattr(output, "_LINE_SECONDS", 0.0)
     _, _, err = encode(maps, "-o", tmp_path / "db")
     assert re.fullmatch(r"ssrvlad: encoding: \d of 6 after \d+ s", err[-1])
@@ -161,7 +161,7 @@ def test_images_and_a_segmenter_give_what_label_maps_give(
     assert (code, out) == (0, ssrvlad("evaluate", db, tmp_path / "monday", *options)[1])
 
 
-def test_label_maps_are_kept_in_the_cache_of_the_user_or_where_told(encode, photos, tmp_path):
+def test_label_maps_are_cached_for_the_user_or_in_segmenter_cache(encode, photos, tmp_path):
     command = [photos, "--segmenter", tmp_path / "net.yaml"]
     assert encode(*command, "-o", tmp_path / "a")[0] == 0
     kept = list((tmp_path / "cache" / "ssrvlad").rglob("*.png"))
@@ -189,14 +189,16 @@ def test_label_maps_are_kept_in_the_cache_of_the_user_or_where_told(encode, phot
         ("--segmenter net.yaml --gpus 1", "--gpus needs --engine ray and --segmenter"),
     ],
 )
-def test_wrong_use_of_a_segmenter(refusal, photos, tmp_path, monkeypatch, options, message):
+def test_wrong_use_of_a_segmenter_is_one_line(
+    refusal, photos, tmp_path, monkeypatch, options, message
+):
     monkeypatch.chdir(tmp_path)
     arguments = ["monday", "-o", "db", "--labels-as", "camvid-11", *options.split()]
     assert message in refusal("encode", *arguments)
     assert not Path("db").exists()
 
 
-def test_uris_are_sources(encode, maps, tmp_path):
+def test_a_uri_is_a_source_and_an_unknown_scheme_is_refused(encode, maps, tmp_path):
     code, _, (line,) = encode("ftp://host/a", "-o", tmp_path / "db")
     assert code == 2 and "ftp" in line
     assert not (tmp_path / "db").exists()

@@ -2,17 +2,20 @@
 
 import json
 
+import pytest
+from cases import REAL, needs_real
+from drawings import SPACE
 from drives import write_maps, write_truth
 
 
-def test_queries_that_are_in_the_database_are_mentioned(ssrvlad, database, maps):
+def test_a_note_counts_queries_that_are_in_the_database(ssrvlad, database, maps):
     """The database may be a URI."""
     for town in (database, f"file://{database}"):
         code, _, err = ssrvlad("evaluate", town, maps, "--tolerance-frames", 1)
         assert (code, err) == (0, ["ssrvlad: 6 of 6 queries have ids of the database"])
 
 
-def test_a_folder_of_the_same_name_is_another_drive(ssrvlad, database, tmp_path):
+def test_another_folder_of_the_same_name_is_another_sequence(ssrvlad, database, tmp_path):
     """Its frames are named by time, as those of an aligned drive that was later."""
     other = write_maps(tmp_path / "other" / "monday", range(6))
     for path in sorted(other.iterdir()):
@@ -50,7 +53,7 @@ def test_a_convention_that_needs_all_pairs_measures_cosines(evaluate):
     assert (code, metrics["score_is"], metrics["recall_at"]["1"]) == (0, "cosine", 1)
 
 
-def test_a_ground_truth_says_as_much_of_a_path_as_it_likes(ssrvlad, database, tmp_path):
+def test_a_ground_truth_names_frames_by_any_end_of_their_paths(ssrvlad, database, tmp_path):
     """The ids of queries depend on what else is asked; what their paths end in does not."""
     dusk, night = (write_maps(tmp_path / t / "tuesday", range(6)) for t in ("dusk", "night"))
     for end in ("tuesday", "dusk/tuesday", f"{tmp_path.name}/dusk/tuesday"):
@@ -63,3 +66,26 @@ def test_a_ground_truth_says_as_much_of_a_path_as_it_likes(ssrvlad, database, tm
                 assert code == 2 and all(word in err[-1] for word in words)
             else:
                 assert (code, json.loads(out)["queries"]) == (0, 1)
+
+
+TRUTH = "same_place_odd_even.json"
+
+
+@pytest.mark.slow
+@needs_real
+def test_a_real_network_finds_what_its_stored_predictions_find(ssrvlad, tmp_path):
+    """ESPNetv2 on every other picture of CamVid against the label maps of those between."""
+    camvid, town = REAL / "camvid", tmp_path / "town"
+    known = (camvid, "--layout", "folders", "--every", 2)
+    assert ssrvlad("encode", *known, "--labels-as", SPACE, "-o", town)[0] == 0
+    asked = ("--start", 1, "--labels-as", "cityscapes-trainids", "--json", "--follow", "no")
+    truth = ("--no-standardise", "--no-sweep", "--ground-truth", camvid / TRUTH)
+    network = REAL / "networks" / "espnetv2.yaml"
+    stored, made = (
+        json.loads(ssrvlad("evaluate", town, *known, *asked, *truth, *labelled)[1])
+        for labelled in (
+            ("--labels", "predicted_espnetv2"),
+            ("--segmenter", network, "--segmenter-cache", tmp_path / "cache"),
+        )
+    )
+    assert made["recall_at"]["1"] >= stored["recall_at"]["1"] - 0.02

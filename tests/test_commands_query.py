@@ -8,14 +8,14 @@ from drives import write_maps
 from ssrvlad_torch.cli.words import by_sequence
 
 
-def test_more_candidates_than_references_are_all_of_them(ssrvlad, database, maps):
+def test_more_candidates_than_references_give_all_references(ssrvlad, database, maps):
     """What would not fit in memory is never allocated."""
     code, out, _ = ssrvlad("query", database, maps, "--top", 10**12, "--json")
     assert code == 0
     assert {len(json.loads(line)["candidates"]) for line in out.splitlines()} == {6}
 
 
-def test_steps_are_told_and_taken(ssrvlad, database, maps):
+def test_the_steps_are_taken_and_reported(ssrvlad, database, maps):
     steps = ("--no-standardise", "--no-sweep", "--follow", "no")
     _, out, err = ssrvlad("query", database, maps, "--top", 1, *steps)
     ends = [line.split()[-4:] for line in out.splitlines()]
@@ -58,7 +58,7 @@ def test_as_paper_contradicts_other_options(ssrvlad, refusal, database, maps):
         ("--threshold", 2, "'--threshold': Input should be less than or equal to 1"),
     ],
 )
-def test_values_that_say_nothing(refusal, database, maps, option, value, message):
+def test_options_out_of_range_are_refused(refusal, database, maps, option, value, message):
     assert message.replace("TOWN", str(database)) in refusal("query", database, maps, option, value)
 
 
@@ -67,7 +67,7 @@ def _first(out: str) -> dict[str, str]:
     return {line.split(": ")[0]: line.split()[1] for line in out.splitlines()}
 
 
-def test_a_folder_of_the_same_name_is_another_drive(ssrvlad, database, maps, tmp_path):
+def test_another_folder_of_the_same_name_is_another_sequence(ssrvlad, database, maps, tmp_path):
     other = write_maps(tmp_path / "other" / "monday", range(6))
     found = _first(ssrvlad("query", database, other, "--top", 1, "--exclude", 5)[1])
     assert found == {f"other/monday/{n:03d}": f"monday/{n:03d}" for n in range(6)}
@@ -81,7 +81,7 @@ def test_a_folder_that_the_database_knows_is_its_sequence(ssrvlad, encode, tmp_p
     assert found == {f"dusk/maps/{n:03d}": f"day/maps/{n:03d}" for n in range(6)}
 
 
-def test_a_map_that_was_moved_is_asked_for_its_name(ssrvlad, refusal, database, maps):
+def test_the_folder_of_a_map_that_was_moved_needs_a_sequence_name(ssrvlad, refusal, database, maps):
     (maps.parent / "elsewhere").mkdir()
     moved = maps.rename(maps.parent / "elsewhere" / "monday")
     line = refusal("query", database, moved, "--exclude", 5)

@@ -1,51 +1,23 @@
-"""What `ssrvlad show` draws, and what notebooks show."""
+"""`ssrvlad show`."""
 
-import pytest
-import torch
+import numpy as np
+from drawings import SPACE
 from helpers import street
-
-from ssrvlad_torch import SSRVLAD, match
-from ssrvlad_torch.channels.vectors import VectorReferences
-from ssrvlad_torch.recognition.comparison import Member
-from ssrvlad_torch.recognition.recognise import recognise
-
-LABELS = (
-    torch.from_numpy(street(0)).where(torch.from_numpy(street(0)) != 7, 0)[None].repeat(2, 1, 1)
-)
+from PIL import Image
 
 
-@pytest.mark.parametrize(
-    ("preset", "shown"),
-    [
-        ("default", {"building", "upright boundaries", "falling boundaries"}),
-        ("paper", {"building", "guard-rail: none", "parking: none"}),
-    ],
-)
-def test_an_explanation_as_a_figure(preset, shown):
-    """A label map, and each mask above its histogram; whatever is in no layer is said."""
-    view = SSRVLAD.from_preset(preset, labels_as="camvid-11").explain(LABELS)
-    figure = view.show(title="drive/000000")
-    axes = figure.get_axes()
-    titles = [each.get_title() for each in axes]
-    assert titles[0].startswith("drive/000000\n") and shown <= {*titles}
-    assert sum(each.name == "polar" for each in axes) == (10 if preset == "default" else 8)
-    classes = [text.get_text() for text in axes[1].artists[0].get_texts()]
-    assert {"sky", "building"} <= {*classes} and "fence" not in classes
-    with pytest.raises(IndexError, match="expected an image from 0 to 1, got 2"):
-        view.show(2)
-
-
-def test_notebooks_show_pictures_and_tables():
-    head = SSRVLAD.from_preset("default", labels_as="camvid-11")
-    view = head.explain(LABELS)
-    assert repr(view) == "Explanation(2 images of camvid-11, 32 x 24)"
-    page = view._repr_html_()
-    assert "data:image/png;base64," in page and "1 more" in page
-    frames = torch.eye(12)
-    page = match(torch.cat((frames, frames * 0)), frames, top=2)._repr_html_()
-    assert page.count("<tr>") == 11 and "row 3 (1.000)" in page and "14 more queries" in page
-    assert "none" in match(frames[:1] * 0, frames, top=1)._repr_html_()
-    known = VectorReferences(frames, ["b"] * 12)
-    member = {"ssr-vlad": Member(frames[:3], known)}
-    page = recognise(member, ["a"] * 3, ["b"] * 12)._repr_html_()
-    assert page.count("<th>") == 7 and "confidence" in page
+def test_show_takes_an_image(network, ssrvlad, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    frame, picture = tmp_path / "photos" / "1.png", tmp_path / "out.png"
+    assert ssrvlad("show", frame, "-o", picture, "--segmenter", network)[0] == 0
+    shown = Image.open(picture)
+    labels = frame.with_name("labels.png")
+    Image.fromarray(street(1, 60, 80)).save(labels)
+    assert ssrvlad("show", labels, "-o", tmp_path / "map.png", "--labels-as", SPACE)[0] == 0
+    assert shown.width == 1.5 * Image.open(tmp_path / "map.png").width, (
+        "the photograph is beside it"
+    )
+    sky = np.array([128, 128, 128])
+    assert (np.abs(np.asarray(shown)[..., :3] - sky) < 2).all(-1).any()
+    assert len([*(tmp_path / "cache").rglob("*.png")]) == 1
+    assert "--labels-as" in ssrvlad("show", frame, "-o", picture)[2][0]

@@ -28,7 +28,7 @@ def test_every_method_with_the_steps_that_it_can_take(ssrvlad, tmp_path):
     assert [row["method"] for row in rows] == names.split(",")
 
 
-def test_methods_taken_together(ssrvlad, tmp_path):
+def test_fused_methods_are_two_more_rows(ssrvlad, tmp_path):
     """The rows of each stay as they were; two more are those of single frames and followed."""
     for drive in ("query", "reference"):
         write_photos(tmp_path / "town" / drive / "images", range(32), ".jpg")
@@ -51,7 +51,7 @@ def test_methods_taken_together(ssrvlad, tmp_path):
 
 
 @pytest.mark.parametrize(("labels", "reason"), [((), "their --labels-as"), (CAMVID, "label id 99")])
-def test_a_member_that_does_not_run_or_fails_on_a_frame(compare, two_drives, labels, reason):
+def test_a_fusion_whose_member_fails_does_not_run(compare, two_drives, labels, reason):
     unknown = Image.fromarray(np.full((60, 80), 99, np.uint8))
     unknown.save(two_drives / "query" / "labels" / "003.png")
     names = "hog,ssr-vlad"
@@ -61,7 +61,7 @@ def test_a_member_that_does_not_run_or_fails_on_a_frame(compare, two_drives, lab
     assert rows["hog + ssr-vlad"]["reason"] == "ssr-vlad does not run"
 
 
-def test_what_a_method_lacks_is_its_row(compare, two_drives, tmp_path, monkeypatch):
+def test_the_reason_why_a_method_did_not_run_is_its_row(compare, two_drives, tmp_path, monkeypatch):
     monkeypatch.setenv("HOME", str(tmp_path))
     methods = ("--method", "ssr-vlad,hog,netvlad")
     code, rows, err = compare(two_drives, *methods)

@@ -68,7 +68,7 @@ def test_equal_settings_have_one_fingerprint(preset, name, value):
     assert one.fingerprint == other.fingerprint
 
 
-def test_dict_round_trip():
+def test_a_config_survives_to_dict():
     config = SSRVLADConfig(labels_as="synthia", **OTHER)
     assert SSRVLADConfig.from_dict(config.to_dict()) == config
 
@@ -90,7 +90,7 @@ def test_dict_round_trip():
         ({"ring": 3}, "unknown setting 'ring'; the settings are aggregation, anchor"),
     ],
 )
-def test_bad_settings_are_named(settings, message):
+def test_bad_settings_are_refused_by_name(settings, message):
     with pytest.raises(ValueError, match=message):
         SSRVLADConfig.from_preset(**{"preset": "default", **settings})
 
@@ -112,7 +112,7 @@ def test_grid_keeps_the_aspect_and_never_enlarges(image, working_size, grid):
     assert SSRVLADConfig(working_size=working_size).grid(*image) == grid
 
 
-def test_pixels_of_fractions():
+def test_fractions_become_whole_pixels():
     config = SSRVLADConfig()
     assert config.radius_pixels(0.01, 360, 480) == 4
     assert config.radius_pixels(0.01, 120, 160) == 1

@@ -1,6 +1,7 @@
 """A database on disk: round trips, settings and wrong arguments."""
 
 import math
+from pathlib import Path
 
 import lance
 import numpy as np
@@ -9,12 +10,13 @@ import pyarrow.compute as pc
 import pytest
 import torch
 from four_frames import CONFIG, FRAMES, SORTED, fill, filled, loaded
-from helpers import descriptors, record, refused
+from helpers import descriptors, flip_byte, record, refused, spoil
 from hypothesis import given
 from hypothesis import strategies as st
 
 import ssrvlad_torch.config as config_module
 from ssrvlad_torch import Database, SSRVLADConfig
+from ssrvlad_torch.database import engine
 from ssrvlad_torch.database.reading import order_of
 from ssrvlad_torch.files import natural_key
 from ssrvlad_torch.taxonomy import LabelClass, LabelSpace, label_space
@@ -196,7 +198,126 @@ def test_a_path_that_is_not_a_database_is_refused_and_not_changed(path, tmp_path
         ("db", None, r"config .* or the width"),
     ],
 )
-def test_what_no_database_can_be_created_with_is_refused(tmp_path, path, width, message):
+def test_a_database_of_wrong_path_or_width_is_refused(tmp_path, path, width, message):
     with pytest.raises(ValueError, match=message):
         Database.create(path and tmp_path / path, width=width)
     assert not any(tmp_path.iterdir())
+
+
+def data_file(path):
+    [file] = Path(path).glob("data/*.lance")
+    return file
+
+
+def test_a_changed_byte_of_a_data_file_is_reported_or_has_no_effect(path):
+    whole, before = data_file(path).read_bytes(), loaded(path)
+    refused, positions = 0, range(0, len(whole), 149)
+    for position in positions:
+        data_file(path).write_bytes(whole)
+        flip_byte(data_file(path), position, 1 << position % 8)
+        try:
+            assert loaded(path) == before
+        except ValueError as error:
+            refused += 1
+            assert str(path) in str(error)
+            assert "\n" not in str(error)
+            assert Database.open(path).damage() != []
+    assert refused > len(positions) * 0.8
+    data_file(path).write_bytes(whole)
+    assert loaded(path) == before
+
+
+def test_a_damaged_descriptor_is_reported_and_dropped(path):
+    expected = loaded(path)
+    spoil(path, descriptors(0, 4)[3])
+    database, file = Database.open(path), f"data/{data_file(path).name}"
+    with refused(rf"town\.ssrdb is damaged: {file}: the checksum of frame 'day/9' differs"):
+        database.load()
+    [damage] = database.damage()
+    assert (damage.file, damage.rows) == (file, 1)
+    assert [damage] == database.drop_damaged()
+    assert database.damage() == Database.open(path).damage() == []
+    del expected["day/9"]
+    assert loaded(path) == expected
+    fill(database, ["day/9"])
+    assert len(loaded(path)) == 4
+
+
+@pytest.mark.parametrize("length", [None, 0, 4, 1000])
+def test_a_missing_or_truncated_file_is_reported_and_its_rows_are_dropped(path, length):
+    lost = data_file(path)
+    fill(Database.open(path), ["other/1"])
+    if length is None:
+        lost.unlink()
+    else:
+        lost.write_bytes(lost.read_bytes()[:length])
+    with refused("is damaged"):
+        Database.open(path).load()
+    [damage] = Database.open(path).damage()
+    assert (damage.file, damage.rows) == (f"data/{lost.name}", 4)
+    Database.open(path).drop_damaged()
+    assert list(loaded(path)) == ["other/1"]
+
+
+def test_a_manifest_that_a_power_cut_left_half_written_is_named(path):
+    before = loaded(path)
+    fill(Database.open(path), ["lost/1"])
+    fill(Database.open(path), ["lost/2"])
+    newest = sorted(path.glob("_versions/*.manifest"))[:2]
+    for manifest, size in zip(newest, (0, 60), strict=True):
+        manifest.write_bytes(manifest.read_bytes()[:size])
+    names = ", ".join(f"_versions/{manifest.name}" for manifest in newest)
+    message = f"is damaged .*; --as-of 2 reads .*without {names}"
+    with refused(message):
+        Database.open(path)
+    assert loaded(path, version=2) == before
+    for manifest in newest:
+        manifest.unlink()
+    assert loaded(path) == before
+    fill(Database.open(path), ["lost/1"])
+    assert len(loaded(path)) == len(before) + 1
+    assert Database.open(path).damage() == []
+
+
+def test_a_database_lives_in_a_bucket(bucket):
+    uri = f"{bucket}/morning.ssrdb"
+    assert not Database.exists(uri)
+    database, numbers = Database.create(uri, width=8), descriptors(0, 3, 8)
+    database.append(["a/1", "a/2", "a/3"], numbers)
+    database.merge(["a/1"], torch.zeros(1, 8))
+    database.remove(["a/2"])
+    with pytest.raises(ValueError, match=r"frame 'a/1' is in s3://town/morning\.ssrdb already"):
+        database.append(["a/1"], numbers[:1])
+    opened = Database.open(uri)
+    assert Database.exists(uri)
+    assert opened.damage() == []
+    assert opened.load().frames == ("a/1", "a/3")
+    assert torch.equal(opened.load().descriptors[1], numbers[2])
+    assert [entry.frames for entry in opened.history()] == [0, 3, 3, 2]
+    opened.compact(keep_days=0)
+    assert len(Database.open(uri)) == 2
+
+
+def test_a_database_missing_in_a_bucket_is_one_line_after_one_attempt(bucket, monkeypatch):
+    uri, open_dataset, attempts = f"{bucket}/morning.ssrdb", engine.lance().dataset, []
+    database = Database.create(uri, width=8)
+    with refused(rf"^{uri} has no version 99; it has {database.version}$"):
+        Database.open(uri, version=99)
+
+    def counted(uri, **options):
+        attempts.append(uri)
+        return open_dataset(uri, **options)
+
+    monkeypatch.setattr(engine.lance(), "dataset", counted)
+    missing = [f"{bucket}/evening.ssrdb", "s3://village/morning.ssrdb"]
+    for one in missing:
+        assert not Database.exists(one)
+    assert attempts == missing
+    for one in missing:
+        with refused(f"^{one} does not exist, or is damaged or not a database: .*[nN]ot [fF]ound"):
+            Database.open(one)
+    assert attempts == 2 * missing
+    with refused(f"^{missing[0]} does not exist, or"):
+        Database.open(missing[0], version=1)
+    with refused("^s3://village/new cannot be written: [^<]*404 Not Found$", by=OSError):
+        Database.create("s3://village/new", width=8)

@@ -80,7 +80,7 @@ def test_traverses_are_chosen_by_pattern_and_role(patterns, role, names):
     assert (chosen.layout, chosen.root) == (DAYS.layout, DAYS.root)
 
 
-def test_a_choice_of_nothing_and_one_name_of_two_are_refused():
+def test_an_unknown_or_ambiguous_sequence_is_refused():
     with pytest.raises(ValueError, match="no sequence 'DAWN'; it has dawn-rear, dawn-left, map-"):
         DAYS.select(["*", "DAWN"])
     with pytest.raises(ValueError, match="which of dawn-rear is a reference"):
@@ -129,7 +129,7 @@ def test_files_carry_id_and_pose_and_gaps_are_counted():
         made(drive("a", "1", label=Path("x"))).image_files()
 
 
-def test_every_other_file_of_each_sequence():
+def test_every_and_start_count_in_each_sequence():
     dataset = made(
         drive("a", "1", "2", "3", "4", label=Path("x")), drive("b", "1", label=Path("x"))
     )

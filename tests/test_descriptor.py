@@ -117,7 +117,7 @@ def test_a_batch_equals_its_images(preset):
     torch.testing.assert_close(descriptors.norm(dim=1), torch.ones(3))
 
 
-def test_integers_arrays_and_views_of_any_kind():
+def test_every_integer_dtype_array_and_view_gives_the_same():
     head, batch = SSRVLAD(DEFAULT), batch_of_blobs()
     before, expected = batch.clone(), head(batch)
     array = batch.numpy()
@@ -178,7 +178,7 @@ def test_the_working_size_reduces_and_never_enlarges():
     assert SSRVLAD(PAPER).explain(large).layers.shape == (1, 8, 240, 480)
 
 
-def test_it_has_no_weights_and_no_state():
+def test_the_head_has_no_weights_and_no_state():
     with pytest.raises(ValueError, match="SSRVLADConfig, got 'paper'; see"):
         SSRVLAD("paper")
     head = SSRVLAD(DEFAULT)
@@ -210,7 +210,7 @@ def test_it_has_no_weights_and_no_state():
         (Image.new("L", (4, 4)), r"got PIL Image; a picture's labels are np\.asarray"),
     ],
 )
-def test_bad_input_is_named(labels, message):
+def test_bad_input_is_refused_by_shape_and_type(labels, message):
     with refused(message):
         SSRVLAD(DEFAULT)(labels)
 
@@ -266,7 +266,7 @@ def test_a_network_with_the_head_is_compiled_and_exported(core):
 
 
 @pytest.mark.parametrize("head", [SSRVLAD(DEFAULT), SSRVLAD(PAPER), SweepHead(DEFAULT, [0])])
-def test_a_trace_is_refused(head, tmp_path):
+def test_torch_jit_trace_and_the_old_exporter_are_refused(head, tmp_path):
     with refused(r"torch\.jit\.trace cannot record SSRVLAD", by=RuntimeError):
         torch.jit.trace(head, batch_of_blobs(1))
     with refused(r"nor can torch\.onnx\.export\(dynamo=False\)", by=RuntimeError):
@@ -351,3 +351,41 @@ def test_input_on_another_device_is_refused():
     head = SSRVLAD.from_preset("default").to("meta")
     with pytest.raises(ValueError, match="expected labels on meta, as the head is, got cpu"):
         head(torch.zeros(1, 4, 4, dtype=torch.uint8))
+
+
+IN_CITY = dataclasses.replace(DEFAULT, labels_as="cityscapes-trainids")
+
+
+@pytest.fixture(scope="module")
+def city() -> torch.Tensor:
+    frames = SyntheticCity(3).traverse(3)
+    return torch.stack([torch.from_numpy(frame.labels) for frame in frames])
+
+
+def test_the_usual_anchor_gives_the_descriptor(city):
+    head = SSRVLAD(IN_CITY)
+    swept = SweepHead(IN_CITY, (-4, 0, 4))(city)
+    assert swept.shape == (3, 3, 480)
+    assert torch.equal(swept[:, 1], head(city))
+    assert not torch.equal(swept[:, 0], swept[:, 1])
+
+
+def test_an_anchor_is_a_column_from_the_usual_one(city):
+    head = SSRVLAD(IN_CITY)
+    middle = SSRVLAD(dataclasses.replace(IN_CITY, anchor="middle"))
+    columns = head.explain(city).histograms.column
+    for number, column in enumerate(columns.tolist()):
+        one = city[number : number + 1]
+        assert torch.equal(middle.sweep(one, [column, column + 8]), head.sweep(one, [0, 8]))
+
+
+def test_the_paper_has_no_anchor_to_move(city):
+    head = SSRVLAD.from_preset("paper", labels_as="cityscapes-trainids")
+    with pytest.raises(ValueError, match="aggregation harmonics, got residuals"):
+        head.sweep(city, [0])
+
+
+@pytest.mark.parametrize("columns", [[], [2**62], [0.5], ["a"]])
+def test_anchors_that_are_no_integers_are_refused(city, columns):
+    with pytest.raises(ValueError, match="columns: expected one or more integers"):
+        SSRVLAD(IN_CITY).sweep(city, columns)

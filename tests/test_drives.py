@@ -51,7 +51,7 @@ def test_odd_against_even_frames(ssrvlad, compare, maps, tmp_path):
         assert rows["ssr-vlad"][key] == metrics[key]
 
 
-def test_poses(compare, tmp_path):
+def test_true_matches_come_from_poses_and_frames_without_are_noted(compare, tmp_path):
     write_city(tmp_path / "city", frames=8, seed=1, size=(60, 80))
     labels = ("--labels-as", "cityscapes-trainids", "--method", "label-grid")
     by_file = compare(tmp_path / "city", *labels)[1]["label-grid"]

@@ -58,7 +58,7 @@ def test_the_file_and_the_module_agree(name, preset):
 
 @pytest.mark.slow
 @presets
-def test_hundreds_of_label_maps(preset):
+def test_the_file_and_the_module_agree_on_hundreds_of_label_maps(preset):
     for space, maps in hundreds_of_label_maps().items():
         for labels in maps:
             assert_parity(labels[None], of_preset(preset, labels_as=space))
@@ -67,7 +67,7 @@ def test_hundreds_of_label_maps(preset):
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=[pytest.mark.slow] * (name in RARE)) for name in CUSTOM]
 )
-def test_other_settings(name):
+def test_the_file_and_the_module_agree_at_other_settings(name):
     config = of_preset(**CUSTOM[name])
     for labels in (random_blobs(0), random_blobs(3), noise(2), degenerate()["one pixel"]):
         assert_parity(labels[None], config)
@@ -78,7 +78,7 @@ def test_other_settings(name):
     ("power", "weight", "largest"),
     [(0.75, 1.0, 1e-6), (1.0, 4.0, 1e-6), (0.5, 1.0, 2e-5), (0.75, 4.0, 1e-5), (0.5, 4.0, 3e-4)],
 )
-def test_settings_that_enlarge_rounding_errors(power, weight, largest):
+def test_rounding_errors_stay_below_what_the_page_says(power, weight, largest):
     """What export/README.md says of them; a map of one class shows it best."""
     config = of_preset("default", power=power, spectral_weight=weight)
     maps = [np.full((9, 1), 3, np.uint8), *map(random_blobs, range(5)), *map(noise, range(5))]
@@ -88,7 +88,7 @@ def test_settings_that_enlarge_rounding_errors(power, weight, largest):
     assert largest == 1e-6 or worst > 1e-6, "the page should say less"
 
 
-def test_maps_of_few_pixels():
+def test_rounding_errors_of_tiny_maps_stay_below_what_the_page_says():
     """Of them, too, export/README.md has a figure."""
     config, rng = of_preset("default"), np.random.default_rng(0)
     head, run, errors = SSRVLAD(config), run_of(config), []
@@ -136,7 +136,7 @@ def test_a_grid_too_wide_to_count_gives_no_number():
     assert np.isnan(descriptor).all()
 
 
-def test_wide_ids_and_ids_below_zero():
+def test_ids_below_zero_agree():
     config = of_preset("default", labels_as="cityscapes-trainids")
     ids = np.array([*range(19), 255])
     labels = ids[blobs(3, 140, 150, 8) + 8]
@@ -164,7 +164,7 @@ FIXED = (2, 241, 317)
 
 
 @pytest.mark.parametrize("shape", [FIXED, pytest.param((3, 19, 1), marks=pytest.mark.slow)])
-def test_a_fixed_size(shape):
+def test_a_file_of_fixed_size_agrees(shape):
     run = run_of(of_preset("default"), "labels", None, shape)
     batch = np.stack([blobs(seed, *shape[1:], 9 + seed) for seed in range(shape[0])])
     assert_equal(run(batch), batch, of_preset("default"))
@@ -188,7 +188,7 @@ def test_sizes_that_cannot_be_counted_are_refused(preset, shape, problem):
 
 
 @pytest.mark.parametrize("preset", [pytest.param("paper", marks=pytest.mark.slow), "default"])
-def test_class_scores(preset):
+def test_the_file_of_class_scores_agrees(preset):
     rng = np.random.default_rng(0)
     scores = rng.normal(size=(2, 12, 61, 83)).astype(np.float32)
     scores += 4 * np.eye(12, dtype=np.float32)[:, blobs(1, 61, 83, 9)]
@@ -319,9 +319,7 @@ def write_space(path: Path, *ids: int) -> Path:
         ([300, -4], {}, "own has no id from 0 to 255; expected dtype int64"),
     ],
 )
-def test_what_cannot_be_exported_is_an_error_before_anything_is_written(
-    ids, arguments, message, tmp_path
-):
+def test_wrong_arguments_are_refused_before_anything_is_written(ids, arguments, message, tmp_path):
     space = write_space(tmp_path / "own.yaml", *ids)
     file = tmp_path / "head.onnx"
     file.write_text("before")

@@ -25,7 +25,7 @@ def database(tmp_path):
     return made
 
 
-def test_an_array_and_names(database, tmp_path):
+def test_npy_is_an_array_with_names_settings_and_fingerprint(database, tmp_path):
     file = tmp_path / "out.npy"
     ends = (".frames.txt", ".json", ".fingerprint.txt")
     frames, settings, fingerprint = beside = [file.with_name(f"out.npy{end}") for end in ends]
@@ -51,7 +51,7 @@ def test_global_descriptors_as_hloc_reads_them(database, tmp_path):
         np.testing.assert_array_equal(read, frames.descriptors.numpy())
 
 
-def test_nothing_stays_of_an_earlier_export(database, tmp_path):
+def test_an_export_deletes_the_files_of_an_earlier_one(database, tmp_path):
     """Features of another map, or a fingerprint, would be taken for those of the array."""
     columns = [Column("signs", "of a network", (2, 4), "uint8")]
     seen = Database.create(tmp_path / "seen", CONFIG, columns=columns)
@@ -71,7 +71,7 @@ def test_nothing_stays_of_an_earlier_export(database, tmp_path):
 
 
 @pytest.mark.parametrize("content", ["{", "[]", '{"channels": {"mine": ""}}', None])
-def test_only_what_an_export_lists_is_deleted(database, tmp_path, content):
+def test_only_files_that_an_export_lists_are_deleted(database, tmp_path, content):
     """Without a JSON file, or with a damaged or another one, nothing is known of the others."""
     file = tmp_path / "out.npy"
     mine = {tmp_path / f"out.npy.mine.npy{end}" for end in ("", ".fingerprint.txt")}

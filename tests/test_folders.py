@@ -13,7 +13,7 @@ from ssrvlad_torch.datasets.layouts import open_dataset
 from ssrvlad_torch.datasets.synthetic_city import write_city
 
 
-def test_the_synthetic_city(tmp_path):
+def test_the_synthetic_city_is_two_folders_with_roles_and_truth(tmp_path):
     files = write_city(tmp_path, frames=2, size=(16, 24))
     dataset = open_dataset(tmp_path, labels_as="cityscapes-trainids")
     assert dataset.layout == "folders"

@@ -10,7 +10,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from ssrvlad_torch.recognition.filter import Filter
 from ssrvlad_torch.recognition.follow import NEAR, follow
 from ssrvlad_torch.recognition.motion import BACKWARDS, FORWARDS, SPEEDS, Motion, likelihoods
 
@@ -146,17 +145,6 @@ def test_a_place_that_the_map_lacks_is_told():
     scores[range(30), range(40, 70)] += 0.5
     found = follow(scores, ["m"] * 200, motion=Motion(weight=1.0, level=3.0))
     assert found.unmapped[:25].max() < 0.1 and found.unmapped[40:].min() > 0.9
-
-
-def test_a_map_that_grows_is_the_map_that_was_whole():
-    whole, grown = Filter(["a"] * 7 + ["b"] * 5), Filter(["a"] * 4)
-    grown.extend(["a"] * 3)
-    grown.extend(["b"] * 5)
-    grown.restart()
-    for scores in noisy([3, 4, 5, 6], 12):
-        whole.step(scores)
-        grown.step(scores)
-    assert torch.equal(whole.rows(), grown.rows())
 
 
 def test_scores_may_be_an_array():

@@ -28,7 +28,7 @@ def test_the_files_of_a_folder_are_a_sequence_in_the_order_of_a_person(tmp_path)
             find_label_files(wrong)
 
 
-def test_hidden_files_and_halves_are_no_frames_and_weird_names_are_kept(tmp_path):
+def test_hidden_and_partial_files_are_no_frames_and_any_name_is_kept(tmp_path):
     names = ["C:\\maps\\1.png", "straße 3 🚗.png", "a.b.c.png", "[x]*?.png"]
     touch(*(tmp_path / "[a]" / name for name in (*names, "._1.png", ".2.png", "3.png.part")))
     files = find_label_files([str(tmp_path / "[a]")])
@@ -55,7 +55,7 @@ def test_a_relative_folder_gives_its_real_name(tmp_path, monkeypatch, source, ex
     assert ids(find_label_files([source])) == [expected]
 
 
-def test_links(tmp_path):
+def test_a_link_is_named_by_itself_and_a_broken_one_is_refused(tmp_path):
     """To a folder it gives its own name; to nothing it is a frame that is refused by name."""
     touch(tmp_path / "0001" / "1.png")
     (tmp_path / "0001" / "2.png").symlink_to(tmp_path / "gone.png")
@@ -66,7 +66,7 @@ def test_links(tmp_path):
         read_label_map(files[1], label_space("camvid-11"))
 
 
-def test_globs(tmp_path):
+def test_a_glob_gives_files_or_the_folders_that_it_matches(tmp_path):
     touch(*(tmp_path / "a" / name for name in ("1.png", "2.png", "2.txt", "x.png")))
     touch(tmp_path / "b" / "1.png", tmp_path / "b" / "c" / "1.png", tmp_path / "ground_truth.json")
     for pattern, expected in {
@@ -79,7 +79,7 @@ def test_globs(tmp_path):
         assert ids(find_label_files([str(tmp_path / pattern)])) == expected
 
 
-def test_arrays_and_stacks(tmp_path):
+def test_arrays_in_a_folder_are_frames_of_its_sequence_and_stacks_sequences(tmp_path):
     """Those in a folder belong to its sequence; a glob is what a shell would have made of it."""
     folder = tmp_path / "a"
     folder.mkdir()

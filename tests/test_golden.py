@@ -50,7 +50,7 @@ def test_scores_have_every_class_and_the_outputs_are_the_modules():
     assert pair["unknown"].tolist() == [0, 0]
 
 
-def test_the_input_is_reduced_and_cleaned():
+def test_the_golden_input_is_changed_by_every_stage():
     """The golden pair can only check the stages that change something."""
     head, pair = pair_of("camvid-32")
     assert head.explain(pair["labels"][:1]).layers.shape[2:] != SIZE

@@ -84,7 +84,7 @@ POSE = np.zeros((1, 3))
         ((["a/1", "night/1"], ["a/1", "b/1"], 1), r"query sequence 'night'.*\(a, b\)"),
     ],
 )
-def test_what_cannot_be_compared_is_refused(given, message):
+def test_wrong_tolerances_and_unaligned_traverses_are_refused(given, message):
     with pytest.raises(ValueError, match=message):
         (from_poses if given[0] is POSE else from_frame_numbers)(*given)
 

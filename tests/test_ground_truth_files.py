@@ -58,11 +58,11 @@ FORMS = {
 
 
 @pytest.mark.parametrize("name", FORMS)
-def test_every_form_says_the_same(read, name):
+def test_every_form_of_file_gives_the_same_truth(read, name):
     assert read(name, FORMS[name]) == [[0, 2], []]
 
 
-def test_of_a_query_that_no_entry_names_nothing_is_known(read):
+def test_a_query_without_an_entry_has_unknown_matches(read):
     for name, content in (
         ("some.json", {"a": ["day/2"]}),
         ("some.json", [["a", "day/2"]]),
@@ -114,62 +114,62 @@ def test_an_entry_may_have_the_suffix_of_the_file_and_be_a_whole_path(read):
     assert read("t.json", {"a.jpg": ["b"]}, ["a", "a.jpg"], ["b"]) == [None, [0]]
 
 
-def test_the_known_queries_can_be_chosen():
+def test_queries_of_known_matches_are_chosen():
     known, truth = known_matches([None, np.array([3]), np.array([], np.int64), None])
     assert known == [1, 2]
     assert as_lists(truth) == [[3], []]
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "message"),
-    [
-        ("a.json", "{", "cannot read the ground truth .*a.json"),
-        ("a.json", "", "cannot read the ground truth"),
-        ("a.json", b"\xff\xfe\x00", "cannot read the ground truth"),
-        ("a.json", "[" * 100_000, "cannot read the ground truth"),
-        ("a.json", 3, "a.json: expected .*query id.* or "),
-        ("a.json", {"a": "day/1"}, "expected"),
-        ("a.json", {"a": {"day/1": 1}}, "expected"),
-        ("a.json", {"a": [["day/1"]]}, "expected"),
-        ("a.json", {"a": [1]}, "expected"),
-        ("a.json", [["a", "day/1", "day/2"]], "expected"),
-        ("a.json", ["ab"], "expected"),
-        ("a.json", {"c": []}, "has an entry for none of the 2 queries, as a"),
-        ("a.json", {"a": ["day/3"]}, "names reference 'day/3', which is not in the database"),
-        ("a.csv", "", "expected a first line query,reference or a matrix of 0 and 1"),
-        ("a.csv", "query,place\na,day/1\n", "expected a first line query,reference"),
-        ("a.csv", "query,reference\na,day/1,day/2\n", "line 2: more cells than columns: day/2"),
-        ("a.csv", "query,reference\n", "has an entry for none of the 2 queries"),
-        ("a.csv", "query,reference\na,day/3\n", "names reference 'day/3'"),
-        ("a.csv", "1,0,1\n0,0\n", "cannot read the ground truth"),
-        ("a.csv", "1,0,2\n0,0,0\n", "is not a matrix of 0 and 1"),
-        ("a.csv", "1,0,1\n", r"shape \(1, 3\), expected \(2, 3\) for 2 queries and 3 references"),
-        ("a.npy", MATRIX.T, r"is a matrix of shape \(3, 2\), expected \(2, 3\)"),
-        ("a.npy", MATRIX[0], r"is a matrix of shape \(3,\)"),
-        ("a.npy", MATRIX * 0.5, "is not a matrix of 0 and 1"),
-        ("a.npy", MATRIX * np.nan, "is not a matrix of 0 and 1"),
-        ("a.npy", MATRIX.astype(str), "is not a matrix of 0 and 1"),
-        ("a.json", '{"q/0": [], "q/1": [], "q/0": []}', "key 'q/0' is there more than once"),
-        ("a.npy", b"", "cannot read the ground truth"),
-        ("a.npy", b"\x93NUMPY\x01\x00", "cannot read the ground truth"),
-        ("a.npz", b"PK", "cannot read the ground truth"),
-        ("a.npz", {"x": MATRIX, "y": MATRIX}, "expected one matrix, or GThard, got x, y"),
-        ("a.npz", {"x": np.array([[0, []]], object)}, "cannot read the ground truth"),
-        ("a.json", [[0, []]], "has 1 rows, expected one for each of 2 queries"),
-        ("a.json", [[n, []] for n in range(3)], "has 3 rows"),
-        ("a.json", [[0, []], [0, []]], "has query 0 in row 1, expected each of 2 once"),
-        ("a.json", [[1, []], [2, []]], "has query 2 in row 1"),
-        ("a.json", [[0, []], [1, [0, 3]]], "names reference 3 of query 1; .* has 3"),
-        ("a.json", [[0, [-1]], [1, []]], "names reference -1 of query 0"),
-        ("a.json", [[0, [0.5]], [1, []]], "of whole numbers"),
-        ("a.json", [[0, [True]], [1, []]], "of whole numbers"),
-        ("a.json", [[0, 1], [1, []]], "of whole numbers"),
-        ("a.json", [[0, []], [None, []]], "of whole numbers"),
-        ("a.json", [[0, [[0]]], [1, []]], "of whole numbers"),
-        ("a.npy", np.array([[0, [1]]], object), r"pickle, which can run any code; .*json\.dumps"),
-        ("a.mat", b"", r"a\.mat: expected a file in \.json, \.csv, \.npy, \.npz"),
-    ],
-)
+REFUSED = [
+    ("a.json", "{", "cannot read the ground truth .*a.json"),
+    ("a.json", "", "cannot read the ground truth"),
+    ("a.json", b"\xff\xfe\x00", "cannot read the ground truth"),
+    ("a.json", "[" * 100_000, "cannot read the ground truth"),
+    ("a.json", 3, "a.json: expected .*query id.* or "),
+    ("a.json", {"a": "day/1"}, "expected"),
+    ("a.json", {"a": {"day/1": 1}}, "expected"),
+    ("a.json", {"a": [["day/1"]]}, "expected"),
+    ("a.json", {"a": [1]}, "expected"),
+    ("a.json", [["a", "day/1", "day/2"]], "expected"),
+    ("a.json", ["ab"], "expected"),
+    ("a.json", {"c": []}, "has an entry for none of the 2 queries, as a"),
+    ("a.json", {"a": ["day/3"]}, "names reference 'day/3', which is not in the database"),
+    ("a.csv", "", "expected a first line query,reference or a matrix of 0 and 1"),
+    ("a.csv", "query,place\na,day/1\n", "expected a first line query,reference"),
+    ("a.csv", "query,reference\na,day/1,day/2\n", "line 2: more cells than columns: day/2"),
+    ("a.csv", "query,reference\n", "has an entry for none of the 2 queries"),
+    ("a.csv", "query,reference\na,day/3\n", "names reference 'day/3'"),
+    ("a.csv", "1,0,1\n0,0\n", "cannot read the ground truth"),
+    ("a.csv", "1,0,2\n0,0,0\n", "is not a matrix of 0 and 1"),
+    ("a.csv", "1,0,1\n", r"shape \(1, 3\), expected \(2, 3\) for 2 queries and 3 references"),
+    ("a.npy", MATRIX.T, r"is a matrix of shape \(3, 2\), expected \(2, 3\)"),
+    ("a.npy", MATRIX[0], r"is a matrix of shape \(3,\)"),
+    ("a.npy", MATRIX * 0.5, "is not a matrix of 0 and 1"),
+    ("a.npy", MATRIX * np.nan, "is not a matrix of 0 and 1"),
+    ("a.npy", MATRIX.astype(str), "is not a matrix of 0 and 1"),
+    ("a.json", '{"q/0": [], "q/1": [], "q/0": []}', "key 'q/0' is there more than once"),
+    ("a.npy", b"", "cannot read the ground truth"),
+    ("a.npy", b"\x93NUMPY\x01\x00", "cannot read the ground truth"),
+    ("a.npz", b"PK", "cannot read the ground truth"),
+    ("a.npz", {"x": MATRIX, "y": MATRIX}, "expected one matrix, or GThard, got x, y"),
+    ("a.npz", {"x": np.array([[0, []]], object)}, "cannot read the ground truth"),
+    ("a.json", [[0, []]], "has 1 rows, expected one for each of 2 queries"),
+    ("a.json", [[n, []] for n in range(3)], "has 3 rows"),
+    ("a.json", [[0, []], [0, []]], "has query 0 in row 1, expected each of 2 once"),
+    ("a.json", [[1, []], [2, []]], "has query 2 in row 1"),
+    ("a.json", [[0, []], [1, [0, 3]]], "names reference 3 of query 1; .* has 3"),
+    ("a.json", [[0, [-1]], [1, []]], "names reference -1 of query 0"),
+    ("a.json", [[0, [0.5]], [1, []]], "of whole numbers"),
+    ("a.json", [[0, [True]], [1, []]], "of whole numbers"),
+    ("a.json", [[0, 1], [1, []]], "of whole numbers"),
+    ("a.json", [[0, []], [None, []]], "of whole numbers"),
+    ("a.json", [[0, [[0]]], [1, []]], "of whole numbers"),
+    ("a.npy", np.array([[0, [1]]], object), r"pickle, which can run any code; .*json\.dumps"),
+    ("a.mat", b"", r"a\.mat: expected a file in \.json, \.csv, \.npy, \.npz"),
+]
+
+
+@pytest.mark.parametrize(("name", "content", "message"), REFUSED)
 def test_other_files_are_refused(read, name, content, message):
     with refused(message):
         read(name, content)
@@ -191,7 +191,7 @@ def test_a_missing_file_is_refused(tmp_path):
         ("corridor", 111, 111, range(3), [108, 109, 110]),
     ],
 )
-def test_files_that_vpr_bench_ships(name, queries, references, first, last, tmp_path):
+def test_converted_files_of_vpr_bench_are_read(name, queries, references, first, last, tmp_path):
     """By the conversion that the refusal says."""
     shipped = tmp_path / f"{name}.ground_truth_new.npy"
     shutil.copy(VPR_BENCH / shipped.name, shipped)

@@ -20,7 +20,7 @@ def blocks(page: Path, language: str) -> list[str]:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_every_command_and_every_snippet(page, run, photos, monkeypatch):  # noqa: F811
+def test_every_command_and_every_snippet_runs(page, run, photos, monkeypatch):  # noqa: F811
     lines = [line for block in blocks(page, "console") for line in block.splitlines()]
     commands = [line.removeprefix("$ ") for line in lines if line.startswith("$ ")]
     for command in commands:

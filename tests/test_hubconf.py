@@ -16,7 +16,7 @@ from ssrvlad_torch.datasets.image_files import decode_image
 ROOT = str(Path(__file__).parents[1])
 
 
-def test_the_head_and_the_whole(tmp_path):
+def test_torch_hub_loads_the_head_alone_and_with_a_network(tmp_path):
     head = torch.hub.load(ROOT, "ssrvlad", source="local", labels_as=SPACE)
     network = write_graph(tmp_path / "net.onnx")
     whole = torch.hub.load(ROOT, "ssrvlad", source="local", segmenter=str(network), labels_as=SPACE)

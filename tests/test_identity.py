@@ -125,7 +125,7 @@ class Grid(nn.Module):
         return self.network(images + self.grid)
 
 
-def test_what_a_network_keeps_for_itself_is_no_change():
+def test_a_buffer_that_is_not_saved_may_change():
     segmenter = Segmenter(Grid(), SPACE, PLAIN)
     key = segmenter.key()
     segmenter([PHOTO])

@@ -36,7 +36,7 @@ def test_what_is_stored_without_loss_is_read_without_loss(form):
     np.testing.assert_array_equal(decode_image(content), PICTURE)
 
 
-def test_jpeg(tmp_path):
+def test_a_jpeg_is_read_whatever_its_name_colours_and_order(tmp_path):
     """The content says the format and not the name. Adobe stores CMYK inverted; read plainly it
     would be a negative."""
     cmyk = Image.fromarray(SMOOTH).convert("CMYK")
@@ -94,7 +94,7 @@ def test_sixteen_bit_gray_keeps_its_high_byte_and_is_turned_upright(form):
     np.testing.assert_array_equal(decode_image(turned), expected)
 
 
-def test_bits_that_pillow_does_not_write(tmp_path):
+def test_sixteen_bit_colours_keep_their_high_byte_and_two_bits_are_scaled(tmp_path):
     """The high byte of colours; a picture of two bits has white, unlike a label map."""
     path = write_png(tmp_path / "a.png", PICTURE.astype(np.uint16) << 8 | 77, COLOUR, 16)
     np.testing.assert_array_equal(read(path), PICTURE)
@@ -131,7 +131,7 @@ def test_palette_images_show_their_colours(transparency):
         (encoded(PICTURE, "GIF"), "is no image file"),
     ],
 )
-def test_what_is_no_image_is_refused_in_one_line(content, message):
+def test_other_files_are_refused_in_one_line(content, message):
     with refused(message) as refusal:
         decode_image(content)
     assert "0x" not in str(refusal.value)
@@ -157,7 +157,7 @@ def test_a_damaged_image_is_refused(form, tmp_path):
 # ---- arrays
 
 
-def test_rows_of_a_stack(tmp_path):
+def test_a_stack_holds_an_image_a_row(tmp_path):
     stack = np.stack([PICTURE, SMOOTH])
     np.save(tmp_path / "drive.npy", stack)
     files = find_image_files([str(tmp_path / "drive.npy")])
@@ -172,7 +172,7 @@ def test_rows_of_a_stack(tmp_path):
     "array",
     [PICTURE / 255, PICTURE[..., :2], PICTURE[..., 0], PICTURE[:0], PICTURE.astype(np.uint16)],
 )
-def test_arrays_that_are_no_images(tmp_path, array):
+def test_arrays_of_other_shapes_and_types_are_refused(tmp_path, array):
     np.save(tmp_path / "a.npy", array)
     with pytest.raises(ValueError, match=r"expected an \(H, W, 3\) uint8 image, got"):
         read(tmp_path / "a.npy")
@@ -195,7 +195,7 @@ def test_images_are_found_as_label_maps_are(tmp_path):
 
 
 @pytest.mark.filterwarnings("error")
-def test_a_label_map_is_no_photograph():
+def test_a_label_map_is_refused_as_a_photograph():
     ids = np.array([0, 1, 18, 255], np.uint8).repeat(5)[None].repeat(20, 0)
     with pytest.raises(ValueError, match="a photograph, got a label map: 3 values, 0 to 18"):
         decode_image(encoded(ids, "PNG"))

@@ -45,7 +45,7 @@ def test_no_tensor_stays_on_the_device_of_an_import():
     assert printed(IN_A_CONTEXT) == "[0, 1, 2]\n"
 
 
-def test_what_is_heavy_is_imported_only_where_it_is_used():
+def test_heavy_packages_are_imported_only_where_they_are_used():
     """Settings, label spaces and names need no torch, the package none of its extras, and of the
     methods only that is imported which is made."""
     assert printed(LIGHT).split() == [".label_grid", ".protocol", ".vectors"]
@@ -96,6 +96,6 @@ SCRIPTS = Path(__file__).parents[1] / "scripts" / "pages"
 
 
 @pytest.mark.parametrize("script", sorted(path.stem for path in SCRIPTS.glob("*.py")))
-def test_what_the_scripts_of_pages_import_is_there(script):
+def test_every_script_of_pages_can_be_imported(script):
     """Most of their tests are slow ones."""
     importlib.import_module(script)

@@ -160,7 +160,9 @@ def test_a_palette_of_the_label_space_s_colours_says_the_ids(tmp_path):
 
 
 @pytest.mark.parametrize(("pixels", "colours", "ids"), PALETTES.values(), ids=PALETTES)
-def test_what_pixels_show_of_a_palette_decides(tmp_path, pixels, colours, ids):
+def test_palette_colours_that_pixels_show_decide_between_indices_and_colours(
+    tmp_path, pixels, colours, ids
+):
     path = write_palette(tmp_path / "a.png", pixels, colours)
     if isinstance(ids, list):
         assert read(path).tolist() == [ids]
@@ -263,7 +265,7 @@ def test_a_stack_holds_a_label_map_a_row(tmp_path, suffix):
         (os.fsdecode(b"\xff.png"), image(LABELS, "PNG"), "surrogates not allowed"),
     ],
 )
-def test_what_is_no_label_map_is_refused_in_one_line(tmp_path, name, write, message):
+def test_other_files_are_refused_in_one_line(tmp_path, name, write, message):
     """The last has a name that a database could not hold."""
     path = tmp_path / name
     write(path)

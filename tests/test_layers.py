@@ -15,7 +15,7 @@ def test_every_id_goes_to_its_category(name):
 
 @pytest.mark.parametrize("bits", [8, 16, 32, 64])
 @pytest.mark.parametrize("kind", ["int", "uint"])
-def test_any_integer_dtype(kind, bits):
+def test_categories_are_uint8_for_any_integer_dtype(kind, bits):
     space = label_space("camvid-11")
     labels = torch.tensor([[[3, 11, 7]]]).to(getattr(torch, f"{kind}{bits}"))
     categories = categorise(labels, *category_table(space))

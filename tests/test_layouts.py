@@ -224,7 +224,7 @@ MISSING = [
 
 
 @pytest.mark.parametrize(("copy", "gone", "warnings"), MISSING, indirect=["copy"])
-def test_what_is_missing_is_said(copy, gone, warnings):
+def test_missing_parts_of_a_data_set_are_warnings(copy, gone, warnings):
     for path in [path for pattern in gone for path in copy.glob(pattern)]:
         shutil.rmtree(path) if path.is_dir() else path.unlink()
     assert open_dataset(copy).warnings == [warning.format(copy) for warning in warnings]
@@ -239,7 +239,7 @@ def test_what_is_missing_is_said(copy, gone, warnings):
     ],
     indirect=["copy"],
 )
-def test_a_part_is_a_data_set_too(copy, folder, below, monkeypatch):
+def test_a_folder_of_a_data_set_is_a_data_set(copy, folder, below, monkeypatch):
     names = [name for name in outline(open_dataset(copy)) if name.startswith(folder)]
     assert list(outline(open_dataset(copy / folder))) == names
     monkeypatch.chdir(copy / folder / below)
@@ -291,7 +291,7 @@ def test_a_layout_that_does_not_fit_is_refused_with_what_was_wanted_and_found(tm
         open_dataset(tmp_path, "robotcar-seasons")
 
 
-def test_what_no_layout_knows_is_refused_with_all_that_are_known(tmp_path):
+def test_an_unknown_layout_is_refused_with_all_known_ones(tmp_path):
     with pytest.raises(ValueError, match=r"folders: expected folders .* found nothing$"):
         open_dataset(tmp_path, "folders")
     (tmp_path / "empty").mkdir()
@@ -333,13 +333,13 @@ def test_coarse_annotations_fill_what_is_not_fine(copy):
 
 
 @of(camvid)
-def test_published_colours_are_read(copy):
+def test_published_colours_of_camvid_become_ids(copy):
     labels = read_label_map(open_dataset(copy).label_files()[0], label_space("camvid-32"))
     np.testing.assert_array_equal(np.unique(labels), np.arange(32))
 
 
 @of(camvid_of_the_tutorial)
-def test_strange_frames_and_label_spaces_of_camvid(copy):
+def test_a_frame_without_a_drive_is_of_its_folder_and_two_label_spaces_are_refused(copy):
     """A name without a drive is of a traverse called like its folder; the user's label space is
     taken, but not two spaces of the data set."""
     plant(copy, "train/mine.png")
@@ -359,7 +359,7 @@ def test_drives_of_ones_own_are_not_taken_for_camvid(tmp_path):
 
 
 @needs_camvid
-def test_the_shared_drives_of_camvid():
+def test_the_drives_of_camvid_are_recognised_with_labels_of_networks():
     dataset = open_dataset(CAMVID)
     counts = {name: len(frames) for name, frames in outline(dataset).items()}
     assert counts == {"0001TP": 124, "0016E5": 305}
@@ -379,7 +379,7 @@ def test_the_shared_drives_of_camvid():
 
 
 @of(synthia)
-def test_a_season_is_encoded(copy):
+def test_a_season_of_synthia_is_encoded_with_poses(copy):
     files = open_dataset(copy).select(["*-NIGHT-*"]).label_files()
     channel, space = LabelShapes(), label_space("synthia")
     frames, skipped = encode_to_memory([channel], space, files)
@@ -390,7 +390,7 @@ def test_a_season_is_encoded(copy):
 
 
 @of(synthia)
-def test_images_or_label_maps_alone_do(copy):
+def test_images_or_label_maps_alone_are_enough(copy):
     (copy / FALL / "RGB").rename(copy / "elsewhere")
     assert len(open_dataset(copy / FALL).label_files()) == 4
     (copy / "elsewhere").rename(copy / FALL / "RGB")
@@ -406,7 +406,7 @@ def test_parts_are_chosen_by_role(copy):
 
 
 @of(robotcar)
-def test_models_of_single_places_do_as_well(copy):
+def test_poses_come_from_models_of_single_places_too(copy):
     whole = copy / "3D-models/all-merged/all.nvm"
     cameras = whole.read_text().splitlines()[3:6]
     whole.unlink()
@@ -418,7 +418,7 @@ def test_models_of_single_places_do_as_well(copy):
 
 @pytest.mark.parametrize("zone", ["America/Los_Angeles", "Asia/Tokyo"])
 @of(extended_cmu)
-def test_the_day_is_the_same_wherever_it_is_read(copy, monkeypatch, zone):
+def test_the_day_of_a_traverse_does_not_depend_on_the_time_zone(copy, monkeypatch, zone):
     monkeypatch.setenv("TZ", zone)
     time.tzset()
     try:
@@ -439,7 +439,7 @@ def test_undistorted_copies_have_the_poses_of_their_originals(tmp_path):
 
 
 @of(extended_cmu)
-def test_strange_names_are_left_out_and_counted(copy):
+def test_images_without_time_and_camera_in_their_name_are_left_out_and_counted(copy):
     assert len(list(open_dataset(copy).posed().frames)) == 8
     plant(copy / "slice7/query", "overview.jpg", "img_00001_c0_12us.jpg")
     dataset = open_dataset(copy)
@@ -470,7 +470,7 @@ def test_an_empty_folder_is_refused(copy):
 
 
 @needs_corridor
-def test_the_shared_corridor():
+def test_the_corridor_of_vpr_bench_is_recognised():
     dataset = open_dataset(CORRIDOR)
     counts = {name: len(frames) for name, frames in outline(dataset).items()}
     assert counts == {"query": 111, "ref": 111}

@@ -28,7 +28,7 @@ def in_graph():
     return lambda height, width: runner.run(names, {"empty": np.zeros((height, width, 0), "f4")})
 
 
-def test_in_a_graph_they_are_those_of_the_config(in_graph):
+def test_lengths_in_a_graph_are_those_of_the_config(in_graph):
     for size in (*HUGE, *np.random.default_rng(0).integers(1, 30_000, (300, 2)).tolist()):
         *sizes, limits = lengths(CONFIG, *size)
         found = in_graph(*size)

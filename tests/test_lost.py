@@ -31,7 +31,7 @@ def described(features: Array, probabilities: Array, means: list[Array]) -> Arra
 
 
 @pytest.mark.parametrize(("seed", "places"), [*((seed, 12) for seed in range(4)), (4, 2)])
-def test_it_is_the_equations(seed, places):
+def test_the_descriptor_is_the_equations(seed, places):
     """Of features ``(D, P)`` and probabilities ``(4, P)``; also where classes have no place."""
     rng = np.random.default_rng(seed)
     probabilities = rng.random((4, places))
@@ -59,7 +59,7 @@ def cost(columns: tuple[np.ndarray, np.ndarray], distances: np.ndarray) -> float
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_the_authors_steps(seed):
+def test_the_layout_cost_is_the_authors_steps(seed):
     (x, y), distances = pairs(seed)
     fractions = distances / np.abs(distances).sum()
     weights = fractions.max() - fractions

@@ -203,7 +203,7 @@ def test_class_names_come_from_the_label_space(space):
         ((1, 5, 2, 2), (-1, 4, 2, 2), r"class probabilities, got -.*put a softmax"),
     ],
 )
-def test_a_network_that_gives_something_else(features, scores, message, space):
+def test_a_network_of_other_outputs_is_refused(features, scores, message, space):
     """The sign of the first size is that of the scores."""
 
     def other(images: Tensor) -> tuple[Tensor, Tensor]:
@@ -213,7 +213,7 @@ def test_a_network_that_gives_something_else(features, scores, message, space):
         LoSTX(network=other, labels_as=space).encode_query(frames(1))
 
 
-def test_frames_that_do_not_do_are_named(method):
+def test_missing_pictures_frames_and_networks_are_refused(method):
     with pytest.raises(ValueError, match="lost-x needs pictures, but frame drive/1"):
         method.encode_query([View("drive/1")])
     with pytest.raises(ValueError, match="method lost-x: no frames to encode"):
@@ -222,7 +222,7 @@ def test_frames_that_do_not_do_are_named(method):
         make("lost-x")
 
 
-def test_a_segmentation_network(tmp_path, space):
+def test_a_segmentation_network_gives_features_and_probabilities(tmp_path, space):
     torch.manual_seed(0)
     trunk = [nn.Conv2d(3, CHANNELS, 8, stride=8), nn.ReLU(), nn.Conv2d(CHANNELS, 2 * CHANNELS, 1)]
     layers = nn.Sequential(*trunk, nn.Conv2d(2 * CHANNELS, CLASSES, 1), nn.Upsample(scale_factor=8))

@@ -71,7 +71,7 @@ def test_a_picture_finds_its_place(town, photos):
     assert town.locate(photos / "7.png").candidates[0].frame != "monday/7"
 
 
-def test_a_picture_that_shows_nothing_has_no_place(settings, photos, tmp_path):
+def test_a_picture_without_layers_has_no_place(settings, photos, tmp_path):
     town = Map.open(tmp_path / "town.ssrdb", settings, preset="paper")
     town.add([photos / "1.png", photos / "2.png"])
     cars = photo(np.full((60, 80), 8))
@@ -96,7 +96,7 @@ def test_frames_that_are_added_while_others_are_loaded_are_found(town, photos, m
     assert found == ["monday/1", "monday/7"]
 
 
-def test_a_drive_is_found_in_it(drawn, tmp_path):
+def test_a_drive_is_found_from_a_folder_files_or_a_database(drawn, tmp_path):
     """As a folder, as files, as a database."""
     today = write_maps(tmp_path / "today", range(2, 6))
     Map.open(tmp_path / "other.ssrdb", labels_as=SPACE).add(today)
@@ -116,7 +116,7 @@ def test_a_drive_is_found_in_it(drawn, tmp_path):
     assert none.candidates == [] and none.confidence == 0
 
 
-def test_only_some_sequences_and_no_neighbours_are_candidates(drawn, maps, tmp_path):
+def test_candidates_are_limited_by_sequence_and_exclusion(drawn, maps, tmp_path):
     drawn.add(write_maps(tmp_path / "tuesday", range(6)))
     for answer in drawn.query(maps, AS_PAPER, sequences=["tuesday"]):
         assert {each.frame.split("/")[0] for each in answer.candidates} == {"tuesday"}
@@ -124,7 +124,7 @@ def test_only_some_sequences_and_no_neighbours_are_candidates(drawn, maps, tmp_p
     assert {each.frame.split("/")[0] for each in first.candidates} == {"tuesday"}
 
 
-def test_how_well_a_drive_is_found_is_measured(drawn, tmp_path):
+def test_evaluate_measures_recall_by_a_tolerance(drawn, tmp_path):
     today = write_maps(tmp_path / "today", range(6))
     notes = []
     for settings in ({}, {"convention": "vpr-tutorial"}):
@@ -170,7 +170,7 @@ def test_the_network_of_a_map_is_loaded_once(settings, photos, tmp_path, monkeyp
     assert len(opened) == 1
 
 
-def test_label_maps_are_no_pictures_also_after_one_was_located(town, photos, maps):
+def test_label_maps_are_queries_also_after_a_picture_was_located(town, photos, maps):
     town.add(photos)
     again = Map.open(town.path)
     again.locate(photos / "7.png")
@@ -180,7 +180,7 @@ def test_label_maps_are_no_pictures_also_after_one_was_located(town, photos, map
         again.query(maps)
 
 
-def test_it_is_made_by_its_first_frames(settings, photos, tmp_path):
+def test_a_map_is_made_by_its_first_frames(settings, photos, tmp_path):
     """A failing `add` leaves nothing behind."""
     (tmp_path / "torn").mkdir()
     (tmp_path / "torn" / "1.jpg").write_bytes(b"torn")
@@ -236,7 +236,7 @@ def test_another_network_is_refused_and_label_maps_are_not(town, drawn, photos, 
         drawn.locate(photos / "3.png")
 
 
-def test_what_is_no_picture_is_refused(town, photos):
+def test_other_objects_and_torn_files_are_refused_as_pictures(town, photos):
     with pytest.raises(ValueError, match=r"town\.ssrdb does not exist"):
         town.locate(photos / "7.png")
     town.add(photos / "1.png")

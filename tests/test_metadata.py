@@ -13,7 +13,7 @@ ARRAYS = {
 }
 
 
-def test_what_is_written_comes_back():
+def test_metadata_survive_a_round_trip():
     """Settings and label space, and the golden arrays bit by bit."""
     interface = {"opset": 18, "inputs": {}, "outputs": {}}
     metadata = Metadata.of(SSRVLADConfig(), label_space("camvid-11"), interface, ARRAYS)
@@ -31,7 +31,7 @@ def test_what_is_written_comes_back():
         np.testing.assert_array_equal(arrays[name], array)
 
 
-def test_what_could_not_be_read_is_not_written():
+def test_a_golden_pair_too_large_to_read_is_refused():
     big = {"image": np.broadcast_to(np.zeros(1, np.uint8), (65, 1024, 1024))}
     with pytest.raises(ValueError, match="golden image is 65 MiB; expected at most 64"):
         Metadata.of(SSRVLADConfig(), label_space("camvid-11"), {}, big)

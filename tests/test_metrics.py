@@ -24,7 +24,7 @@ def rows(*matches):
 
 
 @pytest.mark.parametrize(("n", "expected"), [(1, 1 / 3), (2, 2 / 3), (3, 2 / 3), (4, 3 / 3)])
-def test_recall_rate_by_hand(n, expected):
+def test_recall_rate_of_four_queries_by_hand(n, expected):
     """The first true match of the queries stands at place 1, 2 and 4; the last query has none."""
     indices = np.array([[5, 1, 2, 3], [1, 6, 2, 3], [9, 8, 0, 7], [0, 1, 2, 3]])
     truth = rows([5], [6, 100], [7], [])
@@ -130,7 +130,7 @@ def test_conventions_by_hand(convention, counted, positives):
 
 @pytest.mark.parametrize("convention", CONVENTIONS)
 @pytest.mark.parametrize("resamples", [0, 20])
-def test_no_convention_stumbles_over_nothing(convention, resamples):
+def test_every_convention_takes_degenerate_results(convention, resamples):
     """No queries, no positives, no candidates, and scores that are all equal."""
     cases = [
         (np.zeros((0, 1)), np.zeros((0, 1), np.int64), rows(), np.zeros((0, 3))),

@@ -3,7 +3,13 @@
 import pytest
 
 from ssrvlad_torch.datasets.label_files import find_label_files
-from ssrvlad_torch.datasets.names import check_sequences, sequence_names
+from ssrvlad_torch.datasets.names import (
+    check_sequences,
+    name_of,
+    sequence_names,
+    sequence_of,
+    split_id,
+)
 
 
 @pytest.mark.parametrize(
@@ -20,7 +26,7 @@ def test_folders_take_as_much_of_their_paths_as_they_need(folders, names):
     assert sequence_names(folders) == dict(zip(folders, names, strict=True))
 
 
-def test_what_cannot_be_told_apart_is_refused():
+def test_folders_that_would_share_a_name_are_refused():
     """A path that ends another; a stack, a bag or a video, and the folder beside it."""
     with pytest.raises(ValueError, match="/y needs a name that no sequence has"):
         sequence_names(["/y", "/b/y"])
@@ -56,7 +62,7 @@ def test_known_folders_keep_their_names(tmp_path):
         ),
     ],
 )
-def test_what_may_mean_two_things_is_refused(known, message):
+def test_a_folder_that_may_be_two_sequences_is_refused(known, message):
     with pytest.raises(ValueError, match=message):
         sequence_names(["/other/labels"], known)
 
@@ -76,3 +82,12 @@ def test_sources_stay_in_the_order_in_which_they_are_given(tmp_path):
     sources = [str(tmp_path / name) for name in ("morning", "evening", "day*")]
     found = [file.sequence for file in find_label_files(sources)]
     assert found == ["morning", "evening", "day9", "day10"]
+
+
+@pytest.mark.parametrize(
+    ("frame", "sequence", "name"),
+    [("monday/7", "monday", "7"), ("town/monday/7", "town/monday", "7"), ("7", "", "7")],
+)
+def test_an_id_is_cut_at_its_last_slash(frame, sequence, name):
+    assert split_id(frame) == (sequence, name)
+    assert (sequence_of(frame), name_of(frame)) == (sequence, name)

@@ -57,11 +57,11 @@ def assert_the_same(some: Tensor, radius: int = 1, area: int = 5) -> None:
 
 
 @pytest.mark.parametrize("name", MASKS)
-def test_drawings(name):
+def test_drawn_masks_equal_the_torch_stages(name):
     assert_the_same(planes(mask(MASKS[name]), ~mask(MASKS[name])))
 
 
-def test_every_neighbourhood():
+def test_every_neighbourhood_equals_the_torch_stages():
     assert_the_same(every_neighbourhood())
 
 
@@ -83,12 +83,12 @@ def noise(seed: int, height: int, width: int, density: int) -> Tensor:
     radius=st.integers(0, 80),
     area=st.integers(0, 60),
 )
-def test_noise(seed, height, width, density, inverted, radius, area):
+def test_noise_equals_the_torch_stages(seed, height, width, density, inverted, radius, area):
     some = noise(seed, height, width, density)
     assert_the_same(~some if inverted else some, radius, area)
 
 
-def test_large_regions():
+def test_large_regions_equal_the_torch_stages():
     """Thinned in many sub-iterations, across tiles and words."""
     some = noise(3, 260, 330, 3)
     assert_the_same(open_and_close(some, 0, 2), 3, 400)
@@ -107,7 +107,7 @@ def maps(seed: int, count: int, height: int, width: int, grain: int = 8) -> Tens
     data=st.data(),
     dtype=st.sampled_from([torch.uint8, torch.int16, torch.int32, torch.int64]),
 )
-def test_votes(seed, height, width, data, dtype):
+def test_votes_equal_the_torch_stage(seed, height, width, data, dtype):
     grid = data.draw(st.integers(1, height)), data.draw(st.integers(1, width))
     labels = maps(seed, 2, height, width).to(dtype)
     table, origin = category_table(label_space(SPACE))
@@ -158,11 +158,11 @@ def assert_described(labels: Tensor, config: SSRVLADConfig) -> None:
 
 @configs
 @given(seed=st.integers(0, 1000), height=st.integers(1, 80), width=st.integers(1, 200))
-def test_descriptors(config, seed, height, width):
+def test_descriptors_equal_the_torch_stages(config, seed, height, width):
     assert_described(maps(seed, 2, height, width), config)
 
 
-def test_many_points():
+def test_many_points_are_counted_by_rows_and_equal_the_torch_stages():
     """With this many points shape contexts are counted by rows, not by pairs."""
     bare = {"closing": 0.0, "hole_area": 0.0, "region_area": 0.0}
     config = SSRVLADConfig.from_preset("paper", labels_as=SPACE, **bare)
@@ -170,7 +170,7 @@ def test_many_points():
 
 
 @configs
-def test_descriptors_of_every_type_and_layout(config):
+def test_dtype_and_memory_layout_change_nothing(config):
     labels = maps(5, 3, 133, 190)
     expected = describe(labels, config)
     for dtype in (torch.int8, torch.int16, torch.uint16, torch.int32, torch.int64):
@@ -179,7 +179,7 @@ def test_descriptors_of_every_type_and_layout(config):
     assert torch.equal(describe(turned, config), expected)
 
 
-def test_threads_and_batches():
+def test_threads_and_batches_change_nothing():
     config = SSRVLADConfig.from_preset("paper", labels_as=SPACE)
     labels = maps(6, 7, 60, 90)
     expected = torch.cat([describe(image[None], config) for image in labels])
@@ -196,7 +196,7 @@ def test_threads_and_batches():
 
 @pytest.mark.parametrize("bad", [12, 255, -1, 1 << 40, -(1 << 40)])
 @pytest.mark.parametrize("working_size", [None, 20])
-def test_unknown_ids(bad, working_size):
+def test_an_unknown_id_is_refused_with_its_count(bad, working_size):
     labels = maps(1, 2, 50, 60).to(torch.int64)
     labels[1, 3, 4] = bad
     config = SSRVLADConfig(labels_as=SPACE, working_size=working_size)
@@ -211,7 +211,7 @@ def test_the_operator_passes_opcheck():
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_presets_of_the_library_and_wrong_settings(preset, core):
+def test_the_library_has_the_presets_and_refuses_wrong_settings(preset, core):
     own, library = native.Settings(), core.library
     assert library.ssrvlad_preset(preset.encode(), ctypes.byref(own)) == 0
     config = SSRVLADConfig.from_preset(preset)
@@ -247,7 +247,7 @@ def test_a_library_of_another_source_is_refused(tmp_path, monkeypatch):
     assert got.library is None and "another version" in got.status
 
 
-def test_without_a_compiler(tmp_path, monkeypatch):
+def test_a_missing_compiler_is_named(tmp_path, monkeypatch):
     sys.path.insert(0, str(ROOT / "scripts"))
     from hatch_build import build
 

@@ -25,7 +25,7 @@ WIDTHS = (2, 2, 2, 2, 3)
 CLUSTERS, OUTPUTS = 4, 6
 
 
-def test_the_published_sizes():
+def test_the_layers_have_the_published_sizes():
     with torch.device("meta"):
         network = NetVLADNetwork()
     assert network.whiten.weight.shape == (4096, 32768)
@@ -70,7 +70,7 @@ def described(maps: Array, w: Array, b: Array, c: Array) -> Array:
 
 @torch.no_grad()
 @pytest.mark.parametrize("seed", range(3))
-def test_it_is_equation_4(seed):
+def test_the_layer_is_equation_4(seed):
     torch.manual_seed(seed)
     layer = NetVLADLayer(clusters=4, channels=5).double()
     maps = torch.randn(2, 5, 3, 4, dtype=torch.float64)

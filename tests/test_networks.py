@@ -49,7 +49,7 @@ def test_a_bad_settings_file_is_an_error_in_one_line(tmp_path, text, message):
     assert "\n" not in str(error.value)
 
 
-def test_functions_that_make_a_network(tmp_path, monkeypatch):
+def test_a_function_or_torch_hub_makes_the_network(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mynets.py").write_text("from networks import colour_network as mine\n")
     (tmp_path / "hubconf.py").write_text("from networks import Strided as strided\n")
@@ -100,7 +100,7 @@ def test_a_module_and_its_weights_are_found_beside_the_settings(tmp_path, monkey
         open_network("hub.yaml")
 
 
-def test_weights_alone_are_told_to_need_a_function(tmp_path, refusal):
+def test_weights_alone_are_refused_with_what_they_need(tmp_path, refusal):
     torch.save(colour_network().state_dict(), tmp_path / "net.pth")
     (tmp_path / "net.yaml").write_text("network: net.pth\n")
     for name in ("net.pth", "net.yaml"):
@@ -150,7 +150,7 @@ def test_a_published_model_comes_with_its_own_settings_and_class_names(hub_folde
         *(pytest.param(each, marks=pytest.mark.slow) for each in ("Beit", "DPT", "UperNet")),
     ],
 )
-def test_published_families(family, tmp_path):
+def test_every_family_of_transformers_gives_label_maps(family, tmp_path):
     segmenter = Segmenter.load(write_published(tmp_path / "tiny", family))
     labels = segmenter([PHOTOS[0], NOISE])
     assert [each.shape for each in labels] == [(24, 32), (17, 23)]
@@ -178,7 +178,7 @@ def test_a_model_that_is_not_there_is_an_error_in_one_line(tmp_path, monkeypatch
     ("network", "code"),
     [("net.onnx", False), ("hf:ORG/NAME", False), ("torchhub:O/R/M", True), ("nets:mine", True)],
 )
-def test_a_name_that_runs_code_is_told_also_through_a_file(tmp_path, network, code):
+def test_names_and_files_that_run_code_are_known(tmp_path, network, code):
     (tmp_path / "net.yaml").write_text(f"network: {network}\n")
     assert runs_code(network) == code
     assert runs_code(str(tmp_path / "net.yaml")) == code

@@ -13,7 +13,7 @@ def given(notebook):
     return texts, [text for text in tables if "<table>" in text], pictures
 
 
-def test_it_gives_what_it_shows():
+def test_the_notebook_gives_the_outputs_that_it_keeps():
     kept = nbformat.read(tutorial.NOTEBOOK, as_version=4)
     texts, tables, pictures = given(kept)
     assert (len(texts), len(tables), sum(pictures)) == (5, 2, 2)

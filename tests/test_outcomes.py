@@ -41,7 +41,7 @@ def test_records_by_hand():
         (np.array([[0.9], [0.9]]), np.array([[0], [-1]]), "a score but no row"),
     ],
 )
-def test_what_does_not_fit_is_refused(scores, indices, message):
+def test_scores_and_truth_of_other_shapes_are_refused(scores, indices, message):
     with pytest.raises(ValueError, match=message):
         judge(scores, indices, rows([0], [0]))
 

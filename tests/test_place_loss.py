@@ -19,7 +19,7 @@ def plainly(similarity, same, other, alpha, beta, base):
 
 
 @pytest.mark.parametrize("settings", [(2.0, 50.0, 0.5), (10.0, 5.0, 0.9)])
-def test_the_formula(settings):
+def test_the_loss_is_equation_15_pair_by_pair(settings):
     similarity = torch.rand(5, 7, generator=torch.Generator().manual_seed(0)).double() * 2 - 1
     kind = torch.randint(0, 3, (5, 7), generator=torch.Generator().manual_seed(1))
     kind[0], kind[1] = 0, 2  # a query of which nothing is the same, one of which nothing is known
@@ -29,7 +29,7 @@ def test_the_formula(settings):
         assert float(found) == pytest.approx(float(expected))
 
 
-def test_gradients():
+def test_gradients_pull_the_same_place_and_push_others():
     similarity = torch.rand(3, 4, dtype=torch.float64, requires_grad=True)
     same = torch.tensor([[1, 0, 0, 0], [0, 1, 1, 0], [0, 0, 0, 0]]).bool()
     assert torch.autograd.gradcheck(lambda s: multi_similarity(s, same), similarity)

@@ -1,11 +1,15 @@
 """Poses from ``poses.csv``."""
 
+import csv
 import math
 
+import numpy as np
 import pytest
 from helpers import refused
+from trees import plant
 
-from ssrvlad_torch.datasets.poses import Pose, read_poses
+from ssrvlad_torch.datasets.image_files import find_image_files
+from ssrvlad_torch.datasets.poses import UNKNOWN, Pose, read_name, read_poses, write_name
 
 
 def write(folder, text, encoding="utf-8"):
@@ -31,7 +35,7 @@ NAN = math.nan
         ("frame,x,y,heading\n", {}),
     ],
 )
-def test_tables(tmp_path, text, poses):
+def test_tables_of_poses_are_read_by_column_name(tmp_path, text, poses):
     found = read_poses(write(tmp_path, text))
     assert found.keys() == poses.keys()
     for frame, pose in poses.items():
@@ -66,3 +70,39 @@ def test_another_encoding_is_refused_by_name(tmp_path):
     path = write(tmp_path, "frame,x,y\nstraße,2,3\n", "latin-1")
     with pytest.raises(ValueError, match=r"poses\.csv.*utf-8"):
         read_poses(path)
+
+
+def test_utm_fields_of_a_file_name_are_pose_and_time(tmp_path):
+    published = "@0584300.52@4477100.10@17@T@40.44@-79.99@pano@3@180@@@@20210305_101500@x"
+    pose, stamp = read_name(published)
+    np.testing.assert_allclose(pose, [584300.52, 4477100.10, -math.pi / 2], atol=1e-9)
+    assert stamp == 1614939300
+    folder = plant(tmp_path / "database", f"{published}.jpg", "@home.jpg")
+    known, unknown = find_image_files([folder])
+    assert (known.pose, known.stamp) == (pose, stamp)
+    assert math.isnan(unknown.pose.x)
+    for given in (Pose(3.25, -7.5, 1.5), Pose(12, 9, math.nan)):
+        again, stamp = read_name(write_name("a@b", given, 1614939300.0).removesuffix("@"))
+        np.testing.assert_allclose(again, given, atol=1e-4)
+        assert stamp == 1614939300
+    with pytest.raises(ValueError, match="a has no known position"):
+        write_name("a", UNKNOWN)
+
+
+def test_poses_are_written_in_both_forms(tmp_path, ssrvlad):
+    folder = plant(tmp_path / "monday", "1.jpg", "2.jpg", "3.jpg")
+    (tmp_path / "poses.csv").write_text("frame,x,y,heading\n1,5,6,0.5\nmonday/3,7,8,\n")
+    named = tmp_path / "utm"
+    assert "2 of 3 frames have a pose" in ssrvlad("poses", folder, "-o", named)[1]
+    assert len(list(named.glob("@*@.jpg"))) == 2
+    table = tmp_path / "out.csv"
+    ssrvlad("poses", named, "-o", table)
+    found = [[float(row[c]) for c in "xy"] for row in csv.DictReader(table.open())]
+    assert found == [[5, 6], [7, 8]]
+    stack = tmp_path / "stack.npy"
+    np.save(stack, np.zeros((2, 6, 8, 3), np.uint8))
+    (tmp_path / "poses.csv").write_text("frame,x,y\nstack-000001,5,6\n")
+    assert ssrvlad("poses", stack, "-o", tmp_path / "more")[0] == 0
+    assert len(list((tmp_path / "more").glob("*.png"))) == 1
+    code, _, (line,) = ssrvlad("poses", plant(tmp_path / "b" / "none", "1.jpg"), "-o", table)
+    assert code == 2 and "no frame has a pose" in line

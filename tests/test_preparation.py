@@ -37,7 +37,7 @@ def test_colours_are_normalised_as_the_settings_say():
         ({"size": 45, "multiple": 32}, (32, 96)),
     ],
 )
-def test_sizes(settings, size):
+def test_a_picture_is_resized_by_size_longest_and_multiple(settings, size):
     config = SegmenterConfig(**settings)
     assert config.network_size(90, 160) == size
     if not isinstance(config.size, tuple):
@@ -64,19 +64,7 @@ def test_images_of_like_size_share_a_batch_of_bounded_pixels(monkeypatch):
     assert sorted(batches) == [(1, 3, 24, 32), (2, 3, 24, 32), (2, 3, 24, 32), (2, 3, 30, 20)]
 
 
-def test_the_network_is_in_evaluation_mode_and_takes_no_gradients():
-    network = nn.Sequential(colour_network(), nn.Dropout(0.9))
-    network[0].weight.requires_grad_(True)
-    assert_right(Segmenter(network.train(), SPACE, PLAIN))
-    assert not network.training
-
-
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no CUDA device")
-def test_the_network_runs_where_its_weights_lie():
-    assert_right(Segmenter(colour_network().cuda(), SPACE, PLAIN))
-
-
-def test_what_fails_in_a_batch_is_tried_alone_and_named(tmp_path):
+def test_a_picture_that_fails_in_a_batch_is_tried_alone_and_named(tmp_path):
     class Picky(nn.Module):
         def __init__(self):
             super().__init__()
@@ -105,7 +93,7 @@ def test_a_long_picture_is_not_resized_to_any_size():
 
 
 @pytest.mark.parametrize("image", [NOISE / 255, NOISE[..., 0], NOISE[:0], NOISE.astype(int)])
-def test_what_is_no_image_is_an_error(image):
+def test_arrays_that_are_no_images_are_refused(image):
     with pytest.raises(ValueError, match=r"expected a list of \(H, W, 3\) uint8 images, got"):
         Segmenter(colour_network(), SPACE)([image])
 
@@ -130,12 +118,12 @@ def test_what_is_no_image_is_an_error(image):
         ),
     ],
 )
-def test_settings_out_of_range(settings, message):
+def test_settings_out_of_range_are_refused(settings, message):
     with pytest.raises(ValueError, match=message):
         SegmenterConfig(**settings)
 
 
-def test_where_a_network_fails_it_is_told_at_what_size_it_was_fed():
+def test_a_failing_network_is_reported_with_the_size_it_was_fed():
     """And what settings may mend it, unless they are given or it fails for another reason."""
     picture = [np.zeros((30, 40, 3), np.uint8)]
     hint = "; a network for one size, or for sides that are multiples of a number, needs size: or m"

@@ -1,38 +1,10 @@
-"""The protocol, the registry, and what the methods share."""
+"""The registry of methods, and settings that are refused."""
 
 from importlib import import_module
 
-import numpy as np
 import pytest
-import torch
-from drawings import SPACE, VOID, blobs
-from methods import frames, picture
 
 from ssrvlad_torch.baselines import METHODS, make
-from ssrvlad_torch.channels.channel import View
-
-NEEDS = {"labels", "images", "weights"}
-WITHOUT_WEIGHTS = ["ssr-vlad", "cohog", "label-grid", "hog", "tiny-image"]
-BYTES = {"ssr-vlad": 480 * 4, "label-grid": 480 * 4, "hog": 480 * 4, "tiny-image": 2048 * 4}
-BYTES["cohog"] = 49 * 32 * 4
-
-
-def small(name):
-    """A method on pictures of at most 128 x 128 pixels."""
-    return make(name, **({"size": 128} if name == "cohog" else {}))
-
-
-def mixed(name, count=20):
-    """Frames of several sizes, and of several types of numbers."""
-    if small(name).needs == {"images"}:
-        return frames(picture(n, *((96, 160) if n % 5 else (60, 48))) for n in range(count))
-    kinds = [((24, 40), np.uint8), ((24, 40), np.int32), ((18, 20), np.uint8)]
-    drawn = [(n, *kinds[n % 7 % 3]) for n in range(2 * count)]
-    return [View(f"a/{n}", blobs(n, *size, grain=5).astype(t), SPACE) for n, size, t in drawn]
-
-
-def parts(encodings):
-    return [encodings] if isinstance(encodings, torch.Tensor) else [*vars(encodings).values()]
 
 
 @pytest.mark.parametrize("name", METHODS)
@@ -43,68 +15,12 @@ def test_every_method_is_where_the_registry_says(name):
         assert callable(getattr(method, function))
 
 
-@pytest.mark.parametrize("name", WITHOUT_WEIGHTS)
-def test_methods_without_weights_are_made_by_name(name):
-    method = make(name)
-    assert method.name == name
-    assert method.needs
-    assert method.needs <= NEEDS - {"weights"}
-
-
-@pytest.mark.parametrize("name", WITHOUT_WEIGHTS)
-def test_no_frames_make_empty_encodings(name):
-    method = make(name)
-    queries, references = method.encode_query([]), method.encode_reference([])
-    assert (len(queries), len(references)) == (0, 0)
-    scores = method.scores(queries, references)
-    assert (scores.shape, scores.dtype) == ((0, 0), torch.float32)
-
-
-@pytest.mark.parametrize("name", WITHOUT_WEIGHTS)
-def test_a_batch_equals_one_by_one_whatever_the_kinds(name):
-    method, drive = small(name), mixed(name)
-    together, references = method.encode_query(iter(drive)), method.encode_reference(drive)
-    single = [parts(method.encode_query([frame])) for frame in drive]
-    for found, *alone in zip(parts(together), *single, strict=True):
-        assert torch.equal(found, torch.cat(alone))
-    torch.testing.assert_close(parts(references)[0], parts(together)[0])
-    assert (len(together), parts(together)[0].dtype) == (len(drive), torch.float32)
-    assert references[2:5].nbytes == 3 * BYTES[name] == 3 * references.nbytes // len(drive)
-    chosen = 49 if name == "cohog" else 0
-    assert together[2:5].nbytes == 3 * (BYTES[name] + chosen)
-    for part, whole in zip(parts(together[2:5]), parts(together), strict=True):
-        assert torch.equal(part, whole[2:5])
-
-
-@pytest.mark.parametrize("name", ["ssr-vlad", "cohog", "label-grid", "hog"])
-def test_a_frame_of_nothing_matches_nothing(name):
-    method = small(name)
-    drive = frames([np.full((50, 60, 3), 9, np.uint8), np.zeros((50, 60, 3), np.uint8)])
-    if method.needs == {"labels"}:
-        drive = [View(f"a/{void}", np.full((12, 20), void), SPACE) for void in (VOID, VOID)]
-    references = method.encode_reference([*drive, mixed(name)[0]])
-    assert not references[:2].any() and references[2].any()
-    assert method.scores(method.encode_query(drive), references).isneginf().all()
-    scores = method.scores(method.encode_query([mixed(name)[0]]), references)[0]
-    none = 0 if name == "cohog" else -torch.inf
-    torch.testing.assert_close(scores, torch.tensor([none, none, 1.0]), rtol=1e-3, atol=0)
-
-
-def test_an_unknown_method_is_an_error_that_lists_the_known():
-    with pytest.raises(ValueError, match="unknown method 'orb'; expected one of ssr-vlad, feat"):
-        make("orb")
-
-
-def test_an_unknown_setting_is_an_error():
-    with pytest.raises(ValueError, match="method cohog: got an unexpected keyword argument 'cell'"):
-        make("cohog", cell=3)
-    with pytest.raises(ValueError, match="unknown setting 'cell'"):
-        make("ssr-vlad", cell=3)
-
-
 @pytest.mark.parametrize(
     ("name", "settings", "message"),
     [
+        ("orb", {}, "unknown method 'orb'; expected one of ssr-vlad, feat"),
+        ("cohog", {"cell": 3}, "method cohog: got an unexpected keyword argument 'cell'"),
+        ("ssr-vlad", {"cell": 3}, "unknown setting 'cell'"),
         ("cohog", {"size": 16}, "method cohog: size must be 32, 48, 64, ..., got 16"),
         ("cohog", {"size": 100}, "method cohog: size must be 32, 48, 64, ..., got 100"),
         ("cohog", {"entropy_threshold": 1.5}, "entropy_threshold must be from 0 to 1, got 1.5"),
@@ -116,15 +32,6 @@ def test_an_unknown_setting_is_an_error():
         ("ssr-vlad", {"preset": "best"}, "preset must be one of paper, default, got 'best'"),
     ],
 )
-def test_wrong_settings_are_refused(name, settings, message):
+def test_unknown_methods_and_wrong_settings_are_refused(name, settings, message):
     with pytest.raises(ValueError, match=message):
         make(name, **settings)
-
-
-@pytest.mark.parametrize("name", WITHOUT_WEIGHTS)
-def test_a_frame_without_what_a_method_reads_is_named(name):
-    method = make(name)
-    (need,) = method.needs
-    what = "pictures" if need == "images" else need
-    with pytest.raises(ValueError, match=f"{name} needs {what}, but frame b/7 "):
-        method.encode_reference([View("b/7")])

@@ -12,7 +12,7 @@ PROPERTIES = [path for path in TESTS.glob("test_*.py") if "\n@given(" in path.re
 
 @pytest.mark.slow
 @pytest.mark.parametrize("path", PROPERTIES, ids=lambda path: path.stem)
-def test_other_examples(path):
+def test_property_tests_pass_on_a_thousand_random_examples(path):
     command = [sys.executable, "-m", "pytest", "-q", "--hypothesis-profile=random", path]
     done = subprocess.run(command, cwd=TESTS.parent, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout

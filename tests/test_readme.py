@@ -107,13 +107,13 @@ def test_command_1_stands_by_line_15_and_prints_what_the_readme_shows(run, maps)
     assert Image.open(maps / "ssrvlad-demo" / "demo.png").width > 300
 
 
-def test_the_other_commands_in_order(run, maps):
+def test_the_commands_on_label_maps_run_in_order(run, maps):
     outs = [run(line.removeprefix("$ ")) for line in CONSOLE[1].splitlines()]
     assert all(outs) and outs[-1] == "frame.png\n"
     assert Image.open(maps / "frame.png").width > 1000
 
 
-def test_the_commands_on_images(run, maps):
+def test_the_commands_on_images_and_the_map_run(run, maps):
     published = f"hf:{write_segformer(maps / 'segformer')}"
     for day in ("monday", "tuesday", "today"):
         write_views(maps / "maps" / day, maps / "images" / day)
@@ -122,7 +122,7 @@ def test_the_commands_on_images(run, maps):
     exec(next(block for block in PYTHON if "Map.open" in block), {})
 
 
-def test_python(town, photos, monkeypatch):
+def test_the_python_examples_run(town, photos, monkeypatch):
     monkeypatch.chdir(photos)
     exec("\n".join(block for block in PYTHON if "Map.open" not in block), {})
 

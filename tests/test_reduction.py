@@ -35,7 +35,7 @@ def test_equals_the_reference(height, width, rows, columns, kinds, seed):
         np.testing.assert_array_equal(got, reference.reduce_by_majority(categories, grid))
 
 
-def test_cells_of_many_pixels():
+def test_the_majority_of_a_large_cell_counts_every_pixel():
     """A cell has more pixels than a group, and some groups are smaller."""
     categories = torch.full((1, 301, 299), 8, dtype=torch.uint8)
     categories[0, :151] = 7

@@ -108,7 +108,7 @@ def test_regions_are_8_connected():
     assert reference.small_regions(DRAWN["specks"], 5).sum() == 13
 
 
-def test_shape_context_by_hand():
+def test_the_shape_context_of_five_points_by_hand():
     """Limits 1, 4, 9: one point in each of three places, one on the point itself, one too far."""
     context = np.array([[5, 5], [5, 6], [7, 5], [5, 2], [5, 9]])
     histogram = reference.shape_context((5, 5), context, (1, 4, 9), sectors=4)
@@ -127,7 +127,7 @@ def test_axes_and_diagonals_begin_their_sector():
             assert histogram[0, number * step] == 1
 
 
-def test_majority_of_a_cell_and_its_ties():
+def test_of_equal_votes_the_lowest_category_wins():
     categories = np.array([[3, 3, 1, 2], [3, 0, 2, 1]])
     assert reference.reduce_by_majority(categories, (1, 2)).tolist() == [[3, 1]]
 
@@ -156,7 +156,7 @@ def test_a_cross_describes_itself_by_hand():
         (np.zeros((0, 3), int), r"expected an \(H, W\) label map of integers, got \("),
     ],
 )
-def test_what_is_no_label_map_is_an_error(labels, message):
+def test_other_arrays_and_unknown_ids_are_refused(labels, message):
     with pytest.raises(ValueError, match=message):
         reference.describe(labels, PLAIN)
 

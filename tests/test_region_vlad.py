@@ -31,7 +31,7 @@ def images(count: int = 2) -> list[np.ndarray]:
     return [noise(i, 40 + 10 * i, 60) for i in range(count)]
 
 
-def test_it_has_the_published_sizes():
+def test_the_network_has_the_published_sizes():
     network = AlexNetPlaces365()
     counts = {n: sum(p.numel() for p in m.parameters()) for n, m in network.named_children()}
     assert counts == {"conv1": 34_944, "conv2": 307_456, "conv3": 885_120, "pool": 0, "norm": 0}
@@ -47,7 +47,7 @@ def test_it_has_the_published_sizes():
 
 
 @torch.no_grad()
-def test_it_is_the_layers_of_the_prototxt():
+def test_the_network_is_the_layers_of_the_prototxt():
     """Loops over a part of the picture and some of the channels: what one place of conv3 sees."""
     torch.manual_seed(0)
     network = AlexNetPlaces365()
@@ -82,7 +82,7 @@ def test_images_are_resized_as_caffe_does():
     torch.testing.assert_close(one, other, rtol=1e-3, atol=1e-1)
 
 
-def test_a_hand_worked_case():
+def test_regions_of_a_small_map_by_hand():
     """Levels of the first map: a 5 alone (energy 5.5), two 2s that touch by a corner (2.35), a 1
     that touches them (1.9); what is below 1 is no region. The second map has one region of 3s."""
     maps = torch.tensor(
@@ -110,7 +110,7 @@ def authors_way(maps: np.ndarray, count: int) -> np.ndarray:
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("scale", [1.5, 4, 40])
-def test_the_authors_way(seed, scale):
+def test_regions_are_those_of_the_authors_code(seed, scale):
     rng = np.random.default_rng(seed)
     maps = np.maximum(rng.normal(0, scale, (7, 13, 11)), 0).astype(np.float32)
     got = region_descriptors(torch.from_numpy(maps), 60)
@@ -145,7 +145,7 @@ def described(descriptors: Array, words: Array) -> Array:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_vlad_is_what_it_says(seed):
+def test_vlad_is_the_sum_of_residuals(seed):
     rng = np.random.default_rng(seed)
     descriptors, words = rng.random((30, 5)), rng.random((6, 5))
     got = vlad(torch.from_numpy(descriptors), torch.from_numpy(words))
@@ -170,7 +170,7 @@ def folder(tmp_path):
 
 
 @torch.no_grad()
-def test_it_is_vlad_of_the_regions(folder):
+def test_the_descriptor_is_vlad_of_the_regions(folder):
     method = RegionVLAD(folder, folder)
     assert (method.name, method.needs) == ("region-vlad", {"images", "weights"})
     found = method.encode_query(frames(images()))

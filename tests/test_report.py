@@ -59,7 +59,7 @@ def without_images(html):
     return re.sub(r"data:image/\w+;base64,[\w+/=]+", "", html)
 
 
-def test_it_needs_no_other_file_and_no_network(html, page):
+def test_the_page_needs_no_other_file_and_no_network(html, page):
     for tag, attributes in page.tags:
         for name in ("src", "href", "srcset", "poster", "action", "data"):
             assert attributes.get(name, "#").startswith(("#", "data:")), (tag, attributes)
@@ -82,7 +82,7 @@ def test_no_legend_covers_what_is_drawn(report, name):
     assert legend.get_window_extent().x1 <= figure.bbox.x1
 
 
-def test_it_tells_every_figure_and_every_threshold(report, page):
+def test_the_page_has_every_figure_and_threshold(report, page):
     assert "40 queries, 35 of them with a true match, against 50 references." in page.words
     assert "Convention exact" in page.words
     assert "2 of 42 are left out" in page.words
@@ -224,7 +224,7 @@ def test_texts_are_shown_as_they_are(report, page, tmp_path):
 
 
 @pytest.mark.parametrize("convention", CONVENTIONS)
-def test_every_convention(convention):
+def test_every_convention_makes_a_page(convention):
     queries, references = noisy(12, 14)
     report = report_of(queries, references, [[row] for row in range(12)], convention)
     assert f"Convention {convention} . " in Page(render(report)).words
@@ -241,7 +241,7 @@ def test_every_convention(convention):
         (3, 900, lambda row: [row]),
     ],
 )
-def test_few_frames(queries, references, truth):
+def test_a_page_of_few_frames_is_written(queries, references, truth):
     here, there = noisy(queries, references, 1.0)
     html = without_images(render(report_of(here, there, [truth(row) for row in range(queries)])))
     assert f"{queries} queries" in Page(html).words

@@ -11,7 +11,7 @@ from ssrvlad_torch.stages.residuals import ResidualHistograms, Residuals
 PAPER = SSRVLADConfig.from_preset("paper", labels_as=SPACE)
 
 
-def test_equation_2_by_numpy():
+def test_the_descriptor_is_equation_2_in_numpy():
     rng = np.random.default_rng(0)
     points, centre = rng.integers(0, 2000, (4, 8, 60)), rng.integers(0, 50, (4, 8, 60))
     counts = rng.integers(1, 40, (4, 8))

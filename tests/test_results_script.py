@@ -15,7 +15,7 @@ ROOT = Path(__file__).parents[1]
     ("script", "file"),
     [("results", "README.md"), ("fusion", "README.md"), ("loops", "docs/guides/robot.md")],
 )
-def test_what_is_quoted_is_what_the_page_says(script, file):
+def test_quoted_figures_are_those_of_the_page(script, file):
     text = (ROOT / file).read_text(encoding="utf-8")
     [quoted] = re.findall(f"<!-- {script} -->(.*?)<!-- /{script} -->", text, re.S)
     page = (ROOT / "docs" / f"{script}.md").read_text(encoding="utf-8")

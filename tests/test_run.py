@@ -32,7 +32,7 @@ def numbered(sequence, *numbers):
     return (View(f"{sequence}/{number}") for number in numbers)
 
 
-def test_candidates_are_ranked():
+def test_candidates_are_ranked_and_ties_keep_the_order():
     queries, references = numbered("q", 2, 7, -1, 30), numbered("r", 0, 4, -1, 8, 6)
     found = run(Numbers(), queries, references, top=3)
     scores, indices = found.matches
@@ -66,6 +66,6 @@ def test_costs_are_milliseconds_a_query(monkeypatch):
         ((1,), (1,), {"top": 0}, "a top of 1 or more, got 0"),
     ],
 )
-def test_what_cannot_be_run_is_refused(queries, references, settings, message):
+def test_missing_frames_and_a_top_of_zero_are_refused(queries, references, settings, message):
     with pytest.raises(ValueError, match=message):
         run(Numbers(), numbered("q", *queries), numbered("r", *references), **settings)

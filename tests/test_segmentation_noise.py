@@ -48,7 +48,7 @@ def test_a_stronger_error_changes_more_pixels(street, add_error):
     assert 0 < changed[0] < changed[1] < changed[2] < changed[3]
 
 
-def test_what_each_error_does(street):
+def test_poles_are_filled_similar_classes_confused_and_none_invented(street):
     """Lost poles are filled from the left; similar classes are confused; no class is invented."""
     lost = apply(lose_poles, 5.0, street)
     assert np.array_equal(lost, np.broadcast_to(street[:, :1], street.shape))
@@ -59,13 +59,13 @@ def test_what_each_error_does(street):
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (16, 200), (33, 17)])
-def test_any_shape(shape):
+def test_noise_keeps_shape_and_dtype(shape):
     labels = np.full(shape, SKY, np.uint8)
     result = noisy(SegmentationNoise(), labels)
     assert (result.shape, result.dtype) == (shape, np.uint8)
 
 
 @pytest.mark.parametrize("strength", [-1.0, float("nan"), float("inf")])
-def test_bad_strength(strength):
+def test_a_negative_or_infinite_strength_is_refused(strength):
     with pytest.raises(ValueError, match=r"noise strength: got .*, expected a finite number >= 0"):
         SegmentationNoise(strength)

@@ -23,7 +23,7 @@ from ssrvlad_torch.segmentation import segmenter as segmentation
 from ssrvlad_torch.segmentation.segmenter import Segmenter
 
 
-def test_kornia_a_network_and_the_head_are_one_module():
+def test_kornia_a_network_and_the_head_compose():
     head = SSRVLAD.from_preset("default", labels_as=SPACE)
     whole = nn.Sequential(Resize((24, 32)), Normalize(0.5, 0.5), Denormalize(0.5, 0.5),
                           colour_network(), head)  # fmt: skip

@@ -104,7 +104,7 @@ def test_layers_of_too_many_pairs_are_correlated(monkeypatch):
     assert sums[0, 0].tolist() == expected[: bins.total].tolist()
 
 
-def test_nothing_to_count():
+def test_without_points_every_count_is_zero():
     none = points(torch.zeros(1, 5, 5, dtype=torch.uint8))
     cross = points(planes(mask(CROSS)[1:6, 1:6]))
     bins = log_polar_bins(5, 5, (50,), 12, CPU)

@@ -47,7 +47,7 @@ def cosine(some: Tensor, others: Tensor) -> float:
 
 
 @pytest.mark.parametrize("fast", [True, pytest.param(False, marks=pytest.mark.slow)])
-def test_gradients(config, fast):
+def test_gradients_pass_gradcheck(config, fast):
     probabilities = scores(1).softmax(1).detach().requires_grad_()
     for given, temperature in ((scores(0), 1.0), (scores(0), 0.5), (probabilities, 2.0)):
         twin = SoftSSRVLAD(config, temperature)
@@ -133,7 +133,7 @@ def test_gradients_lead_to_another_place():
     assert cosine(hard(given.detach()), expected) > before + 0.1
 
 
-def test_dtypes_and_shapes():
+def test_dtype_follows_the_input_and_autocast_is_ignored():
     twin = SoftSSRVLAD(DEFAULT)
     logits = torch.randn(2, 12, 10, 13)
     assert twin(logits).dtype == torch.float32
@@ -159,7 +159,7 @@ def test_images_of_a_batch_do_not_mix(config):
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="this machine has no CUDA device")
-def test_cuda_and_autocast():
+def test_cuda_under_autocast_equals_the_cpu():
     given = scores(0, torch.float32)
     here = SoftSSRVLAD(DEFAULT)(given)
     there = given.detach().cuda().requires_grad_()
@@ -172,7 +172,7 @@ def test_cuda_and_autocast():
 
 
 @pytest.mark.parametrize("temperature", [0, -1.0, float("inf"), float("nan")])
-def test_a_wrong_temperature_and_the_paper_are_errors(temperature):
+def test_a_wrong_temperature_and_the_paper_are_refused(temperature):
     with pytest.raises(ValueError, match="temperature must be a number above 0, got"):
         SoftSSRVLAD(temperature=temperature)
     with pytest.raises(ValueError, match="needs the aggregation harmonics"):
@@ -191,7 +191,7 @@ def test_a_wrong_temperature_and_the_paper_are_errors(temperature):
         (torch.zeros(0, 19, 5, 6), "at least one image"),
     ],
 )
-def test_wrong_input_is_an_error(given, message):
+def test_wrong_input_is_refused(given, message):
     with pytest.raises(ValueError, match=message):
         SoftSSRVLAD()(given)
 

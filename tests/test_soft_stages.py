@@ -67,7 +67,7 @@ def one_hot(labels: np.ndarray) -> Tensor:
 
 
 @pytest.mark.parametrize("stage", STAGES)
-def test_gradients(stage):
+def test_gradients_pass_gradcheck(stage):
     generator = torch.Generator().manual_seed(3)
     layers = torch.rand(1, 8, *SIZE, generator=generator, dtype=torch.float64)
     assert torch.autograd.gradcheck(STAGES[stage], layers.requires_grad_(), fast_mode=True)
@@ -131,7 +131,7 @@ def test_mean_fractions_become_the_majority():
 # ---- around the vanishing column
 
 
-def test_vanishing_columns_of_layers():
+def test_soft_vanishing_columns_equal_the_hard_ones_to_a_pixel():
     numbers = torch.cat([merge(categories_of(blobs(seed, 40, 60, 14))) for seed in range(8)])
     soft, hard = soft_vanishing_columns(masks_of(numbers)), vanishing_columns(numbers)
     assert hard.any()
@@ -139,7 +139,7 @@ def test_vanishing_columns_of_layers():
 
 
 @pytest.mark.parametrize("size", [(40, 52), (7, 5), (1, 1)])
-def test_pooling_by_any_shift(size):
+def test_soft_pooling_equals_the_hard_one_and_interpolates_shifts(size):
     layers = unpack(torch.cat([layers_of(blobs(seed, *size, 9)) for seed in range(3)]))
     moved = torch.tensor([0, 3, -7])
     hard = pool(layers, moved)
@@ -151,7 +151,7 @@ def test_pooling_by_any_shift(size):
 
 
 @pytest.mark.parametrize("size", [(2, 9), (3, 3), (17, 23)])
-def test_boundaries_of_layers(size):
+def test_soft_boundaries_of_masks_equal_the_hard_ones(size):
     numbers = torch.cat([merge(categories_of(blobs(seed, *size, 5))) for seed in range(3)])
     assert torch.equal(soft_boundaries(masks_of(numbers)), boundaries(numbers))
 
@@ -162,7 +162,7 @@ def test_rare_layers_are_merged():
     assert torch.equal(merged, masks_of(merge(layers)))
 
 
-def test_coefficients_of_layers():
+def test_soft_coefficients_are_near_the_hard_descriptor():
     config = SSRVLADConfig(anchor="middle", harmonics=60, boundary_harmonics=20)
     module, still = Harmonics(config), torch.zeros(3, dtype=torch.int64)
     layers = torch.cat([categories_of(blobs(seed, 48, 64, 12)) for seed in range(3)])

@@ -63,7 +63,7 @@ def test_train_ids_have_the_categories_of_their_ids():
             assert label.category == categories[label.name]
 
 
-def test_class_counts_that_scores_may_have_and_ids_in_words():
+def test_channel_counts_and_ids_in_words():
     counts = {
         "camvid-11": [11, 12],
         "cityscapes-trainids": [19],
@@ -74,7 +74,7 @@ def test_class_counts_that_scores_may_have_and_ids_in_words():
     assert label_space("cityscapes-trainids").describe_ids() == "-1 to 18, 255"
 
 
-def test_pictures():
+def test_colourise_uses_the_palette_and_magenta_for_unknown_ids():
     assert palette("camvid-11").shape == (256, 3)
     assert palette("camvid-11")[3].tolist() == [128, 64, 128]
     picture = colourise(np.array([[3, 99]]), "camvid-11")
@@ -101,7 +101,7 @@ def file(tmp_path):
     return path
 
 
-def test_a_custom_space(file):
+def test_a_custom_label_space_is_read_from_yaml(file):
     space = label_space(str(file))
     assert space.name == "mine"
     assert [label.category_index for label in space.classes] == [8, 0, 8]
@@ -126,13 +126,13 @@ def test_a_custom_space(file):
         (CUSTOM, "{name: x, source: y, classes: [" + UNKNOWN + "]}", "every class is void"),
     ],
 )
-def test_what_is_wrong_with_a_file_is_named(file, old, new, message):
+def test_a_wrong_file_is_refused_with_the_reason(file, old, new, message):
     file.write_text(CUSTOM.replace(old, new))
     with refused(message, "mine.yaml"):
         label_space(str(file))
 
 
-def test_unknown_names_and_files(tmp_path):
+def test_an_unknown_name_gets_suggestions_and_a_missing_file_is_named(tmp_path):
     hint = "unknown label space 'camvid': did you mean camvid-11 or camvid-32"
     with pytest.raises(ValueError, match=hint):
         label_space("camvid")

@@ -73,7 +73,7 @@ def test_the_suggestion_lies_between_scores():
     assert point.precision_low > 0.95
 
 
-def test_the_suggestion_is_what_match_takes():
+def test_match_accepts_at_the_suggested_threshold():
     """Above it, in float32, also where all scores that were measured are accepted."""
     references = torch.eye(2)
     queries = torch.tensor([[0.6, 0.8]]).repeat(100, 1)
@@ -87,7 +87,7 @@ SCORES = st.sampled_from([-0.25, 0.0, 0.25, 0.5, 1.0])
 
 
 @given(st.lists(st.tuples(SCORES, st.booleans()), min_size=1, max_size=30), st.floats(0.01, 1))
-def test_points_equal_a_search(queries, fraction):
+def test_operating_points_equal_a_search_over_thresholds(queries, fraction):
     scores = np.array([score for score, _ in queries])
     correct = np.array([right for _, right in queries])
     curve = curve_of(scores, correct, len(queries))

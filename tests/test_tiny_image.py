@@ -40,7 +40,7 @@ def plain_scores(difference, sequences):
     return scores
 
 
-def test_a_flat_patch_is_zero():
+def test_a_flat_patch_normalises_to_zero():
     picture = torch.rand(1, 8, 16)
     picture[..., 8:] = 0.7
     normal = normalise_patches(picture)

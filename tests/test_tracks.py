@@ -31,7 +31,7 @@ def gpx(*points, head=""):
 POINT = '<trkpt lat="48.1173" lon="11.5"><time>1994-03-23T{time}</time></trkpt>'
 
 
-def test_nmea(tmp_path):
+def test_nmea_sentences_give_times_positions_and_courses(tmp_path):
     path = tmp_path / "a.nmea"
     path.write_text(
         sentence("GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,")
@@ -48,7 +48,7 @@ def test_nmea(tmp_path):
     assert trajectory.largest_gap == 5
 
 
-def test_gpx(tmp_path):
+def test_gpx_points_give_times_and_positions(tmp_path):
     path = tmp_path / "a.gpx"
     path.write_text(gpx(POINT.format(time="12:35:19Z"), POINT.format(time="14:35:20.25+02:00")))
     (segment,) = read_track(path)
@@ -108,7 +108,7 @@ def test_nothing_lies_between_two_segments_of_gpx(tmp_path):
 
 
 @pytest.mark.parametrize("gap", [math.nan, -1, -0.001])
-def test_a_gap_is_a_time(tmp_path, gap):
+def test_a_negative_or_nan_gap_is_refused(tmp_path, gap):
     """NaN would bridge every gap."""
     path = tmp_path / "a.gpx"
     path.write_text(gpx(NOON))
@@ -116,17 +116,3 @@ def test_a_gap_is_a_time(tmp_path, gap):
         read_trajectory(path, largest_gap=gap)
     with refused("largest gap of 0 seconds or more"):
         Trajectory([Pose(0, 0, 0)], [0.0], gap)
-
-
-def test_poses_between_two():
-    """The heading turns by the shorter way, and is unknown if one of the two is."""
-    poses = [Pose(0, 0, 3), Pose(10, 20, -3), Pose(20, 20, math.nan), Pose(50, 20, 0)]
-    trajectory = Trajectory(poses, [100, 102, 103, 110], 2)
-    quarter, exact, after, gap, before = trajectory.of_frames(
-        list("abcde"), [100.5, 102, 102.5, 105, 99.9]
-    )
-    assert quarter == pytest.approx((2.5, 5, 3 + (math.tau - 6) / 4))
-    assert exact == poses[1]
-    assert after[:2] == (15, 20) and math.isnan(after.heading)
-    assert math.isnan(gap.x) and math.isnan(before.x)
-    assert trajectory.of_frames(["100.5"]) == [quarter]

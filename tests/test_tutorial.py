@@ -78,7 +78,7 @@ def test_both_modes_by_hand():
     assert single.recall[[0, -1]].tolist() == [0, 1 / 2]
 
 
-def test_what_cannot_match_is_the_least_similar_and_float32_is_compared_as_it_is():
+def test_minus_infinity_is_the_least_similar_and_float32_stays():
     similarity = np.array([[0.9, -INF], [0.3, 0.1]])
     filled = np.array([[0.9, 0.1], [0.3, 0.1]])
     noise = np.random.default_rng(0).random((2, 3)).astype(np.float32)
@@ -113,6 +113,6 @@ def test_weights_are_copies_of_queries():
         (np.array([[1, math.nan], [1, 1]]), "1 of 2 queries have similarities .* NaN"),
     ],
 )
-def test_what_does_not_fit_is_refused(similarity, message):
+def test_a_similarity_of_another_shape_or_nan_is_refused(similarity, message):
     with pytest.raises(ValueError, match=message):
         count_pairs(similarity, rows([0], [1]))

@@ -20,7 +20,7 @@ def street(column: int, height: int = 40, width: int = 60) -> torch.Tensor:
     return numbers
 
 
-def test_it_lies_where_the_street_narrows():
+def test_the_vanishing_column_lies_where_the_street_narrows():
     assert ONE.bit_length() - 1 == (LEVELS.bit_length() - 1) * POWER - 28
     found = [int(columns(street(column))) for column in (15, 30, 44)]
     assert found == sorted(found)
@@ -30,7 +30,7 @@ def test_it_lies_where_the_street_narrows():
 
 
 @pytest.mark.parametrize("layer", [NONE, BUILDING, SKY])
-def test_nothing_or_the_same_everywhere_is_the_middle(layer):
+def test_an_empty_or_uniform_image_gives_the_middle(layer):
     assert columns(torch.full((2, 13, 21), layer)).tolist() == [0, 0]
 
 

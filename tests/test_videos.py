@@ -129,7 +129,9 @@ DAMAGES = [
         ),
     ],
 )
-def test_so_is_a_frame_of_a_damaged_video(tmp_path, suffix, kind, seed):
+def test_a_frame_of_a_damaged_video_is_the_same_whatever_was_read_before(
+    tmp_path, suffix, kind, seed
+):
     rng = np.random.default_rng(seed)
     grain = rng.integers(0, 40, (120, 160, 3), np.uint8)
     path = write_video(
@@ -175,7 +177,7 @@ def test_a_time_that_leaps_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize("rotation", [0, 90, 180, -90])
-def test_it_is_turned_upright(tmp_path, rotation):
+def test_a_rotated_video_is_turned_upright(tmp_path, rotation):
     path = write_video(tmp_path / "a.mp4", [0, 40], rotation=rotation)
     pixels = read_image(video_files(path)[0])
     expected = np.rot90(picture(0), rotation // 90)
@@ -248,7 +250,7 @@ def test_no_frame_shows_what_a_decoder_made_up(tmp_path, name):
 
 
 @pytest.mark.parametrize("content", [b"", b"no video", b"\0" * 1000, b"#EXTM3U\n/etc/passwd\n"])
-def test_what_is_no_video_is_refused(tmp_path, content):
+def test_other_files_are_refused(tmp_path, content):
     path = tmp_path / "a.mp4"
     path.write_bytes(content)
     with pytest.raises(ValueError, match=r"a\.mp4 is not a readable video: "):

@@ -34,7 +34,7 @@ def wheel(tmp_path_factory):
     return wheel
 
 
-def test_it_holds_all_that_the_package_needs(wheel):
+def test_the_wheel_holds_all_that_the_package_needs(wheel):
     names = set(zipfile.ZipFile(wheel).namelist())
     sources = {
         str(file.relative_to(ROOT))
@@ -59,7 +59,7 @@ main()
 """
 
 
-def test_it_runs_in_an_empty_environment_without_a_compiler(wheel, tmp_path):
+def test_the_wheel_runs_in_an_empty_environment_without_a_compiler(wheel, tmp_path):
     """The environment is new, but for a link to the dependencies, which are those of the tests."""
     venv.create(tmp_path / "venv")
     python = tmp_path / "venv" / "bin" / "python"
@@ -93,7 +93,7 @@ def test_a_library_that_would_not_run_everywhere_is_refused(core):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [*WHEELS, PURE])
-def test_every_wheel(name, tmp_path):
+def test_every_wheel_has_its_tag_and_library(name, tmp_path):
     pytest.importorskip("ziglang")
     (_, source), (built, content) = wheels([name], tmp_path)
     held = [
@@ -134,7 +134,7 @@ def git(folder, command):
 
 
 @pytest.mark.slow
-def test_on_an_empty_machine(wheel, tmp_path):
+def test_the_wheel_installs_with_its_dependencies_alone(wheel, tmp_path):
     """Installed with its dependencies and nothing else into a new environment: minutes."""
     venv.create(tmp_path / "venv", with_pip=True)
     programs = tmp_path / "venv" / "bin"

@@ -39,7 +39,7 @@ def test_items_are_taken_as_they_are_needed():
     results.close()
 
 
-def test_errors():
+def test_errors_come_after_earlier_results_and_keep_their_type():
     """Of the items, after earlier results; of the work, which keeps its type."""
 
     def items():

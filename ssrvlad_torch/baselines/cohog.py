@@ -96,9 +96,9 @@ class CoHOG:
             if len(regions) == 0:
                 continue
             at_once = max(1, _SCORES_AT_ONCE // (len(regions) * self.regions))
-            for part, block in zip(row.split(at_once), references.split(at_once), strict=True):
+            for places, block in zip(row.split(at_once), references.split(at_once), strict=True):
                 cosines = regions @ block.flatten(0, 1).T
-                part.copy_(cosines.unflatten(1, (len(block), -1)).amax(2).mean(0))
+                places.copy_(cosines.unflatten(1, (len(block), -1)).amax(2).mean(0))
         return scores
 
     def _pictures(self, frames: Sequence[View]) -> Tensor:

@@ -77,7 +77,7 @@ def _measured(
 ) -> dict[str, list[Row]]:
     """The rows of each method: of single frames, and with the steps."""
     references, queries = (
-        Viewpoints.of(part.frames, drives.whole) for part in (drives.references, drives.queries)
+        Viewpoints.of(side.frames, drives.whole) for side in (drives.references, drives.queries)
     )
     truth = protocol.true.among(references, queries, note)
     all_pairs = needs_similarity(protocol.convention)
@@ -89,18 +89,18 @@ def _measured(
         fused = name in protocol.fused
         taken = no_following if steps and fused else steps
         try:
-            found = _recognised(method, drives, protocol, taken, all_pairs or fused)
+            results = _recognised(method, drives, protocol, taken, all_pairs or fused)
         except ValueError as error:
             rows[name] = [_not_run(method.name, str(error))]
             continue
         if fused:
-            members[name] = found[-1]
-            found[1:] = [_by_scores(each, protocol.steps) for each in found[1:]]
-        rows[name] = [measure(each, truth, protocol.convention) for each in found]
+            members[name] = results[-1]
+            results[1:] = [_by_scores(result, protocol.steps) for result in results[1:]]
+        rows[name] = [measure(result, truth, protocol.convention) for result in results]
     if protocol.fused and set(protocol.fused) <= set(members):
-        trust = {each.name: getattr(each, "trust", 1.0) for each in methods.values()}
-        found = _fused([members[name] for name in protocol.fused], trust, steps or no_following)
-        rows[_FUSED] = [measure(each, truth, protocol.convention) for each in found]
+        trust = {method.name: getattr(method, "trust", 1.0) for method in methods.values()}
+        results = _fused([members[name] for name in protocol.fused], trust, steps or no_following)
+        rows[_FUSED] = [measure(result, truth, protocol.convention) for result in results]
     return rows
 
 
@@ -114,7 +114,7 @@ def _recognised(
     """The candidates of every query: of single frames, and, if steps are given, after the steps."""
     if isinstance(method, StoredDescriptors):
         frames = [*drives.references.frames, *drives.queries.frames]
-        method.read({each.frame: each.image or each.label for each in frames})
+        method.read({frame.frame: frame.image or frame.label for frame in frames})
     labels_as = drives.whole.labels_as
     references, encoded = _given(method, drives.references, labels_as, protocol.workers)
     queries, asked = _given(method, drives.queries, labels_as, protocol.workers)
@@ -157,8 +157,8 @@ def _fused(
     recognitions of single frames by each method, with scores of all pairs."""
     details = [member.details for member in members]
     sequences = _sequences(members[0].queries.frames)
-    scores = {each.details["method"]: torch.from_numpy(each.similarity) for each in members}
-    parts = {
+    scores = {m.details["method"]: torch.from_numpy(m.similarity) for m in members}
+    fused = {
         sequences[run.start]: FusedScores(
             {name: pairs[run.start : run.stop] for name, pairs in scores.items()}, trust
         )
@@ -166,15 +166,17 @@ def _fused(
     }
     single = replace(
         members[0],
-        similarity=torch.cat([part.whole() for part in parts.values()]).numpy(),
+        similarity=torch.cat([scored.whole() for scored in fused.values()]).numpy(),
         details={
             **details[0],
             "method": " + ".join(scores),
             "temporal": None,
-            "weights": {sequence: part.weights for sequence, part in parts.items()},
-            "bytes_a_reference": sum(each["bytes_a_reference"] for each in details),
+            "weights": {sequence: scored.weights for sequence, scored in fused.items()},
+            "bytes_a_reference": sum(detail["bytes_a_reference"] for detail in details),
             **{
-                cost: {key: sum(each[cost][key] for each in details) for key in details[0][cost]}
+                cost: {
+                    key: sum(detail[cost][key] for detail in details) for key in details[0][cost]
+                }
                 for cost in ("encode_ms", "match_ms")
             },
         },
@@ -188,11 +190,14 @@ def _by_scores(recognition: Recognition, steps: Steps) -> Recognition:
     scores = torch.from_numpy(recognition.similarity)
     queries = _sequences(recognition.queries.frames)
     references = _sequences(recognition.references.frames)
-    found = recognise_by_scores(scores, queries, references, steps, TOP)
+    recognised = recognise_by_scores(scores, queries, references, steps, TOP)
     before = recognition.details["steps"] or {}
-    used = {**found.used, **{key: before[key] for key in ("standardise", "sweep") if key in before}}
+    used = {
+        **recognised.used,
+        **{key: before[key] for key in ("standardise", "sweep") if key in before},
+    }
     details = {**recognition.details, "steps": used}
-    return replace(recognition, matches=found.matches, details=details)
+    return replace(recognition, matches=recognised.matches, details=details)
 
 
 def _sequences(frames: Sequence[str]) -> list[str]:
@@ -200,14 +205,14 @@ def _sequences(frames: Sequence[str]) -> list[str]:
 
 
 def _given(
-    method: Method, part: Dataset, labels_as: str | None, workers: int
+    method: Method, side: Dataset, labels_as: str | None, workers: int
 ) -> tuple[Sequence[DatasetFrame | FrameFile], Iterator[View]]:
     """References or queries on disk, and as the method needs them."""
     if not method.needs:
-        frames = [*part.frames]
-        return frames, (View(each.frame) for each in frames)
+        frames = [*side.frames]
+        return frames, (View(frame.frame) for frame in frames)
     labels_as = labels_as if "labels" in method.needs else None
-    files = part.label_files() if labels_as else part.image_files()
+    files = side.label_files() if labels_as else side.image_files()
     return files, _frames(files, labels_as, workers)
 
 

@@ -19,9 +19,9 @@ _BATCH = 4
 
 
 class EncoderFeatures:
-    """Signs of what the encoder of a segmentation network sees in each cell of a grid. The network
-    is given, or its name, see `open_network`, with the label space of its classes, if neither they
-    nor its YAML file say it. No network is a FileNotFoundError, one without features is a
+    """Encoder activations of a segmentation network, binarised in each cell of a grid. The network
+    is given, or its name, see `open_network`, with the label space of its classes unless they or
+    its YAML file define it. No network is a FileNotFoundError, one without features a
     ValueError."""
 
     name, trust = Features.name, Features.trust
@@ -34,12 +34,12 @@ class EncoderFeatures:
 
     def encode_query(self, frames: Iterable[View]) -> Tensor:
         """``(Q, *SHAPE)`` uint8."""
-        found = [torch.zeros(0, *SHAPE, dtype=torch.uint8)]
+        signs = [torch.zeros(0, *SHAPE, dtype=torch.uint8)]
         for batch in batches(frames, _BATCH):
             pictures = [picture_of(view, self.name) for view in batch]
-            said = self._segmenter.segment(pictures, features=True)
-            found += [torch.from_numpy(each.features)[None] for each in said]
-        return torch.cat(found)
+            segmented = self._segmenter.segment(pictures, features=True)
+            signs += [torch.from_numpy(labels.features)[None] for labels in segmented]
+        return torch.cat(signs)
 
     def encode_reference(self, frames: Iterable[View]) -> Tensor:
         """``(R, *SHAPE)``, encoded as queries are."""

@@ -137,7 +137,7 @@ class LoSTX:
         for i, view in enumerate(views):
             window = range(max(0, i - reach), min(len(views), i + reach + 1))
             near = [views[j].sums for j in window if sequences[j] == sequences[i]]
-            total, count = (sum(part, torch.zeros(())) for part in zip(*near, strict=True))
+            total, count = (sum(column, torch.zeros(())) for column in zip(*near, strict=True))
             means = total / count.clamp(min=1)  # Eq. 2, over all places of the frames around
             descriptors.append(lost_descriptor(view.features, view.probabilities, means))
         places = [view.features.argmax(dim=1) for view in views]

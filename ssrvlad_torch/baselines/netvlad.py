@@ -39,19 +39,13 @@ class NetVLAD(VectorMethod):
     needs = frozenset({"images", "weights"})
     _batch = 1
 
-    def __init__(
-        self,
-        weights: str | Path | None = None,
-        random_weights: bool = False,
-        device: str = "cpu",
-    ) -> None:
+    def __init__(self, weights: str | Path | None = None, random_weights: bool = False) -> None:
         self.name = "netvlad (random weights)" if random_weights else "netvlad"
         if random_weights:
             network = random_network(NetVLADNetwork)
         else:
             network = read_netvlad(find_weights(weights, _FILES, _ORIGIN))
-        self._network, self.length = network.to(device), network.size
-        self._device = device
+        self._network, self.length = network, network.size
 
     def describe(self, views: Sequence[View], _columns: Sequence[int] = ()) -> Tensor:
         """See `Channel`."""
@@ -62,9 +56,8 @@ class NetVLAD(VectorMethod):
                 f"method {self.name} needs images of at least {_SMALLEST} x {_SMALLEST} pixels, "
                 f"got {image.shape[0]} x {image.shape[1]}"
             )
-        pixels = torch.tensor(image, device=self._device).permute(2, 0, 1)
-        descriptor: Tensor = self._network(pixels[None])
-        return descriptor.cpu()
+        descriptor: Tensor = self._network(torch.tensor(image).permute(2, 0, 1)[None])
+        return descriptor
 
 
 class NetVLADNetwork(nn.Module):

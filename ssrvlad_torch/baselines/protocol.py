@@ -20,8 +20,8 @@ class Columns:
     def __len__(self) -> int:
         return len(next(iter(vars(self).values())))
 
-    def __getitem__(self, part: slice, /) -> Self:
-        return type(self)(*(field[part] for field in vars(self).values()))
+    def __getitem__(self, rows: slice, /) -> Self:
+        return type(self)(*(field[rows] for field in vars(self).values()))
 
     @property
     def nbytes(self) -> int:

@@ -50,7 +50,6 @@ class RegionVLAD(VectorMethod):
         random_weights: bool = False,
         regions: int = 400,
         words: int = 256,
-        device: str = "cpu",
     ) -> None:
         self.name = "region-vlad (random weights)" if random_weights else "region-vlad"
         if random_weights:
@@ -61,16 +60,16 @@ class RegionVLAD(VectorMethod):
             path, network = find_weights(weights, _WEIGHTS, _PLACES365), AlexNetPlaces365().eval()
             fill(network, read_checkpoint(path), path)
             self._words = read_vocabulary(find_weights(vocabulary, _WORDS, _AUTHORS), words)
-        self._network, self._regions, self._device = network.to(device), regions, device
+        self._network, self._regions = network, regions
         self.length = self._words.numel()
 
     def describe(self, views: Sequence[View], _columns: Sequence[int] = ()) -> Tensor:
         """See `Channel`."""
         described = []
         for view in views:
-            pixels = torch.tensor(picture_of(view, self.name), device=self._device).permute(2, 0, 1)
+            pixels = torch.tensor(picture_of(view, self.name)).permute(2, 0, 1)
             regions = region_descriptors(self._network(pixels[None])[0], self._regions)
-            described.append(vlad(regions.cpu(), self._words))
+            described.append(vlad(regions, self._words))
         return torch.stack(described)
 
 
@@ -118,8 +117,8 @@ def region_descriptors(maps: Tensor, count: int) -> Tensor:
     levels = np.where(levels > 0, levels + apart, 0)
     numbers, regions = label(levels, return_num=True, connectivity=3)  # in the order of the regions
     channel, y, x = (maps >= 1).nonzero(as_tuple=True)
-    number = torch.from_numpy(numbers - 1).to(maps.device)[channel, y, x]
-    size = torch.zeros(regions, dtype=torch.float64, device=maps.device)
+    number = torch.from_numpy(numbers - 1)[channel, y, x]
+    size = torch.zeros(regions, dtype=torch.float64)
     energy = torch.zeros_like(size).index_add_(0, number, maps[channel, y, x].double())
     energy /= size.index_add_(0, number, torch.ones_like(energy)[number])
     best = energy.sort(descending=True, stable=True).indices[:count]

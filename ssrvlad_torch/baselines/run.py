@@ -45,16 +45,14 @@ def run(
     steps: Steps | None = None,
     all_pairs: bool = False,
 ) -> Retrieval:
-    """Encodes the references, of which those of a sequence follow each other in order, then takes
-    the queries one by one. Frames are not stored. The first query is processed twice and timed the
-    second time, so that work that a process does only once is not timed. ``progress`` is called
-    with 1 for every frame.
+    """Encodes the references, in the order of each sequence, then the queries one by one. Frames
+    are not stored. The first query is encoded twice and timed the second time, without what a
+    process does only once. ``progress`` is called with 1 for every frame. No references or queries,
+    a ``top`` below 1, and a frame that the method refuses are a ValueError.
 
-    With steps of `recognition`, whose costs are not measured, there is a second result. They
-    standardise and follow encodings that are vectors; for other methods they follow the scores. The
-    sweep needs signs, or a method with ``encode_sweep``, as `SSRVLADMethod` has. No references or
-    queries, a ``top`` below 1, and a frame that the method refuses are a ValueError.
-    """
+    With steps of `recognition`, whose costs are not measured, there is a second result: vectors are
+    standardised and followed; of other encodings, the scores are followed. The sweep needs signs,
+    or a method with ``encode_sweep``."""
     if top < 1:
         raise ValueError(f"expected a top of 1 or more, got {top}")
     map_drives, drives = list[str](), list[str]()
@@ -62,40 +60,59 @@ def run(
     if not map_drives:
         raise ValueError(f"method {method.name} got no references")
     compared = _references(method, encoded, map_drives)
-    sweep = getattr(method, "encode_sweep", None) if steps and steps.sweep else None
-    matches, inputs, kept = list[Matches](), list[Any](), list[Tensor]()
-    encoding, matching = list[float](), list[float]()
+    sweep = getattr(method, "encode_sweep", None) if steps and steps.sweep and compared else None
+    matches, inputs, kept = list[Matches](), list[Tensor](), list[Tensor]()
+    costs = list[tuple[float, float]]()
     for frame in noting(queries, drives, progress):
-        if not matches:
+        if not costs:
             method.scores(method.encode_query([frame]), encoded)
-        begin = time.perf_counter()
-        encodings = method.encode_query([frame])
-        between = time.perf_counter()
-        scores = method.scores(encodings, encoded)
-        matching.append(1e3 * (time.perf_counter() - between))
-        encoding.append(1e3 * (between - begin))
+        encodings, scores, times = _timed_scores(method, frame, encoded)
+        costs.append(times)
         matches += [best_of(row, top) for row in scores]
         kept += [scores.float()] if all_pairs else []
         if steps and compared:
             inputs.append(sweep([frame]) if sweep else encodings)
         elif steps:
             inputs.append(scores)
-    if not matches:
+    if not costs:
         raise ValueError(f"method {method.name} got no queries")
-    stepped = None
-    if steps and compared:
-        member = Member(torch.cat(inputs), compared)
-        stepped = recognise({method.name: member}, drives, map_drives, steps, top)
-    elif steps:
-        stepped = recognise_by_scores(torch.cat(inputs), drives, map_drives, steps, top)
+    sequences = drives, map_drives
+    stepped = _stepped(method.name, compared, inputs, sequences, steps, top) if steps else None
     return Retrieval(
         matches=Matches(*map(torch.stack, zip(*matches, strict=True))),
-        encode=_cost(encoding),
-        match=_cost(matching),
+        encode=_cost([encoding for encoding, _ in costs]),
+        match=_cost([matching for _, matching in costs]),
         bytes_a_reference=encoded.nbytes / len(map_drives),
         similarity=torch.cat(kept) if all_pairs else None,
         stepped=stepped,
     )
+
+
+def _stepped(
+    name: str,
+    compared: References | None,
+    inputs: Sequence[Tensor],
+    sequences: tuple[Sequence[str], Sequence[str]],
+    steps: Steps,
+    top: int,
+) -> Recognised:
+    """The result of steps on the encodings of queries or, without references that they are compared
+    with, on scores; ``sequences`` of queries and of references."""
+    given = torch.cat(list(inputs))
+    if compared is None:
+        return recognise_by_scores(given, *sequences, steps, top)
+    return recognise({name: Member(given, compared)}, *sequences, steps, top)
+
+
+def _timed_scores(
+    method: Method, query: View, references: Any
+) -> tuple[Any, Tensor, tuple[float, float]]:
+    """The encoding of a query, its scores, and the milliseconds that each of them took."""
+    begin = time.perf_counter()
+    encodings = method.encode_query([query])
+    between = time.perf_counter()
+    scores = method.scores(encodings, references)
+    return encodings, scores, (1e3 * (between - begin), 1e3 * (time.perf_counter() - between))
 
 
 def _references(method: Method, encoded: Any, sequences: Sequence[str]) -> References | None:

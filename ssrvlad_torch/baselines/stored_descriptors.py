@@ -54,22 +54,22 @@ class StoredDescriptors(VectorMethod):
         Raises:
             ValueError: frames have no group, two frames have the same, or a descriptor is damaged.
         """
-        found: dict[str, str] = {}
+        group_of: dict[str, str] = {}
         for frame, path in frames.items():
             names = [frame, *_ends(path), *_ends(path and path.with_suffix(""))]
             if group := max(self._groups.intersection(names), key=len, default=None):
-                found[frame] = group
-        if lacking := [frame for frame in frames if frame not in found]:
+                group_of[frame] = group
+        if lacking := [frame for frame in frames if frame not in group_of]:
             raise ValueError(
                 f"{self.name} has no descriptor of {len(lacking)} of {len(frames)} frames: "
                 f"{shortened(lacking, most=3)}; it has {shortened(sorted(self._groups), most=2)}"
             )
-        for group, count in Counter(found.values()).most_common(1):
+        for group, count in Counter(group_of.values()).most_common(1):
             if count > 1:
-                twins = shortened([frame for frame in frames if found[frame] == group], most=3)
+                twins = shortened([frame for frame in frames if group_of[frame] == group], most=3)
                 raise ValueError(f"{self.name}: {group} fits {twins}; expected more of the path")
         with self._opened() as stored:
-            arrays = {frame: np.asarray(stored[f"{found[frame]}/{_KEY}"]) for frame in frames}
+            arrays = {frame: np.asarray(stored[f"{group_of[frame]}/{_KEY}"]) for frame in frames}
         self.length = next(iter(arrays.values())).size
         for frame, array in arrays.items():
             if (
@@ -78,7 +78,7 @@ class StoredDescriptors(VectorMethod):
                 or not np.isfinite(array).all()
             ):
                 expected = (
-                    f"{self.name}: {found[frame]}/{_KEY} must be ({self.length},) finite floats"
+                    f"{self.name}: {group_of[frame]}/{_KEY} must be ({self.length},) finite floats"
                 )
                 raise ValueError(f"{expected}, got {array.shape} {array.dtype}")
             self._vectors[frame] = F.normalize(torch.from_numpy(array.astype(np.float32)), dim=0)

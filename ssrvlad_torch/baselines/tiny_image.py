@@ -80,9 +80,9 @@ class TinyImage:
         """``(Q, R)``: differences of the pictures, normalised over each reference sequence."""
         scores = torch.zeros(len(queries), len(references))
         at_once = max(1, _SCORES_AT_ONCE // max(1, len(references)))
-        for part, block in zip(scores.split(at_once), queries.split(at_once), strict=True):
+        for rows, block in zip(scores.split(at_once), queries.split(at_once), strict=True):
             difference = torch.cdist(block, references.pictures, p=1) / block.shape[1]
-            part.copy_(enhance(difference, references.sequence))
+            rows.copy_(enhance(difference, references.sequence))
         return scores
 
     def _describe(self, frames: Sequence[View]) -> Tensor:
@@ -108,9 +108,9 @@ def enhance(difference: Tensor, sequence: Tensor) -> Tensor:
     scores = torch.zeros_like(difference, dtype=torch.float32)
     for number in sequence.unique():
         columns = sequence == number
-        part = difference[:, columns].double()
-        deviation, mean = torch.std_mean(part, 1, correction=0, keepdim=True)
+        own = difference[:, columns].double()
+        deviation, mean = torch.std_mean(own, 1, correction=0, keepdim=True)
         flat = deviation < _LEAST_DEVIATION
-        z = ((mean - part) / deviation.masked_fill(flat, torch.inf)).clamp(min=_LEAST_Z)
+        z = ((mean - own) / deviation.masked_fill(flat, torch.inf)).clamp(min=_LEAST_Z)
         scores[:, columns] = -torch.expm1(-z).float()
     return scores

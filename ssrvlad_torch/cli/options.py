@@ -327,7 +327,7 @@ def expand(command: Callable[..., None]) -> Callable[..., None]:
         source_of = context.get_parameter_source
         typed = [n for n in values if (s := source_of(n)) and s.name == "COMMANDLINE"]
         for name, kind in classes.items():
-            values[name] = kind(**{each.name: values.pop(each.name) for each in fields(kind)})
+            values[name] = kind(**{f.name: values.pop(f.name) for f in fields(kind)})
             if hasattr(kind, "check"):
                 values[name].check(typed)
         with results_alone():

@@ -7,7 +7,7 @@ import json
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stdout
+from contextlib import AbstractContextManager, contextmanager, redirect_stdout
 from datetime import timedelta
 from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
 
@@ -16,6 +16,7 @@ import typer
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from ..datasets.frame_file import FrameFile
     from ..encoding.results import Skipped
 
 SOME_SKIPPED = 3
@@ -99,7 +100,7 @@ def progress_bar(what: str, total: int, played: Sequence[float] = ()) -> Iterato
             also = f", {skipped} skipped" if skipped else ""
             if played:
                 times = (played[min(max(done, 1), len(played)) - 1], played[-1])
-                passed, whole = (str(timedelta(seconds=round(each))) for each in times)
+                passed, whole = (str(timedelta(seconds=round(t))) for t in times)
                 also += f", {passed} of {whole} of video"
             if console.is_terminal:
                 rate = bar.tasks[task].speed
@@ -124,6 +125,13 @@ def progress_bar(what: str, total: int, played: Sequence[float] = ()) -> Iterato
                 show()
 
 
+def encoding_bar(files: Sequence[FrameFile]) -> AbstractContextManager[Progress]:
+    """The progress bar of encoding files."""
+    from ..datasets.videos import played
+
+    return progress_bar("encoding", len(files), played(files))
+
+
 def print_table(table: Table) -> None:
     """Prints a table on stdout, in full width if stdout is no terminal."""
     from rich.console import Console
@@ -145,7 +153,7 @@ def weights_in_words(weights: Sequence[Mapping[str, float]]) -> list[str]:
     """The weights of fused methods in each sequence; an empty list for a single method."""
     if not any(weights):
         return []
-    names = (f"{name} {'/'.join(f'{each[name]:.2f}' for each in weights)}" for name in weights[0])
+    names = (f"{name} {'/'.join(f'{drive[name]:.2f}' for drive in weights)}" for name in weights[0])
     return [f"fused: {' + '.join(names)}"]
 
 

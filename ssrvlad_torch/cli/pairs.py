@@ -47,7 +47,7 @@ def draw_pairs(pairs: Sequence[Pair], space: LabelSpace, above: str, below: str)
         rows[1].append(_tile(pair.match, space, f"{verdict}: {pair.match_name}", colour))
     wide, tall = (max(tile.size[axis] for row in rows for tile in row) for axis in (0, 1))
     width = len(pairs) * (wide + _MARGIN) + _MARGIN
-    ids = {label for pair in pairs for part in pair[:2] for label in np.unique(part).tolist()}
+    ids = {label for pair in pairs for labels in pair[:2] for label in np.unique(labels).tolist()}
     legend = _legend(width - 2 * _MARGIN, space, ids)
     step = _HEADING + tall + 2 * _MARGIN
     sheet = Image.new("RGB", (width, 2 * step + legend.height + 2 * _MARGIN), "white")

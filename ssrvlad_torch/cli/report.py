@@ -18,12 +18,12 @@ from ..map import Evaluation
 from .words import proof, steps_in_words, without_truth
 
 
-def write_page(path: Path, found: Evaluation, database: str, sources: Sequence[str]) -> None:
+def write_page(path: Path, evaluation: Evaluation, database: str, sources: Sequence[str]) -> None:
     """Writes the page of the queries whose true matches are known, with the names of the database
     and of the sources of the queries."""
-    metrics, recognition = found.metrics, found.recognition
-    known, true_rows = known_matches(found.truth)
-    scores, rows = (part.numpy()[known] for part in recognition.matches)
+    metrics, recognition = evaluation.metrics, evaluation.recognition
+    known, true_rows = known_matches(evaluation.truth)
+    scores, rows = (column.numpy()[known] for column in recognition.matches)
     outcomes = judge(scores, rows, true_rows)
     pairs = None if recognition.similarity is None else recognition.similarity[known]
     assert recognition.cosines
@@ -44,9 +44,9 @@ def write_page(path: Path, found: Evaluation, database: str, sources: Sequence[s
         cosines=lambda rows, columns: of(all_known[rows], columns),
         score=metrics["score_is"] or "score",
         pictures=recognition.pictures,
-        settings=_settings(recognition.details, database, sources, found.true_matches),
+        settings=_settings(recognition.details, database, sources, evaluation.true_matches),
         notes=[
-            *_notes(recognition, found.truth),
+            *_notes(recognition, evaluation.truth),
             proof(metrics["thresholds"]["suggested"]),
             *without_truth(metrics),
         ],

@@ -57,7 +57,9 @@ if TYPE_CHECKING:
 
     from ..recognition.matching import Vectors
 
+    Descriptors = Vectors | Mapping[str, Vectors]
 
+Frames = Sequence[FrameRecord | str]
 Check = Callable[[StoredRecords], None]
 Verb = Literal["append", "merge", "remove"]
 
@@ -149,7 +151,10 @@ class Database:
             raise ValueError("expected the config of the descriptors, or the width of custom ones")
         if width is not None and (not hasattr(width, "__index__") or width < 1):
             raise ValueError(f"width: expected an integer from 1, got {width!r}")
-        columns = [_first_column(config, width), *columns]
+        first = Column(DESCRIPTOR, "", (int(width or 0),))
+        if config:
+            first = Column(LABEL_SHAPES, config.fingerprint, (config.length,))
+        columns = [first, *columns]
         names = [column.name for column in columns]
         if len({*names, *schema([]).names}) < len(names) + len(schema([])):
             raise ValueError(
@@ -258,15 +263,15 @@ class Database:
     def label_spaces(self) -> list[LabelSpace]:
         """The label spaces of the frames, or of the origins of an empty database, each once."""
         keys = self._columns(["origin"])["origin"].unique().to_pylist() or list(self.origins)
-        found = (self.origins.get(key, Origin()).label_space for key in keys)
-        return list({space.digest: space for space in found if space}.values())
+        spaces = (self.origins.get(key, Origin()).label_space for key in keys)
+        return list({space.digest: space for space in spaces if space}.values())
 
     def require(self, config: SSRVLADConfig, columns: Sequence[Column] = ()) -> None:
         """Raises a ValueError if the descriptors were made with other settings, which are shown
         with both fingerprints, or if frames lack one of these further columns."""
         for column in columns:
             if column not in self.columns:
-                others = ", ".join(f"{each.name}, {each.fingerprint}" for each in self.columns[1:])
+                others = ", ".join(f"{own.name}, {own.fingerprint}" for own in self.columns[1:])
                 raise ValueError(
                     f"{self.path} has no descriptors by {column.name}, {column.fingerprint}, but "
                     f"{others or 'none'}: they can only be added when a database is created"
@@ -307,11 +312,11 @@ class Database:
     def damage(self, progress: Callable[[int], object] | None = None) -> list[Damage]:
         """Reads everything and reports all damage. ``progress`` is called with the number of frames
         done since the last call."""
-        found: list[Damage] = []
-        for batch in read_rows(self.table(), found):
+        damages: list[Damage] = []
+        for batch in read_rows(self.table(), damages):
             if progress:
                 progress(len(batch))
-        return found
+        return damages
 
     def table(self) -> LanceDataset:
         """The version that is read, as a table of Lance, for what this class does not offer."""
@@ -356,11 +361,7 @@ class Database:
             self._apply(partial(engine.add_metadata, entries=origin.to_entry()))
         return origin.key
 
-    def append(
-        self,
-        frames: Sequence[FrameRecord | str],
-        descriptors: Vectors | Mapping[str, Vectors],
-    ) -> None:
+    def append(self, frames: Frames, descriptors: Descriptors) -> None:
         """Adds new frames in one commit, flushed to disk when this returns.
 
         Args:
@@ -375,12 +376,7 @@ class Database:
         """
         self.adopt([self.write_apart(frames, descriptors)])
 
-    def merge(
-        self,
-        frames: Sequence[FrameRecord | str],
-        descriptors: Vectors | Mapping[str, Vectors],
-        check: Check | None = None,
-    ) -> None:
+    def merge(self, frames: Frames, descriptors: Descriptors, check: Check | None = None) -> None:
         """Adds frames and replaces those with the same ids, in one commit. A replaced frame keeps
         its arrival if the new record has none. Arguments and errors as for `append`; ``check`` as
         for `adopt`."""
@@ -399,11 +395,7 @@ class Database:
         require_list(frames)
         self._change([StagedRows((), tuple(sorted(set(frames))))], "remove")
 
-    def write_apart(
-        self,
-        frames: Sequence[FrameRecord | str],
-        descriptors: Vectors | Mapping[str, Vectors],
-    ) -> StagedRows:
+    def write_apart(self, frames: Frames, descriptors: Descriptors) -> StagedRows:
         """Writes rows to disk without a commit; `adopt` commits them, also in another process.
         Arguments and errors as for `append`. `compact` deletes rows that are never adopted."""
         self._require_writable()
@@ -493,12 +485,6 @@ class Database:
             raise ValueError(f"{self.path} is damaged: {engine.message_of(error)}") from error
 
 
-def _first_column(config: SSRVLADConfig | None, width: int | None) -> Column:
-    if config:
-        return Column(LABEL_SHAPES, config.fingerprint, (config.length,))
-    return Column(DESCRIPTOR, "", (int(width or 0),))
-
-
-def _records(frames: Sequence[FrameRecord | str]) -> list[FrameRecord]:
+def _records(frames: Frames) -> list[FrameRecord]:
     require_list(frames)
     return [FrameRecord.of_id(f) if isinstance(f, str) else f for f in frames]

@@ -61,7 +61,7 @@ class FrameRecord(NamedTuple):
         """A record with only the frame's id; a ValueError if the text is not one."""
         sequence, name = split_id(frame)
         parts = (sequence, name) if "/" in frame else (name,)
-        if not all(part and part == part.strip() for part in parts):
+        if not all(text and text == text.strip() for text in parts):
             raise ValueError(f"expected a frame id, <sequence>/<name> or <name>, got {frame!r}")
         return cls(sequence, name)
 
@@ -124,7 +124,7 @@ def checked_pose(pose: Sequence[float] | None, frame: str) -> tuple[float, float
     if pose is None:
         return math.nan, math.nan, math.nan
     numbers = numbers_of(pose)
-    half = len({math.isnan(each) for each in numbers[:2]}) > 1
+    half = len({math.isnan(number) for number in numbers[:2]}) > 1
     if len(numbers) not in (2, 3) or any(map(math.isinf, numbers)) or half:
         raise ValueError(f"frame {frame!r}: expected a pose of finite x, y, heading, got {pose!r}")
     x, y, heading = (*numbers, math.nan)[:3]
@@ -134,8 +134,10 @@ def checked_pose(pose: Sequence[float] | None, frame: str) -> tuple[float, float
 def numbers_of(values: Iterable[object]) -> list[float]:
     """The numbers; none if a value is another thing, also the text of a number."""
     try:
-        found: list[Any] = [*values]
-        return [] if any(isinstance(each, str | bytes) for each in found) else [*map(float, found)]
+        listed: list[Any] = [*values]
+        return (
+            [] if any(isinstance(value, str | bytes) for value in listed) else [*map(float, listed)]
+        )
     except (TypeError, ValueError, OverflowError):
         return []
 

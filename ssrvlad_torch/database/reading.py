@@ -138,8 +138,8 @@ def load_frame_set(table: LanceDataset, columns: Sequence[Column]) -> FrameSet:
         if (order[1:] < order[:-1]).any():
             step = _BYTES_AT_ONCE // values.itemsize
             for first in range(0, values.shape[1], step):  # in place, to save memory
-                some = slice(first, first + step)
-                values[:, some] = values[order, some]
+                block = slice(first, first + step)
+                values[:, block] = values[order, block]
         arrays[column.name] = values.reshape(-1, *column.shape)
     return frame_set(others.take(order), arrays)
 

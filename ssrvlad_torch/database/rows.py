@@ -133,8 +133,8 @@ def folders_of(table: pa.Table) -> set[tuple[str, str]]:
     unknown = pc.equal(pc.list_value_length(parts), 1)
     folder = pc.if_else(unknown, "", pc.list_element(parts, 0))
     pairs = pa.table({"folder": folder, "sequence": table["sequence"]})
-    found = pairs.group_by(pairs.column_names).aggregate([])
-    return set(zip(*found.to_pydict().values(), strict=True))
+    distinct = pairs.group_by(pairs.column_names).aggregate([])
+    return set(zip(*distinct.to_pydict().values(), strict=True))
 
 
 Words = npt.NDArray[np.uint64]

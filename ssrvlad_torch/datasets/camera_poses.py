@@ -34,7 +34,7 @@ def optical_axis(quaternion: Sequence[float]) -> tuple[float, float, float]:
     length = math.hypot(*quaternion)
     if not 0 < length < math.inf:
         raise ValueError(f"quaternion {tuple(quaternion)} is not a rotation")
-    w, x, y, z = (part / length for part in quaternion)
+    w, x, y, z = (number / length for number in quaternion)
     return 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
 
 

@@ -41,8 +41,8 @@ def read(root: Path, labels_as: str | None) -> Dataset:
         )
     drives: dict[str, tuple[dict[str, Path], dict[str, Path]]] = {}
     for pair in pairs:
-        found = images_in(pair.images), labels_in(pair.labels, pair.ending)
-        for kind, files in enumerate(found):
+        kinds = images_in(pair.images), labels_in(pair.labels, pair.ending)
+        for kind, files in enumerate(kinds):
             for name, path in files.items():
                 match = _DRIVE.fullmatch(name)
                 drive = pair.drive or (match[1] if match else pair.images.name)

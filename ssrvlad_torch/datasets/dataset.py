@@ -133,12 +133,12 @@ class Dataset:
         names = [traverse.name for traverse in self.traverses]
         chosen = set() if patterns else set(names)
         for pattern in patterns:
-            found = [name for name in names if fnmatchcase(name, pattern)]
-            if not found:
+            matching = [name for name in names if fnmatchcase(name, pattern)]
+            if not matching:
                 raise ValueError(
                     f"{self.root} has no sequence {pattern!r}; it has {shortened(names)}"
                 )
-            chosen.update(found)
+            chosen.update(matching)
         selected = [traverse for traverse in self.traverses if traverse.name in chosen]
         if role and not any(traverse.role == role for traverse in selected):
             candidates = shortened([traverse.name for traverse in selected])
@@ -180,7 +180,9 @@ class Dataset:
                 folders.append(path.parent.with_name(given.name))
             if unambiguous:
                 folders.append(given)
-            places = ((listed(each), stem) for each in folders for stem in (frame.name, path.stem))
+            places = (
+                (listed(folder), stem) for folder in folders for stem in (frame.name, path.stem)
+            )
             return next((files[stem] for files, stem in places if stem in files), None)
 
         labelled = self.with_frames(lambda frames: (replace(f, label=find(f)) for f in frames))

@@ -56,9 +56,9 @@ class Drives:
             if odd_even:
                 both = whole.select(names[0])
                 even = both.with_frames(lambda frames: frames[::2])
-                parts = [even, both.with_frames(lambda frames: frames[1::2])]
+                sides = [even, both.with_frames(lambda frames: frames[1::2])]
             else:
-                parts = [
+                sides = [
                     whole.select(names[0], None if names[0] else "reference"),
                     whole.select(names[1], None if names[1] else "query"),
                 ]
@@ -70,12 +70,12 @@ class Drives:
             )
         else:
             folders = [[open_dataset(path, "folders", *asked) for path in paths] for paths in names]
-            whole, parts = _joined([*chain(*folders)]), list(map(_joined, folders))
-        used = {traverse.name for part in parts for traverse in part.traverses}
+            whole, sides = _joined([*chain(*folders)]), list(map(_joined, folders))
+        used = {traverse.name for side in sides for traverse in side.traverses}
         traverses = tuple(t for t in whole.traverses if t.name in used)
         for warning in replace(whole, traverses=traverses).warnings:
             note(warning)
-        return cls(whole, *parts)
+        return cls(whole, *sides)
 
     def posed(self) -> Drives:
         """The drives without the frames of unknown pose."""
@@ -88,7 +88,7 @@ class Drives:
             lambda frame: all(KINDS[kind](frame) for kind in kinds), " and ".join(words)
         )
         before, after = (
-            sum(len(traverse.frames) for _, part in drives._parts for traverse in part.traverses)
+            sum(len(traverse.frames) for _, side in drives._parts for traverse in side.traverses)
             for drives in (self, complete)
         )
         if after < before:
@@ -103,20 +103,20 @@ class Drives:
 
     def _filter(self, has: Callable[[DatasetFrame], object], what: str) -> Drives:
         """The drives with only the frames that ``has`` accepts; an error if none is left."""
-        filtered = [part.with_frames(lambda frames: filter(has, frames)) for _, part in self._parts]
+        filtered = [side.with_frames(lambda frames: filter(has, frames)) for _, side in self._parts]
         drives = Drives(self.whole, *filtered)
-        for name, part in drives._parts:
-            if not any(part.frames):
-                raise ValueError(f"no {name} of {part.root} ({part.layout}) has {what}")
+        for name, side in drives._parts:
+            if not any(side.frames):
+                raise ValueError(f"no {name} of {side.root} ({side.layout}) has {what}")
         return drives
 
     def lacks(self, kind: str) -> str | None:
         """The reason why a method that needs a kind of file cannot run; ``None`` if it can."""
         if kind == "labels" and self.whole.labels_as is None:
             return "it needs label maps and their --labels-as"
-        for name, part in self._parts:
-            if not any(map(KINDS[kind], part.frames)):
-                return f"no {name} of {part.root} ({part.layout}) has {WORDS[kind]}"
+        for name, side in self._parts:
+            if not any(map(KINDS[kind], side.frames)):
+                return f"no {name} of {side.root} ({side.layout}) has {WORDS[kind]}"
         return None
 
 
@@ -128,16 +128,16 @@ def _unambiguous(dataset: Dataset) -> Dataset:
     )
 
 
-def _joined(parts: Sequence[Dataset]) -> Dataset:
+def _joined(sides: Sequence[Dataset]) -> Dataset:
     roots = dict[str, Path]()
-    for part in parts:
-        for traverse in part.traverses:
-            if (other := roots.setdefault(traverse.name, part.root)) is not part.root:
-                if absolute(other) == absolute(part.root):
+    for side in sides:
+        for traverse in side.traverses:
+            if (other := roots.setdefault(traverse.name, side.root)) is not side.root:
+                if absolute(other) == absolute(side.root):
                     raise ValueError(f"{other} is given twice; expected different folders")
                 raise ValueError(
-                    f"{other} and {part.root} both have a sequence {traverse.name!r}; expected "
+                    f"{other} and {side.root} both have a sequence {traverse.name!r}; expected "
                     "another name of one of the folders"
                 )
-    traverses = tuple(traverse for part in parts for traverse in part.traverses)
-    return _unambiguous(replace(parts[0], traverses=traverses, truth=None))
+    traverses = tuple(traverse for side in sides for traverse in side.traverses)
+    return _unambiguous(replace(sides[0], traverses=traverses, truth=None))

@@ -27,13 +27,13 @@ _ROLES: dict[str, Role] = {"database": "reference", "query": "query"}
 def read(root: Path, labels_as: str | None) -> Dataset:
     """The slices in ``root``, or the slice that ``root`` is."""
     traverses, notes = list[Traverse](), list[str]()
-    for folder, (part, role) in product(_slices(root), _ROLES.items()):
-        images = images_in(folder / part)
-        pattern = _POSES if part == "database" else "camera-poses/*.txt"
+    for folder, (half, role) in product(_slices(root), _ROLES.items()):
+        images = images_in(folder / half)
+        pattern = _POSES if half == "database" else "camera-poses/*.txt"
         lists = [read_list(file) for file in sorted(folder.glob(pattern))]
         known = {name: pose for poses in lists for name, pose in poses.items()}
         if images and not known:
-            notes.append(f"{folder / part} has no poses; they are at {LAYOUT.origin}")
+            notes.append(f"{folder / half} has no poses; they are at {LAYOUT.origin}")
         poses = {name: known[_plain(name)] for name in images if _plain(name) in known}
         drives: dict[str, dict[str, Path]] = {}
         unknown = []
@@ -46,7 +46,7 @@ def read(root: Path, labels_as: str | None) -> Dataset:
                 unknown.append(path.name)
         if unknown:
             notes.append(
-                f"{len(unknown)} images in {folder / part} are left out, for example "
+                f"{len(unknown)} images in {folder / half} are left out, for example "
                 f"{unknown[0]!r}: expected names img_<number>_c<camera>_<microseconds>us"
             )
         traverses += [
@@ -66,7 +66,7 @@ def read_list(path: Path) -> dict[str, Pose]:
 def _slices(root: Path) -> list[Path]:
     def is_slice(folder: Path) -> bool:
         named = _SLICE.fullmatch(absolute_folder(folder).name)
-        return named is not None and any((folder / part).is_dir() for part in _ROLES)
+        return named is not None and any((folder / half).is_dir() for half in _ROLES)
 
     return itself_or_inside(root, is_slice)
 

@@ -139,7 +139,7 @@ def remote_files(uri: str, kind: str, suffixes: Sequence[str]) -> list[FrameFile
     user, _, host = authority.rpartition("@")
     plain = host if ":" in user else authority  # is stored, so it holds no password
     folder = f"{scheme}://{plain}{slash}{rest}"
-    found = list[FrameFile]()
+    files = list[FrameFile]()
     for entry in system.get_file_info(FileSelector(root)):
         path = PurePosixPath(entry.path)
         if entry.type == FileType.Directory or path.name.startswith("."):
@@ -147,7 +147,7 @@ def remote_files(uri: str, kind: str, suffixes: Sequence[str]) -> list[FrameFile
         if path.suffix.lower() in suffixes:
             listed = f"{entry.size} {entry.mtime_ns}"
             file = RemoteFile("", path.stem, Path(path), folder=folder, listed=listed, uri=uri)
-            found.append(file)
-    if not found:
+            files.append(file)
+    if not files:
         raise ValueError(f"{folder} holds no {kind}; expected {', '.join(suffixes)} files")
-    return found
+    return files

@@ -75,37 +75,45 @@ def find_frames(
     if isinstance(sources, str | PathLike) or not sources:
         raise ValueError(f"expected a list of folders, files or globs, got {sources!r}")
     files = [file for source in sources for file in _expand(str(source), kind, topic)]
-    names = {} if sequence else sequence_names(dict.fromkeys(file.folder for file in files), known)
-    found: dict[str, FrameFile] = {}
-    by_sequence: dict[str, list[FrameFile]] = {}
-    for file in files:
-        named = replace(file, sequence=sequence or names[file.folder], named=bool(sequence))
-        earlier = found.setdefault(named.frame, named)
-        if earlier is named:
-            by_sequence.setdefault(named.sequence, []).append(named)
-        elif earlier.row != named.row or earlier.path.resolve() != named.path.resolve():
-            raise ValueError(
-                f"frame {named.frame!r} is both {earlier.location} and {named.location}; "
-                "give one of them another --sequence"
-            )
-    drives = [
-        sorted(drive, key=lambda file: natural_key(file.name)) for drive in by_sequence.values()
-    ]
+    drives = _drives(files, sequence, known)
     if poses:
         drives = [
             [replace(file, pose=pose, placed=True) for file, pose in zip(drive, given, strict=True)]
             for drive, given in zip(drives, _given_poses(drives, poses, largest_gap), strict=True)
         ]
-    selected = list[FrameFile]()
-    for drive in drives:
-        damaged = [file for file in drive if isinstance(file, VideoFile) and file.damage]
-        frames = [file for file in drive if file not in damaged]
-        chosen = frames if fps is None else at_rate(frames, fps)
-        selected += [*every_nth(chosen, every, start), *damaged]
+    selected = [file for drive in drives for file in _selected(drive, every, start, fps)]
     if not selected:
         longest = max(map(len, drives))
         raise ValueError(f"no sequence has a frame {start}; the longest has {longest} frames")
     return selected if poses else list(with_poses(selected))
+
+
+def _drives(
+    files: Sequence[FrameFile], sequence: str | None, known: KnownFolders
+) -> list[list[FrameFile]]:
+    """The files of each sequence in natural order, each frame once, with the sequence's name; two
+    files that are the same frame are a ValueError."""
+    names = {} if sequence else sequence_names(dict.fromkeys(file.folder for file in files), known)
+    frames: dict[str, FrameFile] = {}
+    drives: dict[str, list[FrameFile]] = {}
+    for file in files:
+        named = replace(file, sequence=sequence or names[file.folder], named=bool(sequence))
+        earlier = frames.setdefault(named.frame, named)
+        if earlier is named:
+            drives.setdefault(named.sequence, []).append(named)
+        elif earlier.row != named.row or earlier.path.resolve() != named.path.resolve():
+            raise ValueError(
+                f"frame {named.frame!r} is both {earlier.location} and {named.location}; "
+                "give one of them another --sequence"
+            )
+    return [sorted(drive, key=lambda file: natural_key(file.name)) for drive in drives.values()]
+
+
+def _selected(drive: list[FrameFile], every: int, start: int, fps: float | None) -> list[FrameFile]:
+    """The frames of a sequence that are used, and all that stand for damaged ones."""
+    damaged = [file for file in drive if isinstance(file, VideoFile) and file.damage]
+    frames = [file for file in drive if file not in damaged]
+    return [*every_nth(frames if fps is None else at_rate(frames, fps), every, start), *damaged]
 
 
 def every_nth(drive: list[FrameFile], every: int, start: int) -> list[FrameFile]:
@@ -141,10 +149,10 @@ def _given_poses(
         raise ValueError(f"{source} is no file; expected a file of poses, or exif")
     if path.suffix.lower() == ".csv":
         table = PoseTable(path, read_poses(path))
-        found = [[table.pose_of(file) or UNKNOWN for file in drive] for drive in drives]
-        if all(pose is UNKNOWN for poses in found for pose in poses):
+        given = [[table.pose_of(file) or UNKNOWN for file in drive] for drive in drives]
+        if all(pose is UNKNOWN for poses in given for pose in poses):
             raise ValueError(f"{source} has none of the frames, for example {drives[0][0].frame}")
-        return found
+        return given
     if len(drives) > 1:
         raise ValueError(f"{source} holds the poses of one drive, got {len(drives)} sequences")
     trajectory = read_trajectory(path, largest_gap)

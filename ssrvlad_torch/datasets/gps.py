@@ -27,7 +27,7 @@ def eastings_northings(fixes: Sequence[Fix]) -> list[tuple[float, float]]:
     compare, is a ValueError; without the extra ``gps``, an ImportError."""
     with requiring("gps", "latitudes need"):
         import utm
-    found = [utm.from_latlon(fix.latitude, fix.longitude) for fix in fixes]
+    positions = [utm.from_latlon(fix.latitude, fix.longitude) for fix in fixes]
     zones = set[tuple[int, bool]]()
     for latitude, longitude, _ in fixes:  # and about 1 km from it in each direction
         wide = _KILOMETRE / max(math.cos(math.radians(latitude)), _KILOMETRE)
@@ -38,7 +38,7 @@ def eastings_northings(fixes: Sequence[Fix]) -> list[tuple[float, float]]:
         raise ValueError(
             "the drive comes within 1 km of the border of a UTM zone; expected x and y in metres"
         )
-    return [(float(east), float(north)) for east, north, _, _ in found]
+    return [(float(east), float(north)) for east, north, _, _ in positions]
 
 
 def heading_of_course(course: float) -> float:

@@ -53,22 +53,7 @@ def open_dataset(
         raise ValueError(f"{root} is no folder; expected the folder of a data set")
     if labels is not None and labels_as is None:
         raise ValueError(f"the label maps in {labels} need a label space")
-    layouts = [each for each in LAYOUTS if layout in (None, each.name)]
-    if not layouts:
-        names = ", ".join(each.name for each in LAYOUTS)
-        raise ValueError(f"unknown layout {layout!r}; expected one of {names}")
-    chosen = next((each for each in layouts if each.recognises(root)), None)
-    if chosen is None and layout is None:
-        expected = "; ".join(f"{each.name}: {each.expected}" for each in layouts)
-        raise ValueError(
-            f"{root} is in no known layout; found {_content(root)}; expected one of {expected}"
-        )
-    if chosen is None:
-        origin = f"; the data set is at {layouts[0].origin}" if layouts[0].origin else ""
-        raise ValueError(
-            f"{root} is not in the layout {layout}: expected {layouts[0].expected}; found "
-            f"{_content(root)}{origin}"
-        )
+    chosen = _layout_of(root, layout)
     dataset = chosen.read(root, labels_as)
     if not dataset.traverses:
         raise ValueError(
@@ -78,6 +63,27 @@ def open_dataset(
     if labels is not None and labels_as is not None:
         return dataset.with_labels(labels, labels_as)
     return dataset
+
+
+def _layout_of(root: Path, name: str | None) -> Layout:
+    """The layout of this name, or the first that recognises the folder; else a ValueError."""
+    layouts = [layout for layout in LAYOUTS if name in (None, layout.name)]
+    if not layouts:
+        names = ", ".join(layout.name for layout in LAYOUTS)
+        raise ValueError(f"unknown layout {name!r}; expected one of {names}")
+    for layout in layouts:
+        if layout.recognises(root):
+            return layout
+    if name is None:
+        expected = "; ".join(f"{layout.name}: {layout.expected}" for layout in layouts)
+        raise ValueError(
+            f"{root} is in no known layout; found {_content(root)}; expected one of {expected}"
+        )
+    origin = f"; the data set is at {layouts[0].origin}" if layouts[0].origin else ""
+    raise ValueError(
+        f"{root} is not in the layout {name}: expected {layouts[0].expected}; found "
+        f"{_content(root)}{origin}"
+    )
 
 
 def _content(root: Path) -> str:

@@ -42,7 +42,7 @@ def sequence_names(folders: Collection[str], known: KnownFolders = ()) -> dict[s
         if folder:
             known_names[_real(folder)].add(name)
     ends = Counter(end for path in {*folders, *(f for f, _ in known)} for end in path_ends(path))
-    found: dict[str, str] = {}
+    chosen: dict[str, str] = {}
     for folder in folders:
         if names := sorted(known_names.get(_real(folder), ())):
             if len(names) > 1:
@@ -50,19 +50,19 @@ def sequence_names(folders: Collection[str], known: KnownFolders = ()) -> dict[s
                     f"{folder} is sequence {names[0]!r} and sequence {names[1]!r} of the database: "
                     "choose one with --sequence"
                 )
-            found[folder] = names[0]
+            chosen[folder] = names[0]
             continue
         for end in path_ends(folder):
             if end in owners:
                 _require_existing(owners[end], folder, end)
             elif ends[end] == 1:
-                found[folder] = end
+                chosen[folder] = end
                 break
         else:
             raise ValueError(
                 f"{folder} needs a name that no sequence has: give one with --sequence"
             )
-    return found
+    return chosen
 
 
 def check_sequences(folders: KnownFolders, known: KnownFolders) -> None:
@@ -91,12 +91,12 @@ def _real(folder: str) -> str:
 def path_ends(folder: str) -> list[str]:
     """The ends of a path or a URI, the shortest first; of a stack, bag or video without suffix."""
     if is_uri(folder):
-        parts = [part for part in unquote(folder.partition("://")[2]).split("/") if part]
+        parts = [name for name in unquote(folder.partition("://")[2]).split("/") if name]
     else:
         path = PurePath(folder)
         if path.suffix.lower() in (".npy", *BAG_SUFFIXES, *VIDEO_SUFFIXES):
             path = path.with_suffix("")
-        parts = [part for part in path.parts if part != path.anchor] or [path.anchor]
+        parts = [name for name in path.parts if name != path.anchor] or [path.anchor]
     return ["/".join(parts[-count:]) for count in range(1, len(parts) + 1)]
 
 

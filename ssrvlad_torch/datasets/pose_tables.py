@@ -62,8 +62,9 @@ class PoseTable:
         return self.poses[(rows or bare)[0]] if rows or bare else None
 
     def _require_one_folder(self, file: FrameFile, row: str) -> None:
-        """Raises a ValueError if another frame of the table, or a file of the frame's name without
-        an id in the table in a folder beside the frame's, can have a bare name too."""
+        """Raises a ValueError if a row that is a bare name fits two frames: this one, and another
+        frame that took it, or a file of the same name, without an id in the table, in a folder
+        beside the frame's."""
         other = self._users.setdefault(row, file.folder)
         if other == file.folder and self.folder and self.path.parent != self.folder:
             home, place = absolute_folder(self.folder), file.path.relative_to(self.folder)
@@ -74,7 +75,7 @@ class PoseTable:
                         self._listed[folder] = frozenset(path.name for path in files)
             for folder, names in self._listed.items():
                 ids = (f"{folder.name}/{file.name}{suffix}" for suffix in ("", file.path.suffix))
-                if place.name in names and not any(each in self.poses for each in ids):
+                if place.name in names and not any(name in self.poses for name in ids):
                     other = str(folder)
                     break
         if other != file.folder:

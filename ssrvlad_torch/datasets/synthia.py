@@ -31,9 +31,9 @@ def read(root: Path, labels_as: str | None) -> Dataset:
     traverses, notes = list[Traverse](), list[str]()
     for folder in _sequences(root):
         notes += [
-            f"{folder} has no {part}; it is in the package at {LAYOUT.origin}"
-            for part in (_LABELS, _POSES)
-            if not (folder / part).is_dir()
+            f"{folder} has no {kind}; it is in the package at {LAYOUT.origin}"
+            for kind in (_LABELS, _POSES)
+            if not (folder / kind).is_dir()
         ]
         for camera in _cameras(folder):
             images = images_in(folder / _IMAGES / camera)
@@ -56,7 +56,7 @@ def read_pose(path: Path) -> Pose:
         matrix = parse_numbers(path.read_text(encoding="utf-8", errors="replace").split(), 16)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
-    return Y_UP_LEFT_HANDED.pose(matrix[12:15], [-part for part in matrix[8:11]])
+    return Y_UP_LEFT_HANDED.pose(matrix[12:15], [-number for number in matrix[8:11]])
 
 
 def _sequences(root: Path) -> list[Path]:
@@ -66,9 +66,9 @@ def _sequences(root: Path) -> list[Path]:
 def _cameras(folder: Path) -> list[Path]:
     """The folders of cameras on disk, ``Stereo_Left/Omni_F`` and so on."""
     cameras = {
-        camera.relative_to(folder / part)
-        for part in (_LABELS, _IMAGES)
-        for camera in (folder / part).glob("Stereo_*/Omni_*")
+        camera.relative_to(folder / kind)
+        for kind in (_LABELS, _IMAGES)
+        for camera in (folder / kind).glob("Stereo_*/Omni_*")
     }
     return sorted(cameras)
 

@@ -40,7 +40,7 @@ def _of_gpx(text: str) -> list[list[tuple[float, Fix]]]:
     if "<!" in text.replace("<!--", "").replace("<![CDATA[", ""):
         raise ValueError("expected GPX without a document type")  # its entities can grow
     track, numbers = list[list[tuple[float, Fix]]](), count(1)
-    for segment in (segment for each in gpxpy.parse(text).tracks for segment in each.segments):
+    for segment in (segment for track in gpxpy.parse(text).tracks for segment in track.segments):
         track.append([])
         for point in segment.points:
             number = next(numbers)

@@ -15,7 +15,8 @@ from .tracks import SUFFIXES, read_track
 _KITTI, _TUM = 12, 8
 _MOST_SECONDS = 0.02
 _GAP = 5.0
-"""Seconds between positions of a receiver, which gives one a second, that are bridged."""
+"""Seconds between two positions of a GPS receiver, up to which positions are interpolated; a
+receiver gives one a second."""
 _UNITS = (1, 1e-3, 1e-6, 1e-9)
 """Seconds, milliseconds, microseconds and nanoseconds."""
 
@@ -65,15 +66,15 @@ class Trajectory:
                     f"expected frames named by their time in seconds: {error}"
                 ) from None
             named = [[t * unit for t in seconds] for unit in (_UNITS if whole else _UNITS[:1])]
-            times += [each for each in named if not (timed and _are_same(each, stamps))]
-        found = [[self._at(time) for time in each] for each in times]
+            times += [given for given in named if not (timed and _are_same(given, stamps))]
+        drives = [[self._at(time) for time in given] for given in times]
         # in too small a unit all frames of a drive are near its first pose
         reached = [
             len({bisect_left(self.stamps, t) for t, pose in pairs if pose is not UNKNOWN})
-            for pairs in (list(zip(*each, strict=True)) for each in zip(times, found, strict=True))
+            for pairs in map(zip, times, drives)
         ]
         most = max(reached)
-        best = [poses for poses, count in zip(found, reached, strict=True) if count == most]
+        best = [poses for poses, count in zip(drives, reached, strict=True) if count == most]
         if not most or any(poses != best[0] for poses in best):
             problem = "several units of time fit" if most else "no pose is near in time to"
             raise ValueError(
@@ -95,13 +96,13 @@ class Trajectory:
         seconds = self.stamps[around[-1]] - self.stamps[around[0]]
         if len(around) == 1 or seconds > self.largest_gap or after in self.starts:
             return UNKNOWN
-        one, other = self.poses[after - 1], self.poses[after]
-        part = (time - self.stamps[after - 1]) / seconds
-        turn = math.remainder(other.heading - one.heading, math.tau)
+        before, following = self.poses[after - 1], self.poses[after]
+        fraction = (time - self.stamps[after - 1]) / seconds
+        turn = math.remainder(following.heading - before.heading, math.tau)
         return Pose(
-            one.x + part * (other.x - one.x),
-            one.y + part * (other.y - one.y),
-            math.remainder(one.heading + part * turn, math.tau),
+            before.x + fraction * (following.x - before.x),
+            before.y + fraction * (following.y - before.y),
+            math.remainder(before.heading + fraction * turn, math.tau),
         )
 
 

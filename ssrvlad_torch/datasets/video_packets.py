@@ -1,5 +1,7 @@
-"""The packets of a video file, the same ones however often and in what order they are read. Needs
-the extra ``video``."""
+"""The packets of a video file: the same ones, however often and in whatever order they are read.
+
+Needs the extra ``video``.
+"""
 
 import math
 import zlib
@@ -96,8 +98,8 @@ class VideoPackets:
         return container, container.streams.video[0]
 
     def _decoder(self) -> Any:
-        """A decoder that has seen nothing: flushed, one would still know the parameters of packets
-        before. With threads, it would depend on their timing which damage it reports."""
+        """A new decoder: a flushed one would keep the parameters of earlier packets. It has one
+        thread: with several, the damage that it reports would depend on their timing."""
         context = self._open()[1].codec_context
         context.thread_type = "NONE"
         context.options = {"err_detect": "explode"}

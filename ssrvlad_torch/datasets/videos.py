@@ -25,7 +25,7 @@ _TOLERATED = 0.5
 _STARTS = 4
 """Key frames with which decoding is tried to begin."""
 _LEAP, _LEAP_STEPS = 10, 100
-"""A leap of time is longer than so many seconds, which is FFmpeg's bound, and so many frames."""
+"""A leap of time is longer than 10 seconds, which is FFmpeg's bound, and than 100 frames."""
 _REORDERED = 16
 """Frames by which a decoder moves one to show them in order."""
 

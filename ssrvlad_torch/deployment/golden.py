@@ -119,7 +119,7 @@ def _drawn(head: SSRVLAD, ids: Array, size: tuple[int, int], seed: int) -> npt.N
     ids = np.random.default_rng(0).permutation(ids)
     nearest = patches(rng, height, width)
     labels: npt.NDArray[np.int64] = ids[(nearest + seed * PATCHES) % len(ids)].astype(np.int64)
-    open_classes = [each.id for each in head.label_space.classes if each.category in _OPEN]
+    open_classes = [label.id for label in head.label_space.classes if label.category in _OPEN]
     open_ids = ids[np.isin(ids, open_classes)]
     if seed % 2 and open_ids.size:
         left = int(rng.integers(0, width))

@@ -79,8 +79,8 @@ class OnnxRuntime(Runtime):
         session = open_session(source, "the graph", self.provider, settings=_RECORD)
         if not hasattr(session, "get_provider_graph_assignment_info"):
             return "this version of ONNX Runtime does not report which nodes run on the CPU"
-        parts = session.get_provider_graph_assignment_info()
-        counts = [(part.ep_name, len(part.get_nodes())) for part in parts]
+        partitions = session.get_provider_graph_assignment_info()
+        counts = [(nodes.ep_name, len(nodes.get_nodes())) for nodes in partitions]
         others = sum(count for name, count in counts if name != self.provider)
         total = sum(count for _, count in counts)
         return f"{others} of {total} nodes run on the CPU" if others else ""

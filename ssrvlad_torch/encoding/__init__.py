@@ -1,1 +1,1 @@
-"""Many frames -> database, and the search with them."""
+"""From many frames to rows of a database."""

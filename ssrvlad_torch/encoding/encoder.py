@@ -100,9 +100,10 @@ def channels_to_store(
     names: Sequence[str] | None,
     note: Note = do_nothing,
 ) -> list[Channel]:
-    """The channels beside that of label maps that a user names; without names, of a new database
-    all that the frames have, with a note if the network has no features, and of an existing one
-    none. Names of channels of pictures without a network are a ValueError."""
+    """The channels that are stored beside that of label maps: those that the user names. Without
+    names, a new database gets all that the frames have, with a note if the network has no features;
+    an existing one gets no other. Names of channels of pictures without a network are a
+    ValueError."""
     if names is None and network is None:
         return []
     if names is None and database:
@@ -159,7 +160,7 @@ def encode_to_memory(
         progress(1)
     records = [frame.record for frame in frames]
     stored = [channel.column for channel in channels]
-    nothing = {each.name: np.zeros((0, *each.shape), each.dtype) for each in stored}
+    nothing = {column.name: np.zeros((0, *column.shape), column.dtype) for column in stored}
     descriptors = stacked(frames) if frames else nothing
     return FrameSet(
         frames=tuple(record.frame for record in records),
@@ -223,7 +224,8 @@ def _encode(
 def segmented_items(
     files: Sequence[FrameFile], segmenter: Segmenter, workers: int, features: bool
 ) -> Iterator[Item]:
-    """Frames with what the network says of them; signatures are taken before any file is read."""
+    """Frames with the label maps, and if asked for the features, of the network; signatures are
+    taken before any file is read."""
     signatures = [file.signature() for file in files]
     results = segmenter.segmented(files, workers, features)
     for (file, said), signature in zip(results, signatures, strict=True):

@@ -154,8 +154,8 @@ def _parts(encoder: PartEncoder, plan: Plan, options: EncodeOptions) -> Iterator
     logging.getLogger("ray.data").setLevel(logging.CRITICAL)
     ray.data.DataContext.get_current().enable_progress_bars = False
     gpus = options.gpus if encoder.load else 0
-    if gpus > (found := ray.cluster_resources().get("GPU", 0)):
-        raise ValueError(f"the cluster has {found:g} GPUs, expected {gpus:g} for each worker")
+    if gpus > (there := ray.cluster_resources().get("GPU", 0)):
+        raise ValueError(f"the cluster has {there:g} GPUs, expected {gpus:g} for each worker")
     workers = max(1, min(options.workers or cores(), len(rows)))
     parts = ray.data.from_items(rows, override_num_blocks=len(rows)).map_batches(
         Actor,

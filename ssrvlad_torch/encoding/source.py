@@ -84,7 +84,7 @@ class Source:
 
     @property
     def truth(self) -> GroundTruth | None:
-        """The ground truth of the data set."""
+        """The ground truth of the data set, if it declares one."""
         return self.dataset.truth if self.dataset else None
 
 
@@ -94,6 +94,7 @@ def open_source(
     *,
     compared: bool = False,
     images: bool = False,
+    live: bool = False,
     note: Note = do_nothing,
 ) -> Source:
     """The source, before its first frame is read.
@@ -103,6 +104,7 @@ def open_source(
         database: with which they are ``compared``, and where they may be a database themselves, or
             to which they are added.
         images: the frames can only be images.
+        live: the names of the files come later, one by one.
         note: gets what a data set lacks, and the network that labels pictures if the user names
             none.
 
@@ -110,8 +112,8 @@ def open_source(
         ValueError: settings do not go together, there are no frames or no label space, or the
             network of the database cannot be opened or has changed.
     """
-    source = open_network_of(wanted, database, compared=compared, images=images, note=note)
-    if source.database:
+    source = _opened(wanted, database, compared, images, note)
+    if source.database or live:
         return source
     paths, dataset = wanted.paths, source.dataset
     find = find_image_files if images or source.segmenter else find_label_files
@@ -131,16 +133,10 @@ def open_source(
         raise
 
 
-def open_network_of(
-    wanted: Wanted,
-    database: Database | None = None,
-    *,
-    compared: bool = False,
-    images: bool = False,
-    note: Note = do_nothing,
+def _opened(
+    wanted: Wanted, database: Database | None, compared: bool, images: bool, note: Note
 ) -> Source:
-    """The source without its files: the data set, the label space and the network; arguments and
-    errors as for `open_source`."""
+    """The source without its files: the data set, the label space and the network."""
     dataset = _open_dataset(wanted, note)
     source = Source(wanted, dataset=dataset, known=database.folders() if database else ())
     network, labels_as = wanted.segmenter, wanted.labels_as
@@ -268,7 +264,7 @@ def _are_pictures(files: Sequence[FrameFile], spaces: Sequence[LabelSpace | None
         for space in filter(None, spaces):
             with suppress(ValueError):
                 ids = np.unique(read_label_map(file, space)).tolist()
-                if {*ids} <= {each.id for each in space.classes}:
+                if {*ids} <= {label.id for label in space.classes}:
                     return False
         with suppress(ValueError):
             read_image(file)

@@ -123,12 +123,12 @@ def roc_auc(curve: PrecisionRecall, right: Floats, wrong: Floats) -> Floats:
     without a candidate counts as wrong with the lowest score. The figure equals scikit-learn's
     ``roc_auc_score(correct, scores)``; ``right`` and ``wrong`` ``(...)`` are the numbers of
     queries."""
-    found = np.insert(curve.true_positives, 0, 0.0, axis=-1)
+    recognised = np.insert(curve.true_positives, 0, 0.0, axis=-1)
     missed = np.insert(curve.accepted - curve.true_positives, 0, 0.0, axis=-1)
-    area = (np.diff(missed) * (found[..., 1:] + found[..., :-1]) / 2).sum(axis=-1)
+    area = (np.diff(missed) * (recognised[..., 1:] + recognised[..., :-1]) / 2).sum(axis=-1)
     return _divide(area + (wrong - missed[..., -1]) * right, right * wrong)
 
 
-def _divide(part: Floats, whole: Floats) -> Floats:
+def _divide(count: Floats, whole: Floats) -> Floats:
     """The quotient, NaN where ``whole`` is 0."""
-    return np.where(whole > 0, part / np.where(whole > 0, whole, 1.0), np.nan)
+    return np.where(whole > 0, count / np.where(whole > 0, whole, 1.0), np.nan)

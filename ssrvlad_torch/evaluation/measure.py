@@ -63,7 +63,7 @@ def measure(
     """All metrics with 95 % intervals, thresholds to choose from, and the details of the
     recognition. Queries whose true matches are not known are left out."""
     known, true_rows = known_matches(truth)
-    scores, rows = (part.numpy()[known] for part in recognition.matches)
+    scores, rows = (column.numpy()[known] for column in recognition.matches)
     pairs = recognition.similarity
     similarity = None if pairs is None else pairs[known]
     metrics = evaluate(
@@ -80,16 +80,16 @@ def measure(
         metrics["mean_confidence"] = float(recognition.recognised.confidence.numpy()[known].mean())
         metrics["estimates"] = {
             name: {
-                **estimate_in_json(each),
+                **estimate_in_json(estimate),
                 "of_known_truth": int(accepted.sum()),
                 "truly_wrong": float(1 - right[accepted].mean()) if accepted.any() else None,
             }
-            for name, each in recognition.estimates.items()
-            for accepted in [(sure >= each.confidence) & (sure > 0)]
+            for name, estimate in recognition.estimates.items()
+            for accepted in [(sure >= estimate.confidence) & (sure > 0)]
         }
     return {**metrics, **recognition.details}
 
 
-def estimate_in_json(found: Estimate) -> dict[str, Any]:
+def estimate_in_json(estimate: Estimate) -> dict[str, Any]:
     """The estimate as a mapping; its confidence is ``None`` where no answer is accepted."""
-    return {**found._asdict(), "confidence": found.confidence if found.accepted else None}
+    return {**estimate._asdict(), "confidence": estimate.confidence if estimate.accepted else None}

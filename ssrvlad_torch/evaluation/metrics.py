@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -91,27 +92,7 @@ def evaluate(
         if not 1 <= n <= indices.shape[1]:
             raise ValueError(f"RecallRate@{n}: expected N from 1 to {indices.shape[1]} candidates")
     curves = _curves(outcomes, truth, convention, similarity)
-
-    def figures(weights: Floats) -> dict[str, Floats]:
-        counted = np.ones(len(outcomes), bool) if convention == "vpr-bench" else outcomes.has_match
-        total = weights @ counted
-        rates = {}
-        for n in at:
-            found = weights @ ((outcomes.rank > 0) & (outcomes.rank <= n))
-            rates[str(n)] = np.where(total > 0, found / np.maximum(total, 1), np.nan)
-        curve, right = curves(weights), weights @ outcomes.correct
-        summaries = {
-            "auc_pr": curve.auc,
-            "average_precision": curve.average_precision,
-            "recall_at_100_precision": curve.recall_at_full_precision,
-            "extended_precision": curve.extended_precision,
-            "roc_auc": roc_auc(curve, right, weights.sum(axis=1) - right),
-        }
-        if convention.startswith("vpr-tutorial"):
-            undefined = ("average_precision", "extended_precision", "roc_auc")
-            summaries |= dict.fromkeys(undefined, np.full(len(weights), np.nan))
-        return rates | summaries
-
+    figures = partial(_figures, outcomes, convention, curves, at)
     values = {name: float(value[0]) for name, value in figures(np.ones((1, len(truth)))).items()}
     result = {
         "convention": convention,
@@ -137,6 +118,34 @@ def figure_rows(metrics: Mapping[str, Any]) -> list[tuple[str, float, Sequence[f
         *((f"RecallRate@{n}", rate, intervals["recall_at"][n]) for n, rate in rates.items()),
         *((name, metrics[key], intervals[key]) for key, name in FIGURES.items()),
     ]
+
+
+def _figures(
+    outcomes: Outcomes,
+    convention: Convention,
+    curves: Callable[[Floats], PrecisionRecall],
+    at: Sequence[int],
+    weights: Floats,
+) -> dict[str, Floats]:
+    """RecallRates by N as text, and the keys of `FIGURES`; ``weights`` as for `_curves`."""
+    counted = np.ones(len(outcomes), bool) if convention == "vpr-bench" else outcomes.has_match
+    total = weights @ counted
+    rates = {}
+    for n in at:
+        recognised = weights @ ((outcomes.rank > 0) & (outcomes.rank <= n))
+        rates[str(n)] = np.where(total > 0, recognised / np.maximum(total, 1), np.nan)
+    curve, right = curves(weights), weights @ outcomes.correct
+    summaries = {
+        "auc_pr": curve.auc,
+        "average_precision": curve.average_precision,
+        "recall_at_100_precision": curve.recall_at_full_precision,
+        "extended_precision": curve.extended_precision,
+        "roc_auc": roc_auc(curve, right, weights.sum(axis=1) - right),
+    }
+    if convention.startswith("vpr-tutorial"):
+        undefined = ("average_precision", "extended_precision", "roc_auc")
+        summaries |= dict.fromkeys(undefined, np.full(len(weights), np.nan))
+    return rates | summaries
 
 
 def _curves(

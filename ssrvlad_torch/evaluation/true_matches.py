@@ -99,7 +99,7 @@ class TrueMatches:
         frames: int | None,
         dataset: DatasetTruth | None,
     ) -> TrueMatches:
-        """By the first four, or by the data set if they define nothing."""
+        """The definition by a file or a distance, or that of the data set if none is given."""
         if (file, metres, frames) == (None,) * 3 and dataset:
             file, metres, frames = dataset.file, dataset.metres, dataset.frames
         return cls(file, metres, degrees, frames)
@@ -154,9 +154,9 @@ class TrueMatches:
             if positions is None:
                 truth.append(None)
                 continue
-            found = rows[positions]
-            truth.append(np.sort(found[found >= 0]))
-            missing |= {references.counted[at] for at in positions[found < 0].tolist()}
+            matches = rows[positions]
+            truth.append(np.sort(matches[matches >= 0]))
+            missing |= {references.counted[at] for at in positions[matches < 0].tolist()}
         if self.file and missing:
             note(
                 f"{len(missing)} references of {self.file} are not in the database, "

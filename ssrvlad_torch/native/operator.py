@@ -36,21 +36,21 @@ def describe(labels: Tensor, table: Tensor, origin: int, settings: str) -> Tenso
         labels = labels.to(torch.int64)
     labels, table = labels.contiguous(), table.contiguous()
     descriptors = torch.empty((len(labels), head.length))
-    found = head.library.ssrvlad_describe(
+    status = head.library.ssrvlad_describe(
         head.handle,
         Labels(labels.data_ptr(), labels.element_size(), *labels.shape),
         Table(table.data_ptr(), len(table), origin),
         torch.get_num_threads(),
         descriptors.data_ptr(),
     )
-    if found > 0:
+    if status > 0:
         known = (table != table[-1]).nonzero()[:, 0] - origin
         first = int(labels[~torch.isin(labels, known)].min())
         raise UnknownIdError(
-            f"label id {first} is not in the label space; {found} pixels have such ids"
+            f"label id {first} is not in the label space; {status} pixels have such ids"
         )
-    if found < 0:
-        problem = "not enough memory for" if found == -1 else "the native core does not accept"
+    if status < 0:
+        problem = "not enough memory for" if status == -1 else "the native core does not accept"
         raise RuntimeError(f"{problem} label maps {tuple(labels.shape)}")
     return descriptors
 

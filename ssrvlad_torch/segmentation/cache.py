@@ -1,4 +1,4 @@
-"""A cache of what networks said of pictures, so that none is segmented twice; of bounded size."""
+"""A cache of label maps and features, so that no picture is segmented twice; of bounded size."""
 
 import os
 from contextlib import suppress
@@ -39,7 +39,8 @@ class SegmentedCache:
         self._size: int | None = None
 
     def get(self, picture: str) -> tuple[LabelMap, Signs | None] | None:
-        """What is stored of the picture of this digest; ``None`` if missing or damaged."""
+        """The label map and the features that are stored for the picture with this digest; ``None``
+        if they are missing or damaged."""
         entry, features = self._entry(picture), None
         try:
             labels = read_label_map(FrameFile("cache", entry.stem, entry), self.space)
@@ -84,9 +85,9 @@ class SegmentedCache:
                 entries.append((status.st_mtime_ns, status.st_size, path))
         size = sum(size for _, size, _ in entries)
         left = size if size <= LARGEST else 0.9 * LARGEST
-        for _, part, path in sorted(entries):
+        for _, length, path in sorted(entries):
             if size <= left:
                 break
             path.unlink(missing_ok=True)
-            size -= part
+            size -= length
         return size

@@ -41,7 +41,7 @@ def label_space_of_names(names: Mapping[int, str], name: str) -> LabelSpace:
         >>> label_space_of_names({0: "road", 1: "car"}, "mine").classes[1].category
         'dynamic'
     """
-    if not any(category_of_name(each) in CATEGORIES for each in names.values()):
+    if not any(category_of_name(name) in CATEGORIES for name in names.values()):
         first = ", ".join(list(names.values())[:3])
         raise ValueError(
             f"none of the {len(names)} class names of {name} ({first}, ...) has a category; "

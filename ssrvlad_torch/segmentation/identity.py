@@ -66,8 +66,13 @@ class Identity:
     def _note(self) -> None:
         self._modules = list(self.network.modules())
         self._tables = [
-            (each._parameters, each._buffers, each._modules, each._non_persistent_buffers_set)
-            for each in self._modules
+            (
+                module._parameters,
+                module._buffers,
+                module._modules,
+                module._non_persistent_buffers_set,
+            )
+            for module in self._modules
         ]
         self._held = [*self.network.parameters(), *self.network.buffers()]  # no id is used again
         self._names = dict(_named(self.network))
@@ -77,7 +82,7 @@ class Identity:
         """Of every tensor its version, and which modules there are."""
         state: list[object] = []
         for parameters, buffers, modules, transient in self._tables:
-            state += [_version(each) for each in parameters.values() if each is not None]
+            state += [_version(tensor) for tensor in parameters.values() if tensor is not None]
             if buffers:
                 state += [_version(t) for name, t in buffers.items() if name not in transient]
             state += map(id, modules.values())
@@ -100,8 +105,8 @@ def digest_of(network: nn.Module, probe: bytes) -> str:
     if isinstance(network, OnnxNetwork):
         return network.digest()
     content = hashlib.blake2b(digest_size=16)
-    for part in (*_parts(network), probe):
-        content.update(len(part).to_bytes(8, "little") + part)
+    for piece in (*_parts(network), probe):
+        content.update(len(piece).to_bytes(8, "little") + piece)
     return content.hexdigest()
 
 

@@ -21,10 +21,10 @@ AUTO = "auto"
 """The label space that the network's own class names define."""
 
 _GIVEN = {"mean", "std", "white", "colour_order"}
-"""Settings of which one, given, shows that the preparation was thought of."""
+"""If one of these settings is given, the preparation counts as chosen, not assumed."""
 
 ACCEPT = "accept_defaults"
-"""The key of a YAML file that accepts what is assumed of a network, so that nothing is noted."""
+"""The key of a YAML file that accepts the assumed preparation, so that it is not noted."""
 
 _KEYS = ("network", "labels_as", "arguments", "runtime", ACCEPT)
 """Keys of a YAML file that are no settings of the preparation."""
@@ -174,8 +174,8 @@ def _named(path: Path) -> tuple[str, dict[str, Any]]:
 
 
 def _called(name: str, arguments: dict[str, Any], folder: Path | None) -> object:
-    """What the function gives that ``MODULE:NAME`` names; an error of the function names what it
-    was given."""
+    """The network that the function ``MODULE:NAME`` returns; an error of the function names its
+    arguments."""
     function = _function(name, folder)
     try:
         return function(**arguments)
@@ -188,11 +188,11 @@ def _function(name: str, folder: Path | None) -> Callable[..., object]:
     """The function that ``MODULE:NAME`` names in a Python module: beside the YAML file, in this
     folder, or on the path."""
     module, _, function = name.partition(":")
-    places = [str(each.absolute()) for each in (folder, Path()) if each is not None]
+    places = [str(place.absolute()) for place in (folder, Path()) if place is not None]
     sys.path[:0] = places
     try:
         loaded = import_module(module)
-        found = cast(Callable[..., object], getattr(loaded, function))
+        made = cast(Callable[..., object], getattr(loaded, function))
     except Exception as error:  # a user's code
         raise ValueError(f"no network {name!r}: {one_line(error)}; expected {_WHERE}") from error
     finally:
@@ -201,7 +201,7 @@ def _function(name: str, folder: Path | None) -> Callable[..., object]:
     beside = next((p for p in (path / "__init__.py", path.with_suffix(".py")) if p.is_file()), None)
     if own and beside and beside.resolve() != Path(own).resolve():
         raise ValueError(f"another module {module} is loaded already, {own}; rename {beside}")
-    return found
+    return made
 
 
 def _reason(error: Exception) -> str:
@@ -223,9 +223,9 @@ class MaskScores(nn.Module):
     def forward(self, images: Tensor) -> Tensor:
         """``(B, C, h, w)``: each mask gives its pixels the scores of its class."""
         told = {} if self.task is None else {"task_inputs": self.task.expand(len(images), -1)}
-        found = self.network(pixel_values=images, **told)
-        classes = found.class_queries_logits.softmax(-1)[..., :-1]
-        masks = found.masks_queries_logits.sigmoid()
+        output = self.network(pixel_values=images, **told)
+        classes = output.class_queries_logits.softmax(-1)[..., :-1]
+        masks = output.masks_queries_logits.sigmoid()
         return torch.einsum("bqc,bqhw->bchw", classes, masks)
 
 
@@ -291,7 +291,7 @@ def _quiet(name: str) -> Iterator[None]:
 
             disable_progress_bars()
             disable_progress_bar()
-    loggers = [logging.getLogger(each) for each in ("huggingface_hub", "transformers")]
+    loggers = [logging.getLogger(name) for name in ("huggingface_hub", "transformers")]
     levels = [logger.level for logger in loggers]
     for logger in loggers:
         logger.setLevel(logging.CRITICAL)

@@ -91,11 +91,11 @@ def external_files(path: Path) -> list[Path]:
 def graph_digest(model: onnx.ModelProto) -> str:
     """SHA-256 of a graph, its functions and opsets, in hex; the same for external weights."""
     digest = hashlib.sha256()
-    parts: list[Any] = [*model.opset_import, *model.functions]
+    protos: list[Any] = [*model.opset_import, *model.functions]
     for field, value in model.graph.ListFields():  # its parts are small enough to be serialised
-        parts += [field.name, *([value] if isinstance(value, str) else value)]
-    for part in parts:
-        content = part.encode() if isinstance(part, str) else part.SerializeToString(True)
+        protos += [field.name, *([value] if isinstance(value, str) else value)]
+    for proto in protos:
+        content = proto.encode() if isinstance(proto, str) else proto.SerializeToString(True)
         digest.update(len(content).to_bytes(8, "little") + content)
     return digest.hexdigest()
 

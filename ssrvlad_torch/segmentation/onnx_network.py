@@ -78,7 +78,7 @@ class OnnxNetwork(nn.Module):
         self._require_unchanged()
         inputs = self._session.get_inputs()
         if len(inputs) != 1:
-            names = ", ".join(each.name for each in inputs)
+            names = ", ".join(value.name for value in inputs)
             raise ValueError(f"{path} has inputs {names}; expected one, for images")
         self.input: str = inputs[0].name
         shape = _shape(inputs[0])
@@ -141,8 +141,10 @@ class OnnxNetwork(nn.Module):
         }
 
     def _state_of_files(self) -> list[tuple[int, ...]]:
-        found = [path.stat() if path.exists() else None for path in self._files]
-        return [(each.st_ino, each.st_size, each.st_mtime_ns) if each else () for each in found]
+        states = [path.stat() if path.exists() else None for path in self._files]
+        return [
+            (state.st_ino, state.st_size, state.st_mtime_ns) if state else () for state in states
+        ]
 
     def _require_unchanged(self) -> None:
         """Refuses files that are no longer those of the session."""

@@ -16,7 +16,7 @@ OF_SIDES = (
     "a network for one size, or for sides that are multiples of a number, needs size: or "
     "multiple: in a YAML file"
 )
-"""What may be wrong where a network fails at a size."""
+"""The hint where a network fails at a size."""
 
 
 @dataclass(frozen=True)

@@ -45,8 +45,8 @@ _AHEAD = 16
 
 
 class Segmented(NamedTuple):
-    """What a network says of a picture: an ``(H, W)`` label map, uint8, or uint16 or int64 for ids
-    that need it, and, if asked for, features, uint8 signs of `stages.features.SHAPE`."""
+    """The result of a network for a picture: an ``(H, W)`` label map, uint8, or uint16 or int64 for
+    ids that need it, and, if asked for, features, uint8 signs of `stages.features.SHAPE`."""
 
     labels: LabelMap
     features: npt.NDArray[np.uint8] | None = None
@@ -189,12 +189,12 @@ class Segmenter:
     def activations(self) -> list[Activation]:
         """The activations of the network that can be `features` by their names, in the order in
         which they are computed for one picture. A network that takes no picture is a ValueError."""
-        found = all_activations(self.network, probed(self.labels))
-        return [each for each in found if math.isfinite(each.stride)]
+        listed = all_activations(self.network, probed(self.labels))
+        return [activation for activation in listed if math.isfinite(activation.stride)]
 
     def __call__(self, images: Sequence[Pixels]) -> list[LabelMap]:
         """The label maps of pictures in memory, without the cache; see `segment`."""
-        return [each.labels for each in self.segment(images)]
+        return [segmented.labels for segmented in self.segment(images)]
 
     def segment(self, images: Sequence[Pixels], features: bool = False) -> list[Segmented]:
         """What the network says of pictures in memory, without the cache.
@@ -215,9 +215,9 @@ class Segmenter:
                 raise ValueError(
                     f"expected a list of (H, W, 3) uint8 images, got {image.shape} {image.dtype}"
                 )
-        found = self.features if features else None
+        wanted = self.features if features else None
         results = []
-        for result in self._complete([_Picture(image, None) for image in images], None, found):
+        for result in self._complete([_Picture(image, None) for image in images], None, wanted):
             if isinstance(result, ValueError):
                 raise result
             results.append(result)
@@ -245,10 +245,10 @@ class Segmenter:
                 mode, or was changed meanwhile.
             OSError: the cache cannot be written.
         """
-        found = self.features if features else None
+        wanted = self.features if features else None
         cache = None
         if self.cache is not None:
-            features_key = found.key if found else ""
+            features_key = wanted.key if wanted else ""
             cache = SegmentedCache(self.cache, self.key(), self.label_space, features_key)
 
         def read(file: FrameFile) -> Segmented | _Picture:
@@ -261,7 +261,7 @@ class Segmenter:
 
         ahead = read_ahead(read, files, workers, _AHEAD)
         while chunk := list(islice(ahead, _AHEAD)):
-            results = self._complete([content for _, content in chunk], cache, found)
+            results = self._complete([content for _, content in chunk], cache, wanted)
             yield from zip((file for file, _ in chunk), results, strict=True)
 
     def key(self) -> str:
@@ -304,7 +304,7 @@ class Segmenter:
         cache: SegmentedCache | None,
         features: NetworkFeatures | None,
     ) -> list[Segmented | ValueError]:
-        """Replaces pictures by what the network says of them; pictures of one size form batches."""
+        """Replaces pictures by their label maps and features; pictures of one size form batches."""
         results = {i: item for i, item in enumerate(chunk) if not isinstance(item, _Picture)}
         by_size: dict[tuple[int, ...], list[tuple[int, _Picture]]] = {}
         for i, item in enumerate(chunk):
@@ -326,7 +326,7 @@ class Segmenter:
     def _segment(
         self, pictures: Sequence[Pixels], features: NetworkFeatures | None
     ) -> list[Segmented | ValueError]:
-        """What the network says of a batch; if it fails, each picture is tried alone."""
+        """The results of a batch; if it fails, each picture is tried alone."""
         self._identity.require(self._in_training)
         images = torch.from_numpy(np.stack(pictures))
         height, width = images.shape[1:3]
@@ -343,9 +343,9 @@ class Segmenter:
         if len(output) != len(images):
             raise ValueError(f"the network gives {len(output)} outputs for {len(images)} images")
         results: list[Segmented | ValueError] = []
-        for number, part in enumerate(output.split(1)):
+        for number, scores in enumerate(output.split(1)):
             try:
-                labels = enlarged(classes_of(part), height, width)[0].numpy(force=True)
+                labels = enlarged(classes_of(scores), height, width)[0].numpy(force=True)
             except ValueError as error:
                 results.append(error)
                 continue

@@ -34,7 +34,7 @@ def multi_similarity(
     """
     other = ~same if other is None else other
     if similarity.ndim != 2 or not similarity.shape == same.shape == other.shape:
-        shapes = ", ".join(str(tuple(part.shape)) for part in (similarity, same, other))
+        shapes = ", ".join(str(tuple(matrix.shape)) for matrix in (similarity, same, other))
         raise ValueError(f"expected similarity, same and other of one shape (Q, R), got {shapes}")
     if len(similarity) == 0:
         raise ValueError("expected at least one query, got none")

@@ -104,7 +104,7 @@ def points(planes: Tensor) -> Points:
     place = (image * planes.shape[1] + y) * planes.shape[2] + x
     bits = _bits(planes)[:, None]
     layer, entry = (planes.flatten().index_select(0, place) & bits).nonzero().unbind(1)
-    image, y, x = (each.index_select(0, entry) for each in (image, y, x))
+    image, y, x = (places.index_select(0, entry) for places in (image, y, x))
     return Points(layer * planes.shape[0] + image, y, x)
 
 

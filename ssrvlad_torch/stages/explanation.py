@@ -110,8 +110,8 @@ class Explanation:
         tall = self.layers.shape[2] / self.layers.shape[3]
         row = _WIDTH * shown / 2 / columns * (tall + _TARGET) + 0.6
         figure = new_figure(_WIDTH * shown / 2, _ROW + 2 * row)
-        parts: Any = figure.subfigures(3, 1, height_ratios=(_ROW, row, row))
-        *photograph, left, right = parts[0].subplots(1, shown)
+        strips: Any = figure.subfigures(3, 1, height_ratios=(_ROW, row, row))
+        *photograph, left, right = strips[0].subplots(1, shown)
         for axes in photograph:
             axes.imshow(picture)
             axes.set_title("the picture", size=11)
@@ -122,11 +122,11 @@ class Explanation:
         left.set_title(f"{title}\n{size}" if title else size, size=11)
         left.set_axis_off()
         _draw_legend(right, self, image, harmonic)
-        for part, some in zip(parts[1:], (cells[:columns], cells[columns:]), strict=True):
-            grid = part.add_gridspec(2, columns, height_ratios=(tall, _TARGET))
-            for number, cell in enumerate(some):
-                _draw_layer(part.add_subplot(grid[0, number]), self, image, cell)
-                _draw_histogram(part.add_subplot(grid[1, number], polar=True), cell, harmonic)
+        for strip, drawn in zip(strips[1:], (cells[:columns], cells[columns:]), strict=True):
+            grid = strip.add_gridspec(2, columns, height_ratios=(tall, _TARGET))
+            for number, cell in enumerate(drawn):
+                _draw_layer(strip.add_subplot(grid[0, number]), self, image, cell)
+                _draw_histogram(strip.add_subplot(grid[1, number], polar=True), cell, harmonic)
         return figure
 
     def __repr__(self) -> str:
@@ -185,13 +185,13 @@ class _Cell(NamedTuple):
 def _cells(view: Explanation, image: int) -> list[_Cell]:
     """The clean layers with their residuals, the numerators of Eq. 2; or six layers and the
     boundaries in four directions with their soft histograms."""
-    found, colours = view.histograms, _COLOURS
+    histograms, colours = view.histograms, _COLOURS
     names: tuple[str, ...] = CATEGORIES
-    if not isinstance(found, HarmonicHistograms):
+    if not isinstance(histograms, HarmonicHistograms):
         masks = view.clean_layers[image]
-        shown = (found.points - found.counts[..., None, None] * found.centre)[image]
+        shown = (histograms.points - histograms.counts[..., None, None] * histograms.centre)[image]
     else:
-        masks, shown = view.layers[image], found.bins[image]
+        masks, shown = view.layers[image], histograms.bins[image]
         layer = masks.to(torch.uint8).argmax(0).masked_fill(~masks.any(0), NO_LAYER)
         numbers = merge(layer[None])
         areas = [numbers[0] == number for number in range(AREA_LAYERS)]
@@ -199,7 +199,7 @@ def _cells(view: Explanation, image: int) -> list[_Cell]:
         names = (*CATEGORIES[:AREA_LAYERS], *(f"{name} boundaries" for name in DIRECTIONS))
         colours = (*_COLOURS[:AREA_LAYERS], *[_BOUNDARY] * len(DIRECTIONS))
     columns = names, masks.cpu().numpy(), colours, shown.cpu().numpy()
-    return [_Cell(*each) for each in zip(*columns, strict=True)]
+    return [_Cell(*cell) for cell in zip(*columns, strict=True)]
 
 
 def _draw_legend(axes: Axes, view: Explanation, image: int, harmonic: bool) -> None:
@@ -209,9 +209,9 @@ def _draw_legend(axes: Axes, view: Explanation, image: int, harmonic: bool) -> N
 
     ids = set(np.unique(view.labels[image].cpu().numpy()).tolist())
     classes = [
-        Patch(color="#{:02x}{:02x}{:02x}".format(*(each.colour or (0, 0, 0))), label=each.name)
-        for each in view.label_space.classes
-        if each.id in ids
+        Patch(color="#{:02x}{:02x}{:02x}".format(*(label.colour or (0, 0, 0))), label=label.name)
+        for label in view.label_space.classes
+        if label.id in ids
     ]
     dot: dict[str, Any] = {"ls": "", "mec": "black", "mew": 0.5}
     marks = [

@@ -48,8 +48,8 @@ class FrontEnd(nn.Module):
         """The layers of a batch, a few images at a time so that memory stays bounded."""
         labels = label_map(labels, self.label_space)
         parts = []
-        for part in labels.split(max(1, PIXELS_AT_ONCE // labels[0].numel())):
-            layers, unknown = self.counted(part)
+        for chunk in labels.split(max(1, PIXELS_AT_ONCE // labels[0].numel())):
+            layers, unknown = self.counted(chunk)
             if bool(unknown.any()):
                 refuse_unknown(labels, self.label_space)
             parts.append(layers)

@@ -189,8 +189,8 @@ def mirrored(descriptors: Tensor, config: SSRVLADConfig) -> Tensor:
     length = descriptors[..., middle:].unflatten(-1, (BOUNDARY_DIRECTIONS, -1))
     swapped = {"rising": "falling", "falling": "rising"}
     order = [DIRECTIONS.index(swapped.get(name, name)) for name in DIRECTIONS]
-    parts = (
+    blocks = (
         area * signs[: config.harmonics],
         length[..., order, :] * signs[: config.boundary_harmonics],
     )
-    return torch.cat([part.flatten(-2) for part in parts], -1)
+    return torch.cat([block.flatten(-2) for block in blocks], -1)

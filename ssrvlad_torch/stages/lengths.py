@@ -37,8 +37,8 @@ def lengths(config: SSRVLADConfig, height: int, width: int) -> Lengths:
     grid is the integer 0."""
     radii, areas = (config.opening, config.closing), (config.hole_area, config.region_area)
     if not torch.compiler.is_exporting():
-        pixels = [config.radius_pixels(each, height, width) for each in radii]
-        pixels += [config.area_pixels(each, height, width) for each in areas]
+        pixels = [config.radius_pixels(fraction, height, width) for fraction in radii]
+        pixels += [config.area_pixels(fraction, height, width) for fraction in areas]
         return Lengths._make([*pixels, config.ring_limits(height, width)])
     h, w = (torch.full((), size).int() for size in (height, width))
     parts = [config.radius_pixels(fraction, _MILLION, _MILLION) for fraction in radii]
@@ -49,16 +49,16 @@ def lengths(config: SSRVLADConfig, height: int, width: int) -> Lengths:
     return Lengths._make([*floors, _floors(h * h + w * w, limits, _BILLION)])
 
 
-def _floors(amount: Tensor, parts: Sequence[int], unit: int, offset: int = 0) -> list[Length]:
-    """``(parts * amount + offset) / unit``, rounded down, and 0 for a part of 0. The amount is
-    ``()`` int32 from 0, the parts are up to the unit, which is at most a billion, and the offset is
-    below it."""
-    whole = torch.tensor(parts, dtype=torch.int32)
-    share = torch.tensor([part / unit for part in parts])
+def _floors(amount: Tensor, fractions: Sequence[int], unit: int, offset: int = 0) -> list[Length]:
+    """``(fractions * amount + offset) / unit``, rounded down, and 0 for a fraction of 0. The amount
+    is ``()`` int32 from 0; fractions are whole numbers up to the unit, which is at most a billion;
+    the offset is below it."""
+    whole = torch.tensor(fractions, dtype=torch.int32)
+    share = torch.tensor([fraction / unit for fraction in fractions])
     high = amount // _BASE
     low = amount - high * _BASE
     first, rest = divided(whole * high, share * high.float(), unit)
     estimate = rest.float() * (_BASE / unit) + share * low.float() + offset / unit
     second, _ = divided(rest * _BASE + whole * low + offset, estimate, unit)
     floors = (first * _BASE + second).unbind()
-    return [floor if part else 0 for floor, part in zip(floors, parts, strict=True)]
+    return [floor if fraction else 0 for floor, fraction in zip(floors, fractions, strict=True)]

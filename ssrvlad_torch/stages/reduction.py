@@ -79,7 +79,9 @@ def reduce_by_majority(
     columns = grouped(width, grid[1], COLUMNS, entries.device)
     entry = entries.flatten()
     cast = (looked_up(word, entry).view(entries.shape) for word in votes.float())
-    numbers = torch.cat([_summed(_summed(each, rows).transpose(1, 2), columns) for each in cast])
+    numbers = torch.cat(
+        [_summed(_summed(ballot, rows).transpose(1, 2), columns) for ballot in cast]
+    )
     places = RADIX ** -torch.arange(DIGITS, device=entries.device).float().view(-1, 1, 1, 1)
     higher = torch.floor(numbers * (places / RADIX))
     digits = (torch.floor(numbers * places) - higher * RADIX).to(real(height * width))
@@ -88,8 +90,8 @@ def reduce_by_majority(
     of_layers, unknown = counts[:-1], counts[-1]
     area = (columns.sizes[:, None] * rows.sizes).flatten()
     counted = torch.cat((of_layers, (area - of_layers.sum(0))[None]))
-    each = kinds.clamp(max=NO_LAYER).to(counts).view(-1, 1, 1)
-    most = torch.where(counted == counted.amax(0), each, NO_LAYER)
+    kind = kinds.clamp(max=NO_LAYER).to(counts).view(-1, 1, 1)
+    most = torch.where(counted == counted.amax(0), kind, NO_LAYER)
     categories = most.amin(0).to(torch.uint8)  # argmax may take any of equal ones
     return categories.view(images, grid[1], -1).transpose(1, 2), unknown.sum(1).to(torch.int64)
 

@@ -12,11 +12,11 @@ from .lengths import Length
 from .tracing import MOST, number_in, repeat_while
 
 PAIRS_AT_ONCE = 1 << 16
-"""Most pairs of points in memory at a time, not counting those of the last reference point: a few
+"""Most pairs of points in memory at a time, without those of the last reference point: a few
 megabytes for any number of points."""
 
 MOST_PAIRS = 4
-"""Pairs of points for each offset of the table; of more, a correlation is faster than a list."""
+"""Pairs of points for each offset of the table, up to which a list is faster than a correlation."""
 
 _BASE = 512
 _DIGITS = 5
@@ -51,13 +51,13 @@ def shape_contexts(
     sums = len(references)
     around, among = (_joined(lists, LAYERS * images) for lists in (references, [context] * sums))
     counts = _counts(around, among, bins, images * sums)
-    return [by_image(each, images) for each in counts.unflatten(0, (sums, -1)).unbind()]
+    return [by_image(count, images) for count in counts.unflatten(0, (sums, -1)).unbind()]
 
 
 def _joined(lists: Sequence[Points], groups: int) -> Points:
     """One list, with groups of their own for every list."""
-    group = torch.cat([each.group + groups * number for number, each in enumerate(lists)])
-    y, x = (torch.cat(places) for places in zip(*(each[1:] for each in lists), strict=True))
+    group = torch.cat([points.group + groups * number for number, points in enumerate(lists)])
+    y, x = (torch.cat(places) for places in zip(*(points[1:] for points in lists), strict=True))
     return Points(group, y, x)
 
 
@@ -66,7 +66,7 @@ def _counts(references: Points, context: Points, bins: Bins, images: int) -> Ten
     pitch = bins.table.shape[1]
     groups, stride = LAYERS * images, bins.total + 1
     context_position = context.y * pitch + context.x
-    population, members = (count_groups(each, images) for each in (context, references))
+    population, members = (count_groups(points, images) for points in (context, references))
     group_start = population.cumsum(0) - population
     reference_position = references.y * pitch + references.x - bins.table.numel() // 2
     if torch.compiler.is_exporting():
@@ -77,20 +77,20 @@ def _counts(references: Points, context: Points, bins: Bins, images: int) -> Ten
     counts = torch.zeros(groups * stride, dtype=torch.int64, device=bins.table.device)
     dense = population * members > MOST_PAIRS * bins.table.numel()
     for group in dense.nonzero()[:, 0].tolist():
-        around, among = (_chosen(each, each.group == group) for each in (references, context))
+        around, among = (_chosen(points, points.group == group) for points in (references, context))
         counts[group * stride : (group + 1) * stride] = _correlated(around, among, bins)
     listed = ~dense[references.group]
     references, reference_position = _chosen(references, listed), reference_position[listed]
     pairs = population[references.group]
     chunk = (pairs.cumsum(0) - pairs) // PAIRS_AT_ONCE
-    for part in torch.arange(len(pairs), device=pairs.device).split(torch.bincount(chunk).tolist()):
-        group, count = references.group[part], pairs[part]
+    for rows in torch.arange(len(pairs), device=pairs.device).split(torch.bincount(chunk).tolist()):
+        group, count = references.group[rows], pairs[rows]
         pair_count = int(count.sum())
         owner = torch.repeat_interleave(count, output_size=pair_count)
         first = group_start[group] - (count.cumsum(0) - count)
         entry = first.index_select(0, owner) + torch.arange(pair_count, device=owner.device)
         offset = context_position.index_select(0, entry)
-        offset -= reference_position[part].index_select(0, owner)
+        offset -= reference_position[rows].index_select(0, owner)
         bin_index = (group * stride).index_select(0, owner)
         bin_index += bins.table.flatten().index_select(0, offset)
         counts += torch.bincount(bin_index, minlength=groups * stride)
@@ -108,8 +108,8 @@ def _one_by_one(
         first, length = number_in(start[of]), number_in(size[of])
         torch._check(first + length <= context.shape[0])
         points = context.narrow(0, first, length) - references[step]
-        found = bins.table.flatten().index_select(0, points) + of * stride
-        counts = counts.scatter_add(0, found, torch.ones_like(found))
+        entries = bins.table.flatten().index_select(0, points) + of * stride
+        counts = counts.scatter_add(0, entries, torch.ones_like(entries))
         return (step + 1 < references.shape[0]).all(), step + 1, counts
 
     zeros = torch.zeros(start.shape[0] * stride, dtype=torch.int64)
@@ -152,8 +152,8 @@ def log_polar_bins(
     squared = dy * dy + dx * dx
     *beyond, outside = (squared - limit > 0 for limit in limits)  # some compare in float32
     bins = _sectors(dy, dx, sectors)
-    for each in beyond:
-        bins = bins + each.int() * sectors
+    for reached in beyond:
+        bins = bins + reached.int() * sectors
     return Bins(torch.where(outside | (squared == 0), total, bins), total)
 
 

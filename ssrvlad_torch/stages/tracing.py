@@ -1,4 +1,4 @@
-"""What differs where `torch.export` records a stage for other runtimes."""
+"""What `torch.export` must record in another way, for runtimes other than torch."""
 
 import math
 from collections.abc import Callable
@@ -11,7 +11,8 @@ MAX_WHOLE = 1 << 24
 """Whole numbers up to this one are exact in float32."""
 
 MOST = 1 << 31
-"""Of entries in a list. Without a limit, the exporter writes larger numbers than int64 holds."""
+"""Largest number of entries in a list: without a limit, the exporter writes larger numbers than
+int64 holds."""
 
 
 def real(largest: float = math.inf) -> torch.dtype:

@@ -33,8 +33,8 @@ MAX_WIDTH = 960
 columns."""
 
 _RADIX, _DIGITS = 8, 7
-"""Of a weight, which is at most ``ONE``. Sums of weights have up to forty bits, too many for
-float32, and are represented by their digits."""
+"""Digits of a weight, which is at most ``ONE``: sums of weights have up to forty bits, too many for
+float32."""
 
 
 def vanishing_columns(numbers: Tensor) -> Tensor:

@@ -61,7 +61,7 @@ LABEL_MAPS: list[tuple[Make, str]] = [
 
 
 @pytest.mark.parametrize(("make", "message"), LABEL_MAPS)
-def test_label_maps(here, ssrvlad, make, message):
+def test_a_hostile_label_map_is_skipped_in_one_line(here, ssrvlad, make, message):
     bad_folder = here / "bad"
     bad_folder.mkdir()
     make(bad_folder)
@@ -74,7 +74,7 @@ def test_label_maps(here, ssrvlad, make, message):
 
 
 @pytest.mark.parametrize("limit", ["5", "many"])
-def test_limits_of_the_environment(here, ssrvlad, monkeypatch, limit):
+def test_a_wrong_limit_of_the_environment_is_named(here, ssrvlad, monkeypatch, limit):
     monkeypatch.setenv("SSRVLAD_PIXEL_LIMIT", limit)
     one_line(ssrvlad, "show maps/000.png -o fig.png --labels-as camvid-11", "SSRVLAD_PIXEL_LIMIT")
     monkeypatch.setenv("SSRVLAD_FILE_LIMIT", limit)
@@ -109,7 +109,7 @@ PICTURES: list[tuple[Make, str]] = [
 
 
 @pytest.mark.parametrize(("make", "message"), PICTURES)
-def test_pictures(here, make, message):
+def test_a_hostile_picture_is_refused(here, make, message):
     from ssrvlad_torch.datasets.frame_file import FrameFile
     from ssrvlad_torch.datasets.image_files import read_image
 
@@ -137,20 +137,20 @@ YAML: list[tuple[str, str]] = [
 
 
 @pytest.mark.parametrize(("content", "message"), YAML)
-def test_label_spaces(here, ssrvlad, content, message):
+def test_a_hostile_label_space_is_one_line(here, ssrvlad, content, message):
     bad.text(here / "own.yaml", content)
     assert "own.yaml" in one_line(ssrvlad, "labels own.yaml", message)
 
 
 @pytest.mark.parametrize(("content", "message"), YAML[:5])
-def test_settings_of_a_segmenter(here, ssrvlad, content, message):
+def test_hostile_settings_of_a_segmenter_are_one_line(here, ssrvlad, content, message):
     bad.text(here / "own.yaml", content)
     command = "encode photos -o new.ssrdb --labels-as camvid-11 --segmenter own.yaml"
     one_line(ssrvlad, command, message)
 
 
 @pytest.mark.parametrize("size", ["[]", "[30000, 30000]", "[0, 4]", "[a, b]", "[1.5, 3]"])
-def test_invalid_sizes(here, ssrvlad, size):
+def test_an_invalid_size_is_one_line(here, ssrvlad, size):
     bad.text(here / "own.yaml", f"network: net.onnx\nsize: {size}\n")
     command = "encode photos -o new.ssrdb --labels-as camvid-11 --segmenter own.yaml"
     one_line(ssrvlad, command, "own.yaml: ")
@@ -184,7 +184,7 @@ TRUTHS: list[tuple[Make, str]] = [
 
 
 @pytest.mark.parametrize(("make", "message"), TRUTHS)
-def test_ground_truth(here, ssrvlad, make, message):
+def test_a_hostile_ground_truth_is_one_line(here, ssrvlad, make, message):
     name = make(here).name
     one_line(ssrvlad, f"evaluate town.ssrdb maps --ground-truth {name}", message)
 

@@ -19,17 +19,18 @@ if TYPE_CHECKING:
 
 AT = ("1", "5", "10")
 
+_METHOD = (
+    f"Methods to compare, separated by commas: {', '.join(METHODS)}, or FILE.h5, the descriptors "
+    "of any other method as hloc stores them."
+)
+
 
 def compare(
     *,
     options: DriveOptions,
     truth: TruthOptions,
     steps: StepOptions,
-    method: str = option(
-        f"Methods to compare, separated by commas: {', '.join(METHODS)}, or FILE.h5, the "
-        "descriptors of any other method as hloc stores them.",
-        default=...,
-    ),
+    method: str = option(_METHOD, default=...),
     settings: list[str] | None = option(
         "Setting of a method, METHOD.NAME=VALUE, such as netvlad.weights=FILE; can be repeated.",
         "--set",
@@ -44,9 +45,7 @@ def compare(
     method is measured twice: by the scores of single frames, and with the steps below.
     --standardise needs descriptors that are vectors or signs, --sweep needs ssr-vlad or features.
     Methods without their images, label maps or weights are left out. The others are compared on
-    the frames that all of them can use. --fuse adds the scores of methods; features count more
-    than HOG, HOG more than label maps, and the weight of a method grows with how clearly its first
-    candidates lead.
+    the frames that all of them can use. --fuse adds the scores of methods, weighted as in query.
 
     Example: ssrvlad compare town --method ssr-vlad,cohog --labels-as camvid-11
 
@@ -63,22 +62,29 @@ def compare(
     from ...encoding.results import Skipped
     from ...evaluation.true_matches import TrueMatches
 
-    names = [name.strip() for name in method.split(",")]
-    fused = [name.strip() for name in fuse.split(",")] if fuse else []
-    if fuse and (len(set(fused)) < max(2, len(fused)) or not set(fused) <= set(names)):
-        raise ValueError(f"--fuse: expected two or more of {', '.join(names)}, got {fuse!r}")
-    methods = _make(names, settings or ())
+    names = _names(method)
+    fused, methods = _fused(fuse, names), _make(names, settings or ())
     drives = Drives.open(note, **vars(options))
     true = TrueMatches.of(*truth.definition, drives.whole.truth)
-    if true.metres is not None:
-        drives = drives.posed()
     protocol = Protocol(true, truth.convention, steps.steps(), workers, fused, _progress)
-    rows = compared(methods, drives, protocol, note)
+    rows = compared(methods, drives if true.metres is None else drives.posed(), protocol, note)
     if as_json:
         print_json({"rows": rows})
     else:
         _print(rows)
     finish([Skipped(row["method"], row["reason"]) for row in rows if "reason" in row])
+
+
+def _names(listed: str) -> list[str]:
+    return [name.strip() for name in listed.split(",")]
+
+
+def _fused(listed: str | None, names: Sequence[str]) -> list[str]:
+    """The methods of --fuse: none, or two or more of the compared ones."""
+    fused = _names(listed) if listed else []
+    if listed and (len(set(fused)) < max(2, len(fused)) or not set(fused) <= set(names)):
+        raise ValueError(f"--fuse: expected two or more of {', '.join(names)}, got {listed!r}")
+    return fused
 
 
 def _make(names: Sequence[str], pairs: Sequence[str]) -> dict[str, Method | str]:

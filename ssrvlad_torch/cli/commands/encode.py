@@ -1,13 +1,21 @@
 """``ssrvlad encode``."""
 
+from __future__ import annotations
+
 import dataclasses
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from ..options import Json, MaybePreset, SourceOptions, StoredChannels, option, switch
-from ..output import finish, note, print_json, progress_bar, say
+from ..output import encoding_bar, finish, note, print_json, say
+
+if TYPE_CHECKING:
+    from ...encoding.results import Summary
+    from ...encoding.source import Wanted
 
 Engine = Literal["local", "ray"]
+
+_COMPLETE = "whole folders as SOURCE, without --fps, --every and --start"
 
 
 def encode(
@@ -38,33 +46,38 @@ def encode(
     --labels-as cityscapes-trainids
     """
     from ...database.database import Database
-    from ...datasets.videos import played
     from ...encoding.results import EncodeOptions
-    from ...files import is_uri
     from ...map import Map
 
     wanted = source.wanted()
-    folders = all(is_uri(path) or Path(path).is_dir() for path in source.paths)
-    complete = folders and not wanted.given("fps", "every", "start", "layout")
+    complete = _is_complete(wanted)
     if prune and not complete:
-        raise ValueError(
-            "--prune needs whole folders as SOURCE, without --fps, --every and --start"
-        )
+        raise ValueError(f"--prune needs {_COMPLETE}")
     if gpus and engine != "ray":
         raise ValueError("--gpus needs --engine ray and --segmenter")
     town = Map.open(output, preset=preset, channels=channel)
     frames = town.source(wanted, note=note)
-    with progress_bar("encoding", len(frames.files), played(frames.files)) as bar:
+    with encoding_bar(frames.files) as bar:
         options = EncodeOptions(source.workers, complete, prune, bar.advance, bar.skip, gpus)
         summary = town.add(frames, options, engine, note)
     if as_json:
-        named = [frame._asdict() for frame in summary.skipped]
-        report = {**dataclasses.asdict(summary), "anew": dict(summary.anew), "skipped": named}
         info = Database.open(output).info() if Database.exists(output) else {}
-        print_json({"database": output, **report, **info})
+        print_json({"database": output, **_as_json(summary), **info})
     else:
         say(f"{output}: {summary}")
     for frame in summary.gone:
         note(f"{frame} is in {output}, but its file is gone; --prune removes it")
-    described = summary.encoded + summary.anew.total() + summary.already_there
-    finish(summary.skipped, described)
+    finish(summary.skipped, summary.encoded + summary.anew.total() + summary.already_there)
+
+
+def _is_complete(wanted: Wanted) -> bool:
+    """Whether all frames of the folders are used, so that a frame without a file is gone."""
+    from ...files import is_uri
+
+    folders = all(is_uri(path) or Path(path).is_dir() for path in wanted.paths)
+    return folders and not wanted.given("fps", "every", "start", "layout")
+
+
+def _as_json(summary: Summary) -> dict[str, Any]:
+    skipped = [frame._asdict() for frame in summary.skipped]
+    return {**dataclasses.asdict(summary), "anew": dict(summary.anew), "skipped": skipped}

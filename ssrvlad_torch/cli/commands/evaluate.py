@@ -11,7 +11,7 @@ from ..options import (
     TruthOptions,
     option,
 )
-from ..output import finish, note, print_json, progress_bar, say
+from ..output import encoding_bar, finish, note, print_json, say
 
 
 def evaluate(
@@ -45,8 +45,8 @@ def evaluate(
     town = Map.open(database, version=as_of)
     by_poses = None if truth.definition == (None,) * 4 else truth.tolerance_metres is not None
     frames = town.source(source.wanted(by_poses), compared=True, note=note)
-    with progress_bar("encoding", len(frames.files)) as bar:
-        found = town.evaluate(
+    with encoding_bar(frames.files) as bar:
+        evaluation = town.evaluate(
             frames,
             recognition.steps(),
             **vars(truth),
@@ -55,11 +55,11 @@ def evaluate(
             **recognition.settings(),
         )
     if as_json:
-        print_json(found.metrics)
+        print_json(evaluation.metrics)
     else:
-        print_metrics(found.metrics)
+        print_metrics(evaluation.metrics)
     if report:
-        write_page(report, found, database, source.paths)
+        write_page(report, evaluation, database, source.paths)
         if not as_json:
             say(f"report: {report}")
-    finish(found.recognition.skipped, len(found.recognition.queries.frames))
+    finish(evaluation.recognition.skipped, len(evaluation.recognition.queries.frames))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -38,7 +39,7 @@ def labels(
     """
     from ...segmentation.networks import AUTO
     from ...segmentation.segmenter import Segmenter
-    from ...taxonomy import CATEGORIES, label_space, label_space_names
+    from ...taxonomy import label_space, label_space_names
 
     of_network = name not in label_space_names() and _is_network(name)
     if not of_network and (labels_as or every):
@@ -51,24 +52,33 @@ def labels(
         features, problem = None, str(error)
     rows = _classes(space, of_names=bool(segmenter and not labels_as))
     names = features.names if features else []
-    activations = _activations(segmenter, names) if segmenter and every else []
+    activations = _activations(segmenter, names) if segmenter and every else None
     if as_json:
         classes = [dict(zip(("id", "name", "category"), row, strict=True)) for row in rows]
-        found = {"name": space.name, "classes": classes, "features": features and names}
-        print_json(found | ({"activations": activations} if every else {}))
+        known = {"name": space.name, "classes": classes, "features": features and names}
+        print_json(known | ({"activations": activations} if every else {}))
         return
-    _print_table(("id", "name", "category"), rows)
-    out = [class_name for _, class_name, category in rows if category not in CATEGORIES]
-    have = f"{space.name}: {len(rows) - len(out)} of {len(rows)} classes have a category"
-    say(f"{have}; left out: {', '.join(out) or 'none'}")
-    if every:
-        _print_table(("activation", "channels", "height", "width", "stride", ""), [
-            (each["name"], *each["shape"][1:], f"{each['stride']:.3g}", _remark(each))
-            for each in activations
-        ])  # fmt: skip
+    _print(space.name, rows, activations)
     if segmenter:
         taken = ", ".join(map(str, features.activations)) if features else f"none: {problem}"
         say(f"features: {taken}")
+
+
+def _print(
+    name: str, rows: list[tuple[int, str, str]], activations: list[dict[str, Any]] | None
+) -> None:
+    """Prints the classes of a label space, and activations if they are asked for."""
+    from ...taxonomy import CATEGORIES
+
+    _print_table(("id", "name", "category"), rows)
+    out = [class_name for _, class_name, category in rows if category not in CATEGORIES]
+    have = f"{name}: {len(rows) - len(out)} of {len(rows)} classes have a category"
+    say(f"{have}; left out: {', '.join(out) or 'none'}")
+    if activations is not None:
+        _print_table(("activation", "channels", "height", "width", "stride", ""), [
+            (act["name"], *act["shape"][1:], f"{act['stride']:.3g}", _remark(act))
+            for act in activations
+        ])  # fmt: skip
 
 
 def _classes(space: LabelSpace, of_names: bool) -> list[tuple[int, str, str]]:
@@ -84,9 +94,9 @@ def _classes(space: LabelSpace, of_names: bool) -> list[tuple[int, str, str]]:
 
 def _activations(segmenter: Segmenter, names: list[str]) -> list[dict[str, Any]]:
     return [
-        {"name": each.name, "shape": each.shape, "stride": each.stride, "raised": each.raised,
-         "chosen": each.name in names}
-        for each in segmenter.activations()
+        {"name": act.name, "shape": act.shape, "stride": act.stride, "raised": act.raised,
+         "chosen": act.name in names}
+        for act in segmenter.activations()
     ]  # fmt: skip
 
 
@@ -96,7 +106,7 @@ def _remark(activation: dict[str, Any]) -> str:
     return "after the resolution was raised" if activation["raised"] else ""
 
 
-def _print_table(head: tuple[str, ...], rows: list[tuple[Any, ...]]) -> None:
+def _print_table(head: tuple[str, ...], rows: Sequence[tuple[Any, ...]]) -> None:
     from rich.table import Table
 
     table = Table(*head)

@@ -3,7 +3,7 @@
 import math
 
 from ..options import Json, RecognitionOptions, SourceOptions, option
-from ..output import finish, note, print_json, progress_bar, say
+from ..output import encoding_bar, finish, note, print_json, say
 
 
 def locate(
@@ -20,14 +20,13 @@ def locate(
     Example: ssrvlad locate photos/today/000002.png --in photos.ssrdb
     """
     from ...datasets.poses import Pose
-    from ...datasets.videos import played
     from ...evaluation.measure import estimate_in_json
     from ...map import Map
     from ..words import steps_in_words
 
     town = Map.open(database)
     frames = town.source(source.wanted(), compared=True, images=True, note=note)
-    with progress_bar("encoding", len(frames.files), played(frames.files)) as bar:
+    with encoding_bar(frames.files) as bar:
         settings = recognition.settings()
         answers = town.query(frames, recognition.steps(), 1, progress=bar.advance, **settings)
     for answer in answers:

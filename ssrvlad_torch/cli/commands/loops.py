@@ -27,6 +27,11 @@ STDIN = "-"
 LEFT_OUT = ("layout", "poses", "largest_gap", "topic", "fps", "every", "start")
 """Options that do not go with names on stdin."""
 
+_MEMORY = (
+    "Database to store the frames in; one that exists is continued. The place, and the weights of "
+    "fused methods, are then found anew."
+)
+
 
 def loops(
     *,
@@ -38,10 +43,7 @@ def loops(
         "Smallest probability of a reported loop.", default=LoopConfig.threshold, min=0, max=1
     ),
     sweep: bool = option("Describe each frame from three anchors.", default=LoopConfig.sweep),
-    memory: Path | None = option(
-        "Database to store the frames in; one that exists is continued. The place, and the weights "
-        "of fused methods, are then found anew."
-    ),
+    memory: Path | None = option(_MEMORY),
     picture: Path | None = option("Picture to write: the loops on the trajectory."),
     tolerance_metres: float | None = option(
         "Measure precision and recall: largest distance of a right loop in metres."
@@ -57,7 +59,7 @@ def loops(
     Example: ssrvlad loops maps/monday --labels-as camvid-11 --picture loops.png
     """
     from ...database.database import Database
-    from ...encoding.source import open_network_of, open_source
+    from ...encoding.source import open_source
     from ...files import require_picture
     from ...loops import stream
 
@@ -68,18 +70,16 @@ def loops(
     stored = Database.open(memory) if memory and Database.exists(memory) else None
     if picture:
         require_picture(picture)
-    opened = (open_network_of if live else open_source)(wanted, stored, note=note)
-    detector, database = stream.open_detector(
-        config, memory, preset, opened.labels_as, opened.segmenter, channel, note
-    )
+    opened = open_source(wanted, stored, live=live, note=note)
+    network = opened.labels_as, opened.segmenter
+    detector, database = stream.open_detector(config, memory, preset, *network, channel, note)
     frames = (_described_live if live else _described)(detector, opened, database)
     results, skipped = _printed(stream.detect_loops(detector, frames, database), as_json)
     if results or skipped or as_json or not len(detector):
         summary = stream.report(detector, results, tolerance_metres)
         _print_report(summary, results, config, as_json)
     else:
-        count = f"{len(opened.files)} " if opened.files else ""  # names on stdin are not counted
-        say(f"all {count}frames are in the memory already")
+        _print_nothing_new(len(opened.files))
     if picture:
         _draw(picture, detector, results, tolerance_metres)
     finish(skipped, len(results))
@@ -117,15 +117,15 @@ def _described(
 
 
 def _printed(
-    found: Generator[LoopResult | Skipped], as_json: bool
+    outcomes: Generator[LoopResult | Skipped], as_json: bool
 ) -> tuple[list[LoopResult], list[Skipped]]:
     """The results and the skipped frames of a stream; each result is printed as it comes."""
     from ...encoding.results import Skipped
 
     results: list[LoopResult] = []
     skipped: list[Skipped] = []
-    with closing(found):
-        for result in found:
+    with closing(outcomes):
+        for result in outcomes:
             if isinstance(result, Skipped):
                 skipped.append(result)
             else:
@@ -174,6 +174,11 @@ def _print_likeliest(results: Sequence[LoopResult], config: LoopConfig) -> None:
         "pictures, or frames nearer to each other, may find more; a street driven the "
         "other way is never found"
     )
+
+
+def _print_nothing_new(count: int) -> None:
+    frames = f"{count} frames" if count else "frames"  # names on stdin are not counted
+    say(f"all {frames} are in the memory already")
 
 
 def _print_report(

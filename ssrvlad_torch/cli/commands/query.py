@@ -6,7 +6,7 @@ import math
 from typing import TYPE_CHECKING
 
 from ..options import AsOf, DatabaseFolder, Json, RecognitionOptions, SourceOptions, option, switch
-from ..output import finish, note, print_json, progress_bar, say
+from ..output import encoding_bar, finish, note, print_json, say
 
 if TYPE_CHECKING:
     from ...search.answers import Answers
@@ -47,20 +47,19 @@ def query(
 
     Example: ssrvlad query town.ssrdb maps/today --top 3
     """
-    from ...datasets.videos import played
     from ...map import Map
 
     settings = {**recognition.settings(), "sequences": from_sequence, "exclude": exclude}
     if index and (settings["temporal"] or recognition.channel):
         raise ValueError("--index does not go with a temporal sum or --channel")
     town = Map.open(database, version=as_of)
-    beside = " and ".join(column.name for column in town.database.columns[1:]) if index else ""
+    unused = " and ".join(column.name for column in town.database.columns[1:])
     frames = town.source(source.wanted(), compared=True, note=note)
-    if beside:
-        note(f"--index searches descriptors of label maps, without {beside} of {database}")
-    with progress_bar("encoding", len(frames.files), played(frames.files)) as bar:
-        steps, progress = recognition.steps(), bar.advance
-        answers = town.query(frames, steps, top, index=index, progress=progress, **settings)
+    if index and unused:
+        note(f"--index searches descriptors of label maps, without {unused} of {database}")
+    with encoding_bar(frames.files) as bar:
+        settings |= {"index": index, "progress": bar.advance}
+        answers = town.query(frames, recognition.steps(), top, **settings)
     _print(answers, threshold, as_json, index)
     finish(answers.skipped, len(answers))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -55,40 +55,43 @@ def verify(
 
     files = find_label_files(labels) if labels else []
     with progress_bar("verifying", len(files)) as bar:
-        found = check(model, files, provider, bar.advance)
-    for warning in found.warnings:
+        result = check(model, files, provider, bar.advance)
+    for warning in result.warnings:
         note(f"{model}: {warning}")
     if as_json:
-        report = {
-            **dataclasses.asdict(found),
-            "checks": [each._asdict() for each in found.checks],
-            "skipped": [{"frame": frame, "reason": reason} for frame, reason in found.skipped],
-            "by_default": found.by_default and found.by_default._asdict(),
-            "difference": found.difference,
-            "passed": found.passed,
-        }
-        print_json({"file": str(model), "provider": provider, **report})
+        print_json({"file": str(model), "provider": provider, **_as_json(result)})
     else:
-        _print(model, found)
-    if not found.passed:
+        _print(model, result)
+    if not result.passed:
         raise typer.Exit(MISMATCH)
-    finish([Skipped(frame, reason) for frame, reason in found.skipped])
+    finish([Skipped(frame, reason) for frame, reason in result.skipped])
 
 
-def _print(model: Path, found: Verification) -> None:
+def _as_json(result: Verification) -> dict[str, Any]:
+    return {
+        **dataclasses.asdict(result),
+        "checks": [check._asdict() for check in result.checks],
+        "skipped": [{"frame": frame, "reason": reason} for frame, reason in result.skipped],
+        "by_default": result.by_default and result.by_default._asdict(),
+        "difference": result.difference,
+        "passed": result.passed,
+    }
+
+
+def _print(model: Path, result: Verification) -> None:
     from rich.table import Table
 
     table = Table("compared", "largest difference", "result")
-    for check in (*found.checks, *filter(None, [found.by_default])):
+    for check in (*result.checks, *filter(None, [result.by_default])):
         table.add_row(check.name, f"{check.difference:.2g}", check.problem or "equal")
     print_table(table)
-    for problem in found.problems:
+    for problem in result.problems:
         say(problem)
-    network = f" with {found.network}" if found.network else ""
+    network = f" with {result.network}" if result.network else ""
     say(
-        f"{model}: {'as expected' if found.passed else 'WRONG'}, "
-        f"{found.verdict} in {found.runtime}, largest difference {found.difference:.2g}; version "
-        f"{found.version}, fingerprint {found.fingerprint}, {found.labels_as}{network}"
+        f"{model}: {'as expected' if result.passed else 'WRONG'}, "
+        f"{result.verdict} in {result.runtime}, largest difference {result.difference:.2g}; "
+        f"version {result.version}, fingerprint {result.fingerprint}, {result.labels_as}{network}"
     )
 
 
@@ -96,15 +99,15 @@ def _verify_against(model: Path, network: str, as_json: bool) -> None:
     from ...deployment.against import SIZES, verify_against
 
     with progress_bar("verifying", len(SIZES)) as bar:
-        found = verify_against(model, network, bar.advance)
-    wrong = [_by(check.size) for check in found if check.problem and check.compared]
+        checks = verify_against(model, network, bar.advance)
+    wrong = [_by(check.size) for check in checks if check.problem and check.compared]
     if as_json:
-        sizes = [check._asdict() for check in found]
+        sizes = [check._asdict() for check in checks]
         report = {"file": str(model), "against": network, "sizes": sizes, "passed": not wrong}
         print_json(report)
     else:
-        _print_sizes(found)
-        right = ", ".join(_by(check.size) for check in found if check.compared)
+        _print_sizes(checks)
+        right = ", ".join(_by(check.size) for check in checks if check.compared)
         verdict = f"as expected, gives the labels of {network} at {right}"
         if wrong:
             verdict = f"WRONG, gives other labels than {network} at {', '.join(wrong)}: {_CAUSES}"
@@ -119,11 +122,11 @@ _CAUSES = (
 )
 
 
-def _print_sizes(found: list[SizeCheck]) -> None:
+def _print_sizes(checks: list[SizeCheck]) -> None:
     from rich.table import Table
 
     table = Table("picture", "fed at", "other labels", "result")
-    for check in found:
+    for check in checks:
         others = f"{check.others:.2%}" if check.others == check.others else ""
         table.add_row(_by(check.size), _by(check.fed), others, check.problem or "equal")
     print_table(table)

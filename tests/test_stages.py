@@ -48,7 +48,7 @@ def test_neighbours_are_clockwise_from_north_and_zero_outside():
         assert torch.equal(plane, padded[:, 1 + dy : 14 + dy, 1 + dx : 18 + dx])
 
 
-def test_two_or_more():
+def test_two_or_more_is_set_where_two_planes_are():
     some = [random_planes(seed) for seed in range(4)]
     expected = sum(unpack(plane).int() for plane in some) >= 2
     assert torch.equal(unpack(bitplanes.two_or_more(some)), expected)
@@ -62,7 +62,7 @@ def test_points_are_the_set_pixels_by_layer_then_image_then_raster_order():
     assert all(map(torch.equal, places, expected))
 
 
-def test_runs_by_hand():
+def test_runs_of_a_ring_by_hand():
     group, *runs = bitplanes.runs(planes(mask(RING)))
     assert group.tolist() == [0] * 6
     expected = [(1, 1, 5), (2, 1, 1), (2, 5, 5), (3, 1, 1), (3, 5, 5), (4, 1, 5)]
@@ -131,7 +131,7 @@ def assert_like_the_reference(stage, some, number):
 
 @stages
 @pytest.mark.parametrize("name", DRAWN)
-def test_drawings(name, stage):
+def test_drawn_masks_equal_the_reference(name, stage):
     for number in STAGES[stage][2]:
         assert_like_the_reference(stage, DRAWN[name], number)
 
@@ -144,7 +144,7 @@ def test_drawings(name, stage):
     number=st.integers(0, 35),
     density=st.sampled_from([0.25, 0.3, 0.5, 0.65, 0.75]),
 )
-def test_noise(stage, seed, height, width, number, density):
+def test_noise_equals_the_reference(stage, seed, height, width, number, density):
     """Near the percolation threshold regions are as winding as they get."""
     layers = np.random.default_rng(seed).random((1, 8, height, width)) < density
     number = number % 8 if STAGES[stage][2] is RADII else number
@@ -161,7 +161,7 @@ def test_dilation_is_kornias(radius):
 
 @pytest.mark.parametrize("variant", CHOICES["thinning"])
 @pytest.mark.parametrize("width", [7, 8, 9, 63, 64, 65])
-def test_thinning_at_widths_around_a_word(variant, width):
+def test_thinning_equals_the_reference_at_widths_around_a_word(variant, width):
     some = random_planes(width, (2, 33, width)) | random_planes(width + 1, (2, 33, width))
     assert_like_the_reference(variant, some, 0)
 
@@ -178,7 +178,7 @@ def words_of_sub_iterations(layer):
     return work
 
 
-def test_thinning_looks_only_at_what_is_not_settled():
+def test_thinning_visits_only_pixels_that_may_still_change():
     """A small block beside a large one settles first; then nobody looks at it any more."""
     assert len(words_of_sub_iterations(mask(CROSS))) == 2
     assert 4 <= len(words_of_sub_iterations(mask(BLOCK))) <= 6
@@ -191,7 +191,7 @@ def test_thinning_looks_only_at_what_is_not_settled():
 
 
 @given(seed=st.integers(0, 10_000), height=st.integers(1, 20), width=st.integers(1, 20))
-def test_centres(seed, height, width):
+def test_centres_equal_the_reference(seed, height, width):
     some = random_planes(seed, (2, height, width)) & random_planes(seed + 3, (2, height, width))
     expected = [
         [reference.centroid(layer) or (-1, -1) for layer in layers]

@@ -55,7 +55,7 @@ def test_no_password_is_taken_from_a_path_or_shown(folder, tmp_path):
     assert "secret" not in repr(file)
 
 
-def test_what_has_changed_is_encoded_anew_and_what_is_gone_is_skipped(folder, tmp_path):
+def test_changed_files_are_encoded_anew_and_missing_ones_skipped(folder, tmp_path):
     database = Database.create(tmp_path / "db", HEAD.config)
     assert encode_to_database(HEAD, find_label_files([folder.as_uri()]), database).encoded == 4
     write_street(folder / "2.png", 99, 30, 40)
@@ -69,7 +69,7 @@ def test_what_has_changed_is_encoded_anew_and_what_is_gone_is_skipped(folder, tm
     assert "No such file or directory" in skipped.reason
 
 
-def test_what_holds_no_frames_is_refused(folder, tmp_path):
+def test_a_uri_without_frames_is_refused(folder, tmp_path):
     with pytest.raises(ValueError, match=r"deeper holds no label maps; expected \.png"):
         find_label_files([(folder / "deeper").as_uri()])
     with pytest.raises(FileNotFoundError, match="none"):
@@ -87,7 +87,9 @@ def engine(request, bucket):
         ray.shutdown()
 
 
-def test_pictures_from_a_bucket(bucket, ssrvlad, tmp_path, monkeypatch, engine):
+def test_pictures_of_a_bucket_give_the_rows_of_local_files(
+    bucket, ssrvlad, tmp_path, monkeypatch, engine
+):
     """A network labels them; features and HOG are stored as for pictures here."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     write_photos(tmp_path / "monday", size=(96, 128))
@@ -108,7 +110,7 @@ def test_pictures_from_a_bucket(bucket, ssrvlad, tmp_path, monkeypatch, engine):
         assert torch.equal(channel, expected.channels[name])
 
 
-def test_from_a_bucket_into_a_bucket(bucket, ssrvlad, tmp_path, engine):
+def test_label_maps_of_a_bucket_are_encoded_into_a_bucket(bucket, ssrvlad, tmp_path, engine):
     """Settings of the environment serve sources and database, here and in workers."""
     for number in range(5):
         write_street(tmp_path / "monday" / f"{number}.png", number)

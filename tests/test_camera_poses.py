@@ -46,7 +46,7 @@ def test_the_axis_is_the_third_row_of_the_rotation(quaternion):
 
 
 @pytest.mark.parametrize("quaternion", [(0, 0, 0, 0), (math.nan, 0, 0, 1), (math.inf, 0, 0, 1)])
-def test_what_is_no_rotation_is_refused(quaternion):
+def test_a_quaternion_of_length_zero_or_infinity_is_refused(quaternion):
     with pytest.raises(ValueError, match="is not a rotation"):
         optical_axis(quaternion)
 
@@ -116,7 +116,7 @@ def test_distances_are_those_on_the_sphere(tmp_path):
     ("yaw", "heading"),
     [(0, NORTH), (math.pi / 2, EAST), (math.pi, -math.pi / 2), (-math.pi / 4, 3 * math.pi / 4)],
 )
-def test_headings_in_unity(tmp_path, yaw, heading):
+def test_headings_of_synthia_count_from_x_towards_y(tmp_path, yaw, heading):
     """Yaw 0 looks along the world's z, which is a `Pose`'s y; a quarter turn clockwise, along x.
     The columns of the matrix are right, up, back and the position."""
     right = (math.cos(yaw), 0, -math.sin(yaw))
@@ -129,7 +129,7 @@ def test_headings_in_unity(tmp_path, yaw, heading):
 # ---- RobotCar Seasons and Extended CMU Seasons
 
 
-def test_the_example_of_robotcar(tmp_path):
+def test_the_pose_of_robotcars_readme_by_hand(tmp_path):
     """The README's estimate for rear/1417178853389469.jpg: by hand, the third row of its rotation
     is (0.884, -0.425, 0.192) and the second, which is down, (-0.170, 0.090, 0.981)."""
     quaternion = "0.655230866337965 -0.536609290501044 -0.340346549997501 -0.408516459863989"
@@ -138,7 +138,7 @@ def test_the_example_of_robotcar(tmp_path):
     assert pose == pytest.approx((2, 1, math.atan2(0.88446, -0.42513)), abs=1e-4)
 
 
-def test_the_example_of_extended_cmu(tmp_path):
+def test_the_pose_of_extended_cmus_readme_by_hand(tmp_path):
     """By hand: the third row of the rotation is (-0.888, 0.456, 0.063) and the second, which is
     down, (-0.019, 0.099, -0.995): so z is up, and the camera looks west by north."""
     known = read_list(write(tmp_path / "poses.txt", [README]))

@@ -5,14 +5,12 @@ import pytest
 import torch
 from drawings import SPACE
 from helpers import flip_byte
-from networks import CLASSES, PLAIN, Strided, Then, colour_network, write_graph
+from networks import CLASSES, PLAIN, Strided, Then, colour_network
 from segmenting import LABELS, counted, write_photos
 from torch import nn
 
 from ssrvlad_torch.datasets.image_files import find_image_files
 from ssrvlad_torch.segmentation import segmenter as segmentation
-from ssrvlad_torch.segmentation.onnx_files import external_files
-from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
 from ssrvlad_torch.segmentation.preparation import SegmenterConfig
 from ssrvlad_torch.segmentation.segmenter import Segmenter
 
@@ -52,7 +50,7 @@ def test_a_label_map_is_made_once_and_found_by_the_content_of_the_image(photos, 
     assert len(first) == 5
 
 
-def test_what_computes_something_else_has_another_key():
+def test_every_network_and_setting_has_its_own_key():
     other = colour_network()
     other.bias.data[3] += 1e-3
 
@@ -76,17 +74,6 @@ def test_what_computes_something_else_has_another_key():
     ]
     assert len({segmenter.key() for segmenter in segmenters}) == len(segmenters)
     assert segmenters[0].key() == Segmenter(colour_network(), SPACE, PLAIN).key()
-
-
-@pytest.mark.parametrize("external", [False, True])
-def test_a_graph_is_known_by_its_file_and_its_weights(tmp_path, external):
-    def key(white):
-        path = write_graph(tmp_path / "net.onnx", external=external, white=white)
-        return Segmenter(OnnxNetwork(path), SPACE, PLAIN).key()
-
-    first, second, third = key(1.0), key(1.5), key(1.0)
-    assert first == third != second
-    assert external_files(tmp_path / "net.onnx") == [tmp_path / "net.data"] * external
 
 
 @pytest.mark.parametrize("damage", ["flip", "cut", "empty", "dangling link"])
@@ -133,7 +120,7 @@ def test_wide_ids_are_kept_and_those_that_no_png_can_hold_are_made_each_time(pho
     assert len(entries(cache)) == 5
 
 
-def test_ctrl_c_keeps_what_was_made(photos, cache, monkeypatch):
+def test_label_maps_made_before_ctrl_c_are_kept(photos, cache, monkeypatch):
     monkeypatch.setattr(segmentation, "PIXELS_AT_ONCE", 1)
     segmenter = Segmenter(colour_network(), SPACE, PLAIN, cache)
     segmenter.key()

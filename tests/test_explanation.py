@@ -1,0 +1,40 @@
+"""The stages of the method as figures."""
+
+import pytest
+import torch
+from helpers import street
+
+from ssrvlad_torch import SSRVLAD
+
+LABELS = (
+    torch.from_numpy(street(0)).where(torch.from_numpy(street(0)) != 7, 0)[None].repeat(2, 1, 1)
+)
+
+
+@pytest.mark.parametrize(
+    ("preset", "shown"),
+    [
+        ("default", {"building", "upright boundaries", "falling boundaries"}),
+        ("paper", {"building", "guard-rail: none", "parking: none"}),
+    ],
+)
+def test_an_explanation_as_a_figure(preset, shown):
+    """A label map, and each mask above its histogram; whatever is in no layer is said."""
+    view = SSRVLAD.from_preset(preset, labels_as="camvid-11").explain(LABELS)
+    figure = view.show(title="drive/000000")
+    axes = figure.get_axes()
+    titles = [each.get_title() for each in axes]
+    assert titles[0].startswith("drive/000000\n") and shown <= {*titles}
+    assert sum(each.name == "polar" for each in axes) == (10 if preset == "default" else 8)
+    classes = [text.get_text() for text in axes[1].artists[0].get_texts()]
+    assert {"sky", "building"} <= {*classes} and "fence" not in classes
+    with pytest.raises(IndexError, match="expected an image from 0 to 1, got 2"):
+        view.show(2)
+
+
+def test_notebooks_show_the_stages_as_a_picture():
+    head = SSRVLAD.from_preset("default", labels_as="camvid-11")
+    view = head.explain(LABELS)
+    assert repr(view) == "Explanation(2 images of camvid-11, 32 x 24)"
+    page = view._repr_html_()
+    assert "data:image/png;base64," in page and "1 more" in page

@@ -1,0 +1,137 @@
+"""What frames are read with: data sets, and the network that the user or the database names."""
+
+import json
+
+import numpy as np
+import pytest
+from drawings import SPACE
+from helpers import street
+from networks import photo
+from segmenting import write_image
+
+from ssrvlad_torch import Database
+from ssrvlad_torch.datasets.synthetic_city import write_city
+
+CITY = ("--labels-as", "cityscapes-trainids")
+
+
+def camera(folder, seeds):
+    """Photographs with noise, which are no label maps in colours."""
+    noise = np.random.default_rng(0)
+    for seed in seeds:
+        pixels = photo(street(seed, 60, 80)).astype(int) + noise.integers(-2, 3, (60, 80, 3))
+        write_image(folder / f"{seed}.png", pixels.clip(0, 255).astype(np.uint8))
+    return folder
+
+
+def test_every_command_takes_the_network_of_the_database(
+    network, ssrvlad, maps, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monday, tuesday = (camera(tmp_path / name, range(4)) for name in ("first", "second"))
+    town, named = tmp_path / "drives", ("--segmenter", network)
+    assert ssrvlad("encode", monday, "-o", town, *named)[0] == 0
+
+    def clear():
+        after = Database.open(town)
+        after.remove([frame for frame in after.load().frames if not frame.startswith("first/")])
+
+    for command in (
+        ("query", town, tuesday, "--json"),
+        ("evaluate", town, tuesday, "--tolerance-frames", 0, "--json"),
+        ("loops", tuesday, "--memory", town, "--json"),
+        ("encode", tuesday, "-o", town, "--json"),
+    ):
+        expected = ssrvlad(*command, *named)[1]
+        clear()
+        code, out, err = ssrvlad(*command)
+        assert (code, without_version(out)) == (0, without_version(expected)), (command, err)
+        clear()
+        assert err[0] == f"ssrvlad: {network}, the network of {town}, labels the pictures"
+    code, _, err = ssrvlad("query", town, maps, "--channel", "ssr-vlad")
+    assert (code, len(err)) == (0, 1), "label maps need no network"
+
+
+def without_version(out):
+    lines = [json.loads(line) for line in out.splitlines()]
+    return [{key: line[key] for key in line.keys() - {"version"}} for line in lines]
+
+
+def test_an_assumed_preparation_is_noted_unless_accepted(network, ssrvlad, tmp_path):
+    given = ("--labels-as", SPACE, "--segmenter-cache", tmp_path / "cache", "--segmenter")
+    accepting = {each: tmp_path / f"{each}.yaml" for each in ("true", "false", "3")}
+    for each, path in accepting.items():
+        path.write_text(f"network: net.onnx\nsize: 60\naccept_defaults: {each}\n")
+    for name, told in (
+        (network, False), (tmp_path / "net.onnx", True), (accepting["true"], False),
+        (accepting["false"], True),
+    ):  # fmt: skip
+        town = tmp_path / f"town of {name.name}"
+        _, _, err = ssrvlad("encode", tmp_path / "photos", "-o", town, *given, name)
+        assumed = [line for line in err if "assumed: rgb, 0 to 1, mean (0.485, 0.456" in line]
+        assert len(assumed) == told
+        assert all(
+            "(accept_defaults: true in a YAML file accepts that)" in line for line in assumed
+        )
+    (line,) = ssrvlad("encode", tmp_path / "photos", "-o", tmp_path / "x", *given, accepting["3"])[
+        2
+    ]
+    assert "3.yaml: accept_defaults must be true or false, got 3" in line
+
+
+@pytest.fixture
+def city(tmp_path):
+    """Eight frames of both drives through the city."""
+    write_city(tmp_path / "city", frames=8, seed=1, size=(60, 80))
+    return tmp_path / "city"
+
+
+@pytest.fixture
+def reference(ssrvlad, city, tmp_path):
+    """A database of the references, the roles being those of the data set."""
+    db = tmp_path / "roles.ssrdb"
+    options = (*CITY, "--layout", "auto", "--role", "reference")
+    code, out, _ = ssrvlad("encode", city, "-o", db, *options)
+    assert (code, "8 frames encoded" in out) == (0, True)
+    return db
+
+
+def test_roles_and_truth_come_from_the_data_set(ssrvlad, city, reference, tmp_path):
+    db = tmp_path / "folders.ssrdb"
+    ssrvlad("encode", city / "reference", "-o", db, *CITY)
+    truth = ("--ground-truth", city / "ground_truth.json")
+    by_folders = ssrvlad("evaluate", db, city / "query", *truth, "--json")
+    whole = ("evaluate", reference, city, "--layout", "auto", "--role", "query")
+    assert ssrvlad(*whole, "--json") == by_folders
+    assert json.loads(by_folders[1])["queries"] == 8
+    assert ssrvlad(*whole, "--tolerance-metres", 5, "--json")[1] == by_folders[1]
+    assert ssrvlad(*whole[:3], "--layout", "folders", "--split", "q*", "--json") == by_folders
+    places = ((city / "query",), (city, "--layout", "auto", "--split", "query"))
+    lines = [ssrvlad("query", reference, *where, "--top", 2)[1] for where in places]
+    assert lines[0] == lines[1] != ""
+    for limit, count in (((), 8), ((180,), 8), ((0,), 0)):
+        options = ("--tolerance-metres", 5, *(("--tolerance-degrees", *limit) if limit else ()))
+        out = ssrvlad("evaluate", reference, city / "query", *options, "--json")[1]
+        assert json.loads(out)["queries_with_match"] == count, "headings can count"
+
+
+WRONG = [
+    ("--layout auto --split nope", "city has no sequence 'nope'; it has query, ref"),
+    ("--split query", "--split, --role and --labels need --layout, such as --layout auto"),
+    ("--role query", "need --layout"),
+    ("--layout auto --sequence foo", "--sequence, --poses, --topic and --fps do no"),
+    ("--labels maps", "need --layout"),
+    ("--layout synthia", "city is not in the layout synthia: expected"),
+    ("--layout kitti", "unknown layout 'kitti'; expected one of extended-cmu"),
+    ("--layout auto --role loop", "'loop' is not one of 'reference', 'query'"),
+    ("--layout auto --labels nowhere", "label maps in nowhere need a label space"),
+    ("other --layout auto", "--layout: expected the folder of one data set, got 2 sources"),
+]
+
+
+def test_wrong_use_of_a_data_set_is_one_line(ssrvlad, city, reference):
+    for options, message in WRONG:
+        for command in ("query", "evaluate"):
+            code, out, err = ssrvlad(command, reference, city, *options.split())
+            assert (code, out, len(err)) == (2, "", 1), options
+            assert message in err[0]
