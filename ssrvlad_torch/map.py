@@ -238,14 +238,12 @@ class Map:
         most = max(TOP, len(self))
         top = most if isinstance(top, int) and top > most else checked_number("top", top, least=1)
         if index:
-            answers = search_by_index(
-                self.database, source, steps, top, sequences, exclude, progress
-            )
+            found = search_by_index(self.database, source, steps, top, sequences, exclude, progress)
         else:
-            answers = search(
+            found = search(
                 self.database, source, steps, top, temporal, channels, sequences, exclude, progress
             )
-        return answers.accepted(min_confidence, max_wrong)
+        return found.accepted(min_confidence, max_wrong)
 
     @overload
     def locate(self, pictures: Picture, top: int = 5) -> Answer: ...  # type: ignore[overload-overlap]
@@ -418,9 +416,7 @@ class Map:
         self, view: View, references: FrameSet, channels: Sequence[Channel], top: int
     ) -> Answer:
         """The answer to one picture."""
-        descriptors = {
-            channel.column.name: channel.describe([view], COLUMNS) for channel in channels
-        }
+        descriptors = {each.column.name: each.describe([view], COLUMNS) for each in channels}
         unknown = np.full((1, 3), np.nan)
         empty = np.array([not bool(next(iter(descriptors.values())).any())])
         queries = FrameSet(

@@ -368,7 +368,7 @@ def features(activations: list[Floats]) -> npt.NDArray[np.uint8]:
         height, width = activation.shape[1:]
         down, across = overlaps(height, side, 0) / height, overlaps(width, side, 0) / width
         means = [down.T @ channel @ across for channel in activation]
-        cells = np.array([(mean - mean.mean()) / math.sqrt(mean.var() + 1e-5) for mean in means])
+        cells = np.array([(each - each.mean()) / math.sqrt(each.var() + 1e-5) for each in means])
         parts.append(cells / np.maximum(np.linalg.norm(cells, axis=0), 1e-12))
     cells = np.concatenate(parts)
     positive = np.zeros((side, side, signs), bool)

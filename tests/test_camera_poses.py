@@ -129,7 +129,7 @@ def test_headings_of_synthia_count_from_x_towards_y(tmp_path, yaw, heading):
 # ---- RobotCar Seasons and Extended CMU Seasons
 
 
-def test_the_pose_of_robotcars_readme_by_hand(tmp_path):
+def test_the_pose_of_robotcars_readme_equals_that_by_hand(tmp_path):
     """The README's estimate for rear/1417178853389469.jpg: by hand, the third row of its rotation
     is (0.884, -0.425, 0.192) and the second, which is down, (-0.170, 0.090, 0.981)."""
     quaternion = "0.655230866337965 -0.536609290501044 -0.340346549997501 -0.408516459863989"
@@ -138,7 +138,7 @@ def test_the_pose_of_robotcars_readme_by_hand(tmp_path):
     assert pose == pytest.approx((2, 1, math.atan2(0.88446, -0.42513)), abs=1e-4)
 
 
-def test_the_pose_of_extended_cmus_readme_by_hand(tmp_path):
+def test_the_pose_of_extended_cmus_readme_equals_that_by_hand(tmp_path):
     """By hand: the third row of the rotation is (-0.888, 0.456, 0.063) and the second, which is
     down, (-0.019, 0.099, -0.995): so z is up, and the camera looks west by north."""
     known = read_list(write(tmp_path / "poses.txt", [README]))

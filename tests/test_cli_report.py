@@ -91,7 +91,9 @@ def test_only_the_file_that_was_encoded_is_shown(evaluate, tmp_path):
     assert evaluate("--tolerance-frames", 0).words.count("no picture") == 4
 
 
-def test_what_was_left_out_is_told(ssrvlad, evaluate, database, tmp_path, out):
+def test_the_page_counts_queries_that_were_left_out_or_skipped(
+    ssrvlad, evaluate, database, tmp_path, out
+):
     truth = {f"friday/{n:03d}": [f"monday/{n:03d}"] for n in (0, 2, 3)}
     (tmp_path / "friday" / "005.png").write_text("no image")
     truth = write_truth(tmp_path / "truth.json", truth)
@@ -130,7 +132,7 @@ def test_a_data_set_has_photos_too(ssrvlad, tmp_path, out, predicted):
         assert difference.mean() < 12
 
 
-def test_a_segmenter_shows_what_it_saw(ssrvlad, tmp_path, out, monkeypatch):
+def test_with_a_segmenter_photos_and_label_maps_are_shown(ssrvlad, tmp_path, out, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     for day in ("monday", "friday"):
         street_photos(tmp_path / day, range(4))

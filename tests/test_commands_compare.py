@@ -6,7 +6,7 @@ from drives import write_truth
 CAMVID = ("--labels-as", "camvid-11")
 
 
-def test_methods_on_label_maps_and_on_images_of_one_data_set(compare, two_drives):
+def test_methods_of_label_maps_and_of_images_are_compared_on_one_data_set(compare, two_drives):
     names = ("ssr-vlad", "label-grid", "hog", "tiny-image", "cohog")
     pairs = ("ssr-vlad.temporal=0", "hog.rows=2", "cohog.size=128")
     settings = [f"--set={pair}" for pair in pairs]

@@ -59,7 +59,7 @@ def test_curve_equals_a_loop_over_thresholds(queries, more_positives):
         assert curve.recall_at_full_precision == pytest.approx(full)
 
 
-def test_the_figures_of_four_queries_by_hand():
+def test_the_figures_of_four_queries_equal_those_by_hand():
     """Right, right, wrong, right; four positives."""
     curve = curve_of([0.9, 0.8, 0.6, 0.4], [1, 1, 0, 1], 4)
     assert curve.average_precision == pytest.approx((1 + 1 + 3 / 4) / 4)

@@ -164,7 +164,7 @@ def test_label_maps_are_found_where_networks_write_them(tmp_path, place):
     assert [file.path for file in labelled.label_files()] == [tmp_path / place]
 
 
-def test_label_maps_in_a_folder_beside_that_of_the_images(tmp_path):
+def test_label_maps_are_found_in_a_folder_beside_that_of_the_images(tmp_path):
     dataset = photos(tmp_path, "0001TP/images/1.jpg", "0016E5/images/1.jpg")
     expected = [tmp_path / f"{drive}/predicted/1.png" for drive in ("0001TP", "0016E5")]
     touch(*expected)

@@ -37,7 +37,7 @@ def test_a_png_is_a_label_map_or_an_image_but_not_both(compare, maps, tmp_path):
     assert rows["label-grid"]["reason"] == "it needs label maps and their --labels-as"
 
 
-def test_odd_against_even_frames(ssrvlad, compare, maps, tmp_path):
+def test_odd_even_gives_the_metrics_of_evaluate(ssrvlad, compare, maps, tmp_path):
     options = (*CAMVID, "--tolerance-frames", 1)
     code, rows, err = compare(maps, "--odd-even", "--method", "ssr-vlad", *options)
     assert (code, err) == (0, [])

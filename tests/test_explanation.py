@@ -18,7 +18,7 @@ LABELS = (
         ("paper", {"building", "guard-rail: none", "parking: none"}),
     ],
 )
-def test_an_explanation_as_a_figure(preset, shown):
+def test_the_figure_of_an_explanation_has_masks_histograms_and_classes(preset, shown):
     """A label map, and each mask above its histogram; whatever is in no layer is said."""
     view = SSRVLAD.from_preset(preset, labels_as="camvid-11").explain(LABELS)
     figure = view.show(title="drive/000000")

@@ -213,7 +213,7 @@ def test_the_answer_is_that_of_the_unoptimised_graph(preset):
 
 
 @by_preset_and_input
-def test_the_interface_the_metadata_and_the_golden_pair(preset, given, dtype):
+def test_a_model_has_its_interface_metadata_and_a_golden_pair(preset, given, dtype):
     config = of_preset(preset)
     model = model_of(config, given, dtype)
     onnx.checker.check_model(model, full_check=True)

@@ -46,7 +46,7 @@ def test_jpegs_are_images_and_pngs_may_be_either(tmp_path):
     assert set(LABEL_SUFFIXES) < set(IMAGE_SUFFIXES), "on which this rule rests"
 
 
-def test_images_and_labels_in_folders_of_their_own(tmp_path):
+def test_images_and_labels_of_separate_folders_are_joined_by_name(tmp_path):
     plant(tmp_path, "monday/images/1.png", "monday/images/2.png")
     touch(tmp_path / "monday/labels/2.png")
     write(tmp_path / "monday/poses.csv", "frame,x,y\n2,5,6\n")

@@ -94,7 +94,7 @@ def of(*makers):
 
 
 @pytest.mark.parametrize(("copy", "layout", "space", "truth", "frames"), FOUND, indirect=["copy"])
-def test_traverses_label_space_and_truth(copy, layout, space, truth, frames):
+def test_each_layout_has_its_traverses_label_space_and_truth(copy, layout, space, truth, frames):
     dataset = open_dataset(copy)
     assert (dataset.layout, dataset.labels_as) == (layout, space)
     assert outline(dataset) == frames

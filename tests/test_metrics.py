@@ -24,7 +24,7 @@ def rows(*matches):
 
 
 @pytest.mark.parametrize(("n", "expected"), [(1, 1 / 3), (2, 2 / 3), (3, 2 / 3), (4, 3 / 3)])
-def test_recall_rate_of_four_queries_by_hand(n, expected):
+def test_the_recall_rate_of_four_queries_equals_that_by_hand(n, expected):
     """The first true match of the queries stands at place 1, 2 and 4; the last query has none."""
     indices = np.array([[5, 1, 2, 3], [1, 6, 2, 3], [9, 8, 0, 7], [0, 1, 2, 3]])
     truth = rows([5], [6, 100], [7], [])
@@ -37,7 +37,7 @@ def test_recall_rate_without_candidates_true_matches_or_queries():
     assert math.isnan(recall_rate(np.zeros((0, 5), np.int64), [], 1))
 
 
-def test_evaluate_by_hand():
+def test_the_metrics_of_five_queries_equal_those_by_hand():
     scores = np.array([[0.9, 0.1], [0.8, 0.7], [0.7, 0.2], [-INF, -INF], [0.6, 0.5]], np.float32)
     indices = np.array([[0, 1], [5, 2], [3, 4], [-1, -1], [1, 0]])
     truth = rows([0], [2], [3, 9], [4], [])
@@ -81,7 +81,7 @@ def test_evaluate_refuses_what_it_cannot_compute():
     ("results", "count"),
     [(lambda: [frozen_corridor()], 1), pytest.param(stored_results, 4, marks=needs_vpr_bench)],
 )
-def test_stored_results_of_vpr_bench(results, count):
+def test_the_stored_results_of_vpr_bench_are_reproduced(results, count):
     checked = [*results()]
     assert len(checked) == count
     for stored in checked:
@@ -108,7 +108,7 @@ HANDMADE = {
 @pytest.mark.parametrize(
     ("convention", "counted", "positives"), [("exact", 3, 3), ("vpr-bench", 4, 2)]
 )
-def test_conventions_by_hand(convention, counted, positives):
+def test_the_metrics_of_each_convention_equal_those_by_hand(convention, counted, positives):
     """Of an unknown place only precision suffers, and only where the query is accepted."""
     metrics = evaluate(**HANDMADE, at=(1,), convention=convention)
     assert metrics["convention"] == convention

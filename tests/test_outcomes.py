@@ -14,7 +14,7 @@ def rows(*matches):
     return [np.array(match, np.int64) for match in matches]
 
 
-def test_records_by_hand():
+def test_the_outcomes_of_five_queries_equal_those_by_hand():
     scores = np.array([[0.9, 0.8], [0.7, 0.1], [0.6, -INF], [-INF, -INF], [0.2, 0.1]], np.float32)
     indices = np.array([[4, 2], [3, 0], [1, -1], [-1, -1], [8, 9]])
     outcomes = judge(scores, indices, rows([4, 7], [0], [], [1], [5]))

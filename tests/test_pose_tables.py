@@ -35,7 +35,7 @@ def test_poses_lie_in_the_folder_or_beside_it(tmp_path):
 
 
 @pytest.mark.parametrize("folder", [".", "../monday", "tuesday/.."])
-def test_poses_beside_a_relative_folder(tmp_path, monkeypatch, folder):
+def test_poses_beside_a_relative_folder_are_found(tmp_path, monkeypatch, folder):
     (tmp_path / "monday" / "tuesday").mkdir(parents=True)
     plant(tmp_path, {"1": 2})
     monkeypatch.chdir(tmp_path / "monday")

@@ -73,7 +73,7 @@ def guo_hall_by_the_paper(layer: np.ndarray) -> np.ndarray:
         ("tee", [[1, 1], [1, 7], [4, 4]], [[1, 4]]),  # the pixels beside it have crossing number 2
     ],
 )
-def test_keypoints_of_drawings(name, ends, intersections):
+def test_keypoints_of_drawings_equal_those_by_hand(name, ends, intersections):
     assert np.argwhere(reference.end_points(DRAWN[name])).tolist() == ends
     assert np.argwhere(reference.intersections(DRAWN[name])).tolist() == intersections
 

@@ -82,7 +82,7 @@ def test_images_are_resized_as_caffe_does():
     torch.testing.assert_close(one, other, rtol=1e-3, atol=1e-1)
 
 
-def test_regions_of_a_small_map_by_hand():
+def test_regions_of_a_small_map_equal_those_by_hand():
     """Levels of the first map: a 5 alone (energy 5.5), two 2s that touch by a corner (2.35), a 1
     that touches them (1.9); what is below 1 is no region. The second map has one region of 3s."""
     maps = torch.tensor(
@@ -115,12 +115,6 @@ def test_regions_are_those_of_the_authors_code(seed, scale):
     maps = np.maximum(rng.normal(0, scale, (7, 13, 11)), 0).astype(np.float32)
     got = region_descriptors(torch.from_numpy(maps), 60)
     np.testing.assert_allclose(got.numpy(), authors_way(maps, 60), rtol=1e-5)
-
-
-def test_scikit_image_cuts_fractions_off():
-    """What the module's text says of the authors' program."""
-    levels = np.array([[0.5, 1.2, 1.7], [0.0, 0.0, 2.2]])
-    assert label(levels).tolist() == [[0, 1, 1], [0, 0, 2]]
 
 
 def test_equal_energies_come_in_the_order_of_maps_rows_and_columns():

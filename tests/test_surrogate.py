@@ -18,7 +18,7 @@ def scores(dtype: torch.dtype = torch.float32) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.bfloat16])
-def test_numbers_of_the_head_and_gradient_of_the_twin(dtype):
+def test_it_has_the_numbers_of_the_head_and_the_gradient_of_the_twin(dtype):
     given, same = scores(dtype), scores(dtype)
     found, soft = SurrogateSSRVLAD(CONFIG)(given), SoftSSRVLAD(CONFIG)(same)
     assert found.requires_grad

@@ -50,7 +50,7 @@ TABLE_2 = [{6, 7}, {8}, {11, 12, 13}, {17, 18, 19, 20}, {21, 22}, {23}, {14}, {9
         ("mapillary-vistas-1.2", {"guard-rail": {4}, "parking": {10}}),
     ],
 )
-def test_the_ids_of_a_category(name, expected):
+def test_categories_have_the_ids_of_table_ii(name, expected):
     """Those of Cityscapes and SYNTHIA are in Table II."""
     for category, ids in expected.items():
         assert {each.id for each in label_space(name).classes if each.category == category} == ids

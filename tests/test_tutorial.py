@@ -65,7 +65,7 @@ def test_equals_a_plain_loop(table, single):
     assert curve.recall_at_full_precision == pytest.approx(recall[precision == 1].max())
 
 
-def test_both_modes_by_hand():
+def test_the_curves_of_both_modes_equal_those_by_hand():
     """Two queries, three references; the second query's best pair is wrong."""
     similarity = np.array([[0.9, 0.8, 0.0], [1.0, 0.5, 0.2]])
     truth = rows([0, 1], [1])

@@ -73,7 +73,7 @@ def write_video(
     ("name", "codec"),
     [("a.mp4", {}), ("a.mp4", H264), ("a.mkv", H264), ("a.ts", H264), ("a.mov", {})],
 )
-def test_frames_at_uneven_times_in_any_order(tmp_path, name, codec):
+def test_frames_at_uneven_times_are_read_in_any_order(tmp_path, name, codec):
     """Forward, backward, across key frames, and twice."""
     files = video_files(write_video(tmp_path / name, UNEVEN, **codec))
     assert [file.name for file in files] == [f"{1000 * time:010d}" for time in UNEVEN]

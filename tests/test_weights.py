@@ -27,7 +27,7 @@ def home(tmp_path, monkeypatch):
 
 
 class TestFinding:
-    def test_a_file_or_a_published_name_in_a_folder(self, home):
+    def test_a_file_or_a_published_name_in_a_folder_is_found(self, home):
         file = home / "unzipped" / "b.pth"
         file.parent.mkdir()
         file.touch()
@@ -36,14 +36,14 @@ class TestFinding:
         (home / "a.mat").touch()
         assert find_weights(home, ["a.mat", "unzipped/b.pth"], "them") == home / "a.mat"
 
-    def test_the_cache_folder_by_default(self, home):
+    def test_the_cache_folder_is_searched_by_default(self, home):
         assert weights.weights_folder() == home / ".cache" / "ssrvlad" / "weights"
         weights.weights_folder().mkdir(parents=True)
         (weights.weights_folder() / "a.mat").touch()
         assert find_weights(None, ["a.mat"], "them") == weights.weights_folder() / "a.mat"
 
     @pytest.mark.parametrize("given", [None, "nowhere.mat", "."])
-    def test_what_is_missing_is_named_in_one_line(self, given, home):
+    def test_missing_weights_are_named_in_one_line(self, given, home):
         place = given or str(weights.weights_folder())
         with refused("a.mat or b.pth", "the project page", place, by=FileNotFoundError) as error:
             find_weights(given, ["a.mat", "b.pth"], "the project page")
@@ -58,7 +58,7 @@ def path(tmp_path):
 class TestReading:
     @pytest.mark.parametrize("wrap", [lambda s: s, lambda s: {"state_dict": s, "epoch": 7}])
     @pytest.mark.parametrize("zipped", [True, False])
-    def test_bare_or_wrapped_in_the_present_and_the_old_format(self, wrap, zipped, path):
+    def test_tensors_are_read_bare_or_wrapped_from_both_formats(self, wrap, zipped, path):
         state = layer().state_dict()
         torch.save(wrap(state), path, _use_new_zipfile_serialization=zipped)
         read = read_checkpoint(path)
@@ -77,7 +77,7 @@ class TestReading:
         torch.save(content, path, _use_new_zipfile_serialization=zipped)
         assert read_checkpoint(path).keys() == {"a"}
 
-    def test_numpy_numbers_under_their_old_module(self, path):
+    def test_numpy_numbers_under_their_old_module_are_no_obstacle(self, path):
         content = {"best": np.float64(0.85), "state_dict": OrderedDict(a=torch.ones(2))}
         torch.save(content, path, _use_new_zipfile_serialization=False)
         renamed = path.read_bytes().replace(b"numpy._core.multi", b"numpy.core.multi")
@@ -100,25 +100,25 @@ class TestReading:
             read_checkpoint(path)
 
     @pytest.mark.parametrize("content", [{}, {"state_dict": {}}, [torch.ones(1)], {"epoch": 1}])
-    def test_no_tensors(self, content, path):
+    def test_a_file_without_tensors_is_refused(self, content, path):
         torch.save(content, path)
         with pytest.raises(ValueError, match="must hold tensors by name"):
             read_checkpoint(path)
 
-    def test_another_file(self, path):
+    def test_a_pickle_that_is_cut_off_is_refused(self, path):
         path.write_bytes(pickle.dumps({"a": 1}, protocol=2)[:-3])
         with pytest.raises(ValueError, match="is not a whole PyTorch checkpoint"):
             read_checkpoint(path)
 
 
 class TestFilling:
-    def test_more_than_is_needed_is_passed_over(self):
+    def test_tensors_that_are_not_needed_are_passed_over(self):
         network = layer(0)
         state = {**layer(1).state_dict(), "other": torch.ones(1)}
         fill(network, state, Path("x"))
         assert torch.equal(network.weight, layer(1).weight)
 
-    def test_a_network_without_memory_of_its_own(self):
+    def test_a_network_on_the_meta_device_is_filled(self):
         with torch.device("meta"):
             network = nn.Linear(2, 3)
         fill(network, {n: t.half() for n, t in layer(1).state_dict().items()}, Path("x"))
@@ -132,7 +132,7 @@ class TestFilling:
             ({"weight": torch.full((3, 2), torch.nan)}, r"file\.pth: weight holds values"),
         ],
     )
-    def test_what_does_not_fit_is_named_and_nothing_is_copied(self, change, message):
+    def test_a_tensor_that_does_not_fit_is_refused_and_nothing_is_copied(self, change, message):
         network = layer(0)
         changed = {**layer(1).state_dict(), **change}
         state = {name: value for name, value in changed.items() if value is not None}

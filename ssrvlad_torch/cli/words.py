@@ -58,32 +58,32 @@ def proof(suggested: Mapping[str, Any] | None) -> str:
 
 def without_truth(metrics: Mapping[str, Any]) -> Iterator[str]:
     """What decoys say about the accepted answers, beside the truth; nothing for other methods."""
-    for name, judged in metrics.get("estimates", {}).items():
-        truth, known = judged["truly_wrong"], judged["of_known_truth"]
-        of = f" of {known} whose truth is known" if known != judged["accepted"] else ""
+    for name, found in metrics.get("estimates", {}).items():
+        truth, judged = found["truly_wrong"], found["of_known_truth"]
+        of = f" of {judged} whose truth is known" if judged != found["accepted"] else ""
         true = "" if truth is None else f"; in truth {truth:.1%}{of}"
-        estimate = Estimate(*(judged[field] for field in Estimate._fields))
+        guess = Estimate(*(found[field] for field in Estimate._fields))
         suggested = "suggested " if name != "accepted" else ""
-        yield f"{suggested}without ground truth: {estimate_in_words(estimate)}{true}"
+        yield f"{suggested}without ground truth: {estimate_in_words(guess)}{true}"
 
 
-def estimate_in_words(estimate: Estimate) -> str:
+def estimate_in_words(found: Estimate) -> str:
     """How many answers are accepted, and how many of them are wrong without ground truth."""
-    if not estimate.accepted:
+    if not found.accepted:
         return "no answer is accepted"
-    answers = f"{estimate.accepted} answer{'s' * (estimate.accepted != 1)}"
-    if estimate.confidence:
-        answers = f"accepted {answers} of confidence {estimate.confidence:.2f} and more"
+    answers = f"{found.accepted} answer{'s' * (found.accepted != 1)}"
+    if found.confidence:
+        answers = f"accepted {answers} of confidence {found.confidence:.2f} and more"
     else:
         answers = f"no decoy beats {answers}"
-    wrong = f"{estimate.wrong:.1%} estimated to be wrong (95 % interval {estimate.low:.1%} to"
-    return f"{answers}; {wrong} {estimate.high:.1%})"
+    wrong = f"{found.wrong:.1%} estimated to be wrong (95 % interval {found.low:.1%} to"
+    return f"{answers}; {wrong} {found.high:.1%})"
 
 
 def steps_in_words(
     used: Mapping[str, Any],
     temporal: int | None = None,
-    estimate: Estimate | None = None,
+    found: Estimate | None = None,
 ) -> str:
     """The steps between descriptors and a decision, in a line; those of Eq. 3, and how many answers
     are accepted, only if given."""
@@ -104,7 +104,7 @@ def steps_in_words(
     if used["references"] < MIN_FRAMES:
         words.append(f"no confidence: {used['references']} references are too few")
     steps = ", ".join(words)
-    return f"{steps}; {estimate_in_words(estimate)}" if estimate else steps
+    return f"{steps}; {estimate_in_words(found)}" if found else steps
 
 
 def by_sequence(values: Mapping[str, str]) -> str:

@@ -189,8 +189,8 @@ class Segmenter:
     def activations(self) -> list[Activation]:
         """The activations of the network that can be `features` by their names, in the order in
         which they are computed for one picture. A network that takes no picture is a ValueError."""
-        listed = all_activations(self.network, probed(self.labels))
-        return [activation for activation in listed if math.isfinite(activation.stride)]
+        found = all_activations(self.network, probed(self.labels))
+        return [each for each in found if math.isfinite(each.stride)]
 
     def __call__(self, images: Sequence[Pixels]) -> list[LabelMap]:
         """The label maps of pictures in memory, without the cache; see `segment`."""
