@@ -79,10 +79,10 @@ def test_the_fingerprint_is_of_the_network_its_settings_and_the_activations():
         Segmenter(Street(), SPACE, dataclasses.replace(PLAIN, features=("act.1",))),
     ]
     assert len({each.fingerprint_of_features for each in segmenters}) == 4
-    again = Segmenter(Street(), SPACE, dataclasses.replace(PLAIN, features=("act.2",)))
+    again = Segmenter(Street(), SPACE, dataclasses.replace(PLAIN, features=("act.2", "act.3")))
     assert again.fingerprint_of_features == segmenters[0].fingerprint_of_features
     assert again.key() == segmenters[0].key() == segmenters[3].key()
-    assert "128 signs of act.2, " in again.fingerprint_of_features
+    assert "128 signs of act.2, act.3, " in again.fingerprint_of_features
 
 
 def test_both_are_cached_together(tmp_path):
@@ -154,14 +154,22 @@ class Same(nn.Module):
     ("network", "message"),
     [
         (colour_network(), "the network: the encoder has no activation at a stride from 4 to 32"),
-        (Same(0.0), "the network fails at 24x32: the activations of the network are the same"),
-        (Same(torch.nan), "the network fails at 24x32: the activations of the network are not f"),
+        (Same(0.0), "the network: the activations of the network are the same everywhere"),
+        (Same(torch.nan), "the network: the activations of the network are not finite"),
     ],
 )
 def test_a_network_without_features_is_refused_in_one_line(network, message):
     if isinstance(network, Same):
         network.step.register_forward_hook(lambda module, inputs, output: output * network.value)
+    segmenter = Segmenter(network, SPACE, PLAIN)
+    assert message in segmenter.problem_of_features
     with pytest.raises(ValueError, match=message) as error:
-        Segmenter(network, SPACE, PLAIN).segment(PHOTOS[:1], features=True)
+        segmenter.segment(PHOTOS[:1], features=True)
     assert "\n" not in str(error.value)
-    Segmenter(network, SPACE, PLAIN)
+
+
+def test_a_picture_without_features_is_refused_in_one_line():
+    message = "the network fails at 24x32: the activations of the network are the same everywhere"
+    with pytest.raises(ValueError, match=message) as error:
+        Segmenter(Same(1.0), SPACE, PLAIN).segment([np.zeros_like(PHOTOS[0])], features=True)
+    assert "\n" not in str(error.value)

@@ -113,7 +113,7 @@ def test_a_file_that_is_as_it_should_be(kind, files, streets):
     assert found.fingerprint == CONFIG.fingerprint
     networks = {"fused": "seg.onnx", "features": "street.onnx"}
     assert found.network == networks.get(kind)
-    features = "16 x 16 cells, 64 signs of relu_2, " if kind == "features" else ""
+    features = "16 x 16 cells, 128 signs of relu_2, relu_3, " if kind == "features" else ""
     assert (found.features or "").startswith(features)
     assert bool(found.features) == bool(features)
 
