@@ -9,7 +9,15 @@ from torch import nn
 from ssrvlad_torch import reference
 from ssrvlad_torch.deployment.trace import traced
 from ssrvlad_torch.stages import features as stage
-from ssrvlad_torch.stages.features import ROWS, SHAPE, SIGNS, Features, projections, unit_cells
+from ssrvlad_torch.stages.features import (
+    ROWS,
+    SHAPE,
+    SIGNS,
+    Features,
+    cell_means,
+    projections,
+    unit_cells,
+)
 
 SIZES = [(24, 32), (13, 40), (5, 3), (72, 96)]
 
@@ -55,7 +63,7 @@ def test_random_sides_are_those_of_the_reference():
 
 def test_projected_cells_of_the_noise_are_not_correlated():
     """Neither before the rotation, nor in a row of cells after it."""
-    components, rotations = projections(cells := unit_cells([activations(0, 150, count=8)]))
+    components, rotations = projections(cells := unit_cells([cell_means(activations(0, 150, count=8))]))
     flat = cells.permute(1, 0, 2, 3).flatten(1)
     before = components.T @ flat
     torch.testing.assert_close(
@@ -69,7 +77,7 @@ def test_projected_cells_of_the_noise_are_not_correlated():
 
 def test_projections_do_not_depend_on_the_signs_of_the_components(monkeypatch):
     """Which libraries choose as they like."""
-    cells, eigh = unit_cells([activations(0, 30, count=3)]), torch.linalg.eigh
+    cells, eigh = unit_cells([cell_means(activations(0, 30, count=3))]), torch.linalg.eigh
     first, rotations = projections(cells)
     expected = first @ rotations
 

@@ -27,7 +27,7 @@ _ONLY_FATAL = 4
 
 class Seen(NamedTuple):
     """A frame: its descriptor ``(D,)`` float32 of length 1, or zeros for an empty frame, with
-    `ssrvlad export --sweep` ``(S, D)``, one for each anchor; and its features ``(16, 16, 8)``
+    `ssrvlad export --sweep` ``(S, D)``, one for each anchor; and its features ``(16, 16, 16)``
     uint8, or ``None`` if the file gives none."""
 
     descriptor: Array

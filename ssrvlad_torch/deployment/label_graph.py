@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import torch
@@ -68,7 +67,7 @@ def label_graph(labels: LabelNetwork, features: NetworkFeatures | None = None) -
     model.graph.output.extend(map(make_empty_tensor_value_info, names))
     joined = join(parts, ["prepare/", "network/", "decide/"], joints)
     if features:
-        signs = _traced_features(features.signs, [values[name].dtype for name in names])
+        signs = _traced_features(features.signs, tuple(values[name].dtype for name in names))
         pairs = [(f"network/{name}", f"{FEATURES}{at}") for at, name in enumerate(names)]
         joined = join([joined, with_opset(signs, version)], ["", FEATURES], [pairs])
     outputs = [value for value in joined.graph.output if value.name in ("labels", NAME)]
@@ -138,7 +137,7 @@ def _traced_network(labels: LabelNetwork, features: NetworkFeatures | None) -> o
     return traced(module, {"image": (example, _IMAGE)}, outputs)
 
 
-def _traced_features(module: Features, dtypes: Sequence[torch.dtype]) -> onnx.ModelProto:
+def _traced_features(module: Features, dtypes: tuple[torch.dtype, ...]) -> onnx.ModelProto:
     """Activations of some dtypes, with numbers as names, to signs."""
     inputs: dict[str, tuple[Tensor, Axes]] = {}
     for number, (channels, dtype) in enumerate(zip(module.channels, dtypes, strict=True)):

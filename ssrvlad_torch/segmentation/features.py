@@ -1,8 +1,8 @@
 """The features of a network as a descriptor of pictures, made in the pass that labels them.
 
-The projections of `stages.features` come from what the network sees in pictures of pink noise, whose
-spectrum is that of photographs. They are made of fixed numbers, so no data set is needed, and the
-same network has the same projections everywhere.
+The projections of `stages.features` come from what the network sees in a few pictures of pink noise,
+whose spectrum is that of photographs. They are made of fixed numbers, so no data set is needed, and
+the same network has the same projections everywhere.
 """
 
 import dataclasses
@@ -40,6 +40,7 @@ class NetworkFeatures(nn.Module):
 
     Attributes:
         names: of the activations, in the order that `forward` takes.
+        size: height and width of the pictures of noise.
         key: in hex, of the digest of the network, see `identity.digest_of`, its settings, the
             activations, the size of the noise and the form of the signs.
         fingerprint: a text under which a database stores the signs.
@@ -47,16 +48,16 @@ class NetworkFeatures(nn.Module):
 
     def __init__(self, labels: LabelNetwork, digest: str) -> None:
         super().__init__()
-        numbers, *size = probed(labels)
+        numbers, *self.size = probed(labels)
         self.activations = find_activations(labels.network, numbers, labels.config.features)
         self.names = [each.name for each in self.activations]
         if isinstance(labels.network, OnnxNetwork):
             labels.network.take(self.names)
-        self.signs = Features(*_noise_means(labels, self.names, *size))
+        self.signs = Features(*noise_means(labels, self.names, *self.size))
         settings = dataclasses.asdict(labels.config)
         for name in ("output", "classes", "features"):  # activations do not depend on them
             del settings[name]
-        content = [_REVISION, digest, settings, self.names, size, NOISE, ROWS, COLUMNS, SIGNS]
+        content = [_REVISION, digest, settings, self.names, self.size, NOISE, ROWS, COLUMNS, SIGNS]
         self.key = hashlib.blake2b(json.dumps(content).encode(), digest_size=8).hexdigest()
         form = f"{ROWS} x {COLUMNS} cells, {SIGNS} signs"
         self.fingerprint = f"{form} of {', '.join(self.names)}, {self.key}"
@@ -82,7 +83,7 @@ def pink_noise(number: int, height: int, width: int) -> npt.NDArray[np.uint8]:
 
 
 @torch.inference_mode()
-def _noise_means(
+def noise_means(
     labels: LabelNetwork, names: Sequence[str], height: int, width: int
 ) -> list[Tensor]:
     """For each of the activations `cell_means` ``(NOISE, C, ROWS, COLUMNS)`` of pictures of noise,

@@ -7,6 +7,8 @@ of a row share the projections, so a picture that is moved by a column of cells 
 a mirrored one mirrored signs. Not in the paper.
 """
 
+import hashlib
+
 import numpy as np
 import numpy.typing as npt
 import torch
@@ -63,6 +65,11 @@ class Features(nn.Module):
         self.register_buffer("rotations", rotations, persistent=False)
         self.register_buffer("bits", 2.0 ** torch.arange(8), persistent=False)
 
+    def extra_repr(self) -> str:
+        """The channels and a digest of the projections."""
+        tables = [each.numpy(force=True).tobytes() for each in (self.components, self.rotations)]
+        return f"{self.channels}, {hashlib.blake2b(b''.join(tables), digest_size=8).hexdigest()}"
+
     def forward(self, *activations: Tensor) -> Tensor:
         """The signs of pictures."""
         is_exporting = torch.compiler.is_exporting()
@@ -116,8 +123,15 @@ def _unit_cells(means: Tensor) -> Tensor:
     centred = means - means.mean((2, 3), keepdim=True)
     variance = centred.square().mean((2, 3), keepdim=True)
     normal = centred / (variance + _NO_VARIANCE).sqrt()
-    around = F.avg_pool2d(normal, AROUND, 1, AROUND // 2, count_include_pad=False)
-    return F.normalize(normal - SHARE * around, dim=1, eps=_NO_LENGTH)
+    down, across = (_near(count).to(means.device) for count in (ROWS, COLUMNS))
+    return F.normalize(normal - SHARE * (down @ normal @ across.T), dim=1, eps=_NO_LENGTH)
+
+
+def _near(count: int) -> Tensor:
+    """``(count, count)`` float32: times a line of cells, the mean of those that are near each."""
+    cells = torch.arange(count)
+    near = (2 * (cells[:, None] - cells).abs() < AROUND).float()
+    return near / near.sum(1, keepdim=True)
 
 
 def is_usable(means: Tensor) -> Tensor:
