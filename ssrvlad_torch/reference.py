@@ -360,9 +360,7 @@ def normalise(vector: Floats) -> Floats:
     return vector / norm if norm > 0 else vector
 
 
-def features(
-    activations: list[Floats], noise: list[list[Floats]]
-) -> npt.NDArray[np.uint8]:
+def features(activations: list[Floats], noise: list[list[Floats]]) -> npt.NDArray[np.uint8]:
     """The signs ``(16, 16, 16)`` of one picture, see `stages.features.Features`, from activations
     ``(C, h, w)``, and from those of each of some pictures of noise."""
     cells = unit_cells(activations)

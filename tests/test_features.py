@@ -2,8 +2,6 @@ import numpy as np
 import pytest
 import torch
 from graphs import session
-from hypothesis import given
-from hypothesis import strategies as st
 from torch import nn
 
 from ssrvlad_torch import reference
@@ -63,7 +61,8 @@ def test_random_sides_are_those_of_the_reference():
 
 def test_projected_cells_of_the_noise_are_not_correlated():
     """Neither before the rotation, nor in a row of cells after it."""
-    components, rotations = projections(cells := unit_cells([cell_means(activations(0, 150, count=8))]))
+    cells = unit_cells([cell_means(activations(0, 150, count=8))])
+    components, rotations = projections(cells)
     flat = cells.permute(1, 0, 2, 3).flatten(1)
     before = components.T @ flat
     torch.testing.assert_close(

@@ -10,7 +10,6 @@ cells of all drives are cached in `--cache`: some 20 minutes of the networks at 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import NamedTuple
 from unittest.mock import patch
@@ -23,6 +22,7 @@ from conditions import NETWORKS, ROUTES, near_rows
 from torch import Tensor
 
 from ssrvlad_torch.channels.signs import REACH, SignQueries, SignRows, moved
+from ssrvlad_torch.datasets.frame_files import FrameFile
 from ssrvlad_torch.datasets.image_files import find_image_files, read_image
 from ssrvlad_torch.segmentation.features import noise_means
 from ssrvlad_torch.stages import features as stage
@@ -64,28 +64,21 @@ def main() -> None:
 def table(described: Described) -> Iterator[str]:
     """A row for each form and network."""
     names = [*ROUTES, *OTHERS]
-    ways = [f"{way}{name}" for way in ("", "own means off, ") for name in names]
-    yield from head_row("form", "network", *ways, "mean of the first four, both")
+    off = (f"own means off, {name}" for name in names)
+    yield from head_row("form", "network", *names, *off, "mean of the first four, both")
     for form, (levels, signs, share) in FORMS.items():
         for network in NETWORKS:
-            rates = []
-            with shared(share):
-                for standardised in (False, True):
-                    for name in names:
-                        rates.append(rate(described, network, name, levels, signs, standardised))
-            chosen = np.array(rates).reshape(2, -1)[:, : len(ROUTES)].mean()
-            yield row(form, network, *(f"{each:.2f}" for each in rates), f"{chosen:.3f}")
+            with patch.object(stage, "SHARE", share):
+                found = [rates(described, network, name, levels, signs) for name in names]
+            chosen = np.mean(found[: len(ROUTES)])
+            figures = [f"{each:.2f}" for each in np.ravel(found, order="F")]
+            yield row(form, network, *figures, f"{chosen:.3f}")
 
 
-def shared(share: float) -> AbstractContextManager[object]:
-    """With another share of the mean of the cells around."""
-    return nullcontext() if share == stage.SHARE else patch.object(stage, "SHARE", share)
-
-
-def rate(
-    described: Described, network: str, name: str, levels: tuple[str, ...], signs: int, off: bool
-) -> float:
-    """RecallRate@1 of the queries of a route by a form of features."""
+def rates(
+    described: Described, network: str, name: str, levels: tuple[str, ...], signs: int
+) -> tuple[float, float]:
+    """RecallRate@1 of the queries of a route by a form of features, raw and with own means off."""
     queries, references, truth = route(described.data, name)
     noise = [getattr(means(described, network, "noise"), level) for level in levels]
     made = stage.Features(*noise)
@@ -94,15 +87,17 @@ def rate(
         given = [getattr(means(described, network, folder), level) for level in levels]
         return made(*given)[..., : signs // 8] if signs else stage.unit_cells(given)
 
+    def rate(off: bool) -> float:
+        if signs:
+            rows = SignRows(there, ["map"] * len(there) if off else None)
+            scores = SignQueries(here, rows, off).scores()
+        else:
+            scores = cosines(here, there, off)
+        firsts = scores.argmax(1).tolist()
+        return float(np.mean([a in b for a, b in zip(firsts, truth, strict=True) if len(b)]))
+
     here, there = seen(queries), seen(references)
-    if signs:
-        names = ["map"] * len(there) if off else None
-        scores = SignQueries(here, SignRows(there, names), off).scores()
-    else:
-        scores = cosines(here, there, off)
-    firsts = scores.argmax(1).tolist()
-    asked = [first in true for first, true in zip(firsts, truth, strict=True) if len(true)]
-    return float(np.mean(asked))
+    return rate(False), rate(True)
 
 
 def cosines(queries: Tensor, references: Tensor, off: bool) -> Tensor:
@@ -136,7 +131,7 @@ def route(data: Path, name: str) -> tuple[str, str, list[np.ndarray]]:
     return queries, references, near
 
 
-def files_of(data: Path, folder: str):
+def files_of(data: Path, folder: str) -> list[FrameFile]:
     """Pictures of a drive."""
     images = data / folder / "images"
     return find_image_files([str(images if images.is_dir() else data / folder)])

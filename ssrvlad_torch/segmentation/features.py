@@ -1,8 +1,8 @@
 """The features of a network as a descriptor of pictures, made in the pass that labels them.
 
-The projections of `stages.features` come from what the network sees in a few pictures of pink noise,
-whose spectrum is that of photographs. They are made of fixed numbers, so no data set is needed, and
-the same network has the same projections everywhere.
+The projections of `stages.features` come from what the network sees in a few pictures of pink
+noise, whose spectrum is that of photographs. They are made of fixed numbers, so no data set is
+needed, and the same network has the same projections everywhere.
 """
 
 import dataclasses
