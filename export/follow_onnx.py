@@ -11,7 +11,7 @@ sequence, with its later frames too. It does not ask whether the frames are a se
 map, which `ssrvlad query` does, and it takes every drive to run at 0 to 4 rows a frame: give it
 drives only, and single pictures to `run_onnx.py`. Prints for each frame the best rows with their
 probabilities; the first is that of the place, a few rows wide. Needs numpy, onnxruntime, and the
-folder `ssrvlad_place` beside it. Memory: 56 bytes for each pair of a frame and a row, and 128 kB
+folder `ssrvlad_place` beside it. Memory: 56 bytes for each pair of a frame and a row, and 256 kB
 for each frame and row with features. Exit code 0 for success, 2 for
 wrong use, 3 for finished with some frames skipped.
 """
@@ -104,7 +104,7 @@ def scores_of_vectors(
 
 
 def scores_of_signs(queries: Floats, references: Floats) -> Floats:
-    """``(Q, R)`` cosines of features as numbers ``(N, 16, 1024)``, for the best move of a query."""
+    """``(Q, R)`` cosines of features as numbers ``(N, 16, 2048)``, for the best move of a query."""
     best = np.full((len(queries), len(references)), -1, np.float32)
     columns = queries.shape[1]
     for move in range(-REACH, REACH + 1):
@@ -116,7 +116,7 @@ def scores_of_signs(queries: Floats, references: Floats) -> Floats:
 
 
 def numbers(signs: Any, sequences: Sequence[str], standardised: bool) -> Floats:
-    """Features ``(N, 16, 16, 8)`` as 1 and -1, without the mean of their drive if standardised."""
+    """Features ``(N, 16, 16, 16)`` as 1 and -1, without the mean of their drive if standardised."""
     bits = np.unpackbits(np.asarray(signs), axis=-1, bitorder="little")
     signed = bits.reshape(len(bits), -1).astype(np.float32) * 2 - 1
     rows = without_means(signed, sequences)[:, 0] if standardised else signed

@@ -23,6 +23,7 @@ Integers = npt.NDArray[np.int64]
 Floats = npt.NDArray[np.float64]
 
 CELLS = (24, 32)  # rows and columns
+SIDE, SIGNS = 16, 128  # rows and columns of cells of features, and signs of each
 
 
 class LayerTrace(NamedTuple):
@@ -359,24 +360,48 @@ def normalise(vector: Floats) -> Floats:
     return vector / norm if norm > 0 else vector
 
 
-def features(activations: list[Floats]) -> npt.NDArray[np.uint8]:
-    """The signs ``(16, 16, 8)`` of one picture, see `stages.features.Features`, from activations
-    ``(C, h, w)``."""
-    side, signs = 16, 64
+def features(activations: list[Floats], noise: list[list[Floats]]) -> npt.NDArray[np.uint8]:
+    """The signs ``(16, 16, 16)`` of one picture, see `stages.features.Features`, from activations
+    ``(C, h, w)``, and from those of each of some pictures of noise."""
+    cells = unit_cells(activations)
+    projections = projections_of([unit_cells(each) for each in noise])
+    positive = np.zeros((SIDE, SIDE, SIGNS), bool)
+    for row in range(SIDE):
+        positive[:, row] = cells[:, row].T @ projections[row] > 0
+    return np.packbits(positive, axis=2, bitorder="little")
+
+
+def unit_cells(activations: list[Floats]) -> Floats:
+    """The cells ``(sum of C, 16, 16)`` of the activations of one picture."""
     parts = []
     for activation in activations:
         height, width = activation.shape[1:]
-        down, across = overlaps(height, side, 0) / height, overlaps(width, side, 0) / width
+        down, across = overlaps(height, SIDE, 0) / height, overlaps(width, SIDE, 0) / width
         means = [down.T @ channel @ across for channel in activation]
         cells = np.array([(each - each.mean()) / math.sqrt(each.var() + 1e-5) for each in means])
+        around = np.zeros_like(cells)
+        for row, column in np.ndindex(SIDE, SIDE):
+            near = [slice(max(0, at - 2), at + 3) for at in (row, column)]
+            around[:, row, column] = cells[:, *near].mean((1, 2))
+        cells -= around / 2
         parts.append(cells / np.maximum(np.linalg.norm(cells, axis=0), 1e-12))
-    cells = np.concatenate(parts)
-    positive = np.zeros((side, side, signs), bool)
-    for row, sign in np.ndindex(side, signs):
-        first = (row * signs + sign) * len(cells)
-        projection = [random_side(first + channel) for channel in range(len(cells))]
-        positive[:, row, sign] = projection @ cells[:, row] > 0
-    return np.packbits(positive, axis=2, bitorder="little")
+    return np.concatenate(parts)
+
+
+def projections_of(noise: list[Floats]) -> list[Floats]:
+    """For each row of cells the projections ``(C, 128)``, from the cells of pictures of noise."""
+    flat = np.concatenate([each.reshape(len(each), -1) for each in noise], 1)
+    variances, components = np.linalg.eigh(flat @ flat.T / flat.shape[1])
+    kept = [k for k in np.argsort(-variances)[:SIGNS] if variances[k] > 1e-4 * variances.max()]
+    components, deviations = components[:, kept], np.sqrt(variances[kept])
+    found = []
+    for row in range(SIDE):
+        first = row * SIGNS * len(flat)
+        numbers = range(first, first + SIGNS * len(flat))
+        sides = np.array([random_side(n) for n in numbers]).reshape(SIGNS, -1)
+        left, _, right = np.linalg.svd((sides @ components).T, full_matrices=False)
+        found.append(components / deviations @ left @ right)
+    return found
 
 
 def random_side(number: int) -> int:

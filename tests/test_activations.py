@@ -22,8 +22,14 @@ from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
 
 NUMBERS = torch.rand(1, 3, 224, 448, generator=torch.Generator().manual_seed(0))
 EXPECTED = {
-    "espnetv2": ("/n/level3.2/module_act/PRelu_output_0", 256, 8),
-    "dabnet": ("/bn_prelu_2/acti/PRelu_output_0", 131, 4),
+    "espnetv2": [
+        ("/n/level3.2/module_act/PRelu_output_0", 256, 8),
+        ("/n/level4.6/module_act/PRelu_output_0", 512, 16),
+    ],
+    "dabnet": [
+        ("/bn_prelu_2/acti/PRelu_output_0", 131, 4),
+        ("/bn_prelu_3/acti/PRelu_output_0", 259, 8),
+    ],
 }
 
 
@@ -36,16 +42,23 @@ def found(network, names=None, numbers=NUMBERS):
     return [(a.name, a.shape) for a in find_activations(network, numbers, names)]
 
 
-def test_the_end_of_the_encoder_at_stride_8_is_found(street_graph):
+def test_the_ends_of_the_encoder_at_strides_8_and_16_are_found(street_graph):
     """Neither the narrow skip after stride 16, nor the wider decoder, nor a smaller picture."""
-    assert found(Street()) == [("act.2", (1, 32, 28, 56))]
-    assert found(OnnxNetwork(street_graph)) == [("relu_2", (1, 32, 28, 56))]
+    shapes = (1, 32, 28, 56), (1, 24, 14, 28)
+    assert found(Street()) == [*zip(("act.2", "act.3"), shapes, strict=True)]
+    graph = OnnxNetwork(street_graph)
+    assert found(graph) == [*zip(("relu_2", "relu_3"), shapes, strict=True)]
+    assert found(shared_street()) == [*zip(("act.0#3", "act.0#4"), shapes, strict=True)]
+
+
+def test_an_encoder_of_one_stride_has_one():
+    network = nn.Sequential(nn.Conv2d(3, 8, 16, 16), nn.Conv2d(8, 8, 1), nn.Conv2d(8, 12, 1))
+    assert found(network) == [("1", (1, 8, 14, 28))]
 
 
 def test_of_a_module_that_runs_several_times_the_chosen_call_is_taken():
     """Its calls have other sizes and other channels."""
     alone, shared = Street(), shared_street()
-    assert found(shared) == [("act.0#3", (1, 32, 28, 56))]
     assert found(shared, ["act.0#1"]) == [("act.0#1", (1, 8, 112, 224))]
     with taken(alone, ["act.2", "act.0"]) as expected, taken(shared, ["act.0#3", "act.0#1"]) as got:
         alone(NUMBERS)
@@ -86,12 +99,12 @@ def test_what_another_thread_runs_is_not_recorded():
     network.register_forward_pre_hook(go_on)
     other.start()
     at_the_decoder.wait()
-    assert found(network) == [("act.2", (1, 32, 28, 56))]
+    assert found(network) == [("act.2", (1, 32, 28, 56)), ("act.3", (1, 24, 14, 28))]
 
 
 def test_a_network_that_makes_every_picture_a_square():
     network = nn.Sequential(nn.Upsample(size=(256, 256)), Street())
-    assert found(network) == [("1.act.2", (1, 32, 32, 32))]
+    assert found(network) == [("1.act.2", (1, 32, 32, 32)), ("1.act.3", (1, 24, 16, 16))]
     assert found(network, ["1.act.1"]) == [("1.act.1", (1, 16, 64, 64))]
 
 
@@ -110,28 +123,28 @@ def test_a_module_and_its_graph_give_the_same_activations(street_graph):
 @pytest.mark.parametrize("name", EXPECTED)
 def test_real_networks(name):
     graph = OnnxNetwork(REAL / "networks" / f"{name}_city.onnx")
-    [activation] = find_activations(graph, NUMBERS)
-    assert (activation.name, activation.shape[1], activation.stride) == EXPECTED[name]
+    chosen = [(a.name, a.shape[1], a.stride) for a in find_activations(graph, NUMBERS)]
+    assert chosen == EXPECTED[name]
 
 
 @pytest.mark.parametrize(
-    ("family", "name", "shape"),
+    ("family", "chosen"),
     [
-        ("Segformer", "hidden_states.1", (1, 16, 8, 12)),
-        ("Beit", "hidden_states.4", (1, 32, 4, 6)),
-        ("UperNet", "hidden_states.2", (1, 32, 8, 12)),
-        ("Mask2Former", "hidden_states.1", (1, 32, 8, 12)),
+        ("Segformer", {"hidden_states.1": (1, 16, 8, 12), "hidden_states.2": (1, 24, 4, 6)}),
+        ("Beit", {"hidden_states.4": (1, 32, 4, 4)}),
+        ("UperNet", {"hidden_states.2": (1, 32, 8, 12), "hidden_states.3": (1, 64, 4, 6)}),
+        ("Mask2Former", {"hidden_states.1": (1, 32, 8, 12), "hidden_states.2": (1, 64, 4, 6)}),
     ],
 )
-def test_published_transformers(tmp_path, family, name, shape):
+def test_published_transformers(tmp_path, family, chosen):
     network = open_network(write_published(tmp_path, family)).network.eval()
     numbers = torch.rand(1, 3, 64, 64 if family == "Beit" else 96)
-    expected = (1, 32, 4, 4) if family == "Beit" else shape
-    assert found(network, numbers=numbers) == [(name, expected)]
-    with torch.no_grad(), taken(network, [name]) as values:
+    assert found(network, numbers=numbers) == [*chosen.items()]
+    with torch.no_grad(), taken(network, [*chosen]) as values:
         network(numbers)
-    assert values[name].shape == expected
-    assert values[name].std() > 0
+    for name, shape in chosen.items():
+        assert values[name].shape == shape
+        assert values[name].std() > 0
 
 
 def test_tokens_become_the_map_that_they_were_cut_from(tmp_path):

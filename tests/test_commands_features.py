@@ -14,12 +14,14 @@ from torch import nn
 
 from ssrvlad_torch import Database, LoopDetector, Map
 from ssrvlad_torch.channels.channel import View, new_channels
+from ssrvlad_torch.channels.column import Column
 from ssrvlad_torch.channels.hog import HOG
 from ssrvlad_torch.datasets.frame_file import FrameFile
 from ssrvlad_torch.datasets.image_files import read_image
 from ssrvlad_torch.descriptor import SSRVLAD
 from ssrvlad_torch.encoding import source as sources
 from ssrvlad_torch.loops.config import LoopConfig
+from ssrvlad_torch.segmentation.features import NOISE
 from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
 from ssrvlad_torch.segmentation.segmenter import Segmenter
 from ssrvlad_torch.stages.features import SHAPE
@@ -103,7 +105,7 @@ def test_labels_and_features_take_one_pass_and_are_cached(photos, ssrvlad, runs)
     network = ("--segmenter", photos / "net.yaml", "--workers", 1)
     ssrvlad("encode", photos / "monday", "-o", photos / "one", *network)
     probe = runs[0] - 32
-    assert probe <= 1
+    assert probe <= 1 + NOISE
     ssrvlad("encode", photos / "monday", "-o", photos / "two", *network)
     assert runs[0] == 32 + 2 * probe
     one, two = (Database.open(photos / name).load() for name in ("one", "two"))
@@ -248,6 +250,24 @@ def test_wrong_use_of_channels(town, photos, maps, ssrvlad):
         assert ssrvlad("query", town, source, "--channel", "ssr-vlad")[0] == 0
     assert "--as-paper" in refused(ssrvlad, "query", town, maps, *features, "--as-paper")
     assert "or --channel" in refused(ssrvlad, "query", town, maps, *features, "--index")
+
+
+def test_a_database_of_the_earlier_form_is_refused(photos, ssrvlad):
+    """It had signs of one activation, half as many."""
+    earlier = Column("features", "16 x 16 cells, 64 signs of relu_2, 0f", (16, 16, 8), "uint8")
+    head = SSRVLAD.from_preset("default", labels_as=SPACE)
+    database = Database.create(photos / "town", head.config, columns=[earlier])
+    numbers = {"ssr-vlad": torch.eye(480)[:1], "features": torch.zeros(1, 16, 16, 8).byte()}
+    database.append(["sunday/0"], numbers)
+    network = ("--segmenter", photos / "net.yaml")
+    for command in (
+        ("encode", photos / "monday", "-o", photos / "town", *network),
+        ("query", photos / "town", photos / "monday", *network),
+        ("locate", photos / "monday" / "0.png", "--in", photos / "town", *network),
+    ):
+        line = refused(ssrvlad, *command)
+        assert "features are of 16 x 16 cells, 64 signs of relu_2, 0f, this version makes" in line
+        assert line.endswith("descriptors (16, 16, 16), not (16, 16, 8): encode the frames again")
 
 
 def test_a_network_without_features(photos, ssrvlad):

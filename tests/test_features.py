@@ -2,13 +2,20 @@ import numpy as np
 import pytest
 import torch
 from graphs import session
-from hypothesis import given
-from hypothesis import strategies as st
 from torch import nn
 
 from ssrvlad_torch import reference
 from ssrvlad_torch.deployment.trace import traced
-from ssrvlad_torch.stages.features import ROWS, SHAPE, SIGNS, Features, projections
+from ssrvlad_torch.stages import features as stage
+from ssrvlad_torch.stages.features import (
+    ROWS,
+    SHAPE,
+    SIGNS,
+    Features,
+    cell_means,
+    projections,
+    unit_cells,
+)
 
 SIZES = [(24, 32), (13, 40), (5, 3), (72, 96)]
 
@@ -24,44 +31,100 @@ def bits(signs):
     return np.unpackbits(np.asarray(signs), axis=-1, bitorder="little")
 
 
+NOISE = activations(100, count=3)
+OF_20 = Features(NOISE)
+
+
+def plain(batch):
+    return [[each.double().numpy()] for each in batch]
+
+
 @pytest.mark.parametrize("size", SIZES)
-@given(st.integers(0, 1000))
-def test_has_the_signs_of_the_reference(size, seed):
-    first, second = activations(seed, 20, size), activations(seed + 1, 7, (9, 9))
-    signs = Features([20, 7])(first, second)
-    assert signs.shape == (1, *SHAPE) and signs.dtype == torch.uint8
-    expected = reference.features([first[0].double().numpy(), second[0].double().numpy()])
-    assert (bits(signs[0]) != bits(expected)).mean() < 1e-3
+def test_has_the_signs_of_the_reference(size):
+    """Of two activations, and of more channels than signs."""
+    for seed, channels in ((0, (20, 7)), (1, (150,))):
+        noise = [activations(seed + n, count, count=2) for n, count in enumerate(channels)]
+        given = [activations(seed + n + 9, count, size) for n, count in enumerate(channels)]
+        signs = Features(*noise)(*given)
+        assert signs.shape == (1, *SHAPE) and signs.dtype == torch.uint8
+        pictures = [[each[n].double().numpy() for each in noise] for n in range(2)]
+        expected = reference.features([each[0].double().numpy() for each in given], pictures)
+        assert (bits(signs[0]) != bits(expected)).mean() < 1e-3
 
 
-def test_projections_are_those_of_the_reference():
-    expected = [
-        [[reference.random_side((r * SIGNS + k) * 5 + c) for k in range(SIGNS)] for c in range(5)]
-        for r in range(ROWS)
-    ]
-    assert torch.equal(projections(5), torch.tensor(expected, dtype=torch.float32))
+def test_random_sides_are_those_of_the_reference():
+    assert stage.random_sides(99).tolist() == [reference.random_side(n) for n in range(99)]
     published = (0xE220A8397B1DCDAF, 0x6E789E6AA1B965F4, 0x06C45D188009454F, 0xF88BB8A8724C81EC)
-    sides = [-1 if each >> 63 else 1 for each in published]  # from seed 0
-    assert [reference.random_side(n) for n in range(4)] == sides
+    assert stage.random_numbers(4).tolist() == [*published]  # from seed 0
+    assert stage.random_numbers(3, 1).tolist() == [*published[1:]]
+
+
+def test_projected_cells_of_the_noise_are_not_correlated():
+    """Neither before the rotation, nor in a row of cells after it."""
+    cells = unit_cells([cell_means(activations(0, 150, count=8))])
+    components, rotations = projections(cells)
+    flat = cells.permute(1, 0, 2, 3).flatten(1)
+    before = components.T @ flat
+    torch.testing.assert_close(
+        before @ before.T / flat.shape[1], torch.eye(SIGNS), atol=1e-3, rtol=0
+    )
+    assert rotations.shape == (ROWS, SIGNS, SIGNS)
+    torch.testing.assert_close(
+        rotations @ rotations.mT, torch.eye(SIGNS).expand_as(rotations), atol=1e-4, rtol=0
+    )
+
+
+def test_projections_do_not_depend_on_the_signs_of_the_components(monkeypatch):
+    """Which libraries choose as they like."""
+    cells, eigh = unit_cells([cell_means(activations(0, 30, count=3))]), torch.linalg.eigh
+    first, rotations = projections(cells)
+    expected = first @ rotations
+
+    def other(matrix):
+        variances, components = eigh(matrix)
+        return variances, components * stage.random_sides(30)
+
+    monkeypatch.setattr(torch.linalg, "eigh", other)
+    second, rotations = projections(cells)
+    assert not torch.allclose(first, second)
+    torch.testing.assert_close(second @ rotations, expected, atol=1e-4, rtol=1e-4)
+
+
+def test_rounding_of_the_noise_changes_few_signs():
+    noise, given = activations(0, 150, count=4), activations(9, 150, count=4)
+    rounded = noise * (1 + 1e-5 * torch.randn(noise.shape))
+    first, second = (bits(Features(each)(given)) for each in (noise, rounded))
+    assert (first != second).mean() < 1e-3
+
+
+def test_a_channel_that_is_dead_in_the_noise_counts_for_nothing():
+    noise, given = activations(0, count=3), activations(9)
+    noise[:, 3] = 0
+    changed = given.clone()
+    changed[:, 3] += activations(7)[:, 3] * 1e-3
+    module = Features(noise)
+    assert bool(module.components.isfinite().all())
+    assert module.components[3].abs().max() < 1e-6
+    assert (bits(module(given)) != bits(module(changed))).mean() < 0.02
 
 
 def test_light_and_contrast_of_a_channel_change_nothing():
     raw, gain = activations(0), torch.linspace(0.5, 3, 20)[:, None, None]
     changed = raw * gain + gain.flip(0)
-    module = Features([20])
+    module = OF_20
     assert (bits(module(raw)) != bits(module(changed))).mean() < 1e-3
 
 
 def test_a_mirrored_picture_has_mirrored_cells():
     raw = activations(0)
-    cells, mirrored = bits(Features([20])(raw)), bits(Features([20])(raw.flip(3)))
+    cells, mirrored = bits(OF_20(raw)), bits(OF_20(raw.flip(3)))
     assert (mirrored != cells[:, ::-1]).mean() < 1e-3
 
 
 def test_a_picture_moved_by_a_column_has_moved_cells():
     """Signs change a little: channels are normalised over other cells."""
     wide = activations(0, size=(32, 68))
-    left, right = (bits(Features([20])(wide[..., first : first + 64])) for first in (0, 4))
+    left, right = (bits(OF_20(wide[..., first : first + 64])) for first in (0, 4))
     assert (left[:, 1:] != right[:, :-1]).mean() < 0.1
     assert (left[:, :, 1:] != right[:, :, :-1]).mean() > 0.3
 
@@ -69,7 +132,7 @@ def test_a_picture_moved_by_a_column_has_moved_cells():
 def test_near_activations_share_more_signs_than_others():
     raw, other = activations(0), activations(1)
     noisy = raw + 0.1 * torch.rand(raw.shape)
-    here, near, far = (bits(Features([20])(each)) for each in (raw, noisy, other))
+    here, near, far = (bits(OF_20(each)) for each in (raw, noisy, other))
     assert (here != near).mean() < 0.3
     assert (here != far).mean() > 0.4
 
@@ -87,18 +150,18 @@ def test_near_activations_share_more_signs_than_others():
 def test_refuses_other_activations(given, message):
     """Also of one picture of a batch."""
     with pytest.raises(ValueError, match=message):
-        Features([20])(given)
+        OF_20(given)
 
 
 def test_a_constant_channel_counts_for_nothing():
     raw = activations(0)
     raw[:, 3] = 7
-    expected = reference.features([raw[0].double().numpy()])
-    assert (bits(Features([20])(raw)[0]) != bits(expected)).mean() < 1e-3
+    expected = reference.features([raw[0].double().numpy()], plain(NOISE))
+    assert (bits(OF_20(raw)[0]) != bits(expected)).mean() < 1e-3
 
 
 def test_is_traced_with_free_axes_and_gives_zeros_where_eager_raises():
-    module, axes = Features([20]).eval(), ("B", 20, "h", "w")
+    module, axes = OF_20.eval(), ("B", 20, "h", "w")
     example = activations(0, size=(23, 45), count=2)
     model = traced(module, {"a": (example, axes)}, {"features": ("B", *SHAPE)})
     assert {each.domain for each in model.graph.node} == {""}

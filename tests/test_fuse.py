@@ -293,7 +293,7 @@ def test_a_file_without_features_and_networks_that_have_none(tmp_path):
     dead = Street()
     dead.stages[2].weight.data.fill_(torch.nan)
     with pytest.raises(ValueError, match="the activations of the network are not finite"):
-        fuse(Segmenter(dead, SPACE, PLAIN), CONFIG, target)
+        fuse(Segmenter(dead, SPACE, PLAIN), CONFIG, target, features=True)
     assert target.read_text() == "before"
 
 

@@ -13,6 +13,7 @@ from torch import nn
 from ssrvlad_torch import SSRVLAD, reference
 from ssrvlad_torch.channels.channel import new_channels
 from ssrvlad_torch.datasets.image_files import find_image_files
+from ssrvlad_torch.segmentation.features import NOISE, PROBES, pink_noise
 from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
 from ssrvlad_torch.segmentation.segmenter import Segmenter
 from ssrvlad_torch.stages.features import SHAPE
@@ -27,18 +28,38 @@ def pictures(count=3, size=(96, 128)):
 
 
 def test_features_are_the_signs_of_the_activations(tmp_path):
+    """Of two levels, with projections of noise."""
     network, images = Street(), pictures()
-    inner = {}
-    network.act[2].register_forward_hook(lambda *a: inner.update(x=a[2].clone()))
+    inner = [{}, {}]
+    for values, act in zip(inner, network.act[2:], strict=True):
+        act.register_forward_hook(lambda *a, values=values: values.update(x=a[2].clone()))
+
+    def activations_of(picture):
+        network(segmenter.labels.preparation(torch.from_numpy(picture)[None]))
+        return [values["x"][0].double().numpy() for values in inner]
+
     for each in (network, OnnxNetwork(write_street(tmp_path / "net.onnx"))):
         segmenter = Segmenter(each, SPACE, PLAIN)
         labels, (first, *_) = segmenter(images), segmenter.segment(images, features=True)
-        network(segmenter.labels.preparation(torch.from_numpy(np.stack(images))))
-        expected = reference.features([inner["x"][0].double().numpy()])
+        noise = [activations_of(pink_noise(number, *PROBES[0])) for number in range(NOISE)]
+        expected = reference.features(activations_of(images[0]), noise)
         assert first.features.shape == SHAPE
         assert segmenter.segment(images[:1])[0].features is None
         assert (bits(first.features) != bits(expected)).mean() < 2e-3
         np.testing.assert_array_equal(first.labels, labels[0])
+
+
+def test_pink_noise_has_the_spectrum_of_photographs():
+    """Each octave of frequencies has the same power, in every colour; no two pictures are alike."""
+    first, second = (pink_noise(n, 128, 256).astype(float) for n in range(2))
+    assert first.shape == (128, 256, 3) and first.dtype == float
+    assert np.array_equal(first, pink_noise(0, 128, 256))
+    together = np.concatenate([first, second], 2).reshape(-1, 6)
+    assert abs(np.corrcoef(together.T) - np.eye(6)).max() < 0.3
+    power = abs(np.fft.fft2(first[:128, :128], axes=(0, 1))) ** 2
+    frequency = np.hypot(*np.meshgrid(*[np.fft.fftfreq(128, 1 / 128)] * 2))
+    octaves = [power[(low <= frequency) & (frequency < 2 * low)].sum(0) for low in (4, 8, 16)]
+    assert np.ptp(octaves, axis=0).max() < 0.5 * np.min(octaves)
 
 
 def test_features_of_a_module_that_runs_several_times():
@@ -58,10 +79,10 @@ def test_the_fingerprint_is_of_the_network_its_settings_and_the_activations():
         Segmenter(Street(), SPACE, dataclasses.replace(PLAIN, features=("act.1",))),
     ]
     assert len({each.fingerprint_of_features for each in segmenters}) == 4
-    again = Segmenter(Street(), SPACE, dataclasses.replace(PLAIN, features=("act.2",)))
+    again = Segmenter(Street(), SPACE, dataclasses.replace(PLAIN, features=("act.2", "act.3")))
     assert again.fingerprint_of_features == segmenters[0].fingerprint_of_features
     assert again.key() == segmenters[0].key() == segmenters[3].key()
-    assert "64 signs of act.2, " in again.fingerprint_of_features
+    assert "128 signs of act.2, act.3, " in again.fingerprint_of_features
 
 
 def test_both_are_cached_together(tmp_path):
@@ -133,14 +154,22 @@ class Same(nn.Module):
     ("network", "message"),
     [
         (colour_network(), "the network: the encoder has no activation at a stride from 4 to 32"),
-        (Same(0.0), "the network fails at 24x32: the activations of the network are the same"),
-        (Same(torch.nan), "the network fails at 24x32: the activations of the network are not f"),
+        (Same(0.0), "the network: the activations of the network are the same everywhere"),
+        (Same(torch.nan), "the network: the activations of the network are not finite"),
     ],
 )
 def test_a_network_without_features_is_refused_in_one_line(network, message):
     if isinstance(network, Same):
         network.step.register_forward_hook(lambda module, inputs, output: output * network.value)
+    segmenter = Segmenter(network, SPACE, PLAIN)
+    assert message in segmenter.problem_of_features
     with pytest.raises(ValueError, match=message) as error:
-        Segmenter(network, SPACE, PLAIN).segment(PHOTOS[:1], features=True)
+        segmenter.segment(PHOTOS[:1], features=True)
     assert "\n" not in str(error.value)
-    Segmenter(network, SPACE, PLAIN)
+
+
+def test_a_picture_without_features_is_refused_in_one_line():
+    message = "the network fails at 24x32: the activations of the network are the same everywhere"
+    with pytest.raises(ValueError, match=message) as error:
+        Segmenter(Same(1.0), SPACE, PLAIN).segment([np.zeros_like(PHOTOS[0])], features=True)
+    assert "\n" not in str(error.value)

@@ -38,7 +38,7 @@ constexpr const char* kFormat = "2";
 struct Described {
   std::vector<float> descriptor;
   std::size_t length = 0;  // of one descriptor
-  std::vector<std::uint8_t> features;  // 16 columns x 16 rows x 8 bytes of signs, if the file gives some
+  std::vector<std::uint8_t> features;  // 16 columns x 16 rows x 16 bytes of signs, if the file gives some
   std::vector<float> hog;              // 480 numbers, if the file gives them
 };
 
@@ -334,7 +334,7 @@ class Database {
     if (!signs_.bytes.empty() &&
         (signs_.dtype != "|u1" || signs_.shape.size() != 4 || signs_.shape[0] != array_.shape[0] ||
          signs_.shape[1] <= kReach || signs_.shape[3] % 8 != 0))
-      throw std::runtime_error(path + ".features.npy: expected an (R, 16, 16, 8) array of uint8");
+      throw std::runtime_error(path + ".features.npy: expected an (R, 16, 16, 16) array of uint8");
     if (!hog_.bytes.empty() && (hog_.dtype != "<f4" || hog_.shape.size() != 2 ||
                                 hog_.shape[0] != array_.shape[0]))
       throw std::runtime_error(path + ".hog.npy: expected an (R, D) array of float32");

@@ -84,7 +84,7 @@ def cosines(query: Array, rows: Array) -> Array:
 
 
 def cosines_of_signs(query: Array, rows: Array) -> Array:
-    """``(R,)`` float32 by signs ``(16, 16, 8)`` and ``(R, 16, 16, 8)``, of the columns of cells
+    """``(R,)`` float32 by signs ``(16, 16, 16)`` and ``(R, 16, 16, 16)``, of the columns of cells
     that overlap, for the best of all moves."""
     cosines = np.full(len(rows), -1, np.float32)
     columns = len(query)

@@ -192,9 +192,12 @@ def channels_of(columns: Sequence[Column], head: SSRVLAD) -> list[Channel]:
     for column in columns:
         channel = _class(column.name).of(column, head)
         if channel.column != column:
+            other = channel.column.fingerprint
+            if other == column.fingerprint:
+                other = f"descriptors {channel.column.shape}, not {column.shape}"
             raise ValueError(
                 f"stored descriptors by {column.name} are of {column.fingerprint}, this version "
-                f"makes {channel.column.fingerprint}: encode the frames again"
+                f"makes {other}: encode the frames again"
             )
         channels.append(channel)
     return channels

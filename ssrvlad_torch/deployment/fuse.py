@@ -89,7 +89,7 @@ def fuse(
     Shape:
         - input: ``image (B, H, W, 3)`` uint8 in RGB, of any size.
         - outputs: those of `export_head`, and ``labels (B, H, W)`` uint8, or int64 for wider ids.
-          With features also ``features (B, 16, 16, 8)`` uint8, the signs that `Segmenter.segment`
+          With features also ``features (B, 16, 16, 16)`` uint8, the signs that `Segmenter.segment`
           gives; all 0 for activations that are not finite or the same everywhere. ``hog (B, 480)``
           float32 is that of `HOG`. Of two files, the first gives all these, and the second takes
           the labels.

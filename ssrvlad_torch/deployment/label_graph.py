@@ -35,7 +35,7 @@ EXAMPLE = (66, 98)
 
 def label_graph(labels: LabelNetwork, features: NetworkFeatures | None = None) -> onnx.ModelProto:
     """A graph from ``image (B, H, W, 3)`` uint8 to ``labels (B, H, W)`` uint8 or int64, to
-    ``hog (B, 480)`` float32, and with features to ``features (B, 16, 16, 8)`` uint8.
+    ``hog (B, 480)`` float32, and with features to ``features (B, 16, 16, 16)`` uint8.
 
     A PyTorch network is traced together with preparation, decision and features. For an ONNX graph
     these are traced and joined to it; a graph below the head's opset is converted to it. A network
@@ -70,8 +70,7 @@ def label_graph(labels: LabelNetwork, features: NetworkFeatures | None = None) -
     model.graph.output.extend(map(make_empty_tensor_value_info, names))
     joined = join(parts, ["prepare/", "network/", "decide/"], joints)
     if features:
-        forms = [(values[name].shape[1], values[name].dtype) for name in names]
-        signs = _traced_features(*forms)
+        signs = _traced_features(features.signs, tuple(values[name].dtype for name in names))
         pairs = [(f"network/{name}", f"{FEATURES}{at}") for at, name in enumerate(names)]
         joined = join([joined, with_opset(signs, version)], ["", FEATURES], [pairs])
     histograms = f"prepare/{HOG.name}"
@@ -145,14 +144,13 @@ def _traced_network(labels: LabelNetwork, features: NetworkFeatures | None) -> o
     return traced(module, {"image": (example, _IMAGE)}, outputs)
 
 
-def _traced_features(*forms: tuple[int, torch.dtype]) -> onnx.ModelProto:
-    """Activations of some channels and dtypes, with numbers as names, to signs."""
+def _traced_features(module: Features, dtypes: tuple[torch.dtype, ...]) -> onnx.ModelProto:
+    """Activations of some dtypes, with numbers as names, to signs."""
     inputs: dict[str, tuple[Tensor, Axes]] = {}
-    for number, (channels, dtype) in enumerate(forms):
+    for number, (channels, dtype) in enumerate(zip(module.channels, dtypes, strict=True)):
         example = torch.zeros(2, channels, 9 + number, 13 + number, dtype=dtype)
         inputs[str(number)] = example, ["B", channels, f"h{number}", f"w{number}"]
-    module = Features([channels for channels, _ in forms])
-    return traced(module, inputs, {NAME: ["B", *SHAPE]})
+    return traced(module.cpu(), inputs, {NAME: ["B", *SHAPE]})
 
 
 def _traced_preparation(

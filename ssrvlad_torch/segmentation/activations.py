@@ -2,9 +2,10 @@
 
 The features of a network are the last activation of its encoder at stride 8, or at half the
 coarsest stride if that is finer, or at the stride nearest to it, before the encoder goes on to a
-coarser stride. The encoder is all that does not depend on an operator that raised the resolution,
-one that made a map of at least twice as many cells. Activations with at most half the channels of
-the widest belong to the step to the next stride and do not count.
+coarser stride, and the last at the next coarser stride, if there is one. The encoder is all that
+does not depend on an operator that raised the resolution, one that made a map of at least twice as
+many cells. Activations with at most half the channels of the widest of their stride belong to the
+step to the next stride and do not count.
 
 An activation has the name of its module, and of a module that runs several times ``NAME#CALL``:
 ``act#2`` is the output of the second call.
@@ -75,7 +76,7 @@ def find_activations(
     if names is None:
         states = [each for each in found if each.name.startswith(HIDDEN)]
         if chosen := _chosen(states) or _chosen(found):
-            return [chosen]
+            return chosen
         raise ValueError(
             f"the encoder has no activation at a stride from {STRIDES[0]} to {STRIDES[1]}; name "
             "one with features: in a YAML file"
@@ -100,8 +101,8 @@ def all_activations(network: nn.Module, numbers: Tensor) -> list[Activation]:
     return _of_module(network, numbers)
 
 
-def _chosen(found: Sequence[Activation]) -> Activation | None:
-    """The activation of the rule, if there is one."""
+def _chosen(found: Sequence[Activation]) -> list[Activation]:
+    """The activations of the rule, the finer first; empty if there is none."""
     least, most = STRIDES
     encoder = [
         (round(math.log2(each.stride / STRIDE)), each)
@@ -112,13 +113,19 @@ def _chosen(found: Sequence[Activation]) -> Activation | None:
         and each.shape[1] > 3  # else it is a smaller picture
     ]
     if not encoder:
-        return None
-    octaves = [octave for octave, _ in encoder]
+        return []
+    octaves = {octave for octave, _ in encoder}
     target = min(0, max(octaves) - 1)
     best = min(octaves, key=lambda octave: (abs(octave - target), -octave))
-    first = octaves.index(best)
-    later = itertools.takewhile(lambda pair: pair[0] <= best, encoder[first:])
-    members = [each for octave, each in later if octave == best]
+    coarser = [octave for octave in octaves if octave > best]
+    return [_last_at(octave, encoder) for octave in (best, *sorted(coarser)[:1])]
+
+
+def _last_at(octave: int, encoder: Sequence[tuple[int, Activation]]) -> Activation:
+    """The last activation of an octave, before a coarser one begins, that is not narrow."""
+    since = itertools.dropwhile(lambda pair: pair[0] != octave, encoder)
+    until = itertools.takewhile(lambda pair: pair[0] <= octave, since)
+    members = [each for own, each in until if own == octave]
     widest = max(each.shape[1] for each in members)
     return next(each for each in reversed(members) if 2 * each.shape[1] > widest)
 

@@ -1,4 +1,9 @@
-"""The features of a network as a descriptor of pictures, made in the pass that labels them."""
+"""The features of a network as a descriptor of pictures, made in the pass that labels them.
+
+The projections of `stages.features` come from what the network sees in a few pictures of pink
+noise, whose spectrum is that of photographs. They are made of fixed numbers, so no data set is
+needed, and the same network has the same projections everywhere.
+"""
 
 import dataclasses
 import hashlib
@@ -6,11 +11,12 @@ import json
 from collections.abc import Sequence
 
 import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
 from ..files import one_line
-from ..stages.features import COLUMNS, ROWS, SIGNS, Features
+from ..stages.features import COLUMNS, ROWS, SIGNS, Features, cell_means, random_numbers
 from .activations import find_activations
 from .label_network import LabelNetwork
 from .onnx_network import OnnxNetwork
@@ -18,7 +24,12 @@ from .onnx_network import OnnxNetwork
 PROBES = ((224, 448), (512, 512), (512, 1024), (1024, 2048), (96, 128))
 """Sizes of pictures that are tried until the network takes one."""
 
-_REVISION = 1
+NOISE = 4
+"""Pictures of noise that the network sees."""
+
+_REVISION = 2
+_GRAY, _CONTRAST = 128, 48
+_NOISE_BITS = 24
 
 
 class NetworkFeatures(nn.Module):
@@ -29,23 +40,24 @@ class NetworkFeatures(nn.Module):
 
     Attributes:
         names: of the activations, in the order that `forward` takes.
+        size: height and width of the pictures of noise.
         key: in hex, of the digest of the network, see `identity.digest_of`, its settings, the
-            activations and the form of the signs.
+            activations, the size of the noise and the form of the signs.
         fingerprint: a text under which a database stores the signs.
     """
 
     def __init__(self, labels: LabelNetwork, digest: str) -> None:
         super().__init__()
-        numbers = probed(labels)
+        numbers, *self.size = probed(labels)
         self.activations = find_activations(labels.network, numbers, labels.config.features)
         self.names = [each.name for each in self.activations]
-        self.signs = Features([each.shape[1] for each in self.activations])
         if isinstance(labels.network, OnnxNetwork):
             labels.network.take(self.names)
+        self.signs = Features(*noise_means(labels, self.names, *self.size))
         settings = dataclasses.asdict(labels.config)
         for name in ("output", "classes", "features"):  # activations do not depend on them
             del settings[name]
-        content = [_REVISION, digest, settings, self.names, ROWS, COLUMNS, SIGNS]
+        content = [_REVISION, digest, settings, self.names, self.size, NOISE, ROWS, COLUMNS, SIGNS]
         self.key = hashlib.blake2b(json.dumps(content).encode(), digest_size=8).hexdigest()
         form = f"{ROWS} x {COLUMNS} cells, {SIGNS} signs"
         self.fingerprint = f"{form} of {', '.join(self.names)}, {self.key}"
@@ -56,18 +68,45 @@ class NetworkFeatures(nn.Module):
         return signs
 
 
+def pink_noise(number: int, height: int, width: int) -> npt.NDArray[np.uint8]:
+    """The picture of noise of a number from 0, ``(height, width, 3)`` uint8: amplitudes fall with
+    the frequency, and no two of its colours are alike."""
+    size = (3, height, width)
+    drawn = random_numbers(3 * height * width, number * 3 * height * width)
+    white = (drawn >> np.uint64(64 - _NOISE_BITS)).astype(np.float64).reshape(size)
+    down, across = np.fft.fftfreq(height, 1 / height), np.fft.rfftfreq(width, 1 / width)
+    frequency = np.hypot(down[:, None], across)
+    frequency[0, 0] = np.inf  # no mean
+    pink = np.fft.irfft2(np.fft.rfft2(white) / frequency, size[1:])
+    scaled = _GRAY + _CONTRAST * pink / pink.std((1, 2), keepdims=True)
+    return scaled.round().clip(0, 255).astype(np.uint8).transpose(1, 2, 0)
+
+
 @torch.inference_mode()
-def probed(labels: LabelNetwork) -> Tensor:
-    """The input of the network for a picture of the first of `PROBES` that it takes; a ValueError
-    if it takes none."""
+def noise_means(
+    labels: LabelNetwork, names: Sequence[str], height: int, width: int
+) -> list[Tensor]:
+    """For each of the activations `cell_means` ``(NOISE, C, ROWS, COLUMNS)`` of pictures of noise,
+    which the network takes one by one."""
+    means = []
+    for number in range(NOISE):
+        picture = torch.from_numpy(pink_noise(number, height, width))
+        _, activations = labels.run(picture[None], names)
+        means.append([cell_means(each).cpu() for each in activations])
+    return [torch.cat(of_each) for of_each in zip(*means, strict=True)]
+
+
+@torch.inference_mode()
+def probed(labels: LabelNetwork) -> tuple[Tensor, int, int]:
+    """The input of the network for a picture of noise of the first of `PROBES` that it takes, and
+    the height and width of the picture; a ValueError if it takes none."""
     reason = ValueError("takes no picture")
     for height, width in PROBES:
-        probe = np.random.default_rng(0).integers(0, 256, (1, height, width, 3), np.uint8)
         try:
-            numbers = labels.numbers(torch.from_numpy(probe))
+            numbers = labels.numbers(torch.from_numpy(pink_noise(0, height, width))[None])
             labels.network(numbers)
         except Exception as error:  # networks raise many kinds of errors
             reason = ValueError(f"the network fails at {height}x{width}: {one_line(error)}")
             continue
-        return numbers
+        return numbers, height, width
     raise reason

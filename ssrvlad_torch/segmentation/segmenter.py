@@ -189,7 +189,7 @@ class Segmenter:
     def activations(self) -> list[Activation]:
         """The activations of the network that can be `features` by their names, in the order in
         which they are computed for one picture. A network that takes no picture is a ValueError."""
-        found = all_activations(self.network, probed(self.labels))
+        found = all_activations(self.network, probed(self.labels)[0])
         return [each for each in found if math.isfinite(each.stride)]
 
     def __call__(self, images: Sequence[Pixels]) -> list[LabelMap]:

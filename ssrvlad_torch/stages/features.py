@@ -1,37 +1,48 @@
 """Features: what the encoder of a segmentation network sees in each cell of a grid, as signs.
 
 The activations become means over cells. Each channel is normalised over the cells of its own
-picture, each cell has length 1, and random projections of it keep their signs. The cells of a row
-share the projections, so a picture that is moved by a column of cells has moved signs, and a
-mirrored one mirrored signs. Not in the paper.
+picture, half of what the cells around it have in common is taken off, and each cell has length 1.
+Projections of it, which the network's cells of pictures of noise give, keep their signs. The cells
+of a row share the projections, so a picture that is moved by a column of cells has moved signs, and
+a mirrored one mirrored signs. Not in the paper.
 """
 
+import hashlib
+
 import numpy as np
+import numpy.typing as npt
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
 from .grid_pooling import overlaps
 
-COLUMNS, ROWS, SIGNS = 16, 16, 64
+COLUMNS, ROWS, SIGNS = 16, 16, 128
 """Columns and rows of cells, and signs of each cell."""
 
 SHAPE = (COLUMNS, ROWS, SIGNS // 8)
 """Of a descriptor: sign ``k`` of a cell is bit ``k % 8``, from the lowest, of its byte ``k // 8``;
 1 is positive."""
 
+AROUND, SHARE = 5, 0.5
+"""Rows and columns of the cells around a cell, and the share of their mean that is taken off."""
+
 _NO_VARIANCE = 1e-5
 _NO_LENGTH = 1e-12
 _ROUNDING = 1e-5
+_NO_COMPONENT = 1e-4
 
 
 class Features(nn.Module):
     """Activations of one picture after another -> signs.
 
+    Args:
+        noise: the activations of pictures of noise that the network gives, ``(N, C, h, w)`` float,
+            or their `cell_means`: one tensor for each activation.
+
     Shape:
-        - input: for each of the numbers of ``channels`` an activation ``(B, C, h, w)`` float, of
-          any size.
-        - output: ``(B, 16, 16, 8)`` uint8, see `SHAPE`.
+        - input: for each of the activations ``(B, C, h, w)`` float, of any size.
+        - output: ``(B, 16, 16, 16)`` uint8, see `SHAPE`.
 
     Raises:
         ValueError: an activation has another shape, is not finite, or does not vary over the
@@ -39,42 +50,56 @@ class Features(nn.Module):
             no other picture has.
 
     Examples:
-        >>> Features([3])(torch.rand(2, 3, 24, 32)).shape
-        torch.Size([2, 16, 16, 8])
+        >>> Features(torch.rand(2, 3, 24, 32))(torch.rand(1, 3, 24, 32)).shape
+        torch.Size([1, 16, 16, 16])
     """
 
-    def __init__(self, channels: list[int]) -> None:
+    def __init__(self, *noise: Tensor) -> None:
         super().__init__()
-        self.channels = channels
-        self.projections: Tensor
+        self.channels = [each.shape[1] for each in noise]
+        self.components: Tensor
+        self.rotations: Tensor
         self.bits: Tensor
-        self.register_buffer("projections", projections(sum(channels)), persistent=False)
+        components, rotations = projections(unit_cells(self._checked_means(noise)))
+        self.register_buffer("components", components, persistent=False)
+        self.register_buffer("rotations", rotations, persistent=False)
         self.register_buffer("bits", 2.0 ** torch.arange(8), persistent=False)
+
+    def extra_repr(self) -> str:
+        """The channels and a digest of the projections."""
+        tables = [each.numpy(force=True).tobytes() for each in (self.components, self.rotations)]
+        return f"{self.channels}, {hashlib.blake2b(b''.join(tables), digest_size=8).hexdigest()}"
 
     def forward(self, *activations: Tensor) -> Tensor:
         """The signs of pictures."""
         is_exporting = torch.compiler.is_exporting()
-        got = [each.shape[1] if each.ndim == 4 else -1 for each in activations]
-        if not is_exporting and got != self.channels:
-            shapes = ", ".join(str(tuple(each.shape)) for each in activations) or "nothing"
-            raise ValueError(
-                f"expected activations (B, C, h, w) of {self.channels} channels, got {shapes}"
-            )
-        means = [cell_means(each) for each in activations]
-        if not is_exporting:
-            for each in means:
-                if not bool(each.isfinite().all()):
-                    raise ValueError("the activations of the network are not finite")
-                if not bool(is_usable(each).all()):
-                    raise ValueError("the activations of the network are the same everywhere")
-        cells = torch.cat([unit_cells(each) for each in means], 1)
-        signs = cells.permute(2, 0, 3, 1).flatten(1, 2) @ self.projections > 0
+        if is_exporting:
+            means = [cell_means(each) for each in activations]
+        else:
+            means = self._checked_means(activations)
+        cells = unit_cells(means).permute(2, 0, 3, 1).flatten(1, 2)
+        signs = cells @ self.components @ self.rotations > 0
         by_row = signs.unflatten(1, (-1, COLUMNS)).permute(1, 2, 0, 3)
         if is_exporting:
             usable = torch.stack([is_usable(each) for each in means]).all(0)
             by_row = by_row & usable[:, None, None, None]
         packed: Tensor = by_row.unflatten(3, (-1, 8)).float() @ self.bits
         return packed.to(torch.uint8)
+
+    def _checked_means(self, activations: tuple[Tensor, ...]) -> list[Tensor]:
+        got = [each.shape[1] if each.ndim == 4 else -1 for each in activations]
+        if got != self.channels:
+            shapes = ", ".join(str(tuple(each.shape)) for each in activations) or "nothing"
+            raise ValueError(
+                f"expected activations (B, C, h, w) of {self.channels} channels, got {shapes}"
+            )
+        means = [cell_means(each) for each in activations]
+        for each in means:
+            if not bool(each.isfinite().all()):
+                raise ValueError("the activations of the network are not finite")
+            if not bool(is_usable(each).all()):
+                raise ValueError("the activations of the network are the same everywhere")
+        return means
 
 
 def cell_means(activations: Tensor) -> Tensor:
@@ -87,12 +112,26 @@ def cell_means(activations: Tensor) -> Tensor:
     return rows @ (activations.float() @ columns)
 
 
-def unit_cells(means: Tensor) -> Tensor:
-    """``(B, C, ROWS, COLUMNS)`` means, each channel without its mean over the cells and divided by
-    its deviation, each cell of length 1."""
+def unit_cells(levels: list[Tensor]) -> Tensor:
+    """``(B, sum of C, ROWS, COLUMNS)`` from the means ``(B, C, ROWS, COLUMNS)`` of activations.
+    Each channel is without its mean over the cells, divided by its deviation, and without a `SHARE`
+    of the mean of the cells around each; the cells of each activation have length 1."""
+    return torch.cat([_unit_cells(each) for each in levels], 1)
+
+
+def _unit_cells(means: Tensor) -> Tensor:
     centred = means - means.mean((2, 3), keepdim=True)
     variance = centred.square().mean((2, 3), keepdim=True)
-    return F.normalize(centred / (variance + _NO_VARIANCE).sqrt(), dim=1, eps=_NO_LENGTH)
+    normal = centred / (variance + _NO_VARIANCE).sqrt()
+    down, across = (_near(count).to(means.device) for count in (ROWS, COLUMNS))
+    return F.normalize(normal - SHARE * (down @ normal @ across.T), dim=1, eps=_NO_LENGTH)
+
+
+def _near(count: int) -> Tensor:
+    """``(count, count)`` float32: times a line of cells, the mean of those that are near each."""
+    cells = torch.arange(count)
+    near = (2 * (cells[:, None] - cells).abs() < AROUND).float()
+    return near / near.sum(1, keepdim=True)
 
 
 def is_usable(means: Tensor) -> Tensor:
@@ -102,13 +141,34 @@ def is_usable(means: Tensor) -> Tensor:
     return (spread > _ROUNDING * means.abs().amax((1, 2, 3))) & means.sum((1, 2, 3)).isfinite()
 
 
-def projections(channels: int) -> Tensor:
-    """``(ROWS, channels, SIGNS)`` float32, 1 or -1 by the highest bit of SplitMix64 (Steele et al.,
-    OOPSLA 2014) of the entry's number: the same in every language."""
-    count = ROWS * SIGNS * channels
-    mixed = np.arange(1, count + 1, dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15)
+def projections(cells: Tensor) -> tuple[Tensor, Tensor]:
+    """The principal components ``(C, k)`` of the cells ``(N, C, ROWS, COLUMNS)`` of a network, at
+    most `SIGNS` of them, each divided by its deviation, and for each row of cells a rotation
+    ``(ROWS, k, SIGNS)``, float32. A cell times both is projected.
+
+    The rotation is the orthogonal matrix nearest to random sides, seen from the components. So the
+    product does not depend on the signs that a library gives to components, and changes as little
+    as the cells where another processor rounds otherwise.
+    """
+    flat = cells.permute(1, 0, 2, 3).flatten(1).double()
+    variances, components = torch.linalg.eigh(flat @ flat.T / flat.shape[1])
+    kept = variances > _NO_COMPONENT * variances[-1]
+    variances, components = variances[kept][-SIGNS:], components[:, kept][:, -SIGNS:]
+    sides = random_sides(ROWS * SIGNS * len(flat)).view(ROWS, SIGNS, -1).transpose(1, 2)
+    left, _, right = torch.linalg.svd(components.T @ sides.double(), full_matrices=False)
+    return (components / variances.sqrt()).float(), (left @ right).float()
+
+
+def random_sides(count: int) -> Tensor:
+    """``(count,)`` float32, 1 or -1 by the highest bit of each of `random_numbers`."""
+    return torch.from_numpy(1 - 2 * (random_numbers(count) >> np.uint64(63)).astype(np.float32))
+
+
+def random_numbers(count: int, first: int = 0) -> npt.NDArray[np.uint64]:
+    """Numbers of SplitMix64 (Steele et al., OOPSLA 2014) from state 0, after ``first`` others: the
+    same in every language."""
+    steps = np.arange(first + 1, first + count + 1, dtype=np.uint64)
+    mixed = steps * np.uint64(0x9E3779B97F4A7C15)
     for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):
         mixed = (mixed ^ mixed >> np.uint64(shift)) * np.uint64(factor)
-    high = (mixed ^ mixed >> np.uint64(31)) >> np.uint64(63)
-    signs = torch.from_numpy(1 - 2 * high.astype(np.float32))
-    return signs.view(ROWS, SIGNS, channels).transpose(1, 2).contiguous()
+    return mixed ^ mixed >> np.uint64(31)
