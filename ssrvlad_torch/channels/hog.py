@@ -43,12 +43,6 @@ class HOG(VectorChannel):
         cells = cell_histograms(bins, torch.hypot(along_x, along_y), ORIENTATIONS)
         return F.normalize(F.normalize(cells, dim=-1).flatten(1), dim=1)
 
-    def mirrored(self, vectors: Tensor) -> Tensor:
-        """See `VectorChannel`. Not exact: a direction between two bins, as of a vertical edge,
-        counts in the bin above it, also in a mirrored picture, and here in the one below."""
-        cells: Tensor = vectors.unflatten(-1, (-1, self.columns, ORIENTATIONS))
-        return cells.flip(-2, -1).flatten(-3)
-
 
 def cell_histograms(bins: Tensor, votes: Tensor, count: int) -> Tensor:
     """Sums of votes ``(B, H, W)`` float of each bin over square cells of ``CELL`` pixels, ``(B, H /
