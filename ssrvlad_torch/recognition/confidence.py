@@ -64,7 +64,7 @@ class Confidence(NamedTuple):
         return cls(right, spread, torch.full((len(chances),), together))
 
 
-class _Grid(NamedTuple):
+class Prior(NamedTuple):
     """Points of the prior: the fraction of wrong answers, rate and shape of the gamma density of
     right ones, and the logarithm of the weight."""
 
@@ -75,7 +75,7 @@ class _Grid(NamedTuple):
 
 
 @cache
-def _grid() -> _Grid:
+def prior() -> Prior:
     """The prior; its last point is a map that has none of the places."""
     fractions = (torch.arange(_POINTS[0], dtype=torch.double) + 0.5) / _POINTS[0]
     away = torch.linspace(-_REACH, _REACH, _POINTS[1], dtype=torch.double)
@@ -86,20 +86,20 @@ def _grid() -> _Grid:
     log = log[:, None].expand(len(fractions), -1, len(_SHAPES)).flatten()
     last = torch.tensor([1.0, _SLOPE, _SHAPES[-1], math.log(_FOREIGN)], dtype=torch.double)
     parts = wrong, rate, shape, log + math.log(1 - _FOREIGN)
-    return _Grid(*(torch.cat((each, end[None])) for each, end in zip(parts, last, strict=True)))
+    return Prior(*(torch.cat((each, end[None])) for each, end in zip(parts, last, strict=True)))
 
 
 def _likelier(ahead: Tensor) -> Tensor:
     """``(N, points)``, how much likelier each ``t`` ``(N,)`` is of a right answer than of a wrong
     one."""
-    grid, ahead = _grid(), ahead[:, None]
+    grid, ahead = prior(), ahead[:, None]
     log = grid.shape * grid.rate.log() - torch.lgamma(grid.shape)
     return (log + (grid.shape - 1) * ahead.log() + (1 - grid.rate) * ahead).exp()
 
 
 def _posterior(ahead: Tensor, together: float) -> Tensor:
     """``(points,)``, the weight of each; queries that err together count as one."""
-    grid, log = _grid(), torch.zeros(len(_grid().wrong), dtype=torch.double)
+    grid, log = prior(), torch.zeros(len(prior().wrong), dtype=torch.double)
     for block in ahead.split(_BLOCK):
         log += (grid.wrong + (1 - grid.wrong) * _likelier(block)).log().sum(0)
     return (grid.log_weight + log / together).softmax(0)
@@ -107,7 +107,7 @@ def _posterior(ahead: Tensor, together: float) -> Tensor:
 
 def _moments(ahead: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]:
     """Mean and standard deviation ``(N,)`` of the probability to be right."""
-    wrong = _grid().wrong
+    wrong = prior().wrong
     right = (1 - wrong) * _likelier(ahead)
     right /= right + wrong
     mean = right @ weights
