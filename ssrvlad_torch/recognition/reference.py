@@ -45,7 +45,8 @@ def cosines(queries: Array, references: Array) -> Floats:
     """``(Q, R)`` by vectors ``(Q, D)`` and ``(R, D)``, -inf where one is zero."""
     lengths = np.outer(*(np.linalg.norm(each, axis=1) for each in (queries, references)))
     products = queries.astype(np.float64) @ references.T
-    return np.where(lengths > 0, products / np.where(lengths > 0, lengths, 1), -np.inf)
+    scores: Floats = np.where(lengths > 0, products / np.where(lengths > 0, lengths, 1), -np.inf)
+    return scores
 
 
 def cosines_of_signs(queries: Array, references: Array, reach: int) -> Floats:
@@ -103,15 +104,17 @@ def weights_of(channels: Mapping[str, Array], trust: Mapping[str, float]) -> dic
 def fused(channels: Mapping[str, Array], weights: Mapping[str, float]) -> Floats:
     """``(Q, R)`` scores of all channels as one: the weighted z-score, with the weighted mean and
     deviation, as a cosine."""
-    rows = []
-    for number in range(len(next(iter(channels.values())))):
-        parts = [(weights[name], *z_scores(scores[number])) for name, scores in channels.items()]
-        z, mean, deviation = (
-            sum(weight * part[place] for weight, *part in parts) for place in range(3)
-        )
-        none = np.all([np.isinf(scores[number]) for scores in channels.values()], axis=0)
-        rows.append(np.where(none, -np.inf, 1 - np.exp(-(mean + deviation * z))))
-    return np.stack(rows)
+    scores = np.full(next(iter(channels.values())).shape, -np.inf)
+    for query in range(len(scores)):
+        z, mean, deviation = np.zeros(scores.shape[1]), 0.0, 0.0
+        for name, of_channel in channels.items():
+            own_z, own_mean, own_deviation = z_scores(of_channel[query])
+            z += weights[name] * own_z
+            mean += weights[name] * own_mean
+            deviation += weights[name] * own_deviation
+        some = np.any([np.isfinite(each[query]) for each in channels.values()], axis=0)
+        scores[query, some] = 1 - np.exp(-(mean + deviation * z[some]))
+    return scores
 
 
 def likelihood(scores: Array, motion: Motion) -> Floats:
@@ -230,4 +233,5 @@ def doubts(chances: Array, together: float) -> Floats:
     told = wrong[:, None] + (1 - wrong[:, None]) * likelier
     log = log_weight + np.log(told).sum(1) / together
     weights = np.exp(log - log.max())
-    return (weights / weights.sum()) @ (wrong[:, None] / told)
+    doubt: Floats = (weights / weights.sum()) @ (wrong[:, None] / told)
+    return doubt
