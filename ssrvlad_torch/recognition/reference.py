@@ -59,7 +59,8 @@ def cosines_of_signs(queries: Array, references: Array, reach: int) -> Floats:
         theirs = references[:, max(0, move) : columns - max(0, -move)].reshape(len(references), -1)
         lengths = np.outer(*(np.linalg.norm(each, axis=1) for each in (ours, theirs)))
         best = np.maximum(best, ours @ theirs.T / np.maximum(lengths, _LEAST_LENGTH))
-    return np.minimum(best, 1)
+    capped: Floats = np.minimum(best, 1)
+    return capped
 
 
 def nearness(scores: Array) -> Floats:
@@ -104,9 +105,10 @@ def weights_of(channels: Mapping[str, Array], trust: Mapping[str, float]) -> dic
 def fused(channels: Mapping[str, Array], weights: Mapping[str, float]) -> Floats:
     """``(Q, R)`` scores of all channels as one: the weighted z-score, with the weighted mean and
     deviation, as a cosine."""
-    scores = np.full(next(iter(channels.values())).shape, -np.inf)
-    for query in range(len(scores)):
-        z, mean, deviation = np.zeros(scores.shape[1]), 0.0, 0.0
+    queries, rows = next(iter(channels.values())).shape
+    scores = np.full((queries, rows), -np.inf)
+    for query in range(queries):
+        z, mean, deviation = np.zeros(rows), 0.0, 0.0
         for name, of_channel in channels.items():
             own_z, own_mean, own_deviation = z_scores(of_channel[query])
             z += weights[name] * own_z
