@@ -28,7 +28,6 @@ import torch
 from _markdown import Page, head_row, row
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, match
-from ssrvlad_torch.channels.label_shapes import LabelShapes
 from ssrvlad_torch.channels.signs import REACH, SignQueries, SignRows
 from ssrvlad_torch.database.database import Database
 from ssrvlad_torch.database.frames import FrameRecord
@@ -202,9 +201,8 @@ def follow_by_index(frames: int, folder: Path) -> Report:
     database, wanted = opened(frames, folder), again(folder)
     drive = ["again"] * len(wanted)
     search = IndexSearch(database, wanted, drive)
-    both = search, search.mirrored(LabelShapes(SSRVLAD(database.config)).mirrored)
     started = time.perf_counter()
-    found = recognise_by_search(lambda _: both, drive, search.frames.sequences, top=1)
+    found = recognise_by_search(lambda _: search, drive, search.frames.sequences, top=1)
     lasted = time.perf_counter() - started
     rows = torch.arange(BACK, BACK + len(wanted))
     right = float((found.matches.indices[:, 0] == rows).float().mean())

@@ -40,8 +40,3 @@ class LabelGrid(VectorMethod):
         layers = categories[:, None] == torch.arange(len(CATEGORIES))[:, None, None]
         fractions = F.adaptive_avg_pool2d(layers.float(), (self.rows, self.columns))
         return F.normalize(fractions.sqrt().flatten(1), dim=1)
-
-    def mirrored(self, vectors: Tensor) -> Tensor:
-        """See `VectorChannel`; exact."""
-        rows: Tensor = vectors.unflatten(-1, (-1, self.columns))
-        return rows.flip(-1).flatten(-2)

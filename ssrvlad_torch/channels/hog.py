@@ -45,12 +45,6 @@ class HOG(VectorChannel):
         cells = cell_histograms(directions(along_x, along_y), votes, ORIENTATIONS)
         return F.normalize(F.normalize(cells, dim=-1).flatten(1), dim=1)
 
-    def mirrored(self, vectors: Tensor) -> Tensor:
-        """See `VectorChannel`. Not exact: a direction between two bins, as of a vertical edge,
-        counts in the bin above it, also in a mirrored picture, and here in the one below."""
-        cells: Tensor = vectors.unflatten(-1, (-1, self.columns, ORIENTATIONS))
-        return cells.flip(-2, -1).flatten(-3)
-
 
 def directions(along_x: Tensor, along_y: Tensor) -> Tensor:
     """The eighth of a half turn, int64 0 to 7, in which the direction of each gradient lies, up to

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from ..config import SSRVLADConfig
-from ..descriptor import SSRVLAD, mirrored
+from ..descriptor import SSRVLAD
 from ..taxonomy import LabelSpace, label_space
 from .channel import LABELS, Network, View, labels_of
 from .column import Column
@@ -60,10 +60,6 @@ class LabelShapes(VectorChannel):
         stack = torch.from_numpy(np.stack(maps)).to(next(head.buffers()).device)
         swept = columns and self.config.aggregation == "harmonics"
         return (head.sweep(stack, columns) if swept else head(stack)).cpu()
-
-    def mirrored(self, vectors: Tensor) -> Tensor:
-        """See `VectorChannel`."""
-        return mirrored(vectors, self.config)
 
     def _head(self, space: str | LabelSpace) -> SSRVLAD:
         """The head for a label space."""

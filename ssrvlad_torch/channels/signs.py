@@ -13,7 +13,6 @@ from torch import Tensor
 
 from ..native import core
 from ..recognition.comparison import Comparison
-from ..recognition.confidence import ALONE_BY_FEATURES
 from ..recognition.follow import in_blocks, runs
 from ..recognition.matching import Vectors, real_tensor
 from ..recognition.standardise import sharing
@@ -23,11 +22,6 @@ REACH = 2
 
 _ROWS_AT_ONCE = 256
 _LEAST = 1e-3
-
-
-def mirrored(signs: Tensor) -> Tensor:
-    """The signs ``(N, columns, rows, bytes)`` of mirrored pictures."""
-    return signs.flip(1)
 
 
 def moved(grids: Tensor, columns: int) -> Tensor:
@@ -100,12 +94,8 @@ class SignReferences:
             sequences = self._sequences if standardised else None
             self._rows[standardised] = SignRows(self._signs, sequences)
         rows, reach = self._rows[standardised], REACH if sweep else 0
-        scores, decoys = (
-            in_blocks(moved.scores, len(queries), len(rows), moved.moves, excluded)
-            for signs in (queries, mirrored(queries))
-            for moved in [SignQueries(signs, rows, standardised, reach)]
-        )
-        return Comparison(scores, decoys, ALONE_BY_FEATURES)
+        moved = SignQueries(queries, rows, standardised, reach)
+        return Comparison(in_blocks(moved.scores, len(queries), len(rows), moved.moves, excluded))
 
 
 class SignRows:

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Self
 
 from torch import Tensor
 
 from ..recognition.comparison import Comparison
-from ..recognition.confidence import ALONE
-from ..recognition.decoys import Mirror, decoy_scores
-from ..recognition.follow import Scores, in_blocks
+from ..recognition.follow import in_blocks
 from ..recognition.matching import Rows, Vectors, real_tensor
 from ..recognition.standardise import standardise
 from ..recognition.sweep import COLUMNS, narrowed, score
@@ -25,7 +22,7 @@ if TYPE_CHECKING:
 
 class VectorChannel:
     """A channel of vectors of length 1, or zero for an empty frame. A subclass defines ``name``,
-    ``length``, ``needs`` and `describe`, and, if it can, `mirrored`."""
+    ``length``, ``needs`` and `describe`."""
 
     name: str
     length: int
@@ -33,8 +30,6 @@ class VectorChannel:
     trust = 1.0
     threads: int | None = None
     fingerprint = ""
-    mirrored: Mirror | None = None
-    """From vectors ``(..., length)`` to those of the mirrored views."""
 
     @property
     def column(self) -> Column:
@@ -66,7 +61,7 @@ class VectorChannel:
 
     def references(self, stored: Tensor, sequences: Sequence[str]) -> VectorReferences:
         """See `Channel`."""
-        return VectorReferences(stored, sequences, self.mirrored)
+        return VectorReferences(stored, sequences)
 
     def live(self) -> LiveVectors:
         """See `Channel`."""
@@ -74,14 +69,10 @@ class VectorChannel:
 
 
 class VectorReferences:
-    """The vectors ``(R, D)`` of a map, and the sequence of each; without a mirror, comparisons have
-    no decoys."""
+    """The vectors ``(R, D)`` of a map, and the sequence of each."""
 
-    def __init__(
-        self, vectors: Vectors, sequences: Sequence[str], mirror: Mirror | None = None
-    ) -> None:
+    def __init__(self, vectors: Vectors, sequences: Sequence[str]) -> None:
         self._vectors, self._sequences = real_tensor(vectors).float(), sequences
-        self._mirror = mirror
         self._rows: dict[bool, Rows] = {}
 
     def __len__(self) -> int:
@@ -97,12 +88,11 @@ class VectorReferences:
         else:
             queries = queries[:, queries.shape[1] // 2] if queries.ndim == 3 else queries
             queries = standardise(queries) if standardised else queries
-        decoys = None
-        if self._mirror is not None:
-            mean = None if standardised else rows.mean()
-            mirrored = partial(decoy_scores, mirror=self._mirror, mean=mean)
-            decoys = _scores(mirrored, queries, rows, excluded)
-        return Comparison(_scores(score, queries, rows, excluded), decoys, ALONE, width)
+        anchors = queries.shape[1] if queries.ndim == 3 else 1
+        scores = in_blocks(
+            lambda part: score(queries[part], rows), len(queries), len(rows), anchors, excluded
+        )
+        return Comparison(scores, width)
 
     def _standardised(self, standardised: bool) -> Rows:
         if standardised not in self._rows:
@@ -111,13 +101,3 @@ class VectorReferences:
                 standardise(vectors, self._sequences) if standardised else vectors
             )
         return self._rows[standardised]
-
-
-def _scores(
-    compare: Callable[[Tensor, Rows], Tensor], queries: Tensor, rows: Rows, excluded: Tensor | None
-) -> Scores:
-    """The scores of queries ``(Q, D)`` or ``(Q, S, D)``, when they are read."""
-    anchors = queries.shape[1] if queries.ndim == 3 else 1
-    return in_blocks(
-        lambda part: compare(queries[part], rows), len(queries), len(rows), anchors, excluded
-    )

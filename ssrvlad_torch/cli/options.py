@@ -238,14 +238,14 @@ class RecognitionOptions(StepOptions):
     )
     min_confidence: float = option(
         "Print no candidate of a query with a lower confidence, the probability that its first "
-        "candidate is right, or whose first candidate is beaten by a decoy (see --max-wrong).",
+        "candidate is right.",
         default=0.0,
         min=0,
         max=1,
     )
     max_wrong: float | None = option(
         "Print candidates of as many queries as possible while at most this fraction of them is "
-        "estimated to be wrong, such as 0.05. Decoys show how many are, without ground truth.",
+        "estimated to be wrong, such as 0.05. That needs no ground truth.",
         min=0,
         max=1,
     )

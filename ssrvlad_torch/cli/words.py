@@ -57,7 +57,7 @@ def proof(suggested: Mapping[str, Any] | None) -> str:
 
 
 def without_truth(metrics: Mapping[str, Any]) -> Iterator[str]:
-    """What decoys say about the accepted answers, beside the truth; nothing for other methods."""
+    """The estimates for the accepted answers, beside the truth; nothing for other methods."""
     for name, found in metrics.get("estimates", {}).items():
         truth, judged = found["truly_wrong"], found["of_known_truth"]
         of = f" of {judged} whose truth is known" if judged != found["accepted"] else ""
@@ -74,8 +74,8 @@ def estimate_in_words(found: Estimate) -> str:
     answers = f"{found.accepted} answer{'s' * (found.accepted != 1)}"
     if found.confidence:
         answers = f"accepted {answers} of confidence {found.confidence:.2f} and more"
-    else:
-        answers = f"no decoy beats {answers}"
+    if found.low is None:
+        return f"{answers}; they are too few, or too unclear, to say how many are wrong"
     wrong = f"{found.wrong:.1%} estimated to be wrong (95 % interval {found.low:.1%} to"
     return f"{answers}; {wrong} {found.high:.1%})"
 

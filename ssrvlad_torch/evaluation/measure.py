@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..datasets.frame_file import Skipped
-from ..recognition.confidence import Estimate, answered
+from ..recognition.confidence import Estimate
 from ..recognition.matching import Matches
 from ..recognition.recognise import Recognised
 from .ground_truth_files import PartialTruth, known_matches
@@ -73,11 +73,10 @@ def measure(
     metrics["thresholds"] = operating_points(curve)
     metrics["references"] = len(recognition.references.frames)
     if recognition.recognised:
-        beaten = ~answered(recognition.recognised.sure)
-        sure = recognition.recognised.confidence.masked_fill(beaten, 0).numpy()[known]
+        sure = recognition.recognised.confidence.numpy()[known]
         answers = recognition.recognised.matches.indices[:, 0].numpy()[known]
         right = np.array([row in true for row, true in zip(answers, true_rows, strict=True)], bool)
-        metrics["mean_confidence"] = float(recognition.recognised.confidence.numpy()[known].mean())
+        metrics["mean_confidence"] = float(sure.mean())
         metrics["estimates"] = {
             name: {
                 **estimate_in_json(estimate),

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .follow import NEAR, Mode, Places, ranked, runs, stacked, windows
+from .follow import NEAR, Mode, Places, compared, ranked, runs, stacked, windows
 from .motion import FORWARDS, SPEEDS, Motion, likelihoods, prior_of_speeds, transitions
 
 _MAX_BELIEVED, _MIN_BELIEF = 64, 1e-4
@@ -48,8 +48,8 @@ class State(NamedTuple):
         scores: ``(N,)`` float32, of the query.
         likelihood: ``(N,)`` float64, of the query, see `motion.likelihoods`.
         likelihood_elsewhere: its mean over the other rows.
-        mapped: ``(W, 7, N)`` float64, probabilities by way, speed and row.
-        elsewhere: probability of all other rows, of all ways alike.
+        mapped: ``(7, N)`` float64, probabilities by speed and row.
+        elsewhere: probability of all other rows.
         unmapped: probability of a place that the map lacks.
     """
 
@@ -84,7 +84,7 @@ def follow_candidates(
     """The place of each query of one sequence, of the numbers ``part`` or all, given the others;
     for the other arguments see `follow`. Time for a query depends on its candidates, not on the
     map."""
-    track = CandidateFilter(sequences, motion or Motion(), (way, -way))
+    track = CandidateFilter(sequences, motion or Motion(), way)
     states = (state for state, _ in track.states(search, part))
     if mode == "offline":
         smoothed = _smoothed(track, [*states])
@@ -97,18 +97,18 @@ def gain_of_candidates(
     search: Search, sequences: Sequence[str], motion: Motion, way: int, queries: range
 ) -> float:
     """As `follow.gain`."""
-    states = CandidateFilter(sequences, motion, [way]).states(search, queries)
+    states = CandidateFilter(sequences, motion, way).states(search, queries)
     return sum(gain for _, gain in states)
 
 
 class CandidateFilter:
     """The hidden Markov model of `Filter` over candidates."""
 
-    def __init__(self, sequences: Sequence[str], motion: Motion, ways: Sequence[int]) -> None:
+    def __init__(self, sequences: Sequence[str], motion: Motion, way: int) -> None:
         self.motion = motion
-        self._steps = [torch.tensor(motion.steps)[:, None] * way for way in ways]
+        self._steps = torch.tensor(motion.steps)[:, None] * way
         self._weights = transitions(motion).double()
-        self._prior = prior_of_speeds().double().expand(len(ways), -1, -1) / len(ways)
+        self._prior = prior_of_speeds().double()
         self._starts = torch.tensor([part.start for part in runs(sequences)], dtype=torch.int64)
         self._length = len(sequences)
         self._unmapped = motion.unmapped_at_start(len(sequences))
@@ -124,17 +124,17 @@ class CandidateFilter:
     def _step(self, before: State | None, search: Search, query: int) -> tuple[State, float]:
         rows = search.candidates(query)
         if before is not None:  # the track may go on from the rows that were believed
-            beliefs = before.mapped.sum((0, 1))
+            beliefs = before.mapped.sum(0)
             most = beliefs.topk(min(_MAX_BELIEVED, len(beliefs)))
             believed = before.rows[most.indices[most.values >= _MIN_BELIEF]]
-            targets = believed + torch.cat(self._steps)
+            targets = believed + self._steps
             rows = torch.cat((rows, targets[self._inside(believed, targets)]))
         rows = torch.from_numpy(np.unique(rows.numpy())) if len(rows) else torch.tensor([0])
         others = self._length - len(rows)
         if before is None:
             unmapped = self._unmapped
             each = (1 - unmapped) / max(1, self._length)
-            mapped, elsewhere = (self._prior * each).expand(-1, -1, len(rows)), each * others
+            mapped, elsewhere = (self._prior * each).expand(-1, len(rows)), each * others
         else:
             mapped, elsewhere, unmapped = self._predicted(before, rows)
         scores, spread = search.scores(query, rows), search.spread(query)
@@ -160,15 +160,12 @@ class CandidateFilter:
         any_row = float((self._prior * weighted).sum()) + others * elsewhere
         any_row /= max(1, self._length)
         lost, unmapped = self.motion.off_track_back(any_row, future.unmapped)
-        mapped = torch.empty_like(state.mapped)
-        for way, steps in enumerate(self._steps):
-            places, listed, inside = self._targets(state.rows, steps, later.rows)
-            reached = torch.where(listed, weighted[way][:, places], elsewhere) * inside
-            on_track = self._weights.sum(1).T @ inside.double()
-            mapped[way] = torch.einsum("tvu,vtn->un", self._weights, reached)
-            mapped[way] += (1 - on_track) * lost
+        places, listed, inside = self._targets(state.rows, later.rows)
+        reached = torch.where(listed, weighted[:, places], elsewhere) * inside
+        on_track = self._weights.sum(1).T @ inside.double()
+        mapped = torch.einsum("tvu,vtn->un", self._weights, reached) + (1 - on_track) * lost
         fresh, known = self._fresh(state.rows, later.rows)
-        at_fresh = (self._prior * weighted[:, :, ~known]).sum((0, 1))
+        at_fresh = (self._prior * weighted[:, ~known]).sum(0)
         come = fresh * float(at_fresh.mean()) if fresh else 0.0
         jump = self.motion.jump
         elsewhere = (1 - jump) * (come + (1 - fresh) * elsewhere) + jump * lost
@@ -177,29 +174,25 @@ class CandidateFilter:
 
     def places(self, state: State, top: int) -> Places:
         """The places of one query."""
-        by_way = state.mapped.sum(1)
-        beliefs = by_way[0]
+        beliefs = state.mapped.sum(0)
         scores, indices = ranked(beliefs, state.scores, top, state.rows)
         same = self._sequence(state.rows) == self._sequence(indices[:1])
         near = beliefs[same & ((state.rows - indices[0]).abs() <= NEAR)].sum().float()
-        apart = state.elsewhere * (len(by_way) - 1) / len(by_way)
-        decoys = torch.tensor(float(by_way[1:].sum()) + apart)
-        return Places(scores, indices, near, torch.tensor(state.unmapped), decoys)
+        chance = compared(beliefs, state.scores, state.rows, self._length)
+        return Places(scores, indices, near, torch.tensor(state.unmapped), *chance)
 
     def _predicted(self, state: State, rows: Tensor) -> tuple[Tensor, float, float]:
         """The belief in rows, in the other rows and in no row, one query after a state."""
-        mapped = torch.zeros(len(self._steps), len(SPEEDS), len(rows), dtype=torch.double)
-        left = 0.0
-        for way, steps in enumerate(self._steps):
-            places, listed, inside = self._targets(state.rows, steps, rows)
-            come = (self._weights @ state.mapped[way]).transpose(0, 1)
-            mapped[way].index_add_(1, places[listed], come[:, listed])
-            left += float((come.sum(0) * (inside & ~listed)).sum())
+        mapped = torch.zeros(len(SPEEDS), len(rows), dtype=torch.double)
+        places, listed, inside = self._targets(state.rows, rows)
+        come = (self._weights @ state.mapped).transpose(0, 1)
+        mapped.index_add_(1, places[listed], come[:, listed])
+        left = float((come.sum(0) * (inside & ~listed)).sum())
         fresh, known = self._fresh(state.rows, rows)
         stayed = state.elsewhere * (1 - self.motion.jump)
         if fresh:
             each = stayed * fresh / int((~known).sum())
-            mapped[:, :, ~known] += self._prior * each
+            mapped[:, ~known] += self._prior * each
         elsewhere = left + stayed * (1 - fresh)
         lost = max(0.0, 1 - state.unmapped - float(mapped.sum()) - elsewhere)
         any_row, unmapped = self.motion.off_track(lost, state.unmapped)
@@ -207,12 +200,10 @@ class CandidateFilter:
         elsewhere += each * (self._length - len(rows))
         return mapped + self._prior * each, elsewhere, unmapped
 
-    def _targets(
-        self, rows: Tensor, steps: Tensor, listed: Tensor
-    ) -> tuple[Tensor, Tensor, Tensor]:
+    def _targets(self, rows: Tensor, listed: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """``(steps, N)``, for the target of each step from each row: its place among the listed
         rows, whether it is among them, and whether it is in the sequence of its row."""
-        targets = rows + steps
+        targets = rows + self._steps
         inside = self._inside(rows, targets)
         places = torch.searchsorted(listed, targets).clamp_(max=max(0, len(listed) - 1))
         return places, inside & (listed[places] == targets), inside

@@ -6,7 +6,6 @@ from typing import NamedTuple, Protocol
 
 from torch import Tensor
 
-from .confidence import Prior
 from .follow import Scores
 
 
@@ -15,14 +14,10 @@ class Comparison(NamedTuple):
 
     Attributes:
         scores: ``(Q, R)`` cosines of the best anchor or move.
-        decoys: the same of mirrored queries; ``None`` if the channel cannot mirror.
-        prior: of the confidence of queries that are judged alone.
         width: of the sweep, in columns on each side.
     """
 
     scores: Scores
-    decoys: Scores | None
-    prior: Prior
     width: int = 0
 
 

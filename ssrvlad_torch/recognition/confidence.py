@@ -1,54 +1,36 @@
 """Confidence: the probability that the first candidate is right, from the traverse itself.
 
-Wrong answers fall on the map and on its decoys alike, see `decoys`. If ``exp(a + b * lead)`` is how
-much likelier a lead is of a right answer than of a wrong one, a winner whose lead is ``f`` is of
-the map, not a decoy, with the probability ::
-
-    (1 + exp(a + b * f)) / (2 + exp(a + b * f) + exp(a - b * f))
-
-The winners of a traverse thus show ``a`` and ``b`` without ground truth. A few queries show little:
-the prior decides then. Above a threshold, the decoys that win estimate how many answers are wrong.
-What decoys cannot see is wrong without being counted: streets that repeat, and a place beside the
-right one. docs/how-sure.md reports how well all this holds.
+Each answer comes with the probability that chance is as far ahead of its rivals, see `rivals`. Of
+wrong answers ``t = -log(chance)`` has the density ``exp(-t)``; of right ones a gamma density of
+larger mean. How many answers are wrong, and how far ahead the right ones are, is what makes the
+answers of the traverse likely (Pounds and Morris, 2003); few answers show little, and the prior
+decides. The doubt in an answer is the probability that it is of the wrong ones. All that is said of
+several answers follows from their doubts. docs/how-sure.md reports how well it holds.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
+from functools import cache
 from typing import NamedTuple
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
-from .follow import NEAR, Mode
-from .standardise import MIN_FRAMES
+from .follow import NEAR
 
-
-class Prior(NamedTuple):
-    """``a`` and ``b`` before a traverse is seen."""
-
-    offset: float
-    slope: float
-
-
-ALONE = Prior(-1.35, 1.6)
-ALONE_BY_FEATURES = Prior(-1.35, 3.0)
-ONLINE = Prior(-0.5, 0.9)
-OFFLINE = Prior(-3.0, 1.16)
-"""Of queries judged alone, without and with features, and of followed ones.
-docs/how-sure.md names the data, and the script that chose them."""
-
-TRACK = 10
-"""Frames that a wrong answer lasts in a followed sequence."""
-
-_DEVIATIONS = (1.0, 0.5)
-"""Of ``a`` and of ``log(b)`` in a prior."""
-_LEAST_BELIEF = 1e-4
-_GRID, _REACH, _MOST = 33, 4.0, 2000
-"""Points of the grid for each of ``a`` and ``log(b)``, its reach in deviations, and the number of
-queries that are looked at."""
+_FOREIGN = 0.3
+"""Prior probability that the map has none of the places."""
+_SLOPE, _DEVIATION, _SHAPES = 0.25, 0.6, (1.0, 2.0)
+"""Of the gamma density of right answers: the median of its rate, the deviation of the logit of the
+rate, and the shapes. With the first shape some right answers look like chance, with the second
+hardly any: which is true, chances do not show."""
+_POINTS, _REACH = (15, 11), 2.5
+"""Of the grid for the fraction of wrong answers and for the rate, and its reach in deviations."""
+_LEAST_CHANCE = math.exp(-20.0)
+_NOTHING = 0.9
+"""An interval of this width says nothing."""
 _BLOCK = 1 << 12
 
 
@@ -57,61 +39,83 @@ class Confidence(NamedTuple):
 
     Attributes:
         right: ``(Q,)`` float32, the probability that the first candidate is right; 0 without one.
-            Monotone in the lead over the decoys.
-        decoy: ``(Q,)`` float32, where the decoy wins: ``right`` of an answer with its lead; else 0.
-            NaN where there are no decoys.
+        spread: ``(Q,)`` float32, standard deviation of ``right``, as far as the traverse does not
+            show how often such answers are right.
         together: ``(Q,)`` float32, how many neighbouring queries err together.
     """
 
     right: Tensor
-    decoy: Tensor
+    spread: Tensor
     together: Tensor
 
     @classmethod
-    def of_leads(
-        cls, leads: Tensor, prior: Prior, together: float, decoys: bool = True
-    ) -> Confidence:
-        """Of one traverse by the leads ``(Q,)`` of the winners, negative where it is the decoy, and
-        NaN where there is no candidate. Without decoys the prior alone decides."""
-        known = ~leads.isnan()
-        lost = known & (leads < 0)
-        right, decoy = (torch.zeros(len(leads)) for _ in range(2))
-        offsets, slopes, weights = _posterior(leads[known & decoys], prior, together)
-        for found, where, some in ((right, known, leads), (decoy, lost, -leads)):
-            blocks = [
-                torch.sigmoid(offsets + slopes * block[:, None]) @ weights
-                for block in some[where].double().split(_BLOCK)
-            ]
-            found[where] = torch.cat([torch.zeros(0), *(block.float() for block in blocks)])
-        decoy = decoy if decoys else torch.full_like(decoy, torch.nan)
-        return cls(right, decoy, torch.full((len(leads),), float(together)))
-
-    @classmethod
-    def of_places(cls, near: Tensor, backward: Tensor, mode: Mode) -> Confidence:
-        """Of one followed traverse, see `Places`."""
-        near, backward = (each.clamp(min=_LEAST_BELIEF) for each in (near, backward))
-        prior = OFFLINE if mode == "offline" else ONLINE
-        return cls.of_leads((near / backward).log(), prior, TRACK)
+    def of_chances(cls, chances: Tensor, rivals: Tensor) -> Confidence:
+        """Of one traverse by the chances ``(Q,)`` of `rivals`, NaN where there is no candidate, and
+        by the best rivals ``(Q,)``."""
+        known = ~chances.isnan()
+        together = answers_together(rivals[known])
+        ahead = -chances[known].double().clamp(_LEAST_CHANCE, 1 - 1e-3).log()
+        right, spread = (torch.zeros(len(chances)) for _ in range(2))
+        if len(ahead):
+            weights = _posterior(ahead, together)
+            parts = [_moments(block, weights) for block in ahead.split(_BLOCK)]
+            mean, deviation = (torch.cat(each) for each in zip(*parts, strict=True))
+            right[known], spread[known] = mean.float(), deviation.float()
+        return cls(right, spread, torch.full((len(chances),), together))
 
 
-def _posterior(leads: Tensor, prior: Prior, together: float) -> tuple[Tensor, Tensor, Tensor]:
-    """``a``, ``b`` and the weight of each grid point; queries that err together are one."""
-    steps = torch.linspace(-_REACH, _REACH, _GRID, dtype=torch.double)
-    across, along = (each.flatten() for each in torch.meshgrid(steps, steps, indexing="ij"))
-    offsets = prior.offset + _DEVIATIONS[0] * across
-    slopes = prior.slope * (_DEVIATIONS[1] * along).exp()
-    log = -(across.square() + along.square()) / 2
-    sample = leads[:: -(-len(leads) // _MOST) or 1].double()
-    share = len(leads) / max(1, len(sample)) / together
-    ahead = sample[:, None].abs() * slopes
-    won, lost = F.softplus(offsets + ahead), F.softplus(offsets - ahead)
-    winner = torch.where(sample[:, None] > 0, won, lost)
-    log += share * (winner - torch.logaddexp(won, lost)).sum(0)
-    return offsets, slopes, log.softmax(0)
+class Prior(NamedTuple):
+    """Points of the prior: the fraction of wrong answers, rate and shape of the gamma density of
+    right ones, and the logarithm of the weight."""
+
+    wrong: Tensor
+    rate: Tensor
+    shape: Tensor
+    log_weight: Tensor
+
+
+@cache
+def prior() -> Prior:
+    """The prior; its last point is a map that has none of the places."""
+    fractions = (torch.arange(_POINTS[0], dtype=torch.double) + 0.5) / _POINTS[0]
+    away = torch.linspace(-_REACH, _REACH, _POINTS[1], dtype=torch.double)
+    rates = torch.sigmoid(math.log(_SLOPE / (1 - _SLOPE)) + _DEVIATION * away)
+    axes = fractions, rates, torch.tensor(_SHAPES, dtype=torch.double)
+    wrong, rate, shape = (each.flatten() for each in torch.meshgrid(*axes, indexing="ij"))
+    log = torch.log_softmax(-away.square() / 2, 0) - math.log(len(fractions) * len(_SHAPES))
+    log = log[:, None].expand(len(fractions), -1, len(_SHAPES)).flatten()
+    last = torch.tensor([1.0, _SLOPE, _SHAPES[-1], math.log(_FOREIGN)], dtype=torch.double)
+    parts = wrong, rate, shape, log + math.log(1 - _FOREIGN)
+    return Prior(*(torch.cat((each, end[None])) for each, end in zip(parts, last, strict=True)))
+
+
+def _likelier(ahead: Tensor) -> Tensor:
+    """``(N, points)``, how much likelier each ``t`` ``(N,)`` is of a right answer than of a wrong
+    one."""
+    grid, ahead = prior(), ahead[:, None]
+    log = grid.shape * grid.rate.log() - torch.lgamma(grid.shape)
+    return (log + (grid.shape - 1) * ahead.log() + (1 - grid.rate) * ahead).exp()
+
+
+def _posterior(ahead: Tensor, together: float) -> Tensor:
+    """``(points,)``, the weight of each; queries that err together count as one."""
+    grid, log = prior(), torch.zeros(len(prior().wrong), dtype=torch.double)
+    for block in ahead.split(_BLOCK):
+        log += (grid.wrong + (1 - grid.wrong) * _likelier(block)).log().sum(0)
+    return (grid.log_weight + log / together).softmax(0)
+
+
+def _moments(ahead: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]:
+    """Mean and standard deviation ``(N,)`` of the probability to be right."""
+    wrong = prior().wrong
+    right = (1 - wrong) * _likelier(ahead)
+    right /= right + wrong
+    mean = right @ weights
+    return mean, ((right - mean[:, None]).square() @ weights).sqrt()
 
 
 def answers_together(rows: Tensor) -> float:
-    """How many neighbouring queries have one answer, by the best decoys ``(Q,)`` of a traverse: the
+    """How many neighbouring queries have one answer, by the best rivals ``(Q,)`` of a traverse: the
     mean over the queries of the length of their run, whose rows are at most `NEAR` apart. It is the
     design effect of a sample in clusters (Kish, Survey Sampling, 1965)."""
     if not len(rows):
@@ -128,74 +132,66 @@ class Estimate(NamedTuple):
     Attributes:
         confidence: the least of an accepted answer; infinite if none is accepted.
         accepted: number of answers.
-        wrong: estimated fraction of them that is wrong, 0 to 1; 0 if none is accepted.
-        low, high: ends of its 95 % interval.
+        wrong: estimated fraction of them that is wrong, 0 to 1, the mean of their doubts; 0 if none
+            is accepted.
+        low, high: ends of its 95 % interval; ``None`` where it would say nothing.
     """
 
     confidence: float
     accepted: int
     wrong: float
-    low: float
-    high: float
+    low: float | None
+    high: float | None
 
 
 def estimate(sure: Confidence, least: float = 0.0) -> Estimate:
-    """The estimate for answers that beat the decoys, with a confidence of at least ``least``.
+    """The estimate for answers with a confidence of at least ``least``.
 
-    From `MIN_FRAMES` queries on, the wrong answers are as many as the decoys that win with such a
-    confidence, plus one: decoys are counted before the next would come. With fewer queries, or
-    without decoys, they are the sum of the doubts. Given the decoys, the wrong answers have a
-    negative binomial distribution, counted in clusters of answers that err together.
+    The number of wrong answers varies by chance, counted in clusters of answers that err together,
+    and by what the traverse does not show. The fraction is given the beta distribution of that
+    variance.
     """
     accepted = answered(sure) & (sure.right >= least)
-    if not accepted.any():
+    count = int(accepted.sum())
+    if not count:
         return Estimate(torch.inf, 0, 0.0, 0.0, 0.0)
-    count, clusters = int(accepted.sum()), float(sure.together.mean())
-    if _counted(sure):
-        decoys = float(((sure.decoy >= least) & (sure.decoy > 0)).sum())
-        wrong = decoys + 1
-    else:
-        decoys = wrong = float((1 - sure.right[accepted]).sum())
-    ends = (
-        clusters * _quantile(decoys / clusters + after, probability)
-        for after, probability in ((0, 0.025), (1, 0.975))
-    )
-    fraction, low, high = (min(1.0, each / count) for each in (wrong, *ends))
-    return Estimate(float(least), count, fraction, low, high)
+    doubts = 1 - sure.right[accepted].double()
+    wrong = float(doubts.mean())
+    by_chance = doubts * (1 - doubts) * sure.together[accepted] / count
+    ends = _beta(wrong, float(sure.spread[accepted].mean()) ** 2 + float(by_chance.mean()))
+    low, high = math.floor(ends[0] * count) / count, math.ceil(ends[1] * count) / count
+    said = (low, high) if high - low <= _NOTHING else (None, None)
+    return Estimate(float(least), count, wrong, *said)
 
 
 def accept(sure: Confidence, max_wrong: float) -> Estimate:
-    """The estimate that accepts most answers while it is at most ``max_wrong``, 0 to 1."""
-    order = sure.right[answered(sure)].sort(descending=True).values
-    if _counted(sure):
-        decoys = sure.decoy[sure.decoy > 0].sort().values
-        wrong = 1 + len(decoys) - torch.searchsorted(decoys, order)
-    else:
-        wrong = (1 - order).cumsum(0)
-    permitted = wrong <= max_wrong * torch.arange(1, len(order) + 1)
+    """The estimate that accepts most answers while it is at most ``max_wrong``, 0 to 1; none if an
+    interval would say nothing."""
+    order = sure.right[answered(sure)].double().sort(descending=True).values
+    permitted = (1 - order).cumsum(0) <= max_wrong * torch.arange(1, len(order) + 1)
     last = torch.ones_like(permitted)
     last[:-1] = order[1:] < order[:-1]
     chosen = (permitted & last).nonzero()[:, 0]
-    return estimate(sure, float(order[chosen[-1]]) if len(chosen) else torch.inf)
+    found = estimate(sure, float(order[chosen[-1]]) if len(chosen) else torch.inf)
+    return estimate(sure, torch.inf) if found.low is None else found
 
 
 def answered(sure: Confidence) -> Tensor:
-    """``(Q,)`` bool, whether a query has a candidate and no decoy beats it."""
-    return (sure.right > 0) & ~(sure.decoy > 0)
+    """``(Q,)`` bool, whether a query has a candidate."""
+    return sure.right > 0
 
 
-def _counted(sure: Confidence) -> bool:
-    """Whether decoys are enough to count wrong answers."""
-    return len(sure.right) >= MIN_FRAMES and not bool(sure.decoy.isnan().any())
+def _beta(mean: float, variance: float) -> tuple[float, float]:
+    """The quantiles 0.025 and 0.975 of the beta distribution with a mean and a variance."""
+    mean = min(max(mean, _TINY), 1 - _TINY)
+    size = max(mean * (1 - mean) / max(variance, _TINY**2) - 1, _TINY)
+    logits = torch.linspace(-15, 15, 601, dtype=torch.double)
+    log = mean * size * torch.nn.functional.logsigmoid(logits)
+    log += (1 - mean) * size * torch.nn.functional.logsigmoid(-logits)
+    below = log.softmax(0).cumsum(0)
+    places = torch.searchsorted(below, torch.tensor([0.025, 0.975], dtype=torch.double))
+    low, high = torch.sigmoid(logits[places.clamp(max=600)]).tolist()
+    return (low if low > _TINY else 0.0), (high if high < 1 - _TINY else 1.0)
 
 
-def _quantile(failures: float, probability: float) -> int:
-    """The quantile of the successes before a number of failures, both equally likely."""
-    if failures <= 0:
-        return 0
-    most = int(2 * failures + 20 * math.sqrt(failures) + 40)
-    counts = torch.arange(most, dtype=torch.double)
-    start = torch.tensor(failures, dtype=torch.double)
-    log = torch.lgamma(counts + start) - torch.lgamma(counts + 1) - torch.lgamma(start)
-    below = (log - (counts + start) * torch.log(torch.tensor(2.0))).exp().cumsum(0)
-    return int((below < probability).sum())
+_TINY = 1e-6

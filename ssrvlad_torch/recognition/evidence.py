@@ -1,16 +1,15 @@
 """Evidence: what is known of the queries of one sequence, by all rows of a map or by candidates."""
 
-import math
 from collections.abc import Sequence
 from typing import Protocol
 
 from torch import Tensor
 
 from .candidates import Search, follow_candidates, gain_of_candidates
-from .decoys import Lead, lead_over_decoys
 from .follow import Computed, Mode, Places, Scores, follow, gain
 from .matching import Matches, best_of
-from .motion import Motion
+from .motion import Motion, nearness
+from .rivals import Chance, chance_of
 
 
 class Evidence(Protocol):
@@ -34,18 +33,16 @@ class Evidence(Protocol):
     def is_empty(self, query: int) -> bool:
         """Whether a query has no candidate."""
 
-    def judge(self, query: int, top: int) -> tuple[Matches, Lead]:
-        """The candidates of a query alone, and its lead over the decoys."""
+    def judge(self, query: int, top: int) -> tuple[Matches, Chance]:
+        """The candidates of a query alone, and how the first compares with its rivals."""
 
 
 class AllRows(Evidence):
-    """Scores ``(Q, R)`` of all rows, whose ``sequences`` are given, and those of the decoys."""
+    """Scores ``(Q, R)`` of all rows, whose ``sequences`` are given."""
 
-    def __init__(
-        self, scores: Tensor | Scores, sequences: Sequence[str], decoys: Scores | None = None
-    ) -> None:
+    def __init__(self, scores: Tensor | Scores, sequences: Sequence[str]) -> None:
         self.queries = range(len(scores))
-        self._scores, self._sequences, self._decoys = scores, sequences, decoys
+        self._scores, self._sequences = scores, sequences
 
     def gain(self, part: range, motion: Motion, way: int) -> float:
         """See `Evidence`."""
@@ -62,26 +59,19 @@ class AllRows(Evidence):
         """See `Evidence`."""
         return not bool(self._scores[query].isfinite().any())
 
-    def judge(self, query: int, top: int) -> tuple[Matches, Lead]:
+    def judge(self, query: int, top: int) -> tuple[Matches, Chance]:
         """See `Evidence`."""
         scores = self._scores[query]
-        decoys = None if self._decoys is None else self._decoys[query]
-        return best_of(scores, top), lead_over_decoys(scores, decoys)
+        return best_of(scores, top), chance_of(nearness(scores.float()))
 
 
 class Candidates(Evidence):
-    """The candidates of some queries that a search finds among rows, whose ``sequences`` are given,
-    and those of a search by the decoys."""
+    """The candidates of some queries that a search finds among rows, whose ``sequences`` are
+    given."""
 
-    def __init__(
-        self,
-        search: Search,
-        sequences: Sequence[str],
-        queries: range,
-        decoys: Search | None = None,
-    ) -> None:
+    def __init__(self, search: Search, sequences: Sequence[str], queries: range) -> None:
         self.queries = queries
-        self._search, self._sequences, self._decoys = search, sequences, decoys
+        self._search, self._sequences = search, sequences
 
     def gain(self, part: range, motion: Motion, way: int) -> float:
         """See `Evidence`."""
@@ -97,17 +87,9 @@ class Candidates(Evidence):
         """See `Evidence`."""
         return len(self._search.candidates(query)) == 0
 
-    def judge(self, query: int, top: int) -> tuple[Matches, Lead]:
+    def judge(self, query: int, top: int) -> tuple[Matches, Chance]:
         """See `Evidence`."""
         rows = self._search.candidates(query).sort().values
         scores = self._search.scores(query, rows)
-        mean, deviation = self._search.spread(query)
-        matches = best_of(scores, top, rows)
-        if self._decoys is None:
-            return matches, lead_over_decoys(scores, rows=rows, deviation=deviation)
-        decoy_rows = self._decoys.candidates(query).sort().values
-        decoys = self._decoys.scores(query, decoy_rows)
-        mean_of_decoys, of_decoys = self._decoys.spread(query)
-        apart = (mean - mean_of_decoys) / 2
-        both = math.sqrt((deviation**2 + of_decoys**2) / 2 + apart**2)
-        return matches, lead_over_decoys(scores, decoys, rows, decoy_rows, both)
+        chance = chance_of(nearness(scores.float()), rows, len(self._sequences))
+        return best_of(scores, top, rows), chance

@@ -3,11 +3,6 @@
 One frame is often ambiguous, a sequence of frames seldom. The hidden state is the row of the map
 where the camera is, and its speed in rows a frame (see `motion.SPEEDS`). The speed seldom changes,
 and the camera seldom jumps. One more state is a place that the map lacks. Not in the paper.
-
-The map run backwards is a decoy: the same rows with the opposite speeds. It is as likely as the map
-where queries and rows only happen to be alike, and unlikely where a drive follows the map. So what
-it holds shows how much of the belief in the map is chance: the target-decoy competition of Elias
-and Gygi (Nature Methods 2007).
 """
 
 import itertools
@@ -26,6 +21,7 @@ from .display import candidates_table
 from .filter import Belief, Filter, Future
 from .matching import Matches, best_of, checked_number
 from .motion import BACKWARDS, FORWARDS, Motion
+from .rivals import chance_of
 
 NEAR = 3
 """Rows on each side of a row that show the same place."""
@@ -42,18 +38,20 @@ class Places(NamedTuple):
         indices: ``(Q, top)`` int64, rows of the map; -1 for none.
         near: ``(Q,)`` float32, the probability of the rows within `NEAR` of the first candidate.
         unmapped: ``(Q,)`` float32, the probability of a place that the map lacks.
-        backward: ``(Q,)`` float32, the probability of all rows of the decoy. The sum of all rows of
-            the map, ``unmapped`` and ``backward`` is 1.
+        chance: ``(Q,)`` float64, how the probability of the first candidate compares with those of
+            the best rows elsewhere, see `rivals.Chance`.
+        rival: ``(Q,)`` int64, the best of these rows; -1 without one.
     """
 
     scores: Tensor
     indices: Tensor
     near: Tensor
     unmapped: Tensor
-    backward: Tensor
+    chance: Tensor
+    rival: Tensor
 
     def _repr_html_(self) -> str:
-        columns = {name: getattr(self, name) for name in ("near", "unmapped", "backward")}
+        columns = {name: getattr(self, name) for name in ("near", "unmapped", "chance")}
         return candidates_table(self.scores, self.indices, **columns)
 
 
@@ -116,7 +114,7 @@ def follow(
         raise ValueError(
             f"expected a sequence for each of {len(scores)} queries, got {len(drives)}"
         )
-    track = Filter(reference_sequences, motion, (way, -way))
+    track = Filter(reference_sequences, motion, [way])
     parts = list(runs(reference_sequences))
     places: dict[int, Places] = {}
     for part in runs(drives):
@@ -129,8 +127,8 @@ def follow(
             if row >= 0:
                 own = parts[bisect_right(parts, row, key=lambda part: part.start) - 1]
                 near = rows[max(row - NEAR, own.start) : min(row + NEAR + 1, own.stop)].sum()
-            others = torch.tensor(belief.unmapped), torch.tensor(belief.decoys)
-            places[query] = Places(*best, near, *others)
+            unmapped = torch.tensor(belief.unmapped)
+            places[query] = Places(*best, near, unmapped, *compared(rows, scores[query]))
     return stacked([places[query] for query in range(len(drives))], top)
 
 
@@ -162,7 +160,8 @@ def stacked(places: Sequence[Places], top: int) -> Places:
     """The places of all queries, from those of each."""
     if not places:
         none = torch.zeros(0)
-        return Places(none.view(0, top), none.view(0, top).long(), none, none, none)
+        matches = none.view(0, top), none.view(0, top).long()
+        return Places(*matches, none, none, none.double(), none.long())
     return Places(*(torch.stack(values) for values in zip(*places, strict=True)))
 
 
@@ -173,6 +172,19 @@ def ranked(beliefs: Tensor, scores: Tensor, top: int, rows: Tensor | None = None
     if 0 < int(scored.sum()) < len(scored):
         beliefs = beliefs.masked_fill(~scored, -torch.inf)
     return best_of(beliefs, top, rows)
+
+
+def compared(
+    beliefs: Tensor, scores: Tensor, rows: Tensor | None = None, count: int | None = None
+) -> tuple[Tensor, Tensor]:
+    """`Places.chance` and `Places.rival` of one query, by beliefs ``(N,)`` in rows; rows whose score
+    is -inf are no candidates. For other arguments see `rivals.chance_of`."""
+    values = beliefs.clamp(min=_LEAST_BELIEF).log().masked_fill(scores == -torch.inf, -torch.inf)
+    found = chance_of(values, rows, count)
+    return torch.tensor(found.chance, dtype=torch.double), torch.tensor(found.rival)
+
+
+_LEAST_BELIEF = 1e-38
 
 
 def windows(items: Iterable[Item], delay: int) -> Iterator[Sequence[Item]]:

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from .comparison import Comparison
-from .follow import IN_MEMORY, Computed, Scores
+from .follow import IN_MEMORY, Scores
 from .motion import ELSEWHERE, MIN_SPREAD, lead, nearness
 from .standardise import MIN_FRAMES
 
@@ -72,23 +72,14 @@ class FusedScores(Scores):
 
 def fused_scores(
     comparisons: Mapping[str, Comparison], trust: Mapping[str, float]
-) -> tuple[Scores | Tensor, Scores | None, dict[str, float]]:
-    """The scores of all channels as one, those of the decoys fused alike if all channels have them,
-    and the weights of several channels."""
+) -> tuple[Scores | Tensor, dict[str, float]]:
+    """The scores of all channels as one, and the weights of several channels."""
     if len(comparisons) == 1:
         [only] = comparisons.values()
-        return only.scores, only.decoys, {}
+        return only.scores, {}
     every = FusedScores({name: each.scores for name, each in comparisons.items()}, trust)
-    both = [(each.scores, each.decoys) for each in comparisons.values() if each.decoys is not None]
-
-    def decoy_row(query: int) -> Tensor:
-        rows = [torch.cat((scores[query], decoys[query])) for scores, decoys in both]
-        size = len(rows[0]) // 2
-        return fused(rows, [*every.weights.values()], size)[size:]
-
-    against = Computed(decoy_row, len(every)) if len(both) == len(comparisons) else None
     fits = len(every) * len(every[0]) <= IN_MEMORY
-    return every.whole() if fits else every, against, every.weights
+    return every.whole() if fits else every, every.weights
 
 
 def weights_of(leads: Mapping[str, float], trusted: Mapping[str, float]) -> dict[str, float]:

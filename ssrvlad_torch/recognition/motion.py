@@ -32,9 +32,9 @@ _MIN_STEP, _MAX_STEP = -1, 5
 MOST_RATE = 100
 """Highest `Motion.rate`: time and memory grow with its square."""
 MIN_SPREAD = 1e-6
-_MAX_LOG = 50.0
+MAX_LOG = 50.0
 """Largest logarithm of a likelihood: frames that equal their rows must not overflow float32."""
-_ROUNDING = 1e-6
+ROUNDING = 1e-6
 """Rounding error of a cosine of 480 float32 products."""
 
 
@@ -116,7 +116,7 @@ class Motion:
 
 def nearness(scores: Tensor) -> Tensor:
     """Minus the logarithm of half the squared Euclidean distance of descriptors of length 1."""
-    return (1 - scores).clamp_(min=_ROUNDING).log_().neg_()
+    return (1 - scores).clamp_(min=ROUNDING).log_().neg_()
 
 
 def lead(near: Tensor) -> Tensor:
@@ -157,7 +157,7 @@ def likelihoods(
     if deviation <= MIN_SPREAD:
         return torch.ones(len(scores))
     z.sub_(mean + motion.level * deviation).mul_(motion.weight / deviation)
-    return z.clamp_(max=_MAX_LOG).exp_()
+    return z.clamp_(max=MAX_LOG).exp_()
 
 
 def moved(belief: Tensor, motion: Motion, ways: Sequence[int], back: bool = False) -> Tensor:

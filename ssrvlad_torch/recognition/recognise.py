@@ -11,7 +11,7 @@ from torch import Tensor
 
 from .candidates import Search
 from .comparison import Member
-from .confidence import ALONE, Confidence, Prior, answered, answers_together
+from .confidence import Confidence
 from .courses import Course, course
 from .display import candidates_table
 from .evidence import AllRows, Candidates, Evidence
@@ -34,9 +34,8 @@ class Steps:
             than `standardise.MIN_FRAMES` queries, and the references for it, stay raw; so does all
             for a map of fewer references.
         sweep: use all anchors of queries that have several, see `sweep.narrowed`.
-        follow: see `follow.follow`; ``None`` judges each query alone. Queries are also judged
-            alone if they fit the map no better than its reverse, see `courses.course`, or if the
-            decoy beats every answer.
+        follow: see `follow.follow`; ``None`` judges each query alone. A sequence is judged so too
+            where it has no course, see `courses.course`, or where its answers are then surer.
         delay: number of later queries that an online answer waits for.
 
     Raises:
@@ -113,8 +112,7 @@ def recognise(
 
     Args:
         members: raw descriptors of queries and map by each channel; the scores of all are fused,
-            see `FusedScores`. Queries that are judged alone are calibrated by decoys if all
-            channels have them, else by their lead over other places.
+            see `FusedScores`.
         query_sequences, reference_sequences: the sequence of each; the frames of one stand
             together and in order.
         steps: what is done; without, all steps.
@@ -143,9 +141,8 @@ def recognise(
             name: each.references.compare(each.queries[part], standardised, steps.sweep, without)
             for name, each in members.items()
         }
-        scores, decoys, weights = fused_scores(compared, trust)
-        prior = max((each.prior for each in compared.values()), key=lambda prior: prior.slope)
-        decision = _decide(AllRows(scores, reference_sequences, decoys), steps, top, prior)
+        scores, weights = fused_scores(compared, trust)
+        decision = _decide(AllRows(scores, reference_sequences), steps, top)
         width = max(each.width for each in compared.values())
         decisions[query_sequences[run.start]] = replace(
             decision, standardise=standardised, sweep=width, weights=weights
@@ -174,21 +171,20 @@ def recognise_by_scores(
 
 
 def recognise_by_search(
-    search: Callable[[bool], tuple[Search, Search]],
+    search: Callable[[bool], Search],
     query_sequences: Sequence[str],
     reference_sequences: Sequence[str],
     steps: Steps | None = None,
     top: int = 5,
 ) -> Recognised:
     """As `recognise`, for maps that are too large to score every row; without a sweep. ``search``
-    returns what finds candidates, and the same for mirrored queries, by standardised descriptors if
-    its argument is true."""
+    returns what finds candidates, by standardised descriptors if its argument is true."""
     steps, top = replace(steps or Steps(), sweep=False), checked_number("top", top, least=1)
     decisions: dict[str, _Decision] = {}
     for run in runs(query_sequences):
         standardised = steps.standardise and _are_enough(run, reference_sequences)
-        own, decoys = search(standardised)
-        decision = _decide(Candidates(own, reference_sequences, run, decoys), steps, top)
+        evidence = Candidates(search(standardised), reference_sequences, run)
+        decision = _decide(evidence, steps, top)
         decisions[query_sequences[run.start]] = replace(decision, standardise=standardised)
     return _joined(decisions, len(reference_sequences), steps, top)
 
@@ -205,14 +201,17 @@ class _Decision:
     weights: dict[str, float] = field(default_factory=dict)
 
 
-def _decide(evidence: Evidence, steps: Steps, top: int, prior: Prior = ALONE) -> _Decision:
-    """Follows one sequence of queries. Judges each query alone if that is asked for, without a
-    course, and if the decoy beats every answer, as in a map of sequences too short to be run."""
-    if steps.follow and (taken := course(evidence)):
-        decision = _followed(evidence, taken, steps.follow, steps.delay, top)
-        if bool(answered(decision.sure).any()):
-            return decision
-    return replace(_alone(evidence, top, prior), follow=NO_SEQUENCE if steps.follow else "no")
+def _decide(evidence: Evidence, steps: Steps, top: int) -> _Decision:
+    """Judges each query of a sequence alone, and follows the sequence if that is asked for and it
+    has a course. The answers that are surer in sum are taken."""
+    alone = _alone(evidence, top)
+    if not steps.follow:
+        return alone
+    if taken := course(evidence):
+        followed = _followed(evidence, taken, steps.follow, steps.delay, top)
+        if followed.sure.right.sum() > alone.sure.right.sum():
+            return followed
+    return replace(alone, follow=NO_SEQUENCE)
 
 
 def _followed(evidence: Evidence, taken: Course, mode: Mode, delay: int, top: int) -> _Decision:
@@ -226,20 +225,17 @@ def _followed(evidence: Evidence, taken: Course, mode: Mode, delay: int, top: in
     scores = torch.cat((places.near[:, None], places.scores[:, 1:]), 1)
     scores = scores.masked_fill(empty[:, None] | (places.indices < 0), -torch.inf)
     matches = Matches(scores, places.indices.masked_fill(empty[:, None], -1))
-    near = places.near.masked_fill(empty, torch.nan)
-    sure = Confidence.of_places(near, places.backward, mode)
+    sure = Confidence.of_chances(places.chance.masked_fill(empty, torch.nan), places.rival)
     return _Decision(matches, sure, follow=", ".join(filter(None, (mode, str(taken)))))
 
 
-def _alone(evidence: Evidence, top: int, prior: Prior) -> _Decision:
+def _alone(evidence: Evidence, top: int) -> _Decision:
     """Judges each query by itself."""
     judged = [evidence.judge(query, top) for query in evidence.queries]
     matches = Matches(*map(torch.stack, zip(*(found for found, _ in judged), strict=True)))
-    leads = torch.tensor([lead.value for _, lead in judged])
-    rows = torch.tensor([lead.decoy for _, lead in judged])
-    decoys = bool((rows >= 0).any())
-    together = answers_together(rows) if decoys else 1.0
-    return _Decision(matches, Confidence.of_leads(leads, prior, together, decoys))
+    chances, rivals = (torch.tensor(each) for each in zip(*(c for _, c in judged), strict=True))
+    chances = chances.double().masked_fill(matches.indices[:, 0] < 0, torch.nan)
+    return _Decision(matches, Confidence.of_chances(chances, rivals))
 
 
 def _joined(

@@ -12,7 +12,7 @@ from ..database.frames import FrameSet
 from ..datasets.frame_file import Skipped
 from ..datasets.names import KnownFolders
 from ..datasets.poses import Pose
-from ..recognition.confidence import Estimate, accept, answered, estimate
+from ..recognition.confidence import Estimate, accept, estimate
 from ..recognition.display import candidates_table
 from ..recognition.matching import Matches
 from ..recognition.recognise import Recognised
@@ -115,8 +115,6 @@ class Answers:
         found = estimate(sure, min_confidence) if max_wrong is None else accept(sure, max_wrong)
         least = min_confidence if max_wrong is None else found.confidence
         unsure = self.recognised.confidence < least
-        if least > 0:
-            unsure |= ~answered(sure)
         scores, indices = self.recognised.matches
         scores = scores.clamp(max=1).masked_fill(unsure[:, None], -torch.inf)
         matches = Matches(scores, indices.masked_fill(unsure[:, None], -1))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from copy import copy
 from functools import cache
 from typing import TYPE_CHECKING
 
@@ -12,7 +11,6 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 
-from ..channels.vectors import VectorChannel
 from ..database.engine import require_unforked
 from ..database.reading import read_rows
 from ..database.rows import intact, matrix
@@ -34,7 +32,6 @@ if TYPE_CHECKING:
 
     from ..database.database import Database
     from ..encoding.source import Source
-    from ..recognition.decoys import Mirror
 
 _SAMPLE_ROWS = 1000
 _CACHED_ROWS = 50_000
@@ -96,14 +93,6 @@ class IndexSearch:
 
     def __len__(self) -> int:
         return len(self._queries)
-
-    def mirrored(self, mirror: Mirror) -> IndexSearch:
-        """The search of mirrored queries, whose candidates are decoys, in the same rows."""
-        other = copy(self)
-        other._queries = mirror(self._queries)
-        other._candidates, other._pending = {}, {}
-        other._scores, other._sample_scores = {}, {}
-        return other
 
     def candidates(self, query: int) -> Tensor:
         """See `recognition.candidates.Search`."""
@@ -198,15 +187,13 @@ def search_by_index(
     ids, names = queries.frames, queries.sequences
 
     @cache
-    def index(standardised: bool) -> tuple[IndexSearch, IndexSearch]:
-        found = IndexSearch(
+    def index(standardised: bool) -> IndexSearch:
+        return IndexSearch(
             database, queries.descriptors, names, standardised, sequences, (ids, exclude)
         )
-        assert isinstance(channel, VectorChannel) and channel.mirrored
-        return found, found.mirrored(channel.mirrored)
 
     long = names.count(names[0]) >= MIN_FRAMES if names else False
-    references = index(steps.standardise and long)[0].frames
+    references = index(steps.standardise and long).frames
     recognised = recognise_by_search(index, names, references.sequences, steps, top)
     return Answers.of(queries, references, recognised, 0, tuple(skipped), folders)
 
