@@ -20,6 +20,9 @@ from torch import Tensor
 
 from .follow import NEAR
 
+TRACK = 10
+"""Frames that a wrong answer lasts in a followed sequence."""
+
 _FOREIGN = 0.3
 """Prior probability that the map has none of the places."""
 _SLOPE, _DEVIATION, _SHAPES = 0.25, 0.6, (1.0, 2.0)
@@ -49,11 +52,10 @@ class Confidence(NamedTuple):
     together: Tensor
 
     @classmethod
-    def of_chances(cls, chances: Tensor, rivals: Tensor) -> Confidence:
-        """Of one traverse by the chances ``(Q,)`` of `rivals`, NaN where there is no candidate, and
-        by the best rivals ``(Q,)``."""
+    def of_chances(cls, chances: Tensor, together: float) -> Confidence:
+        """Of one traverse by the chances ``(Q,)`` of `rivals`, NaN where there is no candidate;
+        so many neighbouring queries err together."""
         known = ~chances.isnan()
-        together = answers_together(rivals[known])
         ahead = -chances[known].double().clamp(_LEAST_CHANCE, 1 - 1e-3).log()
         right, spread = (torch.zeros(len(chances)) for _ in range(2))
         if len(ahead):
@@ -61,7 +63,7 @@ class Confidence(NamedTuple):
             parts = [_moments(block, weights) for block in ahead.split(_BLOCK)]
             mean, deviation = (torch.cat(each) for each in zip(*parts, strict=True))
             right[known], spread[known] = mean.float(), deviation.float()
-        return cls(right, spread, torch.full((len(chances),), together))
+        return cls(right, spread, torch.full((len(chances),), float(together)))
 
 
 class _Grid(NamedTuple):

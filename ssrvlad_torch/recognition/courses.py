@@ -1,8 +1,8 @@
 """Courses: how the queries of a sequence run a map, if they do, before they are followed along it.
 
 The course only says how to follow. Whether the queries run the map at all is shown by what comes
-of it: a sequence is followed if its answers are then surer in sum than those of each query alone,
-see `recognise`.
+of it: a sequence is followed if its answers are then clearly surer than those of each query alone,
+by the account of both, see `rivals` and `recognise`.
 """
 
 from typing import NamedTuple
