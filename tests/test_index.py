@@ -112,7 +112,7 @@ def test_with_all_frames_as_candidates_results_equal_exact_search(town, monkeypa
     assert got.used == {**expected.used, "sweep": {"q": 0}}
     assert torch.equal(got.matches.indices, expected.matches.indices)
     torch.testing.assert_close(got.matches.scores, expected.matches.scores, atol=1e-4, rtol=0)
-    torch.testing.assert_close(got.confidence, expected.confidence, atol=1e-3, rtol=0)
+    torch.testing.assert_close(got.confidence, expected.confidence, atol=5e-3, rtol=0)
 
 
 def test_scores_of_any_row_are_exact(town):
