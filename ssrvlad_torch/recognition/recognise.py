@@ -24,8 +24,8 @@ from .standardise import MIN_FRAMES
 _MIN_GAIN = 0.05
 """A sequence is followed if its mean confidence is then higher by more than this."""
 
-NO_SEQUENCE = "no, no sequence"
-"""Reported as the way of following where no sequence was found in the map."""
+SURE_ALONE = "no, no surer so"
+"""Reported as the way of following where following makes the answers no surer."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class Recognised(NamedTuple):
             references.
         used: the steps as a report: `Steps` and the number of references, and by sequence whether
             it was standardised, the width of its sweep, how it was followed (the mode and the
-            `Course`, ``no``, or `NO_SEQUENCE`), and the weights of fused channels.
+            `Course`, ``no``, or `SURE_ALONE`), and the weights of fused channels.
     """
 
     matches: Matches
@@ -95,7 +95,7 @@ class Recognised(NamedTuple):
         alone = "fused score" if any(self.used["weights"].values()) else "cosine"
         followed = self.used["follow"]
         modes = followed.values() if sequence is None else [followed[sequence]]
-        names = {alone if mode in ("no", NO_SEQUENCE) else "probability" for mode in modes}
+        names = {alone if mode in ("no", SURE_ALONE) else "probability" for mode in modes}
         return " or ".join(sorted(names))
 
     def _repr_html_(self) -> str:
@@ -215,7 +215,7 @@ def _decide(evidence: Evidence, steps: Steps, top: int) -> _Decision:
         followed = _followed(evidence, taken, steps, top, together)
         if followed.sure.right.mean() > alone.sure.right.mean() + _MIN_GAIN:
             return followed
-    return replace(alone, follow=NO_SEQUENCE)
+    return replace(alone, follow=SURE_ALONE)
 
 
 def _followed(
