@@ -30,7 +30,6 @@ from torch import Tensor
 from ssrvlad_torch.datasets.image_files import find_image_files
 from ssrvlad_torch.datasets.synthetic_city import Conditions
 from ssrvlad_torch.evaluation.loops import FACING
-from ssrvlad_torch.recognition.follow import Scores
 from ssrvlad_torch.recognition.fusion import fused_scores
 from ssrvlad_torch.recognition.standardise import MIN_FRAMES
 from ssrvlad_torch.recognition.sweep import COLUMNS
@@ -88,7 +87,7 @@ class Case(NamedTuple):
     sequences: list[str]
     truth: Truth
 
-    def scores(self, described: Described) -> Tensor | Scores:
+    def scores(self, described: Described) -> Tensor:
         """``(Q, R)``, as `recognise` computes them."""
         standardised = min(len(self.queries), len(self.references)) >= MIN_FRAMES
         compared, trust = {}, {}
@@ -100,7 +99,8 @@ class Case(NamedTuple):
             known = channel.references(there, self.sequences)
             compared[method] = known.compare(here, standardised, True, None)
             trust[method] = channel.trust
-        return fused_scores(compared, trust)[0]
+        found = fused_scores(compared, trust)[0]
+        return torch.stack([found[query] for query in range(len(here))])
 
 
 def vectors(described: Described, frames: Frames, method: str) -> Tensor:
