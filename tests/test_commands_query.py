@@ -25,8 +25,8 @@ def test_the_steps_are_taken_and_reported(ssrvlad, database, maps):
     assert sure["confidence"] == 0 and sure["steps"]["standardise"] == {"monday": False}
     assert "6 references are too few" in err[-1]
     _, followed, err = ssrvlad("query", database, maps)
-    assert "followed: offline" in err[-1] and "(probability, confidence" in followed
-    assert sure["score_is"] == "probability"
+    assert "followed: no, no surer so" in err[-1] and "(cosine, confidence" in followed
+    assert sure["score_is"] == "cosine"
     nothing = ssrvlad("query", database, maps, "--min-confidence", 1)[1].splitlines()
     assert all("no candidate" in line for line in nothing)
     assert "temporal sum t = 3" in ssrvlad("query", database, maps, "--as-paper")[2][-1]

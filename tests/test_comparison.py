@@ -41,7 +41,7 @@ def test_fused_methods_are_two_more_rows(ssrvlad, tmp_path):
     for row, before in zip(rows, alone, strict=True):
         for key in ("method", "recall_at", "steps"):
             assert row[key] == before[key]
-    for row, mode in ((single, "no"), (followed, "offline")):
+    for row, mode in ((single, "no"), (followed, "no, no surer so")):
         assert row["method"] == "hog + label-grid"
         assert row["steps"]["standardise"] == {"query": True}
         assert row["steps"]["follow"] == {"query": mode}

@@ -27,9 +27,6 @@ class Brightness(VectorChannel):
         cells = F.adaptive_avg_pool2d(pictures.float().mean(3)[:, None], (4, 6)).flatten(1)
         return F.normalize(cells - cells.mean(1, keepdim=True), dim=1)
 
-    def mirrored(self, vectors):
-        return vectors.unflatten(-1, (4, 6)).flip(-1).flatten(-2)
-
 
 @pytest.fixture(autouse=True)
 def line(monkeypatch):

@@ -7,8 +7,7 @@ from helpers import descriptors, spoil
 
 from ssrvlad_torch import Database, match
 from ssrvlad_torch.channels.vectors import VectorReferences
-from ssrvlad_torch.recognition.comparison import Comparison, Member
-from ssrvlad_torch.recognition.confidence import ALONE
+from ssrvlad_torch.recognition.comparison import Member
 from ssrvlad_torch.recognition.recognise import Steps, recognise, recognise_by_search
 from ssrvlad_torch.recognition.standardise import standardise
 from ssrvlad_torch.recognition.sweep import score
@@ -92,19 +91,6 @@ def test_too_few_frames_for_an_index_and_damaged_rows_are_refused(tmp_path):
         search_index(Database.open(tmp_path / "db"), numbers[5][None], 1)
 
 
-def exchange(vectors):
-    """A mirror: it changes the sign of every second number."""
-    return vectors * torch.tensor([1.0, -1]).repeat(vectors.shape[-1] // 2)
-
-
-class Raw(VectorReferences):
-    """Vectors whose decoys are mirrored whole, also what they have in common."""
-
-    def compare(self, queries, *_):
-        scores, decoys = (score(each, self._vectors) for each in (queries, exchange(queries)))
-        return Comparison(scores, decoys, ALONE)
-
-
 @pytest.mark.parametrize("follow", ["offline", "online", None])
 @pytest.mark.parametrize("off", [True, False])
 def test_with_all_frames_as_candidates_results_equal_exact_search(town, monkeypatch, follow, off):
@@ -115,19 +101,18 @@ def test_with_all_frames_as_candidates_results_equal_exact_search(town, monkeypa
     queries[11] = 0
     steps = Steps(standardise=off, sweep=False, follow=follow)
     names = ["q"] * 40
-    known = (VectorReferences if off else Raw)(frames.descriptors, frames.sequences, exchange)
+    known = VectorReferences(frames.descriptors, frames.sequences)
     member = {"ssr-vlad": Member(queries, known)}
     expected = recognise(member, names, frames.sequences, steps, 3)
 
-    def search(standardised: bool) -> tuple[IndexSearch, IndexSearch]:
-        found = IndexSearch(database, queries, names, standardised)
-        return found, found.mirrored(exchange)
+    def search(standardised: bool) -> IndexSearch:
+        return IndexSearch(database, queries, names, standardised)
 
     got = recognise_by_search(search, names, frames.sequences, steps, 3)
     assert got.used == {**expected.used, "sweep": {"q": 0}}
     assert torch.equal(got.matches.indices, expected.matches.indices)
     torch.testing.assert_close(got.matches.scores, expected.matches.scores, atol=1e-4, rtol=0)
-    torch.testing.assert_close(got.confidence, expected.confidence, atol=1e-3, rtol=0)
+    torch.testing.assert_close(got.confidence, expected.confidence, atol=5e-3, rtol=0)
 
 
 def test_scores_of_any_row_are_exact(town):

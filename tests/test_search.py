@@ -82,7 +82,7 @@ def test_as_many_as_an_estimate_permits(ssrvlad, tmp_path):
     code, out, err = ssrvlad(*ask)
     assert code == 0 and all("no candidate" not in line for line in out.splitlines())
     assert "; accepted 60 answers of confidence " in err[0]
-    assert "; 1.7% estimated to be wrong (95 % interval 0.0% to " in err[0]
+    assert "% estimated to be wrong (95 % interval 0.0% to " in err[0]
     code, out, _ = ssrvlad(*ask, "--json")
     lines = [json.loads(line) for line in out.splitlines()]
     assert lines[0]["estimate"] == lines[-1]["estimate"]

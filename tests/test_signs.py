@@ -14,7 +14,6 @@ from ssrvlad_torch.channels.signs import (
     SignQueries,
     SignReferences,
     SignRows,
-    mirrored,
     moved,
     numbers,
     products,
@@ -75,12 +74,6 @@ def test_moved_columns_leave_zeros(columns):
         inside = 0 <= source < SHAPE[0]
         expected = grid[:, source] if inside else torch.zeros_like(grid[:, 0])
         assert torch.equal(after[:, column], expected)
-
-
-def test_a_mirrored_grid():
-    grid = grids(2)
-    assert torch.equal(mirrored(grid)[:, 0], grid[:, -1])
-    assert torch.equal(mirrored(mirrored(grid)), grid)
 
 
 def plain(queries, references, sequences=None, reach=REACH):

@@ -28,8 +28,8 @@ _ONLY_FATAL = 4
 
 class Seen(NamedTuple):
     """A frame: its descriptor ``(D,)`` float32 of length 1, or zeros for an empty frame, with
-    `ssrvlad export --sweep` ``(S, D)``, one for each anchor; its features ``(16, 16, 16)`` uint8 and
-    its HOG ``(480,)`` float32, or ``None`` if the file does not give them."""
+    `ssrvlad export --sweep` ``(S, D)``, one for each anchor; its features ``(16, 16, 16)`` uint8
+    and its HOG ``(480,)`` float32, or ``None`` if the file does not give them."""
 
     descriptor: Array
     features: Array | None = None

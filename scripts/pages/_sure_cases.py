@@ -1,17 +1,38 @@
-"""Queries and maps of `how_sure.py` and `_loops_real.py`, with their true matches."""
+"""Queries, maps and true matches of `how_sure.py`, and some that `_loops_real.py` shares."""
 
 from __future__ import annotations
 
+import csv
 import json
-from collections.abc import Iterator
-from itertools import product
+import random
+import zlib
+from collections.abc import Iterable, Iterator, Sequence
+from functools import partial
+from itertools import groupby, product
 from typing import NamedTuple
 
 import numpy as np
-from _described import FEATURES, OURS, Described
-from conditions import CAMVID_CONDITIONS, METRES, NETWORKS, ROUTES, Search, near_rows
+import torch
+from _described import FEATURES, OURS, Described, channel_of
+from conditions import (
+    CAMVID_CONDITIONS,
+    METRES,
+    NETWORKS,
+    ROUTES,
+    Drive,
+    Search,
+    city,
+    near_rows,
+    pictured,
+)
+from torch import Tensor
 
-from ssrvlad_torch.evaluation.ground_truth import from_poses
+from ssrvlad_torch.datasets.image_files import find_image_files
+from ssrvlad_torch.datasets.synthetic_city import Conditions
+from ssrvlad_torch.evaluation.loops import FACING
+from ssrvlad_torch.recognition.fusion import fused_scores
+from ssrvlad_torch.recognition.standardise import MIN_FRAMES
+from ssrvlad_torch.recognition.sweep import COLUMNS
 
 FOREIGN = (
     ("uofa/evening", "gardens_walk/day_left"),
@@ -21,59 +42,255 @@ FOREIGN = (
     ("uofa/day", "camvid/0016E5"),
     ("camvid/0001TP", "camvid/0016E5"),
 )
+NEW_FOREIGN = (
+    ("cmu_schenley/oct2010_c1", "uofa/day"),
+    ("nordland/summer", "cmu_schenley/apr2011_c1"),
+)
 DRIVES = ("0001TP", "0016E5")
-STREETS = ("clean", "noise 4", "4 m aside", "all together")
+NEW = ("cmu_schenley/apr2011_c1", "cmu_schenley/oct2010_c1", "cmu_schenley/jul2011_c1")
+NEW += ("nordland/summer", "nordland/winter")
+"""Drives that come as pictures alone."""
 METHODS = {
-    **{"label maps": OURS, "features": FEATURES, "HOG": "HOG", "label grid": "label grid"},
-    "fused": "without HOG",
+    "label maps": (OURS,),
+    "features": (FEATURES,),
+    "HOG": ("HOG",),
+    "together": (OURS, FEATURES, "HOG"),
 }
-"""Methods of `_described.py` by their names here."""
+MOST = 16
+"""Cases of a row of the table."""
+LOOKED_AT, CITIES = 5, range(20)
+"""One real case of so many, and the first cities up to this one, were looked at when the form was
+chosen; the table is of the others."""
+_NONE = np.zeros(0, int)
+_BACK = Conditions(spacing=2.7, lateral_offset=0.7, seed=3, heading_offset=180.0)
 
-RUNS = [
-    (method, network) for method in METHODS for network in ([""] if method == "HOG" else NETWORKS)
-]
+Frames = list[tuple[str, int]]
+"""Frames by their drives and their rows in them."""
+Truth = Sequence[np.ndarray]
 
 
 class Case(NamedTuple):
-    """A search by a method; the groups are those of the page."""
+    """Queries and a map.
 
-    group: str
+    Attributes:
+        row: of the table.
+        method: of `METHODS`.
+        sequences: of the frames of the map.
+        truth: rows of the map that show the place of each query.
+    """
+
+    row: str
     name: str
     method: str
-    search: Search
+    queries: Frames
+    references: Frames
+    sequences: list[str]
+    truth: Truth
+
+    def scores(self, described: Described) -> Tensor:
+        """``(Q, R)``, as `recognise` computes them."""
+        standardised = min(len(self.queries), len(self.references)) >= MIN_FRAMES
+        compared, trust = {}, {}
+        for method in METHODS[self.method]:
+            here, there = (vectors(described, each, method) for each in self[3:5])
+            if there.ndim == 3:
+                there = there[:, COLUMNS.index(0)]
+            channel = channel_of(method)
+            known = channel.references(there, self.sequences)
+            compared[method] = known.compare(here, standardised, True, None)
+            trust[method] = channel.trust
+        found = fused_scores(compared, trust)[0]
+        return torch.stack([found[query] for query in range(len(here))])
 
 
-def cases(described: Described) -> Iterator[Case]:
-    """All cases."""
-    for method, network in RUNS:
-        for first, second, reach in ROUTES.values():
-            for queries, references in ((first, second), (second, first)):
-                here, there = of(network, queries), of(network, references)
-                frames = len(described.about(there)[0])
-                truth = near_rows(len(described.about(here)[0]), frames, reach)
-                title = f"{queries} -> {references}, {network}"
-                yield Case("real", title, method, Search(here, there, truth))
-                if (queries, references) == (first, second):
-                    left = [true[true < frames // 2] for true in truth]
-                    search = Search(here, there, left, None, list(range(frames // 2)))
-                    yield Case("half map", title, method, search)
-        for queries, references in FOREIGN:
-            here, there = of(network, queries), of(network, references)
-            truth = [np.zeros(0, int)] * len(described.about(here)[0])
-            title = f"{queries} -> {references}, {network}"
-            yield Case("foreign", title, method, Search(here, there, truth))
-    yield from camvid_cases(described)
-    for drive, (method, network) in product(DRIVES, RUNS):
-        if method != "label maps":
-            case = next(case for case in camvid_cases(described) if case.name.startswith(drive))
-            folder = of(network, f"camvid/{drive}")
-            search = case.search._replace(queries=folder, references=folder)
-            yield Case("real", f"{drive}, {network}", method, search)
-    for seed, name in product(range(3), STREETS):
-        here, there = f"city {seed} {name} 0", f"city {seed} reference"
-        poses = (described.about(drive)[1] for drive in (here, there))
-        search = Search(here, there, from_poses(*poses, METRES))
-        yield Case("city", f"city {seed}, {name}", "label maps", search)
+def vectors(described: Described, frames: Frames, method: str) -> Tensor:
+    """The descriptors of frames by a method."""
+    runs = (
+        (drive, [row for _, row in run]) for drive, run in groupby(frames, lambda each: each[0])
+    )
+    return torch.cat([described.vectors(drive, method)[rows] for drive, rows in runs])
+
+
+def cases(described: Described) -> list[Case]:
+    """The cases of the table: at most `MOST` of each row, evenly from all that there are."""
+    rows: dict[str, list[Case]] = {}
+    for case in (*real_cases(described), *city_cases(described)):
+        rows.setdefault(case.row, []).append(case)
+    return [
+        some[number * len(some) // min(MOST, len(some))]
+        for some in rows.values()
+        for number in range(min(MOST, len(some)))
+    ]
+
+
+def real_cases(described: Described) -> Iterator[Case]:
+    """Those of real drives that nobody looked at."""
+    add_new(described)
+    for network, method in product(NETWORKS, METHODS):
+        if method == "HOG" and network != NETWORKS[0]:
+            continue
+        for case in of_method(described, network, method):
+            if zlib.crc32((case.row + case.name + method).encode()) % LOOKED_AT:
+                yield case
+
+
+def of_method(described: Described, network: str, method: str) -> Iterator[Case]:
+    for name, here, there, truth in pairs(described, network):
+        one = partial(case_of, name=name, method=method)
+        yield from drives(one, here, there, truth)
+        if name.startswith(("uofa", "gardens_walk/day_right")):
+            yield from harder(one, here, there, truth)
+    for later, earlier in (*FOREIGN, *NEW_FOREIGN):
+        here, there = (all_of(described, of(network, each)) for each in (later, earlier))
+        part = len(here) // 3
+        for name, some in ((later, here), (f"{later}, a third", here[:part])):
+            title = f"{name} -> {earlier}, {network}"
+            yield case_of("foreign", some, there, [_NONE] * len(some), title, method)
+    for title, search in camvid(described, network, method):
+        queries, references, truth, odd, even = search
+        here, there = (
+            [(drive, row) for row in rows] for drive, rows in ((queries, odd), (references, even))
+        )
+        yield case_of("drive", here, there, truth, title, method)
+    if method == "label maps" and network != NETWORKS[0]:
+        for name, here, there, truth in pairs(described, network):
+            other = [(drive.replace(network, NETWORKS[0]), row) for drive, row in there]
+            title = f"{name} of {NETWORKS[0]}"
+            yield case_of("map of another network", here, other, truth, title, method)
+
+
+def case_of(
+    row: str,
+    here: Frames,
+    there: Frames,
+    truth: Truth,
+    name: str,
+    method: str,
+    sequences: list[str] | None = None,
+) -> Case:
+    return Case(row, name, method, here, there, sequences or ["map"] * len(there), truth)
+
+
+def drives(one: partial[Case], here: Frames, there: Frames, truth: Truth) -> Iterator[Case]:
+    """The whole drive, its halves, and half of the map."""
+    yield one("drive", here, there, truth)
+    middle, half = len(here) // 2, len(there) // 2
+    if middle >= 30:
+        for part in (slice(0, middle), slice(middle, None)):
+            yield one("half of a drive", here[part], there, truth[part])
+        if half >= 30:
+            yield one("half of the map", here, there[:half], within(truth, range(half)))
+
+
+def harder(one: partial[Case], here: Frames, there: Frames, truth: Truth) -> Iterator[Case]:
+    """What breaks a drive, or the map."""
+
+    def asked(row: str, order: Iterable[int]) -> Case:
+        order = list(order)
+        return one(row, [here[each] for each in order], there, [truth[each] for each in order])
+
+    count, chance = len(here), random.Random(str(here[0]))
+    kept = [row for row in range(len(there)) if row // 15 % 2 == 0]
+    yield one("holes of 15 rows", here, [there[row] for row in kept], within(truth, kept))
+    for streams in (2, 3, 4, 6):
+        row = "two streams in turn" if streams == 2 else "3, 4, 6 streams in turn"
+        yield asked(row, in_turn(count, streams))
+    yield asked("stops", stops(count, (20, 80), 30))
+    yield asked("backwards", reversed(range(count)))
+    for step in (2, 3):
+        yield asked("every 2nd, 3rd query", range(0, count, step))
+    for some in (3, 10, 30, 100):
+        yield asked("random frames", chance.sample(range(count), min(some, count)))
+    yield asked("one picture", [chance.randrange(count)])
+    twice = [row for row in range(len(there)) for _ in range(2)]
+    yield one("duplicates in the map", here, [there[row] for row in twice], within(truth, twice))
+    for size in (5, 12, 31, 60):
+        first = chance.randrange(len(there) - size)
+        rows = range(first, first + size)
+        few = within(truth, rows)
+        shown = [query for query in range(count) if size <= 12 or len(few[query])]
+        queries, true = [here[each] for each in shown], [few[each] for each in shown]
+        yield one("maps of 5 to 60 rows", queries, [there[row] for row in rows], true)
+
+
+def city_cases(described: Described) -> Iterator[Case]:
+    """Those of the cities that nobody looked at."""
+    for seed in CITIES[6:]:
+        described.added[f"city {seed} back"] = partial(way_back, seed)
+        others = [all_of(described, f"city {(seed + n) % 20} reference") for n in range(1, 6)]
+        yield from in_city(described, seed, others)
+
+
+def in_city(described: Described, seed: int, others: Sequence[Frames]) -> Iterator[Case]:
+    there, easy, hard, back = (
+        all_of(described, f"city {seed} {drive}")
+        for drive in ("reference", "clean 0", "all together 0", "back")
+    )
+    one = partial(case_of, name=f"city {seed}", method="label maps")
+    known = [*there, *(frame for other in others for frame in other)]
+    names = [drive for drive, _ in known]
+    for here in (easy, hard):
+        truth = facing(described, here, there)
+        yield one("city", here, there, truth)
+        yield one("city, foreign", here, others[0], [_NONE] * len(here))
+        yield one("city, foreign, 30", here[:30], others[0], [_NONE] * 30)
+        half = len(there) // 2
+        yield one("city, half of the map", here, there[:half], within(truth, range(half)))
+        yield one("city, map of 600", here, known, truth, sequences=names)
+        for some in (1, 3, 10, 30):
+            order = random.Random(seed).sample(range(len(here)), some)
+            row = "city, one picture" if some == 1 else "city, random frames"
+            yield one(row, [here[n] for n in order], there, [truth[n] for n in order])
+    truth = facing(described, easy, there)
+    for streams in (3, 4, 6):
+        order = in_turn(len(easy), streams)
+        queries, true = [easy[n] for n in order], [truth[n] for n in order]
+        yield one("city, 3, 4, 6 streams in turn", queries, there, true)
+    order = stops(len(easy), (30,), 40)
+    yield one("city, stops", [easy[n] for n in order], there, [truth[n] for n in order])
+    turned = [*easy[:50], *back[50:]]
+    yield one("city, U-turn", turned, there, facing(described, turned, there))
+    yield one("city, way back alone", easy, back, facing(described, easy, back))
+    both, names = [*there[:50], *back], ["map"] * 50 + ["back"] * len(back)
+    true = facing(described, easy, both)
+    yield one("city, half of the map and way back", easy, both, true, sequences=names)
+
+
+def in_turn(count: int, streams: int) -> list[int]:
+    """The parts of a drive, a frame of each in turn."""
+    length = count // streams
+    return [part * length + frame for frame in range(length) for part in range(streams)]
+
+
+def stops(count: int, at: Sequence[int], frames: int) -> list[int]:
+    """A drive that stands for some frames."""
+    return sorted([*range(count), *(min(stop, count - 1) for stop in at for _ in range(frames))])
+
+
+def within(truth: Truth, rows: Sequence[int]) -> list[np.ndarray]:
+    """True matches in a map of some rows, of which some may come twice."""
+    return [np.flatnonzero(np.isin(rows, true)) for true in truth]
+
+
+def facing(described: Described, here: Frames, there: Frames) -> list[np.ndarray]:
+    """Frames of a city within `METRES` that look in the same direction."""
+    mine, known = (
+        np.array([described.about(drive)[1][row] for drive, row in frames])
+        for frames in (here, there)
+    )
+    x, y, turn = (mine[:, None] - known).transpose(2, 0, 1)
+    same = (np.hypot(x, y) <= METRES) & (np.cos(turn) > np.cos(FACING))
+    return [np.flatnonzero(each) for each in same]
+
+
+def way_back(seed: int) -> Drive:
+    """The street of a city in the other direction."""
+    drive = city(seed, _BACK)
+    return Drive(drive.frames, drive.poses[::-1], drive.maps[::-1].copy(), drive.labels_as)
+
+
+def all_of(described: Described, drive: str) -> Frames:
+    return [(drive, row) for row in range(len(described.about(drive)[0]))]
 
 
 def of(network: str, folder: str) -> str:
@@ -81,7 +298,74 @@ def of(network: str, folder: str) -> str:
     return f"real {network or NETWORKS[0]} {folder}"
 
 
-def camvid_cases(described: Described) -> Iterator[Case]:
+def add_new(described: Described) -> None:
+    """The drives that come as pictures alone."""
+    for network, folder in product(NETWORKS, NEW):
+        files = find_image_files([str(described.data / folder)])
+        make = partial(_pictured, described, network, folder)
+        described.add(of(network, folder), files, make)
+
+
+def _pictured(described: Described, network: str, folder: str) -> Drive:
+    files = find_image_files([str(described.data / folder)])
+    return pictured(files, described.segmenter(network))
+
+
+def pairs(described: Described, network: str) -> Iterator[tuple[str, Frames, Frames, Truth]]:
+    """Drives through one place: a name, queries, map and true matches."""
+    apr, october, july, summer, winter = NEW
+
+    def pair(later: str, earlier: str, truth: Truth) -> tuple[str, Frames, Frames, Truth]:
+        here, there = (all_of(described, of(network, each)) for each in (later, earlier))
+        return f"{later} -> {earlier}, {network}", here, there, truth[: len(here)]
+
+    count = {each: len(described.about(of(network, each))[0]) for each in NEW}
+    for first, second, reach in ROUTES.values():
+        size = len(described.about(of(network, first))[0])
+        for later, earlier in ((first, second), (second, first)):
+            yield pair(later, earlier, near_rows(size, size, reach))
+    for later, table in ((october, "pairs_oct_c1.csv"), (july, "pairs_jul_c1.csv")):
+        truth = given(described, table, count[later], count[apr])
+        yield pair(later, apr, truth)
+    truth = given(described, "pairs_oct_c1.csv", count[october], count[apr])
+    other = [[q for q, true in enumerate(truth) if row in true] for row in range(count[apr])]
+    yield pair(apr, october, [np.array(each, int) for each in other])
+    truth = near_rows(count[winter], count[summer], 2)
+    yield pair(winter, summer, [true if n < 20 else _NONE for n, true in enumerate(truth)])
+
+
+def given(described: Described, table: str, queries: int, references: int) -> list[np.ndarray]:
+    """True matches of CMU Seasons, by a table."""
+    truth = [_NONE] * queries
+    with (described.data / "cmu_schenley" / table).open() as file:
+        for line in csv.DictReader(file):
+            query, row, reach = (int(each) for each in line.values())
+            truth[query] = np.arange(max(0, row - reach), min(references, row + reach + 1))
+    return truth
+
+
+class Searched(NamedTuple):
+    """A search by its name."""
+
+    name: str
+    search: Search
+
+
+def camvid(described: Described, network: str, method: str) -> Iterator[Searched]:
+    """Odd frames of a drive against even ones; label maps of several kinds, once."""
+    if method == "label maps":
+        if network == NETWORKS[0]:
+            yield from camvid_cases(described)
+        return
+    for case in camvid_cases(described):
+        if case.name.endswith("espnetv2 -> espnetv2"):
+            drive = case.name.partition(",")[0]
+            folder = of(network, f"camvid/{drive}")
+            search = case.search._replace(queries=folder, references=folder)
+            yield Searched(f"{drive}, {network}", search)
+
+
+def camvid_cases(described: Described) -> Iterator[Searched]:
     """Odd frames of a drive by one kind of label maps against even ones by another."""
     same = json.loads((described.data / "camvid" / "same_place_odd_even.json").read_text())
     for drive in DRIVES:
@@ -90,6 +374,5 @@ def camvid_cases(described: Described) -> Iterator[Case]:
         at = {frames[row]: number for number, row in enumerate(even)}
         truth = [np.array([at[frame] for frame in same[frames[row]]]) for row in odd]
         for name, kinds in CAMVID_CONDITIONS.items():
-            drives = [of(kind.removeprefix("predicted_"), f"camvid/{drive}") for kind in kinds]
-            search = Search(*drives, truth, odd, even)
-            yield Case("real", f"{drive}, {name}", "label maps", search)
+            folders = [of(kind.removeprefix("predicted_"), f"camvid/{drive}") for kind in kinds]
+            yield Searched(f"{drive}, {name}", Search(*folders, truth, odd, even))

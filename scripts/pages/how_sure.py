@@ -1,222 +1,213 @@
 #!/usr/bin/env python3
-"""Writes docs/how-sure.md: estimates of wrong answers and confidence, beside the truth.
+"""Writes the tables of docs/how-sure.md: estimates and confidence beside the truth.
 
     .venv/bin/python scripts/pages/how_sure.py --data ../shared/data
 
-The folder holds `camvid`, `uofa`, `gardens_walk` and `networks`. Descriptors and outcomes are
-cached in `--cache`.
+The folder holds `camvid`, `uofa`, `gardens_walk`, `cmu_schenley`, `nordland` and `networks`.
+Descriptors and outcomes are cached in `--cache`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from itertools import product
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import torch
 from _described import Described
-from _markdown import Page, head_row, interval, parser, row, save
-from _sure_cases import METHODS, Case, cases
+from _markdown import Page, head_row, parser, row, save
+from _sure_cases import Case, cases
 from matplotlib.figure import Figure
 
-from ssrvlad_torch.evaluation.bootstrap import bootstrap
-from ssrvlad_torch.recognition.confidence import accept, answered, estimate
+from ssrvlad_torch.recognition.confidence import Estimate, accept, estimate
 from ssrvlad_torch.recognition.follow import NEAR
-from ssrvlad_torch.recognition.recognise import Steps, recognise
+from ssrvlad_torch.recognition.recognise import Steps, recognise_by_scores
 
-CHOSEN = ("uofa", "0001TP", "city 0")
-STEPS = {
-    "one picture": Steps(follow=None),
-    "alone": Steps(follow=None),
-    "online": Steps(follow="online"),
-    "offline": Steps(),
-}
-LEVELS = {"all": None, "5 %": 0.05, "20 %": 0.2}
-GROUPS = ("real", "half map", "foreign", "city")
-BINS, RESAMPLES = 10, 2000
+STEPS = {"alone": Steps(follow=None), "online": Steps(follow="online"), "offline": Steps()}
+LEVEL, MUCH = 0.05, 0.1
+"""What is asked for of the accepted answers, and what is too much in truth."""
+LOST = 0.03
+BINS = 10
+COLUMNS = ("row", "steps", "cases", "followed", "lost", "inside, all", "inside, 5 %", "above 10 %")
+COLUMNS += ("accepted", "wrong", "said", "ECE")
 
 
 class Outcome(NamedTuple):
-    """What was found in a condition: confidences, and whether each answer is right in two senses;
-    for each of `LEVELS` the estimate. Whether it beats the decoys."""
+    """What was found in a case: confidence in each answer, whether it is right, and whether it
+    shows at least the place; the estimates of all answers, and of those accepted at `LEVEL`."""
 
-    group: str
+    row: str
     name: str
     method: str
+    followed: bool
     sure: np.ndarray
     strict: np.ndarray
     place: np.ndarray
-    estimates: dict[str, tuple[float, ...]]
-    beats: np.ndarray
+    every: Estimate
+    accepted: Estimate
+
+    def inside(self, found: Estimate) -> bool:
+        """Whether the interval of an estimate holds."""
+        wrong = self.wrong(found) / found.accepted
+        return found.low - 1e-6 <= wrong <= found.high + 1e-6
+
+    def wrong(self, found: Estimate) -> int:
+        """How many of the answers of an estimate show another place."""
+        return int((~self.place[self.sure >= found.confidence]).sum())
 
     @property
-    def chosen(self) -> bool:
-        return any(part in self.name for part in CHOSEN)
+    def oracle(self) -> int:
+        """The most answers of which at most `LEVEL` are wrong."""
+        return min(len(self.place), int(self.place.sum() / (1 - LEVEL)))
+
+
+Outcomes = dict[str, list[Outcome]]
+"""By steps, in the order of the cases."""
 
 
 def main() -> None:
     options = parser(__doc__, "how-sure.md", "how-sure").parse_args()
     torch.set_num_threads(1)
-    described = Described(options.data, options.cache, shorter_side=None)
-    every = list(cases(described))
+    described = Described(options.data, options.cache)
+    every = cases(described)
+    rows = {
+        name: [case for case in every if case.row == name]
+        for name in dict.fromkeys(case.row for case in every)
+    }
     outcomes: Outcomes = {name: [] for name in STEPS}
-    for name, method in product(STEPS, METHODS):
-        some = [each for each in every if each.method == method]
-        outcomes[name] += described.kept(
-            f"outcomes {name} {method}",
-            lambda some=some, name=name: [outcome(described, case, name) for case in some],
+    for name, some in rows.items():
+        found = described.kept(
+            f"outcomes {name}", lambda some=some: [outcome(described, case) for case in some]
         )
+        for steps, each in zip(STEPS, zip(*found, strict=True), strict=True):
+            outcomes[steps] += each
     draw(outcomes, options.output.parent / "figures" / "how-sure.png")
-    together = {steps: found for steps, found in outcomes.items() if steps != "one picture"}
     page = Page("how-sure.md", options.output)
-    page.table("## Is the fraction of wrong answers inside the interval?\n", covered(together))
-    names = ("queries", "accepted", "wrong place", "strict")
-    page.table("## What `--max-wrong 0.05` accepts\n", by_method(together, names, accepted))
+    page.table("## Beside the truth\n", table(outcomes, list(rows)))
+    page.table("## By method and network\n", by_method(outcomes))
     page.table("## Is confidence calibrated?\n", calibrated(outcomes))
-    page.table("On the real pairs by method:\n", calibrated_by_method(outcomes))
 
 
-Outcomes = dict[str, list[Outcome]]
-"""By steps."""
+def outcome(described: Described, case: Case) -> list[Outcome]:
+    """Recognises the queries of a case with each of the steps."""
+    scores, found = case.scores(described), []
+    for steps in STEPS.values():
+        one = recognise_by_scores(scores, ["q"] * len(scores), case.sequences, steps, 1)
+        rows = one.matches.indices[:, 0].numpy()
+        away = np.array(
+            [
+                min(abs(true - row), default=np.inf)
+                for row, true in zip(rows, case.truth, strict=True)
+            ]
+        )
+        followed = one.score_is() == "probability"
+        estimates = estimate(one.sure), accept(one.sure, LEVEL)
+        sure = one.confidence.numpy()
+        found.append(Outcome(*case[:3], followed, sure, away == 0, away <= NEAR, *estimates))
+    return found
 
 
-def by_method(
-    outcomes: Outcomes, names: Sequence[str], figures: Callable[[list[Outcome]], Iterable]
-) -> Iterator[str]:
-    """A row for each of the steps, group and method."""
-    yield from head_row("steps", "group", "method", *names)
-    for steps, group, method in product(outcomes, GROUPS, METHODS):
-        some = [each for each in outcomes[steps] if (each.group, each.method) == (group, method)]
-        if some:
-            yield row(steps, group, method, *map(str, figures(some)))
+def table(outcomes: Outcomes, rows: Sequence[str]) -> Iterator[str]:
+    """A line for each row and each of the steps; the last ones are of all."""
+    yield from head_row(*COLUMNS)
+    for name in (*rows, ""):
+        for steps, found in outcomes.items():
+            some = [number for number, each in enumerate(found) if name in ("", each.row)]
+            alone = [outcomes["alone"][number] for number in some]
+            yield row(name or "all", steps, *figures([found[n] for n in some], alone))
 
 
-def covered(outcomes: Outcomes) -> Iterator[str]:
-    """How often the truth is inside the interval; the last rows are sums."""
-    yield from by_method(outcomes, ("accepted in", "place", "strict", "width"), coverage)
-    every = [each for found in outcomes.values() for each in found]
-    for label, kind in (("all", None), ("fitted to", True), ("other", False)):
-        some = [each for each in every if kind in (None, each.chosen)]
-        yield row(label, "", "", *coverage(some))
+def by_method(outcomes: Outcomes) -> Iterator[str]:
+    """The same of real drives, whole and halved, by method and network."""
+    yield from head_row("method and network", *COLUMNS[1:])
+    kinds = ("drive", "half of a drive")
+    groups = dict.fromkeys(kind_of(each) for each in outcomes["alone"] if each.row in kinds)
+    for group in groups:
+        for steps, found in outcomes.items():
+            some = [
+                n for n, each in enumerate(found) if each.row in kinds and kind_of(each) == group
+            ]
+            alone = [outcomes["alone"][n] for n in some]
+            yield row(group, steps, *figures([found[n] for n in some], alone))
+
+
+def kind_of(each: Outcome) -> str:
+    """The method, and the network unless there is none or several."""
+    network = each.name.rpartition(", ")[2]
+    return each.method if each.method == "HOG" or " " in network else f"{each.method}, {network}"
+
+
+def figures(some: Sequence[Outcome], alone: Sequence[Outcome]) -> Iterator[str]:
+    """The cells of a line, see docs/how-sure.md."""
+    yield str(len(some))
+    yield fraction(each.followed for each in some)
+    yield str(
+        sum(
+            each.strict.mean() < other.strict.mean() - LOST
+            for each, other in zip(some, alone, strict=True)
+        )
+    )
+    said = [each for each in some if each.every.accepted and each.every.low is not None]
+    taken = [each for each in some if each.accepted.accepted]
+    yield fraction(each.inside(each.every) for each in said)
+    yield fraction(each.inside(each.accepted) for each in taken)
+    too_much = [each.wrong(each.accepted) > MUCH * each.accepted.accepted for each in taken]
+    yield f"{sum(too_much)} of {len(some)}"
+    could = sum(each.oracle for each in some)
+    count = sum(each.accepted.accepted for each in taken)
+    yield f"{count} of {could}"
+    yield str(sum(each.wrong(each.accepted) for each in taken))
+    yield fraction(each.every.low is not None for each in some if each.every.accepted)
+    yield f"{calibration(some)[0]:.3f}"
+
+
+def fraction(each: Iterable[bool]) -> str:
+    """How many are true, and of how many."""
+    found = list(each)
+    return f"{sum(found)} of {len(found)}" if found else ""
 
 
 def calibrated(outcomes: Outcomes) -> Iterator[str]:
+    """How often the answers to real drives, whole and halved, of each confidence are right."""
     ends = [f"{n / BINS:g} to {(n + 1) / BINS:g}" for n in range(BINS)]
-    yield from head_row("steps", "real", "fitted to", "other", *GROUPS[1:], *ends)
+    yield from head_row("steps", "ECE", *ends)
     for steps, found in outcomes.items():
-        real = [each for each in found if each.group == "real"]
-        parts = [real, [e for e in real if e.chosen], [e for e in real if not e.chosen]]
-        parts += [[e for e in found if e.group == group] for group in GROUPS[1:]]
-        yield row(steps, *(calibration(part)[0] for part in parts), *calibration(real)[1])
+        value, cells = calibration([e for e in found if e.row in ("drive", "half of a drive")])
+        yield row(steps, f"{value:.3f}", *cells)
 
 
-def calibrated_by_method(outcomes: Outcomes) -> Iterator[str]:
-    yield from head_row("steps", *METHODS)
-    for steps, found in outcomes.items():
-        real = [[e for e in found if (e.group, e.method) == ("real", m)] for m in METHODS]
-        yield row(steps, *(calibration(part)[0] for part in real))
-
-
-def coverage(some: Iterable[Outcome]) -> Iterator[str]:
-    """In how many cases answers were accepted, how often the truth was inside, and the width."""
-    tried = hits = strict = 0
-    widths: list[float] = []
-    for each in some:
-        for least, count, _, low, high in each.estimates.values():
-            tried += 1
-            if not count:
-                continue
-            inside = each.beats & (each.sure >= least)
-            hits += low <= 1 - each.place[inside].mean() <= high
-            strict += low <= 1 - each.strict[inside].mean() <= high
-            widths.append(high - low)
-    yield f"{len(widths)} of {tried}"
-    fractions = (hits / len(widths), strict / len(widths), np.median(widths)) if widths else ()
-    yield from (f"{each:.2f}" for each in fractions)
-    yield from [""] * (3 - len(fractions))
-
-
-def accepted(some: Iterable[Outcome]) -> tuple[int, int, int, int]:
-    """Queries, accepted ones, and those whose place or frame is wrong."""
-    counts = np.zeros(4, int)
-    for each in some:
-        inside = each.beats & (each.sure >= each.estimates["5 %"][0])
-        wrong = (~each.place[inside]).sum(), (~each.strict[inside]).sum()
-        counts += (len(each.sure), inside.sum(), *wrong)
-    return tuple(counts.tolist())
-
-
-def calibration(some: Sequence[Outcome]) -> tuple[str, list[str]]:
+def calibration(some: Sequence[Outcome]) -> tuple[float, list[str]]:
     """The expected calibration error, and how often the answers of each bin are right."""
-    sums = np.zeros((len(some), 3, BINS))
-    for number, each in enumerate(some):
-        bins = np.minimum((each.sure * BINS).astype(int), BINS - 1)
-        for kind, values in enumerate((np.ones(len(bins)), each.sure, each.strict)):
-            sums[number, kind] = np.bincount(bins, values, BINS)
-
-    def error(drawn: np.ndarray) -> dict[str, np.ndarray]:
-        count, sure, right = np.einsum("rn,nkb->krb", drawn, sums)
-        return {"error": abs(sure - right).sum(1) / count.sum(1)}
-
-    [value] = error(np.ones((1, len(some))))["error"]
-    ends = bootstrap(error, len(some), RESAMPLES)["error"]
-    count, _, right = sums.sum(0)
-    cells = [f"{r / n:.2f} of {n:.0f}" if n else "" for n, r in zip(count, right, strict=True)]
-    return interval(value, ends), cells
+    sure, right = (np.concatenate([getattr(e, k) for e in some]) for k in ("sure", "place"))
+    bins = np.minimum((sure * BINS).astype(int), BINS - 1)
+    count, sums, hits = (np.bincount(bins, values, BINS) for values in (None, sure, right))
+    cells = [f"{r / n:.2f} of {n:.0f}" if n else "" for n, r in zip(count, hits, strict=True)]
+    return float(abs(sums - hits).sum() / len(sure)), cells
 
 
 def draw(outcomes: Outcomes, file: Path) -> None:
-    """Reliability of confidence on real pairs, and the estimate at 20 % beside the truth."""
+    """Reliability on real drives, and the estimate of all answers beside the truth."""
     figure = Figure(figsize=(9, 4), layout="constrained")
     left, right = figure.subplots(1, 2)
-    for steps, found in outcomes.items():
-        real = [each for each in found if each.group == "real"]
-        sure, hits = (np.concatenate([getattr(e, k) for e in real]) for k in ("sure", "strict"))
+    for number, (steps, found) in enumerate(outcomes.items()):
+        real = [each for each in found if each.row in ("drive", "half of a drive")]
+        sure, hits = (np.concatenate([getattr(e, k) for e in real]) for k in ("sure", "place"))
         bins = np.minimum((sure * BINS).astype(int), BINS - 1)
         full = [n for n in range(BINS) if (bins == n).sum() >= 20]
         points = [(sure[bins == n].mean(), hits[bins == n].mean()) for n in full]
         left.plot(*zip(*points, strict=True), "o-", label=steps)
+        for each in found:
+            if each.every.accepted and each.every.low is not None:
+                truth = 1 - each.place.mean()
+                right.plot(each.every.wrong, truth, ".", color=f"C{number}", markersize=3)
+        right.plot([], [], ".", color=f"C{number}", label=steps)
     for ax in (left, right):
         ax.plot([0, 1], [0, 1], color="gray", linewidth=0.8)
-    left.set(xlabel="confidence", ylabel="fraction right", title="real pairs, ten bins")
-    left.legend()
-    colours = {"real": "C0", "half map": "C1", "foreign": "C3", "city": "C2"}
-    for each in outcomes["alone"]:
-        least, count, wrong, low, high = each.estimates["20 %"]
-        if count:
-            inside = each.beats & (each.sure >= least)
-            truth = 1 - each.place[inside].mean()
-            right.plot([low, high], [truth, truth], color=colours[each.group], linewidth=0.5)
-            right.plot(wrong, truth, ".", color=colours[each.group])
-    right.set(xlabel="estimated wrong, with interval", ylabel="truly another place")
-    right.set_title("judged alone, --max-wrong 0.2")
-    for group, colour in colours.items():
-        right.plot([], [], ".", color=colour, label=group)
-    right.legend(loc="lower right")
+        ax.legend()
+    left.set(xlabel="confidence", ylabel="fraction right", title="real drives, ten bins")
+    right.set(xlabel="estimated wrong", ylabel="truly another place", title="all answers of a case")
     save(figure, file)
-
-
-def outcome(described: Described, case: Case, steps: str) -> Outcome:
-    """Recognises the queries of a case; a sequence of one query is one picture."""
-    sequences = [f"{number * (steps == 'one picture')}" for number in range(len(case.search.truth))]
-    known = ["map"] * len(described.rows(case.search)[1])
-    members = described.members(case.search, METHODS[case.method], known)
-    found = recognise(members, sequences, known, STEPS[steps], 1)
-    rows = found.matches.indices[:, 0].numpy()
-    away = np.array(
-        [
-            min(abs(true - row), default=np.inf)
-            for row, true in zip(rows, case.search.truth, strict=True)
-        ]
-    )
-    estimates = {
-        name: tuple(accept(found.sure, level) if level else estimate(found.sure))
-        for name, level in LEVELS.items()
-    }
-    right, beats = (away == 0, away <= NEAR), answered(found.sure).numpy()
-    return Outcome(*case[:3], found.confidence.numpy(), *right, estimates, beats)
 
 
 if __name__ == "__main__":

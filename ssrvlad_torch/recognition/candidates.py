@@ -179,7 +179,7 @@ class CandidateFilter:
         same = self._sequence(state.rows) == self._sequence(indices[:1])
         near = beliefs[same & ((state.rows - indices[0]).abs() <= NEAR)].sum().float()
         chance = compared(beliefs, state.scores, state.rows, self._length)
-        return Places(scores, indices, near, torch.tensor(state.unmapped), *chance)
+        return Places(scores, indices, near, torch.tensor(state.unmapped), chance)
 
     def _predicted(self, state: State, rows: Tensor) -> tuple[Tensor, float, float]:
         """The belief in rows, in the other rows and in no row, one query after a state."""

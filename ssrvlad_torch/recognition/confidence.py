@@ -17,8 +17,12 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
+from torch.nn.functional import logsigmoid
 
 from .follow import NEAR
+
+TRACK = 10
+"""Frames that a wrong answer lasts in a followed sequence."""
 
 _FOREIGN = 0.3
 """Prior probability that the map has none of the places."""
@@ -49,11 +53,10 @@ class Confidence(NamedTuple):
     together: Tensor
 
     @classmethod
-    def of_chances(cls, chances: Tensor, rivals: Tensor) -> Confidence:
-        """Of one traverse by the chances ``(Q,)`` of `rivals`, NaN where there is no candidate, and
-        by the best rivals ``(Q,)``."""
+    def of_chances(cls, chances: Tensor, together: float) -> Confidence:
+        """Of one traverse by the chances ``(Q,)`` of `rivals`, NaN where there is no candidate;
+        so many neighbouring queries err together."""
         known = ~chances.isnan()
-        together = answers_together(rivals[known])
         ahead = -chances[known].double().clamp(_LEAST_CHANCE, 1 - 1e-3).log()
         right, spread = (torch.zeros(len(chances)) for _ in range(2))
         if len(ahead):
@@ -61,7 +64,7 @@ class Confidence(NamedTuple):
             parts = [_moments(block, weights) for block in ahead.split(_BLOCK)]
             mean, deviation = (torch.cat(each) for each in zip(*parts, strict=True))
             right[known], spread[known] = mean.float(), deviation.float()
-        return cls(right, spread, torch.full((len(chances),), together))
+        return cls(right, spread, torch.full((len(chances),), float(together)))
 
 
 class Prior(NamedTuple):
@@ -182,16 +185,21 @@ def answered(sure: Confidence) -> Tensor:
 
 
 def _beta(mean: float, variance: float) -> tuple[float, float]:
-    """The quantiles 0.025 and 0.975 of the beta distribution with a mean and a variance."""
+    """The quantiles 0.025 and 0.975 of the beta distribution with a mean and a variance; beyond
+    logits of `_FAR` they are 0 and 1."""
     mean = min(max(mean, _TINY), 1 - _TINY)
     size = max(mean * (1 - mean) / max(variance, _TINY**2) - 1, _TINY)
-    logits = torch.linspace(-15, 15, 601, dtype=torch.double)
-    log = mean * size * torch.nn.functional.logsigmoid(logits)
-    log += (1 - mean) * size * torch.nn.functional.logsigmoid(-logits)
-    below = log.softmax(0).cumsum(0)
-    places = torch.searchsorted(below, torch.tensor([0.025, 0.975], dtype=torch.double))
-    low, high = torch.sigmoid(logits[places.clamp(max=600)]).tolist()
-    return (low if low > _TINY else 0.0), (high if high < 1 - _TINY else 1.0)
+    logits = torch.linspace(-_FAR, _FAR, 601, dtype=torch.double)
+    log = mean * size * logsigmoid(logits) + (1 - mean) * size * logsigmoid(-logits)
+    scale = float(log.max())
+    inside = (log - scale).exp().cumsum(0) * float(logits[1] - logits[0])
+    before, after = (
+        math.exp(-_FAR * size * part - scale) / (size * part) for part in (mean, 1 - mean)
+    )
+    below = (before + inside) / (before + float(inside[-1]) + after)
+    ends = torch.cat((torch.zeros(1), torch.sigmoid(logits[1:]), torch.ones(1)))
+    low, high = ends[torch.searchsorted(below, torch.tensor([0.025, 0.975]).double())].tolist()
+    return low, high
 
 
-_TINY = 1e-6
+_TINY, _FAR = 1e-6, 15.0

@@ -1,8 +1,8 @@
 """Courses: how the queries of a sequence run a map, if they do, before they are followed along it.
 
 The course only says how to follow. Whether the queries run the map at all is shown by what comes
-of it: a sequence is followed if its answers are then surer in sum than those of each query alone,
-see `recognise`.
+of it: a sequence is followed if its answers are then clearly surer than those of each query alone,
+by the account of both, see `rivals` and `recognise`.
 """
 
 from typing import NamedTuple
@@ -35,12 +35,14 @@ class Course(NamedTuple):
 _KINDS = (Course(), Course(rate=3), Course(rate=0.25), Course(streams=2))
 _OF_TWO = 0.75
 """What counts of the gain of two streams: a slow one is hardly less likely as two in turn."""
+_LEAST_GAIN = 1.0
 
 
 def course(evidence: Evidence) -> Course | None:
     """The course of the queries of one sequence: of all kinds and both ways the one with the
-    highest gain; two streams need a third more than one. ``None`` if no gain is above 0."""
-    best, highest = None, 0.0
+    highest gain; two streams need a third more than one. ``None`` if no gain is above
+    `_LEAST_GAIN`, as a logarithm: then there is nothing to follow."""
+    best, highest = None, _LEAST_GAIN
     for kind in _KINDS:
         parts, motion = kind.parts(evidence.queries), Motion(unmapped=0.0, rate=kind.rate)
         for way in (FORWARDS, BACKWARDS):

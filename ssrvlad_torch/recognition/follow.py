@@ -40,7 +40,6 @@ class Places(NamedTuple):
         unmapped: ``(Q,)`` float32, the probability of a place that the map lacks.
         chance: ``(Q,)`` float64, how the probability of the first candidate compares with those of
             the best rows elsewhere, see `rivals.Chance`.
-        rival: ``(Q,)`` int64, the best of these rows; -1 without one.
     """
 
     scores: Tensor
@@ -48,7 +47,6 @@ class Places(NamedTuple):
     near: Tensor
     unmapped: Tensor
     chance: Tensor
-    rival: Tensor
 
     def _repr_html_(self) -> str:
         columns = {name: getattr(self, name) for name in ("near", "unmapped", "chance")}
@@ -128,7 +126,7 @@ def follow(
                 own = parts[bisect_right(parts, row, key=lambda part: part.start) - 1]
                 near = rows[max(row - NEAR, own.start) : min(row + NEAR + 1, own.stop)].sum()
             unmapped = torch.tensor(belief.unmapped)
-            places[query] = Places(*best, near, unmapped, *compared(rows, scores[query]))
+            places[query] = Places(*best, near, unmapped, compared(rows, scores[query]))
     return stacked([places[query] for query in range(len(drives))], top)
 
 
@@ -161,7 +159,7 @@ def stacked(places: Sequence[Places], top: int) -> Places:
     if not places:
         none = torch.zeros(0)
         matches = none.view(0, top), none.view(0, top).long()
-        return Places(*matches, none, none, none.double(), none.long())
+        return Places(*matches, none, none, none.double())
     return Places(*(torch.stack(values) for values in zip(*places, strict=True)))
 
 
@@ -176,12 +174,11 @@ def ranked(beliefs: Tensor, scores: Tensor, top: int, rows: Tensor | None = None
 
 def compared(
     beliefs: Tensor, scores: Tensor, rows: Tensor | None = None, count: int | None = None
-) -> tuple[Tensor, Tensor]:
-    """`Places.chance` and `Places.rival` of one query, by beliefs ``(N,)`` in rows; rows whose score
-    is -inf are no candidates. For other arguments see `rivals.chance_of`."""
+) -> Tensor:
+    """`Places.chance` of one query, by beliefs ``(N,)`` in rows; rows whose score is -inf are no
+    candidates. For the other arguments see `rivals.chance_of`."""
     values = beliefs.clamp(min=_LEAST_BELIEF).log().masked_fill(scores == -torch.inf, -torch.inf)
-    found = chance_of(values, rows, count)
-    return torch.tensor(found.chance, dtype=torch.double), torch.tensor(found.rival)
+    return torch.tensor(chance_of(values, rows, count).chance, dtype=torch.double)
 
 
 _LEAST_BELIEF = 1e-38

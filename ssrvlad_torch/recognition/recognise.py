@@ -11,7 +11,7 @@ from torch import Tensor
 
 from .candidates import Search
 from .comparison import Member
-from .confidence import Confidence
+from .confidence import TRACK, Confidence, answers_together
 from .courses import Course, course
 from .display import candidates_table
 from .evidence import AllRows, Candidates, Evidence
@@ -21,8 +21,11 @@ from .matching import Matches, checked_excluded, checked_number
 from .motion import Motion
 from .standardise import MIN_FRAMES
 
-NO_SEQUENCE = "no, no sequence"
-"""Reported as the way of following where no sequence was found in the map."""
+_MIN_GAIN = 0.05
+"""A sequence is followed if its mean confidence is then higher by more than this."""
+
+SURE_ALONE = "no, no surer so"
+"""Reported as the way of following where following makes the answers no surer."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +76,7 @@ class Recognised(NamedTuple):
             references.
         used: the steps as a report: `Steps` and the number of references, and by sequence whether
             it was standardised, the width of its sweep, how it was followed (the mode and the
-            `Course`, ``no``, or `NO_SEQUENCE`), and the weights of fused channels.
+            `Course`, ``no``, or `SURE_ALONE`), and the weights of fused channels.
     """
 
     matches: Matches
@@ -92,7 +95,7 @@ class Recognised(NamedTuple):
         alone = "fused score" if any(self.used["weights"].values()) else "cosine"
         followed = self.used["follow"]
         modes = followed.values() if sequence is None else [followed[sequence]]
-        names = {alone if mode in ("no", NO_SEQUENCE) else "probability" for mode in modes}
+        names = {alone if mode in ("no", SURE_ALONE) else "probability" for mode in modes}
         return " or ".join(sorted(names))
 
     def _repr_html_(self) -> str:
@@ -203,30 +206,36 @@ class _Decision:
 
 def _decide(evidence: Evidence, steps: Steps, top: int) -> _Decision:
     """Judges each query of a sequence alone, and follows the sequence if that is asked for and it
-    has a course. The answers that are surer in sum are taken."""
+    has a course, see `courses`."""
     alone = _alone(evidence, top)
     if not steps.follow:
         return alone
     if taken := course(evidence):
-        followed = _followed(evidence, taken, steps.follow, steps.delay, top)
-        if followed.sure.right.sum() > alone.sure.right.sum():
+        together = max(TRACK, *alone.sure.together[:1].tolist())
+        followed = _followed(evidence, taken, steps, top, together)
+        if followed.sure.right.mean() > alone.sure.right.mean() + _MIN_GAIN:
             return followed
-    return replace(alone, follow=NO_SEQUENCE)
+    return replace(alone, follow=SURE_ALONE)
 
 
-def _followed(evidence: Evidence, taken: Course, mode: Mode, delay: int, top: int) -> _Decision:
+def _followed(
+    evidence: Evidence, taken: Course, steps: Steps, top: int, together: float
+) -> _Decision:
     """Follows each stream of a course. An empty query has no candidate."""
+    assert steps.follow
     queries, motion = evidence.queries, Motion().at(taken.rate)
     parts = taken.parts(queries)
-    streams = [evidence.follow(part, motion, taken.way, mode, delay, top) for part in parts]
+    streams = [
+        evidence.follow(part, motion, taken.way, steps.follow, steps.delay, top) for part in parts
+    ]
     order = torch.tensor([query for part in parts for query in part]).argsort()
     places = Places(*(torch.cat(values)[order] for values in zip(*streams, strict=True)))
     empty = torch.tensor([evidence.is_empty(query) for query in queries])
     scores = torch.cat((places.near[:, None], places.scores[:, 1:]), 1)
     scores = scores.masked_fill(empty[:, None] | (places.indices < 0), -torch.inf)
     matches = Matches(scores, places.indices.masked_fill(empty[:, None], -1))
-    sure = Confidence.of_chances(places.chance.masked_fill(empty, torch.nan), places.rival)
-    return _Decision(matches, sure, follow=", ".join(filter(None, (mode, str(taken)))))
+    sure = Confidence.of_chances(places.chance.masked_fill(empty, torch.nan), together)
+    return _Decision(matches, sure, follow=", ".join(filter(None, (steps.follow, str(taken)))))
 
 
 def _alone(evidence: Evidence, top: int) -> _Decision:
@@ -235,7 +244,8 @@ def _alone(evidence: Evidence, top: int) -> _Decision:
     matches = Matches(*map(torch.stack, zip(*(found for found, _ in judged), strict=True)))
     chances, rivals = (torch.tensor(each) for each in zip(*(c for _, c in judged), strict=True))
     chances = chances.double().masked_fill(matches.indices[:, 0] < 0, torch.nan)
-    return _Decision(matches, Confidence.of_chances(chances, rivals))
+    together = answers_together(rivals[~chances.isnan()])
+    return _Decision(matches, Confidence.of_chances(chances, together))
 
 
 def _joined(

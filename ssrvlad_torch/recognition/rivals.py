@@ -94,4 +94,5 @@ def _mean_steps(places: float) -> Tensor:
     """The mean steps of normal order statistics, from the highest of so many on."""
     ranks = torch.arange(1, min(PLACES, int(places)) + 1, dtype=torch.double)
     means = torch.special.ndtri(1 - (ranks - 0.375) / (places + 0.25))
-    return -means.diff()
+    steps: Tensor = -means.diff()
+    return steps

@@ -1,0 +1,77 @@
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from ssrvlad_torch.recognition.motion import ELSEWHERE
+from ssrvlad_torch.recognition.rivals import PLACES, best_places, chance_of
+
+NONE = torch.full((60,), -torch.inf)
+
+
+def chance_maps(rows: int, smooth: int, count: int = 4000) -> np.ndarray:
+    """The chances of the best of rows that are all chance, each like those around it."""
+    generator = torch.Generator().manual_seed(0)
+    kernel = torch.hann_window(smooth + 2, periodic=False)[None, None, 1:-1]
+    noise = torch.randn(count, 1, rows + smooth - 1, generator=generator)
+    return np.array([chance_of(each).chance for each in torch.conv1d(noise, kernel)[:, 0]])
+
+
+@pytest.mark.parametrize("smooth", [1, 7])
+@pytest.mark.parametrize("rows", [60, 150, 1000])
+def test_the_chance_of_a_wrong_answer_is_uniform(rows, smooth):
+    """Whatever the size of the map, and however like one another its frames are."""
+    found = chance_maps(rows, smooth)
+    for bound, most in ((0.5, 0.60), (0.1, 0.135), (0.01, 0.0165)):
+        assert (found < bound).mean() < most
+    assert (found < 0.5).mean() > 0.4 and (found < 0.1).mean() > 0.06
+
+
+@pytest.mark.parametrize("ahead", [4.0, 6.0])
+def test_a_right_answer_is_hardly_chance(ahead):
+    generator = torch.Generator().manual_seed(1)
+    rows = torch.randn(500, 150, generator=generator)
+    rows[:, 70] = ahead
+    chances = np.array([chance_of(each).chance for each in rows])
+    assert np.median(chances) < (0.1 if ahead < 5 else 0.01)
+
+
+def test_the_unit_and_the_level_of_values_do_not_count():
+    values = torch.randn(150, generator=torch.Generator().manual_seed(2))
+    assert chance_of(3 * values - 7).chance == pytest.approx(chance_of(values).chance, rel=1e-4)
+
+
+def test_places_are_peaks_that_are_apart():
+    values = torch.zeros(60)
+    values[[10, 11, 12, 40]] = torch.tensor([3.0, 5, 4, 2])
+    best, rows = best_places(values)
+    assert rows[:2].tolist() == [11, 40] and best[:2].tolist() == [5, 2]
+    assert (rows.sort().values.diff() > ELSEWHERE).all() and (best.diff() <= 0).all()
+    assert len(best_places(torch.rand(1000))[0]) == PLACES
+    some = torch.tensor([3, 10, 11, 30])
+    assert best_places(torch.tensor([1.0, 5, 4, 2]), some)[1].tolist() == [10, 30, 3]
+
+
+def test_the_chance_of_some_rows_is_that_of_all():
+    values = torch.randn(300, generator=torch.Generator().manual_seed(3))
+    rows = best_places(values)[1].sort().values
+    assert chance_of(values[rows], rows, 300) == chance_of(values)
+
+
+def test_a_tie_is_chance():
+    values = torch.rand(60) / 2
+    values[[10, 50]] = 1.0
+    assert chance_of(values) == (1.0, 50)
+    assert chance_of(torch.ones(60)).chance == 1
+
+
+@pytest.mark.parametrize("values", [NONE, torch.zeros(0), torch.eye(12)[3], torch.eye(1)[0]])
+def test_too_few_rivals_tell_nothing(values):
+    assert chance_of(values).chance == 1
+
+
+def test_rows_that_cannot_match_are_no_rivals():
+    values = torch.rand(120, generator=torch.Generator().manual_seed(4))
+    assert chance_of(torch.cat((values, NONE))) == chance_of(values)
+    assert math.isfinite(chance_of(torch.cat((values, NONE))).chance)
