@@ -14,7 +14,7 @@ import pytest
 import torch
 from helpers import street, without
 from hypothesis import given
-from loop_streams import PLACES, configs, noisy_stream, streams, write_drive
+from loop_streams import LIGHT, PLACES, configs, noisy_stream, streams, unit, write_drive
 from PIL import Image
 from segmenting import write_drives
 from ssrvlad_place import stream
@@ -94,16 +94,18 @@ class Drawn(Features):
         return LiveSigns(SHAPE)
 
 
-def both(stream, config, features=False):
+def both(stream, config, features=False, stamps=None):
     """What the program and the package say of a stream."""
+    stamps = stamps or [math.nan] * len(stream[1])
     chosen = {name: getattr(config, name) for name in Settings._fields}
     theirs = Detector(Settings(**chosen))
     ours = LoopDetector(config, HEAD, [Drawn("drawn")] * features)
     got, expected = [], []
     for number, (swept, sequence) in enumerate(zip(*stream, strict=True)):
         signs = signs_of(swept[len(swept) // 2]) if features else None
-        got.append(theirs.update(f"{sequence}/{number}", Seen(swept, signs)).as_json())
-        record = FrameRecord(sequence, str(number))
+        seen = Seen(swept, signs)
+        got.append(theirs.update(f"{sequence}/{number}", seen, stamps[number]).as_json())
+        record = FrameRecord(sequence, str(number), stamp=stamps[number])
         described = {"ssr-vlad": torch.from_numpy(swept)}
         described |= {"features": torch.from_numpy(signs)} if features else {}
         expected.append(ours.observe(record, described).as_json())
@@ -134,6 +136,20 @@ def test_a_long_stream_passes_the_end_of_a_block(monkeypatch, anchors, exclude, 
     sure = [row for row, line in enumerate(expected) if line["reason"].value == "accepted"]
     assert len(sure) > 25
     assert_same_answers([got[row] for row in sure], [expected[row] for row in sure])
+
+
+@pytest.mark.parametrize("features", [False, True])
+def test_a_gap_of_stamps_starts_a_stretch(features):
+    """Another drive of the same name, in other light, after an hour."""
+    street = PLACES[:200] + PLACES[1:201]
+    vectors = unit(np.concatenate((street[:150], street[40:120] + LIGHT)))
+    stamps = [n + 3600.0 * (n >= 150) for n in range(230)]
+    drives = vectors[:, None], ["drive"] * 230
+    got, expected = both(drives, LoopConfig(), features, stamps)
+    assert_same_answers(got, expected)
+    unstamped, _ = both(drives, LoopConfig(), features)
+    closed = [sum(each["reason"] == "accepted" for each in answers) for answers in (got, unstamped)]
+    assert closed[0] > closed[1] + 20
 
 
 def test_an_empty_frame_is_no_candidate():

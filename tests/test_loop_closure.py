@@ -301,7 +301,8 @@ def test_a_checkpoint_is_an_ordinary_database(database):
         assert (known.digest, known.height, known.width) == (digest(labels), 24, 32)
 
 
-def test_a_loaded_detector_knows_all_frames_and_looks_for_its_place_anew(database):
+def test_a_loaded_detector_goes_on_where_it_was(database):
+    """As one that was not stopped, whatever comes next."""
     vectors = views([*range(100), *range(20, 60)])
     loops = detector()
     drive(loops, vectors[:120])
@@ -309,13 +310,17 @@ def test_a_loaded_detector_knows_all_frames_and_looks_for_its_place_anew(databas
     loaded = reloaded(loops, database)
     assert (loaded.frames, len(loaded)) == (loops.frames, 120)
     went_on, anew = drive(loops, vectors[120:]), drive(loaded, vectors[120:])
-    assert anew[0].reason is Reason.BELOW_THRESHOLD
-    assert [r[:3] for r in anew[10:]] == [r[:3] for r in went_on[10:]]
-    assert set(reasons(anew[10:])) == {"accepted"}
+    assert reasons(anew) == ["accepted"] * 20
+    for one, other in zip(anew, went_on, strict=True):
+        assert one[:3] == other[:3]
+        assert one.probability == pytest.approx(other.probability, abs=1e-3)
     again, other = reloaded(loops, database), detector()
     drive(other, vectors[:120])
-    both = [drive(each, vectors[:40], "next") for each in (again, other)]
-    assert both[0] == both[1], "another sequence is the same to both from its first frame on"
+    for got, expected in zip(
+        *(drive(each, vectors[:40], "next") for each in (again, other)), strict=True
+    ):
+        assert got[:4] == expected[:4], "another sequence is the same to both"
+        assert got.probability == pytest.approx(expected.probability, abs=1e-5)
 
 
 def test_frames_come_back_in_the_order_in_which_they_came_whatever_their_names(database):

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from . import motion
+from . import motion, stretches
 from .model import Seen
 from .motion import GAP, LEVEL, MAX_LOG
 from .scores import FEATURES, LABEL_SHAPES, fused, lead, nearness, weights_of
 from .stream import Map, SignMap
+from .stretches import is_elsewhere, is_gap
 
 Floats = npt.NDArray[np.float32]
 
@@ -21,7 +23,7 @@ UNMAPPED, CHANGE, WEIGHT = 0.3, 0.01, 0.25
 NEAR = 5
 """Rows on each side of a row that show its place."""
 EVIDENCE, LEVEL_FRACTION, NEIGHBOURS = 3.0, 0.9, 1000
-"""For rows of the same sequence: what twice the level counts; and the level, as a fraction of the
+"""For rows of the same stretch: what twice the level counts; and the level, as a fraction of the
 z-score that three quarters of the last frames have with their previous frame."""
 STRIDE = 50
 """The previous frame is one frame before where 50 are excluded, and two where 100 are."""
@@ -157,10 +159,12 @@ class Detector:
         self.map, self.filter = Map(), Filter()
         self.signs: SignMap | None = None
         self.start, self.neighbours = 0, list[float]()
+        self.starts = set[int]()
         self.frames: list[str] = []
+        self._recent: deque[tuple[float, list[Any]]] = deque(maxlen=stretches.RECENT)
         self._leads = {LABEL_SHAPES: 0.0, FEATURES: 0.0}
 
-    def update(self, frame: str, seen: Seen) -> Loop:
+    def update(self, frame: str, seen: Seen, stamp: float = math.nan) -> Loop:
         """Looks for the place of the next frame among the earlier frames, then stores it.
 
         Args:
@@ -168,30 +172,46 @@ class Detector:
             seen: its descriptor ``(D,)`` of length 1, or zero for an empty frame, or ``(S, D)``
                 from S anchors with the usual one in the middle; and its features, which all frames
                 of a stream have or none.
+            stamp: seconds, not less than those of earlier frames of the sequence, if it is known.
         """
         swept, signs = np.atleast_2d(seen.descriptor), seen.features
         if signs is not None and not self.frames:
             self.signs = SignMap(signs.shape)
-        if not self.frames or _sequence(frame) != _sequence(self.frames[-1]):
-            self.filter.restart()
-            for each in filter(None, (self.map, self.signs)):
-                each.start_sequence()
-            self.start, self.neighbours = len(self.frames), []
-            self.repeats = Repeats(self.settings.exclude)
+        now = [swept[len(swept) // 2], *([] if signs is None else [signs])]
+        other = not self.frames or _sequence(frame) != _sequence(self.frames[-1])
+        if other or self._breaks(stamp, now):
+            self._start_stretch()
+        self._recent.append((stamp, now))
         products = self.signs.products(signs) if self.signs else None
         result = self._step(frame, swept, (signs, products))
         self.frames.append(frame)
-        self.map.append(swept[len(swept) // 2])
+        self.map.append(now[0])
         if self.signs:
             self.signs.append(signs, products)
         return result
+
+    def _breaks(self, stamp: float, now: list[Any]) -> bool:
+        stamps = np.array([each for each, _ in self._recent])
+        channels = zip(*(each for _, each in self._recent), strict=True)
+        return is_gap(stamps, stamp) and is_elsewhere(
+            np.stack([*before, last]) for before, last in zip(channels, now, strict=True)
+        )
+
+    def _start_stretch(self) -> None:
+        """The next frame starts another stretch."""
+        self.filter.restart()
+        for each in filter(None, (self.map, self.signs)):
+            each.start_sequence()
+        self.start, self.neighbours = len(self.frames), []
+        self.starts.add(self.start)
+        self.repeats = Repeats(self.settings.exclude)
+        self._recent.clear()
 
     def _step(self, frame: str, swept: Floats, signs: tuple[Any, Any]) -> Loop:
         exclude = self.settings.exclude
         old = max(0, len(self.frames) - exclude)
         for row in range(len(self.filter.cells), len(self.frames) - min(RECENT, exclude)):
-            before = self.frames[row - 1] if row else ""
-            self.filter.extend(not row or _sequence(self.frames[row]) != _sequence(before))
+            self.filter.extend(row in self.starts)
         empty, described = not swept[len(swept) // 2].any(), ~self.map.empty
         too_few = np.count_nonzero(described[:old]) < 2
         if too_few and (empty or not described.any()):

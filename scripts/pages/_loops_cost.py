@@ -9,6 +9,7 @@ import numpy as np
 from _markdown import head_row, row
 
 from ssrvlad_torch.channels.label_shapes import LabelShapes
+from ssrvlad_torch.database.frames import FrameRecord
 from ssrvlad_torch.loops.config import LoopConfig
 from ssrvlad_torch.loops.memory import Memory
 from ssrvlad_torch.loops.tracker import Tracker
@@ -31,16 +32,16 @@ def timed(size: int) -> np.ndarray:
     """``(FRAMES, 2)`` seconds of a search and of a step. All rows of the map have something in
     common."""
     channel, rng, drive = LabelShapes(), np.random.default_rng(0), size // DRIVES
-    name, length, nowhere = channel.name, channel.length, [np.nan] * 3
+    name, length = channel.name, channel.length
     memory = Memory([channel])
     live = memory.lives[name]
     common = rng.standard_normal(length, dtype=np.float32)
     for number in range(size):
         if number % drive == 0:
-            live.start_sequence()
+            memory.start_stretch()
         vector = unit(common + rng.standard_normal(length, dtype=np.float32))
-        memory.append(f"{number // drive}/{number}", nowhere, {name: vector})
-    live.start_sequence()
+        memory.append(FrameRecord(f"{number // drive}", f"{number}"), {name: vector})
+    memory.start_stretch()
     tracker = Tracker(LoopConfig(), memory)
     taken: list[np.ndarray] = []
     for number in range(WARM_UP + FRAMES):
@@ -54,7 +55,7 @@ def timed(size: int) -> np.ndarray:
         times.append(time.process_time())
         if number >= WARM_UP:
             taken.append(np.diff(times))
-        memory.append(f"now/{number}", nowhere, {name: vector})
+        memory.append(FrameRecord("now", f"{number}"), {name: vector})
     return np.array(taken)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Mapping, Sequence
-from itertools import groupby
+from itertools import groupby, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -30,20 +30,25 @@ from ..taxonomy import LabelSpace
 from .config import LoopConfig
 from .memory import Memory
 from .result import LoopResult
+from .stretches import starts
 from .tracker import Tracker
 
 COLUMNS = (-4, 0, 4)
 """Anchors of a frame, see `recognition.sweep`."""
+
+REPLAYED = 100
+"""Frames that a loaded detector goes through again, to know where it is: twice what it excludes."""
 
 
 class LoopDetector:
     """Decides for each frame of a stream whether its place was seen before.
 
     A frame is described from several anchors and compared with all earlier frames, each without the
-    mean of its own sequence. A Bayes filter (`loops.tracker`) follows the stream; its states are
-    the earlier frames, the same frames run backwards, which only chance makes probable, and "a new
-    place". Excluded frames are states too, except for the last `tracker.RECENT`: where one of them
-    is more probable than the old frames, no loop is closed.
+    mean of its own stretch: a sequence, or what is between gaps of it (`loops.stretches`). A Bayes
+    filter (`loops.tracker`) follows the stream; its states are the earlier frames, the same frames
+    run backwards, which only chance makes probable, and "a new place". Excluded frames are states
+    too, except for the last `tracker.RECENT`: where one of them is more probable than the old
+    frames, no loop is closed.
 
     One thread updates; another may `save` at the same time.
 
@@ -166,7 +171,8 @@ class LoopDetector:
                 descriptor; with a network, see `from_pretrained`, an ``(H, W, 3)`` uint8 picture in
                 RGB.
             frame_id: ``<sequence>/<name>``; the filter starts anew with each sequence.
-            stamp: seconds, not less than those of earlier frames of the sequence.
+            stamp: seconds, not less than those of earlier frames of the sequence; after ten minutes
+                without a frame, another view is as of another sequence.
             pose: x and y in metres, and heading in radians if it is known.
             picture: ``(H, W, 3)`` uint8 in RGB, for the channels that describe pictures.
             features: from `Segmenter.segment`, if they are a channel.
@@ -239,12 +245,13 @@ class LoopDetector:
                 raise ValueError(
                     f"frame {record.frame!r}: expected a stamp from {last} on, got {record.stamp}"
                 )
-            if record.sequence != self._sequence:
-                self._start_sequence(record.sequence)
-                self._tracker.start_sequence()
-            result = self._tracker.step(record.frame, swept)
             centres = {name: anchors[len(anchors) // 2] for name, anchors in swept.items()}
-            self._memory.append(record.frame, (record.x, record.y, record.heading), centres)
+            other = record.sequence != self._sequence
+            if other or self._memory.breaks(record.stamp, centres):
+                self._memory.start_stretch()
+                self._tracker.start_stretch()
+            result = self._tracker.step(record.frame, swept)
+            self._memory.append(record, centres)
             self._unsaved.append(record._replace(arrival=self._arrivals))
             self._arrivals += 1
             self._sequence = record.sequence
@@ -289,9 +296,9 @@ class LoopDetector:
 
         Frames that a detector saved are in the order in which they came. Frames that were encoded
         from files come before them, in whichever order workers stored them: sequences in the order
-        in which they were added, the frames of each in the order of their names. The next frame
-        starts a sequence for the filter, and the weights of fused methods are found anew: they
-        come from the scores of frames from all anchors, which a database does not store.
+        in which they were added, the frames of each in the order of their names. The last
+        `REPLAYED` frames are gone through again, from the usual anchor, which alone a database
+        stores: the stream goes on where it was, with weights of fused methods by these frames.
 
         Args:
             database: of raw descriptors.
@@ -314,20 +321,40 @@ class LoopDetector:
             key=lambda row: (arrivals[frames.frames[row]], added[frames.sequences[row]]),
         )
         detector._arrivals = max(arrivals.values(), default=-1) + 1
-        for sequence, part in groupby(order, lambda row: frames.sequences[row]):
-            rows = [*part]
-            detector._start_sequence(sequence)
+        runs = [[*part] for _, part in groupby(order, lambda row: frames.sequences[row])]
+        for rows in runs:
+            records = []
             for row in rows:
-                detector._memory.place(frames.frames[row], frames.poses[row].tolist())
-                if not np.isnan(frames.stamps[row]):
-                    detector._stamps[sequence] = float(frames.stamps[row])
-            for name, live in detector._memory.lives.items():
-                live.extend(frames.channels[name][rows])
-        detector._tracker.extend(len(detector) - 1)  # as before the last frame came
+                x, y, heading = frames.poses[row].tolist()
+                sequence, name = split_id(frames.frames[row])
+                stamp = float(frames.stamps[row])
+                records.append(FrameRecord(sequence, name, x, y, heading, stamp))
+            described = {name: each[rows] for name, each in frames.channels.items()}
+            detector._remember(records, described, REPLAYED if rows is runs[-1] else 0)
         return detector
 
-    def _start_sequence(self, sequence: str) -> None:
-        """The next frame is of this sequence; the last one may be too, if it was loaded."""
-        if self._memory.sequence != sequence:
-            for live in self._memory.lives.values():
-                live.start_sequence()
+    def _remember(
+        self, records: Sequence[FrameRecord], described: Mapping[str, Tensor], replayed: int
+    ) -> None:
+        """Takes the frames of a sequence, the last ones as if they came now, by their descriptors
+        ``(N, *shape)`` in each channel."""
+        stamps = np.array([record.stamp for record in records])
+        for first, last in pairwise(
+            [*starts(stamps, [each.numpy() for each in described.values()]), len(records)]
+        ):
+            self._memory.start_stretch()
+            now = max(first, last - replayed)
+            for record in records[first:now]:
+                self._memory.place(record)
+            for name, live in self._memory.lives.items():
+                live.extend(described[name][first:now])
+            self._tracker.start_stretch()
+            for row in range(now, last):
+                record, one = records[row], {name: each[row] for name, each in described.items()}
+                swept = self._memory.checked(one, record.frame)
+                self._tracker.step(record.frame, swept)
+                self._memory.append(record, {name: each[0] for name, each in swept.items()})
+        self._sequence = records[-1].sequence
+        known = stamps[~np.isnan(stamps)]
+        if len(known):
+            self._stamps[self._sequence] = float(known.max())

@@ -11,7 +11,8 @@ from torch import Tensor
 
 from ..channels.channel import Channel, Live
 from ..channels.live_vectors import GrowingArray
-from ..datasets.names import sequence_of
+from ..database.frames import FrameRecord
+from .stretches import RECENT, is_elsewhere, is_gap
 
 Described = dict[str, npt.NDArray[Any]]
 """The descriptors of a frame by the names of the channels."""
@@ -24,6 +25,8 @@ class Memory:
         lives: the descriptors by the names of the channels.
         frames: ids.
         rows: the row of each id.
+        start: the row of the first frame of the present stretch, see `loops.stretches`.
+        stretches: of each frame, the id of the first frame of its stretch.
     """
 
     def __init__(self, channels: Sequence[Channel]) -> None:
@@ -31,7 +34,9 @@ class Memory:
         self.trust = {each.column.name: each.trust for each in channels}
         self.frames: list[str] = []
         self.rows: dict[str, int] = {}
-        self._poses = GrowingArray(np.float64, 3)
+        self.stretches: list[str] = []
+        self.start = 0
+        self._poses, self._stamps = GrowingArray(np.float64, 3), GrowingArray(np.float64)
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -40,11 +45,6 @@ class Memory:
     def first(self) -> Live:
         """The descriptors of the first channel; a frame is empty if its one is zero."""
         return next(iter(self.lives.values()))
-
-    @property
-    def sequence(self) -> str | None:
-        """The sequence of the last frame."""
-        return sequence_of(self.frames[-1]) if self.frames else None
 
     @property
     def poses(self) -> npt.NDArray[np.float64]:
@@ -62,14 +62,33 @@ class Memory:
             raise ValueError(f"frame {frame!r}: expected descriptors by {names}, got {got}")
         return {name: live.checked(given[name], frame) for name, live in self.lives.items()}
 
-    def place(self, frame: str, pose: Sequence[float]) -> None:
-        """Appends the id and the pose of a frame, whose descriptors are added to each channel."""
-        self.rows[frame] = len(self.frames)
-        self.frames.append(frame)
-        self._poses.append(pose)
+    def start_stretch(self) -> None:
+        """The next frame starts another stretch."""
+        self.start = len(self)
+        for live in self.lives.values():
+            live.start_sequence()
 
-    def append(self, frame: str, pose: Sequence[float], descriptors: Described) -> None:
+    def breaks(self, stamp: float, descriptors: Described) -> bool:
+        """Whether the next frame of the sequence, by its descriptors from the usual anchor, starts
+        another stretch."""
+        first = max(self.start, len(self) - RECENT)
+        if not is_gap(self._stamps.values[first:], stamp):
+            return False
+        return is_elsewhere(
+            np.concatenate((live.descriptors(first, len(self)), descriptors[name][None]))
+            for name, live in self.lives.items()
+        )
+
+    def place(self, record: FrameRecord) -> None:
+        """Appends what is known of a frame, whose descriptors are added to each channel."""
+        self.rows[record.frame] = len(self.frames)
+        self.frames.append(record.frame)
+        self.stretches.append(self.frames[self.start])
+        self._poses.append((record.x, record.y, record.heading))
+        self._stamps.append(record.stamp)
+
+    def append(self, record: FrameRecord, descriptors: Described) -> None:
         """Appends a frame with its descriptors from the usual anchor."""
-        self.place(frame, pose)
+        self.place(record)
         for name, live in self.lives.items():
             live.add(descriptors[name])

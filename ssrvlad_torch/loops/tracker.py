@@ -8,7 +8,6 @@ import torch
 from torch import Tensor
 
 from ..channels.live_vectors import GrowingArray
-from ..datasets.names import sequence_of
 from ..recognition.filter import Filter
 from ..recognition.fusion import fused, weights_of, z_lead
 from ..recognition.motion import MIN_SPREAD, Motion, likelihoods, moments, nearness
@@ -21,7 +20,7 @@ MOTION = Motion(change=0.01, jump=0.01, unmapped=0.3, weight=0.25, level=0.5)
 """How a stream moves along its own frames, and those frames run backwards."""
 
 EVIDENCE, LEVEL_FRACTION = 3.0, 0.9
-"""For frames of the same sequence, which share light and network: the level is a fraction of the
+"""For frames of the same stretch, which share light and network: the level is a fraction of the
 z-score that three quarters of the last `NEIGHBOURS` frames have with their previous frame, and at
 least the highest that so many frames have by chance; twice the level counts so much. These and the
 settings of `loops.repeats` were chosen on synthetic cities of which docs/loops.md measures none."""
@@ -49,24 +48,23 @@ class Tracker:
         self._config, self._memory = config, memory
         self._leads = dict.fromkeys(memory.lives, 0.0)
         self._filter = Filter(motion=MOTION)
-        self.start_sequence()
+        self.start_stretch()
 
     @property
     def weights(self) -> dict[str, float]:
         """The present weights of the channels by their names, see `fusion.weights_of`."""
         return weights_of(self._leads, self._memory.trust)
 
-    def start_sequence(self) -> None:
-        """Forgets the place: the next frame starts another sequence."""
+    def start_stretch(self) -> None:
+        """Forgets the place: the next frame starts another stretch."""
         self._filter.restart()
-        self._start, self._neighbours = len(self._memory), GrowingArray(np.float64)
+        self._start, self._neighbours = self._memory.start, GrowingArray(np.float64)
         self._repeats = Repeats(self._config.exclude)
 
     def extend(self, frames: int) -> None:
         """Makes states of the first frames of the memory, but not of the most recent of them."""
         last = max(0, frames - min(RECENT, self._config.exclude))
-        fresh = self._memory.frames[len(self._filter) : last]
-        self._filter.extend([sequence_of(each) for each in fresh])
+        self._filter.extend(self._memory.stretches[len(self._filter) : last])
 
     def step(self, frame: str, swept: Described) -> LoopResult:
         """The result of the next frame, by its descriptors from S anchors, the usual one in the
@@ -124,7 +122,7 @@ class Tracker:
         return fused(scores, [*self.weights.values()], old or None)
 
     def _likelihood(self, scores: Tensor, spread: tuple[float, float]) -> Tensor:
-        """``(N,)``, see `motion.likelihoods`. The level of frames of the same sequence is the
+        """``(N,)``, see `motion.likelihoods`. The level of frames of the same stretch is the
         higher, the more alike neighbouring frames are and the more their street repeats."""
         mean, deviation = spread
         earlier, own = scores[: self._start], scores[self._start :]
@@ -157,10 +155,9 @@ class Tracker:
 
     def _ahead(self, candidate: int, near: slice, rows: Tensor) -> float | None:
         """`LoopResult.ahead`, by the probabilities of the rows."""
-        frames = self._memory.frames
-        sequence = sequence_of(frames[candidate])
+        stretches = self._memory.stretches
         around = range(near.start, near.stop)
-        same = [row for row in around if sequence_of(frames[row]) == sequence]
+        same = [row for row in around if stretches[row] == stretches[candidate]]
         places = self._memory.poses[same, :2]
         if np.isnan(places).any():
             return None
