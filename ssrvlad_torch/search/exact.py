@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from torch import Tensor
 
-from ..channels.channel import Channel, channels_of
+from ..channels.channel import Channel, View, channels_of
 from ..database.database import Database
 from ..database.frames import FrameSet
 from ..datasets.names import KnownFolders, check_sequences, name_of, split_id
@@ -23,7 +23,10 @@ from ..recognition.recognise import Recognised, Steps, recognise
 from ..recognition.sweep import COLUMNS
 from ..recognition.temporal import temporal_sum
 from ..taxonomy import label_space
-from .answers import Answers
+from .answers import Answer, Answers
+from .near import Near
+
+_ALONE = Steps(follow=None)
 
 
 def search(
@@ -35,6 +38,7 @@ def search(
     channels: Sequence[str] | None = None,
     sequences: Sequence[str] | None = None,
     exclude: int | None = None,
+    near: Near | None = None,
     progress: Progress = do_nothing,
 ) -> Answers:
     """The ``top`` candidates of every frame of a source in a database.
@@ -48,6 +52,7 @@ def search(
         channels: names of those that are used; by default all of the database.
         sequences: of the candidates; by default all.
         exclude: frames around the query in its own sequence that are no candidates.
+        near: where the poses of candidates are; by default anywhere.
         progress: called with 1 for every frame.
 
     Raises:
@@ -70,8 +75,13 @@ def search(
     columns = COLUMNS if steps.sweep else ()
     queries, skipped, folders = queries_of(database, source, used, columns, progress)
     where = select(references, sequences)
+    if near:
+        poses = np.where(where[:, None], references.poses, np.nan)
+        where &= near.rows(poses, database.path)
     without = excluded_pairs(queries, references, where, exclude)
     recognised = recognise_in(references, queries, used, steps, top, without)
+    if near:
+        recognised.used["near"] = f"{near}: {where.sum()} frames"
     return Answers.of(queries, references, recognised, temporal, tuple(skipped), folders)
 
 
@@ -107,6 +117,25 @@ def recognise_in(
         for channel in channels
     }
     return recognise(members, queries.sequences, references.sequences, steps, top, excluded)
+
+
+def locate_view(
+    view: View,
+    references: FrameSet,
+    channels: Sequence[Channel],
+    top: int,
+    excluded: Tensor | None = None,
+) -> Answer:
+    """The answer to one picture alone; ``excluded`` ``(1, R)`` as for `recognise`."""
+    descriptors = {each.column.name: each.describe([view], COLUMNS) for each in channels}
+    unknown, empty = np.full((1, 3), np.nan), not bool(next(iter(descriptors.values())).any())
+    queries = FrameSet(
+        (view.frame,), (view.sequence,), descriptors, unknown, unknown[:, 0], np.array([empty])
+    )
+    top = min(top, len(references))
+    recognised = recognise_in(references, queries, channels, _ALONE, top, excluded)
+    [answer] = Answers.of(queries, references, recognised)
+    return answer
 
 
 def queries_of(
@@ -211,7 +240,7 @@ def excluded_pairs(
     queries: FrameSet, references: FrameSet, where: npt.NDArray[np.bool_], reach: int | None
 ) -> Tensor | None:
     """``(Q, R)`` bool, the references that are no candidates of a query: those not in ``where``
-    ``(R,)`` bool, from `select`, and its `neighbours` within a reach, if any; ``None`` if all
+    ``(R,)`` bool, and its `neighbours` within a reach, if any; ``None`` if all
     are."""
     import torch
 
