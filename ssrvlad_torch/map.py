@@ -36,7 +36,9 @@ from .evaluation.true_matches import TrueMatches, Viewpoints
 from .recognition.confidence import accept
 from .recognition.matching import checked_number
 from .recognition.recognise import AS_PAPER, Steps
+from .search.alone import LargeMap, opened_large
 from .search.answers import Answer, Answers
+from .search.coarse_index import grow, taken
 from .search.exact import chosen_channels, locate_view, search
 from .search.index_search import search_by_index
 from .search.near import Near
@@ -105,7 +107,7 @@ class Map:
         self._preset, self._channels, self._version = preset, channels, version
         self._opened = self.network if isinstance(self.network, Segmenter) else None
         self._database: Database | None = None
-        self._located: tuple[int, FrameSet, list[Channel]] | None = None
+        self._located: tuple[int, FrameSet | LargeMap, list[Channel]] | None = None
         if version is not None or Database.exists(self.path):
             self._database = Database.open(self.path, version)
 
@@ -196,6 +198,8 @@ class Map:
             self._note_void(source, head, note)
         summary = self._encoded(head, source, columns, options, engine)
         if self._database:
+            grow(self._database)
+        if self._database:
             self._note_other_spaces(head.label_space, note)
         return summary
 
@@ -282,10 +286,10 @@ class Map:
         given: Sequence[Picture] = pictures if several else [pictures]  # type: ignore[assignment,list-item]
         frames = [pixels_of(picture) for picture in given]
         references, channels = self._loaded()
-        excluded = None
+        frames_of_map = references if isinstance(references, FrameSet) else references.frames
+        where = np.ones(len(frames_of_map), bool)
         if circle:
-            inside = circle.rows(references.poses, self.path)
-            excluded = torch.from_numpy(~inside[None])
+            where = circle.rows(frames_of_map.poses, self.path)
         features = any("features" in channel.needs for channel in channels)
         said = self._segmenter().segment(frames, features=features)
         space = self._segmenter().label_space
@@ -293,7 +297,7 @@ class Map:
             View(f"picture/{number}", labels.labels, space, frame, labels.features)
             for number, (frame, labels) in enumerate(zip(frames, said, strict=True))
         ]
-        answers = [locate_view(view, references, channels, top, excluded) for view in views]
+        answers = [locate_view(view, references, channels, top, where) for view in views]
         return answers if several else answers[0]
 
     def evaluate(
@@ -419,14 +423,15 @@ class Map:
             self._opened = Segmenter.load(name, labels_as or "auto")
         return self._opened
 
-    def _loaded(self) -> tuple[FrameSet, list[Channel]]:
+    def _loaded(self) -> tuple[FrameSet | LargeMap, list[Channel]]:
         """The frames and the channels, loaded anew after a change; the network must fit them."""
         version = self.database.version
         if self._located is None or self._located[0] != version:
-            frames = self.database.load()
-            if not frames.frames:
+            if not len(self.database):
                 raise ValueError(f"{self.path} holds no frames yet")
             segmenter, channels = self._segmenter(), chosen_channels(self.database)
+            large = opened_large(self.database, channels)
+            frames = self.database.load() if isinstance(large, str) else large
             require_network(self.database, segmenter)
             config = dataclasses.replace(self.database.config, labels_as=segmenter.label_space)
             check_segmenter(segmenter, SSRVLAD(config), channels)
@@ -439,11 +444,15 @@ class Map:
         references, recognised = answers.references, answers.recognised
         config, skipped = self.database.config, answers.skipped
         [channel] = chosen_channels(self.database, [next(iter(queries.channels))])
-        stored = references.channels[channel.column.name]
 
         def cosines(rows: Rows, columns: Rows) -> npt.NDArray[np.float32]:
             places = [references.sequences[row] for row in columns]
-            known = channel.references(stored[columns], places)
+            if references.channels:
+                stored = references.channels[channel.column.name][columns]
+            else:
+                order = self.database.placed()[1][columns]
+                stored = taken(self.database, order, [channel.column])[channel.column.name]
+            known = channel.references(stored, places)
             compared = known.compare(queries.descriptors[rows], False, False, None)
             scores = [compared.scores[query] for query in range(len(rows))]
             found: npt.NDArray[np.float32] = torch.stack(scores).numpy()

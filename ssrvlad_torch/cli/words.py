@@ -91,7 +91,8 @@ def steps_in_words(
     if not widths:
         return "no query could be described"
     columns = "/".join(map(str, dict.fromkeys(widths)))
-    words = [f"candidates {near}"] if near else []
+    words = [used["index"]] if used.get("index") else []
+    words += [f"candidates {near}"] if near else []
     words += [
         by_sequence({k: "standardised" if v else "not standardised" for k, v in standard.items()}),
         f"sweep +-{columns} columns" if any(widths) else "no sweep",
