@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import errno
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,7 +12,6 @@ from typing import Any, Literal, NamedTuple, overload
 import numpy as np
 import numpy.typing as npt
 import torch
-from PIL.Image import Image
 
 from .channels import LABEL_SHAPES
 from .channels.channel import Channel, View
@@ -22,8 +20,7 @@ from .config import SSRVLADConfig
 from .database.database import Database
 from .database.engine import discard_empty
 from .database.frames import FrameSet
-from .datasets.frame_file import FrameFile
-from .datasets.image_files import Pixels, read_image
+from .datasets.image_files import Picture, pixels_of
 from .datasets.label_files import read_label_map
 from .descriptor import SSRVLAD
 from .encoding.encoder import channels_to_store, check_segmenter, encode_to_database
@@ -39,10 +36,12 @@ from .evaluation.true_matches import TrueMatches, Viewpoints
 from .recognition.confidence import accept
 from .recognition.matching import checked_number
 from .recognition.recognise import AS_PAPER, Steps
-from .recognition.sweep import COLUMNS
+from .search.alone import LargeMap, opened_large
 from .search.answers import Answer, Answers
-from .search.exact import chosen_channels, recognise_in, search
+from .search.coarse_index import grow, taken
+from .search.exact import chosen_channels, locate_view, search
 from .search.index_search import search_by_index
+from .search.near import Near
 from .search.pictures import pictures_of_queries, pictures_of_references
 from .segmentation.segmenter import Segmenter
 from .taxonomy import VOID, LabelSpace
@@ -50,12 +49,11 @@ from .taxonomy import VOID, LabelSpace
 Frames = str | os.PathLike[str] | Sequence[str | os.PathLike[str]] | Wanted
 """Folders, globs or files, each folder a sequence; or `Wanted`, with all that can be said."""
 
-Picture = str | os.PathLike[str] | Pixels | Image
-"""An image file, ``(H, W, 3)`` uint8 in RGB, or an image of Pillow."""
+Circle = str | Sequence[float]
+"""A place that is roughly known: x, y and a radius in metres, or the text ``X,Y,METRES``."""
 
 Engine = Literal["local", "ray"]
 
-_ALONE = Steps(follow=None)
 _MUCH_VOID = 0.5
 
 
@@ -109,7 +107,7 @@ class Map:
         self._preset, self._channels, self._version = preset, channels, version
         self._opened = self.network if isinstance(self.network, Segmenter) else None
         self._database: Database | None = None
-        self._located: tuple[int, FrameSet, list[Channel]] | None = None
+        self._located: tuple[int, FrameSet | LargeMap, list[Channel]] | None = None
         if version is not None or Database.exists(self.path):
             self._database = Database.open(self.path, version)
 
@@ -200,6 +198,8 @@ class Map:
             self._note_void(source, head, note)
         summary = self._encoded(head, source, columns, options, engine)
         if self._database:
+            grow(self._database)
+        if self._database:
             self._note_other_spaces(head.label_space, note)
         return summary
 
@@ -213,6 +213,7 @@ class Map:
         channels: Sequence[str] | None = None,
         sequences: Sequence[str] | None = None,
         exclude: int | None = None,
+        near: Circle | None = None,
         min_confidence: float = 0.0,
         max_wrong: float | None = None,
         index: bool = False,
@@ -226,36 +227,50 @@ class Map:
             steps: between descriptors and a decision; by default all.
             top: number of candidates of each frame.
             temporal, channels, sequences, exclude, progress: see `search.exact.search`.
+            near: only frames whose pose is in this circle are candidates.
             min_confidence, max_wrong: which answers are accepted, see `Answers.accepted`.
             index: search by the index on disk, see ``ssrvlad db index``.
 
         Raises:
-            ValueError: there are no frames, or they do not fit the map.
+            ValueError: there are no frames, they do not fit the map, or the map has no poses in the
+                circle.
         """
+        circle = None if near is None else Near.of(near)
         source, steps = self._source(frames), steps or Steps()
         if not isinstance(steps, Steps):
             raise ValueError(f"expected steps as Steps, got {steps!r}")
         most = max(TOP, len(self))
         top = most if isinstance(top, int) and top > most else checked_number("top", top, least=1)
+        if index and circle:
+            raise ValueError("near does not go with the index")
         if index:
             found = search_by_index(self.database, source, steps, top, sequences, exclude, progress)
         else:
             found = search(
-                self.database, source, steps, top, temporal, channels, sequences, exclude, progress
-            )
+                self.database, source, steps, top, temporal, channels, sequences, exclude, circle,
+                progress,
+            )  # fmt: skip
         return found.accepted(min_confidence, max_wrong)
 
     @overload
-    def locate(self, pictures: Picture, top: int = 5) -> Answer: ...  # type: ignore[overload-overlap]
+    def locate(  # type: ignore[overload-overlap]
+        self, pictures: Picture, top: int = 5, near: Circle | None = None
+    ) -> Answer: ...
     @overload
-    def locate(self, pictures: Sequence[Picture], top: int = 5) -> list[Answer]: ...
-    def locate(self, pictures: Picture | Sequence[Picture], top: int = 5) -> Answer | list[Answer]:
+    def locate(
+        self, pictures: Sequence[Picture], top: int = 5, near: Circle | None = None
+    ) -> list[Answer]: ...
+    def locate(
+        self, pictures: Picture | Sequence[Picture], top: int = 5, near: Circle | None = None
+    ) -> Answer | list[Answer]:
         """The places of pictures, each judged alone, in memory; of a drive, use `query`.
 
         Args:
             pictures: one picture or a sequence of them: ``(H, W, 3)`` uint8 in RGB, images of
                 Pillow, or image files.
             top: number of candidates of each.
+            near: only frames whose pose is in this circle are candidates, as a prior of GPS or
+                odometry says, such as ``(12.5, -3, 50)``.
 
         Returns:
             An `Answer`, or a list of them for a sequence. Its candidates are given at any
@@ -263,12 +278,18 @@ class Map:
 
         Raises:
             FileNotFoundError: a file does not exist.
-            ValueError: something is no picture, the network fails, or the map has no frames.
+            ValueError: something is no picture, the network fails, or the map has no frames, or
+                none in the circle.
         """
+        circle = None if near is None else Near.of(near)
         several = isinstance(pictures, Sequence) and not isinstance(pictures, str)
         given: Sequence[Picture] = pictures if several else [pictures]  # type: ignore[assignment,list-item]
-        frames = [_pixels(picture) for picture in given]
+        frames = [pixels_of(picture) for picture in given]
         references, channels = self._loaded()
+        frames_of_map = references if isinstance(references, FrameSet) else references.frames
+        where = np.ones(len(frames_of_map), bool)
+        if circle:
+            where = circle.rows(frames_of_map.poses, self.path)
         features = any("features" in channel.needs for channel in channels)
         said = self._segmenter().segment(frames, features=features)
         space = self._segmenter().label_space
@@ -276,7 +297,7 @@ class Map:
             View(f"picture/{number}", labels.labels, space, frame, labels.features)
             for number, (frame, labels) in enumerate(zip(frames, said, strict=True))
         ]
-        answers = [self._located_view(view, references, channels, top) for view in views]
+        answers = [locate_view(view, references, channels, top, where) for view in views]
         return answers if several else answers[0]
 
     def evaluate(
@@ -312,6 +333,10 @@ class Map:
             ground_truth, tolerance_metres, tolerance_degrees, tolerance_frames, source.truth
         )
         pairs = needs_similarity(convention)
+        if pairs and settings.get("near") is not None:
+            raise ValueError(
+                f"near: expected no convention that measures all pairs, got {convention}"
+            )
         if pairs:
             steps, settings["channels"] = AS_PAPER, [LABEL_SHAPES]
         answers = self.query(source, steps, TOP, **settings)
@@ -398,34 +423,20 @@ class Map:
             self._opened = Segmenter.load(name, labels_as or "auto")
         return self._opened
 
-    def _loaded(self) -> tuple[FrameSet, list[Channel]]:
+    def _loaded(self) -> tuple[FrameSet | LargeMap, list[Channel]]:
         """The frames and the channels, loaded anew after a change; the network must fit them."""
         version = self.database.version
         if self._located is None or self._located[0] != version:
-            frames = self.database.load()
-            if not frames.frames:
+            if not len(self.database):
                 raise ValueError(f"{self.path} holds no frames yet")
             segmenter, channels = self._segmenter(), chosen_channels(self.database)
+            large = opened_large(self.database, channels)
+            frames = self.database.load() if isinstance(large, str) else large
             require_network(self.database, segmenter)
             config = dataclasses.replace(self.database.config, labels_as=segmenter.label_space)
             check_segmenter(segmenter, SSRVLAD(config), channels)
             self._located = version, frames, channels
         return self._located[1:]
-
-    def _located_view(
-        self, view: View, references: FrameSet, channels: Sequence[Channel], top: int
-    ) -> Answer:
-        """The answer to one picture."""
-        descriptors = {each.column.name: each.describe([view], COLUMNS) for each in channels}
-        unknown = np.full((1, 3), np.nan)
-        empty = np.array([not bool(next(iter(descriptors.values())).any())])
-        queries = FrameSet(
-            (view.frame,), (view.sequence,), descriptors, unknown, unknown[:, 0], empty
-        )
-        top = min(top, len(references))
-        recognised = recognise_in(references, queries, channels, _ALONE, top)
-        [answer] = Answers.of(queries, references, recognised)
-        return answer
 
     def _recognition(self, answers: Answers, source: Source, pairs: bool) -> Recognition:
         """The candidates of every query, for the metrics and the report."""
@@ -433,11 +444,15 @@ class Map:
         references, recognised = answers.references, answers.recognised
         config, skipped = self.database.config, answers.skipped
         [channel] = chosen_channels(self.database, [next(iter(queries.channels))])
-        stored = references.channels[channel.column.name]
 
         def cosines(rows: Rows, columns: Rows) -> npt.NDArray[np.float32]:
             places = [references.sequences[row] for row in columns]
-            known = channel.references(stored[columns], places)
+            if references.channels:
+                stored = references.channels[channel.column.name][columns]
+            else:
+                order = self.database.placed()[1][columns]
+                stored = taken(self.database, order, [channel.column])[channel.column.name]
+            known = channel.references(stored, places)
             compared = known.compare(queries.descriptors[rows], False, False, None)
             scores = [compared.scores[query] for query in range(len(rows))]
             pairs: npt.NDArray[np.float32] = torch.stack(scores).numpy()
@@ -469,23 +484,3 @@ class Map:
                 "score_is": recognised.score_is(),
             },
         )
-
-
-def _pixels(picture: Picture) -> Pixels:
-    """A picture in memory, from an array, an image of Pillow, or a file."""
-    if isinstance(picture, str | os.PathLike):
-        path = Path(picture)
-        if not path.exists():
-            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
-        try:
-            return read_image(FrameFile("", "", path))
-        except ValueError as error:
-            raise ValueError(f"{path}: {error}") from error
-    if isinstance(picture, Image):
-        return np.asarray(picture.convert("RGB"))
-    if not isinstance(picture, np.ndarray):
-        raise ValueError(
-            "expected a picture as an (H, W, 3) uint8 array, an image of Pillow or the path of a "
-            f"file, got {type(picture).__name__}"
-        )
-    return picture

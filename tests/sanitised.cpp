@@ -41,5 +41,24 @@ int main() {
       ssrvlad_free(head);
     }
   }
+  for (const int64_t rows : {1, 63, 130}) {
+    const int64_t columns = 5, words = 3, length = 7, blocks = (rows + 63) / 64;
+    std::vector<uint64_t> signs(rows * columns * words), query(2 * columns * words);
+    for (auto &word : signs) word = random();
+    for (auto &word : query) word = random();
+    std::vector<int8_t> codes(blocks * length * SSRVLAD_LANES);
+    for (auto &code : codes) code = static_cast<int8_t>(random());
+    std::vector<float> weights(2 * 3 * length, 0.5f), offsets(6), scores(2 * blocks * SSRVLAD_LANES);
+    for (const int64_t reach : {0, 2, 4})
+      if (ssrvlad_scan_signs(query.data(), 2, signs.data(), rows, columns, words, 190, reach, 2,
+                             scores.data()))
+        return 4;
+    if (ssrvlad_scan_signs(query.data(), 2, signs.data(), rows, columns, words, 190, 5, 2,
+                           scores.data()) != SSRVLAD_WRONG_ARGUMENT)
+      return 5;
+    if (ssrvlad_scan_vectors(weights.data(), offsets.data(), 2, 3, codes.data(), blocks, length, 2,
+                             scores.data()))
+      return 6;
+  }
   std::puts("clean");
 }

@@ -66,6 +66,9 @@ def test_a_picture_finds_its_place(town, photos):
     assert all(map(math.isnan, answers[0].candidates[0].pose))
     assert max(each.candidates[0].score for each in answers) <= 1
     assert answers[3].candidates[0] == answer.candidates[0]
+    near = town.locate(several, near=(3, -3, 2))
+    found = {candidate.frame for each in near for candidate in each.candidates}
+    assert found == {"monday/2", "monday/3", "monday/4"}
     assert town.locate([]) == []
     town.database.remove(["monday/7"])
     assert town.locate(photos / "7.png").candidates[0].frame != "monday/7"

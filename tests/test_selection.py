@@ -12,7 +12,7 @@ from ssrvlad_torch.database.frames import FrameSet
 from ssrvlad_torch.datasets.names import sequence_of, split_id
 from ssrvlad_torch.files import natural_key
 from ssrvlad_torch.recognition.matching import match
-from ssrvlad_torch.search.exact import excluded_pairs, neighbours, select
+from ssrvlad_torch.search.selection import excluded_pairs, neighbours, select
 
 
 def frame_set(*frames):

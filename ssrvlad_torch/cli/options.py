@@ -236,6 +236,10 @@ class RecognitionOptions(StepOptions):
         "Use only this channel of the database: ssr-vlad (label maps), features or hog, see "
         "ssrvlad encode; can be repeated. Default: all that it has."
     )
+    near: str | None = option(
+        "Use only candidates whose pose is at most METRES from X, Y, in metres of the map.",
+        metavar="X,Y,METRES",
+    )
     min_confidence: float = option(
         "Print no candidate of a query with a lower confidence, the probability that its first "
         "candidate is right.",
@@ -253,6 +257,10 @@ class RecognitionOptions(StepOptions):
     def check(self, typed: Collection[str]) -> None:
         """Refuses options that contradict each other by a ValueError that names them; ``typed`` are
         the names of the options on the command line."""
+        if self.near is not None:
+            from ..search.near import Near
+
+            Near.of(self.near)
         if "max_wrong" in typed and "min_confidence" in typed:
             raise ValueError("--max-wrong chooses the least confidence; leave out --min-confidence")
         paper = {"standardise": False, "sweep": False, "follow": "no", "delay": 0}
@@ -273,6 +281,7 @@ class RecognitionOptions(StepOptions):
         return {
             "temporal": self.temporal or (PAPER_REACH if paper else 0),
             "channels": [LABEL_SHAPES] if paper else self.channel,
+            "near": self.near,
             "min_confidence": self.min_confidence,
             "max_wrong": self.max_wrong,
         }

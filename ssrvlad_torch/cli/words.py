@@ -87,11 +87,13 @@ def steps_in_words(
 ) -> str:
     """The steps between descriptors and a decision, in a line; those of Eq. 3, and how many answers
     are accepted, only if given."""
-    widths, standard = used["sweep"].values(), used["standardise"]
+    widths, standard, near = used["sweep"].values(), used["standardise"], used.get("near")
     if not widths:
         return "no query could be described"
     columns = "/".join(map(str, dict.fromkeys(widths)))
-    words = [
+    words = [used["index"]] if used.get("index") else []
+    words += [f"candidates {near}"] if near else []
+    words += [
         by_sequence({k: "standardised" if v else "not standardised" for k, v in standard.items()}),
         f"sweep +-{columns} columns" if any(widths) else "no sweep",
         f"followed: {by_sequence(used['follow'])}",

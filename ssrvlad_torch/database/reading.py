@@ -151,7 +151,7 @@ def order_of(table: pa.Table) -> npt.NDArray[np.int64]:
     rank = {sequence: n for n, sequence in enumerate(sorted(sequences, key=natural_key))}
     ranks = np.array([rank[sequence] for sequence in sequences], np.int64)[codes]
     names = pc.replace_substring_regex(table["frame"], "(?s)^.*/", "")
-    if len(pc.unique(pc.replace_substring_regex(names, "[0-9]", "0"))) == 1:
+    if _differ_in_digits(names):
         by_name = np.asarray(pc.sort_indices(names)).astype(np.int64)  # by character, faster
     else:
         keys = [natural_key(name) for name in names.to_pylist()]
@@ -159,13 +159,25 @@ def order_of(table: pa.Table) -> npt.NDArray[np.int64]:
     return by_name[np.argsort(ranks[by_name], kind="stable")]
 
 
+def _differ_in_digits(names: pa.ChunkedArray) -> bool:
+    """Whether texts are equal but for digits, which stand at the same places."""
+    if len(pc.unique(pc.binary_length(names))) != 1:
+        return False
+    content = np.frombuffer("".join(names.to_pylist()).encode(), np.uint8)
+    letters = content.reshape(len(names), -1).copy()
+    letters[(letters >= ord("0")) & (letters <= ord("9"))] = ord("0")
+    return bool((letters == letters[0]).all())
+
+
 def frame_set(table: pa.Table, descriptors: Mapping[str, npt.NDArray[Any]]) -> FrameSet:
     """The frames of a table with `FRAME_SET_COLUMNS`, and their descriptors by column."""
     import torch
 
+    coded = pc.dictionary_encode(table["sequence"]).combine_chunks()
+    names = np.array([*coded.dictionary.to_pylist(), None], object)
     return FrameSet(
         frames=tuple(table["frame"].to_pylist()),
-        sequences=tuple(pc.dictionary_encode(table["sequence"]).to_pylist()),
+        sequences=tuple(names[coded.indices.to_numpy()].tolist()),
         channels={name: torch.from_numpy(values) for name, values in descriptors.items()},
         poses=np.stack([table[axis].to_numpy() for axis in POSE], axis=1),
         stamps=table["stamp"].to_numpy(),

@@ -1,6 +1,8 @@
 """Images on disk: finding them, and decoding them to 8-bit RGB."""
 
+import errno
 import io
+import os
 import shutil
 from collections.abc import Sequence
 from functools import partial
@@ -22,6 +24,9 @@ _HIGHEST_ID, _UNIFORM = 40, 0.8
 _EIGHT_BIT = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX", "CMYK", "YCbCr")
 
 Pixels = npt.NDArray[np.uint8]
+
+Picture = str | os.PathLike[str] | Pixels | Image.Image
+"""An image file, ``(H, W, 3)`` uint8 in RGB, or an image of Pillow."""
 
 find_image_files = partial(find_frames, FileKind("images", SUFFIXES, stack_rank=4))
 """The images of sources, also ROS bags; see `find_frames`. A ``.npy`` stack has rank 4."""
@@ -52,6 +57,27 @@ def decode_image(content: bytes) -> Pixels:
 def read_image(file: FrameFile) -> Pixels:
     """Pixels ``(H, W, 3)`` uint8 of an image on disk; errors as for `decode_image`."""
     return decode_image(file.read())
+
+
+def pixels_of(picture: Picture) -> Pixels:
+    """A picture in memory, from an array, an image of Pillow, or a file. A file that does not exist
+    is a FileNotFoundError, what is no picture a ValueError."""
+    if isinstance(picture, str | os.PathLike):
+        path = Path(picture)
+        if not path.exists():
+            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
+        try:
+            return read_image(FrameFile("", "", path))
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from error
+    if isinstance(picture, Image.Image):
+        return np.asarray(picture.convert("RGB"))
+    if not isinstance(picture, np.ndarray):
+        raise ValueError(
+            "expected a picture as an (H, W, 3) uint8 array, an image of Pillow or the path of a "
+            f"file, got {type(picture).__name__}"
+        )
+    return picture
 
 
 def write_pictures(folder: Path, files: Sequence[FrameFile]) -> None:

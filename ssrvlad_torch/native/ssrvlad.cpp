@@ -18,6 +18,7 @@
 #include <cstdint>
 #include <cstring>
 #include <list>
+#include <limits>
 #include <memory>
 #include <mutex>
 #include <new>
@@ -1239,15 +1240,85 @@ Word count_by_vector(const Word *query, const Word *mask, const Word *row, Size 
   return differing_bits(query, mask, row, words);
 }
 
-BitCounter bit_counter() {
+bool counts_by_vector() {
   __builtin_cpu_init();
-  if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512vpopcntdq"))
-    return count_by_vector;
+  return __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512vpopcntdq");
+}
+
+BitCounter bit_counter() {
+  if (counts_by_vector()) return count_by_vector;
   return __builtin_cpu_supports("popcnt") ? count_by_word : count_plain;
 }
 #else
 BitCounter bit_counter() { return count_plain; }
 #endif
+
+// Signs on a grid: a row is `columns` columns of `words` words, `bits` of a column count.
+struct SignGrid {
+  Size columns, words, bits, reach;
+};
+
+// The score of each row of signs by the best move of a query by whole columns.
+SSRVLAD_INLINE void best_moves(const Word *query, const Word *rows, Size count, const SignGrid &grid,
+                               float *scores) {
+  for (Size row = 0; row < count; ++row, rows += grid.columns * grid.words) {
+    float best = -1;
+    for (Size move = -grid.reach; move <= grid.reach; ++move) {
+      const Size left = std::max<Size>(0, -move), right = std::max<Size>(0, move);
+      const Size kept = grid.columns - left - right;
+      Word bits = 0;
+      const Word *own = query + left * grid.words, *other = rows + right * grid.words;
+      for (Size i = 0; i < kept * grid.words; ++i)
+        bits += static_cast<Word>(ones(own[i] ^ other[i]));
+      best = std::max(best, 1 - 2 * static_cast<float>(bits) / static_cast<float>(kept * grid.bits));
+    }
+    scores[row] = best;
+  }
+}
+
+using SignScan = void (*)(const Word *, const Word *, Size, const SignGrid &, float *);
+
+void scan_plain(const Word *query, const Word *rows, Size count, const SignGrid &grid, float *scores) {
+  best_moves(query, rows, count, grid, scores);
+}
+
+#if defined(__x86_64__) && defined(__GNUC__)
+__attribute__((target("popcnt")))
+void scan_by_word(const Word *query, const Word *rows, Size count, const SignGrid &grid, float *scores) {
+  best_moves(query, rows, count, grid, scores);
+}
+
+__attribute__((target("avx512f,avx512vpopcntdq")))
+void scan_by_vector(const Word *query, const Word *rows, Size count, const SignGrid &grid,
+                    float *scores) {
+  best_moves(query, rows, count, grid, scores);
+}
+
+SignScan sign_scan() {
+  if (counts_by_vector()) return scan_by_vector;
+  return __builtin_cpu_supports("popcnt") ? scan_by_word : scan_plain;
+}
+#else
+SignScan sign_scan() { return scan_plain; }
+#endif
+
+constexpr Size LANES = SSRVLAD_LANES, SCANNED_ROWS = 1024;
+
+// The score of each of LANES rows by the best of several vectors of weights. Number n of `length` of
+// row r is numbers[n * LANES + r].
+SSRVLAD_CLONES void best_anchors(const float *weights, const float *offsets, Size anchors,
+                                 const float *numbers, Size length, float *scores) {
+  for (Size lane = 0; lane < LANES; ++lane) scores[lane] = -std::numeric_limits<float>::infinity();
+  for (Size anchor = 0; anchor < anchors; ++anchor) {
+    float sums[LANES];
+    for (Size lane = 0; lane < LANES; ++lane) sums[lane] = offsets[anchor];
+    for (Size n = 0; n < length; ++n) {
+      const float weight = weights[anchor * length + n], *number = numbers + n * LANES;
+      for (Size lane = 0; lane < LANES; ++lane) sums[lane] += weight * number[lane];
+    }
+    for (Size lane = 0; lane < LANES; ++lane) scores[lane] = std::max(scores[lane], sums[lane]);
+  }
+}
 
 }  // namespace
 
@@ -1620,6 +1691,45 @@ int ssrvlad_differing(const uint64_t *queries, const uint64_t *masks, int64_t co
         for (Size query = 0; query < count; ++query)
           differing[query * references + row] = static_cast<std::int32_t>(count_bits(
               queries + query * words, masks + query * words, rows + row * words, words));
+    }
+  });
+  return done ? SSRVLAD_OK : SSRVLAD_NO_MEMORY;
+}
+
+int ssrvlad_scan_signs(const uint64_t *queries, int64_t count, const uint64_t *rows,
+                       int64_t references, int64_t columns, int64_t words, int64_t bits,
+                       int64_t reach, int threads, float *scores) {
+  if (!queries || !rows || !scores || count < 0 || references < 0 || words < 1 || bits < 1 ||
+      reach < 0 || reach >= columns)
+    return SSRVLAD_WRONG_ARGUMENT;
+  const SignGrid grid{columns, words, bits, reach};
+  const SignScan scan = sign_scan();
+  const Size blocks = (references + SCANNED_ROWS - 1) / SCANNED_ROWS;
+  const bool done = in_parallel(blocks, threads, [&](std::atomic<Size> &next) {
+    for (Size block; (block = next++) < blocks;) {
+      const Size first = block * SCANNED_ROWS;
+      for (Size query = 0; query < count; ++query)
+        scan(queries + query * columns * words, rows + first * columns * words,
+             std::min(SCANNED_ROWS, references - first), grid, scores + query * references + first);
+    }
+  });
+  return done ? SSRVLAD_OK : SSRVLAD_NO_MEMORY;
+}
+
+int ssrvlad_scan_vectors(const float *weights, const float *offsets, int64_t count, int64_t anchors,
+                         const int8_t *codes, int64_t blocks, int64_t length, int threads,
+                         float *scores) {
+  if (!weights || !offsets || !codes || !scores || count < 0 || anchors < 1 || blocks < 0 ||
+      length < 1)
+    return SSRVLAD_WRONG_ARGUMENT;
+  const bool done = in_parallel(blocks, threads, [&](std::atomic<Size> &next) {
+    std::vector<float> numbers(static_cast<std::size_t>(length * LANES));
+    for (Size block; (block = next++) < blocks;) {
+      const std::int8_t *code = codes + block * length * LANES;
+      for (Size i = 0; i < length * LANES; ++i) numbers[static_cast<std::size_t>(i)] = code[i];
+      for (Size query = 0; query < count; ++query)
+        best_anchors(weights + query * anchors * length, offsets + query * anchors, anchors,
+                     numbers.data(), length, scores + (query * blocks + block) * LANES);
     }
   });
   return done ? SSRVLAD_OK : SSRVLAD_NO_MEMORY;

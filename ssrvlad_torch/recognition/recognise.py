@@ -13,6 +13,7 @@ from .candidates import Search
 from .comparison import Member
 from .confidence import TRACK, Confidence, answers_together
 from .courses import Course, course
+from .decoys import Lead
 from .display import candidates_table
 from .evidence import AllRows, Candidates, Evidence
 from .follow import Mode, Places, runs
@@ -192,6 +193,35 @@ def recognise_by_search(
     return _joined(decisions, len(reference_sequences), steps, top)
 
 
+def recognise_alone(
+    judged: Mapping[str, Sequence[tuple[Matches, Lead]]],
+    priors: Mapping[str, Prior],
+    widths: Mapping[str, int],
+    weights: dict[str, float],
+    references: int,
+    steps: Steps,
+    top: int,
+) -> Recognised:
+    """As `recognise`, for sequences of queries whose candidates and leads are known, by the prior
+    of their confidence and the width of their sweep; ``weights`` are of fused channels."""
+    follow = NO_SEQUENCE if steps.follow else "no"
+    decisions = {
+        name: replace(
+            _by_leads(each, priors[name]), sweep=widths[name], follow=follow, weights=weights
+        )
+        for name, each in judged.items()
+    }
+    return _joined(decisions, references, steps, top)
+
+
+def judged_alone(query_sequences: Sequence[str], steps: Steps) -> bool:
+    """Whether queries are surely judged alone and not standardised, whatever the map."""
+    lengths = [len(run) for run in runs(query_sequences)]
+    if steps.follow:
+        return all(length == 1 for length in lengths)
+    return not steps.standardise or all(length < MIN_FRAMES for length in lengths)
+
+
 @dataclass(frozen=True)
 class _Decision:
     """The candidates of one sequence of queries, and the steps that were taken."""
@@ -240,7 +270,10 @@ def _followed(
 
 def _alone(evidence: Evidence, top: int) -> _Decision:
     """Judges each query by itself."""
-    judged = [evidence.judge(query, top) for query in evidence.queries]
+    return _by_leads([evidence.judge(query, top) for query in evidence.queries], prior)
+
+
+def _by_leads(judged: Sequence[tuple[Matches, Lead]], prior: Prior) -> _Decision:
     matches = Matches(*map(torch.stack, zip(*(found for found, _ in judged), strict=True)))
     chances, rivals = (torch.tensor(each) for each in zip(*(c for _, c in judged), strict=True))
     chances = chances.double().masked_fill(matches.indices[:, 0] < 0, torch.nan)

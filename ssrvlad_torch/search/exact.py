@@ -1,29 +1,32 @@
 """Search: the candidates of the frames of a source, among all frames of a map in memory."""
 
 import dataclasses
-from bisect import bisect_left
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 from torch import Tensor
 
-from ..channels.channel import Channel, channels_of
+from ..channels.channel import Channel, View, channels_of
 from ..database.database import Database
 from ..database.frames import FrameSet
-from ..datasets.names import KnownFolders, check_sequences, name_of, split_id
+from ..datasets.names import KnownFolders, check_sequences, name_of
 from ..descriptor import SSRVLAD
 from ..encoding.encoder import check_segmenter, encode_to_memory
 from ..encoding.results import Progress, Skipped, do_nothing
 from ..encoding.source import Source
-from ..files import natural_key
 from ..recognition.comparison import Member
 from ..recognition.follow import runs
-from ..recognition.recognise import Recognised, Steps, recognise
+from ..recognition.recognise import Recognised, Steps, judged_alone, recognise
 from ..recognition.sweep import COLUMNS
 from ..recognition.temporal import temporal_sum
 from ..taxonomy import label_space
-from .answers import Answers
+from .alone import LargeMap, opened_large, recognise_in_large
+from .answers import Answer, Answers
+from .near import Near
+from .selection import excluded_pairs, select
+
+_ALONE = Steps(follow=None)
 
 
 def search(
@@ -35,6 +38,7 @@ def search(
     channels: Sequence[str] | None = None,
     sequences: Sequence[str] | None = None,
     exclude: int | None = None,
+    near: Near | None = None,
     progress: Progress = do_nothing,
 ) -> Answers:
     """The ``top`` candidates of every frame of a source in a database.
@@ -48,6 +52,7 @@ def search(
         channels: names of those that are used; by default all of the database.
         sequences: of the candidates; by default all.
         exclude: frames around the query in its own sequence that are no candidates.
+        near: where the poses of candidates are; by default anywhere.
         progress: called with 1 for every frame.
 
     Raises:
@@ -58,21 +63,37 @@ def search(
         raise ValueError(
             "features are signs, which have no temporal sum; expected --channel ssr-vlad"
         )
-    references = database.load()
-    if not references.frames:
+    if not len(database):
         raise ValueError(f"{database.path} holds no frames yet")
-    names = [channel.column.name for channel in used]
-    if temporal:
-        for name in names:
-            for run in runs(references.sequences):
-                rows = references.channels[name][run.start : run.stop]
-                temporal_sum(rows, references.sequences[run.start : run.stop], temporal, out=rows)
     columns = COLUMNS if steps.sweep else ()
     queries, skipped, folders = queries_of(database, source, used, columns, progress)
+    alone = not temporal and judged_alone(queries.sequences, steps)
+    large = opened_large(database, used) if alone else ""
+    references = database.load() if isinstance(large, str) else large.frames
     where = select(references, sequences)
-    without = excluded_pairs(queries, references, where, exclude)
-    recognised = recognise_in(references, queries, used, steps, top, without)
+    if near:
+        poses = np.where(where[:, None], references.poses, np.nan)
+        where &= near.rows(poses, database.path)
+    if isinstance(large, str):
+        _sum_over_time(references, used, temporal)
+        without = excluded_pairs(queries, references, where, exclude)
+        recognised = recognise_in(references, queries, used, steps, top, without)
+    else:
+        recognised = recognise_in_large(large, queries, steps, top, where, exclude)
+    if near:
+        recognised.used["near"] = f"{near}: {where.sum()} frames"
+    if large:
+        recognised.used["index"] = large if isinstance(large, str) else "candidates of the index"
     return Answers.of(queries, references, recognised, temporal, tuple(skipped), folders)
+
+
+def _sum_over_time(references: FrameSet, channels: Sequence[Channel], temporal: int) -> None:
+    """Replaces the descriptors of a map by their temporal sums, if any."""
+    for channel in channels if temporal else ():
+        for run in runs(references.sequences):
+            part = slice(run.start, run.stop)
+            rows = references.channels[channel.column.name][part]
+            temporal_sum(rows, references.sequences[part], temporal, out=rows)
 
 
 def chosen_channels(database: Database, names: Sequence[str] | None = None) -> list[Channel]:
@@ -107,6 +128,30 @@ def recognise_in(
         for channel in channels
     }
     return recognise(members, queries.sequences, references.sequences, steps, top, excluded)
+
+
+def locate_view(
+    view: View,
+    references: FrameSet | LargeMap,
+    channels: Sequence[Channel],
+    top: int,
+    where: npt.NDArray[np.bool_],
+) -> Answer:
+    """The answer to one picture alone, among the rows ``where`` ``(R,)`` bool of a map."""
+    descriptors = {each.column.name: each.describe([view], COLUMNS) for each in channels}
+    unknown, empty = np.full((1, 3), np.nan), not bool(next(iter(descriptors.values())).any())
+    queries = FrameSet(
+        (view.frame,), (view.sequence,), descriptors, unknown, unknown[:, 0], np.array([empty])
+    )
+    top = min(top, len(where))
+    if isinstance(references, FrameSet):
+        without = excluded_pairs(queries, references, where, None)
+        recognised = recognise_in(references, queries, channels, _ALONE, top, without)
+    else:
+        recognised = recognise_in_large(references, queries, _ALONE, top, where)
+        references = references.frames
+    [answer] = Answers.of(queries, references, recognised)
+    return answer
 
 
 def queries_of(
@@ -166,60 +211,3 @@ def _loaded(
     ids = tuple(f"{name}/{name_of(frame)}" for frame in frames.frames)
     named = dataclasses.replace(frames, frames=ids, sequences=(name,) * len(frames))
     return named, [], ()
-
-
-def select(frames: FrameSet, sequences: Collection[str] | None = None) -> npt.NDArray[np.bool_]:
-    """``(R,)`` bool, the frames of some sequences, by default all; others are a ValueError."""
-    if sequences is None:
-        return np.ones(len(frames), bool)
-    missing = sorted(set(sequences) - set(frames.sequences))
-    if missing:
-        raise ValueError(f"there is no sequence {missing[0]!r} in the database")
-    return np.fromiter((s in sequences for s in frames.sequences), bool, len(frames))
-
-
-def neighbours(queries: Sequence[str], references: FrameSet, reach: int) -> npt.NDArray[np.int64]:
-    """The references around each query in its own sequence: ``(Q, 2)`` int64, the first of these
-    rows and the one after the last, with the query's own. ``reach`` is the number of frames, from
-    0, on each side of the position that the query has or would have among the references, which are
-    in natural order."""
-    if reach < 0:
-        raise ValueError(f"the reach of neighbours must be 0 or more frames, got {reach}")
-    starts: dict[str, int] = {}
-    ends: dict[str, int] = {}
-    for row, sequence in enumerate(references.sequences):
-        starts.setdefault(sequence, row)
-        ends[sequence] = row + 1
-    ranges = np.zeros((len(queries), 2), np.int64)
-    for number, query in enumerate(queries):
-        sequence, name = split_id(query)
-        if sequence in starts:
-            start, end = starts[sequence], ends[sequence]
-            place = bisect_left(
-                references.frames,
-                natural_key(name),
-                start,
-                end,
-                key=lambda frame: natural_key(name_of(frame)),
-            )
-            is_reference = place < end and references.frames[place] == query
-            ranges[number] = max(start, place - reach), min(end, place + reach + is_reference)
-    return ranges
-
-
-def excluded_pairs(
-    queries: FrameSet, references: FrameSet, where: npt.NDArray[np.bool_], reach: int | None
-) -> Tensor | None:
-    """``(Q, R)`` bool, the references that are no candidates of a query: those not in ``where``
-    ``(R,)`` bool, from `select`, and its `neighbours` within a reach, if any; ``None`` if all
-    are."""
-    import torch
-
-    if where.all() and reach is None:
-        return None
-    excluded = np.repeat(~where[None], len(queries), axis=0)
-    if reach is not None:
-        first, last = neighbours(queries.frames, references, reach).T[:, :, None]
-        rows = np.arange(len(references))
-        excluded |= (rows >= first) & (rows < last)
-    return torch.from_numpy(excluded)

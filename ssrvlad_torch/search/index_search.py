@@ -21,8 +21,9 @@ from ..recognition.recognise import Steps, recognise_by_search
 from ..recognition.standardise import MIN_FRAMES, sharing, standardise, without_mean
 from ..recognition.sweep import score
 from .answers import Answers
-from .exact import chosen_channels, neighbours, queries_of, select
+from .exact import chosen_channels, queries_of
 from .index import CANDIDATES, condition_of, nearest, require_index
+from .selection import neighbours, select
 
 if TYPE_CHECKING:
     import numpy.typing as npt

@@ -77,17 +77,26 @@ def compact(
 @db.command()
 @expand
 def index(database: DatabaseFolder, as_json: Json = False) -> None:
-    """Write an index on disk for ssrvlad query --index, and compare it with exact search.
+    """Write two indexes on disk: one of all channels, for pictures that are judged alone, which
+    query, locate and evaluate take by themselves in a large database and encode keeps complete; and
+    one of label maps, for ssrvlad query --index, which is compared with exact search.
 
     Example: ssrvlad db index town.ssrdb
     """
     from ...database.database import Database
+    from ...search import coarse_index
     from ...search.index import build_index
 
-    report = build_index(Database.open(database))
+    opened = Database.open(database)
+    coarse, report = coarse_index.build(opened), build_index(opened)
     if as_json:
-        print_json(report._asdict())
+        print_json({**report._asdict(), "coarse": coarse._asdict()})
         return
+    channels = ", ".join(column.name for column in opened.columns)
+    say(
+        f"{database}: coarse index of {channels}: {coarse.new} of {coarse.frames} frames in "
+        f"{coarse.seconds:.1f} s, {coarse.bytes / 1e6:.0f} MB"
+    )
     at = report.recall_at
     say(
         f"{database}: index of {report.lists} lists in {report.seconds:.1f} s; it finds {at[1]:.3f}"

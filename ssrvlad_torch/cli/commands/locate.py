@@ -17,7 +17,7 @@ def locate(
     probability (score and score_is with --json), confidence and pose. Without --segmenter, the
     network that made the database labels the pictures.
 
-    Example: ssrvlad locate photos/today/000002.png --in photos.ssrdb
+    Example: ssrvlad locate photos/today/000002.png --in photos.ssrdb --near 12.5,-3,50
     """
     from ...datasets.poses import Pose
     from ...evaluation.measure import estimate_in_json

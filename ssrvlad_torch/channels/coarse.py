@@ -1,0 +1,164 @@
+"""Coarse forms: descriptors in few bytes, so that a query is compared with all rows of a large map.
+
+Of signs, every fourth byte of each cell. Of vectors, `LENGTH` small numbers along the directions in
+which the rows of a map differ most (principal components). Scores are near those of the channel;
+the best of them are candidates, which are then scored exactly. Not in the paper.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Protocol, Self
+
+import numpy as np
+import numpy.typing as npt
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from ..native import core
+from .column import Column
+from .signs import REACH, moved, numbers
+
+Codes = npt.NDArray[np.uint8] | npt.NDArray[np.int8]
+Learnt = Mapping[str, npt.NDArray[np.float32]]
+
+LENGTH, LANES = 64, 64
+"""Numbers of a vector, and rows of a block."""
+
+_EVERY, _WORD = 4, 8
+_MOST = 127
+_DEVIATIONS = 4.0
+_ROWS_AT_ONCE = 1 << 12
+
+
+class Coarse(Protocol):
+    """The coarse form of one channel.
+
+    Attributes:
+        learnt: arrays that `of` needs.
+        together: rows of a block of codes.
+    """
+
+    learnt: Learnt
+    together: int
+
+    def codes(self, stored: Tensor) -> Codes:
+        """The coarse form of descriptors ``(N, *shape)``, for a file; the first axis is of rows or
+        of blocks of rows."""
+
+    def scan(self, queries: Sequence[Tensor], codes: Codes, rows: int) -> Tensor:
+        """``(Q, rows)`` float32 coarse cosines of queries, each ``shape``, or ``(S, *shape)`` of a
+        sweep, to the rows in ``codes``."""
+
+
+def learn(column: Column, sample: Tensor) -> Coarse:
+    """The coarse form of a channel, learnt from descriptors ``(N, *shape)`` of a map."""
+    return CoarseSigns(column) if column.dtype == "uint8" else CoarseVectors.learn(sample)
+
+
+def of(column: Column, learnt: Learnt) -> Coarse:
+    """The coarse form of a channel that was learnt before."""
+    return CoarseSigns(column) if column.dtype == "uint8" else CoarseVectors(learnt)
+
+
+class CoarseSigns:
+    """Every fourth byte of each cell of signs ``(columns, rows, bytes)``; a query is moved by
+    columns as in `channels.signs`."""
+
+    together = 1
+
+    def __init__(self, column: Column) -> None:
+        self.learnt: Learnt = {}
+        columns, rows, size = column.shape
+        self._columns, self._bits = columns, 8 * rows * len(range(0, size, _EVERY))
+        self._reach = min(REACH, columns - 1)
+
+    def codes(self, stored: Tensor) -> Codes:
+        """See `Coarse`: ``(N, columns, bytes)`` uint8, a column of whole words."""
+        taken = stored[..., ::_EVERY].flatten(2)
+        return F.pad(taken, (0, -taken.shape[2] % _WORD)).numpy()
+
+    def scan(self, queries: Sequence[Tensor], codes: Codes, rows: int) -> Tensor:
+        """See `Coarse`."""
+        own = np.ascontiguousarray(self.codes(torch.stack([*queries])))
+        scores, library = torch.empty(len(own), rows), core().library
+        if library is None:
+            for first in range(0, rows, _ROWS_AT_ONCE):
+                part = torch.from_numpy(np.array(codes[first : first + _ROWS_AT_ONCE]))
+                scores[:, first : first + len(part)] = self._plain(torch.from_numpy(own), part)
+            return scores
+        library.ssrvlad_scan_signs(
+            own.ctypes.data, len(own), codes.ctypes.data, rows, self._columns,
+            codes.shape[2] // _WORD, self._bits, self._reach, torch.get_num_threads(),
+            scores.data_ptr(),
+        )  # fmt: skip
+        return scores
+
+    def _plain(self, queries: Tensor, rows: Tensor) -> Tensor:
+        """The scores in torch: products of the numbers 1 and -1, without what fills the words."""
+        signed, known = numbers(rows).flatten(1), numbers(queries)
+        filling, best = 8 * codes_length(rows) - self._columns * self._bits, []
+        for step in range(-self._reach, self._reach + 1):
+            kept = self._columns - abs(step)
+            product = moved(known, step).flatten(1) @ signed.T
+            best.append((product - filling * kept / self._columns) / (kept * self._bits))
+        return torch.stack(best).amax(0)
+
+
+def codes_length(rows: Tensor) -> int:
+    """Bytes of a row of codes ``(N, columns, bytes)``."""
+    return rows.shape[1] * rows.shape[2]
+
+
+class CoarseVectors:
+    """`LENGTH` whole numbers from -127 to 127 of each vector, in blocks of `LANES` rows: ``(blocks,
+    LENGTH, LANES)`` int8. A vector of length 1 is nearly ``mean + numbers @ basis``."""
+
+    together = LANES
+
+    def __init__(self, learnt: Learnt) -> None:
+        self.learnt = learnt
+        self._mean, self._basis = (torch.from_numpy(learnt[name]) for name in ("mean", "basis"))
+
+    @classmethod
+    def learn(cls, sample: Tensor) -> Self:
+        """The form of vectors like those of a sample ``(N, D)``."""
+        vectors = F.normalize(sample, dim=1).double()
+        mean = vectors.mean(0)
+        _, directions = torch.linalg.eigh((vectors - mean).T @ (vectors - mean))
+        chosen = directions.flip(1)[:, :LENGTH]
+        step = _DEVIATIONS * ((vectors - mean) @ chosen).square().mean(0).sqrt() / _MOST
+        basis = torch.zeros(LENGTH, sample.shape[1])
+        basis[: chosen.shape[1]] = (chosen * step.clamp(min=1e-9)).T.float()
+        return cls({"mean": mean.float().numpy(), "basis": basis.numpy()})
+
+    def codes(self, stored: Tensor) -> Codes:
+        """See `Coarse`."""
+        squares = self._basis.square().sum(1).clamp(min=1e-30)
+        parts = [
+            ((F.normalize(part, dim=1) - self._mean) @ (self._basis / squares[:, None]).T)
+            for part in stored.split(_ROWS_AT_ONCE)
+        ]
+        whole = (
+            torch.cat([stored[:0, :0].new_zeros(0, LENGTH), *parts]).round_().clamp_(-_MOST, _MOST)
+        )
+        filled = F.pad(whole, (0, 0, 0, -len(whole) % LANES)).to(torch.int8)
+        return filled.view(-1, LANES, LENGTH).transpose(1, 2).contiguous().numpy()
+
+    def scan(self, queries: Sequence[Tensor], codes: Codes, rows: int) -> Tensor:
+        """See `Coarse`; of a sweep the best anchor counts."""
+        swept = torch.stack([each if each.ndim == 2 else each[None] for each in queries])
+        units = F.normalize(swept.float(), dim=2)
+        weights, offsets = (units @ self._basis.T).contiguous(), (units @ self._mean).contiguous()
+        scores, library = torch.empty(len(swept), len(codes), LANES), core().library
+        if library is None:
+            for block, code in enumerate(codes):
+                sums = weights @ torch.from_numpy(code.astype(np.float32)) + offsets[..., None]
+                scores[:, block] = sums.amax(1)
+        else:
+            library.ssrvlad_scan_vectors(
+                weights.data_ptr(), offsets.data_ptr(), len(swept), swept.shape[1],
+                codes.ctypes.data, len(codes), LENGTH, torch.get_num_threads(), scores.data_ptr(),
+            )  # fmt: skip
+        return scores.flatten(1)[:, :rows]

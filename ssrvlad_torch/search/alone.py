@@ -1,0 +1,279 @@
+"""Pictures that are judged alone in a large map: coarse candidates of all channels, scored exactly.
+
+The scores of each channel become z-scores over the map and are fused as `recognition.fusion` says:
+first those of the coarse forms for all rows, then those of the stored descriptors for the best,
+with the spread of a sample of the map. So a candidate may be missed, and scores are nearly those of
+exact search.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from ..channels.channel import Channel
+from ..database.database import Database
+from ..database.frames import FrameSet
+from ..recognition.confidence import Prior
+from ..recognition.decoys import Lead, lead_over_decoys
+from ..recognition.follow import runs
+from ..recognition.fusion import fused, weights_of
+from ..recognition.matching import Matches, best_of
+from ..recognition.motion import ELSEWHERE, MIN_SPREAD, moments
+from ..recognition.recognise import Recognised, Steps, recognise_alone
+from .coarse_index import LEAST_ROWS, CoarseIndex, is_indexed, taken
+from .selection import neighbours
+
+COARSE, EXACT = 1000, 100
+"""Rows by the fused coarse scores, of which the most trusted channel is scored exactly; and rows of
+which all are. Chosen by features of DABNet, see docs/scale.md."""
+
+LEADS = 300
+"""Rows by the coarse scores of a channel that show the width of its sweep."""
+
+_PRESELECTED, _STRIDE = 20_000, 61
+
+
+class Judged(NamedTuple):
+    """The candidates of a query that is judged alone and its lead over the decoys, the prior of its
+    confidence, and the width of its sweep."""
+
+    matches: Matches
+    lead: Lead
+    prior: Prior
+    width: int
+
+
+def opened_large(database: Database, channels: Sequence[Channel]) -> LargeMap | str:
+    """A database with an index, from `LEAST_ROWS` frames on; else why it is searched in memory,
+    empty for a smaller one and one without an index."""
+    if len(database) < LEAST_ROWS or not is_indexed(database):
+        return ""
+    try:
+        return LargeMap(database, channels)
+    except ValueError as error:
+        return str(error)
+
+
+class LargeMap:
+    """A database with a coarse index, opened for pictures that are judged alone.
+
+    Attributes:
+        frames: all frames, without descriptors.
+        weights: of several channels by their names.
+    """
+
+    def __init__(self, database: Database, channels: Sequence[Channel]) -> None:
+        """Errors as for `CoarseIndex`."""
+        self._database = database
+        self._channels = sorted(channels, key=lambda channel: -channel.trust)
+        self._index = CoarseIndex(database)
+        self.frames, self._stored = database.placed()
+        self._natural = torch.from_numpy(np.argsort(self._stored))
+        self._size = len(next(iter(self._index.sample.values())))
+        trust = {channel.column.name: channel.trust for channel in self._channels}
+        self._share = weights_of(dict.fromkeys(trust, 0.0), trust)
+        self.weights = self._share if len(trust) > 1 else {}
+
+    @torch.no_grad()
+    def judge(
+        self,
+        descriptors: Mapping[str, Tensor],
+        sweep: bool,
+        top: int,
+        allowed: npt.NDArray[np.bool_] | None = None,
+    ) -> Judged:
+        """The candidates of one query by its descriptors ``(*shape)``, or ``(S, *shape)`` from all
+        anchors. ``allowed`` ``(R,)`` bool are the rows that may be candidates, by default all."""
+        where = None if allowed is None else torch.from_numpy(allowed)[self._natural]
+        asked = {each.column.name: [descriptors[each.column.name]] for each in self._channels}
+        if all(channel.mirrored for channel in self._channels):
+            for channel in self._channels:
+                assert channel.mirrored
+                views = asked[channel.column.name]
+                views.append(channel.mirrored(views[0]))
+        scanned = {name: self._index.scan(name, views) for name, views in asked.items()}
+        coarse = {name: scores[0] for name, scores in scanned.items()}
+        own = self._natural[self._best(coarse, where)].sort().values
+        decoys = own[:0]
+        if len(next(iter(scanned.values()))) > 1:
+            mirrored = {name: scores[1] for name, scores in scanned.items()}
+            decoys = self._natural[self._best(mirrored, where)[:EXACT]].sort().values
+        return self._judged(descriptors, coarse, own, decoys, sweep, top)
+
+    def _best(self, coarse: Mapping[str, Tensor], where: Tensor | None) -> Tensor:
+        """The `COARSE` best stored rows by the fused coarse scores ``(R,)``, best first. Rows are
+        chosen by z-scores of cosines before those of nearness, which take longer."""
+        linear = torch.zeros(len(self.frames))
+        for name, scores in coarse.items():
+            deviation = max(float(self._every(scores).std(correction=0)), MIN_SPREAD)
+            linear.add_(scores, alpha=self._share[name] / deviation)
+        if where is not None:
+            linear.masked_fill_(~where, -torch.inf)
+        some, least = linear[::_STRIDE], -torch.inf
+        if len(linear) > _PRESELECTED:
+            count = max(1, len(some) * _PRESELECTED // len(linear))
+            least = float(some.topk(count).values[-1])
+        rows = ((linear >= least) & (linear > -torch.inf)).nonzero()[:, 0]
+        parts = [torch.cat((self._every(each), each[rows])) for each in coarse.values()]
+        near = fused(parts, [self._share[name] for name in coarse], self._size)[self._size :]
+        return rows[near.topk(min(COARSE, len(rows))).indices]
+
+    def _every(self, coarse: Tensor) -> Tensor:
+        """Coarse scores ``(R,)`` of as many rows as the sample has."""
+        return coarse[:: max(1, len(coarse) // self._size)][: self._size]
+
+    def _judged(
+        self,
+        descriptors: Mapping[str, Tensor],
+        coarse: Mapping[str, Tensor],
+        own: Tensor,
+        decoys: Tensor,
+        sweep: bool,
+        top: int,
+    ) -> Judged:
+        """The decision by the exact scores of candidates and of decoys, rising rows of the map."""
+        most, *others = self._channels
+        rows = torch.cat((own, decoys))
+        compared = {most.column.name: self._compared(most, descriptors, coarse, rows, sweep)}
+        if others:
+            chosen = self._finer(compared, coarse, own, max(top, EXACT))
+            end = self._size + len(own)
+            rest = torch.arange(end, end + len(decoys))
+            kept = torch.cat((torch.arange(self._size), self._size + chosen, rest))
+            compared = {name: each.only(kept) for name, each in compared.items()}
+            own, rows = own[chosen], torch.cat((own[chosen], decoys))
+        for channel in others:
+            found = self._compared(channel, descriptors, coarse, rows, sweep)
+            compared[channel.column.name] = found
+        every = [*compared.values()]
+        scores, against = self._together(every)
+        spread, lost = scores[: self._size], None
+        if against is not None:
+            spread, lost = (
+                torch.cat((spread, against[: self._size])),
+                against[len(against) - len(decoys) :],
+            )
+        scores = scores[self._size : self._size + len(own)]
+        lead = lead_over_decoys(scores, lost, own, decoys, moments(spread)[1])
+        prior = max((each.prior for each in every), key=lambda prior: prior.slope)
+        width = max(each.width for each in every)
+        return Judged(best_of(scores, top, own), lead, prior, width)
+
+    def _finer(
+        self,
+        compared: Mapping[str, _Compared],
+        coarse: Mapping[str, Tensor],
+        own: Tensor,
+        count: int,
+    ) -> Tensor:
+        """Which of the candidates are best by the exact scores of one channel and the coarse ones
+        of the others, rising."""
+        stored = torch.from_numpy(self._stored[own.numpy()])
+        parts = [
+            compared[name].scores[: self._size + len(own)]
+            if name in compared
+            else torch.cat((self._every(scores), scores[stored]))
+            for name, scores in coarse.items()
+        ]
+        best = fused(parts, [self._share[name] for name in coarse], self._size)[self._size :]
+        return best.topk(min(count, len(own))).indices.sort().values
+
+    def _compared(
+        self,
+        channel: Channel,
+        descriptors: Mapping[str, Tensor],
+        coarse: Mapping[str, Tensor],
+        rows: Tensor,
+        sweep: bool,
+    ) -> _Compared:
+        """One query against the sample and some rows by one channel. The width of a sweep is chosen
+        by leads over the map, so the best rows of the channel are compared as well."""
+        name, query = channel.column.name, descriptors[channel.column.name]
+        swept = sweep and query.ndim > len(channel.column.shape)
+        unique = rows.unique()
+        if swept:
+            best = coarse[name].topk(min(LEADS, len(self.frames))).indices
+            unique = torch.cat((rows, self._natural[best])).unique()
+        places = torch.arange(len(unique))
+        if swept and len(unique):  # as far apart as in the map
+            places[1:] += (unique.diff().clamp(max=ELSEWHERE + 1) - 1).cumsum(0)
+        sample, found = self._index.sample[name], self._taken(channel, unique)
+        between = torch.arange(int(places[-1]) + 1 if len(places) else 0) % self._size
+        known = torch.cat((sample, sample[between]))
+        known[self._size + places] = found
+        references = channel.references(known, [""] * len(known))
+        each = references.compare(query[None], False, sweep, None)
+        at = self._size + places[torch.searchsorted(unique, rows)]
+        wanted = torch.cat((torch.arange(self._size), at))
+        decoys = None if each.decoys is None else each.decoys[0]
+        return _Compared(each.scores[0], decoys, each.prior, each.width).only(wanted)
+
+    def _taken(self, channel: Channel, rows: Tensor) -> Tensor:
+        """The descriptors of rows of the map by one channel."""
+        stored = self._stored[rows.numpy()]
+        return taken(self._database, stored, [channel.column])[channel.column.name]
+
+    def _together(self, compared: Sequence[_Compared]) -> tuple[Tensor, Tensor | None]:
+        """The fused scores of all channels, and those of the decoys if all have them."""
+        if len(compared) == 1:
+            return compared[0].scores, compared[0].decoys
+        weights = [self._share[channel.column.name] for channel in self._channels]
+        scores = fused([each.scores for each in compared], weights, self._size)
+        both = [torch.cat((c.scores, c.decoys)) for c in compared if c.decoys is not None]
+        if len(both) < len(compared):
+            return scores, None
+        return scores, fused(both, weights, self._size)[len(scores) :]
+
+
+def recognise_in_large(
+    large: LargeMap,
+    queries: FrameSet,
+    steps: Steps,
+    top: int,
+    where: npt.NDArray[np.bool_],
+    exclude: int | None = None,
+) -> Recognised:
+    """The candidates of queries, each judged alone, among the rows ``where`` ``(R,)`` bool of a
+    large map; ``exclude`` as for `exact.search`."""
+    own, everywhere = np.zeros((len(queries), 2), np.int64), bool(where.all())
+    if exclude is not None:
+        own = neighbours(queries.frames, large.frames, exclude)
+    judged = list[Judged]()
+    for query, (first, last) in enumerate(own.tolist()):
+        allowed = where
+        if last > first:
+            allowed = where.copy()
+            allowed[first:last] = False
+        descriptors = {name: values[query] for name, values in queries.channels.items()}
+        some = None if everywhere and last <= first else allowed
+        judged.append(large.judge(descriptors, steps.sweep, top, some))
+    parts = {queries.sequences[run.start]: run for run in runs(queries.sequences)}
+    return recognise_alone(
+        {name: [judged[query][:2] for query in run] for name, run in parts.items()},
+        {name: judged[run.start].prior for name, run in parts.items()},
+        {name: max(judged[query].width for query in run) for name, run in parts.items()},
+        large.weights,
+        len(large.frames),
+        steps,
+        top,
+    )
+
+
+class _Compared(NamedTuple):
+    """The scores ``(N,)`` of one query against the sample of a map, candidates and decoys."""
+
+    scores: Tensor
+    decoys: Tensor | None
+    prior: Prior
+    width: int
+
+    def only(self, kept: Tensor) -> _Compared:
+        """Of some rows."""
+        decoys = None if self.decoys is None else self.decoys[kept]
+        return self._replace(scores=self.scores[kept], decoys=decoys)

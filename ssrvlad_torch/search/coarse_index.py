@@ -1,0 +1,292 @@
+"""The coarse index of a database on disk: all its channels in few bytes, scanned for candidates.
+
+It stands beside the rows, in files for each data file of the table: new data files get new ones,
+and rows that were removed are left out when it is opened. A sample of the rows shows how the scores
+of a query are spread over the map.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from numpy.lib import format as npy
+from torch import Tensor
+
+from ..channels import coarse
+from ..channels.coarse import Coarse, Codes
+from ..channels.column import Column
+from ..database.reading import Damage, read_intact
+from ..database.rows import intact, matrix
+from ..files import is_uri, read_json, read_npz, replacing
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+    from lance.fragment import LanceFragment
+
+    from ..database.database import Database
+
+FOLDER = "_coarse"
+LEAST_ROWS = 20_000
+"""Maps of fewer frames are searched faster in memory, see docs/scale.md."""
+
+_FORMAT = 1
+_SAMPLE, _GROWTH = 4096, 4
+"""Rows of the sample; a map that has grown so many times is learnt anew."""
+_BLOCK, _OFFSET = 1 << 12, np.uint64((1 << 32) - 1)
+
+
+class Report(NamedTuple):
+    """The frames that `build` indexed now and in all, the bytes of the index, and the seconds."""
+
+    new: int
+    frames: int
+    bytes: int
+    seconds: float
+
+
+def build(database: Database) -> Report:
+    """Indexes the frames of a database that its coarse index lacks; all if there is none, if it is
+    of other channels, or if the map has grown much since. A database that is damaged, in an object
+    store, or without frames is a ValueError, an index that cannot be written an OSError."""
+    if is_uri(database.path):
+        raise ValueError(f"an index needs a folder on this machine, {database.path} is a URI")
+    rows, began, folder = len(database), time.perf_counter(), _folder(database)
+    if not rows:
+        raise ValueError(f"{database.path} holds no frames yet")
+    learnt = _learnt(database)
+    if learnt is None or rows > _GROWTH * learnt["rows"] or learnt["columns"] != _columns(database):
+        for file in folder.glob("*"):
+            file.unlink()
+        _learn(database)
+    forms, new = _forms(database), 0
+    fragments = database.table().get_fragments()
+    for fragment in fragments:
+        new += _write(fragment, forms, database.columns, folder)
+    stored = {_stem(fragment) for fragment in fragments}
+    kept = {path.stem for path in Path(database.path, "data").glob("*.lance")} | stored
+    for file in folder.glob("*.npy"):
+        if file.name.split(".")[0] not in kept:
+            file.unlink()
+    size = sum(file.stat().st_size for file in folder.glob("*"))
+    return Report(new, rows, size, time.perf_counter() - began)
+
+
+def grow(database: Database) -> None:
+    """Indexes the frames that the coarse index of a database lacks, if it has one."""
+    if is_indexed(database) and len(database):
+        build(database)
+
+
+def is_indexed(database: Database) -> bool:
+    """Whether a database has a coarse index, of whatever rows."""
+    return not is_uri(database.path) and _learnt(database) is not None
+
+
+class CoarseIndex:
+    """The coarse index of a database, opened. Rows are counted as they are stored.
+
+    Attributes:
+        sample: descriptors ``(N, *shape)`` of some rows by channel.
+    """
+
+    def __init__(self, database: Database) -> None:
+        """Raises a ValueError in one line if there is no index, or one of other channels, or older
+        than the rows, or damaged."""
+        learnt, path = _learnt(database), database.path
+        if learnt is None:
+            raise ValueError(f"{path} has no index; ssrvlad db index builds one")
+        if learnt["columns"] != _columns(database):
+            raise ValueError(
+                f"the index of {path} is of other channels; ssrvlad db index builds it anew"
+            )
+        self._forms, folder = _forms(database), _folder(database)
+        with np.load(folder / "sample.npz") as stored:
+            self.sample = {name: torch.from_numpy(stored[name]) for name in stored.files}
+        table, lacking = database.table(), 0
+        addresses = table.to_table(columns=[], with_row_address=True, scan_in_order=True)
+        address = addresses["_rowaddr"].to_numpy()
+        self._parts, self._rows = list[_Part](), len(address)
+        for fragment in table.get_fragments():
+            of = address[address >> np.uint64(32) == np.uint64(fragment.fragment_id)]
+            live = (of & _OFFSET).astype(np.int64)
+            files = {name: _file(folder, fragment, name) for name in self._forms}
+            if not all(file.exists() for file in files.values()):
+                lacking += len(live)
+                continue
+            codes = {name: np.load(file, mmap_mode="r") for name, file in files.items()}
+            whole = len(live) == fragment.physical_rows
+            self._parts.append(_Part(codes, fragment.physical_rows, None if whole else live))
+        if lacking:
+            raise ValueError(
+                f"the index of {path} lacks {lacking} of {self._rows} frames; ssrvlad db index "
+                "adds them"
+            )
+
+    def __len__(self) -> int:
+        return self._rows
+
+    def scan(self, name: str, queries: Sequence[Tensor]) -> Tensor:
+        """``(Q, R)`` float32 coarse scores of descriptors by one channel to all rows."""
+        scores, first, form = torch.empty(len(queries), self._rows), 0, self._forms[name]
+        for part in self._parts:
+            found = form.scan(queries, part.codes[name], part.rows)
+            found = found if part.live is None else found[:, torch.from_numpy(part.live)]
+            scores[:, first : first + found.shape[1]] = found
+            first += found.shape[1]
+        return scores
+
+
+class _Part(NamedTuple):
+    """The codes of a data file by channel, the number of its rows, and those that are not removed,
+    ``None`` for all."""
+
+    codes: Mapping[str, Codes]
+    rows: int
+    live: npt.NDArray[np.int64] | None
+
+
+def _folder(database: Database) -> Path:
+    return Path(database.path, FOLDER)
+
+
+def _columns(database: Database) -> list[list[Any]]:
+    return [[*column[:2], list(column.shape), column.dtype] for column in database.columns]
+
+
+def _learnt(database: Database) -> dict[str, Any] | None:
+    """What the index was made of; ``None`` without an index of this format."""
+    file = _folder(database) / "index.json"
+    found = read_json(file) if file.exists() else {}
+    return found if found.get("format") == _FORMAT else None
+
+
+def _forms(database: Database) -> dict[str, Coarse]:
+    """The coarse forms of all channels."""
+    stored = read_npz(_folder(database) / "learnt.npz")
+    return {
+        column.name: coarse.of(
+            column,
+            {
+                key.removeprefix(f"{column.name}."): value
+                for key, value in stored.items()
+                if key.startswith(f"{column.name}.")
+            },
+        )
+        for column in database.columns
+    }
+
+
+def _learn(database: Database) -> None:
+    """Chooses a sample of the rows, and learns the coarse forms from it."""
+    folder, rows, columns = _folder(database), len(database), database.columns
+    folder.mkdir(exist_ok=True)
+    chosen = np.random.default_rng(0).choice(rows, min(_SAMPLE, rows), replace=False)
+    found = taken(database, np.sort(chosen), columns, verified=True)
+    forms = {column.name: coarse.learn(column, found[column.name]) for column in columns}
+    arrays = {f"{name}.{key}": a for name, form in forms.items() for key, a in form.learnt.items()}
+    for file, content in (("learnt.npz", arrays), ("sample.npz", found)):
+        with replacing(folder / file) as part, part.open("wb") as stream:
+            np.savez(stream, **{name: np.asarray(each) for name, each in content.items()})  # type: ignore[arg-type]
+    about = {"format": _FORMAT, "rows": rows, "columns": _columns(database)}
+    with replacing(folder / "index.json") as part:
+        part.write_text(json.dumps(about))
+
+
+def taken(
+    database: Database,
+    rows: npt.NDArray[np.int64],
+    columns: Sequence[Column],
+    verified: bool = False,
+) -> dict[str, Tensor]:
+    """The descriptors ``(N, *shape)`` of rows by channel; ``verified`` checks their bytes."""
+    table = database.table()
+    names = table.schema.names if verified else [column.name for column in columns]
+    found = table.take(rows.tolist(), columns=names)
+    if verified and not intact(found).all():
+        raise ValueError(f"{database.path} is damaged; ssrvlad db verify shows where")
+    return {column.name: descriptors(found[column.name], column) for column in columns}
+
+
+def descriptors(values: pa.ChunkedArray | pa.Array, column: Column) -> Tensor:
+    """``(N, *shape)``, a copy."""
+    return torch.from_numpy(matrix(values).copy()).view(-1, *column.shape)
+
+
+def _write(
+    fragment: LanceFragment, forms: Mapping[str, Coarse], columns: Sequence[Column], folder: Path
+) -> int:
+    """Writes the codes of a data file, unless they are there; returns the number of its rows."""
+    files = {column: _file(folder, fragment, column.name) for column in columns}
+    if all(file.exists() for file in files.values()):
+        return 0
+    rows = fragment.physical_rows
+    with ExitStack() as stack:
+        streams = {}
+        for column, file in files.items():
+            part = stack.enter_context(replacing(file))
+            streams[column] = stack.enter_context(part.open("wb"))
+            codes = forms[column.name].codes(torch.zeros(0, *column.shape, dtype=_dtype(column)))
+            blocks = -(-rows // forms[column.name].together)
+            about = {"shape": (blocks, *codes.shape[1:]), "fortran_order": False}
+            npy.write_array_header_1_0(streams[column], {**about, "descr": codes.dtype.str})
+        for batch in _whole_blocks(fragment, columns):
+            for column, stream in streams.items():
+                stream.write(forms[column.name].codes(batch[column.name]).tobytes())
+    return int(rows)
+
+
+def _whole_blocks(
+    fragment: LanceFragment, columns: Sequence[Column]
+) -> Iterator[dict[str, Tensor]]:
+    """The descriptors of a data file by channel, `_BLOCK` rows at a time, and less at the end; zero
+    for removed rows. Damage is a ValueError."""
+    live = fragment.to_table(columns=[], with_row_address=True)["_rowaddr"].to_numpy()
+    offsets, rows = (live & _OFFSET).astype(np.int64), fragment.physical_rows
+    damage: list[Damage] = []
+    start = done = 0
+
+    def fresh() -> dict[str, Tensor]:
+        size = min(_BLOCK, rows - start)
+        return {c.name: torch.zeros(size, *c.shape, dtype=_dtype(c)) for c in columns}
+
+    block = fresh()
+    for batch in read_intact(fragment, damage):
+        at, first = offsets[done : done + len(batch)], 0
+        done += len(batch)
+        while first < len(batch):
+            last = int(np.searchsorted(at, start + _BLOCK))
+            for column in columns:
+                values = descriptors(batch[column.name].slice(first, last - first), column)
+                block[column.name][torch.from_numpy(at[first:last] - start)] = values
+            first = last
+            if first < len(batch):
+                yield block
+                start += _BLOCK
+                block = fresh()
+    if damage:
+        raise ValueError(f"{damage[0].file} is damaged: {damage[0].reason}")
+    while start < rows:
+        yield block
+        start += _BLOCK
+        block = fresh() if start < rows else {}
+
+
+def _dtype(column: Column) -> torch.dtype:
+    return torch.uint8 if column.dtype == "uint8" else torch.float32
+
+
+def _stem(fragment: LanceFragment) -> str:
+    """The name of the data file of a fragment."""
+    return Path(fragment.metadata.files[0].path).stem
+
+
+def _file(folder: Path, fragment: LanceFragment, name: str) -> Path:
+    return folder / f"{_stem(fragment)}.{name}.npy"

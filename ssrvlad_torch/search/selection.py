@@ -1,0 +1,74 @@
+"""Selection: which frames of a map are candidates."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Collection, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from ..database.frames import FrameSet
+from ..datasets.names import name_of, split_id
+from ..files import natural_key
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+
+def select(frames: FrameSet, sequences: Collection[str] | None = None) -> npt.NDArray[np.bool_]:
+    """``(R,)`` bool, the frames of some sequences, by default all; others are a ValueError."""
+    if sequences is None:
+        return np.ones(len(frames), bool)
+    missing = sorted(set(sequences) - set(frames.sequences))
+    if missing:
+        raise ValueError(f"there is no sequence {missing[0]!r} in the database")
+    return np.fromiter((s in sequences for s in frames.sequences), bool, len(frames))
+
+
+def neighbours(queries: Sequence[str], references: FrameSet, reach: int) -> npt.NDArray[np.int64]:
+    """The references around each query in its own sequence: ``(Q, 2)`` int64, the first of these
+    rows and the one after the last, with the query's own. ``reach`` is the number of frames, from
+    0, on each side of the position that the query has or would have among the references, which are
+    in natural order."""
+    if reach < 0:
+        raise ValueError(f"the reach of neighbours must be 0 or more frames, got {reach}")
+    starts: dict[str, int] = {}
+    ends: dict[str, int] = {}
+    for row, sequence in enumerate(references.sequences):
+        starts.setdefault(sequence, row)
+        ends[sequence] = row + 1
+    ranges = np.zeros((len(queries), 2), np.int64)
+    for number, query in enumerate(queries):
+        sequence, name = split_id(query)
+        if sequence in starts:
+            start, end = starts[sequence], ends[sequence]
+            place = bisect_left(
+                references.frames,
+                natural_key(name),
+                start,
+                end,
+                key=lambda frame: natural_key(name_of(frame)),
+            )
+            is_reference = place < end and references.frames[place] == query
+            ranges[number] = max(start, place - reach), min(end, place + reach + is_reference)
+    return ranges
+
+
+def excluded_pairs(
+    queries: FrameSet, references: FrameSet, where: npt.NDArray[np.bool_], reach: int | None
+) -> Tensor | None:
+    """``(Q, R)`` bool, the references that are no candidates of a query: those not in ``where``
+    ``(R,)`` bool, and its `neighbours` within a reach, if any; ``None`` if all
+    are."""
+    import torch
+
+    if where.all() and reach is None:
+        return None
+    excluded = np.repeat(~where[None], len(queries), axis=0)
+    if reach is not None:
+        first, last = neighbours(queries.frames, references, reach).T[:, :, None]
+        rows = np.arange(len(references))
+        excluded |= (rows >= first) & (rows < last)
+    return torch.from_numpy(excluded)

@@ -1,0 +1,185 @@
+"""Pictures that are judged alone in a large map, against exact search."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import torch.nn.functional as F
+from drawings import SPACE
+from drives import write_maps
+from helpers import descriptors
+
+from ssrvlad_torch import SSRVLAD, Database, Map, SSRVLADConfig
+from ssrvlad_torch.channels.channel import channels_of
+from ssrvlad_torch.channels.features import Features
+from ssrvlad_torch.channels.hog import HOG
+from ssrvlad_torch.database.frames import FrameRecord, FrameSet
+from ssrvlad_torch.recognition.recognise import Steps
+from ssrvlad_torch.recognition.sweep import COLUMNS
+from ssrvlad_torch.search import alone
+from ssrvlad_torch.search.alone import LargeMap, opened_large, recognise_in_large
+from ssrvlad_torch.search.coarse_index import build
+from ssrvlad_torch.search.exact import recognise_in
+from ssrvlad_torch.search.selection import excluded_pairs
+
+CONFIG = SSRVLADConfig.from_preset("default", labels_as=SPACE)
+ROWS, STEPS = 400, Steps(follow=None)
+
+
+def noisy(numbers, seed, noise):
+    return F.normalize(numbers + noise * descriptors(seed, len(numbers)), dim=1)
+
+
+def flipped(signs, seed, share):
+    bits = np.random.default_rng(seed).random((*signs.shape, 8)) < share
+    return signs ^ torch.from_numpy(np.packbits(bits, axis=-1)[..., 0])
+
+
+def places():
+    """Descriptors of `ROWS` places by three channels."""
+    shape = Features("x").column.shape
+    signs = np.random.default_rng(0).integers(0, 256, (ROWS, *shape), np.uint8)
+    return {
+        "ssr-vlad": descriptors(0, ROWS),
+        "features": torch.from_numpy(signs),
+        "hog": descriptors(1, ROWS).abs(),
+    }
+
+
+def seen(rows):
+    """Other views of some places; label maps are described from all anchors."""
+    known = {name: values[rows] for name, values in places().items()}
+    swept = [noisy(known["ssr-vlad"], 10 + n, 0.5 + abs(c) / 8) for n, c in enumerate(COLUMNS)]
+    return {
+        "ssr-vlad": torch.stack(swept, 1),
+        "features": flipped(known["features"], 3, 0.35),
+        "hog": noisy(known["hog"], 4, 0.8),
+    }
+
+
+def queries_at(rows, names=("ssr-vlad", "features", "hog")):
+    count, unknown = len(rows), np.full((len(rows), 3), np.nan)
+    ids = tuple(f"today/{n:03d}" for n in range(count))
+    channels = {name: values for name, values in seen(rows).items() if name in names}
+    return FrameSet(ids, ("today",) * count, channels, unknown, unknown[:, 0], unknown[:, 0] > 0)
+
+
+@pytest.fixture(scope="module")
+def town(tmp_path_factory):
+    """`ROWS` frames of two drives, one metre apart, with an index."""
+    folder, columns = tmp_path_factory.mktemp("alone"), [Features("x").column, HOG().column]
+    database = Database.create(folder / "town.ssrdb", CONFIG, columns=columns)
+    frames = [FrameRecord("ab"[n % 2], f"{n:03d}", float(n), 0.0) for n in range(ROWS)]
+    database.append(frames, places())
+    build(database)
+    return database
+
+
+def channels(town, names):
+    return channels_of([c for c in town.columns if c.name in names], SSRVLAD(CONFIG))
+
+
+ALL = ("ssr-vlad", "features", "hog")
+
+
+@pytest.mark.parametrize("names", [ALL, ("ssr-vlad",), ("features",), ("features", "hog")])
+@pytest.mark.parametrize("sweep", [True, False])
+def test_answers_are_those_of_exact_search(town, monkeypatch, names, sweep):
+    """Of few candidates; the spread of the scores is that of the whole map, so scores are equal."""
+    monkeypatch.setattr(alone, "COARSE", 60)
+    monkeypatch.setattr(alone, "EXACT", 30)
+    rows, frames, used = [3, 77, 200, 391], town.load(), channels(town, names)
+    steps, queries = Steps(follow=None, sweep=sweep), queries_at(rows, names)
+    large = LargeMap(town, used)
+    got = recognise_in_large(large, queries, steps, 5, np.ones(ROWS, bool))
+    numbers = [recognise_in_each(frames, queries, used, steps, n) for n in range(len(rows))]
+    first = torch.cat([each.matches.indices[:, 0] for each in numbers])
+    assert torch.equal(got.matches.indices[:, 0], first)
+    assert [large.frames.frames[row] for row in first.tolist()] == [
+        f"{'ab'[row % 2]}/{row:03d}" for row in rows
+    ]
+    best = torch.cat([each.matches.scores[:, 0] for each in numbers])
+    torch.testing.assert_close(got.matches.scores[:, 0], best, atol=2e-3, rtol=0)
+    widths = [each.used["sweep"]["today"] for each in numbers]
+    assert got.used["sweep"]["today"] == max(widths)
+    assert got.used["weights"]["today"] == numbers[0].used["weights"]["today"]
+    assert got.used["references"] == ROWS and got.used["follow"] == {"today": "no"}
+
+
+def recognise_in_each(frames, queries, used, steps, number):
+    """Exact search of one query alone."""
+    some = {name: values[number : number + 1] for name, values in queries.channels.items()}
+    one = FrameSet(
+        queries.frames[number : number + 1], ("today",), some,
+        queries.poses[:1], queries.stamps[:1], queries.empty[:1],
+    )  # fmt: skip
+    return recognise_in(frames, one, used, steps, 5)
+
+
+def test_confidence_is_that_of_exact_search(town):
+    rows, frames, used = [*range(5, 25)], town.load(), channels(town, ALL)
+    queries = queries_at(rows)
+    got = recognise_in_large(LargeMap(town, used), queries, STEPS, 5, np.ones(ROWS, bool))
+    expected = recognise_in(frames, queries, used, STEPS, 5)
+    torch.testing.assert_close(got.confidence, expected.confidence, atol=0.05, rtol=0)
+    assert torch.equal(got.matches.indices[:, 0], expected.matches.indices[:, 0])
+
+
+def test_candidates_are_among_the_allowed_rows_and_no_neighbours(town):
+    used, frames = channels(town, ALL), town.load()
+    queries, where = queries_at([30, 31]), np.zeros(ROWS, bool)
+    where[100:120] = True
+    large = LargeMap(town, used)
+    got = recognise_in_large(large, queries, STEPS, 50, where).matches
+    assert {*got.indices[got.indices >= 0].tolist()} == {*range(100, 120)}
+    assert bool((got.indices[:, 20:] == -1).all())
+    again = FrameSet(("a/030", "b/031"), ("a", "b"), *(getattr(queries, name) for name in (
+        "channels", "poses", "stamps", "empty")))  # fmt: skip
+    whole = np.ones(ROWS, bool)
+    near = recognise_in_large(large, again, STEPS, 50, whole, exclude=3).matches.indices
+    excluded = excluded_pairs(again, frames, whole, 3)
+    assert not bool(excluded.gather(1, near).any())
+
+
+def test_only_large_maps_are_searched_by_their_index(town, tmp_path, monkeypatch):
+    used = channels(town, ALL)
+    assert opened_large(town, used) == ""
+    monkeypatch.setattr(alone, "LEAST_ROWS", ROWS)
+    assert isinstance(opened_large(town, used), LargeMap)
+    bare = Database.create(tmp_path / "bare", CONFIG)
+    bare.append([f"a/{n:03d}" for n in range(ROWS)], descriptors(0, ROWS))
+    assert opened_large(bare, channels(bare, ALL)) == ""
+    build(bare)
+    bare.append(["a/999"], descriptors(1, 1))
+    assert "lacks 1 of 401 frames" in opened_large(bare, channels(bare, ALL))
+
+
+def test_commands_and_maps_take_the_index_by_themselves_and_say_so(ssrvlad, tmp_path, monkeypatch):
+    monkeypatch.setattr(alone, "LEAST_ROWS", 40)
+    maps, path = write_maps(tmp_path / "monday", range(40)), tmp_path / "drawn.ssrdb"
+    rows = [f"monday/{n:03d},{n},0,0" for n in range(40)]
+    (tmp_path / "poses.csv").write_text("\n".join(["frame,x,y,heading", *rows]))
+    town = Map.open(path, labels_as=SPACE)
+    town.add(maps)
+    build(town.database)
+    monkeypatch.setattr(Database, "load", None)
+    picture = sorted(maps.glob("*"))[7]
+    said = "candidates of the index, not standardised"
+    code, out, err = ssrvlad("query", path, picture, "--top", 1)
+    assert code == 0 and out.split()[:2] == ["monday/007:", "monday/007"] and said in err[-1]
+    _, out, err = ssrvlad("query", path, maps, "--no-standardise", "--follow", "no", "--json")
+    firsts = [json.loads(line)["candidates"][0]["frame"] for line in out.splitlines()]
+    assert firsts == [f"monday/{n:03d}" for n in range(40)]
+    near = ssrvlad("query", path, picture, "--near", "20,0,3")[1]
+    assert "monday/007 " not in near and "monday/02" in near
+    steps = ("--no-standardise", "--follow", "no", "--tolerance-frames", 1, "--json")
+    report = ("--report", tmp_path / "page.html")
+    found = json.loads(ssrvlad("evaluate", path, maps, *steps, *report)[1])
+    assert found["recall_at"]["1"] == 1 and Path(tmp_path, "page.html").exists()
+    monkeypatch.undo()
+    monkeypatch.setattr(alone, "LEAST_ROWS", 40)
+    town.database.append(["late/0"], descriptors(0, 1))
+    *_, line = ssrvlad("query", path, picture)[2]
+    assert "lacks 1 of 41 frames; ssrvlad db index adds them" in line

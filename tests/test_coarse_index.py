@@ -1,0 +1,122 @@
+"""The coarse index: of which rows and channels, grown, opened, refused."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from drawings import SPACE
+from drives import write_maps
+from helpers import descriptors, spoil
+
+from ssrvlad_torch import Database, Map, SSRVLADConfig
+from ssrvlad_torch.channels.column import Column
+from ssrvlad_torch.search import coarse_index
+from ssrvlad_torch.search.coarse_index import CoarseIndex, build
+
+CONFIG = SSRVLADConfig.from_preset("default", labels_as=SPACE)
+SIGNS = Column("signs", "few", (4, 2, 4), "uint8")
+
+
+def rows(first, count):
+    """Descriptors by two channels."""
+    signs = np.random.default_rng(first).integers(0, 256, (count, *SIGNS.shape), np.uint8)
+    return {"ssr-vlad": descriptors(first, count), "signs": torch.from_numpy(signs)}
+
+
+def add(database, first, count):
+    database.append([f"a/{first + n:04d}" for n in range(count)], rows(first, count))
+
+
+@pytest.fixture
+def town(tmp_path):
+    """100 frames by two channels."""
+    database = Database.create(tmp_path / "town.ssrdb", CONFIG, columns=[SIGNS])
+    add(database, 0, 100)
+    return database
+
+
+def scanned(index, query):
+    return {name: index.scan(name, [query[name][0]])[0] for name in ("ssr-vlad", "signs")}
+
+
+def assert_own_row_is_first(database, frame, query):
+    """That of all rows the one that equals a query has its highest score by every channel."""
+    frames, stored = database.placed()
+    expected = int(stored[frames.frames.index(frame)])
+    for scores in scanned(CoarseIndex(database), query).values():
+        assert len(scores) == len(database) and int(scores.argmax()) == expected
+
+
+def test_every_row_is_scanned_also_after_changes_of_the_map(town):
+    report = build(town)
+    assert (report.new, report.frames) == (100, 100) and report.bytes > 100 * 64
+    assert_own_row_is_first(town, "a/0000", rows(0, 1))
+    add(town, 100, 70)
+    with pytest.raises(ValueError, match="lacks 70 of 170 frames; ssrvlad db index adds them"):
+        CoarseIndex(town)
+    assert build(town).new == 70
+    assert_own_row_is_first(town, "a/0100", rows(100, 1))
+    town.remove(["a/0003", "a/0100"])
+    assert build(town)[:2] == (0, 168)
+    town.merge(["a/0000"], rows(500, 1))
+    build(town)
+    assert_own_row_is_first(town, "a/0000", rows(500, 1))
+    town.compact(keep_days=0)
+    assert build(town).new == 168
+    assert_own_row_is_first(town, "a/0000", rows(500, 1))
+    kept = {file.name.split(".")[0] for file in Path(town.path, "_coarse").glob("*.npy")}
+    assert kept == {file.stem for file in Path(town.path, "data").glob("*.lance")}
+
+
+def test_rows_that_were_removed_before_are_left_out(town):
+    town.remove([f"a/{n:04d}" for n in range(0, 100, 3)])
+    assert build(town).frames == 66
+    assert_own_row_is_first(town, "a/0001", {n: v[1:2] for n, v in rows(0, 2).items()})
+
+
+def test_a_map_that_has_grown_much_is_learnt_anew(town, monkeypatch):
+    build(town)
+    monkeypatch.setattr(coarse_index, "_GROWTH", 1.5)
+    add(town, 100, 40)
+    assert build(town).new == 40
+    add(town, 200, 40)
+    assert build(town).new == 180
+    assert len(CoarseIndex(town).sample["signs"]) == 180
+
+
+def test_the_sample_is_of_the_rows_as_they_are_stored(town):
+    build(town)
+    sample, frames = CoarseIndex(town).sample, town.load()
+    assert all(torch.equal(sample[name], values) for name, values in frames.channels.items())
+
+
+def test_what_cannot_be_opened_or_built_is_refused_in_one_line(town, tmp_path):
+    with pytest.raises(ValueError, match="has no index; ssrvlad db index builds one"):
+        CoarseIndex(town)
+    build(town)
+    about = Path(town.path, "_coarse", "index.json")
+    other = json.loads(about.read_text())
+    other["columns"][1][1] = "many"
+    about.write_text(json.dumps(other))
+    with pytest.raises(ValueError, match="is of other channels; ssrvlad db index builds it anew"):
+        CoarseIndex(town)
+    assert build(town).new == 100
+    with pytest.raises(ValueError, match="holds no frames yet"):
+        build(Database.create(tmp_path / "empty", CONFIG))
+    spoil(Path(town.path), rows(0, 3)["ssr-vlad"][2])
+    add(town, 100, 1)
+    assert build(Database.open(town.path)).new == 1, "what is indexed is not read again"
+    about.unlink()
+    with pytest.raises(ValueError, match="is damaged"):
+        build(Database.open(town.path))
+
+
+def test_a_map_keeps_its_index_complete(tmp_path):
+    town = Map.open(tmp_path / "drawn.ssrdb", labels_as=SPACE)
+    town.add(write_maps(tmp_path / "monday", range(6)))
+    assert not Path(town.path, "_coarse").exists(), "only db index makes one"
+    build(town.database)
+    town.add(write_maps(tmp_path / "tuesday", range(3)))
+    assert len(CoarseIndex(town.database)) == 9
