@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from itertools import groupby, islice
@@ -120,10 +120,6 @@ class Channel(Protocol):
 
     needs: frozenset[str]
     trust: float
-
-    @property
-    def mirrored(self) -> Callable[[Tensor], Tensor] | None:
-        """From descriptors ``(..., *shape)`` to those of the mirrored views, if there are such."""
 
     @property
     def threads(self) -> int | None:

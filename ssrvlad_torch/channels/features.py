@@ -57,10 +57,6 @@ class Features:
                 raise ValueError(f"frame {view.frame}: expected features {SHAPE}, got {got}")
         return torch.from_numpy(np.stack([np.asarray(view.features) for view in views]))
 
-    def mirrored(self, signs: Tensor) -> Tensor:
-        """See `Channel`."""
-        return signs.flip(-3)
-
     def references(self, stored: Tensor, sequences: Sequence[str]) -> SignReferences:
         """See `Channel`."""
         return SignReferences(stored, sequences)

@@ -13,13 +13,13 @@ from .candidates import Search
 from .comparison import Member
 from .confidence import TRACK, Confidence, answers_together
 from .courses import Course, course
-from .decoys import Lead
 from .display import candidates_table
 from .evidence import AllRows, Candidates, Evidence
 from .follow import Mode, Places, runs
 from .fusion import fused_scores
 from .matching import Matches, checked_excluded, checked_number
 from .motion import Motion
+from .rivals import Chance
 from .standardise import MIN_FRAMES
 
 _MIN_GAIN = 0.05
@@ -194,21 +194,18 @@ def recognise_by_search(
 
 
 def recognise_alone(
-    judged: Mapping[str, Sequence[tuple[Matches, Lead]]],
-    priors: Mapping[str, Prior],
+    judged: Mapping[str, Sequence[tuple[Matches, Chance]]],
     widths: Mapping[str, int],
     weights: dict[str, float],
     references: int,
     steps: Steps,
     top: int,
 ) -> Recognised:
-    """As `recognise`, for sequences of queries whose candidates and leads are known, by the prior
-    of their confidence and the width of their sweep; ``weights`` are of fused channels."""
-    follow = NO_SEQUENCE if steps.follow else "no"
+    """As `recognise`, for sequences of queries whose candidates are known, how the first compares
+    with its rivals, and the width of their sweep; ``weights`` are of fused channels."""
+    follow = SURE_ALONE if steps.follow else "no"
     decisions = {
-        name: replace(
-            _by_leads(each, priors[name]), sweep=widths[name], follow=follow, weights=weights
-        )
+        name: replace(_judged(each), sweep=widths[name], follow=follow, weights=weights)
         for name, each in judged.items()
     }
     return _joined(decisions, references, steps, top)
@@ -270,10 +267,10 @@ def _followed(
 
 def _alone(evidence: Evidence, top: int) -> _Decision:
     """Judges each query by itself."""
-    return _by_leads([evidence.judge(query, top) for query in evidence.queries], prior)
+    return _judged([evidence.judge(query, top) for query in evidence.queries])
 
 
-def _by_leads(judged: Sequence[tuple[Matches, Lead]], prior: Prior) -> _Decision:
+def _judged(judged: Sequence[tuple[Matches, Chance]]) -> _Decision:
     matches = Matches(*map(torch.stack, zip(*(found for found, _ in judged), strict=True)))
     chances, rivals = (torch.tensor(each) for each in zip(*(c for _, c in judged), strict=True))
     chances = chances.double().masked_fill(matches.indices[:, 0] < 0, torch.nan)

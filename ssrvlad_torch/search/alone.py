@@ -19,13 +19,12 @@ from torch import Tensor
 from ..channels.channel import Channel
 from ..database.database import Database
 from ..database.frames import FrameSet
-from ..recognition.confidence import Prior
-from ..recognition.decoys import Lead, lead_over_decoys
 from ..recognition.follow import runs
 from ..recognition.fusion import fused, weights_of
 from ..recognition.matching import Matches, best_of
-from ..recognition.motion import ELSEWHERE, MIN_SPREAD, moments
+from ..recognition.motion import ELSEWHERE, MIN_SPREAD, nearness
 from ..recognition.recognise import Recognised, Steps, recognise_alone
+from ..recognition.rivals import Chance, chance_of
 from .coarse_index import LEAST_ROWS, CoarseIndex, is_indexed, taken
 from .selection import neighbours
 
@@ -40,12 +39,11 @@ _PRESELECTED, _STRIDE = 20_000, 61
 
 
 class Judged(NamedTuple):
-    """The candidates of a query that is judged alone and its lead over the decoys, the prior of its
-    confidence, and the width of its sweep."""
+    """The candidates of a query that is judged alone, how the first compares with its rivals, and
+    the width of the sweep."""
 
     matches: Matches
-    lead: Lead
-    prior: Prior
+    chance: Chance
     width: int
 
 
@@ -91,20 +89,12 @@ class LargeMap:
         """The candidates of one query by its descriptors ``(*shape)``, or ``(S, *shape)`` from all
         anchors. ``allowed`` ``(R,)`` bool are the rows that may be candidates, by default all."""
         where = None if allowed is None else torch.from_numpy(allowed)[self._natural]
-        asked = {each.column.name: [descriptors[each.column.name]] for each in self._channels}
-        if all(channel.mirrored for channel in self._channels):
-            for channel in self._channels:
-                assert channel.mirrored
-                views = asked[channel.column.name]
-                views.append(channel.mirrored(views[0]))
-        scanned = {name: self._index.scan(name, views) for name, views in asked.items()}
-        coarse = {name: scores[0] for name, scores in scanned.items()}
+        coarse = {
+            name: self._index.scan(name, [descriptors[name]])[0]
+            for name in (channel.column.name for channel in self._channels)
+        }
         own = self._natural[self._best(coarse, where)].sort().values
-        decoys = own[:0]
-        if len(next(iter(scanned.values()))) > 1:
-            mirrored = {name: scores[1] for name, scores in scanned.items()}
-            decoys = self._natural[self._best(mirrored, where)[:EXACT]].sort().values
-        return self._judged(descriptors, coarse, own, decoys, sweep, top)
+        return self._judged(descriptors, coarse, own, sweep, top)
 
     def _best(self, coarse: Mapping[str, Tensor], where: Tensor | None) -> Tensor:
         """The `COARSE` best stored rows by the fused coarse scores ``(R,)``, best first. Rows are
@@ -132,38 +122,25 @@ class LargeMap:
         self,
         descriptors: Mapping[str, Tensor],
         coarse: Mapping[str, Tensor],
-        own: Tensor,
-        decoys: Tensor,
+        rows: Tensor,
         sweep: bool,
         top: int,
     ) -> Judged:
-        """The decision by the exact scores of candidates and of decoys, rising rows of the map."""
+        """The decision by the exact scores of candidates, rising rows of the map."""
         most, *others = self._channels
-        rows = torch.cat((own, decoys))
         compared = {most.column.name: self._compared(most, descriptors, coarse, rows, sweep)}
         if others:
-            chosen = self._finer(compared, coarse, own, max(top, EXACT))
-            end = self._size + len(own)
-            rest = torch.arange(end, end + len(decoys))
-            kept = torch.cat((torch.arange(self._size), self._size + chosen, rest))
+            chosen = self._finer(compared, coarse, rows, max(top, EXACT))
+            kept = torch.cat((torch.arange(self._size), self._size + chosen))
             compared = {name: each.only(kept) for name, each in compared.items()}
-            own, rows = own[chosen], torch.cat((own[chosen], decoys))
+            rows = rows[chosen]
         for channel in others:
             found = self._compared(channel, descriptors, coarse, rows, sweep)
             compared[channel.column.name] = found
-        every = [*compared.values()]
-        scores, against = self._together(every)
-        spread, lost = scores[: self._size], None
-        if against is not None:
-            spread, lost = (
-                torch.cat((spread, against[: self._size])),
-                against[len(against) - len(decoys) :],
-            )
-        scores = scores[self._size : self._size + len(own)]
-        lead = lead_over_decoys(scores, lost, own, decoys, moments(spread)[1])
-        prior = max((each.prior for each in every), key=lambda prior: prior.slope)
-        width = max(each.width for each in every)
-        return Judged(best_of(scores, top, own), lead, prior, width)
+        scores = self._together([*compared.values()])[self._size :]
+        chance = chance_of(nearness(scores), rows, len(self.frames))
+        width = max(each.width for each in compared.values())
+        return Judged(best_of(scores, top, rows), chance, width)
 
     def _finer(
         self,
@@ -211,24 +188,19 @@ class LargeMap:
         each = references.compare(query[None], False, sweep, None)
         at = self._size + places[torch.searchsorted(unique, rows)]
         wanted = torch.cat((torch.arange(self._size), at))
-        decoys = None if each.decoys is None else each.decoys[0]
-        return _Compared(each.scores[0], decoys, each.prior, each.width).only(wanted)
+        return _Compared(each.scores[0][wanted], each.width)
 
     def _taken(self, channel: Channel, rows: Tensor) -> Tensor:
         """The descriptors of rows of the map by one channel."""
         stored = self._stored[rows.numpy()]
         return taken(self._database, stored, [channel.column])[channel.column.name]
 
-    def _together(self, compared: Sequence[_Compared]) -> tuple[Tensor, Tensor | None]:
-        """The fused scores of all channels, and those of the decoys if all have them."""
+    def _together(self, compared: Sequence[_Compared]) -> Tensor:
+        """The fused scores of all channels."""
         if len(compared) == 1:
-            return compared[0].scores, compared[0].decoys
+            return compared[0].scores
         weights = [self._share[channel.column.name] for channel in self._channels]
-        scores = fused([each.scores for each in compared], weights, self._size)
-        both = [torch.cat((c.scores, c.decoys)) for c in compared if c.decoys is not None]
-        if len(both) < len(compared):
-            return scores, None
-        return scores, fused(both, weights, self._size)[len(scores) :]
+        return fused([each.scores for each in compared], weights, self._size)
 
 
 def recognise_in_large(
@@ -256,7 +228,6 @@ def recognise_in_large(
     parts = {queries.sequences[run.start]: run for run in runs(queries.sequences)}
     return recognise_alone(
         {name: [judged[query][:2] for query in run] for name, run in parts.items()},
-        {name: judged[run.start].prior for name, run in parts.items()},
         {name: max(judged[query].width for query in run) for name, run in parts.items()},
         large.weights,
         len(large.frames),
@@ -266,14 +237,12 @@ def recognise_in_large(
 
 
 class _Compared(NamedTuple):
-    """The scores ``(N,)`` of one query against the sample of a map, candidates and decoys."""
+    """The scores ``(N,)`` of one query against the sample of a map and candidates, and the width of
+    the sweep."""
 
     scores: Tensor
-    decoys: Tensor | None
-    prior: Prior
     width: int
 
     def only(self, kept: Tensor) -> _Compared:
         """Of some rows."""
-        decoys = None if self.decoys is None else self.decoys[kept]
-        return self._replace(scores=self.scores[kept], decoys=decoys)
+        return self._replace(scores=self.scores[kept])

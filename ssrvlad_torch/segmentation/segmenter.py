@@ -291,7 +291,7 @@ class Segmenter:
         network, output = self.network, self.config.output
         if not isinstance(network, OnnxNetwork) or network.runtime == ONNX_RUNTIME:
             return ""
-        other = network.differs(probed(self.labels), str(output))
+        other = network.differs(probed(self.labels)[0], str(output))
         return f" in {network.runtime}" if other else ""
 
     @cached_property
