@@ -17,10 +17,10 @@ def test_labels_lists_classes_and_features(network, ssrvlad, tmp_path):
     assert of_space["features"] is None
     write_street(tmp_path / "net.onnx")
     settings = tmp_path / "net.yaml"
-    for named, name in (("", "relu_2"), ("features: [relu_1]", "relu_1")):
+    for named, names in (("", ["relu_2", "relu_3"]), ("features: [relu_1]", ["relu_1"])):
         settings.write_text(f"network: net.onnx\nlabels_as: {SPACE}\n{named}")
-        assert f"features: {name} (1, " in ssrvlad("labels", settings)[1]
-        assert json.loads(ssrvlad("labels", settings, "--json")[1])["features"] == [name]
+        assert f"features: {names[0]} (1, " in ssrvlad("labels", settings)[1]
+        assert json.loads(ssrvlad("labels", settings, "--json")[1])["features"] == names
     for given, message in (
         ("camvid-1", "unknown label space 'camvid-1': did you mean camvid-11"),
         ("net.onxx", "no network 'net.onxx'"),
@@ -38,7 +38,8 @@ def test_labels_lists_all_activations(ssrvlad, tmp_path):
     assert (code, err) == (0, [])
     rows = [[cell.strip() for cell in line.split("│")[1:-1]] for line in out.splitlines()]
     assert [row for row in rows if "features" in row] == [
-        ["relu_2", "32", "28", "56", "8", "features"]
+        ["relu_2", "32", "28", "56", "8", "features"],
+        ["relu_3", "24", "14", "28", "16", "features"],
     ]
     assert out.splitlines()[-1] == "features: relu_2 (1, 32, 28, 56), stride 8"
     listed = json.loads(ssrvlad(*command, "--all", "--json")[1])["activations"]

@@ -125,6 +125,7 @@ def test_doubts_of_a_traverse(seed, queries, right):
     rng = np.random.default_rng(seed)
     chances = np.where(rng.random(queries) < right, rng.random(queries) ** 6, rng.random(queries))
     rows = torch.from_numpy(rng.integers(0, 100, queries)).sort().values
-    sure = Confidence.of_chances(torch.from_numpy(chances), rows)
-    expected = reference.doubts(chances, answers_together(rows))
+    together = answers_together(rows)
+    sure = Confidence.of_chances(torch.from_numpy(chances), together)
+    expected = reference.doubts(chances, together)
     np.testing.assert_allclose(1 - sure.right, expected, atol=1e-6)
