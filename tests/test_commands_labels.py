@@ -41,7 +41,8 @@ def test_labels_lists_all_activations(ssrvlad, tmp_path):
         ["relu_2", "32", "28", "56", "8", "features"],
         ["relu_3", "24", "14", "28", "16", "features"],
     ]
-    assert out.splitlines()[-1] == "features: relu_2 (1, 32, 28, 56), stride 8"
+    *_, line = out.splitlines()
+    assert line == "features: relu_2 (1, 32, 28, 56), stride 8, relu_3 (1, 24, 14, 28), stride 16"
     listed = json.loads(ssrvlad(*command, "--all", "--json")[1])["activations"]
     by_name = {each["name"]: each for each in listed}
     assert by_name["relu_2"]["chosen"] and by_name["relu_2"]["shape"] == [1, 32, 28, 56]
