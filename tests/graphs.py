@@ -24,7 +24,7 @@ def session(content: bytes, **options: Any) -> onnxruntime.InferenceSession:
 def edit_golden(source: Path, target: Path, change: Callable[[dict[str, Any]], object]) -> Path:
     """A copy of an exported file with another golden pair."""
     model = onnx.load(source)
-    (entry,) = (each for each in model.metadata_props if each.key == "ssrvlad.golden")
+    (entry,) = (prop for prop in model.metadata_props if prop.key == "ssrvlad.golden")
     golden = json.loads(entry.value)
     change(golden)
     entry.value = json.dumps(golden)

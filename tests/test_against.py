@@ -78,7 +78,7 @@ def test_an_export_that_is_right_only_at_its_own_size_is_wrong(folder, ssrvlad):
     code, out, _ = ssrvlad(*command, "--json")
     report = json.loads(out)
     assert (code, report["passed"]) == (1, False)
-    assert [bool(each["problem"]) for each in report["sizes"]] == [True, False, True]
+    assert [bool(size["problem"]) for size in report["sizes"]] == [True, False, True]
 
 
 def test_the_export_of_a_network_gives_its_labels_at_all_sizes(folder, ssrvlad):

@@ -44,11 +44,11 @@ def test_labels_lists_all_activations(ssrvlad, tmp_path):
     *_, line = out.splitlines()
     assert line == "features: relu_2 (1, 32, 28, 56), stride 8, relu_3 (1, 24, 14, 28), stride 16"
     listed = json.loads(ssrvlad(*command, "--all", "--json")[1])["activations"]
-    by_name = {each["name"]: each for each in listed}
+    by_name = {row["name"]: row for row in listed}
     assert by_name["relu_2"]["chosen"] and by_name["relu_2"]["shape"] == [1, 32, 28, 56]
     assert (by_name["relu_3"]["stride"], by_name["relu_3"]["raised"]) == (16, False)
     assert by_name["conv2d_9"]["raised"], "of the decoder"
-    assert sum(each["chosen"] for each in listed) == 1
+    assert sum(row["chosen"] for row in listed) == 1
     assert "activations" not in json.loads(ssrvlad(*command, "--json")[1])
     write_graph(tmp_path / "net.onnx")
     out = ssrvlad("labels", tmp_path / "net.onnx", "--labels-as", SPACE, "--all")[1]

@@ -100,7 +100,7 @@ def test_equals_the_reference_in_the_synthetic_city(preset):
     ("preset", "every"),
     [
         *(("default", 400), ("paper", 1000)),
-        *(pytest.param(*each, marks=pytest.mark.slow) for each in (("default", 1), ("paper", 4))),
+        *(pytest.param(*case, marks=pytest.mark.slow) for case in (("default", 1), ("paper", 4))),
     ],
 )
 def test_equals_the_reference_on_camvid(preset, every):

@@ -33,7 +33,7 @@ def frames(count: int, sequence: str = "a") -> list[View]:
 def test_scores_are_the_cosines_of_the_signs_of_the_segmenter(segmenter):
     method, pictures = EncoderFeatures(segmenter), [frame.picture for frame in frames(6)]
     signs = method.encode_reference(frames(6))
-    expected = [each.features for each in segmenter.segment(pictures, features=True)]
+    expected = [result.features for result in segmenter.segment(pictures, features=True)]
     np.testing.assert_array_equal(signs.numpy(), np.stack(expected))
     assert torch.equal(method.encode_query(frames(6)), signs)
     scores = method.scores(signs[:2], signs)

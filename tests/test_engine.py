@@ -133,7 +133,7 @@ def in_threads(*works):
     ready = threading.Barrier(len(works))
     with ThreadPoolExecutor(len(works)) as pool:
         done = [pool.submit(lambda work=work: (ready.wait(), work())) for work in works]
-    return [each.exception() for each in done if each.exception()]
+    return [task.exception() for task in done if task.exception()]
 
 
 def test_writers_that_start_at_once_make_one_database(tmp_path):

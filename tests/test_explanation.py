@@ -23,9 +23,9 @@ def test_the_figure_of_an_explanation_has_masks_histograms_and_classes(preset, s
     view = SSRVLAD.from_preset(preset, labels_as="camvid-11").explain(LABELS)
     figure = view.show(title="drive/000000")
     axes = figure.get_axes()
-    titles = [each.get_title() for each in axes]
+    titles = [axis.get_title() for axis in axes]
     assert titles[0].startswith("drive/000000\n") and shown <= {*titles}
-    assert sum(each.name == "polar" for each in axes) == (10 if preset == "default" else 8)
+    assert sum(axis.name == "polar" for axis in axes) == (10 if preset == "default" else 8)
     classes = [text.get_text() for text in axes[1].artists[0].get_texts()]
     assert {"sky", "building"} <= {*classes} and "fence" not in classes
     with pytest.raises(IndexError, match="expected an image from 0 to 1, got 2"):

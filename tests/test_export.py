@@ -217,7 +217,7 @@ def test_a_model_has_its_interface_metadata_and_a_golden_pair(preset, given, dty
     config = of_preset(preset)
     model = model_of(config, given, dtype)
     onnx.checker.check_model(model, full_check=True)
-    assert [(each.domain, each.version) for each in model.opset_import] == [("", OPSET)]
+    assert [(opset.domain, opset.version) for opset in model.opset_import] == [("", OPSET)]
     assert not model.functions
     forms = {
         value.name: (
@@ -297,7 +297,11 @@ def test_default_has_no_bits_no_loops_and_no_shape_that_depends_on_labels():
 def test_every_input_of_a_loop_has_its_rank(preset):
     loops = [node for node, _ in all_nodes(model_of(of_preset(preset)).graph) if node.attribute]
     inputs = [
-        value for node in loops for each in node.attribute if each.g.node for value in each.g.input
+        value
+        for node in loops
+        for attribute in node.attribute
+        if attribute.g.node
+        for value in attribute.g.input
     ]
     assert preset == "default" or len(inputs) > 20
     assert all(value.type.tensor_type.HasField("shape") for value in inputs)

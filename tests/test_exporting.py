@@ -58,7 +58,7 @@ def test_an_export_deletes_the_files_of_an_earlier_one(database, tmp_path):
     signs = np.zeros((4, 2, 4), np.uint8)
     seen.append(FRAMES, {"ssr-vlad": descriptors(0, 4), "signs": signs})
     file, other = tmp_path / "out.npy", tmp_path / "out.npy2.npy"
-    whole = [{*export_database(seen, "npy", each)} for each in (other, file)]
+    whole = [{*export_database(seen, "npy", target)} for target in (other, file)]
     assert [len(files) for files in whole] == [6, 6]
     mine = {tmp_path / f"out.npy.mine{end}" for end in ("", ".fingerprint.txt")}
     touch(*mine)

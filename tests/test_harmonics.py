@@ -114,6 +114,6 @@ def test_an_anchor_halfway_between_two_columns_is_rounded_to_one_side(width, col
     config = SSRVLADConfig(labels_as=SPACE)
     head = SSRVLAD(config)
     flipped = labels.flip(-1).contiguous()
-    found = [int(head.explain(each).histograms.column) for each in (labels, flipped)]
+    found = [int(head.explain(image).histograms.column) for image in (labels, flipped)]
     away = (mirrored(head(labels), config) - head(flipped)).abs().max()
     assert found == columns and bound / 3 * (bound > 0.01) < away <= bound

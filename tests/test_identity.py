@@ -151,5 +151,7 @@ def test_no_frame_is_stored_under_the_identity_of_another_network(tmp_path, monk
         encode_to_database(head, files, database, EncodeOptions(workers=1), segmenter)
     assert (sum(seen), len(database)) == (18, 16)
     pictures = [read_image(file) for file in files[:16]]
-    expected = [each.features for each in Segmenter(street(), SPACE, PLAIN).segment(pictures, True)]
+    expected = [
+        result.features for result in Segmenter(street(), SPACE, PLAIN).segment(pictures, True)
+    ]
     np.testing.assert_array_equal(database.load().channels["features"].numpy(), expected)

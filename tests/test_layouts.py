@@ -127,7 +127,7 @@ FILES = [
 
 @pytest.mark.parametrize(("copy", "frame", "image", "label"), FILES, indirect=["copy"])
 def test_a_frame_has_its_image_and_its_label_map(copy, frame, image, label):
-    [found] = (each for each in open_dataset(copy).frames if each.frame == frame)
+    [found] = (entry for entry in open_dataset(copy).frames if entry.frame == frame)
     assert (found.image, found.label) == (
         copy / image.format(found.name),
         copy / label.format(found.name),

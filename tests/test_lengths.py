@@ -32,5 +32,5 @@ def test_lengths_in_a_graph_are_those_of_the_config(in_graph):
     for size in (*HUGE, *np.random.default_rng(0).integers(1, 30_000, (300, 2)).tolist()):
         *sizes, limits = lengths(CONFIG, *size)
         found = in_graph(*size)
-        assert [int(each) for each in found] == [*sizes, *limits]
-        assert all(each.dtype == np.int32 for each in found)
+        assert [int(number) for number in found] == [*sizes, *limits]
+        assert all(number.dtype == np.int32 for number in found)

@@ -60,11 +60,13 @@ def test_a_picture_finds_its_place(town, photos):
     pixels = photo(street(22, 60, 80))
     several = [pixels, Image.fromarray(pixels), str(photos / "22.png"), photos / "7.png"]
     answers = Map.open(town.path).locate(several, top=2)
-    assert [len(each.candidates) for each in answers] == [2] * 4
-    assert [each.candidates[0].frame for each in answers] == ["monday/22"] * 3 + ["monday/7"]
-    assert len({tuple((c.frame, c.score) for c in each.candidates) for each in answers[:3]}) == 1
+    assert [len(answer.candidates) for answer in answers] == [2] * 4
+    assert [answer.candidates[0].frame for answer in answers] == ["monday/22"] * 3 + ["monday/7"]
+    assert (
+        len({tuple((c.frame, c.score) for c in answer.candidates) for answer in answers[:3]}) == 1
+    )
     assert all(map(math.isnan, answers[0].candidates[0].pose))
-    assert max(each.candidates[0].score for each in answers) <= 1
+    assert max(answer.candidates[0].score for answer in answers) <= 1
     assert answers[3].candidates[0] == answer.candidates[0]
     near = town.locate(several, near=(3, -3, 2))
     found = {candidate.frame for each in near for candidate in each.candidates}
@@ -106,11 +108,11 @@ def test_a_drive_is_found_from_a_folder_files_or_a_database(drawn, tmp_path):
     for frames in (today, [today], sorted(today.glob("*.png")), tmp_path / "other.ssrdb"):
         answers = drawn.query(frames, top=2)
         assert len(answers) == 4
-        assert [each.query for each in answers] == [f"today/{n:03d}" for n in range(2, 6)]
-        assert [each.candidates[0].frame for each in answers] == [
+        assert [answer.query for answer in answers] == [f"today/{n:03d}" for n in range(2, 6)]
+        assert [answer.candidates[0].frame for answer in answers] == [
             f"monday/{n:03d}" for n in range(2, 6)
         ]
-        assert {len(each.candidates) for each in answers} == {2}
+        assert {len(answer.candidates) for answer in answers} == {2}
         assert repr(answers) == "<Answers: 4 queries, 0 accepted>"
         assert answers._repr_html_().count("<tr>") >= 4
     [first, *_] = drawn.query(today, AS_PAPER, top=1, temporal=1)
@@ -122,9 +124,9 @@ def test_a_drive_is_found_from_a_folder_files_or_a_database(drawn, tmp_path):
 def test_candidates_are_limited_by_sequence_and_exclusion(drawn, maps, tmp_path):
     drawn.add(write_maps(tmp_path / "tuesday", range(6)))
     for answer in drawn.query(maps, AS_PAPER, sequences=["tuesday"]):
-        assert {each.frame.split("/")[0] for each in answer.candidates} == {"tuesday"}
+        assert {candidate.frame.split("/")[0] for candidate in answer.candidates} == {"tuesday"}
     [first, *_] = drawn.query(maps, AS_PAPER, top=12, exclude=5)
-    assert {each.frame.split("/")[0] for each in first.candidates} == {"tuesday"}
+    assert {candidate.frame.split("/")[0] for candidate in first.candidates} == {"tuesday"}
 
 
 def test_evaluate_measures_recall_by_a_tolerance(drawn, tmp_path):
@@ -152,7 +154,7 @@ def test_a_network_runs_once_for_each_picture(tmp_path):
     town.locate(photos / "3.png")
     before = int(network.images)
     answers = town.locate([photos / "4.png", photos / "5.png"])
-    assert [each.candidates[0].frame for each in answers] == ["monday/4", "monday/5"]
+    assert [answer.candidates[0].frame for answer in answers] == ["monday/4", "monday/5"]
     assert int(network.images) == before + 2
 
 
@@ -189,7 +191,7 @@ def test_a_map_is_made_by_its_first_frames(settings, photos, tmp_path):
     (tmp_path / "torn" / "1.jpg").write_bytes(b"torn")
     town = Map.open(tmp_path / "town.ssrdb", settings)
     assert not Path(town.path).exists()
-    assert [each.frame for each in town.add(tmp_path / "torn").skipped] == ["torn/1"]
+    assert [frame.frame for frame in town.add(tmp_path / "torn").skipped] == ["torn/1"]
     assert not Path(town.path).exists() and len(town) == 0
 
     def fail(_frames):
@@ -224,7 +226,7 @@ def test_an_older_version_is_read_only(drawn, maps, tmp_path):
     drawn.add(write_maps(tmp_path / "tuesday", range(6)))
     older = Map.open(drawn.path, labels_as=SPACE, version=version)
     assert (len(older), len(drawn)) == (6, 12)
-    assert {each.candidates[0].frame.split("/")[0] for each in older.query(maps)} == {"monday"}
+    assert {answer.candidates[0].frame.split("/")[0] for answer in older.query(maps)} == {"monday"}
     with pytest.raises(ValueError, match="read-only"):
         older.add(write_maps(tmp_path / "wednesday", range(6)))
 

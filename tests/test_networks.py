@@ -147,13 +147,13 @@ def test_a_published_model_comes_with_its_own_settings_and_class_names(hub_folde
     [
         "Mask2Former",
         "OneFormer",
-        *(pytest.param(each, marks=pytest.mark.slow) for each in ("Beit", "DPT", "UperNet")),
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("Beit", "DPT", "UperNet")),
     ],
 )
 def test_every_family_of_transformers_gives_label_maps(family, tmp_path):
     segmenter = Segmenter.load(write_published(tmp_path / "tiny", family))
     labels = segmenter([PHOTOS[0], NOISE])
-    assert [each.shape for each in labels] == [(24, 32), (17, 23)]
+    assert [image.shape for image in labels] == [(24, 32), (17, 23)]
     assert len(segmenter.label_space.classes) == 8
     assert segmenter.config.network_size(90, 160) == {
         "Mask2Former": (64, 128), "OneFormer": (64, 113),

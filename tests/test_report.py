@@ -160,7 +160,7 @@ def test_the_surest_matches_come_first(outcomes):
     assert wrong == [Match(3, 3, -1), Match(1, 0, 1), Match(2, 0, 2), Match(6, 0, 2)]
     assert right == [Match(4, 1, 1), Match(0, 0, 0)]
     many = dataclasses.replace(outcomes, **{
-        each.name: np.tile(getattr(outcomes, each.name), 9) for each in dataclasses.fields(outcomes)
+        f.name: np.tile(getattr(outcomes, f.name), 9) for f in dataclasses.fields(outcomes)
     })  # fmt: skip
     kinds = chosen_matches(many, TRUTH * 9, lambda rows, columns: cosines(rows % 7, columns))
     assert [len(kind) for kind in kinds] == [WRONG_MATCHES, RIGHT_MATCHES]

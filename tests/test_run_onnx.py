@@ -50,8 +50,8 @@ def assert_same(got, expected):
         one, other = json.loads(line), json.loads(right)
         assert one["query"] == other["query"]
         (frames, scores), (names, wanted) = (
-            ([c["frame"] for c in each["candidates"]], [c["score"] for c in each["candidates"]])
-            for each in (one, other)
+            ([c["frame"] for c in line["candidates"]], [c["score"] for c in line["candidates"]])
+            for line in (one, other)
         )
         assert frames == names
         np.testing.assert_allclose(scores, wanted, rtol=0, atol=1e-5)
@@ -236,7 +236,7 @@ def test_equal_scores_go_to_the_earlier_frame_across_blocks(tmp_path, monkeypatc
     database = Database(tmp_path / "d.npy", fingerprints)
     query = np.array([1, 0, 0, 0], np.float32)
     pairs = zip(frames, vectors, strict=True)
-    scores = {frame: each[0] / np.linalg.norm(each) for frame, each in pairs if each.any()}
+    scores = {frame: vector[0] / np.linalg.norm(vector) for frame, vector in pairs if vector.any()}
     best = sorted(scores, key=lambda frame: -scores[frame])[:7]
     assert [frame for frame, _ in database.search(Seen(query), 7)] == best
 

@@ -88,7 +88,7 @@ def test_images_give_the_descriptors_of_their_label_maps(tmp_path):
     by_maps, _ = encode_to_memory(channels, head.label_space, maps)
     assert frames.frames == by_maps.frames
     assert torch.equal(frames.descriptors, by_maps.descriptors)
-    assert [each.frame for each in skipped] == ["a/4", "a/7"]
+    assert [frame.frame for frame in skipped] == ["a/4", "a/7"]
     assert "label id 99 (6 pixels) is not in" in skipped[1].reason
     other = Segmenter(colour_network(), "synthia", PLAIN)
     with pytest.raises(ValueError, match="gives labels of synthia, the head reads camvid-11"):

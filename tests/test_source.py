@@ -59,9 +59,9 @@ def without_version(out):
 
 def test_an_assumed_preparation_is_noted_unless_accepted(network, ssrvlad, tmp_path):
     given = ("--labels-as", SPACE, "--segmenter-cache", tmp_path / "cache", "--segmenter")
-    accepting = {each: tmp_path / f"{each}.yaml" for each in ("true", "false", "3")}
-    for each, path in accepting.items():
-        path.write_text(f"network: net.onnx\nsize: 60\naccept_defaults: {each}\n")
+    accepting = {value: tmp_path / f"{value}.yaml" for value in ("true", "false", "3")}
+    for value, path in accepting.items():
+        path.write_text(f"network: net.onnx\nsize: 60\naccept_defaults: {value}\n")
     for name, told in (
         (network, False), (tmp_path / "net.onnx", True), (accepting["true"], False),
         (accepting["false"], True),

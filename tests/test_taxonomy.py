@@ -53,7 +53,9 @@ TABLE_2 = [{6, 7}, {8}, {11, 12, 13}, {17, 18, 19, 20}, {21, 22}, {23}, {14}, {9
 def test_categories_have_the_ids_of_table_ii(name, expected):
     """Those of Cityscapes and SYNTHIA are in Table II."""
     for category, ids in expected.items():
-        assert {each.id for each in label_space(name).classes if each.category == category} == ids
+        assert {
+            label.id for label in label_space(name).classes if label.category == category
+        } == ids
 
 
 def test_train_ids_have_the_categories_of_their_ids():

@@ -67,9 +67,9 @@ def suggested_point(
     return _point(curve, last)._replace(score=float(below))
 
 
-def queries_needed(precision: float = SURE_PRECISION) -> int:
-    """Number of queries that prove a precision if all are accepted and right."""
-    return math.ceil(_Z2 * precision / (1 - precision))
+def queries_needed() -> int:
+    """Number of queries that prove `SURE_PRECISION` if all are accepted and right."""
+    return math.ceil(_Z2 * SURE_PRECISION / (1 - SURE_PRECISION))
 
 
 def operating_points(curve: PrecisionRecall) -> dict[str, Any]:
