@@ -79,7 +79,8 @@ def pink_noise(number: int, height: int, width: int) -> npt.NDArray[np.uint8]:
     frequency[0, 0] = np.inf  # no mean
     pink = np.fft.irfft2(np.fft.rfft2(white) / frequency, size[1:])
     scaled = _GRAY + _CONTRAST * pink / pink.std((1, 2), keepdims=True)
-    return scaled.round().clip(0, 255).astype(np.uint8).transpose(1, 2, 0)
+    picture: npt.NDArray[np.uint8] = scaled.round().clip(0, 255).astype(np.uint8)
+    return picture.transpose(1, 2, 0)
 
 
 @torch.inference_mode()
