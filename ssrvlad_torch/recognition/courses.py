@@ -5,6 +5,7 @@ of it: a sequence is followed if its answers are then clearly surer than those o
 by the account of both, see `rivals` and `recognise`.
 """
 
+import math
 from typing import NamedTuple
 
 from .evidence import Evidence
@@ -35,19 +36,23 @@ class Course(NamedTuple):
 _KINDS = (Course(), Course(rate=3), Course(rate=0.25), Course(streams=2))
 _OF_TWO = 0.75
 """What counts of the gain of two streams: a slow one is hardly less likely as two in turn."""
-_LEAST_GAIN = 1.0
+_LEAST_GAIN, _UNUSUAL = 1.0, 3.0
+"""The gain of a course, and how much more another than forwards at the rate of the map must have:
+before anything is known, one drive in twenty takes it."""
 
 
 def course(evidence: Evidence) -> Course | None:
-    """The course of the queries of one sequence: of all kinds and both ways the one with the
-    highest gain; two streams need a third more than one. ``None`` if no gain is above
-    `_LEAST_GAIN`, as a logarithm: then there is nothing to follow."""
-    best, highest = None, _LEAST_GAIN
+    """The course of the queries of one sequence: of all kinds and both ways the likeliest, by its
+    gain; two streams need a third more gain than one. ``None`` if there is hardly any gain: then
+    there is nothing to follow."""
+    best, highest = None, -math.inf
     for kind in _KINDS:
         parts, motion = kind.parts(evidence.queries), Motion(unmapped=0.0, rate=kind.rate)
         for way in (FORWARDS, BACKWARDS):
             gain = sum(evidence.gain(part, motion, way) for part in parts)
             gain *= 1 if kind.streams == 1 else _OF_TWO
-            if gain > highest:
-                best, highest = kind._replace(way=way), gain
+            found = kind._replace(way=way)
+            likely = gain - _UNUSUAL * (found != Course())
+            if gain > _LEAST_GAIN and likely > highest:
+                best, highest = found, likely
     return best
