@@ -31,12 +31,14 @@ from ssrvlad_place import motion
 from ssrvlad_place.database import Database
 from ssrvlad_place.frames import find_frames
 from ssrvlad_place.model import Seen, add_model, open_model
-from ssrvlad_place.motion import GAP, LEVEL, MAX_LOG, PRIOR, STAY, WAYS
+from ssrvlad_place.motion import GAP, LEVEL, MAX_LOG, PRIOR, STAY
 from ssrvlad_place.output import finished, note, one_line, report, run_program
 from ssrvlad_place.scores import FEATURES, REACH, fused, lead, nearness, weights_of
 
 Floats = npt.NDArray[np.float32]
 
+AHEAD = (1,)
+"""The way in which a drive runs the map."""
 UNMAPPED, CHANGE, WEIGHT = 0.1, 0.05, 0.3
 """Probabilities of a jump to a place that the map lacks and of a changed speed, and the weight of a
 z-score."""
@@ -145,17 +147,18 @@ class Track:
         )
         self.inside = np.zeros(int(starts[-1]), np.float32)
         self.inside[self.cells] = 1
-        ones = np.ones((len(WAYS), len(PRIOR), len(self.inside)), np.float32)
+        ones = np.ones((1, len(PRIOR), len(self.inside)), np.float32)
         self._left = 1 - self._back(ones)
 
     def rows(self, scores: Floats) -> Floats:
         """``(Q, R)`` probabilities of the rows, by ``(Q, R)`` scores; -inf where there is none."""
         likelihoods = [self._likelihood(row) for row in scores]
-        mapped, unmapped = motion.start(self.inside, UNMAPPED), UNMAPPED
+        mapped, unmapped = motion.start(self.inside, UNMAPPED, AHEAD), UNMAPPED
         beliefs = []
         for number, likelihood in enumerate(likelihoods):
             if number:
-                mapped, unmapped = motion.after(mapped, unmapped, self.inside, UNMAPPED, CHANGE)
+                before = mapped, unmapped, self.inside
+                mapped, unmapped = motion.after(*before, UNMAPPED, CHANGE, AHEAD)
             mapped = mapped * likelihood
             total = float(mapped.sum()) + unmapped
             mapped, unmapped = mapped / np.float32(total), unmapped / total
@@ -183,11 +186,11 @@ class Track:
 
     def _back(self, mapped: Floats) -> Floats:
         """By the transposed steps of each speed."""
-        return motion.moved(mapped * self.inside, self.inside, [-way for way in WAYS])
+        return motion.moved(mapped * self.inside, self.inside, [-way for way in AHEAD])
 
     def _before(self, mapped: Floats, unmapped: float) -> tuple[Floats, float]:
         """How likely the later frames are from each state one frame earlier; not normalised."""
-        anywhere = float((PRIOR * mapped * self.inside).sum()) / (len(WAYS) * len(self.cells))
+        anywhere = float((PRIOR * mapped * self.inside).sum()) / len(self.cells)
         elsewhere = UNMAPPED * unmapped + (1 - UNMAPPED) * anywhere
         before = self._back(mapped) + self._left * np.float32(elsewhere)
         before = before * (1 - CHANGE) + CHANGE * (PRIOR * before).sum(axis=1, keepdims=True)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from test_follow import TRACKS, noisy
 
-from ssrvlad_torch.recognition.courses import Course, course
+from ssrvlad_torch.recognition.courses import Course, course, is_followed
 from ssrvlad_torch.recognition.evidence import AllRows
-from ssrvlad_torch.recognition.motion import BACKWARDS, FORWARDS, Motion
+from ssrvlad_torch.recognition.motion import BACKWARDS
 
 ROWS = 240
 RANDOM = np.random.default_rng(0)
@@ -30,15 +30,20 @@ COURSES = {
 def test_how_queries_run_a_map(name):
     track, expected = COURSES[name]
     scores = noisy([*track], ROWS, strength=0.5)
-    assert course(AllRows(scores, ["map"] * ROWS)) == expected
+    found = course(AllRows(scores, ["map"] * ROWS))
+    assert (found and found[0]) == expected
 
 
 def test_a_map_in_another_order_is_run_by_hardly_anything():
     scores = noisy([*range(60)], ROWS, strength=0.5)
-    evidence, ordered = AllRows(scores[:, RANDOM.permutation(ROWS)], ["map"] * ROWS), Motion()
-    found = course(evidence)
-    assert found is None or evidence.gain(range(60), Motion(rate=found.rate), found.way) < 6
-    assert AllRows(scores, ["map"] * ROWS).gain(range(60), ordered, FORWARDS) > 30
+    found = course(AllRows(scores[:, RANDOM.permutation(ROWS)], ["map"] * ROWS))
+    assert found is None or found[1] < 0.1
+    assert course(AllRows(scores, ["map"] * ROWS))[1] > 0.5
+
+
+def test_a_drive_is_followed_unless_that_is_less_sure_and_others_if_it_is_surer():
+    assert is_followed(0.8, 0.9, 0.9) and not is_followed(0.8, 0.8, 0.9)
+    assert is_followed(0.1, 0.4, 0.3) and not is_followed(0.1, 0.32, 0.3)
 
 
 def test_a_course_in_words():

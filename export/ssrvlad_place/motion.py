@@ -30,33 +30,38 @@ WAYS = (1, -1)
 """The rows are run forwards and, as a decoy, backwards: what that holds is chance."""
 
 
-def start(inside: Floats, unmapped: float) -> Floats:
-    """``(2, 7, cells)``, the belief before the first frame: each row alike.
+def start(inside: Floats, unmapped: float, ways: Sequence[int] = WAYS) -> Floats:
+    """``(W, 7, cells)``, the belief before the first frame: each row alike.
 
     Args:
         inside: ``(cells,)``, 1 in the cells of rows, 0 in those between sequences.
         unmapped: probability of a place that the map lacks.
     """
-    each = (1 - unmapped) / max(1.0, float(inside.sum())) / len(WAYS)
-    return np.stack([PRIOR * (inside * np.float32(each))] * len(WAYS))
+    each = (1 - unmapped) / max(1.0, float(inside.sum())) / len(ways)
+    return np.stack([PRIOR * (inside * np.float32(each))] * len(ways))
 
 
 def after(
-    mapped: Floats, unmapped: float, inside: Floats, jump_off: float, change: float
+    mapped: Floats,
+    unmapped: float,
+    inside: Floats,
+    jump_off: float,
+    change: float,
+    ways: Sequence[int] = WAYS,
 ) -> tuple[Floats, float]:
-    """The belief one frame later: ``(2, 7, cells)`` by way, speed and cell, and of a place that the
+    """The belief one frame later: ``(W, 7, cells)`` by way, speed and cell, and of a place that the
     map lacks, to which a jump leads with the probability ``jump_off``; ``change`` is that of a
     changed speed."""
     mixed = mapped * (1 - change) + change * PRIOR * mapped.sum(axis=1, keepdims=True)
-    later = moved(mixed, inside, WAYS)
+    later = moved(mixed, inside, ways)
     lost = max(0.0, 1 - unmapped - float(later.sum()))
     arriving = lost * (1 - jump_off) + unmapped * (1 - STAY)
-    later += start(inside, 1 - arriving)
+    later += start(inside, 1 - arriving, ways)
     return later, lost * jump_off + unmapped * STAY
 
 
 def moved(mapped: Floats, inside: Floats, ways: Sequence[int]) -> Floats:
-    """``(2, 7, cells)`` by the steps of each speed, forwards (1) or backwards (-1), without
+    """``(W, 7, cells)`` by the steps of each speed, forwards (1) or backwards (-1), without
     jumps."""
     later, end = np.zeros_like(mapped), mapped.shape[2] - GAP
     for number, way in enumerate(ways):

@@ -21,7 +21,7 @@ from torch.nn.functional import logsigmoid
 
 from .follow import NEAR
 
-TRACK = 10
+TRACK = 20
 """Frames that a wrong answer lasts in a followed sequence."""
 
 _FOREIGN = 0.3

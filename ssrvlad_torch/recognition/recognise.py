@@ -12,7 +12,7 @@ from torch import Tensor
 from .candidates import Search
 from .comparison import Member
 from .confidence import TRACK, Confidence, answers_together
-from .courses import Course, course
+from .courses import Course, course, is_followed
 from .display import candidates_table
 from .evidence import AllRows, Candidates, Evidence
 from .follow import Mode, Places, runs
@@ -21,9 +21,6 @@ from .matching import Matches, checked_excluded, checked_number
 from .motion import Motion
 from .rivals import Chance
 from .standardise import MIN_FRAMES
-
-_MIN_GAIN = 0.05
-"""A sequence is followed if its mean confidence is then higher by more than this."""
 
 SURE_ALONE = "no, no surer so"
 """Reported as the way of following where following makes the answers no surer."""
@@ -39,7 +36,7 @@ class Steps:
             for a map of fewer references.
         sweep: use all anchors of queries that have several, see `sweep.narrowed`.
         follow: see `follow.follow`; ``None`` judges each query alone. A sequence is judged so too
-            where it has no course, see `courses.course`, or where its answers are then surer.
+            where following does not make its answers surer, see `courses`.
         delay: number of later queries that an online answer waits for.
 
     Raises:
@@ -237,10 +234,11 @@ def _decide(evidence: Evidence, steps: Steps, top: int) -> _Decision:
     alone = _alone(evidence, top)
     if not steps.follow:
         return alone
-    if taken := course(evidence):
+    if found := course(evidence):
+        taken, gain = found
         together = max(TRACK, *alone.sure.together[:1].tolist())
         followed = _followed(evidence, taken, steps, top, together)
-        if followed.sure.right.mean() > alone.sure.right.mean() + _MIN_GAIN:
+        if is_followed(gain, *(float(each.sure.right.mean()) for each in (followed, alone))):
             return followed
     return replace(alone, follow=SURE_ALONE)
 

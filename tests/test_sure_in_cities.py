@@ -1,0 +1,98 @@
+"""A small part of the table of docs/how-sure.md: what breaks a drive or the map, in a city."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+import torch
+
+from ssrvlad_torch import SSRVLAD
+from ssrvlad_torch.channels.vectors import VectorReferences
+from ssrvlad_torch.datasets.synthetic_city import REFERENCE, Conditions, SyntheticCity
+from ssrvlad_torch.recognition.comparison import Member
+from ssrvlad_torch.recognition.confidence import accept, estimate
+from ssrvlad_torch.recognition.follow import NEAR
+from ssrvlad_torch.recognition.recognise import Steps, recognise
+from ssrvlad_torch.recognition.sweep import COLUMNS
+
+CITY, FRAMES = 31, 90
+DRIVES = {
+    "reference": REFERENCE,
+    "query": Conditions(spacing=2.7, lateral_offset=0.7, seed=1),
+    "back": Conditions(spacing=2.7, lateral_offset=0.7, seed=3, heading_offset=180.0),
+}
+STEPS = {"alone": Steps(follow=None), "online": Steps(follow="online"), "offline": Steps()}
+RANDOM = np.random.default_rng(0)
+
+
+@cache
+def drive(seed: int, name: str) -> tuple[torch.Tensor, np.ndarray]:
+    """Descriptors from all anchors, and poses; the way back in the order of time."""
+    head = SSRVLAD.from_preset("default", labels_as="cityscapes-trainids")
+    frames = list(SyntheticCity(seed).traverse(FRAMES, DRIVES[name], (90, 120)))
+    labels = torch.from_numpy(np.stack([frame.labels for frame in frames]))
+    found, poses = head.sweep(labels, COLUMNS), np.array([frame.pose for frame in frames])
+    return (found.flip(0), poses[::-1]) if name == "back" else (found, poses)
+
+
+def found_in(here, there, steps):
+    """What is recognised, and which answers are another place."""
+    (queries, at), (references, known) = here, there
+    names = ["map"] * len(references)
+    middle = torch.from_numpy(references[:, len(COLUMNS) // 2])
+    member = Member(torch.from_numpy(queries), VectorReferences(middle, names))
+    found = recognise({"x": member}, ["q"] * len(queries), names, STEPS[steps], 1)
+    x, y, turn = (at[:, None] - known).transpose(2, 0, 1)
+    same = (np.hypot(x, y) <= 5) & (np.cos(turn) > 0.5)
+    answers = found.matches.indices[:, 0].numpy()
+    wrong = [
+        min(abs(np.flatnonzero(true) - row), default=np.inf) > NEAR
+        for true, row in zip(same, answers, strict=True)
+    ]
+    return found, np.array(wrong)
+
+
+def of(seed: int, name: str, rows=None):
+    vectors, poses = drive(seed, name)
+    rows = slice(None) if rows is None else list(rows)
+    return vectors.numpy()[rows], poses[rows]
+
+
+def in_turn(streams: int) -> list[int]:
+    length = FRAMES // streams
+    return [part * length + frame for frame in range(length) for part in range(streams)]
+
+
+CASES = {
+    "as it is": lambda: (of(CITY, "query"), of(CITY, "reference")),
+    "3 streams in turn": lambda: (of(CITY, "query", in_turn(3)), of(CITY, "reference")),
+    "6 streams in turn": lambda: (of(CITY, "query", in_turn(6)), of(CITY, "reference")),
+    "a stop": lambda: (
+        of(CITY, "query", sorted([*range(FRAMES), *[30] * 40])),
+        of(CITY, "reference"),
+    ),
+    "random frames": lambda: (
+        of(CITY, "query", RANDOM.permutation(FRAMES)[:40]),
+        of(CITY, "reference"),
+    ),
+    "foreign": lambda: (of(CITY, "query"), of(CITY + 1, "reference")),
+    "foreign, 30": lambda: (of(CITY, "query", range(30)), of(CITY + 1, "reference")),
+    "the way back alone": lambda: (of(CITY, "query"), of(CITY, "back")),
+}
+
+
+@pytest.mark.parametrize("steps", STEPS)
+@pytest.mark.parametrize("case", CASES)
+def test_what_is_accepted_is_right_and_the_interval_holds(case, steps):
+    here, there = CASES[case]()
+    found, wrong = found_in(here, there, steps)
+    kept, every = accept(found.sure, 0.05), estimate(found.sure)
+    taken = found.confidence.numpy() >= kept.confidence
+    assert wrong[taken].sum() <= 0.1 * taken.sum()
+    assert every.low is None or every.low <= wrong.mean() <= every.high
+    doubts = 1 - found.confidence.numpy()[taken].astype(float)
+    assert kept.wrong * kept.accepted == pytest.approx(doubts.sum(), abs=1e-3)
+    if "foreign" in case or "back" in case:
+        assert kept.accepted == 0
+    else:
+        assert kept.accepted > 0.5 * (~wrong).sum()
