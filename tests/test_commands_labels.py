@@ -48,7 +48,7 @@ def test_labels_lists_all_activations(ssrvlad, tmp_path):
     assert by_name["relu_2"]["chosen"] and by_name["relu_2"]["shape"] == [1, 32, 28, 56]
     assert (by_name["relu_3"]["stride"], by_name["relu_3"]["raised"]) == (16, False)
     assert by_name["conv2d_9"]["raised"], "of the decoder"
-    assert sum(row["chosen"] for row in listed) == 1
+    assert sum(row["chosen"] for row in listed) == 2
     assert "activations" not in json.loads(ssrvlad(*command, "--json")[1])
     write_graph(tmp_path / "net.onnx")
     out = ssrvlad("labels", tmp_path / "net.onnx", "--labels-as", SPACE, "--all")[1]
