@@ -51,7 +51,7 @@ def test_the_page_of_networks_has_every_setting():
         for row in re.findall(r"^\| (`.*?) \|", page, re.M)
         for key in re.findall(r"`(\w+)`", row)
     }
-    settings = {each.name for each in dataclasses.fields(SegmenterConfig)}
+    settings = {field.name for field in dataclasses.fields(SegmenterConfig)}
     assert keys == settings | {"network", "labels_as", "arguments", "accept_defaults"}
     (example,) = re.findall(r"```yaml\n(.*?)```", page, re.S)
     document = yaml.safe_load(example)

@@ -31,6 +31,6 @@ def test_mirrored_histograms_are_near_those_of_mirrored_pictures():
     method = make("hog")
     found = method.encode_query(frames(pictures))
     assert make("hog", rows=3, columns=4).encode_query(frames(pictures)).shape == (2, 8 * 3 * 4)
-    expected = method.encode_query(frames([each[:, ::-1].copy() for each in pictures]))
+    expected = method.encode_query(frames([picture[:, ::-1].copy() for picture in pictures]))
     alike = (method.mirrored(found) * expected).sum(1)
     assert alike.min() > 0.98 and alike.min() > (found * expected).sum(1).max() + 0.01

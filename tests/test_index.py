@@ -101,7 +101,7 @@ class Raw(VectorReferences):
     """Vectors whose decoys are mirrored whole, also what they have in common."""
 
     def compare(self, queries, *_):
-        scores, decoys = (score(each, self._vectors) for each in (queries, exchange(queries)))
+        scores, decoys = (score(rows, self._vectors) for rows in (queries, exchange(queries)))
         return Comparison(scores, decoys, ALONE)
 
 

@@ -62,5 +62,5 @@ def test_mirrored_grids_are_those_of_mirrored_label_maps(size):
     maps = [blobs(seed, *size, grain=5) for seed in range(4)]
     method = make("label-grid", columns=7)
     found = method.mirrored(method.encode_query(map(frame, maps)))
-    expected = method.encode_query(frame(each[:, ::-1].copy()) for each in maps)
+    expected = method.encode_query(frame(labels[:, ::-1].copy()) for labels in maps)
     torch.testing.assert_close(found, expected, rtol=0, atol=1e-6)

@@ -52,7 +52,7 @@ def test_a_skipped_query_keeps_its_place(evaluate, tmp_path, how):
     assert (metrics["queries"], metrics["recall_at"]["1"]) == (5, 1.0)
 
 
-def test_the_estimate_of_wrong_answers_comes_with_the_truth(ssrvlad, tmp_path):
+def test_the_estimate_stands_beside_the_truth(ssrvlad, tmp_path):
     """Forty streets; four queries have the labels of another one."""
     streets = [street(seed) for seed in range(40)]
     for name, maps in (("town", streets), ("today", streets[4:5] * 4 + streets[4:])):
