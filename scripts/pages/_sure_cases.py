@@ -56,7 +56,7 @@ METHODS = {
     "HOG": ("HOG",),
     "together": (OURS, FEATURES, "HOG"),
 }
-MOST = 8
+MOST = 16
 """Cases of a row of the table."""
 LOOKED_AT, CITIES = 5, range(20)
 """One real case of so many, and the first cities up to this one, were looked at when the form was
