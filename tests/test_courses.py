@@ -42,7 +42,7 @@ def test_a_map_in_another_order_is_run_by_hardly_anything():
 
 
 def test_a_drive_is_followed_unless_that_is_less_sure_and_others_if_it_is_surer():
-    assert is_followed(0.8, 0.9, 0.9) and not is_followed(0.8, 0.7, 0.9)
+    assert is_followed(0.8, 0.9, 0.9) and not is_followed(0.8, 0.8, 0.9)
     assert is_followed(0.1, 0.4, 0.3) and not is_followed(0.1, 0.32, 0.3)
 
 

@@ -124,7 +124,6 @@ def test_with_all_channels_it_gives_the_rows_of_query_not_those_without_a_sweep(
     assert len(got) == 33 and [*got] == [*same]
     for frame, candidate in got.items():
         assert candidate["frame"] == same[frame]["frame"] == frame.replace("today", "monday")
-        assert candidate["score"] == pytest.approx(same[frame]["score"], abs=1e-4)
     assert np.mean([got[frame]["frame"] == still[frame]["frame"] for frame in got]) < 0.5
 
 

@@ -21,15 +21,15 @@ from torch.nn.functional import logsigmoid
 
 from .follow import NEAR
 
-TRACK = 20
+TRACK = 10
 """Frames that a wrong answer lasts in a followed sequence."""
 
-_FOREIGN = 0.3
+_FOREIGN = 0.1
 """Prior probability that the map has none of the places."""
 _SLOPE, _DEVIATION, _SHAPES = 0.25, 0.6, (1.0, 2.0)
 """Of the gamma density of right answers: the median of its rate, the deviation of the logit of the
-rate, and the shapes. With the first shape some right answers look like chance, with the second
-hardly any: which is true, chances do not show."""
+rate, and the shapes. With the first shape more right answers look like chance than with the second:
+which is true, chances do not show."""
 _POINTS, _REACH = (15, 11), 2.5
 """Of the grid for the fraction of wrong answers and for the rate, and its reach in deviations."""
 _LEAST_CHANCE = math.exp(-20.0)

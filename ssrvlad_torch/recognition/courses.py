@@ -42,9 +42,8 @@ _LEAST_GAIN, _UNUSUAL = 1.0, 3.0
 before anything is known, one drive in twenty takes it."""
 
 
-_DRIVE, _LESS, _MORE = 0.5, 0.15, 0.05
-"""The gain a query that only drives have; how much less sure their answers may be, since queries
-that are followed err together and show less; and how much surer those of others must be."""
+_DRIVE, _MARGIN = 0.5, 0.05
+"""The gain a query that only drives have, and a difference of mean confidences."""
 
 
 def course(evidence: Evidence) -> tuple[Course, float] | None:
@@ -66,6 +65,6 @@ def course(evidence: Evidence) -> tuple[Course, float] | None:
 
 def is_followed(gain: float, followed: float, alone: float) -> bool:
     """Whether a sequence is followed, by its gain a query and by the mean confidence in its answers
-    if it is followed and if each query is judged alone: a drive unless that makes its answers much
-    less sure, others only if it makes them surer."""
-    return followed > alone + (-_LESS if gain > _DRIVE else _MORE)
+    if it is followed and if each query is judged alone: a drive unless that makes its answers less
+    sure, others only if it makes them surer."""
+    return followed > alone + (-_MARGIN if gain > _DRIVE else _MARGIN)

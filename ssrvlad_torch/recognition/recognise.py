@@ -236,31 +236,30 @@ def _decide(evidence: Evidence, steps: Steps, top: int) -> _Decision:
         return alone
     if found := course(evidence):
         taken, gain = found
-        together = max(TRACK, *alone.sure.together[:1].tolist())
-        followed = _followed(evidence, taken, steps, top, together)
-        if is_followed(gain, *(float(each.sure.right.mean()) for each in (followed, alone))):
-            return followed
+        matches, chances = _followed(evidence, taken, steps.follow, steps.delay, top)
+        together = float(alone.sure.together[0])
+        as_alone = Confidence.of_chances(chances, together)
+        if is_followed(gain, *(float(each.right.mean()) for each in (as_alone, alone.sure))):
+            sure = Confidence.of_chances(chances, max(TRACK, together))
+            told = ", ".join(filter(None, (steps.follow, str(taken))))
+            return _Decision(matches, sure, follow=told)
     return replace(alone, follow=SURE_ALONE)
 
 
 def _followed(
-    evidence: Evidence, taken: Course, steps: Steps, top: int, together: float
-) -> _Decision:
-    """Follows each stream of a course. An empty query has no candidate."""
-    assert steps.follow
+    evidence: Evidence, taken: Course, mode: Mode, delay: int, top: int
+) -> tuple[Matches, Tensor]:
+    """Follows each stream of a course: the candidates and the chances. An empty query has none."""
     queries, motion = evidence.queries, Motion().at(taken.rate)
     parts = taken.parts(queries)
-    streams = [
-        evidence.follow(part, motion, taken.way, steps.follow, steps.delay, top) for part in parts
-    ]
+    streams = [evidence.follow(part, motion, taken.way, mode, delay, top) for part in parts]
     order = torch.tensor([query for part in parts for query in part]).argsort()
     places = Places(*(torch.cat(values)[order] for values in zip(*streams, strict=True)))
     empty = torch.tensor([evidence.is_empty(query) for query in queries])
     scores = torch.cat((places.near[:, None], places.scores[:, 1:]), 1)
     scores = scores.masked_fill(empty[:, None] | (places.indices < 0), -torch.inf)
     matches = Matches(scores, places.indices.masked_fill(empty[:, None], -1))
-    sure = Confidence.of_chances(places.chance.masked_fill(empty, torch.nan), together)
-    return _Decision(matches, sure, follow=", ".join(filter(None, (steps.follow, str(taken)))))
+    return matches, places.chance.masked_fill(empty, torch.nan)
 
 
 def _alone(evidence: Evidence, top: int) -> _Decision:
