@@ -152,6 +152,16 @@ def test_a_gap_of_stamps_starts_a_stretch(features):
     assert closed[0] > closed[1] + 20
 
 
+def test_with_features_another_light_needs_no_gap():
+    rng = np.random.default_rng(0)
+    noise = [rng.normal(0, 0.3 / 22, (230, 480)), 0.35 * LIGHT]
+    street = PLACES[:300] + PLACES[1:301]
+    vectors = unit(np.concatenate((street[:150], street[40:120] + noise[1])) + noise[0])
+    got, expected = both((vectors[:, None], ["drive"] * 230), LoopConfig(), features=True)
+    assert_same_answers(got, expected)
+    assert sum(each["reason"] == "accepted" for each in got) > 30
+
+
 def test_an_empty_frame_is_no_candidate():
     empty_at_first = np.float32(PLACES[:100, None])
     empty_at_first[:36] = 0

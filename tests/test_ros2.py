@@ -2,6 +2,7 @@
 
 import ast
 import importlib
+import json
 import math
 import sys
 import tomllib
@@ -40,6 +41,7 @@ KINDS = {
     "image": "sensor_msgs/msg/Image",
     "descriptor": "rtabmap_msgs/msg/GlobalDescriptor",
     "loops": "sensor_msgs/msg/TimeReference",
+    "results": "std_msgs/msg/String",
 }
 
 
@@ -196,7 +198,7 @@ def test_the_node_over_a_bag(node, store, monkeypatch, tmp_path):
     assert "has 0 classes" in running.said[1] and len(running.said) == 2
     found = {
         topic: [store.deserialize_cdr(c, KINDS[t]) for t, c in running.published if t == topic]
-        for topic in ("descriptor", "loops")
+        for topic in ("descriptor", "loops", "results")
     }
     assert [m.header.stamp.sec for m in found["descriptor"]] == [*range(1, len(SEEDS) + 1)]
     head = SSRVLAD.from_preset("default", labels_as="camvid-11")
@@ -205,7 +207,13 @@ def test_the_node_over_a_bag(node, store, monkeypatch, tmp_path):
         np.testing.assert_allclose(uncompressed(message.data.tobytes()), expected, atol=1e-6)
     core = live_loops.LiveLoops(CONFIG)
     core.set_labels(CAMVID)
-    closed = [result for result in seen(core, start=1) if result.accepted]
+    results = seen(core, start=1)
+    said = [json.loads(message.data) for message in found["results"]]
+    places = [[place._asdict() for place in result.candidates] for result in results]
+    assert [each["reason"] for each in said] == [result.reason for result in results]
+    assert [len(each["candidates"]) for each in said] == [*map(len, places)]
+    assert max(map(len, places)) > 0
+    closed = [result for result in results if result.accepted]
     pairs = [(int(r.frame[-19:-9]), int(r.candidate[-19:-9])) for r in closed]
     assert len(pairs) == 12
     assert [(m.header.stamp.sec, m.time_ref.sec) for m in found["loops"]] == pairs
@@ -263,7 +271,8 @@ def test_wrong_parameters_are_one_line(node, monkeypatch, drives):
 
 
 ROS = {
-    "builtin_interfaces", "nav_msgs", "rclpy", "rtabmap_msgs", "sensor_msgs", "vision_msgs"
+    "builtin_interfaces", "nav_msgs", "rclpy", "rtabmap_msgs", "sensor_msgs", "std_msgs",
+    "vision_msgs",
 }  # fmt: skip
 
 

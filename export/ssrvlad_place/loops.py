@@ -15,6 +15,7 @@ from .motion import GAP, LEVEL, MAX_LOG
 from .scores import FEATURES, LABEL_SHAPES, fused, lead, nearness, weights_of
 from .stream import Map, SignMap
 from .stretches import is_elsewhere, is_gap
+from .tracks import Tracks
 
 Floats = npt.NDArray[np.float32]
 
@@ -204,7 +205,7 @@ class Detector:
             each.start_sequence()
         self.start, self.neighbours = len(self.frames), []
         self.starts.add(self.start)
-        self.repeats = Repeats(self.settings.exclude)
+        self.repeats, self.tracks = Repeats(self.settings.exclude), Tracks()
         self._recent.clear()
 
     def _step(self, frame: str, swept: Floats, signs: tuple[Any, Any]) -> Loop:
@@ -229,12 +230,13 @@ class Detector:
         likelihood = np.zeros_like(near)
         if spread > _MIN_SPREAD:
             z, repeats = (near - mean) / spread, (repeats - mean) / spread
-            likelihood = self._log_likelihood(z, repeats)
+            likelihood = self._log_likelihood(z, repeats, near)
         rows = self.filter.step(likelihood[: len(self.filter.cells)])
         candidate = int(np.where(np.isfinite(scores[:old]), rows[:old], -1).argmax())
         around = rows[:old][max(0, candidate - NEAR) : candidate + NEAR + 1]
         probability = min(1.0, float(around.sum()))
         reason = self._reason(probability, float(rows[:old].sum()), float(rows[old:].sum()))
+        self.tracks.decided(reason == "accepted")
         name, score = self.frames[candidate], float(scores[candidate])
         places = self._places(rows[:old].copy(), candidate)
         return Loop(frame, reason, name, score, probability, candidates=places)
@@ -262,9 +264,9 @@ class Detector:
             self._leads[name] += max(0.0, lead(each[:old]))
         return fused(both, weights_of(self._leads), old or None).astype(np.float32)
 
-    def _log_likelihood(self, z: Floats, repeats: Floats) -> Floats:
-        """``(rows,)``, of a frame by its z-scores with all earlier frames, and by those that
-        different places of the streets of this sequence have."""
+    def _log_likelihood(self, z: Floats, repeats: Floats, near: Floats) -> Floats:
+        """``(rows,)``, of a frame by its z-scores and its nearness with all earlier frames, and by
+        the z-scores that different places of the streets of this stretch have."""
         previous = len(z) - max(1, self.settings.exclude // STRIDE)
         if self.start <= previous and np.isfinite(z[previous]):
             self.neighbours.append(float(z[previous]))
@@ -275,8 +277,18 @@ class Detector:
         doubt = EVIDENCE * np.maximum(MARGIN * repeats / level - 1, 0).astype(np.float32)
         old = max(0, len(same) - self.settings.exclude)
         same[:old] -= doubt[:old]
+        if self._returning(near[self.start :], old):
+            others = np.minimum(log_likelihood[self.start :], MAX_LOG)
+            same[:old] = np.maximum(same[:old], others[:old])
         log_likelihood[self.start :] = same
         return log_likelihood
+
+    def _returning(self, near: Floats, old: int) -> bool:
+        """Whether old rows of the same stretch may count as those of others do; with features."""
+        if self.signs is None:
+            return False
+        self.tracks.after(near, old)
+        return self.tracks.returning
 
     def _reason(self, probability: float, old: float, recent: float) -> str:
         threshold = self.settings.threshold

@@ -1,7 +1,7 @@
 """Loops between real drives, and where they fail: the first sections of `loops.py`.
 
-Frames come from the folders of ``--data`` as in `how_sure.py`. The frames of the map are one
-sequence of a stream, the queries the next.
+Frames come from the folders of ``--data`` as in `how_sure.py`. The frames of the map come first,
+then the queries: in one sequence without stamps, or after an hour; or as two sequences.
 """
 
 from __future__ import annotations
@@ -29,9 +29,14 @@ from ssrvlad_torch.recognition.sweep import COLUMNS as ALL_COLUMNS
 
 ALONE: tuple[str, ...] = ()
 METHODS = {"label maps": ALONE, "with features": (FEATURES,)}
+WITH_HOG = (FEATURES, "HOG")
+ONE_STREAM = {"label maps": ALONE, "features and HOG": WITH_HOG}
+ONE_NAME, AFTER_AN_HOUR, TWO_NAMES = "one name", "after an hour", "two names"
+WAYS = (ONE_NAME, AFTER_AN_HOUR, TWO_NAMES)
+LATER = 3600.0
 COUNTS = ("wrong", "elsewhere")
 BLOCK, RESAMPLES, NEAR = 10, 2000, 3
-STREETS = range(300, 308)
+STREETS, CUT = range(300, 308), 10
 
 
 class Drive(NamedTuple):
@@ -63,6 +68,8 @@ def real_drives(page: Page, data: Path, cached: Path) -> None:
     """The tables of real drives, and of streams with nothing to find."""
     described = Described(data, cached, shorter_side=None)
     chosen, checks = conditions(described)
+    page.table("## One stream\n", one_stream([*chosen, *shifted(described)]))
+    page.table("The same pairs in the other order", one_stream(checks))
     page.table("## Real second drives\n", table(chosen))
     page.table("Pairs that nothing was chosen on", table(checks))
     page.table("## Nothing to find\n", nowhere(described, chosen))
@@ -71,12 +78,33 @@ def real_drives(page: Page, data: Path, cached: Path) -> None:
 def nowhere(described: Described, chosen: Sequence[Pair]) -> Iterator[str]:
     """Rows of foreign places, of drives in random order and of estates."""
     yield from head_row("stream", "streams", "frames", "loops", "wrong", "in streams")
+    for name, names in ONE_STREAM.items():
+        yield nothing(f"foreign places, one name, {name}", foreign(described), names, ONE_NAME)
     for name, names in METHODS.items():
         yield nothing(f"foreign places, {name}", foreign(described), names)
     yield nothing("in random order, label maps", [mixed(pair) for pair in chosen], ALONE)
     for name in CONDITIONS:
         streets = [estate(described, seed, name) for seed in STREETS]
         yield nothing(f"estate, {name}", streets, ALONE)
+        cut = [cut_in_two(street) for street in streets]
+        yield nothing(f"estate cut by an hour, {name}", cut, ALONE, AFTER_AN_HOUR)
+
+
+def one_stream(pairs: Sequence[Pair]) -> Iterator[str]:
+    """Recall of pairs by each method and way to name frames, and wrong loops that lead
+    elsewhere."""
+    yield from head_row("drives", *(f"{m}: {way}" for m in ONE_STREAM for way in WAYS))
+    for pair in pairs:
+        cells = []
+        for beside, way in product(ONE_STREAM.values(), WAYS):
+            if not set(beside) <= set(pair.first.beside):
+                cells.append("")
+                continue
+            found = detect(pair, beside, way)
+            wrong = f", {found.elsewhere} elsewhere" if found.elsewhere else ""
+            cells.append(f"{found.right.mean():.2f}{wrong}")
+        yield row(pair.name, *cells)
+        print(pair.name, *cells, flush=True)
 
 
 def table(pairs: Sequence[Pair]) -> Iterator[str]:
@@ -116,9 +144,9 @@ def counted(found: Sequence[Outcome]) -> list[str]:
     return [interval(value, ends, 2), *sums]
 
 
-def nothing(name: str, pairs: Sequence[Pair], beside: tuple[str, ...]) -> str:
+def nothing(name: str, pairs: Sequence[Pair], beside: tuple[str, ...], way: str = TWO_NAMES) -> str:
     """A row on streams that should close no loop."""
-    found = [detect(pair, beside) for pair in pairs if set(beside) <= set(pair.first.beside)]
+    found = [detect(pair, beside, way) for pair in pairs if set(beside) <= set(pair.first.beside)]
     wrong = [each.wrong for each in found]
     loops = sum(wrong) + sum(int(each.right.sum()) for each in found)
     frames = sum(len(pair.second.vectors) for pair in pairs)
@@ -127,17 +155,21 @@ def nothing(name: str, pairs: Sequence[Pair], beside: tuple[str, ...]) -> str:
     return row(name, *map(str, counts))
 
 
-def detect(pair: Pair, beside: tuple[str, ...]) -> Outcome:
+def detect(pair: Pair, beside: tuple[str, ...], way: str = TWO_NAMES) -> Outcome:
     """Runs a detector over the first drive and then over the second."""
     loops = LoopDetector(channels=[channel_of(name) for name in beside])
     right, wrong, elsewhere = np.zeros(len(pair.second.vectors), bool), 0, 0
     for drive, (vectors, others) in (("first", pair.first), ("second", pair.second)):
+        sequence = drive if way == TWO_NAMES else "stream"
+        start = LATER * (drive == "second") if way == AFTER_AN_HOUR else np.nan
         for number, vector in enumerate(vectors):
-            here = {"ssr-vlad": vector} | {name: others[name][number] for name in beside}
-            result = loops.observe(FrameRecord(drive, f"{number}"), here)
+            here = {"ssr-vlad": vector}
+            here |= {channel_of(name).column.name: others[name][number] for name in beside}
+            record = FrameRecord(sequence, f"{drive} {number}", stamp=start + number / 3)
+            result = loops.observe(record, here)
             if not result.accepted:
                 continue
-            there, _, place = str(result.candidate).partition("/")
+            there, place = str(result.candidate).rpartition("/")[2].split()
             near = [len(vectors)]
             if (drive, there) == ("second", "first"):
                 near = [abs(int(place) - true) for true in pair.truth[number]] or near
@@ -166,9 +198,19 @@ def conditions(described: Described) -> tuple[list[Pair], list[Pair]]:
     return chosen, checks
 
 
+def shifted(described: Described) -> Iterator[Pair]:
+    """A drive, and the same again from its second frame on."""
+    for network in NETWORKS:
+        first = drive(described, of(network, "uofa/day"))
+        beside = {name: each[1:] for name, each in first.beside.items()}
+        second = Drive(first.vectors[1:], beside)
+        truth = [np.array([n, n + 1, n + 2]) for n in range(len(second.vectors))]
+        yield Pair(f"day again, one frame later, {network}", first, second, truth)
+
+
 def drive(described: Described, name: str) -> Drive:
-    labels, features = (described.vectors(name, method) for method in (OURS, FEATURES))
-    return Drive(of_anchors(labels), {FEATURES: features})
+    labels, *beside = (described.vectors(name, method) for method in (OURS, *WITH_HOG))
+    return Drive(of_anchors(labels), dict(zip(WITH_HOG, beside, strict=True)))
 
 
 def of_anchors(swept: Tensor) -> Tensor:
@@ -201,3 +243,13 @@ def estate(described: Described, seed: int, condition: str) -> Pair:
     )
     truth = [np.zeros(0, int)] * len(vectors)
     return Pair(f"estate {seed}", Drive(vectors[:0], {}), Drive(vectors, {}), truth)
+
+
+def cut_in_two(street: Pair) -> Pair:
+    """A drive whose second half comes later, without `CUT` frames between."""
+    vectors = street.second.vectors
+    middle = len(vectors) // 2
+    first, second = vectors[:middle], vectors[middle + CUT :]
+    return street._replace(
+        first=Drive(first, {}), second=Drive(second, {}), truth=street.truth[middle + CUT :]
+    )

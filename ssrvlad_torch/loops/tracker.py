@@ -15,6 +15,7 @@ from .config import LoopConfig
 from .memory import Described, Memory
 from .repeats import MARGIN, Repeats
 from .result import LoopResult, Place, Reason
+from .tracks import Tracks
 
 MOTION = Motion(change=0.01, jump=0.01, unmapped=0.3, weight=0.25, level=0.5)
 """How a stream moves along its own frames, and those frames run backwards."""
@@ -60,6 +61,7 @@ class Tracker:
         self._filter.restart()
         self._start, self._neighbours = self._memory.start, GrowingArray(np.float64)
         self._repeats = Repeats(self._config.exclude)
+        self._tracks = Tracks()
 
     def extend(self, frames: int) -> None:
         """Makes states of the first frames of the memory, but not of the most recent of them."""
@@ -93,6 +95,7 @@ class Tracker:
         near = slice(max(0, candidate - NEAR), min(candidate + NEAR + 1, old))
         probability = min(1.0, float(rows[near].sum()))
         reason = self._reason(probability, float(rows[:old].sum()), float(rows[old:].sum()))
+        self._tracks.decided(reason is Reason.ACCEPTED)
         ahead = self._ahead(candidate, near, rows) if reason is Reason.ACCEPTED else None
         name, score = self._memory.frames[candidate], float(scores[candidate])
         places = self._places(rows[:old], candidate)
@@ -125,7 +128,7 @@ class Tracker:
         """``(N,)``, see `motion.likelihoods`. The level of frames of the same stretch is the
         higher, the more alike neighbouring frames are and the more their street repeats."""
         mean, deviation = spread
-        earlier, own = scores[: self._start], scores[self._start :]
+        own = scores[self._start :]
         near = nearness(own)
         repeats = self._repeats.after(near.numpy())
         candidates = max(0, len(own) - self._config.exclude)
@@ -140,9 +143,20 @@ class Tracker:
         level = max(MOTION.level, alike, by_chance)
         same = replace(MOTION, weight=EVIDENCE / level, level=level)
         above = torch.from_numpy(repeats).sub_(mean).mul_(MARGIN / deviation).sub_(level)
+        others = likelihoods(scores, MOTION, spread)
         own = likelihoods(own, same, spread)
         own[:candidates] *= above.clamp_(min=0).mul_(-same.weight).exp_()[:candidates]
-        return torch.cat((likelihoods(earlier, MOTION, spread), own))
+        if self._returning(near, candidates):
+            own[:candidates].clamp_(min=others[self._start :][:candidates])
+        return torch.cat((others[: self._start], own))
+
+    def _returning(self, near: Tensor, candidates: int) -> bool:
+        """Whether old frames of the same stretch may count as those of others do. Label maps alone
+        have tracks by chance as close as returns."""
+        if len(self._memory.lives) == 1:
+            return False
+        self._tracks.after(near.numpy(), candidates)
+        return self._tracks.returning
 
     def _reason(self, probability: float, old: float, recent: float) -> Reason:
         """By the probabilities of the candidate's place, all old frames and all recent frames."""

@@ -6,6 +6,7 @@ The ROS 2 node: passes messages to `LiveLoops` and publishes its results.
 from __future__ import annotations
 
 import dataclasses
+import json
 import sys
 from array import array
 from pathlib import Path
@@ -17,6 +18,7 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from rtabmap_msgs.msg import GlobalDescriptor
 from sensor_msgs.msg import Image, TimeReference
+from std_msgs.msg import String
 from vision_msgs.msg import LabelInfo
 
 from ssrvlad_torch.loops.config import LoopConfig
@@ -30,8 +32,8 @@ _OF_PYTHON = 1
 
 
 class LoopNode(Node):
-    """Reads ``image``, or ``labels`` and ``label_info``, and ``odom``; publishes ``descriptor`` and
-    ``loops``.
+    """Reads ``image``, or ``labels`` and ``label_info``, and ``odom``; publishes ``descriptor``,
+    ``loops`` and ``results``.
 
     Its parameters are the settings of `LoopConfig`; ``sequence``, ``memory``, ``preset``,
     ``meanings``, ``check`` (see `LiveLoops`); ``model`` and ``features`` (see `PlaceModel`): with a
@@ -62,6 +64,7 @@ class LoopNode(Node):
         latched = self._parameter("latched", True)
         self._descriptors = self.create_publisher(GlobalDescriptor, "descriptor", 10)
         self._closures = self.create_publisher(TimeReference, "loops", 10)
+        self._results = self.create_publisher(String, "results", 10)
         self.create_subscription(Odometry, "odom", self._on_odometry, 10)
         topic = "image" if model else "labels"
         self.create_subscription(Image, topic, self._on_image, qos_profile_sensor_data)
@@ -101,6 +104,7 @@ class LoopNode(Node):
         self._descriptors.publish(
             GlobalDescriptor(header=header, type=_OF_PYTHON, info=array("B"), data=data)
         )
+        self._results.publish(String(data=json.dumps(result.as_json())))
         if closed:
             drive, known = closed
             stamp = Time(sec=known // _SECOND, nanosec=known % _SECOND)
