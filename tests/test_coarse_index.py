@@ -105,6 +105,16 @@ def test_what_cannot_be_opened_or_built_is_refused_in_one_line(town, tmp_path):
     assert build(town).new == 100
     with pytest.raises(ValueError, match="holds no frames yet"):
         build(Database.create(tmp_path / "empty", CONFIG))
+    about.write_text("{")
+    with pytest.raises(ValueError, match="is damaged; ssrvlad db index builds it anew"):
+        CoarseIndex(town)
+    assert build(town).new == 100
+    codes = next(Path(town.path, "_coarse").glob("*.signs.npy"))
+    codes.write_bytes(codes.read_bytes()[:-1])
+    with pytest.raises(ValueError, match="lacks 100 of 100 frames"):
+        CoarseIndex(town)
+    assert build(town).new == 100
+    assert_own_row_is_first(town, "a/0000", rows(0, 1))
     spoil(Path(town.path), rows(0, 3)["ssr-vlad"][2])
     add(town, 100, 1)
     assert build(Database.open(town.path)).new == 1, "what is indexed is not read again"
