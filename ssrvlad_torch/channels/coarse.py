@@ -47,9 +47,12 @@ class Coarse(Protocol):
         """The coarse form of descriptors ``(N, *shape)``, for a file; the first axis is of rows or
         of blocks of rows."""
 
-    def scan(self, queries: Sequence[Tensor], codes: Codes, rows: int) -> Tensor:
-        """``(Q, rows)`` float32 coarse cosines of queries, each ``shape``, or ``(S, *shape)`` of a
-        sweep, to the rows in ``codes``."""
+    def scan(
+        self, queries: Sequence[Tensor], codes: Codes, rows: int, sweep: bool = True
+    ) -> Tensor:
+        """``(Q, rows)`` float32 coarse cosines of queries, each ``shape``, or ``(S, *shape)`` from
+        all anchors, to the rows in ``codes``; of the best anchor or move, or without a sweep of the
+        usual one."""
 
 
 def learn(column: Column, sample: Tensor) -> Coarse:
@@ -79,27 +82,32 @@ class CoarseSigns:
         taken = stored[..., ::_EVERY].flatten(2)
         return F.pad(taken, (0, -taken.shape[2] % _WORD)).numpy()
 
-    def scan(self, queries: Sequence[Tensor], codes: Codes, rows: int) -> Tensor:
+    def scan(
+        self, queries: Sequence[Tensor], codes: Codes, rows: int, sweep: bool = True
+    ) -> Tensor:
         """See `Coarse`."""
+        reach = self._reach if sweep else 0
         own = np.ascontiguousarray(self.codes(torch.stack([*queries])))
         scores, library = torch.empty(len(own), rows), core().library
         if library is None:
             for first in range(0, rows, _ROWS_AT_ONCE):
                 part = torch.from_numpy(np.array(codes[first : first + _ROWS_AT_ONCE]))
-                scores[:, first : first + len(part)] = self._plain(torch.from_numpy(own), part)
+                scores[:, first : first + len(part)] = self._plain(
+                    torch.from_numpy(own), part, reach
+                )
             return scores
         library.ssrvlad_scan_signs(
             own.ctypes.data, len(own), codes.ctypes.data, rows, self._columns,
-            codes.shape[2] // _WORD, self._bits, self._reach, torch.get_num_threads(),
+            codes.shape[2] // _WORD, self._bits, reach, torch.get_num_threads(),
             scores.data_ptr(),
         )  # fmt: skip
         return scores
 
-    def _plain(self, queries: Tensor, rows: Tensor) -> Tensor:
+    def _plain(self, queries: Tensor, rows: Tensor, reach: int) -> Tensor:
         """The scores in torch: products of the numbers 1 and -1, without what fills the words."""
         signed, known = numbers(rows).flatten(1), numbers(queries)
         filling, best = 8 * codes_length(rows) - self._columns * self._bits, []
-        for step in range(-self._reach, self._reach + 1):
+        for step in range(-reach, reach + 1):
             kept = self._columns - abs(step)
             product = moved(known, step).flatten(1) @ signed.T
             best.append((product - filling * kept / self._columns) / (kept * self._bits))
@@ -146,9 +154,13 @@ class CoarseVectors:
         filled = F.pad(whole, (0, 0, 0, -len(whole) % LANES)).to(torch.int8)
         return filled.view(-1, LANES, LENGTH).transpose(1, 2).contiguous().numpy()
 
-    def scan(self, queries: Sequence[Tensor], codes: Codes, rows: int) -> Tensor:
-        """See `Coarse`; of a sweep the best anchor counts."""
+    def scan(
+        self, queries: Sequence[Tensor], codes: Codes, rows: int, sweep: bool = True
+    ) -> Tensor:
+        """See `Coarse`."""
         swept = torch.stack([each if each.ndim == 2 else each[None] for each in queries])
+        middle = swept.shape[1] // 2
+        swept = swept if sweep else swept[:, middle : middle + 1]
         units = F.normalize(swept.float(), dim=2)
         weights, offsets = (units @ self._basis.T).contiguous(), (units @ self._mean).contiguous()
         scores, library = torch.empty(len(swept), len(codes), LANES), core().library

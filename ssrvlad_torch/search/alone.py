@@ -97,7 +97,7 @@ class LargeMap:
                 assert channel.mirrored
                 views = asked[channel.column.name]
                 views.append(channel.mirrored(views[0]))
-        scanned = {name: self._index.scan(name, views) for name, views in asked.items()}
+        scanned = {name: self._index.scan(name, views, sweep) for name, views in asked.items()}
         coarse = {name: scores[0] for name, scores in scanned.items()}
         own = self._natural[self._best(coarse, where)].sort().values
         decoys = own[:0]
@@ -239,8 +239,8 @@ def recognise_in_large(
     where: npt.NDArray[np.bool_],
     exclude: int | None = None,
 ) -> Recognised:
-    """The candidates of queries, each judged alone, among the rows ``where`` ``(R,)`` bool of a
-    large map; ``exclude`` as for `exact.search`."""
+    """The candidates of queries, each judged alone and swept as wide as suits it, among the rows
+    ``where`` ``(R,)`` bool of a large map; ``exclude`` as for `exact.search`."""
     own, everywhere = np.zeros((len(queries), 2), np.int64), bool(where.all())
     if exclude is not None:
         own = neighbours(queries.frames, large.frames, exclude)

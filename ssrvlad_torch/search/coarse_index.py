@@ -135,11 +135,11 @@ class CoarseIndex:
     def __len__(self) -> int:
         return self._rows
 
-    def scan(self, name: str, queries: Sequence[Tensor]) -> Tensor:
+    def scan(self, name: str, queries: Sequence[Tensor], sweep: bool = True) -> Tensor:
         """``(Q, R)`` float32 coarse scores of descriptors by one channel to all rows."""
         scores, first, form = torch.empty(len(queries), self._rows), 0, self._forms[name]
         for part in self._parts:
-            found = form.scan(queries, part.codes[name], part.rows)
+            found = form.scan(queries, part.codes[name], part.rows, sweep)
             found = found if part.live is None else found[:, torch.from_numpy(part.live)]
             scores[:, first : first + found.shape[1]] = found
             first += found.shape[1]
