@@ -29,12 +29,13 @@ from ..recognition.recognise import Recognised, Steps, recognise_alone
 from .coarse_index import LEAST_ROWS, CoarseIndex, is_indexed, taken
 from .selection import neighbours
 
-COARSE, EXACT = 1000, 100
+COARSE, EXACT = 2000, 50
 """Rows by the fused coarse scores, of which the most trusted channel is scored exactly; and rows of
-which all are. Chosen by features of DABNet, see docs/scale.md."""
+which all are. More find more, and take longer: docs/scale.md."""
 
-LEADS = 300
-"""Rows by the coarse scores of a channel that show the width of its sweep."""
+DECOYS, LEADS = 100, 300
+"""Decoys by the fused coarse scores; rows by those of a channel that show the width of its
+sweep."""
 
 _PRESELECTED, _STRIDE = 20_000, 61
 
@@ -91,20 +92,28 @@ class LargeMap:
         """The candidates of one query by its descriptors ``(*shape)``, or ``(S, *shape)`` from all
         anchors. ``allowed`` ``(R,)`` bool are the rows that may be candidates, by default all."""
         where = None if allowed is None else torch.from_numpy(allowed)[self._natural]
-        asked = {each.column.name: [descriptors[each.column.name]] for each in self._channels}
-        if all(channel.mirrored for channel in self._channels):
-            for channel in self._channels:
-                assert channel.mirrored
-                views = asked[channel.column.name]
-                views.append(channel.mirrored(views[0]))
-        scanned = {name: self._index.scan(name, views, sweep) for name, views in asked.items()}
-        coarse = {name: scores[0] for name, scores in scanned.items()}
-        own = self._natural[self._best(coarse, where)].sort().values
-        decoys = own[:0]
-        if len(next(iter(scanned.values()))) > 1:
-            mirrored = {name: scores[1] for name, scores in scanned.items()}
-            decoys = self._natural[self._best(mirrored, where)[:EXACT]].sort().values
-        return self._judged(descriptors, coarse, own, decoys, sweep, top)
+        decoys = all(channel.mirrored for channel in self._channels)
+        scanned = {
+            channel.column.name: self._scanned(channel, descriptors, sweep, decoys)
+            for channel in self._channels
+        }
+        views = [{n: each[view] for n, each in scanned.items()} for view in range(1 + decoys)]
+        found = [self._natural[self._best(view, where)] for view in views]
+        own, mirrored = found[0].sort().values, found[-1][: DECOYS * decoys].sort().values
+        return self._judged(descriptors, views[0], own, mirrored, sweep, top)
+
+    def _scanned(
+        self, channel: Channel, descriptors: Mapping[str, Tensor], sweep: bool, decoys: bool
+    ) -> list[Tensor]:
+        """The coarse scores ``(R,)`` of a query by one channel and, for decoys, of the mirrored
+        one, from the usual anchor."""
+        name, query = channel.column.name, descriptors[channel.column.name]
+        if not (decoys and channel.mirrored):
+            return [*self._index.scan(name, [query], sweep)]
+        views = [query, channel.mirrored(query)]
+        if sweep and query.ndim > len(channel.column.shape):
+            return [*self._index.scan(name, views[:1]), *self._index.scan(name, views[1:], False)]
+        return [*self._index.scan(name, views, sweep)]
 
     def _best(self, coarse: Mapping[str, Tensor], where: Tensor | None) -> Tensor:
         """The `COARSE` best stored rows by the fused coarse scores ``(R,)``, best first. Rows are
