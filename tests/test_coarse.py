@@ -39,6 +39,12 @@ def test_coarse_signs_are_scored_as_signs_of_every_fourth_byte(library, shape, c
     expected = SignQueries(some[0], SignRows(some[1]), reach=min(2, shape[0] - 1)).scores()
     got = form.scan([*queries], codes, count)
     torch.testing.assert_close(got, expected, atol=1e-5, rtol=0)
+    if form.layers > 1:
+        both = [each[..., ::2].contiguous() for each in (queries, rows)]
+        whole = np.concatenate((codes, form.codes(rows, 1)), 2)
+        finer = SignQueries(both[0], SignRows(both[1]), reach=min(2, shape[0] - 1)).scores()
+        got = form.scan([*queries], whole, count)
+        torch.testing.assert_close(got, finer, atol=1e-5, rtol=0)
     expected = SignQueries(some[0], SignRows(some[1]), reach=0).scores()
     got = form.scan([*queries], codes, count, sweep=False)
     torch.testing.assert_close(got, expected, atol=1e-5, rtol=0)

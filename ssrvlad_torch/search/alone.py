@@ -29,7 +29,7 @@ from ..recognition.recognise import Recognised, Steps, recognise_alone
 from .coarse_index import LEAST_ROWS, CoarseIndex, is_indexed, taken
 from .selection import neighbours
 
-COARSE, EXACT = 2000, 50
+COARSE, EXACT = 500, 50
 """Rows by the fused coarse scores, of which the most trusted channel is scored exactly; and rows of
 which all are. More find more, and take longer: docs/scale.md."""
 
@@ -98,7 +98,11 @@ class LargeMap:
             for channel in self._channels
         }
         views = [{n: each[view] for n, each in scanned.items()} for view in range(1 + decoys)]
-        found = [self._natural[self._best(view, where)] for view in views]
+        queries = [{name: descriptors[name] for name in scanned}, None]
+        found = [
+            self._natural[self._best(view, where, query, sweep)]
+            for view, query in zip(views, queries, strict=False)
+        ]
         own, mirrored = found[0].sort().values, found[-1][: DECOYS * decoys].sort().values
         return self._judged(descriptors, views[0], own, mirrored, sweep, top)
 
@@ -115,9 +119,16 @@ class LargeMap:
             return [*self._index.scan(name, views[:1]), *self._index.scan(name, views[1:], False)]
         return [*self._index.scan(name, views, sweep)]
 
-    def _best(self, coarse: Mapping[str, Tensor], where: Tensor | None) -> Tensor:
+    def _best(
+        self,
+        coarse: Mapping[str, Tensor],
+        where: Tensor | None,
+        query: Mapping[str, Tensor] | None,
+        sweep: bool,
+    ) -> Tensor:
         """The `COARSE` best stored rows by the fused coarse scores ``(R,)``, best first. Rows are
-        chosen by z-scores of cosines before those of nearness, which take longer."""
+        chosen by z-scores of cosines before those of nearness, and for a query by all layers of
+        codes, which take longer."""
         linear = torch.zeros(len(self.frames))
         for name, scores in coarse.items():
             deviation = max(float(self._every(scores).std(correction=0)), MIN_SPREAD)
@@ -129,7 +140,12 @@ class LargeMap:
             count = max(1, len(some) * _PRESELECTED // len(linear))
             least = float(some.topk(count).values[-1])
         rows = ((linear >= least) & (linear > -torch.inf)).nonzero()[:, 0]
-        parts = [torch.cat((self._every(each), each[rows])) for each in coarse.values()]
+        chosen = torch.cat((self._every(torch.arange(len(linear))), rows))
+        parts = [each[chosen] for each in coarse.values()]
+        for number, name in enumerate(coarse if query else ()):
+            assert query
+            again = self._index.rescan(name, query[name], chosen, sweep)
+            parts[number] = parts[number] if again is None else again
         near = fused(parts, [self._share[name] for name in coarse], self._size)[self._size :]
         return rows[near.topk(min(COARSE, len(rows))).indices]
 

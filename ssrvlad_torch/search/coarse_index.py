@@ -38,7 +38,7 @@ FOLDER, _ABOUT = "_coarse", "index.json"
 LEAST_ROWS = 20_000
 """Maps of fewer frames are searched faster in memory, see docs/scale.md."""
 
-_FORMAT = 1
+_FORMAT = 2
 _SAMPLE, _SAMPLE_BYTES, _GROWTH = 4096, 1 << 27, 4
 """Rows and bytes of the sample, at most; a map that has grown so many times is learnt anew."""
 _BLOCK, _OFFSET = 1 << 12, np.uint64((1 << 32) - 1)
@@ -139,18 +139,34 @@ class CoarseIndex:
         """``(Q, R)`` float32 coarse scores of descriptors by one channel to all rows."""
         scores, first, form = torch.empty(len(queries), self._rows), 0, self._forms[name]
         for part in self._parts:
-            found = form.scan(queries, part.codes[name], part.rows, sweep)
+            found = form.scan(queries, part.codes[name][0], part.rows, sweep)
             found = found if part.live is None else found[:, torch.from_numpy(part.live)]
             scores[:, first : first + found.shape[1]] = found
             first += found.shape[1]
         return scores
 
+    def rescan(self, name: str, query: Tensor, rows: Tensor, sweep: bool) -> Tensor | None:
+        """``(N,)`` float32 scores of a descriptor to some rows by all layers of the codes of one
+        channel; ``None`` if there is one layer."""
+        form, first, found = self._forms[name], 0, torch.empty(len(rows))
+        if form.layers == 1:
+            return None
+        for part in self._parts:
+            last = first + (part.rows if part.live is None else len(part.live))
+            here = ((rows >= first) & (rows < last)).nonzero()[:, 0]
+            at = (rows[here] - first).numpy()
+            at = at if part.live is None else part.live[at]
+            codes = np.concatenate([layer[at] for layer in part.codes[name]], 2)
+            found[here] = form.scan([query], codes, len(at), sweep)[0]
+            first = last
+        return found
+
 
 class _Part(NamedTuple):
-    """The codes of a data file by channel, the number of its rows, and those that are not removed,
+    """The layers of codes of a data file by channel, its rows, and those that are not removed,
     ``None`` for all."""
 
-    codes: Mapping[str, Codes]
+    codes: Mapping[str, list[Codes]]
     rows: int
     live: npt.NDArray[np.int64] | None
 
@@ -234,26 +250,31 @@ def descriptors(values: pa.ChunkedArray | pa.Array, column: Column) -> Tensor:
 
 def _codes(
     fragment: LanceFragment, forms: Mapping[str, Coarse], columns: Sequence[Column], folder: Path
-) -> dict[str, Codes] | None:
-    """The codes of a data file by channel, memory-mapped; ``None`` unless all are there, whole."""
-    codes = {}
-    for column in columns:
+) -> dict[str, list[Codes]] | None:
+    """The layers of codes of a data file by channel, memory-mapped; ``None`` unless all are there,
+    whole."""
+    codes: dict[str, list[Codes]] = {column.name: [] for column in columns}
+    for column, layer in _layers(forms, columns):
         try:
-            array = np.load(_file(folder, fragment, column.name), mmap_mode="r")
+            array = np.load(_file(folder, fragment, column.name, layer), mmap_mode="r")
         except (OSError, ValueError):
             return None
-        expected = _shape(fragment, column, forms[column.name])
+        expected = _shape(fragment, column, forms[column.name], layer)
         if (array.shape, array.dtype) != expected or not array.flags.c_contiguous:
             return None
-        codes[column.name] = array
+        codes[column.name].append(array)
     return codes
 
 
+def _layers(forms: Mapping[str, Coarse], columns: Sequence[Column]) -> list[tuple[Column, int]]:
+    return [(column, layer) for column in columns for layer in range(forms[column.name].layers)]
+
+
 def _shape(
-    fragment: LanceFragment, column: Column, form: Coarse
+    fragment: LanceFragment, column: Column, form: Coarse, layer: int
 ) -> tuple[tuple[int, ...], np.dtype[Any]]:
-    """Shape and dtype of the codes of a data file by one channel."""
-    none = form.codes(torch.zeros(0, *column.shape, dtype=_dtype(column)))
+    """Shape and dtype of a layer of codes of a data file by one channel."""
+    none = form.codes(torch.zeros(0, *column.shape, dtype=_dtype(column)), layer)
     return (-(-fragment.physical_rows // form.together), *none.shape[1:]), none.dtype
 
 
@@ -263,15 +284,15 @@ def _write(
     """Writes the codes of a data file."""
     with ExitStack() as stack:
         streams = {}
-        for column in columns:
-            part = stack.enter_context(replacing(_file(folder, fragment, column.name)))
-            streams[column] = stack.enter_context(part.open("wb"))
-            shape, dtype = _shape(fragment, column, forms[column.name])
+        for column, layer in _layers(forms, columns):
+            part = stack.enter_context(replacing(_file(folder, fragment, column.name, layer)))
+            streams[column, layer] = stream = stack.enter_context(part.open("wb"))
+            shape, dtype = _shape(fragment, column, forms[column.name], layer)
             about = {"shape": shape, "fortran_order": False, "descr": dtype.str}
-            npy.write_array_header_1_0(streams[column], about)
+            npy.write_array_header_1_0(stream, about)
         for batch in _whole_blocks(fragment, columns):
-            for column, stream in streams.items():
-                stream.write(forms[column.name].codes(batch[column.name]).tobytes())
+            for (column, layer), stream in streams.items():
+                stream.write(forms[column.name].codes(batch[column.name], layer).tobytes())
 
 
 def _whole_blocks(
@@ -319,5 +340,5 @@ def _stem(fragment: LanceFragment) -> str:
     return Path(fragment.metadata.files[0].path).stem
 
 
-def _file(folder: Path, fragment: LanceFragment, name: str) -> Path:
-    return folder / f"{_stem(fragment)}.{name}.npy"
+def _file(folder: Path, fragment: LanceFragment, name: str, layer: int) -> Path:
+    return folder / f"{_stem(fragment)}.{layer}.{name}.npy"
