@@ -263,7 +263,8 @@ class Map:
     def locate(
         self, pictures: Picture | Sequence[Picture], top: int = 5, near: Circle | None = None
     ) -> Answer | list[Answer]:
-        """The places of pictures, each judged alone, in memory; of a drive, use `query`.
+        """The places of pictures, each judged alone; of a drive, use `query`. The map is loaded,
+        unless it is large and has an index, see ``ssrvlad db index``.
 
         Args:
             pictures: one picture or a sequence of them: ``(H, W, 3)`` uint8 in RGB, images of

@@ -39,6 +39,15 @@ def test_coarse_signs_are_scored_as_signs_of_every_fourth_byte(library, shape, c
     expected = SignQueries(some[0], SignRows(some[1]), reach=min(2, shape[0] - 1)).scores()
     got = form.scan([*queries], codes, count)
     torch.testing.assert_close(got, expected, atol=1e-5, rtol=0)
+    if form.layers > 1:
+        both = [each[..., ::2].contiguous() for each in (queries, rows)]
+        whole = np.concatenate((codes, form.codes(rows, 1)), 2)
+        finer = SignQueries(both[0], SignRows(both[1]), reach=min(2, shape[0] - 1)).scores()
+        got = form.scan([*queries], whole, count)
+        torch.testing.assert_close(got, finer, atol=1e-5, rtol=0)
+    expected = SignQueries(some[0], SignRows(some[1]), reach=0).scores()
+    got = form.scan([*queries], codes, count, sweep=False)
+    torch.testing.assert_close(got, expected, atol=1e-5, rtol=0)
 
 
 @pytest.mark.parametrize("anchors", [None, 3])
@@ -55,6 +64,9 @@ def test_coarse_vectors_of_few_directions_are_nearly_exact(library, anchors, cou
     assert codes.dtype == np.int8 and len(codes) == -(-count // LANES)
     got = form.scan([*queries], codes, count)
     torch.testing.assert_close(got, score(queries, rows), atol=0.03, rtol=0)
+    usual = queries[:, 1] if anchors else queries
+    got = form.scan([*queries], codes, count, sweep=False)
+    torch.testing.assert_close(got, score(usual, rows), atol=0.03, rtol=0)
 
 
 def test_what_was_learnt_makes_the_same_codes():

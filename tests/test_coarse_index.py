@@ -45,8 +45,13 @@ def assert_own_row_is_first(database, frame, query):
     """That of all rows the one that equals a query has its highest score by every channel."""
     frames, stored = database.placed()
     expected = int(stored[frames.frames.index(frame)])
-    for scores in scanned(CoarseIndex(database), query).values():
+    index = CoarseIndex(database)
+    for scores in scanned(index, query).values():
         assert len(scores) == len(database) and int(scores.argmax()) == expected
+    some = torch.arange(len(database)).flip(0)
+    again = index.rescan("signs", query["signs"][0], some, True)
+    assert int(some[again.argmax()]) == expected and float(again.max()) == 1
+    assert index.rescan("ssr-vlad", query["ssr-vlad"][0], some, True) is None
 
 
 def test_every_row_is_scanned_also_after_changes_of_the_map(town):
@@ -105,6 +110,16 @@ def test_what_cannot_be_opened_or_built_is_refused_in_one_line(town, tmp_path):
     assert build(town).new == 100
     with pytest.raises(ValueError, match="holds no frames yet"):
         build(Database.create(tmp_path / "empty", CONFIG))
+    about.write_text("{")
+    with pytest.raises(ValueError, match="is damaged; ssrvlad db index builds it anew"):
+        CoarseIndex(town)
+    assert build(town).new == 100
+    codes = next(Path(town.path, "_coarse").glob("*.1.signs.npy"))
+    codes.write_bytes(codes.read_bytes()[:-1])
+    with pytest.raises(ValueError, match="lacks 100 of 100 frames"):
+        CoarseIndex(town)
+    assert build(town).new == 100
+    assert_own_row_is_first(town, "a/0000", rows(0, 1))
     spoil(Path(town.path), rows(0, 3)["ssr-vlad"][2])
     add(town, 100, 1)
     assert build(Database.open(town.path)).new == 1, "what is indexed is not read again"

@@ -8,7 +8,7 @@ import torch.nn.functional as F
 from ssrvlad_torch.channels.vectors import VectorReferences
 from ssrvlad_torch.recognition.comparison import Member
 from ssrvlad_torch.recognition.confidence import accept, estimate
-from ssrvlad_torch.recognition.recognise import AS_PAPER, SURE_ALONE, Steps, recognise
+from ssrvlad_torch.recognition.recognise import AS_PAPER, SURE_ALONE, Steps, judged_alone, recognise
 from ssrvlad_torch.recognition.sweep import COLUMNS
 
 
@@ -214,3 +214,10 @@ def test_a_delay_is_a_number_of_queries(delay):
 def test_no_queries_give_no_candidates():
     found = whole(torch.zeros(0, 4), torch.eye(4), top=3)
     assert found.matches.indices.shape == (0, 3) and found.confidence.shape == (0,)
+
+
+def test_which_queries_are_surely_judged_alone():
+    """As many as none is followed, standardised or shows which channel leads."""
+    alone = Steps(follow=None)
+    assert judged_alone(["a", "b"], Steps()) and not judged_alone(["a", "b", "b"], Steps())
+    assert judged_alone(["a"] * 29 + ["b"], alone) and not judged_alone(["a"] * 30, alone)

@@ -23,6 +23,7 @@ from collections.abc import Callable, Iterator, Sized
 from pathlib import Path
 from typing import Any
 
+import _large_maps
 import numpy as np
 import torch
 from _markdown import Page, head_row, row
@@ -55,6 +56,7 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, default=Path("scale"), help="of the databases")
     parser.add_argument("--out", type=Path, default=Path("docs/scale.md"))
     parser.add_argument("--signs", action="store_true", help="measure search by features alone")
+    parser.add_argument("--pictures", action="store_true", help="measure pictures alone")
     parser.add_argument("--step", choices=STEPS, help=argparse.SUPPRESS)
     given = parser.parse_args()
     sizes = given.frames or [1_000_000]
@@ -62,9 +64,17 @@ def main() -> None:
         print(json.dumps(measured(STEPS[given.step][1], sizes[0], given.folder)))
         return
     given.folder.mkdir(parents=True, exist_ok=True)
-    steps = ["signs"] if given.signs else [*STEPS]
+    if given.pictures:
+        steps = [*_large_maps.STEPS]
+    else:
+        steps = (
+            ["signs"] if given.signs else [name for name in STEPS if name not in _large_maps.STEPS]
+        )
     results = {frames: run_all(frames, given.folder, steps) for frames in sizes}
     page = Page("scale.md", given.out)
+    if given.pictures:
+        page.section("## Pictures by all channels", _large_maps.in_words(results))
+        return
     if not given.signs:
         fill(page, results)
     frames = max(results)
@@ -282,6 +292,7 @@ STEPS: dict[str, tuple[str, Callable[[int, Path], Report]]] = {
     "followed": (f"`query --index` of {QUERIES}, followed", follow_by_index),
     "online": ("", online),
     "signs": ("", signs),
+    **{name: ("", step) for name, step in _large_maps.STEPS.items()},
 }
 """Names in the table, empty for those that are not in it, and functions."""
 

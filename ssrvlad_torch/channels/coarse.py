@@ -1,8 +1,9 @@
 """Coarse forms: descriptors in few bytes, so that a query is compared with all rows of a large map.
 
-Of signs, every fourth byte of each cell. Of vectors, `LENGTH` small numbers along the directions in
-which the rows of a map differ most (principal components). Scores are near those of the channel;
-the best of them are candidates, which are then scored exactly. Not in the paper.
+Of signs, every fourth byte of each cell, and as many more for the best rows. Of vectors, `LENGTH`
+small numbers along the directions in which the rows of a map differ most (principal components).
+Scores are near those of the channel; the best of them are candidates, which are then scored
+exactly. Not in the paper.
 """
 
 from __future__ import annotations
@@ -38,18 +39,23 @@ class Coarse(Protocol):
     Attributes:
         learnt: arrays that `of` needs.
         together: rows of a block of codes.
+        layers: of codes; all rows are scanned by the first, the best ones by all.
     """
 
     learnt: Learnt
     together: int
+    layers: int
 
-    def codes(self, stored: Tensor) -> Codes:
-        """The coarse form of descriptors ``(N, *shape)``, for a file; the first axis is of rows or
-        of blocks of rows."""
+    def codes(self, stored: Tensor, layer: int = 0) -> Codes:
+        """A layer of the coarse form of descriptors ``(N, *shape)``, for a file; the first axis is
+        of rows or of blocks of rows."""
 
-    def scan(self, queries: Sequence[Tensor], codes: Codes, rows: int) -> Tensor:
-        """``(Q, rows)`` float32 coarse cosines of queries, each ``shape``, or ``(S, *shape)`` of a
-        sweep, to the rows in ``codes``."""
+    def scan(
+        self, queries: Sequence[Tensor], codes: Codes, rows: int, sweep: bool = True
+    ) -> Tensor:
+        """``(Q, rows)`` float32 coarse cosines of queries, each ``shape``, or ``(S, *shape)`` from
+        all anchors, to the rows in ``codes``; of the best anchor or move, or without a sweep of the
+        usual one."""
 
 
 def learn(column: Column, sample: Tensor) -> Coarse:
@@ -71,38 +77,52 @@ class CoarseSigns:
     def __init__(self, column: Column) -> None:
         self.learnt: Learnt = {}
         columns, rows, size = column.shape
+        self.layers = 2 if size > _EVERY // 2 else 1
         self._columns, self._bits = columns, 8 * rows * len(range(0, size, _EVERY))
+        self._more = 8 * rows * len(range(_EVERY // 2, size, _EVERY))
         self._reach = min(REACH, columns - 1)
 
-    def codes(self, stored: Tensor) -> Codes:
+    def codes(self, stored: Tensor, layer: int = 0) -> Codes:
         """See `Coarse`: ``(N, columns, bytes)`` uint8, a column of whole words."""
-        taken = stored[..., ::_EVERY].flatten(2)
+        taken = stored[..., layer * _EVERY // 2 :: _EVERY].flatten(2)
         return F.pad(taken, (0, -taken.shape[2] % _WORD)).numpy()
 
-    def scan(self, queries: Sequence[Tensor], codes: Codes, rows: int) -> Tensor:
+    def scan(
+        self, queries: Sequence[Tensor], codes: Codes, rows: int, sweep: bool = True
+    ) -> Tensor:
         """See `Coarse`."""
-        own = np.ascontiguousarray(self.codes(torch.stack([*queries])))
+        stacked = torch.stack([*queries])
+        layers, bits = [self.codes(stacked)], self._bits
+        if codes.shape[2] > layers[0].shape[2]:
+            layers, bits = [*layers, self.codes(stacked, 1)], bits + self._more
+        own = np.concatenate(layers, 2).astype(np.uint8)
+        return self._scanned(own, codes, rows, bits, sweep)
+
+    def _scanned(self, own: Codes, codes: Codes, rows: int, bits: int, sweep: bool) -> Tensor:
+        reach = self._reach if sweep else 0
         scores, library = torch.empty(len(own), rows), core().library
         if library is None:
             for first in range(0, rows, _ROWS_AT_ONCE):
                 part = torch.from_numpy(np.array(codes[first : first + _ROWS_AT_ONCE]))
-                scores[:, first : first + len(part)] = self._plain(torch.from_numpy(own), part)
+                scores[:, first : first + len(part)] = self._plain(
+                    torch.from_numpy(own), part, reach, bits
+                )
             return scores
         library.ssrvlad_scan_signs(
             own.ctypes.data, len(own), codes.ctypes.data, rows, self._columns,
-            codes.shape[2] // _WORD, self._bits, self._reach, torch.get_num_threads(),
+            codes.shape[2] // _WORD, bits, reach, torch.get_num_threads(),
             scores.data_ptr(),
         )  # fmt: skip
         return scores
 
-    def _plain(self, queries: Tensor, rows: Tensor) -> Tensor:
+    def _plain(self, queries: Tensor, rows: Tensor, reach: int, bits: int) -> Tensor:
         """The scores in torch: products of the numbers 1 and -1, without what fills the words."""
         signed, known = numbers(rows).flatten(1), numbers(queries)
-        filling, best = 8 * codes_length(rows) - self._columns * self._bits, []
-        for step in range(-self._reach, self._reach + 1):
+        filling, best = 8 * codes_length(rows) - self._columns * bits, []
+        for step in range(-reach, reach + 1):
             kept = self._columns - abs(step)
             product = moved(known, step).flatten(1) @ signed.T
-            best.append((product - filling * kept / self._columns) / (kept * self._bits))
+            best.append((product - filling * kept / self._columns) / (kept * bits))
         return torch.stack(best).amax(0)
 
 
@@ -115,7 +135,7 @@ class CoarseVectors:
     """`LENGTH` whole numbers from -127 to 127 of each vector, in blocks of `LANES` rows: ``(blocks,
     LENGTH, LANES)`` int8. A vector of length 1 is nearly ``mean + numbers @ basis``."""
 
-    together = LANES
+    together, layers = LANES, 1
 
     def __init__(self, learnt: Learnt) -> None:
         self.learnt = learnt
@@ -133,7 +153,7 @@ class CoarseVectors:
         basis[: chosen.shape[1]] = (chosen * step.clamp(min=1e-9)).T.float()
         return cls({"mean": mean.float().numpy(), "basis": basis.numpy()})
 
-    def codes(self, stored: Tensor) -> Codes:
+    def codes(self, stored: Tensor, layer: int = 0) -> Codes:
         """See `Coarse`."""
         squares = self._basis.square().sum(1).clamp(min=1e-30)
         parts = [
@@ -146,9 +166,13 @@ class CoarseVectors:
         filled = F.pad(whole, (0, 0, 0, -len(whole) % LANES)).to(torch.int8)
         return filled.view(-1, LANES, LENGTH).transpose(1, 2).contiguous().numpy()
 
-    def scan(self, queries: Sequence[Tensor], codes: Codes, rows: int) -> Tensor:
-        """See `Coarse`; of a sweep the best anchor counts."""
+    def scan(
+        self, queries: Sequence[Tensor], codes: Codes, rows: int, sweep: bool = True
+    ) -> Tensor:
+        """See `Coarse`."""
         swept = torch.stack([each if each.ndim == 2 else each[None] for each in queries])
+        middle = swept.shape[1] // 2
+        swept = swept if sweep else swept[:, middle : middle + 1]
         units = F.normalize(swept.float(), dim=2)
         weights, offsets = (units @ self._basis.T).contiguous(), (units @ self._mean).contiguous()
         scores, library = torch.empty(len(swept), len(codes), LANES), core().library

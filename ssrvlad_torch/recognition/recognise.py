@@ -209,11 +209,10 @@ def recognise_alone(
 
 
 def judged_alone(query_sequences: Sequence[str], steps: Steps) -> bool:
-    """Whether queries are surely judged alone and not standardised, whatever the map."""
-    lengths = [len(run) for run in runs(query_sequences)]
-    if steps.follow:
-        return all(length == 1 for length in lengths)
-    return not steps.standardise or all(length < MIN_FRAMES for length in lengths)
+    """Whether queries are judged alone, not standardised, and their channels weighed by trust,
+    whatever the map."""
+    fewest = 2 if steps.follow else MIN_FRAMES
+    return all(len(run) < fewest for run in runs(query_sequences))
 
 
 @dataclass(frozen=True)

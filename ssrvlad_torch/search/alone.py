@@ -28,9 +28,9 @@ from ..recognition.rivals import Chance, chance_of
 from .coarse_index import LEAST_ROWS, CoarseIndex, is_indexed, taken
 from .selection import neighbours
 
-COARSE, EXACT = 1000, 100
+COARSE, EXACT = 500, 50
 """Rows by the fused coarse scores, of which the most trusted channel is scored exactly; and rows of
-which all are. Chosen by features of DABNet, see docs/scale.md."""
+which all are. More find more, and take longer: docs/scale.md."""
 
 LEADS = 300
 """Rows by the coarse scores of a channel that show the width of its sweep."""
@@ -90,15 +90,22 @@ class LargeMap:
         anchors. ``allowed`` ``(R,)`` bool are the rows that may be candidates, by default all."""
         where = None if allowed is None else torch.from_numpy(allowed)[self._natural]
         coarse = {
-            name: self._index.scan(name, [descriptors[name]])[0]
+            name: self._index.scan(name, [descriptors[name]], sweep)[0]
             for name in (channel.column.name for channel in self._channels)
         }
-        own = self._natural[self._best(coarse, where)].sort().values
+        own = self._natural[self._best(coarse, where, descriptors, sweep)].sort().values
         return self._judged(descriptors, coarse, own, sweep, top)
 
-    def _best(self, coarse: Mapping[str, Tensor], where: Tensor | None) -> Tensor:
+    def _best(
+        self,
+        coarse: Mapping[str, Tensor],
+        where: Tensor | None,
+        query: Mapping[str, Tensor],
+        sweep: bool,
+    ) -> Tensor:
         """The `COARSE` best stored rows by the fused coarse scores ``(R,)``, best first. Rows are
-        chosen by z-scores of cosines before those of nearness, which take longer."""
+        chosen by z-scores of cosines before those of nearness, and before all layers of codes,
+        which take longer."""
         linear = torch.zeros(len(self.frames))
         for name, scores in coarse.items():
             deviation = max(float(self._every(scores).std(correction=0)), MIN_SPREAD)
@@ -110,7 +117,11 @@ class LargeMap:
             count = max(1, len(some) * _PRESELECTED // len(linear))
             least = float(some.topk(count).values[-1])
         rows = ((linear >= least) & (linear > -torch.inf)).nonzero()[:, 0]
-        parts = [torch.cat((self._every(each), each[rows])) for each in coarse.values()]
+        chosen = torch.cat((self._every(torch.arange(len(linear))), rows))
+        parts = [each[chosen] for each in coarse.values()]
+        for number, name in enumerate(coarse):
+            again = self._index.rescan(name, query[name], chosen, sweep)
+            parts[number] = parts[number] if again is None else again
         near = fused(parts, [self._share[name] for name in coarse], self._size)[self._size :]
         return rows[near.topk(min(COARSE, len(rows))).indices]
 
@@ -211,8 +222,8 @@ def recognise_in_large(
     where: npt.NDArray[np.bool_],
     exclude: int | None = None,
 ) -> Recognised:
-    """The candidates of queries, each judged alone, among the rows ``where`` ``(R,)`` bool of a
-    large map; ``exclude`` as for `exact.search`."""
+    """The candidates of queries, each judged alone and swept as wide as suits it, among the rows
+    ``where`` ``(R,)`` bool of a large map; ``exclude`` as for `exact.search`."""
     own, everywhere = np.zeros((len(queries), 2), np.int64), bool(where.all())
     if exclude is not None:
         own = neighbours(queries.frames, large.frames, exclude)

@@ -8,6 +8,7 @@ of a query are spread over the map.
 from __future__ import annotations
 
 import json
+import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
@@ -33,13 +34,13 @@ if TYPE_CHECKING:
 
     from ..database.database import Database
 
-FOLDER = "_coarse"
+FOLDER, _ABOUT = "_coarse", "index.json"
 LEAST_ROWS = 20_000
 """Maps of fewer frames are searched faster in memory, see docs/scale.md."""
 
-_FORMAT = 1
-_SAMPLE, _GROWTH = 4096, 4
-"""Rows of the sample; a map that has grown so many times is learnt anew."""
+_FORMAT = 2
+_SAMPLE, _SAMPLE_BYTES, _GROWTH = 4096, 1 << 27, 4
+"""Rows and bytes of the sample, at most; a map that has grown so many times is learnt anew."""
 _BLOCK, _OFFSET = 1 << 12, np.uint64((1 << 32) - 1)
 
 
@@ -62,14 +63,15 @@ def build(database: Database) -> Report:
     if not rows:
         raise ValueError(f"{database.path} holds no frames yet")
     learnt = _learnt(database)
-    if learnt is None or rows > _GROWTH * learnt["rows"] or learnt["columns"] != _columns(database):
-        for file in folder.glob("*"):
-            file.unlink()
-        _learn(database)
-    forms, new = _forms(database), 0
-    fragments = database.table().get_fragments()
+    if learnt is None or rows > _GROWTH * learnt.rows or learnt.columns != _columns(database):
+        for file in (folder / _ABOUT, *folder.glob("*.np[yz]")):
+            file.unlink(missing_ok=True)
+        learnt = _learn(database)
+    fragments, new = database.table().get_fragments(), 0
     for fragment in fragments:
-        new += _write(fragment, forms, database.columns, folder)
+        if _codes(fragment, learnt.forms, database.columns, folder) is None:
+            _write(fragment, learnt.forms, database.columns, folder)
+            new += fragment.count_rows()
     stored = {_stem(fragment) for fragment in fragments}
     kept = {path.stem for path in Path(database.path, "data").glob("*.lance")} | stored
     for file in folder.glob("*.npy"):
@@ -86,8 +88,8 @@ def grow(database: Database) -> None:
 
 
 def is_indexed(database: Database) -> bool:
-    """Whether a database has a coarse index, of whatever rows."""
-    return not is_uri(database.path) and _learnt(database) is not None
+    """Whether a database has a coarse index, in whatever state."""
+    return not is_uri(database.path) and (_folder(database) / _ABOUT).exists()
 
 
 class CoarseIndex:
@@ -100,16 +102,17 @@ class CoarseIndex:
     def __init__(self, database: Database) -> None:
         """Raises a ValueError in one line if there is no index, or one of other channels, or older
         than the rows, or damaged."""
-        learnt, path = _learnt(database), database.path
-        if learnt is None:
+        path, folder = database.path, _folder(database)
+        if not is_indexed(database):
             raise ValueError(f"{path} has no index; ssrvlad db index builds one")
-        if learnt["columns"] != _columns(database):
+        learnt = _learnt(database)
+        if learnt is None:
+            raise ValueError(f"the index of {path} is damaged; ssrvlad db index builds it anew")
+        if learnt.columns != _columns(database):
             raise ValueError(
                 f"the index of {path} is of other channels; ssrvlad db index builds it anew"
             )
-        self._forms, folder = _forms(database), _folder(database)
-        with np.load(folder / "sample.npz") as stored:
-            self.sample = {name: torch.from_numpy(stored[name]) for name in stored.files}
+        self._forms, self.sample = learnt.forms, learnt.sample
         table, lacking = database.table(), 0
         addresses = table.to_table(columns=[], with_row_address=True, scan_in_order=True)
         address = addresses["_rowaddr"].to_numpy()
@@ -117,11 +120,10 @@ class CoarseIndex:
         for fragment in table.get_fragments():
             of = address[address >> np.uint64(32) == np.uint64(fragment.fragment_id)]
             live = (of & _OFFSET).astype(np.int64)
-            files = {name: _file(folder, fragment, name) for name in self._forms}
-            if not all(file.exists() for file in files.values()):
+            codes = _codes(fragment, learnt.forms, database.columns, folder)
+            if codes is None:
                 lacking += len(live)
                 continue
-            codes = {name: np.load(file, mmap_mode="r") for name, file in files.items()}
             whole = len(live) == fragment.physical_rows
             self._parts.append(_Part(codes, fragment.physical_rows, None if whole else live))
         if lacking:
@@ -133,22 +135,38 @@ class CoarseIndex:
     def __len__(self) -> int:
         return self._rows
 
-    def scan(self, name: str, queries: Sequence[Tensor]) -> Tensor:
+    def scan(self, name: str, queries: Sequence[Tensor], sweep: bool = True) -> Tensor:
         """``(Q, R)`` float32 coarse scores of descriptors by one channel to all rows."""
         scores, first, form = torch.empty(len(queries), self._rows), 0, self._forms[name]
         for part in self._parts:
-            found = form.scan(queries, part.codes[name], part.rows)
+            found = form.scan(queries, part.codes[name][0], part.rows, sweep)
             found = found if part.live is None else found[:, torch.from_numpy(part.live)]
             scores[:, first : first + found.shape[1]] = found
             first += found.shape[1]
         return scores
 
+    def rescan(self, name: str, query: Tensor, rows: Tensor, sweep: bool) -> Tensor | None:
+        """``(N,)`` float32 scores of a descriptor to some rows by all layers of the codes of one
+        channel; ``None`` if there is one layer."""
+        form, first, found = self._forms[name], 0, torch.empty(len(rows))
+        if form.layers == 1:
+            return None
+        for part in self._parts:
+            last = first + (part.rows if part.live is None else len(part.live))
+            here = ((rows >= first) & (rows < last)).nonzero()[:, 0]
+            at = (rows[here] - first).numpy()
+            at = at if part.live is None else part.live[at]
+            codes = np.concatenate([layer[at] for layer in part.codes[name]], 2)
+            found[here] = form.scan([query], codes, len(at), sweep)[0]
+            first = last
+        return found
+
 
 class _Part(NamedTuple):
-    """The codes of a data file by channel, the number of its rows, and those that are not removed,
+    """The layers of codes of a data file by channel, its rows, and those that are not removed,
     ``None`` for all."""
 
-    codes: Mapping[str, Codes]
+    codes: Mapping[str, list[Codes]]
     rows: int
     live: npt.NDArray[np.int64] | None
 
@@ -161,43 +179,53 @@ def _columns(database: Database) -> list[list[Any]]:
     return [[*column[:2], list(column.shape), column.dtype] for column in database.columns]
 
 
-def _learnt(database: Database) -> dict[str, Any] | None:
-    """What the index was made of; ``None`` without an index of this format."""
-    file = _folder(database) / "index.json"
-    found = read_json(file) if file.exists() else {}
-    return found if found.get("format") == _FORMAT else None
+class _Learnt(NamedTuple):
+    """What an index was made of: the number of rows and the columns then, the coarse form of each
+    channel, and the sample."""
+
+    rows: int
+    columns: list[list[Any]]
+    forms: dict[str, Coarse]
+    sample: dict[str, Tensor]
 
 
-def _forms(database: Database) -> dict[str, Coarse]:
-    """The coarse forms of all channels."""
-    stored = read_npz(_folder(database) / "learnt.npz")
-    return {
-        column.name: coarse.of(
-            column,
-            {
-                key.removeprefix(f"{column.name}."): value
-                for key, value in stored.items()
-                if key.startswith(f"{column.name}.")
-            },
-        )
-        for column in database.columns
-    }
+def _learnt(database: Database) -> _Learnt | None:
+    """What the index was made of; ``None`` without one, and for a damaged one."""
+    folder = _folder(database)
+    try:
+        about = read_json(folder / _ABOUT)
+        arrays, sample = (read_npz(folder / f"{name}.npz") for name in ("learnt", "sample"))
+        if about["format"] != _FORMAT:
+            return None
+        forms = {}
+        for column in database.columns:
+            prefix = f"{column.name}."
+            own = {k.removeprefix(prefix): a for k, a in arrays.items() if k.startswith(prefix)}
+            forms[column.name] = coarse.of(column, own)
+        known = {column.name: torch.from_numpy(sample[column.name]) for column in database.columns}
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    return _Learnt(about["rows"], about["columns"], forms, known)
 
 
-def _learn(database: Database) -> None:
+def _learn(database: Database) -> _Learnt:
     """Chooses a sample of the rows, and learns the coarse forms from it."""
     folder, rows, columns = _folder(database), len(database), database.columns
     folder.mkdir(exist_ok=True)
-    chosen = np.random.default_rng(0).choice(rows, min(_SAMPLE, rows), replace=False)
+    size = sum(math.prod(column.shape) * np.dtype(column.dtype).itemsize for column in columns)
+    count = min(rows, _SAMPLE, max(1, _SAMPLE_BYTES // size))
+    chosen = np.random.default_rng(0).choice(rows, count, replace=False)
     found = taken(database, np.sort(chosen), columns, verified=True)
     forms = {column.name: coarse.learn(column, found[column.name]) for column in columns}
     arrays = {f"{name}.{key}": a for name, form in forms.items() for key, a in form.learnt.items()}
     for file, content in (("learnt.npz", arrays), ("sample.npz", found)):
+        values: dict[str, Any] = {name: np.asarray(each) for name, each in content.items()}
         with replacing(folder / file) as part, part.open("wb") as stream:
-            np.savez(stream, **{name: np.asarray(each) for name, each in content.items()})  # type: ignore[arg-type]
+            np.savez(stream, **values)
     about = {"format": _FORMAT, "rows": rows, "columns": _columns(database)}
-    with replacing(folder / "index.json") as part:
+    with replacing(folder / _ABOUT) as part:
         part.write_text(json.dumps(about))
+    return _Learnt(rows, _columns(database), forms, found)
 
 
 def taken(
@@ -220,27 +248,51 @@ def descriptors(values: pa.ChunkedArray | pa.Array, column: Column) -> Tensor:
     return torch.from_numpy(matrix(values).copy()).view(-1, *column.shape)
 
 
+def _codes(
+    fragment: LanceFragment, forms: Mapping[str, Coarse], columns: Sequence[Column], folder: Path
+) -> dict[str, list[Codes]] | None:
+    """The layers of codes of a data file by channel, memory-mapped; ``None`` unless all are there,
+    whole."""
+    codes: dict[str, list[Codes]] = {column.name: [] for column in columns}
+    for column, layer in _layers(forms, columns):
+        try:
+            array = np.load(_file(folder, fragment, column.name, layer), mmap_mode="r")
+        except (OSError, ValueError):
+            return None
+        expected = _shape(fragment, column, forms[column.name], layer)
+        if (array.shape, array.dtype) != expected or not array.flags.c_contiguous:
+            return None
+        codes[column.name].append(array)
+    return codes
+
+
+def _layers(forms: Mapping[str, Coarse], columns: Sequence[Column]) -> list[tuple[Column, int]]:
+    return [(column, layer) for column in columns for layer in range(forms[column.name].layers)]
+
+
+def _shape(
+    fragment: LanceFragment, column: Column, form: Coarse, layer: int
+) -> tuple[tuple[int, ...], np.dtype[Any]]:
+    """Shape and dtype of a layer of codes of a data file by one channel."""
+    none = form.codes(torch.zeros(0, *column.shape, dtype=_dtype(column)), layer)
+    return (-(-fragment.physical_rows // form.together), *none.shape[1:]), none.dtype
+
+
 def _write(
     fragment: LanceFragment, forms: Mapping[str, Coarse], columns: Sequence[Column], folder: Path
-) -> int:
-    """Writes the codes of a data file, unless they are there; returns the number of its rows."""
-    files = {column: _file(folder, fragment, column.name) for column in columns}
-    if all(file.exists() for file in files.values()):
-        return 0
-    rows = fragment.physical_rows
+) -> None:
+    """Writes the codes of a data file."""
     with ExitStack() as stack:
         streams = {}
-        for column, file in files.items():
-            part = stack.enter_context(replacing(file))
-            streams[column] = stack.enter_context(part.open("wb"))
-            codes = forms[column.name].codes(torch.zeros(0, *column.shape, dtype=_dtype(column)))
-            blocks = -(-rows // forms[column.name].together)
-            about = {"shape": (blocks, *codes.shape[1:]), "fortran_order": False}
-            npy.write_array_header_1_0(streams[column], {**about, "descr": codes.dtype.str})
+        for column, layer in _layers(forms, columns):
+            part = stack.enter_context(replacing(_file(folder, fragment, column.name, layer)))
+            streams[column, layer] = stream = stack.enter_context(part.open("wb"))
+            shape, dtype = _shape(fragment, column, forms[column.name], layer)
+            about = {"shape": shape, "fortran_order": False, "descr": dtype.str}
+            npy.write_array_header_1_0(stream, about)
         for batch in _whole_blocks(fragment, columns):
-            for column, stream in streams.items():
-                stream.write(forms[column.name].codes(batch[column.name]).tobytes())
-    return int(rows)
+            for (column, layer), stream in streams.items():
+                stream.write(forms[column.name].codes(batch[column.name], layer).tobytes())
 
 
 def _whole_blocks(
@@ -288,5 +340,5 @@ def _stem(fragment: LanceFragment) -> str:
     return Path(fragment.metadata.files[0].path).stem
 
 
-def _file(folder: Path, fragment: LanceFragment, name: str) -> Path:
-    return folder / f"{_stem(fragment)}.{name}.npy"
+def _file(folder: Path, fragment: LanceFragment, name: str, layer: int) -> Path:
+    return folder / f"{_stem(fragment)}.{layer}.{name}.npy"
