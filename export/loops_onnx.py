@@ -7,10 +7,10 @@ camera | python export/loops_onnx.py place.onnx -
 Prints a JSON object a line for every frame, as `ssrvlad loops --json` does: `frame`, `reason`,
 `candidate`, `score`, `probability`, `ahead`, `candidates`. `-` reads names of files on stdin, one a
 line, and answers each at once. The rules and thresholds are those of `ssrvlad_torch.LoopDetector`:
-with one anchor a frame, those of `ssrvlad loops --no-sweep`; of a fused file that gives features,
-those of `ssrvlad loops --no-sweep --channel features`. Needs numpy, onnxruntime and the folder
-`ssrvlad_place` beside it; `run_onnx.py` lists the formats of frames. Exit code 0 for success, 2 for
-wrong use, 3 for finished with some frames skipped.
+with one anchor a frame, those of `ssrvlad loops --no-sweep`, and of a fused file, which gives all
+channels, the same with the network. Needs numpy, onnxruntime and the folder `ssrvlad_place` beside
+it; `run_onnx.py` lists the formats of frames. Exit code 0 for success, 2 for wrong use, 3 for
+finished with some frames skipped.
 """
 
 from __future__ import annotations

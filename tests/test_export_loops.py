@@ -23,6 +23,7 @@ from ssrvlad_place.model import Seen
 
 from ssrvlad_torch import SSRVLAD, LoopDetector, SSRVLADConfig
 from ssrvlad_torch.channels.features import Features
+from ssrvlad_torch.channels.hog import HOG
 from ssrvlad_torch.channels.live_signs import LiveSigns
 from ssrvlad_torch.database.frames import FrameRecord
 from ssrvlad_torch.loops.config import LoopConfig
@@ -58,9 +59,9 @@ def assert_same_answers(got, expected):
         for name in ("frame", "reason", "candidate"):
             assert one[name] == other[name], one["frame"]
         for name in ("score", "probability"):
-            assert one[name] == pytest.approx(other[name], abs=1e-4), one["frame"]
+            assert one[name] == pytest.approx(other[name], abs=3e-4), one["frame"]
         places, wanted = (likely(each["candidates"]) for each in (one, other))
-        assert places == pytest.approx(wanted, abs=1e-4), one["frame"]
+        assert places == pytest.approx(wanted, abs=3e-4), one["frame"]
 
 
 def test_its_defaults_are_those_of_the_package():
@@ -89,25 +90,32 @@ def signs_of(descriptor):
     return np.packbits(descriptor[:120] @ DRAWN > 0).reshape(SHAPE)
 
 
+def hog_of(descriptor):
+    """HOG that is as alike as descriptors are."""
+    drawn = descriptor[:120] @ DRAWN[:, :480]
+    return drawn / max(1e-9, np.linalg.norm(drawn))
+
+
 class Drawn(Features):
     def live(self):
         return LiveSigns(SHAPE)
 
 
-def both(stream, config, features=False, stamps=None):
-    """What the program and the package say of a stream."""
+def both(stream, config, pictures=False, stamps=None):
+    """What the program and the package say of a stream, also with features and HOG of pictures."""
     stamps = stamps or [math.nan] * len(stream[1])
     chosen = {name: getattr(config, name) for name in Settings._fields}
     theirs = Detector(Settings(**chosen))
-    ours = LoopDetector(config, HEAD, [Drawn("drawn")] * features)
+    ours = LoopDetector(config, HEAD, [Drawn("drawn"), HOG()] if pictures else [])
     got, expected = [], []
     for number, (swept, sequence) in enumerate(zip(*stream, strict=True)):
-        signs = signs_of(swept[len(swept) // 2]) if features else None
-        seen = Seen(swept, signs)
+        usual = swept[len(swept) // 2]
+        given = {"features": signs_of(usual), "hog": hog_of(usual)} if pictures else {}
+        seen = Seen(swept, **given)
         got.append(theirs.update(f"{sequence}/{number}", seen, stamps[number]).as_json())
         record = FrameRecord(sequence, str(number), stamp=stamps[number])
         described = {"ssr-vlad": torch.from_numpy(swept)}
-        described |= {"features": torch.from_numpy(signs)} if features else {}
+        described |= {name: torch.from_numpy(channel) for name, channel in given.items()}
         expected.append(ours.observe(record, described).as_json())
     return got, expected
 
@@ -127,37 +135,37 @@ def test_it_follows_the_rules_of_the_package(stream, config):
             assert one["score"] == pytest.approx(other["score"], abs=1e-3)
 
 
-@pytest.mark.parametrize("features", [False, True])
+@pytest.mark.parametrize("pictures", [False, True])
 @pytest.mark.parametrize(("anchors", "exclude", "places"), [(1, 5, 40), (3, 5, 40), (1, 100, 130)])
-def test_a_long_stream_passes_the_end_of_a_block(monkeypatch, anchors, exclude, places, features):
+def test_a_long_stream_passes_the_end_of_a_block(monkeypatch, anchors, exclude, places, pictures):
     monkeypatch.setattr(stream, "BLOCK_ROWS", 16)
     drives = noisy_stream(2, 300, places, [100], anchors)
-    got, expected = both(drives, LoopConfig(exclude=exclude), features)
+    got, expected = both(drives, LoopConfig(exclude=exclude), pictures)
     sure = [row for row, line in enumerate(expected) if line["reason"].value == "accepted"]
     assert len(sure) > 25
     assert_same_answers([got[row] for row in sure], [expected[row] for row in sure])
 
 
-@pytest.mark.parametrize("features", [False, True])
-def test_a_gap_of_stamps_starts_a_stretch(features):
+@pytest.mark.parametrize("pictures", [False, True])
+def test_a_gap_of_stamps_starts_a_stretch(pictures):
     """Another drive of the same name, in other light, after an hour."""
     street = PLACES[:200] + PLACES[1:201]
     vectors = unit(np.concatenate((street[:150], street[40:120] + LIGHT)))
     stamps = [n + 3600.0 * (n >= 150) for n in range(230)]
     drives = vectors[:, None], ["drive"] * 230
-    got, expected = both(drives, LoopConfig(), features, stamps)
+    got, expected = both(drives, LoopConfig(), pictures, stamps)
     assert_same_answers(got, expected)
-    unstamped, _ = both(drives, LoopConfig(), features)
+    unstamped, _ = both(drives, LoopConfig(), pictures)
     closed = [sum(each["reason"] == "accepted" for each in answers) for answers in (got, unstamped)]
     assert closed[0] > closed[1] + 20
 
 
-def test_with_features_another_light_needs_no_gap():
+def test_with_all_channels_another_light_needs_no_gap():
     rng = np.random.default_rng(0)
     noise = [rng.normal(0, 0.3 / 22, (230, 480)), 0.35 * LIGHT]
     street = PLACES[:300] + PLACES[1:301]
     vectors = unit(np.concatenate((street[:150], street[40:120] + noise[1])) + noise[0])
-    got, expected = both((vectors[:, None], ["drive"] * 230), LoopConfig(), features=True)
+    got, expected = both((vectors[:, None], ["drive"] * 230), LoopConfig(), pictures=True)
     assert_same_answers(got, expected)
     assert sum(each["reason"] == "accepted" for each in got) > 30
 
@@ -169,11 +177,11 @@ def test_an_empty_frame_is_no_candidate():
     assert all(math.isfinite(each["score"] or 0) for each in got)
 
 
-def test_with_features_it_says_what_the_command_line_says(ssrvlad, tmp_path, run):
+def test_with_all_channels_it_says_what_the_command_line_says(ssrvlad, tmp_path, run):
     """Of photographs, over a second drive along the first, by one file and by two."""
     write_drives(tmp_path, range(20), range(4, 18), (96, 128))
     streams = (tmp_path / "monday", tmp_path / "today")
-    given = ("--segmenter", tmp_path / "net.yaml", "--channel", "features", "--no-sweep")
+    given = ("--segmenter", tmp_path / "net.yaml", "--no-sweep")
     code, out, err = ssrvlad("loops", *streams, *given, *SETTINGS, "--json", "--workers", 1)
     assert (code, err) == (0, [])
     expected = objects(out)

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from . import motion, stretches
 from .model import Seen
 from .motion import GAP, LEVEL, MAX_LOG
-from .scores import FEATURES, LABEL_SHAPES, fused, lead, nearness, weights_of
+from .scores import FEATURES, HOG, LABEL_SHAPES, fused, lead, nearness, weights_of
 from .stream import Map, SignMap
 from .stretches import is_elsewhere, is_gap
 from .tracks import Tracks
@@ -153,17 +153,18 @@ class Repeats:
 
 class Detector:
     """Decides for each frame of a stream whether its place was seen before. Where the frames have
-    features, both scores are fused, by the leads of their first candidates so far."""
+    several channels, their scores are fused, by the leads of their first candidates so far."""
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
         self.map, self.filter = Map(), Filter()
         self.signs: SignMap | None = None
+        self.hog: Map | None = None
         self.start, self.neighbours = 0, list[float]()
         self.starts = set[int]()
         self.frames: list[str] = []
         self._recent: deque[tuple[float, list[Any]]] = deque(maxlen=stretches.RECENT)
-        self._leads = {LABEL_SHAPES: 0.0, FEATURES: 0.0}
+        self._leads: dict[str, float] = {}
 
     def update(self, frame: str, seen: Seen, stamp: float = math.nan) -> Loop:
         """Looks for the place of the next frame among the earlier frames, then stores it.
@@ -171,24 +172,28 @@ class Detector:
         Args:
             frame: its id, ``<sequence>/<name>``.
             seen: its descriptor ``(D,)`` of length 1, or zero for an empty frame, or ``(S, D)``
-                from S anchors with the usual one in the middle; and its features, which all frames
-                of a stream have or none.
+                from S anchors with the usual one in the middle; and its features and HOG, which all
+                frames of a stream have or none.
             stamp: seconds, not less than those of earlier frames of the sequence, if it is known.
         """
-        swept, signs = np.atleast_2d(seen.descriptor), seen.features
-        if signs is not None and not self.frames:
-            self.signs = SignMap(signs.shape)
-        now = [swept[len(swept) // 2], *([] if signs is None else [signs])]
+        swept, signs, hog = np.atleast_2d(seen.descriptor), seen.features, seen.hog
+        if not self.frames:
+            self.signs = None if signs is None else SignMap(signs.shape)
+            self.hog = None if hog is None else Map()
+            self._leads = dict.fromkeys(seen.channels, 0.0)
+        now = [swept[len(swept) // 2], *(each for each in (signs, hog) if each is not None)]
         other = not self.frames or _sequence(frame) != _sequence(self.frames[-1])
         if other or self._breaks(stamp, now):
             self._start_stretch()
         self._recent.append((stamp, now))
         products = self.signs.products(signs) if self.signs else None
-        result = self._step(frame, swept, (signs, products))
+        result = self._step(frame, swept, (signs, products), hog)
         self.frames.append(frame)
         self.map.append(now[0])
         if self.signs:
             self.signs.append(signs, products)
+        if self.hog:
+            self.hog.append(hog)
         return result
 
     def _breaks(self, stamp: float, now: list[Any]) -> bool:
@@ -201,14 +206,14 @@ class Detector:
     def _start_stretch(self) -> None:
         """The next frame starts another stretch."""
         self.filter.restart()
-        for each in filter(None, (self.map, self.signs)):
+        for each in filter(None, (self.map, self.signs, self.hog)):
             each.start_sequence()
         self.start, self.neighbours = len(self.frames), []
         self.starts.add(self.start)
         self.repeats, self.tracks = Repeats(self.settings.exclude), Tracks()
         self._recent.clear()
 
-    def _step(self, frame: str, swept: Floats, signs: tuple[Any, Any]) -> Loop:
+    def _step(self, frame: str, swept: Floats, signs: tuple[Any, Any], hog: Any) -> Loop:
         exclude = self.settings.exclude
         old = max(0, len(self.frames) - exclude)
         for row in range(len(self.filter.cells), len(self.frames) - min(RECENT, exclude)):
@@ -220,7 +225,7 @@ class Detector:
         if empty:
             self.filter.step(np.zeros(len(self.filter.cells), np.float32))
             return Loop(frame, "empty_frame")
-        scores = self._scores(swept, signs, 0 if too_few else old)
+        scores = self._scores(swept, signs, hog, 0 if too_few else old)
         near = nearness(scores)
         repeats = self.repeats.after(near[self.start :])
         if too_few:
@@ -254,15 +259,18 @@ class Detector:
             row = int(left.argmax())
         return tuple(places)
 
-    def _scores(self, swept: Floats, signs: tuple[Any, Any], old: int) -> Floats:
+    def _scores(self, swept: Floats, signs: tuple[Any, Any], hog: Any, old: int) -> Floats:
         """``(rows,)`` float32 scores of a frame, scaled by those of the old frames, if any."""
-        scores = self.map.scores(swept)
-        if self.signs is None:
-            return scores
-        both = [scores, self.signs.scores(*signs)]
-        for name, each in zip(self._leads, both, strict=True):
-            self._leads[name] += max(0.0, lead(each[:old]))
-        return fused(both, weights_of(self._leads), old or None).astype(np.float32)
+        parts = {LABEL_SHAPES: self.map.scores(swept)}
+        if self.signs:
+            parts[FEATURES] = self.signs.scores(*signs)
+        if self.hog:
+            parts[HOG] = self.hog.scores(hog[None])
+        if len(parts) == 1:
+            return parts[LABEL_SHAPES]
+        for name, scores in parts.items():
+            self._leads[name] += max(0.0, lead(scores[:old]))
+        return fused([*parts.values()], weights_of(self._leads), old or None).astype(np.float32)
 
     def _log_likelihood(self, z: Floats, repeats: Floats, near: Floats) -> Floats:
         """``(rows,)``, of a frame by its z-scores and its nearness with all earlier frames, and by
@@ -284,8 +292,9 @@ class Detector:
         return log_likelihood
 
     def _returning(self, near: Floats, old: int) -> bool:
-        """Whether old rows of the same stretch may count as those of others do; with features."""
-        if self.signs is None:
+        """Whether old rows of the same stretch may count as those of others do; with several
+        channels."""
+        if len(self._leads) == 1:
             return False
         self.tracks.after(near, old)
         return self.tracks.returning
