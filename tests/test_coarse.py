@@ -27,20 +27,22 @@ def library(request, monkeypatch):
         pytest.skip("needs the native core")
 
 
-@pytest.mark.parametrize("shape", [(8, 3, 4), (5, 3, 9), (1, 2, 1), (16, 16, 8)])
+@pytest.mark.parametrize("shape", [(8, 3, 4), (5, 3, 9), (1, 2, 1), (16, 16, 16)])
 @pytest.mark.parametrize("count", [1, 130])
-def test_coarse_signs_are_scored_as_signs_of_every_fourth_byte(library, shape, count):
+def test_coarse_signs_are_scored_as_signs_of_two_bytes_a_cell(library, shape, count):
     """Also where bits fill up the words of a column."""
     rows, queries = grids(count, shape), grids(3, shape, 1)
     form = CoarseSigns(Column("features", "", shape, "uint8"))
     codes = form.codes(rows)
     assert len(codes) == count and codes.shape[2] % 8 == 0
-    some = [each[..., ::4].contiguous() for each in (queries, rows)]
+    every = max(1, shape[2] // 2)
+    some = [each[..., ::every].contiguous() for each in (queries, rows)]
     expected = SignQueries(some[0], SignRows(some[1]), reach=min(2, shape[0] - 1)).scores()
     got = form.scan([*queries], codes, count)
     torch.testing.assert_close(got, expected, atol=1e-5, rtol=0)
     if form.layers > 1:
-        both = [each[..., ::2].contiguous() for each in (queries, rows)]
+        more = [each[..., every // 2 :: every] for each in (queries, rows)]
+        both = [torch.cat(parts, -1).contiguous() for parts in zip(some, more, strict=True)]
         whole = np.concatenate((codes, form.codes(rows, 1)), 2)
         finer = SignQueries(both[0], SignRows(both[1]), reach=min(2, shape[0] - 1)).scores()
         got = form.scan([*queries], whole, count)

@@ -1,6 +1,6 @@
 """Coarse forms: descriptors in few bytes, so that a query is compared with all rows of a large map.
 
-Of signs, every fourth byte of each cell, and as many more for the best rows. Of vectors, `LENGTH`
+Of signs, two bytes of each cell, and two more for the best rows. Of vectors, `LENGTH`
 small numbers along the directions in which the rows of a map differ most (principal components).
 Scores are near those of the channel; the best of them are candidates, which are then scored
 exactly. Not in the paper.
@@ -27,7 +27,8 @@ Learnt = Mapping[str, npt.NDArray[np.float32]]
 LENGTH, LANES = 64, 64
 """Numbers of a vector, and rows of a block."""
 
-_EVERY, _WORD = 4, 8
+_BYTES, _WORD = 2, 8
+"""Bytes of a cell in a layer of codes, and of a machine word."""
 _MOST = 127
 _DEVIATIONS = 4.0
 _ROWS_AT_ONCE = 1 << 12
@@ -69,7 +70,7 @@ def of(column: Column, learnt: Learnt) -> Coarse:
 
 
 class CoarseSigns:
-    """Every fourth byte of each cell of signs ``(columns, rows, bytes)``; a query is moved by
+    """`_BYTES` of each cell of signs ``(columns, rows, bytes)``; a query is moved by
     columns as in `channels.signs`."""
 
     together = 1
@@ -77,14 +78,15 @@ class CoarseSigns:
     def __init__(self, column: Column) -> None:
         self.learnt: Learnt = {}
         columns, rows, size = column.shape
-        self.layers = 2 if size > _EVERY // 2 else 1
-        self._columns, self._bits = columns, 8 * rows * len(range(0, size, _EVERY))
-        self._more = 8 * rows * len(range(_EVERY // 2, size, _EVERY))
+        self._every = max(1, size // _BYTES)
+        self.layers = 2 if size > self._every // 2 > 0 else 1
+        self._columns, self._bits = columns, 8 * rows * len(range(0, size, self._every))
+        self._more = 8 * rows * len(range(self._every // 2, size, self._every))
         self._reach = min(REACH, columns - 1)
 
     def codes(self, stored: Tensor, layer: int = 0) -> Codes:
         """See `Coarse`: ``(N, columns, bytes)`` uint8, a column of whole words."""
-        taken = stored[..., layer * _EVERY // 2 :: _EVERY].flatten(2)
+        taken = stored[..., layer * self._every // 2 :: self._every].flatten(2)
         return F.pad(taken, (0, -taken.shape[2] % _WORD)).numpy()
 
     def scan(
