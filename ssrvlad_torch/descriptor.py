@@ -15,7 +15,6 @@ from torch import Tensor, nn
 from .config import SSRVLADConfig
 from .native import core
 from .native.operator import UnknownIdError, describe, operator
-from .stages import harmonics, residuals
 from .stages.explanation import Explanation, explain
 from .stages.front_end import FrontEnd, as_tensor, label_map
 from .stages.harmonics import Harmonics
@@ -208,13 +207,6 @@ class SSRVLAD(nn.Module):
     def extra_repr(self) -> str:
         """What ``print(head)`` shows: the preset, the label space and the fingerprint."""
         return ", ".join((self.config.preset, self.config.labels_name, self.config.fingerprint))
-
-
-def mirrored(descriptors: Tensor, config: SSRVLADConfig) -> Tensor:
-    """Descriptors ``(..., D)`` of mirrored label maps, by those of the label maps."""
-    if config.aggregation == "harmonics":
-        return harmonics.mirrored(descriptors, config)
-    return residuals.mirrored(descriptors, config)
 
 
 class SweepHead(SSRVLAD):

@@ -1,14 +1,11 @@
-import dataclasses
-
 import numpy as np
 import pytest
 import torch
-from drawings import SKY, SPACE, TREE, blobs
 
-from ssrvlad_torch import SSRVLAD, SSRVLADConfig, reference
+from ssrvlad_torch import SSRVLADConfig, reference
 from ssrvlad_torch.config import AREA_LAYERS, BOUNDARY_DIRECTIONS
 from ssrvlad_torch.stages.grid_pooling import COLUMNS, ROWS
-from ssrvlad_torch.stages.harmonics import HarmonicHistograms, Harmonics, mirrored
+from ssrvlad_torch.stages.harmonics import HarmonicHistograms, Harmonics
 
 CONFIGS = [
     SSRVLADConfig(),
@@ -85,35 +82,3 @@ def test_close_to_zero_the_power_is_a_straight_line():
     large, one, two = descriptor_of({(0, 0): 1.0, (0, 1): 1e-7, (0, 2): 2e-7})[:3]
     assert two / one == pytest.approx(2, rel=1e-5)
     assert 1e-7 < one / large < 2e-5
-
-
-MIRRORED = [
-    pytest.param(SSRVLADConfig(), (120, 160), 1e-6, id="a grid that is not reduced"),
-    pytest.param(SSRVLADConfig(), (240, 322), 1e-6, id="halved"),
-    pytest.param(SSRVLADConfig(), (120, 161), 1e-6, id="an odd width"),
-    pytest.param(SSRVLADConfig(anchor="middle", sectors=12), (90, 120), 1e-6, id="middle"),
-    pytest.param(SSRVLADConfig(), (288, 384), 0.05, id="reduced by 2.4"),
-    pytest.param(SSRVLADConfig(sectors=19), (120, 160), 0.1, id="an odd number of sectors"),
-]
-
-
-@pytest.mark.parametrize(("config", "size", "bound"), MIRRORED)
-def test_mirrored_descriptors_are_those_of_mirrored_label_maps(config, size, bound):
-    labels = torch.from_numpy(np.stack([blobs(seed, *size, 9) for seed in range(6)]))
-    head = SSRVLAD(dataclasses.replace(config, labels_as=SPACE))
-    found, expected = head(labels), head(labels.flip(-1).contiguous())
-    away = (mirrored(found, config) - expected).abs().amax(1)
-    assert away.max() <= bound and (expected - found).abs().max() > 0.15
-    assert torch.equal(mirrored(mirrored(found, config), config), found)
-
-
-@pytest.mark.parametrize(("width", "columns", "bound"), [(40, [2, -1], 0.25), (39, [2, -2], 1e-6)])
-def test_an_anchor_halfway_between_two_columns_is_rounded_to_one_side(width, columns, bound):
-    labels = torch.full((1, 24, width), TREE)
-    labels[..., 22:24] = SKY
-    config = SSRVLADConfig(labels_as=SPACE)
-    head = SSRVLAD(config)
-    flipped = labels.flip(-1).contiguous()
-    found = [int(head.explain(image).histograms.column) for image in (labels, flipped)]
-    away = (mirrored(head(labels), config) - head(flipped)).abs().max()
-    assert found == columns and bound / 3 * (bound > 0.01) < away <= bound

@@ -1,11 +1,8 @@
 import numpy as np
-import pytest
 import torch
-import torch.nn.functional as F
-from drawings import SPACE, blobs
+from drawings import SPACE
 
-from ssrvlad_torch import SSRVLAD, SSRVLADConfig
-from ssrvlad_torch.stages import residuals
+from ssrvlad_torch import SSRVLADConfig
 from ssrvlad_torch.stages.residuals import ResidualHistograms, Residuals
 
 PAPER = SSRVLADConfig.from_preset("paper", labels_as=SPACE)
@@ -28,22 +25,3 @@ def test_the_descriptor_is_equation_2_in_numpy():
         expected = vectors / (np.linalg.norm(vectors) or 1)
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-7)
         assert not found[torch.from_numpy(expected == 0)].any()
-
-
-def test_mirrored_histograms_exchange_sectors():
-    """Points beside the axes, so that no point lies between two sectors."""
-    bins = torch.arange(8 * 60.0).view(8, 5, 12)
-    exchanged = residuals.mirrored(bins.flatten(), PAPER).view(8, 5, 12)
-    assert torch.equal(exchanged[..., :6], bins[..., :6].flip(-1))
-    assert torch.equal(exchanged[..., 6:], bins[..., 6:].flip(-1))
-
-
-@pytest.mark.parametrize("sectors", [12, 9])
-def test_mirrored_descriptors_are_near_those_of_mirrored_label_maps(sectors):
-    config = SSRVLADConfig.from_preset("paper", labels_as=SPACE, sectors=sectors)
-    head = SSRVLAD(config)
-    labels = torch.from_numpy(np.stack([blobs(seed, 90, 120, 15) for seed in range(8)]))
-    found, expected = head(labels), head(labels.flip(-1).contiguous())
-    alike = F.cosine_similarity(residuals.mirrored(found, config), expected)
-    assert alike.min() > F.cosine_similarity(found, expected).mean() + 0.1
-    assert torch.equal(residuals.mirrored(residuals.mirrored(found, config), config), found)

@@ -16,8 +16,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from ..config import AREA_LAYERS, BOUNDARY_DIRECTIONS, FAINT, SSRVLADConfig
-from .boundaries import DIRECTIONS, WIDTH, boundaries
+from ..config import AREA_LAYERS, FAINT, SSRVLADConfig
+from .boundaries import WIDTH, boundaries
 from .grid_pooling import CELLS, ROWS, pool
 from .layers import merge
 from .tracing import MAX_WHOLE
@@ -170,27 +170,3 @@ def waves(rings: int, sectors: int) -> list[tuple[int, int, float]]:
     around = [(v, phase) for v in range((sectors + 1) // 2) for phase in (0.0, math.pi / 2)]
     every = [(u, v, phase) for u in range(rings) for v, phase in around[:1] + around[2:]]
     return sorted(every, key=lambda wave: (wave[0] ** 2 + wave[1] ** 2, *wave))
-
-
-def mirrored(descriptors: Tensor, config: SSRVLADConfig) -> Tensor:
-    """The descriptors ``(..., D)`` of mirrored label maps, by those of the label maps.
-
-    A wave over the sectors keeps or changes its sign, and rising and falling boundaries change
-    places. Exact where the working grid, the anchor and the sectors have a mirror image: not where
-    the label map is reduced by a factor that is no integer, where the vanishing column lies halfway
-    between two columns, or with an odd number of sectors.
-    """
-    signs = torch.tensor(
-        [math.cos(math.pi * v - 2 * phase) for _, v, phase in waves(config.rings, config.sectors)],
-        device=descriptors.device,
-    ).round()
-    middle = AREA_LAYERS * config.harmonics
-    area = descriptors[..., :middle].unflatten(-1, (AREA_LAYERS, -1))
-    length = descriptors[..., middle:].unflatten(-1, (BOUNDARY_DIRECTIONS, -1))
-    swapped = {"rising": "falling", "falling": "rising"}
-    order = [DIRECTIONS.index(swapped.get(name, name)) for name in DIRECTIONS]
-    blocks = (
-        area * signs[: config.harmonics],
-        length[..., order, :] * signs[: config.boundary_harmonics],
-    )
-    return torch.cat([block.flatten(-2) for block in blocks], -1)

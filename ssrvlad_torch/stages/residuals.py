@@ -83,17 +83,3 @@ def masks_of(layers: Tensor, config: SSRVLADConfig) -> tuple[Tensor, Tensor, Ten
     closed = open_and_close(planes, sizes.opening, sizes.closing)
     clean = drop_regions(fill_holes(closed, sizes.hole_area), sizes.region_area)
     return planes, clean, thin(clean, RULES[config.thinning])
-
-
-def mirrored(descriptors: Tensor, config: SSRVLADConfig) -> Tensor:
-    """The descriptors ``(..., D)`` of mirrored label maps, by those of the label maps: sectors
-    change places.
-
-    Not exact: thinning prefers one side, a centre between two columns is rounded to one side, and
-    points between two sectors count in one. With an odd number of sectors, no sector is the mirror
-    image of another, and the next one is taken.
-    """
-    bins = descriptors.unflatten(-1, (-1, config.sectors))
-    sectors = torch.arange(config.sectors, device=descriptors.device)
-    exchanged: Tensor = bins[..., (config.sectors // 2 - 1 - sectors) % config.sectors]
-    return exchanged.flatten(-2)
