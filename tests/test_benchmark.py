@@ -45,12 +45,12 @@ class DrawnMaps:
 
 def test_the_table_has_a_row_for_every_way(core, monkeypatch):
     monkeypatch.setattr(benchmark, "onnx_head", SSRVLAD)  # an export takes minutes
-    monkeypatch.setattr(benchmark, "SIZES", [(48, 64)])
+    monkeypatch.setattr(benchmark, "SIZES", [(240, 320)])
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     rows = list(benchmark.size_table(DrawnMaps(), repetitions=1))[2:]
     plain, ours = "reference", ("module, torch", "module, native core", "ONNX Runtime")
     ways = {"paper": (plain, "OpenCV, layer by layer", *ours), "default": (plain, *ours)}
     cells = [row.split(" | ") for row in rows]
-    starts = [[f"| {preset}", "48 x 64", way] for preset, of in ways.items() for way in of]
+    starts = [[f"| {preset}", "240 x 320", way] for preset, of in ways.items() for way in of]
     assert [row[:3] for row in cells] == starts
     assert all(float(row[3].split()[0]) > 0 for row in cells)
