@@ -124,6 +124,7 @@ def test_with_all_channels_it_gives_the_rows_of_query_not_those_without_a_sweep(
     assert len(got) == 33 and [*got] == [*same]
     for frame, candidate in got.items():
         assert candidate["frame"] == same[frame]["frame"] == frame.replace("today", "monday")
+        assert candidate["score"] == pytest.approx(same[frame]["score"], abs=1e-4)
     assert np.mean([got[frame]["frame"] == still[frame]["frame"] for frame in got]) < 0.5
 
 
@@ -183,7 +184,7 @@ def test_what_features_change(main_of, ssrvlad, tmp_path):
     day, evening = (REAL / "uofa" / each / "images" for each in ("day", "evening"))
     database, exported, place = tmp_path / "town", tmp_path / "town.npy", tmp_path / "place.onnx"
     given = ("--segmenter", network, "--segmenter-cache", tmp_path / "cache")
-    own = ("--labels-as", SPACE, "--sequence", "day", "--channel", "features")
+    own = ("--labels-as", SPACE, "--sequence", "day")
     assert ssrvlad("encode", day, "-o", database, *given, *own)[0] == 0
     ssrvlad("db", "export", database, "--format", "npy", "-o", exported)
     ssrvlad("fuse", network, "-o", place, "--labels-as", SPACE)

@@ -313,25 +313,30 @@ def _pictured(described: Described, network: str, folder: str) -> Drive:
 
 def pairs(described: Described, network: str) -> Iterator[tuple[str, Frames, Frames, Truth]]:
     """Drives through one place: a name, queries, map and true matches."""
-    apr, october, july, summer, winter = NEW
 
     def pair(later: str, earlier: str, truth: Truth) -> tuple[str, Frames, Frames, Truth]:
         here, there = (all_of(described, of(network, each)) for each in (later, earlier))
         return f"{later} -> {earlier}, {network}", here, there, truth[: len(here)]
 
-    count = {each: len(described.about(of(network, each))[0]) for each in NEW}
     for first, second, reach in ROUTES.values():
         size = len(described.about(of(network, first))[0])
         for later, earlier in ((first, second), (second, first)):
             yield pair(later, earlier, near_rows(size, size, reach))
+    for later, earlier, truth in new_pairs(described, network):
+        yield pair(later, earlier, truth)
+
+
+def new_pairs(described: Described, network: str) -> Iterator[tuple[str, str, Truth]]:
+    """Drives of `NEW` through one place: queries, map and true matches."""
+    apr, october, july, summer, winter = NEW
+    count = {each: len(described.about(of(network, each))[0]) for each in NEW}
     for later, table in ((october, "pairs_oct_c1.csv"), (july, "pairs_jul_c1.csv")):
-        truth = given(described, table, count[later], count[apr])
-        yield pair(later, apr, truth)
+        yield later, apr, given(described, table, count[later], count[apr])
     truth = given(described, "pairs_oct_c1.csv", count[october], count[apr])
     other = [[q for q, true in enumerate(truth) if row in true] for row in range(count[apr])]
-    yield pair(apr, october, [np.array(each, int) for each in other])
+    yield apr, october, [np.array(each, int) for each in other]
     truth = near_rows(count[winter], count[summer], 2)
-    yield pair(winter, summer, [true if n < 20 else _NONE for n, true in enumerate(truth)])
+    yield winter, summer, [true if n < 20 else _NONE for n, true in enumerate(truth)]
 
 
 def given(described: Described, table: str, queries: int, references: int) -> list[np.ndarray]:

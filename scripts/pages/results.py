@@ -30,6 +30,8 @@ from _described import (
     all_conditions,
 )
 from _markdown import DOCS, ROOT, Page, first_table, head_row, parser, quote, row, save
+from _sure_cases import add_new, new_pairs, of
+from conditions import NETWORKS, Search
 from matplotlib.figure import Figure
 from PIL import Image
 
@@ -39,7 +41,8 @@ from ssrvlad_torch.recognition.recognise import AS_PAPER, Steps
 from ssrvlad_torch.taxonomy import label_space
 
 WAYS = {"single frames": AS_PAPER, "with the steps": Steps()}
-DATASETS = ("City", "CamVid", "UofA", "Gardens Point")
+DATASETS = ("City", "CamVid", "UofA", "Gardens Point", "CMU Seasons", "Nordland")
+MONTHS = {"oct2010_c1": "October", "jul2011_c1": "July", "apr2011_c1": "April"}
 REACHES = (1, 3)
 GRID = "label grid"
 PICTURED = {
@@ -74,9 +77,25 @@ def main() -> None:
         quote(ROOT / "README.md", "results", excerpt(page.text))
 
 
+def conditions_of(described: Described) -> Iterator[Condition]:
+    """All conditions, and last the places on which nothing was chosen."""
+    yield from all_conditions(described)
+    if not described.data:
+        return
+    add_new(described)
+    for network, dataset in product(NETWORKS, DATASETS[-2:]):
+        for later, earlier, truth in new_pairs(described, network):
+            folder = dataset.lower().replace(" seasons", "_schenley")
+            if later.startswith(folder):
+                names = [path.partition("/")[2] for path in (later, earlier)]
+                name = " -> ".join(MONTHS.get(each, each) for each in names)
+                search = Search(of(network, later), of(network, earlier), list(truth))
+                yield Condition(dataset, f"{name}, {network}", [search])
+
+
 def measure(described: Described) -> Measured:
     measured: Measured = {}
-    for condition in all_conditions(described):
+    for condition in conditions_of(described):
         for method, way in product(filter(condition.suits, METHODS), WAYS):
             alone = way == "single frames" and method in OF_NETWORKS
             found = decide(described, condition, method, ALONE if alone else WAYS[way])
@@ -96,7 +115,7 @@ def fill(page: Page, described: Described, measured: Measured, figures: Path) ->
         draw(measured, dataset, figures / f"{name}.png")
         place = figures if dataset == "City" else described.cache / "matches"
         place.mkdir(parents=True, exist_ok=True)
-        for number, condition in enumerate(PICTURED[dataset], 1):
+        for number, condition in enumerate(PICTURED.get(dataset, ()), 1):
             draw_matches(described, dataset, condition, place / f"{name}-matches-{number}.png")
 
 
@@ -192,7 +211,7 @@ def sums(described: Described, measured: Measured, datasets: Sequence[str]) -> I
         yield row(method, "0", *(cell.partition(" ")[0] for cell in cells))
         for reach in REACHES:
             rates: dict[str, list[float]] = {dataset: [] for dataset in datasets}
-            for condition in all_conditions(described):
+            for condition in conditions_of(described):
                 found = decide(described, condition, method, AS_PAPER, reach)
                 known = [len(rows) > 0 for rows in found.truth]
                 rates[condition.dataset].append(float(found.right[known].mean()))
