@@ -28,7 +28,7 @@ from ..recognition.rivals import Chance, chance_of
 from .coarse_index import LEAST_ROWS, CoarseIndex, is_indexed, taken
 from .selection import neighbours
 
-COARSE, EXACT = 500, 50
+COARSE, EXACT = 1000, 50
 """Rows by the fused coarse scores, of which the most trusted channel is scored exactly; and rows of
 which all are. More find more, and take longer: docs/scale.md."""
 
