@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import torch
 from _described import FEATURES, OURS, Described
-from _markdown import ROOT, head_row, row
+from _markdown import ROOT, commit, head_row, row
 from torch import Tensor
 
 from ssrvlad_torch import Database, SSRVLADConfig
@@ -182,11 +182,13 @@ def in_words(results: dict[int, dict[str, Report]]) -> Iterator[str]:
         "made-up ones: parts of three real ones, noise, and a sixteenth of the signs changed. One "
         "thread, warm. The second layer of codes and the number of candidates were chosen with "
         "such figures in view. Exact search is of all channels; where its first answer is a "
-        "made-up row, which no picture shows, one as good as it is easily missed.\n"
+        "made-up row, which no picture shows, one as good as it is easily missed. Measured at "
+        f"commit {commit()}.\n"
     )
     yield from head_row(
         "frames", "CPU ms a picture", "first answer of exact search", "where that is a real frame",
-        "opening, CPU s", "peak GB", "index, CPU s", "index, bytes a frame", "database, bytes a frame",
+        "opening, CPU s", "peak GB", "index, CPU s", "index, bytes a frame",
+        "database, bytes a frame",
     )  # fmt: skip
     for frames, reports in results.items():
         found, coarse = reports["alone"], reports["coarse"]

@@ -85,10 +85,11 @@ class Page:
     Args:
         name: in docs/.
         output: where it is written; what stands there already is filled.
+        whole: whether all of it is measured now, so that the page has this commit.
     """
 
-    def __init__(self, name: str, output: Path) -> None:
-        self.output = output
+    def __init__(self, name: str, output: Path, whole: bool = True) -> None:
+        self.output, self._whole = output, whole
         self.text = (output if output.exists() else DOCS / name).read_text(encoding="utf-8")
 
     def table(self, after: str, rows: Iterable[str]) -> None:
@@ -124,11 +125,12 @@ class Page:
         self._write(begin, text.rstrip("\n"), end if end >= 0 else len(self.text.rstrip("\n")))
 
     def _write(self, begin: int, new: str, end: int) -> None:
-        text = self.text[:begin] + new + self.text[end:]
+        self.text = self.text[:begin] + new + self.text[end:]
         script = re.compile(
             r"(Written by `scripts/pages/\w+\.py`)( of commit \w+( with changes)?)?"
         )
-        self.text = script.sub(rf"\1 of commit {commit()}", text, count=1)
+        if self._whole:
+            self.text = script.sub(rf"\1 of commit {commit()}", self.text, count=1)
         write(self.output, self.text)
 
 

@@ -71,7 +71,7 @@ def main() -> None:
             ["signs"] if given.signs else [name for name in STEPS if name not in _large_maps.STEPS]
         )
     results = {frames: run_all(frames, given.folder, steps) for frames in sizes}
-    page = Page("scale.md", given.out)
+    page = Page("scale.md", given.out, not (given.pictures or given.signs))
     if given.pictures:
         page.section("## Pictures by all channels", _large_maps.in_words(results))
         return
