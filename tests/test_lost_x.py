@@ -6,6 +6,7 @@ import pytest
 import torch
 import torch.nn.functional as F
 from methods import noise
+from networks import write_street
 from scipy.spatial.distance import cosine
 from test_lost import CLASSES as SEEN
 from test_lost import described, mean_feature
@@ -16,6 +17,7 @@ from ssrvlad_torch.baselines.dense_network import dense_network
 from ssrvlad_torch.baselines.lost import layout_cost
 from ssrvlad_torch.baselines.lost_x import LoSTX
 from ssrvlad_torch.channels.channel import View
+from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
 from ssrvlad_torch.segmentation.preparation import SegmenterConfig
 from ssrvlad_torch.segmentation.segmenter import Segmenter
 
@@ -238,3 +240,13 @@ def test_a_segmentation_network_gives_features_and_probabilities(tmp_path, space
     several = SegmenterConfig(features=("0", "2"))
     with pytest.raises(ValueError, match="expected one activation for LoST-X, got 0, 2"):
         LoSTX(network=Segmenter(layers, space, several))
+
+
+@pytest.mark.parametrize(("features", "name"), [(("relu_1",), "relu_1"), (None, "relu_2")])
+def test_an_onnx_graph_gives_the_activation_that_is_named_or_the_finest(tmp_path, features, name):
+    config = SegmenterConfig(mean=(0, 0, 0), std=(1, 1, 1), features=features)
+    graph = OnnxNetwork(write_street(tmp_path / "net.onnx"))
+    picture = torch.from_numpy(noise(0, 64, 96))[None]
+    found, _ = dense_network(Segmenter(graph, "camvid-11", config))(picture)
+    expected = graph.run_all(picture.permute(0, 3, 1, 2) / 255, [name])[name]
+    torch.testing.assert_close(found, expected)

@@ -28,7 +28,8 @@ def segmenter_of(
 def dense_network(segmenter: Segmenter) -> DenseNetwork:
     """A segmentation network with one of its activations, the finest of `find_activations`, and a
     softmax behind it; no such activation, or several by name, are a ValueError."""
-    names = segmenter.config.features or segmenter.features.names[:1]
+    names = segmenter.features.names  # of an ONNX graph, outputs only now
+    names = names if segmenter.config.features else names[:1]
     if len(names) != 1:
         raise ValueError(f"features: expected one activation for LoST-X, got {', '.join(names)}")
 
