@@ -94,7 +94,7 @@ def follow_candidates(
 
 
 def gain_of_candidates(
-    search: Search, sequences: Sequence[str], motion: Motion, way: int, queries: range
+    search: Search, sequences: Sequence[str], motion: Motion, way: int, queries: Sequence[int]
 ) -> float:
     """As `follow.gain`."""
     states = CandidateFilter(sequences, motion, way).states(search, queries)
@@ -113,7 +113,9 @@ class CandidateFilter:
         self._length = len(sequences)
         self._unmapped = motion.unmapped_at_start(len(sequences))
 
-    def states(self, search: Search, part: range | None = None) -> Iterator[tuple[State, float]]:
+    def states(
+        self, search: Search, part: Sequence[int] | None = None
+    ) -> Iterator[tuple[State, float]]:
         """The forward algorithm over one sequence of queries: the belief after each query, and how
         much likelier the query is after those before it than alone, as a logarithm."""
         state = None

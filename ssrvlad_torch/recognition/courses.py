@@ -7,7 +7,11 @@ streams 0.03 to 0.35, drives in foreign maps 0.05 to 0.4, random frames 0.0 to 0
 """
 
 import math
+from collections.abc import Sequence
+from itertools import product
 from typing import NamedTuple
+
+import torch
 
 from .evidence import Evidence
 from .motion import BACKWARDS, FORWARDS, Motion
@@ -41,6 +45,9 @@ _LEAST_GAIN, _UNUSUAL = 1.0, 3.0
 """The gain of a course, and how much more another than forwards at the rate of the map must have:
 before anything is known, one drive in twenty takes it."""
 
+_BY_ROWS = 0.25
+"""How much of its gain a drive may have in a random order. A row of the map that is like every
+query gains all of it."""
 
 _DRIVE, _MARGIN = 0.5, 0.05
 """The gain a query that only drives have, and a difference of mean confidences."""
@@ -49,18 +56,28 @@ _DRIVE, _MARGIN = 0.5, 0.05
 def course(evidence: Evidence) -> tuple[Course, float] | None:
     """The course of the queries of one sequence, and its gain a query: of all kinds and both ways
     the likeliest, by its gain; two streams need a third more gain than one. ``None`` if there is
-    hardly any gain: then there is nothing to follow."""
-    best, highest = None, -math.inf
-    for kind in _KINDS:
-        parts, motion = kind.parts(evidence.queries), Motion(unmapped=0.0, rate=kind.rate)
-        for way in (FORWARDS, BACKWARDS):
-            gain = sum(evidence.gain(part, motion, way) for part in parts)
-            gain *= 1 if kind.streams == 1 else _OF_TWO
-            found = kind._replace(way=way)
-            likely = gain - _UNUSUAL * (found != Course())
-            if gain > _LEAST_GAIN and likely > highest:
-                best, highest = (found, gain / len(evidence.queries)), likely
-    return best
+    hardly any gain, or if the queries gain it in a random order too: then there is no drive."""
+    queries, best, highest, likeliest = evidence.queries, None, 0.0, -math.inf
+    for kind, way in product(_KINDS, (FORWARDS, BACKWARDS)):
+        found = kind._replace(way=way)
+        gain = _gain(evidence, found, found.parts(queries))
+        likely = gain - _UNUSUAL * (found != Course())
+        if likely > likeliest:
+            best, highest, likeliest = found, gain, likely
+    if best is None or highest <= _LEAST_GAIN:
+        return None
+    order = torch.randperm(len(queries), generator=torch.Generator().manual_seed(0)).tolist()
+    shuffled = [[queries[place] for place in order[n :: best.streams]] for n in range(best.streams)]
+    if _gain(evidence, best, shuffled) > _BY_ROWS * highest:
+        return None
+    return best, highest / len(queries)
+
+
+def _gain(evidence: Evidence, kind: Course, parts: Sequence[Sequence[int]]) -> float:
+    """The gain of streams of queries by a course; what counts of it."""
+    motion = Motion(unmapped=0.0, rate=kind.rate)
+    gain = sum(evidence.gain(part, motion, kind.way) for part in parts)
+    return gain * (1 if kind.streams == 1 else _OF_TWO)
 
 
 def is_followed(gain: float, followed: float, alone: float) -> bool:

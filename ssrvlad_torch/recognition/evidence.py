@@ -21,7 +21,7 @@ class Evidence(Protocol):
 
     queries: range
 
-    def gain(self, part: range, motion: Motion, way: int) -> float:
+    def gain(self, part: Sequence[int], motion: Motion, way: int) -> float:
         """How much likelier some of the queries are as a sequence that runs the map in a way than
         each alone, as a natural logarithm; see `filter.Filter.gain`."""
 
@@ -44,7 +44,7 @@ class AllRows(Evidence):
         self.queries = range(len(scores))
         self._scores, self._sequences = scores, sequences
 
-    def gain(self, part: range, motion: Motion, way: int) -> float:
+    def gain(self, part: Sequence[int], motion: Motion, way: int) -> float:
         """See `Evidence`."""
         return gain(self._scores, self._sequences, motion, way, part)
 
@@ -73,7 +73,7 @@ class Candidates(Evidence):
         self.queries = queries
         self._search, self._sequences = search, sequences
 
-    def gain(self, part: range, motion: Motion, way: int) -> float:
+    def gain(self, part: Sequence[int], motion: Motion, way: int) -> float:
         """See `Evidence`."""
         return gain_of_candidates(self._search, self._sequences, motion, way, part)
 

@@ -132,7 +132,11 @@ def follow(
 
 @torch.no_grad()
 def gain(
-    scores: Tensor | Scores, sequences: Sequence[str], motion: Motion, way: int, queries: range
+    scores: Tensor | Scores,
+    sequences: Sequence[str],
+    motion: Motion,
+    way: int,
+    queries: Sequence[int],
 ) -> float:
     """How much likelier queries are as a sequence that runs the map in a way than each alone, see
     `Filter.gain`."""
