@@ -268,3 +268,14 @@ def bucket(monkeypatch):
     boto3.client("s3", endpoint_url=url).create_bucket(Bucket="town")
     yield "s3://town"
     server.stop()
+
+
+@pytest.fixture(params=["native", "torch"])
+def library(request, monkeypatch):
+    """Channels with the native core and without it."""
+    if request.param == "torch":
+        for module in ("signs", "coarse"):
+            name = f"ssrvlad_torch.channels.{module}.core"
+            monkeypatch.setattr(name, lambda: native.Core(None, "none"))
+    elif native.core().library is None:
+        pytest.skip("needs the native core")

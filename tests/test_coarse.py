@@ -19,14 +19,6 @@ def grids(count, shape, seed=0):
     return torch.from_numpy(rng.integers(0, 256, (count, *shape), np.uint8))
 
 
-@pytest.fixture(params=["native", "torch"])
-def library(request, monkeypatch):
-    if request.param == "torch":
-        monkeypatch.setattr(module, "core", lambda: native.Core(None, "none"))
-    elif native.core().library is None:
-        pytest.skip("needs the native core")
-
-
 @pytest.mark.parametrize("shape", [(8, 3, 4), (5, 3, 9), (1, 2, 1), (16, 16, 16)])
 @pytest.mark.parametrize("count", [1, 130])
 def test_coarse_signs_are_scored_as_signs_of_two_bytes_a_cell(library, shape, count):

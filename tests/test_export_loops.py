@@ -26,6 +26,7 @@ from ssrvlad_torch.channels.features import Features
 from ssrvlad_torch.channels.hog import HOG
 from ssrvlad_torch.channels.live_signs import LiveSigns
 from ssrvlad_torch.database.frames import FrameRecord
+from ssrvlad_torch.loops import tracker
 from ssrvlad_torch.loops.config import LoopConfig
 
 CONFIG = SSRVLADConfig.from_preset("default", labels_as="camvid-11")
@@ -62,6 +63,13 @@ def assert_same_answers(got, expected):
             assert one[name] == pytest.approx(other[name], abs=3e-4), one["frame"]
         places, wanted = (likely(each["candidates"]) for each in (one, other))
         assert places == pytest.approx(wanted, abs=3e-4), one["frame"]
+
+
+@pytest.mark.parametrize("name", ["stretches.py", "tracks.py"])
+def test_what_needs_no_torch_is_the_file_of_the_package(name):
+    """To be copied without the package, it lies beside the programs too: one text, two places."""
+    own = Path(loops_onnx.__file__).parent / "ssrvlad_place" / name
+    assert own.read_bytes() == (Path(tracker.__file__).parent / name).read_bytes()
 
 
 def test_its_defaults_are_those_of_the_package():

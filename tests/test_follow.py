@@ -1,87 +1,14 @@
-"""`recognition.follow`: the sequence filter against a plain dense one, and what it is for."""
+"""`recognition.follow`: what it is for; `test_recognition_reference` holds it to the oracle."""
 
-import itertools
 import math
 
 import numpy as np
 import pytest
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
 from torch import Tensor
 
 from ssrvlad_torch.recognition.follow import NEAR, follow
-from ssrvlad_torch.recognition.motion import BACKWARDS, SPEEDS, Motion, likelihoods
-
-
-def transitions(sequences: list[str], motion: Motion) -> np.ndarray:
-    """The whole transition matrix over (speed, row) and the unmapped state, the last one."""
-    rows, speeds = len(sequences), len(SPEEDS)
-    size = speeds * rows + 1
-    matrix, enter = np.zeros((size, size)), start(rows)
-    for before, row in itertools.product(range(speeds), range(rows)):
-        here = before * rows + row
-        for after, (chance, steps) in enumerate(SPEEDS):
-            turned = motion.change * chance + (1 - motion.change) * (after == before)
-            for step, part in steps.items():
-                there = row + step
-                if 0 <= there < rows and sequences[there] == sequences[row]:
-                    target = after * rows + there
-                    matrix[here, target] += (1 - motion.jump) * turned * part
-        lost = 1 - matrix[here].sum()
-        matrix[here] += lost * (1 - motion.unmapped) * enter
-        matrix[here, -1] += lost * motion.unmapped
-    matrix[-1] = (1 - motion.stay) * enter
-    matrix[-1, -1] += motion.stay
-    return matrix
-
-
-def start(rows: int) -> np.ndarray:
-    """The probabilities of all mapped states, and 0 for the unmapped one."""
-    prior = np.array([chance for chance, _ in SPEEDS])
-    return np.append(np.repeat(prior, rows) / rows, 0.0)
-
-
-def plain(scores: Tensor, sequences: list[str], motion: Motion, future: int) -> np.ndarray:
-    """``(Q, R + 1)`` probabilities of the rows and of no row, each query in the light of ``future``
-    later ones."""
-    rows, states = len(sequences), len(SPEEDS)
-    matrix = transitions(sequences, motion)
-    told = [np.append(np.tile(likelihoods(row, motion).numpy(), states), 1.0) for row in scores]
-    first = start(rows) * (1 - motion.unmapped)
-    first[-1] = motion.unmapped
-    forward = [first * told[0]]
-    for each in told[1:]:
-        forward.append((forward[-1] / forward[-1].sum()) @ matrix * each)
-    found = []
-    for query, belief in enumerate(forward):
-        back = np.ones(len(first))
-        for later in reversed(told[query + 1 : query + 1 + future]):
-            back = matrix @ (later * back)
-            back /= back.max()
-        both = belief * back / (belief * back).sum()
-        found.append([*both[:-1].reshape(-1, rows).sum(0), both[-1]])
-    return np.array(found)
-
-
-@given(
-    seed=st.integers(0, 1000),
-    lengths=st.lists(st.integers(1, 12), min_size=1, max_size=3),
-    queries=st.integers(1, 9),
-    future=st.sampled_from((0, 2, 100)),
-)
-def test_equals_the_plain_model(seed, lengths, queries, future):
-    generator = torch.Generator().manual_seed(seed)
-    sequences = [name for name, n in zip("abc", lengths, strict=False) for _ in range(n)]
-    scores = torch.rand(queries, len(sequences), generator=generator) * 1.2 - 0.3
-    motion = Motion(change=0.1, jump=0.05, unmapped=0.2, stay=0.8, weight=1.0, level=0.5)
-    expected = plain(scores, sequences, motion, future)
-    mode = "offline" if future == 100 else "online"
-    top = len(sequences)
-    found = follow(scores, sequences, mode=mode, delay=future % 100, top=top, motion=motion)
-    got = torch.zeros(queries, top).scatter(1, found.indices, found.scores)
-    np.testing.assert_allclose(got.numpy(), expected[:, :-1], atol=2e-5)
-    np.testing.assert_allclose(found.unmapped.numpy(), expected[:, -1], atol=2e-5)
+from ssrvlad_torch.recognition.motion import BACKWARDS, Motion
 
 
 def noisy(track: list[int], rows: int, seed: int = 0, strength: float = 0.25) -> Tensor:

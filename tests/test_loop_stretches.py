@@ -6,7 +6,8 @@ from loop_streams import LIGHT, PLACES, RNG, unit
 
 from ssrvlad_torch import SSRVLAD, Database, LoopDetector
 from ssrvlad_torch.loops.config import LoopConfig
-from ssrvlad_torch.loops.stretches import GAP, LEAST, is_elsewhere, is_gap, starts
+from ssrvlad_torch.loops.detector import starts
+from ssrvlad_torch.loops.stretches import GAP, LEAST, is_elsewhere, is_gap
 
 HEAD = SSRVLAD.from_preset("default", labels_as="camvid-11")
 HOUR = 3600.0

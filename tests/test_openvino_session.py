@@ -8,6 +8,7 @@ from drawings import SPACE
 from helpers import street
 from networks import PLAIN, photo, write_graph
 from segmenting import assert_right
+from test_onnx_network import GRAPHS
 
 from ssrvlad_torch.segmentation import onnx_network
 from ssrvlad_torch.segmentation.networks import open_network
@@ -17,21 +18,12 @@ from ssrvlad_torch.segmentation.segmenter import Segmenter
 
 pytest.importorskip("openvino", reason="the extra openvino is not installed")
 
-FORMS = {
-    "dynamic": {},
-    "a batch of three": {"shape": (3, 3, 24, 32)},
-    "external weights": {"external": True},
-    "channels last, labels inside": {
-        "shape": (1, 24, 32, 3),
-        "channels_last": True,
-        "labels": True,
-    },
-}
+FORMS = ("dynamic", "a batch of three", "external weights", "channels last, labels inside")
 
 
 @pytest.mark.parametrize("form", FORMS)
 def test_a_graph_gives_what_the_network_gives(tmp_path, form):
-    path = write_graph(tmp_path / "net.onnx", **FORMS[form])
+    path = write_graph(tmp_path / "net.onnx", **GRAPHS[form])
     assert_right(Segmenter(OnnxNetwork(path, OPENVINO), SPACE, PLAIN))
 
 

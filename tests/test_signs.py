@@ -7,8 +7,6 @@ import torch.nn.functional as F
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ssrvlad_torch import native
-from ssrvlad_torch.channels import signs as module
 from ssrvlad_torch.channels.signs import (
     REACH,
     SignQueries,
@@ -37,14 +35,6 @@ def drive(count, seed=0):
     same, own = rng.integers(0, 256, SHAPE, np.uint8), rng.integers(0, 256, (count, *SHAPE))
     few = rng.integers(0, 256, (count, *SHAPE)) & rng.integers(0, 256, (count, *SHAPE))
     return torch.from_numpy(same ^ (own & few).astype(np.uint8))
-
-
-@pytest.fixture(params=["native", "torch"])
-def library(request, monkeypatch):
-    if request.param == "torch":
-        monkeypatch.setattr(module, "core", lambda: native.Core(None, "none"))
-    elif native.core().library is None:
-        pytest.skip("needs the native core")
 
 
 @pytest.mark.parametrize("count", [0, 1, 70])

@@ -1,6 +1,8 @@
-"""Where a stream breaks; see `ssrvlad_torch.loops.stretches`."""
+"""Stretches: where a stream breaks.
 
-from __future__ import annotations
+Frames of a sequence share light, camera and network only as long as it runs. Where nothing came for
+long, and the view is another, the stream goes on as one of another name would.
+"""
 
 from collections.abc import Iterable
 from typing import Any

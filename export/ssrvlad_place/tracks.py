@@ -1,6 +1,9 @@
-"""Whether an old part of a stretch runs beside the present one: `ssrvlad_torch.loops.tracks`."""
+"""Tracks: whether an old part of a stretch runs beside the present one more closely than by chance.
 
-from __future__ import annotations
+In another light, a frame is nowhere near as like the old frame of its place as the frame before.
+But the two drives run on side by side. How far that can happen by chance the stream itself shows:
+most frames are at new places.
+"""
 
 from collections import deque
 

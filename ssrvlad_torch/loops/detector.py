@@ -30,7 +30,7 @@ from ..taxonomy import LabelSpace
 from .config import LoopConfig
 from .memory import Memory
 from .result import LoopResult
-from .stretches import starts
+from .stretches import RECENT, is_elsewhere, is_gap
 from .tracker import Tracker
 
 COLUMNS = (-4, 0, 4)
@@ -358,3 +358,14 @@ class LoopDetector:
         known = stamps[~np.isnan(stamps)]
         if len(known):
             self._stamps[self._sequence] = float(known.max())
+
+
+def starts(stamps: npt.NDArray[np.float64], channels: Sequence[npt.NDArray[Any]]) -> list[int]:
+    """Rows of a sequence at which a stretch starts, by the stamps ``(N,)`` and the descriptors of
+    each channel ``(N, *shape)``."""
+    found = [0]
+    for row, stamp in enumerate(stamps):
+        first = max(found[-1], row - RECENT)
+        if is_gap(stamps[first:row], stamp) and is_elsewhere(c[first : row + 1] for c in channels):
+            found.append(row)
+    return found

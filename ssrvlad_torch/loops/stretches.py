@@ -4,7 +4,7 @@ Frames of a sequence share light, camera and network only as long as it runs. Wh
 long, and the view is another, the stream goes on as one of another name would.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -36,17 +36,6 @@ def is_gap(stamps: npt.NDArray[np.float64], stamp: float) -> bool:
     if len(stamps) < LEAST or not stamp - stamps[-1] > GAP:
         return False
     return bool(stamp - stamps[-1] > TIMES * np.median(np.diff(stamps)))
-
-
-def starts(stamps: npt.NDArray[np.float64], channels: Sequence[npt.NDArray[Any]]) -> list[int]:
-    """Rows of a sequence at which a stretch starts, by the stamps ``(N,)`` and the descriptors of
-    each channel ``(N, *shape)``."""
-    found = [0]
-    for row, stamp in enumerate(stamps):
-        first = max(found[-1], row - RECENT)
-        if is_gap(stamps[first:row], stamp) and is_elsewhere(c[first : row + 1] for c in channels):
-            found.append(row)
-    return found
 
 
 def is_elsewhere(channels: Iterable[npt.NDArray[Any]]) -> bool:

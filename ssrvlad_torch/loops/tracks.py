@@ -8,8 +8,9 @@ most frames are at new places.
 from collections import deque
 
 import numpy as np
+import numpy.typing as npt
 
-from ..channels.live_vectors import Floats
+Floats = npt.NDArray[np.float32]
 
 KEPT = 0.93
 """A track is a mean over frames, in which each counts so much of the next."""
