@@ -8,7 +8,7 @@ is that of the answer over its best rival, and ``rest`` the sum of the m steps b
     chance = (1 + s / rest) ** -m
 
 is uniform from 0 to 1, whatever mean and deviation the values have. The means of the steps are
-those of normal order statistics (Blom, 1958). Nothing is fitted.
+those of normal order statistics (Blom, 1958). Nothing but `ROWS_A_PLACE` is measured.
 """
 
 from functools import lru_cache
