@@ -27,10 +27,7 @@ STDIN = "-"
 LEFT_OUT = ("layout", "poses", "largest_gap", "topic", "fps", "every", "start")
 """Options that do not go with names on stdin."""
 
-_MEMORY = (
-    "Database to store the frames in; one that exists is continued. The place, and the weights of "
-    "fused methods, are then found anew."
-)
+_MEMORY = "Database to store the frames in; one that exists is continued where it was."
 
 
 def loops(
