@@ -1,0 +1,126 @@
+// The hidden Markov model of a drive along the rows of a map.
+//
+// The state is a row where the camera is, and its speed in rows a frame. The belief holds a list of
+// rows: the candidates of a search, or all rows. All other rows are one more state, elsewhere, with one
+// probability for each of them; a place that the map lacks is the last one. recognition/reference.py
+// says the same with whole matrices.
+
+#ifndef SSRVLAD_FILTER_HPP
+#define SSRVLAD_FILTER_HPP
+
+#include <array>
+#include <utility>
+#include <vector>
+
+#include "numbers.hpp"
+
+namespace places {
+
+constexpr int SPEEDS = 7;
+constexpr std::array<double, SPEEDS> PRIOR = {0.08, 0.16, 0.34, 0.16, 0.14, 0.07, 0.05};
+constexpr int FORWARDS = 1, BACKWARDS = -1;  // ways to run a map
+constexpr Size ELSEWHERE = 5;                // rows farther apart than this show different places
+constexpr double MOST_RATE = 100;
+
+// How a drive moves, and how much one frame counts; recognition/motion.py explains the settings.
+struct Motion {
+  double change = 0.05, jump = 0.01, unmapped = 0.1, stay = 0.97, weight = 0.3, level = 0.5, rate = 1;
+
+  Motion at(double rate) const;
+};
+
+// The probability of each step in rows at each speed.
+struct Steps {
+  std::array<std::vector<std::pair<Size, double>>, SPEEDS> of;
+
+  explicit Steps(double rate);
+};
+
+// Neighbouring rows of one drive of the map; `at` is the place of the first in a list of rows.
+struct Run {
+  Size first, last, at, drive;
+};
+
+// A list of rising rows of a map, as runs.
+struct Rows {
+  std::vector<Run> runs;
+  Size count = 0;
+};
+
+// Where each drive of a map starts, and how many rows the map has.
+struct Drives {
+  std::vector<Size> starts;
+  Size rows = 0;
+
+  Size last(Size drive) const;        // the row after those of a drive
+  Size of(Size row) const;            // the drive of a row
+  Rows all() const;                   // all rows
+  Rows some(const Size *rows, Size count) const;  // rising rows, each once
+};
+
+// The belief after a frame, by way, speed and listed row.
+struct Belief {
+  Rows rows;
+  std::vector<float> mapped;
+  double elsewhere = 0, unmapped = 1;
+
+  // Probabilities of the listed rows in the first way, `count` numbers.
+  std::vector<float> of_rows() const;
+};
+
+// How likely a frame is at each listed row, and on average at the others, as against a place that the
+// map lacks.
+struct Likelihood {
+  std::vector<float> rows;
+  double elsewhere = 0;
+};
+
+// How likely the later frames are from each state of a belief; not normalised.
+struct Future {
+  std::vector<float> mapped;
+  double elsewhere = 1, unmapped = 1;
+};
+
+// How much likelier a frame is at rows than at a place that the map lacks, by its scores and the spread
+// of the nearness of all rows; 0 where a score is -inf, 1 everywhere if all scores are equal.
+std::vector<float> likelihoods(const float *scores, Size count, const Motion &motion,
+                               const Spread &spread);
+
+class Filter {
+ public:
+  // The drives may grow, and must outlive the filter. Ways: one or both of FORWARDS and BACKWARDS.
+  Filter(const Drives &drives, const Motion &motion, std::vector<int> ways);
+
+  const Drives &drives() const { return drives_; }
+  const Motion &motion() const { return motion_; }
+
+  // The belief in listed rows before the first frame of a drive.
+  Belief start(const Rows &rows) const;
+  // The belief with more rows listed, of which nothing is believed.
+  Belief extended(const Belief &belief, const Rows &rows) const;
+  // The belief in listed rows one frame later, before that frame is seen.
+  Belief predicted(const Belief &before, const Rows &rows) const;
+  // Takes a frame into a belief: the logarithm of how much likelier the frame is so than alone.
+  double update(Belief &belief, const Likelihood &likelihood) const;
+
+  // The future from the last belief.
+  Future none(const Belief &belief) const;
+  // The future from a belief, by the later rows, the likelihood of the later frame and its future.
+  Future before(const Belief &belief, const Rows &later, const Likelihood &likelihood,
+                const Future &future) const;
+  // A belief, given its future.
+  Belief smoothed(const Belief &belief, const Future &future) const;
+
+ private:
+  Size places() const;      // the number of rows, in all ways; of an empty map as of one row
+  double unmapped_at_start() const;
+
+  const Drives &drives_;
+  Motion motion_;
+  Steps steps_;
+  std::vector<int> ways_;
+};
+
+}  // namespace places
+
+#endif

@@ -1,0 +1,88 @@
+// Numbers that are the same on every processor: exponentials and logarithms in plain arithmetic, and
+// sums in a fixed order. The operations of the C library differ in the last bit.
+
+#ifndef SSRVLAD_NUMBERS_HPP
+#define SSRVLAD_NUMBERS_HPP
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <cstring>
+#include <limits>
+
+// Loops over many numbers are compiled for several processors; the loader picks the best version.
+#if defined(__x86_64__) && defined(__GLIBC__) && defined(__GNUC__) && !defined(__clang__) && \
+    !defined(SSRVLAD_ONE_TARGET)
+#define SSRVLAD_CLONES __attribute__((target_clones("avx512f", "avx2", "default")))
+#else
+#define SSRVLAD_CLONES
+#endif
+
+namespace places {
+
+using Size = std::int64_t;
+
+constexpr float NONE = -std::numeric_limits<float>::infinity();  // the score of what is no match
+constexpr double ROUNDING = 1e-6;    // of a cosine of 480 float32 products
+constexpr double MIN_SPREAD = 1e-6;
+constexpr double MAX_LOG = 50;       // frames that equal their rows must not overflow
+
+// The logarithm of a positive normal number.
+inline double log_of(double value) {
+  std::uint64_t bits;
+  std::memcpy(&bits, &value, 8);
+  constexpr std::uint64_t ROOT = 0x3fe6a09e667f3bcd;  // sqrt(1/2): mantissas from it to sqrt(2)
+  const std::int64_t exponent = static_cast<std::int64_t>(bits - ROOT) >> 52;
+  bits -= static_cast<std::uint64_t>(exponent) << 52;
+  double mantissa;
+  std::memcpy(&mantissa, &bits, 8);
+  const double s = (mantissa - 1) / (mantissa + 1), q = s * s;
+  double series = 1.0 / 23;
+  for (int odd = 21; odd > 0; odd -= 2) series = series * q + 1.0 / odd;
+  return static_cast<double>(exponent) * 0.693147180369123816490 +
+         (2 * s * series + static_cast<double>(exponent) * 1.90821492927058770002e-10);
+}
+
+// The exponential of a number from -700 to 700; 0 below, and for -inf.
+inline double exp_of(double value) {
+  const double x = std::min(std::max(value, -701.0), 701.0);
+  const double shifted = x * 1.44269504088896340736 + 6755399441055744.0;  // to the nearest integer
+  const double whole = shifted - 6755399441055744.0;
+  const double r = (x - whole * 0.693147180369123816490) - whole * 1.90821492927058770002e-10;
+  double series = 1;
+  for (int term = 14; term > 0; --term) series = series * r / term + 1;
+  const std::uint64_t bits = static_cast<std::uint64_t>(static_cast<std::int64_t>(whole) + 1023) << 52;
+  double power;
+  std::memcpy(&power, &bits, 8);
+  return value < -700 ? 0 : series * power;
+}
+
+// Minus the logarithm of 1 - cosine; -inf for -inf.
+inline double nearness(double score) {
+  return score == -std::numeric_limits<double>::infinity()
+             ? score
+             : -log_of(std::max(1 - score, ROUNDING));
+}
+
+// Sums in a fixed order, in double precision.
+double sum(const float *values, Size count);
+double dot(const float *some, const float *others, Size count);
+
+// Adds values times a factor to a target; multiplies a target by values; by a factor.
+void add(float *target, const float *values, float factor, Size count);
+void multiply(float *target, const float *values, Size count);
+void scale(float *target, float factor, Size count);
+
+// Nearness of scores, in single precision; -inf for -inf.
+void nearness(const float *scores, Size count, float *near);
+
+// Mean and standard deviation of nearness, without values of -inf; (0, MIN_SPREAD) without values.
+struct Spread {
+  double mean = 0, deviation = MIN_SPREAD;
+  // Of equal values the deviation is MIN_SPREAD.
+  static Spread of(const float *near, Size count);
+};
+
+}  // namespace places
+
+#endif
