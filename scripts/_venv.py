@@ -23,7 +23,7 @@ def install(extra: str) -> None:
         version = sys.version.split()[0]
         sys.exit(f"{Path(sys.argv[0]).name}: expected Python 3.11 or newer, got {version}")
     names = ("pyproject.toml", "constraints.txt", "scripts/hatch_build.py")
-    core = sorted((ROOT / "ssrvlad_torch" / "native").glob("ssrvlad.*"))
+    core = sorted((ROOT / "ssrvlad_torch" / "native").glob("*.[ch]*"))
     content = b"".join(file.read_bytes() for file in (*(ROOT / name for name in names), *core))
     stamp = VENV / f"installed-{extra}-{hashlib.sha256(content).hexdigest()[:16]}"
     if stamp.exists():

@@ -87,7 +87,8 @@ def problems_of(library: Any, system: str, processor: str) -> Iterator[str]:
     machine = {"macos": "cpu_type", "linux": "machine_type", "windows": "machine"}[system]
     if not re.fullmatch(PROCESSOR[processor], getattr(header, machine).name):
         yield f"is for {getattr(header, machine).name}"
-    declared = set(re.findall(r"\w+(?=\()", (ROOT / FOLDER / "ssrvlad.h").read_text()))
+    headers = "".join(file.read_text() for file in (ROOT / FOLDER).glob("*.h"))
+    declared = set(re.findall(r"\w+(?=\()", headers))
     declared = {name for name in declared if name.startswith("ssrvlad_")}
     exported = {_name(one).removeprefix("_") for one in library.exported_functions}
     if missing := declared - exported:

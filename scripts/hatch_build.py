@@ -1,6 +1,6 @@
 """Builds the native core when the package is installed, editable or not, or a wheel is made.
 
-The core is one C++ file that needs a compiler and nothing else. Without one the package is built
+The core is C++ files that need a compiler and nothing else. Without one the package is built
 as well: it then describes label maps by torch, more slowly, with the same numbers.
 ``python scripts/hatch_build.py`` builds the core of a checkout where it lies. `scripts/wheels`
 builds it for the platforms of `WHEELS` with the compiler of ``ziglang``, and names one in
@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 FOLDER = Path("ssrvlad_torch/native")
-SOURCES = ("ssrvlad.cpp", "ssrvlad.h")
+SUFFIXES = (".cpp", ".h", ".hpp")
 LIBRARY = f"libssrvlad{'.dylib' if sys.platform == 'darwin' else '.so'}"
 FLAGS = [
     *("-std=c++17", "-O3", "-ffp-contract=off"),  # fused sums would differ between processors
@@ -119,9 +119,11 @@ def build(root: Path) -> str:
 
 def compile_core(folder: Path, compiler: Sequence[str], library: Path) -> str:
     """Compiles the sources of a folder to a library; returns why not, or nothing."""
-    source = b"".join((folder / name).read_bytes() for name in SOURCES)
+    sources = sorted(file for file in folder.iterdir() if file.suffix in SUFFIXES)
+    source = b"".join(file.read_bytes() for file in sources)
     digest = f'-DSSRVLAD_SOURCE="{hashlib.sha256(source).hexdigest()}"'
-    command = [*compiler, *FLAGS, digest, folder / SOURCES[0], "-o", library]
+    compiled = [file for file in sources if file.suffix == ".cpp"]
+    command = [*compiler, *FLAGS, digest, *compiled, "-o", library]
     try:
         done = subprocess.run(command, check=False, capture_output=True, text=True)
     except OSError as error:

@@ -69,7 +69,7 @@ def other(request, tmp_path_factory):
     if suffix:
         stay_up(request, runner.split())
     program = tmp_path_factory.mktemp("build") / f"describe{suffix}"
-    sources = [SOURCE / "describe.cpp", CORE / "ssrvlad.cpp"]
+    sources = [SOURCE / "describe.cpp", *CORE.glob("*.cpp")]
     flags = ["-std=c++17", "-ffp-contract=off", "-pthread", f"-I{CORE}"]
     subprocess.run([*compiler.split(), *flags, *sources, "-o", program], check=True)
     return partial(outcome, *runner.split(), program)

@@ -60,7 +60,8 @@ def core() -> Core:
     path = FOLDER / LIBRARY
     if not path.exists():
         return Core(None, "torch, for the native core was not built")
-    source = b"".join((FOLDER / name).read_bytes() for name in ("ssrvlad.cpp", "ssrvlad.h"))
+    files = sorted(file for file in FOLDER.iterdir() if file.suffix in (".cpp", ".h", ".hpp"))
+    source = b"".join(file.read_bytes() for file in files)
     if hashlib.sha256(source).hexdigest().encode() not in path.read_bytes():
         return Core(None, "torch, for the native core is of another version: install again")
     try:

@@ -57,8 +57,8 @@ typedef struct ssrvlad_labels {
 
 typedef struct ssrvlad_head ssrvlad_head;
 
-/* SHA-256 of the C++ file followed by this header, from which the library was built; empty if the
- * build did not define it. */
+/* SHA-256 of the C++ files, in the order of their names, from which the library was built; empty if
+ * the build did not define it. */
 SSRVLAD_API const char *ssrvlad_source(void);
 
 /* Fills the settings of a preset, "default" or "paper". */
