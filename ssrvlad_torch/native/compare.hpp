@@ -14,7 +14,6 @@
 
 namespace places {
 
-constexpr Size MIN_FRAMES = 30;  // of a drive that has a mean of its own, and shows what leads
 constexpr Size SAMPLE = 200;     // of the queries, to see what leads
 
 // Adjacent rows without the same mean, and the rows that it is of.

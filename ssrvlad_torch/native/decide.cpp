@@ -2,7 +2,7 @@
 
 #include "decide.hpp"
 
-#include "ssrvlad_decide.h"
+#include "interface.hpp"
 
 #include <deque>
 #include <numeric>
@@ -438,18 +438,12 @@ Decision decide(const Drives &drives, const Evidence &evidence, Mode mode, Size 
 namespace {
 using places::Size;
 
-// A function of the caller refused, or gave what it must not.
-struct Failed {
-  int64_t code;
-};
+using places::Failed, places::give, places::guarded, places::require;
 
+// The return code of a function of the caller.
 int64_t passed(int64_t code) {
   if (code < 0) throw Failed{code};
   return code;
-}
-
-void require(bool holds) {
-  if (!holds) throw Failed{SSRVLAD_WRONG_ARGUMENT};
 }
 
 class CallersScores : public places::Scores {
@@ -515,13 +509,8 @@ struct Given {
   std::unique_ptr<places::Evidence> evidence;
 
   Given(const ssrvlad_drives *map, const ssrvlad_evidence *of) {
-    require(map && of && map->count >= 0 && map->rows >= 0 && of->queries >= 0);
-    require((map->count > 0) == (map->rows > 0));
-    drives.rows = map->rows;
-    drives.starts.assign(map->starts, map->starts + map->count);
-    for (Size drive = 0; drive < map->count; ++drive)
-      require(drive ? drives.starts[drive] > drives.starts[drive - 1] : !drives.starts[drive]);
-    require(!map->count || drives.starts.back() < drives.rows);
+    require(of && of->queries >= 0);
+    drives = places::drives_of(map);
     const bool searched = of->candidates && of->some && of->spread && of->sample;
     require(of->matrix || of->scores || searched || !of->queries);
     if (searched) {
@@ -542,26 +531,6 @@ places::Motion motion_of(const ssrvlad_motion *given) {
           rate <= places::MOST_RATE);
   return {change, jump, unmapped, stay, weight, level, rate};
 }
-
-// Runs a function of the interface; what it throws becomes a return code.
-template <typename Function>
-int guarded(Function function) {
-  try {
-    function();
-    return SSRVLAD_OK;
-  } catch (const Failed &failed) {
-    return static_cast<int>(failed.code);
-  } catch (const places::WrongScores &) {
-    return SSRVLAD_WRONG_ARGUMENT;
-  } catch (const std::exception &) {  // bad_alloc, or length_error of sizes beyond memory
-    return SSRVLAD_NO_MEMORY;
-  }
-}
-
-template <typename Number, typename Other>
-void give(const std::vector<Number> &values, Other *target) {
-  std::copy(values.begin(), values.end(), target);
-}
 }  // namespace
 
 extern "C" {
@@ -573,16 +542,7 @@ int ssrvlad_decide(const ssrvlad_drives *map, const ssrvlad_evidence *evidence, 
     const Given given(map, evidence);
     const places::Decision found =
         places::decide(given.drives, *given.evidence, static_cast<places::Mode>(mode), delay, top);
-    give(found.scores, decision->scores);
-    give(found.rows, decision->rows);
-    give(found.right, decision->right);
-    give(found.spread, decision->spread);
-    give(found.together, decision->together);
-    decision->followed = found.followed;
-    decision->way = found.course.way;
-    decision->rate = found.course.rate;
-    decision->streams = found.course.streams;
-    decision->gain = found.gain;
+    give(found, *decision);
   });
 }
 

@@ -21,7 +21,6 @@
 
 namespace places {
 
-constexpr Size MIN_FRAMES = 30;          // a map of fewer rows gives no confidence
 constexpr double HIGHEST_SCORE = 1.001;  // that rounding can give
 
 // A drive is followed by scores that are NaN or higher than HIGHEST_SCORE.

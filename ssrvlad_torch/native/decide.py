@@ -124,19 +124,9 @@ def decide(
         ValueError: scores are NaN or above 1, or another argument is out of range.
         RuntimeError: the core is not there, or memory is short.
     """
-    queries, found = len(evidence), _Decision()
-    shape = queries, top
-    scores, indices = np.empty(shape, np.float32), np.empty(shape, np.int64)
-    sure = np.empty((3, queries), np.float32)
-    for name, array in zip(
-        ("scores", "rows", "right", "spread", "together"), (scores, indices, *sure), strict=True
-    ):
-        setattr(found, name, array.ctypes.data)
-    _call(
-        "ssrvlad_decide", evidence, starts, rows, MODES[mode], delay, top, ctypes.byref(found)
-    )
-    course = bool(found.followed), found.way, found.rate, found.streams, found.gain
-    return Decision(scores, indices, *sure, *course)
+    room = Room(len(evidence), top)
+    _call("ssrvlad_decide", evidence, starts, rows, MODES[mode], delay, top, room.pointer)
+    return room.decision()
 
 
 def follow(
@@ -185,7 +175,7 @@ def chance(
     rows that could match, by default of those with a value."""
     numbers, found, rival = np.ascontiguousarray(values, np.float64), _NUMBER(), _SIZE()
     some = None if rows is None else np.ascontiguousarray(rows, np.int64)
-    status = _library().ssrvlad_chance(
+    status = library().ssrvlad_chance(
         numbers.ctypes.data,
         None if some is None else some.ctypes.data,
         numbers.size,
@@ -194,7 +184,7 @@ def chance(
         ctypes.byref(rival),
     )
     if status:
-        raise _problem(status, "rows that rise")
+        raise problem(status, "rows that rise")
     return found.value, rival.value
 
 
@@ -204,11 +194,11 @@ def confidence(chances: npt.ArrayLike, together: float) -> tuple[Floats, Floats]
     together."""
     numbers = np.ascontiguousarray(chances, np.float64)
     right, spread = np.empty((2, numbers.size), np.float32)
-    status = _library().ssrvlad_confidence(
+    status = library().ssrvlad_confidence(
         numbers.ctypes.data, numbers.size, together, right.ctypes.data, spread.ctypes.data
     )
     if status:
-        raise _problem(status, f"a number of queries above 0 that err together, got {together}")
+        raise problem(status, f"a number of queries above 0 that err together, got {together}")
     return right, spread
 
 
@@ -216,13 +206,13 @@ def answers_together(rivals: npt.ArrayLike) -> float:
     """How many neighbouring queries of a drive have one answer, by the best rivals ``(Q,)`` of
     their answers."""
     rows = np.ascontiguousarray(rivals, np.int64)
-    found = float(_library().ssrvlad_together(rows.ctypes.data, rows.size))
+    found = float(library().ssrvlad_together(rows.ctypes.data, rows.size))
     if found < 0:
-        raise _problem(-1, "")
+        raise problem(-1, "")
     return found
 
 
-class _Drives(ctypes.Structure):
+class Drives(ctypes.Structure):
     """``ssrvlad_drives`` of ssrvlad_decide.h."""
 
     _fields_ = (("starts", _POINTER), ("count", _SIZE), ("rows", _SIZE))
@@ -256,10 +246,29 @@ class _Decision(ctypes.Structure):
     )
 
 
+class Room:
+    """Memory for the decision about so many queries; ``pointer`` is what the core fills."""
+
+    def __init__(self, queries: int, top: int) -> None:
+        scores, rows = np.empty((queries, top), np.float32), np.empty((queries, top), np.int64)
+        self._arrays, self._found = (scores, rows, *np.empty((3, queries), np.float32)), _Decision()
+        for (name, _), array in zip(_Decision._fields_, self._arrays, strict=False):
+            setattr(self._found, name, array.ctypes.data)
+        self.pointer = ctypes.byref(self._found)
+
+    def decision(self) -> Decision:
+        """What was filled."""
+        found = self._found
+        course = bool(found.followed), found.way, found.rate, found.streams, found.gain
+        return Decision(*self._arrays, *course)
+
+
 class _Places(ctypes.Structure):
     """``ssrvlad_places``."""
 
-    _fields_ = tuple((name, _POINTER) for name in ("scores", "rows", "around", "unmapped", "chance"))
+    _fields_ = tuple(
+        (name, _POINTER) for name in ("scores", "rows", "around", "unmapped", "chance")
+    )
 
 
 class _Motion(ctypes.Structure):
@@ -338,8 +347,8 @@ def _call(
     """Calls a function of the core with a map, evidence and other arguments."""
     first = np.ascontiguousarray(starts, np.int64)
     caller = _Caller(evidence, rows)
-    drives = _Drives(first.ctypes.data, first.size, rows)
-    function = getattr(_library(), name)
+    drives = Drives(first.ctypes.data, first.size, rows)
+    function = getattr(library(), name)
     status = function(ctypes.byref(drives), ctypes.byref(caller.given), *arguments)
     if caller.raised:
         raise caller.raised
@@ -349,10 +358,10 @@ def _call(
             if scores.size and not (highest := float(scores.max())) <= HIGHEST:
                 raise ValueError(f"expected scores of at most 1, as cosines are, got {highest:g}")
     if status:
-        raise _problem(status, f"drives that start at rising rows of {rows}, got {first.tolist()}")
+        raise problem(status, f"drives that start at rising rows of {rows}, got {first.tolist()}")
 
 
-def _problem(status: int, expected: str) -> Exception:
+def problem(status: int, expected: str) -> Exception:
     if status == _WRONG_ARGUMENT:
         return ValueError(f"expected {expected}")
     return RuntimeError("not enough memory for the decision core")
@@ -363,12 +372,12 @@ def _motion(motion: Sequence[float] | None) -> Any:
 
 
 @cache
-def _library() -> ctypes.CDLL:
+def library() -> ctypes.CDLL:
     """The core, with the types of its functions."""
     library, status = core()
     if library is None:
         raise RuntimeError(f"expected the native core, got {status}")
-    map_and_evidence = ctypes.POINTER(_Drives), ctypes.POINTER(_Evidence)
+    map_and_evidence = ctypes.POINTER(Drives), ctypes.POINTER(_Evidence)
     motion, size = ctypes.POINTER(_Motion), _SIZE
     library.ssrvlad_decide.argtypes = [
         *(*map_and_evidence, _INT, size, size, ctypes.POINTER(_Decision))

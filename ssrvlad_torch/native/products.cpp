@@ -23,12 +23,6 @@ using Tile = void (*)(const float *panel, const float *const *rows, Size length,
                       float *sums);
 
 #if !defined(SSRVLAD_NEON)
-inline std::uint64_t bits_of(double number) {
-  std::uint64_t bits;
-  std::memcpy(&bits, &number, 8);
-  return bits;
-}
-
 // a * b + c, rounded once. The product of two floats is exact in double precision. A sum that is not
 // exact is cut towards zero and its last bit set, which rounds to single precision as the exact one.
 inline float fused(double a, double b, double c) {
@@ -37,9 +31,7 @@ inline float fused(double a, double b, double c) {
   const std::uint64_t inexact = lost != 0 ? 1 : 0;
   const std::uint64_t above = ((bits_of(lost) ^ bits_of(sum)) >> 63) & inexact;
   const std::uint64_t bits = (bits_of(sum) - above) | inexact;
-  double odd;
-  std::memcpy(&odd, &bits, 8);
-  return static_cast<float>(odd);
+  return static_cast<float>(of_bits(bits));
 }
 
 void tile_plain(const float *panel, const float *const *rows, Size length, Size lanes, float *sums) {
