@@ -21,6 +21,13 @@ from .standardise import MIN_FRAMES
 Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
 
+REACH = 2
+"""Columns by which signs are moved to each side."""
+SAMPLE = 200
+"""Queries that show what leads; if there are more, every so many."""
+EQUAL = 1e-6
+"""A vector this near to the mean equals it: its drive has one frame, or all frames are equal."""
+
 _LEAST_LENGTH = 1e-3
 
 
@@ -61,6 +68,62 @@ def cosines_of_signs(queries: Array, references: Array, reach: int) -> Floats:
         best = np.maximum(best, ours @ theirs.T / np.maximum(lengths, _LEAST_LENGTH))
     capped: Floats = np.minimum(best, 1)
     return capped
+
+
+def without_means(vectors: Array, sequences: Sequence[str]) -> Floats:
+    """Vectors ``(N, D)`` less the means of their drives; zeros stay, and what equals its mean
+    stays as it is."""
+    means = means_of_drives(vectors, sequences)
+    less = vectors.any(1) & (np.abs(vectors - means) > EQUAL).any(1)
+    found: Floats = np.where(less[:, None], vectors - means, vectors)
+    return found
+
+
+def compare_vectors(
+    queries: Array, references: Array, sequences: Sequence[str], standardised: bool, sweep: bool
+) -> tuple[Floats, int]:
+    """``(Q, R)`` scores of the queries of one drive from S anchors ``(Q, S, D)``, by the best of
+    them or by the middle one, against ``(R, D)``; and how many anchors to each side count."""
+    middle = queries.shape[1] // 2
+    enough = standardised and len(queries) >= MIN_FRAMES
+    rows = without_means(references, sequences) if standardised else references
+    widths, scores = range(middle + 1 if sweep else 1), list[Floats]()
+    for width in widths:
+        part = queries[:, middle - width : middle + width + 1]
+        if enough:
+            every = part.reshape(-1, part.shape[2])
+            part = without_means(every, [""] * len(every)).reshape(part.shape)
+        scores.append(np.max([cosines(each, rows) for each in part.swapaxes(0, 1)], axis=0))
+    leads = [mean_lead(each) for each in scores]
+    best = int(np.argmax(leads))
+    return scores[best], widths[best]
+
+
+def mean_lead(scores: Array) -> float:
+    """How much nearer the nearest row is than the nearest elsewhere, on average over a sample of
+    the queries that have both."""
+    rows = np.arange(scores.shape[1])
+    if len(rows) <= 2 * ELSEWHERE + 1:
+        return 0.0
+    leads = []
+    for each in scores[:: max(1, len(scores) // SAMPLE)]:
+        elsewhere = np.abs(rows - each.argmax()) > ELSEWHERE
+        near = nearness(np.array([each.max(), each[elsewhere].max()]))
+        leads.append(near[0] - near[1] if np.isfinite(near).all() else np.nan)
+    return float(np.nanmean(leads)) if np.isfinite(leads).any() else 0.0
+
+
+def compare_signs(
+    queries: Array, references: Array, sequences: Sequence[str], standardised: bool, sweep: bool
+) -> Floats:
+    """``(Q, R)`` scores of the queries of one drive, signs ``(Q, columns, ...)`` uint8, against
+    those of a map, by the best move or by none."""
+    sides = []
+    for signs, names in (queries, [""] * len(queries)), (references, sequences):
+        bits = np.unpackbits(signs.reshape(*signs.shape[:2], -1), axis=2, bitorder="little")
+        side = 2.0 * bits - 1
+        sides.append(side - means_of_drives(side, names) if standardised else side)
+    return cosines_of_signs(*sides, REACH if sweep else 0)
 
 
 def nearness(scores: Array) -> Floats:
