@@ -376,7 +376,7 @@ def library() -> ctypes.CDLL:
     """The core, with the types of its functions."""
     library, status = core()
     if library is None:
-        raise RuntimeError(f"expected the native core, got {status}")
+        raise RuntimeError(status.removeprefix("torch, for "))
     map_and_evidence = ctypes.POINTER(Drives), ctypes.POINTER(_Evidence)
     motion, size = ctypes.POINTER(_Motion), _SIZE
     library.ssrvlad_decide.argtypes = [
