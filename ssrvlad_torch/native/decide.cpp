@@ -11,7 +11,7 @@
 namespace places {
 
 namespace {
-constexpr double TRACK = 10;          // frames that a wrong answer lasts in a followed drive
+constexpr Size TRACK = 10;            // frames that a wrong answer lasts in a followed drive
 constexpr Size KEPT = Size{1} << 24;  // numbers of beliefs that are kept rather than computed again
 
 // The track may go on from the most probable rows, up to this number and down to this belief.
@@ -21,7 +21,7 @@ constexpr float MIN_BELIEF = 1e-4F;
 // recognition/reference.py explains these.
 constexpr Course COURSES[] = {
     {FORWARDS, 1, 1}, {FORWARDS, 3, 1}, {FORWARDS, 0.25, 1}, {FORWARDS, 1, 2}};
-constexpr double OF_TWO = 0.75, LEAST_GAIN = 1, UNUSUAL = 3, BY_ROWS = 0.25, DRIVE = 0.5,
+constexpr double OF_TWO = 0.75, LEAST_GAIN = 1, UNUSUAL = 3, BY_ROWS = 0.5, DRIVE = 0.5,
                  MARGIN = 0.05;
 
 // The places of the highest of values above NONE, the first of equals first.
@@ -235,19 +235,78 @@ double mean(const std::vector<float> &values) {
          static_cast<double>(std::max<std::size_t>(1, values.size()));
 }
 
+// How a row compares with its rivals by values of the rows of a sight; 1 if a row elsewhere is better
+// than all that are NEAR it.
+double chance_near(const std::vector<float> &values, const Sight &sight, const Drives &drives,
+                   Size row) {
+  std::vector<double> known(values.begin(), values.end());
+  double near = static_cast<double>(NONE), best = near;
+  for (const Run &run : sight.rows.runs)
+    for (Size each = run.first; each < run.last; ++each) {
+      double &value = known[run.at + each - run.first];
+      if (sight.scores[run.at + each - run.first] == NONE) value = static_cast<double>(NONE);
+      best = std::max(best, value);
+      if (std::abs(each - row) <= NEAR && run.drive == drives.of(row)) near = std::max(near, value);
+    }
+  return near < best ? 1 : chance_of(known.data(), sight.rows, sight.matching).chance;
+}
+
+// How the answers of a stream, their rows, compare with their rivals by the frames around each: TRACK
+// earlier ones and so many later, as far as no step is longer than the drive can make. The value of a row
+// is the sum of the deviations of these frames along the same path, moved to it.
+std::vector<double> chances_around(const Filter &filter, const Evidence &evidence,
+                                   const std::vector<Size> &queries, const std::vector<Size> &rows,
+                                   Size later) {
+  const Drives &drives = filter.drives();
+  const auto [least, most] = filter.reach();
+  const Size count = static_cast<Size>(queries.size()), longest = std::max(-least, most);
+  std::deque<std::shared_ptr<const Sight>> window;  // of the queries from `first` on
+  std::vector<double> chances(queries.size(), 1);
+  for (Size query = 0, first = 0, next = 0; query < count; ++query) {
+    for (; next < std::min(count, query + later + 1); ++next)
+      window.push_back(evidence.beside(drives, queries[next], rows[next]));
+    for (; first < query - TRACK; ++first) window.pop_front();
+    if (rows[query] < 0) continue;
+    const Sight &here = *window[query - first];
+    std::vector<float> total = here.z;
+    const auto take = [&](Size other) {
+      const Sight &sight = *window[other - first];
+      const Size moved = rows[other] - rows[query];
+      for (const Run &run : here.rows.runs)
+        visit(
+            run.first + moved, run.last + moved, run.drive, sight.rows, drives,
+            [&](Size row, Size place, Size number) {
+              add(total.data() + run.at + row - moved - run.first, sight.z.data() + place, 1, number);
+            },
+            [](Size, Size) {}, [](Size, Size) {});
+    };
+    for (const Size way : {Size{-1}, Size{1}})
+      for (Size other = query + way; other >= first && other < next; other += way) {
+        if (rows[other] < 0 || std::abs(rows[other] - rows[other - way]) > longest) break;
+        take(other);
+      }
+    chances[query] = chance_near(total, here, drives, rows[query]);
+  }
+  return chances;
+}
+
 // Places all streams of a course.
 Places follow_course(const Drives &drives, const Evidence &evidence, const Course &course,
                      Mode mode, Size delay, Size top) {
   const Filter filter(drives, Motion().at(course.rate), {course.way});
+  const Size later = mode == Mode::ONLINE ? std::min(TRACK, delay) : TRACK;
   Places places(evidence.queries(), top);
   for (const std::vector<Size> &stream : streams_of(course, in_order(evidence.queries()))) {
     const Places some = follow(filter, evidence, stream, mode, delay, top);
+    std::vector<Size> rows(stream.size());
+    for (std::size_t at = 0; at < rows.size(); ++at) rows[at] = some.rows[at * top];
+    const std::vector<double> around = chances_around(filter, evidence, stream, rows, later);
     for (std::size_t at = 0; at < stream.size(); ++at) {
       const auto from = static_cast<std::ptrdiff_t>(at) * top, to = stream[at] * top;
       std::copy_n(some.scores.begin() + from, top, places.scores.begin() + to);
       std::copy_n(some.rows.begin() + from, top, places.rows.begin() + to);
       places.near[stream[at]] = some.near[at];
-      places.chance[stream[at]] = some.chance[at];
+      places.chance[stream[at]] = std::max(some.chance[at], around[at]);
     }
   }
   return places;
@@ -262,7 +321,7 @@ void take(const Places &places, double together, Decision &decision) {
     if (decision.rows[query * top] < 0) chances[query] = std::numeric_limits<double>::quiet_NaN();
   const double followed = mean(Confidence::of(chances, together).right);
   if (followed <= mean(decision.right) + (decision.gain > DRIVE ? -MARGIN : MARGIN)) return;
-  together = std::max(TRACK, together);
+  together = std::max(static_cast<double>(TRACK), together);
   Confidence sure = Confidence::of(chances, together);
   decision.right = std::move(sure.right);
   decision.spread = std::move(sure.spread);
@@ -310,10 +369,27 @@ std::shared_ptr<Sight> sight_of(const Scores &scores, const Drives &drives, Size
   scores.of(query, sight->scores.data());
   return sight;
 }
+
+void deviate(const Spread &spread, Sight &sight) {
+  sight.z.resize(sight.scores.size());
+  for (std::size_t place = 0; place < sight.z.size(); ++place) {
+    const double near = nearness(static_cast<double>(sight.scores[place]));
+    if (sight.scores[place] != NONE)
+      sight.z[place] = static_cast<float>((near - spread.mean) / spread.deviation);
+  }
+}
 }  // namespace
 
 std::shared_ptr<const Sight> AllRows::alone(const Drives &drives, Size query) const {
   return sight_of(scores_, drives, query);
+}
+
+std::shared_ptr<const Sight> AllRows::beside(const Drives &drives, Size query, Size) const {
+  const auto sight = sight_of(scores_, drives, query);
+  std::vector<float> near(sight->scores.size());
+  nearness(sight->scores.data(), sight->rows.count, near.data());
+  deviate(Spread::of(near.data(), sight->rows.count), *sight);
+  return sight;
 }
 
 std::shared_ptr<const Sight> AllRows::after(const Filter &filter, const Belief *,
@@ -363,6 +439,18 @@ void add_moved(const Filter &filter, const Belief &before, std::vector<Size> &ro
 std::shared_ptr<const Sight> Candidates::alone(const Drives &drives, Size query) const {
   std::vector<Size> rows = search_.candidates(query);
   return sight_of(search_, drives, query, rows);
+}
+
+std::shared_ptr<const Sight> Candidates::beside(const Drives &drives, Size query, Size row) const {
+  std::vector<Size> rows = search_.candidates(query);
+  if (row >= 0) {
+    const Size drive = drives.of(row), last = std::min(row + NEAR + 1, drives.last(drive));
+    for (Size each = std::max(row - NEAR, drives.starts[drive]); each < last; ++each)
+      rows.push_back(each);
+  }
+  const auto sight = sight_of(search_, drives, query, rows);
+  deviate(search_.spread(query), *sight);
+  return sight;
 }
 
 std::shared_ptr<const Sight> Candidates::after(const Filter &filter, const Belief *before,

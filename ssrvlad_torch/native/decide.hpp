@@ -43,6 +43,7 @@ struct Sight {
   std::vector<float> scores;
   Size matching = -1;
   Likelihood likelihood;  // if the query is followed
+  std::vector<float> z;   // beside a row: by how many deviations each is nearer than the mean of all
 };
 
 // The queries of one drive, and how they fit a map. Not to be shared by threads.
@@ -55,6 +56,8 @@ class Evidence {
   // Of a query that follows a belief, or is the first.
   virtual std::shared_ptr<const Sight> after(const Filter &filter, const Belief *before,
                                              Size query) const = 0;
+  // Of a query alone, with the rows within NEAR of one listed; 0 deviations where there is no score.
+  virtual std::shared_ptr<const Sight> beside(const Drives &drives, Size query, Size row) const = 0;
 };
 
 // By the scores of all rows.
@@ -65,6 +68,7 @@ class AllRows : public Evidence {
   std::shared_ptr<const Sight> alone(const Drives &drives, Size query) const override;
   std::shared_ptr<const Sight> after(const Filter &filter, const Belief *before,
                                      Size query) const override;
+  std::shared_ptr<const Sight> beside(const Drives &drives, Size query, Size row) const override;
 
  private:
   const Scores &scores_;
@@ -96,6 +100,7 @@ class Candidates : public Evidence {
   std::shared_ptr<const Sight> alone(const Drives &drives, Size query) const override;
   std::shared_ptr<const Sight> after(const Filter &filter, const Belief *before,
                                      Size query) const override;
+  std::shared_ptr<const Sight> beside(const Drives &drives, Size query, Size row) const override;
 
  private:
   const Search &search_;

@@ -34,28 +34,6 @@ void in_pieces(const Rows &rows, Function function) {
           Run{first, std::min(run.last, first + BLOCK), run.at + first - run.first, run.drive});
 }
 
-// Visits neighbouring rows as seen from a drive: those of it that a list holds, by the row, the place
-// in the list and the number; those of it that the list does not hold, and those outside the drive, by
-// the row and the number.
-template <typename Listed, typename Unlisted, typename Outside>
-void visit(Size first, Size last, Size drive, const Rows &list, const Drives &drives, Listed listed,
-           Unlisted unlisted, Outside outside) {
-  const Size start = std::min(last, std::max(first, drives.starts[drive]));
-  const Size end = std::max(start, std::min(last, drives.last(drive)));
-  if (first < start) outside(first, start - first);
-  auto run = std::upper_bound(list.runs.begin(), list.runs.end(), start,
-                              [](Size row, const Run &each) { return row < each.last; });
-  for (Size row = start; row < end;) {
-    const Size next = run == list.runs.end() ? end : std::min(end, std::max(row, run->first));
-    if (row < next) unlisted(row, next - row);
-    if (next == end) break;
-    row = std::min(end, run->last);
-    listed(next, run->at + next - run->first, row - next);
-    ++run;
-  }
-  if (end < last) outside(end, last - end);
-}
-
 // Calls a function with the place and the number of rows of one list that are not in another.
 template <typename Function>
 void visit_others(const Rows &rows, const Rows &known, const Drives &drives, Function function) {

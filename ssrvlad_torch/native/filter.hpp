@@ -8,6 +8,7 @@
 #ifndef SSRVLAD_FILTER_HPP
 #define SSRVLAD_FILTER_HPP
 
+#include <algorithm>
 #include <array>
 #include <utility>
 #include <vector>
@@ -68,6 +69,28 @@ struct Drives {
   Rows all() const;                               // all rows
   Rows some(const Size *rows, Size count) const;  // rising rows, each once
 };
+
+// Visits neighbouring rows as seen from a drive: those of it that a list holds, by the row, the place
+// in the list and the number; those of it that the list does not hold, and those outside the drive, by
+// the row and the number.
+template <typename Listed, typename Unlisted, typename Outside>
+void visit(Size first, Size last, Size drive, const Rows &list, const Drives &drives, Listed listed,
+           Unlisted unlisted, Outside outside) {
+  const Size start = std::min(last, std::max(first, drives.starts[drive]));
+  const Size end = std::max(start, std::min(last, drives.last(drive)));
+  if (first < start) outside(first, start - first);
+  auto run = std::upper_bound(list.runs.begin(), list.runs.end(), start,
+                              [](Size row, const Run &each) { return row < each.last; });
+  for (Size row = start; row < end;) {
+    const Size next = run == list.runs.end() ? end : std::min(end, std::max(row, run->first));
+    if (row < next) unlisted(row, next - row);
+    if (next == end) break;
+    row = std::min(end, run->last);
+    listed(next, run->at + next - run->first, row - next);
+    ++run;
+  }
+  if (end < last) outside(end, last - end);
+}
 
 // The belief after a frame, by way, speed and listed row.
 struct Belief {

@@ -431,7 +431,7 @@ OF_TWO = 0.75
 LEAST_GAIN, UNUSUAL = 1.0, 3.0
 """The gain of a course, and how much more another than forwards at the rate of the map must have:
 before anything is known, one drive in twenty takes it."""
-BY_ROWS = 0.25
+BY_ROWS = 0.5
 """How much of its gain a drive may have in a random order. A row of the map that is like every
 query gains all of it."""
 DRIVE, MARGIN = 0.5, 0.05
@@ -559,13 +559,46 @@ def follow_course(
     scores: Array, sequences: Sequence[str], taken: Course, delay: int | None, top: int
 ) -> Places:
     """The places of the queries of all streams of a course, given so many later queries of their
-    stream, or all."""
+    stream, or all. A track lasts where the map lacks the place, so the frames around an answer must
+    show it too: of both chances the higher counts."""
     motion, later = Motion().at(taken.rate), len(scores) if delay is None else delay
-    streams = [
-        places(scores[number :: taken.streams], sequences, motion, taken.way, later, top)
-        for number in range(taken.streams)
-    ]
+    streams = []
+    for stream in (scores[number :: taken.streams] for number in range(taken.streams)):
+        found = places(stream, sequences, motion, taken.way, later, top)
+        around = chances_around(stream, sequences, found.rows[:, 0], motion, min(later, TRACK))
+        streams.append(found._replace(chance=np.maximum(found.chance, around)))
     order = np.argsort(
         [query for n in range(taken.streams) for query in range(n, len(scores), taken.streams)]
     )
     return Places(*(np.concatenate(parts)[order] for parts in zip(*streams, strict=True)))
+
+
+def chances_around(
+    scores: Array, sequences: Sequence[str], rows: Array, motion: Motion, later: int
+) -> Floats:
+    """How the answers of a stream, their rows ``(Q,)``, compare with their rivals by the frames
+    around each: `TRACK` earlier ones and so many later, as far as no step is longer than the motion
+    can make. The value of a row is the sum of the z-scores of these frames along the same path,
+    moved to it. The chance is 1 if a row elsewhere is better than all within `NEAR` of the
+    answer."""
+    z = [z_scores(each)[0] for each in scores]
+    names, here = np.asarray(sequences), np.arange(len(sequences))
+    chances = np.ones(len(rows))
+    for query in np.flatnonzero(rows >= 0):
+        total = z[query].copy()
+        for others in (range(query - 1, query - 1 - TRACK, -1), range(query + 1, query + 1 + later)):
+            before = rows[query]
+            for other in others:
+                if not 0 <= other < len(rows) or rows[other] < 0:
+                    break
+                if abs(rows[other] - before) > motion.gap:
+                    break
+                before, there = rows[other], here + rows[other] - rows[query]
+                inside = (there >= 0) & (there < len(names))
+                inside[inside] = names[there[inside]] == names[inside]
+                total[inside] += z[other][there[inside]]
+        values = np.where(scores[query] > -np.inf, total, -np.inf)
+        near = (np.abs(here - rows[query]) <= NEAR) & (names == names[rows[query]])
+        if values[near].max() >= values.max():
+            chances[query], _ = chance(values)
+    return chances
