@@ -10,7 +10,7 @@ from os import PathLike
 from pathlib import Path
 from typing import TypeVar
 
-from ..files import check_regular, is_uri, natural_key, npy_header
+from ..files import check_regular, is_uri, naming, natural_key, npy_header
 from .bags import bag_files, is_bag
 from .frame_file import FrameFile, RemoteFile, remote_files
 from .gps import read_exif
@@ -157,10 +157,8 @@ def _given_poses(
         raise ValueError(f"{source} holds the poses of one drive, got {len(drives)} sequences")
     trajectory = read_trajectory(path, largest_gap)
     names, stamps = zip(*((file.name, file.stamp) for file in drives[0]), strict=True)
-    try:
+    with naming(source):
         return [trajectory.of_frames(names, stamps)]
-    except ValueError as error:
-        raise ValueError(f"{source}: {error}") from error
 
 
 def _poses_of_exif(drive: Sequence[FrameFile]) -> list[Pose]:
