@@ -33,7 +33,7 @@ def photos(root, *names):
     plant(root, *names)
     folders = sorted({Path(name).parent for name in names})
     return made(
-        *(Traverse.of("-".join(f.parts), files_in(root / f, (".jpg",)), {}, {}) for f in folders),
+        *(Traverse.of("-".join(f.parts), files_in((".jpg",), root / f), {}, {}) for f in folders),
         root=root,
     )
 
@@ -174,7 +174,7 @@ def test_label_maps_are_found_in_a_folder_beside_that_of_the_images(tmp_path):
 
 def test_a_label_map_may_have_the_name_of_the_image_and_replaces_another(tmp_path):
     plant(tmp_path, "city/a_leftImg8bit.jpg")
-    images = files_in(tmp_path / "city", (".jpg",), "_leftImg8bit")
+    images = files_in((".jpg",), tmp_path / "city", "_leftImg8bit")
     own = {"a": tmp_path / "a.png"}
     dataset = made(Traverse.of("city", images, own, {}), root=tmp_path, labels_as="camvid-32")
     touch(tmp_path / "out/city/a_leftImg8bit.png")
@@ -197,10 +197,10 @@ def test_one_folder_for_all_is_not_taken_where_names_are_ambiguous(tmp_path):
 def test_files_are_listed_by_name_without_suffix_and_ending(tmp_path):
     touch(*(tmp_path / n for n in ("1_L.png", "2_L.PNG", "3.png", "3.jpg", "4_L.txt", ".5_L.png")))
     (tmp_path / "6_L.png").mkdir()
-    assert list(files_in(tmp_path, (".png",), "_L")) == ["1", "2"]
-    assert files_in(tmp_path / "nowhere", (".png",)) == {}
+    assert list(files_in((".png",), tmp_path, "_L")) == ["1", "2"]
+    assert files_in((".png",), tmp_path / "nowhere") == {}
     with pytest.raises(ValueError, match=r"one frame is both .*3\.jpg and 3\.png"):
-        files_in(tmp_path, (".png", ".jpg"))
+        files_in((".png", ".jpg"), tmp_path)
 
 
 def test_folders_are_sorted_as_a_person_would(tmp_path):

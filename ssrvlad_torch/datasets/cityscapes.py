@@ -38,7 +38,7 @@ def read(root: Path, labels_as: str | None) -> Dataset:
         labels: dict[str, Path] = {}
         for kind in reversed(_ANNOTATIONS):
             labels |= labels_in(root / kind / city, f"_{kind}_{ending}")
-        fixes = files_in(root / "vehicle" / city, (".json",), "_vehicle")
+        fixes = files_in((".json",), root / "vehicle" / city, "_vehicle")
         poses = {
             name: read_fix(file) for name, file in fixes.items() if name in images or name in labels
         }

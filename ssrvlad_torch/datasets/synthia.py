@@ -41,7 +41,7 @@ def read(root: Path, labels_as: str | None) -> Dataset:
             labels = labels_in(folder / _LABELS / camera)
             poses = {
                 name: read_pose(file)
-                for name, file in files_in(folder / _POSES / camera, (".txt",)).items()
+                for name, file in files_in((".txt",), folder / _POSES / camera).items()
                 if name in images or name in labels
             }
             name = f"{absolute_folder(folder).name}-{'-'.join(camera.parts)}"
