@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from numpy.lib.format import MAGIC_PREFIX
 from PIL import Image, ImageOps, UnidentifiedImageError
+from PIL.ImageFile import ImageFile
 
 from ..files import check_pixels, empty_folder, naming, one_line, parse_npy
 from .frame_files import FileKind, FrameFile, find_frames
@@ -62,7 +63,7 @@ def decoding(unknown: str) -> Iterator[None]:
         raise ValueError(unknown if is_unknown else one_line(error)) from error
 
 
-def checked_image(content: bytes, formats: Sequence[str]) -> Image.Image:
+def checked_image(content: bytes, formats: tuple[str, ...]) -> ImageFile:
     """The image in the bytes of a file, not decoded yet, its size and checksums verified."""
     with Image.open(io.BytesIO(content), formats=formats) as image:
         check_pixels(image.height, image.width)

@@ -111,11 +111,12 @@ def _times_of(names: Sequence[str], stamps: Sequence[float]) -> list[Sequence[fl
         return [stamps]
     with naming("expected frames named by their time in seconds"):
         seconds = [parse_number(name) for name in names]
-    named = [[number * unit for number in seconds] for unit in (_UNITS if whole else _UNITS[:1])]
-    if not timed:
-        return named
-    apart = [float(np.abs(np.subtract(times, stamps)).max()) for times in named]
-    return [stamps, *(times for times, most in zip(named, apart, strict=True) if most > _UNITS[2])]
+    times: list[Sequence[float]] = [stamps] if timed else []
+    for unit in _UNITS if whole else _UNITS[:1]:
+        named = [number * unit for number in seconds]
+        if not timed or np.abs(np.subtract(named, stamps)).max() > _UNITS[2]:
+            times.append(named)
+    return times
 
 
 def read_trajectory(path: Path, largest_gap: float | None = None) -> Trajectory:
