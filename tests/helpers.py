@@ -146,6 +146,12 @@ def refused(message, *names, by=ValueError):
     assert all(str(name) in text for name in names), text
 
 
+def refuses(message, call, *arguments, **options):
+    """Asserts that a call is refused by a ValueError; see `refused`."""
+    with refused(message):
+        call(*arguments, **options)
+
+
 def touch(*paths):
     """Empty files: finding does not look into images."""
     for path in paths:

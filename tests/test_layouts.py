@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cases import CAMVID, needs_camvid
-from helpers import write_street
+from helpers import refuses, write_street
 from layout_copies import (
     AUTUMN,
     CITIES,
@@ -265,8 +265,7 @@ def test_each_layout_is_recognised_by_its_folders_and_by_no_other(tmp_path, name
     assert set(others) <= {name, "folders"}
     next(path for path in tmp_path.rglob("*") if path.is_file()).unlink()
     if name not in ("vpr-bench", "folders"):
-        with pytest.raises(ValueError, match=rf"\({name}\) holds no frames: .* data set is at \w+"):
-            open_dataset(tmp_path)
+        refuses(rf"\({name}\) holds no frames: .* data set is at \w+", open_dataset, tmp_path)
 
 
 def test_every_layout_is_tried_once_and_plain_folders_last():
@@ -292,11 +291,9 @@ def test_a_layout_that_does_not_fit_is_refused_with_what_was_wanted_and_found(tm
 
 
 def test_an_unknown_layout_is_refused_with_all_known_ones(tmp_path):
-    with pytest.raises(ValueError, match=r"folders: expected folders .* found nothing$"):
-        open_dataset(tmp_path, "folders")
+    refuses(r"folders: expected folders .* found nothing$", open_dataset, tmp_path, "folders")
     (tmp_path / "empty").mkdir()
-    with pytest.raises(ValueError, match="found empty/; "):
-        open_dataset(tmp_path, "vpr-bench")
+    refuses("found empty/; ", open_dataset, tmp_path, "vpr-bench")
     write(tmp_path / "a" / "b" / "c.txt", "")
     with pytest.raises(
         ValueError, match="in no known layout; found a/b, empty/; expected one of"
@@ -346,8 +343,7 @@ def test_a_frame_without_a_drive_is_of_its_folder_and_two_label_spaces_are_refus
     assert outline(open_dataset(copy))["train"] == ["mine"]
     assert open_dataset(copy, labels_as="my.yaml").labels_as == "my.yaml"
     camvid(copy)
-    with pytest.raises(ValueError, match="label maps of camvid-11 and camvid-32; expected one"):
-        open_dataset(copy)
+    refuses("label maps of camvid-11 and camvid-32; expected one", open_dataset, copy)
 
 
 def test_drives_of_ones_own_are_not_taken_for_camvid(tmp_path):
@@ -465,8 +461,7 @@ def test_the_ground_truth_may_lie_beside_the_folder(copy, monkeypatch):
 def test_an_empty_folder_is_refused(copy):
     for picture in (copy / "ref").iterdir():
         picture.unlink()
-    with pytest.raises(ValueError, match=r"data/ref holds no images; .*MubarizZaffar"):
-        open_dataset(copy)
+    refuses(r"data/ref holds no images; .*MubarizZaffar", open_dataset, copy)
 
 
 @needs_corridor

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 import yaml
-from helpers import street
+from helpers import refuses, street
 from maps import HEAD, alone, assert_streets, counts, rewrite
 
 from ssrvlad_torch import SSRVLAD
@@ -39,8 +39,7 @@ def test_running_again_reads_only_what_is_missing(town, reads):
     assert counts(town.encode()) == (2, 5, 0)
     assert sorted(reads) == ["20", "3000"]
     town.add("a ", [1])
-    with pytest.raises(ValueError, match="expected a frame id, <sequence>"):
-        town.encode("a ")
+    refuses("expected a frame id, <sequence>", town.encode, "a ")
     assert len(reads) == 2
 
 
@@ -140,8 +139,7 @@ def test_frames_whose_file_is_gone_are_reported_and_removed_with_prune(town):
     summary = town.encode("a", **PRUNE)
     assert (summary.gone, summary.pruned) == ([], 2)
     assert town.database().load().frames == ("a/0", "a/2", "b/0", "b/1"), "other sequences stay"
-    with pytest.raises(ValueError, match="prune needs all files"):
-        EncodeOptions(prune=True)
+    refuses("prune needs all files", EncodeOptions, prune=True)
 
 
 def test_folders_with_the_same_name_are_distinguished_in_one_run_and_in_several(town):
@@ -164,8 +162,7 @@ def test_another_folder_with_the_same_name_never_merges_overwrites_or_prunes(tow
     town.add("01/labels", range(2, 5))
     town.encode("00/labels")
     before = town.database().load()
-    with pytest.raises(ValueError, match=r"'labels' of the database is .*00/labels, not .*01"):
-        town.encode("01/labels", **PRUNE)
+    refuses(r"'labels' of the database is .*00/labels, not .*01", town.encode, "01/labels", **PRUNE)
     with pytest.raises(ValueError, match=r"frame 'labels/2' of the database is of .*00/labels"):
         town.encode("01/labels", sequence="labels")
     assert torch.equal(town.database().load().descriptors, before.descriptors)
@@ -191,8 +188,7 @@ def test_folders_that_take_the_same_name_at_once_do_not_merge(town, sequence, me
         if not len(town.database()):
             assert town.encode("01/labels", sequence=sequence).encoded == 3
 
-    with pytest.raises(ValueError, match=message):
-        town.encode("00/labels", sequence=sequence, progress=other)
+    refuses(message, town.encode, "00/labels", sequence=sequence, progress=other)
     assert town.database().load().frames == tuple(f"labels/{n}" for n in range(2, 5))
 
 
@@ -200,8 +196,7 @@ def test_a_file_is_not_stored_under_two_names(town):
     town.add("a", range(3))
     town.encode()
     expected = r"a/0\.png is frame 'a/0' of the database: expected --sequence a, got new"
-    with pytest.raises(ValueError, match=expected):
-        town.encode("a", **PRUNE, sequence="new")
+    refuses(expected, town.encode, "a", **PRUNE, sequence="new")
     assert len(town.database()) == 3
     town.add("a", range(3, 5))
     files = [file for file in town.files("a", sequence="new") if file.name in "34"]
@@ -212,8 +207,7 @@ def test_a_stack_beside_a_folder_of_its_name_is_another_sequence(town):
     town.add("day", range(3))
     town.encode("day")
     np.save(town.folder / "day.npy", np.stack([street(seed) for seed in range(4)]))
-    with pytest.raises(ValueError, match="needs a name"):
-        town.files("day", "day.npy")
+    refuses("needs a name", town.files, "day", "day.npy")
     assert town.encode("day.npy", **PRUNE, sequence="stack").encoded == 4
     assert town.encode("day", **PRUNE).pruned == 0
     assert len(town.database()) == 7

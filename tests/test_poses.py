@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from helpers import refused
+from helpers import refused, refuses
 from trees import plant
 
 from ssrvlad_torch.datasets.image_files import find_image_files
@@ -68,8 +68,7 @@ def test_damaged_files_are_refused_by_name_and_line(tmp_path, text, message):
 
 def test_another_encoding_is_refused_by_name(tmp_path):
     path = write(tmp_path, "frame,x,y\nstraße,2,3\n", "latin-1")
-    with pytest.raises(ValueError, match=r"poses\.csv.*utf-8"):
-        read_poses(path)
+    refuses(r"poses\.csv.*utf-8", read_poses, path)
 
 
 def test_utm_fields_of_a_file_name_are_pose_and_time(tmp_path):
@@ -85,8 +84,7 @@ def test_utm_fields_of_a_file_name_are_pose_and_time(tmp_path):
         again, stamp = read_name(write_name("a@b", given, 1614939300.0).removesuffix("@"))
         np.testing.assert_allclose(again, given, atol=1e-4)
         assert stamp == 1614939300
-    with pytest.raises(ValueError, match="a has no known position"):
-        write_name("a", UNKNOWN)
+    refuses("a has no known position", write_name, "a", UNKNOWN)
 
 
 def test_poses_are_written_in_both_forms(tmp_path, ssrvlad):

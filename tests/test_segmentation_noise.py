@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from helpers import refuses
 
 from ssrvlad_torch.datasets.segmentation_noise import (
     ERRORS,
@@ -67,5 +68,4 @@ def test_noise_keeps_shape_and_dtype(shape):
 
 @pytest.mark.parametrize("strength", [-1.0, float("nan"), float("inf")])
 def test_a_negative_or_infinite_strength_is_refused(strength):
-    with pytest.raises(ValueError, match=r"noise strength: got .*, expected a finite number >= 0"):
-        SegmentationNoise(strength)
+    refuses(r"noise strength: got .*, expected a finite number >= 0", SegmentationNoise, strength)

@@ -5,7 +5,7 @@ from importlib.util import find_spec
 
 import numpy as np
 import pytest
-from helpers import refused
+from helpers import refuses
 from trees import plant, write
 
 from ssrvlad_torch.datasets.gps import Fix
@@ -60,12 +60,10 @@ def test_tum_goes_by_the_time_that_is_a_name(tmp_path):
         ("groundtruth", ["99.1"], "no pose is near"),
         ("near", ["0", "10"], "several units"),
     ):
-        with pytest.raises(ValueError, match=rf"{table}.txt: {message}.* '{names[0]}'; expected"):
-            found(table, names)
+        refuses(rf"{table}.txt: {message}.* '{names[0]}'; expected", found, table, names)
     seconds = found("drive", [f"{n}{'0' * 6}" for n in range(4)], largest_gap=1)[:, 0]
     assert seconds.tolist() == [0, 1, 2, 3], "in ns all are near the first pose"
-    with pytest.raises(ValueError, match=r"named by their time in seconds.* 'a'"):
-        found("groundtruth", ["a", "10.015"])
+    refuses(r"named by their time in seconds.* 'a'", found, "groundtruth", ["a", "10.015"])
 
 
 @pytest.mark.parametrize(
@@ -81,8 +79,7 @@ def test_tum_goes_by_the_time_that_is_a_name(tmp_path):
 )
 def test_a_damaged_trajectory_is_named(tmp_path, text, message):
     (tmp_path / "t.txt").write_text(text)
-    with pytest.raises(ValueError, match=message):
-        read_trajectory(tmp_path / "t.txt")
+    refuses(message, read_trajectory, tmp_path / "t.txt")
 
 
 def test_a_table_that_fits_no_frame_is_refused(tmp_path):
@@ -90,8 +87,7 @@ def test_a_table_that_fits_no_frame_is_refused(tmp_path):
     (tmp_path / "other.csv").write_text("frame,x,y\n9,1,1\n")
     with pytest.raises(ValueError, match=r"other\.csv has none of the frames, .* monday/1"):
         find_image_files([folder], poses=str(tmp_path / "other.csv"))
-    with pytest.raises(ValueError, match="expected a file of poses, or exif"):
-        find_image_files([folder], poses="gps")
+    refuses("expected a file of poses, or exif", find_image_files, [folder], poses="gps")
 
 
 def test_poses_are_interpolated_by_time_and_the_shorter_turn():
@@ -180,8 +176,7 @@ DAMAGED = [
 @pytest.mark.parametrize(("suffix", "content", "message"), DAMAGED)
 def test_a_damaged_track_is_refused_by_name(tmp_path, suffix, content, message):
     path = write(tmp_path / f"a.{suffix}", content)
-    with refused(f"(?i)^{path}.*{message}"):
-        read_trajectory(path)
+    refuses(f"(?i)^{path}.*{message}", read_trajectory, path)
 
 
 @needs_gps
@@ -209,7 +204,5 @@ def test_nothing_lies_between_two_segments_of_gpx(tmp_path):
 def test_a_negative_or_nan_gap_is_refused(tmp_path, gap):
     """NaN would bridge every gap."""
     path = write(tmp_path / "a.gpx", gpx(NOON))
-    with refused(rf"largest gap of 0 seconds or more, got {gap}"):
-        read_trajectory(path, largest_gap=gap)
-    with refused("largest gap of 0 seconds or more"):
-        Trajectory([Pose(0, 0, 0)], [0.0], gap)
+    refuses(rf"largest gap of 0 seconds or more, got {gap}", read_trajectory, path, largest_gap=gap)
+    refuses("largest gap of 0 seconds or more", Trajectory, [Pose(0, 0, 0)], [0.0], gap)
