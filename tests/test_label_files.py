@@ -1,7 +1,6 @@
 """What a label map on disk holds, in each format."""
 
 import os
-import struct
 
 import cv2
 import numpy as np
@@ -15,6 +14,7 @@ from helpers import (
     flip_byte,
     refuses,
     street,
+    tiff_bytes,
     write_palette,
     write_png,
 )
@@ -31,21 +31,6 @@ SUFFIXES = (".png", ".PNG", ".tif", ".tiff", ".bmp")
 
 def read(path, space=CAMVID, row=None):
     return read_label_map(FrameFile("sequence", "name", path, row), space)
-
-
-def raw_tiff(pixels, order):
-    """A TIFF of ``(H, W, 3)`` 16-bit colours in a byte order; Pillow cannot write it."""
-    height, width, _ = pixels.shape
-    data = pixels.astype(f"{order}u2").tobytes()
-    tags = {
-        256: width, 257: height, 258: 16, 259: 1, 262: 2, 273: 8,
-        277: 3, 278: height, 279: len(data), 284: 1,
-    }  # fmt: skip
-    directory = struct.pack(f"{order}H", len(tags))
-    for tag, value in tags.items():
-        directory += struct.pack(f"{order}HHII", tag, 4, 1, value)
-    head = b"II*\0" if order == "<" else b"MM\0*"
-    return head + struct.pack(f"{order}I", 8 + len(data)) + data + directory + bytes(4)
 
 
 def beside(first, *channels):
@@ -184,7 +169,9 @@ def test_sixteen_bit_colour_outside_png_is_refused_rather_than_read_as_void(tmp_
     if order == "compressed":
         cv2.imwrite(str(tmp_path / "a.tif"), pixels)
     else:
-        (tmp_path / "a.tif").write_bytes(raw_tiff(pixels, order))
+        data = pixels.astype(f"{order}u2").tobytes()
+        content = tiff_bytes(*LABELS.shape, data, bits=16, channels=3, order=order)
+        (tmp_path / "a.tif").write_bytes(content)
     refuses("would be read scaled; expected", read, tmp_path / "a.tif")
 
 
