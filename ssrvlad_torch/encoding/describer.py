@@ -35,16 +35,15 @@ def read(space: LabelSpace, items: Sequence[Item]) -> list[Item]:
     """Items with label maps and their digests; those without a label map are read."""
 
     def read_one(item: Item) -> Item:
-        if item.digest:
-            return item
-        if item.labels is None:
-            item = item._replace(signature=item.file.signature())
+        signature, labels = item.signature, item.labels
+        if labels is None:
+            signature = item.file.signature()
             try:
-                item = item._replace(labels=read_label_map(item.file, space))
+                labels = read_label_map(item.file, space)
             except ValueError as error:
-                item = item._replace(labels=error)
-        labels = item.labels
-        return item._replace(digest=digest(labels) if isinstance(labels, np.ndarray) else "")
+                labels = error
+        key = item.digest or (digest(labels) if isinstance(labels, np.ndarray) else "")
+        return item._replace(signature=signature, labels=labels, digest=key)
 
     readers = max((item.file.readers for item in items if not item.digest), default=1)
     if readers == 1:
@@ -105,27 +104,18 @@ class Describer:
     def _described(self, batch: Sequence[Item]) -> dict[str, npt.NDArray[Any]]:
         """The descriptors of frames of one size, by the names of the channels."""
         pictured = self.needs(PICTURE)
-        views = [
-            View(
-                item.file.frame,
-                np.asarray(item.labels),
-                self.space,
-                read_image(item.file) if pictured else None,
-                item.features,
-            )
-            for item in batch
-        ]
-        return {
-            channel.column.name: channel.describe(views, self.columns).numpy()
-            for channel in self.channels
-        }
+        views = []
+        for item in batch:
+            picture = read_image(item.file) if pictured else None
+            labels = np.asarray(item.labels)
+            views.append(View(item.file.frame, labels, self.space, picture, item.features))
+        channels = ((channel.column.name, channel) for channel in self.channels)
+        return {name: channel.describe(views, self.columns).numpy() for name, channel in channels}
 
     def _record(self, item: Item) -> FrameRecord:
-        height, width = np.asarray(item.labels).shape
-        return FrameRecord(
-            item.file.sequence, item.file.name, *item.file.pose, item.file.stamp,
-            item.signature, item.digest, height, width, self.origin,
-        )  # fmt: skip
+        file, size = item.file, np.asarray(item.labels).shape
+        known = (*file.pose, file.stamp, item.signature, item.digest, *size, self.origin)
+        return FrameRecord(file.sequence, file.name, *known)
 
 
 def _skipped(item: Item, reason: object) -> Skipped:

@@ -12,22 +12,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ..datasets.frame_file import Skipped
+from ..datasets import frame_file
 
 if TYPE_CHECKING:
     from ..database.frames import FrameRecord
 
-__all__ = [
-    "EncodeOptions",
-    "Encoded",
-    "Note",
-    "Progress",
-    "Skipped",
-    "Summary",
-    "cores",
-    "do_nothing",
-    "stacked",
-]
+Skipped = frame_file.Skipped
 
 Note = Callable[[str], object]
 """Called with what the user should know."""
