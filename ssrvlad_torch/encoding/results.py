@@ -12,12 +12,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ..datasets import frame_file
+from ..datasets.frame_file import Skipped as Skipped  # noqa: PLC0414 - others take it from here
 
 if TYPE_CHECKING:
     from ..database.frames import FrameRecord
-
-Skipped = frame_file.Skipped
 
 Note = Callable[[str], object]
 """Called with what the user should know."""
