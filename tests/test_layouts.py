@@ -108,34 +108,25 @@ def test_each_layout_has_its_traverses_label_space_and_truth(copy, layout, space
     assert dataset.truth == truth
 
 
+FRANKFURT, THIRD = "val-frankfurt/frankfurt_000000_000294", f"{NIGHT}-Stereo_Left-Omni_F/000002"
+LEFT = "leftImg8bit/val/frankfurt/{}_leftImg8bit.png"
+IDS = "gtFine/val/frankfurt/{}_gtFine_labelIds.png"
 FILES = [
-    (
-        cityscapes,
-        "val-frankfurt/frankfurt_000000_000294",
-        "leftImg8bit/val/frankfurt/frankfurt_000000_000294_leftImg8bit.png",
-        "gtFine/val/frankfurt/frankfurt_000000_000294_gtFine_labelIds.png",
-    ),
+    (cityscapes, FRANKFURT, LEFT, IDS),
     (camvid_of_the_tutorial, "0001TP/0001TP_008550", "test/{}.png", "testannot/{}.png"),
-    (
-        synthia,
-        f"{NIGHT}-Stereo_Left-Omni_F/000002",
-        f"{NIGHT}/RGB/{FRONT}/{{}}.png",
-        f"{NIGHT}/GT/LABELS/{FRONT}/{{}}.png",
-    ),
+    (synthia, THIRD, f"{NIGHT}/RGB/{FRONT}/{{}}.png", f"{NIGHT}/GT/LABELS/{FRONT}/{{}}.png"),
 ]
 
 
 @pytest.mark.parametrize(("copy", "frame", "image", "label"), FILES, indirect=["copy"])
 def test_a_frame_has_its_image_and_its_label_map(copy, frame, image, label):
     [found] = (entry for entry in open_dataset(copy).frames if entry.frame == frame)
-    assert (found.image, found.label) == (
-        copy / image.format(found.name),
-        copy / label.format(found.name),
-    )
+    paths = [copy / path.format(found.name) for path in (image, label)]
+    assert [found.image, found.label] == paths
 
 
 POSES = {
-    synthia: {f"{NIGHT}-Stereo_Left-Omni_F/000002": (4, 10, math.pi / 2)},
+    synthia: {THIRD: (4, 10, math.pi / 2)},
     robotcar: {  # x of a `Pose` is the world's second axis: east, if its first is north
         f"overcast-reference-rear/{TIMES[0]}": (20, 100, math.pi / 2),
         "dawn-rear/1418721355795420": (21, 103, math.pi / 2),
@@ -159,32 +150,32 @@ def test_poses_are_joined_by_name(copy, poses):
 SEQUENCES = "it is in the package at synthia-dataset.net (SYNTHIA-SEQS-<number>-<season>)"
 SEASONS = "it is at visuallocalization.net/datasets (RobotCar Seasons)"
 SLICES = "they are at visuallocalization.net/datasets (Extended CMU Seasons, slice*.tar)"
-LEFT = f"{FALL}-Stereo_Left-Omni_F"
+VEHICLE = "{} has no vehicle/, so no frame has a pose; it is vehicle_trainvaltest.zip at "
+PARTS = [f"{FALL}/CameraParams/{FRONT}/000001.txt", f"{FALL}/GT/LABELS/{FRONT}/000003.png"]
+
+
+def lacking(count, total, kind, first):
+    return f"{count} of {total} frames have no {kind}, the first is {first}"
+
+
 MISSING = [
     (cityscapes, [], []),
     (
         cityscapes,
         ["vehicle/val/frankfurt/*294*", "leftImg8bit/test/berlin/*"],
         [
-            "1 of 6 frames have no image, the first is test-berlin/berlin_000000_000019",
-            "1 of 6 frames have no pose, the first is val-frankfurt/frankfurt_000000_000294",
+            lacking(1, 6, "image", "test-berlin/berlin_000000_000019"),
+            lacking(1, 6, "pose", FRANKFURT),
         ],
     ),
-    (
-        cityscapes,
-        ["vehicle"],
-        [
-            "{} has no vehicle/, so no frame has a pose; it is vehicle_trainvaltest.zip at "
-            "cityscapes-dataset.com"
-        ],
-    ),
+    (cityscapes, ["vehicle"], [f"{VEHICLE}cityscapes-dataset.com"]),
     (camvid, [], []),
     (
         synthia,
-        [f"{FALL}/CameraParams/{FRONT}/000001.txt", f"{FALL}/GT/LABELS/{FRONT}/000003.png"],
+        PARTS,
         [
-            f"2 of 8 frames have no label map, the first is {LEFT}/000003",
-            f"2 of 8 frames have no pose, the first is {LEFT}/000001",
+            lacking(2, 8, "label map", f"{FALL}-Stereo_Left-Omni_F/000003"),
+            lacking(2, 8, "pose", f"{FALL}-Stereo_Left-Omni_F/000001"),
         ],
     ),
     (
@@ -192,11 +183,7 @@ MISSING = [
         [NIGHT, f"{FALL}/GT", f"{FALL}/CameraParams"],
         [f"{{}}/{FALL} has no {part}; {SEQUENCES}" for part in ("GT/LABELS", "CameraParams")],
     ),
-    (
-        robotcar,
-        [],
-        ["5 of 9 frames have no pose, the first is dawn-rear/1418721356878649"],
-    ),
+    (robotcar, [], [lacking(5, 9, "pose", "dawn-rear/1418721356878649")]),
     (
         robotcar,
         ["robotcar_v2_train.txt", "3D-models/all-merged/all.nvm"],
@@ -209,9 +196,8 @@ MISSING = [
         extended_cmu,
         [],
         [
-            f"{{}}/slice6/database has no poses; {SLICES}",
-            f"{{}}/slice6/query has no poses; {SLICES}",
-            f"4 of 12 frames have no pose, the first is slice6-c0-2011-04-21/{image(7, 0, MAP)}",
+            *(f"{{}}/slice6/{half} has no poses; {SLICES}" for half in ("database", "query")),
+            lacking(4, 12, "pose", f"slice6-c0-2011-04-21/{image(7, 0, MAP)}"),
         ],
     ),
     (vpr_bench, [], []),
@@ -393,12 +379,6 @@ def test_images_or_label_maps_alone_are_enough(copy):
     shutil.rmtree(copy / FALL / "GT")
     last = open_dataset(copy / FALL).image_files()[-1].frame
     assert last == f"{FALL}-Stereo_Right-Omni_B/000000"
-
-
-@of(robotcar)
-def test_parts_are_chosen_by_role(copy):
-    rear = open_dataset(copy).select(["*-rear"])
-    assert [len(list(rear.select(role=role).frames)) for role in ("query", "reference")] == [3, 2]
 
 
 @of(robotcar)
