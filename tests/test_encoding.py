@@ -12,9 +12,8 @@ from PIL import Image
 from ssrvlad_torch.channels.label_shapes import LabelShapes
 from ssrvlad_torch.datasets.frame_file import FrameFile
 from ssrvlad_torch.datasets.label_files import digest
-from ssrvlad_torch.encoding import describer
-from ssrvlad_torch.encoding.describer import Item
-from ssrvlad_torch.encoding.encoder import encode_to_database, encode_to_memory
+from ssrvlad_torch.encoding import encoder
+from ssrvlad_torch.encoding.encoder import Item, encode_to_database, encode_to_memory
 
 CHANNELS = [LabelShapes(HEAD)]
 
@@ -120,5 +119,5 @@ def test_frames_may_differ_in_size_and_format(town):
 def test_label_maps_already_read_start_no_threads(monkeypatch):
     monkeypatch.setattr(FrameFile, "readers", 4)
     items = [Item(FrameFile("a", "0", Path("0.png")), "", street(0), None, digest(street(0)))]
-    monkeypatch.setattr(describer, "in_order", None)
-    assert describer.read(HEAD.label_space, items) == items
+    monkeypatch.setattr(encoder, "in_order", None)
+    assert encoder.read(HEAD.label_space, items) == items

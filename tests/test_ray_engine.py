@@ -15,7 +15,7 @@ from ssrvlad_torch.channels.label_shapes import LabelShapes
 from ssrvlad_torch.database.database import Database
 from ssrvlad_torch.datasets.image_files import find_image_files
 from ssrvlad_torch.datasets.label_files import find_label_files
-from ssrvlad_torch.encoding import ray_engine, writer
+from ssrvlad_torch.encoding import plan, ray_engine
 from ssrvlad_torch.encoding.encoder import encode_to_database, encode_to_memory
 from ssrvlad_torch.encoding.ray_engine import PartEncoder, encode_with_ray
 from ssrvlad_torch.encoding.results import EncodeOptions
@@ -109,7 +109,7 @@ def test_a_killed_worker_loses_nothing(tmp_path, monkeypatch, request, by):
 
 
 def test_frames_committed_before_an_interruption_stay(tmp_path, files, database, monkeypatch):
-    monkeypatch.setattr(writer, "COMMIT_SECONDS", -1)
+    monkeypatch.setattr(plan, "COMMIT_SECONDS", -1)
     counted = []
 
     def interrupt(done):
