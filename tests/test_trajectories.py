@@ -8,9 +8,8 @@ import pytest
 from helpers import refuses
 from trees import plant, write
 
-from ssrvlad_torch.datasets.gps import Fix
 from ssrvlad_torch.datasets.image_files import find_image_files
-from ssrvlad_torch.datasets.poses import UNKNOWN, Pose, poses_of_fixes
+from ssrvlad_torch.datasets.poses import UNKNOWN, Fix, Pose, poses_of_fixes
 from ssrvlad_torch.datasets.trajectories import Trajectory, read_trajectory
 
 needs_gps = pytest.mark.skipif(find_spec("utm") is None, reason="needs the extra gps")

@@ -10,8 +10,7 @@ from pathlib import Path
 
 from ..files import read_json
 from .dataset import Dataset, Layout, Traverse, files_in, folders_in, images_in, labels_in
-from .gps import heading_of_course
-from .poses import Pose
+from .poses import Pose, heading_of_course
 
 _IMAGES = "leftImg8bit"
 _ANNOTATIONS = ("gtFine", "gtCoarse")

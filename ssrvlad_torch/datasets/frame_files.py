@@ -13,10 +13,9 @@ from typing import TypeVar
 from ..files import check_regular, is_uri, naming, natural_key, npy_header
 from .bags import bag_files, is_bag
 from .frame_file import FrameFile, RemoteFile, remote_files
-from .gps import read_exif
 from .names import KnownFolders, absolute, sequence_names
 from .pose_tables import PoseTable
-from .poses import UNKNOWN, Pose, poses_of_fixes, read_name, read_poses
+from .poses import UNKNOWN, Pose, poses_of_fixes, read_exif, read_name, read_poses
 from .trajectories import read_trajectory
 from .videos import VideoFile, is_video, video_files
 from .workers import in_order

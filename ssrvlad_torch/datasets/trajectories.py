@@ -15,8 +15,7 @@ import numpy as np
 
 from ..files import naming, read_text, requiring
 from .camera_poses import Y_DOWN, Z_UP, optical_axis, words_of
-from .gps import Fix
-from .poses import UNKNOWN, Pose, parse_number, poses_of_fixes
+from .poses import UNKNOWN, Fix, Pose, parse_number, poses_of_fixes
 
 _KITTI, _TUM = 12, 8
 _MOST_SECONDS = 0.02
