@@ -45,7 +45,6 @@ def test_unreadable_frames_alone_leave_a_valid_empty_database(town):
 
 @pytest.mark.parametrize("workers", [0, 2])
 def test_memory_and_database_hold_the_same_frames(town, workers):
-    """With several batches, and a file that cannot be read."""
     threads = torch.get_num_threads()
     town.add("b", range(3))
     town.add("a", range(70, 110))

@@ -55,7 +55,6 @@ def test_a_relative_folder_gives_its_real_name(tmp_path, monkeypatch, source, ex
 
 
 def test_a_link_is_named_by_itself_and_a_broken_one_is_refused(tmp_path):
-    """To a folder it gives its own name; to nothing it is a frame that is refused by name."""
     touch(tmp_path / "0001" / "1.png")
     (tmp_path / "0001" / "2.png").symlink_to(tmp_path / "gone.png")
     (tmp_path / "monday").symlink_to(tmp_path / "0001")
@@ -78,7 +77,6 @@ def test_a_glob_gives_files_or_the_folders_that_it_matches(tmp_path):
 
 
 def test_arrays_in_a_folder_are_frames_of_its_sequence_and_stacks_sequences(tmp_path):
-    """Those in a folder belong to its sequence; a glob is what a shell would have made of it."""
     folder = tmp_path / "a"
     folder.mkdir()
     np.save(folder / "one.npy", street(0))

@@ -323,8 +323,6 @@ def test_published_colours_of_camvid_become_ids(copy):
 
 @of(camvid_of_the_tutorial)
 def test_a_frame_without_a_drive_is_of_its_folder_and_two_label_spaces_are_refused(copy):
-    """A name without a drive is of a traverse called like its folder; the user's label space is
-    taken, but not two spaces of the data set."""
     plant(copy, "train/mine.png")
     assert outline(open_dataset(copy))["train"] == ["mine"]
     assert open_dataset(copy, labels_as="my.yaml").labels_as == "my.yaml"

@@ -102,7 +102,6 @@ def test_frames_that_are_added_while_others_are_loaded_are_found(town, photos, m
 
 
 def test_a_drive_is_found_from_a_folder_files_or_a_database(drawn, tmp_path):
-    """As a folder, as files, as a database."""
     today = write_maps(tmp_path / "today", range(2, 6))
     Map.open(tmp_path / "other.ssrdb", labels_as=SPACE).add(today)
     for frames in (today, [today], sorted(today.glob("*.png")), tmp_path / "other.ssrdb"):

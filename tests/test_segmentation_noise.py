@@ -50,7 +50,6 @@ def test_a_stronger_error_changes_more_pixels(street, add_error):
 
 
 def test_poles_are_filled_similar_classes_confused_and_none_invented(street):
-    """Lost poles are filled from the left; similar classes are confused; no class is invented."""
     lost = apply(lose_poles, 5.0, street)
     assert np.array_equal(lost, np.broadcast_to(street[:, :1], street.shape))
     confused = apply(confuse, 5.0, street)

@@ -10,6 +10,9 @@ from pathlib import Path
 import numpy as np
 from helpers import png_bytes, tiff_bytes
 from numpy.lib import format as npy
+from trees import write as text
+
+__all__ = ["text"]
 
 ALIASES = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
     f"{name}: &{name} [{', '.join([f'*{before}'] * 9)}]\n"
@@ -24,11 +27,6 @@ NESTED = "[" * 100_000
 def made(path: Path) -> Path:
     """A path in a folder that is there."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    return path
-
-
-def text(path: Path, content: str) -> Path:
-    made(path).write_text(content)
     return path
 
 
