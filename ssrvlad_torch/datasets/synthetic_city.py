@@ -55,8 +55,8 @@ QUERY = Conditions(
 
 LEFT, STRAIGHT, RIGHT = 1, 0, -1
 TOUR = tuple("R-L".index(turn) - 1 for turn in "----L-L----L-L--L-R-R-R---R-LL-L----LL---")
-"""Turns of a drive of 3.3 km with loops, left, right or straight on: around ten blocks, then along some of these streets again
-in the same direction and in the opposite one."""
+"""Turns of a drive of 3.3 km with loops, left, right or straight on: around ten blocks, then along
+some of these streets again in the same direction and in the opposite one."""
 TOUR_ESTATES = (2,)
 """The estate of the tour: 400 m of street that look alike."""
 
