@@ -183,6 +183,18 @@ def requiring(extra: str, needs: str) -> Iterator[None]:
 
 
 @contextmanager
+def naming(place: object) -> Iterator[None]:
+    """Turns whatever the body raises into a ValueError of one line, "PLACE: REASON". An OSError or
+    an ImportError passes unchanged."""
+    try:
+        yield
+    except (OSError, ImportError):
+        raise
+    except Exception as error:  # parsers raise anything on damaged bytes
+        raise ValueError(f"{place}: {one_line(error)}") from error
+
+
+@contextmanager
 def input_errors(name: object, problem: str) -> Iterator[None]:
     """Turns whatever the body raises into an `InputError`: "NAME is PROBLEM: REASON". An
     `InputError` or an `OSError` passes unchanged."""

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import os
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, overload
 
@@ -67,6 +67,7 @@ class Evaluation(NamedTuple):
     true_matches: str
 
 
+@dataclass(repr=False, eq=False)
 class Map:
     """Known places: the frames of a database, and the network that labels pictures. Use `open`.
 
@@ -78,6 +79,7 @@ class Map:
         network: labels pictures; a name, see `open_network`, or a `Segmenter`. Without one, frames
             are label maps, or pictures of the network that made the map.
         labels_as: label space of the label maps, or of the network's classes.
+        preset, channels, version: see `open`.
 
     Examples:
         >>> town = Map.open("town.ssrdb", network="seg.yaml")  # doctest: +SKIP
@@ -89,27 +91,18 @@ class Map:
         'monday/000007'
     """
 
-    def __init__(
-        self,
-        path: str | os.PathLike[str],
-        network: str | os.PathLike[str] | Segmenter | None = None,
-        labels_as: str | LabelSpace | None = None,
-        preset: str | None = None,
-        channels: Sequence[str] | None = None,
-        version: int | None = None,
-    ) -> None:
-        if not isinstance(path, str | os.PathLike):
-            raise ValueError(f"expected the folder or URI of a map, got {path!r}")
-        self.path, self.labels_as = str(path), labels_as
-        self.network = (
-            network if network is None or isinstance(network, Segmenter) else str(network)
-        )
-        self._preset, self._channels, self._version = preset, channels, version
+    path: str
+    network: str | Segmenter | None = None
+    labels_as: str | LabelSpace | None = None
+    preset: str | None = None
+    channels: Sequence[str] | None = None
+    version: int | None = None
+
+    def __post_init__(self) -> None:
         self._opened = self.network if isinstance(self.network, Segmenter) else None
-        self._database: Database | None = None
         self._located: tuple[int, FrameSet | LargeMap, list[Channel]] | None = None
-        if version is not None or Database.exists(self.path):
-            self._database = Database.open(self.path, version)
+        exists = self.version is not None or Database.exists(self.path)
+        self._database = Database.open(self.path, self.version) if exists else None
 
     @classmethod
     def open(
@@ -134,7 +127,11 @@ class Map:
         Raises:
             ValueError: the database is damaged, or was made by another version of the method.
         """
-        return cls(path, network, labels_as, preset, channels, version)
+        if not isinstance(path, str | os.PathLike):
+            raise ValueError(f"expected the folder or URI of a map, got {path!r}")
+        if network is not None and not isinstance(network, Segmenter):
+            network = str(network)
+        return cls(str(path), network, labels_as, preset, channels, version)
 
     def __len__(self) -> int:
         """Number of frames."""
@@ -186,20 +183,19 @@ class Map:
             OSError: the map cannot be written.
         """
         options = options or EncodeOptions()
-        if self._version is not None:
-            raise ValueError(f"{self.path} was opened as of version {self._version}, read-only")
+        if self.version is not None:
+            raise ValueError(f"{self.path} was opened as of version {self.version}, read-only")
         source = frames if isinstance(frames, Source) else self.source(frames, note=note)
         if options.gpus and not source.segmenter:
             raise ValueError("--gpus needs --engine ray and --segmenter")
         head = SSRVLAD(self._config(source))
-        beside = channels_to_store(self._database, head, source.segmenter, self._channels, note)
+        beside = channels_to_store(self._database, head, source.segmenter, self.channels, note)
         columns = [channel.column for channel in beside]
         if self._database is None:
             self._note_void(source, head, note)
         summary = self._encoded(head, source, columns, options, engine)
         if self._database:
             grow(self._database)
-        if self._database:
             self._note_other_spaces(head.label_space, note)
         return summary
 
@@ -357,14 +353,14 @@ class Map:
             frames = Wanted([str(path) for path in paths])
         if frames.segmenter is None and frames.labels_as is None:
             network = self.network and (self._opened or self.network)
-            frames = dataclasses.replace(frames, segmenter=network, labels_as=self.labels_as)
+            frames = replace(frames, segmenter=network, labels_as=self.labels_as)
         return frames
 
     def _config(self, source: Source) -> SSRVLADConfig:
         """The settings of the map, or of a new one, for the label space of a source."""
-        if self._preset is None and self._database:
-            return dataclasses.replace(self._database.config, labels_as=source.labels_as)
-        return SSRVLADConfig.from_preset(self._preset or "default", labels_as=source.labels_as)
+        if self.preset is None and self._database:
+            return replace(self._database.config, labels_as=source.labels_as)
+        return SSRVLADConfig.from_preset(self.preset or "default", labels_as=source.labels_as)
 
     def _encoded(
         self,
@@ -405,20 +401,20 @@ class Map:
 
     def _note_other_spaces(self, own: LabelSpace, note: Note) -> None:
         """Notes which other label spaces the map holds."""
-        if len(self.database.origins) > 1:
-            spaces = self.database.label_spaces()
-            others = [space.name for space in spaces if space.digest != own.digest]
-            if others:
-                names = " and ".join(f"another {own.name}" if n == own.name else n for n in others)
-                note(f"{self.path} also holds frames of {names}")
+        several = len(self.database.origins) > 1
+        others = [
+            f"another {space.name}" if space.name == own.name else space.name
+            for space in (self.database.label_spaces() if several else ())
+            if space.digest != own.digest
+        ]
+        if others:
+            note(f"{self.path} also holds frames of {' and '.join(others)}")
 
     def _segmenter(self) -> Segmenter:
         """The network, or the one that made the map."""
         if self._opened is None:
-            labels_as = self.labels_as
-            if isinstance(self.network, str):
-                name = self.network
-            else:
+            name, labels_as = self.network, self.labels_as
+            if not isinstance(name, str):
                 origin = origin_of(self.database)
                 name, labels_as = origin.network, labels_as or origin.label_space
             self._opened = Segmenter.load(name, labels_as or "auto")
@@ -434,7 +430,7 @@ class Map:
             large = opened_large(self.database, channels)
             frames = self.database.load() if isinstance(large, str) else large
             require_network(self.database, segmenter)
-            config = dataclasses.replace(self.database.config, labels_as=segmenter.label_space)
+            config = replace(self.database.config, labels_as=segmenter.label_space)
             check_segmenter(segmenter, SSRVLAD(config), channels)
             self._located = version, frames, channels
         return self._located[1:]

@@ -88,6 +88,23 @@ def png_bytes(width: int, height: int, bits: int, colour_type: int, packed: byte
     return content
 
 
+def tiff_bytes(
+    height: int, width: int, data: bytes, bits: int = 8, channels: int = 1, packed: int = 1,
+    order: str = "<",
+) -> bytes:  # fmt: skip
+    """A TIFF of one strip in a byte order, ``packed`` 1 for no compression or 8 for zlib's; Pillow
+    cannot write all."""
+    tags = {
+        256: width, 257: height, 258: bits, 259: packed, 262: 2 if channels == 3 else 1, 273: 8,
+        277: channels, 278: height, 279: len(data), 284: 1,
+    }  # fmt: skip
+    directory = struct.pack(f"{order}H", len(tags))
+    for tag, value in tags.items():
+        directory += struct.pack(f"{order}HHII", tag, 4, 1, value)
+    head = b"II*\0" if order == "<" else b"MM\0*"
+    return head + struct.pack(f"{order}I", 8 + len(data)) + data + directory + bytes(4)
+
+
 def flip_byte(path: Path, position: int, bits: int = 0x55) -> None:
     """Damages one byte of a file."""
     content = bytearray(path.read_bytes())
@@ -144,6 +161,12 @@ def refused(message, *names, by=ValueError):
     text = str(refusal.value)
     assert text and "\n" not in text
     assert all(str(name) in text for name in names), text
+
+
+def refuses(message, call, *arguments, **options):
+    """Asserts that a call is refused by a ValueError; see `refused`."""
+    with refused(message):
+        call(*arguments, **options)
 
 
 def touch(*paths):

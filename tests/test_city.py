@@ -103,8 +103,6 @@ def test_winter_bares_the_trees_and_nothing_else():
 
 
 def test_a_long_drive_shows_every_category_at_even_spacing_and_turns():
-    """Every category and dynamic class occurs, sky above and road below; no two frames are nearly
-    equal; frames are spaced in metres, and the route turns."""
     frames = drive(120, size=(120, 160))
     labels, ids = stack(frames), set(np.unique(stack(frames)))
     categories = {c.category for c in label_space("cityscapes-ids").classes if c.id in ids}

@@ -10,7 +10,7 @@ import pyarrow.compute as pc
 import pytest
 import torch
 from four_frames import CONFIG, FRAMES, SORTED, fill, filled, loaded
-from helpers import descriptors, flip_byte, record, refused, spoil
+from helpers import descriptors, flip_byte, record, refused, refuses, spoil
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -65,8 +65,7 @@ def test_custom_descriptors_need_only_ids_and_have_no_settings(tmp_path):
     assert opened.load().frames == names
     assert torch.equal(opened.load().descriptors, numbers)
     assert (opened.fingerprint, opened.width, opened.info()["config"]) == ("", 7, None)
-    with pytest.raises(ValueError, match="without settings"):
-        opened.require(CONFIG)
+    refuses("without settings", opened.require, CONFIG)
 
 
 def test_an_empty_database_is_a_database(tmp_path):
@@ -104,8 +103,7 @@ def test_other_settings_are_refused_with_both_fingerprints_and_the_difference(pa
             refuse(path, other)
         assert "labels_as" not in str(refusal.value)
     monkeypatch.setitem(config_module.METHOD_REVISIONS, "harmonics", 99)
-    with refused("another version of the method"):  # gives other descriptors
-        Database.open(path)
+    refuses("another version of the method", Database.open, path)
 
 
 def test_each_row_names_the_label_space_and_segmenter_that_made_it(path):
@@ -159,8 +157,7 @@ REFUSED = {
 def test_wrong_frames_are_refused_and_nothing_is_added(path, message):
     before = loaded(path)
     for frames, numbers in REFUSED[message]:
-        with refused(message):
-            Database.open(path).append(frames, numbers)
+        refuses(message, Database.open(path).append, frames, numbers)
     assert loaded(path) == before
 
 
@@ -178,14 +175,11 @@ def test_a_path_that_is_not_a_database_is_refused_and_not_changed(path, tmp_path
         "table": "is a table of Lance, but not a database",
         "old": r"old was made by an earlier format of database: encode it again$",
     }.items():
-        with refused(message):
-            Database.open(tmp_path / name)
+        refuses(message, Database.open, tmp_path / name)
     for name in ("folder", "folder/letter.txt"):
-        with pytest.raises(ValueError, match="exists and is not a database"):
-            Database.create(tmp_path / name, CONFIG)
+        refuses("exists and is not a database", Database.create, tmp_path / name, CONFIG)
     assert [entry.name for entry in (tmp_path / "folder").iterdir()] == ["letter.txt"]
-    with pytest.raises(ValueError, match="is a database already"):
-        Database.create(path, CONFIG)
+    refuses("is a database already", Database.create, path, CONFIG)
     assert len(Database.open(path)) == len(FRAMES)
 
 
@@ -199,8 +193,7 @@ def test_a_path_that_is_not_a_database_is_refused_and_not_changed(path, tmp_path
     ],
 )
 def test_a_database_of_wrong_path_or_width_is_refused(tmp_path, path, width, message):
-    with pytest.raises(ValueError, match=message):
-        Database.create(path and tmp_path / path, width=width)
+    refuses(message, Database.create, path and tmp_path / path, width=width)
     assert not any(tmp_path.iterdir())
 
 
@@ -251,8 +244,7 @@ def test_a_missing_or_truncated_file_is_reported_and_its_rows_are_dropped(path, 
         lost.unlink()
     else:
         lost.write_bytes(lost.read_bytes()[:length])
-    with refused("is damaged"):
-        Database.open(path).load()
+    refuses("is damaged", Database.open(path).load)
     [damage] = Database.open(path).damage()
     assert (damage.file, damage.rows) == (f"data/{lost.name}", 4)
     Database.open(path).drop_damaged()
@@ -268,8 +260,7 @@ def test_a_manifest_that_a_power_cut_left_half_written_is_named(path):
         manifest.write_bytes(manifest.read_bytes()[:size])
     names = ", ".join(f"_versions/{manifest.name}" for manifest in newest)
     message = f"is damaged .*; --as-of 2 reads .*without {names}"
-    with refused(message):
-        Database.open(path)
+    refuses(message, Database.open, path)
     assert loaded(path, version=2) == before
     for manifest in newest:
         manifest.unlink()
@@ -317,7 +308,6 @@ def test_a_database_missing_in_a_bucket_is_one_line_after_one_attempt(bucket, mo
         with refused(f"^{one} does not exist, or is damaged or not a database: .*[nN]ot [fF]ound"):
             Database.open(one)
     assert attempts == 2 * missing
-    with refused(f"^{missing[0]} does not exist, or"):
-        Database.open(missing[0], version=1)
+    refuses(f"^{missing[0]} does not exist, or", Database.open, missing[0], version=1)
     with refused("^s3://village/new cannot be written: [^<]*404 Not Found$", by=OSError):
         Database.create("s3://village/new", width=8)

@@ -1,17 +1,76 @@
-"""One frame after another: reading, describing and skipping, with all that encoding is made of."""
+"""Encoding: every readable frame is encoded once, in order; the others are skipped and reported."""
 
 from pathlib import Path
 
 import numpy as np
+import pytest
 import torch
-from helpers import street
+from helpers import street, touch
 from maps import HEAD, alone, assert_streets, counts
 from PIL import Image
 
+from ssrvlad_torch.channels.label_shapes import LabelShapes
 from ssrvlad_torch.datasets.frame_file import FrameFile
 from ssrvlad_torch.datasets.label_files import digest
-from ssrvlad_torch.encoding import describer
-from ssrvlad_torch.encoding.describer import Item
+from ssrvlad_torch.encoding import encoder
+from ssrvlad_torch.encoding.encoder import Item, encode_to_database, encode_to_memory
+
+CHANNELS = [LabelShapes(HEAD)]
+
+
+def test_descriptors_equal_those_of_single_frames(town):
+    town.add("a", range(20))
+    town.add("b", range(3))
+    (town.folder / "poses.csv").write_text("frame,x,y,heading\na/3,1,2,0.5\n")
+    assert counts(town.encode()) == (23, 0, 0)
+    frames = town.database().load()
+    numbers = [*range(20), *range(3)]
+    assert frames.frames == tuple(f"{'ab'[row > 19]}/{n}" for row, n in enumerate(numbers))
+    assert_streets(frames, numbers)
+    assert frames.poses[3].tolist() == [1, 2, 0.5]
+    assert np.isnan(np.delete(frames.poses, 3, axis=0)).all()
+    record = town.database().known()["a/4"]
+    assert (record.height, record.width, record.digest) == (24, 32, digest(street(4)))
+
+
+def test_unreadable_frames_alone_leave_a_valid_empty_database(town):
+    for number in range(3):
+        touch(town.folder / "a" / f"{number}.png")
+    assert counts(town.encode()) == (0, 0, 3)
+    assert town.database().load().frames == ()
+    assert counts(encode_to_database(HEAD, [], town.database())) == (0, 0, 0)
+    frames, skipped = encode_to_memory(CHANNELS, HEAD.label_space, town.files())
+    assert (len(skipped), frames.descriptors.shape, frames.poses.shape) == (3, (0, 480), (0, 3))
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_memory_and_database_hold_the_same_frames(town, workers):
+    threads = torch.get_num_threads()
+    town.add("b", range(3))
+    town.add("a", range(70, 110))
+    (town.folder / "a" / "75.png").write_text("no image")
+    (town.folder / "poses.csv").write_text("frame,x,y\na/70,1,2\nb/2,3,4\n")
+    in_memory, skipped = encode_to_memory(CHANNELS, HEAD.label_space, town.files(), workers)
+    assert_streets(in_memory, [n for n in range(70, 110) if n != 75] + [0, 1, 2])
+    summary = town.encode()
+    on_disk = town.database().load()
+    assert [frame.frame for frame in skipped] == ["a/75"]
+    assert skipped == summary.skipped
+    assert in_memory.frames == on_disk.frames
+    assert in_memory.sequences == on_disk.sequences
+    assert torch.equal(in_memory.descriptors, on_disk.descriptors)
+    np.testing.assert_array_equal(in_memory.poses, on_disk.poses)
+    assert in_memory.empty.tolist() == on_disk.empty.tolist()
+    assert torch.get_num_threads() == threads
+
+
+def test_no_frames_give_an_empty_float32_array():
+    torch.set_default_dtype(torch.float64)
+    try:
+        frames, _ = encode_to_memory(CHANNELS, HEAD.label_space, [], 1)
+    finally:
+        torch.set_default_dtype(torch.float32)
+    assert (frames.descriptors.dtype, frames.descriptors.shape) == (torch.float32, (0, 480))
 
 
 def test_a_frame_that_cannot_be_read_or_encoded_is_skipped_and_the_others_are_encoded(town):
@@ -59,5 +118,5 @@ def test_frames_may_differ_in_size_and_format(town):
 def test_label_maps_already_read_start_no_threads(monkeypatch):
     monkeypatch.setattr(FrameFile, "readers", 4)
     items = [Item(FrameFile("a", "0", Path("0.png")), "", street(0), None, digest(street(0)))]
-    monkeypatch.setattr(describer, "in_order", None)
-    assert describer.read(HEAD.label_space, items) == items
+    monkeypatch.setattr(encoder, "in_order", None)
+    assert encoder.read(HEAD.label_space, items) == items

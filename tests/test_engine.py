@@ -1,4 +1,4 @@
-"""Versions of a database, and several writers of one."""
+"""Versions of a database, several writers of one, and whole and truncated files."""
 
 import os
 import subprocess
@@ -7,13 +7,16 @@ import threading
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
+import lance
+import pyarrow as pa
 import pytest
 import torch
 from four_frames import CONFIG, FRAMES, fill, filled, loaded
-from helpers import descriptors, refused
+from helpers import descriptors, refuses
 
 from ssrvlad_torch import Database
 from ssrvlad_torch.database import engine
+from ssrvlad_torch.database.disk import deleted_rows, flush_fragments
 
 ONE = descriptors(1, 1)
 
@@ -31,8 +34,7 @@ def test_merges_and_removals_are_one_commit_each_and_are_in_the_history(path):
     assert database.load().frames == ("day/2", "day/9", "day/10", "new/1", "night/1")
     assert not database.load().empty[0]
     database.remove({"day/9", "day/10", "never/1"})
-    with pytest.raises(ValueError, match="expected a list of frames, got the text 'day/2'"):
-        database.remove("day/2")
+    refuses("expected a list of frames, got the text 'day/2'", database.remove, "day/2")
     assert database.load().frames == ("day/2", "new/1", "night/1")
     changes = [(entry.frames, entry.change.split()[0]) for entry in database.history()]
     assert changes == [(0, "create"), (4, "append"), (4, "merge"), (5, "merge"), (3, "remove")]
@@ -40,8 +42,7 @@ def test_merges_and_removals_are_one_commit_each_and_are_in_the_history(path):
     assert torch.equal(
         Database.open(path, first).load().descriptors, descriptors(0, 4)[[1, 3, 0, 2]]
     )
-    with pytest.raises(ValueError, match="as of version"):
-        Database.open(path, first).remove(["day/2"])
+    refuses("as of version", Database.open(path, first).remove, ["day/2"])
     database.remove(["day/2", "new/1", "night/1"])
     assert len(database.load()) == 0
     fill(database, ["a/1"])
@@ -100,12 +101,10 @@ def test_rows_that_were_written_apart_are_added_when_they_are_adopted(path):
     database = Database.open(path)
     written = [database.write_apart([f"a/{n}"], descriptors(n, 1)) for n in range(3)]
     assert len(Database.open(path)) == len(FRAMES)
-    with pytest.raises(ValueError, match="written twice"):
-        database.adopt([written[0], *written])
+    refuses("written twice", database.adopt, [written[0], *written])
     database.adopt(written)
     assert loaded(path)["a/1"] == descriptors(1, 1)[0].tolist()
-    with pytest.raises(ValueError, match="'a/0' is in"):
-        database.adopt(written)
+    refuses("'a/0' is in", database.adopt, written)
 
 
 def test_a_change_is_checked_against_what_others_have_written(path):
@@ -122,8 +121,7 @@ def test_a_change_is_checked_against_what_others_have_written(path):
     Database.open(path).append(["other/0"], descriptors(1, 1))
     written = [database.write_apart(["a/1"], descriptors(2, 1))]
     for change in (partial(database.adopt, written), partial(database.merge, ["a/1"], ONE)):
-        with pytest.raises(ValueError, match="other/0 is there"):
-            change(check=check)
+        refuses("other/0 is there", change, check=check)
     assert seen == [sorted([*FRAMES, "a/0", "other/0"])] * 2
     assert len(Database.open(path)) == len(FRAMES) + 2
 
@@ -148,12 +146,10 @@ def test_writers_that_start_at_once_make_one_database(tmp_path):
 
 @pytest.mark.parametrize("version", [0, -1, 99, 10**20])
 def test_a_version_that_is_not_there_is_refused(path, version):
-    with refused(rf"town\.ssrdb has no version {version}; it has 1 to 2$"):
-        Database.open(path, version)
+    refuses(rf"town\.ssrdb has no version {version}; it has 1 to 2$", Database.open, path, version)
     Database.open(path).compact(keep_days=0)
     only = Database.open(path).version
-    with refused(f"has no version {version}; it has {only}$"):
-        Database.open(path, version)
+    refuses(f"has no version {version}; it has {only}$", Database.open, path, version)
 
 
 FORKED = """
@@ -259,3 +255,37 @@ def test_concurrent_changes_of_all_kinds_are_applied_one_after_another(path):
         assert rows[f"{name}/2"] == descriptors(9, 2)[0].tolist()
         assert rows[f"{name}/3"] == descriptors(0, 4)[3].tolist()
     assert {origin.segmenter for origin in Database.open(path).origins.values()} == {"a", "b", "c"}
+
+
+ROWS = 20_000
+
+
+@pytest.fixture
+def rows():
+    return pa.table({"frame": pa.array(range(ROWS))})
+
+
+def assert_truncated(path, content, table, fragment):
+    path.write_bytes(content)
+    with pytest.raises(OSError, match=f"not all was written: '{path}'"):
+        flush_fragments(str(table), [fragment])
+
+
+@pytest.mark.parametrize("count", [3, 4096, 5000, 15_000])
+def test_a_truncated_file_of_deleted_rows_is_refused_a_whole_one_is_not(tmp_path, rows, count):
+    table = lance.write_dataset(rows, tmp_path)
+    removal = table.merge_insert("frame").when_matched_delete()
+    [fragment] = removal.execute_uncommitted(rows.slice(0, count))[0].operation.updated_fragments
+    path = tmp_path / fragment.deletion_file.path(fragment.id)
+    assert deleted_rows(path) == fragment.deletion_file.num_deleted_rows == count
+    flush_fragments(str(tmp_path), [fragment])
+    content = path.read_bytes()
+    for size in (0, 1, 7, 9, len(content) // 2, -1):
+        assert_truncated(path, content[:size], tmp_path, fragment)
+
+
+def test_a_truncated_data_file_is_refused(tmp_path, rows):
+    [fragment] = lance.fragment.write_fragments(rows, tmp_path)
+    flush_fragments(str(tmp_path), [fragment])
+    path = tmp_path / "data" / fragment.files[0].path
+    assert_truncated(path, path.read_bytes()[:-1], tmp_path, fragment)

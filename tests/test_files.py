@@ -75,6 +75,5 @@ TIMES = ["7.5", "102.0", "102.125", "102.25", "102.5", "102.75", "103.000001", "
 
 @given(st.permutations(NAMES), st.permutations(TIMES))
 def test_names_sort_naturally_and_times_by_value(names, times):
-    """Decimal times are ordered by their value."""
     assert sorted(names, key=natural_key) == NAMES
     assert sorted(times, key=natural_key) == TIMES

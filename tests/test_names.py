@@ -1,6 +1,7 @@
 """Names of sequences: short, and never two alike."""
 
 import pytest
+from helpers import refuses
 
 from ssrvlad_torch.datasets.label_files import find_label_files
 from ssrvlad_torch.datasets.names import (
@@ -28,11 +29,9 @@ def test_folders_take_as_much_of_their_paths_as_they_need(folders, names):
 
 def test_folders_that_would_share_a_name_are_refused():
     """A path that ends another; a stack, a bag or a video, and the folder beside it."""
-    with pytest.raises(ValueError, match="/y needs a name that no sequence has"):
-        sequence_names(["/y", "/b/y"])
+    refuses("/y needs a name that no sequence has", sequence_names, ["/y", "/b/y"])
     for suffix in (".npy", ".bag", ".mp4"):
-        with pytest.raises(ValueError, match="needs a name that no sequence has"):
-            sequence_names(["/d/day", f"/d/day{suffix}"])
+        refuses("needs a name that no sequence has", sequence_names, ["/d/day", f"/d/day{suffix}"])
         with pytest.raises(ValueError, match=rf"'day' of the database is /d/day, not .*{suffix}"):
             check_sequences([(f"/d/day{suffix}", "day")], [("/d/day", "day")])
 
@@ -63,8 +62,7 @@ def test_known_folders_keep_their_names(tmp_path):
     ],
 )
 def test_a_folder_that_may_be_two_sequences_is_refused(known, message):
-    with pytest.raises(ValueError, match=message):
-        sequence_names(["/other/labels"], known)
+    refuses(message, sequence_names, ["/other/labels"], known)
 
 
 def test_sequences_of_two_databases_are_one_where_a_folder_is():

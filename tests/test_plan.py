@@ -1,18 +1,23 @@
-"""What a run encodes again, and which folder a sequence is of."""
+"""What a run encodes again, which folder a sequence is of, and when frames are committed."""
 
+import errno
 import os
+import signal
+import subprocess
+import sys
 import time
 
 import numpy as np
 import pytest
 import torch
 import yaml
-from helpers import street
+from helpers import refuses, street
 from maps import HEAD, alone, assert_streets, counts, rewrite
 
 from ssrvlad_torch import SSRVLAD
+from ssrvlad_torch.database.database import Database
 from ssrvlad_torch.datasets.label_files import digest
-from ssrvlad_torch.encoding import describer
+from ssrvlad_torch.encoding import encoder, plan
 from ssrvlad_torch.encoding.encoder import encode_to_database
 from ssrvlad_torch.encoding.results import EncodeOptions
 from ssrvlad_torch.taxonomy import label_space
@@ -23,9 +28,9 @@ PRUNE = {"complete": True, "prune": True}
 @pytest.fixture
 def reads(monkeypatch):
     """Names of the frames that are read."""
-    names, whole = [], describer.read_label_map
+    names, whole = [], encoder.read_label_map
     spy = lambda file, space: (names.append(file.name), whole(file, space))[1]  # noqa: E731
-    monkeypatch.setattr(describer, "read_label_map", spy)
+    monkeypatch.setattr(encoder, "read_label_map", spy)
     return names
 
 
@@ -39,8 +44,7 @@ def test_running_again_reads_only_what_is_missing(town, reads):
     assert counts(town.encode()) == (2, 5, 0)
     assert sorted(reads) == ["20", "3000"]
     town.add("a ", [1])
-    with pytest.raises(ValueError, match="expected a frame id, <sequence>"):
-        town.encode("a ")
+    refuses("expected a frame id, <sequence>", town.encode, "a ")
     assert len(reads) == 2
 
 
@@ -140,8 +144,7 @@ def test_frames_whose_file_is_gone_are_reported_and_removed_with_prune(town):
     summary = town.encode("a", **PRUNE)
     assert (summary.gone, summary.pruned) == ([], 2)
     assert town.database().load().frames == ("a/0", "a/2", "b/0", "b/1"), "other sequences stay"
-    with pytest.raises(ValueError, match="prune needs all files"):
-        EncodeOptions(prune=True)
+    refuses("prune needs all files", EncodeOptions, prune=True)
 
 
 def test_folders_with_the_same_name_are_distinguished_in_one_run_and_in_several(town):
@@ -164,8 +167,7 @@ def test_another_folder_with_the_same_name_never_merges_overwrites_or_prunes(tow
     town.add("01/labels", range(2, 5))
     town.encode("00/labels")
     before = town.database().load()
-    with pytest.raises(ValueError, match=r"'labels' of the database is .*00/labels, not .*01"):
-        town.encode("01/labels", **PRUNE)
+    refuses(r"'labels' of the database is .*00/labels, not .*01", town.encode, "01/labels", **PRUNE)
     with pytest.raises(ValueError, match=r"frame 'labels/2' of the database is of .*00/labels"):
         town.encode("01/labels", sequence="labels")
     assert torch.equal(town.database().load().descriptors, before.descriptors)
@@ -191,8 +193,7 @@ def test_folders_that_take_the_same_name_at_once_do_not_merge(town, sequence, me
         if not len(town.database()):
             assert town.encode("01/labels", sequence=sequence).encoded == 3
 
-    with pytest.raises(ValueError, match=message):
-        town.encode("00/labels", sequence=sequence, progress=other)
+    refuses(message, town.encode, "00/labels", sequence=sequence, progress=other)
     assert town.database().load().frames == tuple(f"labels/{n}" for n in range(2, 5))
 
 
@@ -200,8 +201,7 @@ def test_a_file_is_not_stored_under_two_names(town):
     town.add("a", range(3))
     town.encode()
     expected = r"a/0\.png is frame 'a/0' of the database: expected --sequence a, got new"
-    with pytest.raises(ValueError, match=expected):
-        town.encode("a", **PRUNE, sequence="new")
+    refuses(expected, town.encode, "a", **PRUNE, sequence="new")
     assert len(town.database()) == 3
     town.add("a", range(3, 5))
     files = [file for file in town.files("a", sequence="new") if file.name in "34"]
@@ -212,8 +212,7 @@ def test_a_stack_beside_a_folder_of_its_name_is_another_sequence(town):
     town.add("day", range(3))
     town.encode("day")
     np.save(town.folder / "day.npy", np.stack([street(seed) for seed in range(4)]))
-    with pytest.raises(ValueError, match="needs a name"):
-        town.files("day", "day.npy")
+    refuses("needs a name", town.files, "day", "day.npy")
     assert town.encode("day.npy", **PRUNE, sequence="stack").encoded == 4
     assert town.encode("day", **PRUNE).pruned == 0
     assert len(town.database()) == 7
@@ -227,3 +226,111 @@ def test_a_moved_folder_continues_its_sequence_if_the_name_is_given(town):
     known = town.database().folders()
     assert town.encode("other/a", sequence="a", known=known).anew == {"file moved": 3}
     assert counts(town.encode("other/a", sequence="a", known=known)) == (0, 3, 0)
+
+
+def test_frames_are_committed_after_a_number_of_rows_and_after_a_time(town, monkeypatch):
+    monkeypatch.setattr(plan, "COMMIT_ROWS", 4)
+    town.add("a", range(10))
+    before = town.database().version
+    assert counts(town.encode()) == (10, 0, 0)
+    assert town.database().version == before + 4, "the origin, and 4, 4 and 2 frames"
+    monkeypatch.setattr(plan, "COMMIT_SECONDS", -1)
+    town.add("b", range(2))
+    town.encode()
+    assert town.database().version == before + 6
+
+
+@pytest.mark.parametrize("rows", [4, 8192])
+@pytest.mark.parametrize("done", [1, 7, 18])
+def test_frames_encoded_before_an_interruption_are_in_the_database(town, monkeypatch, rows, done):
+    monkeypatch.setattr(plan, "COMMIT_ROWS", rows)
+    town.add("a", range(20))
+    counted = []
+
+    def interrupt(count):
+        counted.append(count)
+        if sum(counted) == done:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        town.encode(progress=interrupt)
+    assert town.database().load().frames == tuple(f"a/{n}" for n in range(done))
+    counted.clear()
+    assert counts(town.encode(progress=counted.append)) == (20 - done, done, 0)
+    assert counted == [done] + [1] * (20 - done), "progress counts every frame once"
+
+
+def test_a_full_disk_is_an_error_and_committed_frames_stay(town, monkeypatch):
+    monkeypatch.setattr(plan, "COMMIT_ROWS", 4)
+    town.add("a", range(10))
+    merge, merged = Database.merge, []
+
+    def fail_at_the_second(self, records, *descriptors):
+        merged.append(len(records))
+        if len(merged) > 1:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        merge(self, records, *descriptors)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Database, "merge", fail_at_the_second)
+        with pytest.raises(OSError, match="No space left"):
+            town.encode()
+    assert town.database().load().frames == ("a/0", "a/1", "a/2", "a/3")
+    assert counts(town.encode()) == (6, 4, 0)
+
+
+SCRIPT = """
+import signal, sys, time
+signal.signal(signal.SIGINT, signal.default_int_handler)
+from ssrvlad_torch import SSRVLAD, Database
+from ssrvlad_torch.encoding.results import EncodeOptions
+from ssrvlad_torch.encoding.encoder import encode_to_database
+from ssrvlad_torch.datasets.label_files import find_label_files
+from ssrvlad_torch.encoding import encoder, plan
+encoder.BATCH, plan.COMMIT_ROWS = 1, 8
+head = SSRVLAD.from_preset("default", labels_as="camvid-11")
+database = Database.open_or_create(sys.argv[1], head.config)
+counted = []
+def progress(done):
+    counted.append(done)
+    if sum(counted) == 10:
+        print("ready", flush=True)
+    time.sleep(0.02)
+options = EncodeOptions(workers=int(sys.argv[3]), progress=progress)
+encode_to_database(head, find_label_files([sys.argv[2]]), database, options)
+"""
+
+
+def started(town, workers):
+    """A process that encodes, and prints ``ready`` when 10 frames are done."""
+    command = [sys.executable, "-c", SCRIPT, town.folder / "town.ssrdb", town.folder / "a", workers]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+
+
+def test_two_encoders_at_once_lose_nothing(town):
+    """Both encode all frames; none is stored twice."""
+    town.add("a", range(14))
+    town.database()
+    running = [started(town, "0") for _ in range(2)]
+    assert [process.wait(120) for process in running] == [0, 0]
+    assert town.database().load().frames == tuple(f"a/{n}" for n in range(14))
+
+
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGINT, -signal.SIGINT), (signal.SIGKILL, -9)]
+)
+def test_a_signal_ends_a_run_and_the_next_run_completes_it(town, number, code):
+    """Frames reported by progress are stored; after SIGKILL, committed frames."""
+    town.add("a", range(60))
+    running = started(town, "2")
+    assert running.stdout.readline() == b"ready\n"
+    running.send_signal(number)
+    running.communicate(timeout=60)  # no worker holds the pipes open
+    assert running.returncode in (code, 130)
+    stored = len(town.database())
+    assert stored >= (8 if number == signal.SIGKILL else 10)
+    assert stored < 60
+    assert counts(town.encode()) == (60 - stored, stored, 0)
+    frames = town.database().load()
+    assert frames.frames == tuple(f"a/{n}" for n in range(60))
+    assert_streets(frames, range(60))

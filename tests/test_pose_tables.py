@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import street, touch
+from helpers import refuses, street, touch
 
 from ssrvlad_torch.datasets.label_files import find_label_files
 from ssrvlad_torch.datasets.pose_tables import PoseTable
@@ -73,10 +73,8 @@ def test_a_bare_name_that_two_folders_have_is_refused(tmp_path):
     path = plant(tmp_path, {"0": 1}, *BOTH, "images/0.jpg")
     message = r"row '0' of .*poses.csv can be a frame of .*tuesday and of .*monday; expected"
     monday, tuesday = tmp_path / "monday", tmp_path / "tuesday"
-    with pytest.raises(ValueError, match=message):
-        found(tuesday)
-    with pytest.raises(ValueError, match="can be a frame of"):
-        found(monday, tuesday, poses=str(path))
+    refuses(message, found, tuesday)
+    refuses("can be a frame of", found, monday, tuesday, poses=str(path))
     assert found(tuesday, poses=str(path)) == [1]
     (monday / "0.png").unlink()
     assert found(tuesday) == [1]
@@ -99,5 +97,4 @@ def test_each_frame_has_its_own_row(tmp_path):
 def test_damaged_poses_are_refused_before_anything_is_read(tmp_path):
     touch(tmp_path / "a" / "0.png")
     (tmp_path / "poses.csv").write_text("frame,x\n")
-    with pytest.raises(ValueError, match=r"poses\.csv.*no column 'y'"):
-        find_label_files([str(tmp_path / "a")])
+    refuses(r"poses\.csv.*no column 'y'", find_label_files, [str(tmp_path / "a")])

@@ -11,12 +11,11 @@ from segmenting import write_photos, write_settings
 
 from ssrvlad_torch import SSRVLAD
 from ssrvlad_torch.channels.channel import new_channels
-from ssrvlad_torch.channels.label_shapes import LabelShapes
 from ssrvlad_torch.database.database import Database
 from ssrvlad_torch.datasets.image_files import find_image_files
 from ssrvlad_torch.datasets.label_files import find_label_files
-from ssrvlad_torch.encoding import ray_engine, writer
-from ssrvlad_torch.encoding.encoder import encode_to_database, encode_to_memory
+from ssrvlad_torch.encoding import plan, ray_engine
+from ssrvlad_torch.encoding.encoder import encode_to_database
 from ssrvlad_torch.encoding.ray_engine import PartEncoder, encode_with_ray
 from ssrvlad_torch.encoding.results import EncodeOptions
 from ssrvlad_torch.segmentation.segmenter import Segmenter
@@ -62,14 +61,6 @@ def assert_same_as_local(path, files, segmenter=None, columns=()):
     assert repr(known) == repr(sorted(local.known().values()))
 
 
-def test_files_of_a_uri_give_the_same_descriptors(tmp_path, files, database):
-    remote = find_label_files([(tmp_path / "a").as_uri()])
-    summary = encode_with_ray(HEAD, remote, database, TWO)
-    assert (summary.encoded, summary.skipped) == (20, [])
-    expected, _ = encode_to_memory([LabelShapes(HEAD)], HEAD.label_space, files)
-    assert torch.equal(database.load().descriptors, expected.descriptors)
-
-
 def test_the_rows_are_those_of_the_local_engine(tmp_path, files, database):
     (tmp_path / "a" / "7.png").write_text("no image")
     counted = []
@@ -109,7 +100,7 @@ def test_a_killed_worker_loses_nothing(tmp_path, monkeypatch, request, by):
 
 
 def test_frames_committed_before_an_interruption_stay(tmp_path, files, database, monkeypatch):
-    monkeypatch.setattr(writer, "COMMIT_SECONDS", -1)
+    monkeypatch.setattr(plan, "COMMIT_SECONDS", -1)
     counted = []
 
     def interrupt(done):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from helpers import refuses
 
 from ssrvlad_torch.datasets.segmentation_noise import (
     ERRORS,
@@ -49,7 +50,6 @@ def test_a_stronger_error_changes_more_pixels(street, add_error):
 
 
 def test_poles_are_filled_similar_classes_confused_and_none_invented(street):
-    """Lost poles are filled from the left; similar classes are confused; no class is invented."""
     lost = apply(lose_poles, 5.0, street)
     assert np.array_equal(lost, np.broadcast_to(street[:, :1], street.shape))
     confused = apply(confuse, 5.0, street)
@@ -67,5 +67,4 @@ def test_noise_keeps_shape_and_dtype(shape):
 
 @pytest.mark.parametrize("strength", [-1.0, float("nan"), float("inf")])
 def test_a_negative_or_infinite_strength_is_refused(strength):
-    with pytest.raises(ValueError, match=r"noise strength: got .*, expected a finite number >= 0"):
-        SegmentationNoise(strength)
+    refuses(r"noise strength: got .*, expected a finite number >= 0", SegmentationNoise, strength)

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from helpers import refuses
 from PIL import Image
 
 from ssrvlad_torch.datasets.poses import read_poses
@@ -91,6 +92,5 @@ def test_query_without_a_match_has_an_empty_list(tmp_path):
 )
 def test_wrong_arguments_are_refused_by_name(call, message, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(ValueError, match=message):
-        call()
+    refuses(message, call)
     assert not list(tmp_path.iterdir())

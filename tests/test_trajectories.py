@@ -1,14 +1,18 @@
-"""Poses in the forms of others: KITTI, TUM, GPS, EXIF, @UTM@ names."""
+"""Poses in the forms of others: KITTI, TUM, GPX and NMEA, and poses between their points."""
 
 import math
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
-from trees import plant
+from helpers import refuses
+from trees import plant, write
 
 from ssrvlad_torch.datasets.image_files import find_image_files
-from ssrvlad_torch.datasets.poses import UNKNOWN, Pose
+from ssrvlad_torch.datasets.poses import UNKNOWN, Fix, Pose, poses_of_fixes
 from ssrvlad_torch.datasets.trajectories import Trajectory, read_trajectory
+
+needs_gps = pytest.mark.skipif(find_spec("utm") is None, reason="needs the extra gps")
 
 
 def poses(files):
@@ -55,12 +59,10 @@ def test_tum_goes_by_the_time_that_is_a_name(tmp_path):
         ("groundtruth", ["99.1"], "no pose is near"),
         ("near", ["0", "10"], "several units"),
     ):
-        with pytest.raises(ValueError, match=rf"{table}.txt: {message}.* '{names[0]}'; expected"):
-            found(table, names)
+        refuses(rf"{table}.txt: {message}.* '{names[0]}'; expected", found, table, names)
     seconds = found("drive", [f"{n}{'0' * 6}" for n in range(4)], largest_gap=1)[:, 0]
     assert seconds.tolist() == [0, 1, 2, 3], "in ns all are near the first pose"
-    with pytest.raises(ValueError, match=r"named by their time in seconds.* 'a'"):
-        found("groundtruth", ["a", "10.015"])
+    refuses(r"named by their time in seconds.* 'a'", found, "groundtruth", ["a", "10.015"])
 
 
 @pytest.mark.parametrize(
@@ -76,8 +78,7 @@ def test_tum_goes_by_the_time_that_is_a_name(tmp_path):
 )
 def test_a_damaged_trajectory_is_named(tmp_path, text, message):
     (tmp_path / "t.txt").write_text(text)
-    with pytest.raises(ValueError, match=message):
-        read_trajectory(tmp_path / "t.txt")
+    refuses(message, read_trajectory, tmp_path / "t.txt")
 
 
 def test_a_table_that_fits_no_frame_is_refused(tmp_path):
@@ -85,8 +86,7 @@ def test_a_table_that_fits_no_frame_is_refused(tmp_path):
     (tmp_path / "other.csv").write_text("frame,x,y\n9,1,1\n")
     with pytest.raises(ValueError, match=r"other\.csv has none of the frames, .* monday/1"):
         find_image_files([folder], poses=str(tmp_path / "other.csv"))
-    with pytest.raises(ValueError, match="expected a file of poses, or exif"):
-        find_image_files([folder], poses="gps")
+    refuses("expected a file of poses, or exif", find_image_files, [folder], poses="gps")
 
 
 def test_poses_are_interpolated_by_time_and_the_shorter_turn():
@@ -101,3 +101,107 @@ def test_poses_are_interpolated_by_time_and_the_shorter_turn():
     assert after[:2] == (15, 20) and math.isnan(after.heading)
     assert math.isnan(gap.x) and math.isnan(before.x)
     assert trajectory.of_frames(["100.5"]) == [quarter]
+
+
+START = 764_426_119
+"""1994-03-23 12:35:19 UTC, of the usual example of NMEA."""
+
+RMC = "GPRMC,{time},A,4807.038,N,01131.000,E,022.4,{course},230394,003.1,W"
+
+
+def sentence(body):
+    total = 0
+    for character in body:
+        total ^= ord(character)
+    return f"${body}*{total:02X}\n"
+
+
+def gpx(*points, head=""):
+    return f'{head}<gpx version="1.1"><trk><trkseg>{"".join(points)}</trkseg></trk></gpx>'
+
+
+POINT = '<trkpt lat="48.1173" lon="11.5"><time>1994-03-23T{time}</time></trkpt>'
+
+
+@needs_gps
+def test_nmea_sentences_give_times_positions_and_courses(tmp_path):
+    bodies = (
+        "GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,",
+        RMC.format(time="123519.50", course="084.4"),
+        "GPRMC,123520,V,,,,,,,230394,,",
+        RMC.format(time="123521", course=""),
+    )
+    track = read_trajectory(write(tmp_path / "a.nmea", "".join(map(sentence, bodies))))
+    assert (track.stamps, track.largest_gap) == ([START + 0.5, START + 2], 5)
+    (expected,) = poses_of_fixes([Fix(48 + 7.038 / 60, 11 + 31 / 60, 84.4)])
+    assert track.poses[0] == pytest.approx(expected)
+    assert track.poses[0].heading == pytest.approx(math.radians(5.6))
+    assert math.isnan(track.poses[1].heading)
+
+
+@needs_gps
+def test_gpx_points_give_times_and_positions(tmp_path):
+    points = POINT.format(time="12:35:19Z"), POINT.format(time="14:35:20.25+02:00")
+    track = read_trajectory(write(tmp_path / "a.gpx", gpx(*points)))
+    assert track.stamps == [START, START + 1.25]
+    assert all(math.isnan(pose.heading) for pose in track.poses)
+
+
+NOON = POINT.format(time="12:35:19Z")
+NMEA = RMC.format(time="123519", course="1")
+DAMAGED = [
+    ("gpx", gpx(), "holds no positions; expected track points"),
+    ("gpx", gpx('<trkpt lat="48" lon="11"/>'), "point 1 has no time"),
+    ("gpx", gpx(NOON, POINT.format(time="12:35:18Z")), "position 2 is earlier than the one before"),
+    ("gpx", gpx(head='<!DOCTYPE gpx [<!ENTITY a "aaa">]>'), "without a document type"),
+    ("gpx", gpx(NOON)[:-9], "Error parsing XML"),
+    ("gpx", gpx(NOON.replace("48", "88")), "latitude out of range"),
+    ("nmea", "", "holds no positions; expected RMC sentences"),
+    ("nmea", sentence(NMEA).replace("48", "49"), "line 1: .*checksum"),
+    ("nmea", sentence(NMEA.replace("N", "")), "line 1: expected a position, got 4807.038,,01131.0"),
+    ("gpx", gpx(POINT.format(time="12:35:60Z")), "point 1 has no time, as 2026-"),
+    ("nmea", sentence(NMEA.replace("4807.038", "4875.038")), "at most 60 minutes, got 4875.038,N,"),
+    (
+        "nmea",
+        sentence(NMEA.replace(",E,", ",O,")),
+        "expected a position, got 4807.038,N,01131.000,O",
+    ),
+    ("nmea", sentence(NMEA.replace("123519", "235960")), "expected a time of day, got 235960"),
+    ("nmea", sentence("GPRMC,x,A,y,N,z,E,022.4,1,230394,,"), "line 1: "),
+]
+
+
+@needs_gps
+@pytest.mark.parametrize(("suffix", "content", "message"), DAMAGED)
+def test_a_damaged_track_is_refused_by_name(tmp_path, suffix, content, message):
+    path = write(tmp_path / f"a.{suffix}", content)
+    refuses(f"(?i)^{path}.*{message}", read_trajectory, path)
+
+
+@needs_gps
+def test_nothing_lies_between_two_segments_of_gpx(tmp_path):
+    """The receiver was off: between these 11 km it was at no place that could be guessed."""
+    path = tmp_path / "a.gpx"
+    there, later = (POINT.format(time=f"12:35:{second}Z") for second in (19, 20))
+    away, further = (
+        POINT.format(time=f"12:35:{second}Z").replace("48.1", "48.2") for second in (24, 25)
+    )
+    border = "</trkseg><trkseg/><trkseg>"
+    for text in (border, "</trkseg></trk><trk><trkseg>"):
+        path.write_text(gpx(there, later, text, away, further))
+        trajectory = read_trajectory(path, largest_gap=math.inf)
+        known = trajectory.of_frames(list("abcde"), [START + s for s in (0.5, 1, 3, 5, 5.5)])
+        assert [math.isnan(pose.x) for pose in known] == [False, False, True, False, False]
+        assert known[4].y - known[0].y == pytest.approx(11_120, abs=20)
+    path.write_text(gpx(there, later, away, further))
+    (bridged,) = read_trajectory(path).of_frames(["a"], [START + 3])
+    assert not math.isnan(bridged.x)
+
+
+@needs_gps
+@pytest.mark.parametrize("gap", [math.nan, -1, -0.001])
+def test_a_negative_or_nan_gap_is_refused(tmp_path, gap):
+    """NaN would bridge every gap."""
+    path = write(tmp_path / "a.gpx", gpx(NOON))
+    refuses(rf"largest gap of 0 seconds or more, got {gap}", read_trajectory, path, largest_gap=gap)
+    refuses("largest gap of 0 seconds or more", Trajectory, [Pose(0, 0, 0)], [0.0], gap)

@@ -40,7 +40,6 @@ def test_items_are_taken_as_they_are_needed():
 
 
 def test_errors_come_after_earlier_results_and_keep_their_type():
-    """Of the items, after earlier results; of the work, which keeps its type."""
 
     def items():
         yield from range(7)

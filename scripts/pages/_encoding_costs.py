@@ -19,8 +19,7 @@ from ssrvlad_torch.channels.label_shapes import LabelShapes
 from ssrvlad_torch.database.database import Database
 from ssrvlad_torch.datasets.frame_files import FrameFile
 from ssrvlad_torch.datasets.label_files import find_label_files
-from ssrvlad_torch.encoding.describer import BATCH, Describer, Item, read
-from ssrvlad_torch.encoding.encoder import encode_to_database
+from ssrvlad_torch.encoding.encoder import BATCH, Describer, Item, encode_to_database, read
 from ssrvlad_torch.encoding.results import EncodeOptions
 
 FRAMES = 1000

@@ -33,7 +33,7 @@ from ssrvlad_torch.channels.signs import REACH
 from ssrvlad_torch.database.database import Database
 from ssrvlad_torch.database.frames import FrameRecord
 from ssrvlad_torch.datasets.synthetic_city import SyntheticCity
-from ssrvlad_torch.encoding.writer import COMMIT_ROWS
+from ssrvlad_torch.encoding.plan import COMMIT_ROWS
 from ssrvlad_torch.recognition.comparison import ReferenceRows
 from ssrvlad_torch.recognition.follow import follow
 from ssrvlad_torch.recognition.matching import Rows

@@ -37,7 +37,7 @@ from .reading import (
     FRAME_SET_COLUMNS,
     Damage,
     frame_set,
-    load_frame_set,
+    load_descriptors,
     order_of,
     read_rows,
     replacement_of_damaged,
@@ -302,12 +302,19 @@ class Database:
         row of each in the order in which rows are stored."""
         table = self._columns(FRAME_SET_COLUMNS)
         order = order_of(table)
-        return frame_set(table.take(order), {}), order
+        return frame_set(table.take(order)), order
 
     def load(self) -> FrameSet:
         """Loads all frames into memory and verifies every byte; damage is a ValueError that names
         the file."""
-        return load_frame_set(self.table(), self.columns)
+        import torch
+
+        frames, order = self.placed()
+        if twice := len(order) - len(set(frames.frames)):
+            raise ValueError(f"{self.path} is damaged: it holds {twice} frames twice")
+        arrays = load_descriptors(self.table(), self.columns, order)
+        channels = {name: torch.from_numpy(values) for name, values in arrays.items()}
+        return dataclasses.replace(frames, channels=channels)
 
     def damage(self, progress: Callable[[int], object] | None = None) -> list[Damage]:
         """Reads everything and reports all damage. ``progress`` is called with the number of frames

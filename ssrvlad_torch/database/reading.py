@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -16,7 +16,7 @@ from ..channels.column import Column
 from ..files import natural_key
 from .engine import lance, message_of, write_fragments
 from .frames import FrameSet
-from .rows import POSE, intact, matrix, schema
+from .rows import POSE, intact, matrix
 
 if TYPE_CHECKING:
     from lance import LanceDataset
@@ -112,36 +112,21 @@ def _batches(fragment: LanceFragment) -> Iterator[pa.RecordBatch | str]:
 FRAME_SET_COLUMNS = ["frame", "sequence", *POSE, "stamp", "empty"]
 """The columns that a `FrameSet` holds beside descriptors."""
 
-_BYTES_AT_ONCE = 64
 
-
-def load_frame_set(table: LanceDataset, columns: Sequence[Column]) -> FrameSet:
-    """See `Database.load`."""
-    rows = table.count_rows()
+def load_descriptors(
+    table: LanceDataset, columns: Sequence[Column], order: npt.NDArray[np.int64]
+) -> dict[str, npt.NDArray[Any]]:
+    """``(R, *shape)`` by column: the verified rows of a table, see `Database.load`, in an order."""
+    rows, done = np.argsort(order), 0
     arrays: dict[str, npt.NDArray[Any]] = {
-        column.name: np.empty((rows, math.prod(column.shape)), column.dtype) for column in columns
+        column.name: np.empty((len(rows), math.prod(column.shape)), column.dtype)
+        for column in columns
     }
-    tables, done = [schema([]).empty_table().select(FRAME_SET_COLUMNS)], 0
     for batch in read_rows(table):
         for name, values in arrays.items():
-            values[done : done + len(batch)] = matrix(batch[name])
+            values[rows[done : done + len(batch)]] = matrix(batch[name])
         done += len(batch)
-        copied = batch.select(FRAME_SET_COLUMNS).take(pa.array(np.arange(len(batch))))
-        tables.append(pa.table(copied))  # a slice would keep the whole batch in memory
-    others = pa.concat_tables(tables)
-    twice = others.num_rows - len(pc.unique(others["frame"]))
-    if twice:
-        raise ValueError(f"{table.uri} is damaged: it holds {twice} frames twice")
-    order = order_of(others)
-    for column in columns:
-        values = arrays[column.name]
-        if (order[1:] < order[:-1]).any():
-            step = _BYTES_AT_ONCE // values.itemsize
-            for first in range(0, values.shape[1], step):  # in place, to save memory
-                block = slice(first, first + step)
-                values[:, block] = values[order, block]
-        arrays[column.name] = values.reshape(-1, *column.shape)
-    return frame_set(others.take(order), arrays)
+    return {column.name: arrays[column.name].reshape(-1, *column.shape) for column in columns}
 
 
 def order_of(table: pa.Table) -> npt.NDArray[np.int64]:
@@ -169,16 +154,14 @@ def _differ_in_digits(names: pa.ChunkedArray) -> bool:
     return bool((letters == letters[0]).all())
 
 
-def frame_set(table: pa.Table, descriptors: Mapping[str, npt.NDArray[Any]]) -> FrameSet:
-    """The frames of a table with `FRAME_SET_COLUMNS`, and their descriptors by column."""
-    import torch
-
+def frame_set(table: pa.Table) -> FrameSet:
+    """The frames of a table with `FRAME_SET_COLUMNS`, without descriptors."""
     coded = pc.dictionary_encode(table["sequence"]).combine_chunks()
     names = np.array([*coded.dictionary.to_pylist(), None], object)
     return FrameSet(
         frames=tuple(table["frame"].to_pylist()),
         sequences=tuple(names[coded.indices.to_numpy()].tolist()),
-        channels={name: torch.from_numpy(values) for name, values in descriptors.items()},
+        channels={},
         poses=np.stack([table[axis].to_numpy() for axis in POSE], axis=1),
         stamps=table["stamp"].to_numpy(),
         empty=table["empty"].to_numpy(),

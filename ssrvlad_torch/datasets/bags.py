@@ -16,15 +16,8 @@ from .names import BAG_SUFFIXES, absolute
 
 _MESSAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 _CHANNELS = {
-    "rgb8": (0, 1, 2),
-    "bgr8": (2, 1, 0),
-    "rgba8": (0, 1, 2, None),
-    "bgra8": (2, 1, 0, None),
-    "mono8": (0,),
-    "mono16": (0,),
-}
-"""Colours of the channels by encoding: 0 red, 1 green, 2 blue, ``None`` alpha; one 0 is gray."""
-
+    "rgb8": "rgb", "bgr8": "bgr", "rgba8": "rgba", "bgra8": "bgra", "mono8": "y", "mono16": "y"
+}  # fmt: skip
 _BUFFERED = 16
 
 
@@ -121,12 +114,10 @@ def _pixels(message: Any) -> npt.NDArray[np.uint8]:
         expected = ", ".join(_CHANNELS)
         raise ValueError(f"image encoding: got {message.encoding!r}, expected one of {expected}")
     check_pixels(message.height, message.width)
-    order = _CHANNELS[message.encoding]
-    is_wide = message.encoding == "mono16"
-    shape = message.height, message.width, len(order) * (2 if is_wide else 1)
-    lines = message.data.reshape(message.height, message.step)[:, : shape[1] * shape[2]]
-    pixels = lines.reshape(shape)
+    order, is_wide = _CHANNELS[message.encoding], message.encoding == "mono16"
+    used = message.width * len(order) * (2 if is_wide else 1)
+    lines = message.data.reshape(message.height, message.step)[:, :used]
+    pixels = lines.reshape(message.height, message.width, -1)
     if is_wide:  # the high byte
         pixels = pixels[..., :1] if message.is_bigendian else pixels[..., 1:]
-    colours = [channel for channel in order if channel is not None]
-    return np.ascontiguousarray(np.broadcast_to(pixels[..., colours], (*shape[:2], 3)))
+    return np.ascontiguousarray(pixels[..., [max(order.find(colour), 0) for colour in "rgb"]])

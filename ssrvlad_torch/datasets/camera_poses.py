@@ -1,11 +1,11 @@
 """Camera poses in space, as data sets store them, projected on the ground plane."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from ..files import read_bytes
+from ..files import naming, read_bytes
 from .poses import Pose, parse_number
 
 
@@ -43,15 +43,18 @@ def read_poses(path: Path, count: int, pose: Callable[[list[float]], Pose]) -> d
     begin with ``#`` are comments. A line of another form is a ValueError that names file and
     line."""
     poses = {}
-    text = read_bytes(path).decode("utf-8", "replace")
-    for number, line in enumerate(text.splitlines(), 1):
-        words = line.split()
-        if words and not line.startswith("#"):
-            try:
-                poses[words[0]] = pose(parse_numbers(words[1:], count))
-            except ValueError as error:
-                raise ValueError(f"{path} line {number}: {error}") from error
+    for place, (name, *words) in words_of(path, read_bytes(path).decode("utf-8", "replace")):
+        with naming(place):
+            poses[name] = pose(parse_numbers(words, count))
     return poses
+
+
+def words_of(path: Path, text: str) -> Iterator[tuple[str, list[str]]]:
+    """The words of each line of a file, with its place, "PATH line NUMBER"; without empty lines and
+    those that begin with ``#``."""
+    for number, line in enumerate(text.splitlines(), 1):
+        if (words := line.split()) and not words[0].startswith("#"):
+            yield f"{path} line {number}", words
 
 
 def parse_numbers(words: Sequence[str], count: int) -> list[float]:

@@ -10,8 +10,7 @@ from pathlib import Path
 
 from ..files import read_json
 from .dataset import Dataset, Layout, Traverse, files_in, folders_in, images_in, labels_in
-from .gps import heading_of_course
-from .poses import Pose
+from .poses import Pose, heading_of_course
 
 _IMAGES = "leftImg8bit"
 _ANNOTATIONS = ("gtFine", "gtCoarse")
@@ -38,7 +37,7 @@ def read(root: Path, labels_as: str | None) -> Dataset:
         labels: dict[str, Path] = {}
         for kind in reversed(_ANNOTATIONS):
             labels |= labels_in(root / kind / city, f"_{kind}_{ending}")
-        fixes = files_in(root / "vehicle" / city, (".json",), "_vehicle")
+        fixes = files_in((".json",), root / "vehicle" / city, "_vehicle")
         poses = {
             name: read_fix(file) for name, file in fixes.items() if name in images or name in labels
         }

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Literal, NamedTuple
 
@@ -241,7 +241,7 @@ class Layout(NamedTuple):
     read: Callable[[Path, str | None], Dataset]
 
 
-def files_in(folder: Path, suffixes: Sequence[str], ending: str = "") -> dict[str, Path]:
+def files_in(suffixes: Sequence[str], folder: Path, ending: str = "") -> dict[str, Path]:
     """The files of a folder with one of the suffixes, in lower case, and the ending before it, by
     their names without both; empty if the folder does not exist. Hidden files and folders are left
     out. Two files of one name are a ValueError."""
@@ -255,14 +255,7 @@ def files_in(folder: Path, suffixes: Sequence[str], ending: str = "") -> dict[st
     return files
 
 
-def images_in(folder: Path, ending: str = "") -> dict[str, Path]:
-    """The images in a folder, see `files_in`."""
-    return files_in(folder, IMAGE_SUFFIXES, ending)
-
-
-def labels_in(folder: Path, ending: str = "") -> dict[str, Path]:
-    """The label maps in a folder, see `files_in`."""
-    return files_in(folder, LABEL_SUFFIXES, ending)
+images_in, labels_in = partial(files_in, IMAGE_SUFFIXES), partial(files_in, LABEL_SUFFIXES)
 
 
 def folders_in(folder: Path) -> list[Path]:

@@ -12,13 +12,11 @@ from .dataset import Dataset, DatasetFrame
 from .layouts import open_dataset
 from .names import absolute
 
-KINDS: dict[str, Callable[[DatasetFrame], Path | None]] = {
-    "images": lambda frame: frame.image,
-    "labels": lambda frame: frame.label,
+KINDS: dict[str, tuple[Callable[[DatasetFrame], Path | None], str]] = {
+    "images": (lambda frame: frame.image, "an image"),
+    "labels": (lambda frame: frame.label, "a label map"),
 }
-"""The kinds of files that a method may need of a frame."""
-
-WORDS = {"images": "an image", "labels": "a label map"}
+"""The kinds of files that a method may need of a frame, each also in words."""
 
 
 @dataclass(frozen=True)
@@ -83,41 +81,35 @@ class Drives:
 
     def complete(self, kinds: Sequence[str], note: Callable[[str], object]) -> Drives:
         """The drives without the frames that lack a kind of file; ``note`` gets their number."""
-        words = [WORDS[kind] for kind in kinds]
-        complete = self._filter(
-            lambda frame: all(KINDS[kind](frame) for kind in kinds), " and ".join(words)
-        )
+        has, words = zip(*(KINDS[kind] for kind in kinds), strict=True)
+        complete = self._filter(lambda frame: all(h(frame) for h in has), " and ".join(words))
         before, after = (
-            sum(len(traverse.frames) for _, side in drives._parts for traverse in side.traverses)
-            for drives in (self, complete)
+            sum(len(t.frames) for side in (d.references, d.queries) for t in side.traverses)
+            for d in (self, complete)
         )
         if after < before:
-            note(
-                f"{before - after} of {before} frames are left out: they lack {' or '.join(words)}"
-            )
+            lacking = f"they lack {' or '.join(words)}"
+            note(f"{before - after} of {before} frames are left out: {lacking}")
         return complete
-
-    @property
-    def _parts(self) -> tuple[tuple[str, Dataset], ...]:
-        return ("reference", self.references), ("query", self.queries)
-
-    def _filter(self, has: Callable[[DatasetFrame], object], what: str) -> Drives:
-        """The drives with only the frames that ``has`` accepts; an error if none is left."""
-        filtered = [side.with_frames(lambda frames: filter(has, frames)) for _, side in self._parts]
-        drives = Drives(self.whole, *filtered)
-        for name, side in drives._parts:
-            if not any(side.frames):
-                raise ValueError(f"no {name} of {side.root} ({side.layout}) has {what}")
-        return drives
 
     def lacks(self, kind: str) -> str | None:
         """The reason why a method that needs a kind of file cannot run; ``None`` if it can."""
         if kind == "labels" and self.whole.labels_as is None:
             return "it needs label maps and their --labels-as"
-        for name, side in self._parts:
-            if not any(map(KINDS[kind], side.frames)):
-                return f"no {name} of {side.root} ({side.layout}) has {WORDS[kind]}"
+        try:
+            self._filter(*KINDS[kind])
+        except ValueError as error:
+            return str(error)
         return None
+
+    def _filter(self, has: Callable[[DatasetFrame], object], what: str) -> Drives:
+        """The drives with only the frames that ``has`` accepts; an error if none is left."""
+        sides = []
+        for name, side in (("reference", self.references), ("query", self.queries)):
+            sides.append(side.with_frames(lambda frames: filter(has, frames)))
+            if not any(sides[-1].frames):
+                raise ValueError(f"no {name} of {side.root} ({side.layout}) has {what}")
+        return Drives(self.whole, *sides)
 
 
 def _unambiguous(dataset: Dataset) -> Dataset:

@@ -63,7 +63,7 @@ def _frames(folder: Path) -> tuple[dict[str, Path], dict[str, Path]]:
     if (folder / "images").is_dir() or (folder / "labels").is_dir():
         return images_in(folder / "images"), labels_in(folder / "labels")
     labels = {name: path for name, path in labels_in(folder).items() if "ground_truth" not in name}
-    return labels | files_in(folder, _ONLY_IMAGES), labels
+    return labels | files_in(_ONLY_IMAGES, folder), labels
 
 
 LAYOUT = Layout(

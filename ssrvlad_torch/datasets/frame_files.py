@@ -10,13 +10,12 @@ from os import PathLike
 from pathlib import Path
 from typing import TypeVar
 
-from ..files import check_regular, is_uri, natural_key, npy_header
+from ..files import check_regular, is_uri, naming, natural_key, npy_header
 from .bags import bag_files, is_bag
 from .frame_file import FrameFile, RemoteFile, remote_files
-from .gps import read_exif
 from .names import KnownFolders, absolute, sequence_names
 from .pose_tables import PoseTable
-from .poses import UNKNOWN, Pose, poses_of_fixes, read_name, read_poses
+from .poses import UNKNOWN, Pose, poses_of_fixes, read_exif, read_name, read_poses
 from .trajectories import read_trajectory
 from .videos import VideoFile, is_video, video_files
 from .workers import in_order
@@ -157,10 +156,8 @@ def _given_poses(
         raise ValueError(f"{source} holds the poses of one drive, got {len(drives)} sequences")
     trajectory = read_trajectory(path, largest_gap)
     names, stamps = zip(*((file.name, file.stamp) for file in drives[0]), strict=True)
-    try:
+    with naming(source):
         return [trajectory.of_frames(names, stamps)]
-    except ValueError as error:
-        raise ValueError(f"{source}: {error}") from error
 
 
 def _poses_of_exif(drive: Sequence[FrameFile]) -> list[Pose]:

@@ -4,7 +4,8 @@ import errno
 import io
 import os
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
@@ -12,8 +13,9 @@ import numpy as np
 import numpy.typing as npt
 from numpy.lib.format import MAGIC_PREFIX
 from PIL import Image, ImageOps, UnidentifiedImageError
+from PIL.ImageFile import ImageFile
 
-from ..files import check_pixels, empty_folder, one_line, parse_npy
+from ..files import check_pixels, empty_folder, naming, one_line, parse_npy
 from .frame_files import FileKind, FrameFile, find_frames
 from .poses import write_name
 
@@ -40,7 +42,7 @@ def decode_image(content: bytes) -> Pixels:
     the high 8 of 16 bits are kept, and the first frame of an animation is read. Damaged and other
     files, pixels of 32 bits or floats, and what looks like a label map are a ValueError.
     """
-    try:
+    with decoding(f"is no image file; expected {', '.join(_FORMATS)} or .npy"):
         if not content.startswith(MAGIC_PREFIX):
             return _decode(content)
         array = parse_npy(content)
@@ -48,10 +50,25 @@ def decode_image(content: bytes) -> Pixels:
             raise ValueError(f"expected an (H, W, 3) uint8 image, got {array.shape} {array.dtype}")
         check_pixels(*array.shape[:2])
         return array
-    except UnidentifiedImageError as error:
-        raise ValueError(f"is no image file; expected {', '.join(_FORMATS)} or .npy") from error
+
+
+@contextmanager
+def decoding(unknown: str) -> Iterator[None]:
+    """Turns whatever a decoder raises into a ValueError of one line: ``unknown`` for a file that is
+    no image."""
+    try:
+        yield
     except Exception as error:  # decoders raise any exception on damaged bytes
-        raise ValueError(one_line(error)) from error
+        is_unknown = isinstance(error, UnidentifiedImageError)
+        raise ValueError(unknown if is_unknown else one_line(error)) from error
+
+
+def checked_image(content: bytes, formats: tuple[str, ...]) -> ImageFile:
+    """The image in the bytes of a file, not decoded yet, its size and checksums verified."""
+    with Image.open(io.BytesIO(content), formats=formats) as image:
+        check_pixels(image.height, image.width)
+        image.verify()  # decoding a PNG does not check its checksums
+    return Image.open(io.BytesIO(content), formats=formats)
 
 
 def read_image(file: FrameFile) -> Pixels:
@@ -66,10 +83,8 @@ def pixels_of(picture: Picture) -> Pixels:
         path = Path(picture)
         if not path.exists():
             raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
-        try:
+        with naming(path):
             return read_image(FrameFile("", "", path))
-        except ValueError as error:
-            raise ValueError(f"{path}: {error}") from error
     if isinstance(picture, Image.Image):
         return np.asarray(picture.convert("RGB"))
     if not isinstance(picture, np.ndarray):
@@ -98,11 +113,7 @@ def write_pictures(folder: Path, files: Sequence[FrameFile]) -> None:
 
 
 def _decode(content: bytes) -> Pixels:
-    with Image.open(io.BytesIO(content), formats=_FORMATS) as stored:
-        check_pixels(stored.height, stored.width)
-        stored.verify()  # decoding a PNG does not check its checksums
-    with Image.open(io.BytesIO(content), formats=_FORMATS) as stored:
-        image: Image.Image = ImageOps.exif_transpose(stored)
+    image: Image.Image = ImageOps.exif_transpose(checked_image(content, _FORMATS))
     if image.mode in ("L", "P"):
         require_photograph(np.asarray(image))
     if image.mode in _SIXTEEN_BIT:

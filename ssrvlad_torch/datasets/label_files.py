@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from numpy.lib.format import MAGIC_PREFIX
-from PIL import Image, UnidentifiedImageError
+from PIL import Image
 
-from ..files import check_pixels, one_line, parse_npy
+from ..files import parse_npy
 from ..taxonomy import LabelSpace
 from .frame_files import FileKind, FrameFile, find_frames
+from .image_files import checked_image, decoding
 
 SUFFIXES = (".png", ".npy", ".tif", ".tiff", ".bmp")
 _FORMATS = ("PNG", "TIFF", "BMP")
@@ -34,13 +35,9 @@ def read_label_map(file: FrameFile, space: LabelSpace) -> LabelMap:
     the label space lacks, and a palette that can mean two things are a ValueError.
     """
     content = file.read()
-    try:
-        is_array = file.path.suffix.lower() == ".npy" or content.startswith(MAGIC_PREFIX)
+    is_array = file.path.suffix.lower() == ".npy" or content.startswith(MAGIC_PREFIX)
+    with decoding(f"cannot identify the image; expected {', '.join(_FORMATS)}"):
         labels = parse_npy(content) if is_array else _decode_image(content, space)
-    except UnidentifiedImageError as error:
-        raise ValueError(f"cannot identify the image; expected {', '.join(_FORMATS)}") from error
-    except Exception as error:  # decoders raise any exception on damaged bytes
-        raise ValueError(one_line(error)) from error
     if labels.ndim != 2 or labels.size == 0 or labels.dtype.kind not in "iu":
         raise ValueError(f"expected an (H, W) integer label map, got {labels.shape} {labels.dtype}")
     if labels.dtype.kind == "u" and labels.dtype.itemsize > 2:
@@ -59,43 +56,40 @@ def digest(labels: LabelMap) -> str:
 
 
 def _decode_image(content: bytes, space: LabelSpace) -> npt.NDArray[Any]:
-    with Image.open(io.BytesIO(content), formats=_FORMATS) as image:
-        check_pixels(image.height, image.width)
-        image.verify()  # decoding a PNG does not check its checksums
-    with Image.open(io.BytesIO(content), formats=_FORMATS) as image:
+    with checked_image(content, _FORMATS) as image:
         # Pillow's name for the storage of a pixel is the first argument of the decoder
         arguments = image.tile[0].args if image.tile else ""
         raw_mode = str(arguments[0] if isinstance(arguments, tuple) and arguments else arguments)
         if image.format == "PNG" and raw_mode in _SIXTEEN_BIT_LOW_BYTE:
-            return _first_of_sixteen_bit_channels(content, raw_mode)
+            return _first_of_sixteen_bit_channels(image, content, raw_mode)
         if image.mode in ("L", "LA", "RGB", "RGBA") and ";" in raw_mode:
             raise ValueError(
                 f"pixels stored as {raw_mode} would be read scaled; expected gray of 8 or 16 bits, "
                 "or colours of 8, or 16 in a PNG"
             )
         pixels = np.asarray(image)
+        first = pixels if pixels.ndim == 2 else pixels[..., 0]
         if image.mode in ("P", "PA"):
-            indices = pixels if image.mode == "P" else pixels[..., 0]
             colours = np.array(image.getpalette(), np.uint8).reshape(-1, 3)
-            return _ids_of_palette(indices, colours, space)
-        if image.mode in ("L", "I", "I;16", "I;16B", "I;16L"):
-            return pixels
-        if image.mode == "LA":
-            return pixels[..., 0]
+            return _ids_of_palette(first, colours, space)
+        if image.mode in ("L", "LA", "I", "I;16", "I;16B", "I;16L"):
+            return first
         if image.mode in ("RGB", "RGBA"):
             return _ids_of_colours(pixels[..., :3], space)
         raise ValueError(f"expected a label image, got an image of mode {image.mode}")
 
 
-def _first_of_sixteen_bit_channels(content: bytes, raw_mode: str) -> npt.NDArray[Any]:
+def _first_of_sixteen_bit_channels(
+    image: Image.Image, content: bytes, raw_mode: str
+) -> npt.NDArray[Any]:
     """The first channel of an image of 16-bit channels. Pillow reads only the high bytes. Read
     again with swapped bytes, it gives the low bytes; gray with alpha is read as four bytes, and the
     second is the low one."""
-    with Image.open(io.BytesIO(content), formats=_FORMATS) as image:
-        high = np.asarray(image)[..., 0].astype(np.uint16)
-    with Image.open(io.BytesIO(content), formats=_FORMATS) as image:
-        image.tile = [tile._replace(args=_SIXTEEN_BIT_LOW_BYTE[raw_mode]) for tile in image.tile]
-        low = np.asarray(image)[..., 1 if raw_mode == "LA;16B" else 0]
+    high = np.asarray(image)[..., 0].astype(np.uint16)
+    with Image.open(io.BytesIO(content), formats=_FORMATS) as swapped:
+        tiles = [tile._replace(args=_SIXTEEN_BIT_LOW_BYTE[raw_mode]) for tile in swapped.tile]
+        swapped.tile = tiles
+        low = np.asarray(swapped)[..., 1 if raw_mode == "LA;16B" else 0]
     return np.asarray(high << 8 | low)
 
 

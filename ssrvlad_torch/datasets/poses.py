@@ -1,4 +1,5 @@
-"""Poses of frames: ``poses.csv``, and names of files that hold the position of an image.
+"""Poses of frames: ``poses.csv``, names of files that hold the position of an image, and positions
+of GPS (WGS 84) as metres of UTM, which need the extra ``gps``.
 
 ``poses.csv`` has ``frame,x,y,heading`` in metres and radians. Names have the form of
 VPR-methods-evaluation: ``@ UTM east @ UTM north @ zone number @ zone letter @ latitude @ longitude
@@ -14,8 +15,12 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
 
-from ..files import read_text, replacing
-from .gps import Fix, eastings_northings, heading_of_course
+from PIL import ExifTags, Image
+
+from ..files import check_regular, read_text, replacing, requiring
+
+_KILOMETRE = 1 / 111.2
+"""Degrees of latitude."""
 
 FILE_NAME = "poses.csv"
 
@@ -29,6 +34,14 @@ class Pose(NamedTuple):
 
 
 UNKNOWN = Pose(float("nan"), float("nan"), float("nan"))
+
+
+class Fix(NamedTuple):
+    """Latitude, longitude and course in degrees; the course is clockwise from north, or NaN."""
+
+    latitude: float
+    longitude: float
+    course: float = math.nan
 
 
 def parse_number(text: str) -> float:
@@ -90,9 +103,55 @@ def write_poses(path: Path, poses: Mapping[str, Pose]) -> None:
 
 
 def poses_of_fixes(fixes: Sequence[Fix]) -> list[Pose]:
-    """Poses of one drive; errors as for `eastings_northings`."""
-    positions = zip(eastings_northings(fixes), fixes, strict=True)
-    return [Pose(*position, heading_of_course(fix.course)) for position, fix in positions]
+    """Poses of one drive: metres of UTM, east and north. A position outside UTM, or within 1 km of
+    the border of a zone, across which coordinates of other drives would not compare, is a
+    ValueError; without the extra ``gps``, an ImportError."""
+    with requiring("gps", "latitudes need"):
+        import utm
+    poses = []
+    for latitude, longitude, course in fixes:
+        east, north, _, _ = utm.from_latlon(latitude, longitude)
+        poses.append(Pose(float(east), float(north), heading_of_course(course)))
+    zones = set[tuple[int, bool]]()
+    for latitude, longitude, _ in fixes:  # and about 1 km from it in each direction
+        wide = _KILOMETRE / max(math.cos(math.radians(latitude)), _KILOMETRE)
+        for up, right in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)):
+            north, east = latitude + up * _KILOMETRE, longitude + right * wide
+            zones.add((utm.latlon_to_zone_number(north, east), north < 0))
+    if len(zones) > 1:
+        raise ValueError(
+            "the drive comes within 1 km of the border of a UTM zone; expected x and y in metres"
+        )
+    return poses
+
+
+def heading_of_course(course: float) -> float:
+    """The heading in radians, counter-clockwise from +x (east), of a course in degrees clockwise
+    from north. The difference between grid north and true north, up to 3 degrees, is ignored."""
+    return math.remainder(math.radians(90 - course), math.tau)
+
+
+def read_exif(path: Path) -> Fix | None:
+    """The position and direction in the EXIF tags of an image; ``None`` without a position. A
+    direction from magnetic north is ignored."""
+    tag = ExifTags.GPS
+    try:
+        check_regular(path)
+        with Image.open(path) as image:
+            tags = image.getexif().get_ifd(ExifTags.IFD.GPSInfo)
+        latitude = _degrees(tags[tag.GPSLatitude], tags[tag.GPSLatitudeRef])
+        longitude = _degrees(tags[tag.GPSLongitude], tags[tag.GPSLongitudeRef])
+        is_true = tags.get(tag.GPSImgDirectionRef, "T") == "T"
+        course = float(tags.get(tag.GPSImgDirection, "nan")) if is_true else math.nan
+        return Fix(latitude, longitude, course)
+    except (OSError, KeyError, TypeError, ValueError, ZeroDivisionError):
+        return None
+
+
+def _degrees(parts: Sequence[float], hemisphere: str) -> float:
+    degrees, minutes, seconds = map(float, parts)
+    angle = degrees + minutes / 60 + seconds / 3600
+    return -angle if hemisphere in ("S", "W") else angle
 
 
 _HEADING, _TIME, _NOTE = 9, 13, 14

@@ -9,6 +9,7 @@ matrix from camera to world, row by row. The world's third axis points down.
 
 from pathlib import Path
 
+from ..files import naming
 from .camera_poses import Z_DOWN, optical_axis, parse_numbers, read_poses
 from .dataset import Dataset, GroundTruth, Layout, Role, Traverse, folders_in, images_in
 from .poses import Pose
@@ -45,24 +46,22 @@ def read_nvm(path: Path) -> dict[str, Pose]:
     is not an NVM_V3 model, ends too early, or has a line that is not a camera is a ValueError that
     names file and line."""
     poses = {}
-    number = 1
     with path.open(encoding="utf-8", errors="replace") as file:
         if not file.readline().startswith("NVM_V3"):
             raise ValueError(f"{path} is not an NVM_V3 model")
-        numbered = ((number, line.split()) for number, line in enumerate(file, 2))
-        lines = ((number, words) for number, words in numbered if words)
-        try:
-            number, words = next(lines)
-            for missing in range(int(words[0]), 0, -1):
-                number, words = next(lines, (number, []))
+        lines = ((n, words) for n, line in enumerate(file, 2) if (words := line.split()))
+        number, words = next(lines, (1, []))
+        if not words:
+            raise ValueError(f"{path} holds no number of cameras")
+        with naming(f"{path} line {number}"):
+            count = int(words[0])
+        for missing in range(count, 0, -1):
+            number, words = next(lines, (number, []))
+            with naming(f"{path} line {number}"):
                 if not words:
                     raise ValueError(f"the file ends {missing} cameras too early")
                 numbers = parse_numbers(words[1:], 10)
                 poses[_plain(words[0])] = Z_DOWN.pose(numbers[5:8], optical_axis(numbers[1:5]))
-        except StopIteration:
-            raise ValueError(f"{path} holds no number of cameras") from None
-        except ValueError as error:
-            raise ValueError(f"{path} line {number}: {error}") from error
     return poses
 
 

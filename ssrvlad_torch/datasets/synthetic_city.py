@@ -54,15 +54,9 @@ QUERY = Conditions(
 )
 
 LEFT, STRAIGHT, RIGHT = 1, 0, -1
-TOUR = (
-    *(STRAIGHT, STRAIGHT, STRAIGHT, STRAIGHT, LEFT, STRAIGHT, LEFT),
-    *(STRAIGHT, STRAIGHT, STRAIGHT, STRAIGHT, LEFT, STRAIGHT, LEFT),
-    *(STRAIGHT, STRAIGHT, LEFT, STRAIGHT, RIGHT, STRAIGHT, RIGHT, STRAIGHT, RIGHT),
-    *(STRAIGHT, STRAIGHT, STRAIGHT, RIGHT, STRAIGHT, LEFT, LEFT, STRAIGHT, LEFT),
-    *(STRAIGHT, STRAIGHT, STRAIGHT, STRAIGHT, LEFT, LEFT, STRAIGHT, STRAIGHT, STRAIGHT),
-)
-"""Turns of a drive of 3.3 km with loops: around ten blocks, then along some of these streets again
-in the same direction and in the opposite one."""
+TOUR = tuple("R-L".index(turn) - 1 for turn in "----L-L----L-L--L-R-R-R---R-LL-L----LL---")
+"""Turns of a drive of 3.3 km with loops, left, right or straight on: around ten blocks, then along
+some of these streets again in the same direction and in the opposite one."""
 TOUR_ESTATES = (2,)
 """The estate of the tour: 400 m of street that look alike."""
 

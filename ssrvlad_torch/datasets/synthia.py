@@ -9,6 +9,7 @@ with y up, and a camera looks along its own -z. The ground plane is x and z, as 
 
 from pathlib import Path
 
+from ..files import naming
 from .camera_poses import Y_UP_LEFT_HANDED, parse_numbers
 from .dataset import (
     Dataset,
@@ -40,7 +41,7 @@ def read(root: Path, labels_as: str | None) -> Dataset:
             labels = labels_in(folder / _LABELS / camera)
             poses = {
                 name: read_pose(file)
-                for name, file in files_in(folder / _POSES / camera, (".txt",)).items()
+                for name, file in files_in((".txt",), folder / _POSES / camera).items()
                 if name in images or name in labels
             }
             name = f"{absolute_folder(folder).name}-{'-'.join(camera.parts)}"
@@ -52,10 +53,8 @@ def read(root: Path, labels_as: str | None) -> Dataset:
 
 def read_pose(path: Path) -> Pose:
     """The pose of one frame. A file without 16 numbers is a ValueError that names it."""
-    try:
+    with naming(path):
         matrix = parse_numbers(path.read_text(encoding="utf-8", errors="replace").split(), 16)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
     return Y_UP_LEFT_HANDED.pose(matrix[12:15], [-number for number in matrix[8:11]])
 
 

@@ -1,16 +1,21 @@
-"""Poses of one drive in files of KITTI, TUM, GPX and NMEA, and the poses of its frames."""
+"""Poses of one drive in files of KITTI, TUM, GPX and NMEA 0183, and the poses of its frames.
+
+GPX and NMEA need the extra ``gps``.
+"""
 
 import math
 from bisect import bisect_left
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import accumulate, chain
+from datetime import UTC, datetime, time
+from itertools import pairwise
 from pathlib import Path
 
-from ..files import read_text
-from .camera_poses import Y_DOWN, Z_UP, optical_axis
-from .poses import UNKNOWN, Pose, parse_number, poses_of_fixes
-from .tracks import SUFFIXES, read_track
+import numpy as np
+
+from ..files import naming, read_text, requiring
+from .camera_poses import Y_DOWN, Z_UP, optical_axis, words_of
+from .poses import UNKNOWN, Fix, Pose, parse_number, poses_of_fixes
 
 _KITTI, _TUM = 12, 8
 _MOST_SECONDS = 0.02
@@ -55,26 +60,9 @@ class Trajectory:
                 expected = f"expected {len(self.poses)} frames, one per pose"
                 raise ValueError(f"{expected}, got {len(names)}")
             return self.poses
-        whole = all(name.isdecimal() for name in names)
-        timed = bool(stamps) and not any(map(math.isnan, stamps))
-        times = [stamps] if timed else []
-        if whole or not timed:
-            try:
-                seconds = [parse_number(name) for name in names]
-            except ValueError as error:
-                raise ValueError(
-                    f"expected frames named by their time in seconds: {error}"
-                ) from None
-            named = [[t * unit for t in seconds] for unit in (_UNITS if whole else _UNITS[:1])]
-            times += [given for given in named if not (timed and _are_same(given, stamps))]
-        drives = [[self._at(time) for time in given] for given in times]
-        # in too small a unit all frames of a drive are near its first pose
-        reached = [
-            len({bisect_left(self.stamps, t) for t, pose in pairs if pose is not UNKNOWN})
-            for pairs in map(zip, times, drives)
-        ]
-        most = max(reached)
-        best = [poses for poses, count in zip(drives, reached, strict=True) if count == most]
+        drives = [self._reached(times) for times in _times_of(names, stamps)]
+        most = max(count for count, _ in drives)
+        best = [poses for count, poses in drives if count == most]
         if not most or any(poses != best[0] for poses in best):
             problem = "several units of time fit" if most else "no pose is near in time to"
             raise ValueError(
@@ -83,6 +71,13 @@ class Trajectory:
                 "video or bag of that time"
             )
         return best[0]
+
+    def _reached(self, times: Sequence[float]) -> tuple[int, list[Pose]]:
+        """How much of the trajectory some times reach, and the poses then: in too small a unit all
+        frames of a drive are near its first pose."""
+        poses = [self._at(time) for time in times]
+        known = (time for time, pose in zip(times, poses, strict=True) if pose is not UNKNOWN)
+        return len({bisect_left(self.stamps, time) for time in known}), poses
 
     def _at(self, time: float) -> Pose:
         after = bisect_left(self.stamps, time)  # the first pose that is not before the time
@@ -106,15 +101,26 @@ class Trajectory:
         )
 
 
-def _are_same(times: Sequence[float], stamps: Sequence[float]) -> bool:
-    """Whether times are those of stamps, as in the names of a video's frames, in microseconds."""
-    return all(abs(time - stamp) <= _UNITS[2] for time, stamp in zip(times, stamps, strict=True))
+def _times_of(names: Sequence[str], stamps: Sequence[float]) -> list[Sequence[float]]:
+    """What the times of frames can be: their stamps, and their names in each unit; but not names
+    that repeat the stamps, as those of a video's frames in microseconds."""
+    whole = all(name.isdecimal() for name in names)
+    timed = bool(stamps) and not any(map(math.isnan, stamps))
+    if timed and not whole:
+        return [stamps]
+    with naming("expected frames named by their time in seconds"):
+        seconds = [parse_number(name) for name in names]
+    times: list[Sequence[float]] = [stamps] if timed else []
+    for unit in _UNITS if whole else _UNITS[:1]:
+        named = [number * unit for number in seconds]
+        if not timed or np.abs(np.subtract(named, stamps)).max() > _UNITS[2]:
+            times.append(named)
+    return times
 
 
 def read_trajectory(path: Path, largest_gap: float | None = None) -> Trajectory:
-    """The trajectory in a GPX or NMEA file, by its suffix, see `tracks`; or in a file of KITTI or
-    TUM, recognised by the count of numbers in a line. A file of another form is a ValueError that
-    names the line.
+    """The trajectory in a GPX or NMEA file, by its suffix; or in a file of KITTI or TUM, recognised
+    by the count of numbers in a line. A file of another form is a ValueError that names the line.
 
     KITTI: twelve numbers, the matrix ``(3, 4)`` from the camera to the world of the first camera (x
     to the right, y down, z ahead). TUM: ``time x y z qx qy qz qw``, the camera in a world whose z
@@ -122,21 +128,12 @@ def read_trajectory(path: Path, largest_gap: float | None = None) -> Trajectory:
     metres of UTM; the heading is the course, unknown where the file has none. The largest gap, see
     `Trajectory`, is 5 s for these by default; between segments of GPX no gap is bridged.
     """
-    if path.suffix.lower() in SUFFIXES:
-        segments = read_track(path)
-        times, fixes = zip(*chain(*segments), strict=True)
-        gap = _GAP if largest_gap is None else largest_gap
-        starts = frozenset(accumulate(map(len, segments)))
-        try:
-            return Trajectory(poses_of_fixes(fixes), list(times), gap, starts)
-        except ValueError as error:
-            raise ValueError(f"{path}: {error}") from error
+    text = read_text(path)
+    if path.suffix.lower() in (".gpx", ".nmea"):
+        return _read_track(path, text, _GAP if largest_gap is None else largest_gap)
     poses, stamps = list[Pose](), list[float]()
-    for number, line in enumerate(read_text(path).splitlines(), 1):
-        words = line.replace(",", " ").split()
-        if not words or words[0].startswith("#"):
-            continue
-        try:
+    for place, words in words_of(path, text.replace(",", " ")):
+        with naming(place):
             numbers = [parse_number(word) for word in words]
             if len(numbers) == _KITTI:
                 poses.append(Y_DOWN.pose(numbers[3::4], numbers[2::4]))
@@ -147,10 +144,72 @@ def read_trajectory(path: Path, largest_gap: float | None = None) -> Trajectory:
                 stamps.append(numbers[0])
             else:
                 raise ValueError(f"expected 12 numbers (KITTI) or 8 (TUM), got {len(numbers)}")
-        except ValueError as error:
-            raise ValueError(f"{path} line {number}: {error}") from error
     if stamps and (len(stamps) != len(poses) or stamps != sorted(stamps)):
         raise ValueError(f"{path}: expected lines of 8 numbers in order of time")
     if not poses:
         raise ValueError(f"{path} holds no poses")
     return Trajectory(poses, stamps, largest_gap)
+
+
+def _read_track(path: Path, text: str, gap: float) -> Trajectory:
+    """The positions of a GPS receiver: the track points of a GPX file, or the RMC sentences of an
+    NMEA file with a valid position. A point without a time, and times out of order are a
+    ValueError."""
+    is_gpx = path.suffix.lower() == ".gpx"
+    with requiring("gps", f"{path} needs"), naming(path):
+        points = list((_of_gpx if is_gpx else _of_nmea)(text))
+    if not points:
+        expected = "track points" if is_gpx else "RMC sentences"
+        raise ValueError(f"{path} holds no positions; expected {expected}")
+    segments, times, fixes = zip(*points, strict=True)
+    for number, (before, after) in enumerate(pairwise(times), 2):
+        if after < before:
+            raise ValueError(f"{path}: position {number} is earlier than the one before it")
+    starts = (n for n, (a, b) in enumerate(pairwise(segments), 1) if a != b)
+    with naming(path):
+        return Trajectory(poses_of_fixes(fixes), list(times), gap, frozenset(starts))
+
+
+def _of_gpx(text: str) -> Iterator[tuple[int, float, Fix]]:
+    """Number of the segment, seconds since 1970 UTC, and position of each point."""
+    import gpxpy
+
+    if "<!" in text.replace("<!--", "").replace("<![CDATA[", ""):
+        raise ValueError("expected GPX without a document type")  # its entities can grow
+    segments = (segment for track in gpxpy.parse(text).tracks for segment in track.segments)
+    points = ((n, point) for n, segment in enumerate(segments) for point in segment.points)
+    for number, (segment, point) in enumerate(points, 1):
+        if point.time is None:
+            raise ValueError(f"point {number} has no time, as 2026-05-01T10:00:00Z")
+        course = math.nan if point.course is None else float(point.course)
+        yield segment, _seconds(point.time), Fix(point.latitude, point.longitude, course)
+
+
+def _of_nmea(text: str) -> Iterator[tuple[int, float, Fix]]:
+    """The same of RMC sentences, which have position, course, time and date."""
+    import pynmea2
+
+    for number, line in enumerate(text.splitlines(), 1):
+        if line[3:6] != "RMC":
+            continue
+        with naming(f"line {number}"):
+            sentence = pynmea2.parse(line, check=True)
+            if sentence.status != "A":
+                continue
+            position = sentence.lat, sentence.lat_dir, sentence.lon, sentence.lon_dir
+            ways = sentence.lat_dir in ("N", "S") and sentence.lon_dir in ("E", "W")
+            if not (ways and sentence.lat and sentence.lon):  # the parser would say 0
+                raise ValueError(f"expected a position, got {','.join(position)}")
+            if any(float(angle) % 100 > 60 for angle in position[::2]):
+                raise ValueError(f"expected at most 60 minutes, got {','.join(position)}")
+            if not isinstance(sentence.timestamp, time):  # as in a leap second, 235960
+                raise ValueError(f"expected a time of day, got {sentence.timestamp}")
+            course = float(sentence.true_course or "nan")
+            fix = Fix(sentence.latitude, sentence.longitude, course)
+            seconds = _seconds(sentence.datetime)
+        yield 0, seconds, fix
+
+
+def _seconds(time: datetime) -> float:
+    """Seconds since 1970; a time without a zone is UTC."""
+    return (time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp()

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from datetime import datetime
 from fractions import Fraction
-from itertools import chain
+from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -39,7 +39,7 @@ class Packet(NamedTuple):
 
 class VideoPackets:
     """The packets of the first video stream of a file, numbered in the order of the file, which is
-    that of decoding. One generator of `decoded` at a time may be in use.
+    that of decoding.
 
     Attributes:
         packets: all of them.
@@ -64,7 +64,7 @@ class VideoPackets:
         times = [packet.time for packet in self.packets if packet.time is not None]
         if not times or not self.unit:
             raise ValueError(f"{path} holds no frames with presentation times")
-        self._next, self._rest = len(self.packets), iter(())
+        self._next, self._rest = len(self.packets), self._demuxed()
         is_avi = self._container.format.name == "avi"
         context = self._stream.codec_context
         self.lacks_times = is_avi and context.has_b_frames and times == sorted(times)
@@ -78,8 +78,11 @@ class VideoPackets:
         """The frames of the packets from number ``first`` up to ``stop``, each with the number of
         its packet, in the order in which the decoder gives them; ``None`` for a packet that is
         damaged. The decoder has seen no packet before."""
-        context = self._decoder()
-        for number, packet in self._read(first, stop):
+        context = self._open()[1].codec_context
+        context.thread_type = "NONE"  # else the damage that it reports depends on their timing
+        context.options = {"err_detect": "explode"}
+        for number in range(first, stop + 1):
+            packet = self._packet(number) if number < stop else None  # this flushes the decoder
             try:
                 damaged = packet is not None and self.packets[number].is_corrupt
                 frames = [None] if damaged else context.decode(packet)
@@ -97,27 +100,15 @@ class VideoPackets:
             raise ValueError("it has no stream of pictures")
         return container, container.streams.video[0]
 
-    def _decoder(self) -> Any:
-        """A new decoder: a flushed one would keep the parameters of earlier packets. It has one
-        thread: with several, the damage that it reports would depend on their timing."""
-        context = self._open()[1].codec_context
-        context.thread_type = "NONE"
-        context.options = {"err_detect": "explode"}
-        return context
-
     def _scan(self) -> Iterator[Packet]:
         seen = set[int]()
         with suppress(self._errors):  # a truncated file ends here
             for packet in self._demuxed():
                 is_shown = not (packet.pts is None or packet.is_discard or packet.pts in seen)
                 seen.add(packet.pts)
-                yield Packet(
-                    packet.pts if is_shown else None,
-                    packet.dts,
-                    packet.is_keyframe,
-                    packet.is_corrupt,
-                    _mark(packet),
-                )
+                time = packet.pts if is_shown else None
+                flags = packet.is_keyframe, packet.is_corrupt
+                yield Packet(time, packet.dts, *flags, _mark(packet))
 
     def _duration(self) -> int:
         if self._container.format.name == "mpegts":
@@ -132,53 +123,32 @@ class VideoPackets:
             return 0
         return round(total / self.unit) if math.isfinite(total) else 0
 
-    def _read(self, first: int, stop: int) -> Iterator[tuple[int, Any]]:
-        """Packets with their numbers, which are also their times; after them ``None``, which
-        flushes a decoder."""
-        if first != self._next:
-            self._seek(first)
-        for number in range(first, stop):
-            packet = self._following()
-            if packet is None or _mark(packet) != self.packets[number].mark:
-                self._rewind(number)
-                packet = self._following()
-            if packet is None or _mark(packet) != self.packets[number].mark:
-                raise ValueError("the video changed while it was read")
-            self._next = number + 1
-            packet.pts = packet.dts = number
-            yield number, packet
-        yield stop, None
-
-    def _following(self) -> Any:
-        with suppress(self._errors):
-            return next(self._rest, None)
-        return None
-
-    def _seek(self, number: int) -> None:
-        """Goes to a packet: to its time, where other packets may come first, or, where that leads
-        elsewhere, as in damaged files, from the start of the file."""
-        wanted = self.packets[number]
-        for time in (wanted.time, wanted.decoded):
-            if time is None:
-                continue
+    def _packet(self, number: int) -> Any:
+        """A packet by its number, which is also its time."""
+        wanted = self.packets[number].mark
+        for packets in self._ways_to(number):
             with suppress(self._errors):
-                self._container.seek(time, stream=self._stream)
-                rest = self._demuxed()
-                for packet in rest:
-                    if _mark(packet) == wanted.mark:
-                        self._next, self._rest = number, chain([packet], rest)
-                        return
-                    if (packet.pos or 0) > (wanted.mark[0] or math.inf):
+                for packet in packets:
+                    if _mark(packet) == wanted:
+                        self._next, self._rest = number + 1, packets
+                        packet.pts = packet.dts = number
+                        return packet
+                    if (packet.pos or 0) > (wanted[0] or math.inf):
                         break
-        self._rewind(number)
+        raise ValueError("the video changed while it was read")
 
-    def _rewind(self, number: int) -> None:
-        """Goes to a packet through all that are before it."""
+    def _ways_to(self, number: int) -> Iterator[Iterator[Any]]:
+        """Packets among which one may be: those after the last one, those at its time, or, where
+        that leads elsewhere, as in damaged files, those of the whole file."""
+        if number == self._next:
+            yield self._rest
+        for time in (self.packets[number].time, self.packets[number].decoded):
+            if time is not None:
+                with suppress(self._errors):
+                    self._container.seek(time, stream=self._stream)
+                    yield self._demuxed()
         self._container, self._stream = self._open()
-        self._rest = self._demuxed()
-        for _ in range(number):
-            self._following()
-        self._next = number
+        yield islice(self._demuxed(), number, None)
 
     def _demuxed(self) -> Iterator[Any]:
         return (packet for packet in self._container.demux(self._stream) if packet.size)

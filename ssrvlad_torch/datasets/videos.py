@@ -2,10 +2,10 @@
 
 import math
 from bisect import bisect_left, bisect_right
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from itertools import accumulate, pairwise
 from pathlib import Path
 from threading import Lock
@@ -18,12 +18,10 @@ from ..files import check_pixels, npy_bytes
 from .frame_file import FrameFile
 from .names import VIDEO_SUFFIXES, absolute
 from .video_packets import VideoPackets
-from .video_run import DecodingRun
 
 _TOLERATED = 0.5
 """Seconds by which a header may say that a video is longer than its frames."""
-_STARTS = 4
-"""Key frames with which decoding is tried to begin."""
+_BUFFERED = 16
 _LEAP, _LEAP_STEPS = 10, 100
 """A leap of time is longer than 10 seconds, which is FFmpeg's bound, and than 100 frames."""
 _REORDERED = 16
@@ -85,8 +83,9 @@ def played(files: Sequence[FrameFile]) -> list[float]:
 
 class _Video:
     """The frames of a video, ranked by their times. For a frame, decoding begins at the last key
-    frame at or before it with a decoder that has seen nothing: whatever was read before, a frame is
-    the same or refused. Reading in order decodes each frame once.
+    frame at or before it with a decoder that has seen nothing, or, where that fails, at the key
+    frame before, to which an open group may refer: whatever was read before, a frame is the same or
+    refused. Reading in order decodes each frame once, of open groups twice.
 
     Attributes:
         times: presentation times of all frames, increasing, in units of ``unit`` seconds.
@@ -101,19 +100,14 @@ class _Video:
         kept = _without_leaps(shown, self.unit, self._source.duration)
         self._leaping = sorted({time for time, _ in shown} - {time for time, _ in kept})
         kept.sort()
-        self.times = [time for time, _ in kept]
-        self._numbers: list[int | None] = [number for _, number in kept]
-        self._keys = sorted(number for _, number in kept if packets[number].is_key)
-        self._ranks: dict[int, int] = {}
-        self._is_ordered = not self._source.lacks_times
+        self.times, self._by_time = [time for time, _ in kept], [number for _, number in kept]
+        self._keys = sorted({0, *(number for number in self._by_time if packets[number].is_key)})
+        self._runs = dict[tuple[int, int], _Run]()
         self._lock = Lock()
-        self._failed = dict[tuple[int, int], int]()
-        """By the ends of runs, the first packet that is known to be damaged."""
-        self._run = DecodingRun(self._source, {}, 0, 0, self._failed)
 
     def pixels(self, time: int) -> npt.NDArray[np.uint8]:
         """``(H, W, 3)`` uint8 of the frame at a time, turned upright; a ValueError if it does not
-        decode, or an earlier one that it may depend on, see `DecodingRun`."""
+        decode, or an earlier one that it may depend on, see `_Run`."""
         with self._lock:
             frame = self._frame(bisect_left(self.times, time))
             if frame is None:
@@ -140,37 +134,21 @@ class _Video:
 
     def _frame(self, rank: int) -> Any:
         """The frame of a rank; ``None`` if it, or one before it from the key frame on, fails."""
-        if not self._is_ordered:
-            self._numbers, self._is_ordered = self._order_of_showing(), True
-        if not self._ranks:
-            self._ranks = {n: rank for rank, n in enumerate(self._numbers) if n is not None}
         number = self._numbers[rank]
         if number is None:
             return None
-        place, tried = bisect_right(self._keys, number) - 1, 0
-        stop = self._stop_of(self._keys[place] if place >= 0 else 0)
-        while place >= 0 and tried < _STARTS:
-            start, place = self._keys[place], place - 1
-            if self._ranks.get(start, math.inf) > rank:
-                continue
-            run = self._run_of(start, stop, number)
-            if run and not run.opens():  # an intra refresh, which ends later
-                self._keys.remove(start)
-                continue
-            frame = run and run.frame(number)
-            if frame is not None:
-                return frame
-            tried += 1
-        run = None if tried else self._run_of(0, stop, number)
-        return run and run.frame(number)
-
-    def _run_of(self, start: int, stop: int, number: int) -> DecodingRun | None:
-        """A run that may give the frame of a packet; ``None`` if it was damaged before it."""
-        if self._failed.get((start, stop), math.inf) <= number:
-            return None
-        if self._run.ends != (start, stop) or self._run.has_passed(number):
-            self._run = DecodingRun(self._source, self._ranks, start, stop, self._failed)
-        return self._run
+        place = bisect_right(self._keys, number) - 1
+        while place and self._ranks.get(self._keys[place], math.inf) > rank:
+            place -= 1
+        first, frame = self._keys[place], None
+        for start in (first, self._keys[max(place - 1, 0)]):
+            if frame is None:
+                run = self._runs.pop((start, first), None)
+                if run is None or run.has_dropped(number):
+                    run = _Run(self._source, self._ranks, start, first, self._stop_of(first))
+                frame = run.frame(number, self._latest[number])
+                self._runs = dict([*self._runs.items()][-1:]) | {(start, first): run}
+        return frame
 
     def _stop_of(self, start: int) -> int:
         """The packet before which decoding from a key frame ends: the next key frame, or after
@@ -181,21 +159,76 @@ class _Video:
         earlier = (n for n in range(key, following) if self._ranks.get(n, shown) < shown)
         return max(earlier, default=key - 1) + 1
 
-    def _order_of_showing(self) -> list[int | None]:
-        """The packets in the order in which a decoder shows them, between two key frames each
-        time; ``None`` where one of these is not shown."""
-        numbers = [number for number in self._numbers if number is not None]
-        groups: dict[int, list[int]] = {}
+    @cached_property
+    def _ranks(self) -> dict[int, int]:
+        """The ranks of the frames by the numbers of their packets."""
+        return {number: rank for rank, number in enumerate(self._numbers) if number is not None}
+
+    @cached_property
+    def _latest(self) -> list[int]:
+        """The highest rank of the packets up to each."""
+        ranks = (self._ranks.get(number, 0) for number in range(len(self._source.packets)))
+        return list(accumulate(ranks, max))
+
+    @cached_property
+    def _numbers(self) -> list[int | None]:
+        """The packets in the order of showing; where times do not tell it, in the order in which a
+        decoder shows them between two key frames, ``None`` where one of these is not shown."""
+        if not self._source.lacks_times:
+            return [*self._by_time]
+        groups = {key: list[int]() for key in self._keys}
         for number, frame in self._source.decoded(0, len(self._source.packets)):
             if frame is not None:
-                groups.setdefault(bisect_right(self._keys, number), []).append(number)
+                groups[self._keys[bisect_right(self._keys, number) - 1]].append(number)
         order = list[int | None]()
-        for place in range(len(self._keys) + 1):
-            first, stop = (0, *self._keys, math.inf)[place : place + 2]
-            count = bisect_left(numbers, stop) - bisect_left(numbers, first)
-            group = groups.get(place, [])
+        for (first, group), stop in zip(groups.items(), (*self._keys[1:], math.inf), strict=True):
+            count = bisect_left(self._by_time, stop) - bisect_left(self._by_time, first)
             order += group if len(group) == count else [None] * count
         return order
+
+
+class _Run:
+    """One run of a decoder through the packets from number ``start`` up to ``stop``, for the frames
+    from the key frame ``first`` on, as far as was asked. The last `_BUFFERED` stay in memory.
+
+    A decoder conceals damage, and frames that depend on a concealed one decode without an error:
+    with a damaged packet, all later ones fail.
+    """
+
+    def __init__(
+        self, source: VideoPackets, ranks: Mapping[int, int], start: int, first: int, stop: int
+    ) -> None:
+        self._ranks, self._outputs, self._first = ranks, source.decoded(start, stop), first
+        self._buffer, self._dropped = dict[int, Any](), set[int]()
+        self._reached, self._failed = -1, math.inf
+
+    def has_dropped(self, number: int) -> bool:
+        """Whether the frame of a packet was in memory."""
+        return self._ranks[number] in self._dropped
+
+    def frame(self, number: int, latest: int) -> Any:
+        """The frame of a packet; ``None`` if it or one before it is damaged, or it has none.
+        ``latest`` is the highest rank of the packets up to it."""
+        while self._reached < latest and number < self._failed:
+            output = next(self._outputs, None)
+            if output is None:
+                break
+            self._take(*output)
+        return self._buffer.get(self._ranks[number]) if number < self._failed else None
+
+    def _take(self, number: int, frame: Any) -> None:
+        rank = self._ranks.get(number, math.inf)
+        if number < self._first or rank < self._ranks.get(self._first, 0):
+            return  # shown before the first, it may depend on what was not decoded
+        if frame is None or frame.is_corrupt:
+            self._failed = min(self._failed, number)
+        if frame is None or math.isinf(rank):
+            return
+        self._reached = max(self._reached, int(rank))
+        self._buffer[int(rank)] = frame
+        if len(self._buffer) > _BUFFERED:
+            self._dropped.add(min(self._buffer))
+            del self._buffer[min(self._buffer)]
 
 
 def _without_leaps(

@@ -17,11 +17,9 @@ from ..datasets.names import absolute
 from ..descriptor import SSRVLAD
 from ..files import is_uri, one_line, requiring
 from ..segmentation.segmenter import Segmenter
-from .describer import Describer, Item
-from .encoder import prepared, segmented_items
-from .plan import NEW, Plan
+from .encoder import Describer, Item, prepared, segmented_items
+from .plan import NEW, Plan, Writer
 from .results import Encoded, EncodeOptions, Skipped, Summary, cores, stacked
-from .writer import Writer
 
 PART = 1024
 """Number of frames that are encoded and written together."""

@@ -12,22 +12,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ..datasets.frame_file import Skipped
+from ..datasets.frame_file import Skipped as Skipped  # noqa: PLC0414 - others take it from here
 
 if TYPE_CHECKING:
     from ..database.frames import FrameRecord
-
-__all__ = [
-    "EncodeOptions",
-    "Encoded",
-    "Note",
-    "Progress",
-    "Skipped",
-    "Summary",
-    "cores",
-    "do_nothing",
-    "stacked",
-]
 
 Note = Callable[[str], object]
 """Called with what the user should know."""

@@ -209,13 +209,6 @@ def _open_dataset(wanted: Wanted, note: Note) -> Dataset | None:
     return whole
 
 
-def _selected(wanted: Wanted, dataset: Dataset) -> Dataset:
-    """The frames of a data set of the wanted split, role and poses."""
-    selected, truth = dataset.select(wanted.split or (), wanted.role), dataset.truth
-    by_poses = wanted.posed is None and truth is not None and truth.metres is not None
-    return selected.posed() if wanted.posed or by_poses else selected
-
-
 def _space_of_network(
     network: str | Segmenter, labels_as: str | LabelSpace | None, classes: str | None
 ) -> LabelSpace | None:
@@ -250,7 +243,9 @@ def _find(
 ) -> list[FrameFile]:
     """The frames that ``find`` finds, or those of the data set."""
     if dataset:
-        chosen = _selected(wanted, dataset)
+        chosen, truth = dataset.select(wanted.split or (), wanted.role), dataset.truth
+        if wanted.posed or (wanted.posed is None and truth and truth.metres is not None):
+            chosen = chosen.posed()
         of = chosen.image_files if find is find_image_files else chosen.label_files
         return of(wanted.every, wanted.start)
     names = ("sequence", "every", "start", "poses", "topic", "fps", "largest_gap")

@@ -8,8 +8,11 @@ import zlib
 from pathlib import Path
 
 import numpy as np
-from helpers import png_bytes
+from helpers import png_bytes, tiff_bytes
 from numpy.lib import format as npy
+from trees import write as text
+
+__all__ = ["text"]
 
 ALIASES = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
     f"{name}: &{name} [{', '.join([f'*{before}'] * 9)}]\n"
@@ -24,11 +27,6 @@ NESTED = "[" * 100_000
 def made(path: Path) -> Path:
     """A path in a folder that is there."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    return path
-
-
-def text(path: Path, content: str) -> Path:
-    made(path).write_text(content)
     return path
 
 
@@ -54,23 +52,7 @@ def png(path: Path, side: int = 13_000, colours: int = 0) -> Path:
 def tiff(path: Path, side: int = 13_000) -> Path:
     """A deflated TIFF of ``side ** 2`` black pixels."""
     data = zeros(side * side)
-    entries = [
-        (256, 4, side),
-        (257, 4, side),
-        (258, 3, 8),
-        (259, 3, 8),
-        (262, 3, 1),
-        (273, 4, 8),
-        (277, 3, 1),
-        (278, 4, side),
-        (279, 4, len(data)),
-    ]
-    folder = struct.pack("<H", len(entries))
-    for tag, kind, value in entries:
-        folder += struct.pack("<HHII", tag, kind, 1, value)
-    made(path).write_bytes(
-        b"II*\0" + struct.pack("<I", 8 + len(data)) + data + folder + b"\0\0\0\0"
-    )
+    made(path).write_bytes(tiff_bytes(side, side, data, packed=8))
     return path
 
 

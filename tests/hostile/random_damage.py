@@ -18,6 +18,23 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from PIL import Image
 
+import ssrvlad_torch
+from ssrvlad_torch import SSRVLADConfig, export_head
+from ssrvlad_torch.datasets.frame_file import FrameFile
+from ssrvlad_torch.datasets.image_files import read_image
+from ssrvlad_torch.datasets.label_files import read_label_map
+from ssrvlad_torch.datasets.poses import read_poses
+from ssrvlad_torch.datasets.trajectories import read_trajectory
+from ssrvlad_torch.datasets.videos import video_files
+from ssrvlad_torch.deployment.metadata import Metadata
+from ssrvlad_torch.evaluation.ground_truth_files import from_file
+from ssrvlad_torch.segmentation.networks import open_network
+from ssrvlad_torch.segmentation.onnx_files import load_model
+from ssrvlad_torch.taxonomy import label_space as read_label_space
+
+Reader = tuple[list[bytes], str, Callable[[Path], object]]
+"""Good files, their suffix, and what reads one."""
+
 REFUSALS = (ValueError, OSError)
 LONGEST = 10.0
 """Seconds of CPU time."""
@@ -69,35 +86,23 @@ def _arrays(folder: Path, *arrays: np.ndarray) -> list[bytes]:
     return found
 
 
-def label_map(folder: Path) -> tuple[list[bytes], str, Callable[[Path], object]]:
-    from ssrvlad_torch.datasets.frame_file import FrameFile
-    from ssrvlad_torch.datasets.label_files import read_label_map
-    from ssrvlad_torch.taxonomy import label_space
-
+def label_map(folder: Path) -> Reader:
     good = _images(folder, ("png", "tif", "bmp"), "L") + _arrays(folder, np.ones((9, 8), np.uint8))
-    space = label_space("camvid-11")
+    space = read_label_space("camvid-11")
     return good, ".png", lambda path: read_label_map(FrameFile("a", "b", path), space)
 
 
-def image(folder: Path) -> tuple[list[bytes], str, Callable[[Path], object]]:
-    from ssrvlad_torch.datasets.frame_file import FrameFile
-    from ssrvlad_torch.datasets.image_files import read_image
-
+def image(folder: Path) -> Reader:
     good = _images(folder, ("jpg", "png", "webp", "ppm", "tif"), "RGB")
     return good, ".jpg", lambda path: read_image(FrameFile("a", "b", path))
 
 
-def label_space(folder: Path) -> tuple[list[bytes], str, Callable[[Path], object]]:
-    import ssrvlad_torch
-    from ssrvlad_torch.taxonomy import label_space as read
-
+def label_space(folder: Path) -> Reader:
     spaces = Path(ssrvlad_torch.__file__).parent / "label_spaces"
-    return [file.read_bytes() for file in spaces.iterdir()], ".yaml", read
+    return [file.read_bytes() for file in spaces.iterdir()], ".yaml", read_label_space
 
 
-def segmenter(folder: Path) -> tuple[list[bytes], str, Callable[[Path], object]]:
-    from ssrvlad_torch.segmentation.networks import open_network
-
+def segmenter(folder: Path) -> Reader:
     good = [
         b"network: a.onnx\nsize: [64, 128]\nmean: [0.5, 0.5, 0.5]\nstd: [1, 1, 1]\nwhite: 255\n",
         b"network: a.onnx\nlabels_as: camvid-11\nclasses: 0:11\nmultiple: 16\ncolour_order: bgr\n",
@@ -105,9 +110,7 @@ def segmenter(folder: Path) -> tuple[list[bytes], str, Callable[[Path], object]]
     return good, ".yaml", open_network
 
 
-def poses(folder: Path) -> tuple[list[bytes], str, Callable[[Path], object]]:
-    from ssrvlad_torch.datasets.poses import read_poses
-
+def poses(folder: Path) -> Reader:
     good = [
         b"frame,x,y,heading\na,1.5,2,0\nb,2.5,3,0.1\n",
         b"frame,latitude,longitude,course\na,50.1,8.2,10\nb,50.2,8.3,11\n",
@@ -115,17 +118,13 @@ def poses(folder: Path) -> tuple[list[bytes], str, Callable[[Path], object]]:
     return good, ".csv", read_poses
 
 
-def trajectory(folder: Path) -> tuple[list[bytes], str, Callable[[Path], object]]:
-    from ssrvlad_torch.datasets.trajectories import read_trajectory
-
+def trajectory(folder: Path) -> Reader:
     kitti = " ".join(["1", "0", "0", "5"] * 3)
     good = [f"{kitti}\n{kitti}\n".encode(), b"0.1 1 2 3 0 0 0 1\n0.2 2 2 3 0 0 0 1\n"]
     return good, ".txt", read_trajectory
 
 
-def track(folder: Path) -> tuple[list[bytes], str, Callable[[Path], object]]:
-    from ssrvlad_torch.datasets.trajectories import read_trajectory
-
+def track(folder: Path) -> Reader:
     point = b'<trkpt lat="48.5" lon="11.5"><time>1994-03-23T12:35:19Z</time></trkpt>'
     good = [
         b'<gpx version="1.1"><trk><trkseg>' + 2 * point + b"</trkseg></trk></gpx>",
@@ -139,11 +138,8 @@ def track(folder: Path) -> tuple[list[bytes], str, Callable[[Path], object]]:
     return good, ".gpx", read
 
 
-def video(folder: Path) -> tuple[list[bytes], str, Callable[[Path], object]]:
+def video(folder: Path) -> Reader:
     import av
-
-    from ssrvlad_torch.datasets.image_files import read_image
-    from ssrvlad_torch.datasets.videos import video_files
 
     good = []
     for suffix in ("mp4", "mkv", "avi", "ts"):
@@ -163,9 +159,7 @@ def video(folder: Path) -> tuple[list[bytes], str, Callable[[Path], object]]:
     return good, ".mp4", read
 
 
-def truth(folder: Path) -> tuple[list[bytes], str, Callable[[Path], object]]:
-    from ssrvlad_torch.evaluation.ground_truth_files import from_file
-
+def truth(folder: Path) -> Reader:
     good = [b'{"a": ["c"], "b": []}', b'[["a", "c"]]', b"query,reference\na,c\nb,\n", b"1,0\n0,1\n"]
     good += [b"[[0, [0]], [1, [1, 0]]]", *_arrays(folder, np.eye(2))]
     np.savez(folder / "a.npz", GThard=np.eye(2))
@@ -179,11 +173,7 @@ def truth(folder: Path) -> tuple[list[bytes], str, Callable[[Path], object]]:
     return good, ".json", read
 
 
-def model(folder: Path) -> tuple[list[bytes], str, Callable[[Path], object]]:
-    from ssrvlad_torch import SSRVLADConfig, export_head
-    from ssrvlad_torch.deployment.metadata import Metadata
-    from ssrvlad_torch.segmentation.onnx_files import load_model
-
+def model(folder: Path) -> Reader:
     config = SSRVLADConfig.from_preset("default", labels_as="camvid-11")
     export_head(config, folder / "a.onnx")
 
@@ -194,18 +184,8 @@ def model(folder: Path) -> tuple[list[bytes], str, Callable[[Path], object]]:
     return [(folder / "a.onnx").read_bytes()], ".onnx", read
 
 
-READERS = {
-    "label-map": label_map,
-    "image": image,
-    "label-space": label_space,
-    "segmenter": segmenter,
-    "poses": poses,
-    "trajectory": trajectory,
-    "track": track,
-    "video": video,
-    "truth": truth,
-    "model": model,
-}
+_ALL = (label_map, image, label_space, segmenter, poses, trajectory, track, video, truth, model)
+READERS = {reader.__name__.replace("_", "-"): reader for reader in _ALL}
 
 
 def main() -> None:

@@ -52,26 +52,30 @@ for reader, path in json.loads(sys.argv[1]):
 
 @pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="needs Linux's /proc")
 def test_refused_files_need_little_memory(tmp_path):
-    (tmp_path / "bomb.yaml").write_text(bad.ALIASES)
+    large, none = "has 13000 x 13000 pixels; expected at most 64000000", "has 0 bytes for an array"
+    device, aliases = "is a device; expected a file", "an alias in line 2"
+    huge = bad.array(tmp_path / "huge.npy", (1 << 30, 1 << 30, 3))
     given = [
-        ("label map", bad.png(tmp_path / "gray.png")),
-        ("label map", bad.tiff(tmp_path / "gray.tif")),
-        ("label map", bad.endless(tmp_path / "zero.png")),
-        ("label map", bad.array(tmp_path / "huge.npy", (1 << 20, 1 << 20))),
-        ("picture", bad.png(tmp_path / "colour.png", colours=2)),
-        ("picture", bad.array(tmp_path / "huge.npy", (1 << 20, 1 << 20, 3))),
-        ("label space", tmp_path / "bomb.yaml"),
-        ("label space", bad.endless(tmp_path / "zero.yaml")),
-        ("ground truth", bad.archive(tmp_path / "zeros.npz", 300 << 20)),
-        ("ground truth", bad.array(tmp_path / "huge.npy", (1 << 20, 1 << 20))),
-        ("golden", tmp_path),
-        ("size", tmp_path),
+        ("label map", bad.png(tmp_path / "gray.png"), large),
+        ("label map", bad.tiff(tmp_path / "gray.tif"), large),
+        ("label map", bad.endless(tmp_path / "zero.png"), device),
+        ("label map", huge, none),
+        ("picture", bad.png(tmp_path / "colour.png", colours=2), large),
+        ("picture", tmp_path / "gray.tif", large),
+        ("picture", tmp_path / "zero.png", device),
+        ("picture", bad.pipe(tmp_path / "pipe.jpg"), "is a pipe; expected a file"),
+        ("picture", huge, none),
+        ("label space", bad.text(tmp_path / "bomb.yaml", bad.ALIASES), aliases),
+        ("label space", bad.endless(tmp_path / "zero.yaml"), device),
+        ("ground truth", bad.archive(tmp_path / "zeros.npz", 300 << 20), "SSRVLAD_FILE_LIMIT"),
+        ("ground truth", huge, none),
+        ("golden", tmp_path, ""),
+        ("size", tmp_path, "SSRVLAD_PIXEL_LIMIT"),
     ]
-    table = json.dumps([(reader, str(path)) for reader, path in given])
+    table = json.dumps([(reader, str(path)) for reader, path, _ in given])
     command = [sys.executable, "-c", PROGRAM, table]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     rows = [json.loads(line) for line in done.stdout.splitlines()]
-    assert len(rows) == len(given)
-    for reader, path, megabytes, refused in rows:
-        assert refused, (reader, path)
+    for (reader, path, megabytes, refused), (*_, message) in zip(rows, given, strict=True):
+        assert refused and message in refused, (reader, path, refused)
         assert megabytes <= 300, (reader, path, megabytes)

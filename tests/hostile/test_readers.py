@@ -99,26 +99,6 @@ def test_pipes_and_devices_are_not_frames(here, ssrvlad, make):
     assert alone.name in err[0]
 
 
-PICTURES: list[tuple[Make, str]] = [
-    (lambda p: bad.png(p / "x.png", colours=2), "has 13000 x 13000 pixels"),
-    (lambda p: bad.tiff(p / "x.tif"), "has 13000 x 13000 pixels"),
-    (lambda p: bad.array(p / "x.npy", (1 << 30, 1 << 30, 3)), "has 0 bytes for an array"),
-    (lambda p: bad.pipe(p / "x.jpg"), "is a pipe; expected a file"),
-    (lambda p: bad.endless(p / "x.jpg"), "is a device; expected a file"),
-]
-
-
-@pytest.mark.parametrize(("make", "message"), PICTURES)
-def test_a_hostile_picture_is_refused(here, make, message):
-    from ssrvlad_torch.datasets.frame_file import FrameFile
-    from ssrvlad_torch.datasets.image_files import read_image
-
-    path = make(here)
-    with pytest.raises(ValueError, match=r"\S") as refusal:
-        read_image(FrameFile("a", "x", path))
-    assert message in str(refusal.value)
-
-
 YAML: list[tuple[str, str]] = [
     (bad.ALIASES, "an alias in line 2"),
     (bad.NESTED, "more than 20 levels in line 1"),
@@ -136,57 +116,49 @@ YAML: list[tuple[str, str]] = [
 ]
 
 
-@pytest.mark.parametrize(("content", "message"), YAML)
-def test_a_hostile_label_space_is_one_line(here, ssrvlad, content, message):
-    bad.text(here / "own.yaml", content)
-    assert "own.yaml" in one_line(ssrvlad, "labels own.yaml", message)
-
-
-@pytest.mark.parametrize(("content", "message"), YAML[:5])
-def test_hostile_settings_of_a_segmenter_are_one_line(here, ssrvlad, content, message):
-    bad.text(here / "own.yaml", content)
-    command = "encode photos -o new.ssrdb --labels-as camvid-11 --segmenter own.yaml"
-    one_line(ssrvlad, command, message)
-
-
-@pytest.mark.parametrize("size", ["[]", "[30000, 30000]", "[0, 4]", "[a, b]", "[1.5, 3]"])
-def test_an_invalid_size_is_one_line(here, ssrvlad, size):
-    bad.text(here / "own.yaml", f"network: net.onnx\nsize: {size}\n")
-    command = "encode photos -o new.ssrdb --labels-as camvid-11 --segmenter own.yaml"
-    one_line(ssrvlad, command, "own.yaml: ")
-
-
+SIZES = ["[]", "[30000, 30000]", "[0, 4]", "[a, b]", "[1.5, 3]"]
 NO_FILES: list[tuple[Make, str]] = [
-    (lambda p: bad.pipe(p / "bad.yaml"), "is a pipe; expected a file"),
-    (lambda p: bad.endless(p / "bad.yaml"), "is a device; expected a file"),
-    (lambda p: (p / "bad.yaml").mkdir(), "is a folder; expected a file"),
+    (lambda p: bad.pipe(p / "own.yaml"), "is a pipe; expected a file"),
+    (lambda p: bad.endless(p / "own.yaml"), "is a device; expected a file"),
+    (lambda p: (p / "own.yaml").mkdir(), "is a folder; expected a file"),
+]
+TRUTHS: list[tuple[str, Make, str]] = [
+    ("bad.json", lambda p: bad.text(p, bad.NESTED), "nested too deeply"),
+    ("bad.json", lambda p: bad.text(p, "{"), "bad.json"),
+    ("bad.npy", lambda p: bad.array(p, (1 << 20, 1 << 20)), "has 0 bytes for an array"),
+    ("bad.json", bad.pipe, "is a pipe"),
+    ("bad.csv", bad.endless, "is a device"),
+    ("bad.npz", lambda p: bad.text(p, "no archive"), "not a .npz archive"),
+    ("bad.csv", lambda p: bad.text(p, "query,reference\n\0,b\n"), "bad.csv"),
 ]
 
 
-@pytest.mark.parametrize(("make", "message"), NO_FILES)
-@pytest.mark.parametrize(
-    "command", ["encode maps -o new.ssrdb --labels-as bad.yaml", "labels bad.yaml"]
-)
-def test_a_label_space_must_be_a_file(here, ssrvlad, make, message, command):
+def own(content: str) -> Make:
+    return lambda folder: bad.text(folder / "own.yaml", content)
+
+
+LABELS, ENCODE = "labels own.yaml", "encode maps -o new.ssrdb --labels-as own.yaml"
+SEGMENT = "encode photos -o new.ssrdb --labels-as camvid-11 --segmenter own.yaml"
+REFUSED = [
+    *((LABELS, own(content), message) for content, message in YAML),
+    *((SEGMENT, own(content), message) for content, message in YAML[:5]),
+    *((SEGMENT, own(f"network: net.onnx\nsize: {size}\n"), "own.yaml: ") for size in SIZES),
+    *((command, make, message) for command in (LABELS, ENCODE) for make, message in NO_FILES),
+    *(
+        (
+            f"evaluate town.ssrdb maps --ground-truth {name}",
+            lambda p, n=name, m=make: m(p / n),
+            message,
+        )
+        for name, make, message in TRUTHS
+    ),
+]
+
+
+@pytest.mark.parametrize(("command", "make", "message"), REFUSED)
+def test_a_hostile_file_is_one_line_that_names_it(here, ssrvlad, command, make, message):
     make(here)
-    one_line(ssrvlad, command, message)
-
-
-TRUTHS: list[tuple[Make, str]] = [
-    (lambda p: bad.text(p / "bad.json", bad.NESTED), "nested too deeply"),
-    (lambda p: bad.text(p / "bad.json", "{"), "bad.json"),
-    (lambda p: bad.array(p / "bad.npy", (1 << 20, 1 << 20)), "has 0 bytes for an array"),
-    (lambda p: bad.pipe(p / "bad.json"), "is a pipe"),
-    (lambda p: bad.endless(p / "bad.csv"), "is a device"),
-    (lambda p: bad.text(p / "bad.npz", "no archive"), "not a .npz archive"),
-    (lambda p: bad.text(p / "bad.csv", "query,reference\n\0,b\n"), "bad.csv"),
-]
-
-
-@pytest.mark.parametrize(("make", "message"), TRUTHS)
-def test_a_hostile_ground_truth_is_one_line(here, ssrvlad, make, message):
-    name = make(here).name
-    one_line(ssrvlad, f"evaluate town.ssrdb maps --ground-truth {name}", message)
+    assert command.split()[-1] in one_line(ssrvlad, command, message)
 
 
 OUTPUTS = [
