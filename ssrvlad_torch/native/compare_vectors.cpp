@@ -16,6 +16,7 @@ using Floats = std::vector<float>;
 constexpr Size ROWS_AT_ONCE = 192;  // rows that stay in the cache while queries pass by
 constexpr Size LANES = 96;          // vectors that are multiplied at once to narrow a sweep
 constexpr double EQUAL = 1e-6;      // a vector this near to the mean equals it
+constexpr double WIDER = 1e-4;      // a wider sweep leads by more than rounding does
 
 float length_of(const float *vector, Size length) {
   return static_cast<float>(std::sqrt(dot(vector, vector, length)));
@@ -155,7 +156,7 @@ class Narrowing {
     for (Size width = 0; width < widths_; ++width) {
       const auto at = static_cast<std::size_t>(width);
       const double mean = known_[at] > 0 ? leads_[at] / known_[at] : 0;
-      if (mean > most) most = mean, best = width;
+      if (mean > most + WIDER) most = mean, best = width;
     }
     return best;
   }

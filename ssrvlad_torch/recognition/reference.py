@@ -107,9 +107,15 @@ def compare_vectors(
             every = part.reshape(-1, part.shape[2])
             part = without_means(every, [""] * len(every)).reshape(part.shape)
         scores.append(np.max([cosines(each, rows) for each in part.swapaxes(0, 1)], axis=0))
-    leads = [mean_lead(each) for each in scores]
-    best = int(np.argmax(leads))
-    return scores[best], widths[best]
+    leads, best = [mean_lead(each) for each in scores], 0
+    for width in widths:
+        if leads[width] > leads[best] + WIDER:
+            best = width
+    return scores[best], best
+
+
+WIDER = 1e-4
+"""A wider sweep leads by more than rounding does."""
 
 
 def mean_lead(scores: Array) -> float:
