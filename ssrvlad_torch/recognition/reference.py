@@ -592,9 +592,9 @@ def chances_around(
     chances = np.ones(len(rows))
     for query in np.flatnonzero(rows >= 0):
         total = z[query].copy()
-        for others in (range(query - 1, query - 1 - TRACK, -1), range(query + 1, query + 1 + later)):
+        for way, most in ((-1, TRACK), (1, later)):
             before = rows[query]
-            for other in others:
+            for other in range(query + way, query + way * (most + 1), way):
                 if not 0 <= other < len(rows) or rows[other] < 0:
                     break
                 if abs(rows[other] - before) > motion.gap:
