@@ -458,10 +458,10 @@ class CallersScores : public places::Scores {
   Size queries() const override { return given_.queries; }
   Size rows() const override { return rows_; }
   void of(Size query, float *scores) const override {
-    if (given_.matrix)
-      std::copy_n(given_.matrix + query * rows_, rows_, scores);
-    else
+    if (given_.scores)
       passed(given_.scores(given_.context, query, scores));
+    else
+      std::copy_n(given_.matrix + query * rows_, rows_, scores);
   }
 
  private:
@@ -523,7 +523,7 @@ struct Given {
       require(drive ? drives.starts[drive] > drives.starts[drive - 1] : !drives.starts[drive]);
     require(!map->count || drives.starts.back() < drives.rows);
     const bool searched = of->candidates && of->some && of->spread && of->sample;
-    require(of->matrix || of->scores || searched || !of->queries);
+    require(of->matrix || of->scores || searched || !of->queries || !drives.rows);
     if (searched) {
       search = std::make_unique<CallersSearch>(*of, drives.rows);
       evidence = std::make_unique<places::Candidates>(*search);
