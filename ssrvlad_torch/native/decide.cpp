@@ -214,6 +214,7 @@ class Trial {
 
 // The likeliest course and its gain; no gain if there is hardly any, or as much in a random order.
 std::pair<Course, double> course_of(const Drives &drives, const Evidence &evidence) {
+  if (evidence.queries() < 2) return {};
   std::vector<Course> courses;
   for (const Course &kind : COURSES)
     for (const int way : {FORWARDS, BACKWARDS}) courses.push_back({way, kind.rate, kind.streams});
