@@ -231,6 +231,13 @@ std::pair<Course, double> course_of(const Drives &drives, const Evidence &eviden
   return {courses[best], gains[best]};
 }
 
+void assure(const std::vector<double> &chances, double together, Decision &decision) {
+  Confidence sure = Confidence::of(chances, together);
+  decision.right = std::move(sure.right);
+  decision.spread = std::move(sure.spread);
+  decision.together.assign(chances.size(), static_cast<float>(together));
+}
+
 double mean(const std::vector<float> &values) {
   return sum(values.data(), static_cast<Size>(values.size())) /
          static_cast<double>(std::max<std::size_t>(1, values.size()));
@@ -263,11 +270,7 @@ void take(const Places &places, double together, Decision &decision) {
     if (decision.rows[query * top] < 0) chances[query] = std::numeric_limits<double>::quiet_NaN();
   const double followed = mean(Confidence::of(chances, together).right);
   if (followed <= mean(decision.right) + (decision.gain > DRIVE ? -MARGIN : MARGIN)) return;
-  together = std::max(TRACK, together);
-  Confidence sure = Confidence::of(chances, together);
-  decision.right = std::move(sure.right);
-  decision.spread = std::move(sure.spread);
-  decision.together.assign(static_cast<std::size_t>(queries), static_cast<float>(together));
+  assure(chances, std::max(TRACK, together), decision);
   decision.followed = true;
   for (Size query = 0; query < queries; ++query) {
     const Size first = query * top;
@@ -293,10 +296,7 @@ double judge(const Drives &drives, const Evidence &evidence, Decision &decision)
     rivals.push_back(chance.rival);
   }
   const double together = answers_together(rivals);
-  Confidence sure = Confidence::of(chances, together);
-  decision.right = std::move(sure.right);
-  decision.spread = std::move(sure.spread);
-  decision.together.assign(static_cast<std::size_t>(queries), static_cast<float>(together));
+  assure(chances, together, decision);
   return together;
 }
 }  // namespace
