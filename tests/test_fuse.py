@@ -37,7 +37,7 @@ from ssrvlad_torch.deployment.export import export_head
 from ssrvlad_torch.deployment.fuse import NETWORK, fuse, other_signs
 from ssrvlad_torch.deployment.golden import outputs_of
 from ssrvlad_torch.deployment.metadata import Metadata
-from ssrvlad_torch.deployment.runtimes import OnnxRuntime
+from ssrvlad_torch.deployment.runtimes import runtime_of
 from ssrvlad_torch.deployment.verify import compare, verify
 from ssrvlad_torch.encoding.encoder import encode_to_memory
 from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
@@ -53,7 +53,7 @@ def pictures(height: int = 133, width: int = 171, count: int = 2) -> Images:
     return np.stack([photo(blobs(seed, height, width, 12)) for seed in range(count)])
 
 
-run_of = cache(OnnxRuntime().open)
+run_of = cache(runtime_of().open)
 """A file as a function of its inputs by name, opened once."""
 
 

@@ -22,30 +22,28 @@ from ssrvlad_torch import SSRVLADConfig, export_head
 from ssrvlad_torch.datasets.label_files import find_label_files
 from ssrvlad_torch.deployment.fuse import LABELS, fuse
 from ssrvlad_torch.deployment.metadata import PREFIX
-from ssrvlad_torch.deployment.runtimes import OnnxRuntime, Run
-from ssrvlad_torch.deployment.verify import compare, verify
+from ssrvlad_torch.deployment.runtimes import Runtime, runtime_of
+from ssrvlad_torch.deployment.verify import Check, compare, verify
 from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
 from ssrvlad_torch.segmentation.segmenter import Segmenter
 
 CONFIG = SSRVLADConfig.from_preset("default", labels_as=SPACE)
 
 
-class Other(OnnxRuntime):
+def with_other_operator(operator: str, other: str) -> Runtime:
     """A runtime with another operator in the place of one; without, it refuses the operator."""
 
-    def __init__(self, operator: str, other: str) -> None:
-        super().__init__()
-        self.is_reference, self.operator, self.other = False, operator, other
-
-    def open(self, source: Path | bytes) -> Run:
+    def changed(source):
         model = onnx.load_from_string(source) if isinstance(source, bytes) else onnx.load(source)
-        nodes = [node for node in model.graph.node if node.op_type == self.operator]
+        nodes = [node for node in model.graph.node if node.op_type == operator]
         assert nodes
-        if not self.other:
-            raise RuntimeError(f"no kernel for {self.operator}")
+        if not other:
+            raise RuntimeError(f"no kernel for {operator}")
         for node in nodes:
-            node.op_type = self.other
-        return super().open(model.SerializeToString())
+            node.op_type = other
+        return runtime_of().open(model.SerializeToString())
+
+    return Runtime("other", changed)
 
 
 @pytest.fixture(scope="module")
@@ -257,7 +255,7 @@ def test_every_kind_of_difference_is_a_problem():
         "keypoints": np.ones((2, 8), np.int64),
         "unknown": np.zeros(2, np.int64),
     }
-    assert compare("x", right, right) == ("x", 0.0, "")
+    assert compare("x", right, right) == Check("x", 0.0, "")
     near = {**right, "descriptor": right["descriptor"] + np.float32(9e-7)}
     assert not compare("x", near, right).problem
     far = {**right, "descriptor": right["descriptor"] + np.float32(1e-5)}
@@ -290,7 +288,7 @@ def test_a_label_space_of_its_own_travels_with_the_file(tmp_path):
 def test_a_runtime_that_is_wrong_or_fails_is_told(kind, files, ssrvlad, monkeypatch):
     """One that rounds up, and one that cannot round."""
     for other, verdict in (("Ceil", "wrong"), ("", "cannot run")):
-        runtime = Other("Floor", other)
+        runtime = with_other_operator("Floor", other)
         monkeypatch.setattr("ssrvlad_torch.deployment.verify.runtime_of", lambda _, r=runtime: r)
         code, out, _ = ssrvlad("verify", files[kind], "--json")
         report = json.loads(out)
