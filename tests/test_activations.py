@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 from cases import REAL, needs_real
+from helpers import refused
 from networks import (
     Street,
     colour_network,
@@ -184,9 +185,8 @@ class Pooled(nn.Module):
     ],
 )
 def test_what_cannot_be_features_is_refused(network, names, message):
-    with pytest.raises(ValueError, match=message) as error:
+    with refused(message):
         find_activations(network, NUMBERS, names)
-    assert "\n" not in str(error.value)
 
 
 def test_the_output_of_a_network_is_no_feature():

@@ -8,6 +8,7 @@ import pytest
 import torch
 import torch.nn.functional as F
 from drawings import SPACE
+from helpers import refused
 from networks import PLAIN, colour_network, write_graph, write_street
 from torch import nn
 
@@ -190,7 +191,6 @@ def test_fuse_says_that_a_traced_graph_depends_on_the_size(network, problem, tmp
     message = (
         rf"of a golden image, .*{problem}.*; at 66x98 it is right: .* size: \[H, W\] in a YAML"
     )
-    with pytest.raises(ValueError, match=message) as error:
+    with refused(message):
         fuse(Segmenter(network, SPACE, PLAIN), config, tmp_path / "place.onnx")
-    assert "\n" not in str(error.value)
     fuse(Segmenter(network, SPACE, PLAIN, size=(64, 96)), config, tmp_path / "place.onnx")

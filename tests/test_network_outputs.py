@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 from drawings import SPACE
-from helpers import street
+from helpers import refused, street
 from networks import CLASSES, PLAIN, Strided, Then, photo
 from segmenting import NOISE, PHOTOS, assert_right, write_photos
 
@@ -67,9 +67,8 @@ def test_the_axis_of_the_classes_does_not_follow_the_size_of_a_picture(form, siz
     ],
 )
 def test_an_output_that_cannot_be_recognised_is_an_error_that_has_it(give, message):
-    with pytest.raises(ValueError, match=message) as error:
+    with refused(message):
         Segmenter(Then(give), SPACE, PLAIN)(PHOTOS[:1])
-    assert "\n" not in str(error.value)
 
 
 def test_the_output_and_the_channels_may_be_named():

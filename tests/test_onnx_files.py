@@ -4,6 +4,7 @@ import sys
 
 import pytest
 from drawings import SPACE
+from helpers import refused
 from networks import PLAIN, write_graph
 
 from ssrvlad_torch.segmentation.onnx_files import external_files
@@ -21,9 +22,8 @@ def test_a_damaged_graph_is_an_error_in_one_line(tmp_path, damage, capfd):
         (tmp_path / "net.data").unlink()
     else:
         path.write_bytes({"text": b"hello", "truncated": whole[:-40]}[damage])
-    with pytest.raises(ValueError, match=r"net\.onnx (does not exist|cannot run)") as error:
+    with refused(r"net\.onnx (does not exist|cannot run)"):
         OnnxNetwork(path)
-    assert "\n" not in str(error.value)
     assert capfd.readouterr() == ("", ""), "the runtime keeps its log to itself"
 
 

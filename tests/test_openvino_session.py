@@ -5,7 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 from drawings import SPACE
-from helpers import street
+from helpers import refused, street
 from networks import PLAIN, photo, write_graph
 from segmenting import assert_right
 from test_onnx_network import GRAPHS
@@ -64,16 +64,14 @@ def test_a_runtime_that_cannot_be_taken_is_named(tmp_path, monkeypatch, text, me
     (tmp_path / "net.yaml").write_text("network: net.onnx")
     (tmp_path / "nets.py").write_text("from networks import colour_network as mine\n")
     (tmp_path / "fast.yaml").write_text(text)
-    with pytest.raises(ValueError, match=rf"^fast\.yaml: runtime.*{message}") as error:
+    with refused(rf"^fast\.yaml: runtime.*{message}"):
         open_network("fast.yaml")
-    assert "\n" not in str(error.value)
 
 
 def test_what_openvino_cannot_run_is_named(tmp_path):
     path = write_graph(tmp_path / "net.onnx")
-    with pytest.raises(ValueError, match=r"^net cannot run in OpenVINO: .*no_such") as error:
+    with refused(r"^net cannot run in OpenVINO: .*no_such"):
         OpenVinoSession(path, "net", ["no_such"])
-    assert "\n" not in str(error.value)
     with pytest.raises(ValueError, match=r"^net cannot run in OpenVINO: "):
         OpenVinoSession(b"no graph", "net")
 
