@@ -1,8 +1,6 @@
 """The exported file against the module: its results, its metadata, and how it is written."""
 
-import sys
 from collections.abc import Callable, Iterable, Iterator
-from pathlib import Path
 
 import numpy as np
 import onnx
@@ -27,6 +25,7 @@ from exported import (
     presets,
     random_blobs,
     run_of,
+    write_space,
 )
 from graphs import session
 
@@ -307,12 +306,6 @@ def test_every_input_of_a_loop_has_its_rank(preset):
     assert all(value.type.tensor_type.HasField("shape") for value in inputs)
 
 
-def write_space(path: Path, *ids: int) -> Path:
-    rows = "\n".join(f"  - {{id: {n}, name: c{n}, category: ground}}" for n in ids)
-    path.write_text(f"name: own\nsource: here\nclasses:\n{rows}\n")
-    return path
-
-
 @pytest.mark.parametrize(
     ("ids", "arguments", "message"),
     [
@@ -331,13 +324,6 @@ def test_wrong_arguments_are_refused_before_anything_is_written(ids, arguments, 
         export_head(of_preset("default", labels_as=str(space)), file, **arguments)
     assert file.read_text() == "before"
     assert len(list(tmp_path.iterdir())) == 2
-
-
-def test_a_missing_extra_is_named(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "onnxscript", None)
-    with pytest.raises(ImportError, match=r"pip install ssrvlad-torch\[onnx\]"):
-        export_head(of_preset("paper", rings=3), tmp_path / "x.onnx")
-    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(("preset", "given"), [("paper", "labels"), ("default", "logits")])

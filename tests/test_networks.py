@@ -115,13 +115,6 @@ def test_weights_alone_are_refused_with_what_they_need(tmp_path, refusal):
     assert "arguments must be names with values, got 3" in refusal("labels", tmp_path / "code.yaml")
 
 
-def test_settings_without_a_network_are_no_label_space(tmp_path, refusal):
-    (tmp_path / "net.yaml").write_text("mean: [0, 0, 0]\nclasses: 0:19\n")
-    assert "net.yaml names no network; expected network: NAME" in refusal(
-        "labels", tmp_path / "net.yaml"
-    )
-
-
 @pytest.fixture(scope="module")
 def hub_folder(tmp_path_factory):
     """A tiny SegFormer with random weights, as transformers saves it."""

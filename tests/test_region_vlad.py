@@ -220,39 +220,27 @@ def test_torchvisions_alexnet_is_refused(tmp_path):
         RegionVLAD(path)
 
 
-def test_a_vocabulary_is_an_array(tmp_path):
-    np.save(tmp_path / "words.npy", WORDS)
-    found = read_vocabulary(tmp_path / "words.npy", 4)
-    assert found.dtype == torch.float32
-    np.testing.assert_array_equal(found.numpy(), WORDS.astype(np.float32))
-
-
-@pytest.mark.parametrize("array", [WORDS[:3], WORDS[:, :9], WORDS[0], WORDS * np.nan, WORDS > 0])
-def test_a_vocabulary_of_another_shape_or_no_numbers_is_refused(array, tmp_path):
-    np.save(tmp_path / "words.npy", array)
-    with refused(r"must hold a vocabulary \(4, 384\) of finite numbers, got "):
-        read_vocabulary(tmp_path / "words.npy", 4)
-
-
+OTHER_WORDS = [WORDS[:3], WORDS[:, :9], WORDS[0], WORDS * np.nan, WORDS > 0]
 OBJECTS = np.array([Path("x")], object)
+NUMBERS = r"must hold a vocabulary \(4, 384\) of finite numbers, got "
+FILE = r"words\.npy: expected a vocabulary in a \.npy file, see docs/methods\.md: "
 
 
-@pytest.mark.parametrize("keep", [0, 3, 50, 2000])
-def test_a_vocabulary_that_is_cut_off_is_refused(keep, tmp_path):
-    np.save(tmp_path / "words.npy", WORDS)
+@pytest.mark.parametrize(
+    ("array", "keep", "message"),
+    [
+        *((array, None, NUMBERS) for array in OTHER_WORDS),
+        *((WORDS, keep, FILE) for keep in (0, 3, 50, 2000)),
+        (OBJECTS, None, f"{FILE}holds Python objects"),
+    ],
+)
+def test_another_vocabulary_is_refused(array, keep, message, tmp_path):
+    """Of other shape, no numbers, cut off, or with objects, of which none is unpickled."""
     path = tmp_path / "words.npy"
+    np.save(path, array, allow_pickle=True)
     path.write_bytes(path.read_bytes()[:keep])
-    with refused(r"words\.npy: expected a vocabulary in a \.npy file, see docs/methods\.md: "):
+    with refused(message, path):
         read_vocabulary(path, 4)
-
-
-def test_nothing_is_unpickled(tmp_path):
-    np.save(tmp_path / "words.npy", OBJECTS, allow_pickle=True)
-    with refused("see docs/methods.md: holds Python objects"):
-        read_vocabulary(tmp_path / "words.npy", 4)
-    (tmp_path / "words.pkl").write_bytes(pickle.dumps({400: {4: {"conv3": WORDS}}}))
-    with refused("expected a vocabulary in a .npy file, see docs/methods.md"):
-        read_vocabulary(tmp_path / "words.pkl", 4)
 
 
 @pytest.mark.parametrize("protocol", [0, 2, 4])
