@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 import torch
+from test_outcomes import rows
 from vpr_bench import frozen_corridor, needs_vpr_bench, stored_results
 
 from ssrvlad_torch import match
@@ -17,10 +18,6 @@ INF = math.inf
 def recall_rate(indices, truth, n):
     scores = np.where(indices < 0, -INF, 0.5)
     return evaluate(scores, indices, truth, at=(n,))["recall_at"][str(n)]
-
-
-def rows(*matches):
-    return [np.array(match, np.int64) for match in matches]
 
 
 @pytest.mark.parametrize(("n", "expected"), [(1, 1 / 3), (2, 2 / 3), (3, 2 / 3), (4, 3 / 3)])

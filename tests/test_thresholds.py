@@ -8,9 +8,9 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binomtest
+from test_curves import curve_of
 
 from ssrvlad_torch import match
-from ssrvlad_torch.evaluation.curves import rank
 from ssrvlad_torch.evaluation.thresholds import (
     at_precision,
     at_recall,
@@ -19,11 +19,6 @@ from ssrvlad_torch.evaluation.thresholds import (
     suggested_point,
     wilson_low,
 )
-
-
-def curve_of(scores, correct, positives):
-    ranking = rank(np.array(scores, float), np.array(correct, bool))
-    return ranking.curve(np.ones(len(scores)), np.asarray(positives, np.float64))
 
 
 @pytest.fixture

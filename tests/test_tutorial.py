@@ -8,14 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from test_outcomes import rows
 
 from ssrvlad_torch.evaluation.tutorial import STEPS, count_pairs
 
 INF = math.inf
-
-
-def rows(*matches):
-    return [np.array(match, np.int64) for match in matches]
 
 
 def lists(matrix):
