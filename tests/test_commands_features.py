@@ -335,10 +335,8 @@ def test_features_of_another_network_are_refused(town, photos, ssrvlad):
         Map.open(town, Segmenter.load(other)).locate(photos / "today" / "7.png")
 
 
-def test_a_module_and_its_graph_do_not_compare_and_why_is_told(photos, town, monkeypatch, ssrvlad):
-    monkeypatch.syspath_prepend(photos)
-    (photos / "modules.py").write_text("from networks import Street as street\n")
-    (photos / "module.yaml").write_text(SETTINGS.replace("net.onnx", "modules:street"))
+def test_a_module_and_its_graph_do_not_compare_and_why_is_told(photos, town, ssrvlad):
+    (photos / "module.yaml").write_text(SETTINGS.replace("net.onnx", "networks:Street"))
     line = refused(ssrvlad, "query", town, photos / "today", "--segmenter", photos / "module.yaml")
     assert "signs of act.2" in line and "signs of relu_2" in line
     assert "encode again, with the file that will be deployed" in line
@@ -359,13 +357,11 @@ class Blinded(nn.Module):
         return self.network(images)
 
 
-def test_a_picture_without_activations_is_skipped(photos, monkeypatch, ssrvlad):
-    monkeypatch.syspath_prepend(photos)
-    (photos / "blinded.py").write_text("from test_commands_features import Blinded\n")
+def test_a_picture_without_activations_is_skipped(photos, ssrvlad):
     for number, colour in ((3, "black"), (4, "white")):
         (photos / "monday" / f"{number}.png").unlink()
         Image.new("RGB", (128, 96), colour).save(photos / "monday" / f"{number}.png")
-    given = ("--segmenter", "blinded:Blinded", "--labels-as", SPACE, "--workers", 1)
+    given = ("--segmenter", "test_commands_features:Blinded", "--labels-as", SPACE, "--workers", 1)
     code, out, err = ssrvlad("encode", photos / "monday", "-o", photos / "town", *given)
     assert code == 3
     assert "30 frames encoded" in out and "2 skipped" in out
