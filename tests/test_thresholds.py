@@ -35,13 +35,6 @@ def test_points_that_are_never_reached():
         assert points == (None, None, None)
 
 
-@pytest.mark.parametrize("fraction", [-0.1, 1.1, math.nan])
-def test_fractions_beyond_their_range_are_refused(curve, fraction):
-    for point in (at_precision, at_recall, suggested_point):
-        with pytest.raises(ValueError, match="from 0 to 1"):
-            point(curve, fraction)
-
-
 def test_wilson_is_that_of_scipy():
     right, accepted = np.array([(r, n) for n in (1, 10, 73, 400) for r in (0, n // 2, n)], float).T
     expected = [
