@@ -312,7 +312,6 @@ def compare(name: str, got: Arrays, expected: Arrays) -> Check:
 
 
 def _module(metadata: Metadata) -> SSRVLAD:
-    """The module with the settings and the label space in the file."""
     try:
         config = SSRVLADConfig.from_dict(metadata.config)
     except (ValueError, TypeError) as error:

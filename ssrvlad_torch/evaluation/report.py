@@ -228,7 +228,6 @@ def _matrix(axes: Axes, report: Report) -> None:
 
 
 def _row(report: Report, match: Match) -> dict[str, Any]:
-    """A row of the table of matches: the query, its candidate and the true match."""
     outcomes, query = report.outcomes, report.queries.frames[match.query]
     rank, score = int(outcomes.rank[match.query]), outcomes.score[match.query]
     frames = [("query", query, "", report.pictures[0](query))]

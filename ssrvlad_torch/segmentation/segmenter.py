@@ -357,7 +357,6 @@ class Segmenter:
         return results
 
     def _failure(self, height: int, width: int, error: Exception) -> str:
-        """Why there is no label map of a picture of this size."""
         fed = self.config.network_size(height, width)
         at = f", fed at {fed[0]}x{fed[1]}" if fed != (height, width) else ""
         free = self.config.multiple == 1 and not isinstance(self.config.size, tuple)

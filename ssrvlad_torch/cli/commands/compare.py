@@ -115,7 +115,6 @@ def _make(names: Sequence[str], pairs: Sequence[str]) -> dict[str, Method | str]
 
 
 def _print(rows: Sequence[Row]) -> None:
-    """Prints two tables, of the metrics and of the costs, with a row for each method."""
     from ..words import steps_in_words
 
     done = [row for row in rows if "reason" not in row]

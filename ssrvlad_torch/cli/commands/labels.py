@@ -66,7 +66,6 @@ def labels(
 def _print(
     name: str, rows: list[tuple[int, str, str]], activations: list[dict[str, Any]] | None
 ) -> None:
-    """Prints the classes of a label space, and activations if they are asked for."""
     from ...taxonomy import CATEGORIES
 
     print_table(("id", "name", "category"), rows)

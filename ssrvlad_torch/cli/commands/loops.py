@@ -104,7 +104,6 @@ def _described_live(
 def _described(
     detector: LoopDetector, source: Source, database: Database | None
 ) -> Iterator[Encoded | Skipped]:
-    """The frames of a source."""
     from ...encoding.plan import check_folders
     from ...loops.stream import encode_files
 
@@ -134,7 +133,6 @@ def _printed(
 def _draw(
     picture: Path, detector: LoopDetector, results: Sequence[LoopResult], metres: float | None
 ) -> None:
-    """Writes the picture of the loops on the trajectory."""
     from ...datasets.names import sequence_of
     from ...files import write_picture
     from ...loops import stream
