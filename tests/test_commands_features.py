@@ -21,7 +21,6 @@ from ssrvlad_torch.datasets.image_files import read_image
 from ssrvlad_torch.descriptor import SSRVLAD
 from ssrvlad_torch.encoding import source as sources
 from ssrvlad_torch.loops.config import LoopConfig
-from ssrvlad_torch.segmentation.features import NOISE
 from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
 from ssrvlad_torch.segmentation.segmenter import Segmenter
 from ssrvlad_torch.stages.features import SHAPE
@@ -99,18 +98,6 @@ def test_features_are_stored_by_default(town, photos, ssrvlad):
         given, other = (*network, "--channel", option), photos / option
         assert ssrvlad("encode", photos / "monday", "-o", other, *given)[0] == 0
         assert {column.name for column in Database.open(other).columns} == {"ssr-vlad", option}
-
-
-def test_labels_and_features_take_one_pass_and_are_cached(photos, ssrvlad, runs):
-    network = ("--segmenter", photos / "net.yaml", "--workers", 1)
-    ssrvlad("encode", photos / "monday", "-o", photos / "one", *network)
-    probe = runs[0] - 32
-    assert probe <= 1 + NOISE
-    ssrvlad("encode", photos / "monday", "-o", photos / "two", *network)
-    assert runs[0] == 32 + 2 * probe
-    one, two = (Database.open(photos / name).load() for name in ("one", "two"))
-    assert torch.equal(one.channels["features"], two.channels["features"])
-    assert torch.equal(one.descriptors, two.descriptors)
 
 
 def test_queries_use_features(town, photos, ssrvlad):

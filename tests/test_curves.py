@@ -70,14 +70,6 @@ def test_the_figures_of_four_queries_equal_those_by_hand():
     assert curve_of([0.9, 0.7], [0, 1], 2).extended_precision == 0.0
 
 
-def test_the_precision_at_recall_zero_can_be_set():
-    """Wrong, right: from (0, 1) down to (0, 0), then up to (1, 1/2)."""
-    curve = precision_recall(np.array([0.9, 0.8]), np.array([False, True]), 1, start=1.0)
-    assert curve.auc == pytest.approx(1 / 4)
-    curve = precision_recall(np.array([0.9, 0.9]), np.array([False, True]), 1, start=1.0)
-    assert curve.auc == pytest.approx((1 + 1 / 2) / 2)
-
-
 def test_roc_auc_is_nan_without_right_and_wrong_candidates():
     for correct in ([1, 1], [0, 0]):
         curve = curve_of([0.9, 0.8], correct, 2)

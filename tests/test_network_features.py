@@ -166,9 +166,3 @@ def test_a_network_without_features_is_refused_in_one_line(network, message):
     assert message in segmenter.problem_of_features
     with refused(message):
         segmenter.segment(PHOTOS[:1], features=True)
-
-
-def test_a_picture_without_features_is_refused_in_one_line():
-    message = "the network fails at 24x32: the activations of the network are the same everywhere"
-    with refused(message):
-        Segmenter(Same(1.0), SPACE, PLAIN).segment([np.zeros_like(PHOTOS[0])], features=True)

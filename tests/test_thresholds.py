@@ -1,7 +1,5 @@
 """Operating points by hand, and what the suggested threshold promises."""
 
-import math
-
 import numpy as np
 import pytest
 import torch
@@ -25,14 +23,6 @@ from ssrvlad_torch.evaluation.thresholds import (
 def curve():
     """Right, right, wrong, right, right; five positives."""
     return curve_of([0.9, 0.8, 0.6, 0.4, 0.3], [1, 1, 0, 1, 1], 5)
-
-
-def test_points_that_are_never_reached():
-    wrong = curve_of([0.9, 0.8], [0, 1], 2)
-    assert at_precision(wrong, 0.99) is None
-    for curve in (curve_of([0.9, 0.8], [0, 0], 0), curve_of([-math.inf], [0], 1)):
-        points = at_recall(curve, 0.5), at_precision(curve, 0.99), suggested_point(curve)
-        assert points == (None, None, None)
 
 
 def test_wilson_is_that_of_scipy():

@@ -62,19 +62,6 @@ def test_equals_a_plain_loop(table, single):
     assert curve.recall_at_full_precision == pytest.approx(recall[precision == 1].max())
 
 
-def test_the_curves_of_both_modes_equal_those_by_hand():
-    """Two queries, three references; the second query's best pair is wrong."""
-    similarity = np.array([[0.9, 0.8, 0.0], [1.0, 0.5, 0.2]])
-    truth = rows([0, 1], [1])
-    multi = whole(count_pairs(similarity, truth))
-    first = multi.accepted.tolist().index
-    points = [(multi.precision[first(n)], multi.recall[first(n)]) for n in (1, 2, 3, 4)]
-    assert points == [(0, 0), (1 / 2, 1 / 3), (2 / 3, 2 / 3), (3 / 4, 1)]
-    single = whole(count_pairs(similarity, truth, single=True))
-    assert single.precision[[0, -1]].tolist() == [0, 1 / 2]
-    assert single.recall[[0, -1]].tolist() == [0, 1 / 2]
-
-
 def test_minus_infinity_is_the_least_similar_and_float32_stays():
     similarity = np.array([[0.9, -INF], [0.3, 0.1]])
     filled = np.array([[0.9, 0.1], [0.3, 0.1]])
