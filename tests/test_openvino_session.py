@@ -8,7 +8,7 @@ from drawings import SPACE
 from helpers import refused, street
 from networks import PLAIN, photo, write_graph
 from segmenting import assert_right
-from test_onnx_network import GRAPHS
+from test_segmentation import GRAPHS
 
 from ssrvlad_torch.segmentation import onnx_network
 from ssrvlad_torch.segmentation.networks import open_network
