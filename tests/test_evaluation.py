@@ -1,5 +1,5 @@
-"""Outcomes, curves, thresholds and metrics: against tables worked by hand, plain loops, scikit-learn
-and what VPR-Bench prints; their intervals against resamples that are evaluated one by one."""
+"""Outcomes, curves, thresholds and metrics against tables worked by hand, plain loops, scikit-learn
+and VPR-Bench; their intervals against resamples that are evaluated one by one."""
 
 import math
 from itertools import product
