@@ -95,20 +95,6 @@ def test_recall_rate_without_candidates_true_matches_or_queries():
     assert math.isnan(recall_rate(np.zeros((0, 5), np.int64), [], 1))
 
 
-def test_the_metrics_of_five_queries_equal_those_by_hand():
-    scores = np.array([[0.9, 0.1], [0.8, 0.7], [0.7, 0.2], [-INF, -INF], [0.6, 0.5]], np.float32)
-    indices = np.array([[0, 1], [5, 2], [3, 4], [-1, -1], [1, 0]])
-    truth = rows([0], [2], [3, 9], [4], [])
-    metrics = evaluate(scores, indices, truth, at=(1, 2))
-    assert metrics["recall_at"] == {"1": pytest.approx(2 / 4), "2": pytest.approx(3 / 4)}
-    # accepted in turn: right, wrong, right, and a query that has no true match
-    steps = [(1 / 4, 1), (1 / 4, 1 / 2), (2 / 4, 2 / 3), (2 / 4, 2 / 4)]
-    assert metrics["auc_pr"] == pytest.approx(1 / 4 * 1 + 1 / 4 * (1 / 2 + 2 / 3) / 2), steps
-    assert metrics["recall_at_100_precision"] == 1 / 4
-    assert metrics["queries"] == 5
-    assert metrics["queries_with_match"] == 4
-
-
 def test_evaluate_takes_what_match_gives():
     scores, indices = match(torch.eye(12)[:3], torch.eye(12), top=10)
     truth = rows([0], [1], [5])
@@ -211,18 +197,6 @@ def test_every_convention_takes_degenerate_results(convention, resamples):
     assert results[3]["auc_pr"] == pytest.approx(expected)
 
 
-@pytest.mark.parametrize("convention", CONVENTIONS)
-def test_the_curve_is_the_one_that_is_summed_up(convention):
-    similarity = np.random.default_rng(0).random((4, 9))
-    outcomes = judge(HANDMADE["scores"], HANDMADE["indices"], HANDMADE["truth"])
-    curve = precision_recall_curve(outcomes, HANDMADE["truth"], convention, similarity)
-    metrics = evaluate(**HANDMADE, at=(1,), convention=convention, similarity=similarity)
-    assert curve.precision.shape == curve.recall.shape == curve.thresholds.shape
-    assert curve.auc == metrics["auc_pr"]
-    for name in ("average_precision", "extended_precision", "roc_auc"):
-        assert math.isnan(metrics[name]) == convention.startswith("vpr-tutorial")
-
-
 def precision_recall(scores, correct, positives, start=None):
     weights = np.ones(len(scores))
     return rank(scores, correct).curve(weights, np.asarray(positives, np.float64), start)
@@ -308,24 +282,6 @@ def test_scikit_learn_agrees_on_heavy_ties(seed):
     assert curve.average_precision == pytest.approx(expected, abs=1e-12)
     found = roc_auc(curve, np.array(float(right)), np.array(200.0 - right))
     assert found == pytest.approx(sklearn.roc_auc_score(correct, scores), abs=1e-12)
-
-
-QUERIES = st.lists(st.tuples(ANY_SCORE, st.booleans(), st.integers(0, 3)), max_size=20)
-
-
-@given(QUERIES, st.sampled_from([None, 1.0]))
-def test_a_weight_is_so_many_copies_of_a_query(queries, start):
-    """Also where the queries of the highest scores have weight 0."""
-    scores = np.array([score for score, _, _ in queries], float)
-    correct = np.array([right and score > -INF for score, right, _ in queries], bool)
-    weights = np.array([[weight for _, _, weight in queries]], np.int64).reshape(1, -1)
-    positives = weights @ correct + 1.0
-    weighted = rank(scores, correct).curve(weights.astype(float), positives, start)
-    copied = precision_recall(
-        np.repeat(scores, weights[0]), np.repeat(correct, weights[0]), int(positives[0]), start
-    )
-    for figure in ("auc", "average_precision", "recall_at_full_precision", "extended_precision"):
-        assert getattr(weighted, figure)[0] == pytest.approx(getattr(copied, figure)), figure
 
 
 @pytest.fixture

@@ -335,11 +335,3 @@ def test_the_command_writes_the_bytes_that_the_function_writes(ssrvlad, tmp_path
     assert of_preset(preset).fingerprint in out
     written = [tmp_path / name for name in ("command.onnx", "head.onnx")]
     assert written[0].read_bytes() == written[1].read_bytes()
-
-
-def test_a_low_power_enlarges_rounding_errors_no_more_than_is_said():
-    """On small maps, which show it best; of a fixed size, which is traced faster."""
-    config, shape = of_preset("default", power=0.5), (200, 9, 1)
-    maps = np.random.default_rng(0).choice([*range(8), VOID], shape).astype(np.uint8)
-    got, _ = run_of(config, "labels", None, shape)(maps)
-    assert np.abs(got - SSRVLAD(config)(maps).numpy()).max() < 1e-5

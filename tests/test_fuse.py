@@ -23,7 +23,6 @@ from networks import (
     photo,
     shared_street,
     write_graph,
-    write_segformer,
     write_street,
 )
 from onnx import TensorProto, helper, numpy_helper
@@ -170,16 +169,6 @@ def test_a_users_own_export_of_network_and_head_is_the_fused_file(tmp_path):
         fused = run_of(tmp_path / "place.onnx")({"image": images})["descriptor"]
         np.testing.assert_allclose(descriptor, fused, rtol=0, atol=1e-6)
         assert descriptor.any()
-
-
-@pytest.mark.slow
-def test_a_model_of_the_hub(tmp_path):
-    """Loading one is tested with the networks, tracing a module above."""
-    segmenter = Segmenter.load(write_segformer(tmp_path / "tiny"))
-    config = SSRVLADConfig(labels_as=segmenter.label_space)
-    fused = fuse(tmp_path / "tiny", config, tmp_path / "net.onnx", tmp_path / "head.onnx")
-    assert fused.name == "tiny"
-    assert_labelled(segmenter, tmp_path / "net.onnx", pictures(), 1e-3)
 
 
 def weighted(opset: int, name: str = "scores") -> onnx.ModelProto:

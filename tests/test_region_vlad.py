@@ -82,21 +82,6 @@ def test_images_are_resized_as_caffe_does():
     torch.testing.assert_close(one, other, rtol=1e-3, atol=1e-1)
 
 
-def test_regions_of_a_small_map_equal_those_by_hand():
-    """Levels of the first map: a 5 alone (energy 5.5), two 2s that touch by a corner (2.35), a 1
-    that touches them (1.9); what is below 1 is no region. The second map has one region of 3s."""
-    maps = torch.tensor(
-        [
-            [[2.1, 0.9, 0.0], [1.9, 2.6, 0.0], [0.0, 0.0, 5.5]],
-            [[0.5, 0.5, 0.0], [0.0, 0.0, 0.0], [0.0, 3.0, 3.0]],
-        ]
-    )
-    expected = [[5.5, 3.0], [5.5, 6.0], [2.1 + 0.9 + 1.9 + 2.6, 1.0], [1.9, 0.0]]
-    torch.testing.assert_close(region_descriptors(maps, 10), torch.tensor(expected))
-    torch.testing.assert_close(region_descriptors(maps, 3), torch.tensor(expected[:3]))
-    assert region_descriptors(torch.full((3, 4, 5), 0.9), 10).shape == (0, 3)
-
-
 def authors_way(maps: np.ndarray, count: int) -> np.ndarray:
     """Every map is labelled, boxes are sorted by mean activation, columns summed over each box."""
     found = []

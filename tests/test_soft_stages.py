@@ -11,7 +11,6 @@ from ssrvlad_torch import SSRVLADConfig
 from ssrvlad_torch.soft.stages import (
     are_probabilities,
     membership,
-    safe_root,
     soft_boundaries,
     soft_coefficients,
     soft_layers,
@@ -146,12 +145,3 @@ def test_soft_coefficients_are_near_the_hard_descriptor():
     tables = module.table("bins"), module.table("basis")
     soft = soft_coefficients(area, lengths, *tables, (60, 20), config.power).float()
     assert ((hard * soft).sum(1) > 0.99).all()
-
-
-def test_the_root_is_safe_at_zero():
-    fractions = torch.linspace(0, 1, 11).double().requires_grad_()
-    roots = safe_root(fractions)
-    roots.sum().backward()
-    assert roots[0] == 0
-    assert (fractions.grad <= 20).all()
-    assert ((roots - fractions.sqrt()).abs() <= 0.04).all()

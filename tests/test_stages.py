@@ -8,8 +8,6 @@ import torch
 from drawings import (
     BLOCK,
     CROSS,
-    DOT,
-    EMPTY,
     MASKS,
     SPACE,
     blobs,
@@ -39,14 +37,6 @@ from ssrvlad_torch.stages.residuals import ResidualHistograms, Residuals
 from ssrvlad_torch.stages.skeleton import RULES, zhang_suen
 from ssrvlad_torch.stages.vanishing_column import LEVELS, ONE, POWER, vanishing_columns
 from ssrvlad_torch.taxonomy import label_space, label_space_names
-
-
-def test_pack_and_unpack_are_inverse():
-    some = random_planes()
-    layers = unpack(some)
-    assert layers.shape == (3, 8, 13, 17)
-    assert layers.dtype == torch.bool
-    assert torch.equal(pack(layers), some)
 
 
 def test_points_are_the_set_pixels_by_layer_then_image_then_raster_order():
@@ -186,11 +176,6 @@ def test_centres_equal_the_reference(seed, height, width):
         for layers in unpack(some).numpy()
     ]
     assert centre_table(centroids(some), 2).tolist() == np.array(expected).tolist()
-
-
-def test_a_layer_without_pixels_has_no_centre():
-    assert len(centroids(planes(mask(EMPTY))).group) == 0
-    assert centre_table(centroids(planes(mask(DOT))), 1)[0, :2].tolist() == [[1, 2], [-1, -1]]
 
 
 def test_a_centre_is_exact_where_float32_is_not():
