@@ -349,10 +349,9 @@ class Segmenter:
             except ValueError as error:
                 results.append(error)
                 continue
-            for dtype in (np.uint8, np.uint16):  # the narrowest that holds the ids
-                if labels.min() >= 0 and labels.max() <= np.iinfo(dtype).max:
-                    labels = labels.astype(dtype)
-                    break
+            narrowest = np.min_scalar_type(labels.max())
+            if labels.min() >= 0 and narrowest.itemsize <= 2:
+                labels = labels.astype(narrowest)
             results.append(Segmented(labels, None if signs is None else signs[number]))
         return results
 
