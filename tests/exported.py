@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -112,6 +113,13 @@ def assert_equal(outputs: Sequence[Maps], batch: Maps, config: SSRVLADConfig) ->
     assert len(others) == (config.aggregation == "residuals")
     for keypoints in others:
         np.testing.assert_array_equal(keypoints, view.keypoints.sum((2, 3)))
+
+
+def write_space(path: Path, *ids: int) -> Path:
+    """A label space of classes with these ids."""
+    rows = "\n".join(f"  - {{id: {n}, name: c{n}, category: ground}}" for n in ids)
+    path.write_text(f"name: own\nsource: here\nclasses:\n{rows}\n")
+    return path
 
 
 def noise(seed: int) -> Maps:

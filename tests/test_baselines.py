@@ -1,13 +1,21 @@
-"""What all methods share: batches, empty frames, refusals."""
+"""Methods by name, what they share, how they are run; SSR-VLAD and the label grid."""
+
+import math
+from importlib import import_module
 
 import numpy as np
 import pytest
 import torch
-from drawings import SPACE, VOID, blobs
+from drawings import ROAD, SKY, SPACE, TREE, VOID, blobs
+from helpers import street
 from methods import frames, picture
 
-from ssrvlad_torch.baselines import make
+from ssrvlad_torch import SSRVLAD, match
+from ssrvlad_torch.baselines import METHODS, make
+from ssrvlad_torch.baselines.run import run
 from ssrvlad_torch.channels.channel import View
+from ssrvlad_torch.recognition.temporal import temporal_sum
+from ssrvlad_torch.taxonomy import CATEGORIES, label_space
 
 WITHOUT_WEIGHTS = ["ssr-vlad", "cohog", "label-grid", "hog", "tiny-image"]
 BYTES = dict.fromkeys(("ssr-vlad", "label-grid", "hog"), 480 * 4)
@@ -80,8 +88,191 @@ def test_a_frame_without_what_a_method_reads_is_named(name):
         method.encode_reference([View("b/7")])
 
 
-@pytest.mark.parametrize("name", WITHOUT_WEIGHTS)
-def test_methods_without_weights_are_made_by_name(name):
-    method = make(name)
-    assert method.name == name
-    assert method.needs in ({"labels"}, {"images"})
+@pytest.mark.parametrize("name", METHODS)
+def test_every_method_is_where_the_registry_says(name):
+    module, class_name = METHODS[name]
+    method = getattr(import_module(f"ssrvlad_torch.baselines.{module}"), class_name)
+    for function in ("encode_query", "encode_reference", "scores"):
+        assert callable(getattr(method, function))
+
+
+@pytest.mark.parametrize(
+    ("name", "settings", "message"),
+    [
+        ("orb", {}, "unknown method 'orb'; expected one of ssr-vlad, feat"),
+        ("cohog", {"cell": 3}, "method cohog: got an unexpected keyword argument 'cell'"),
+        ("ssr-vlad", {"cell": 3}, "unknown setting 'cell'"),
+        ("cohog", {"size": 16}, "method cohog: size must be 32, 48, 64, ..., got 16"),
+        ("cohog", {"size": 100}, "method cohog: size must be 32, 48, 64, ..., got 100"),
+        ("cohog", {"entropy_threshold": 1.5}, "entropy_threshold must be from 0 to 1, got 1.5"),
+        ("tiny-image", {"width": 60}, "multiples of 8, got 60 x 32"),
+        ("tiny-image", {"height": 0}, "multiples of 8, got 64 x 0"),
+        ("hog", {"rows": 0, "columns": 4}, "hog: the grid must be 1 x 1 or more, got 0 x 4"),
+        ("label-grid", {"columns": 0}, "the grid must be 1 x 1 or more, got 6 x 0"),
+        ("ssr-vlad", {"temporal": -1}, "temporal must be 0 or more, got -1"),
+        ("ssr-vlad", {"preset": "best"}, "preset must be one of paper, default, got 'best'"),
+    ],
+)
+def test_unknown_methods_and_wrong_settings_are_refused(name, settings, message):
+    with pytest.raises(ValueError, match=message):
+        make(name, **settings)
+
+
+class Numbers:
+    """A method whose frames are numbers; those that are near score high, negative ones nothing."""
+
+    name = "numbers"
+    needs = frozenset({"labels"})
+
+    def __init__(self):
+        self.blocks = []
+
+    def encode_query(self, frames):
+        numbers = torch.tensor([float(frame.frame.rpartition("/")[2]) for frame in frames])
+        self.blocks.append(len(numbers))
+        return numbers
+
+    encode_reference = encode_query
+
+    def scores(self, queries, references):
+        scores = -(queries[:, None] - references).abs()
+        return scores.masked_fill((queries < 0)[:, None] | (references < 0), -torch.inf)
+
+
+def numbered(sequence, *numbers):
+    return (View(f"{sequence}/{number}") for number in numbers)
+
+
+def test_candidates_are_ranked_and_ties_keep_the_order():
+    queries, references = numbered("q", 2, 7, -1, 30), numbered("r", 0, 4, -1, 8, 6)
+    found = run(Numbers(), queries, references, top=3)
+    scores, indices = found.matches
+    assert indices.tolist() == [[0, 1, 4], [3, 4, 1], [-1, -1, -1], [3, 4, 1]]
+    inf = torch.inf
+    assert scores.tolist() == [[-2, -2, -4], [-1, -1, -3], [-inf] * 3, [-22, -24, -26]]
+    assert (scores.dtype, indices.dtype) == (torch.float32, torch.int64)
+    assert found.bytes_a_reference == 4
+
+
+def test_the_first_query_is_done_twice_references_once_and_progress_counts_each():
+    method, done = Numbers(), []
+    run(method, numbered("q", 1, 2, 3), numbered("r", 5, 6, 7, 8), progress=done.append)
+    assert method.blocks == [4, 1, 1, 1, 1]
+    assert done == [1] * 7
+
+
+def test_costs_are_milliseconds_a_query(monkeypatch):
+    ticks = iter([0.0, 0.004, 0.006, 1.0, 1.002, 1.003])
+    monkeypatch.setattr("ssrvlad_torch.baselines.run.time.perf_counter", lambda: next(ticks))
+    found = run(Numbers(), numbered("q", 1, 2), numbered("r", 5))
+    assert found.encode == pytest.approx({"average": 3, "min": 2, "max": 4})
+    assert found.match == pytest.approx({"average": 1.5, "min": 1, "max": 2})
+
+
+@pytest.mark.parametrize(
+    ("queries", "references", "settings", "message"),
+    [
+        ((1,), (), {}, "method numbers got no references"),
+        ((), (1,), {}, "method numbers got no queries"),
+        ((1,), (1,), {"top": 0}, "a top of 1 or more, got 0"),
+    ],
+)
+def test_missing_frames_and_a_top_of_zero_are_refused(queries, references, settings, message):
+    with pytest.raises(ValueError, match=message):
+        run(Numbers(), numbered("q", *queries), numbered("r", *references), **settings)
+
+
+def streets(seeds, sequence="a"):
+    return [View(f"{sequence}/{seed}", street(seed), SPACE) for seed in seeds]
+
+
+@pytest.mark.parametrize("preset", ["paper", "default"])
+def test_queries_are_encoded_as_the_head_does(preset):
+    head = SSRVLAD.from_preset(preset, labels_as=SPACE)
+    found = make("ssr-vlad", preset=preset).encode_query(iter(streets(range(20))))
+    expected = head(torch.stack([torch.from_numpy(street(seed)) for seed in range(20)]))
+    assert (found.shape, found.dtype) == ((20, 480), torch.float32)
+    assert torch.equal(found, expected)
+
+
+@pytest.mark.parametrize("temporal", [0, 1, 3])
+def test_references_are_summed_inside_their_sequence(temporal):
+    method = make("ssr-vlad", temporal=temporal)
+    drives = [*streets(range(5), "a"), *streets(range(5, 9), "b")]
+    single = method.encode_query(drives)
+    expected = temporal_sum(single, ["a"] * 5 + ["b"] * 4, temporal)
+    assert torch.equal(method.encode_reference(iter(drives)), expected)
+
+
+def test_scores_are_those_of_match():
+    method = make("ssr-vlad")
+    empty = View("a/void", np.full((24, 32), VOID, np.uint8), SPACE)
+    queries = method.encode_query([*streets(range(4)), empty])
+    references = method.encode_reference([*streets(range(10, 16)), empty])
+    scores = method.scores(queries, references)
+    found = match(queries, references, top=7)
+    ranked = scores.sort(dim=1, descending=True, stable=True)
+    torch.testing.assert_close(ranked.values, found.scores)
+    known = found.indices >= 0
+    assert torch.equal(ranked.indices[known], found.indices[known])
+    assert scores[4].isneginf().all()
+
+
+def test_frames_of_several_label_spaces_are_read_each_as_its_own():
+    camvid = streets([1])[0]
+    cityscapes = View("a/2", np.where(street(2) > 5, 8, 0).astype(np.int32), "cityscapes-trainids")
+    found = make("ssr-vlad").encode_query([camvid, cityscapes, camvid])
+    for row, frame in zip(found, [camvid, cityscapes, camvid], strict=True):
+        head = SSRVLAD.from_preset("default", labels_as=frame.labels_as)
+        assert torch.equal(row, head(torch.from_numpy(frame.labels)[None])[0])
+
+
+def test_settings_of_the_method_are_taken():
+    method = make("ssr-vlad", preset="paper", rings=3)
+    assert method.encode_query(streets([0])).shape == (1, 8 * 3 * 12)
+    assert method.config.working_size is None
+
+
+def labelled(labels, name="a/1", space=SPACE):
+    return View(name, labels=labels, labels_as=space)
+
+
+def plain_grid(labels, rows, columns):
+    """Cell by cell, category by category."""
+    height, width = labels.shape
+    category = {label.id: label.category for label in label_space(SPACE).classes}
+    numbers = []
+    for name in CATEGORIES:
+        for row in range(rows):
+            for column in range(columns):
+                top, bottom = row * height // rows, math.ceil((row + 1) * height / rows)
+                left, right = column * width // columns, math.ceil((column + 1) * width / columns)
+                cell = labels[top:bottom, left:right].ravel()
+                fraction = sum(category[int(pixel)] == name for pixel in cell) / len(cell)
+                numbers.append(math.sqrt(fraction))
+    length = math.hypot(*numbers)
+    return np.array(numbers) / (length or 1)
+
+
+@pytest.mark.parametrize(
+    ("size", "grid"),
+    [((24, 40), (6, 10)), ((31, 45), (6, 10)), ((31, 45), (7, 3)), ((3, 4), (6, 10))],
+)
+def test_the_label_grid_equals_a_loop(size, grid):
+    labels = blobs(0, *size, grain=4)
+    method = make("label-grid", rows=grid[0], columns=grid[1])
+    found = method.encode_query([labelled(labels)])[0]
+    np.testing.assert_allclose(found.numpy(), plain_grid(labels, *grid), rtol=0, atol=1e-6)
+
+
+def test_label_spaces_compare():
+    in_camvid = np.array([[SKY, SKY], [ROAD, TREE]])
+    in_trainids = np.array([[10, 10], [0, 8]])
+    method = make("label-grid", rows=2, columns=2)
+    encoded = method.encode_query(
+        [labelled(in_camvid), labelled(in_trainids, space="cityscapes-trainids")]
+    )
+    assert torch.equal(encoded[0], encoded[1])
+    # an unknown id is an error
+    with pytest.raises(ValueError, match=r"label id 99 \(6 pixels\) is not in label space camvid"):
+        method.encode_query([labelled(np.full((2, 3), 99))])

@@ -117,12 +117,6 @@ def test_a_panic_of_a_library_is_one_line(ssrvlad, monkeypatch, database, maps):
     assert err[-1] == "ssrvlad: an error in ssrvlad itself: PanicException('no more threads')"
 
 
-def test_city_writes_a_tour(ssrvlad, tmp_path):
-    code, out, _ = ssrvlad("city", tmp_path / "town", "--tour", "--frames", 3)
-    assert (code, out) == (0, f"{tmp_path / 'town' / 'tour'}: 3 frames\n")
-    assert len((tmp_path / "town" / "poses.csv").read_text().splitlines()) == 4
-
-
 CAMVID = "--labels-as camvid-11"
 NONE = f"-o none {CAMVID}"
 EVALUATE = "evaluate town.ssrdb monday"

@@ -21,7 +21,6 @@ from ssrvlad_torch.datasets.image_files import read_image
 from ssrvlad_torch.descriptor import SSRVLAD
 from ssrvlad_torch.encoding import source as sources
 from ssrvlad_torch.loops.config import LoopConfig
-from ssrvlad_torch.segmentation.features import NOISE
 from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
 from ssrvlad_torch.segmentation.segmenter import Segmenter
 from ssrvlad_torch.stages.features import SHAPE
@@ -71,12 +70,6 @@ def pictures_of(folder):
     return [read_image(FrameFile("", str(n), folder / f"{n}.png")) for n in range(32)]
 
 
-def refused(ssrvlad, *arguments):
-    code, _, err = ssrvlad(*arguments)
-    assert (code, len(err)) == (2, 1), err
-    return err[0]
-
-
 def test_features_are_stored_by_default(town, photos, ssrvlad):
     database, segmenter = Database.open(town), Segmenter.load(photos / "net.yaml")
     assert [column.name for column in database.columns] == ["ssr-vlad", "features", "hog"]
@@ -101,19 +94,7 @@ def test_features_are_stored_by_default(town, photos, ssrvlad):
         assert {column.name for column in Database.open(other).columns} == {"ssr-vlad", option}
 
 
-def test_labels_and_features_take_one_pass_and_are_cached(photos, ssrvlad, runs):
-    network = ("--segmenter", photos / "net.yaml", "--workers", 1)
-    ssrvlad("encode", photos / "monday", "-o", photos / "one", *network)
-    probe = runs[0] - 32
-    assert probe <= 1 + NOISE
-    ssrvlad("encode", photos / "monday", "-o", photos / "two", *network)
-    assert runs[0] == 32 + 2 * probe
-    one, two = (Database.open(photos / name).load() for name in ("one", "two"))
-    assert torch.equal(one.channels["features"], two.channels["features"])
-    assert torch.equal(one.descriptors, two.descriptors)
-
-
-def test_queries_use_features(town, photos, ssrvlad):
+def test_queries_use_features(town, photos, ssrvlad, refusal):
     network, found = ("--segmenter", photos / "net.yaml"), {}
     query = ("query", town, photos / "today", *network)
     for options in (
@@ -141,7 +122,7 @@ def test_queries_use_features(town, photos, ssrvlad):
     assert ssrvlad("db", "index", town)[0] == 2, "of too few frames"
     _, out, _ = ssrvlad("query", town, town, "--follow", "no", "--json")
     assert json.loads(out.splitlines()[0])["steps"]["weights"]["monday"].keys() == weights.keys()
-    line = refused(ssrvlad, *query, "--temporal", "2")
+    line = refusal(*query, "--temporal", "2")
     assert "features are signs, which have no temporal sum; expected --channel ssr-vlad" in line
     assert ssrvlad(*query, "--temporal", "2", "--channel", "ssr-vlad")[0] == 0
 
@@ -220,15 +201,15 @@ def test_a_detector_takes_features(photos, tmp_path):
         detector.update(said[0].labels, "drive/7", picture=np.zeros((9, 9, 3), np.uint8))
 
 
-def test_wrong_use_of_channels(town, photos, maps, ssrvlad):
+def test_wrong_use_of_channels(town, photos, maps, ssrvlad, refusal):
     network = ("--segmenter", photos / "net.yaml")
     plain = photos / "plain"
     labels = ("--labels-as", SPACE)
-    message = refused(ssrvlad, "encode", maps, "-o", plain, *labels, "--channel", "hog")
+    message = refusal("encode", maps, "-o", plain, *labels, "--channel", "hog")
     assert "--channel hog needs images as SOURCE and --segmenter" in message
-    assert message in refused(ssrvlad, "loops", photos / "today", *labels, "--channel", "hog")
+    assert message in refusal("loops", photos / "today", *labels, "--channel", "hog")
     assert not plain.exists()
-    assert "expected images and a segmenter" in refused(ssrvlad, "encode", maps, "-o", town)
+    assert "expected images and a segmenter" in refusal("encode", maps, "-o", town)
     alone = ("encode", photos / "today", "-o", plain, *network, "--channel", "ssr-vlad")
     assert ssrvlad(*alone)[0] == 0
     assert "label maps alone" not in "".join(ssrvlad(*alone[:4], *network)[2])
@@ -236,23 +217,21 @@ def test_wrong_use_of_channels(town, photos, maps, ssrvlad):
     assert ssrvlad(*maps_first, maps, *labels)[0] == 0
     notes = ["".join(ssrvlad(*maps_first, photos / "today", *network)[2]) for _ in range(2)]
     assert ["is of label maps alone" in each for each in notes] == [True, False]
-    message = refused(
-        ssrvlad, "encode", photos / "today", "-o", plain, *network, "--channel", "hog"
-    )
+    message = refusal("encode", photos / "today", "-o", plain, *network, "--channel", "hog")
     assert "has no descriptors by hog" in message
     features = ("--channel", "features")
-    message = refused(ssrvlad, "query", plain, photos / "today", *network, *features)
+    message = refusal("query", plain, photos / "today", *network, *features)
     assert "holds ssr-vlad of every frame, not features; encode a new database with" in message
     assert message.endswith(" --channel features")
     for source in (maps, plain):
-        message = refused(ssrvlad, "query", town, source)
+        message = refusal("query", town, source)
         assert "expected images and --segmenter, or --channel ssr-vlad" in message
         assert ssrvlad("query", town, source, "--channel", "ssr-vlad")[0] == 0
-    assert "--as-paper" in refused(ssrvlad, "query", town, maps, *features, "--as-paper")
-    assert "or --channel" in refused(ssrvlad, "query", town, maps, *features, "--index")
+    assert "--as-paper" in refusal("query", town, maps, *features, "--as-paper")
+    assert "or --channel" in refusal("query", town, maps, *features, "--index")
 
 
-def test_a_database_of_the_earlier_form_is_refused(photos, ssrvlad):
+def test_a_database_of_the_earlier_form_is_refused(photos, refusal):
     """It had signs of one activation, half as many."""
     earlier = Column("features", "16 x 16 cells, 64 signs of relu_2, 0f", (16, 16, 8), "uint8")
     head = SSRVLAD.from_preset("default", labels_as=SPACE)
@@ -265,17 +244,17 @@ def test_a_database_of_the_earlier_form_is_refused(photos, ssrvlad):
         ("query", photos / "town", photos / "monday", *network),
         ("locate", photos / "monday" / "0.png", "--in", photos / "town", *network),
     ):
-        line = refused(ssrvlad, *command)
+        line = refusal(*command)
         assert "features are of 16 x 16 cells, 64 signs of relu_2, 0f, this version makes" in line
         assert line.endswith("descriptors (16, 16, 16), not (16, 16, 8): encode the frames again")
 
 
-def test_a_network_without_features(photos, ssrvlad):
+def test_a_network_without_features(photos, ssrvlad, refusal):
     write_graph(photos / "plain.onnx")
     settings = "network: plain.onnx\nmean: [0, 0, 0]\nstd: [1, 1, 1]\nlabels_as: " + SPACE
     (photos / "plain.yaml").write_text(settings)
     given = ("encode", photos / "monday", "-o", photos / "none", "--segmenter")
-    line = refused(ssrvlad, *given, photos / "plain.yaml", "--channel", "features")
+    line = refusal(*given, photos / "plain.yaml", "--channel", "features")
     assert "plain.yaml: the encoder has no activation at a stride from 4 to 32" in line
     assert not (photos / "none").exists()
     code, _, err = ssrvlad(*given, photos / "plain.yaml")
@@ -292,7 +271,7 @@ def test_a_network_without_features(photos, ssrvlad):
         ("relu_2", "features must be a list of names of activations, got 'relu_2'"),
     ],
 )
-def test_wrong_names_store_nothing(photos, ssrvlad, features, message):
+def test_wrong_names_store_nothing(photos, features, message, refusal):
     settings = photos / "named.yaml"
     settings.write_text(f"{SETTINGS}features: {features}\n")
     if features == "[flat]":
@@ -304,7 +283,7 @@ def test_wrong_names_store_nothing(photos, ssrvlad, features, message):
         ("fuse", settings, "-o", photos / "none", "--labels-as", SPACE),
     ):
         for extra in (("--channel", "features"), ())[given[0] == "fuse" :]:
-            assert message in refused(ssrvlad, *given, *extra)
+            assert message in refusal(*given, *extra)
             assert not (photos / "none").exists()
 
 
@@ -316,7 +295,7 @@ def _with_flat_mean(content):
     return model.SerializeToString()
 
 
-def test_features_of_another_network_are_refused(town, photos, ssrvlad):
+def test_features_of_another_network_are_refused(town, photos, refusal):
     other = photos / "other.yaml"
     other.write_text(f"{SETTINGS}features: [relu_1]\n")
     network = ("--segmenter", other)
@@ -327,7 +306,7 @@ def test_features_of_another_network_are_refused(town, photos, ssrvlad):
         ("loops", photos / "today", "--memory", town, *network),
         ("evaluate", town, photos / "today", "--tolerance-frames", 1, *network),
     ):
-        line = refused(ssrvlad, *command)
+        line = refusal(*command)
         assert "stored descriptors by features are of 16 x 16 cells" in line
         assert "signs of relu_1" in line and "signs of relu_2" in line
     assert len(Database.open(town)) == 32
@@ -335,11 +314,9 @@ def test_features_of_another_network_are_refused(town, photos, ssrvlad):
         Map.open(town, Segmenter.load(other)).locate(photos / "today" / "7.png")
 
 
-def test_a_module_and_its_graph_do_not_compare_and_why_is_told(photos, town, monkeypatch, ssrvlad):
-    monkeypatch.syspath_prepend(photos)
-    (photos / "modules.py").write_text("from networks import Street as street\n")
-    (photos / "module.yaml").write_text(SETTINGS.replace("net.onnx", "modules:street"))
-    line = refused(ssrvlad, "query", town, photos / "today", "--segmenter", photos / "module.yaml")
+def test_a_module_and_its_graph_do_not_compare_and_why_is_told(photos, town, refusal):
+    (photos / "module.yaml").write_text(SETTINGS.replace("net.onnx", "networks:Street"))
+    line = refusal("query", town, photos / "today", "--segmenter", photos / "module.yaml")
     assert "signs of act.2" in line and "signs of relu_2" in line
     assert "encode again, with the file that will be deployed" in line
     assert "a module, its ONNX file and another size are different networks" in line
@@ -359,13 +336,11 @@ class Blinded(nn.Module):
         return self.network(images)
 
 
-def test_a_picture_without_activations_is_skipped(photos, monkeypatch, ssrvlad):
-    monkeypatch.syspath_prepend(photos)
-    (photos / "blinded.py").write_text("from test_commands_features import Blinded\n")
+def test_a_picture_without_activations_is_skipped(photos, ssrvlad):
     for number, colour in ((3, "black"), (4, "white")):
         (photos / "monday" / f"{number}.png").unlink()
         Image.new("RGB", (128, 96), colour).save(photos / "monday" / f"{number}.png")
-    given = ("--segmenter", "blinded:Blinded", "--labels-as", SPACE, "--workers", 1)
+    given = ("--segmenter", "test_commands_features:Blinded", "--labels-as", SPACE, "--workers", 1)
     code, out, err = ssrvlad("encode", photos / "monday", "-o", photos / "town", *given)
     assert code == 3
     assert "30 frames encoded" in out and "2 skipped" in out

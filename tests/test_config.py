@@ -68,11 +68,6 @@ def test_equal_settings_have_one_fingerprint(preset, name, value):
     assert one.fingerprint == other.fingerprint
 
 
-def test_a_config_survives_to_dict():
-    config = SSRVLADConfig(labels_as="synthia", **OTHER)
-    assert SSRVLADConfig.from_dict(config.to_dict()) == config
-
-
 @pytest.mark.parametrize(
     ("settings", "message"),
     [

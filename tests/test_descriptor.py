@@ -154,30 +154,6 @@ def test_an_empty_image_is_zero_and_flagged():
     assert not view.descriptor[:2].any()
 
 
-def test_explain_shows_every_step():
-    head, paper, batch = SSRVLAD(DEFAULT), SSRVLAD(PAPER), batch_of_blobs(2)
-    view, residuals = head.explain(batch), paper.explain(batch)
-    for masks in (view.layers, view.clean_layers, view.skeleton, view.keypoints):
-        assert masks.shape == (2, 8, 61, 83)
-        assert masks.dtype == torch.bool
-    assert view.centres.shape == (2, 8, 2)
-    assert view.histograms.column.shape == (2,)
-    assert view.histograms.bins.shape == (2, 10, 6, 20)
-    assert residuals.histograms.points.shape == residuals.histograms.centre.shape == (2, 8, 5, 12)
-    assert torch.equal(residuals.histograms.counts, residuals.keypoints.sum((2, 3)))
-    torch.testing.assert_close(view.descriptor, head(batch), rtol=0, atol=1e-7)
-    assert torch.equal(view.keypoints, view.end_points | view.intersections)
-    assert (view.skeleton <= view.clean_layers).all()
-    assert (view.keypoints <= view.skeleton).all()
-
-
-def test_the_working_size_reduces_and_never_enlarges():
-    large = torch.zeros(1, 240, 480, dtype=torch.uint8)
-    assert SSRVLAD(DEFAULT).explain(large).layers.shape == (1, 8, 120, 240)
-    assert SSRVLAD(DEFAULT).explain(large[:, :50]).layers.shape == (1, 8, 50, 480)
-    assert SSRVLAD(PAPER).explain(large).layers.shape == (1, 8, 240, 480)
-
-
 def test_the_head_has_no_weights_and_no_state():
     with pytest.raises(ValueError, match="SSRVLADConfig, got 'paper'; see"):
         SSRVLAD("paper")
@@ -377,12 +353,6 @@ def test_an_anchor_is_a_column_from_the_usual_one(city):
     for number, column in enumerate(columns.tolist()):
         one = city[number : number + 1]
         assert torch.equal(middle.sweep(one, [column, column + 8]), head.sweep(one, [0, 8]))
-
-
-def test_the_paper_has_no_anchor_to_move(city):
-    head = SSRVLAD.from_preset("paper", labels_as="cityscapes-trainids")
-    with pytest.raises(ValueError, match="aggregation harmonics, got residuals"):
-        head.sweep(city, [0])
 
 
 @pytest.mark.parametrize("columns", [[], [2**62], [0.5], ["a"]])

@@ -1,8 +1,6 @@
 """The exported file against the module: its results, its metadata, and how it is written."""
 
-import sys
 from collections.abc import Callable, Iterable, Iterator
-from pathlib import Path
 
 import numpy as np
 import onnx
@@ -27,6 +25,7 @@ from exported import (
     presets,
     random_blobs,
     run_of,
+    write_space,
 )
 from graphs import session
 
@@ -307,12 +306,6 @@ def test_every_input_of_a_loop_has_its_rank(preset):
     assert all(value.type.tensor_type.HasField("shape") for value in inputs)
 
 
-def write_space(path: Path, *ids: int) -> Path:
-    rows = "\n".join(f"  - {{id: {n}, name: c{n}, category: ground}}" for n in ids)
-    path.write_text(f"name: own\nsource: here\nclasses:\n{rows}\n")
-    return path
-
-
 @pytest.mark.parametrize(
     ("ids", "arguments", "message"),
     [
@@ -333,13 +326,6 @@ def test_wrong_arguments_are_refused_before_anything_is_written(ids, arguments, 
     assert len(list(tmp_path.iterdir())) == 2
 
 
-def test_a_missing_extra_is_named(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "onnxscript", None)
-    with pytest.raises(ImportError, match=r"pip install ssrvlad-torch\[onnx\]"):
-        export_head(of_preset("paper", rings=3), tmp_path / "x.onnx")
-    assert not list(tmp_path.iterdir())
-
-
 @pytest.mark.parametrize(("preset", "given"), [("paper", "labels"), ("default", "logits")])
 def test_the_command_writes_the_bytes_that_the_function_writes(ssrvlad, tmp_path, preset, given):
     export_head(of_preset(preset), tmp_path / "head.onnx", given)
@@ -349,11 +335,3 @@ def test_the_command_writes_the_bytes_that_the_function_writes(ssrvlad, tmp_path
     assert of_preset(preset).fingerprint in out
     written = [tmp_path / name for name in ("command.onnx", "head.onnx")]
     assert written[0].read_bytes() == written[1].read_bytes()
-
-
-def test_a_low_power_enlarges_rounding_errors_no_more_than_is_said():
-    """On small maps, which show it best; of a fixed size, which is traced faster."""
-    config, shape = of_preset("default", power=0.5), (200, 9, 1)
-    maps = np.random.default_rng(0).choice([*range(8), VOID], shape).astype(np.uint8)
-    got, _ = run_of(config, "labels", None, shape)(maps)
-    assert np.abs(got - SSRVLAD(config)(maps).numpy()).max() < 1e-5

@@ -23,7 +23,6 @@ from networks import (
     photo,
     shared_street,
     write_graph,
-    write_segformer,
     write_street,
 )
 from onnx import TensorProto, helper, numpy_helper
@@ -37,7 +36,7 @@ from ssrvlad_torch.deployment.export import export_head
 from ssrvlad_torch.deployment.fuse import NETWORK, fuse, other_signs
 from ssrvlad_torch.deployment.golden import outputs_of
 from ssrvlad_torch.deployment.metadata import Metadata
-from ssrvlad_torch.deployment.runtimes import OnnxRuntime
+from ssrvlad_torch.deployment.runtimes import runtime_of
 from ssrvlad_torch.deployment.verify import compare, verify
 from ssrvlad_torch.encoding.encoder import encode_to_memory
 from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
@@ -53,7 +52,7 @@ def pictures(height: int = 133, width: int = 171, count: int = 2) -> Images:
     return np.stack([photo(blobs(seed, height, width, 12)) for seed in range(count)])
 
 
-run_of = cache(OnnxRuntime().open)
+run_of = cache(runtime_of().open)
 """A file as a function of its inputs by name, opened once."""
 
 
@@ -170,16 +169,6 @@ def test_a_users_own_export_of_network_and_head_is_the_fused_file(tmp_path):
         fused = run_of(tmp_path / "place.onnx")({"image": images})["descriptor"]
         np.testing.assert_allclose(descriptor, fused, rtol=0, atol=1e-6)
         assert descriptor.any()
-
-
-@pytest.mark.slow
-def test_a_model_of_the_hub(tmp_path):
-    """Loading one is tested with the networks, tracing a module above."""
-    segmenter = Segmenter.load(write_segformer(tmp_path / "tiny"))
-    config = SSRVLADConfig(labels_as=segmenter.label_space)
-    fused = fuse(tmp_path / "tiny", config, tmp_path / "net.onnx", tmp_path / "head.onnx")
-    assert fused.name == "tiny"
-    assert_labelled(segmenter, tmp_path / "net.onnx", pictures(), 1e-3)
 
 
 def weighted(opset: int, name: str = "scores") -> onnx.ModelProto:

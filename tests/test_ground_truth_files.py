@@ -10,7 +10,7 @@ import pytest
 from helpers import refused
 from vpr_bench import VPR_BENCH, needs_vpr_bench
 
-from ssrvlad_torch.evaluation.ground_truth_files import from_file, known_matches
+from ssrvlad_torch.evaluation.ground_truth_files import from_file
 
 QUERIES = ("a", "b")
 REFERENCES = ("day/1", "day/2", "day/10")
@@ -112,12 +112,6 @@ def test_an_entry_may_have_the_suffix_of_the_file_and_be_a_whole_path(read):
     with pytest.raises(ValueError, match=r"'000002\.jpg', which may be /d/dawn/.* or /d/evening/"):
         read("t.json", {"000002.jpg": []}, paths, ["a"])
     assert read("t.json", {"a.jpg": ["b"]}, ["a", "a.jpg"], ["b"]) == [None, [0]]
-
-
-def test_queries_of_known_matches_are_chosen():
-    known, truth = known_matches([None, np.array([3]), np.array([], np.int64), None])
-    assert known == [1, 2]
-    assert as_lists(truth) == [[3], []]
 
 
 REFUSED = [

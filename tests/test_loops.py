@@ -93,15 +93,6 @@ def test_errors_are_told_of_the_frames_that_close_a_loop():
     np.testing.assert_array_equal(got, [3, math.nan, 1])
 
 
-def test_the_curve_of_loops_worked_by_hand():
-    """Strengths 5, 4, 4 and 3, of which one of the two in the middle is wrong; ten revisits."""
-    curve = loop_curve(np.array([4.0, 5.0, 3.0, 4.0]), np.array([True, True, True, False]), 10)
-    assert curve.thresholds.tolist() == [5, 4, 3]
-    assert curve.accepted.tolist() == [1, 3, 4]
-    assert curve.true_positives.tolist() == [1, 2, 3]
-    assert curve.recall.tolist() == [0.1, 0.2, 0.3]
-
-
 def test_the_surest_threshold_is_the_lowest_before_the_mistakes():
     """Twenty that are right from 7 down, then as many of which half are wrong."""
     strengths = np.linspace(7, 3, 40)

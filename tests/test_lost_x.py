@@ -1,4 +1,5 @@
-"""LoST-X as a method: windows of references, keypoints, ranking again, errors."""
+"""LoST-X against its equations as loops, and the method: windows of references, keypoints, ranking
+again, errors."""
 
 import methods
 import numpy as np
@@ -7,21 +8,20 @@ import torch
 import torch.nn.functional as F
 from methods import noise
 from networks import write_street
+from plain_layers import Array, unit
 from scipy.spatial.distance import cosine
-from test_lost import CLASSES as SEEN
-from test_lost import described, mean_feature
 from torch import Tensor, nn
 
 from ssrvlad_torch.baselines import make
 from ssrvlad_torch.baselines.dense_network import dense_network
-from ssrvlad_torch.baselines.lost import layout_cost
-from ssrvlad_torch.baselines.lost_x import LoSTX
+from ssrvlad_torch.baselines.lost_x import LoSTX, layout_cost
 from ssrvlad_torch.channels.channel import View
 from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
 from ssrvlad_torch.segmentation.preparation import SegmenterConfig
 from ssrvlad_torch.segmentation.segmenter import Segmenter
 
 CHANNELS, CLASSES = 40, 4
+SEEN = [0, 2, 3]
 SPACE = """
 name: small
 source: made up
@@ -31,6 +31,23 @@ classes:
   - {id: 2, name: building, category: building}
   - {id: 3, name: vegetation, category: vegetation}
 """
+
+
+def mean_feature(features: Array, labels: Array, s: int) -> Array:
+    """Eq. 2: the mean over the places whose most likely class is s."""
+    members = [x for x, label in zip(features.T, labels, strict=True) if label == s]
+    return sum(members) / len(members) if members else np.zeros(len(features))
+
+
+def described(features: Array, probabilities: Array, means: list[Array]) -> Array:
+    """Eq. 1: L_s = sum_i m_is |x_i - mu_s|, each of length 1, put one after another."""
+    parts = []
+    for s, mean in zip(SEEN, means, strict=True):
+        total = np.zeros(len(features))
+        for x, odds in zip(features.T, probabilities.T, strict=True):
+            total += odds[s] * np.abs(x - mean)
+        parts.append(unit(total))
+    return unit(np.concatenate(parts))
 
 
 def network(images: Tensor) -> tuple[Tensor, Tensor]:
@@ -127,6 +144,34 @@ def layout(query: View, reference: View, opposite: bool) -> float:
             distances.append(cosine(one[:, a], other[:, b]))
     xs, ys = torch.tensor(columns).T
     return layout_cost((xs, ys), torch.tensor(distances))
+
+
+def pairs(seed: int, count: int = 20, width: int = 16):
+    """Columns in two images, and distances between what is seen there."""
+    rng = np.random.default_rng(seed)
+    return rng.integers(1, width, (2, count)).astype(float), rng.random(count)
+
+
+def cost(columns: tuple[np.ndarray, np.ndarray], distances: np.ndarray) -> float:
+    one, other = (torch.tensor(np.array(side)) for side in columns)
+    return layout_cost((one, other), torch.from_numpy(distances))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_layout_cost_is_the_authors_steps(seed):
+    (x, y), distances = pairs(seed)
+    fractions = distances / np.abs(distances).sum()
+    weights = fractions.max() - fractions
+    expected = cosine(x * weights, y * weights) / np.linalg.norm(weights) / len(x)
+    assert cost((x, y), distances) == pytest.approx(expected, rel=1e-9)
+
+
+def test_an_image_with_itself_costs_nothing():
+    """All pairs are equally near, so the authors' weights are all zero and their cost 0 / 0."""
+    (x, _), distances = pairs(0)
+    for equal in (0 * distances, 0 * distances + 0.3):
+        assert cost((x, x), equal) == pytest.approx(0, abs=1e-12)
+        assert cost((x, x[::-1]), equal) > 0
 
 
 def test_a_frame_finds_itself_and_its_mirror_image(space):

@@ -18,6 +18,7 @@ def test_every_convention_with_an_empty_frame(evaluate, tmp_path):
         assert metrics["convention"] == convention
         assert metrics["recall_at"]["1"] == pytest.approx(5 / 6)
         assert 0.1 < metrics["auc_pr"] <= 1
+        assert metrics["score_is"] == "cosine"
         assert (metrics["average_precision"] is None) == convention.startswith("vpr-tutorial")
     assert convention in evaluate(*arguments)[1]
 
@@ -37,19 +38,6 @@ def test_queries_without_ground_truth_are_left_out_and_counted(evaluate, tmp_pat
     _, _, err = evaluate("--ground-truth", path)
     strange = f"2 queries of {path} do not exist, the first is tuesday/9"
     assert f"ssrvlad: {strange}" in err
-
-
-@pytest.mark.parametrize("how", ["frames", "matrix"])
-def test_a_skipped_query_keeps_its_place(evaluate, tmp_path, how):
-    """What counts frames counts the unreadable one, too."""
-    (tmp_path / "tuesday" / "002.png").write_text("no image")
-    truth = write_truth(tmp_path / "truth.npy", np.eye(6))
-    arguments = {"frames": ("--tolerance-frames", 0), "matrix": ("--ground-truth", truth)}[how]
-    code, out, err = evaluate(*arguments, "--json")
-    assert code == 3
-    assert len(err) == 1
-    metrics = json.loads(out)
-    assert (metrics["queries"], metrics["recall_at"]["1"]) == (5, 1.0)
 
 
 def test_the_estimate_of_wrong_answers_comes_with_the_truth(ssrvlad, tmp_path):

@@ -6,12 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from helpers import refused
 from methods import frames, noise
 from plain_layers import Array, convolve, max_pool, relu, unit
 from torch import nn
 
-from ssrvlad_torch.baselines import make
 from ssrvlad_torch.baselines.netvlad import (
     NetVLAD,
     NetVLADLayer,
@@ -144,13 +142,6 @@ def test_a_checkpoint_of_the_port_is_the_network(parallel, outputs, bias, tmp_pa
     assert torch.equal(network(image), source(image))
 
 
-def test_another_checkpoint_is_refused(tmp_path):
-    path = tmp_path / "other.pth"
-    torch.save({"features.0.weight": torch.ones(3)}, path)
-    with refused(r"other\.pth lacks encoder\.0\.weight .*; it has features\.0\.weight"):
-        read_netvlad(path)
-
-
 @pytest.fixture(scope="module")
 def checkpoint(tmp_path_factory):
     """A folder with the port's unzipped checkpoint, of full size, and the network in it."""
@@ -183,13 +174,6 @@ def test_it_is_the_network_on_each_frame(checkpoint):
         method.encode_query([View("drive/1")])
     with pytest.raises(ValueError, match="at least 16 x 16 pixels, got 15 x 40"):
         method.encode_query(frames([noise(0, 15, 40)]))
-
-
-def test_missing_weights_are_one_line(tmp_path, monkeypatch):
-    monkeypatch.setattr(Path, "home", lambda: tmp_path)
-    origin = "model_best.pth.tar.*Nanne/pytorch-NetVlad"
-    with refused(origin, tmp_path, by=FileNotFoundError):
-        make("netvlad")
 
 
 def test_random_weights_have_the_published_size_and_say_what_they_are(monkeypatch):

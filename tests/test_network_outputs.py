@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 from drawings import SPACE
-from helpers import street
+from helpers import refused, street
 from networks import CLASSES, PLAIN, Strided, Then, photo
 from segmenting import NOISE, PHOTOS, assert_right, write_photos
 
@@ -67,9 +67,8 @@ def test_the_axis_of_the_classes_does_not_follow_the_size_of_a_picture(form, siz
     ],
 )
 def test_an_output_that_cannot_be_recognised_is_an_error_that_has_it(give, message):
-    with pytest.raises(ValueError, match=message) as error:
+    with refused(message):
         Segmenter(Then(give), SPACE, PLAIN)(PHOTOS[:1])
-    assert "\n" not in str(error.value)
 
 
 def test_the_output_and_the_channels_may_be_named():
@@ -121,11 +120,5 @@ def test_nan_scores_are_skipped_for_the_image_that_has_them(tmp_path):
 
     files = find_image_files([str(write_photos(tmp_path / "a"))])
     results = [labels for _, labels in Segmenter(Then(spoil), SPACE, PLAIN).label_maps(files)]
-    assert [isinstance(result, ValueError) for result in results] == [
-        False,
-        True,
-        False,
-        False,
-        False,
-    ]
+    assert [isinstance(result, ValueError) for result in results] == [False, True, *[False] * 3]
     assert "hold 2 NaN values" in str(results[1])

@@ -5,6 +5,7 @@ import sys
 import pytest
 import torch
 from drawings import SPACE
+from helpers import refused
 from networks import NAMES, PLAIN, colour_network, write_graph, write_published, write_segformer
 from segmenting import NOISE, PHOTOS, assert_right
 
@@ -44,9 +45,8 @@ def test_a_settings_file_names_a_network_beside_it(tmp_path, monkeypatch):
 def test_a_bad_settings_file_is_an_error_in_one_line(tmp_path, text, message):
     if text is not None:
         (tmp_path / "net.yaml").write_text(text)
-    with pytest.raises(ValueError, match=message) as error:
+    with refused(message):
         Segmenter.load(tmp_path / "net.yaml", SPACE)
-    assert "\n" not in str(error.value)
 
 
 def test_a_function_or_torch_hub_makes_the_network(tmp_path, monkeypatch):
@@ -115,13 +115,6 @@ def test_weights_alone_are_refused_with_what_they_need(tmp_path, refusal):
     assert "arguments must be names with values, got 3" in refusal("labels", tmp_path / "code.yaml")
 
 
-def test_settings_without_a_network_are_no_label_space(tmp_path, refusal):
-    (tmp_path / "net.yaml").write_text("mean: [0, 0, 0]\nclasses: 0:19\n")
-    assert "net.yaml names no network; expected network: NAME" in refusal(
-        "labels", tmp_path / "net.yaml"
-    )
-
-
 @pytest.fixture(scope="module")
 def hub_folder(tmp_path_factory):
     """A tiny SegFormer with random weights, as transformers saves it."""
@@ -165,9 +158,8 @@ def test_a_model_that_is_not_there_is_an_error_in_one_line(tmp_path, monkeypatch
     import huggingface_hub.constants
 
     monkeypatch.setattr(huggingface_hub.constants, "HF_HUB_OFFLINE", True)
-    with pytest.raises(OSError, match=r"^hf:nobody/nothing@1 cannot be loaded: ") as error:
+    with refused(r"^hf:nobody/nothing@1 cannot be loaded: ", by=OSError):
         open_network("hf:nobody/nothing@1")
-    assert "\n" not in str(error.value)
     (tmp_path / "empty").mkdir()
     with pytest.raises(ValueError, match="empty cannot be used: Unrecognized model"):
         open_network(tmp_path / "empty")

@@ -5,10 +5,10 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 from drawings import SPACE
-from helpers import street
+from helpers import refused, street
 from networks import PLAIN, photo, write_graph
 from segmenting import assert_right
-from test_onnx_network import GRAPHS
+from test_segmentation import GRAPHS
 
 from ssrvlad_torch.segmentation import onnx_network
 from ssrvlad_torch.segmentation.networks import open_network
@@ -44,36 +44,24 @@ def test_a_yaml_file_names_the_runtime_and_the_identity_stays(tmp_path, monkeypa
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (
-            "network: net.onnx\nruntime: tensorrt",
-            "must be onnxruntime or openvino, got .te",
-        ),
-        (
-            "network: nets:mine\nruntime: openvino",
-            "openvino is for ONNX files, got network: nets:m",
-        ),
-        (
-            "network: net.yaml\nruntime: openvino",
-            "openvino is for ONNX files, got network: .*net.y",
-        ),
+        ("net.onnx\nruntime: tensorrt", "must be onnxruntime or openvino, got .te"),
+        ("networks:Street\nruntime: openvino", "is for ONNX files, got network: networks:Str"),
+        ("net.yaml\nruntime: openvino", "openvino is for ONNX files, got network: .*net.y"),
     ],
 )
 def test_a_runtime_that_cannot_be_taken_is_named(tmp_path, monkeypatch, text, message):
     monkeypatch.chdir(tmp_path)
     write_graph(tmp_path / "net.onnx")
     (tmp_path / "net.yaml").write_text("network: net.onnx")
-    (tmp_path / "nets.py").write_text("from networks import colour_network as mine\n")
-    (tmp_path / "fast.yaml").write_text(text)
-    with pytest.raises(ValueError, match=rf"^fast\.yaml: runtime.*{message}") as error:
+    (tmp_path / "fast.yaml").write_text(f"network: {text}")
+    with refused(rf"^fast\.yaml: runtime.*{message}"):
         open_network("fast.yaml")
-    assert "\n" not in str(error.value)
 
 
 def test_what_openvino_cannot_run_is_named(tmp_path):
     path = write_graph(tmp_path / "net.onnx")
-    with pytest.raises(ValueError, match=r"^net cannot run in OpenVINO: .*no_such") as error:
+    with refused(r"^net cannot run in OpenVINO: .*no_such"):
         OpenVinoSession(path, "net", ["no_such"])
-    assert "\n" not in str(error.value)
     with pytest.raises(ValueError, match=r"^net cannot run in OpenVINO: "):
         OpenVinoSession(b"no graph", "net")
 

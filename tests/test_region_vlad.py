@@ -82,21 +82,6 @@ def test_images_are_resized_as_caffe_does():
     torch.testing.assert_close(one, other, rtol=1e-3, atol=1e-1)
 
 
-def test_regions_of_a_small_map_equal_those_by_hand():
-    """Levels of the first map: a 5 alone (energy 5.5), two 2s that touch by a corner (2.35), a 1
-    that touches them (1.9); what is below 1 is no region. The second map has one region of 3s."""
-    maps = torch.tensor(
-        [
-            [[2.1, 0.9, 0.0], [1.9, 2.6, 0.0], [0.0, 0.0, 5.5]],
-            [[0.5, 0.5, 0.0], [0.0, 0.0, 0.0], [0.0, 3.0, 3.0]],
-        ]
-    )
-    expected = [[5.5, 3.0], [5.5, 6.0], [2.1 + 0.9 + 1.9 + 2.6, 1.0], [1.9, 0.0]]
-    torch.testing.assert_close(region_descriptors(maps, 10), torch.tensor(expected))
-    torch.testing.assert_close(region_descriptors(maps, 3), torch.tensor(expected[:3]))
-    assert region_descriptors(torch.full((3, 4, 5), 0.9), 10).shape == (0, 3)
-
-
 def authors_way(maps: np.ndarray, count: int) -> np.ndarray:
     """Every map is labelled, boxes are sorted by mean activation, columns summed over each box."""
     found = []
@@ -220,39 +205,27 @@ def test_torchvisions_alexnet_is_refused(tmp_path):
         RegionVLAD(path)
 
 
-def test_a_vocabulary_is_an_array(tmp_path):
-    np.save(tmp_path / "words.npy", WORDS)
-    found = read_vocabulary(tmp_path / "words.npy", 4)
-    assert found.dtype == torch.float32
-    np.testing.assert_array_equal(found.numpy(), WORDS.astype(np.float32))
-
-
-@pytest.mark.parametrize("array", [WORDS[:3], WORDS[:, :9], WORDS[0], WORDS * np.nan, WORDS > 0])
-def test_a_vocabulary_of_another_shape_or_no_numbers_is_refused(array, tmp_path):
-    np.save(tmp_path / "words.npy", array)
-    with refused(r"must hold a vocabulary \(4, 384\) of finite numbers, got "):
-        read_vocabulary(tmp_path / "words.npy", 4)
-
-
+OTHER_WORDS = [WORDS[:3], WORDS[:, :9], WORDS[0], WORDS * np.nan, WORDS > 0]
 OBJECTS = np.array([Path("x")], object)
+NUMBERS = r"must hold a vocabulary \(4, 384\) of finite numbers, got "
+FILE = r"words\.npy: expected a vocabulary in a \.npy file, see docs/methods\.md: "
 
 
-@pytest.mark.parametrize("keep", [0, 3, 50, 2000])
-def test_a_vocabulary_that_is_cut_off_is_refused(keep, tmp_path):
-    np.save(tmp_path / "words.npy", WORDS)
+@pytest.mark.parametrize(
+    ("array", "keep", "message"),
+    [
+        *((array, None, NUMBERS) for array in OTHER_WORDS),
+        *((WORDS, keep, FILE) for keep in (0, 3, 50, 2000)),
+        (OBJECTS, None, f"{FILE}holds Python objects"),
+    ],
+)
+def test_another_vocabulary_is_refused(array, keep, message, tmp_path):
+    """Of other shape, no numbers, cut off, or with objects, of which none is unpickled."""
     path = tmp_path / "words.npy"
+    np.save(path, array, allow_pickle=True)
     path.write_bytes(path.read_bytes()[:keep])
-    with refused(r"words\.npy: expected a vocabulary in a \.npy file, see docs/methods\.md: "):
+    with refused(message, path):
         read_vocabulary(path, 4)
-
-
-def test_nothing_is_unpickled(tmp_path):
-    np.save(tmp_path / "words.npy", OBJECTS, allow_pickle=True)
-    with refused("see docs/methods.md: holds Python objects"):
-        read_vocabulary(tmp_path / "words.npy", 4)
-    (tmp_path / "words.pkl").write_bytes(pickle.dumps({400: {4: {"conv3": WORDS}}}))
-    with refused("expected a vocabulary in a .npy file, see docs/methods.md"):
-        read_vocabulary(tmp_path / "words.pkl", 4)
 
 
 @pytest.mark.parametrize("protocol", [0, 2, 4])

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 import torch
-from drawings import CROSS, mask, planes, random_planes
+from drawings import random_planes
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -102,12 +102,3 @@ def test_layers_of_too_many_pairs_are_correlated(monkeypatch):
     pairs = np.where((y % 2 == 0) & (x % 2 == 0), rows * columns, 0)
     expected = np.bincount(bins.table.flatten(), pairs.ravel(), minlength=bins.total + 1)
     assert sums[0, 0].tolist() == expected[: bins.total].tolist()
-
-
-def test_without_points_every_count_is_zero():
-    none = points(torch.zeros(1, 5, 5, dtype=torch.uint8))
-    cross = points(planes(mask(CROSS)[1:6, 1:6]))
-    bins = log_polar_bins(5, 5, (50,), 12, CPU)
-    assert not shape_contexts(none, cross, bins, 1).any()
-    assert not shape_contexts(cross, none, bins, 1).any()
-    assert not shape_contexts(none, none, bins, 1).any()

@@ -1,5 +1,7 @@
-"""The twin as a whole: near the hard descriptor, with gradients that lead to it."""
+"""The twin as a whole: near the hard descriptor, with gradients that lead to it; the surrogate and
+the loss of places."""
 
+import math
 import subprocess
 import sys
 
@@ -11,9 +13,10 @@ from drawings import SPACE
 from helpers import street
 from torch import Tensor
 
-from ssrvlad_torch import SSRVLAD, SSRVLADConfig
+from ssrvlad_torch import SSRVLAD, SSRVLADConfig, SurrogateSSRVLAD
 from ssrvlad_torch.datasets.synthetic_city import SyntheticCity
 from ssrvlad_torch.soft.descriptor import SoftSSRVLAD
+from ssrvlad_torch.soft.place_loss import multi_similarity
 
 DEFAULT = SSRVLADConfig.from_preset("default", labels_as=SPACE)
 TINY = {"labels_as": SPACE, "closing": 0.2, "hole_area": 0.02, "region_area": 0.02}
@@ -222,3 +225,85 @@ def test_a_twin_that_ran_in_inference_mode_can_be_trained():
         twin(given)
     twin(given.requires_grad_())[0, ::7].sum().backward()
     assert given.grad.any()
+
+
+def noisy_scores(dtype: torch.dtype = torch.float32) -> torch.Tensor:
+    labels = torch.stack([torch.from_numpy(street(seed)) for seed in range(2)]).long()
+    noise = torch.randn(2, 12, 24, 32, generator=torch.Generator().manual_seed(0))
+    return (torch.eye(12)[labels].permute(0, 3, 1, 2) + noise).to(dtype).requires_grad_()
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.bfloat16])
+def test_it_has_the_numbers_of_the_head_and_the_gradient_of_the_twin(dtype):
+    given, same = noisy_scores(dtype), noisy_scores(dtype)
+    found, soft = SurrogateSSRVLAD(DEFAULT)(given), SoftSSRVLAD(DEFAULT)(same)
+    assert found.requires_grad
+    assert found.dtype == torch.float32
+    assert torch.equal(found, SSRVLAD(DEFAULT)(given.detach()))
+    assert not torch.equal(found, soft.float())
+    weights = torch.randn(found.shape, generator=torch.Generator().manual_seed(1))
+    (found * weights).sum().backward()
+    (soft * weights).sum().backward()
+    assert given.grad.any()
+    torch.testing.assert_close(given.grad, same.grad)
+
+
+def test_without_a_gradient_it_is_the_head():
+    head, given = SurrogateSSRVLAD(DEFAULT), noisy_scores()
+    labels = given.detach().argmax(1)
+    assert torch.equal(head(labels), SSRVLAD(DEFAULT)(labels))
+    assert not head(given.detach()).requires_grad
+    with torch.no_grad():
+        assert not head(given).requires_grad
+
+
+def test_scores_that_require_a_gradient_give_one_warning_without_a_surrogate():
+    head, given = SSRVLAD(DEFAULT), noisy_scores()
+    with pytest.warns(UserWarning, match="use SurrogateSSRVLAD") as warned:
+        assert not head(given).requires_grad
+        head(given)
+    assert len(warned) == 1
+
+
+def plainly(similarity, same, other, alpha, beta, base):
+    """Eq. 15 of Wang et al., CVPR 2019."""
+    total = 0.0
+    for row, alike, unlike in zip(similarity, same, other, strict=True):
+        pull = sum(math.exp(-alpha * (s - base)) for s, a in zip(row, alike, strict=True) if a)
+        push = sum(math.exp(beta * (s - base)) for s, u in zip(row, unlike, strict=True) if u)
+        total += math.log(1 + pull) / alpha + math.log(1 + push) / beta
+    return total / len(similarity)
+
+
+@pytest.mark.parametrize("settings", [(2.0, 50.0, 0.5), (10.0, 5.0, 0.9)])
+def test_the_loss_is_equation_15_pair_by_pair(settings):
+    similarity = torch.rand(5, 7, generator=torch.Generator().manual_seed(0)).double() * 2 - 1
+    kind = torch.randint(0, 3, (5, 7), generator=torch.Generator().manual_seed(1))
+    kind[0], kind[1] = 0, 2  # a query of which nothing is the same, one of which nothing is known
+    for given, other in ((kind == 0, kind == 0), (None, kind != 1)):
+        found = multi_similarity(similarity, kind == 1, given, *settings)
+        expected = plainly(similarity, kind == 1, other, *settings)
+        assert float(found) == pytest.approx(float(expected))
+
+
+def test_gradients_pull_the_same_place_and_push_others():
+    similarity = torch.rand(3, 4, dtype=torch.float64, requires_grad=True)
+    same = torch.tensor([[1, 0, 0, 0], [0, 1, 1, 0], [0, 0, 0, 0]]).bool()
+    assert torch.autograd.gradcheck(lambda s: multi_similarity(s, same), similarity)
+    similarity.grad = None
+    multi_similarity(similarity, same).backward()
+    assert (similarity.grad[same] < 0).all()
+    assert (similarity.grad[~same] > 0).all()
+
+
+@pytest.mark.parametrize(
+    ("similarity", "same", "message"),
+    [
+        (torch.rand(3), torch.rand(3) < 1, "one shape"),
+        (torch.rand(3, 4), torch.rand(4, 3) < 1, r"got \(3, 4\), \(4, 3\), \(4, 3\)"),
+        (torch.rand(0, 4), torch.rand(0, 4) < 1, "at least one query"),
+    ],
+)
+def test_pairs_of_other_shapes_are_refused(similarity, same, message):
+    with pytest.raises(ValueError, match=message):
+        multi_similarity(similarity, same)

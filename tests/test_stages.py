@@ -1,5 +1,5 @@
-"""Bit-planes, and the stages on them against the reference, layer by layer: morphology, connected
-regions, thinning, keypoints, centres."""
+"""Bit-planes, and the stages against the reference, layer by layer, and against
+what is worked by hand."""
 
 import kornia.morphology
 import numpy as np
@@ -8,50 +8,35 @@ import torch
 from drawings import (
     BLOCK,
     CROSS,
-    DOT,
-    EMPTY,
     MASKS,
-    RING,
+    SPACE,
     blobs,
     every_neighbourhood,
     mask,
     planes,
     random_planes,
 )
+from graphs import session
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ssrvlad_torch import reference
-from ssrvlad_torch.config import CHOICES
+from ssrvlad_torch import SSRVLADConfig, reference
+from ssrvlad_torch.config import AREA_LAYERS, CHOICES
+from ssrvlad_torch.deployment.trace import traced
 from ssrvlad_torch.stages import bitplanes, skeleton
 from ssrvlad_torch.stages.bitplanes import pack, unpack
+from ssrvlad_torch.stages.boundaries import DIRECTIONS, boundaries
 from ssrvlad_torch.stages.centroid import centre_table, centroids
 from ssrvlad_torch.stages.components import drop_regions, fill_holes
+from ssrvlad_torch.stages.grid_pooling import COLUMNS, ROWS, overlaps, pool
 from ssrvlad_torch.stages.keypoints import end_points, intersections
+from ssrvlad_torch.stages.layers import UNKNOWN, categorise, category_table, refuse_unknown
+from ssrvlad_torch.stages.lengths import lengths
 from ssrvlad_torch.stages.morphology import dilate, erode, open_and_close
+from ssrvlad_torch.stages.residuals import ResidualHistograms, Residuals
 from ssrvlad_torch.stages.skeleton import RULES, zhang_suen
-
-
-def test_pack_and_unpack_are_inverse():
-    some = random_planes()
-    layers = unpack(some)
-    assert layers.shape == (3, 8, 13, 17)
-    assert layers.dtype == torch.bool
-    assert torch.equal(pack(layers), some)
-
-
-def test_neighbours_are_clockwise_from_north_and_zero_outside():
-    some = random_planes()
-    padded = torch.nn.functional.pad(some, (1, 1, 1, 1))
-    offsets = [(-1, 0), (-1, 1), (0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1)]
-    for plane, (dy, dx) in zip(bitplanes.neighbours(some), offsets, strict=True):
-        assert torch.equal(plane, padded[:, 1 + dy : 14 + dy, 1 + dx : 18 + dx])
-
-
-def test_two_or_more_is_set_where_two_planes_are():
-    some = [random_planes(seed) for seed in range(4)]
-    expected = sum(unpack(plane).int() for plane in some) >= 2
-    assert torch.equal(unpack(bitplanes.two_or_more(some)), expected)
+from ssrvlad_torch.stages.vanishing_column import LEVELS, ONE, POWER, vanishing_columns
+from ssrvlad_torch.taxonomy import label_space, label_space_names
 
 
 def test_points_are_the_set_pixels_by_layer_then_image_then_raster_order():
@@ -60,13 +45,6 @@ def test_points_are_the_set_pixels_by_layer_then_image_then_raster_order():
     layer, image, *expected = unpack(some).transpose(0, 1).nonzero(as_tuple=True)
     assert torch.equal(group, layer * 3 + image)
     assert all(map(torch.equal, places, expected))
-
-
-def test_runs_of_a_ring_by_hand():
-    group, *runs = bitplanes.runs(planes(mask(RING)))
-    assert group.tolist() == [0] * 6
-    expected = [(1, 1, 5), (2, 1, 1), (2, 5, 5), (3, 1, 1), (3, 5, 5), (4, 1, 5)]
-    assert list(zip(*(each.tolist() for each in runs), strict=True)) == expected
 
 
 def test_painting_all_runs_gives_the_planes_back():
@@ -200,13 +178,198 @@ def test_centres_equal_the_reference(seed, height, width):
     assert centre_table(centroids(some), 2).tolist() == np.array(expected).tolist()
 
 
-def test_a_layer_without_pixels_has_no_centre():
-    assert len(centroids(planes(mask(EMPTY))).group) == 0
-    assert centre_table(centroids(planes(mask(DOT))), 1)[0, :2].tolist() == [[1, 2], [-1, -1]]
-
-
 def test_a_centre_is_exact_where_float32_is_not():
     wide = torch.zeros(1, 2, 9001, dtype=torch.uint8)
     wide[0, 0, 4000:] = 1
     assert centre_table(centroids(wide), 1)[0, 0].tolist() == [0, 6500]
     assert np.float32(4000 + 9000) / 2 == 6500
+
+
+def directions_of(numbers: torch.Tensor) -> torch.Tensor:
+    """``(B, 4, H, W)`` bool of ``(B, H, W)`` numbers of layers."""
+    masks = boundaries(numbers)
+    assert masks.shape == (len(numbers), len(DIRECTIONS), *numbers.shape[1:])
+    assert ((masks == 0) | (masks == 1)).all()
+    return masks.bool()
+
+
+@given(
+    seed=st.integers(0, 1000),
+    height=st.integers(1, 20),
+    width=st.integers(1, 40),
+    kinds=st.integers(1, AREA_LAYERS + 1),
+)
+def test_boundaries_equal_the_reference(seed, height, width, kinds):
+    numbers = AREA_LAYERS - np.random.default_rng(seed).integers(0, kinds, (2, height, width))
+    expected = [reference.boundaries([image == k for k in range(AREA_LAYERS)]) for image in numbers]
+    np.testing.assert_array_equal(
+        directions_of(torch.from_numpy(numbers)).numpy(), np.array(expected)
+    )
+
+
+def by_direction(drawing: np.ndarray) -> dict[str, int]:
+    numbers = torch.from_numpy(np.where(drawing, 3, AREA_LAYERS))[None]
+    return dict(zip(DIRECTIONS, directions_of(numbers).sum((0, 2, 3)).tolist(), strict=True))
+
+
+def test_a_straight_boundary_is_two_pixels_wide():
+    half = np.zeros((10, 12), bool)
+    half[:, 6:] = True
+    assert by_direction(half) == {"upright": 16, "level": 0, "rising": 0, "falling": 0}
+    assert by_direction(half[:, ::-1]) == by_direction(half) == by_direction(~half)
+    assert by_direction(half.T) == {"upright": 0, "level": 16, "rising": 0, "falling": 0}
+
+
+def test_the_mirror_image_of_a_slanting_boundary_has_the_other_direction():
+    rows, columns = np.indices((9, 9))
+    rising = rows + columns < 9  # its boundary goes up to the right
+    drawn = by_direction(rising)
+    assert drawn["rising"] > 2 * drawn["falling"]
+    assert drawn == by_direction(~rising)
+    mirrored = {"rising": "falling", "falling": "rising"}
+    expected = {mirrored.get(name, name): count for name, count in drawn.items()}
+    assert by_direction(rising[:, ::-1]) == expected
+
+
+@given(
+    st.integers(0, 10_000),
+    st.integers(1, 60),
+    st.integers(1, 80),
+    st.lists(st.integers(-90, 90), min_size=1, max_size=3),
+)
+def test_pooling_equals_the_reference_exactly(seed, height, width, shift):
+    layers = np.random.default_rng(seed).random((len(shift), 8, height, width)) < 0.4
+    cells = pool(torch.from_numpy(layers), torch.tensor(shift))
+    assert cells.dtype == torch.float64
+    assert cells.shape == (len(shift), 8, ROWS, COLUMNS)
+    expected = [
+        [reference.pool(layer, s) for layer in image]
+        for image, s in zip(layers, shift, strict=True)
+    ]
+    np.testing.assert_array_equal(cells.numpy(), expected)
+
+
+@given(st.integers(1, 200), st.integers(1, 40))
+def test_overlaps_cut_every_pixel_into_whole_parts(pixels, cells):
+    parts = overlaps(pixels, cells, torch.zeros(1, dtype=torch.int64))[0]
+    assert (parts.sum(0) == pixels).all()
+    assert (parts.sum(1) == cells).all()
+
+
+@pytest.mark.parametrize("name", label_space_names())
+def test_every_id_goes_to_its_category(name):
+    space = label_space(name)
+    labels = torch.tensor([[[label.id for label in space.classes]]])
+    categories = categorise(labels, *category_table(space))
+    assert categories.tolist() == [[[label.category_index for label in space.classes]]]
+
+
+@pytest.mark.parametrize(
+    ("unknown", "dtype"),
+    [
+        *((number, torch.int64) for number in (-1, 12, 255, -(2**40), 2**62)),
+        *((2**32 - 1, torch.uint32), (2**64 - 1, torch.uint64), (2**32 + 3, torch.uint64)),
+    ],
+)
+def test_an_unknown_id_is_named_with_its_count_and_the_space(unknown, dtype):
+    """Large unsigned ids do not wrap into known ones."""
+    space = label_space("camvid-11")
+    labels = torch.tensor([[[3, unknown], [unknown, 5]]], dtype=dtype)
+    categories = categorise(labels, *category_table(space))
+    assert (categories == UNKNOWN).tolist() == [[[False, True], [True, False]]]
+    named = rf"label id {unknown} \(2 pixels\) is not in label space camvid-11; expected 0 to 11"
+    with pytest.raises(ValueError, match=named):
+        refuse_unknown(labels, space)
+    with pytest.raises(ValueError, match=r"label id 20 \(1 pixel\) is not .*, like 2 more"):
+        refuse_unknown(torch.tensor([[[20, 21, 40, 21]]]), space)
+
+
+IN_PIXELS = SSRVLADConfig.from_preset("paper", opening=0.033333, closing=0.25, hole_area=0.123456)
+HUGE = [(1, 1), (1, 40_000), (719, 1281), (6000, 4000), (10_007, 9973), (30_000, 30_000)]
+
+
+class InPixels(torch.nn.Module):
+    """The lengths of a grid, by the sizes of an empty tensor."""
+
+    def forward(self, empty: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        *sizes, limits = lengths(IN_PIXELS, *empty.shape[:2])
+        return tuple(map(torch.as_tensor, (*sizes, *limits)))
+
+
+@pytest.fixture
+def in_graph():
+    names = [f"n{number}" for number in range(4 + IN_PIXELS.rings)]
+    example = torch.zeros(5, 7, 0)
+    model = traced(InPixels(), {"empty": (example, ["H", "W", 0])}, dict.fromkeys(names, ()))
+    runner = session(model.SerializeToString())
+    return lambda height, width: runner.run(names, {"empty": np.zeros((height, width, 0), "f4")})
+
+
+def test_lengths_in_a_graph_are_those_of_the_config(in_graph):
+    for size in (*HUGE, *np.random.default_rng(0).integers(1, 30_000, (300, 2)).tolist()):
+        *sizes, limits = lengths(IN_PIXELS, *size)
+        found = in_graph(*size)
+        assert [int(number) for number in found] == [*sizes, *limits]
+        assert all(number.dtype == np.int32 for number in found)
+
+
+PAPER = SSRVLADConfig.from_preset("paper", labels_as=SPACE)
+
+
+def test_the_descriptor_is_equation_2_in_numpy():
+    rng = np.random.default_rng(0)
+    points, centre = rng.integers(0, 2000, (4, 8, 60)), rng.integers(0, 50, (4, 8, 60))
+    counts = rng.integers(1, 40, (4, 8))
+    points[0, 2], counts[0, 2] = 0, 0  # layers without keypoints, and one that sees the same
+    points[1], counts[1] = 0, 0
+    points[2, 5] = counts[2, 5] * centre[2, 5]
+    bins = (torch.from_numpy(each).view(4, 8, 5, 12) for each in (points, centre))
+    histograms = ResidualHistograms(*bins, torch.from_numpy(counts), torch.empty(0))
+    descriptor = Residuals(PAPER).descriptor(histograms)
+    assert descriptor.dtype == torch.float32
+    for found, *image in zip(descriptor, points, counts, centre, strict=True):
+        blocks = [p - n * c for p, n, c in zip(*image, strict=True)]
+        vectors = np.concatenate([block / (np.linalg.norm(block) or 1) for block in blocks])
+        expected = vectors / (np.linalg.norm(vectors) or 1)
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-7)
+        assert not found[torch.from_numpy(expected == 0)].any()
+
+
+SKY, GROUND, BUILDING = 5, 0, 2
+
+
+def opening(column: int, height: int = 40, width: int = 60) -> torch.Tensor:
+    """Buildings left and right of an opening of nine vanishing_columns."""
+    numbers = torch.full((1, height, width), BUILDING)
+    numbers[:, : height // 2, column - 4 : column + 5] = SKY
+    numbers[:, height // 2 :, column - 4 : column + 5] = GROUND
+    return numbers
+
+
+def test_the_vanishing_column_lies_where_the_street_narrows():
+    assert ONE.bit_length() - 1 == (LEVELS.bit_length() - 1) * POWER - 28
+    found = [int(vanishing_columns(opening(column))) for column in (15, 30, 44)]
+    assert found == sorted(found)
+    assert found[0] < -9
+    assert abs(found[1]) <= 1
+    assert found[2] > 9
+
+
+@given(st.integers(0, 10_000), st.integers(1, 40), st.integers(1, 50), st.floats(0, 1))
+def test_vanishing_columns_equal_the_reference(seed, height, width, density):
+    """Also in float32, which is what exported files compute in."""
+    rng = np.random.default_rng(seed)
+    numbers = rng.integers(0, AREA_LAYERS + 1, (2, height, width))
+    numbers[rng.random(numbers.shape) < density] = SKY
+    found = vanishing_columns(torch.from_numpy(numbers))
+    assert found.dtype == torch.int64
+    layers = [[image == k for k in range(AREA_LAYERS)] for image in numbers]
+    assert found.tolist() == [reference.vanishing_column(each) for each in layers]
+    assert (2 * found.abs() <= width).all()
+
+
+def test_large_images_do_not_overflow():
+    numbers = torch.full((1, 3000, 5000), SKY)
+    numbers[:, :, :4000] = AREA_LAYERS
+    weight, pull = 1000 * 2**20, 5000 * 2**20 // 20
+    assert int(vanishing_columns(numbers)) == round(weight * (4499.5 - 2499.5) / (weight + pull))

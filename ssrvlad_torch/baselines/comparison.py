@@ -43,7 +43,7 @@ class Protocol(NamedTuple):
     steps: Steps
     workers: int
     fused: Sequence[str]
-    progress: Callable[[str, int], AbstractContextManager[Callable[[int], None]]]
+    progress: Callable[[str, int], AbstractContextManager[Any]]
 
 
 def compare(
@@ -118,13 +118,13 @@ def _recognised(
     labels_as = drives.whole.labels_as
     references, encoded = _given(method, drives.references, labels_as, protocol.workers)
     queries, asked = _given(method, drives.queries, labels_as, protocol.workers)
-    with protocol.progress(method.name, len(references) + len(queries)) as advance:
+    with protocol.progress(method.name, len(references) + len(queries)) as bar:
         retrieval = run(
             method,
             asked,
             encoded,
             top=TOP,
-            progress=advance,
+            progress=bar.advance,
             steps=steps,
             all_pairs=all_pairs,
         )

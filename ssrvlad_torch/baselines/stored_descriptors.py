@@ -99,6 +99,5 @@ class StoredDescriptors(VectorMethod):
 
 
 def _ends(path: PurePath | None) -> list[str]:
-    """All ends of a path."""
     parts = path.parts if path else ()
     return ["/".join(parts[place:]) for place in range(len(parts))]

@@ -6,7 +6,7 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, redirect_stdout
 from datetime import timedelta
 from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
@@ -14,8 +14,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
 import typer
 
 if TYPE_CHECKING:
-    from rich.table import Table
-
     from ..datasets.frame_file import FrameFile
     from ..encoding.results import Skipped
 
@@ -132,10 +130,14 @@ def encoding_bar(files: Sequence[FrameFile]) -> AbstractContextManager[Progress]
     return progress_bar("encoding", len(files), played(files))
 
 
-def print_table(table: Table) -> None:
+def print_table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
     """Prints a table on stdout, in full width if stdout is no terminal."""
     from rich.console import Console
+    from rich.table import Table
 
+    table = Table(*head)
+    for row in rows:
+        table.add_row(*map(str, row))
     console = Console(file=_results(), width=None if _results().isatty() else _WIDE)
     with console.capture() as captured:
         console.print(table)

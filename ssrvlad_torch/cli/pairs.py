@@ -62,7 +62,6 @@ def draw_pairs(pairs: Sequence[Pair], space: LabelSpace, above: str, below: str)
 
 
 def _tile(labels: LabelMap, space: LabelSpace, name: str, colour: tuple[int, ...]) -> Image.Image:
-    """A label map in a frame, with its name on top."""
     picture = Image.fromarray(colourise(labels, space))
     size = (round(picture.width * _HEIGHT / picture.height), _HEIGHT)
     picture = picture.resize(size, Image.Resampling.NEAREST)

@@ -3,8 +3,6 @@
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from rich.table import Table
-
 from ..datasets.dataset import shortened
 from ..evaluation.metrics import figure_rows, fraction
 from ..evaluation.thresholds import SURE_PRECISION, operating_rows, queries_needed
@@ -15,19 +13,17 @@ from .output import print_table, say, weights_in_words
 
 def print_metrics(metrics: Mapping[str, Any]) -> None:
     """Prints all metrics of `measure` with their intervals, and thresholds to choose from."""
-    table = Table("metric", metrics["convention"], "95 % interval")
-    for name, value, ends in figure_rows(metrics):
-        table.add_row(name, fraction(value), fraction(*ends))
-    print_table(table)
+    figures = ((name, fraction(one), fraction(*ends)) for name, one, ends in figure_rows(metrics))
+    print_table(("metric", metrics["convention"], "95 % interval"), figures)
     score = metrics["score_is"] or "score"
-    table = Table("threshold for", score, "precision", "lower end", "recall", "accepted")
-    for name, point in operating_rows(metrics["thresholds"]):
-        if point is None:
-            table.add_row(name, "none")
-        else:
-            fractions = [fraction(point[key]) for key in ("precision", "precision_low", "recall")]
-            table.add_row(name, f"{point['score']:.4f}", *fractions, str(point["accepted"]))
-    print_table(table)
+    head = ("threshold for", score, "precision", "lower end", "recall", "accepted")
+    keys = ("precision", "precision_low", "recall")
+    print_table(head, (
+        (name, f"{point['score']:.4f}", *(fraction(point[key]) for key in keys), point["accepted"])
+        if point
+        else (name, "none")
+        for name, point in operating_rows(metrics["thresholds"])
+    ))  # fmt: skip
     say(proof(metrics["thresholds"]["suggested"]))
     for line in without_truth(metrics):
         say(line)

@@ -125,7 +125,7 @@ def _picture(height: int, width: int) -> Tensor:
 
 def _fused_settings(graph: OnnxNetwork) -> SegmenterConfig | None:
     """The settings of the network in a file of ``ssrvlad fuse``; ``None`` of another file."""
-    text = graph.metadata().get(NETWORK)
+    text = graph.metadata.get(NETWORK)
     return SegmenterConfig.of(parse_json(text, NETWORK)["settings"]) if text else None
 
 

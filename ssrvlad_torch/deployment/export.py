@@ -138,7 +138,6 @@ def _graph(
 
 
 def _check(head: SSRVLAD, input: str, dtype: str, shape: tuple[int, int, int] | None) -> None:
-    """Raises a ValueError if the head does not have this input and shape."""
     config, space = head.config, head.label_space
     if input not in INPUTS:
         raise ValueError(f"input must be one of {', '.join(INPUTS)}, got {input!r}")

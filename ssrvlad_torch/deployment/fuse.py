@@ -1,6 +1,5 @@
 """Fuse: a segmentation network and the head in one ONNX file, from pictures to descriptors."""
 
-import dataclasses
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -23,7 +22,7 @@ from .export import head_model
 from .golden import outputs_of, photograph
 from .label_graph import EXAMPLE, label_graph
 from .metadata import PREFIX, Arrays, Metadata
-from .runtimes import OnnxRuntime, Run
+from .runtimes import Run, runtime_of
 from .trace import interface, join, opset, with_opset
 
 NETWORK = f"{PREFIX}network"
@@ -149,7 +148,7 @@ def _fuse(
     narrow = model.graph.output[0].type.tensor_type.elem_type == TensorProto.UINT8
     head_part = head_model(config, LABELS, "uint8" if narrow else "int64")
     key = features.fingerprint if features else ""
-    settings, hog = dataclasses.asdict(segmenter.config), HOG().fingerprint
+    settings, hog = asdict(segmenter.config), HOG().fingerprint
     fused = FusedNetwork(name, segmenter.key(), settings, key, hog)
     extra = {NETWORK: json.dumps(asdict(fused))}
     extra |= {PREFIX + name: fingerprint for name, fingerprint in fused.channels.items()}
@@ -163,7 +162,7 @@ def _fuse(
     form = interface(model)
 
     def describe(file: Path) -> dict[str, str]:
-        golden = _golden(OnnxRuntime().open(file), expected, head, segmenter)
+        golden = _golden(runtime_of().open(file), expected, head, segmenter)
         metadata = Metadata.of(head.config, head.label_space, form, golden)
         return metadata.to_properties() | extra
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,60 +22,28 @@ Run = Callable[[Arrays], dict[str, npt.NDArray[Any]]]
 _RECORD = {"session.record_ep_graph_assignment_info": "1"}
 
 
-class Runtime(ABC):
+@dataclass(frozen=True)
+class Runtime:
     """A runtime for ONNX files.
 
     Attributes:
         name: name, version, and device or execution provider.
-        is_reference: whether other runtimes are compared with it.
+        open: makes a function that runs a file, given by path or content. If this or the function
+            raises any error, the runtime cannot run the file.
+        provider: of ONNX Runtime; others are compared with the CPU's. Empty for OpenVINO.
         plain: the runtime without the settings that it needs here, as a user may start it; ``None``
             if it needs none.
-        needs: these settings in words.
     """
 
     name: str
-    is_reference = False
+    open: Callable[[Path | bytes], Run]
+    provider: str = ""
     plain: Runtime | None = None
-    needs = ""
-
-    @abstractmethod
-    def open(self, source: Path | bytes) -> Run:
-        """A function that runs a file, given by path or content. If this or the function raises
-        any error, the runtime cannot run the file."""
 
     def cpu_fallback(self, source: Path | bytes) -> str:
-        """The part of a file that runs on the CPU instead, or ``""``."""
-        return ""
-
-
-def runtime_of(provider: str) -> Runtime:
-    """The runtime with a name: an execution provider of ONNX Runtime, or ``"openvino"``. A provider
-    that ONNX Runtime lacks is a ValueError, a runtime that is not installed an ImportError."""
-    return OpenVino() if provider == OPENVINO else OnnxRuntime(provider)
-
-
-class OnnxRuntime(Runtime):
-    """ONNX Runtime with an execution provider."""
-
-    def __init__(self, provider: str = CPU) -> None:
-        with requiring("onnx", "ONNX files need"):
-            import onnxruntime
-        available = onnxruntime.get_available_providers()
-        if provider not in available:
-            expected = ", ".join((*available, OPENVINO))
-            raise ValueError(f"no execution provider {provider!r}; expected one of {expected}")
-        self.name = f"ONNX Runtime {onnxruntime.__version__}, {provider}"
-        self.provider, self.is_reference = provider, provider == CPU
-
-    def open(self, source: Path | bytes) -> Run:
-        """A function that runs a session."""
-        session = open_session(source, "the graph", self.provider)
-        names = [output.name for output in session.get_outputs()]
-        return lambda inputs: dict(zip(names, session.run(names, dict(inputs)), strict=True))
-
-    def cpu_fallback(self, source: Path | bytes) -> str:
-        """The number of nodes that the provider lacks; known from ONNX Runtime 1.24 on."""
-        if self.provider == CPU:
+        """The number of nodes of a file that run on the CPU, because the provider lacks them, or
+        ``""``; known from ONNX Runtime 1.24 on."""
+        if self.provider in ("", CPU):
             return ""
         session = open_session(source, "the graph", self.provider, settings=_RECORD)
         if not hasattr(session, "get_provider_graph_assignment_info"):
@@ -86,27 +55,36 @@ class OnnxRuntime(Runtime):
         return f"{others} of {total} nodes run on the CPU" if others else ""
 
 
-class OpenVino(Runtime):
-    """OpenVINO's own runtime on the CPU.
+def runtime_of(provider: str = CPU) -> Runtime:
+    """The runtime with a name: an execution provider of ONNX Runtime, or ``"openvino"``. A provider
+    that ONNX Runtime lacks is a ValueError, a runtime that is not installed an ImportError."""
+    if provider == OPENVINO:
+        return _openvino(SINGLE, ", in single precision", _openvino({}, ", as it is by default"))
+    with requiring("onnx", "ONNX files need"):
+        import onnxruntime
+    available = onnxruntime.get_available_providers()
+    if provider not in available:
+        expected = ", ".join((*available, OPENVINO))
+        raise ValueError(f"no execution provider {provider!r}; expected one of {expected}")
+    name = f"ONNX Runtime {onnxruntime.__version__}, {provider}"
+    return Runtime(name, partial(_session, provider), provider)
 
-    Args:
-        settings: of `compile_model`. Without them, OpenVINO computes in bfloat16 on a processor
-            that has it.
-    """
 
-    needs = f"compile_model(model, 'CPU', {SINGLE})"
+def _session(provider: str, source: Path | bytes) -> Run:
+    session = open_session(source, "the graph", provider)
+    names = [output.name for output in session.get_outputs()]
+    return lambda inputs: dict(zip(names, session.run(names, dict(inputs)), strict=True))
 
-    def __init__(self, settings: Mapping[str, str] = SINGLE) -> None:
-        with requiring("openvino", "OpenVINO needs"):
-            import openvino
-        version = openvino.get_version().partition("-")[0]
-        precision = ", in single precision" if settings else ", as it is by default"
-        self.name = f"OpenVINO {version}, CPU{precision}"
-        self.plain = OpenVino({}) if settings else None
-        self._settings = dict(settings)
 
-    def open(self, source: Path | bytes) -> Run:
-        """A function that runs a compiled model."""
-        session = OpenVinoSession(source, "the graph", settings=self._settings)
+def _openvino(settings: Mapping[str, str], how: str, plain: Runtime | None = None) -> Runtime:
+    """OpenVINO's own runtime on the CPU, with settings of `compile_model`."""
+    with requiring("openvino", "OpenVINO needs"):
+        import openvino
+
+    def compiled(source: Path | bytes) -> Run:
+        session = OpenVinoSession(source, "the graph", settings=settings)
         names = session.outputs
         return lambda inputs: dict(zip(names, session.run(names, inputs), strict=True))
+
+    version = openvino.get_version().partition("-")[0]
+    return Runtime(f"OpenVINO {version}, CPU{how}", compiled, plain=plain)

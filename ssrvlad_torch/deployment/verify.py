@@ -6,17 +6,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from ..config import SSRVLADConfig, package_version
-from ..datasets.frame_files import FrameFile
+from ..datasets.frame_file import FrameFile, Skipped
 from ..datasets.label_files import LabelMap, read_label_map
 from ..descriptor import SSRVLAD, SweepHead
 from ..files import one_line, parse_json
 from ..segmentation.onnx_files import CPU, load_model
+from ..segmentation.openvino_session import SINGLE
 from ..taxonomy import LabelSpace
 from .fuse import (
     HEAD,
@@ -40,7 +41,8 @@ TOLERANCE = 1e-6
 CANNOT = "cannot run"
 
 
-class Check(NamedTuple):
+@dataclass(frozen=True)
+class Check:
     """One comparison.
 
     Attributes:
@@ -67,7 +69,7 @@ class Verification:
         warnings: remarks that are no problems.
         problems: problems of the file as a whole.
         checks: the comparisons.
-        skipped: frames that could not be compared, with the reasons.
+        skipped: frames that could not be compared.
         by_default: of OpenVINO, the golden pair without settings; no part of the verdict.
         verdict: ``"exact"``, ``"wrong"`` or ``"cannot run"``: how the runtime computes this file.
     """
@@ -81,7 +83,7 @@ class Verification:
     warnings: list[str] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
     checks: list[Check] = field(default_factory=list)
-    skipped: list[tuple[str, str]] = field(default_factory=list)
+    skipped: list[Skipped] = field(default_factory=list)
     by_default: Check | None = None
     verdict: str = "exact"
 
@@ -186,7 +188,8 @@ def _verify(
         result.by_default = check
         if check.problem:
             result.warnings.append(
-                f"wrong in {runtime.plain.name}: {check.problem}; expected {runtime.needs}"
+                f"wrong in {runtime.plain.name}: {check.problem}; expected "
+                f"compile_model(model, 'CPU', {SINGLE})"
             )
     if not fused:
         result.add(head.check("golden pair", given, judge_pair))
@@ -252,7 +255,7 @@ class _File:
             self.run = self.run or self.runtime.open(self.source)
             outputs = self.run(inputs)
         except Exception as error:  # runtimes have no common error type
-            if self.runtime.is_reference:
+            if self.runtime.provider == CPU:
                 raise
             return Check(name, np.inf, f"{CANNOT}: {one_line(error)}")
         return judge(name, outputs)
@@ -269,7 +272,7 @@ def _check_frame(
         if expected["unknown"].any():
             module(array)  # raises an error that names the ids
     except ValueError as error:
-        result.skipped.append((file.frame, str(error)))
+        result.skipped.append(Skipped(file.frame, str(error)))
         return
     result.add(head.check(file.frame, {value.name: array}, partial(compare, expected=expected)))
 
@@ -309,7 +312,6 @@ def compare(name: str, got: Arrays, expected: Arrays) -> Check:
 
 
 def _module(metadata: Metadata) -> SSRVLAD:
-    """The module with the settings and the label space in the file."""
     try:
         config = SSRVLADConfig.from_dict(metadata.config)
     except (ValueError, TypeError) as error:

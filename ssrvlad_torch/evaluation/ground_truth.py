@@ -100,7 +100,6 @@ def _numbers(frames: Iterable[str]) -> dict[str, tuple[str, int]]:
 
 
 def _require_known(name: str, kind: str, poses: npt.NDArray[np.float64]) -> None:
-    """Raises a ValueError if a pose or heading is missing."""
     missing = int(np.isnan(poses).any(axis=1).sum()) if poses.shape[1] else len(poses)
     if missing:
         unit = "metres" if kind == "pose" else "degrees"

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .curves import PrecisionRecall
+from .curves import PrecisionRecall, rank
 from .outcomes import Bools, Floats, Rows
 from .thresholds import OperatingPoint, suggested_point, wilson_low
 
@@ -82,13 +82,7 @@ def loop_curve(probabilities: Floats, right: Bools, revisits: int) -> PrecisionR
     """Precision and recall over thresholds, by the probabilities ``(L,)`` of the loops that a
     detector with a low threshold found, by which are right ``(L,)``, and by the number of revisits.
     It is approximate: loops that a higher threshold rejects may change later probabilities."""
-    thresholds, steps = np.unique(-probabilities, return_inverse=True)
-    return PrecisionRecall(
-        accepted=np.cumsum(np.bincount(steps, minlength=len(thresholds))).astype(np.float64),
-        true_positives=np.cumsum(np.bincount(steps, right, len(thresholds))),
-        positives=np.array(float(revisits)),
-        thresholds=-thresholds,
-    )
+    return rank(probabilities, right).curve(np.ones(len(right)), np.array(float(revisits)))
 
 
 def surest_point(curve: PrecisionRecall) -> OperatingPoint | None:

@@ -35,19 +35,6 @@ _SCORES_AT_ONCE = 1 << 24
 _WIDTH = 400
 _RIGHT, _WRONG, _UNKNOWN, _TRUE = "#1a73c7", "#d4501e", "#8a3a6a", "#26c281"
 
-CONVENTIONS = {
-    "exact": "A query's best candidate is accepted if its score is at least the threshold; every "
-    "distinct score is a threshold. Recall is a fraction of the queries with a true match; a query "
-    "without a true match can only lower the precision.",
-    "vpr-bench": "As in VPR-Bench (Zaffar et al., IJCV 2021): recall is a fraction of the right "
-    "best candidates, so it always ends at 1; RecallRate@N is a fraction of all queries.",
-    "vpr-tutorial": "As in the VPR tutorial (Schubert et al., RAM 2024): all pairs, 100 evenly "
-    "spaced thresholds; recall is a fraction of the true pairs.",
-    "vpr-tutorial-single": "As in the VPR tutorial (Schubert et al., RAM 2024) for single matches: "
-    "each query's best pair, 100 evenly spaced thresholds.",
-}
-
-
 Pictures = Callable[[str], Mapping[str, Pixels]]
 """A function from a frame's id to its pictures ``(H, W, 3)`` RGB by what they are, such as
 ``photo``; it reads files only when it is called."""
@@ -117,7 +104,6 @@ def render(report: Report) -> str:
         report=report,
         metrics=report.metrics,
         figures=figure_rows(report.metrics),
-        meaning=CONVENTIONS[report.metrics["convention"]],
         operating=operating_rows(report.metrics["thresholds"]),
         empty=int((report.outcomes.candidate < 0).sum()),
         drawings=[
@@ -242,7 +228,6 @@ def _matrix(axes: Axes, report: Report) -> None:
 
 
 def _row(report: Report, match: Match) -> dict[str, Any]:
-    """A row of the table of matches: the query, its candidate and the true match."""
     outcomes, query = report.outcomes, report.queries.frames[match.query]
     rank, score = int(outcomes.rank[match.query]), outcomes.score[match.query]
     frames = [("query", query, "", report.pictures[0](query))]

@@ -30,14 +30,12 @@ class OperatingPoint(NamedTuple):
 def at_precision(curve: PrecisionRecall, precision: float) -> OperatingPoint | None:
     """The lowest threshold whose precision is at least ``precision``, 0 to 1, or ``None``. Some
     higher thresholds may have a lower precision."""
-    _check_fraction("precision", precision)
     reached = np.flatnonzero(curve.precision >= precision)
     return _point(curve, int(reached[-1])) if len(reached) else None
 
 
 def at_recall(curve: PrecisionRecall, recall: float) -> OperatingPoint | None:
     """The highest threshold whose recall is at least ``recall``, 0 to 1, or ``None``."""
-    _check_fraction("recall", recall)
     reached = np.flatnonzero(curve.recall >= recall)
     return _point(curve, int(reached[0])) if len(reached) else None
 
@@ -55,7 +53,6 @@ def suggested_point(
     The threshold lies halfway to the next lower score, or is the next lower float32 if no score is
     lower: `ssrvlad_torch.match`, which accepts scores above a threshold, accepts the same queries.
     """
-    _check_fraction("precision", precision)
     low = wilson_low(curve.true_positives, curve.accepted)
     if not low.max(initial=0.0):
         return None
@@ -113,8 +110,3 @@ def _point(curve: PrecisionRecall, index: int) -> OperatingPoint:
         recall=float(curve.recall[index]),
         accepted=int(curve.accepted[index]),
     )
-
-
-def _check_fraction(name: str, fraction: float) -> None:
-    if not 0 <= fraction <= 1:
-        raise ValueError(f"expected a {name} from 0 to 1, got {fraction}")

@@ -18,7 +18,7 @@ from .network_outputs import (
     classes_of,
     enlarged,
     form_of,
-    take_output,
+    tensors_of,
 )
 from .onnx_network import OnnxNetwork
 from .preparation import Preparation, SegmenterConfig
@@ -89,16 +89,18 @@ class LabelNetwork(nn.Module):
         return scores if self.config.classes is None else scores[:, slice(*self.config.classes)]
 
     def _output(self, numbers: Tensor, names: Sequence[str] = ()) -> tuple[Tensor, list[Tensor]]:
+        config = self.config
         if isinstance(self.network, OnnxNetwork):
-            values = self.network(numbers, names=[self.config.output, *names])
-            result: object = {self.config.output: values[self.config.output]}
+            values = self.network(numbers, names=[config.output, *names])
+            outputs = {str(config.output): values[config.output]}
         else:
             with taken(self.network, names) as values:
-                result = self.network(numbers)
+                outputs = tensors_of(self.network(numbers))
         if missing := [name for name in names if name not in values]:
             raise ValueError(f"features: the network did not compute {missing[0]}")
-        output = take_output(result, self.space, self.config.output, self.config.classes)
-        return output, [values[name] for name in names]
+        forms = {name: form_of(output) for name, output in outputs.items()}
+        chosen = choose_output(forms, self.space, config.output, config.classes)
+        return outputs[chosen], [values[name] for name in names]
 
     def _constant_axis(self, output: Tensor, numbers: Tensor) -> int:
         """The axis that holds the classes, fixed once for all pictures: its length does not change

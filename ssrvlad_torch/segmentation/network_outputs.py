@@ -66,15 +66,6 @@ def choose_output(
     return usual[0] if len(fitting) > 1 else next(iter(fitting))
 
 
-def take_output(
-    result: object, space: LabelSpace, name: str | None = None, classes: Classes = None
-) -> Tensor:
-    """The output that holds labels, see `choose_output`, from the result of a network."""
-    tensors = tensors_of(result)
-    forms = {key: form_of(tensor) for key, tensor in tensors.items()}
-    return tensors[choose_output(forms, space, name, classes)]
-
-
 def tensors_of(result: object) -> dict[str, Tensor]:
     """The tensors in the result of a network by name: a tensor, a mapping of names to tensors, an
     object with ``logits``, or a tuple, whose tensors are named ``0``, ``1`` and so on. A result

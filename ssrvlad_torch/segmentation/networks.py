@@ -132,7 +132,6 @@ def _open(
 
 
 def _of_file(path: Path) -> NamedNetwork:
-    """The network that a YAML file names, with its settings."""
     name, document = _named(path)
     labels_as, arguments = document.pop("labels_as", None), document.pop("arguments", {})
     accepted, runtime = document.pop(ACCEPT, False), document.pop("runtime", ONNX_RUNTIME)

@@ -50,6 +50,7 @@ class OnnxNetwork(nn.Module):
         size: height and width of the input, ``None`` for a free side.
         form: dtype and layout of the input.
         outputs: the form of every output by name, as far as the graph declares it.
+        metadata: the metadata properties of the file.
 
     Shape:
         - input: ``(B, 3, H, W)`` or ``(B, H, W, 3)`` in the form of the graph.
@@ -97,7 +98,7 @@ class OnnxNetwork(nn.Module):
             kind = "ids" if output.type.startswith(("tensor(int", "tensor(uint")) else ""
             kind = "scores" if output.type in _FLOATS else kind
             self.outputs[output.name] = OutputForm(_shape(output), output.type, kind)
-        self._metadata = self._session.get_modelmeta().custom_metadata_map
+        self.metadata: dict[str, str] = self._session.get_modelmeta().custom_metadata_map
         if runtime == OPENVINO:
             self._session = self._in_openvino()
 
@@ -183,16 +184,11 @@ class OnnxNetwork(nn.Module):
     def _in_openvino(self, taken: Sequence[str] = ()) -> OpenVinoSession:
         return OpenVinoSession(self.path, self.path, taken, threads=torch.get_num_threads())
 
-    def metadata(self) -> dict[str, str]:
-        """The metadata properties of the file."""
-        return dict(self._metadata)
-
     def class_names(self) -> dict[int, str]:
         """Names of its classes by channel, from the metadata that exporters write: a mapping or a
         list, in JSON or as a Python literal, as of Ultralytics. Others are empty."""
-        properties = self.metadata()
         keys = ("id2label", "names", "classes", "class_names")
-        text = next((properties[key] for key in keys if key in properties), "")
+        text = next((self.metadata[key] for key in keys if key in self.metadata), "")
         names: Any = {}
         for parse in (json.loads, ast.literal_eval):
             with suppress(ValueError, SyntaxError, RecursionError, MemoryError):

@@ -349,15 +349,13 @@ class Segmenter:
             except ValueError as error:
                 results.append(error)
                 continue
-            for dtype in (np.uint8, np.uint16):  # the narrowest that holds the ids
-                if labels.min() >= 0 and labels.max() <= np.iinfo(dtype).max:
-                    labels = labels.astype(dtype)
-                    break
+            narrowest = np.min_scalar_type(labels.max())
+            if labels.min() >= 0 and narrowest.itemsize <= 2:
+                labels = labels.astype(narrowest)
             results.append(Segmented(labels, None if signs is None else signs[number]))
         return results
 
     def _failure(self, height: int, width: int, error: Exception) -> str:
-        """Why there is no label map of a picture of this size."""
         fed = self.config.network_size(height, width)
         at = f", fed at {fed[0]}x{fed[1]}" if fed != (height, width) else ""
         free = self.config.multiple == 1 and not isinstance(self.config.size, tuple)

@@ -9,12 +9,16 @@ from ..stages.front_end import label_map
 from ..stages.grid_pooling import CELLS, ROWS
 from ..stages.harmonics import Harmonics
 from ..taxonomy import label_space
-from .stages.boundaries import soft_boundaries
-from .stages.grid_pooling import soft_pool
-from .stages.harmonics import soft_coefficients
-from .stages.layers import membership, soft_layers, soft_merge
-from .stages.reduction import soft_majority
-from .stages.vanishing_column import soft_vanishing_columns
+from .stages import (
+    membership,
+    soft_boundaries,
+    soft_coefficients,
+    soft_layers,
+    soft_majority,
+    soft_merge,
+    soft_pool,
+    soft_vanishing_columns,
+)
 
 
 class SoftSSRVLAD(nn.Module):

@@ -232,7 +232,6 @@ def _draw_legend(axes: Axes, view: Explanation, image: int, harmonic: bool) -> N
 
 
 def _draw_layer(axes: Axes, view: Explanation, image: int, cell: _Cell) -> None:
-    """Draws the mask, and the vanishing column or the skeleton with its keypoints and centre."""
     from matplotlib.colors import ListedColormap
 
     colours = ListedColormap(["white", cell.colour])

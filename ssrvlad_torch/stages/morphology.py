@@ -28,7 +28,6 @@ def open_and_close(planes: Tensor, opening: Length, closing: Length) -> Tensor:
 
 
 def _close(planes: Tensor, radius: Length) -> Tensor:
-    """Dilation, then erosion."""
     if isinstance(radius, int):
         return erode(dilate(planes, radius), radius)
 

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from ...baselines import METHODS
@@ -66,7 +65,7 @@ def compare(
     fused, methods = _fused(fuse, names), _make(names, settings or ())
     drives = Drives.open(note, **vars(options))
     true = TrueMatches.of(*truth.definition, drives.whole.truth)
-    protocol = Protocol(true, truth.convention, steps.steps(), workers, fused, _progress)
+    protocol = Protocol(true, truth.convention, steps.steps(), workers, fused, progress_bar)
     rows = compared(methods, drives if true.metres is None else drives.posed(), protocol, note)
     if as_json:
         print_json({"rows": rows})
@@ -115,39 +114,16 @@ def _make(names: Sequence[str], pairs: Sequence[str]) -> dict[str, Method | str]
     return methods
 
 
-@contextmanager
-def _progress(name: str, frames: int) -> Iterator[Callable[[int], None]]:
-    with progress_bar(name, frames) as bar:
-        yield bar.advance
-
-
 def _print(rows: Sequence[Row]) -> None:
-    """Prints two tables, of the metrics and of the costs, with a row for each method."""
-    from rich.table import Table
-
     from ..words import steps_in_words
 
     done = [row for row in rows if "reason" not in row]
-    quality = Table(
-        "method", *(f"RecallRate\n@{n}" for n in AT), "AUC-PR", "Recall@100%\nPrecision"
-    )
-    for row in rows:
-        alone = "weights" in row and set(row["steps"]["follow"].values()) == {"no"}
-        steps = "\n  with steps" if row.get("steps") and not alone else ""
-        name = row["method"] + steps
-        quality.add_row(name, *(_metrics(row) if row in done else ["not run"]))
-    print_table(quality)
+    rates = (f"RecallRate\n@{n}" for n in AT)
+    print_table(("method", *rates, "AUC-PR", "Recall@100%\nPrecision"), map(_quality, rows))
     if not done:
         return
-    costs = Table("method", "bytes a reference", "encode\nms a query", "match\nms a query")
-    for row in done:
-        if not row["steps"]:
-            times = (
-                f"{cost['average']:.2f}\n{cost['min']:.2f}-{cost['max']:.2f}"
-                for cost in (row["encode_ms"], row["match_ms"])
-            )
-            costs.add_row(row["method"], f"{row['bytes_a_reference']:.0f}", *times)
-    print_table(costs)
+    head = ("method", "bytes a reference", "encode\nms a query", "match\nms a query")
+    print_table(head, (_costs(row) for row in done if not row["steps"]))
     say(
         f"{done[0]['queries']} queries ({done[0]['queries_with_match']} with a true match) against "
         f"{done[0]['references']} references, convention {done[0]['convention']}; in each cell the "
@@ -158,11 +134,24 @@ def _print(rows: Sequence[Row]) -> None:
             say(f"{row['method']} with steps: {steps_in_words(row['steps'], row['temporal'])}")
 
 
-def _metrics(row: Row) -> list[str]:
+def _costs(row: Row) -> list[str]:
+    times = (
+        f"{cost['average']:.2f}\n{cost['min']:.2f}-{cost['max']:.2f}"
+        for cost in (row["encode_ms"], row["match_ms"])
+    )
+    return [row["method"], f"{row['bytes_a_reference']:.0f}", *times]
+
+
+def _quality(row: Row) -> list[str]:
+    if "reason" in row:
+        return [row["method"], "not run"]
+    alone = "weights" in row and set(row["steps"]["follow"].values()) == {"no"}
+    steps = "\n  with steps" if row["steps"] and not alone else ""
     names, ends = ("auc_pr", "recall_at_100_precision"), row["intervals"]
     pairs = [(row["recall_at"][n], ends["recall_at"][n]) for n in AT]
     pairs += [(row[name], ends[name]) for name in names]
-    return [
+    figures = (
         fraction(value) + ("" if math.isnan(value) else f"\n{low:.2f}-{high:.2f}")
         for value, (low, high) in pairs
-    ]
+    )
+    return [row["method"] + steps, *figures]

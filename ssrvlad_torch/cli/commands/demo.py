@@ -17,8 +17,6 @@ def demo(
 
     Example: ssrvlad demo --out /tmp/ssrvlad-demo
     """
-    from rich.table import Table
-
     from ...evaluation.metrics import fraction
     from ..demo import STEPS, run_demo
     from ..output import print_table, progress_bar
@@ -26,11 +24,9 @@ def demo(
 
     with progress_bar("demo", STEPS * frames) as bar:
         metrics, picture = run_demo(out, frames, seed, bar.advance)
-    table = Table("metric", "value")
-    for n, rate in metrics["recall_at"].items():
-        table.add_row(f"RecallRate@{n}", fraction(rate))
-    table.add_row("AUC-PR", fraction(metrics["auc_pr"]))
-    table.add_row("Recall@100%Precision", fraction(metrics["recall_at_100_precision"]))
-    print_table(table)
+    figures = {f"RecallRate@{n}": rate for n, rate in metrics["recall_at"].items()}
+    figures["AUC-PR"] = metrics["auc_pr"]
+    figures["Recall@100%Precision"] = metrics["recall_at_100_precision"]
+    print_table(("metric", "value"), ((name, fraction(one)) for name, one in figures.items()))
     say(counts(metrics))
     say(f"picture: {picture}")

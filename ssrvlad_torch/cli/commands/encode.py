@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from ..options import Json, MaybePreset, SourceOptions, StoredChannels, option, switch
 from ..output import encoding_bar, finish, note, print_json, say
 
 if TYPE_CHECKING:
-    from ...encoding.results import Summary
     from ...encoding.source import Wanted
 
 Engine = Literal["local", "ray"]
@@ -62,7 +61,9 @@ def encode(
         summary = town.add(frames, options, engine, note)
     if as_json:
         info = Database.open(output).info() if Database.exists(output) else {}
-        print_json({"database": output, **_as_json(summary), **info})
+        skipped = {"skipped": [frame._asdict() for frame in summary.skipped]}
+        report = dataclasses.asdict(summary) | {"anew": dict(summary.anew)} | skipped
+        print_json({"database": output, **report, **info})
     else:
         say(f"{output}: {summary}")
     for frame in summary.gone:
@@ -76,8 +77,3 @@ def _is_complete(wanted: Wanted) -> bool:
 
     folders = all(is_uri(path) or Path(path).is_dir() for path in wanted.paths)
     return folders and not wanted.given("fps", "every", "start", "layout")
-
-
-def _as_json(summary: Summary) -> dict[str, Any]:
-    skipped = [frame._asdict() for frame in summary.skipped]
-    return {**dataclasses.asdict(summary), "anew": dict(summary.anew), "skipped": skipped}

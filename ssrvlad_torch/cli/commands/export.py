@@ -42,7 +42,6 @@ def export(
 
 
 def _size(text: str) -> tuple[int, int]:
-    """Rows and columns of ``HxW``."""
     height, _, width = text.partition("x")
     if not (height.isdecimal() and width.isdecimal()):
         raise ValueError(f"--size {text}: expected rows and columns, such as 512x1024")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -67,15 +66,14 @@ def labels(
 def _print(
     name: str, rows: list[tuple[int, str, str]], activations: list[dict[str, Any]] | None
 ) -> None:
-    """Prints the classes of a label space, and activations if they are asked for."""
     from ...taxonomy import CATEGORIES
 
-    _print_table(("id", "name", "category"), rows)
+    print_table(("id", "name", "category"), rows)
     out = [class_name for _, class_name, category in rows if category not in CATEGORIES]
     have = f"{name}: {len(rows) - len(out)} of {len(rows)} classes have a category"
     say(f"{have}; left out: {', '.join(out) or 'none'}")
     if activations is not None:
-        _print_table(("activation", "channels", "height", "width", "stride", ""), [
+        print_table(("activation", "channels", "height", "width", "stride", ""), [
             (act["name"], *act["shape"][1:], f"{act['stride']:.3g}", _remark(act))
             for act in activations
         ])  # fmt: skip
@@ -104,15 +102,6 @@ def _remark(activation: dict[str, Any]) -> str:
     if activation["chosen"]:
         return "features"
     return "after the resolution was raised" if activation["raised"] else ""
-
-
-def _print_table(head: tuple[str, ...], rows: Sequence[tuple[Any, ...]]) -> None:
-    from rich.table import Table
-
-    table = Table(*head)
-    for row in rows:
-        table.add_row(*map(str, row))
-    print_table(table)
 
 
 def _is_network(name: str) -> bool:

@@ -76,7 +76,8 @@ def loops(
         summary = stream.report(detector, results, tolerance_metres)
         _print_report(summary, results, config, as_json)
     else:
-        _print_nothing_new(len(opened.files))
+        known = f"{len(opened.files)} frames" if opened.files else "frames"  # none of stdin
+        say(f"all {known} are in the memory already")
     if picture:
         _draw(picture, detector, results, tolerance_metres)
     finish(skipped, len(results))
@@ -104,7 +105,6 @@ def _described_live(
 def _described(
     detector: LoopDetector, source: Source, database: Database | None
 ) -> Iterator[Encoded | Skipped]:
-    """The frames of a source."""
     from ...encoding.plan import check_folders
     from ...loops.stream import encode_files
 
@@ -134,7 +134,6 @@ def _printed(
 def _draw(
     picture: Path, detector: LoopDetector, results: Sequence[LoopResult], metres: float | None
 ) -> None:
-    """Writes the picture of the loops on the trajectory."""
     from ...datasets.names import sequence_of
     from ...files import write_picture
     from ...loops import stream
@@ -171,11 +170,6 @@ def _print_likeliest(results: Sequence[LoopResult], config: LoopConfig) -> None:
         "pictures, or frames nearer to each other, may find more; a street driven the "
         "other way is never found"
     )
-
-
-def _print_nothing_new(count: int) -> None:
-    frames = f"{count} frames" if count else "frames"  # names on stdin are not counted
-    say(f"all {frames} are in the memory already")
 
 
 def _print_report(

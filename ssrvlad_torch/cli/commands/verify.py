@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -12,7 +13,6 @@ from ..options import Json, argument, option
 from ..output import finish, note, print_json, print_table, progress_bar, say
 
 if TYPE_CHECKING:
-    from ...deployment.against import SizeCheck
     from ...deployment.verify import Verification
 
 MISMATCH = 1
@@ -51,7 +51,6 @@ def verify(
         return
     from ...datasets.label_files import find_label_files
     from ...deployment.verify import verify as check
-    from ...encoding.results import Skipped
 
     files = find_label_files(labels) if labels else []
     with progress_bar("verifying", len(files)) as bar:
@@ -59,32 +58,20 @@ def verify(
     for warning in result.warnings:
         note(f"{model}: {warning}")
     if as_json:
-        print_json({"file": str(model), "provider": provider, **_as_json(result)})
+        report = {"file": str(model), "provider": provider, **dataclasses.asdict(result)}
+        report |= {"difference": result.difference, "passed": result.passed}
+        print_json(report | {"skipped": [frame._asdict() for frame in result.skipped]})
     else:
         _print(model, result)
     if not result.passed:
         raise typer.Exit(MISMATCH)
-    finish([Skipped(frame, reason) for frame, reason in result.skipped])
-
-
-def _as_json(result: Verification) -> dict[str, Any]:
-    return {
-        **dataclasses.asdict(result),
-        "checks": [check._asdict() for check in result.checks],
-        "skipped": [{"frame": frame, "reason": reason} for frame, reason in result.skipped],
-        "by_default": result.by_default and result.by_default._asdict(),
-        "difference": result.difference,
-        "passed": result.passed,
-    }
+    finish(result.skipped)
 
 
 def _print(model: Path, result: Verification) -> None:
-    from rich.table import Table
-
-    table = Table("compared", "largest difference", "result")
-    for check in (*result.checks, *filter(None, [result.by_default])):
-        table.add_row(check.name, f"{check.difference:.2g}", check.problem or "equal")
-    print_table(table)
+    checks = (*result.checks, *filter(None, [result.by_default]))
+    rows = ((check.name, f"{check.difference:.2g}", check.problem or "equal") for check in checks)
+    print_table(("compared", "largest difference", "result"), rows)
     for problem in result.problems:
         say(problem)
     network = f" with {result.network}" if result.network else ""
@@ -106,7 +93,8 @@ def _verify_against(model: Path, network: str, as_json: bool) -> None:
         report = {"file": str(model), "against": network, "sizes": sizes, "passed": not wrong}
         print_json(report)
     else:
-        _print_sizes(checks)
+        rows = ((_by(c.size), _by(c.fed), _share(c.others), c.problem or "equal") for c in checks)
+        print_table(("picture", "fed at", "other labels", "result"), rows)
         right = ", ".join(_by(check.size) for check in checks if check.compared)
         verdict = f"as expected, gives the labels of {network} at {right}"
         if wrong:
@@ -122,14 +110,8 @@ _CAUSES = (
 )
 
 
-def _print_sizes(checks: list[SizeCheck]) -> None:
-    from rich.table import Table
-
-    table = Table("picture", "fed at", "other labels", "result")
-    for check in checks:
-        others = f"{check.others:.2%}" if check.others == check.others else ""
-        table.add_row(_by(check.size), _by(check.fed), others, check.problem or "equal")
-    print_table(table)
+def _share(fraction: float) -> str:
+    return "" if math.isnan(fraction) else f"{fraction:.2%}"
 
 
 def _by(size: tuple[int, int]) -> str:

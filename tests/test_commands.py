@@ -1,0 +1,213 @@
+"""`ssrvlad query`, `locate`, `labels` and `show`."""
+
+import json
+
+import numpy as np
+import pytest
+from drawings import SPACE
+from drives import write_maps
+from helpers import street
+from networks import write_graph, write_street
+from PIL import Image
+
+from ssrvlad_torch import Database
+from ssrvlad_torch.cli.words import by_sequence
+from ssrvlad_torch.encoding import source as sources
+
+
+def test_more_candidates_than_references_give_all_references(ssrvlad, database, maps):
+    """What would not fit in memory is never allocated."""
+    code, out, _ = ssrvlad("query", database, maps, "--top", 10**12, "--json")
+    assert code == 0
+    assert {len(json.loads(line)["candidates"]) for line in out.splitlines()} == {6}
+
+
+def test_the_steps_are_taken_and_reported(ssrvlad, database, maps):
+    steps = ("--no-standardise", "--no-sweep", "--follow", "no")
+    _, out, err = ssrvlad("query", database, maps, "--top", 1, *steps)
+    ends = [line.split()[-4:] for line in out.splitlines()]
+    assert ends == [["1.0000", "(cosine,", "confidence", "0.00)"]] * 6
+    assert "not standardised, no sweep, followed: no, no temporal sum" in err[-1]
+    sure = json.loads(ssrvlad("query", database, maps, "--json")[1].splitlines()[0])
+    assert sure["confidence"] == 0 and sure["steps"]["standardise"] == {"monday": False}
+    assert "6 references are too few" in err[-1]
+    _, followed, err = ssrvlad("query", database, maps)
+    assert "followed: no, no surer so" in err[-1] and "(cosine, confidence" in followed
+    assert sure["score_is"] == "cosine"
+    nothing = ssrvlad("query", database, maps, "--min-confidence", 1)[1].splitlines()
+    assert all("no candidate" in line for line in nothing)
+    assert "temporal sum t = 3" in ssrvlad("query", database, maps, "--as-paper")[2][-1]
+
+
+def test_as_paper_contradicts_other_options(ssrvlad, refusal, database, maps):
+    for option, name in [
+        (("--sweep",), "--sweep"),
+        (("--follow", "online", "--delay", 2), "--follow and --delay"),
+        (("--temporal", 1), "--temporal"),
+        (("--channel", "hog"), "--channel"),
+    ]:
+        line = refusal("query", database, maps, "--as-paper", *option)
+        assert line.startswith("ssrvlad: --as-paper means --no-standardise --no-sweep")
+        assert line.endswith(f"it contradicts {name}")
+    alike = ("--no-sweep", "--follow", "no", "--temporal", 3, "--channel", "ssr-vlad")
+    as_paper = ssrvlad("query", database, maps, "--as-paper")
+    assert ssrvlad("query", database, maps, "--as-paper", *alike) == as_paper
+    assert as_paper[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "message"),
+    [
+        ("--temporal", "3m", "'--temporal': Input should be a valid integer"),
+        ("--temporal", 10**7, "'--temporal': Input should be less than or equal to 1000000"),
+        ("--as-of", 10**20, f"TOWN has no version {10**20}; it has 1 to 3"),
+        ("--threshold", "nan", "'--threshold': Input should be less than or equal to 1"),
+        ("--threshold", 2, "'--threshold': Input should be less than or equal to 1"),
+    ],
+)
+def test_options_out_of_range_are_refused(refusal, database, maps, option, value, message):
+    assert message.replace("TOWN", str(database)) in refusal("query", database, maps, option, value)
+
+
+def _first(out: str) -> dict[str, str]:
+    """The first candidate of each query."""
+    return {line.split(": ")[0]: line.split()[1] for line in out.splitlines()}
+
+
+def test_another_folder_of_the_same_name_is_another_sequence(ssrvlad, database, maps, tmp_path):
+    other = write_maps(tmp_path / "other" / "monday", range(6))
+    found = _first(ssrvlad("query", database, other, "--top", 1, "--exclude", 5)[1])
+    assert found == {f"other/monday/{n:03d}": f"monday/{n:03d}" for n in range(6)}
+
+
+def test_a_folder_that_the_database_knows_is_its_sequence(ssrvlad, encode, tmp_path):
+    both = [write_maps(tmp_path / drive / "maps", range(6)) for drive in ("day", "dusk")]
+    town = tmp_path / "both.ssrdb"
+    encode(*both, "-o", town)
+    found = _first(ssrvlad("query", town, both[1], "--top", 1, "--exclude", 5)[1])
+    assert found == {f"dusk/maps/{n:03d}": f"day/maps/{n:03d}" for n in range(6)}
+
+
+def test_the_folder_of_a_map_that_was_moved_needs_a_sequence_name(ssrvlad, refusal, database, maps):
+    (maps.parent / "elsewhere").mkdir()
+    moved = maps.rename(maps.parent / "elsewhere" / "monday")
+    line = refusal("query", database, moved, "--exclude", 5)
+    assert "which is gone: if" in line and "give --sequence monday" in line
+    out = ssrvlad("query", database, moved, "--exclude", 5, "--sequence", "monday")[1]
+    assert [line.split(": ")[1][:12] for line in out.splitlines()] == ["no candidate"] * 6
+
+
+def test_the_line_of_steps_names_the_sequences_that_differ():
+    assert by_sequence({"a": "offline", "b": "offline"}) == "offline"
+    values = {"a": "no", **dict.fromkeys("bcdef", "offline")}
+    assert by_sequence(values) == "no (a); offline (b, c, d and 2 more)"
+
+
+@pytest.fixture
+def town(network, ssrvlad, tmp_path):
+    """A database of the photos, all but one with a pose."""
+    poses = ["frame,x,y,heading", *(f"photos/{seed},{seed},0,0.5" for seed in range(2))]
+    (tmp_path / "poses.csv").write_text("\n".join(poses))
+    town = tmp_path / "town"
+    cache = ("--segmenter-cache", tmp_path / "cache")
+    given = ("--segmenter", network, "--channel", "ssr-vlad", *cache)
+    ssrvlad("encode", tmp_path / "photos", "-o", town, *given)
+    return town
+
+
+def test_locate_takes_the_network_of_the_database(town, network, ssrvlad, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    photos = [tmp_path / "photos" / f"{seed}.png" for seed in (1, 2)]
+    code, out, _ = ssrvlad("locate", *photos, "--in", town)
+    first, second = out.splitlines()
+    assert code == 0
+    assert first.startswith("photos/1: photos/1, cosine ")
+    assert first.endswith("x 1.0 m, y 0.0 m, heading 29 degrees")
+    assert second.endswith("pose unknown")
+    found = json.loads(ssrvlad("locate", photos[0], "--in", town, "--json")[1])
+    assert (found["picture"], found["place"], found["x"]) == ("photos/1", "photos/1", 1)
+    assert found["score_is"] == "cosine" and found["score"] <= 1
+    unsure = ssrvlad("locate", photos[0], "--in", town, "--min-confidence", 1)[1]
+    assert unsure.startswith("photos/1: no place (confidence 0.")
+    network.write_text("network: net.onnx\nmean: [0, 0, 0]\nstd: [1, 1, 2]\n")
+    sources._network.cache_clear()
+    code, _, (line,) = ssrvlad("locate", photos[0], "--in", town)
+    assert code == 2
+    assert "gives other label maps" in line
+
+
+def test_locate_refuses_a_database_of_label_maps_and_a_network_of_code(ssrvlad, database, tmp_path):
+    code, _, (line,) = ssrvlad("locate", tmp_path, "--in", database)
+    assert code == 2
+    assert "was not made from pictures; name a --segmenter" in line
+    Database.open(database).add_origin(None, "key", "mynets:mine")
+    (line,) = ssrvlad("locate", tmp_path, "--in", database)[2]
+    assert line.endswith("was made by code: say --segmenter mynets:mine")
+
+
+def test_labels_lists_classes_and_features(network, ssrvlad, refusal, tmp_path):
+    code, out, _ = ssrvlad("labels", network)
+    assert code == 0
+    assert "8 of 12 classes have a category" in out
+    assert "left out: car, pedestrian, bicyclist, void" in out
+    assert "features: none: " in out and "no activation at a stride from 4 to 32" in out
+    of_space = json.loads(ssrvlad("labels", SPACE, "--json")[1])
+    assert of_space["classes"][3] == {"id": 3, "name": "road", "category": "ground"}
+    assert of_space["features"] is None
+    write_street(tmp_path / "net.onnx")
+    settings = tmp_path / "net.yaml"
+    for named, names in (("", ["relu_2", "relu_3"]), ("features: [relu_1]", ["relu_1"])):
+        settings.write_text(f"network: net.onnx\nlabels_as: {SPACE}\n{named}")
+        assert f"features: {names[0]} (1, " in ssrvlad("labels", settings)[1]
+        assert json.loads(ssrvlad("labels", settings, "--json")[1])["features"] == names
+    settings.write_text("mean: [0, 0, 0]\nclasses: 0:19\n")
+    for given, message in (
+        (settings, "net.yaml names no network; expected network: NAME"),
+        ("camvid-1", "unknown label space 'camvid-1': did you mean camvid-11"),
+        ("net.onxx", "no network 'net.onxx'"),
+    ):
+        assert message in refusal("labels", given)
+    assert ssrvlad("labels", "mapillary-vistas-1.2")[::2] == (0, [])
+
+
+def test_labels_lists_all_activations(ssrvlad, refusal, tmp_path):
+    """Also of a network that has no features by the rule, and of one without class names."""
+    write_street(tmp_path / "street.onnx")
+    command = ("labels", tmp_path / "street.onnx", "--labels-as", SPACE)
+    code, out, err = ssrvlad(*command, "--all")
+    assert (code, err) == (0, [])
+    rows = [[cell.strip() for cell in line.split("│")[1:-1]] for line in out.splitlines()]
+    assert [row for row in rows if "features" in row] == [
+        ["relu_2", "32", "28", "56", "8", "features"],
+        ["relu_3", "24", "14", "28", "16", "features"],
+    ]
+    *_, line = out.splitlines()
+    assert line == "features: relu_2 (1, 32, 28, 56), stride 8, relu_3 (1, 24, 14, 28), stride 16"
+    listed = json.loads(ssrvlad(*command, "--all", "--json")[1])["activations"]
+    by_name = {row["name"]: row for row in listed}
+    assert by_name["relu_2"]["chosen"] and by_name["relu_2"]["shape"] == [1, 32, 28, 56]
+    assert (by_name["relu_3"]["stride"], by_name["relu_3"]["raised"]) == (16, False)
+    assert by_name["conv2d_9"]["raised"], "of the decoder"
+    assert sum(row["chosen"] for row in listed) == 2
+    assert "activations" not in json.loads(ssrvlad(*command, "--json")[1])
+    write_graph(tmp_path / "net.onnx")
+    out = ssrvlad("labels", tmp_path / "net.onnx", "--labels-as", SPACE, "--all")[1]
+    assert "classes" in out and "features: none: " in out
+    assert "--labels-as and --all are for networks" in refusal("labels", SPACE, "--all")
+
+
+def test_show_takes_an_image(network, ssrvlad, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    frame, picture = tmp_path / "photos" / "1.png", tmp_path / "out.png"
+    assert ssrvlad("show", frame, "-o", picture, "--segmenter", network)[0] == 0
+    shown = Image.open(picture)
+    labels = frame.with_name("labels.png")
+    Image.fromarray(street(1, 60, 80)).save(labels)
+    assert ssrvlad("show", labels, "-o", tmp_path / "map.png", "--labels-as", SPACE)[0] == 0
+    assert shown.width == 1.5 * Image.open(tmp_path / "map.png").width, (
+        "the photograph is beside it"
+    )
+    sky = np.array([128, 128, 128])
+    assert (np.abs(np.asarray(shown)[..., :3] - sky) < 2).all(-1).any()
+    assert len([*(tmp_path / "cache").rglob("*.png")]) == 1
+    assert "--labels-as" in ssrvlad("show", frame, "-o", picture)[2][0]

@@ -1,0 +1,507 @@
+"""Outcomes, curves, thresholds and metrics against tables worked by hand, plain loops, scikit-learn
+and VPR-Bench; their intervals against resamples that are evaluated one by one."""
+
+import math
+from itertools import product
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import example, given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from scipy.stats import binomtest
+from vpr_bench import frozen_corridor, needs_vpr_bench, stored_results
+
+from ssrvlad_torch import match
+from ssrvlad_torch.evaluation import bootstrap as bootstrapping
+from ssrvlad_torch.evaluation.bootstrap import bootstrap
+from ssrvlad_torch.evaluation.curves import rank, roc_auc
+from ssrvlad_torch.evaluation.metrics import CONVENTIONS, FIGURES, evaluate, precision_recall_curve
+from ssrvlad_torch.evaluation.outcomes import judge
+from ssrvlad_torch.evaluation.thresholds import (
+    at_precision,
+    at_recall,
+    operating_points,
+    queries_needed,
+    suggested_point,
+    wilson_low,
+)
+from ssrvlad_torch.evaluation.tutorial import STEPS, count_pairs
+
+INF = math.inf
+
+
+def rows(*matches):
+    return [np.array(match, np.int64) for match in matches]
+
+
+def test_the_outcomes_of_five_queries_equal_those_by_hand():
+    scores = np.array([[0.9, 0.8], [0.7, 0.1], [0.6, -INF], [-INF, -INF], [0.2, 0.1]], np.float32)
+    indices = np.array([[4, 2], [3, 0], [1, -1], [-1, -1], [8, 9]])
+    outcomes = judge(scores, indices, rows([4, 7], [0], [], [1], [5]))
+    assert outcomes.score.dtype == np.float64
+    np.testing.assert_allclose(outcomes.score, [0.9, 0.7, 0.6, -INF, 0.2], rtol=1e-6)
+    assert outcomes.candidate.tolist() == [4, 3, 1, -1, 8]
+    assert outcomes.correct.tolist() == [True, False, False, False, False]
+    assert outcomes.has_match.tolist() == [True, True, False, True, True]
+    assert outcomes.rank.tolist() == [1, 2, 0, 0, 0]
+    assert len(outcomes) == 5
+    none = judge(np.zeros((0, 3)), np.zeros((0, 3), np.int64), [])
+    assert len(none) == len(none.rank) == 0
+
+
+@pytest.mark.parametrize(
+    ("scores", "indices", "message"),
+    [
+        (np.ones((2, 3)), np.zeros((2, 2), int), r"of one shape .*\(2, 3\) and \(2, 2\)"),
+        (np.ones((2, 0)), np.zeros((2, 0), int), "top >= 1"),
+        (np.ones((3, 1)), np.zeros((3, 1), int), "candidates for 2 queries"),
+        (np.ones(2), np.zeros(2, int), r"for 2 queries, got \(2,\)"),
+        (np.array([[1.0, 0], [1, math.nan]]), np.zeros((2, 2), int), "1 of 2 queries .* NaN"),
+        (np.array([[INF], [math.nan]]), np.zeros((2, 1), int), "2 of 2 queries"),
+        (np.array([[0.9], [0.9]]), np.array([[0], [-1]]), "a score but no row"),
+    ],
+)
+def test_scores_and_truth_of_other_shapes_are_refused(scores, indices, message):
+    with pytest.raises(ValueError, match=message):
+        judge(scores, indices, rows([0], [0]))
+
+
+@pytest.mark.parametrize(
+    "truth", [np.eye(2, dtype=bool), np.eye(2, dtype=int), list(np.eye(2) > 0)]
+)
+def test_a_matrix_in_place_of_rows_is_refused(truth):
+    with pytest.raises(ValueError, match=r"expected the rows .*got a matrix.*flatnonzero"):
+        judge(np.ones((2, 1)), np.zeros((2, 1), int), truth)
+
+
+def recall_rate(indices, truth, n):
+    scores = np.where(indices < 0, -INF, 0.5)
+    return evaluate(scores, indices, truth, at=(n,))["recall_at"][str(n)]
+
+
+@pytest.mark.parametrize(("n", "expected"), [(1, 1 / 3), (2, 2 / 3), (3, 2 / 3), (4, 3 / 3)])
+def test_the_recall_rate_of_four_queries_equals_that_by_hand(n, expected):
+    """The first true match of the queries stands at place 1, 2 and 4; the last query has none."""
+    indices = np.array([[5, 1, 2, 3], [1, 6, 2, 3], [9, 8, 0, 7], [0, 1, 2, 3]])
+    truth = rows([5], [6, 100], [7], [])
+    assert recall_rate(indices, truth, n) == pytest.approx(expected)
+
+
+def test_recall_rate_without_candidates_true_matches_or_queries():
+    assert recall_rate(np.array([[-1, -1], [0, -1]]), rows([3], [0]), 2) == 0.5
+    assert math.isnan(recall_rate(np.array([[1], [2]]), rows([], []), 1))
+    assert math.isnan(recall_rate(np.zeros((0, 5), np.int64), [], 1))
+
+
+def test_evaluate_takes_what_match_gives():
+    scores, indices = match(torch.eye(12)[:3], torch.eye(12), top=10)
+    truth = rows([0], [1], [5])
+    arrays = evaluate(scores.numpy(), indices.numpy(), truth)
+    assert evaluate(scores, indices, truth) == arrays
+    similarity, pairs = torch.eye(12)[:3], {"convention": "vpr-tutorial"}
+    of_tensors = evaluate(scores, indices, truth, similarity=similarity, **pairs)
+    of_arrays = evaluate(scores, indices, truth, similarity=similarity.numpy(), **pairs)
+    np.testing.assert_equal(of_tensors, of_arrays)
+
+
+def test_evaluate_refuses_what_it_cannot_compute():
+    scores, indices, truth = np.ones((2, 10)), np.zeros((2, 10), np.int64), rows([0], [1])
+    with pytest.raises(ValueError, match=r"convention must be one of .*, got 'sklearn'"):
+        evaluate(scores, indices, truth, convention="sklearn")
+    with pytest.raises(ValueError, match="convention vpr-tutorial requires the similarity"):
+        evaluate(scores, indices, truth, convention="vpr-tutorial")
+    with pytest.raises(ValueError, match=r"similarity matrix for 2 queries, got \(3, 4\)"):
+        evaluate(scores, indices, truth, convention="vpr-tutorial", similarity=np.ones((3, 4)))
+    with pytest.raises(ValueError, match="1 of 2 queries have scores of candidates that are NaN"):
+        evaluate(np.array([[math.nan], [1]]), indices[:, :1], truth, at=(1,))
+    for n in (5, 0):
+        with pytest.raises(ValueError, match=f"RecallRate@{n}: expected N from 1 to 4 candidates"):
+            evaluate(scores[:, :4], indices[:, :4], truth, at=(1, n))
+
+
+@pytest.mark.parametrize(
+    ("results", "count"),
+    [(lambda: [frozen_corridor()], 1), pytest.param(stored_results, 4, marks=needs_vpr_bench)],
+)
+def test_the_stored_results_of_vpr_bench_are_reproduced(results, count):
+    checked = [*results()]
+    assert len(checked) == count
+    for stored in checked:
+        metrics = evaluate(stored.scores, stored.candidates, stored.truth, convention="vpr-bench")
+        found = {
+            "auc_pr": metrics["auc_pr"],
+            "rr": metrics["recall_at"],
+            "r_at_100p": metrics["recall_at_100_precision"],
+            "ep": metrics["extended_precision"],
+        }
+        assert found.keys() == stored.expected.keys()
+        for name, figure in found.items():
+            assert figure == pytest.approx(stored.expected[name], abs=1e-9), (stored.name, name)
+
+
+HANDMADE = {
+    "scores": np.array([[0.9], [0.8], [0.7], [0.6]]),
+    "indices": np.array([[5], [1], [2], [3]]),
+    "truth": rows([0], [1], [2], []),
+}
+"""Wrong, right, right, and a query of an unknown place that is accepted last."""
+
+
+@pytest.mark.parametrize(
+    ("convention", "counted", "positives"), [("exact", 3, 3), ("vpr-bench", 4, 2)]
+)
+def test_the_metrics_of_each_convention_equal_those_by_hand(convention, counted, positives):
+    """Of an unknown place only precision suffers, and only where the query is accepted."""
+    metrics = evaluate(**HANDMADE, at=(1,), convention=convention)
+    assert metrics["convention"] == convention
+    assert metrics["recall_at"] == {"1": 2 / counted}
+    step = 1 / positives
+    expected = {
+        "auc_pr": step * (0 + 1 / 2) / 2 + step * (1 / 2 + 2 / 3) / 2,
+        "average_precision": step * (1 / 2) + step * (2 / 3),
+        "recall_at_100_precision": 0.0,
+        "extended_precision": 0.0,
+        "roc_auc": 1 / 2,
+    }
+    assert {name: metrics[name] for name in expected} == pytest.approx(expected)
+    outcomes = judge(HANDMADE["scores"], HANDMADE["indices"], HANDMADE["truth"])
+    curve = precision_recall_curve(outcomes, HANDMADE["truth"], convention)
+    assert curve.precision.tolist() == [0, 1 / 2, 2 / 3, 2 / 4]
+    assert curve.recall.tolist() == [0, step, 2 * step, 2 * step]
+
+
+@pytest.mark.parametrize("convention", CONVENTIONS)
+@pytest.mark.parametrize("resamples", [0, 20])
+def test_every_convention_takes_degenerate_results(convention, resamples):
+    """No queries, no positives, no candidates, and scores that are all equal."""
+    cases = [
+        (np.zeros((0, 1)), np.zeros((0, 1), np.int64), rows(), np.zeros((0, 3))),
+        (np.ones((2, 1)), np.zeros((2, 1), np.int64), rows([], []), np.ones((2, 3))),
+        (np.full((2, 1), -INF), np.full((2, 1), -1), rows([0], [1]), np.full((2, 3), -INF)),
+        (np.ones((2, 1)), np.zeros((2, 1), np.int64), rows([0], [1]), np.ones((2, 3))),
+    ]
+    results = [
+        evaluate(*case[:3], (1,), convention, case[3], resamples=resamples) for case in cases
+    ]
+    assert math.isnan(results[0]["auc_pr"])
+    assert math.isnan(results[1]["auc_pr"])
+    assert results[3]["recall_at"] == {"1": 1 / 2}
+    for result in results:
+        assert ("intervals" in result) == bool(resamples)
+    no_candidate = math.nan if convention == "vpr-bench" else 0.0
+    assert results[2]["auc_pr"] == pytest.approx(no_candidate, nan_ok=True)
+    equal = {"exact": 1 / 4, "vpr-bench": 3 / 4, "vpr-tutorial": 2 / 3}
+    expected = equal.get(convention, (1 + 1 / 2) / 2 * (1 / 2))
+    assert results[3]["auc_pr"] == pytest.approx(expected)
+
+
+def precision_recall(scores, correct, positives, start=None):
+    weights = np.ones(len(scores))
+    return rank(scores, correct).curve(weights, np.asarray(positives, np.float64), start)
+
+
+def curve_of(scores, correct, positives):
+    return precision_recall(np.array(scores, float), np.array(correct, bool), positives)
+
+
+ANY_SCORE = st.sampled_from([-INF, -0.25, 0.0, 0.25, 0.5, 0.5 + 2**-30, 1.0])
+
+
+@given(st.lists(st.tuples(ANY_SCORE, st.booleans()), max_size=30), st.integers(0, 5))
+@example([(0.3, True), (0.2, True), (0.1, True)], 0)  # all right
+@example([(0.3, False), (0.2, False)], 3)  # all wrong
+@example([(0.5, True), (0.5, False), (0.5, True), (0.5, False)], 1)  # one threshold
+@example([(0.9, False), (0.8, True), (0.7, True)], 1)  # the best is wrong
+@example([(0.9, False), (0.9, True), (0.7, True)], 1)  # right and wrong tied at the top
+@example([(0.9, True), (-INF, False), (-INF, False)], 2)  # queries without candidate
+@example([(-0.25, True), (-0.9, False)], 1)  # scores below zero
+@example([(-INF, False), (-INF, False)], 2)  # no candidate at all
+def test_curve_equals_a_loop_over_thresholds(queries, more_positives):
+    scores = np.array([score for score, _ in queries], float)
+    correct = np.array([right and score > -INF for score, right in queries], bool)
+    positives = int(correct.sum()) + more_positives
+    curve = precision_recall(scores, correct, positives)
+
+    thresholds = sorted({score for score in scores if score > -INF}, reverse=True)
+    assert curve.thresholds.tolist() == thresholds
+    area, before = 0.0, None
+    full = 0.0
+    for place, threshold in enumerate(thresholds):
+        accepted = scores >= threshold
+        precision = (accepted & correct).sum() / accepted.sum()
+        assert curve.precision[place] == pytest.approx(precision)
+        if positives:
+            recall = (accepted & correct).sum() / positives
+            assert curve.recall[place] == pytest.approx(recall)
+            last_recall, last_precision = before or (0.0, precision)
+            area += (recall - last_recall) * (precision + last_precision) / 2
+            before = recall, precision
+            full = recall if precision == 1 else full
+    if positives:
+        assert curve.auc == pytest.approx(area)
+        assert curve.recall_at_full_precision == pytest.approx(full)
+
+
+def test_the_figures_of_four_queries_equal_those_by_hand():
+    """Right, right, wrong, right; four positives."""
+    curve = curve_of([0.9, 0.8, 0.6, 0.4], [1, 1, 0, 1], 4)
+    assert curve.average_precision == pytest.approx((1 + 1 + 3 / 4) / 4)
+    assert curve.extended_precision == pytest.approx((1 + 1 / 2) / 2)
+    assert roc_auc(curve, np.array(3.0), np.array(1.0)) == pytest.approx(2 / 3)
+    # of a tie at the top the precision is that of the tie, and no threshold has precision 1
+    assert curve_of([0.9, 0.9, 0.9, 0.7], [1, 0, 1, 1], 3).extended_precision == (2 / 3 + 0) / 2
+    assert curve_of([0.9, 0.7], [0, 1], 2).extended_precision == 0.0
+
+
+def test_roc_auc_is_nan_without_right_and_wrong_candidates():
+    for correct in ([1, 1], [0, 0]):
+        curve = curve_of([0.9, 0.8], correct, 2)
+        right = float(sum(correct))
+        assert math.isnan(roc_auc(curve, np.array(right), np.array(2 - right)))
+    curve = curve_of([0.9, 0.8, -INF, -INF], [0, 1, 0, 0], 1)
+    assert roc_auc(curve, np.array(1.0), np.array(3.0)) == pytest.approx(2 / 3)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_scikit_learn_agrees_on_heavy_ties(seed):
+    sklearn = pytest.importorskip("sklearn.metrics", reason="scikit-learn is not installed")
+    rng = np.random.default_rng(seed)
+    scores = rng.integers(0, rng.integers(1, 12), 200) / 8 - 0.5
+    correct = rng.random(200) < 0.2 + 0.6 * (scores - scores.min())
+    correct[:2] = [True, False]
+    right = int(correct.sum())
+    curve = precision_recall(scores, correct, right, start=1.0)
+    precision, recall, thresholds = sklearn.precision_recall_curve(correct, scores)
+    np.testing.assert_allclose(curve.precision, precision[-2::-1], rtol=1e-12)
+    np.testing.assert_allclose(curve.recall, recall[-2::-1], rtol=1e-12)
+    np.testing.assert_array_equal(curve.thresholds, thresholds[::-1])
+    assert curve.auc == pytest.approx(sklearn.auc(recall, precision), abs=1e-12)
+    expected = sklearn.average_precision_score(correct, scores)
+    assert curve.average_precision == pytest.approx(expected, abs=1e-12)
+    found = roc_auc(curve, np.array(float(right)), np.array(200.0 - right))
+    assert found == pytest.approx(sklearn.roc_auc_score(correct, scores), abs=1e-12)
+
+
+@pytest.fixture
+def curve():
+    """Right, right, wrong, right, right; five positives."""
+    return curve_of([0.9, 0.8, 0.6, 0.4, 0.3], [1, 1, 0, 1, 1], 5)
+
+
+def test_wilson_is_that_of_scipy():
+    right, accepted = np.array([(r, n) for n in (1, 10, 73, 400) for r in (0, n // 2, n)], float).T
+    expected = [
+        binomtest(int(r), int(n)).proportion_ci(0.95, "wilson").low
+        for r, n in zip(right, accepted, strict=True)
+    ]
+    np.testing.assert_allclose(wilson_low(right, accepted), expected, atol=1e-12)
+    assert wilson_low(np.zeros(1), np.zeros(1)) == 0
+
+
+def test_seventy_three_right_answers_are_enough_and_one_fewer_is_not():
+    scores = np.arange(73, 0, -1) / 100
+    assert suggested_point(curve_of(scores, [1] * 73, 73)).accepted == 73
+    fewer = suggested_point(curve_of(scores[1:], [1] * 72, 72))
+    assert fewer.accepted == 72 and fewer.precision_low < 0.95
+    assert queries_needed() == 73
+
+
+def test_the_suggestion_lies_between_scores():
+    """Halfway to the first score that would spoil it; 0.5 and 0.25 are both wrong."""
+    scores = [*[0.75] * 100, *[0.5] * 50, *[0.25] * 50]
+    point = suggested_point(curve_of(scores, [1] * 100 + [0] * 100, 100))
+    assert (point.score, point.accepted, point.recall) == (0.625, 100, 1.0)
+    assert point.precision_low > 0.95
+
+
+def test_match_accepts_at_the_suggested_threshold():
+    """Above it, in float32, also where all scores that were measured are accepted."""
+    references = torch.eye(2)
+    queries = torch.tensor([[0.6, 0.8]]).repeat(100, 1)
+    scores = match(queries, references, top=1).scores[:, 0].numpy()
+    point = suggested_point(curve_of(scores, [1] * 100, 100))
+    assert point.score < scores.min()
+    assert bool((match(queries, references, 1, point.score).indices >= 0).all())
+
+
+SOME_SCORE = st.sampled_from([-0.25, 0.0, 0.25, 0.5, 1.0])
+
+
+@given(st.lists(st.tuples(SOME_SCORE, st.booleans()), min_size=1, max_size=30), st.floats(0.01, 1))
+def test_operating_points_equal_a_search_over_thresholds(queries, fraction):
+    scores = np.array([score for score, _ in queries])
+    correct = np.array([right for _, right in queries])
+    curve = curve_of(scores, correct, len(queries))
+    counts = {t: (correct[scores >= t].sum(), (scores >= t).sum()) for t in set(scores)}
+    precise = [t for t, (right, accepted) in counts.items() if right / accepted >= fraction]
+    found = [t for t, (right, _) in counts.items() if right / len(queries) >= fraction]
+    for point, expected in (
+        (at_precision(curve, fraction), min(precise, default=None)),
+        (at_recall(curve, fraction), max(found, default=None)),
+    ):
+        assert (point and point.score) == expected
+        if point:
+            assert point.accepted == counts[expected][1]
+            assert point.precision == pytest.approx(counts[expected][0] / counts[expected][1])
+    point = suggested_point(curve, fraction)
+    low = {t: float(wilson_low(np.array(r), np.array(n))) for t, (r, n) in counts.items()}
+    sure = [t for t in low if low[t] >= min(fraction, max(low.values()))]
+    assert (point is None) == (not correct.any())
+    if point:
+        assert (scores >= point.score).sum() == (scores > point.score).sum() == point.accepted
+        assert point.accepted == counts[min(sure)][1]
+
+
+def test_all_points_as_a_mapping(curve):
+    points = operating_points(curve)
+    assert points["at_precision"].keys() == {"0.99", "1"}
+    assert points["at_precision"]["1"]["score"] == 0.8
+    assert points["at_recall"]["0.5"]["precision"] == 0.75
+    assert points["suggested"]["accepted"] == 5 and points["suggested"]["precision_low"] < 0.95
+    assert operating_points(curve_of([0.9], [0], 1))["suggested"] is None
+
+
+def rows_of(matrix):
+    return [np.flatnonzero(row) for row in matrix]
+
+
+def curve_of_pairs(counts):
+    return counts.curve(np.ones(len(counts.positives)))
+
+
+def plain_curve(similarity, hard, single):
+    """Points from (recall 0, precision 1) on; every threshold looks at every pair anew."""
+    positives = hard.sum()
+    if single:
+        positives = sum(any(row) for row in hard)
+        best = [int(row.argmax()) for row in similarity]
+        hard = np.array([[row[b]] for row, b in zip(hard, best, strict=True)])
+        similarity = np.array([[row[b]] for row, b in zip(similarity, best, strict=True)])
+    points = [(0.0, 1.0)]
+    for threshold in np.linspace(similarity.max(), similarity.min(), 100):
+        accepted = similarity >= threshold
+        right = (accepted & hard).sum()
+        points.append((right / positives, right / accepted.sum()))
+    return np.array(points).T
+
+
+@st.composite
+def tables(draw):
+    shape = draw(st.tuples(st.integers(1, 8), st.integers(1, 8)))
+    values = st.sampled_from([-0.75, -0.5, 0.0, 0.125, 0.3, 0.30000001, 0.9])
+    similarity = draw(hnp.arrays(np.float64, shape, elements=values))
+    hard = draw(hnp.arrays(bool, shape))
+    hard[0, draw(st.integers(0, shape[1] - 1))] = True
+    return similarity, hard
+
+
+@given(tables(), st.booleans())
+def test_equals_a_plain_loop(table, single):
+    similarity, hard = table
+    recall, precision = plain_curve(similarity, hard, single)
+    curve = curve_of_pairs(count_pairs(similarity, rows_of(hard), single))
+    assert len(curve.thresholds) == STEPS == 100
+    np.testing.assert_allclose(curve.precision, precision[1:], rtol=1e-12)
+    np.testing.assert_allclose(curve.recall, recall[1:], rtol=1e-12)
+    area = sum(np.diff(recall) * (precision[1:] + precision[:-1]) / 2)
+    assert curve.auc == pytest.approx(area)
+    assert curve.recall_at_full_precision == pytest.approx(recall[precision == 1].max())
+
+
+def test_minus_infinity_is_the_least_similar_and_float32_stays():
+    similarity = np.array([[0.9, -INF], [0.3, 0.1]])
+    filled = np.array([[0.9, 0.1], [0.3, 0.1]])
+    noise = np.random.default_rng(0).random((2, 3)).astype(np.float32)
+    for single, (one, other) in product(
+        (False, True), ((similarity, filled), (noise, noise.astype(float)))
+    ):
+        found, expected = (
+            curve_of_pairs(count_pairs(matrix, rows([0], [1]), single)) for matrix in (one, other)
+        )
+        np.testing.assert_array_equal(found.precision, expected.precision)
+        np.testing.assert_array_equal(found.thresholds, expected.thresholds)
+
+
+def test_weights_are_copies_of_queries():
+    """On the thresholds of all queries."""
+    rng = np.random.default_rng(1)
+    similarity, hard = rng.random((6, 9)), rng.random((6, 9)) < 0.3
+    weights = np.array([2, 0, 1, 3, 0, 1])
+    for single in (False, True):
+        counts = count_pairs(similarity, rows_of(hard), single)
+        copies = np.repeat(np.arange(6), weights)
+        weighted = counts.curve(weights.astype(float))
+        np.testing.assert_array_equal(weighted.accepted, counts.accepted[copies].sum(axis=0))
+        np.testing.assert_array_equal(weighted.positives, counts.positives[copies].sum())
+
+
+@pytest.mark.parametrize(
+    ("similarity", "message"),
+    [
+        (np.ones((1, 3)), r"for 2 queries, got \(1, 3\)"),
+        (np.ones(2), r"got \(2,\)"),
+        (np.array([[1, math.nan], [1, 1]]), "1 of 2 queries have similarities .* NaN"),
+    ],
+)
+def test_a_similarity_of_another_shape_or_nan_is_refused(similarity, message):
+    with pytest.raises(ValueError, match=message):
+        count_pairs(similarity, rows([0], [1]))
+
+
+def with_heavy_ties(queries, seed=0):
+    """Candidates with heavy ties, some queries without a true match."""
+    rng = np.random.default_rng(seed)
+    scores = -np.sort(-rng.integers(0, 20, (queries, 5)) / 20, axis=1)
+    indices = rng.integers(0, 30, (queries, 5))
+    truth = [rng.choice(30, rng.integers(0, 9), replace=False) for _ in range(queries)]
+    return scores, indices, truth
+
+
+def flat(figures):
+    rates = figures["recall_at"].values()
+    return [*rates, *(figures[name] for name in FIGURES)]
+
+
+@pytest.mark.parametrize("convention", ["exact", "vpr-bench"])
+@pytest.mark.parametrize("block", [1 << 22, 90])
+def test_equals_resamples_evaluated_one_by_one(convention, block, monkeypatch):
+    """Whatever the number of resamples that are computed at once."""
+    monkeypatch.setattr(bootstrapping, "_CELLS", block)
+    scores, indices, truth = with_heavy_ties(40)
+    rng = np.random.default_rng(7)
+    figures = []
+    for _ in range(60):
+        chosen = rng.integers(0, 40, 40)
+        again = [truth[query] for query in chosen]
+        figures.append(flat(evaluate(scores[chosen], indices[chosen], again, (1, 5), convention)))
+    expected = np.percentile(figures, (2.5, 97.5), axis=0).T
+    found = evaluate(scores, indices, truth, (1, 5), convention, resamples=60, seed=7)
+    np.testing.assert_allclose(flat(found["intervals"]), expected, rtol=1e-12)
+
+
+def test_a_seed_gives_the_same_draw():
+    first, again, other = (
+        evaluate(*with_heavy_ties(50), at=(1,), resamples=30, seed=seed)["intervals"]
+        for seed in (1, 1, 2)
+    )
+    assert first == again != other
+
+
+def test_the_interval_of_a_mean_is_that_of_the_normal_approximation():
+    values = np.random.default_rng(0).random(400) < 0.3
+    found = bootstrap(lambda w: {"fraction": w @ values / w.sum(axis=1)}, 400, 4000)["fraction"]
+    spread = 1.96 * values.std() / 20
+    np.testing.assert_allclose(found, (values.mean() - spread, values.mean() + spread), atol=0.004)
+
+
+def test_resamples_without_a_figure_are_passed_over():
+    """One query in three has a true match; a resample without it has no recall."""
+    scores, indices = np.ones((3, 1)), np.zeros((3, 1), np.int64)
+    truth = [np.array([0]), np.array([], np.int64), np.array([], np.int64)]
+    intervals = evaluate(scores, indices, truth, (1,), resamples=200)["intervals"]
+    assert intervals["recall_at"]["1"] == [1.0, 1.0]
+    assert 0 < intervals["auc_pr"][0] < intervals["auc_pr"][1] <= 1
+    none = bootstrap(lambda w: {"x": np.full(len(w), np.nan)}, 0, 10)["x"]
+    assert all(map(math.isnan, none)), "of no queries"

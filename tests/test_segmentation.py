@@ -1,0 +1,321 @@
+"""From images to descriptors, by a module or an ONNX graph; label spaces of class names."""
+
+import dataclasses
+import sys
+
+import numpy as np
+import onnx
+import pytest
+import torch
+import yaml
+from drawings import SIGN, SKY, SPACE
+from helpers import refused, street
+from kornia.enhance import Denormalize, Normalize
+from kornia.geometry import Resize
+from networks import PLAIN, Then, colour_network, photo, write_graph, write_street
+from segmenting import BYTES, LABELS, PHOTOS, assert_right, write_image, write_photos
+from torch import nn
+
+from ssrvlad_torch import SSRVLAD
+from ssrvlad_torch.channels.label_shapes import LabelShapes
+from ssrvlad_torch.datasets.image_files import find_image_files
+from ssrvlad_torch.datasets.label_files import find_label_files
+from ssrvlad_torch.encoding.encoder import check_segmenter, encode_to_memory
+from ssrvlad_torch.segmentation import onnx_files, onnx_network
+from ssrvlad_torch.segmentation import segmenter as segmentation
+from ssrvlad_torch.segmentation.class_names import category_of_name, label_space_of_names
+from ssrvlad_torch.segmentation.onnx_files import external_files
+from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
+from ssrvlad_torch.segmentation.preparation import SegmenterConfig
+from ssrvlad_torch.segmentation.segmenter import Segmenter
+from ssrvlad_torch.taxonomy import label_space, label_space_names
+
+
+def test_kornia_a_network_and_the_head_compose():
+    head = SSRVLAD.from_preset("default", labels_as=SPACE)
+    whole = nn.Sequential(Resize((24, 32)), Normalize(0.5, 0.5), Denormalize(0.5, 0.5),
+                          colour_network(), head)  # fmt: skip
+    images = torch.from_numpy(np.stack(PHOTOS)).permute(0, 3, 1, 2) / 255
+    assert torch.equal(whole(images), head(torch.from_numpy(np.stack(LABELS))))
+
+
+def test_settings_are_keyword_arguments(tmp_path):
+    """They are those of a YAML file, by the same names and in the same forms."""
+    given = {"size": [24, 32], "mean": [0, 0, 0], "std": [1, 1, 1], "colour_order": "bgr",
+             "classes": "0:12"}  # fmt: skip
+    segmenter = Segmenter(colour_network(), SPACE, **given)
+    write_graph(tmp_path / "net.onnx")
+    (tmp_path / "net.yaml").write_text(yaml.safe_dump({"network": "net.onnx", **given}))
+    by_file = Segmenter.load(tmp_path / "net.yaml", SPACE)
+    assert segmenter.config == dataclasses.replace(by_file.config, output=None)
+    assert segmenter.config.classes == (0, 12)
+    one = PHOTOS[:1]
+    np.testing.assert_array_equal(segmenter(one), by_file(one))
+    other = Segmenter(segmenter.network, SPACE, segmenter.config, colour_order="rgb")
+    assert other.config == dataclasses.replace(segmenter.config, colour_order="rgb")
+    np.testing.assert_array_equal(other(one), LABELS[:1])
+    with pytest.raises(ValueError, match="unknown setting 'means'; expected size, longest, mult"):
+        Segmenter(colour_network(), SPACE, means=(0, 0, 0))
+    with pytest.raises(ValueError, match="mean must be three numbers, got 3"):
+        Segmenter(colour_network(), SPACE, mean=3)
+
+
+def test_progress_moves_while_the_network_works(tmp_path):
+    """A frame is reported before the network gets the frame fifty later."""
+    files = find_image_files([str(write_photos(tmp_path / "a", range(80)))])
+    network, behind, done = colour_network(), [], [0]
+    network.register_forward_pre_hook(
+        lambda module, given: behind.append(len(behind) - sum(done)) or None
+    )
+    head = SSRVLAD.from_preset("default", labels_as=SPACE)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(segmentation, "PIXELS_AT_ONCE", 1)
+        given = [LabelShapes(head)], head.label_space, files, 1, done.append
+        encode_to_memory(*given, Segmenter(network, SPACE, PLAIN))
+    assert len(behind) == sum(done) == 80
+    assert max(behind) <= 50
+
+
+def test_images_give_the_descriptors_of_their_label_maps(tmp_path):
+    """A truncated image and one with unknown ids are skipped, each with a reason."""
+    head = SSRVLAD.from_preset("default", labels_as=SPACE)
+    for seed in range(20):
+        labels = street(seed) % SIGN
+        labels[2:4, 5:8] = SIGN if seed == 7 else SKY
+        write_image(tmp_path / "a" / f"{seed}.png", photo(labels))
+        if seed not in (4, 7):
+            write_image(tmp_path / "maps" / "a" / f"{seed}.png", labels)
+    cut = tmp_path / "a" / "4.png"
+    cut.write_bytes(cut.read_bytes()[:60])
+    network = Then(lambda scores: scores.argmax(1).masked_fill_(scores.argmax(1) == SIGN, 99))
+    segmenter = Segmenter(network, SPACE, PLAIN)
+    files = find_image_files([str(tmp_path / "a")])
+    channels = [LabelShapes(head)]
+    frames, skipped = encode_to_memory(channels, head.label_space, files, segmenter=segmenter)
+    maps = find_label_files([str(tmp_path / "maps" / "a")])
+    by_maps, _ = encode_to_memory(channels, head.label_space, maps)
+    assert frames.frames == by_maps.frames
+    assert torch.equal(frames.descriptors, by_maps.descriptors)
+    assert [frame.frame for frame in skipped] == ["a/4", "a/7"]
+    assert "label id 99 (6 pixels) is not in" in skipped[1].reason
+    other = Segmenter(colour_network(), "synthia", PLAIN)
+    with pytest.raises(ValueError, match="gives labels of synthia, the head reads camvid-11"):
+        check_segmenter(other, head, channels)
+
+
+def test_a_graph_that_takes_bytes_needs_white_255(tmp_path):
+    shape = (1, 24, 32, 3)
+    path = write_graph(tmp_path / "net.onnx", shape, "bytes", channels_last=True, white=255)
+    assert_right(Segmenter(OnnxNetwork(path), SPACE, BYTES))
+    with pytest.raises(ValueError, match=r"net\.onnx: takes bytes: expected white 255, got 1"):
+        Segmenter(OnnxNetwork(path), SPACE)
+
+
+def test_a_fixed_size_is_the_size_of_the_settings(tmp_path):
+    path = write_graph(tmp_path / "net.onnx", (1, 3, 24, 32))
+    segmenter = Segmenter(OnnxNetwork(path), SPACE)
+    assert segmenter.config.size == (24, 32)
+    assert segmenter([photo(street(0, 50, 70))])[0].shape == (50, 70)
+    with pytest.raises(ValueError, match="takes images of 24x32, the settings say 32x32"):
+        Segmenter(OnnxNetwork(path), SPACE, SegmenterConfig(size=(32, 32)))
+    path = write_graph(tmp_path / "net.onnx", (1, 3, 24, "w"))
+    with pytest.raises(ValueError, match="takes images of 24xany; expected a size"):
+        Segmenter(OnnxNetwork(path), SPACE)
+
+
+def test_an_ambiguous_graph_names_its_candidates(tmp_path):
+    path = write_graph(tmp_path / "net.onnx", aux=True)
+    expected = r"net\.onnx: several outputs could be labels: found \(\?, 12, \?, \?\) tensor"
+    with pytest.raises(ValueError, match=expected):
+        Segmenter(OnnxNetwork(path), SPACE)
+    with pytest.raises(ValueError, match=r"no output fits .*cityscapes-trainids.* = 19"):
+        Segmenter(OnnxNetwork(path), "cityscapes-trainids")
+
+
+def test_the_network_is_in_evaluation_mode_and_takes_no_gradients():
+    network = nn.Sequential(colour_network(), nn.Dropout(0.9))
+    network[0].weight.requires_grad_(True)
+    assert_right(Segmenter(network.train(), SPACE, PLAIN))
+    assert not network.training
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no CUDA device")
+def test_the_network_runs_where_its_weights_lie():
+    assert_right(Segmenter(colour_network().cuda(), SPACE, PLAIN))
+
+
+@pytest.mark.parametrize("damage", ["text", "truncated", "weights gone", "missing"])
+def test_a_damaged_graph_is_an_error_in_one_line(tmp_path, damage, capfd):
+    path = write_graph(tmp_path / "net.onnx", external=damage == "weights gone")
+    whole = path.read_bytes()
+    if damage == "missing":
+        path.unlink()
+    elif damage == "weights gone":
+        (tmp_path / "net.data").unlink()
+    else:
+        path.write_bytes({"text": b"hello", "truncated": whole[:-40]}[damage])
+    with refused(r"net\.onnx (does not exist|cannot run)"):
+        OnnxNetwork(path)
+    assert capfd.readouterr() == ("", ""), "the runtime keeps its log to itself"
+
+
+def test_a_missing_extra_is_named(tmp_path, monkeypatch):
+    path = write_graph(tmp_path / "net.onnx")
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    with pytest.raises(ImportError, match=r"pip install ssrvlad-torch\[onnx\]"):
+        Segmenter.load(path, SPACE)
+
+
+@pytest.mark.parametrize("external", [False, True])
+def test_a_graph_is_known_by_its_file_and_its_weights(tmp_path, external):
+    def key(white):
+        path = write_graph(tmp_path / "net.onnx", external=external, white=white)
+        return Segmenter(OnnxNetwork(path), SPACE, PLAIN).key()
+
+    first, second, third = key(1.0), key(1.5), key(1.0)
+    assert first == third != second
+    assert external_files(tmp_path / "net.onnx") == [tmp_path / "net.data"] * external
+
+
+GRAPHS = {
+    "dynamic": {},
+    "all fixed": {"shape": (1, 3, 24, 32)},
+    "a batch of three": {"shape": (3, 3, 24, 32)},
+    "channels free": {"shape": ("b", "c", "h", "w")},
+    "labels inside": {"labels": True},
+    "external weights": {"external": True},
+    "double input": {"dtype": "double"},
+    "channels last": {"shape": ("b", "h", "w", 3), "channels_last": True},
+    "channels last, labels inside": {
+        "shape": (1, 24, 32, 3),
+        "channels_last": True,
+        "labels": True,
+    },
+}
+
+
+@pytest.mark.parametrize("form", GRAPHS)
+def test_a_graph_gives_what_the_network_gives(tmp_path, form):
+    path = write_graph(tmp_path / "net.onnx", **GRAPHS[form])
+    assert_right(Segmenter(OnnxNetwork(path), SPACE, PLAIN))
+
+
+def test_a_file_that_has_changed_since_is_not_taken_for_the_graph(tmp_path):
+    """Its label maps would be stored and cached as those of the new file."""
+    path = write_graph(tmp_path / "net.onnx")
+    segmenter, message = Segmenter(OnnxNetwork(path), SPACE, PLAIN), r"net\.onnx has changed or is"
+    write_street(path)
+    for use in (segmenter.key, lambda: segmenter.features):
+        with pytest.raises(ValueError, match=message):
+            use()
+    path.unlink()
+    with pytest.raises(ValueError, match=message):
+        segmenter.key()
+    assert "is gone" in Segmenter(segmenter.network, SPACE, PLAIN).problem_of_features
+
+
+def test_a_file_that_is_replaced_while_it_is_opened_is_refused(tmp_path, monkeypatch):
+    def opened(*args, **kwargs):
+        session = onnx_files.open_session(*args, **kwargs)
+        write_street(path)
+        return session
+
+    path = write_graph(tmp_path / "net.onnx")
+    monkeypatch.setattr(onnx_network, "open_session", opened)
+    with pytest.raises(ValueError, match=r"net\.onnx has changed"):
+        OnnxNetwork(path)
+
+
+@pytest.mark.parametrize("options", [{"channels_last": True}, {"scores_last": True}, {}])
+@pytest.mark.parametrize("sides", [("h", "w"), (12, 16), (16, 12)])
+def test_classes_that_are_as_many_as_rows_or_columns_are_told_apart(tmp_path, options, sides):
+    shape = (1, *sides, 3) if "channels_last" in options else (1, 3, *sides)
+    path = write_graph(tmp_path / "net.onnx", shape, **options)
+    height, width = (12, 16) if sides == ("h", "w") else sides
+    labels = [street(seed, height, width) for seed in range(2)]
+    segmenter = Segmenter(OnnxNetwork(path), SPACE, PLAIN)
+    assert_right(segmenter, [photo(one) for one in labels], labels)
+
+
+def test_an_ambiguous_axis_of_classes_is_refused(tmp_path):
+    path = write_graph(tmp_path / "net.onnx", (1, 3, 12, 12), scores_last=True)
+    expected = r"output \(1, 12, 12, 12\) float32 for images of 12x12 can be \(B, C, h, w\) or "
+    with pytest.raises(ValueError, match=expected):
+        Segmenter(OnnxNetwork(path), SPACE, PLAIN)([photo(street(0, 12, 12))])
+
+
+def graph_of(inputs, path):
+    """A graph that only passes on its inputs."""
+    nodes = [onnx.helper.make_node("Identity", [one.name], [f"{one.name}2"]) for one in inputs]
+    outputs = [
+        onnx.helper.make_tensor_value_info(f"{one.name}2", one.type.tensor_type.elem_type, None)
+        for one in inputs
+    ]
+    graph = onnx.helper.make_graph(nodes, "none", inputs, outputs)
+    opset = [onnx.helper.make_opsetid("", 17)]
+    onnx.save(onnx.helper.make_model(graph, opset_imports=opset, ir_version=8), path)
+    return path
+
+
+def value(name, shape, dtype=onnx.TensorProto.FLOAT):
+    return onnx.helper.make_tensor_value_info(name, dtype, shape)
+
+
+@pytest.mark.parametrize(
+    ("inputs", "message"),
+    [
+        ([value("a", [1, 3, 4, 4]), value("b", [1])], "has inputs a, b; expected one"),
+        ([value("a", [1, 3, 4])], r"takes \(1, 3, 4\) tensor\(float\); expected \(B, 3, H, W\)"),
+        ([value("a", [1, 1, 4, 4])], r"takes \(1, 1, 4, 4\) .*; expected images of 3 channels"),
+        ([value("a", [1, 3, 4, 4], onnx.TensorProto.INT64)], r"tensor\(int64\); expected"),
+    ],
+)
+def test_a_graph_that_takes_no_image_is_refused(tmp_path, inputs, message):
+    with pytest.raises(ValueError, match=message):
+        OnnxNetwork(graph_of(inputs, tmp_path / "net.onnx"))
+
+
+BY_CHOICE = {"Bridge", "Tunnel", "license plate"}
+"""Where a label space differs from the others, or from itself."""
+
+
+@pytest.mark.parametrize("name", label_space_names())
+def test_names_mean_what_the_label_spaces_say(name):
+    for label in label_space(name).classes:
+        if label.name not in BY_CHOICE:
+            assert category_of_name(label.name) == label.category, label.name
+
+
+@pytest.mark.parametrize(
+    ("name", "category"),
+    [
+        ("building, edifice", "building"),  # ADE20K
+        ("bed ", None),
+        ("palm, palm tree", "vegetation"),
+        ("streetlight, street lamp", "pole"),
+        ("minibike, motorbike", "dynamic"),
+        ("wall-brick", "building"),  # COCO-Stuff
+        ("sky-other-merged", "sky"),
+        ("grass-merged", "vegetation"),
+        ("water-other", "void"),
+        ("keyboard", None),
+        ("Traffic Sign (Back)", "pole"),  # Mapillary, as on the hub
+        ("Lane Marking - Crosswalk", "ground"),
+        ("On Rails", "dynamic"),
+        ("object--traffic-sign--direction-back", "pole"),  # Mapillary 2.0
+        ("object--sign--back", "void"),
+        ("marking--discrete--symbol--bicycle", "ground"),
+        ("marking--discrete--arrow--other", "ground"),
+        ("construction--barrier--road-median", "sidewalk"),
+        ("human--person--person-group", "dynamic"),
+        ("void--ground", "void"),
+        ("LABEL_0", None),
+    ],
+)
+def test_names_of_published_models_have_their_category(name, category):
+    assert category_of_name(name) == category
+
+
+def test_names_without_any_category_are_an_error():
+    with pytest.raises(ValueError, match=r"none of the 2 class names of x \(LABEL_0, LABEL_1, "):
+        label_space_of_names({0: "LABEL_0", 1: "LABEL_1"}, "x")
