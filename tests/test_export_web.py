@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 import subprocess
+import sys
 import tempfile
 from pathlib import Path
 
@@ -15,6 +16,7 @@ import torch
 from browser import CHROMIUM, browser, served
 from drawings import SPACE
 from drives import write_maps
+from exported import noise
 from graphs import edit_golden, turned
 from helpers import COLOUR, GRAY, PALETTES, street, write_palette, write_png
 from networks import PLAIN, colour_network, photo
@@ -79,8 +81,11 @@ def site(tmp_path_factory):
     """A folder with the page, a head of each preset, six label maps and a database of them."""
     if not CHROMIUM:
         pytest.skip("Chromium is not installed")
+    pytest.importorskip("ziglang")
     folder = tmp_path_factory.mktemp("site") / "web"
     shutil.copytree(SOURCE, folder, ignore=shutil.ignore_patterns("node_modules"))
+    build = [sys.executable, ROOT / "scripts" / "hatch_build.py", folder / "ssrvlad.wasm"]
+    subprocess.run(build, check=True)
     (folder / "node_modules").symlink_to(runtime())
     write_maps(folder / "maps", range(6))
     for preset, config in CONFIGS.items():
@@ -147,6 +152,43 @@ def described(page, site, preset, file):
           skeleton: found.skeleton && Array.from(found.skeleton),
           targets: targets.map(({{ values }}) => Array.from(values)) }};
     }})()""")
+
+
+DESCRIBE = """(async () => {{
+    const {{ Core }} = await import('./core.js');
+    const {{ readLabels }} = await import('./label_png.js');
+    const core = await Core.load();
+    const file = await (await fetch({file})).arrayBuffer();
+    const {{ labels, height, width }} = await readLabels(new Uint8Array(file), []);
+    return core.using(({{ room, put, get }}) => {{
+        const settings = room(256), descriptor = room(480 * 4);
+        core.call("ssrvlad_preset", put(new TextEncoder().encode({preset} + "\\0")), settings);
+        const head = core.call("ssrvlad_new", settings);
+        const map = new BigInt64Array([0n, 1n, BigInt(height), BigInt(width)]);
+        new Int32Array(map.buffer).set([put(Uint8Array.from(labels)), 1]);
+        const categories = Uint8Array.from({categories});
+        const table = new BigInt64Array([BigInt(put(categories)), BigInt(categories.length), 0n]);
+        const status = core.call("ssrvlad_describe", head, put(map), put(table), 1, descriptor);
+        const length = Number(core.call("ssrvlad_length", head));
+        core.call("ssrvlad_free", head);
+        return [Number(status), ...get(Int32Array, descriptor, length)];
+    }});
+}})()"""
+
+
+@presets
+def test_the_core_gives_the_same_bits_as_the_native_one(page, site, core, preset):
+    """Label maps of the synthetic city, and noise, which has everything."""
+    open_page(page)
+    Image.fromarray(noise(3)).save(site / "noise.png")
+    ids = label_space(SPACE).classes
+    table = [{c.id: c.category_index for c in ids}.get(id, 255) for id in range(256)]
+    for name in ["noise.png", *(f"maps/{file.name}" for file in files_of(site))]:
+        labels = np.asarray(Image.open(site / name))[None]
+        expected = SSRVLAD(CONFIGS[preset])(labels)[0]
+        given = {"file": name, "preset": preset, "categories": table}
+        found = page.run(DESCRIBE.format(**{key: json.dumps(each) for key, each in given.items()}))
+        assert found == [0, *expected.view(torch.int32).tolist()]
 
 
 @presets

@@ -22,9 +22,9 @@
 #include <memory>
 #include <mutex>
 #include <new>
-#include <system_error>
-#include <thread>
 #include <vector>
+
+#include "parallel.hpp"
 
 // Loops over many words are compiled for several processors; the loader picks the best version.
 #if defined(__x86_64__) && defined(__GLIBC__) && defined(__GNUC__) && !defined(__clang__) && \
@@ -1182,28 +1182,6 @@ Size count_unknown(const ssrvlad_labels &labels, const ssrvlad_table &table) {
   });
 }
 
-// Shares `count` jobs among threads, one of them the caller's. False if out of memory.
-template <class Job>
-bool in_parallel(Size count, int threads, Job job) {
-  std::atomic<Size> next{0};
-  std::atomic<bool> failed{false};
-  const auto work = [&]() noexcept {
-    try {
-      job(next);
-    } catch (const std::bad_alloc &) {
-      failed = true;
-    }
-  };
-  std::vector<std::thread> others;
-  try {
-    for (Size i = 1; i < std::min<Size>(threads, count); ++i) others.emplace_back(work);
-  } catch (const std::system_error &) {  // no more threads available: fewer do the work
-  }
-  work();
-  for (std::thread &other : others) other.join();
-  return !failed;
-}
-
 constexpr Size ROWS_AT_ONCE = 64, NIBBLES = 16;
 
 SSRVLAD_INLINE int ones(Word word) {
@@ -1351,7 +1329,7 @@ struct ssrvlad_head {
   }
 
   std::unique_ptr<Scratch> take_scratch() {
-    const std::lock_guard<std::mutex> hold(mutex);
+    const std::lock_guard<places::Mutex> hold(mutex);
     if (spare.empty()) return std::make_unique<Scratch>();
     auto scratch = std::move(spare.back());
     spare.pop_back();
@@ -1359,7 +1337,7 @@ struct ssrvlad_head {
   }
 
   void give_back(std::unique_ptr<Scratch> scratch) {
-    const std::lock_guard<std::mutex> hold(mutex);
+    const std::lock_guard<places::Mutex> hold(mutex);
     spare.push_back(std::move(scratch));
   }
 
@@ -1463,7 +1441,7 @@ struct ssrvlad_head {
   // Bins for an image size; those of the last few sizes are cached.
   std::shared_ptr<const Bins> bins_of(const Grid &grid) {
     constexpr std::size_t KEPT = 4;
-    const std::lock_guard<std::mutex> hold(mutex);
+    const std::lock_guard<places::Mutex> hold(mutex);
     for (const auto &known : known_bins)
       if (known->height == grid.height && known->width == grid.width) return known;
     known_bins.push_front(
@@ -1485,7 +1463,7 @@ struct ssrvlad_head {
 
   std::unique_ptr<SoftBins> soft_bins;
   std::vector<double> basis;
-  std::mutex mutex;
+  places::Mutex mutex;
   std::vector<std::unique_ptr<Scratch>> spare;
   std::list<std::shared_ptr<const Bins>> known_bins;
 };
@@ -1585,7 +1563,7 @@ int64_t ssrvlad_describe(ssrvlad_head *head, const ssrvlad_labels *labels,
     const Lookup<std::uint16_t> layers(*table, layer_of);
     const Grid grid = head->grid(labels->height, labels->width);
     std::atomic<bool> known{true};
-    const bool done = in_parallel(labels->images, threads, [&](std::atomic<Size> &next) {
+    const bool done = places::in_parallel(labels->images, threads, [&](std::atomic<Size> &next) {
       auto scratch = head->take_scratch();
       with_ids(*labels, [&](const auto *ids) {
         for (Size i; known && (i = next++) < labels->images;) {
@@ -1684,7 +1662,7 @@ int ssrvlad_differing(const uint64_t *queries, const uint64_t *masks, int64_t co
     return SSRVLAD_WRONG_ARGUMENT;
   const BitCounter count_bits = bit_counter();
   const Size blocks = (references + ROWS_AT_ONCE - 1) / ROWS_AT_ONCE;
-  const bool done = in_parallel(blocks, threads, [&](std::atomic<Size> &next) {
+  const bool done = places::in_parallel(blocks, threads, [&](std::atomic<Size> &next) {
     for (Size block; (block = next++) < blocks;) {
       const Size last = std::min<Size>(references, (block + 1) * ROWS_AT_ONCE);
       for (Size row = block * ROWS_AT_ONCE; row < last; ++row)
@@ -1705,7 +1683,7 @@ int ssrvlad_scan_signs(const uint64_t *queries, int64_t count, const uint64_t *r
   const SignGrid grid{columns, words, bits, reach};
   const SignScan scan = sign_scan();
   const Size blocks = (references + SCANNED_ROWS - 1) / SCANNED_ROWS;
-  const bool done = in_parallel(blocks, threads, [&](std::atomic<Size> &next) {
+  const bool done = places::in_parallel(blocks, threads, [&](std::atomic<Size> &next) {
     for (Size block; (block = next++) < blocks;) {
       const Size first = block * SCANNED_ROWS;
       for (Size query = 0; query < count; ++query)
@@ -1722,7 +1700,7 @@ int ssrvlad_scan_vectors(const float *weights, const float *offsets, int64_t cou
   if (!weights || !offsets || !codes || !scores || count < 0 || anchors < 1 || blocks < 0 ||
       length < 1)
     return SSRVLAD_WRONG_ARGUMENT;
-  const bool done = in_parallel(blocks, threads, [&](std::atomic<Size> &next) {
+  const bool done = places::in_parallel(blocks, threads, [&](std::atomic<Size> &next) {
     std::vector<float> numbers(static_cast<std::size_t>(length * LANES));
     for (Size block; (block = next++) < blocks;) {
       const std::int8_t *code = codes + block * length * LANES;
@@ -1740,7 +1718,7 @@ int ssrvlad_weigh(const uint8_t *rows, int64_t references, int64_t bytes, int64_
   if (!rows || !weights || !sums || references < 0 || groups < 1 || bytes < 1 || bytes % groups)
     return SSRVLAD_WRONG_ARGUMENT;
   const Size size = bytes / groups, blocks = (references + ROWS_AT_ONCE - 1) / ROWS_AT_ONCE;
-  const bool done = in_parallel(blocks, threads, [&](std::atomic<Size> &next) {
+  const bool done = places::in_parallel(blocks, threads, [&](std::atomic<Size> &next) {
     for (Size block; (block = next++) < blocks;) {
       const Size last = std::min<Size>(references, (block + 1) * ROWS_AT_ONCE);
       for (Size row = block * ROWS_AT_ONCE; row < last; ++row)
