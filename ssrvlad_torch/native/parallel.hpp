@@ -54,6 +54,17 @@ bool in_parallel([[maybe_unused]] std::int64_t count, [[maybe_unused]] int threa
   return !failed;
 }
 
+// Calls a function with the first and the last row of each of several blocks of rows.
+template <class Function>
+void over_blocks(std::int64_t rows, std::int64_t size, int threads, Function function) {
+  const std::int64_t blocks = (rows + size - 1) / size;
+  const bool done = in_parallel(blocks, threads, [&](std::atomic<std::int64_t> &next) {
+    for (std::int64_t block; (block = next++) < blocks;)
+      function(block * size, std::min(rows, (block + 1) * size));
+  });
+  if (!done) throw std::bad_alloc();
+}
+
 }  // namespace places
 
 #endif
