@@ -26,7 +26,10 @@ from ssrvlad_place.database import save
 from ssrvlad_place.model import Seen
 
 from ssrvlad_torch import SSRVLAD, Segmenter, SSRVLADConfig, export_head, match
+from ssrvlad_torch.datasets.synthetic_city import write_city
 from ssrvlad_torch.deployment.fuse import fuse
+from ssrvlad_torch.native.map import Map
+from ssrvlad_torch.recognition.sweep import COLUMNS
 from ssrvlad_torch.stages.boundaries import AREA_LAYERS, DIRECTIONS
 from ssrvlad_torch.stages.harmonics import basis_table
 from ssrvlad_torch.taxonomy import CATEGORIES, label_space
@@ -43,6 +46,7 @@ FAILED = "document.querySelector('#status.error')"
 ROWS = "Array.from(document.querySelectorAll('#matches tbody tr'), (row) => row.innerText)"
 GOLDEN = "document.getElementById('golden').value"
 STATUS = "document.getElementById('status').textContent"
+STEPS = "document.getElementById('steps').textContent"
 TARGETS = "Array.from(document.querySelectorAll('.target'), (target) => target.innerText.trim())"
 TARGETS_OF = {
     "default": [
@@ -155,23 +159,24 @@ def described(page, site, preset, file):
 
 
 DESCRIBE = """(async () => {{
-    const {{ Core }} = await import('./core.js');
+    const {{ ADDRESS, INT, LONG, Core, Struct }} = await import('./core.js');
     const {{ readLabels }} = await import('./label_png.js');
     const core = await Core.load();
     const file = await (await fetch({file})).arrayBuffer();
     const {{ labels, height, width }} = await readLabels(new Uint8Array(file), []);
-    return core.using(({{ room, put, get }}) => {{
+    const LABELS = new Struct({{ ids: ADDRESS, bytes: INT, images: LONG, height: LONG, width: LONG }});
+    const TABLE = new Struct({{ categories: ADDRESS, entries: LONG, origin: LONG }});
+    return core.using(({{ room, put }}) => {{
         const settings = room(256), descriptor = room(480 * 4);
         core.call("ssrvlad_preset", put(new TextEncoder().encode({preset} + "\\0")), settings);
         const head = core.call("ssrvlad_new", settings);
-        const map = new BigInt64Array([0n, 1n, BigInt(height), BigInt(width)]);
-        new Int32Array(map.buffer).set([put(Uint8Array.from(labels)), 1]);
-        const categories = Uint8Array.from({categories});
-        const table = new BigInt64Array([BigInt(put(categories)), BigInt(categories.length), 0n]);
-        const status = core.call("ssrvlad_describe", head, put(map), put(table), 1, descriptor);
+        const map = {{ ids: put(Uint8Array.from(labels)), bytes: 1, images: 1, height, width }};
+        const table = {{ categories: put(Uint8Array.from({categories})), entries: 256 }};
+        const given = [LABELS.bytes(map), TABLE.bytes(table)].map(put);
+        const status = core.call("ssrvlad_describe", head, ...given, 1, descriptor);
         const length = Number(core.call("ssrvlad_length", head));
         core.call("ssrvlad_free", head);
-        return [Number(status), ...get(Int32Array, descriptor, length)];
+        return [Number(status), ...core.get(Int32Array, descriptor, length)];
     }});
 }})()"""
 
@@ -189,6 +194,69 @@ def test_the_core_gives_the_same_bits_as_the_native_one(page, site, core, preset
         given = {"file": name, "preset": preset, "categories": table}
         found = page.run(DESCRIBE.format(**{key: json.dumps(each) for key, each in given.items()}))
         assert found == [0, *expected.view(torch.int32).tolist()]
+
+
+QUERY = """(async () => {{
+    const {{ Core }} = await import('./core.js');
+    const {{ Database }} = await import('./database.js');
+    const read = async (name, Type) => new Type(await (await fetch(name)).arrayBuffer());
+    const channels = {{}}, drive = Array.from({{ length: {count} }}, () => ({{}}));
+    for (const [name, Type] of [["descriptor", Float32Array], ["features", Uint8Array], ["hog", Float32Array]]) {{
+        channels[name] = {{ bytes: await read(`rows.${{name}}.npy`, Uint8Array) }};
+        const queries = await read(`queries.${{name}}`, Type);
+        const length = queries.length / drive.length;
+        drive.forEach((frame, at) => (frame[name] = queries.subarray(at * length, (at + 1) * length)));
+    }}
+    const database = new Database(await Core.load(), {ids}, channels);
+    const {{ answers, steps }} = database.query(drive, {columns}, 5);
+    database.free();
+    return [answers.map(({{ confidence, candidates }}) => [confidence, candidates]), steps.weights, steps.width];
+}})()"""
+
+
+@pytest.mark.parametrize("count", [1, 35])
+def test_the_map_gives_the_same_bits_as_the_native_one(page, site, count):
+    """Three channels of two drives: signs, vectors, and vectors from three anchors."""
+    rng = np.random.default_rng(0)
+    rows = {
+        "descriptor": noisy(np.zeros((80, 480), np.float32), rng),
+        "features": rng.integers(0, 256, (80, 16, 16, 16), np.uint8),
+        "hog": noisy(np.zeros((80, 480), np.float32), rng),
+    }
+    queries = {name: noisy(values[20 : 20 + count], rng) for name, values in rows.items()}
+    sides = [noisy(queries["descriptor"], rng) for _ in range(2)]
+    queries["descriptor"] = np.stack([sides[0], queries["descriptor"], sides[1]], 1)
+    town = Map([50, 30])
+    for name, trust in (("descriptor", 1), ("features", 6), ("hog", 2)):
+        town.add(name, rows[name], trust)
+        np.save(site / f"rows.{name}.npy", rows[name])
+        queries[name].tofile(site / f"queries.{name}")
+    expected = town.query(queries, follow="offline" if count > 1 else None)
+    ids = [f"{'ab'[row >= 50]}/{row}" for row in range(80)]
+    open_page(page)
+    given = {"count": count, "ids": "".join(f"{each}\n" for each in ids), "columns": [-4, 0, 4]}
+    answers, weights, width = page.run(
+        QUERY.format(**{key: json.dumps(each) for key, each in given.items()})
+    )
+    assert expected.decision.followed == (count > 1)
+    assert [confidence for confidence, _ in answers] == expected.decision.right.tolist()
+    found = [[(each["frame"], each["score"]) for each in ranked] for _, ranked in answers]
+    decided = zip(expected.decision.rows.tolist(), expected.decision.scores.tolist(), strict=True)
+    assert found == [
+        [(ids[r], s) for r, s in zip(*each, strict=True) if r >= 0] for each in decided
+    ]
+    assert [weight for _, weight in weights] == [*expected.weights.values()]
+    assert width == expected.width
+
+
+def noisy(values, rng):
+    """Vectors of length 1, or signs, that are somewhat like others."""
+    if values.dtype == np.uint8:
+        return np.where(
+            rng.random(values.shape) < 0.3, rng.integers(0, 256, values.shape, np.uint8), values
+        )
+    values = values + rng.normal(size=values.shape, scale=0.05).astype(np.float32)
+    return (values / np.linalg.norm(values, axis=-1, keepdims=True)).astype(np.float32)
 
 
 @presets
@@ -259,7 +327,7 @@ def test_a_photograph_goes_into_a_fused_file(page, site):
     shown.putalpha(254)
     shown.save(site / "alpha.png")
     open_page(page, "?model=place.onnx&labels=alpha.png", f"{SHOWN} || {FAILED}")
-    assert failure(page).startswith("the picture has transparent pixels")
+    assert failure(page).startswith("alpha.png: the picture has transparent pixels")
 
 
 def test_features_are_fused_with_the_descriptor_as_in_python(page, site, drives):
@@ -268,17 +336,71 @@ def test_features_are_fused_with_the_descriptor_as_in_python(page, site, drives)
     shutil.copy(drives / "today" / "5.png", site / "street.png")
     query = "?model=street.onnx&database=town.npy&labels=street.png"
     assert matches_of(page, query) == (frames, pytest.approx(scores, abs=1e-4))
-    assert page.run(STATUS).endswith("Scores are of descriptor, features, hog together.")
+    assert page.run(STEPS) == (
+        "not standardised, no sweep, followed: no, fused: ssr-vlad 0.11 + features 0.67 + hog 0.22, "
+        "no confidence: 12 references are too few"
+    )
     other = site / "town.npy.features.npy.fingerprint.txt"
     other.write_text("others")
     open_page(page, query, FAILED)
     assert 'the database has features "others", the model "16 x 16' in page.run(STATUS)
     (site / "town.npy.features.npy").unlink()
     open_page(page, query, SHOWN)
-    assert "Only the model has features: matched without." in page.run(STATUS)
+    assert page.run(STATUS).endswith("; only the model has features: matched without.")
     edit_golden(site / "street.onnx", site / "wrong.onnx", turned("features"))
     open_page(page, "?model=wrong.onnx", FAILED)
     assert "% of the features differ" in page.run(STATUS)
+
+
+PLACES = """Array.from(document.querySelectorAll('#places tbody tr'),
+    (row) => Array.from(row.cells, (cell) => cell.innerText))"""
+
+
+def test_a_drive_that_is_dropped_is_found_as_by_query(page, site, ssrvlad, tmp_path):
+    """A folder, files of it, and few files; then the way back with a camera that is turned."""
+    city = write_city(tmp_path / "city", frames=40, size=(60, 80), seed=3)
+    other = write_city(tmp_path / "b", frames=12, size=(60, 80), seed=1)
+    maps = city.reference, other.reference.rename(tmp_path / "other")
+    database, space = tmp_path / "town", "cityscapes-trainids"
+    ssrvlad("encode", *maps, "-o", database, "--labels-as", space)
+    ssrvlad("db", "export", database, "--format", "npy", "-o", site / "city.npy")
+    for name, columns in (("swept", COLUMNS), ("plain", ())):
+        config = SSRVLADConfig(labels_as=space)
+        export_head(config, site / f"{name}.onnx", dtype="uint8", columns=columns)
+    files = sorted(city.query.iterdir())
+    some, back = tmp_path / "some", tmp_path / "back"
+    some.mkdir()
+    back.mkdir()
+    for number in (3, 11, 7, 29):
+        shutil.copy(files[number], some)
+    for number, file in enumerate(reversed(files)):
+        labels = np.roll(np.asarray(Image.open(file)), 7, axis=1)
+        Image.fromarray(labels).save(back / f"{number}.png")
+    for model, folder, dropped, steps in (
+        ("swept", city.query, [city.query], "standardised, no sweep, followed: offline"),
+        ("plain", city.query, files, "standardised, no sweep, followed: offline"),
+        ("plain", some, some.iterdir(), "not standardised, no sweep, followed: no, no surer so"),
+        ("swept", back, [back], "standardised, sweep +-4 columns, followed: offline, backwards"),
+    ):
+        open_page(page, f"?model={model}.onnx&database=city.npy")
+        page.wait_for(f"{STATUS}.endsWith('choose label maps.')")
+        page.drop(*dropped)
+        page.wait_for(f"{SHOWN} || {FAILED}")
+        options = ["--no-sweep"] * (model == "plain")
+        assert page.run(STEPS) == steps
+        assert_placed(page, ssrvlad("query", database, folder, *options, "--json")[1])
+        assert f" {steps}, " in ssrvlad("query", database, folder, *options)[2][-1]
+
+
+def assert_placed(page, out):
+    """The page shows the places that the command line found."""
+    lines = [json.loads(line) for line in out.splitlines()]
+    for shown, line in zip(page.run(PLACES), lines, strict=True):
+        frame, place, score, confidence = shown
+        assert Path(frame).stem == Path(line["query"]).name
+        assert place == line["candidates"][0]["frame"]
+        assert float(score) == pytest.approx(line["candidates"][0]["score"], abs=1e-4)
+        assert float(confidence) == pytest.approx(line["confidence"], abs=6e-3)
 
 
 def test_a_golden_pair_that_comes_out_otherwise_is_refused(page, site):
@@ -318,7 +440,7 @@ def test_unknown_ids_and_files_of_another_kind(page, site, tmp_path):
     (tmp_path / "other.onnx").write_bytes((site / "paper.onnx").read_bytes()[:500])
     open_page(page, "?model=paper.onnx", GOLDEN)
     page.choose("#labels-file", tmp_path / "strange.png")
-    assert failure(page).startswith("4 pixels have an id outside")
+    assert failure(page).startswith("strange.png: 4 pixels have an id outside")
     page.choose("#model-file", tmp_path / "other.onnx")
     page.wait_for(f"{FAILED} && {FAILED}.textContent.includes('cut short')")
 
