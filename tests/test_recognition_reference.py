@@ -1,5 +1,7 @@
 """The fast paths of recognition against `recognition.reference` on drives drawn at random."""
 
+from dataclasses import astuple
+
 import numpy as np
 import pytest
 import torch
@@ -8,9 +10,10 @@ from hypothesis import strategies as st
 
 from ssrvlad_torch.channels.signs import REACH, SignReferences, numbers
 from ssrvlad_torch.channels.vectors import VectorReferences
+from ssrvlad_torch.native import decide as core
 from ssrvlad_torch.recognition import reference
-from ssrvlad_torch.recognition.confidence import Confidence, answers_together
-from ssrvlad_torch.recognition.follow import follow, gain
+from ssrvlad_torch.recognition.confidence import Confidence
+from ssrvlad_torch.recognition.follow import follow
 from ssrvlad_torch.recognition.fusion import FusedScores
 from ssrvlad_torch.recognition.motion import BACKWARDS, FORWARDS, Motion
 from ssrvlad_torch.recognition.rivals import chance_of
@@ -100,7 +103,8 @@ def test_a_drive_is_followed(seed, lengths, queries, later, way, rate):
         known = rows >= 0
         np.testing.assert_allclose(probabilities[known], expected[row][rows[known]], atol=2e-5)
     np.testing.assert_allclose(places.unmapped, unmapped, atol=2e-5)
-    fast = gain(torch.from_numpy(scores), names, motion, way, range(queries))
+    starts = [names.index(name) for name in dict.fromkeys(names)]
+    fast = core.gain(scores, starts, len(names), astuple(motion), way)
     assert fast == pytest.approx(reference.gain(scores, names, motion, way), abs=1e-3)
 
 
@@ -110,7 +114,7 @@ def test_an_answer_beside_its_rivals(seed, rows, steps):
     values = drawn(seed, 1, rows, 0.2)[0]
     values = np.round(values * steps) / steps if steps else values
     fast = chance_of(torch.from_numpy(values))
-    expected, rival = reference.chance_of(values)
+    expected, rival = reference.chance(values)
     assert fast.chance == pytest.approx(expected, abs=1e-9)
     if steps == 0:
         assert fast.rival == rival
@@ -124,8 +128,11 @@ def test_an_answer_beside_its_rivals(seed, rows, steps):
 def test_doubts_of_a_traverse(seed, queries, right):
     rng = np.random.default_rng(seed)
     chances = np.where(rng.random(queries) < right, rng.random(queries) ** 6, rng.random(queries))
-    rows = torch.from_numpy(rng.integers(0, 100, queries)).sort().values
-    together = answers_together(rows)
+    rows = np.sort(rng.integers(0, 100, queries))
+    together = core.answers_together(rows)
+    assert together == reference.answers_together(rows)
+    chances[rng.random(queries) < 0.1] = np.nan
     sure = Confidence.of_chances(torch.from_numpy(chances), together)
-    expected = reference.doubts(chances, together)
-    np.testing.assert_allclose(1 - sure.right, expected, atol=1e-6)
+    right, spread = reference.confidence(chances, together)
+    np.testing.assert_allclose(sure.right, right, atol=1e-6)
+    np.testing.assert_allclose(sure.spread, spread, atol=1e-6)

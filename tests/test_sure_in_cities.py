@@ -11,7 +11,7 @@ from ssrvlad_torch.channels.vectors import VectorReferences
 from ssrvlad_torch.datasets.synthetic_city import REFERENCE, Conditions, SyntheticCity
 from ssrvlad_torch.recognition.comparison import Member
 from ssrvlad_torch.recognition.confidence import accept, estimate
-from ssrvlad_torch.recognition.follow import NEAR
+from ssrvlad_torch.recognition.motion import NEAR
 from ssrvlad_torch.recognition.recognise import Steps, recognise
 from ssrvlad_torch.recognition.sweep import COLUMNS
 

@@ -13,8 +13,9 @@ from torch import Tensor
 
 from ..native import core
 from ..recognition.comparison import Comparison
-from ..recognition.follow import in_blocks, runs
+from ..recognition.follow import in_blocks
 from ..recognition.matching import Vectors, real_tensor
+from ..recognition.sequences import runs
 from ..recognition.standardise import sharing
 
 REACH = 2

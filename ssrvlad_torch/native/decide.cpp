@@ -326,7 +326,7 @@ std::shared_ptr<const Sight> AllRows::after(const Filter &filter, const Belief *
   std::vector<float> near(static_cast<std::size_t>(count));
   nearness(scores, count, near.data());
   const Spread spread = Spread::of(near.data(), count);
-  if (std::isnan(spread.mean) || highest(scores, count) > HIGHEST_SCORE) throw WrongScores();
+  if (std::isnan(sum(scores, count)) || highest(scores, count) > HIGHEST_SCORE) throw WrongScores();
   sight->likelihood.rows = likelihoods(scores, count, motion, spread);
   query_ = query, weight_ = motion.weight, level_ = motion.level;
   return last_ = sight;
