@@ -3,8 +3,9 @@
 The core is C++ files that need a compiler and nothing else. Without one the package is built
 as well: it then describes label maps by torch, more slowly, with the same numbers.
 ``python scripts/hatch_build.py`` builds the core of a checkout where it lies; with the name of a
-file, as WebAssembly with the compiler of ``ziglang``, which `scripts/wasm` installs. `scripts/wheels`
-builds it for the platforms of `WHEELS` with that compiler, and names one in ``SSRVLAD_WHEEL``.
+file, as WebAssembly with the compiler of ``ziglang``, which `scripts/wasm` installs.
+`scripts/wheels` builds it for the platforms of `WHEELS` with that compiler, and names one in
+``SSRVLAD_WHEEL``.
 """
 
 from __future__ import annotations

@@ -4,6 +4,7 @@ import contextlib
 import hashlib
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -21,11 +22,12 @@ from graphs import edit_golden, turned
 from helpers import COLOUR, GRAY, PALETTES, street, write_palette, write_png
 from networks import PLAIN, colour_network, photo
 from PIL import Image
-from segmenting import write_town
+from segmenting import write_drives, write_image, write_town
 from ssrvlad_place.database import save
 from ssrvlad_place.model import Seen
 
 from ssrvlad_torch import SSRVLAD, Segmenter, SSRVLADConfig, export_head, match
+from ssrvlad_torch.cli.words import steps_in_words
 from ssrvlad_torch.datasets.synthetic_city import write_city
 from ssrvlad_torch.deployment.fuse import fuse
 from ssrvlad_torch.native.map import Map
@@ -47,6 +49,9 @@ ROWS = "Array.from(document.querySelectorAll('#matches tbody tr'), (row) => row.
 GOLDEN = "document.getElementById('golden').value"
 STATUS = "document.getElementById('status').textContent"
 STEPS = "document.getElementById('steps').textContent"
+PLACES = """Array.from(document.querySelectorAll('#places tbody tr'),
+    (row) => Array.from(row.cells, (cell) => cell.innerText))"""
+CONFIDENCE = "document.getElementById('confidence').textContent"
 TARGETS = "Array.from(document.querySelectorAll('.target'), (target) => target.innerText.trim())"
 TARGETS_OF = {
     "default": [
@@ -164,7 +169,8 @@ DESCRIBE = """(async () => {{
     const core = await Core.load();
     const file = await (await fetch({file})).arrayBuffer();
     const {{ labels, height, width }} = await readLabels(new Uint8Array(file), []);
-    const LABELS = new Struct({{ ids: ADDRESS, bytes: INT, images: LONG, height: LONG, width: LONG }});
+    const sizes = {{ images: LONG, height: LONG, width: LONG }};
+    const LABELS = new Struct({{ ids: ADDRESS, bytes: INT, ...sizes }});
     const TABLE = new Struct({{ categories: ADDRESS, entries: LONG, origin: LONG }});
     return core.using(({{ room, put }}) => {{
         const settings = room(256), descriptor = room(480 * 4);
@@ -201,16 +207,18 @@ QUERY = """(async () => {{
     const {{ Database }} = await import('./database.js');
     const read = async (name, Type) => new Type(await (await fetch(name)).arrayBuffer());
     const channels = {{}}, drive = Array.from({{ length: {count} }}, () => ({{}}));
-    for (const [name, Type] of [["descriptor", Float32Array], ["features", Uint8Array], ["hog", Float32Array]]) {{
+    for (const name of ["descriptor", "features", "hog"]) {{
         channels[name] = {{ bytes: await read(`rows.${{name}}.npy`, Uint8Array) }};
-        const queries = await read(`queries.${{name}}`, Type);
-        const length = queries.length / drive.length;
-        drive.forEach((frame, at) => (frame[name] = queries.subarray(at * length, (at + 1) * length)));
+        const Type = name === "features" ? Uint8Array : Float32Array;
+        const queries = await read(`queries.${{name}}`, Type), length = queries.length / {count};
+        for (const [at, frame] of drive.entries())
+            frame[name] = queries.subarray(at * length, (at + 1) * length);
     }}
     const database = new Database(await Core.load(), {ids}, channels);
     const {{ answers, steps }} = database.query(drive, {columns}, 5);
     database.free();
-    return [answers.map(({{ confidence, candidates }}) => [confidence, candidates]), steps.weights, steps.width];
+    const found = answers.map(({{ confidence, candidates }}) => [confidence, candidates]);
+    return [found, steps.weights, steps.width];
 }})()"""
 
 
@@ -337,8 +345,8 @@ def test_features_are_fused_with_the_descriptor_as_in_python(page, site, drives)
     query = "?model=street.onnx&database=town.npy&labels=street.png"
     assert matches_of(page, query) == (frames, pytest.approx(scores, abs=1e-4))
     assert page.run(STEPS) == (
-        "not standardised, no sweep, followed: no, fused: ssr-vlad 0.11 + features 0.67 + hog 0.22, "
-        "no confidence: 12 references are too few"
+        "not standardised, no sweep, followed: no, fused: ssr-vlad 0.11 + features 0.67 + "
+        "hog 0.22, no confidence: 12 references are too few"
     )
     other = site / "town.npy.features.npy.fingerprint.txt"
     other.write_text("others")
@@ -352,21 +360,11 @@ def test_features_are_fused_with_the_descriptor_as_in_python(page, site, drives)
     assert "% of the features differ" in page.run(STATUS)
 
 
-PLACES = """Array.from(document.querySelectorAll('#places tbody tr'),
-    (row) => Array.from(row.cells, (cell) => cell.innerText))"""
-
-
 def test_a_drive_that_is_dropped_is_found_as_by_query(page, site, ssrvlad, tmp_path):
-    """A folder, files of it, and few files; then the way back with a camera that is turned."""
-    city = write_city(tmp_path / "city", frames=40, size=(60, 80), seed=3)
+    """A folder, and a few files; then the way back with a camera that is turned."""
+    city = write_city(tmp_path / "city", frames=32, size=(60, 80), seed=3)
     other = write_city(tmp_path / "b", frames=12, size=(60, 80), seed=1)
-    maps = city.reference, other.reference.rename(tmp_path / "other")
-    database, space = tmp_path / "town", "cityscapes-trainids"
-    ssrvlad("encode", *maps, "-o", database, "--labels-as", space)
-    ssrvlad("db", "export", database, "--format", "npy", "-o", site / "city.npy")
-    for name, columns in (("swept", COLUMNS), ("plain", ())):
-        config = SSRVLADConfig(labels_as=space)
-        export_head(config, site / f"{name}.onnx", dtype="uint8", columns=columns)
+    database = write_map(ssrvlad, site / "city", city.reference, other.reference)
     files = sorted(city.query.iterdir())
     some, back = tmp_path / "some", tmp_path / "back"
     some.mkdir()
@@ -376,25 +374,88 @@ def test_a_drive_that_is_dropped_is_found_as_by_query(page, site, ssrvlad, tmp_p
     for number, file in enumerate(reversed(files)):
         labels = np.roll(np.asarray(Image.open(file)), 7, axis=1)
         Image.fromarray(labels).save(back / f"{number}.png")
-    for model, folder, dropped, steps in (
-        ("swept", city.query, [city.query], "standardised, no sweep, followed: offline"),
-        ("plain", city.query, files, "standardised, no sweep, followed: offline"),
-        ("plain", some, some.iterdir(), "not standardised, no sweep, followed: no, no surer so"),
-        ("swept", back, [back], "standardised, sweep +-4 columns, followed: offline, backwards"),
+    for model, dropped, folder, steps in (
+        ("plain", [city.query], city.query, "standardised, no sweep, followed: offline"),
+        ("plain", some.iterdir(), some, "not standardised, no sweep, followed: no, no surer so"),
+        ("swept", [back], back, "standardised, sweep +-4 columns, followed: offline, backwards"),
     ):
-        open_page(page, f"?model={model}.onnx&database=city.npy")
+        open_page(page, f"?model=city.{model}.onnx&database=city.npy")
         page.wait_for(f"{STATUS}.endsWith('choose label maps.')")
         page.drop(*dropped)
         page.wait_for(f"{SHOWN} || {FAILED}")
         options = ["--no-sweep"] * (model == "plain")
-        assert page.run(STEPS) == steps
-        assert_placed(page, ssrvlad("query", database, folder, *options, "--json")[1])
-        assert f" {steps}, " in ssrvlad("query", database, folder, *options)[2][-1]
+        lines = lines_of(ssrvlad("query", database, folder, *options, "--json"))
+        assert page.run(STEPS) == steps == steps_in_words(lines[0]["steps"])
+        assert_placed(page, lines)
 
 
-def assert_placed(page, out):
+def test_one_picture_is_judged_as_by_locate(page, site, ssrvlad, tmp_path):
+    city = write_city(tmp_path / "city", frames=32, size=(60, 80), seed=3)
+    database = write_map(ssrvlad, site / "one", city.reference)
+    open_page(page, "?model=one.swept.onnx&database=one.npy")
+    picture = sorted(city.query.iterdir())[9]
+    page.wait_for(f"{STATUS}.endsWith('choose label maps.')")
+    page.drop(picture)
+    page.wait_for(f"{SHOWN} || {FAILED}")
+    given = ("--in", database, "--labels-as", "cityscapes-trainids", "--json")
+    [found] = lines_of(ssrvlad("locate", picture, *given))
+    assert page.run(ROWS)[0].split() == [found["place"], f"{found['score']:.4f}"]
+    assert page.run(CONFIDENCE).endswith(f" {found['confidence']:.2f}")
+    assert not page.run("document.getElementById('places').offsetHeight")
+    told = page.run(STEPS)
+    assert told.startswith("not standardised, sweep +-") and told.endswith(", followed: no")
+
+
+def test_photographs_of_a_drive_are_found_by_all_channels(page, site, ssrvlad, tmp_path):
+    """As by `query`: they are moved by two cells, and features are moved to both sides. A frame
+    that is chosen is shown; one that is no picture is skipped."""
+    write_drives(tmp_path, range(36), (), (96, 128))
+    for seed in range(2, 35):
+        pixels = np.roll(photo(street(seed, 96, 128)), 14, axis=1)
+        write_image(tmp_path / "today" / f"{seed}.png", pixels)
+    shutil.copy(tmp_path / "place.onnx", site / "drive.onnx")
+    network = ("--segmenter", tmp_path / "net.yaml", "--labels-as", "camvid-11")
+    ssrvlad("encode", tmp_path / "monday", "-o", tmp_path / "town", *network)
+    ssrvlad("db", "export", tmp_path / "town", "--format", "npy", "-o", site / "drive.npy")
+    query = ("query", tmp_path / "town", tmp_path / "today", *network[:2], "--json")
+    lines = lines_of(ssrvlad(*query))
+    (tmp_path / "today" / "40.png").write_bytes(b"torn")
+    open_page(page, "?model=drive.onnx&database=drive.npy")
+    page.wait_for(f"{STATUS} === 'Choose photographs.'")
+    page.drop(tmp_path / "today")
+    page.wait_for(f"{SHOWN} || {FAILED}")
+    told = re.fullmatch(r"33 frames, \d+ ms each; skipped (.*)", page.run(STATUS))
+    assert told and told[1].startswith("1 of 34 frames: today/40.png: ")
+    assert_placed(page, lines)
+    steps = steps_in_words(lines[0]["steps"])
+    assert page.run(STEPS) == re.sub(r"sweep \S+ columns", "no sweep", steps)
+    assert "features 0.9" in steps
+    page.run("document.querySelectorAll('#places button')[7].click()")
+    page.wait_for("document.getElementById('frame').textContent === '9.png'")
+    page.wait_for(f"{ROWS}[0].startsWith('{lines[7]['candidates'][0]['frame']}')")
+    assert page.run(CONFIDENCE).endswith(f" {lines[7]['confidence']:.2f}")
+
+
+def write_map(ssrvlad, path, *maps):
+    """A database of drives, also in NumPy's form beside heads with and without a sweep."""
+    space = "cityscapes-trainids"
+    database = path.parent.with_name(f"{path.name}.ssrdb")
+    ssrvlad("encode", *maps, "-o", database, "--labels-as", space)
+    ssrvlad("db", "export", database, "--format", "npy", "-o", f"{path}.npy")
+    for name, columns in (("swept", COLUMNS), ("plain", ())):
+        config, file = SSRVLADConfig(labels_as=space), Path(f"{path}.{name}.onnx")
+        export_head(config, file, dtype="uint8", columns=columns)
+    return database
+
+
+def lines_of(done):
+    code, out, _ = done
+    assert code == 0
+    return [json.loads(line) for line in out.splitlines()]
+
+
+def assert_placed(page, lines):
     """The page shows the places that the command line found."""
-    lines = [json.loads(line) for line in out.splitlines()]
     for shown, line in zip(page.run(PLACES), lines, strict=True):
         frame, place, score, confidence = shown
         assert Path(frame).stem == Path(line["query"]).name
@@ -431,6 +492,28 @@ def test_files_are_chosen_and_what_is_wrong_is_said(page, site):
     page.wait_for(f"{SHOWN} && {ROWS}.length === 5")
     page.choose("#database-file", site / "default.npy", *site.glob("default.npy.*.txt"))
     assert CONFIGS["default"].fingerprint in failure(page)
+
+
+def test_what_is_no_drive_or_no_map_is_one_line(page, site, tmp_path):
+    for folder in ("a", "b"):
+        shutil.copytree(site / "maps", tmp_path / "both" / folder)
+    open_page(page, "?model=default.onnx", GOLDEN)
+    page.drop(tmp_path / "both")
+    assert failure(page) == "expected the frames of one drive, got those of both/a/, both/b/"
+    for name, rows in (("wide", np.ones((6, 481), "f4")), ("nan", np.full((6, 480), np.nan, "f4"))):
+        np.save(site / f"{name}.npy", rows)
+        shutil.copy(site / "default.npy.frames.txt", site / f"{name}.npy.frames.txt")
+    labels = f"&labels=maps/{files_of(site)[0].name}"
+    for query, problem in (
+        ("&database=wide.npy", "expected a database of 480 numbers a frame, got 481"),
+        ("&database=nan.npy", "descriptor: expected an array of finite numbers"),
+    ):
+        open_page(page, f"?model=default.onnx{query}{labels}")
+        assert failure(page) == problem
+    core = (site / "ssrvlad.wasm").rename(tmp_path / "core")
+    open_page(page, f"?model=default.onnx&database=default.npy{labels}")
+    assert failure(page) == 'no ssrvlad.wasm beside the page: "npm run build" makes it'
+    core.rename(site / "ssrvlad.wasm")
 
 
 def test_unknown_ids_and_files_of_another_kind(page, site, tmp_path):

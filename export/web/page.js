@@ -28,7 +28,7 @@ const open = { model: null, refusal: null, database: null, frames: [], described
 const element = (id) => document.getElementById(id);
 const bytesOf = async (file) => new Uint8Array(await file.arrayBuffer());
 const lastOf = (path) => path.split("/").pop();
-const painted = () => new Promise((done) => setTimeout(done));
+const pause = (milliseconds) => new Promise((done) => setTimeout(done, milliseconds));
 let core = null;
 
 /** Opens files, by their names, as the ends of the names say, and finds the frames. */
@@ -109,7 +109,7 @@ async function find() {
   let found = null;
   if (database) {
     say(`Finding ${drive.length} frames among ${database.frames.length} …`);
-    await painted();
+    await pause(20); // until it is on the screen
     found = database.query(drive.map(({ channels }) => channels), model.columns, TOP);
   }
   const steps = found && stepsInWords(found.steps, model.columns, database.frames.length);
@@ -128,7 +128,7 @@ async function describeAll(frames) {
   for (const [at, frame] of frames.entries()) {
     if (several) say(`Describing frame ${at + 1} of ${frames.length} …`);
     progress.value = at / frames.length;
-    await painted();
+    await pause(0);
     try {
       const seen = await see(frame);
       const { descriptor, features, hog } = seen.described;
