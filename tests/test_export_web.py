@@ -389,7 +389,7 @@ def test_a_drive_that_is_dropped_is_found_as_by_query(page, site, ssrvlad, tmp_p
         assert_placed(page, lines)
 
 
-def test_one_picture_is_judged_as_by_locate(page, site, ssrvlad, tmp_path):
+def test_one_frame_is_judged_alone(page, site, ssrvlad, tmp_path):
     city = write_city(tmp_path / "city", frames=32, size=(60, 80), seed=3)
     database = write_map(ssrvlad, site / "one", city.reference)
     open_page(page, "?model=one.swept.onnx&database=one.npy")
@@ -397,13 +397,12 @@ def test_one_picture_is_judged_as_by_locate(page, site, ssrvlad, tmp_path):
     page.wait_for(f"{STATUS}.endsWith('choose label maps.')")
     page.drop(picture)
     page.wait_for(f"{SHOWN} || {FAILED}")
-    given = ("--in", database, "--labels-as", "cityscapes-trainids", "--json")
-    [found] = lines_of(ssrvlad("locate", picture, *given))
-    assert page.run(ROWS)[0].split() == [found["place"], f"{found['score']:.4f}"]
+    [found] = lines_of(ssrvlad("query", database, picture, "--follow", "no", "--json"))
+    candidates = [f"{each['frame']}\t{each['score']:.4f}" for each in found["candidates"]]
+    assert page.run(ROWS) == candidates
     assert page.run(CONFIDENCE).endswith(f" {found['confidence']:.2f}")
+    assert page.run(STEPS) == steps_in_words(found["steps"])
     assert not page.run("document.getElementById('places').offsetHeight")
-    told = page.run(STEPS)
-    assert told.startswith("not standardised, sweep +-") and told.endswith(", followed: no")
 
 
 def test_photographs_of_a_drive_are_found_by_all_channels(page, site, ssrvlad, tmp_path):

@@ -315,12 +315,12 @@ async function filesOf(entries) {
   return files;
 }
 
-for (const name of ["model", "database", "labels"]) {
-  const input = element(`${name}-file`);
+const INPUTS = ["model", "database", "labels"];
+for (const input of INPUTS.map((name) => element(`${name}-file`)))
   input.addEventListener("change", () => attempt(() => openFiles(named(input.files))));
-  const address = query.get(name);
-  if (address) attempt(async () => openFiles(await fetched(address)));
-}
+const addresses = INPUTS.map((name) => query.get(name)).filter(Boolean);
+if (addresses.length)
+  attempt(async () => openFiles(Object.assign({}, ...(await Promise.all(addresses.map(fetched))))));
 for (const kind of ["dragover", "dragleave", "drop"])
   document.addEventListener(kind, (event) => {
     event.preventDefault();
