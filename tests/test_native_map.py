@@ -89,7 +89,7 @@ def test_a_drive_of_equal_frames_stays_as_it_is(equals):
     seed=SEEDS,
     drives=DRIVES,
     queries=st.integers(30, 70),
-    shape=st.sampled_from(((8, 3, 4), (3, 1, 1), (5, 9), (3, 8))),
+    shape=st.sampled_from(((8, 3, 4), (2, 1, 1), (1, 9), (3, 8))),
     sweep=st.booleans(),
     standardise=st.booleans(),
 )
@@ -194,8 +194,8 @@ def test_threads_do_not_change_a_bit():
     rng = np.random.default_rng(0)
     there, here = channels(rng, [300, 200], 50)
     town = Map([300, 200])
-    for name in TRUST:
-        town.add(name, there[name], TRUST[name])
+    for name, trust in TRUST.items():
+        town.add(name, there[name], trust)
     one, three = (town.query(here, threads=threads).decision for threads in (1, 3))
     for some, other in zip(one, three, strict=True):
         assert np.array_equal(some, other)

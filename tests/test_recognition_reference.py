@@ -8,8 +8,6 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ssrvlad_torch.channels.signs import REACH, SignReferences, numbers
-from ssrvlad_torch.channels.vectors import VectorReferences
 from ssrvlad_torch.native import decide as core
 from ssrvlad_torch.recognition import reference
 from ssrvlad_torch.recognition.confidence import Confidence
@@ -17,7 +15,6 @@ from ssrvlad_torch.recognition.follow import follow
 from ssrvlad_torch.recognition.fusion import FusedScores
 from ssrvlad_torch.recognition.motion import BACKWARDS, FORWARDS, Motion
 from ssrvlad_torch.recognition.rivals import chance_of
-from ssrvlad_torch.recognition.standardise import MIN_FRAMES
 
 TRUST = {"ssr-vlad": 1.0, "features": 6.0}
 LENGTHS = st.lists(st.integers(1, 12), min_size=1, max_size=3)
@@ -33,42 +30,6 @@ def drawn(seed, queries, rows, holes=0.0):
     scores = rng.uniform(-0.3, 0.9, (queries, rows)).astype(np.float32)
     scores[:, rng.random(rows) < holes] = -np.inf
     return scores
-
-
-@pytest.mark.parametrize("lengths", [(40, 35), (12, 9, 33), (10, 8, 7), (29,)])
-@pytest.mark.parametrize("queries", [31, 8])
-def test_vectors_without_means(lengths, queries):
-    rng, names = np.random.default_rng(0), named(lengths)
-    ours, theirs = (rng.normal(1, 1, (n, 24)).astype(np.float32) for n in (queries, len(names)))
-    theirs[3] = 0
-    ours, theirs = (
-        each / np.maximum(np.linalg.norm(each, axis=1), 1e-9)[:, None] for each in (ours, theirs)
-    )
-    whole = min(queries, len(names)) >= MIN_FRAMES
-    fast = VectorReferences(theirs, names).compare(torch.from_numpy(ours), whole, False, None)
-    if whole:
-        there = theirs - reference.means_of_drives(theirs, names) * theirs.any(1, keepdims=True)
-        here = ours - reference.means_of_drives(ours, ["q"] * queries)
-        ours, theirs = here, there
-    expected = reference.cosines(ours, theirs)
-    got = np.stack([fast.scores[query].numpy() for query in range(queries)])
-    np.testing.assert_allclose(got, expected, atol=1e-5)
-
-
-@pytest.mark.parametrize("whole", [True, False])
-@pytest.mark.parametrize("reach", [REACH, 0])
-def test_signs_with_and_without_means_and_moves(whole, reach):
-    rng, lengths = np.random.default_rng(0), (40, 12, 9)
-    ours, theirs = (rng.integers(0, 256, (n, 8, 3, 8), np.uint8) for n in (33, sum(lengths)))
-    names = named(lengths)
-    fast = SignReferences(theirs, names).compare(torch.from_numpy(ours), whole, bool(reach))
-    plain = [numbers(torch.from_numpy(each)).flatten(2).numpy() for each in (ours, theirs)]
-    if whole:
-        parts = zip(plain, (["q"] * 33, names), strict=True)
-        plain = [each - reference.means_of_drives(each, of) for each, of in parts]
-    expected = reference.cosines_of_signs(*plain, reach)
-    got = np.stack([fast.scores[query].numpy() for query in range(33)])
-    np.testing.assert_allclose(got, expected, atol=1e-5)
 
 
 @given(seed=st.integers(0, 1000), queries=st.sampled_from((3, 35)), holes=st.sampled_from((0, 0.3)))

@@ -9,11 +9,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ..recognition.comparison import ReferenceRows
 from ..stages.features import SHAPE
 from .channel import FEATURES, Network, View
 from .column import Column
 from .live_signs import LiveSigns
-from .signs import SignReferences
 
 if TYPE_CHECKING:
     from ..descriptor import SSRVLAD
@@ -57,9 +57,9 @@ class Features:
                 raise ValueError(f"frame {view.frame}: expected features {SHAPE}, got {got}")
         return torch.from_numpy(np.stack([np.asarray(view.features) for view in views]))
 
-    def references(self, stored: Tensor, sequences: Sequence[str]) -> SignReferences:
+    def references(self, stored: Tensor, sequences: Sequence[str]) -> ReferenceRows:
         """See `Channel`."""
-        return SignReferences(stored, sequences)
+        return ReferenceRows(stored, sequences)
 
     def live(self) -> LiveSigns:
         """See `Channel`."""

@@ -82,13 +82,17 @@ def answers_together(rivals: Tensor) -> float:
     return float(_form().answers_together(rivals.numpy()))
 
 
-def _form() -> ModuleType:
-    """The form that decides."""
+def has_core() -> bool:
+    """Whether the native core compares and decides; says once why not."""
     library, status = native.core()
     if library is None:
         _say(status.removeprefix("torch, "))
-        return reference
-    return by_core
+    return library is not None
+
+
+def _form() -> ModuleType:
+    """The form that decides."""
+    return by_core if has_core() else reference
 
 
 @cache

@@ -6,7 +6,6 @@ and the camera seldom jumps. One more state is a place that the map lacks. Not i
 """
 
 from collections.abc import Callable, Sequence
-from functools import lru_cache
 from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
@@ -132,23 +131,3 @@ class Computed(Scores):
 
     def __getitem__(self, query: int, /) -> Tensor:
         return self._compute(query)
-
-
-def in_blocks(
-    compute: Callable[[slice], Tensor],
-    queries: int,
-    references: int,
-    anchors: int,
-    excluded: Tensor | None,
-) -> Computed:
-    """Scores of one sequence of queries, computed in blocks of queries that fit in memory."""
-    fits = anchors * queries * references <= IN_MEMORY
-    size = queries if fits else max(1, IN_MEMORY // (4 * anchors * max(1, references)))
-
-    @lru_cache(maxsize=1)
-    def block(number: int) -> Tensor:
-        part = slice(number * size, (number + 1) * size)
-        scores = compute(part)
-        return scores if excluded is None else scores.masked_fill_(excluded[part], -torch.inf)
-
-    return Computed(lambda query: block(query // size)[query % size], queries)

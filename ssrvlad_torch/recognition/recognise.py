@@ -34,7 +34,7 @@ class Steps:
         standardise: subtract the mean of each traverse, see `standardise`. A traverse of fewer
             than `standardise.MIN_FRAMES` queries, and the references for it, stay raw; so does all
             for a map of fewer references.
-        sweep: use all anchors of queries that have several, see `sweep.narrowed`.
+        sweep: use all anchors of queries that have several, see `sweep`.
         follow: see `follow.follow`; ``None`` judges each query alone. A sequence is judged so too
             where following does not make its answers surer, see `reference.course`.
         delay: number of later queries that an online answer waits for.
@@ -126,7 +126,7 @@ def recognise(
 
     Examples:
         >>> frames = torch.eye(20)
-        >>> member = Member(frames[5:9], VectorReferences(frames, ["b"] * 20))
+        >>> member = Member(frames[5:9], ReferenceRows(frames, ["b"] * 20))
         >>> recognise({"x": member}, ["a"] * 4, ["b"] * 20).matches.indices[:, 0].tolist()
         [5, 6, 7, 8]
     """

@@ -34,7 +34,7 @@ from .standardise import MIN_FRAMES
 Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
 
-REACH = 2
+MOVES = 2
 """Columns by which signs are moved to each side."""
 SAMPLE = 200
 """Queries that show what leads; if there are more, every so many."""
@@ -130,13 +130,16 @@ def compare_signs(
     queries: Array, references: Array, sequences: Sequence[str], standardised: bool, sweep: bool
 ) -> Floats:
     """``(Q, R)`` scores of the queries of one drive, signs ``(Q, columns, ...)`` uint8, against
-    those of a map, by the best move or by none."""
+    those of a map, by the best move or by none. A drive of equal frames keeps its mean."""
     sides = []
     for signs, names in (queries, [""] * len(queries)), (references, sequences):
         bits = np.unpackbits(signs.reshape(*signs.shape[:2], -1), axis=2, bitorder="little")
         side = 2.0 * bits - 1
-        sides.append(side - means_of_drives(side, names) if standardised else side)
-    return cosines_of_signs(*sides, REACH if sweep else 0)
+        if standardised:
+            means = means_of_drives(side, names)
+            side -= np.where((np.abs(means) == 1).all((1, 2), keepdims=True), 0, means)
+        sides.append(side)
+    return cosines_of_signs(*sides, min(MOVES, queries.shape[1] - 1) if sweep else 0)
 
 
 def nearness(scores: Array) -> Floats:
