@@ -2,8 +2,9 @@
 
 The core is C++ files that need a compiler and nothing else. Without one the package is built
 as well: it then describes label maps by torch, more slowly, with the same numbers.
-``python scripts/hatch_build.py`` builds the core of a checkout where it lies. `scripts/wheels`
-builds it for the platforms of `WHEELS` with the compiler of ``ziglang``, and names one in
+``python scripts/hatch_build.py`` builds the core of a checkout where it lies; with the name of a
+file, as WebAssembly with the compiler of ``ziglang``, which `scripts/wasm` installs.
+`scripts/wheels` builds it for the platforms of `WHEELS` with that compiler, and names one in
 ``SSRVLAD_WHEEL``.
 """
 
@@ -26,10 +27,14 @@ from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 FOLDER = Path("ssrvlad_torch/native")
 SUFFIXES = (".cpp", ".h", ".hpp")
 LIBRARY = f"libssrvlad{'.dylib' if sys.platform == 'darwin' else '.so'}"
-FLAGS = [
-    *("-std=c++17", "-O3", "-ffp-contract=off"),  # fused sums would differ between processors
-    *("-fPIC", "-shared", "-fvisibility=hidden", "-pthread"),
+FLAGS = ["-std=c++17", "-O3", "-fvisibility=hidden"]
+FLAGS += ["-ffp-contract=off"]  # fused sums would differ between processors
+SHARED = ["-fPIC", "-shared", "-pthread"]
+FOR_BROWSERS = [
+    *("-target", "wasm32-wasi", "-mexec-model=reactor", "-msimd128", "-fignore-exceptions", "-s"),
+    "-Wl,--export-dynamic,--export=malloc,--export=free",
 ]
+ZIG = [sys.executable, "-m", "ziglang", "c++"]
 WITHOUT_RUNTIME = ["-static-libstdc++", "-static-libgcc"]
 
 
@@ -78,7 +83,7 @@ class NativeCore(BuildHookInterface):
 
     def _add_for(self, platform: Platform, build_data: dict[str, Any]) -> None:
         """Adds the core of another platform; a compiler that fails is an error here."""
-        with_zig = [sys.executable, "-m", "ziglang", "c++", "-target", platform.target, "-s"]
+        with_zig = [*ZIG, "-target", platform.target, "-s", *SHARED]
         self._built = tempfile.TemporaryDirectory()
         library = Path(self._built.name) / platform.library
         if platform.library.endswith(".so"):  # else operators of the C++ library are exported too
@@ -110,7 +115,7 @@ def build(root: Path) -> str:
         return "no C++ compiler"
     problem = ""
     for runtime in (WITHOUT_RUNTIME, []):
-        problem = compile_core(folder, [*compilers[0], *runtime], fresh)
+        problem = compile_core(folder, [*compilers[0], *SHARED, *runtime], fresh)
         if not problem:
             fresh.replace(folder / LIBRARY)
             break
@@ -133,5 +138,11 @@ def compile_core(folder: Path, compiler: Sequence[str], library: Path) -> str:
     return ""
 
 
+def build_for_browsers(root: Path, module: Path) -> str:
+    """Compiles the core to a module of WebAssembly; returns why not, or nothing."""
+    return compile_core(root / FOLDER, [*ZIG, *FOR_BROWSERS], module)
+
+
 if __name__ == "__main__":
-    sys.exit(build(Path(__file__).resolve().parents[1]) or None)
+    ROOT = Path(__file__).resolve().parents[1]
+    sys.exit((build_for_browsers(ROOT, Path(sys.argv[1])) if sys.argv[1:] else build(ROOT)) or None)

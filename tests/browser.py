@@ -70,6 +70,12 @@ class Page:
         node = self.call("DOM.querySelector", nodeId=root, selector=selector)["nodeId"]
         self.call("DOM.setFileInputFiles", nodeId=node, files=[str(file) for file in files])
 
+    def drop(self, *paths: Path) -> None:
+        """Drops files and folders on the page."""
+        data = {"items": [], "files": [str(path) for path in paths], "dragOperationsMask": 1}
+        for kind in ("dragEnter", "dragOver", "drop"):
+            self.call("Input.dispatchDragEvent", type=kind, x=50, y=50, data=data)
+
     def screenshot(self, path: Path, width: int) -> None:
         """Writes a picture of the whole page at a width in pixels."""
         size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}

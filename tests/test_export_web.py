@@ -4,8 +4,10 @@ import contextlib
 import hashlib
 import json
 import os
+import re
 import shutil
 import subprocess
+import sys
 import tempfile
 from pathlib import Path
 
@@ -15,16 +17,21 @@ import torch
 from browser import CHROMIUM, browser, served
 from drawings import SPACE
 from drives import write_maps
+from exported import noise
 from graphs import edit_golden, turned
 from helpers import COLOUR, GRAY, PALETTES, street, write_palette, write_png
 from networks import PLAIN, colour_network, photo
 from PIL import Image
-from segmenting import write_town
+from segmenting import write_drives, write_image, write_town
 from ssrvlad_place.database import save
 from ssrvlad_place.model import Seen
 
 from ssrvlad_torch import SSRVLAD, Segmenter, SSRVLADConfig, export_head, match
+from ssrvlad_torch.cli.words import steps_in_words
+from ssrvlad_torch.datasets.synthetic_city import write_city
 from ssrvlad_torch.deployment.fuse import fuse
+from ssrvlad_torch.native.map import Map
+from ssrvlad_torch.recognition.sweep import COLUMNS
 from ssrvlad_torch.stages.boundaries import AREA_LAYERS, DIRECTIONS
 from ssrvlad_torch.stages.harmonics import basis_table
 from ssrvlad_torch.taxonomy import CATEGORIES, label_space
@@ -41,6 +48,10 @@ FAILED = "document.querySelector('#status.error')"
 ROWS = "Array.from(document.querySelectorAll('#matches tbody tr'), (row) => row.innerText)"
 GOLDEN = "document.getElementById('golden').value"
 STATUS = "document.getElementById('status').textContent"
+STEPS = "document.getElementById('steps').textContent"
+PLACES = """Array.from(document.querySelectorAll('#places tbody tr'),
+    (row) => Array.from(row.cells, (cell) => cell.innerText))"""
+CONFIDENCE = "document.getElementById('confidence').textContent"
 TARGETS = "Array.from(document.querySelectorAll('.target'), (target) => target.innerText.trim())"
 TARGETS_OF = {
     "default": [
@@ -79,8 +90,11 @@ def site(tmp_path_factory):
     """A folder with the page, a head of each preset, six label maps and a database of them."""
     if not CHROMIUM:
         pytest.skip("Chromium is not installed")
+    pytest.importorskip("ziglang")
     folder = tmp_path_factory.mktemp("site") / "web"
     shutil.copytree(SOURCE, folder, ignore=shutil.ignore_patterns("node_modules"))
+    build = [sys.executable, ROOT / "scripts" / "hatch_build.py", folder / "ssrvlad.wasm"]
+    subprocess.run(build, check=True)
     (folder / "node_modules").symlink_to(runtime())
     write_maps(folder / "maps", range(6))
     for preset, config in CONFIGS.items():
@@ -147,6 +161,110 @@ def described(page, site, preset, file):
           skeleton: found.skeleton && Array.from(found.skeleton),
           targets: targets.map(({{ values }}) => Array.from(values)) }};
     }})()""")
+
+
+DESCRIBE = """(async () => {{
+    const {{ ADDRESS, INT, LONG, Core, Struct }} = await import('./core.js');
+    const {{ readLabels }} = await import('./label_png.js');
+    const core = await Core.load();
+    const file = await (await fetch({file})).arrayBuffer();
+    const {{ labels, height, width }} = await readLabels(new Uint8Array(file), []);
+    const sizes = {{ images: LONG, height: LONG, width: LONG }};
+    const LABELS = new Struct({{ ids: ADDRESS, bytes: INT, ...sizes }});
+    const TABLE = new Struct({{ categories: ADDRESS, entries: LONG, origin: LONG }});
+    return core.using(({{ room, put }}) => {{
+        const settings = room(256), descriptor = room(480 * 4);
+        core.call("ssrvlad_preset", put(new TextEncoder().encode({preset} + "\\0")), settings);
+        const head = core.call("ssrvlad_new", settings);
+        const map = {{ ids: put(Uint8Array.from(labels)), bytes: 1, images: 1, height, width }};
+        const table = {{ categories: put(Uint8Array.from({categories})), entries: 256 }};
+        const given = [LABELS.bytes(map), TABLE.bytes(table)].map(put);
+        const status = core.call("ssrvlad_describe", head, ...given, 1, descriptor);
+        const length = Number(core.call("ssrvlad_length", head));
+        core.call("ssrvlad_free", head);
+        return [Number(status), ...core.get(Int32Array, descriptor, length)];
+    }});
+}})()"""
+
+
+@presets
+def test_the_core_gives_the_same_bits_as_the_native_one(page, site, core, preset):
+    """Label maps of the synthetic city, and noise, which has everything."""
+    open_page(page)
+    Image.fromarray(noise(3)).save(site / "noise.png")
+    ids = label_space(SPACE).classes
+    table = [{c.id: c.category_index for c in ids}.get(id, 255) for id in range(256)]
+    for name in ["noise.png", *(f"maps/{file.name}" for file in files_of(site))]:
+        labels = np.asarray(Image.open(site / name))[None]
+        expected = SSRVLAD(CONFIGS[preset])(labels)[0]
+        given = {"file": name, "preset": preset, "categories": table}
+        found = page.run(DESCRIBE.format(**{key: json.dumps(each) for key, each in given.items()}))
+        assert found == [0, *expected.view(torch.int32).tolist()]
+
+
+QUERY = """(async () => {{
+    const {{ Core }} = await import('./core.js');
+    const {{ Database }} = await import('./database.js');
+    const read = async (name, Type) => new Type(await (await fetch(name)).arrayBuffer());
+    const channels = {{}}, drive = Array.from({{ length: {count} }}, () => ({{}}));
+    for (const name of ["descriptor", "features", "hog"]) {{
+        channels[name] = {{ bytes: await read(`rows.${{name}}.npy`, Uint8Array) }};
+        const Type = name === "features" ? Uint8Array : Float32Array;
+        const queries = await read(`queries.${{name}}`, Type), length = queries.length / {count};
+        for (const [at, frame] of drive.entries())
+            frame[name] = queries.subarray(at * length, (at + 1) * length);
+    }}
+    const database = new Database(await Core.load(), {ids}, channels);
+    const {{ answers, steps }} = database.query(drive, {columns}, 5);
+    database.free();
+    const found = answers.map(({{ confidence, candidates }}) => [confidence, candidates]);
+    return [found, steps.weights, steps.width];
+}})()"""
+
+
+@pytest.mark.parametrize("count", [1, 35])
+def test_the_map_gives_the_same_bits_as_the_native_one(page, site, count):
+    """Three channels of two drives: signs, vectors, and vectors from three anchors."""
+    rng = np.random.default_rng(0)
+    rows = {
+        "descriptor": noisy(np.zeros((80, 480), np.float32), rng),
+        "features": rng.integers(0, 256, (80, 16, 16, 16), np.uint8),
+        "hog": noisy(np.zeros((80, 480), np.float32), rng),
+    }
+    queries = {name: noisy(values[20 : 20 + count], rng) for name, values in rows.items()}
+    sides = [noisy(queries["descriptor"], rng) for _ in range(2)]
+    queries["descriptor"] = np.stack([sides[0], queries["descriptor"], sides[1]], 1)
+    town = Map([50, 30])
+    for name, trust in (("descriptor", 1), ("features", 6), ("hog", 2)):
+        town.add(name, rows[name], trust)
+        np.save(site / f"rows.{name}.npy", rows[name])
+        queries[name].tofile(site / f"queries.{name}")
+    expected = town.query(queries, follow="offline" if count > 1 else None)
+    ids = [f"{'ab'[row >= 50]}/{row}" for row in range(80)]
+    open_page(page)
+    given = {"count": count, "ids": "".join(f"{each}\n" for each in ids), "columns": [-4, 0, 4]}
+    answers, weights, width = page.run(
+        QUERY.format(**{key: json.dumps(each) for key, each in given.items()})
+    )
+    assert expected.decision.followed == (count > 1)
+    assert [confidence for confidence, _ in answers] == expected.decision.right.tolist()
+    found = [[(each["frame"], each["score"]) for each in ranked] for _, ranked in answers]
+    decided = zip(expected.decision.rows.tolist(), expected.decision.scores.tolist(), strict=True)
+    assert found == [
+        [(ids[r], s) for r, s in zip(*each, strict=True) if r >= 0] for each in decided
+    ]
+    assert [weight for _, weight in weights] == [*expected.weights.values()]
+    assert width == expected.width
+
+
+def noisy(values, rng):
+    """Vectors of length 1, or signs, that are somewhat like others."""
+    if values.dtype == np.uint8:
+        return np.where(
+            rng.random(values.shape) < 0.3, rng.integers(0, 256, values.shape, np.uint8), values
+        )
+    values = values + rng.normal(size=values.shape, scale=0.05).astype(np.float32)
+    return (values / np.linalg.norm(values, axis=-1, keepdims=True)).astype(np.float32)
 
 
 @presets
@@ -217,7 +335,7 @@ def test_a_photograph_goes_into_a_fused_file(page, site):
     shown.putalpha(254)
     shown.save(site / "alpha.png")
     open_page(page, "?model=place.onnx&labels=alpha.png", f"{SHOWN} || {FAILED}")
-    assert failure(page).startswith("the picture has transparent pixels")
+    assert failure(page).startswith("alpha.png: the picture has transparent pixels")
 
 
 def test_features_are_fused_with_the_descriptor_as_in_python(page, site, drives):
@@ -226,17 +344,123 @@ def test_features_are_fused_with_the_descriptor_as_in_python(page, site, drives)
     shutil.copy(drives / "today" / "5.png", site / "street.png")
     query = "?model=street.onnx&database=town.npy&labels=street.png"
     assert matches_of(page, query) == (frames, pytest.approx(scores, abs=1e-4))
-    assert page.run(STATUS).endswith("Scores are of descriptor, features, hog together.")
+    assert page.run(STEPS) == (
+        "not standardised, no sweep, followed: no, fused: ssr-vlad 0.11 + features 0.67 + "
+        "hog 0.22, no confidence: 12 references are too few"
+    )
     other = site / "town.npy.features.npy.fingerprint.txt"
     other.write_text("others")
     open_page(page, query, FAILED)
     assert 'the database has features "others", the model "16 x 16' in page.run(STATUS)
     (site / "town.npy.features.npy").unlink()
     open_page(page, query, SHOWN)
-    assert "Only the model has features: matched without." in page.run(STATUS)
+    assert page.run(STATUS).endswith("; only the model has features: matched without.")
     edit_golden(site / "street.onnx", site / "wrong.onnx", turned("features"))
     open_page(page, "?model=wrong.onnx", FAILED)
     assert "% of the features differ" in page.run(STATUS)
+
+
+def test_a_drive_that_is_dropped_is_found_as_by_query(page, site, ssrvlad, tmp_path):
+    """A folder, and a few files; then the way back with a camera that is turned."""
+    city = write_city(tmp_path / "city", frames=32, size=(60, 80), seed=3)
+    other = write_city(tmp_path / "b", frames=12, size=(60, 80), seed=1)
+    database = write_map(ssrvlad, site / "city", city.reference, other.reference)
+    files = sorted(city.query.iterdir())
+    some, back = tmp_path / "some", tmp_path / "back"
+    some.mkdir()
+    back.mkdir()
+    for number in (3, 11, 7, 29):
+        shutil.copy(files[number], some)
+    for number, file in enumerate(reversed(files)):
+        labels = np.roll(np.asarray(Image.open(file)), 7, axis=1)
+        Image.fromarray(labels).save(back / f"{number}.png")
+    for model, dropped, folder, steps in (
+        ("plain", [city.query], city.query, "standardised, no sweep, followed: offline"),
+        ("plain", some.iterdir(), some, "not standardised, no sweep, followed: no, no surer so"),
+        ("swept", [back], back, "standardised, sweep +-4 columns, followed: offline, backwards"),
+    ):
+        open_page(page, f"?model=city.{model}.onnx&database=city.npy")
+        page.wait_for(f"{STATUS}.endsWith('choose label maps.')")
+        page.drop(*dropped)
+        page.wait_for(f"{SHOWN} || {FAILED}")
+        options = ["--no-sweep"] * (model == "plain")
+        lines = lines_of(ssrvlad("query", database, folder, *options, "--json"))
+        assert page.run(STEPS) == steps == steps_in_words(lines[0]["steps"])
+        assert_placed(page, lines)
+
+
+def test_one_frame_is_judged_alone(page, site, ssrvlad, tmp_path):
+    city = write_city(tmp_path / "city", frames=32, size=(60, 80), seed=3)
+    database = write_map(ssrvlad, site / "one", city.reference)
+    open_page(page, "?model=one.swept.onnx&database=one.npy")
+    picture = sorted(city.query.iterdir())[9]
+    page.wait_for(f"{STATUS}.endsWith('choose label maps.')")
+    page.drop(picture)
+    page.wait_for(f"{SHOWN} || {FAILED}")
+    [found] = lines_of(ssrvlad("query", database, picture, "--follow", "no", "--json"))
+    candidates = [f"{each['frame']}\t{each['score']:.4f}" for each in found["candidates"]]
+    assert page.run(ROWS) == candidates
+    assert page.run(CONFIDENCE).endswith(f" {found['confidence']:.2f}")
+    assert page.run(STEPS) == steps_in_words(found["steps"])
+    assert not page.run("document.getElementById('places').offsetHeight")
+
+
+def test_photographs_of_a_drive_are_found_by_all_channels(page, site, ssrvlad, tmp_path):
+    """As by `query`: they are moved by two cells, and features are moved to both sides. A frame
+    that is chosen is shown; one that is no picture is skipped."""
+    write_drives(tmp_path, range(36), (), (96, 128))
+    for seed in range(2, 35):
+        pixels = np.roll(photo(street(seed, 96, 128)), 14, axis=1)
+        write_image(tmp_path / "today" / f"{seed}.png", pixels)
+    shutil.copy(tmp_path / "place.onnx", site / "drive.onnx")
+    network = ("--segmenter", tmp_path / "net.yaml", "--labels-as", "camvid-11")
+    ssrvlad("encode", tmp_path / "monday", "-o", tmp_path / "town", *network)
+    ssrvlad("db", "export", tmp_path / "town", "--format", "npy", "-o", site / "drive.npy")
+    query = ("query", tmp_path / "town", tmp_path / "today", *network[:2], "--json")
+    lines = lines_of(ssrvlad(*query))
+    (tmp_path / "today" / "40.png").write_bytes(b"torn")
+    open_page(page, "?model=drive.onnx&database=drive.npy")
+    page.wait_for(f"{STATUS} === 'Choose photographs.'")
+    page.drop(tmp_path / "today")
+    page.wait_for(f"{SHOWN} || {FAILED}")
+    told = re.fullmatch(r"33 frames, \d+ ms each; skipped (.*)", page.run(STATUS))
+    assert told and told[1].startswith("1 of 34 frames: today/40.png: ")
+    assert_placed(page, lines)
+    steps = steps_in_words(lines[0]["steps"])
+    assert page.run(STEPS) == re.sub(r"sweep \S+ columns", "no sweep", steps)
+    assert "features 0.9" in steps
+    page.run("document.querySelectorAll('#places button')[7].click()")
+    page.wait_for("document.getElementById('frame').textContent === '9.png'")
+    page.wait_for(f"{ROWS}[0].startsWith('{lines[7]['candidates'][0]['frame']}')")
+    assert page.run(CONFIDENCE).endswith(f" {lines[7]['confidence']:.2f}")
+
+
+def write_map(ssrvlad, path, *maps):
+    """A database of drives, also in NumPy's form beside heads with and without a sweep."""
+    space = "cityscapes-trainids"
+    database = path.parent.with_name(f"{path.name}.ssrdb")
+    ssrvlad("encode", *maps, "-o", database, "--labels-as", space)
+    ssrvlad("db", "export", database, "--format", "npy", "-o", f"{path}.npy")
+    for name, columns in (("swept", COLUMNS), ("plain", ())):
+        config, file = SSRVLADConfig(labels_as=space), Path(f"{path}.{name}.onnx")
+        export_head(config, file, dtype="uint8", columns=columns)
+    return database
+
+
+def lines_of(done):
+    code, out, _ = done
+    assert code == 0
+    return [json.loads(line) for line in out.splitlines()]
+
+
+def assert_placed(page, lines):
+    """The page shows the places that the command line found."""
+    for shown, line in zip(page.run(PLACES), lines, strict=True):
+        frame, place, score, confidence = shown
+        assert Path(frame).stem == Path(line["query"]).name
+        assert place == line["candidates"][0]["frame"]
+        assert float(score) == pytest.approx(line["candidates"][0]["score"], abs=1e-4)
+        assert float(confidence) == pytest.approx(line["confidence"], abs=6e-3)
 
 
 def test_a_golden_pair_that_comes_out_otherwise_is_refused(page, site):
@@ -269,6 +493,28 @@ def test_files_are_chosen_and_what_is_wrong_is_said(page, site):
     assert CONFIGS["default"].fingerprint in failure(page)
 
 
+def test_what_is_no_drive_or_no_map_is_one_line(page, site, tmp_path):
+    for folder in ("a", "b"):
+        shutil.copytree(site / "maps", tmp_path / "both" / folder)
+    open_page(page, "?model=default.onnx", GOLDEN)
+    page.drop(tmp_path / "both")
+    assert failure(page) == "expected the frames of one drive, got those of both/a/, both/b/"
+    for name, rows in (("wide", np.ones((6, 481), "f4")), ("nan", np.full((6, 480), np.nan, "f4"))):
+        np.save(site / f"{name}.npy", rows)
+        shutil.copy(site / "default.npy.frames.txt", site / f"{name}.npy.frames.txt")
+    labels = f"&labels=maps/{files_of(site)[0].name}"
+    for query, problem in (
+        ("&database=wide.npy", "expected a database of 480 numbers a frame, got 481"),
+        ("&database=nan.npy", "descriptor: expected an array of finite numbers"),
+    ):
+        open_page(page, f"?model=default.onnx{query}{labels}")
+        assert failure(page) == problem
+    core = (site / "ssrvlad.wasm").rename(tmp_path / "core")
+    open_page(page, f"?model=default.onnx&database=default.npy{labels}")
+    assert failure(page) == 'no ssrvlad.wasm beside the page: "npm run build" makes it'
+    core.rename(site / "ssrvlad.wasm")
+
+
 def test_unknown_ids_and_files_of_another_kind(page, site, tmp_path):
     strange = np.full((6, 9), 11, np.uint8)
     strange[0, :4] = 99
@@ -276,7 +522,7 @@ def test_unknown_ids_and_files_of_another_kind(page, site, tmp_path):
     (tmp_path / "other.onnx").write_bytes((site / "paper.onnx").read_bytes()[:500])
     open_page(page, "?model=paper.onnx", GOLDEN)
     page.choose("#labels-file", tmp_path / "strange.png")
-    assert failure(page).startswith("4 pixels have an id outside")
+    assert failure(page).startswith("strange.png: 4 pixels have an id outside")
     page.choose("#model-file", tmp_path / "other.onnx")
     page.wait_for(f"{FAILED} && {FAILED}.textContent.includes('cut short')")
 

@@ -1,101 +1,139 @@
-// Channels of reference frames from `ssrvlad db export --format npy`.
+// A map: channels of reference frames from `ssrvlad db export --format npy`, and what the core finds there.
 
-const TRUST = { descriptor: 1, features: 6, hog: 2 }; // how `ssrvlad query` weighs channels of single frames
-const REACH = 2; // columns of cells by which features are moved to each side
+import { ADDRESS, DOUBLE, INT, LONG, Struct } from "./core.js";
 
-const ONES = Uint8Array.from({ length: 256 }, (_, byte) => byte.toString(2).replaceAll("0", "").length);
+// of ssrvlad_decide.h and ssrvlad_map.h
+const [ALONE, OFFLINE] = [0, 2];
+const [VECTORS, SIGNS] = [0, 1];
+const DRIVES = new Struct({ starts: ADDRESS, count: LONG, rows: LONG });
+const CHANNEL = new Struct({ rows: ADDRESS, kind: INT, columns: LONG, size: LONG, trust: DOUBLE });
+const QUERIES = new Struct({ descriptors: ADDRESS, anchors: LONG });
+const STEPS = new Struct({ standardise: INT, sweep: INT, follow: INT, delay: LONG, top: LONG });
+const TAKEN = new Struct({ standardised: INT, width: LONG, weights: ADDRESS });
+const DECISION = new Struct({
+  ...{ scores: ADDRESS, rows: ADDRESS, right: ADDRESS, spread: ADDRESS, together: ADDRESS },
+  ...{ followed: INT, way: INT, streams: LONG, rate: DOUBLE, gain: DOUBLE },
+});
+
+/** By name: the name in `ssrvlad query`, how much it counts before anything is known, and its array. */
+const CHANNELS = {
+  descriptor: { title: "ssr-vlad", trust: 1, type: "<f4", axes: 2 },
+  features: { title: "features", trust: 6, type: "|u1", axes: 4 },
+  hog: { title: "hog", trust: 2, type: "<f4", axes: 2 },
+};
+
 const decoder = new TextDecoder();
-
-/** The number of bits that differ between two parts of arrays of bytes. */
-export function differentBits(one, other, size, begin = 0, otherBegin = 0) {
-  let count = 0;
-  for (let at = 0; at < size; at++) count += ONES[one[begin + at] ^ other[otherBegin + at]];
-  return count;
-}
 
 export class Database {
   /**
    * From the ids of the frames and, by the name of the channel, ``{bytes, fingerprint}`` of the arrays:
-   * `descriptor`, and `features` and `hog` where there are some. A fingerprint may be undefined.
+   * `descriptor`, and `features` and `hog` where there are some. A fingerprint may be undefined. The
+   * arrays are in the memory of the core until `free`.
    */
-  constructor(frames, channels) {
+  constructor(core, frames, channels) {
+    this.core = core;
     this.frames = frames.split("\n").slice(0, -1);
-    this.channels = {};
-    for (const [name, { bytes, fingerprint }] of Object.entries(channels)) {
-      const array = name === "features" ? readArray(bytes, "|u1", 4) : readArray(bytes, "<f4", 2);
-      if (array.shape[0] !== this.frames.length)
-        throw new Error(`${name}: the array has ${array.shape[0]} rows, the text file ${this.frames.length} ids`);
-      this.channels[name] = { ...array, fingerprint: fingerprint?.trim() };
-    }
+    if (!this.frames.length) throw new Error("expected a database of frames, got an empty one");
+    const arrays = Object.entries(channels).map(([name, { bytes, fingerprint }]) => {
+      const { shape: [count, ...form], values } = readArray(bytes, name);
+      if (count !== this.frames.length)
+        throw new Error(`${name}: the array has ${count} rows, the text file ${this.frames.length} ids`);
+      const columns = form.length > 1 ? form.shift() : 1;
+      return [name, { columns, size: productOf(form), values, fingerprint: fingerprint?.trim() }];
+    });
+    this.channels = Object.fromEntries(
+      arrays.map(([name, { values, ...others }]) => [name, { ...others, rows: core.put(values) }]),
+    );
+  }
+
+  free() {
+    for (const { rows } of Object.values(this.channels)) this.core.free(rows);
   }
 
   /**
-   * ``[{frame, score}]``, highest first: cosines (Eq. 4), or with several channels, here and of the
-   * query, fused scores. A zero vector matches nothing.
+   * Finds the frames of a drive as `ssrvlad query` does, or one frame as `ssrvlad locate`.
+   *
+   * `drive` has the arrays of each frame by the names of channels, those of `descriptor` from all
+   * `columns`, if there are some. Returns of each frame ``{candidates, confidence}``: the best,
+   * ``[{frame, score}]``, and the probability that the first is right; and the `steps` that were taken.
    */
-  search(described, top) {
-    const names = Object.keys(this.channels).filter((name) => described[name]);
-    const scores = names.map((name) => {
-      const { shape, rows } = this.channels[name];
-      const query = described[name];
-      const length = shape.slice(1).reduce((product, axis) => product * axis, 1);
-      if (query.length !== length)
-        throw new Error(`expected a database of ${query.length} numbers a frame, got ${length}`);
-      if (name === "features") return rows.map((row) => cosineOfSigns(query, row, shape[1]));
-      const norm = Math.sqrt(product(query, query));
-      return rows.map((row) => product(query, row) / norm / Math.sqrt(product(row, row)));
+  query(drive, columns, top) {
+    const [{ core }, count] = [this, drive.length];
+    const names = Object.keys(this.channels).filter((name) => drive[0][name]);
+    const follow = count > 1 ? OFFLINE : ALONE;
+    return core.using(({ room, put }) => {
+      const [scores, rows] = [room(4 * count * top), room(8 * count * top)];
+      const [right, spread, together] = [1, 2, 3].map(() => room(4 * count));
+      const weights = room(8 * names.length);
+      const [decision, taken] = [
+        put(DECISION.bytes({ scores, rows, right, spread, together })),
+        put(TAKEN.bytes({ weights })),
+      ];
+      const queries = this.#queries(put, names, drive, columns);
+      const steps = put(STEPS.bytes({ standardise: 1, sweep: 1, follow, top }));
+      const map = this.#map(put, names);
+      core.call("ssrvlad_map_query", map, queries, BigInt(count), steps, 1, decision, taken);
+      core.call("ssrvlad_map_free", map);
+      const weighed = core.get(Float64Array, weights, names.length);
+      return {
+        answers: this.#answers(core.get(Float32Array, scores, count * top), rows, right, top),
+        steps: {
+          frames: count,
+          ...DECISION.values(core.get(Uint8Array, decision, DECISION.size)),
+          ...TAKEN.values(core.get(Uint8Array, taken, TAKEN.size)),
+          weights: names.map((name, at) => [CHANNELS[name].title, weighed[at]]),
+        },
+      };
     });
-    return (names.length > 1 ? fused(scores, names.map((name) => TRUST[name])) : scores[0])
-      .map((score, at) => ({ frame: this.frames[at], score }))
-      .filter(({ score }) => !Number.isNaN(score))
-      .sort((a, b) => b.score - a.score)
-      .slice(0, top);
+  }
+
+  /** The address of the map by some channels. */
+  #map(put, names) {
+    const folders = this.frames.map((frame) => frame.slice(0, Math.max(0, frame.lastIndexOf("/"))));
+    const starts = [...folders.keys()].filter((row) => !row || folders[row] !== folders[row - 1]);
+    const size = { count: starts.length, rows: folders.length };
+    const drives = DRIVES.bytes({ starts: put(BigInt64Array.from(starts, BigInt)), ...size });
+    const map = this.core.call("ssrvlad_map_new", put(drives));
+    for (const name of names) {
+      const { rows, columns, size } = this.channels[name];
+      const [kind, { trust }] = [name === "features" ? SIGNS : VECTORS, CHANNELS[name]];
+      const channel = put(CHANNEL.bytes({ rows, kind, columns, size, trust }));
+      this.core.call("ssrvlad_map_add_channel", map, channel);
+    }
+    return map;
+  }
+
+  /** The address of the queries by some channels. */
+  #queries(put, names, drive, columns) {
+    const structs = names.flatMap((name) => {
+      const { columns: across, size } = this.channels[name];
+      const anchors = (name === "descriptor" && columns.length) || 1;
+      const length = anchors * across * size;
+      const given = drive[0][name];
+      if (given.length !== length)
+        throw new Error(`expected a database of ${given.length / anchors} numbers a frame, got ${across * size}`);
+      const joined = new given.constructor(drive.length * length);
+      for (const [at, frame] of drive.entries()) joined.set(frame[name], at * length);
+      return [...QUERIES.bytes({ descriptors: put(joined), anchors })];
+    });
+    return put(Uint8Array.from(structs));
+  }
+
+  #answers(scores, rows, right, top) {
+    const at = this.core.get(BigInt64Array, rows, scores.length);
+    const confidences = this.core.get(Float32Array, right, scores.length / top);
+    return Array.from(confidences, (confidence, query) => {
+      const places = Array.from({ length: top }, (_, place) => query * top + place);
+      const known = places.filter((place) => at[place] >= 0);
+      const candidates = known.map((place) => ({ frame: this.frames[at[place]], score: scores[place] }));
+      return { confidence, candidates };
+    });
   }
 }
 
-function product(a, b) {
-  let sum = 0;
-  for (let at = 0; at < a.length; at++) sum += a[at] * b[at];
-  return sum;
-}
-
-/** The cosine of signs over the columns of cells that overlap, for the best of all moves. */
-function cosineOfSigns(query, row, columns) {
-  const column = row.length / columns;
-  let best = -1;
-  for (let move = -REACH; move <= REACH; move++) {
-    const [ours, theirs] = [Math.max(0, -move) * column, Math.max(0, move) * column];
-    const size = (columns - Math.abs(move)) * column;
-    best = Math.max(best, 1 - differentBits(query, row, size, ours, theirs) / (4 * size));
-  }
-  return best;
-}
-
-/**
- * The scores of one query by several channels as one, by the rule of `ssrvlad query`: the weighted
- * means of their z-scores of nearness, minus the logarithm of 1 - cosine. NaN where there is none.
- */
-function fused(channels, trust) {
-  const whole = trust.reduce((sum, value) => sum + value, 0);
-  const scaled = channels.map((scores) => {
-    const near = scores.map((score) => -Math.log(Math.max(1 - score, 1e-6)));
-    const known = near.filter((value) => !Number.isNaN(value));
-    const meanOf = (values) => values.reduce((sum, value) => sum + value, 0) / Math.max(1, known.length);
-    const mean = meanOf(known);
-    const spread = Math.sqrt(meanOf(known.map((value) => (value - mean) ** 2)));
-    return { near, mean, spread };
-  });
-  const weighted = (value) => scaled.reduce((sum, each, at) => sum + (trust[at] / whole) * value(each), 0);
-  const [mean, spread] = [weighted((each) => each.mean), weighted((each) => each.spread)];
-  return channels[0].map((_, row) => {
-    if (channels.every((scores) => Number.isNaN(scores[row]))) return NaN;
-    const z = weighted((each) => ((each.near[row] - each.mean) || 0) / Math.max(each.spread, 1e-6));
-    return -Math.expm1(-(mean + spread * z));
-  });
-}
-
-/** ``{shape, rows}`` of a ``.npy`` file of a type and a number of axes. */
-function readArray(file, type, axes) {
+/** ``{shape, values}`` of the ``.npy`` file of a channel. */
+function readArray(file, name) {
+  const { type, axes } = CHANNELS[name];
   const view = new DataView(file.buffer, file.byteOffset, file.byteLength);
   if (decoder.decode(file.subarray(1, 6)) !== "NUMPY") throw new Error("expected a .npy file");
   const [begin, length] = file[6] > 1 ? [12, view.getUint32(8, true)] : [10, view.getUint16(8, true)];
@@ -104,10 +142,13 @@ function readArray(file, type, axes) {
   if (!header.includes(`'${type}'`) || !header.includes("False") || shape.length !== axes)
     throw new Error(`expected an array of ${axes} axes of ${type} in C order`);
   const content = file.slice(begin + length);
-  const size = shape.slice(1).reduce((product, axis) => product * axis, 1);
   const isBytes = type === "|u1";
-  if (content.length !== shape[0] * size * (isBytes ? 1 : 4)) throw new Error("the .npy file is cut short");
+  if (content.length !== productOf(shape) * (isBytes ? 1 : 4)) throw new Error("the .npy file is cut short");
   const values = isBytes ? content : new Float32Array(content.buffer);
-  const rows = Array.from({ length: shape[0] }, (_, row) => values.subarray(row * size, (row + 1) * size));
-  return { shape, rows };
+  if (!values.every(Number.isFinite)) throw new Error(`${name}: expected an array of finite numbers`);
+  return { shape, values };
+}
+
+function productOf(lengths) {
+  return lengths.reduce((product, length) => product * length, 1);
 }

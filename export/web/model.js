@@ -1,7 +1,6 @@
 // A file of `ssrvlad export` or `ssrvlad fuse`, run by onnxruntime-web on the CPU.
 
 import * as ort from "./node_modules/onnxruntime-web/dist/ort.wasm.min.mjs";
-import { differentBits } from "./database.js";
 import { inflated } from "./label_png.js";
 import { metadataOf, skeletonTensor, withOutput } from "./onnx_file.js";
 
@@ -32,8 +31,6 @@ export class Model {
     const { format = "1" } = metadata;
     if (format !== FORMAT)
       throw new Error(`a file of format ${format}; expected ${FORMAT}: export it again`);
-    if (JSON.parse(metadata.interface).sweep?.length)
-      throw new Error("expected a file without --sweep: this page shows one descriptor of an image");
     const skeleton = skeletonTensor(file);
     const bytes = skeleton ? withOutput(file, skeleton) : file;
     const session = await ort.InferenceSession.create(bytes, { logSeverityLevel: 3 });
@@ -56,7 +53,10 @@ export class Model {
     this.space = JSON.parse(metadata.label_space);
     this.golden = JSON.parse(metadata.golden);
     [this.input] = session.inputNames;
-    ({ dtype: this.dtype, shape: this.shape = [] } = JSON.parse(metadata.interface).inputs[this.input] ?? {});
+    const { inputs, sweep = [] } = JSON.parse(metadata.interface);
+    ({ dtype: this.dtype, shape: this.shape = [] } = inputs[this.input] ?? {});
+    /** Columns of the anchors of a descriptor; none of a single one. */
+    this.columns = sweep;
   }
 
   /** Whether the file takes photographs, as files of `ssrvlad fuse` do. */
@@ -70,7 +70,10 @@ export class Model {
     return this.#described(outputs, height, width);
   }
 
-  /** Of a label map: `descriptor` and, if the graph has one, `skeleton`; rows * columns bytes, bit k is layer k. */
+  /**
+   * Of a label map: `descriptor`, that of all anchors if there are several, `usual`, that of the usual
+   * anchor, and, if the graph has one, `skeleton`; rows * columns bytes, bit k is layer k.
+   */
   async describe({ labels, height, width }) {
     if (this.input !== "labels") throw new Error("label maps need a file of --input labels");
     const shape = [1, height, width];
@@ -84,15 +87,18 @@ export class Model {
   }
 
   #described(outputs, height, width) {
-    const { unknown, descriptor, features } = outputs;
+    const { unknown, descriptor, features, hog = [] } = outputs;
     if (unknown[0])
       throw new Error(`${unknown[0]} pixels have an id outside label space ${this.space.name}`);
     if (!descriptor.every(Number.isFinite))
       throw new Error("the picture is too wide, or has too many keypoints, for an exported file");
     if (features && !features.some((signs) => signs))
       throw new Error("the activations of the network are not finite, or the same everywhere");
+    if (!hog.every(Number.isFinite)) throw new Error("the HOG of the picture is not finite");
     const grid = workingGrid(this.config.working_size, height, width);
-    return { ...outputs, ...grid };
+    const length = descriptor.length / (this.columns.length || 1);
+    const middle = (descriptor.length - length) / 2;
+    return { ...outputs, ...grid, usual: descriptor.subarray(middle, middle + length) };
   }
 
   /**
@@ -106,8 +112,7 @@ export class Model {
     for (const name of Object.keys(this.golden))
       if (name !== this.input) expected[name] = (await this.#array(name)).values;
     const other = expected.labels ? fractionOfOthers(outputs.labels, expected.labels) : 0;
-    const { length } = expected.features ?? [];
-    const signs = length ? differentBits(outputs.features, expected.features, length) / (8 * length) : 0;
+    const signs = expected.features ? fractionOfOtherBits(outputs.features, expected.features) : 0;
     const hog = expected.hog ? largestDifference(outputs.hog, expected.hog) : 0;
     const near = ["descriptor", "labels", "features", "hog"];
     const counts = Object.keys(expected).filter((name) => !near.includes(name));
@@ -135,8 +140,9 @@ export class Model {
   async #run(input) {
     const { descriptor, ...others } = await this.session.run({ [this.input]: input });
     const skeleton = this.skeleton && others[this.skeleton].data;
-    const counts = Object.entries(others).map(([name, { data }]) => [name, Array.from(data, Number)]);
-    return { ...Object.fromEntries(counts), descriptor: descriptor.data, skeleton };
+    const numbers = (data) => (data instanceof BigInt64Array ? Array.from(data, Number) : data);
+    const values = Object.entries(others).map(([name, { data }]) => [name, numbers(data)]);
+    return { ...Object.fromEntries(values), descriptor: descriptor.data, skeleton };
   }
 
   async #array(name) {
@@ -166,6 +172,12 @@ function fractionOfOthers(got, expected) {
   let count = 0;
   for (let at = 0; at < expected.length; at++) count += got[at] !== Number(expected[at]);
   return count / expected.length;
+}
+
+function fractionOfOtherBits(got, expected) {
+  const MASKS = [1, 2, 4, 8, 16, 32, 64, 128];
+  const bits = (bytes) => Array.from(bytes, (byte) => MASKS.map((mask) => byte & mask)).flat();
+  return fractionOfOthers(bits(got), bits(expected));
 }
 
 /** The smallest cosine of several images; descriptors have length 1. */

@@ -1,10 +1,12 @@
 // The page: reads files, shows pictures and a table. `?model=&database=&labels=` opens files by URL,
 // `?unchecked` does not run the golden pair.
 
+import { Core } from "./core.js";
 import { Database } from "./database.js";
 import { readLabels } from "./label_png.js";
 import { Model } from "./model.js";
 import { drawTarget, targetsOf } from "./targets.js";
+import { scoreInWords, stepsInWords } from "./words.js";
 
 const CATEGORIES = {
   ground: "#b58bb5",
@@ -19,48 +21,69 @@ const CATEGORIES = {
 const NO_LAYER = "#f4f4f4";
 const TOP = 5;
 
-const PHOTOS = [".png", ".jpg", ".jpeg", ".webp"];
+const PICTURE = /(^|\/)[^./][^/]*\.(png|jpe?g|webp)$/i;
 
 const query = new URLSearchParams(location.search);
-const open = { model: null, refusal: null, database: null, frame: null };
+const open = { model: null, refusal: null, database: null, frames: [], described: null };
 const element = (id) => document.getElementById(id);
-const textOf = (bytes) => bytes && new TextDecoder().decode(bytes);
+const bytesOf = async (file) => new Uint8Array(await file.arrayBuffer());
+const lastOf = (path) => path.split("/").pop();
+const pause = (milliseconds) => new Promise((done) => setTimeout(done, milliseconds));
+let core = null;
 
-/** Opens files, ``{name: bytes}``, by the ends of their names, and describes the frame. */
+/** Opens files, by their names, as the ends of the names say, and finds the frames. */
 async function openFiles(files) {
-  const named = (ending) => Object.keys(files).find((name) => name.endsWith(ending));
-  const model = named(".onnx");
-  const array = Object.keys(files).find((name) => /(?<!\.features|\.hog)\.npy$/.test(name));
-  const frame = PHOTOS.map(named).find((name) => name);
-  if (model) {
-    say("Loading the model …");
-    Object.assign(open, { model: null, refusal: null });
-    element("golden").value = "";
-    open.model = await Model.load(files[model], !query.has("unchecked")).catch((error) => {
-      throw (open.refusal = error);
-    });
-    element("golden").value = open.model.checked?.text ?? "The golden pair was not run.";
+  const names = Object.keys(files);
+  const model = names.find((name) => name.endsWith(".onnx"));
+  const array = names.find((name) => /(?<!\.features|\.hog)\.npy$/.test(name));
+  const frames = names.filter((name) => PICTURE.test(name)).sort(byNumber);
+  if (!model && !array && !frames.length)
+    throw new Error("expected .onnx, .npy with .txt, or picture files");
+  const folders = [...new Set(frames.map((name) => name.slice(0, -lastOf(name).length)))];
+  if (folders.length > 1)
+    throw new Error(`expected the frames of one drive, got those of ${folders.join(", ")}`);
+  if (model) await openModel(files[model]);
+  if (array) await openDatabase(files, array);
+  if (frames.length)
+    Object.assign(open, { frames: frames.map((name) => ({ name, file: files[name] })), described: null });
+  await find();
+}
+
+/** The order of the frames of a drive: frame10 after frame9, and 12.5 after 12.25. */
+function byNumber(one, other) {
+  const key = (name) => name.replace(/(?<=^|\/)\d+\.\d+(?=\.\w+$)/, (decimal) => decimal.padEnd(40, "0"));
+  return key(one).localeCompare(key(other), "en", { numeric: true });
+}
+
+async function openModel(file) {
+  say("Loading the model …");
+  Object.assign(open, { model: null, refusal: null, described: null });
+  element("golden").value = "";
+  open.model = await Model.load(await bytesOf(file), !query.has("unchecked")).catch((error) => {
+    throw (open.refusal = error);
+  });
+  element("golden").value = open.model.checked?.text ?? "The golden pair was not run.";
+}
+
+async function openDatabase(files, array) {
+  const text = async (name) => files[name] && (await files[name].text());
+  const frames = await text(`${array}.frames.txt`);
+  if (frames === undefined) throw new Error(`choose ${array}.frames.txt together with ${array}`);
+  const channels = {};
+  for (const [name, ending] of [["descriptor", ""], ["features", ".features.npy"], ["hog", ".hog.npy"]]) {
+    const file = array + ending;
+    const fingerprint = await text(`${file}.fingerprint.txt`);
+    if (files[file]) channels[name] = { bytes: await bytesOf(files[file]), fingerprint };
   }
-  if (array) {
-    const frames = textOf(files[`${array}.frames.txt`]);
-    if (frames === undefined) throw new Error(`choose ${array}.frames.txt together with ${array}`);
-    const named = { descriptor: array, features: `${array}.features.npy`, hog: `${array}.hog.npy` };
-    const channels = Object.entries(named)
-      .filter(([, file]) => files[file])
-      .map(([name, file]) => [
-        name,
-        { bytes: files[file], fingerprint: textOf(files[`${file}.fingerprint.txt`]) },
-      ]);
-    open.database = new Database(frames, Object.fromEntries(channels));
-  }
-  if (frame) open.frame = { name: frame, bytes: files[frame] };
-  if (!model && !array && !frame) throw new Error("expected .onnx, .npy with .txt, or picture files");
-  await describe();
+  core ??= await Core.load();
+  open.database?.free();
+  open.database = null;
+  open.database = new Database(core, frames, channels);
 }
 
 /** ``{pixels, height, width}`` of a photograph, RGB bytes, turned upright by its EXIF. */
-async function readPhoto(bytes) {
-  const bitmap = await createImageBitmap(new Blob([bytes]));
+async function readPhoto(file) {
+  const bitmap = await createImageBitmap(file);
   const { width, height } = bitmap;
   const context = new OffscreenCanvas(width, height).getContext("2d");
   context.drawImage(bitmap, 0, 0);
@@ -70,35 +93,90 @@ async function readPhoto(bytes) {
   return { pixels: data.filter((_, at) => at % 4 < 3), height, width };
 }
 
-async function describe() {
-  const { model, database, frame } = open;
+/** Describes all frames, if they are new, and finds them in the database; shows the first. */
+async function find() {
+  const { model, database, frames } = open;
   element("result").hidden = true;
   if (open.refusal) throw open.refusal;
   if (!model) return say("Choose a model.");
-  const channels = database?.channels ?? {};
-  for (const [name, { fingerprint }] of Object.entries(channels))
+  for (const [name, { fingerprint }] of Object.entries(database?.channels ?? {}))
     if (fingerprint && model.channels[name] && fingerprint !== model.channels[name])
       throw new Error(`the database has ${name} "${fingerprint}", the model "${model.channels[name]}"`);
-  if (!frame && model.takesPhotos) return say("Choose a photograph.");
-  if (!frame) return say(`Labels of ${model.space.name}: choose a label map.`);
-  const picture = model.takesPhotos
-    ? await readPhoto(frame.bytes)
-    : await readLabels(frame.bytes, model.space.classes);
-  const start = performance.now();
-  const described = model.takesPhotos ? await model.describePhoto(picture) : await model.describe(picture);
-  const milliseconds = Math.round(performance.now() - start);
+  if (!frames.length && model.takesPhotos) return say("Choose photographs.");
+  if (!frames.length) return say(`Labels of ${model.space.name}: choose label maps.`);
+  open.described ??= await describeAll(frames);
+  const { drive, told } = open.described;
+  let found = null;
+  if (database) {
+    say(`Finding ${drive.length} frames among ${database.frames.length} …`);
+    await pause(20); // until it is on the screen
+    found = database.query(drive.map(({ channels }) => channels), model.columns, TOP);
+  }
+  const steps = found && stepsInWords(found.steps, model.columns, database.frames.length);
+  element("steps").textContent = steps ?? "";
+  await show(drive, found, 0);
   element("result").hidden = false;
-  drawMap(model, { ...picture, labels: described.labels ?? picture.labels }, described);
-  drawTargets(model, described);
-  listMatches(database?.search(described, TOP) ?? []);
-  const unchecked = database && !channels.descriptor.fingerprint ? " The database has no fingerprint." : "";
-  const shared = Object.keys(channels).filter((name) => model.channels[name]);
-  const apart = Object.keys(model.channels)
-    .filter((name) => database && !channels[name] !== !model.channels[name])
-    .map((name) => ` Only the ${channels[name] ? "database" : "model"} has ${name}: matched without.`);
-  const scores = shared.length > 1 ? ` Scores are of ${shared.join(", ")} together.` : "";
-  const size = `${picture.height} x ${picture.width}`;
-  say(`${frame.name}: ${size}, ${milliseconds} ms.${scores}${unchecked}${apart.join("")}`);
+  say(`${[...told, ...notesOf(model, database)].join("; ")}.`);
+}
+
+/** The frames that can be described, with the arrays of their channels, and of the first one all that was
+ * seen; and in words what was done. */
+async function describeAll(frames) {
+  const [drive, skipped, start] = [[], [], performance.now()];
+  const [several, progress] = [frames.length > 1, element("progress")];
+  progress.hidden = !several;
+  for (const [at, frame] of frames.entries()) {
+    if (several) say(`Describing frame ${at + 1} of ${frames.length} …`);
+    progress.value = at / frames.length;
+    await pause(0);
+    try {
+      const seen = await see(frame);
+      const { descriptor, features, hog } = seen.described;
+      drive.push({ frame, channels: { descriptor, features, hog }, seen: drive.length ? null : seen });
+    } catch (error) {
+      skipped.push(`${frame.name}: ${error.message}`);
+    }
+  }
+  progress.hidden = true;
+  if (!drive.length) throw new Error(several ? `no frame can be described: ${skipped[0]}` : skipped[0]);
+  const milliseconds = Math.round((performance.now() - start) / frames.length);
+  const what = several ? `${drive.length} frames` : frames[0].name;
+  const told = [`${what}, ${milliseconds} ms${several ? " each" : ""}`];
+  if (skipped.length) told.push(`skipped ${skipped.length} of ${frames.length} frames: ${skipped[0]}`);
+  return { drive, told };
+}
+
+/** What a database and a model do not both have. */
+function notesOf(model, database) {
+  if (!database) return [];
+  const notes = database.channels.descriptor.fingerprint ? [] : ["the database has no fingerprint"];
+  for (const name of Object.keys(model.channels)) {
+    const [here, there] = [model.channels[name], database.channels[name]];
+    if (here && !there) notes.push(`only the model has ${name}: matched without`);
+    if (there && !here) notes.push(`only the database has ${name}: matched without; fuse the file again`);
+  }
+  return notes;
+}
+
+/** A picture, and what the model says of it. */
+async function see({ file }) {
+  const { model } = open;
+  const picture = model.takesPhotos
+    ? await readPhoto(file)
+    : await readLabels(await bytesOf(file), model.space.classes);
+  const described = await (model.takesPhotos ? model.describePhoto(picture) : model.describe(picture));
+  return { picture: { ...picture, labels: described.labels ?? picture.labels }, described };
+}
+
+/** Shows one frame of a drive, and the places of all. */
+async function show(drive, found, shown) {
+  const { model } = open;
+  element("frame").textContent = lastOf(drive[shown].frame.name);
+  const { picture, described } = drive[shown].seen ?? (await see(drive[shown].frame));
+  drawMap(model, picture, described);
+  drawTargets(model, described.usual);
+  listMatches(found, shown);
+  listDrive(drive, found, shown);
 }
 
 function drawMap({ space }, { labels, height, width }, { skeleton, rows, columns }) {
@@ -122,7 +200,7 @@ function drawMap({ space }, { labels, height, width }, { skeleton, rows, columns
   });
 }
 
-function drawTargets({ config }, { descriptor }) {
+function drawTargets({ config }, descriptor) {
   element("legend").textContent =
     config.aggregation === "residuals"
       ? "Rings by distance, sectors by direction: red where there is more skeleton around the keypoints " +
@@ -150,18 +228,44 @@ function drawTargets({ config }, { descriptor }) {
   element("targets").replaceChildren(...targets);
 }
 
-function listMatches(candidates) {
+/** The candidates of the shown frame. */
+function listMatches(found, shown) {
   const body = element("matches").tBodies[0];
   body.replaceChildren();
-  if (!candidates.length) {
-    const message = open.database ? "no candidates" : "choose a database";
-    candidates = [{ frame: message, score: null }];
+  for (const heading of document.querySelectorAll(".score"))
+    heading.textContent = found ? scoreInWords(found.steps) : "Score";
+  const { candidates = [], confidence } = found?.answers[shown] ?? {};
+  element("confidence").textContent = candidates.length
+    ? `Confidence that the first is right: ${confidence.toFixed(2)}`
+    : "";
+  const none = { frame: found ? "no candidates" : "choose a database", score: null };
+  for (const { frame, score } of candidates.length ? candidates : [none])
+    addRow(body, frame, score === null ? "" : score.toFixed(4));
+}
+
+/** The place of each frame; a frame that is chosen is shown. */
+function listDrive(drive, found, shown) {
+  element("drive").hidden = drive.length < 2 || !found;
+  const body = element("places").tBodies[0];
+  body.replaceChildren();
+  for (const [at, { frame }] of drive.entries()) {
+    const { candidates = [], confidence = 0 } = found?.answers[at] ?? {};
+    const [place] = candidates;
+    const score = place?.score.toFixed(4) ?? "";
+    const row = addRow(body, "", place?.frame ?? "no place", score, confidence.toFixed(2));
+    const button = document.createElement("button");
+    button.textContent = lastOf(frame.name);
+    button.addEventListener("click", () => attempt(() => show(drive, found, at)));
+    row.cells[0].append(button);
+    row.classList.toggle("shown", at === shown);
+    row.lastElementChild.style.setProperty("--part", confidence);
   }
-  for (const { frame, score } of candidates) {
-    const row = body.insertRow();
-    row.insertCell().textContent = frame;
-    row.insertCell().textContent = score === null ? "" : score.toFixed(4);
-  }
+}
+
+function addRow(body, ...texts) {
+  const row = body.insertRow();
+  for (const text of texts) row.insertCell().textContent = text;
+  return row;
 }
 
 function say(text, error = false) {
@@ -173,16 +277,13 @@ function say(text, error = false) {
 let last = Promise.resolve();
 function attempt(job) {
   last = last.then(job).catch((error) => {
-    element("result").hidden = true;
+    element("result").hidden = element("progress").hidden = true;
     say(error.message, true);
   });
   return last;
 }
 
-async function bytesOf(list) {
-  const entries = Array.from(list, async (file) => [file.name, new Uint8Array(await file.arrayBuffer())]);
-  return Object.fromEntries(await Promise.all(entries));
-}
+const named = (files) => Object.fromEntries(Array.from(files, (file) => [file.name, file]));
 
 /** The file of a URL and, for an array, the files beside it, as the server has them now. */
 async function fetched(address) {
@@ -193,24 +294,39 @@ async function fetched(address) {
   const others = address.endsWith(".npy") ? beside : [];
   for (const ending of ["", ...others]) {
     const response = await fetch(address + ending, { cache: "no-cache" });
-    if (response.ok) files[(address + ending).split("/").pop()] = new Uint8Array(await response.arrayBuffer());
+    if (response.ok) files[lastOf(address + ending)] = await response.blob();
     else if (!ending) throw new Error(`${address}: ${response.status} ${response.statusText}`);
   }
   return files;
 }
 
-for (const name of ["model", "database", "labels"]) {
-  const input = element(`${name}-file`);
-  input.addEventListener("change", () => attempt(async () => openFiles(await bytesOf(input.files))));
-  const address = query.get(name);
-  if (address) attempt(async () => openFiles(await fetched(address)));
+/** The files of what was dropped, and those in its folders, by their paths. */
+async function filesOf(entries) {
+  const files = {};
+  for (const entry of entries) {
+    if (entry.isFile) {
+      files[entry.fullPath.slice(1)] = await new Promise((done, fail) => entry.file(done, fail));
+      continue;
+    }
+    const reader = entry.createReader();
+    const next = () => new Promise((done, fail) => reader.readEntries(done, fail));
+    for (let some = await next(); some.length; some = await next()) Object.assign(files, await filesOf(some));
+  }
+  return files;
 }
+
+const INPUTS = ["model", "database", "labels"];
+for (const input of INPUTS.map((name) => element(`${name}-file`)))
+  input.addEventListener("change", () => attempt(() => openFiles(named(input.files))));
+const addresses = INPUTS.map((name) => query.get(name)).filter(Boolean);
+if (addresses.length)
+  attempt(async () => openFiles(Object.assign({}, ...(await Promise.all(addresses.map(fetched))))));
 for (const kind of ["dragover", "dragleave", "drop"])
   document.addEventListener(kind, (event) => {
     event.preventDefault();
     document.body.classList.toggle("dropping", kind === "dragover");
   });
 document.addEventListener("drop", ({ dataTransfer }) => {
-  const files = Array.from(dataTransfer.files);
-  attempt(async () => openFiles(await bytesOf(files)));
+  const entries = Array.from(dataTransfer.items, (item) => item.webkitGetAsEntry()).filter(Boolean);
+  attempt(async () => openFiles(await filesOf(entries)));
 });

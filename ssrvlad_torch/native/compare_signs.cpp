@@ -1,7 +1,6 @@
 // Rows of signs, compared as vectors of 1 and -1 in columns.
 
 #include <array>
-#include <mutex>
 #include <numeric>
 
 #include "compare.hpp"
@@ -228,7 +227,7 @@ class SignChannel : public Channel {
 
  private:
   const Held &held(bool standardised, int threads) {
-    const std::lock_guard<std::mutex> hold(mutex_);
+    const std::lock_guard<Mutex> hold(mutex_);
     auto &found = held_[standardised];
     if (found) return *found;
     auto fresh = std::make_unique<Held>();
@@ -258,7 +257,7 @@ class SignChannel : public Channel {
   Drives drives_;
   Words own_;
   const Word *signs_;
-  std::mutex mutex_;
+  Mutex mutex_;
   std::array<std::unique_ptr<Held>, 2> held_;
 };
 

@@ -1,7 +1,6 @@
 // Rows of float vectors, compared by their cosines.
 
 #include <array>
-#include <mutex>
 
 #include "compare.hpp"
 #include "parallel.hpp"
@@ -291,7 +290,7 @@ class VectorChannel : public Channel {
   }
 
   const Held &held(bool standardised, int threads) {
-    const std::lock_guard<std::mutex> hold(mutex_);
+    const std::lock_guard<Mutex> hold(mutex_);
     auto &found = held_[standardised];
     if (found) return *found;
     auto fresh = std::make_unique<Held>();
@@ -325,7 +324,7 @@ class VectorChannel : public Channel {
   const float *vectors_;
   Size length_;
   Drives drives_;
-  std::mutex mutex_;
+  Mutex mutex_;
   std::array<std::unique_ptr<Held>, 2> held_;
 };
 

@@ -1,4 +1,4 @@
-// Jobs that are shared among threads.
+// Jobs that are shared among threads. WebAssembly has none: there one thread does them all.
 
 #ifndef SSRVLAD_PARALLEL_HPP
 #define SSRVLAD_PARALLEL_HPP
@@ -6,17 +6,30 @@
 #include <algorithm>
 #include <atomic>
 #include <cstdint>
+#include <mutex>
 #include <new>
 #include <system_error>
-#include <thread>
 #include <vector>
 
+#if !defined(__wasm__)
+#include <thread>
+#endif
+
 namespace places {
+
+#if defined(__wasm__)
+struct Mutex {
+  void lock() {}
+  void unlock() {}
+};
+#else
+using Mutex = std::mutex;
+#endif
 
 // Shares `count` jobs among threads, one of them the caller's: each takes the number of its next job
 // from the counter until there are no more. False if out of memory.
 template <class Job>
-bool in_parallel(std::int64_t count, int threads, Job job) {
+bool in_parallel([[maybe_unused]] std::int64_t count, [[maybe_unused]] int threads, Job job) {
   std::atomic<std::int64_t> next{0};
   std::atomic<bool> failed{false};
   const auto work = [&]() noexcept {
@@ -26,6 +39,9 @@ bool in_parallel(std::int64_t count, int threads, Job job) {
       failed = true;
     }
   };
+#if defined(__wasm__)
+  work();
+#else
   std::vector<std::thread> others;
   try {
     for (std::int64_t i = 1; i < std::min<std::int64_t>(threads, count); ++i)
@@ -34,6 +50,7 @@ bool in_parallel(std::int64_t count, int threads, Job job) {
   }
   work();
   for (std::thread &other : others) other.join();
+#endif
   return !failed;
 }
 

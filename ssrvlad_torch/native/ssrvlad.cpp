@@ -20,7 +20,6 @@
 #include <list>
 #include <limits>
 #include <memory>
-#include <mutex>
 #include <new>
 #include <vector>
 
@@ -1232,7 +1231,7 @@ struct ssrvlad_head {
   }
 
   std::unique_ptr<Scratch> take_scratch() {
-    const std::lock_guard<std::mutex> hold(mutex);
+    const std::lock_guard<places::Mutex> hold(mutex);
     if (spare.empty()) return std::make_unique<Scratch>();
     auto scratch = std::move(spare.back());
     spare.pop_back();
@@ -1240,7 +1239,7 @@ struct ssrvlad_head {
   }
 
   void give_back(std::unique_ptr<Scratch> scratch) {
-    const std::lock_guard<std::mutex> hold(mutex);
+    const std::lock_guard<places::Mutex> hold(mutex);
     spare.push_back(std::move(scratch));
   }
 
@@ -1344,7 +1343,7 @@ struct ssrvlad_head {
   // Bins for an image size; those of the last few sizes are cached.
   std::shared_ptr<const Bins> bins_of(const Grid &grid) {
     constexpr std::size_t KEPT = 4;
-    const std::lock_guard<std::mutex> hold(mutex);
+    const std::lock_guard<places::Mutex> hold(mutex);
     for (const auto &known : known_bins)
       if (known->height == grid.height && known->width == grid.width) return known;
     known_bins.push_front(
@@ -1366,7 +1365,7 @@ struct ssrvlad_head {
 
   std::unique_ptr<SoftBins> soft_bins;
   std::vector<double> basis;
-  std::mutex mutex;
+  places::Mutex mutex;
   std::vector<std::unique_ptr<Scratch>> spare;
   std::list<std::shared_ptr<const Bins>> known_bins;
 };
