@@ -254,9 +254,8 @@ def _checked(array: Array, name: str) -> Array:
     kept = np.ascontiguousarray(array)
     if kept.dtype.kind == "f":
         kept = np.ascontiguousarray(kept, np.float32)
-    if (kept.dtype, kept.ndim) not in ((np.float32, 2), (np.float32, 3)) and not (
-        kept.dtype == np.uint8 and kept.ndim >= 3
-    ):
+    vectors = kept.dtype == np.float32 and kept.ndim in (2, 3)
+    if not vectors and not (kept.dtype == np.uint8 and kept.ndim >= 3):
         raise ValueError(
             f"{name}: expected vectors of float32 or signs (N, columns, ...) of uint8, got "
             f"{kept.shape} {kept.dtype}"

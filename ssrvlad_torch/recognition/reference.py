@@ -87,7 +87,7 @@ def without_means(vectors: Array, sequences: Sequence[str]) -> Floats:
     """Vectors ``(N, D)`` less the means of their drives; zeros stay, and what equals its mean
     stays as it is."""
     means = means_of_drives(vectors, sequences)
-    less = vectors.any(1) & (np.abs(vectors - means) > EQUAL).any(1)
+    less: Array = vectors.any(1) & (np.abs(vectors - means) > EQUAL).any(1)
     found: Floats = np.where(less[:, None], vectors - means, vectors)
     return found
 
@@ -145,7 +145,8 @@ def compare_signs(
             means = means_of_drives(side, names)
             side -= np.where((np.abs(means) == 1).all((1, 2), keepdims=True), 0, means)
         sides.append(side)
-    return cosines_of_signs(*sides, min(MOVES, queries.shape[1] - 1) if sweep else 0)
+    ours, theirs = sides
+    return cosines_of_signs(ours, theirs, min(MOVES, queries.shape[1] - 1) if sweep else 0)
 
 
 def nearness(scores: Array) -> Floats:
