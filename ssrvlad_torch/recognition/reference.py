@@ -87,7 +87,7 @@ def without_means(vectors: Array, sequences: Sequence[str]) -> Floats:
     """Vectors ``(N, D)`` less the means of their drives; zeros stay, and what equals its mean
     stays as it is."""
     means = means_of_drives(vectors, sequences)
-    less: Array = vectors.any(1) & (np.abs(vectors - means) > EQUAL).any(1)
+    less = np.logical_and(vectors.any(1), (np.abs(vectors - means) > EQUAL).any(1))
     found: Floats = np.where(less[:, None], vectors - means, vectors)
     return found
 
