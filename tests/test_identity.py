@@ -28,7 +28,8 @@ PHOTO = PHOTOS[0].repeat(4, 0).repeat(4, 1)
 def street():
     """`Street` with normalisation and dropout."""
     network = Street()
-    network.narrow = nn.Sequential(network.narrow, nn.BatchNorm2d(32), nn.Dropout(0.5))
+    norm, dropout = nn.BatchNorm2d(32), nn.Dropout(0.5)
+    network.narrow = nn.Sequential(network.narrow, norm, dropout, dropout)
     return network
 
 
@@ -49,6 +50,11 @@ def exchange(network):
     network.scores = nn.Conv2d(64, 12, 1).eval()
 
 
+def share(network):
+    """One module in two places, in place of another."""
+    network.narrow[3] = network.narrow[1]
+
+
 def drift(network):
     """Of the statistics alone."""
     network.train()
@@ -61,6 +67,7 @@ CHANGES = {
     load: r"identity \(steps\.0\.weight\)",
     replace: r"identity \(scores\.bias\)",
     exchange: r"identity \(scores\.weight\)",
+    share: r"identity \(narrow\.3",
     drift: r"identity \(narrow\.1\.num_batches_tracked\)",
     nn.Module.half: r"identity \(steps\.0\.weight\)",
     nn.Module.train: r"in training mode \(the whole\), where labels differ: call eval\(\) on it",

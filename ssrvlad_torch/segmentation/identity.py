@@ -118,7 +118,7 @@ def _device(network: nn.Module) -> torch.device | None:
 def _versions(network: nn.Module) -> dict[str, object]:
     """The versions of weights and persistent buffers by name, and which modules there are."""
     versions: dict[str, object] = {}
-    for path, module in network.named_modules():
+    for path, module in network.named_modules(remove_duplicate=False):
         prefix, transient = path and f"{path}.", module._non_persistent_buffers_set
         for name, tensor in chain(module._parameters.items(), module._buffers.items()):
             if name not in transient:
