@@ -10,6 +10,7 @@
 
 #include "ssrvlad.h"
 #include "ssrvlad_decide.h"
+#include "ssrvlad_map.h"
 
 namespace {
 struct Table {
@@ -81,10 +82,54 @@ int decide(std::mt19937 &random, const std::vector<int64_t> &starts, int64_t row
   table.scores[0] = NAN;
   return ssrvlad_decide(&map, every, SSRVLAD_OFFLINE, 0, top, &decision) != SSRVLAD_WRONG_ARGUMENT;
 }
+
+// A map by vectors from several anchors and by signs of odd sizes. Returns 0 if all goes well.
+int find(std::mt19937 &random, std::vector<int64_t> starts, int64_t rows, int64_t queries) {
+  const int64_t length = 7, columns = 5, bytes = 3, anchors = 3, top = 3;
+  std::vector<float> vectors(rows * length), swept(queries * anchors * length);
+  std::vector<uint8_t> signs(rows * columns * bytes), seen(queries * columns * bytes);
+  for (auto *some : {&vectors, &swept})
+    for (auto &each : *some) each = static_cast<float>(random() % 5) - 2;
+  for (auto *some : {&signs, &seen})
+    for (auto &each : *some) each = static_cast<uint8_t>(random());
+  if (rows > 2) std::fill_n(vectors.begin() + length, length, 0.0F);
+  std::fill_n(swept.begin(), anchors * length, 0.0F);
+  const ssrvlad_drives drives{starts.data(), static_cast<int64_t>(starts.size()), rows};
+  ssrvlad_map *map = ssrvlad_map_new(&drives);
+  const ssrvlad_channel channels[] = {{vectors.data(), SSRVLAD_VECTORS, 1, length, 1.0},
+                                      {signs.data(), SSRVLAD_SIGNS, columns, bytes, 6.0}};
+  for (const auto &channel : channels)
+    if (ssrvlad_map_add_channel(map, &channel)) return 1;
+  std::vector<float> scores(queries * top), sure(3 * queries), row(rows);
+  std::vector<int64_t> found(queries * top);
+  double weights[2];
+  ssrvlad_decision decision{scores.data(), found.data(), sure.data(), sure.data() + queries,
+                            sure.data() + 2 * queries, 0, 0, 0, 0, 0};
+  ssrvlad_taken taken{0, 0, weights};
+  const ssrvlad_queries given[] = {{swept.data(), anchors}, {seen.data(), 1}};
+  for (const int on : {0, 1}) {
+    const ssrvlad_steps steps{on, on, SSRVLAD_OFFLINE, 0, top};
+    if (ssrvlad_map_query(map, given, queries, &steps, 2, &decision, &taken)) return 2;
+    for (const int channel : {0, 1}) {
+      ssrvlad_comparison *compared = ssrvlad_map_compare(map, channel, given + channel, queries, on,
+                                                         on, 2, &taken.width);
+      if (!compared || ssrvlad_comparison_scores(compared, queries, row.data()) >= 0) return 3;
+      if (ssrvlad_comparison_scores(compared, queries - 1, row.data())) return 4;
+      ssrvlad_comparison_free(compared);
+    }
+  }
+  swept[length] = INFINITY;
+  const ssrvlad_steps steps{1, 1, SSRVLAD_ALONE, 0, top};
+  const int status = ssrvlad_map_query(map, given, queries, &steps, 1, &decision, &taken);
+  ssrvlad_map_free(map);
+  return status != SSRVLAD_WRONG_ARGUMENT;
+}
 }  // namespace
 
 int main() {
   std::mt19937 random(1);
+  if (find(random, {0, 1, 60}, 250, 70) || find(random, {0}, 1, 5) || find(random, {0}, 40, 31))
+    return 8;
   if (decide(random, {0, 1, 60}, 150, 70) || decide(random, {0}, 1, 5) ||
       decide(random, {}, 0, 4) || decide(random, {0}, 40, 0))
     return 7;
