@@ -69,6 +69,19 @@ def test_a_drive_is_followed(seed, lengths, queries, later, way, rate):
     assert fast == pytest.approx(reference.gain(scores, names, motion, way), abs=1e-3)
 
 
+@pytest.mark.parametrize("way", [FORWARDS, BACKWARDS])
+@pytest.mark.parametrize("rate", [1, 0.25, 3])
+def test_probabilities_of_states_stay_one_and_back_is_the_transpose(way, rate):
+    motion = Motion(change=0.1, jump=0.05, unmapped=0.2, stay=0.8, rate=rate)
+    model = reference.Model(named((6, 1, 4)), motion, way)
+    states = np.eye(len(model.start()))
+    matrix = np.stack([model.after(each) for each in states])
+    np.testing.assert_allclose(matrix.sum(1), 1)
+    assert matrix.min() >= 0
+    back = np.stack([model.before(each) for each in states])
+    np.testing.assert_allclose(back, matrix.T, atol=1e-12)
+
+
 @given(seed=st.integers(0, 1000), rows=st.integers(1, 200), steps=st.sampled_from((0, 3, 100)))
 def test_an_answer_beside_its_rivals(seed, rows, steps):
     """Also of equal values."""

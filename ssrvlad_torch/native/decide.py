@@ -310,7 +310,8 @@ class _Caller:
         self._drives = Drives(self._starts.ctypes.data, self._starts.size, rows)
         self._given = _Evidence(self.count)
         if isinstance(evidence, np.ndarray):
-            self._matrix = np.ascontiguousarray(evidence[self._queries], np.float32)
+            part = slice(self._queries.start, self._queries.stop, self._queries.step)
+            self._matrix = np.ascontiguousarray(evidence[part], np.float32)
             self._expect(self._matrix, (self.count, rows))
             self._given.matrix = self._matrix.ctypes.data
             return

@@ -251,12 +251,9 @@ class _Taken(ctypes.Structure):
 
 def _checked(array: Array, name: str) -> Array:
     """Contiguous vectors or signs."""
-    kept = np.ascontiguousarray(array)
-    if kept.dtype.kind == "f":
-        kept = np.ascontiguousarray(kept, np.float32)
-    if (kept.dtype, kept.ndim) not in ((np.float32, 2), (np.float32, 3)) and not (
-        kept.dtype == np.uint8 and kept.ndim >= 3
-    ):
+    kept = np.ascontiguousarray(array, np.float32 if array.dtype.kind == "f" else None)
+    are_signs = kept.dtype == np.uint8 and kept.ndim >= 3
+    if not are_signs and not (kept.dtype == np.float32 and kept.ndim in (2, 3)):
         raise ValueError(
             f"{name}: expected vectors of float32 or signs (N, columns, ...) of uint8, got "
             f"{kept.shape} {kept.dtype}"

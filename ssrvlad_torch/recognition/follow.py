@@ -82,7 +82,7 @@ def follow(
         top: number of candidates of each query.
         motion: how sequences move.
         way: in which the queries run the map, `motion.FORWARDS` or `motion.BACKWARDS`, see
-            `courses`.
+            `reference.course`.
 
     Raises:
         ValueError: the scores do not fit the sequences, are NaN or above 1; the frames of a

@@ -87,8 +87,8 @@ def without_means(vectors: Array, sequences: Sequence[str]) -> Floats:
     """Vectors ``(N, D)`` less the means of their drives; zeros stay, and what equals its mean
     stays as it is."""
     means = means_of_drives(vectors, sequences)
-    less = vectors.any(1) & (np.abs(vectors - means) > EQUAL).any(1)
-    found: Floats = np.where(less[:, None], vectors - means, vectors)
+    less = vectors.any(1, keepdims=True) & (np.abs(vectors - means).max(1, keepdims=True) > EQUAL)
+    found: Floats = np.where(less, vectors - means, vectors)
     return found
 
 
@@ -131,7 +131,7 @@ def compare_signs(
 ) -> Floats:
     """``(Q, R)`` scores of the queries of one drive, signs ``(Q, columns, ...)`` uint8, against
     those of a map, by the best move or by none. A drive of equal frames keeps its mean."""
-    sides = []
+    sides = list[Array]()
     for signs, names in (queries, [""] * len(queries)), (references, sequences):
         bits = np.unpackbits(signs.reshape(*signs.shape[:2], -1), axis=2, bitorder="little")
         side = 2.0 * bits - 1
@@ -139,7 +139,8 @@ def compare_signs(
             means = means_of_drives(side, names)
             side -= np.where((np.abs(means) == 1).all((1, 2), keepdims=True), 0, means)
         sides.append(side)
-    return cosines_of_signs(*sides, min(MOVES, queries.shape[1] - 1) if sweep else 0)
+    reach = min(MOVES, queries.shape[1] - 1) if sweep else 0
+    return cosines_of_signs(sides[0], sides[1], reach)
 
 
 def nearness(scores: Array) -> Floats:
