@@ -10,40 +10,22 @@
 
 #include "ssrvlad.h"
 
-#include <algorithm>
 #include <array>
-#include <atomic>
-#include <cmath>
 #include <cstddef>
-#include <cstdint>
-#include <cstring>
 #include <list>
-#include <limits>
 #include <memory>
 #include <mutex>
-#include <new>
-#include <system_error>
-#include <thread>
-#include <vector>
 
-// Loops over many words are compiled for several processors; the loader picks the best version.
-#if defined(__x86_64__) && defined(__GLIBC__) && defined(__GNUC__) && !defined(__clang__) && \
-    !defined(SSRVLAD_ONE_TARGET)
-#define SSRVLAD_CLONES __attribute__((target_clones("avx512f", "avx2", "default")))
-#else
-#define SSRVLAD_CLONES
-#endif
-
-#if defined(__GNUC__)
-#define SSRVLAD_INLINE inline __attribute__((always_inline))
-#else
-#define SSRVLAD_INLINE inline
-#endif
+#include "bits.hpp"
+#include "parallel.hpp"
 
 namespace {
 
-using Word = std::uint64_t;
-using Size = std::int64_t;
+using places::BitCounter;
+using places::in_parallel;
+using places::ones;
+using places::Size;
+using places::Word;
 
 constexpr int LAYERS = SSRVLAD_LAYERS;
 constexpr int KINDS = LAYERS + 1;  // the categories and no layer
@@ -1182,76 +1164,7 @@ Size count_unknown(const ssrvlad_labels &labels, const ssrvlad_table &table) {
   });
 }
 
-// Shares `count` jobs among threads, one of them the caller's. False if out of memory.
-template <class Job>
-bool in_parallel(Size count, int threads, Job job) {
-  std::atomic<Size> next{0};
-  std::atomic<bool> failed{false};
-  const auto work = [&]() noexcept {
-    try {
-      job(next);
-    } catch (const std::bad_alloc &) {
-      failed = true;
-    }
-  };
-  std::vector<std::thread> others;
-  try {
-    for (Size i = 1; i < std::min<Size>(threads, count); ++i) others.emplace_back(work);
-  } catch (const std::system_error &) {  // no more threads available: fewer do the work
-  }
-  work();
-  for (std::thread &other : others) other.join();
-  return !failed;
-}
-
 constexpr Size ROWS_AT_ONCE = 64, NIBBLES = 16;
-
-SSRVLAD_INLINE int ones(Word word) {
-#if defined(__GNUC__)
-  return __builtin_popcountll(word);
-#else
-  int bits = 0;
-  for (; word; word &= word - 1) ++bits;
-  return bits;
-#endif
-}
-
-// The bits under a mask in which a query differs from a row.
-SSRVLAD_INLINE Word differing_bits(const Word *query, const Word *mask, const Word *row, Size words) {
-  Word bits = 0;
-  for (Size i = 0; i < words; ++i) bits += static_cast<Word>(ones((query[i] ^ row[i]) & mask[i]));
-  return bits;
-}
-
-using BitCounter = Word (*)(const Word *, const Word *, const Word *, Size);
-
-Word count_plain(const Word *query, const Word *mask, const Word *row, Size words) {
-  return differing_bits(query, mask, row, words);
-}
-
-#if defined(__x86_64__) && defined(__GNUC__)
-__attribute__((target("popcnt")))
-Word count_by_word(const Word *query, const Word *mask, const Word *row, Size words) {
-  return differing_bits(query, mask, row, words);
-}
-
-__attribute__((target("avx512f,avx512vpopcntdq")))
-Word count_by_vector(const Word *query, const Word *mask, const Word *row, Size words) {
-  return differing_bits(query, mask, row, words);
-}
-
-bool counts_by_vector() {
-  __builtin_cpu_init();
-  return __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512vpopcntdq");
-}
-
-BitCounter bit_counter() {
-  if (counts_by_vector()) return count_by_vector;
-  return __builtin_cpu_supports("popcnt") ? count_by_word : count_plain;
-}
-#else
-BitCounter bit_counter() { return count_plain; }
-#endif
 
 // Signs on a grid: a row is `columns` columns of `words` words, `bits` of a column count.
 struct SignGrid {
@@ -1295,7 +1208,7 @@ void scan_by_vector(const Word *query, const Word *rows, Size count, const SignG
 }
 
 SignScan sign_scan() {
-  if (counts_by_vector()) return scan_by_vector;
+  if (places::counts_by_vector()) return scan_by_vector;
   return __builtin_cpu_supports("popcnt") ? scan_by_word : scan_plain;
 }
 #else
@@ -1682,7 +1595,7 @@ int ssrvlad_differing(const uint64_t *queries, const uint64_t *masks, int64_t co
                       int32_t *differing) {
   if (!queries || !masks || !rows || !differing || count < 0 || references < 0 || words < 1)
     return SSRVLAD_WRONG_ARGUMENT;
-  const BitCounter count_bits = bit_counter();
+  const BitCounter count_bits = places::bit_counter();
   const Size blocks = (references + ROWS_AT_ONCE - 1) / ROWS_AT_ONCE;
   const bool done = in_parallel(blocks, threads, [&](std::atomic<Size> &next) {
     for (Size block; (block = next++) < blocks;) {
