@@ -33,34 +33,43 @@ constexpr double ROUNDING = 1e-6;    // of a cosine of 480 float32 products
 constexpr double MIN_SPREAD = 1e-6;
 constexpr double MAX_LOG = 50;       // frames that equal their rows must not overflow
 
+// A double that, added, leaves whole numbers alone, in its lowest bits.
+constexpr double WHOLE = 6755399441055744.0;
+constexpr std::uint64_t WHOLE_BITS = 0x4338000000000000;
+
 // The logarithm of a positive normal number.
 inline double log_of(double value) {
   std::uint64_t bits;
   std::memcpy(&bits, &value, 8);
   constexpr std::uint64_t ROOT = 0x3fe6a09e667f3bcd;  // sqrt(1/2): mantissas from it to sqrt(2)
-  const std::int64_t exponent = static_cast<std::int64_t>(bits - ROOT) >> 52;
-  bits -= static_cast<std::uint64_t>(exponent) << 52;
-  double mantissa;
+  const std::uint64_t biased = (bits - ROOT + (std::uint64_t{1023} << 52)) >> 52;
+  bits -= (biased - 1023) << 52;
+  double mantissa, exponent;
   std::memcpy(&mantissa, &bits, 8);
+  bits = WHOLE_BITS + biased;  // as a double without the conversion that old processors lack
+  std::memcpy(&exponent, &bits, 8);
+  exponent -= WHOLE + 1023;
   const double s = (mantissa - 1) / (mantissa + 1), q = s * s;
   double series = 1.0 / 23;
   for (int odd = 21; odd > 0; odd -= 2) series = series * q + 1.0 / odd;
-  return static_cast<double>(exponent) * 0.693147180369123816490 +
-         (2 * s * series + static_cast<double>(exponent) * 1.90821492927058770002e-10);
+  return exponent * 0.693147180369123816490 + (2 * s * series + exponent * 1.90821492927058770002e-10);
 }
 
 // The exponential of a number from -700 to 700; 0 below, and for -inf.
 inline double exp_of(double value) {
   const double x = std::min(std::max(value, -701.0), 701.0);
-  const double shifted = x * 1.44269504088896340736 + 6755399441055744.0;  // to the nearest integer
-  const double whole = shifted - 6755399441055744.0;
+  const double shifted = x * 1.44269504088896340736 + WHOLE;  // to the nearest integer
+  const double whole = shifted - WHOLE;
   const double r = (x - whole * 0.693147180369123816490) - whole * 1.90821492927058770002e-10;
-  double series = 1;
-  for (int term = 14; term > 0; --term) series = series * r / term + 1;
-  const std::uint64_t bits = static_cast<std::uint64_t>(static_cast<std::int64_t>(whole) + 1023) << 52;
+  double series = 0, factorial = 87178291200;
+  for (int term = 14; term > 0; factorial /= term--) series = (series + 1 / factorial) * r;
+  series += 1;
+  std::uint64_t bits;
+  std::memcpy(&bits, &shifted, 8);
+  bits = (bits - WHOLE_BITS + 1023) << 52;
   double power;
   std::memcpy(&power, &bits, 8);
-  return value < -700 ? 0 : series * power;
+  return series * power * (value < -700 ? 0.0 : 1.0);
 }
 
 // Minus the logarithm of 1 - cosine; -inf for -inf.
