@@ -6,6 +6,8 @@ namespace places {
 
 namespace {
 constexpr int LANES = 16;
+constexpr Size BLOCK = 1024;  // rows that are moved at once: they fit into the nearest cache
+constexpr double HIGH = 1e6;  // a future is scaled beyond it
 
 // Probability of each step at each speed: 0, 1/2, 1, 3/2, 2, 3 and 4 rows a frame.
 const std::array<std::vector<std::pair<Size, double>>, SPEEDS> STEPS = {{
@@ -18,36 +20,83 @@ const std::array<std::vector<std::pair<Size, double>>, SPEEDS> STEPS = {{
     {{3, 0.15}, {4, 0.7}, {5, 0.15}},
 }};
 
-// Visits the rows of a list by the rows that are `shift` farther in the same drive: those that are
-// listed too, by both places and their number, and those that are not, by the place and the number.
-template <typename Listed, typename Unlisted>
-void visit(const Rows &from, const Rows &to, const Drives &drives, Size shift, Listed listed,
-           Unlisted unlisted) {
-  auto next = to.runs.begin();
-  for (const Run &run : from.runs) {
-    Size row = std::max(run.first + shift, drives.starts[run.drive]);
-    const Size last = std::min(run.last + shift, drives.last(run.drive));
-    const auto place = [&](Size target) { return run.at + target - shift - run.first; };
-    while (next != to.runs.begin() && std::prev(next)->last > row) --next;
-    while (row < last) {
-      while (next != to.runs.end() && next->last <= row) ++next;
-      const Size start = next == to.runs.end() ? last : std::min(last, next->first);
-      if (row < start) {
-        unlisted(place(row), start - row);
-        row = start;
-      }
-      if (row == last) break;
-      const Size end = std::min(last, next->last);
-      listed(place(row), next->at + row - next->first, end - row);
-      row = end;
-    }
+// Limits of a loop that are no constants to the compiler: else it makes branches of them, no vectors.
+struct Limits {
+  double least = ROUNDING, most = MAX_LOG, none = static_cast<double>(NONE);
+};
+
+// Calls a function with the rows of a list in pieces of neighbours.
+template <typename Function>
+void in_pieces(const Rows &rows, Function function) {
+  for (const Run &run : rows.runs)
+    for (Size first = run.first; first < run.last; first += BLOCK)
+      function(
+          Run{first, std::min(run.last, first + BLOCK), run.at + first - run.first, run.drive});
+}
+
+// Visits neighbouring rows as seen from a drive: those of it that a list holds, by the row, the place
+// in the list and the number; those of it that the list does not hold, and those outside the drive, by
+// the row and the number.
+template <typename Listed, typename Unlisted, typename Outside>
+void visit(Size first, Size last, Size drive, const Rows &list, const Drives &drives, Listed listed,
+           Unlisted unlisted, Outside outside) {
+  const Size start = std::min(last, std::max(first, drives.starts[drive]));
+  const Size end = std::max(start, std::min(last, drives.last(drive)));
+  if (first < start) outside(first, start - first);
+  auto run = std::upper_bound(list.runs.begin(), list.runs.end(), start,
+                              [](Size row, const Run &each) { return row < each.last; });
+  for (Size row = start; row < end;) {
+    const Size next = run == list.runs.end() ? end : std::min(end, std::max(row, run->first));
+    if (row < next) unlisted(row, next - row);
+    if (next == end) break;
+    row = std::min(end, run->last);
+    listed(next, run->at + next - run->first, row - next);
+    ++run;
   }
+  if (end < last) outside(end, last - end);
 }
 
 // Calls a function with the place and the number of rows of one list that are not in another.
 template <typename Function>
 void visit_others(const Rows &rows, const Rows &known, const Drives &drives, Function function) {
-  visit(rows, known, drives, 0, [](Size, Size, Size) {}, function);
+  for (const Run &run : rows.runs)
+    visit(
+        run.first, run.last, run.drive, known, drives, [](Size, Size, Size) {},
+        [&](Size row, Size count) { function(run.at + row - run.first, count); },
+        [](Size, Size) {});
+}
+
+// Sums of following values, each times its weight.
+SSRVLAD_CLONES void slide(float *sums, const float *values, Size count, const float *weights,
+                          Size width) {
+  Size i = 0;
+  for (; i + LANES <= count; i += LANES) {
+    float lanes[LANES] = {};
+    for (Size k = 0; k < width; ++k)
+      for (int lane = 0; lane < LANES; ++lane) lanes[lane] += weights[k] * values[i + k + lane];
+    std::copy_n(lanes, LANES, sums + i);
+  }
+  for (; i < count; ++i) {
+    float lane = 0;
+    for (Size k = 0; k < width; ++k) lane += weights[k] * values[i + k];
+    sums[i] = lane;
+  }
+}
+
+// Of values and what they have in common, each times a factor.
+SSRVLAD_CLONES void mixed(float *target, const float *values, float factor, const float *common,
+                          float part, Size count) {
+  for (Size i = 0; i < count; ++i) target[i] = factor * values[i] + part * common[i];
+}
+
+SSRVLAD_CLONES void likelihoods(const float *scores, Size count, double level, double weight,
+                                Limits limits, float *found) {
+  for (Size i = 0; i < count; ++i) {
+    const double far = 1 - static_cast<double>(scores[i]);
+    const double told = (-log_of(far > limits.least ? far : limits.least) - level) * weight;
+    const double known = told < limits.most ? told : limits.most;
+    found[i] = static_cast<float>(exp_of(scores[i] == NONE ? limits.none : known));
+  }
 }
 
 }  // namespace
@@ -82,39 +131,92 @@ SSRVLAD_CLONES void add(float *target, const float *values, float factor, Size c
   for (Size i = 0; i < count; ++i) target[i] += factor * values[i];
 }
 
-SSRVLAD_CLONES void multiply(float *target, const float *values, Size count) {
-  for (Size i = 0; i < count; ++i) target[i] *= values[i];
+SSRVLAD_CLONES void add_product(float *target, const float *some, const float *others, Size count) {
+  for (Size i = 0; i < count; ++i) target[i] += some[i] * others[i];
+}
+
+SSRVLAD_CLONES void raise(float *target, float value, Size count) {
+  for (Size i = 0; i < count; ++i) target[i] += value;
+}
+
+SSRVLAD_CLONES void multiply(float *target, const float *values, float factor, Size count) {
+  for (Size i = 0; i < count; ++i) target[i] *= values[i] * factor;
 }
 
 SSRVLAD_CLONES void scale(float *target, float factor, Size count) {
   for (Size i = 0; i < count; ++i) target[i] *= factor;
 }
 
-SSRVLAD_CLONES void nearness(const float *scores, Size count, float *near) {
-  for (Size i = 0; i < count; ++i) {
-    const double far = -log_of(std::max(1 - static_cast<double>(scores[i]), ROUNDING));
-    near[i] = scores[i] == NONE ? NONE : static_cast<float>(far);
-  }
+SSRVLAD_CLONES float highest(const float *values, Size count) {
+  float lanes[LANES] = {};
+  std::fill_n(lanes, LANES, NONE);
+  Size i = 0;
+  for (; i + LANES <= count; i += LANES)
+    for (int lane = 0; lane < LANES; ++lane)
+      lanes[lane] = values[i + lane] > lanes[lane] ? values[i + lane] : lanes[lane];
+  for (; i < count; ++i) lanes[0] = std::max(lanes[0], values[i]);
+  return *std::max_element(lanes, lanes + LANES);
 }
 
-Spread Spread::of(const float *near, Size count) {
-  float least = std::numeric_limits<float>::infinity(), most = NONE;
-  double total = 0;
-  Size known = 0;
-  for (Size i = 0; i < count; ++i)
-    if (near[i] != NONE) {
-      least = std::min(least, near[i]);
-      most = std::max(most, near[i]);
-      total += static_cast<double>(near[i]);
-      ++known;
+namespace {
+SSRVLAD_CLONES void nearness(const float *scores, Size count, Limits limits, float *near) {
+  for (Size i = 0; i < count; ++i) {
+    const double far = 1 - static_cast<double>(scores[i]);
+    const double found = -log_of(far > limits.least ? far : limits.least);
+    near[i] = static_cast<float>(scores[i] == NONE ? limits.none : found);
+  }
+}
+}  // namespace
+
+void nearness(const float *scores, Size count, float *near) { nearness(scores, count, {}, near); }
+
+namespace {
+double folded(double *lanes) {
+  for (int width = LANES / 2; width; width /= 2)
+    for (int lane = 0; lane < width; ++lane) lanes[lane] += lanes[lane + width];
+  return lanes[0];
+}
+
+// Of the known values, those above NONE: the sum of the squares of what they are above a level.
+SSRVLAD_CLONES double squares(const float *values, double level, Size count) {
+  double lanes[LANES] = {};
+  for (Size i = 0; i < count; i += LANES)
+    for (int lane = 0; lane < LANES; ++lane) {
+      const float value = i + lane < count ? values[i + lane] : NONE;
+      const double above = value == NONE ? 0 : static_cast<double>(value) - level;
+      lanes[lane] += above * above;
     }
-  if (!known) return {};
-  if (most - least <= MIN_SPREAD) return {static_cast<double>(least), MIN_SPREAD};
-  const double mean = total / static_cast<double>(known);
-  double squares = 0;
-  for (Size i = 0; i < count; ++i)
-    if (near[i] != NONE) squares += (near[i] - mean) * (near[i] - mean);
-  return {mean, std::max(MIN_SPREAD, std::sqrt(squares / static_cast<double>(known)))};
+  return folded(lanes);
+}
+}  // namespace
+
+SSRVLAD_CLONES Spread Spread::of(const float *near, Size count) {
+  float least[LANES], most[LANES];
+  double total[LANES] = {}, known[LANES] = {};
+  std::fill_n(least, LANES, -NONE);
+  std::fill_n(most, LANES, NONE);
+  const Size whole = count - count % LANES;
+  float rest[LANES];
+  std::fill(std::copy(near + whole, near + count, rest), rest + LANES, NONE);
+  for (Size i = 0; i <= whole; i += LANES) {
+    const float *values = i < whole ? near + i : rest;
+    for (int lane = 0; lane < LANES; ++lane) {
+      const float value = values[lane];
+      const bool some = value != NONE;
+      const float low = some ? value : -NONE;
+      least[lane] = low < least[lane] ? low : least[lane];
+      most[lane] = value > most[lane] ? value : most[lane];
+      total[lane] += some ? static_cast<double>(value) : 0.0;
+      known[lane] += some ? 1.0 : 0.0;
+    }
+  }
+  const double number = folded(known);
+  if (number == 0) return {};
+  const float low = *std::min_element(least, least + LANES),
+              high = *std::max_element(most, most + LANES);
+  if (high - low <= MIN_SPREAD) return {static_cast<double>(low), MIN_SPREAD};
+  const double mean = folded(total) / number;
+  return {mean, std::max(MIN_SPREAD, std::sqrt(squares(near, mean, count) / number))};
 }
 
 // -------------------------------------------------------------------------------------------- motion
@@ -131,21 +233,23 @@ Motion Motion::at(double other) const {
 Steps::Steps(double rate) {
   const double whole = std::floor(rate);
   for (int speed = 0; speed < SPEEDS; ++speed) {
-    std::vector<std::pair<Size, double>> steps = {{0, 1.0}};
+    Size first = 0;
+    std::vector<double> chances = {1};
     for (double done = 0; done < rate; ++done) {
       const double likely = done < whole ? 1.0 : rate - whole;
-      std::vector<double> after(steps.size() + 12, 0.0);
-      const Size first = steps.front().first - 1;
-      for (const auto &[far, chance] : steps) {
-        after[static_cast<std::size_t>(far - first)] += (1 - likely) * chance;
+      const Size least = std::min<Size>(0, STEPS[speed].front().first);
+      std::vector<double> after(chances.size() +
+                                static_cast<std::size_t>(STEPS[speed].back().first - least));
+      for (std::size_t place = 0; place < chances.size(); ++place) {
+        after[place + static_cast<std::size_t>(-least)] += (1 - likely) * chances[place];
         for (const auto &[step, part] : STEPS[speed])
-          after[static_cast<std::size_t>(far + step - first)] += chance * part * likely;
+          after[place + static_cast<std::size_t>(step - least)] += chances[place] * part * likely;
       }
-      steps.clear();
-      for (std::size_t place = 0; place < after.size(); ++place)
-        if (after[place] > 0) steps.emplace_back(first + static_cast<Size>(place), after[place]);
+      first += least;
+      chances = after;
     }
-    of[speed] = steps;
+    while (chances.front() == 0) chances.erase(chances.begin()), ++first;
+    of[speed] = {first, {chances.begin(), chances.end()}, {chances.rbegin(), chances.rend()}};
   }
 }
 
@@ -153,12 +257,8 @@ std::vector<float> likelihoods(const float *scores, Size count, const Motion &mo
                                const Spread &spread) {
   std::vector<float> found(static_cast<std::size_t>(count), 1.0F);
   if (spread.deviation <= MIN_SPREAD) return found;
-  const double level = spread.mean + motion.level * spread.deviation;
-  const double weight = motion.weight / spread.deviation;
-  for (Size i = 0; i < count; ++i) {
-    const double told = (nearness(static_cast<double>(scores[i])) - level) * weight;
-    found[i] = static_cast<float>(exp_of(std::min(told, MAX_LOG)));
-  }
+  likelihoods(scores, count, spread.mean + motion.level * spread.deviation,
+              motion.weight / spread.deviation, {}, found.data());
   return found;
 }
 
@@ -193,6 +293,12 @@ Rows Drives::some(const Size *listed, Size count) const {
   return some;
 }
 
+Size Rows::at(Size place) const {
+  const auto next = std::upper_bound(runs.begin(), runs.end(), place,
+                                     [](Size value, const Run &run) { return value < run.at; });
+  return std::prev(next)->first + place - std::prev(next)->at;
+}
+
 std::vector<float> Belief::of_rows() const {
   std::vector<float> found(mapped.begin(), mapped.begin() + rows.count);
   for (int speed = 1; speed < SPEEDS; ++speed)
@@ -204,6 +310,16 @@ std::vector<float> Belief::of_rows() const {
 
 Filter::Filter(const Drives &drives, const Motion &motion, std::vector<int> ways)
     : drives_(drives), motion_(motion), steps_(motion.rate), ways_(std::move(ways)) {}
+
+std::pair<Size, Size> Filter::reach() const {
+  Size least = 0, most = 0;
+  for (const int way : ways_)
+    for (const Steps::Speed &speed : steps_.of) {
+      least = std::min({least, way * speed.first, way * speed.last()});
+      most = std::max({most, way * speed.first, way * speed.last()});
+    }
+  return {least, most};
+}
 
 Size Filter::places() const {
   return std::max<Size>(1, drives_.rows) * static_cast<Size>(ways_.size());
@@ -219,89 +335,112 @@ Belief Filter::start(const Rows &rows) const {
     for (const double prior : PRIOR)
       belief.mapped.insert(belief.mapped.end(), static_cast<std::size_t>(rows.count),
                            static_cast<float>(prior * each));
-  belief.elsewhere = each * static_cast<double>((drives_.rows - rows.count) * static_cast<Size>(ways_.size()));
+  belief.elsewhere =
+      each * static_cast<double>((drives_.rows - rows.count) * static_cast<Size>(ways_.size()));
   return belief;
 }
 
 Belief Filter::extended(const Belief &belief, const Rows &rows) const {
   Belief more{rows, {}, belief.elsewhere, belief.unmapped};
   more.mapped.resize(ways_.size() * SPEEDS * static_cast<std::size_t>(rows.count));
-  visit(belief.rows, rows, drives_, 0,
-        [&](Size from, Size to, Size count) {
-          for (std::size_t state = 0; state < ways_.size() * SPEEDS; ++state)
-            std::copy_n(belief.mapped.data() + static_cast<Size>(state) * belief.rows.count + from, count,
-                        more.mapped.data() + static_cast<Size>(state) * rows.count + to);
-        },
+  const auto copy = [&](const Run &run, Size row, Size place, Size count) {
+    for (std::size_t state = 0; state < ways_.size() * SPEEDS; ++state)
+      std::copy_n(belief.mapped.data() + static_cast<Size>(state) * belief.rows.count + run.at +
+                      row - run.first,
+                  count, more.mapped.data() + static_cast<Size>(state) * rows.count + place);
+  };
+  for (const Run &run : belief.rows.runs)
+    visit(
+        run.first, run.last, run.drive, rows, drives_,
+        [&](Size row, Size place, Size count) { copy(run, row, place, count); }, [](Size, Size) {},
         [](Size, Size) {});
   return more;
+}
+
+// Moves the belief in listed rows. Returns what reaches rows that are not listed; what leaves its drive
+// is lost.
+double Filter::moved(const Belief &before, Belief &after, double &lost) const {
+  const Size here = before.rows.count, there = after.rows.count;
+  const double kept = 1 - motion_.jump;
+  double left = 0;
+  std::vector<float> all(BLOCK), padded, out;
+  in_pieces(before.rows, [&](const Run &piece) {
+    const Size size = piece.last - piece.first;
+    for (std::size_t way = 0; way < ways_.size(); ++way) {
+      const float *from = before.mapped.data() + static_cast<Size>(way) * SPEEDS * here + piece.at;
+      std::copy_n(from, size, all.data());
+      for (int speed = 1; speed < SPEEDS; ++speed) add(all.data(), from + speed * here, 1, size);
+      for (int speed = 0; speed < SPEEDS; ++speed) {
+        const Steps::Speed &steps = steps_.of[speed];
+        const Size width = steps.count(), reached = size + width - 1;
+        padded.assign(static_cast<std::size_t>(reached + width - 1), 0.0F);
+        out.resize(static_cast<std::size_t>(reached));
+        mixed(padded.data() + width - 1, from + speed * here,
+              static_cast<float>(kept * (1 - motion_.change)), all.data(),
+              static_cast<float>(kept * motion_.change * PRIOR[speed]), size);
+        const bool onwards = ways_[way] == FORWARDS;
+        slide(out.data(), padded.data(), reached, (onwards ? steps.reversed : steps.chances).data(),
+              width);
+        const Size first = piece.first + (onwards ? steps.first : -steps.last());
+        float *to = after.mapped.data() + (static_cast<Size>(way) * SPEEDS + speed) * there;
+        visit(
+            first, first + reached, piece.drive, after.rows, drives_,
+            [&](Size row, Size place, Size count) {
+              add(to + place, out.data() + row - first, 1, count);
+            },
+            [&](Size row, Size count) { left += sum(out.data() + row - first, count); },
+            [&](Size row, Size count) { lost += sum(out.data() + row - first, count); });
+      }
+    }
+  });
+  return left;
 }
 
 Belief Filter::predicted(const Belief &before, const Rows &rows) const {
   if (!drives_.rows) return {rows, {}, 0, 1};
   const Size here = before.rows.count, there = rows.count;
-  Belief after{rows, std::vector<float>(ways_.size() * SPEEDS * static_cast<std::size_t>(there)), 0, 0};
-  std::vector<float> all(static_cast<std::size_t>(here)), turned(all.size());
-  double left = 0;  // for rows that are not listed
-  for (std::size_t way = 0; way < ways_.size(); ++way) {
-    const float *from = before.mapped.data() + static_cast<Size>(way) * SPEEDS * here;
-    float *to = after.mapped.data() + static_cast<Size>(way) * SPEEDS * there;
-    std::copy_n(from, here, all.data());
-    for (int speed = 1; speed < SPEEDS; ++speed) add(all.data(), from + speed * here, 1, here);
-    for (int speed = 0; speed < SPEEDS; ++speed) {
-      std::copy_n(from + speed * here, here, turned.data());
-      scale(turned.data(), static_cast<float>(1 - motion_.change), here);
-      add(turned.data(), all.data(), static_cast<float>(motion_.change * PRIOR[speed]), here);
-      for (const auto &[step, chance] : steps_.of[speed]) {
-        const double part = chance * (1 - motion_.jump);
-        visit(before.rows, rows, drives_, ways_[way] * step,
-              [&](Size place, Size target, Size count) {
-                add(to + speed * there + target, turned.data() + place, static_cast<float>(part), count);
-              },
-              [&](Size place, Size count) { left += part * sum(turned.data() + place, count); });
-      }
-    }
-  }
+  const auto ways = static_cast<Size>(ways_.size());
+  Belief after{rows, std::vector<float>(static_cast<std::size_t>(ways * SPEEDS * there)), 0, 0};
+  double lost = motion_.jump * (1 - before.unmapped);
+  const double left = moved(before, after, lost);
   Size fresh = 0;  // listed now, but not before
   visit_others(rows, before.rows, drives_, [&](Size, Size count) { fresh += count; });
   const double stayed = before.elsewhere * (1 - motion_.jump);
-  const double came = stayed * static_cast<double>(fresh) / static_cast<double>(std::max<Size>(1, drives_.rows - here));
-  if (fresh && came > 0) {
-    const double each = came / static_cast<double>(fresh) / static_cast<double>(ways_.size());
+  const double came = stayed * static_cast<double>(fresh) /
+                      static_cast<double>(std::max<Size>(1, drives_.rows - here));
+  if (came > 0) {
+    const double each = came / static_cast<double>(fresh * ways);
     visit_others(rows, before.rows, drives_, [&](Size place, Size count) {
-      for (std::size_t state = 0; state < ways_.size() * SPEEDS; ++state)
+      for (Size state = 0; state < ways * SPEEDS; ++state)
         for (Size i = 0; i < count; ++i)
-          after.mapped[static_cast<std::size_t>(static_cast<Size>(state) * there + place + i)] +=
-              static_cast<float>(PRIOR[state % SPEEDS] * each);
+          after.mapped[static_cast<std::size_t>(state * there + place + i)] +=
+              static_cast<float>(PRIOR[static_cast<std::size_t>(state % SPEEDS)] * each);
     });
   }
-  after.elsewhere = left + stayed - came;
-  const double mapped = sum(after.mapped.data(), static_cast<Size>(after.mapped.size()));
-  const double lost = std::max(0.0, 1 - before.unmapped - mapped - after.elsewhere);
   const double any_row = lost * (1 - motion_.unmapped) + before.unmapped * (1 - motion_.stay);
-  after.unmapped = lost * motion_.unmapped + before.unmapped * motion_.stay;
   const double each = any_row / static_cast<double>(places());
-  after.elsewhere += each * static_cast<double>((drives_.rows - there) * static_cast<Size>(ways_.size()));
-  for (std::size_t state = 0; state < ways_.size() * SPEEDS; ++state) {
-    const float prior = static_cast<float>(PRIOR[state % SPEEDS] * each);
-    float *cells = after.mapped.data() + static_cast<Size>(state) * there;
-    for (Size i = 0; i < there; ++i) cells[i] += prior;
-  }
+  after.unmapped = lost * motion_.unmapped + before.unmapped * motion_.stay;
+  after.elsewhere =
+      left + stayed - came + each * static_cast<double>((drives_.rows - there) * ways);
+  for (Size state = 0; state < ways * SPEEDS; ++state)
+    raise(after.mapped.data() + state * there,
+          static_cast<float>(PRIOR[static_cast<std::size_t>(state % SPEEDS)] * each), there);
   return after;
 }
 
 double Filter::update(Belief &belief, const Likelihood &likelihood) const {
   const Size count = belief.rows.count, others = drives_.rows - count;
-  const std::size_t states = ways_.size() * SPEEDS;
-  for (std::size_t state = 0; state < states; ++state)
-    multiply(belief.mapped.data() + static_cast<Size>(state) * count, likelihood.rows.data(), count);
+  const auto states = static_cast<Size>(ways_.size()) * SPEEDS;
+  const float *told = likelihood.rows.data();
   belief.elsewhere *= likelihood.elsewhere;
-  const double total = sum(belief.mapped.data(), static_cast<Size>(belief.mapped.size())) +
-                       belief.elsewhere + belief.unmapped;
-  scale(belief.mapped.data(), static_cast<float>(1 / total), static_cast<Size>(belief.mapped.size()));
+  double total = belief.elsewhere + belief.unmapped;
+  for (Size state = 0; state < states; ++state)
+    total += dot(belief.mapped.data() + state * count, told, count);
+  for (Size state = 0; state < states; ++state)
+    multiply(belief.mapped.data() + state * count, told, static_cast<float>(1 / total), count);
   belief.elsewhere /= total;
   belief.unmapped /= total;
-  const double mean = (sum(likelihood.rows.data(), count) +
-                       static_cast<double>(others) * likelihood.elsewhere) /
+  const double mean = (sum(told, count) + static_cast<double>(others) * likelihood.elsewhere) /
                       static_cast<double>(std::max<Size>(1, drives_.rows));
   const double unmapped = unmapped_at_start();
   return log_of(total / ((1 - unmapped) * mean + unmapped));
@@ -311,87 +450,103 @@ Future Filter::none(const Belief &belief) const {
   return {std::vector<float>(belief.mapped.size(), 1.0F), 1, 1};
 }
 
+// The future of a piece of neighbouring rows, by that of the later rows.
+void Filter::moved_back(const Run &piece, std::size_t way, const Future &future, const Rows &later,
+                        const Likelihood &likelihood, double lost, Future &earlier,
+                        Size here) const {
+  const Size size = piece.last - piece.first, there = later.count;
+  const float elsewhere = static_cast<float>(future.elsewhere * likelihood.elsewhere);
+  const double kept = 1 - motion_.jump;
+  std::vector<float> padded, reached(static_cast<std::size_t>(SPEEDS * size)),
+      all(static_cast<std::size_t>(size));
+  for (int speed = 0; speed < SPEEDS; ++speed) {
+    const Steps::Speed &steps = steps_.of[speed];
+    const bool onwards = ways_[way] == FORWARDS;
+    const Size width = steps.count(), first = piece.first + (onwards ? steps.first : -steps.last());
+    const float *from = future.mapped.data() + (static_cast<Size>(way) * SPEEDS + speed) * there;
+    padded.resize(static_cast<std::size_t>(size + width - 1));
+    visit(
+        first, first + size + width - 1, piece.drive, later, drives_,
+        [&](Size row, Size place, Size count) {
+          const float *told = likelihood.rows.data() + place;
+          for (Size i = 0; i < count; ++i) padded[row - first + i] = from[place + i] * told[i];
+        },
+        [&](Size row, Size count) { std::fill_n(padded.begin() + row - first, count, elsewhere); },
+        [&](Size row, Size count) {
+          std::fill_n(padded.begin() + row - first, count, static_cast<float>(lost));
+        });
+    slide(reached.data() + speed * size, padded.data(), size,
+          (onwards ? steps.chances : steps.reversed).data(), width);
+    add(all.data(), reached.data() + speed * size,
+        static_cast<float>(kept * motion_.change * PRIOR[speed]), size);
+  }
+  raise(all.data(), static_cast<float>(motion_.jump * lost), size);
+  for (int speed = 0; speed < SPEEDS; ++speed)
+    mixed(earlier.mapped.data() + (static_cast<Size>(way) * SPEEDS + speed) * here + piece.at,
+          reached.data() + speed * size, static_cast<float>(kept * (1 - motion_.change)),
+          all.data(), 1, size);
+}
+
 Future Filter::before(const Belief &belief, const Rows &later, const Likelihood &likelihood,
                       const Future &future) const {
   const Size here = belief.rows.count, there = later.count;
-  const std::size_t ways = ways_.size();
-  std::vector<float> weighted = future.mapped;
+  const auto ways = static_cast<Size>(ways_.size());
+  const float *told = likelihood.rows.data();
   double any_row = 0;
-  for (std::size_t state = 0; state < ways * SPEEDS; ++state) {
-    float *cells = weighted.data() + static_cast<Size>(state) * there;
-    multiply(cells, likelihood.rows.data(), there);
-    any_row += PRIOR[state % SPEEDS] * sum(cells, there);
-  }
+  for (Size state = 0; state < ways * SPEEDS; ++state)
+    any_row += PRIOR[static_cast<std::size_t>(state % SPEEDS)] *
+               dot(future.mapped.data() + state * there, told, there);
   const double elsewhere = future.elsewhere * likelihood.elsewhere;
-  any_row += static_cast<double>((drives_.rows - there) * static_cast<Size>(ways)) * elsewhere;
+  any_row += static_cast<double>((drives_.rows - there) * ways) * elsewhere;
   any_row /= static_cast<double>(places());
   const double lost = (1 - motion_.unmapped) * any_row + motion_.unmapped * future.unmapped;
-  Future earlier{std::vector<float>(ways * SPEEDS * static_cast<std::size_t>(here)), 0, 0};
+  Future earlier{std::vector<float>(static_cast<std::size_t>(ways * SPEEDS * here)), 0, 0};
   earlier.unmapped = motion_.stay * future.unmapped + (1 - motion_.stay) * any_row;
-  // by the speed after: what is reached, and with what probability a row of the drive
-  std::vector<float> reached(SPEEDS * static_cast<std::size_t>(here)), inside(reached.size());
-  std::vector<float> all(static_cast<std::size_t>(here));
-  for (std::size_t way = 0; way < ways; ++way) {
-    std::fill(reached.begin(), reached.end(), 0.0F);
-    std::fill(inside.begin(), inside.end(), 0.0F);
-    const float *from = weighted.data() + static_cast<Size>(way) * SPEEDS * there;
-    for (int speed = 0; speed < SPEEDS; ++speed)
-      for (const auto &[step, chance] : steps_.of[speed]) {
-        const float part = static_cast<float>(chance);
-        float *to = reached.data() + speed * here, *in = inside.data() + speed * here;
-        visit(belief.rows, later, drives_, ways_[way] * step,
-              [&](Size place, Size target, Size count) {
-                add(to + place, from + speed * there + target, part, count);
-                for (Size i = 0; i < count; ++i) in[place + i] += part;
-              },
-              [&](Size place, Size count) {
-                for (Size i = 0; i < count; ++i) {
-                  to[place + i] += part * static_cast<float>(elsewhere);
-                  in[place + i] += part;
-                }
-              });
-      }
-    for (std::size_t place = 0; place < inside.size(); ++place)  // what leaves its drive is lost
-      reached[place] += std::max(0.0F, 1 - inside[place]) * static_cast<float>(lost);
-    std::fill(all.begin(), all.end(), 0.0F);
-    for (int speed = 0; speed < SPEEDS; ++speed)
-      add(all.data(), reached.data() + speed * here, static_cast<float>(PRIOR[speed]), here);
-    for (int speed = 0; speed < SPEEDS; ++speed) {
-      float *cells = earlier.mapped.data() + (static_cast<Size>(way) * SPEEDS + speed) * here;
-      add(cells, reached.data() + speed * here, static_cast<float>((1 - motion_.jump) * (1 - motion_.change)), here);
-      add(cells, all.data(), static_cast<float>((1 - motion_.jump) * motion_.change), here);
-      for (Size i = 0; i < here; ++i) cells[i] += static_cast<float>(motion_.jump * lost);
-    }
-  }
+  in_pieces(belief.rows, [&](const Run &piece) {
+    for (std::size_t way = 0; way < ways_.size(); ++way)
+      moved_back(piece, way, future, later, likelihood, lost, earlier, here);
+  });
   Size fresh = 0;
   double at_fresh = 0;
   visit_others(later, belief.rows, drives_, [&](Size place, Size count) {
     fresh += count;
-    for (std::size_t state = 0; state < ways * SPEEDS; ++state)
-      at_fresh += PRIOR[state % SPEEDS] * sum(weighted.data() + static_cast<Size>(state) * there + place, count);
+    for (Size state = 0; state < ways * SPEEDS; ++state)
+      at_fresh += PRIOR[static_cast<std::size_t>(state % SPEEDS)] *
+                  dot(future.mapped.data() + state * there + place, told + place, count);
   });
-  const double part = static_cast<double>(fresh) / static_cast<double>(std::max<Size>(1, drives_.rows - here));
-  const double come = fresh ? part * at_fresh / static_cast<double>(fresh * static_cast<Size>(ways)) : 0;
+  const double part =
+      static_cast<double>(fresh) / static_cast<double>(std::max<Size>(1, drives_.rows - here));
+  const double come = fresh ? part * at_fresh / static_cast<double>(fresh * ways) : 0;
   earlier.elsewhere = (1 - motion_.jump) * (come + (1 - part) * elsewhere) + motion_.jump * lost;
-  double highest = std::max(earlier.unmapped, earlier.elsewhere);
-  for (const float cell : earlier.mapped) highest = std::max(highest, static_cast<double>(cell));
-  scale(earlier.mapped.data(), static_cast<float>(1 / highest), static_cast<Size>(earlier.mapped.size()));
-  earlier.elsewhere /= highest;
-  earlier.unmapped /= highest;
+  const auto count = static_cast<Size>(earlier.mapped.size());
+  const double most = highest(earlier.mapped.data(), count);
+  const double high = std::max({earlier.unmapped, earlier.elsewhere, most});
+  if (high > HIGH || high < 1 / HIGH) {
+    scale(earlier.mapped.data(), static_cast<float>(1 / high), count);
+    earlier.elsewhere /= high;
+    earlier.unmapped /= high;
+  }
   return earlier;
 }
 
-Belief Filter::smoothed(const Belief &belief, const Future &future) const {
-  Belief found = belief;
-  multiply(found.mapped.data(), future.mapped.data(), static_cast<Size>(found.mapped.size()));
-  found.elsewhere *= future.elsewhere;
-  found.unmapped *= future.unmapped;
-  const double total =
-      sum(found.mapped.data(), static_cast<Size>(found.mapped.size())) + found.elsewhere + found.unmapped;
-  scale(found.mapped.data(), static_cast<float>(1 / total), static_cast<Size>(found.mapped.size()));
-  found.elsewhere /= total;
-  found.unmapped /= total;
-  return found;
+std::pair<std::vector<float>, double> Filter::smoothed(const Belief &belief,
+                                                       const Future &future) const {
+  const Size count = belief.rows.count;
+  const auto states = static_cast<Size>(ways_.size()) * SPEEDS;
+  std::vector<float> rows(static_cast<std::size_t>(count));
+  const double unmapped = belief.unmapped * future.unmapped;
+  double total = belief.elsewhere * future.elsewhere + unmapped;
+  for (Size state = 0; state < states; ++state) {
+    const float *now = belief.mapped.data() + state * count,
+                *then = future.mapped.data() + state * count;
+    if (state < SPEEDS)
+      add_product(rows.data(), now, then, count);
+    else
+      total += dot(now, then, count);
+  }
+  total += sum(rows.data(), count);
+  scale(rows.data(), static_cast<float>(1 / total), count);
+  return {rows, unmapped / total};
 }
 
 }  // namespace places

@@ -24,14 +24,23 @@ constexpr double MOST_RATE = 100;
 
 // How a drive moves, and how much one frame counts; recognition/motion.py explains the settings.
 struct Motion {
-  double change = 0.05, jump = 0.01, unmapped = 0.1, stay = 0.97, weight = 0.3, level = 0.5, rate = 1;
+  double change = 0.05, jump = 0.01, unmapped = 0.1, stay = 0.97, weight = 0.3, level = 0.5,
+         rate = 1;
 
   Motion at(double rate) const;
 };
 
-// The probability of each step in rows at each speed.
+// The probabilities of neighbouring steps in rows at each speed, from the first step on, in this order
+// and in the other.
 struct Steps {
-  std::array<std::vector<std::pair<Size, double>>, SPEEDS> of;
+  struct Speed {
+    Size first;
+    std::vector<float> chances, reversed;
+
+    Size count() const { return static_cast<Size>(chances.size()); }
+    Size last() const { return first + count() - 1; }
+  };
+  std::array<Speed, SPEEDS> of;
 
   explicit Steps(double rate);
 };
@@ -45,6 +54,8 @@ struct Run {
 struct Rows {
   std::vector<Run> runs;
   Size count = 0;
+
+  Size at(Size place) const;  // the row at a place of the list
 };
 
 // Where each drive of a map starts, and how many rows the map has.
@@ -52,9 +63,9 @@ struct Drives {
   std::vector<Size> starts;
   Size rows = 0;
 
-  Size last(Size drive) const;        // the row after those of a drive
-  Size of(Size row) const;            // the drive of a row
-  Rows all() const;                   // all rows
+  Size last(Size drive) const;                    // the row after those of a drive
+  Size of(Size row) const;                        // the drive of a row
+  Rows all() const;                               // all rows
   Rows some(const Size *rows, Size count) const;  // rising rows, each once
 };
 
@@ -93,6 +104,8 @@ class Filter {
 
   const Drives &drives() const { return drives_; }
   const Motion &motion() const { return motion_; }
+  // The least and the greatest step in rows, in all ways.
+  std::pair<Size, Size> reach() const;
 
   // The belief in listed rows before the first frame of a drive.
   Belief start(const Rows &rows) const;
@@ -108,11 +121,15 @@ class Filter {
   // The future from a belief, by the later rows, the likelihood of the later frame and its future.
   Future before(const Belief &belief, const Rows &later, const Likelihood &likelihood,
                 const Future &future) const;
-  // A belief, given its future.
-  Belief smoothed(const Belief &belief, const Future &future) const;
+  // Probabilities of the listed rows in the first way, and of a place that the map lacks, by a belief
+  // and its future.
+  std::pair<std::vector<float>, double> smoothed(const Belief &belief, const Future &future) const;
 
  private:
-  Size places() const;      // the number of rows, in all ways; of an empty map as of one row
+  double moved(const Belief &before, Belief &after, double &lost) const;
+  void moved_back(const Run &piece, std::size_t way, const Future &future, const Rows &later,
+                  const Likelihood &likelihood, double lost, Future &earlier, Size here) const;
+  Size places() const;  // the number of rows, in all ways; of an empty map as of one row
   double unmapped_at_start() const;
 
   const Drives &drives_;

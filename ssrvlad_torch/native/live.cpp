@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstring>
 
 #include "parallel.hpp"
 
@@ -12,7 +13,7 @@ namespace places {
 namespace {
 constexpr Size LANES = 16;
 constexpr int TOGETHER = 3;  // anchors that are compared with a row at once
-constexpr Size MANY = 1 << 13;  // rows from which threads share them
+constexpr Size MANY = 1 << 13;   // rows from which threads share them
 constexpr double LENGTH_TOLERANCE = 1e-3;
 constexpr double MIN_SQUARE = 1e-9, LEAST = 1e-3;  // of a length without a mean, of two lengths' product
 
@@ -64,34 +65,29 @@ void by_stretch(const Stretches &stretches, Size first, Size last, Function func
   }
 }
 
-// Shares the rows among threads, block by block.
-template <class Function>
-void by_block(Size rows, int threads, Function function) {
-  constexpr Size BLOCK = Blocks<float>::ROWS;
-  const Size blocks = (rows + BLOCK - 1) / BLOCK;
-  const bool done = in_parallel(blocks, rows < MANY ? 1 : threads, [&](std::atomic<Size> &next) {
-    for (Size block; (block = next++) < blocks;)
-      function(block * BLOCK, std::min(rows, (block + 1) * BLOCK));
-  });
-  if (!done) throw std::bad_alloc();
+// The numbers of bits in which a column of a frame differs from that of another.
+Size differing(const Word *one, const Word *other, Size words) {
+  std::int32_t bits;
+  count_moves(one, other, 1, {1, words, 0}, &bits);
+  return bits;
 }
 }  // namespace
 
 // ------------------------------------------------------------------------------------------- vectors
 
-Vectors::Vectors(Size length)
+LiveVectors::LiveVectors(Size length)
     : length_(length),
       width_((length + LANES - 1) / LANES * LANES),
       rows_(width_),
       total_(place(length)),
       before_(place(length)) {}
 
-bool Vectors::empty(const void *descriptor) const {
+bool LiveVectors::empty(const void *descriptor) const {
   const auto *vector = static_cast<const float *>(descriptor);
   return std::all_of(vector, vector + length_, [](float number) { return number == 0; });
 }
 
-bool Vectors::fits(const void *swept, Size anchors) const {
+bool LiveVectors::fits(const void *swept, Size anchors) const {
   const auto *vector = static_cast<const float *>(swept);
   for (Size anchor = 0; anchor < anchors; ++anchor, vector += length_) {
     const double length = std::sqrt(dot(vector, vector, length_));
@@ -100,7 +96,7 @@ bool Vectors::fits(const void *swept, Size anchors) const {
   return anchors % 2 == 1;
 }
 
-void Vectors::append(const void *descriptor) {
+void LiveVectors::append(const void *descriptor) {
   const auto *vector = static_cast<const float *>(descriptor);
   float *row = rows_.append();
   std::copy_n(vector, length_, row);
@@ -110,7 +106,7 @@ void Vectors::append(const void *descriptor) {
   counted_ += !empty_.back();
 }
 
-void Vectors::start_stretch() {
+void LiveVectors::start_stretch() {
   if (first_ == rows()) return;
   finished_.push_back({first_, mean(nullptr)});
   for (Size i = 0; i < length_; ++i) before_[place(i)] += total_[place(i)];
@@ -121,7 +117,7 @@ void Vectors::start_stretch() {
 }
 
 // The mean of the present stretch, with another frame if there is one.
-std::vector<float> Vectors::mean(const float *next) const {
+std::vector<float> LiveVectors::mean(const float *next) const {
   Size counted = counted_ + (next && !empty(next)) + (counted_before_ ? BEFORE : 0);
   counted = std::max<Size>(1, counted);
   const double share = counted_before_ ? static_cast<double>(BEFORE) / static_cast<double>(counted_before_) : 0;
@@ -134,7 +130,7 @@ std::vector<float> Vectors::mean(const float *next) const {
 }
 
 // Anchors without the mean, of length 1 again; those that equal it are zero.
-std::vector<float> Vectors::centred(const float *swept, Size anchors, const float *mean) const {
+std::vector<float> LiveVectors::centred(const float *swept, Size anchors, const float *mean) const {
   std::vector<float> after(place(anchors * width_));
   for (Size anchor = 0; anchor < anchors; ++anchor, swept += length_) {
     float *vector = after.data() + anchor * width_, most = 0;
@@ -148,13 +144,13 @@ std::vector<float> Vectors::centred(const float *swept, Size anchors, const floa
   return after;
 }
 
-void Vectors::scores(const void *swept, Size anchors, int threads, float *scores) {
+void LiveVectors::scores(const void *swept, Size anchors, int threads, float *scores) {
   const auto *given = static_cast<const float *>(swept);
   auto stretches = finished_;
   stretches.push_back({first_, mean(given + anchors / 2 * length_)});
   const std::vector<float> all = centred(given, anchors, stretches.back().mean.data());
-  by_block(rows(), threads, [&](Size first, Size last) {
-    float squares[Blocks<float>::ROWS];
+  over_blocks(rows(), GrowingRows<float>::ROWS, rows() < MANY ? 1 : threads, [&](Size first, Size last) {
+    float squares[GrowingRows<float>::ROWS];
     std::fill(scores + first, scores + last, NONE);
     by_stretch(stretches, first, last, [&](const Stretch &stretch, Size from, Size to) {
       for (Size anchor = 0; anchor < anchors;) {
@@ -172,12 +168,12 @@ void Vectors::scores(const void *swept, Size anchors, int threads, float *scores
   });
 }
 
-void Vectors::copy(Size first, Size last, void *descriptors) const {
+void LiveVectors::copy(Size first, Size last, void *descriptors) const {
   auto *out = static_cast<float *>(descriptors);
   for (Size row = first; row < last; ++row, out += length_) std::copy_n(rows_[row], length_, out);
 }
 
-double Vectors::cosine(const void *one, const void *other) const {
+double LiveVectors::cosine(const void *one, const void *other) const {
   const auto *a = static_cast<const float *>(one), *b = static_cast<const float *>(other);
   const double length = std::max(std::sqrt(dot(a, a, length_)), ROUNDING);
   return dot(a, b, length_) / (length * std::max(std::sqrt(dot(b, b, length_)), ROUNDING));
@@ -185,75 +181,67 @@ double Vectors::cosine(const void *one, const void *other) const {
 
 // --------------------------------------------------------------------------------------------- signs
 
-Signs::Signs(Size columns, Size size)
+LiveSigns::LiveSigns(Size columns, Size size)
     : columns_(columns),
       size_(size),
-      words_((size + 7) / 8),
-      rows_(columns * words_),
-      nothing_(place(columns * words_)),
-      all_(place(columns * words_), ~Word{0}),
-      count_(bit_counter()) {}
+      grid_{columns, (size + 7) / 8, REACH},
+      rows_(grid_.size()),
+      nothing_(place(grid_.size())) {}
 
-std::vector<Word> Signs::packed(const void *descriptor) const {
+std::vector<Word> LiveSigns::packed(const void *descriptor) const {
   const auto *bytes = static_cast<const std::uint8_t *>(descriptor);
-  std::vector<Word> frame(place(columns_ * words_));
+  std::vector<Word> frame(nothing_);
   for (Size column = 0; column < columns_; ++column)
-    std::memcpy(frame.data() + column * words_, bytes + column * size_, place(size_));
+    std::memcpy(frame.data() + column * grid_.words, bytes + column * size_, place(size_));
   return frame;
 }
 
-double Signs::bits(int move) const {
+double LiveSigns::bits(int move) const {
   return static_cast<double>(8 * size_ * std::max<Size>(0, columns_ - std::abs(move)));
 }
 
-void Signs::add(const Word *frame, Tally &tally) const {
-  tally.ones.resize(place(columns_));
-  for (Size column = 0; column < columns_; ++column)
-    for (Size word = column * words_; word < (column + 1) * words_; ++word)
-      tally.ones[place(column)] += ones(frame[word]);
-  std::vector<Word> carry(frame, frame + columns_ * words_);
-  for (std::size_t plane = 0; tally.frames >> plane; ++plane) {
-    if (plane == tally.planes.size()) tally.planes.push_back(nothing_);
+void LiveSigns::add(const Word *frame, Sum &sum) const {
+  ++sum.frames;
+  std::vector<Word> carry(frame, frame + grid_.size());
+  for (std::size_t plane = 0; sum.frames >> plane; ++plane) {
+    if (plane == sum.planes.size()) sum.planes.push_back(nothing_);
     for (std::size_t word = 0; word < carry.size(); ++word) {
-      const Word both = carry[word] & tally.planes[plane][word];
-      tally.planes[plane][word] ^= carry[word];
+      const Word both = carry[word] & sum.planes[plane][word];
+      sum.planes[plane][word] ^= carry[word];
       carry[word] = both;
     }
   }
-  if (std::any_of(carry.begin(), carry.end(), [](Word word) { return word; })) tally.planes.push_back(carry);
-  ++tally.frames;
 }
 
-Signs::Products Signs::with(const Word *frame, const Tally &tally, int reach) const {
-  Products sum;
-  const double frames = static_cast<double>(tally.frames);
-  for (Size column = 0; tally.frames && column < columns_; ++column) {
-    const Word *own = frame + column * words_;
-    const double set = static_cast<double>(count_(nothing_.data(), own, all_.data(), words_));
-    for (int move = -reach; move <= reach; ++move) {
-      const Size other = column - move;
-      if (other < 0 || other >= columns_) continue;
-      Word both = 0;
-      for (std::size_t plane = 0; plane < tally.planes.size(); ++plane)
-        both += count_(nothing_.data(), own, tally.planes[plane].data() + other * words_, words_) << plane;
-      const double product = 4 * static_cast<double>(both) - 2 * frames * set -
-                             2 * static_cast<double>(tally.ones[place(other)]) +
-                             frames * static_cast<double>(8 * size_);
-      sum.moved[place(move + REACH)] += product;
-      for (int left = -REACH; move == 0 && left <= REACH; ++left)
-        if (column - left >= 0 && column - left < columns_) sum.there[place(left + REACH)] += product;
+LiveSigns::Products LiveSigns::with(const Word *frame, const Sum &sum) const {
+  Products found;
+  const auto add_products = [&](const Word *signs, double factor) {
+    std::array<std::int32_t, MOVES> different;
+    count_moves(signs, frame, 1, grid_, different.data());
+    for (int move = -REACH; move <= REACH; ++move)
+      found.moved[place(move + REACH)] += factor * (bits(move) - 2.0 * different[place(move + REACH)]);
+    for (Size column = 0; column < columns_; ++column) {
+      const Size at = column * grid_.words;
+      const auto product = static_cast<double>(8 * size_ - 2 * differing(signs + at, frame + at, grid_.words));
+      for (int move = -REACH; move <= REACH; ++move)
+        if (column - move >= 0 && column - move < columns_)
+          found.there[place(move + REACH)] += factor * product;
     }
-  }
-  return sum;
+  };
+  // A count of frames is the sum of half the numbers 1 and -1 of each plane, and half of all its values.
+  double value = 1;
+  for (const auto &plane : sum.planes) add_products(plane.data(), value), value *= 2;
+  add_products(nothing_.data(), static_cast<double>(sum.frames) + 1 - value);
+  return found;
 }
 
-Signs::Stretch Signs::present(Size fresh) const {
+LiveSigns::Stretch LiveSigns::present(Size fresh) const {
   const double before = static_cast<double>(first_), own = static_cast<double>(rows() - first_ + fresh);
   if (!first_) return {first_, 0, own};
   return {first_, static_cast<double>(BEFORE) / before, own + static_cast<double>(BEFORE)};
 }
 
-Signs::Products Signs::with_sum(const Products &own, const Products &every) const {
+LiveSigns::Products LiveSigns::with_sum(const Products &own, const Products &every) const {
   Products sum;
   const double share = present(0).share;
   for (std::size_t move = 0; move < MOVES; ++move) {
@@ -263,32 +251,32 @@ Signs::Products Signs::with_sum(const Products &own, const Products &every) cons
   return sum;
 }
 
-double Signs::square_of_sum(std::size_t move) const {
+double LiveSigns::square_of_sum(std::size_t move) const {
   const double share = present(0).share;
   return own_square_[move] + 2 * share * own_with_before_[move] + share * share * before_square_[move];
 }
 
-void Signs::store(const Word *frame, const Products &own, const Products &every) {
+void LiveSigns::store(const Word *frame, const Products &own, const Products &every) {
   for (int move = -REACH; move <= REACH; ++move) {
     const std::size_t at = place(move + REACH);
     own_square_[at] += 2 * own.there[at] + bits(move);
     own_with_before_[at] += every.there[at] - own.there[at];
   }
-  std::copy_n(frame, columns_ * words_, rows_.append());
+  std::copy_n(frame, grid_.size(), rows_.append());
   add(frame, own_);
   add(frame, every_);
   compared_ = false;
 }
 
-void Signs::extend(const void *descriptor) {
+void LiveSigns::extend(const void *descriptor) {
   const std::vector<Word> frame = packed(descriptor);
-  store(frame.data(), with(frame.data(), own_, 0), with(frame.data(), every_, 0));
+  store(frame.data(), with(frame.data(), own_), with(frame.data(), every_));
   for (auto *each : {&with_every_, &with_present_, &there_or_length_})
     for (auto &of_rows : *each) of_rows.push_back(0);
   counted_ = false;
 }
 
-void Signs::append(const void *descriptor) {
+void LiveSigns::append(const void *descriptor) {
   const std::vector<Word> frame = packed(descriptor);
   if (!compared_) compare(frame.data(), 1);
   const Products sum = with_sum(last_own_, last_every_);
@@ -307,7 +295,7 @@ void Signs::append(const void *descriptor) {
   store(frame.data(), last_own_, last_every_);
 }
 
-void Signs::recount() {
+void LiveSigns::recount() {
   if (counted_) return;
   for (Size row = 0; row < rows(); ++row) {
     const Products every = with(rows_[row], every_), sum = with_sum(with(rows_[row], own_), every);
@@ -320,11 +308,11 @@ void Signs::recount() {
   counted_ = true;
 }
 
-void Signs::start_stretch() {
+void LiveSigns::start_stretch() {
   if (first_ == rows()) return;
   if (!counted_)
     for (Size row = first_; row < rows(); ++row) {
-      const Products sum = with_sum(with(rows_[row], own_, 0), with(rows_[row], every_, 0));
+      const Products sum = with_sum(with(rows_[row], own_), with(rows_[row], every_));
       for (std::size_t move = 0; move < MOVES; ++move) there_or_length_[move][place(row)] = sum.there[move];
     }
   finished_.push_back(present(0));
@@ -347,44 +335,40 @@ void Signs::start_stretch() {
   compared_ = false;
 }
 
-// The product of a row with a frame that is moved to the right, over the columns that both have.
-Size Signs::moved_product(const Word *row, const Word *frame, int move) const {
-  const Size left = std::max(0, move), right = std::max(0, -move);
-  const Size columns = std::max<Size>(0, columns_ - left - right);
-  const Word different =
-      count_(frame + right * words_, all_.data(), row + left * words_, columns * words_);
-  return 8 * size_ * columns - 2 * static_cast<Size>(different);
-}
-
-void Signs::compare(const Word *frame, int threads) {
+void LiveSigns::compare(const Word *frame, int threads) {
   recount();
   last_own_ = with(frame, own_);
   last_every_ = with(frame, every_);
-  for (std::size_t move = 0; move < MOVES; ++move) {
-    last_self_[move] = static_cast<double>(moved_product(frame, frame, static_cast<int>(move) - REACH));
-    moved_[move].resize(place(rows()));
-    there_[move].assign(place(rows() - first_), 0);
+  std::array<std::int32_t, MOVES> own;
+  count_moves(frame, frame, 1, grid_, own.data());
+  for (int move = -REACH; move <= REACH; ++move) {
+    const std::size_t at = place(move + REACH);
+    last_self_[at] = bits(move) - 2.0 * own[at];
+    moved_[at].resize(place(rows()));
+    there_[at].assign(place(rows() - first_), 0);
   }
-  by_block(rows(), threads, [&](Size first, Size last) {
-    for (Size row = first; row < last; ++row)
-      for (int move = -REACH; move <= REACH; ++move)
-        moved_[place(move + REACH)][place(row)] =
-            static_cast<std::int32_t>(moved_product(rows_[row], frame, move));
+  over_blocks(rows(), GrowingRows<Word>::ROWS, rows() < MANY ? 1 : threads, [&](Size first, Size last) {
+    const Size count = last - first;
+    std::vector<std::int32_t> different(place(MOVES * count));
+    count_moves(frame, rows_[first], count, grid_, different.data());
+    for (int move = -REACH; move <= REACH; ++move)
+      for (Size row = 0; row < count; ++row)
+        moved_[place(move + REACH)][place(first + row)] =
+            static_cast<std::int32_t>(bits(move)) - 2 * different[place((move + REACH) * count + row)];
     for (Size row = std::max(first, first_); row < last; ++row)
       for (Size column = 0; column < columns_; ++column) {
-        const Size at = column * words_;
-        const Word different = count_(frame + at, all_.data(), rows_[row] + at, words_);
-        const auto product = static_cast<std::int32_t>(8 * size_ - 2 * static_cast<Size>(different));
+        const Size at = column * grid_.words;
+        const Size product = 8 * size_ - 2 * differing(frame + at, rows_[row] + at, grid_.words);
         for (int move = -REACH; move <= REACH; ++move)
           if (column - move >= 0 && column - move < columns_)
-            there_[place(move + REACH)][place(row - first_)] += product;
+            there_[place(move + REACH)][place(row - first_)] += static_cast<std::int32_t>(product);
       }
   });
   compared_ = true;
 }
 
 // Takes a move of the frame that was compared last into the scores of all rows.
-void Signs::score(int move, std::vector<double> &centred, float *scores) const {
+void LiveSigns::score(int move, std::vector<double> &centred, float *scores) const {
   const std::size_t at = place(move + REACH), back = place(REACH - move);
   const Stretch now = present(1);
   const Products sum = with_sum(last_own_, last_every_);
@@ -421,24 +405,22 @@ void Signs::score(int move, std::vector<double> &centred, float *scores) const {
   });
 }
 
-void Signs::scores(const void *swept, Size, int threads, float *scores) {
+void LiveSigns::scores(const void *swept, Size, int threads, float *scores) {
   compare(packed(swept).data(), threads);
   std::fill(scores, scores + rows(), NONE);
   std::vector<double> centred(place(rows()));
   for (int move = -REACH; move <= REACH; ++move) score(move, centred, scores);
 }
 
-void Signs::copy(Size first, Size last, void *descriptors) const {
+void LiveSigns::copy(Size first, Size last, void *descriptors) const {
   auto *out = static_cast<std::uint8_t *>(descriptors);
   for (Size row = first; row < last; ++row)
     for (Size column = 0; column < columns_; ++column, out += size_)
-      std::memcpy(out, rows_[row] + column * words_, place(size_));
+      std::memcpy(out, rows_[row] + column * grid_.words, place(size_));
 }
 
-double Signs::cosine(const void *one, const void *other) const {
-  const std::vector<Word> a = packed(one), b = packed(other);
-  const Word different = count_(a.data(), all_.data(), b.data(), columns_ * words_);
-  return 1 - 2 * static_cast<double>(different) / bits(0);
+double LiveSigns::cosine(const void *one, const void *other) const {
+  return 1 - 2 * static_cast<double>(differing(packed(one).data(), packed(other).data(), grid_.size())) / bits(0);
 }
 
 }  // namespace places

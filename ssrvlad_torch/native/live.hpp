@@ -7,11 +7,10 @@
 #define SSRVLAD_LIVE_HPP
 
 #include <array>
-#include <cstring>
 #include <memory>
 #include <vector>
 
-#include "bits.hpp"
+#include "signs.hpp"
 
 namespace places {
 
@@ -20,11 +19,11 @@ constexpr int REACH = 2;     // columns of cells by which signs are moved to eac
 
 // Rows of numbers in blocks that never move, so that growing copies nothing.
 template <class Number>
-class Blocks {
+class GrowingRows {
  public:
   static constexpr Size ROWS = 1024;
 
-  explicit Blocks(Size width) : width_(width) {}
+  explicit GrowingRows(Size width) : width_(width) {}
 
   Size rows() const { return rows_; }
   const Number *operator[](Size row) const { return blocks_[place(row / ROWS)].get() + row % ROWS * width_; }
@@ -42,9 +41,9 @@ class Blocks {
   std::vector<std::unique_ptr<Number[]>> blocks_;
 };
 
-class Channel {
+class LiveChannel {
  public:
-  virtual ~Channel() = default;
+  virtual ~LiveChannel() = default;
 
   virtual Size bytes() const = 0;  // of a descriptor
   virtual Size rows() const = 0;
@@ -65,10 +64,10 @@ class Channel {
   virtual double cosine(const void *one, const void *other) const = 0;
 };
 
-// Vectors of length 1, or zero for an empty frame.
-class Vectors : public Channel {
+// LiveVectors of length 1, or zero for an empty frame.
+class LiveVectors : public LiveChannel {
  public:
-  explicit Vectors(Size length);
+  explicit LiveVectors(Size length);
 
   Size bytes() const override { return length_ * static_cast<Size>(sizeof(float)); }
   Size rows() const override { return rows_.rows(); }
@@ -91,7 +90,7 @@ class Vectors : public Channel {
   std::vector<float> centred(const float *swept, Size anchors, const float *mean) const;
 
   Size length_, width_;  // numbers of a vector, and with zeros that fill the lanes of a processor
-  Blocks<float> rows_;
+  GrowingRows<float> rows_;
   std::vector<bool> empty_;
   std::vector<Stretch> finished_;
   Size first_ = 0;  // of the present stretch
@@ -99,15 +98,15 @@ class Vectors : public Channel {
   Size counted_ = 0, counted_before_ = 0;
 };
 
-// Signs of cells, `columns` columns of `size` bytes each, as numbers 1 and -1.
+// LiveSigns of cells, `columns` columns of `size` bytes each, as numbers 1 and -1.
 //
 // A mean is a sum of frames, so products with it are sums of whole numbers: those of a row with the
 // frames so far grow by its product with each new frame, and no mean is ever written out. Two products
 // of two frames count, over the columns that are left after each move: `moved`, of one with the other
 // moved to the right, and `there`, of both where they are.
-class Signs : public Channel {
+class LiveSigns : public LiveChannel {
  public:
-  Signs(Size columns, Size size);
+  LiveSigns(Size columns, Size size);
 
   Size bytes() const override { return columns_ * size_; }
   Size rows() const override { return rows_.rows(); }
@@ -125,14 +124,13 @@ class Signs : public Channel {
   template <class Number>
   using ByMove = std::array<std::vector<Number>, MOVES>;
 
-  // How many of some frames have each sign, as binary numbers: plane p holds the bits of value 2 ** p.
-  struct Tally {
+  // A sum of frames: how many have each sign, as binary numbers. Plane p holds the bits of value 2 ** p.
+  struct Sum {
     std::vector<std::vector<Word>> planes;
-    std::vector<Size> ones;  // of all frames, by column
     Size frames = 0;
   };
 
-  // The products of a frame with a sum of frames, by move.
+  // Products of a frame with a sum of frames, by move.
   struct Products {
     std::array<double, MOVES> moved{}, there{};
   };
@@ -145,24 +143,23 @@ class Signs : public Channel {
 
   std::vector<Word> packed(const void *descriptor) const;
   double bits(int move) const;  // of the columns that are left after a move
-  void add(const Word *frame, Tally &tally) const;
-  Products with(const Word *frame, const Tally &tally, int reach = REACH) const;
+  void add(const Word *frame, Sum &sum) const;
+  Products with(const Word *frame, const Sum &sum) const;
   Stretch present(Size fresh) const;  // the present stretch with some more frames
   Products with_sum(const Products &own, const Products &every) const;  // with that of the present mean
   double square_of_sum(std::size_t move) const;
   void store(const Word *frame, const Products &own, const Products &every);
-  Size moved_product(const Word *row, const Word *frame, int move) const;
   void compare(const Word *frame, int threads);  // fills what is of the last frame
   void recount();
   void score(int move, std::vector<double> &centred, float *scores) const;
 
-  Size columns_, size_, words_;
-  Blocks<Word> rows_;
-  std::vector<Word> nothing_, all_;  // no bit, and each
-  BitCounter count_;
+  Size columns_, size_;
+  SignGrid grid_;
+  GrowingRows<Word> rows_;
+  std::vector<Word> nothing_;  // no bit
   std::vector<Stretch> finished_;
   Size first_ = 0;       // of the present stretch
-  Tally own_, every_;    // of the present stretch, and of all frames
+  Sum own_, every_;      // of the present stretch, and of all frames
   std::array<double, MOVES> own_square_{}, own_with_before_{}, before_square_{};  // of their sums, by move
   // Of each row by move: products `moved` with the sum of all frames, and with that of the present mean;
   // with that also `there`, of rows of the present stretch, and of others the length without their mean.

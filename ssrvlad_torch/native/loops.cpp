@@ -4,6 +4,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstring>
+
+#include "interface.hpp"
 
 namespace places {
 
@@ -214,8 +217,8 @@ Stream::Stream(const ssrvlad_loops_settings &settings, const ssrvlad_loops_chann
       repeats_(exclude_) {
   for (int number = 0; number < count; ++number) {
     const auto &[kind, shape, trust] = channels[number];
-    if (kind == SSRVLAD_VECTORS) channels_.push_back(std::make_unique<Vectors>(shape[0]));
-    else channels_.push_back(std::make_unique<Signs>(shape[0], shape[1] * shape[2]));
+    if (kind == SSRVLAD_VECTORS) channels_.push_back(std::make_unique<LiveVectors>(shape[0]));
+    else channels_.push_back(std::make_unique<LiveSigns>(shape[0], shape[1] * shape[2]));
     trust_.push_back(trust);
   }
 }
@@ -238,7 +241,7 @@ bool Stream::breaks(const void *const *centres, double stamp) const {
   const Size before = static_cast<Size>(stamps_.size()), count = before + 1;
   double sum = 0;
   for (std::size_t number = 0; number < channels_.size(); ++number) {
-    const Channel &channel = *channels_[number];
+    const LiveChannel &channel = *channels_[number];
     std::vector<std::uint8_t> frames(place(count * channel.bytes()));
     channel.copy(rows() - before, rows(), frames.data());
     std::memcpy(frames.data() + before * channel.bytes(), centres[number], place(channel.bytes()));
@@ -467,14 +470,6 @@ bool fits(const places::Stream &stream, const void *const *descriptors, const in
   return descriptors;
 }
 
-template <class Work>
-int guarded(Work work) {
-  try {
-    return work();
-  } catch (const std::bad_alloc &) {
-    return SSRVLAD_NO_MEMORY;
-  }
-}
 }  // namespace
 
 ssrvlad_loops *ssrvlad_loops_new(const ssrvlad_loops_settings *settings,
@@ -495,32 +490,30 @@ int64_t ssrvlad_loops_rows(const ssrvlad_loops *loops) { return loops->stream.ro
 
 int ssrvlad_loops_update(ssrvlad_loops *loops, const void *const *descriptors, const int64_t *anchors,
                          double stamp, int starts, int threads, ssrvlad_loop *result) {
-  if (!loops || !result || !fits(loops->stream, descriptors, anchors)) return SSRVLAD_WRONG_ARGUMENT;
-  return guarded([&] {
+  return places::guarded([&] {
+    places::require(loops && result && fits(loops->stream, descriptors, anchors));
     *result = loops->stream.update(descriptors, anchors, stamp, starts != 0, threads);
-    return SSRVLAD_OK;
   });
 }
 
 int ssrvlad_loops_extend(ssrvlad_loops *loops, const void *const *descriptors, const double *stamps,
                          const uint8_t *starts, int64_t frames) {
-  if (!loops || !descriptors || !starts || frames < 0) return SSRVLAD_WRONG_ARGUMENT;
-  return guarded([&]() -> int {
-    auto &channels = loops->stream.channels();
+  return places::guarded([&] {
+    places::require(loops && descriptors && starts && frames >= 0);
+    const auto &channels = loops->stream.channels();
     const auto frame = [&](int64_t row) {
-      std::vector<const void *> of_channels;
+      std::vector<const void *> found;
       for (std::size_t number = 0; number < channels.size(); ++number)
-        of_channels.push_back(static_cast<const std::uint8_t *>(descriptors[number]) +
-                              row * channels[number]->bytes());
-      return of_channels;
+        found.push_back(static_cast<const std::uint8_t *>(descriptors[number]) +
+                        row * channels[number]->bytes());
+      return found;
     };
     for (int64_t row = 0; row < frames; ++row)
-      if (!fits(loops->stream, frame(row).data(), nullptr)) return SSRVLAD_WRONG_ARGUMENT;
+      places::require(fits(loops->stream, frame(row).data(), nullptr));
     for (int64_t row = 0; row < frames; ++row) {
       const double stamp = stamps ? stamps[row] : std::numeric_limits<double>::quiet_NaN();
       loops->stream.extend(frame(row).data(), stamp, starts[row] != 0);
     }
-    return SSRVLAD_OK;
   });
 }
 

@@ -53,7 +53,7 @@ class Stream {
   Stream(const Stream &) = delete;
 
   Size rows() const { return channels_[0]->rows(); }
-  const std::vector<std::unique_ptr<Channel>> &channels() const { return channels_; }
+  const std::vector<std::unique_ptr<LiveChannel>> &channels() const { return channels_; }
   std::vector<double> weights() const;
 
   ssrvlad_loop update(const void *const *descriptors, const Size *anchors, double stamp, bool starts,
@@ -75,7 +75,7 @@ class Stream {
 
   Size exclude_;
   double threshold_;
-  std::vector<std::unique_ptr<Channel>> channels_;
+  std::vector<std::unique_ptr<LiveChannel>> channels_;
   std::vector<double> trust_, leads_;
   std::vector<bool> described_;
   Size known_ = 0, old_known_ = 0, old_ = 0;  // frames that are not empty: of all, and of the first old

@@ -33,43 +33,41 @@ constexpr double ROUNDING = 1e-6;    // of a cosine of 480 float32 products
 constexpr double MIN_SPREAD = 1e-6;
 constexpr double MAX_LOG = 50;       // frames that equal their rows must not overflow
 
-// A double that, added, leaves whole numbers alone, in its lowest bits.
-constexpr double WHOLE = 6755399441055744.0;
-constexpr std::uint64_t WHOLE_BITS = 0x4338000000000000;
-
-// The logarithm of a positive normal number.
-inline double log_of(double value) {
+inline std::uint64_t bits_of(double value) {
   std::uint64_t bits;
   std::memcpy(&bits, &value, 8);
+  return bits;
+}
+
+inline double of_bits(std::uint64_t bits) {
+  double value;
+  std::memcpy(&value, &bits, 8);
+  return value;
+}
+
+// The logarithm of a positive normal number. Like `exp_of` it takes only steps of which compilers
+// make vectors.
+inline double log_of(double value) {
   constexpr std::uint64_t ROOT = 0x3fe6a09e667f3bcd;  // sqrt(1/2): mantissas from it to sqrt(2)
-  const std::uint64_t biased = (bits - ROOT + (std::uint64_t{1023} << 52)) >> 52;
-  bits -= (biased - 1023) << 52;
-  double mantissa, exponent;
-  std::memcpy(&mantissa, &bits, 8);
-  bits = WHOLE_BITS + biased;  // as a double without the conversion that old processors lack
-  std::memcpy(&exponent, &bits, 8);
-  exponent -= WHOLE + 1023;
+  const std::uint64_t bits = bits_of(value), power = (bits - ROOT + (1024ULL << 52)) >> 52;
+  const double exponent = of_bits(power | 0x4330000000000000) - (4503599627370496.0 + 1024);
+  const double mantissa = of_bits(bits - (power << 52) + (1024ULL << 52));
   const double s = (mantissa - 1) / (mantissa + 1), q = s * s;
   double series = 1.0 / 23;
   for (int odd = 21; odd > 0; odd -= 2) series = series * q + 1.0 / odd;
-  return exponent * 0.693147180369123816490 + (2 * s * series + exponent * 1.90821492927058770002e-10);
+  return exponent * 0.693147180369123816490 +
+         (2 * s * series + exponent * 1.90821492927058770002e-10);
 }
 
-// The exponential of a number from -700 to 700; 0 below, and for -inf.
+// The exponential of a number of at most 700; 0 below -700, and for -inf.
 inline double exp_of(double value) {
-  const double x = std::min(std::max(value, -701.0), 701.0);
-  const double shifted = x * 1.44269504088896340736 + WHOLE;  // to the nearest integer
-  const double whole = shifted - WHOLE;
-  const double r = (x - whole * 0.693147180369123816490) - whole * 1.90821492927058770002e-10;
-  double series = 0, factorial = 87178291200;
-  for (int term = 14; term > 0; factorial /= term--) series = (series + 1 / factorial) * r;
-  series += 1;
-  std::uint64_t bits;
-  std::memcpy(&bits, &shifted, 8);
-  bits = (bits - WHOLE_BITS + 1023) << 52;
-  double power;
-  std::memcpy(&power, &bits, 8);
-  return series * power * (value < -700 ? 0.0 : 1.0);
+  const double shifted = value * 1.44269504088896340736 + 6755399441055744.0;  // to a whole number
+  const double whole = shifted - 6755399441055744.0;
+  const double r = (value - whole * 0.693147180369123816490) - whole * 1.90821492927058770002e-10;
+  double series = 1;
+  for (int term = 14; term > 0; --term) series = series * (r * (1.0 / term)) + 1;
+  const double found = series * of_bits((bits_of(shifted) + 1023) << 52);
+  return of_bits(bits_of(found) & ((bits_of(value + 700) >> 63) - 1));
 }
 
 // Minus the logarithm of 1 - cosine; -inf for -inf.
@@ -83,10 +81,16 @@ inline double nearness(double score) {
 double sum(const float *values, Size count);
 double dot(const float *some, const float *others, Size count);
 
-// Adds values times a factor to a target; multiplies a target by values; by a factor.
+// Adds to a target values times a factor; products; one value. Multiplies a target by values times a
+// factor; by a factor.
 void add(float *target, const float *values, float factor, Size count);
-void multiply(float *target, const float *values, Size count);
+void add_product(float *target, const float *some, const float *others, Size count);
+void raise(float *target, float value, Size count);
+void multiply(float *target, const float *values, float factor, Size count);
 void scale(float *target, float factor, Size count);
+
+// The highest of values; NONE without values.
+float highest(const float *values, Size count);
 
 // Nearness of scores, in single precision; -inf for -inf.
 void nearness(const float *scores, Size count, float *near);

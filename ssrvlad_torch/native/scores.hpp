@@ -7,6 +7,9 @@
 
 namespace places {
 
+// Of a drive that has a mean of its own, and shows which channel leads; of a map that gives confidence.
+constexpr Size MIN_FRAMES = 30;
+
 class Scores {
  public:
   virtual ~Scores() = default;

@@ -10,22 +10,41 @@
 
 #include "ssrvlad.h"
 
+#include <algorithm>
 #include <array>
+#include <atomic>
+#include <cmath>
 #include <cstddef>
+#include <cstdint>
+#include <cstring>
 #include <list>
+#include <limits>
 #include <memory>
 #include <mutex>
+#include <new>
+#include <vector>
 
-#include "bits.hpp"
 #include "parallel.hpp"
+
+// Loops over many words are compiled for several processors; the loader picks the best version.
+#if defined(__x86_64__) && defined(__GLIBC__) && defined(__GNUC__) && !defined(__clang__) && \
+    !defined(SSRVLAD_ONE_TARGET)
+#define SSRVLAD_CLONES __attribute__((target_clones("avx512f", "avx2", "default")))
+#else
+#define SSRVLAD_CLONES
+#endif
+
+#if defined(__GNUC__)
+#define SSRVLAD_INLINE inline __attribute__((always_inline))
+#else
+#define SSRVLAD_INLINE inline
+#endif
 
 namespace {
 
-using places::BitCounter;
 using places::in_parallel;
-using places::ones;
-using places::Size;
-using places::Word;
+using Word = std::uint64_t;
+using Size = std::int64_t;
 
 constexpr int LAYERS = SSRVLAD_LAYERS;
 constexpr int KINDS = LAYERS + 1;  // the categories and no layer
@@ -1164,58 +1183,7 @@ Size count_unknown(const ssrvlad_labels &labels, const ssrvlad_table &table) {
   });
 }
 
-constexpr Size ROWS_AT_ONCE = 64, NIBBLES = 16;
-
-// Signs on a grid: a row is `columns` columns of `words` words, `bits` of a column count.
-struct SignGrid {
-  Size columns, words, bits, reach;
-};
-
-// The score of each row of signs by the best move of a query by whole columns.
-SSRVLAD_INLINE void best_moves(const Word *query, const Word *rows, Size count, const SignGrid &grid,
-                               float *scores) {
-  for (Size row = 0; row < count; ++row, rows += grid.columns * grid.words) {
-    float best = -1;
-    for (Size move = -grid.reach; move <= grid.reach; ++move) {
-      const Size left = std::max<Size>(0, -move), right = std::max<Size>(0, move);
-      const Size kept = grid.columns - left - right;
-      Word bits = 0;
-      const Word *own = query + left * grid.words, *other = rows + right * grid.words;
-      for (Size i = 0; i < kept * grid.words; ++i)
-        bits += static_cast<Word>(ones(own[i] ^ other[i]));
-      best = std::max(best, 1 - 2 * static_cast<float>(bits) / static_cast<float>(kept * grid.bits));
-    }
-    scores[row] = best;
-  }
-}
-
-using SignScan = void (*)(const Word *, const Word *, Size, const SignGrid &, float *);
-
-void scan_plain(const Word *query, const Word *rows, Size count, const SignGrid &grid, float *scores) {
-  best_moves(query, rows, count, grid, scores);
-}
-
-#if defined(__x86_64__) && defined(__GNUC__)
-__attribute__((target("popcnt")))
-void scan_by_word(const Word *query, const Word *rows, Size count, const SignGrid &grid, float *scores) {
-  best_moves(query, rows, count, grid, scores);
-}
-
-__attribute__((target("avx512f,avx512vpopcntdq")))
-void scan_by_vector(const Word *query, const Word *rows, Size count, const SignGrid &grid,
-                    float *scores) {
-  best_moves(query, rows, count, grid, scores);
-}
-
-SignScan sign_scan() {
-  if (places::counts_by_vector()) return scan_by_vector;
-  return __builtin_cpu_supports("popcnt") ? scan_by_word : scan_plain;
-}
-#else
-SignScan sign_scan() { return scan_plain; }
-#endif
-
-constexpr Size LANES = SSRVLAD_LANES, SCANNED_ROWS = 1024;
+constexpr Size LANES = SSRVLAD_LANES;
 
 // The score of each of LANES rows by the best of several vectors of weights. Number n of `length` of
 // row r is numbers[n * LANES + r].
@@ -1590,45 +1558,6 @@ int ssrvlad_keypoints(const uint8_t *skeletons, int64_t images, int64_t height, 
   });
 }
 
-int ssrvlad_differing(const uint64_t *queries, const uint64_t *masks, int64_t count,
-                      const uint64_t *rows, int64_t references, int64_t words, int threads,
-                      int32_t *differing) {
-  if (!queries || !masks || !rows || !differing || count < 0 || references < 0 || words < 1)
-    return SSRVLAD_WRONG_ARGUMENT;
-  const BitCounter count_bits = places::bit_counter();
-  const Size blocks = (references + ROWS_AT_ONCE - 1) / ROWS_AT_ONCE;
-  const bool done = in_parallel(blocks, threads, [&](std::atomic<Size> &next) {
-    for (Size block; (block = next++) < blocks;) {
-      const Size last = std::min<Size>(references, (block + 1) * ROWS_AT_ONCE);
-      for (Size row = block * ROWS_AT_ONCE; row < last; ++row)
-        for (Size query = 0; query < count; ++query)
-          differing[query * references + row] = static_cast<std::int32_t>(count_bits(
-              queries + query * words, masks + query * words, rows + row * words, words));
-    }
-  });
-  return done ? SSRVLAD_OK : SSRVLAD_NO_MEMORY;
-}
-
-int ssrvlad_scan_signs(const uint64_t *queries, int64_t count, const uint64_t *rows,
-                       int64_t references, int64_t columns, int64_t words, int64_t bits,
-                       int64_t reach, int threads, float *scores) {
-  if (!queries || !rows || !scores || count < 0 || references < 0 || words < 1 || bits < 1 ||
-      reach < 0 || reach >= columns)
-    return SSRVLAD_WRONG_ARGUMENT;
-  const SignGrid grid{columns, words, bits, reach};
-  const SignScan scan = sign_scan();
-  const Size blocks = (references + SCANNED_ROWS - 1) / SCANNED_ROWS;
-  const bool done = in_parallel(blocks, threads, [&](std::atomic<Size> &next) {
-    for (Size block; (block = next++) < blocks;) {
-      const Size first = block * SCANNED_ROWS;
-      for (Size query = 0; query < count; ++query)
-        scan(queries + query * columns * words, rows + first * columns * words,
-             std::min(SCANNED_ROWS, references - first), grid, scores + query * references + first);
-    }
-  });
-  return done ? SSRVLAD_OK : SSRVLAD_NO_MEMORY;
-}
-
 int ssrvlad_scan_vectors(const float *weights, const float *offsets, int64_t count, int64_t anchors,
                          const int8_t *codes, int64_t blocks, int64_t length, int threads,
                          float *scores) {
@@ -1643,30 +1572,6 @@ int ssrvlad_scan_vectors(const float *weights, const float *offsets, int64_t cou
       for (Size query = 0; query < count; ++query)
         best_anchors(weights + query * anchors * length, offsets + query * anchors, anchors,
                      numbers.data(), length, scores + (query * blocks + block) * LANES);
-    }
-  });
-  return done ? SSRVLAD_OK : SSRVLAD_NO_MEMORY;
-}
-
-int ssrvlad_weigh(const uint8_t *rows, int64_t references, int64_t bytes, int64_t groups,
-                  const float *weights, int threads, float *sums) {
-  if (!rows || !weights || !sums || references < 0 || groups < 1 || bytes < 1 || bytes % groups)
-    return SSRVLAD_WRONG_ARGUMENT;
-  const Size size = bytes / groups, blocks = (references + ROWS_AT_ONCE - 1) / ROWS_AT_ONCE;
-  const bool done = in_parallel(blocks, threads, [&](std::atomic<Size> &next) {
-    for (Size block; (block = next++) < blocks;) {
-      const Size last = std::min<Size>(references, (block + 1) * ROWS_AT_ONCE);
-      for (Size row = block * ROWS_AT_ONCE; row < last; ++row)
-        for (Size group = 0; group < groups; ++group) {
-          const std::uint8_t *byte = rows + row * bytes + group * size;
-          const float *weight = weights + group * size * 2 * NIBBLES;
-          float low = 0, high = 0;
-          for (Size i = 0; i < size; ++i, weight += 2 * NIBBLES) {
-            low += weight[byte[i] & (NIBBLES - 1)];
-            high += weight[NIBBLES + byte[i] / NIBBLES];
-          }
-          sums[row * groups + group] = low + high;
-        }
     }
   });
   return done ? SSRVLAD_OK : SSRVLAD_NO_MEMORY;

@@ -26,14 +26,9 @@
 extern "C" {
 #endif
 
-enum {
-  SSRVLAD_VECTORS = 0, /* float numbers, of length 1, or zero where nothing is seen */
-  SSRVLAD_SIGNS = 1    /* bits of cells, eight in a byte */
-};
-
 /* What is known of each frame. A frame is empty if its first channel is a zero vector. */
 typedef struct ssrvlad_loops_channel {
-  int32_t kind;     /* of the enumeration above */
+  int32_t kind;     /* SSRVLAD_VECTORS or SSRVLAD_SIGNS */
   int64_t shape[3]; /* of vectors their length, 1, 1; of signs columns, rows, bytes of a cell */
   double trust;     /* how much the channel counts before it has led; that of label maps is 1 */
 } ssrvlad_loops_channel;

@@ -1,0 +1,149 @@
+// What the channels of compare.hpp have in common, and their scores as one.
+
+#include "compare.hpp"
+
+#include <iterator>
+#include <numeric>
+
+namespace places {
+
+namespace {
+
+constexpr Size IN_MEMORY = Size{1} << 26;  // scores at once
+
+// Nearness, 0 where there is none; its mean and deviation over the rows that have one.
+struct Scaled {
+  std::vector<float> near;
+  double mean = 0, deviation = 0;
+
+  explicit Scaled(std::vector<float> scores) : near(std::move(scores)) {
+    const auto count = static_cast<Size>(near.size());
+    nearness(near.data(), count, near.data());
+    const Spread spread = Spread::of(near.data(), count);
+    mean = spread.mean;
+    deviation = spread.deviation;
+    if (deviation <= MIN_SPREAD) measure_again();
+  }
+
+  double unit() const { return std::max(deviation, MIN_SPREAD); }
+
+ private:
+  // Of values that are nearly equal.
+  void measure_again() {
+    std::vector<double> known;
+    std::copy_if(near.begin(), near.end(), std::back_inserter(known), [](float x) { return x != NONE; });
+    const double count = static_cast<double>(std::max<std::size_t>(1, known.size()));
+    double squares = 0;
+    mean = std::accumulate(known.begin(), known.end(), 0.0) / count;
+    for (const double value : known) squares += (value - mean) * (value - mean);
+    deviation = std::sqrt(squares / count);
+  }
+};
+
+SSRVLAD_CLONES void add_scaled(const float *near, Size count, double mean, double factor, double *sums) {
+  for (Size row = 0; row < count; ++row)
+    sums[row] += near[row] == NONE ? 0 : (static_cast<double>(near[row]) - mean) * factor;
+}
+
+SSRVLAD_CLONES void as_cosines(const double *z, Size count, double mean, double deviation,
+                               float *scores) {
+  for (Size row = 0; row < count; ++row)
+    scores[row] = static_cast<float>(1 - exp_of(-(mean + deviation * z[row])));
+}
+
+std::vector<float> scores_of(const Scores &member, Size query) {
+  std::vector<float> scores(static_cast<std::size_t>(member.rows()));
+  member.of(query, scores.data());
+  return scores;
+}
+
+// How many deviations the first candidate is ahead of the best row elsewhere.
+double lead(const Scaled &scaled) {
+  const auto rows = static_cast<Size>(scaled.near.size());
+  if (rows <= 2 * ELSEWHERE + 1) return 0;
+  std::vector<double> z(scaled.near.size());
+  add_scaled(scaled.near.data(), rows, scaled.mean, 1 / scaled.unit(), z.data());
+  const auto best = std::max_element(z.begin(), z.end());
+  const auto before = std::max<Size>(0, best - z.begin() - ELSEWHERE);
+  const auto after = std::min<Size>(rows, best - z.begin() + ELSEWHERE + 1);
+  double other = -std::numeric_limits<double>::infinity();
+  for (auto row = z.begin(); row < z.begin() + before; ++row) other = std::max(other, *row);
+  for (auto row = z.begin() + after; row < z.end(); ++row) other = std::max(other, *row);
+  return *best - other;
+}
+
+}  // namespace
+
+std::vector<Shared> sharing(const Drives &drives) {
+  std::vector<Shared> shared;
+  const auto count = static_cast<Size>(drives.starts.size());
+  const auto start = [&](Size drive) { return drives.starts[static_cast<std::size_t>(drive)]; };
+  const auto is_short = [&](Size drive) { return drives.last(drive) - start(drive) < MIN_FRAMES; };
+  for (Size drive = 0, next; drive < count && drives.rows >= MIN_FRAMES; drive = next) {
+    next = drive + 1;
+    while (is_short(drive) && next < count && is_short(next)) ++next;
+    const Size first = start(drive), last = drives.last(next - 1);
+    const bool enough = last - first >= MIN_FRAMES;
+    shared.push_back({first, last, enough ? first : 0, enough ? last : drives.rows});
+  }
+  return shared;
+}
+
+Blocks::Blocks(Size queries, Size rows) : queries_(queries), rows_(rows) {
+  const Size most = std::max<Size>(1, IN_MEMORY / 4 / std::max<Size>(1, rows));
+  size_ = queries * rows <= IN_MEMORY ? std::max<Size>(1, queries) : most;
+}
+
+void Blocks::of(Size query, float *scores) const {
+  const Size first = query - query % size_;
+  if (first != held_) {
+    const Size last = std::min(queries_, first + size_);
+    held_ = -1;
+    block_.resize(static_cast<std::size_t>((last - first) * rows_));
+    compute(first, last, block_.data());
+    held_ = first;
+  }
+  std::copy_n(block_.data() + (query - first) * rows_, rows_, scores);
+}
+
+Fused::Fused(std::vector<const Scores *> members, const std::vector<double> &trust)
+    : Blocks(members.front()->queries(), members.front()->rows()), members_(std::move(members)),
+      weights_(trust) {
+  double sum = 0;
+  if (queries() >= MIN_FRAMES) {
+    std::vector<double> known(trust);
+    for (std::size_t member = 0; member < members_.size(); ++member) {
+      double leads = 0;
+      Size sampled = 0;
+      for (Size query = 0; query < queries(); query += std::max<Size>(1, queries() / SAMPLE), ++sampled)
+        leads += lead(Scaled(scores_of(*members_[member], query)));
+      known[member] *= std::max(0.0, leads / static_cast<double>(sampled));
+      sum += known[member];
+    }
+    if (sum > 0) weights_ = known;
+  }
+  sum = std::accumulate(weights_.begin(), weights_.end(), 0.0);
+  for (double &weight : weights_) weight /= sum;
+}
+
+void Fused::compute(Size first, Size last, float *scores) const {
+  std::vector<double> z(static_cast<std::size_t>(rows()));
+  std::vector<char> some(z.size());
+  for (Size query = first; query < last; ++query, scores += rows()) {
+    std::fill(z.begin(), z.end(), 0);
+    std::fill(some.begin(), some.end(), 0);
+    double mean = 0, deviation = 0;
+    for (std::size_t member = 0; member < members_.size(); ++member) {
+      const Scaled scaled(scores_of(*members_[member], query));
+      add_scaled(scaled.near.data(), rows(), scaled.mean, weights_[member] / scaled.unit(), z.data());
+      for (std::size_t row = 0; row < some.size(); ++row) some[row] |= scaled.near[row] != NONE;
+      mean += weights_[member] * scaled.mean;
+      deviation += weights_[member] * scaled.deviation;
+    }
+    as_cosines(z.data(), rows(), mean, deviation, scores);
+    for (std::size_t row = 0; row < some.size(); ++row)
+      if (!some[row]) scores[row] = NONE;
+  }
+}
+
+}  // namespace places

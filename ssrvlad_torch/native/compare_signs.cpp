@@ -1,0 +1,272 @@
+// Rows of signs, compared as vectors of 1 and -1 in columns.
+
+#include <array>
+#include <mutex>
+#include <numeric>
+
+#include "compare.hpp"
+#include "parallel.hpp"
+#include "signs.hpp"
+
+namespace places {
+
+namespace {
+
+using Floats = std::vector<float>;
+using Words = std::vector<Word>;
+
+constexpr Size REACH = 2;          // columns by which a query is moved to each side
+constexpr Size ROWS_AT_ONCE = 64;  // rows that stay in the cache while queries pass by
+constexpr float LEAST = 1e-3F;     // of the product of two lengths
+
+// How signs are stored: columns of whole words, of which some bytes count.
+struct Shape {
+  Size columns, bytes;
+
+  Size words() const { return (bytes + 7) / 8; }
+  Size bits() const { return 8 * bytes; }
+  Size size() const { return columns * words(); }
+  Size weights() const { return 8 * words() * 2 * NIBBLES; }  // of a column, for `weigh`
+};
+
+const std::uint8_t *bytes_of(const Word *words) { return reinterpret_cast<const std::uint8_t *>(words); }
+
+Words packed(const std::uint8_t *signs, Size count, const Shape &shape) {
+  Words words(static_cast<std::size_t>(count * shape.size()));
+  for (Size column = 0; column < count * shape.columns; ++column)
+    std::memcpy(words.data() + column * shape.words(), signs + column * shape.bytes,
+                static_cast<std::size_t>(shape.bytes));
+  return words;
+}
+
+// The mean of signs as 1 and -1, (columns, bits); nothing if all frames are equal, of which it would
+// leave nothing.
+Floats mean_of(const Word *signs, Size count, const Shape &shape) {
+  std::vector<std::int32_t> ones(static_cast<std::size_t>(shape.columns * shape.bits()));
+  for (Size column = 0; column < count * shape.columns; ++column) {
+    const std::uint8_t *bytes = bytes_of(signs + column * shape.words());
+    std::int32_t *one = ones.data() + column % shape.columns * shape.bits();
+    for (Size bit = 0; bit < shape.bits(); ++bit) one[bit] += bytes[bit / 8] >> bit % 8 & 1;
+  }
+  Floats mean;
+  for (const std::int32_t one : ones)
+    mean.push_back(static_cast<float>(2.0 * one / static_cast<double>(count) - 1));
+  const auto is_sign = [](float each) { return std::abs(each) == 1; };
+  return std::all_of(mean.begin(), mean.end(), is_sign) ? Floats() : mean;
+}
+
+// What the nibbles of signs weigh by a mean.
+Floats weights_of(const Floats &mean, const Shape &shape) {
+  Floats weights;
+  for (Size column = 0; column < shape.columns; ++column)
+    for (Size nibble = 0; nibble < 16 * shape.words(); ++nibble)
+      for (int value = 0; value < NIBBLES; ++value) {
+        float sum = 0;
+        for (Size bit = 4 * nibble; bit < std::min(shape.bits(), 4 * nibble + 4); ++bit) {
+          const float weight = mean[static_cast<std::size_t>(column * shape.bits() + bit)];
+          sum += value >> (bit % 4) & 1 ? weight : -weight;
+        }
+        weights.push_back(sum);
+      }
+  return weights;
+}
+
+// The product of columns of signs with a mean, by its weights.
+float product(const Word *signs, const float *weights, Size columns, const Shape &shape) {
+  Floats sums(static_cast<std::size_t>(columns));
+  weigh(bytes_of(signs), 8 * columns * shape.words(), columns, weights, sums.data());
+  return std::accumulate(sums.begin(), sums.end(), 0.0F);
+}
+
+// The product of columns of two means; 0 if one is nothing.
+double product(const Floats &some, Size first, const Floats &others, Size start, Size columns,
+               const Shape &shape) {
+  if (some.empty() || others.empty()) return 0;
+  return dot(some.data() + first * shape.bits(), others.data() + start * shape.bits(), columns * shape.bits());
+}
+
+// The squared lengths of the columns of signs without a mean, of which the weights are known.
+void squares(const Word *signs, const Floats &mean, const Floats &weights, const Shape &shape, float *of) {
+  const auto bits = static_cast<float>(shape.bits());
+  std::fill_n(of, shape.columns, bits);
+  if (mean.empty()) return;
+  Floats sums(static_cast<std::size_t>(shape.columns));
+  weigh(bytes_of(signs), 8 * shape.size(), shape.columns, weights.data(), sums.data());
+  for (Size column = 0; column < shape.columns; ++column) {
+    const double mean_square = product(mean, column, mean, column, 1, shape);
+    of[column] = std::max(0.0F, static_cast<float>(bits + mean_square) - 2 * sums[static_cast<std::size_t>(column)]);
+  }
+}
+
+// The length of the columns that overlap.
+float length_of(const float *squares, Size first, Size columns) {
+  return std::sqrt(std::accumulate(squares + first, squares + first + columns, 0.0F));
+}
+
+// Raises scores to the cosines of a move, by what differs and by the lengths of rows; `level` and the
+// products with a mean make of it the product without means.
+SSRVLAD_CLONES void raise(float *scores, const std::int32_t *differing, const float *of_mean,
+                          const float *lengths, float level, float length, Size count) {
+  for (Size row = 0; row < count; ++row) {
+    const float both = lengths[row] * length, product = level - 2 * static_cast<float>(differing[row]) - of_mean[row];
+    const float score = product / (both > LEAST ? both : LEAST), capped = score < 1 ? score : 1;
+    scores[row] = capped > scores[row] ? capped : scores[row];
+  }
+}
+
+// Rows as they are compared: the mean of each, and the squared lengths of its columns without it.
+struct Held {
+  std::vector<Shared> shared;  // rows of one mean
+  std::vector<Floats> means;
+  Floats squares;
+};
+
+// Signs of queries against those of rows, for each move.
+class SignComparison : public Comparison {
+ public:
+  SignComparison(Words queries, Size count, const Word *signs, Size rows, const Shape &shape,
+                 const Held &held, bool standardised, Size reach, int threads)
+      : Comparison(count, rows), queries_(std::move(queries)), signs_(signs), shape_(shape), held_(held),
+        grid_{shape.columns, shape.words(), reach}, threads_(threads), of_mean_(of_moves(rows)),
+        row_lengths_(of_moves(rows)), lengths_(of_moves(count)), levels_(held.means.size()) {
+    const Floats mean = standardised && count ? mean_of(queries_.data(), count, shape) : Floats();
+    const Floats weights = mean.empty() ? Floats() : weights_of(mean, shape);
+    over_blocks(rows, ROWS_AT_ONCE, threads, [&](Size first, Size last) {
+      for (Size row = first; row < last; ++row) prepare_row(row, weights);
+    });
+    over_blocks(count, ROWS_AT_ONCE, threads, [&](Size first, Size last) {
+      Floats of(static_cast<std::size_t>(shape_.columns));
+      for (Size query = first; query < last; ++query) {
+        squares(query_of(query), mean, weights, shape_, of.data());
+        for (Size move = 0; move < grid_.moves(); ++move)
+          lengths_[at(query, move)] = length_of(of.data(), grid_.ours(move), grid_.overlapping(move));
+      }
+    });
+    for (std::size_t each = 0; each < levels_.size(); ++each) add_levels(each, mean);
+  }
+
+ protected:
+  void compute(Size first, Size last, float *scores) const override {
+    over_blocks(rows(), ROWS_AT_ONCE, threads_, [&](Size start, Size end) {
+      std::vector<std::int32_t> differing(static_cast<std::size_t>(grid_.moves() * (end - start)));
+      for (Size query = first; query < last; ++query) {
+        float *best = scores + (query - first) * rows();
+        std::fill(best + start, best + end, NONE);
+        count_moves(query_of(query), signs_ + start * grid_.size(), end - start, grid_, differing.data());
+        for (std::size_t each = 0; each < held_.shared.size(); ++each) {
+          const Size from = std::max(start, held_.shared[each].first), to = std::min(end, held_.shared[each].last);
+          for (Size move = 0; from < to && move < grid_.moves(); ++move)
+            raise(best + from, differing.data() + move * (end - start) + from - start,
+                  of_mean_.data() + move * rows() + from, row_lengths_.data() + move * rows() + from,
+                  levels_[each][at(query, move)], lengths_[at(query, move)], to - from);
+        }
+      }
+    });
+  }
+
+ private:
+  Floats of_moves(Size count) const { return Floats(static_cast<std::size_t>(grid_.moves() * count)); }
+  std::size_t at(Size query, Size move) const { return static_cast<std::size_t>(query * grid_.moves() + move); }
+  const Word *query_of(Size query) const { return queries_.data() + query * grid_.size(); }
+
+  void prepare_row(Size row, const Floats &weights) {
+    for (Size move = 0; move < grid_.moves(); ++move) {
+      const Size ours = grid_.ours(move), theirs = grid_.theirs(move), columns = grid_.overlapping(move);
+      const auto of = static_cast<std::size_t>(move * rows() + row);
+      row_lengths_[of] = length_of(held_.squares.data() + row * shape_.columns, theirs, columns);
+      if (!weights.empty())
+        of_mean_[of] = product(signs_ + row * grid_.size() + theirs * grid_.words,
+                               weights.data() + ours * shape_.weights(), columns, shape_);
+    }
+  }
+
+  // What is added to minus twice the bits that differ from rows of a mean.
+  void add_levels(std::size_t number, const Floats &mean) {
+    const Floats &theirs = held_.means[number];
+    const Floats weights = theirs.empty() ? Floats() : weights_of(theirs, shape_);
+    Floats &levels = levels_[number] = of_moves(queries());
+    over_blocks(queries(), ROWS_AT_ONCE, threads_, [&](Size first, Size last) {
+      for (Size move = 0; move < grid_.moves(); ++move) {
+        const Size own = grid_.ours(move), other = grid_.theirs(move), columns = grid_.overlapping(move);
+        const double both = product(mean, own, theirs, other, columns, shape_);
+        for (Size query = first; query < last; ++query) {
+          const double less = weights.empty() ? 0 : product(query_of(query) + own * grid_.words,
+                                                            weights.data() + other * shape_.weights(), columns, shape_);
+          levels[at(query, move)] = static_cast<float>(both - less + static_cast<double>(columns * shape_.bits()));
+        }
+      }
+    });
+  }
+
+  Words queries_;
+  const Word *signs_;
+  Shape shape_;
+  const Held &held_;
+  SignGrid grid_;
+  int threads_;
+  Floats of_mean_, row_lengths_, lengths_;  // by move and row; by query and move
+  std::vector<Floats> levels_;              // by mean: by query and move
+};
+
+class SignChannel : public Channel {
+ public:
+  SignChannel(const std::uint8_t *rows, const Shape &shape, const Drives &drives)
+      : shape_(shape), drives_(drives), signs_(reinterpret_cast<const Word *>(rows)) {
+    if (shape.bytes % 8 == 0 && reinterpret_cast<std::uintptr_t>(rows) % sizeof(Word) == 0) return;
+    own_ = packed(rows, drives.rows, shape);
+    signs_ = own_.data();
+  }
+
+  std::unique_ptr<Comparison> compare(const Queries &queries, bool standardised, bool swept,
+                                      int threads) override {
+    const Held &rows = held(standardised, threads);
+    const Size reach = swept ? std::min(REACH, shape_.columns - 1) : 0;
+    Words words = packed(static_cast<const std::uint8_t *>(queries.descriptors), queries.count, shape_);
+    return std::make_unique<SignComparison>(std::move(words), queries.count, signs_, drives_.rows, shape_,
+                                            rows, standardised, reach, threads);
+  }
+
+ private:
+  const Held &held(bool standardised, int threads) {
+    const std::lock_guard<std::mutex> hold(mutex_);
+    auto &found = held_[standardised];
+    if (found) return *found;
+    auto fresh = std::make_unique<Held>();
+    if (standardised) fresh->shared = sharing(drives_);
+    if (fresh->shared.empty()) fresh->shared = {{0, drives_.rows, 0, 0}};
+    fresh->squares.resize(static_cast<std::size_t>(drives_.rows * shape_.columns));
+    Floats of_all;
+    for (const Shared &shared : fresh->shared) {
+      const bool all = shared.to - shared.from == drives_.rows;
+      Floats mean;
+      if (shared.to > shared.from && !(all && !of_all.empty()))
+        mean = mean_of(signs_ + shared.from * shape_.size(), shared.to - shared.from, shape_);
+      if (all) mean = of_all = of_all.empty() ? mean : of_all;
+      const Floats weights = mean.empty() ? Floats() : weights_of(mean, shape_);
+      over_blocks(shared.last - shared.first, ROWS_AT_ONCE, threads, [&](Size first, Size last) {
+        for (Size row = shared.first + first; row < shared.first + last; ++row)
+          squares(signs_ + row * shape_.size(), mean, weights, shape_,
+                  fresh->squares.data() + row * shape_.columns);
+      });
+      fresh->means.push_back(std::move(mean));
+    }
+    found = std::move(fresh);
+    return *found;
+  }
+
+  Shape shape_;
+  Drives drives_;
+  Words own_;
+  const Word *signs_;
+  std::mutex mutex_;
+  std::array<std::unique_ptr<Held>, 2> held_;
+};
+
+}  // namespace
+
+std::unique_ptr<Channel> channel_of_signs(const std::uint8_t *rows, Size columns, Size bytes,
+                                          const Drives &drives) {
+  return std::make_unique<SignChannel>(rows, Shape{columns, bytes}, drives);
+}
+
+}  // namespace places

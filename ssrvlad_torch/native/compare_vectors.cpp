@@ -1,0 +1,337 @@
+// Rows of float vectors, compared by their cosines.
+
+#include <array>
+#include <mutex>
+
+#include "compare.hpp"
+#include "parallel.hpp"
+#include "products.hpp"
+
+namespace places {
+
+namespace {
+
+using Floats = std::vector<float>;
+
+constexpr Size ROWS_AT_ONCE = 192;  // rows that stay in the cache while queries pass by
+constexpr Size LANES = 96;          // vectors that are multiplied at once to narrow a sweep
+constexpr double EQUAL = 1e-6;      // a vector this near to the mean equals it
+
+float length_of(const float *vector, Size length) {
+  return static_cast<float>(std::sqrt(dot(vector, vector, length)));
+}
+
+// A vector of length 1, or zeros; false for zeros.
+bool normalise(const float *vector, Size length, float *unit) {
+  const float norm = length_of(vector, length);
+  for (Size n = 0; n < length; ++n) unit[n] = norm > 0 ? vector[n] / norm : 0;
+  return norm > 0;
+}
+
+// A vector of length 1 less a mean, not normalised. False if it equals the mean: then it stays.
+bool centre(const float *unit, const float *mean, Size length, float *centred) {
+  float most = 0;
+  for (Size n = 0; n < length; ++n) {
+    centred[n] = unit[n] - mean[n];
+    most = std::max(most, std::abs(centred[n]));
+  }
+  if (most > static_cast<float>(EQUAL)) return true;
+  std::copy_n(unit, length, centred);
+  return false;
+}
+
+// The mean of vectors at length 1, those of zeros not counted; zeros without vectors.
+class Mean {
+ public:
+  explicit Mean(Size length) : unit_(static_cast<std::size_t>(length)), sums_(unit_.size()) {}
+
+  void add(const float *vector) {
+    if (!normalise(vector, static_cast<Size>(unit_.size()), unit_.data())) return;
+    for (std::size_t n = 0; n < sums_.size(); ++n) sums_[n] += static_cast<double>(unit_[n]);
+    ++count_;
+  }
+
+  Floats value() const {
+    Floats mean(sums_.size());
+    for (std::size_t n = 0; n < mean.size(); ++n)
+      mean[n] = static_cast<float>(sums_[n] / std::max(1.0, count_));
+    return mean;
+  }
+
+ private:
+  Floats unit_;
+  std::vector<double> sums_;
+  double count_ = 0;
+};
+
+Floats mean_of(const float *vectors, Size count, Size length) {
+  Mean mean(length);
+  for (Size each = 0; each < count; ++each) mean.add(vectors + each * length);
+  return mean.value();
+}
+
+// A vector at length 1 without a mean, at length 1 again; zeros stay zeros.
+void standardise(const float *vector, const float *mean, Size length, float *after) {
+  Floats unit(static_cast<std::size_t>(length));
+  if (normalise(vector, length, unit.data()) && centre(unit.data(), mean, length, after))
+    normalise(after, length, after);
+  else
+    std::copy(unit.begin(), unit.end(), after);
+}
+
+// Rows as they are compared, and their lengths.
+struct Held {
+  const float *vectors;
+  Floats lengths, own;
+};
+
+// Divides scores by the lengths of rows; NONE for rows of length 0.
+SSRVLAD_CLONES void divide(float *scores, const float *lengths, Size count) {
+  for (Size row = 0; row < count; ++row) {
+    const float score = scores[row] / lengths[row];
+    scores[row] = lengths[row] > 0 ? score : NONE;
+  }
+}
+
+// Raises scores to products, less a part of those with a mean, times a factor.
+SSRVLAD_CLONES void raise(float *scores, const float *products, const float *mean, float part,
+                          float factor, Size count) {
+  for (Size row = 0; row < count; ++row) {
+    const float score = (products[row] - part * mean[row]) * factor;
+    scores[row] = score > scores[row] ? score : scores[row];
+  }
+}
+
+class VectorComparison : public Comparison {
+ public:
+  VectorComparison(Floats queries, Size count, Size anchors, Size length, const Held &rows, int threads)
+      : Comparison(count, static_cast<Size>(rows.lengths.size())), queries_(std::move(queries)),
+        anchors_(anchors), length_(length), references_(rows), threads_(threads) {}
+
+ protected:
+  void compute(Size first, Size last, float *scores) const override {
+    const float *some = queries_.data() + first * anchors_ * length_;
+    const Panels panels(some, last - first, anchors_, length_);
+    over_blocks(rows(), ROWS_AT_ONCE, threads_, [&](Size start, Size end) {
+      panels.best(references_.vectors + start * length_, end - start, scores + start, rows());
+      for (Size query = 0; query < last - first; ++query)
+        divide(scores + query * rows() + start, references_.lengths.data() + start, end - start);
+    });
+    for (Size query = 0; query < last - first; ++query, some += anchors_ * length_)
+      if (std::all_of(some, some + anchors_ * length_, [](float number) { return number == 0; }))
+        std::fill_n(scores + query * rows(), rows(), NONE);
+  }
+
+ private:
+  Floats queries_;
+  Size anchors_, length_;
+  const Held &references_;
+  int threads_;
+};
+
+// The width of the sweep of a drive, in anchors to each side, whose first candidates lead most over a
+// sample of the queries; see recognition/sweep.py. Products with the queries are computed once for all
+// widths, and those with the mean at each width are subtracted.
+class Narrowing {
+ public:
+  Narrowing(const Floats &units, Size count, Size anchors, Size length, const Held &rows,
+            bool standardised, int threads)
+      : units_(units), count_(count), anchors_(anchors), length_(length), rows_(rows), threads_(threads),
+        widths_(anchors / 2 + 1), means_(static_cast<std::size_t>(widths_ * length)),
+        of_means_(static_cast<std::size_t>(widths_ * references())),
+        leads_(static_cast<std::size_t>(widths_)), known_(leads_.size()) {
+    if (standardised && count >= MIN_FRAMES) subtract_means();
+  }
+
+  Size width() {
+    if (references() <= 2 * ELSEWHERE + 1) return 0;
+    std::vector<Size> sample;
+    for (Size query = 0; query < count_; query += std::max<Size>(1, count_ / SAMPLE)) sample.push_back(query);
+    const std::size_t at_once = static_cast<std::size_t>(std::max<Size>(1, LANES / anchors_));
+    for (std::size_t first = 0; first < sample.size(); first += at_once)
+      add_leads(sample.data() + first, static_cast<Size>(std::min(at_once, sample.size() - first)));
+    Size best = 0;
+    double most = -std::numeric_limits<double>::infinity();
+    for (Size width = 0; width < widths_; ++width) {
+      const auto at = static_cast<std::size_t>(width);
+      const double mean = known_[at] > 0 ? leads_[at] / known_[at] : 0;
+      if (mean > most) most = mean, best = width;
+    }
+    return best;
+  }
+
+ private:
+  Size references() const { return static_cast<Size>(rows_.lengths.size()); }
+  const float *unit(Size query, Size anchor) const {
+    return units_.data() + (query * anchors_ + anchor) * length_;
+  }
+
+  void subtract_means() {
+    for (Size width = 0; width < widths_; ++width) {
+      Mean mean(length_);
+      for (Size query = 0; query < count_; ++query)
+        for (Size anchor = anchors_ / 2 - width; anchor <= anchors_ / 2 + width; ++anchor)
+          mean.add(unit(query, anchor));
+      const Floats value = mean.value();
+      std::copy(value.begin(), value.end(), means_.begin() + width * length_);
+    }
+    const Panels panels(means_.data(), widths_, 1, length_);
+    over_blocks(references(), ROWS_AT_ONCE, threads_, [&](Size first, Size last) {
+      panels.best(rows_.vectors + first * length_, last - first, of_means_.data() + first, references());
+    });
+  }
+
+  // What is subtracted from a product of a vector at a width, in means, and what it is then multiplied
+  // with; nothing of zeros.
+  std::array<float, 2> factors(Size width, const float *vector) const {
+    Floats centred(static_cast<std::size_t>(length_));
+    if (!length_of(vector, length_)) return {0, 0};
+    const bool differs = centre(vector, means_.data() + width * length_, length_, centred.data());
+    return {differs ? 1.0F : 0.0F, 1 / length_of(centred.data(), length_)};
+  }
+
+  void add_leads(const Size *queries, Size count) {
+    Floats vectors, scores(static_cast<std::size_t>(count * widths_ * references()));
+    std::vector<std::array<float, 2>> factors_of;
+    for (Size each = 0; each < count; ++each) {
+      vectors.insert(vectors.end(), unit(queries[each], 0), unit(queries[each] + 1, 0));
+      for (Size width = 0; width < widths_; ++width)
+        for (Size anchor = 0; anchor < anchors_; ++anchor)
+          factors_of.push_back(factors(width, unit(queries[each], anchor)));
+    }
+    const Panels panels(vectors.data(), count * anchors_, 1, length_);
+    over_blocks(references(), ROWS_AT_ONCE, threads_, [&](Size first, Size last) {
+      Floats products(static_cast<std::size_t>(count * anchors_ * ROWS_AT_ONCE));
+      panels.best(rows_.vectors + first * length_, last - first, products.data(), ROWS_AT_ONCE);
+      for (Size each = 0; each < count * widths_; ++each)
+        best_of(products.data() + each / widths_ * anchors_ * ROWS_AT_ONCE,
+                factors_of.data() + each * anchors_, each % widths_, first, last,
+                scores.data() + each * references() + first);
+    });
+    for (Size each = 0; each < count * widths_; ++each) {
+      const double lead = lead_of(scores.data() + each * references());
+      if (!std::isfinite(lead)) continue;
+      leads_[static_cast<std::size_t>(each % widths_)] += lead;
+      ++known_[static_cast<std::size_t>(each % widths_)];
+    }
+  }
+
+  // The scores of some rows by the best anchor at a width.
+  void best_of(const float *products, const std::array<float, 2> *factors_of, Size width, Size first,
+               Size last, float *best) const {
+    std::fill_n(best, last - first, NONE);
+    const float *mean = of_means_.data() + width * references() + first;
+    for (Size anchor = anchors_ / 2 - width; anchor <= anchors_ / 2 + width; ++anchor) {
+      const auto [part, factor] = factors_of[anchor];
+      if (factor > 0)
+        raise(best, products + anchor * ROWS_AT_ONCE, mean, part, factor, last - first);
+    }
+    divide(best, rows_.lengths.data() + first, last - first);
+  }
+
+  // How much nearer the best row is than the best elsewhere; not finite without one.
+  double lead_of(const float *scores) const {
+    const float *end = scores + references(), *best = std::max_element(scores, end);
+    const float *before = std::max(scores, best - ELSEWHERE), *after = std::min(end, best + ELSEWHERE + 1);
+    const float other = std::max(highest(scores, before), highest(after, end));
+    return nearness(static_cast<double>(*best)) - nearness(static_cast<double>(other));
+  }
+
+  static float highest(const float *first, const float *last) {
+    return first == last ? NONE : *std::max_element(first, last);
+  }
+
+  const Floats &units_;
+  Size count_, anchors_, length_;
+  const Held &rows_;
+  int threads_;
+  Size widths_;
+  Floats means_, of_means_;
+  std::vector<double> leads_, known_;
+};
+
+class VectorChannel : public Channel {
+ public:
+  VectorChannel(const float *rows, Size length, const Drives &drives)
+      : vectors_(rows), length_(length), drives_(drives) {}
+
+  std::unique_ptr<Comparison> compare(const Queries &queries, bool standardised, bool swept,
+                                      int threads) override {
+    const Held &rows = held(standardised, threads);
+    const bool sweeps = swept && queries.anchors > 1;
+    const auto *given = static_cast<const float *>(queries.descriptors);
+    Size width = sweeps ? queries.anchors / 2 : 0;
+    Floats kept = anchors_of(given, queries, width);
+    if (sweeps) {
+      width = Narrowing(kept, queries.count, queries.anchors, length_, rows, standardised, threads).width();
+      kept = anchors_of(given, queries, width);
+    }
+    if (standardised && queries.count >= MIN_FRAMES) {
+      const Size vectors = queries.count * (2 * width + 1);
+      const Floats mean = mean_of(kept.data(), vectors, length_);
+      for (Size each = 0; each < vectors; ++each)
+        standardise(kept.data() + each * length_, mean.data(), length_, kept.data() + each * length_);
+    }
+    auto found = std::make_unique<VectorComparison>(std::move(kept), queries.count, 2 * width + 1, length_,
+                                                    rows, threads);
+    found->width = width;
+    return found;
+  }
+
+ private:
+  // The vectors of the anchors up to a width, at length 1.
+  Floats anchors_of(const float *given, const Queries &queries, Size width) const {
+    Floats kept(static_cast<std::size_t>(queries.count * (2 * width + 1) * length_));
+    float *target = kept.data();
+    for (Size query = 0; query < queries.count; ++query)
+      for (Size side = -width; side <= width; ++side, target += length_)
+        normalise(given + (query * queries.anchors + queries.anchors / 2 + side) * length_, length_, target);
+    return kept;
+  }
+
+  const Held &held(bool standardised, int threads) {
+    const std::lock_guard<std::mutex> hold(mutex_);
+    auto &found = held_[standardised];
+    if (found) return *found;
+    auto fresh = std::make_unique<Held>();
+    fresh->vectors = vectors_;
+    if (standardised && drives_.rows >= MIN_FRAMES) {
+      fresh->own.resize(static_cast<std::size_t>(drives_.rows * length_));
+      fresh->vectors = fresh->own.data();
+      standardise_rows(fresh->own.data(), threads);
+    }
+    for (Size row = 0; row < drives_.rows; ++row)
+      fresh->lengths.push_back(length_of(fresh->vectors + row * length_, length_));
+    found = std::move(fresh);
+    return *found;
+  }
+
+  void standardise_rows(float *target, int threads) const {
+    Floats of_all, mean;
+    for (const Shared &shared : sharing(drives_)) {
+      const bool all = shared.to - shared.from == drives_.rows;
+      if (!all || of_all.empty())
+        mean = mean_of(vectors_ + shared.from * length_, shared.to - shared.from, length_);
+      if (all && of_all.empty()) of_all = mean;
+      const float *less = all ? of_all.data() : mean.data();
+      over_blocks(shared.last - shared.first, ROWS_AT_ONCE, threads, [&](Size first, Size last) {
+        for (Size row = shared.first + first; row < shared.first + last; ++row)
+          standardise(vectors_ + row * length_, less, length_, target + row * length_);
+      });
+    }
+  }
+
+  const float *vectors_;
+  Size length_;
+  Drives drives_;
+  std::mutex mutex_;
+  std::array<std::unique_ptr<Held>, 2> held_;
+};
+
+}  // namespace
+
+std::unique_ptr<Channel> channel_of_vectors(const float *rows, Size length, const Drives &drives) {
+  return std::make_unique<VectorChannel>(rows, length, drives);
+}
+
+}  // namespace places

@@ -1,0 +1,262 @@
+// The rivals and the confidence of confidence.hpp.
+
+#include "confidence.hpp"
+
+namespace places {
+
+namespace {
+constexpr Size PLACES = 10;  // most places that are compared
+constexpr double ROWS_A_PLACE = 8.5, LEAST_STEP = 1e-9;
+constexpr float LEAST_BELIEF = 1e-38F;
+
+// The quantile of the normal distribution of a probability from 1e-11 to 1/2 (Wichura, Applied
+// Statistics 37, 1988, AS 241).
+double quantile(double probability) {
+  const auto ratio = [](const double (&over)[8], const double (&under)[8], double r) {
+    double some = 0, other = 0;
+    for (int place = 7; place >= 0; --place) {
+      some = some * r + over[place];
+      other = other * r + under[place];
+    }
+    return some / other;
+  };
+  static const double MIDDLE[][8] = {
+      {3.3871328727963666080, 1.3314166789178437745e2, 1.9715909503065514427e3,
+       1.3731693765509461125e4, 4.5921953931549871457e4, 6.7265770927008700853e4,
+       3.3430575583588128105e4, 2.5090809287301226727e3},
+      {1.0, 4.2313330701600911252e1, 6.8718700749205790830e2, 5.3941960214247511077e3,
+       2.1213794301586595867e4, 3.9307895800092710610e4, 2.8729085735721942674e4,
+       5.2264952788528545610e3}};
+  static const double TAIL[][8] = {
+      {1.42343711074968357734, 4.63033784615654529590, 5.76949722146069140550,
+       3.64784832476320460504, 1.27045825245236838258, 2.41780725177450611770e-1,
+       2.27238449892691845833e-2, 7.74545014278341407640e-4},
+      {1.0, 2.05319162663775882187, 1.67638483018380384940, 6.89767334985100004550e-1,
+       1.48103976427480074590e-1, 1.51986665636164571966e-2, 5.47593808499534494600e-4,
+       1.05075007164441684324e-9}};
+  const double q = probability - 0.5;
+  if (q >= -0.425) return q * ratio(MIDDLE[0], MIDDLE[1], 0.180625 - q * q);
+  return -ratio(TAIL[0], TAIL[1], std::sqrt(-log_of(probability)) - 1.6);
+}
+
+// The mean steps between the highest of so many normal values (Blom, 1958).
+std::vector<double> mean_steps(double places) {
+  std::vector<double> means, steps;
+  for (Size rank = 1; rank <= std::min(PLACES, static_cast<Size>(places)); ++rank)
+    means.push_back(quantile((static_cast<double>(rank) - 0.375) / (places + 0.25)));
+  for (std::size_t rank = 1; rank < means.size(); ++rank)
+    steps.push_back(means[rank] - means[rank - 1]);
+  return steps;
+}
+
+template <typename Number>
+struct Peak {
+  Number value;
+  Size row;
+
+  bool operator<(const Peak &other) const {
+    return value > other.value || (value == other.value && row < other.row);
+  }
+};
+
+// The rows that are not lower than their neighbours.
+template <typename Number>
+std::vector<Peak<Number>> peaks_of(const Number *values, const Rows &rows) {
+  std::vector<Peak<Number>> peaks;
+  for (auto run = rows.runs.begin(); run != rows.runs.end();) {
+    const Size first = run->at, row = run->first;
+    Size last = run->last;
+    for (++run; run != rows.runs.end() && run->first == last; ++run) last = run->last;
+    const Size end = first + last - row;
+    for (Size place = first; place < end; ++place) {
+      const Number value = values[place];
+      if (value > NONE && !(place > first && values[place - 1] > value) &&
+          !(place + 1 < end && values[place + 1] > value))
+        peaks.push_back({value, row + place - first});
+    }
+  }
+  return peaks;
+}
+
+// The best peaks that are apart, falling.
+template <typename Number>
+std::vector<Peak<Number>> best_places(const Number *values, const Rows &rows) {
+  std::vector<Peak<Number>> peaks = peaks_of(values, rows), best;
+  const auto most = static_cast<std::ptrdiff_t>(PLACES * (2 * ELSEWHERE + 1));
+  if (static_cast<std::ptrdiff_t>(peaks.size()) > most) {  // no others can be among the best
+    std::nth_element(peaks.begin(), peaks.begin() + most, peaks.end());
+    peaks.resize(static_cast<std::size_t>(most));
+  }
+  std::sort(peaks.begin(), peaks.end());
+  for (const Peak<Number> &peak : peaks) {
+    if (static_cast<Size>(best.size()) == PLACES) break;
+    if (std::all_of(best.begin(), best.end(), [&](const Peak<Number> &other) {
+          return std::max(peak.row, other.row) - std::min(peak.row, other.row) > ELSEWHERE;
+        }))
+      best.push_back(peak);
+  }
+  return best;
+}
+
+// `unit` turns numbers that rise with the values into values.
+template <typename Number, typename Unit>
+Chance compared(const Number *numbers, const Rows &rows, Size matching, Unit unit) {
+  const std::vector<Peak<Number>> best = best_places(numbers, rows);
+  Chance found;
+  if (best.size() > 1) found.rival = best[1].row;
+  if (matching < 0)
+    matching =
+        std::count_if(numbers, numbers + rows.count, [](Number each) { return each > NONE; });
+  const double places = static_cast<double>(matching) / ROWS_A_PLACE;
+  const Size count = std::min(static_cast<Size>(best.size()) - 1, static_cast<Size>(places) - 1);
+  if (count < 2) return found;
+  const std::vector<double> means = mean_steps(places);
+  double ahead = 0, below = 0;
+  for (Size step = 0; step < count; ++step) {
+    const double height = unit(best[step].value) - unit(best[step + 1].value);
+    (step ? below : ahead) += height / means[step];
+  }
+  const double ratio = 1 + ahead / std::max(below, LEAST_STEP);
+  found.chance = 1;
+  for (Size step = 1; step < count; ++step) found.chance /= ratio;
+  return found;
+}
+}  // namespace
+
+Chance chance_of_scores(const float *scores, const Rows &rows, Size matching) {
+  std::vector<float> numbers(scores, scores + rows.count);
+  for (float &number : numbers) number = 1 - static_cast<double>(number) < ROUNDING ? 1 : number;
+  return compared(numbers.data(), rows, matching,
+                  [](float score) { return nearness(static_cast<double>(score)); });
+}
+
+Chance chance_of_beliefs(const float *beliefs, const float *scores, const Rows &rows,
+                         Size matching) {
+  std::vector<float> numbers(beliefs, beliefs + rows.count);
+  for (Size place = 0; place < rows.count; ++place)
+    numbers[place] = scores[place] == NONE ? NONE : std::max(beliefs[place], LEAST_BELIEF);
+  return compared(numbers.data(), rows, matching,
+                  [](float belief) { return log_of(static_cast<double>(belief)); });
+}
+
+Chance chance_of(const double *values, const Rows &rows, Size matching) {
+  return compared(values, rows, matching, [](double value) { return value; });
+}
+
+double answers_together(const std::vector<Size> &rivals) {
+  if (rivals.empty()) return 1;
+  double squares = 0, length = 1;
+  for (std::size_t query = 1; query <= rivals.size(); ++query) {
+    if (query < rivals.size() && std::abs(rivals[query] - rivals[query - 1]) <= NEAR) {
+      ++length;
+      continue;
+    }
+    squares += length * length;
+    length = 1;
+  }
+  return squares / static_cast<double>(rivals.size());
+}
+
+// ---------------------------------------------------------------------------------------- confidence
+
+namespace {
+constexpr double FOREIGN = 0.1;  // prior probability that the map has none of the places
+// Of the gamma density of right answers: the median of its rate, and the deviation of the rate's logit.
+constexpr double SLOPE = 0.25, DEVIATION = 0.6, REACH = 2.5;
+constexpr int FRACTIONS = 15, RATES = 11, SHAPES = 2;
+constexpr double LEAST_AHEAD = 1.000500333583534e-3, MOST_AHEAD = 20;  // -log of 1 - 1e-3
+
+// Points of the prior: the fraction of wrong answers; of the gamma density of right ones the rate, the
+// shape less 1 and the factor; the logarithm of the weight. The last one is a map that has no place.
+struct Prior {
+  static constexpr int COUNT = FRACTIONS * RATES * SHAPES + 1;
+  double wrong[COUNT], rate[COUNT], shape[COUNT], factor[COUNT], log_weight[COUNT];
+
+  Prior() {
+    double weights = 0;
+    for (int each = 0; each < RATES; ++each) weights += exp_of(-away(each) * away(each) / 2);
+    int point = 0;
+    for (int fraction = 0; fraction < FRACTIONS; ++fraction)
+      for (int each = 0; each < RATES; ++each)
+        for (int more = 0; more < SHAPES; ++more) {
+          const double rate = 1 / (1 + exp_of(log_of(1 / SLOPE - 1) - DEVIATION * away(each)));
+          const double weight =
+              exp_of(-away(each) * away(each) / 2) / (weights * FRACTIONS * SHAPES);
+          set(point++, (fraction + 0.5) / FRACTIONS, rate, more, weight * (1 - FOREIGN));
+        }
+    set(point, 1, SLOPE, SHAPES - 1, FOREIGN);
+  }
+
+ private:
+  static double away(int each) { return -REACH + 2 * REACH * each / (RATES - 1); }
+
+  void set(int point, double fraction, double slope, double more, double weight) {
+    wrong[point] = fraction;
+    rate[point] = slope;
+    shape[point] = more;
+    factor[point] = (1 + more) * log_of(slope);  // gamma functions of shapes 1 and 2 are 1
+    log_weight[point] = log_of(weight);
+  }
+};
+
+const Prior &prior() {
+  static const Prior points;
+  return points;
+}
+
+// How much likelier an answer so far ahead is of the right ones than of the wrong ones, at each point.
+SSRVLAD_CLONES void likelier(const Prior &points, double ahead, double *found) {
+  const double log_ahead = log_of(ahead);
+  for (int point = 0; point < Prior::COUNT; ++point)
+    found[point] = exp_of(points.factor[point] + points.shape[point] * log_ahead +
+                          (1 - points.rate[point]) * ahead);
+}
+
+SSRVLAD_CLONES void learn(const Prior &points, double ahead, double *told) {
+  double found[Prior::COUNT];
+  likelier(points, ahead, found);
+  for (int point = 0; point < Prior::COUNT; ++point)
+    told[point] += log_of(points.wrong[point] + (1 - points.wrong[point]) * found[point]);
+}
+
+// Mean and standard deviation of the probability that an answer is right.
+std::pair<double, double> moments(const Prior &points, const double *weights, double ahead) {
+  double right[Prior::COUNT], mean = 0, variance = 0;
+  likelier(points, ahead, right);
+  for (int point = 0; point < Prior::COUNT; ++point) {
+    right[point] *= 1 - points.wrong[point];
+    right[point] /= right[point] + points.wrong[point];
+    mean += right[point] * weights[point];
+  }
+  for (int point = 0; point < Prior::COUNT; ++point)
+    variance += (right[point] - mean) * (right[point] - mean) * weights[point];
+  return {mean, std::sqrt(variance)};
+}
+}  // namespace
+
+Confidence Confidence::of(const std::vector<double> &chances, double together) {
+  const Prior &points = prior();
+  std::vector<double> ahead(chances.size());
+  double weights[Prior::COUNT] = {}, total = 0;
+  for (std::size_t query = 0; query < chances.size(); ++query) {
+    if (std::isnan(chances[query])) continue;
+    const double far = chances[query] > 0 ? -log_of(std::max(chances[query], 1e-300)) : MOST_AHEAD;
+    ahead[query] = std::min(std::max(far, LEAST_AHEAD), MOST_AHEAD);
+    learn(points, ahead[query], weights);
+  }
+  for (int point = 0; point < Prior::COUNT; ++point)
+    weights[point] = points.log_weight[point] + weights[point] / together;
+  const double highest = *std::max_element(weights, weights + Prior::COUNT);
+  for (double &weight : weights) total += weight = exp_of(weight - highest);
+  for (double &weight : weights) weight /= total;
+  Confidence sure{std::vector<float>(chances.size()), std::vector<float>(chances.size())};
+  for (std::size_t query = 0; query < chances.size(); ++query) {
+    if (std::isnan(chances[query])) continue;
+    const auto [mean, deviation] = moments(points, weights, ahead[query]);
+    sure.right[query] = static_cast<float>(mean);
+    sure.spread[query] = static_cast<float>(deviation);
+  }
+  return sure;
+}
+
+}  // namespace places

@@ -1,0 +1,45 @@
+// How sure an answer is: beside its rivals, and among all answers of its drive.
+//
+// recognition/rivals.py and recognition/confidence.py explain both; recognition/reference.py says the
+// same plainly.
+
+#ifndef SSRVLAD_CONFIDENCE_HPP
+#define SSRVLAD_CONFIDENCE_HPP
+
+#include <vector>
+
+#include "filter.hpp"
+
+namespace places {
+
+constexpr Size NEAR = 3;  // rows on each side of a row that show the same place
+
+// The probability that a wrong answer is as far ahead of its rivals as the best of some rows is, and
+// the row of the best rival, -1 without one.
+struct Chance {
+  double chance = 1;
+  Size rival = -1;
+};
+
+// By the scores of listed rows; by the beliefs in them, of which those with a score may match; by values
+// of any unit, NONE where there can be no match. `matching` is the number of rows of the map that could
+// match; less than 0, those that are listed.
+Chance chance_of_scores(const float *scores, const Rows &rows, Size matching);
+Chance chance_of_beliefs(const float *beliefs, const float *scores, const Rows &rows,
+                         Size matching);
+Chance chance_of(const double *values, const Rows &rows, Size matching);
+
+// How many neighbouring queries have one answer, by the best rivals of a drive.
+double answers_together(const std::vector<Size> &rivals);
+
+// Of each answer the probability that it is right, and its standard deviation; 0 without an answer.
+struct Confidence {
+  std::vector<float> right, spread;
+
+  // By the chances of a drive, NaN without an answer; so many neighbouring queries err together.
+  static Confidence of(const std::vector<double> &chances, double together);
+};
+
+}  // namespace places
+
+#endif

@@ -1,0 +1,609 @@
+// The decision of decide.hpp.
+
+#include "decide.hpp"
+
+#include "interface.hpp"
+
+#include <deque>
+#include <numeric>
+#include <random>
+
+namespace places {
+
+namespace {
+constexpr double TRACK = 10;          // frames that a wrong answer lasts in a followed drive
+constexpr Size KEPT = Size{1} << 24;  // numbers of beliefs that are kept rather than computed again
+
+// The track may go on from the most probable rows, up to this number and down to this belief.
+constexpr Size MAX_BELIEVED = 64;
+constexpr float MIN_BELIEF = 1e-4F;
+
+// recognition/reference.py explains these.
+constexpr Course COURSES[] = {
+    {FORWARDS, 1, 1}, {FORWARDS, 3, 1}, {FORWARDS, 0.25, 1}, {FORWARDS, 1, 2}};
+constexpr double OF_TWO = 0.75, LEAST_GAIN = 1, UNUSUAL = 3, BY_ROWS = 0.25, DRIVE = 0.5,
+                 MARGIN = 0.05;
+
+// The places of the highest of values above NONE, the first of equals first.
+std::vector<Size> best_of(const std::vector<float> &values, Size top) {
+  std::vector<Size> best;
+  const auto higher = [&](Size some, Size other) {
+    return values[some] > values[other] || (values[some] == values[other] && some < other);
+  };
+  for (Size place = 0; place < static_cast<Size>(values.size()); ++place) {
+    if (static_cast<Size>(best.size()) == top) {
+      if (!(values[place] > values[best.front()])) continue;
+      std::pop_heap(best.begin(), best.end(), higher);
+      best.pop_back();
+    }
+    if (!(values[place] > NONE)) continue;
+    best.push_back(place);
+    std::push_heap(best.begin(), best.end(), higher);
+  }
+  std::sort_heap(best.begin(), best.end(), higher);
+  return best;
+}
+
+void put(const std::vector<float> &values, const Rows &rows, Size query, Matches &matches) {
+  Size at = query * matches.top;
+  for (const Size place : best_of(values, matches.top)) {
+    matches.scores[at] = values[place];
+    matches.rows[at++] = rows.at(place);
+  }
+}
+
+// A query, and the belief after it.
+struct Seen {
+  std::shared_ptr<const Sight> sight;
+  std::shared_ptr<const Belief> belief;
+};
+
+// The forward algorithm.
+struct Walk {
+  const Filter &filter;
+  Seen now;
+
+  // Takes the next query: the logarithm of how much likelier it is so than alone.
+  double step(const Evidence &evidence, Size query) {
+    const Belief *before = now.belief.get();
+    now.sight = evidence.after(filter, before, query);
+    const Rows &rows = now.sight->rows;
+    const auto belief =
+        std::make_shared<Belief>(before ? filter.predicted(*before, rows) : filter.start(rows));
+    const double gain = filter.update(*belief, now.sight->likelihood);
+    now.belief = belief;
+    return gain;
+  }
+};
+
+// Of one query by the beliefs in its listed rows. Rows without a score are no candidates, unless none has
+// one: any row may be the place of an empty query.
+void place(const Filter &filter, const Sight &sight,
+           const std::pair<std::vector<float>, double> &found, Size query, Places &places) {
+  const auto &[beliefs, unmapped] = found;
+  std::vector<float> masked = beliefs;
+  if (highest(sight.scores.data(), sight.rows.count) > NONE)
+    for (Size row = 0; row < sight.rows.count; ++row)
+      if (sight.scores[row] == NONE) masked[row] = NONE;
+  put(masked, sight.rows, query, places);
+  places.unmapped[query] = static_cast<float>(unmapped);
+  const Size row = places.rows[query * places.top];
+  if (row >= 0) {
+    const Drives &drives = filter.drives();
+    const Size drive = drives.of(row);
+    const Size first = std::max(row - NEAR, drives.starts[drive]);
+    const Size last = std::min(row + NEAR + 1, drives.last(drive));
+    for (const Run &run : sight.rows.runs)
+      for (Size each = std::max(first, run.first); each < std::min(last, run.last); ++each)
+        places.near[query] += beliefs[run.at + each - run.first];
+  }
+  places.chance[query] =
+      chance_of_beliefs(beliefs.data(), sight.scores.data(), sight.rows, sight.matching).chance;
+}
+
+void follow_online(const Filter &filter, const Evidence &evidence, const std::vector<Size> &queries,
+                   Size delay, Places &places) {
+  const auto count = static_cast<Size>(queries.size());
+  std::deque<Seen> window;  // a query and those after it
+  Walk walk{filter, {}};
+  for (Size query = 0, next = 0; query < count; ++query) {
+    for (; next < count && next - query <= delay; ++next) {
+      walk.step(evidence, queries[next]);
+      window.push_back(walk.now);
+    }
+    const Seen &now = window.front();
+    if (window.size() == 1) {
+      place(filter, *now.sight, {now.belief->of_rows(), now.belief->unmapped}, query, places);
+    } else {
+      Future future = filter.none(*window.back().belief);
+      for (std::size_t later = window.size() - 1; later > 0; --later)
+        future = filter.before(*window[later - 1].belief, window[later].sight->rows,
+                               window[later].sight->likelihood, future);
+      place(filter, *now.sight, filter.smoothed(*now.belief, future), query, places);
+    }
+    window.pop_front();
+  }
+}
+
+// Keeps one belief in `stride`; the others are computed again.
+void follow_offline(const Filter &filter, const Evidence &evidence,
+                    const std::vector<Size> &queries, Places &places) {
+  const auto count = static_cast<Size>(queries.size());
+  Walk walk{filter, {}};
+  std::vector<Seen> kept;
+  Size stride = 1;
+  for (Size query = 0; query < count; ++query) {
+    walk.step(evidence, queries[query]);
+    if (!query && count * static_cast<Size>(walk.now.belief->mapped.size()) > KEPT)
+      stride = static_cast<Size>(std::sqrt(static_cast<double>(count)));
+    if (query % stride == 0) kept.push_back(walk.now);
+  }
+  Seen later;
+  Future future;
+  for (Size start = (count - 1) / stride * stride; start >= 0; start -= stride) {
+    std::vector<Seen> stretch = {kept.back()};
+    walk.now = kept.back();
+    kept.pop_back();
+    for (Size query = start + 1; query < std::min(start + stride, count); ++query) {
+      walk.step(evidence, queries[query]);
+      stretch.push_back(walk.now);
+    }
+    for (Size query = start + static_cast<Size>(stretch.size()) - 1; query >= start; --query) {
+      const Seen now = stretch.back();
+      stretch.pop_back();
+      future = later.sight
+                   ? filter.before(*now.belief, later.sight->rows, later.sight->likelihood, future)
+                   : filter.none(*now.belief);
+      place(filter, *now.sight, filter.smoothed(*now.belief, future), query, places);
+      later = now;
+    }
+  }
+}
+
+// The queries of each stream of a course, in an order.
+std::vector<std::vector<Size>> streams_of(const Course &course, const std::vector<Size> &order) {
+  std::vector<std::vector<Size>> streams(course.streams);
+  for (std::size_t place = 0; place < order.size(); ++place)
+    streams[place % streams.size()].push_back(order[place]);
+  return streams;
+}
+
+std::vector<Size> in_order(Size count) {
+  std::vector<Size> order(count);
+  std::iota(order.begin(), order.end(), 0);
+  return order;
+}
+
+// As torch.randperm with the seed 0.
+std::vector<Size> at_random(Size count) {
+  std::vector<Size> order = in_order(count);
+  std::mt19937 random(0);
+  for (Size place = 0; place + 1 < count; ++place)
+    std::swap(order[place], order[place + static_cast<Size>(random()) % (count - place)]);
+  return order;
+}
+
+// Courses that are tried at once, so that each query is scored once.
+class Trial {
+ public:
+  Trial(const Drives &drives, const std::vector<Course> &courses) {
+    for (const Course &course : courses) {
+      Motion motion;
+      motion.unmapped = 0;
+      motion.rate = course.rate;
+      filters_.push_back(std::make_unique<Filter>(drives, motion, std::vector<int>{course.way}));
+      walks_.emplace_back(course.streams, Walk{*filters_.back(), {}});
+    }
+  }
+
+  // The gain of queries by each course; what counts of it.
+  std::vector<double> gains(const Evidence &evidence, const std::vector<Size> &order) {
+    std::vector<double> gains(walks_.size());
+    for (std::size_t place = 0; place < order.size(); ++place)
+      for (std::size_t each = 0; each < walks_.size(); ++each)
+        gains[each] += walks_[each][place % walks_[each].size()].step(evidence, order[place]);
+    for (std::size_t each = 0; each < gains.size(); ++each)
+      if (walks_[each].size() > 1) gains[each] *= OF_TWO;
+    return gains;
+  }
+
+ private:
+  std::vector<std::unique_ptr<Filter>> filters_;
+  std::vector<std::vector<Walk>> walks_;
+};
+
+// The likeliest course and its gain; no gain if there is hardly any, or as much in a random order.
+std::pair<Course, double> course_of(const Drives &drives, const Evidence &evidence) {
+  std::vector<Course> courses;
+  for (const Course &kind : COURSES)
+    for (const int way : {FORWARDS, BACKWARDS}) courses.push_back({way, kind.rate, kind.streams});
+  const std::vector<double> gains =
+      Trial(drives, courses).gains(evidence, in_order(evidence.queries()));
+  std::size_t best = 0;
+  const auto likely = [&](std::size_t course) { return gains[course] - (course ? UNUSUAL : 0); };
+  for (std::size_t course = 1; course < courses.size(); ++course)
+    if (likely(course) > likely(best)) best = course;
+  if (gains[best] <= LEAST_GAIN) return {};
+  Trial again(drives, {courses[best]});
+  if (again.gains(evidence, at_random(evidence.queries())).front() > BY_ROWS * gains[best])
+    return {};
+  return {courses[best], gains[best]};
+}
+
+double mean(const std::vector<float> &values) {
+  return sum(values.data(), static_cast<Size>(values.size())) /
+         static_cast<double>(std::max<std::size_t>(1, values.size()));
+}
+
+// Places all streams of a course.
+Places follow_course(const Drives &drives, const Evidence &evidence, const Course &course,
+                     Mode mode, Size delay, Size top) {
+  const Filter filter(drives, Motion().at(course.rate), {course.way});
+  Places places(evidence.queries(), top);
+  for (const std::vector<Size> &stream : streams_of(course, in_order(evidence.queries()))) {
+    const Places some = follow(filter, evidence, stream, mode, delay, top);
+    for (std::size_t at = 0; at < stream.size(); ++at) {
+      const auto from = static_cast<std::ptrdiff_t>(at) * top, to = stream[at] * top;
+      std::copy_n(some.scores.begin() + from, top, places.scores.begin() + to);
+      std::copy_n(some.rows.begin() + from, top, places.rows.begin() + to);
+      places.near[stream[at]] = some.near[at];
+      places.chance[stream[at]] = some.chance[at];
+    }
+  }
+  return places;
+}
+
+// Makes a followed decision of one that was made alone, if that makes its answers surer. An empty query
+// stays one.
+void take(const Places &places, double together, Decision &decision) {
+  const Size queries = static_cast<Size>(decision.right.size()), top = decision.top;
+  std::vector<double> chances = places.chance;
+  for (Size query = 0; query < queries; ++query)
+    if (decision.rows[query * top] < 0) chances[query] = std::numeric_limits<double>::quiet_NaN();
+  const double followed = mean(Confidence::of(chances, together).right);
+  if (followed <= mean(decision.right) + (decision.gain > DRIVE ? -MARGIN : MARGIN)) return;
+  together = std::max(TRACK, together);
+  Confidence sure = Confidence::of(chances, together);
+  decision.right = std::move(sure.right);
+  decision.spread = std::move(sure.spread);
+  decision.together.assign(static_cast<std::size_t>(queries), static_cast<float>(together));
+  decision.followed = true;
+  for (Size query = 0; query < queries; ++query) {
+    const Size first = query * top;
+    if (decision.rows[first] < 0) continue;
+    std::copy_n(places.scores.begin() + first, top, decision.scores.begin() + first);
+    std::copy_n(places.rows.begin() + first, top, decision.rows.begin() + first);
+    if (places.rows[first] >= 0) decision.scores[first] = places.near[query];
+  }
+}
+
+// Judges each query by itself; returns how many err together.
+double judge(const Drives &drives, const Evidence &evidence, Decision &decision) {
+  const Size queries = evidence.queries();
+  std::vector<double> chances(static_cast<std::size_t>(queries),
+                              std::numeric_limits<double>::quiet_NaN());
+  std::vector<Size> rivals;
+  for (Size query = 0; query < queries; ++query) {
+    const auto sight = evidence.alone(drives, query);
+    put(sight->scores, sight->rows, query, decision);
+    if (decision.rows[query * decision.top] < 0) continue;
+    const Chance chance = chance_of_scores(sight->scores.data(), sight->rows, sight->matching);
+    chances[query] = chance.chance;
+    rivals.push_back(chance.rival);
+  }
+  const double together = answers_together(rivals);
+  Confidence sure = Confidence::of(chances, together);
+  decision.right = std::move(sure.right);
+  decision.spread = std::move(sure.spread);
+  decision.together.assign(static_cast<std::size_t>(queries), static_cast<float>(together));
+  return together;
+}
+}  // namespace
+
+// ------------------------------------------------------------------------------------------ evidence
+
+namespace {
+std::shared_ptr<Sight> sight_of(const Scores &scores, const Drives &drives, Size query) {
+  auto sight = std::make_shared<Sight>();
+  sight->rows = drives.all();
+  sight->scores.resize(static_cast<std::size_t>(drives.rows));
+  scores.of(query, sight->scores.data());
+  return sight;
+}
+}  // namespace
+
+std::shared_ptr<const Sight> AllRows::alone(const Drives &drives, Size query) const {
+  return sight_of(scores_, drives, query);
+}
+
+std::shared_ptr<const Sight> AllRows::after(const Filter &filter, const Belief *,
+                                            Size query) const {
+  const Motion &motion = filter.motion();
+  if (last_ && query == query_ && motion.weight == weight_ && motion.level == level_) return last_;
+  const auto sight = sight_of(scores_, filter.drives(), query);
+  const float *scores = sight->scores.data();
+  const Size count = sight->rows.count;
+  std::vector<float> near(static_cast<std::size_t>(count));
+  nearness(scores, count, near.data());
+  const Spread spread = Spread::of(near.data(), count);
+  if (std::isnan(spread.mean) || highest(scores, count) > HIGHEST_SCORE) throw WrongScores();
+  sight->likelihood.rows = likelihoods(scores, count, motion, spread);
+  query_ = query, weight_ = motion.weight, level_ = motion.level;
+  return last_ = sight;
+}
+
+namespace {
+std::shared_ptr<Sight> sight_of(const Search &search, const Drives &drives, Size query,
+                                std::vector<Size> &rows) {
+  std::sort(rows.begin(), rows.end());
+  rows.erase(std::unique(rows.begin(), rows.end()), rows.end());
+  auto sight = std::make_shared<Sight>();
+  sight->rows = drives.some(rows.data(), static_cast<Size>(rows.size()));
+  sight->matching = drives.rows;
+  sight->scores.resize(rows.size());
+  search.of(query, rows, sight->scores.data());
+  return sight;
+}
+
+// Adds the rows to which the most probable ones of a belief may have moved.
+void add_moved(const Filter &filter, const Belief &before, std::vector<Size> &rows) {
+  const std::vector<float> beliefs = before.of_rows();
+  const Drives &drives = filter.drives();
+  const auto [least, most] = filter.reach();
+  for (const Size place : best_of(beliefs, MAX_BELIEVED)) {
+    if (beliefs[place] < MIN_BELIEF) break;
+    const Size row = before.rows.at(place), drive = drives.of(row);
+    const Size last = std::min(row + most + 1, drives.last(drive));
+    for (Size each = std::max(row + least, drives.starts[drive]); each < last; ++each)
+      rows.push_back(each);
+  }
+}
+}  // namespace
+
+std::shared_ptr<const Sight> Candidates::alone(const Drives &drives, Size query) const {
+  std::vector<Size> rows = search_.candidates(query);
+  return sight_of(search_, drives, query, rows);
+}
+
+std::shared_ptr<const Sight> Candidates::after(const Filter &filter, const Belief *before,
+                                               Size query) const {
+  const Drives &drives = filter.drives();
+  std::vector<Size> rows = search_.candidates(query);
+  if (before) add_moved(filter, *before, rows);
+  if (rows.empty() && drives.rows) rows.push_back(0);
+  const auto sight = sight_of(search_, drives, query, rows);
+  const Spread spread = search_.spread(query);
+  Likelihood &likelihood = sight->likelihood;
+  likelihood.rows = likelihoods(sight->scores.data(), sight->rows.count, filter.motion(), spread);
+  const auto [sampled, scores] = search_.sample(query);
+  std::vector<float> others;
+  for (std::size_t place = 0; place < sampled.size(); ++place)
+    if (!std::binary_search(rows.begin(), rows.end(), sampled[place]))
+      others.push_back(scores[place]);
+  const auto count = static_cast<Size>(others.size());
+  likelihood.elsewhere = sight->rows.count < drives.rows ? 1 : 0;
+  if (count)
+    likelihood.elsewhere =
+        sum(likelihoods(others.data(), count, filter.motion(), spread).data(), count) /
+        static_cast<double>(count);
+  return sight;
+}
+
+// ------------------------------------------------------------------------------------------ decision
+
+Matches::Matches(Size queries, Size number)
+    : top(number), scores(static_cast<std::size_t>(queries * top), NONE), rows(scores.size(), -1) {}
+
+Places::Places(Size queries, Size number)
+    : Matches(queries, number),
+      near(static_cast<std::size_t>(queries)),
+      unmapped(near),
+      chance(near.size(), 1) {}
+
+Places follow(const Filter &filter, const Evidence &evidence, const std::vector<Size> &queries,
+              Mode mode, Size delay, Size top) {
+  Places places(static_cast<Size>(queries.size()), top);
+  if (mode == Mode::ONLINE)
+    follow_online(filter, evidence, queries, delay, places);
+  else
+    follow_offline(filter, evidence, queries, places);
+  return places;
+}
+
+double gain(const Filter &filter, const Evidence &evidence, const std::vector<Size> &queries) {
+  Walk walk{filter, {}};
+  double gain = 0;
+  for (const Size query : queries) gain += walk.step(evidence, query);
+  return gain;
+}
+
+Decision decide(const Drives &drives, const Evidence &evidence, Mode mode, Size delay, Size top) {
+  Decision decision(evidence.queries(), top);
+  const double together = judge(drives, evidence, decision);
+  if (mode != Mode::ALONE) {
+    std::tie(decision.course, decision.gain) = course_of(drives, evidence);
+    if (decision.gain > 0) {
+      decision.gain /= static_cast<double>(evidence.queries());
+      take(follow_course(drives, evidence, decision.course, mode, delay, top), together, decision);
+    }
+  }
+  if (drives.rows < MIN_FRAMES) std::fill(decision.right.begin(), decision.right.end(), 0.0F);
+  return decision;
+}
+
+}  // namespace places
+
+// ------------------------------------------------------------------------------------- the interface
+
+namespace {
+using places::Size;
+
+using places::Failed, places::give, places::guarded, places::require;
+
+// The return code of a function of the caller.
+int64_t passed(int64_t code) {
+  if (code < 0) throw Failed{code};
+  return code;
+}
+
+class CallersScores : public places::Scores {
+ public:
+  CallersScores(const ssrvlad_evidence &given, Size rows) : given_(given), rows_(rows) {}
+  Size queries() const override { return given_.queries; }
+  Size rows() const override { return rows_; }
+  void of(Size query, float *scores) const override {
+    if (given_.matrix)
+      std::copy_n(given_.matrix + query * rows_, rows_, scores);
+    else
+      passed(given_.scores(given_.context, query, scores));
+  }
+
+ private:
+  const ssrvlad_evidence given_;
+  Size rows_;
+};
+
+class CallersSearch : public places::Search {
+ public:
+  CallersSearch(const ssrvlad_evidence &given, Size rows) : given_(given), rows_(rows) {}
+  Size queries() const override { return given_.queries; }
+
+  std::vector<Size> candidates(Size query) const override {
+    std::vector<Size> rows(
+        static_cast<std::size_t>(passed(given_.candidates(given_.context, query, nullptr))));
+    if (!rows.empty()) passed(given_.candidates(given_.context, query, rows.data()));
+    for (const Size row : rows) require(row >= 0 && row < rows_);
+    return rows;
+  }
+
+  void of(Size query, const std::vector<Size> &rows, float *scores) const override {
+    if (!rows.empty())
+      passed(
+          given_.some(given_.context, query, rows.data(), static_cast<Size>(rows.size()), scores));
+  }
+
+  places::Spread spread(Size query) const override {
+    places::Spread spread;
+    passed(given_.spread(given_.context, query, &spread.mean, &spread.deviation));
+    return spread;
+  }
+
+  std::pair<std::vector<Size>, std::vector<float>> sample(Size query) const override {
+    std::vector<Size> rows(
+        static_cast<std::size_t>(passed(given_.sample(given_.context, query, nullptr, nullptr))));
+    std::vector<float> scores(rows.size());
+    if (!rows.empty()) passed(given_.sample(given_.context, query, rows.data(), scores.data()));
+    return {rows, scores};
+  }
+
+ private:
+  const ssrvlad_evidence given_;
+  Size rows_;
+};
+
+// The rows of a map and the queries of a drive, checked.
+struct Given {
+  places::Drives drives;
+  std::unique_ptr<places::Scores> scores;
+  std::unique_ptr<places::Search> search;
+  std::unique_ptr<places::Evidence> evidence;
+
+  Given(const ssrvlad_drives *map, const ssrvlad_evidence *of) {
+    require(of && of->queries >= 0);
+    drives = places::drives_of(map);
+    const bool searched = of->candidates && of->some && of->spread && of->sample;
+    require(of->matrix || of->scores || searched || !of->queries);
+    if (searched) {
+      search = std::make_unique<CallersSearch>(*of, drives.rows);
+      evidence = std::make_unique<places::Candidates>(*search);
+    } else {
+      scores = std::make_unique<CallersScores>(*of, drives.rows);
+      evidence = std::make_unique<places::AllRows>(*scores);
+    }
+  }
+};
+
+places::Motion motion_of(const ssrvlad_motion *given) {
+  if (!given) return {};
+  const auto &[change, jump, unmapped, stay, weight, level, rate] = *given;
+  for (const double chance : {change, jump, unmapped, stay}) require(chance >= 0 && chance <= 1);
+  require(weight > 0 && std::isfinite(weight) && std::isfinite(level) && rate > 0 &&
+          rate <= places::MOST_RATE);
+  return {change, jump, unmapped, stay, weight, level, rate};
+}
+}  // namespace
+
+extern "C" {
+
+int ssrvlad_decide(const ssrvlad_drives *map, const ssrvlad_evidence *evidence, int mode,
+                   int64_t delay, int64_t top, ssrvlad_decision *decision) {
+  return guarded([&] {
+    require(mode >= SSRVLAD_ALONE && mode <= SSRVLAD_OFFLINE && delay >= 0 && top >= 1 && decision);
+    const Given given(map, evidence);
+    const places::Decision found =
+        places::decide(given.drives, *given.evidence, static_cast<places::Mode>(mode), delay, top);
+    give(found, *decision);
+  });
+}
+
+int ssrvlad_follow(const ssrvlad_drives *map, const ssrvlad_evidence *evidence,
+                   const ssrvlad_motion *motion, int way, int mode, int64_t delay, int64_t top,
+                   ssrvlad_places *found) {
+  return guarded([&] {
+    require(way == places::FORWARDS || way == places::BACKWARDS);
+    require((mode == SSRVLAD_ONLINE || mode == SSRVLAD_OFFLINE) && delay >= 0 && top >= 1 && found);
+    const Given given(map, evidence);
+    const places::Filter filter(given.drives, motion_of(motion), {way});
+    const places::Places where =
+        places::follow(filter, *given.evidence, places::in_order(given.evidence->queries()),
+                       static_cast<places::Mode>(mode), delay, top);
+    give(where.scores, found->scores);
+    give(where.rows, found->rows);
+    give(where.near, found->around);
+    give(where.unmapped, found->unmapped);
+    give(where.chance, found->chance);
+  });
+}
+
+int ssrvlad_gain(const ssrvlad_drives *map, const ssrvlad_evidence *evidence,
+                 const ssrvlad_motion *motion, int way, double *gain) {
+  return guarded([&] {
+    require((way == places::FORWARDS || way == places::BACKWARDS) && gain);
+    const Given given(map, evidence);
+    const places::Filter filter(given.drives, motion_of(motion), {way});
+    *gain = places::gain(filter, *given.evidence, places::in_order(given.evidence->queries()));
+  });
+}
+
+int ssrvlad_chance(const double *values, const int64_t *rows, int64_t count, int64_t matching,
+                   double *chance, int64_t *rival) {
+  return guarded([&] {
+    require(count >= 0 && chance && rival);
+    places::Drives drives{{0}, count};
+    for (Size place = 0; rows && place < count; ++place)
+      require(rows[place] >= 0 && (!place || rows[place] > rows[place - 1]));
+    if (rows && count) drives.rows = rows[count - 1] + 1;
+    const places::Chance found =
+        places::chance_of(values, rows ? drives.some(rows, count) : drives.all(), matching);
+    *chance = found.chance;
+    *rival = found.rival;
+  });
+}
+
+int ssrvlad_confidence(const double *chances, int64_t queries, double together, float *right,
+                       float *spread) {
+  return guarded([&] {
+    require(queries >= 0 && together > 0);
+    const places::Confidence found = places::Confidence::of({chances, chances + queries}, together);
+    give(found.right, right);
+    give(found.spread, spread);
+  });
+}
+
+double ssrvlad_together(const int64_t *rivals, int64_t queries) {
+  double together = -1;
+  guarded([&] { together = places::answers_together({rivals, rivals + queries}); });
+  return together;
+}
+
+}  // extern "C"

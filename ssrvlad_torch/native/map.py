@@ -1,0 +1,277 @@
+"""The map of the core, ``ssrvlad_map.h``, on arrays: from descriptors of a map and of a drive to
+places.
+
+It needs NumPy and the compiled core, and nothing else of the package. `recognition.reference` says
+the same plainly.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import weakref
+from collections.abc import Mapping, Sequence
+from functools import cache
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from .decide import MODES, Decision, Drives, Floats, Room, library, problem
+
+Array = npt.NDArray[Any]
+
+REACH = 2
+"""Columns by which signs are moved to each side."""
+MIN_FRAMES = 30
+"""Of a drive that has a mean of its own, and of a map for it."""
+
+_SIZE, _POINTER, _INT = ctypes.c_int64, ctypes.c_void_p, ctypes.c_int
+
+
+class Found(NamedTuple):
+    """The places of a drive, and the steps that were taken.
+
+    Attributes:
+        decision: candidates, and how sure the first are.
+        standardised: whether each drive lost the mean of its descriptors.
+        width: of the sweep, in anchors to each side.
+        weights: of the channels, by their names; their sum is 1.
+    """
+
+    decision: Decision
+    standardised: bool
+    width: int
+    weights: dict[str, float]
+
+
+class Map:
+    """The rows of a map by one or several channels.
+
+    Args:
+        frames: the number of frames of each drive of the map, in its order.
+
+    Raises:
+        ValueError: a drive has no frame.
+        RuntimeError: the core is not there, or memory is short.
+
+    Examples:
+        >>> frames = np.eye(40, dtype=np.float32)
+        >>> town = Map([40])
+        >>> town.add("shapes", frames)
+        >>> town.query({"shapes": frames[5:9]}).decision.rows[:, 0].tolist()
+        [5, 6, 7, 8]
+    """
+
+    def __init__(self, frames: Sequence[int]) -> None:
+        core = _library()
+        starts = np.cumsum([0, *frames], dtype=np.int64)
+        drives = Drives(starts.ctypes.data, len(frames), int(starts[-1]))
+        self._map = core.ssrvlad_map_new(ctypes.byref(drives))
+        if not self._map:
+            raise ValueError(f"expected drives of at least 1 frame, got {list(frames)}")
+        weakref.finalize(self, core.ssrvlad_map_free, ctypes.c_void_p(self._map))
+        self._rows: dict[str, Array] = {}
+        self._frames = int(starts[-1])
+
+    def __len__(self) -> int:
+        return self._frames
+
+    def add(self, name: str, rows: Array, trust: float = 1.0) -> None:
+        """Adds a channel. The rows stay where they are, if they are contiguous.
+
+        Args:
+            name: of the channel.
+            rows: vectors ``(R, D)`` float32 of length 1 or zero, which match nothing; or signs
+                ``(R, columns, ...)`` uint8, eight in a byte.
+            trust: how much the channel counts before anything is known of a drive.
+
+        Raises:
+            ValueError: the rows are no such array, not one for each frame, or not finite.
+        """
+        if name in self._rows or len(rows) != self._frames:
+            got = "another of that name" if name in self._rows else f"{len(rows)}"
+            raise ValueError(f"{name}: expected a row for each of {self._frames} frames, got {got}")
+        kept = _checked(rows, name)
+        kind = 0 if kept.dtype == np.float32 else 1
+        columns, size = 1 if kind == 0 else kept.shape[1], int(np.prod(kept.shape[1 + kind :]))
+        given = _Channel(kept.ctypes.data, kind, columns, size, trust)
+        status = _library().ssrvlad_map_add_channel(self._map, ctypes.byref(given))
+        if status:
+            raise problem(status, f"{name} as finite rows, got {kept.shape}, trust {trust}")
+        self._rows[name] = kept
+
+    def query(
+        self,
+        queries: Mapping[str, Array],
+        standardise: bool = True,
+        sweep: bool = True,
+        follow: str | None = "offline",
+        delay: int = 0,
+        top: int = 5,
+        threads: int = 1,
+    ) -> Found:
+        """Finds the queries of one drive.
+
+        Args:
+            queries: by the name of each channel of the map, ``(Q, *shape)``; of vectors also from
+                several anchors, the usual one in the middle, ``(Q, S, D)``.
+            standardise: subtract the mean of each drive, if queries and map have `MIN_FRAMES`.
+            sweep: use the anchors that suit the scores best, and move signs to both sides.
+            follow: ``"online"``, with ``delay`` later queries, ``"offline"``, or ``None``.
+            top: number of candidates of each query.
+            threads: that share the rows.
+
+        Raises:
+            ValueError: the channels are not those of the map, or an argument is out of range.
+            RuntimeError: memory is short.
+        """
+        if [*queries] != [*self._rows]:
+            raise ValueError(
+                f"expected queries by {', '.join(self._rows)}, got {', '.join(queries)}"
+            )
+        kept = {name: self._of_queries(name, each) for name, each in queries.items()}
+        counts = {name: len(each) for name, each in kept.items()}
+        if len(set(counts.values())) != 1:
+            raise ValueError(f"expected one number of queries by all channels, got {counts}")
+        count = next(iter(counts.values()))
+        given = (_Queries * len(kept))(*(self._given(name, each) for name, each in kept.items()))
+        room = Room(count, top)
+        steps = _Steps(standardise, sweep, MODES[follow], delay, top)
+        weights = (ctypes.c_double * len(kept))()
+        taken = _Taken(weights=ctypes.addressof(weights))
+        status = _library().ssrvlad_map_query(
+            self._map, given, count, ctypes.byref(steps), threads, room.pointer,
+            ctypes.byref(taken),
+        )  # fmt: skip
+        if status:
+            raise problem(
+                status, f"finite queries, a delay from 0 and a top from 1, got {delay} and {top}"
+            )
+        return Found(
+            room.decision(),
+            bool(taken.standardised),
+            taken.width,
+            dict(zip(kept, weights, strict=True)),
+        )
+
+    def compare(
+        self, name: str, queries: Array, standardised: bool, sweep: bool, threads: int = 1
+    ) -> Comparison:
+        """The scores of the queries of one drive by one channel; arguments as for `query`, except
+        that ``standardised`` is not asked of the numbers of frames."""
+        kept = self._of_queries(name, queries)
+        given, width = self._given(name, kept), _SIZE()
+        number = [*self._rows].index(name)
+        comparison = _library().ssrvlad_map_compare(
+            self._map, number, ctypes.byref(given), len(kept), standardised, sweep, threads,
+            ctypes.byref(width),
+        )  # fmt: skip
+        if not comparison:
+            raise ValueError(
+                f"{name}: expected finite queries that fit in memory, got {kept.shape}"
+            )
+        return Comparison(comparison, self, len(kept), width.value)
+
+    def _of_queries(self, name: str, queries: Array) -> Array:
+        rows, kept = self._rows[name], _checked(queries, name)
+        anchors = kept.ndim - rows.ndim if rows.dtype == np.float32 else 0
+        fits = kept.dtype == rows.dtype and kept.shape[1 + anchors :] == rows.shape[1:]
+        if not fits or (anchors == 1 and kept.shape[1] % 2 == 0):
+            wanted = ", ".join(map(str, rows.shape[1:]))
+            raise ValueError(
+                f"{name}: expected queries (Q, {wanted}) {rows.dtype}, of vectors also (Q, S, D) "
+                f"with an odd S, got {kept.shape} {kept.dtype}"
+            )
+        return kept
+
+    def _given(self, name: str, queries: Array) -> _Queries:
+        anchors = queries.shape[1] if queries.ndim > self._rows[name].ndim else 1
+        return _Queries(queries.ctypes.data, anchors)
+
+
+class Comparison:
+    """The scores ``(Q, R)`` of the queries of one drive, computed in blocks; for one thread.
+
+    Attributes:
+        width: of the sweep, in anchors to each side.
+    """
+
+    def __init__(self, handle: int, of: Map, queries: int, width: int) -> None:
+        self.width, self._handle, self._map, self._queries = width, handle, of, queries
+        weakref.finalize(self, _library().ssrvlad_comparison_free, ctypes.c_void_p(handle))
+
+    def __len__(self) -> int:
+        return self._queries
+
+    def __getitem__(self, query: int, /) -> Floats:
+        """``(R,)`` float32, -inf where there can be no match."""
+        scores = np.empty(len(self._map), np.float32)
+        status = _library().ssrvlad_comparison_scores(self._handle, query, scores.ctypes.data)
+        if status:
+            raise problem(status, f"a query below {self._queries}, got {query}")
+        return scores
+
+
+class _Channel(ctypes.Structure):
+    """``ssrvlad_channel`` of ssrvlad_map.h."""
+
+    _fields_ = (
+        *(("rows", _POINTER), ("kind", ctypes.c_int32)),
+        *(("columns", _SIZE), ("size", _SIZE), ("trust", ctypes.c_double)),
+    )
+
+
+class _Queries(ctypes.Structure):
+    """``ssrvlad_queries``."""
+
+    _fields_ = (("descriptors", _POINTER), ("anchors", _SIZE))
+
+
+class _Steps(ctypes.Structure):
+    """``ssrvlad_steps``."""
+
+    _fields_ = (
+        *((name, ctypes.c_int32) for name in ("standardise", "sweep", "follow")),
+        *(("delay", _SIZE), ("top", _SIZE)),
+    )
+
+
+class _Taken(ctypes.Structure):
+    """``ssrvlad_taken``."""
+
+    _fields_ = (("standardised", ctypes.c_int32), ("width", _SIZE), ("weights", _POINTER))
+
+
+def _checked(array: Array, name: str) -> Array:
+    """Contiguous vectors or signs."""
+    kept = np.ascontiguousarray(array)
+    if kept.dtype.kind == "f":
+        kept = np.ascontiguousarray(kept, np.float32)
+    if (kept.dtype, kept.ndim) not in ((np.float32, 2), (np.float32, 3)) and not (
+        kept.dtype == np.uint8 and kept.ndim >= 3
+    ):
+        raise ValueError(
+            f"{name}: expected vectors of float32 or signs (N, columns, ...) of uint8, got "
+            f"{kept.shape} {kept.dtype}"
+        )
+    return kept
+
+
+@cache
+def _library() -> ctypes.CDLL:
+    """The core, with the types of its functions."""
+    core, map_of = library(), _POINTER
+    core.ssrvlad_map_new.restype = core.ssrvlad_map_compare.restype = _POINTER
+    core.ssrvlad_map_new.argtypes = [ctypes.POINTER(Drives)]
+    core.ssrvlad_map_free.argtypes = core.ssrvlad_comparison_free.argtypes = [_POINTER]
+    core.ssrvlad_map_add_channel.argtypes = [map_of, ctypes.POINTER(_Channel)]
+    queries = ctypes.POINTER(_Queries)
+    core.ssrvlad_map_query.argtypes = [
+        *(map_of, queries, _SIZE, ctypes.POINTER(_Steps), _INT),
+        *(_POINTER, ctypes.POINTER(_Taken)),
+    ]
+    core.ssrvlad_map_compare.argtypes = [
+        *(map_of, _SIZE, queries, _SIZE, _INT, _INT, _INT, ctypes.POINTER(_SIZE))
+    ]
+    core.ssrvlad_comparison_scores.argtypes = [_POINTER, _SIZE, _POINTER]
+    return core

@@ -1,0 +1,98 @@
+/* A map in C: from the descriptors of a map and of a drive, by one or several channels, to the places of
+ * the drive, with the probability that each is right.
+ *
+ *     const int64_t starts[] = {0, 4000};
+ *     const ssrvlad_drives drives = {starts, 2, 9000};
+ *     ssrvlad_map *map = ssrvlad_map_new(&drives);
+ *     const ssrvlad_channel shapes = {descriptors, SSRVLAD_VECTORS, 1, 480, 1.0};
+ *     if (map && ssrvlad_map_add_channel(map, &shapes) == SSRVLAD_OK)
+ *       ssrvlad_map_query(map, &queries, 150, &steps, threads, &decision, &taken);
+ *     ssrvlad_map_free(map);
+ *
+ * The places are those of `ssrvlad query` and of the Python package ssrvlad_torch. A map that has all its
+ * channels may be used by several threads. Functions return SSRVLAD_OK, SSRVLAD_NO_MEMORY or
+ * SSRVLAD_WRONG_ARGUMENT: a size or a setting out of range, or a number that is not finite; unless
+ * SSRVLAD_OK, the results are undefined.
+ */
+#ifndef SSRVLAD_MAP_H
+#define SSRVLAD_MAP_H
+
+#include "ssrvlad_decide.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+typedef struct ssrvlad_map ssrvlad_map;
+
+/* The descriptors of all rows of a map by one channel, in their order; they are not copied, and must
+ * outlive the map. Vectors are float (rows, size), of length 1, or zeros for an empty frame, which
+ * matches nothing; columns is 1. Signs are bytes (rows, columns, size), eight signs in each. `trust` is
+ * how much the channel counts beside others before anything is known of a drive. */
+typedef struct ssrvlad_channel {
+  const void *rows;
+  int32_t kind;
+  int64_t columns, size;
+  double trust;
+} ssrvlad_channel;
+
+/* The descriptors of the queries of one drive by one channel, each from `anchors` anchors, with the usual
+ * one in the middle: (count, anchors, ...). Signs have one anchor. */
+typedef struct ssrvlad_queries {
+  const void *descriptors;
+  int64_t anchors;
+} ssrvlad_queries;
+
+/* What is done between descriptors and a decision. Standardise: each drive loses the mean of its
+ * descriptors, if the queries and the map have 30 frames each; adjacent drives of the map of fewer frames
+ * share one. Sweep: all anchors of the queries count, as far to both sides as suits the scores best;
+ * signs are moved by up to two columns. Follow: SSRVLAD_ALONE, SSRVLAD_ONLINE with `delay` later queries,
+ * or SSRVLAD_OFFLINE, see `ssrvlad_decide`. `top` candidates are found for each query. */
+typedef struct ssrvlad_steps {
+  int32_t standardise, sweep, follow;
+  int64_t delay, top;
+} ssrvlad_steps;
+
+/* The steps that were taken: whether descriptors were standardised, the anchors to each side that count,
+ * and the weights of the channels, whose sum is 1, in memory of the caller. */
+typedef struct ssrvlad_taken {
+  int32_t standardised;
+  int64_t width;
+  double *weights;
+} ssrvlad_taken;
+
+/* Creates a map without channels, or returns NULL if the drives do not start at rising rows, the first
+ * at 0, or memory is short. */
+SSRVLAD_API ssrvlad_map *ssrvlad_map_new(const ssrvlad_drives *drives);
+SSRVLAD_API void ssrvlad_map_free(ssrvlad_map *map);
+
+/* Adds a channel; the first one has the number 0. */
+SSRVLAD_API int ssrvlad_map_add_channel(ssrvlad_map *map, const ssrvlad_channel *channel);
+
+/* Finds the `count` queries of a drive, given for each channel of the map in its order; `threads` threads
+ * share the rows. */
+SSRVLAD_API int ssrvlad_map_query(const ssrvlad_map *map, const ssrvlad_queries *queries, int64_t count,
+                                  const ssrvlad_steps *steps, int threads, ssrvlad_decision *decision,
+                                  ssrvlad_taken *taken);
+
+/* The scores of a drive by one channel, -INFINITY where there can be no match. They are computed in
+ * blocks of queries, by one thread of the caller at a time; the map must outlive the comparison. */
+typedef struct ssrvlad_comparison ssrvlad_comparison;
+
+/* Compares as `ssrvlad_map_query`, standardised or not; `width` becomes the anchors to each side that
+ * count. Returns NULL if an argument is out of range, a number is not finite or memory is short. */
+SSRVLAD_API ssrvlad_comparison *ssrvlad_map_compare(const ssrvlad_map *map, int64_t channel,
+                                                    const ssrvlad_queries *queries, int64_t count,
+                                                    int standardised, int sweep, int threads,
+                                                    int64_t *width);
+SSRVLAD_API void ssrvlad_comparison_free(ssrvlad_comparison *comparison);
+
+/* Fills the scores of one query, one for each row. */
+SSRVLAD_API int ssrvlad_comparison_scores(const ssrvlad_comparison *comparison, int64_t query,
+                                          float *scores);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif
