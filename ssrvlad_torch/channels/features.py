@@ -12,7 +12,6 @@ from torch import Tensor
 from ..stages.features import SHAPE
 from .channel import FEATURES, Network, View
 from .column import Column
-from .live_signs import LiveSigns
 from .signs import SignReferences
 
 if TYPE_CHECKING:
@@ -60,7 +59,3 @@ class Features:
     def references(self, stored: Tensor, sequences: Sequence[str]) -> SignReferences:
         """See `Channel`."""
         return SignReferences(stored, sequences)
-
-    def live(self) -> LiveSigns:
-        """See `Channel`."""
-        return LiveSigns(SHAPE)

@@ -14,7 +14,6 @@ from ..recognition.standardise import standardise
 from ..recognition.sweep import COLUMNS, narrowed, score
 from .channel import PICTURE, Network, View
 from .column import Column
-from .live_vectors import LiveVectors
 
 if TYPE_CHECKING:
     from ..descriptor import SSRVLAD
@@ -62,10 +61,6 @@ class VectorChannel:
     def references(self, stored: Tensor, sequences: Sequence[str]) -> VectorReferences:
         """See `Channel`."""
         return VectorReferences(stored, sequences)
-
-    def live(self) -> LiveVectors:
-        """See `Channel`."""
-        return LiveVectors(self.length)
 
 
 class VectorReferences:

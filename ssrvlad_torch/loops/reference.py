@@ -1,9 +1,9 @@
 """Reference: loop closures in a live stream plainly, in NumPy. The oracle of this room.
 
-Each new frame is compared with all earlier ones, each without the mean of its stretch; the scores of
-the channels are fused; what the stream itself shows says how alike a frame must be to one seen
-before; and a hidden Markov model follows the stream. Every step is written as docs/loops.md tells it,
-with whole arrays and float64. The native core computes the same and is held to it by the tests;
+Each new frame is compared with all earlier ones, each without the mean of its stretch; the scores
+of the channels are fused; what the stream itself shows says how alike a frame must be to one seen
+before; and a hidden Markov model follows the stream. Every step is written as docs/loops.md tells
+it, with whole arrays and float64. The native core computes the same and is held to it by the tests;
 without a compiler this file runs instead. It needs numpy and nothing else.
 """
 
@@ -24,8 +24,8 @@ Floats = npt.NDArray[np.float64]
 # --------------------------------------------------------------------- channels: scores of a frame
 
 BEFORE = 10
-"""A stretch's mean starts as the mean of all frames before it, weighted as this number of frames: what
-its own first frames have in common is their place."""
+"""A stretch's mean starts as the mean of all frames before it, weighted as this number of frames:
+what its own first frames have in common is their place."""
 
 REACH = 2
 """Columns of cells by which signs are moved to each side."""
@@ -120,7 +120,7 @@ def fused(channels: Sequence[Floats], weights: Sequence[float], first: int) -> F
     return np.where(some, 1 - np.exp(-(mean + deviation * z)), -np.inf)
 
 
-# ------------------------------------------------------------------ stretches: where a stream breaks
+# ----------------------------------------------------------------- stretches: where a stream breaks
 
 GAP, TIMES = 600.0, 10.0
 """A gap is longer than these seconds, in which light does not change much, and than so many times
@@ -141,16 +141,16 @@ SPREADS = 3
 
 
 def is_gap(stamps: Sequence[float], stamp: float) -> bool:
-    """Whether a stream whose last frames have these stamps pauses before the next; not where a stamp
-    is NaN."""
+    """Whether a stream whose last frames have these stamps pauses before the next; not where a
+    stamp is NaN."""
     if len(stamps) < LEAST_FRAMES or not stamp - stamps[-1] > GAP:
         return False
     return bool(stamp - stamps[-1] > TIMES * np.median(np.diff(stamps)))
 
 
 def likeness(frames: Array) -> float:
-    """How alike the last of some frames ``(N, *shape)`` of a channel is to those just before it, see
-    `LIKE`. Frames too sparse to be like the next are measured by how much places vary."""
+    """How alike the last of some frames ``(N, *shape)`` of a channel is to those just before it,
+    see `LIKE`. Frames too sparse to be like the next are measured by how much places vary."""
     flat = frames.reshape(len(frames), -1)
     if frames.dtype == np.uint8:
         flat = np.unpackbits(flat, axis=1).astype(np.float64) * 2 - 1
@@ -166,7 +166,8 @@ def likeness(frames: Array) -> float:
 # -------------------------------------------------- repeats: how much a street is alike all along
 
 MARGIN = 1.2
-"""A frame counts as seen again where it is so much nearer than different places of its street are."""
+"""A frame counts as seen again where it is so much nearer than different places of its street
+are."""
 
 DISTANT = 5
 """Excluded frames that are a fifth of them apart, or more, show different places."""
@@ -177,13 +178,13 @@ frame nearer or farther: single frames of a street with noisy labels are alike b
 
 
 class Repeats:
-    """A street that repeats runs forwards, so the map run backwards does not tell it from a loop. But
-    the frames that a stream excludes cannot be loops: what they have in common with the present frame
-    is how alike different places of this street are.
+    """A street that repeats runs forwards, so the map run backwards does not tell it from a loop.
+    But the frames that a stream excludes cannot be loops: what they have in common with the present
+    frame is how alike different places of this street are.
 
     Attributes:
-        highest: ``(N,)``, for each frame of a stretch the highest nearness of the frames around it to
-            others of the same street; -inf where nothing is known.
+        highest: ``(N,)``, for each frame of a stretch the highest nearness of the frames around it
+            to others of the same street; -inf where nothing is known.
     """
 
     def __init__(self, exclude: int) -> None:
@@ -235,9 +236,9 @@ _AROUND, _BESIDE, _LEAST_STEP = 50, 10, 0.02
 
 
 class Tracks:
-    """In another light, a frame is nowhere near as like the old frame of its place as the frame before.
-    But the two drives run on side by side. How far that can happen by chance the stream itself shows:
-    most frames are at new places."""
+    """In another light, a frame is nowhere near as like the old frame of its place as the frame
+    before. But the two drives run on side by side. How far that can happen by chance the stream
+    itself shows: most frames are at new places."""
 
     def __init__(self) -> None:
         self._closeness = np.zeros(0)
@@ -254,8 +255,8 @@ class Tracks:
         return highest <= CLEAR and BY_CHANCE * highest <= self._closest < SAME
 
     def after(self, near: Floats, old: int) -> None:
-        """Takes the nearness ``(N,)`` of the next frame to all earlier ones of the stretch, of which
-        the first are old; -inf where a frame is empty."""
+        """Takes the nearness ``(N,)`` of the next frame to all earlier ones of the stretch, of
+        which the first are old; -inf where a frame is empty."""
         before, self._closeness = self._closeness, np.zeros(len(near))
         if len(near) < 2 * _BESIDE or near[-1] == -np.inf:
             return
@@ -281,7 +282,7 @@ class Tracks:
                 self._by_chance = [*self._by_chance, self._waiting.pop(0)][-EARLIER:]
 
 
-# ----------------------------------------------------- the filter: where the stream is among its frames
+# ------------------------------------------------- the filter: where the stream is among its frames
 
 SPEEDS: tuple[tuple[float, dict[int, float]], ...] = (
     (0.08, {-1: 0.05, 0: 0.9, 1: 0.05}),
@@ -298,12 +299,12 @@ WAYS = (1, -1)
 """The rows are run forwards and, as a decoy, backwards: what that holds is chance."""
 
 CHANGE, JUMP, UNMAPPED, STAY = 0.01, 0.01, 0.3, 0.97
-"""Probabilities: the speed changes; a jump, to any row or to a new place; such a jump leads to a new
-place; and to stay at new places."""
+"""Probabilities: the speed changes; a jump, to any row or to a new place; such a jump leads to a
+new place; and to stay at new places."""
 
 WEIGHT, LEVEL = 0.25, 0.5
-"""The likelihood of a row of another stretch with the z-score z is exp(WEIGHT * (z - LEVEL)), against
-that of a new place."""
+"""The likelihood of a row of another stretch with the z-score z is exp(WEIGHT * (z - LEVEL)),
+against that of a new place."""
 
 EVIDENCE, LEVEL_FRACTION = 3.0, 0.9
 """For frames of the same stretch, which share light and network: the level is a fraction of the
@@ -328,7 +329,8 @@ LEAST = 0.01
 
 
 class Filter:
-    """A hidden Markov model over the rows of the stream, the same rows run backwards, and a new place.
+    """A hidden Markov model over the rows of the stream, the same rows run backwards, and a new
+    place.
 
     Attributes:
         mapped: ``(2, 7, N)``, the belief by way, speed and row.
@@ -362,8 +364,8 @@ class Filter:
         return np.broadcast_to(prior * each, (len(WAYS), len(SPEEDS), self.rows)).copy()
 
     def step(self, likelihood: Floats) -> Floats:
-        """The probability of each row ``(N,)`` after a frame, by how much likelier it is at each row
-        ``(N,)`` than at a new place."""
+        """The probability of each row ``(N,)`` after a frame, by how much likelier it is at each
+        row ``(N,)`` than at a new place."""
         if not self._starting:
             moved = self._moved()
             lost = max(0.0, 1 - self.unmapped - moved.sum())
@@ -391,7 +393,7 @@ class Filter:
         return later
 
 
-# ----------------------------------------------------------------------------------------- the stream
+# --------------------------------------------------------------------------------------- the stream
 
 
 class Loops:
@@ -463,7 +465,9 @@ class Loops:
         first = max(self._starts[-1], len(self) - LAST_FRAMES)
         if not is_gap(self._stamps[first:], stamp):
             return False
-        alike = [likeness(np.array([*self._frames[name][first:], centres[name]])) for name in centres]
+        alike = [
+            likeness(np.array([*self._frames[name][first:], centres[name]])) for name in centres
+        ]
         return bool(np.mean(alike) < LIKE)
 
     def _store(self, centres: Mapping[str, Array], stamp: float) -> None:
@@ -505,9 +509,9 @@ class Loops:
         return fused(parts, [*self.weights.values()], old or len(self))
 
     def _likelihood(self, near: Floats, old: int) -> Floats:
-        """``(N,)``, how much likelier a frame is at each row than at a new place, by its nearness. The
-        level of frames of the same stretch is the higher, the more alike neighbouring frames are and
-        the more their street repeats."""
+        """``(N,)``, how much likelier a frame is at each row than at a new place, by its nearness.
+        The level of frames of the same stretch is the higher, the more alike neighbouring frames
+        are and the more their street repeats."""
         known = near[:old][np.isfinite(near[:old])]
         mean, deviation = known.mean(), known.std()
         if deviation <= _MIN_SPREAD or np.ptp(known) <= _MIN_SPREAD:
@@ -545,12 +549,13 @@ class Loops:
             reason = "ambiguous"
         self._tracks.decided(reason == "accepted")
         stretch = np.searchsorted(self._starts, candidate, side="right")
-        first, last = max(first, self._starts[stretch - 1]), min(last, *self._starts[stretch:], last)
+        first, last = (
+            max(first, self._starts[stretch - 1]),
+            min(last, *self._starts[stretch:], last),
+        )
         near = tuple(rows[first:last].tolist())
         places = tuple(_places(rows[:old].copy(), candidate))
-        return Found(
-            reason, candidate, float(scores[candidate]), probability, places, first, near
-        )
+        return Found(reason, candidate, float(scores[candidate]), probability, places, first, near)
 
 
 def _places(left: Floats, row: int) -> Iterator[tuple[int, float]]:

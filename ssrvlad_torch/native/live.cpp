@@ -12,6 +12,7 @@ namespace places {
 
 namespace {
 constexpr Size LANES = 16;
+constexpr Size AHEAD = 1024;    // numbers that come from memory while others are computed
 constexpr int TOGETHER = 3;  // anchors that are compared with a row at once
 constexpr Size MANY = 1 << 13;   // rows from which threads share them
 constexpr double LENGTH_TOLERANCE = 1e-3;
@@ -19,11 +20,34 @@ constexpr double MIN_SQUARE = 1e-9, LEAST = 1e-3;  // of a length without a mean
 
 std::size_t place(Size at) { return static_cast<std::size_t>(at); }
 
-// Adds each lane to that so many before, and so on, until the first holds the sum of all.
-template <Size HALF>
-SSRVLAD_INLINE void fold(float *lanes) {
-  for (Size lane = 0; lane < HALF; ++lane) lanes[lane] += lanes[lane + HALF];
-  if constexpr (HALF > 1) fold<HALF / 2>(lanes);
+// Numbers that a processor takes at once; one that takes fewer makes several of them.
+#if defined(__GNUC__)
+SSRVLAD_INLINE void prefetch(const float *numbers) { __builtin_prefetch(numbers); }
+typedef float Lanes __attribute__((vector_size(LANES * sizeof(float)), aligned(4), may_alias));
+#else
+void prefetch(const float *) {}
+
+struct Lanes {
+  float of[LANES];
+
+  float operator[](Size lane) const { return of[lane]; }
+};
+
+Lanes operator-(Lanes a, const Lanes &b) { for (Size i = 0; i < LANES; ++i) a.of[i] -= b.of[i]; return a; }
+Lanes operator*(Lanes a, const Lanes &b) { for (Size i = 0; i < LANES; ++i) a.of[i] *= b.of[i]; return a; }
+void operator+=(Lanes &a, const Lanes &b) { for (Size i = 0; i < LANES; ++i) a.of[i] += b.of[i]; }
+#endif
+
+SSRVLAD_INLINE const Lanes &load(const float *numbers) {
+  return *reinterpret_cast<const Lanes *>(numbers);
+}
+
+SSRVLAD_INLINE float sum_of(const Lanes &lanes) {
+  float folded[LANES];
+  for (Size lane = 0; lane < LANES; ++lane) folded[lane] = lanes[lane];
+  for (Size half = LANES / 2; half; half /= 2)
+    for (Size lane = 0; lane < half; ++lane) folded[lane] += folded[lane + half];
+  return folded[0];
 }
 
 // For rows without their mean, the best product with some anchors, and their squared lengths.
@@ -31,17 +55,16 @@ template <int ANCHORS>
 SSRVLAD_INLINE void best_of(const float *rows, Size count, Size width, const float *mean,
                             const float *anchors, float *best, float *squares) {
   for (Size row = 0; row < count; ++row, rows += width) {
-    float sums[ANCHORS + 1][LANES] = {};
-    for (Size i = 0; i < width; i += LANES)
-      for (Size lane = 0; lane < LANES; ++lane) {
-        const float value = rows[i + lane] - mean[i + lane];
-        sums[ANCHORS][lane] += value * value;
-        for (int anchor = 0; anchor < ANCHORS; ++anchor)
-          sums[anchor][lane] += value * anchors[anchor * width + i + lane];
-      }
-    for (auto &sum : sums) fold<LANES / 2>(sum);
-    for (int anchor = 0; anchor < ANCHORS; ++anchor) best[row] = std::max(best[row], sums[anchor][0]);
-    squares[row] = sums[ANCHORS][0];
+    Lanes products[ANCHORS] = {}, square = {};
+    for (Size i = 0; i < width; i += LANES) {
+      prefetch(rows + i + AHEAD);
+      const Lanes value = load(rows + i) - load(mean + i);
+      square += value * value;
+      for (int anchor = 0; anchor < ANCHORS; ++anchor)
+        products[anchor] += value * load(anchors + anchor * width + i);
+    }
+    for (const Lanes &product : products) best[row] = std::max(best[row], sum_of(product));
+    squares[row] = sum_of(square);
   }
 }
 

@@ -33,19 +33,17 @@ class Channel(NamedTuple):
 
     Attributes:
         name: of the channel.
-        shape: of the descriptor of a frame: ``(length,)`` of a vector, float32 of length 1 or zero,
-            or ``(columns, rows, bytes)`` of signs, uint8.
+        shape: of the descriptor of a frame: ``(length,)`` of a vector, ``(columns, rows, bytes)``
+            of signs.
+        dtype: ``"float32"`` for vectors, of length 1 or zero; ``"uint8"`` for signs, eight in a
+            byte.
         trust: how much the channel counts before it has led; label maps count 1.
     """
 
     name: str
     shape: tuple[int, ...]
+    dtype: str = "float32"
     trust: float = 1.0
-
-    @property
-    def dtype(self) -> str:
-        """Of descriptors."""
-        return "uint8" if len(self.shape) == 3 else "float32"
 
 
 class Found(NamedTuple):
@@ -86,12 +84,14 @@ class Loops:
         self, channels: Sequence[Channel], exclude: int = 50, threshold: float = 0.8
     ) -> None:
         self._library, self.channels = _library(), tuple(channels)
-        made = [_ChannelOf(each) for each in channels]
+        made = [_of(each) for each in channels]
         # more frames than fit are excluded by the largest number that fits
         settings = _Settings(min(exclude, 2**62), threshold)
         handle = self._library.ssrvlad_loops_new(settings, (_Channel * len(made))(*made), len(made))
         if not handle:
-            raise RuntimeError("the native core refuses the settings or channels, or memory is short")
+            raise RuntimeError(
+                "the native core refuses the settings or channels, or memory is short"
+            )
         self._handle = ctypes.c_void_p(handle)
         weakref.finalize(self, self._library.ssrvlad_loops_free, self._handle)
 
@@ -126,18 +126,18 @@ class Loops:
         """
         result = _Loop()
         given = self._given(descriptors)
-        anchors = [each.size // math.prod(c.shape) for c, each in zip(self.channels, given)]
+        anchors = [
+            each.size // math.prod(c.shape) for c, each in zip(self.channels, given, strict=True)
+        ]
         counts = (ctypes.c_int64 * len(given))(*anchors)
         _require(
             self._library.ssrvlad_loops_update(
-                self._handle, _pointers(given), counts, stamp, starts, threads, result
+                self._handle, _pointers(given), counts, stamp, bool(starts), threads, result
             )
         )
         return result.found()
 
-    def extend(
-        self, descriptors: Mapping[str, Array], stamps: Array | None, starts: Array
-    ) -> None:
+    def extend(self, descriptors: Mapping[str, Array], stamps: Array | None, starts: Array) -> None:
         """Stores frames that are known as if they had come, without results.
 
         Args:
@@ -215,14 +215,12 @@ class _Loop(ctypes.Structure):
             return Found(reason)
         places = tuple((each.row, each.probability) for each in self.best[: self.places])
         near = tuple(self.probabilities[: self.rows])
-        return Found(
-            reason, self.candidate, self.score, self.probability, places, self.first, near
-        )
+        return Found(reason, self.candidate, self.score, self.probability, places, self.first, near)
 
 
-def _ChannelOf(channel: Channel) -> _Channel:
+def _of(channel: Channel) -> _Channel:
     shape = (*channel.shape, 1, 1)[:3]
-    return _Channel(len(channel.shape) == 3, (ctypes.c_int64 * 3)(*shape), channel.trust)
+    return _Channel(channel.dtype == "uint8", (ctypes.c_int64 * 3)(*shape), channel.trust)
 
 
 def _pointers(arrays: Sequence[Array]) -> Any:
