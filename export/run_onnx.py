@@ -4,8 +4,9 @@
 python export/run_onnx.py head.onnx maps/today --database town.npy --top 3
 python export/run_onnx.py head.onnx photos --network net.onnx --provider CUDAExecutionProvider
 
-Needs numpy, onnxruntime and the folder `ssrvlad_place` beside it, and Pillow for pictures; `.npy`
-arrays do not need it. A file of `ssrvlad export` takes label maps: gray or palette images as PNG,
+Needs numpy, onnxruntime and the folder `ssrvlad_place` beside it, Pillow for pictures, but not for
+`.npy` arrays, and for --database the package without torch: `pip install --no-deps ssrvlad-torch`.
+A file of `ssrvlad export` takes label maps: gray or palette images as PNG,
 TIFF or BMP, or `.npy` (H, W); with `--input logits` class scores as `.npy` (C, H, W). A file of
 `ssrvlad fuse` takes photographs: JPEG, PNG, WebP, BMP, TIFF, PPM or `.npy` (H, W, 3). With the two
 files of `ssrvlad fuse --split` the network runs on --provider and the head on the CPU. Every file
@@ -58,8 +59,8 @@ def run(options: argparse.Namespace) -> int:
             note(f"{path}: {error}")
             skipped += 1
             continue
-        candidates = database.search(seen[frame], options.top) if database else None
-        report(frame, not seen[frame].descriptor.any(), candidates, options.json)
+        [answer] = database.find([seen[frame]], top=options.top) if database else [None]
+        report(frame, not seen[frame].descriptor.any(), answer, options.json)
     if out and seen:
         save(out, list(seen.values()), list(seen), model.fingerprints)
     return finished(skipped, len(seen))

@@ -1,14 +1,93 @@
 // Every function of the native core on noise of odd sizes: to be compiled with sanitisers, which end
 // it where memory or arithmetic goes wrong.
 
+#include <algorithm>
+#include <cmath>
 #include <cstdio>
+#include <numeric>
 #include <random>
 #include <vector>
 
 #include "ssrvlad.h"
+#include "ssrvlad_decide.h"
+
+namespace {
+struct Table {
+  int64_t rows;
+  std::vector<float> scores;
+};
+
+const float *row_of(void *context, int64_t query) {
+  const Table &table = *static_cast<Table *>(context);
+  return table.scores.data() + query * table.rows;
+}
+
+int scores_of(void *context, int64_t query, float *scores) {
+  std::copy_n(row_of(context, query), static_cast<Table *>(context)->rows, scores);
+  return SSRVLAD_OK;
+}
+
+int64_t candidates_of(void *context, int64_t query, int64_t *rows) {
+  const int64_t count = std::min<int64_t>(query % 4 * 3, static_cast<Table *>(context)->rows);
+  if (rows) std::iota(rows, rows + count, 0);
+  return count;
+}
+
+int some_of(void *context, int64_t query, const int64_t *rows, int64_t count, float *scores) {
+  for (int64_t each = 0; each < count; ++each) scores[each] = row_of(context, query)[rows[each]];
+  return SSRVLAD_OK;
+}
+
+int spread_of(void *, int64_t, double *mean, double *deviation) {
+  *mean = 0.3, *deviation = 0.2;
+  return SSRVLAD_OK;
+}
+
+int64_t sample_of(void *context, int64_t query, int64_t *rows, float *scores) {
+  if (rows) *rows = 0, *scores = row_of(context, query)[0];
+  return static_cast<Table *>(context)->rows > 0;
+}
+
+// Decides about a drive along the map by a matrix, by scores on demand and by candidates.
+int decide(std::mt19937 &random, const std::vector<int64_t> &starts, int64_t rows,
+           int64_t queries) {
+  Table table{rows, std::vector<float>(rows * queries)};
+  for (auto &score : table.scores) score = random() % 9 ? (random() % 500) / 1000.0f : -INFINITY;
+  for (int64_t query = 0; query < queries; ++query)
+    if (rows) table.scores[query * rows + query % rows] += 0.4f;
+  const ssrvlad_drives map{starts.data(), static_cast<int64_t>(starts.size()), rows};
+  ssrvlad_evidence every[3] = {};
+  for (auto &each : every) each.queries = queries, each.context = &table;
+  every[0].matrix = table.scores.data(), every[1].scores = scores_of;
+  every[2].candidates = candidates_of, every[2].some = some_of;
+  every[2].spread = spread_of, every[2].sample = sample_of;
+  const int64_t top = 3;
+  std::vector<float> scores(queries * top), right(queries), spread(queries), more(queries);
+  std::vector<int64_t> found(queries * top);
+  std::vector<double> chances(queries);
+  ssrvlad_decision decision{
+      scores.data(), found.data(), right.data(), spread.data(), more.data(), 0, 0, 0, 0, 0};
+  ssrvlad_places places{scores.data(), found.data(), right.data(), spread.data(), chances.data()};
+  const ssrvlad_motion motion{0.05, 0.01, 0.1, 0.97, 0.3, 0.5, 2.5};
+  for (const auto &evidence : every)
+    for (const int mode : {SSRVLAD_ALONE, SSRVLAD_ONLINE, SSRVLAD_OFFLINE}) {
+      if (ssrvlad_decide(&map, &evidence, mode, mode == SSRVLAD_ONLINE ? 2 : 0, top, &decision))
+        return 1;
+      if (mode != SSRVLAD_ALONE &&
+          ssrvlad_follow(&map, &evidence, &motion, SSRVLAD_BACKWARDS, mode, 0, top, &places))
+        return 2;
+    }
+  if (!queries || !rows) return 0;
+  table.scores[0] = NAN;
+  return ssrvlad_decide(&map, every, SSRVLAD_OFFLINE, 0, top, &decision) != SSRVLAD_WRONG_ARGUMENT;
+}
+}  // namespace
 
 int main() {
   std::mt19937 random(1);
+  if (decide(random, {0, 1, 60}, 150, 70) || decide(random, {0}, 1, 5) ||
+      decide(random, {}, 0, 4) || decide(random, {0}, 40, 0))
+    return 7;
   const int64_t sizes[][2] = {{1, 1}, {1, 200}, {200, 1}, {7, 63}, {64, 64}, {65, 129}, {131, 190}};
   std::vector<uint8_t> categories(64);
   for (std::size_t id = 0; id < categories.size(); ++id) categories[id] = id < 9 ? id : 255;
@@ -48,7 +127,8 @@ int main() {
     for (auto &word : query) word = random();
     std::vector<int8_t> codes(blocks * length * SSRVLAD_LANES);
     for (auto &code : codes) code = static_cast<int8_t>(random());
-    std::vector<float> weights(2 * 3 * length, 0.5f), offsets(6), scores(2 * blocks * SSRVLAD_LANES);
+    std::vector<float> weights(2 * 3 * length, 0.5f), offsets(6),
+        scores(2 * blocks * SSRVLAD_LANES);
     for (const int64_t reach : {0, 2, 4})
       if (ssrvlad_scan_signs(query.data(), 2, signs.data(), rows, columns, words, 190, reach, 2,
                              scores.data()))

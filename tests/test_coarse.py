@@ -10,13 +10,17 @@ from ssrvlad_torch import native
 from ssrvlad_torch.channels import coarse as module
 from ssrvlad_torch.channels.coarse import LANES, CoarseSigns, CoarseVectors, learn, of
 from ssrvlad_torch.channels.column import Column
-from ssrvlad_torch.channels.signs import SignQueries, SignRows
+from ssrvlad_torch.recognition.comparison import ReferenceRows
 from ssrvlad_torch.recognition.sweep import score
 
 
 def grids(count, shape, seed=0):
     rng = np.random.default_rng(seed)
     return torch.from_numpy(rng.integers(0, 256, (count, *shape), np.uint8))
+
+
+def by_signs(queries, rows, sweep=True):
+    return ReferenceRows(rows, [""] * len(rows)).compare(queries, False, sweep).whole()
 
 
 @pytest.mark.parametrize("shape", [(8, 3, 4), (5, 3, 9), (1, 2, 1), (16, 16, 16)])
@@ -29,17 +33,17 @@ def test_coarse_signs_are_scored_as_signs_of_two_bytes_a_cell(library, shape, co
     assert len(codes) == count and codes.shape[2] % 8 == 0
     every = max(1, shape[2] // 2)
     some = [each[..., ::every].contiguous() for each in (queries, rows)]
-    expected = SignQueries(some[0], SignRows(some[1]), reach=min(2, shape[0] - 1)).scores()
+    expected = by_signs(*some)
     got = form.scan([*queries], codes, count)
     torch.testing.assert_close(got, expected, atol=1e-5, rtol=0)
     if form.layers > 1:
         more = [each[..., every // 2 :: every] for each in (queries, rows)]
         both = [torch.cat(parts, -1).contiguous() for parts in zip(some, more, strict=True)]
         whole = np.concatenate((codes, form.codes(rows, 1)), 2)
-        finer = SignQueries(both[0], SignRows(both[1]), reach=min(2, shape[0] - 1)).scores()
+        finer = by_signs(*both)
         got = form.scan([*queries], whole, count)
         torch.testing.assert_close(got, finer, atol=1e-5, rtol=0)
-    expected = SignQueries(some[0], SignRows(some[1]), reach=0).scores()
+    expected = by_signs(*some, sweep=False)
     got = form.scan([*queries], codes, count, sweep=False)
     torch.testing.assert_close(got, expected, atol=1e-5, rtol=0)
 

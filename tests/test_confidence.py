@@ -5,12 +5,12 @@ import pytest
 import torch
 from scipy.stats import beta
 
+from ssrvlad_torch.recognition import deciding
 from ssrvlad_torch.recognition.confidence import (
     Confidence,
     _beta,
     accept,
     answered,
-    answers_together,
     estimate,
 )
 
@@ -108,10 +108,13 @@ def test_answers_that_err_together_widen_the_interval():
 
 
 def test_runs_of_one_answer():
-    assert answers_together(torch.tensor([3, 40, 9, 80])) == 1
-    assert answers_together(torch.tensor([3, 4, 6, 80, 20, 20])) == (9 + 1 + 4) / 6
-    assert answers_together(torch.zeros(7)) == 7
-    assert answers_together(torch.zeros(0)) == 1
+    for rows, expected in (
+        ([3, 40, 9, 80], 1),
+        ([3, 4, 6, 80, 20, 20], (9 + 1 + 4) / 6),
+        ([0] * 7, 7),
+        ([], 1),
+    ):
+        assert deciding.answers_together(torch.tensor(rows, dtype=torch.int64)) == expected
 
 
 @pytest.mark.parametrize("mean", [0.02, 0.3, 0.9])

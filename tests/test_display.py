@@ -3,8 +3,7 @@
 import torch
 
 from ssrvlad_torch import match
-from ssrvlad_torch.channels.vectors import VectorReferences
-from ssrvlad_torch.recognition.comparison import Member
+from ssrvlad_torch.recognition.comparison import Member, ReferenceRows
 from ssrvlad_torch.recognition.recognise import recognise
 
 
@@ -13,7 +12,7 @@ def test_candidates_are_a_table_of_at_most_ten_queries():
     page = match(torch.cat((frames, frames * 0)), frames, top=2)._repr_html_()
     assert page.count("<tr>") == 11 and "row 3 (1.000)" in page and "14 more queries" in page
     assert "none" in match(frames[:1] * 0, frames, top=1)._repr_html_()
-    known = VectorReferences(frames, ["b"] * 12)
+    known = ReferenceRows(frames, ["b"] * 12)
     member = {"ssr-vlad": Member(frames[:3], known)}
     page = recognise(member, ["a"] * 3, ["b"] * 12)._repr_html_()
     assert page.count("<th>") == 7 and "confidence" in page

@@ -13,7 +13,7 @@ from ssrvlad_torch.baselines import make
 from ssrvlad_torch.baselines.encoder_features import EncoderFeatures
 from ssrvlad_torch.baselines.run import run
 from ssrvlad_torch.channels.channel import View
-from ssrvlad_torch.channels.signs import SignQueries, SignRows
+from ssrvlad_torch.recognition.comparison import ReferenceRows
 from ssrvlad_torch.recognition.recognise import Steps
 from ssrvlad_torch.segmentation.segmenter import Segmenter
 
@@ -37,7 +37,8 @@ def test_scores_are_the_cosines_of_the_signs_of_the_segmenter(segmenter):
     np.testing.assert_array_equal(signs.numpy(), np.stack(expected))
     assert torch.equal(method.encode_query(frames(6)), signs)
     scores = method.scores(signs[:2], signs)
-    torch.testing.assert_close(scores, SignQueries(signs[:2], SignRows(signs)).scores())
+    expected = ReferenceRows(signs, [""] * len(signs)).compare(signs[:2], False, True)
+    torch.testing.assert_close(scores, expected.whole())
     assert scores.argmax(1).tolist() == [0, 1]
 
 

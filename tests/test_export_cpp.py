@@ -1,27 +1,29 @@
 """The C++ header and its example against the module; needs CMake, zlib and the headers of ONNX
 Runtime: in the folder that ORT_ROOT names, or as a CMake package."""
 
+import json
 import os
 import shutil
 from functools import partial
 from pathlib import Path
 
+import follow_onnx
 import numpy as np
 import pytest
 import torch
 from drives import write_maps
-from exported import COLUMNS
 from graphs import edit_golden, turned
 from helpers import outcome, street
 from networks import photo, write_graph
 from PIL import Image
-from segmenting import write_town
+from segmenting import write_drives, write_town
 from ssrvlad_place.database import save
 from ssrvlad_place.model import Seen
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, export_head, match
+from ssrvlad_torch.datasets.synthetic_city import write_city
 from ssrvlad_torch.deployment.fuse import fuse
-from ssrvlad_torch.descriptor import SweepHead
+from ssrvlad_torch.recognition.sweep import COLUMNS
 from ssrvlad_torch.segmentation.segmenter import Segmenter
 
 SOURCE = Path(__file__).parents[1] / "export" / "cpp"
@@ -56,6 +58,12 @@ def build(tmp_path_factory):
 def place(build):
     """The program."""
     return partial(outcome, build / "place")
+
+
+@pytest.fixture(scope="module")
+def follow(build):
+    """The program for drives."""
+    return partial(outcome, build / "follow")
 
 
 def write_database(path, descriptors, folder):
@@ -223,23 +231,112 @@ def test_a_damaged_golden_pair_is_one_line(place, drive, tmp_path, change, messa
     assert message in line
 
 
-def test_of_several_anchors_the_best_counts(place, town, tmp_path):
-    labels = np.load(tmp_path / "map.npy")
-    export_head(CONFIG, tmp_path / "sweep.onnx", columns=COLUMNS)
-    given = (tmp_path / "sweep.onnx", tmp_path / "map.npy", tmp_path / "town.npy")
-    code, lines, _ = place(*given)
-    swept = SweepHead(CONFIG, COLUMNS)(labels[None])[0]
-    scores, rows = (town.descriptor @ swept.T).amax(1).topk(5)
-    names, expected = [f"maps/{row}" for row in rows], pytest.approx(scores.tolist(), abs=1e-5)
-    assert (code, ranked(lines)) == (0, (names, expected))
+def as_arrays(folder, source):
+    """The frames of a folder as arrays, which C++ reads."""
+    folder.mkdir()
+    for file in source.iterdir():
+        np.save(folder / f"{file.stem}.npy", np.asarray(Image.open(file)))
+    return folder
+
+
+def assert_as_in_python(lines, expected):
+    """The lines of `follow_onnx.py --json`, but for the last digits of numbers."""
+    for line, right in zip(map(json.loads, lines), map(json.loads, expected), strict=True):
+        assert [*line] == [*right]
+        (scores, others) = (
+            [each["score"] for each in told.pop("candidates")] for told in (line, right)
+        )
+        assert scores == pytest.approx(others, abs=1e-5)
+        assert line.pop("confidence") == pytest.approx(right.pop("confidence"), abs=1e-5)
+        assert line == right
+
+
+@pytest.mark.parametrize(
+    ("options", "given"),
+    [
+        ((), ()),
+        (("--online", 3), ("--follow", "online", "--delay", 3)),
+        (("--alone",), ("--follow", "no")),
+    ],
+)
+def test_drives_of_label_maps_are_followed_as_in_python(
+    follow, main_of, ssrvlad, tmp_path, options, given
+):
+    """Two drives, from several anchors, in a map of two."""
+    city = write_city(tmp_path / "city", frames=40, size=(60, 80), seed=3)
+    other = write_city(tmp_path / "b", frames=12, size=(60, 80), seed=1)
+    maps = city.reference, other.reference.rename(tmp_path / "other")
+    town, database = tmp_path / "town.npy", tmp_path / "town"
+    assert ssrvlad("encode", *maps, "-o", database, "--labels-as", "cityscapes-trainids")[0] == 0
+    assert ssrvlad("db", "export", database, "--format", "npy", "-o", town)[0] == 0
+    config = SSRVLADConfig(labels_as="cityscapes-trainids")
+    export_head(config, tmp_path / "head.onnx", columns=COLUMNS)
+    drives = [as_arrays(tmp_path / "q1", city.query), as_arrays(tmp_path / "q2", other.query)]
+    code, lines, errors = follow(*options, tmp_path / "head.onnx", town, 3, *drives)
+    assert (code, errors) == (0, [])
+    program = (tmp_path / "head.onnx", *drives, "--database", town, "--top", 3, "--json", *given)
+    assert_as_in_python(lines, main_of(follow_onnx.main, "x", *program)[1].splitlines())
+    found = [json.loads(line)["candidates"][0]["frame"] for line in lines]
+    expected = ssrvlad("query", database, *drives, "--top", 3, "--json", *given)[1].splitlines()
+    assert found == [json.loads(line)["candidates"][0]["frame"] for line in expected]
+
+
+def test_drives_of_pictures_are_followed_by_all_channels_as_in_python(follow, main_of, tmp_path):
+    """With one file and with two; a file that is torn is skipped."""
+    write_drives(tmp_path, range(36), range(2, 35), (96, 128))
+    town, drive = tmp_path / "town.npy", as_arrays(tmp_path / "drive", tmp_path / "today")
+    write_town(tmp_path, town)
+    (drive / "9.npy").write_bytes(b"torn")
+    program = (tmp_path / "place.onnx", drive, "--database", town, "--json")
+    expected = main_of(follow_onnx.main, "x", *program)[1].splitlines()
+    for model in (["place.onnx"], ["--network", tmp_path / "net.onnx", "head.onnx"]):
+        code, lines, errors = follow(*model[:-1], tmp_path / model[-1], town, 5, drive)
+        torn = f"{drive / '9.npy'}: not a .npy file"
+        assert (code, errors) == (3, [torn, "skipped 1 of 33 frames"])
+        assert_as_in_python(lines, expected)
+    found = {line["query"]: line["candidates"][0]["frame"] for line in map(json.loads, lines)}
+    assert all(place == query.replace("drive", "monday") for query, place in found.items())
+
+
+def test_wrong_use_of_follow_is_one_line(follow, head, town, tmp_path):
+    base, maps = tmp_path / "town.npy", tmp_path / "frames"
+    maps.mkdir()
+    shutil.copy(tmp_path / "map.npy", maps)
+    np.save(tmp_path / "short.npy", np.zeros((6, 9), np.float32))
+    shutil.copy(f"{base}.frames.txt", tmp_path / "short.npy.frames.txt")
+    shutil.copy(f"{base}.fingerprint.txt", tmp_path / "short.npy.fingerprint.txt")
+    np.save(tmp_path / "none.npy", np.zeros((0, 480), np.float32))
+    (tmp_path / "none.npy.frames.txt").touch()
+    (tmp_path / "none.npy.fingerprint.txt").write_text(f"{CONFIG.fingerprint}\n")
+    (tmp_path / "empty").mkdir()
+    export_head(CONFIG, tmp_path / "two.onnx", columns=(-4, 4))
+    for arguments, message in [
+        (
+            (tmp_path / "two.onnx", base, 5, maps),
+            "an odd number of anchors, the usual",
+        ),
+        ((head, base, 5), "usage: follow"),
+        (("--strange", head, base, 5, maps), "usage: follow"),
+        ((head, base, "many", maps), "expected a number, got many"),
+        ((head, base, 0, maps), "TOP: expected 1 or more, got 0"),
+        ((head, base, 5, tmp_path / "nowhere"), "nowhere does not exist"),
+        ((head, base, 5, tmp_path / "empty"), "empty holds no frames"),
+        ((head, tmp_path / "no.npy", 5, maps), "no.npy: cannot be read"),
+        ((head, tmp_path / "none.npy", 5, maps), "none.npy holds no frames"),
+        ((head, tmp_path / "short.npy", 5, maps), "a database of 480 numbers a frame, got 9"),
+    ]:
+        code, lines, errors = follow(*arguments)
+        assert (code, lines, len(errors)) == (2, [], 1), (arguments, errors)
+        assert message in errors[0]
 
 
 CONSUMER = r"""
-#include <ssrvlad/place.hpp>
+#include <ssrvlad/map.hpp>
 #include <thread>
 
-int main(int, char** files) {
+int main(int count, char** files) {
   const ssrvlad::Place place(files[1]);
+  if (count > 2) return ssrvlad::Map(files[2], place.fingerprints()).size() != 2;
   const std::vector<std::int64_t> labels(12 * 9, 0);
   ssrvlad::Described found[2];
   std::thread other([&] { found[1] = place.describe(labels.data(), 12, 9); });
@@ -261,7 +358,7 @@ def test_a_project_finds_the_installed_package(build, tmp_path):
         "cmake_minimum_required(VERSION 3.16)\nproject(consumer LANGUAGES CXX)\n"
         "find_package(ssrvlad_place REQUIRED)\nfind_package(Threads REQUIRED)\n"
         "add_executable(consumer main.cpp)\n"
-        "target_link_libraries(consumer PRIVATE ssrvlad::place Threads::Threads)\n"
+        "target_link_libraries(consumer PRIVATE ssrvlad::map Threads::Threads)\n"
     )
     cmake("-S", source, "-B", made, STRICT, f"-DCMAKE_PREFIX_PATH={installed}")
     cmake("--build", made)
@@ -270,3 +367,10 @@ def test_a_project_finds_the_installed_package(build, tmp_path):
     assert (code, errors) == (0, [])
     expected = SSRVLAD(CONFIG)(np.zeros((1, 12, 9), np.int64))[0]
     np.testing.assert_allclose(np.array(lines, float), expected, atol=1e-6)
+    write_database(tmp_path / "two.npy", torch.eye(480)[:2], "a")
+    assert outcome(made / "consumer", tmp_path / "wide.onnx", tmp_path / "two.npy") == (0, [], [])
+    header = installed / "include" / "ssrvlad" / "ssrvlad.h"
+    header.write_text(header.read_text().replace("SSRVLAD_INTERFACE 1", "SSRVLAD_INTERFACE 2"))
+    cmake("--build", made)
+    code, _, errors = outcome(made / "consumer", tmp_path / "wide.onnx", tmp_path / "two.npy")
+    assert code and "the library ssrvlad has interface 1, the program is of 2" in "".join(errors)

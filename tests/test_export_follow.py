@@ -1,44 +1,52 @@
 """The program that finds drives without torch, against the command line."""
 
 import json
+import shutil
+import sys
 from functools import partial
+from pathlib import Path
 
 import follow_onnx as program
 import numpy as np
+import onnx
 import pytest
 import run_onnx
-import torch
 from cases import REAL, needs_real
-from helpers import street
+from helpers import outcome, street, without
 from networks import photo
 from segmenting import write_drives, write_image, write_town
-from test_fusion import TRUST
 
-from ssrvlad_torch import SSRVLADConfig, export_head
-from ssrvlad_torch.channels.signs import SignQueries, SignRows
+from ssrvlad_torch import SSRVLADConfig, export_head, native
 from ssrvlad_torch.datasets.synthetic_city import write_city
-from ssrvlad_torch.recognition.fusion import FusedScores
-from ssrvlad_torch.recognition.standardise import standardise
-from ssrvlad_torch.stages.features import SHAPE
+from ssrvlad_torch.recognition.sweep import COLUMNS
 
 SPACE = "cityscapes-trainids"
-MEMBERS = ("ssr-vlad", "features")
 
-pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")
+pytestmark = [
+    pytest.mark.usefixtures("core"),
+    pytest.mark.filterwarnings("error::RuntimeWarning"),
+]
 
 
 @pytest.fixture
 def town(ssrvlad, tmp_path):
-    """A function that stores a map, and its files: of the head, and of the descriptors."""
+    """A function that stores a map, and its files: of a head that sweeps or not, and of the
+    descriptors."""
 
-    def store(*maps):
+    def store(*maps, columns=()):
         database, exported = tmp_path / "town", tmp_path / "town.npy"
         assert ssrvlad("encode", *maps, "-o", database, "--labels-as", SPACE)[0] == 0
         assert ssrvlad("db", "export", database, "--format", "npy", "-o", exported)[0] == 0
-        export_head(SSRVLADConfig(labels_as=SPACE), tmp_path / "head.onnx", dtype="int64")
+        config = SSRVLADConfig(labels_as=SPACE)
+        export_head(config, tmp_path / "head.onnx", dtype="int64", columns=columns)
         return database, tmp_path / "head.onnx", exported
 
     return store
+
+
+@pytest.fixture
+def follow(main_of):
+    return partial(main_of, program.main, "follow_onnx.py")
 
 
 def first(out):
@@ -46,69 +54,55 @@ def first(out):
     return {line["query"]: line["candidates"][0] for line in lines}
 
 
-def test_a_drive_is_found_as_by_query(main_of, ssrvlad, town, tmp_path):
-    """In a map of two drives, one of them of another city."""
+def assert_as_query(out, expected, atol=1e-4):
+    """The same lines as of the command line, but for the last digits of numbers. Of rows that are
+    hardly believed any may come later."""
+    lines = [[*map(json.loads, each.splitlines())] for each in (out, expected)]
+    for line, right in zip(*lines, strict=True):
+        assert [line[name] for name in ("query", "score_is")] == [
+            right[name] for name in ("query", "score_is")
+        ]
+        assert line["confidence"] == pytest.approx(right["confidence"], abs=atol)
+        scores, others = (
+            {each["frame"]: each["score"] for each in told["candidates"]} for told in (line, right)
+        )
+        assert [*scores][:1] == [*others][:1]
+        for frame in {*scores, *others}:
+            assert scores.get(frame, 0) == pytest.approx(others.get(frame, 0), abs=atol)
+
+
+@pytest.mark.parametrize("columns", [(), COLUMNS])
+@pytest.mark.parametrize(
+    "steps", [(), ("--follow", "online", "--delay", 3), ("--follow", "no", "--top", 2)]
+)
+def test_a_drive_is_found_as_by_query(follow, ssrvlad, town, tmp_path, columns, steps):
+    """In a map of two drives, one of them of another city, with a sweep and without."""
     city = write_city(tmp_path / "city", frames=40, size=(60, 80), seed=3)
     other = write_city(tmp_path / "b", frames=12, size=(60, 80), seed=1)
-    database, head, exported = town(city.reference, other.reference.rename(tmp_path / "other"))
-    code, out, err = main_of(
-        program.main, "follow_onnx.py", head, city.query, "--database", exported, "--json"
-    )
+    maps = city.reference, other.reference.rename(tmp_path / "other")
+    database, head, exported = town(*maps, columns=columns)
+    code, out, err = follow(head, city.query, "--database", exported, "--json", *steps)
     assert (code, err) == (0, [])
-    expected = ssrvlad("query", database, city.query, "--no-sweep", "--json")[1].splitlines()
-    lines = (map(json.loads, each) for each in (out.splitlines(), expected))
-    for line, right in zip(*lines, strict=True):
-        assert (line["query"], line["empty"]) == (right["query"], False)
-        (frame, score), (frame_expected, score_expected) = (
-            each["candidates"][0].values() for each in (line, right)
-        )
-        assert frame == frame_expected
-        assert abs(score - score_expected) < 1e-3
+    given = steps if columns else (*steps, "--no-sweep")
+    assert_as_query(out, ssrvlad("query", database, city.query, *given, "--json")[1])
 
 
-def test_scores_of_features_and_weights_are_those_of_query():
-    """Of a drive of which the leads are known, and of one that is too short."""
-    rng = np.random.default_rng(0)
-    signs = rng.integers(0, 256, (80, *SHAPE), np.uint8)
-    signs[40:] = np.where(rng.random(signs[40:].shape) < 0.6, np.roll(signs[:40], 1, 1), signs[40:])
-    references, queries = signs[:40], signs[40:]
-    cosines = rng.uniform(-1, 1, (40, 40)).astype(np.float32)
-    cosines[3], cosines[:, 5] = -np.inf, -np.inf
-    for frames in (40, 20):
-        names, whole = ["a"] * frames, frames == 40
-        rows = SignRows(torch.from_numpy(references), ["b"] * 40 if whole else None)
-        expected = SignQueries(torch.from_numpy(queries[:frames]), rows, whole).scores()
-        got = program.scores_of_signs(
-            program.numbers(queries[:frames], names, whole),
-            program.numbers(references, ["b"] * 40, whole),
-        )
-        np.testing.assert_allclose(got, expected, atol=1e-5)
-        both = [cosines[:frames], got]
-        members = {name: torch.from_numpy(v) for name, v in zip(MEMBERS, both, strict=True)}
-        fused = FusedScores(members, TRUST)
-        leads = [program.mean_lead(each) if whole else 0.0 for each in both]
-        weights = program.weights_of(dict(zip(MEMBERS, leads, strict=True)))
-        np.testing.assert_allclose(weights, [*fused.weights.values()], atol=1e-5)
-        for row, right in zip(zip(*both, strict=True), fused.whole(), strict=True):
-            np.testing.assert_allclose(program.fused(row, weights), right, atol=1e-5)
+def test_single_pictures_are_judged_alone_as_by_query(follow, ssrvlad, town, tmp_path):
+    """Eight of a shuffled drive."""
+    city = write_city(tmp_path / "city", frames=40, size=(60, 80), seed=3)
+    database, head, exported = town(city.reference)
+    order = np.random.default_rng(0).permutation(sorted(city.query.glob("*.png")))[:8]
+    (tmp_path / "some").mkdir()
+    for number, file in enumerate(order):
+        (tmp_path / "some" / f"{number}.png").write_bytes(Path(file).read_bytes())
+    code, out, _ = follow(head, tmp_path / "some", "--database", exported, "--json")
+    assert code == 0 and '"score_is": "cosine"' in out
+    expected = ssrvlad("query", database, tmp_path / "some", "--no-sweep", "--json")[1]
+    assert_as_query(out, expected)
 
 
-def test_a_drive_with_features_is_found(main_of, tmp_path):
-    """By the features: the label maps are of random scores."""
-    write_drives(tmp_path, range(36), range(2, 35), (96, 128))
-    write_town(tmp_path, tmp_path / "town.npy")
-    given = (tmp_path / "today", "--database", tmp_path / "town.npy", "--json")
-    code, out, err = main_of(program.main, "follow_onnx.py", tmp_path / "place.onnx", *given)
-    assert (code, err) == (0, [])
-    found = first(out)
-    right = [each["frame"].replace("monday", "today") == query for query, each in found.items()]
-    assert np.mean(right) > 0.9
-
-
-def test_with_all_channels_it_gives_the_rows_of_query_not_those_without_a_sweep(
-    main_of, ssrvlad, tmp_path
-):
-    """It moves features to both sides, as `query` does; these pictures look two cells aside."""
+def test_pictures_are_found_by_all_channels_as_by_query(follow, ssrvlad, tmp_path):
+    """Also moved by two cells; without a sweep most are not found. Without torch it is the same."""
     write_drives(tmp_path, range(36), (), (96, 128))
     for seed in range(2, 35):
         pixels = np.roll(photo(street(seed, 96, 128)), 14, axis=1)
@@ -118,25 +112,48 @@ def test_with_all_channels_it_gives_the_rows_of_query_not_those_without_a_sweep(
     ssrvlad("encode", tmp_path / "monday", "-o", database, *network)
     ssrvlad("db", "export", database, "--format", "npy", "-o", exported)
     given = (tmp_path / "place.onnx", tmp_path / "today", "--database", exported, "--json")
-    got = first(main_of(program.main, "follow_onnx.py", *given)[1])
+    code, out, err = follow(*given)
+    assert (code, err) == (0, [])
     query = ("query", database, tmp_path / "today", *network[:2], "--json")
     same, still = (first(ssrvlad(*query, *options)[1]) for options in ((), ("--no-sweep",)))
+    got = first(out)
     assert len(got) == 33 and [*got] == [*same]
     for frame, candidate in got.items():
         assert candidate["frame"] == same[frame]["frame"] == frame.replace("today", "monday")
         assert candidate["score"] == pytest.approx(same[frame]["score"], abs=1e-4)
     assert np.mean([got[frame]["frame"] == still[frame]["frame"] for frame in got]) < 0.5
+    code, lines, errors = outcome(*without(("torch",), Path(program.__file__), *given))
+    assert (code, lines, errors) == (0, out.splitlines(), [])
 
 
-@pytest.mark.parametrize("frames", [(40,), (12, 40), (5, 6), (20, 20)])
-def test_means_are_those_of_standardise(frames):
-    rng = np.random.default_rng(0)
-    vectors = rng.normal(size=(sum(frames), 48)).astype(np.float32) + 1
-    vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
-    vectors[1] = 0
-    names = [str(number) for number, count in enumerate(frames) for _ in range(count)]
-    got = program.without_means(vectors, names)[:, 0]
-    np.testing.assert_allclose(got, standardise(vectors, names).numpy(), atol=1e-5)
+def test_a_file_without_hog_says_so_once(follow, tmp_path):
+    """For a database that has it, as a file of an older `fuse`."""
+    write_drives(tmp_path, range(36), range(2, 35), (96, 128))
+    write_town(tmp_path, tmp_path / "town.npy")
+    model = onnx.load(tmp_path / "place.onnx")
+    named = {each.key: each.value for each in model.metadata_props if each.key != "ssrvlad.hog"}
+    model.ClearField("metadata_props")
+    onnx.helper.set_model_props(model, named)
+    onnx.save(model, tmp_path / "place.onnx")
+    given = (tmp_path / "place.onnx", tmp_path / "today", "--database", tmp_path / "town.npy")
+    code, out, (line,) = follow(*given, "--json")
+    assert (code, out.count("\n")) == (0, 33)
+    town = tmp_path / "town.npy"
+    assert line == f"only {town} has hog: frames are matched without; fuse the file again"
+
+
+def test_a_library_of_another_version_is_one_line(town, tmp_path):
+    city = write_city(tmp_path / "city", frames=3, size=(60, 80))
+    _, head, exported = town(city.reference)
+    package = tmp_path / "other" / "ssrvlad_torch"
+    shutil.copytree(native.FOLDER, package / "native")
+    shutil.copy(native.FOLDER.parent / "__init__.py", package)
+    with (package / "native" / "map.cpp").open("a") as source:
+        source.write("// changed\n")
+    given = (program.__file__, head, city.query, "--database", exported)
+    code, out, (line,) = outcome("env", f"PYTHONPATH={package.parent}", sys.executable, *given)
+    assert (code, out) == (2, [])
+    assert line == "follow_onnx: the native core is of another version: install again"
 
 
 def test_wrong_use_is_one_line(main_of, town, tmp_path):

@@ -7,8 +7,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from ssrvlad_torch.recognition.follow import NEAR, follow
-from ssrvlad_torch.recognition.motion import BACKWARDS, Motion
+from ssrvlad_torch.recognition.follow import follow
+from ssrvlad_torch.recognition.motion import BACKWARDS, NEAR, Motion
 
 
 def noisy(track: list[int], rows: int, seed: int = 0, strength: float = 0.25) -> Tensor:

@@ -6,8 +6,7 @@ import torch.nn.functional as F
 from helpers import descriptors, spoil
 
 from ssrvlad_torch import Database, match
-from ssrvlad_torch.channels.vectors import VectorReferences
-from ssrvlad_torch.recognition.comparison import Member
+from ssrvlad_torch.recognition.comparison import Member, ReferenceRows
 from ssrvlad_torch.recognition.recognise import Steps, recognise, recognise_by_search
 from ssrvlad_torch.recognition.standardise import standardise
 from ssrvlad_torch.recognition.sweep import score
@@ -101,7 +100,7 @@ def test_with_all_frames_as_candidates_results_equal_exact_search(town, monkeypa
     queries[11] = 0
     steps = Steps(standardise=off, sweep=False, follow=follow)
     names = ["q"] * 40
-    known = VectorReferences(frames.descriptors, frames.sequences)
+    known = ReferenceRows(frames.descriptors, frames.sequences)
     member = {"ssr-vlad": Member(queries, known)}
     expected = recognise(member, names, frames.sequences, steps, 3)
 

@@ -5,8 +5,7 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from ssrvlad_torch.channels.vectors import VectorReferences
-from ssrvlad_torch.recognition.comparison import Member
+from ssrvlad_torch.recognition.comparison import Member, ReferenceRows
 from ssrvlad_torch.recognition.confidence import accept, estimate
 from ssrvlad_torch.recognition.recognise import AS_PAPER, SURE_ALONE, Steps, judged_alone, recognise
 from ssrvlad_torch.recognition.sweep import COLUMNS
@@ -29,7 +28,7 @@ def two_traverses(
 
 def by_vectors(queries, references, query_names, names, *steps, **options):
     """What is recognised by one channel of vectors."""
-    member = Member(queries, VectorReferences(references, names))
+    member = Member(queries, ReferenceRows(references, names))
     return recognise({"x": member}, query_names, names, *steps, **options)
 
 
@@ -152,7 +151,7 @@ def test_rivals_tell_right_answers_from_wrong_ones(steps, names):
     foreign = two_traverses(240, 1.3)[0][120:]
 
     def first(queries):
-        of_map = VectorReferences(references, ["r"] * 120)
+        of_map = ReferenceRows(references, ["r"] * 120)
         members = {name: Member(queries, of_map) for name in names}
         return recognise(members, ["q"] * len(queries), ["r"] * 120, steps, 1)
 
@@ -193,7 +192,7 @@ def test_refuses():
     ):
         with pytest.raises(ValueError, match=message):
             by_vectors(*arguments)
-    member = Member(frames, VectorReferences(frames, ["b"] * 4))
+    member = Member(frames, ReferenceRows(frames, ["b"] * 4))
     with pytest.raises(ValueError, match="a sequence for each of 4 references, got 3"):
         recognise({"x": member}, ["a"] * 4, ["b"] * 3, AS_PAPER)
     with pytest.raises(ValueError, match="expected a channel by which to recognise, got none"):

@@ -1,20 +1,20 @@
 """The fast paths of recognition against `recognition.reference` on drives drawn at random."""
 
+from dataclasses import astuple
+
 import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ssrvlad_torch.channels.signs import REACH, SignReferences, numbers
-from ssrvlad_torch.channels.vectors import VectorReferences
+from ssrvlad_torch.native import decide as core
 from ssrvlad_torch.recognition import reference
-from ssrvlad_torch.recognition.confidence import Confidence, answers_together
-from ssrvlad_torch.recognition.follow import follow, gain
+from ssrvlad_torch.recognition.confidence import Confidence
+from ssrvlad_torch.recognition.follow import follow
 from ssrvlad_torch.recognition.fusion import FusedScores
 from ssrvlad_torch.recognition.motion import BACKWARDS, FORWARDS, Motion
 from ssrvlad_torch.recognition.rivals import chance_of
-from ssrvlad_torch.recognition.standardise import MIN_FRAMES
 
 TRUST = {"ssr-vlad": 1.0, "features": 6.0}
 LENGTHS = st.lists(st.integers(1, 12), min_size=1, max_size=3)
@@ -30,42 +30,6 @@ def drawn(seed, queries, rows, holes=0.0):
     scores = rng.uniform(-0.3, 0.9, (queries, rows)).astype(np.float32)
     scores[:, rng.random(rows) < holes] = -np.inf
     return scores
-
-
-@pytest.mark.parametrize("lengths", [(40, 35), (12, 9, 33), (10, 8, 7), (29,)])
-@pytest.mark.parametrize("queries", [31, 8])
-def test_vectors_without_means(lengths, queries):
-    rng, names = np.random.default_rng(0), named(lengths)
-    ours, theirs = (rng.normal(1, 1, (n, 24)).astype(np.float32) for n in (queries, len(names)))
-    theirs[3] = 0
-    ours, theirs = (
-        each / np.maximum(np.linalg.norm(each, axis=1), 1e-9)[:, None] for each in (ours, theirs)
-    )
-    whole = min(queries, len(names)) >= MIN_FRAMES
-    fast = VectorReferences(theirs, names).compare(torch.from_numpy(ours), whole, False, None)
-    if whole:
-        there = theirs - reference.means_of_drives(theirs, names) * theirs.any(1, keepdims=True)
-        here = ours - reference.means_of_drives(ours, ["q"] * queries)
-        ours, theirs = here, there
-    expected = reference.cosines(ours, theirs)
-    got = np.stack([fast.scores[query].numpy() for query in range(queries)])
-    np.testing.assert_allclose(got, expected, atol=1e-5)
-
-
-@pytest.mark.parametrize("whole", [True, False])
-@pytest.mark.parametrize("reach", [REACH, 0])
-def test_signs_with_and_without_means_and_moves(whole, reach):
-    rng, lengths = np.random.default_rng(0), (40, 12, 9)
-    ours, theirs = (rng.integers(0, 256, (n, 8, 3, 8), np.uint8) for n in (33, sum(lengths)))
-    names = named(lengths)
-    fast = SignReferences(theirs, names).compare(torch.from_numpy(ours), whole, bool(reach))
-    plain = [numbers(torch.from_numpy(each)).flatten(2).numpy() for each in (ours, theirs)]
-    if whole:
-        parts = zip(plain, (["q"] * 33, names), strict=True)
-        plain = [each - reference.means_of_drives(each, of) for each, of in parts]
-    expected = reference.cosines_of_signs(*plain, reach)
-    got = np.stack([fast.scores[query].numpy() for query in range(33)])
-    np.testing.assert_allclose(got, expected, atol=1e-5)
 
 
 @given(seed=st.integers(0, 1000), queries=st.sampled_from((3, 35)), holes=st.sampled_from((0, 0.3)))
@@ -100,8 +64,22 @@ def test_a_drive_is_followed(seed, lengths, queries, later, way, rate):
         known = rows >= 0
         np.testing.assert_allclose(probabilities[known], expected[row][rows[known]], atol=2e-5)
     np.testing.assert_allclose(places.unmapped, unmapped, atol=2e-5)
-    fast = gain(torch.from_numpy(scores), names, motion, way, range(queries))
+    starts = [names.index(name) for name in dict.fromkeys(names)]
+    fast = core.gain(scores, starts, len(names), astuple(motion), way)
     assert fast == pytest.approx(reference.gain(scores, names, motion, way), abs=1e-3)
+
+
+@pytest.mark.parametrize("way", [FORWARDS, BACKWARDS])
+@pytest.mark.parametrize("rate", [1, 0.25, 3])
+def test_probabilities_of_states_stay_one_and_back_is_the_transpose(way, rate):
+    motion = Motion(change=0.1, jump=0.05, unmapped=0.2, stay=0.8, rate=rate)
+    model = reference.Model(named((6, 1, 4)), motion, way)
+    states = np.eye(len(model.start()))
+    matrix = np.stack([model.after(each) for each in states])
+    np.testing.assert_allclose(matrix.sum(1), 1)
+    assert matrix.min() >= 0
+    back = np.stack([model.before(each) for each in states])
+    np.testing.assert_allclose(back, matrix.T, atol=1e-12)
 
 
 @given(seed=st.integers(0, 1000), rows=st.integers(1, 200), steps=st.sampled_from((0, 3, 100)))
@@ -110,7 +88,7 @@ def test_an_answer_beside_its_rivals(seed, rows, steps):
     values = drawn(seed, 1, rows, 0.2)[0]
     values = np.round(values * steps) / steps if steps else values
     fast = chance_of(torch.from_numpy(values))
-    expected, rival = reference.chance_of(values)
+    expected, rival = reference.chance(values)
     assert fast.chance == pytest.approx(expected, abs=1e-9)
     if steps == 0:
         assert fast.rival == rival
@@ -124,8 +102,11 @@ def test_an_answer_beside_its_rivals(seed, rows, steps):
 def test_doubts_of_a_traverse(seed, queries, right):
     rng = np.random.default_rng(seed)
     chances = np.where(rng.random(queries) < right, rng.random(queries) ** 6, rng.random(queries))
-    rows = torch.from_numpy(rng.integers(0, 100, queries)).sort().values
-    together = answers_together(rows)
+    rows = np.sort(rng.integers(0, 100, queries))
+    together = core.answers_together(rows)
+    assert together == reference.answers_together(rows)
+    chances[rng.random(queries) < 0.1] = np.nan
     sure = Confidence.of_chances(torch.from_numpy(chances), together)
-    expected = reference.doubts(chances, together)
-    np.testing.assert_allclose(1 - sure.right, expected, atol=1e-6)
+    right, spread = reference.confidence(chances, together)
+    np.testing.assert_allclose(sure.right, right, atol=1e-6)
+    np.testing.assert_allclose(sure.spread, spread, atol=1e-6)

@@ -17,7 +17,6 @@ from drives import write_maps
 from helpers import COLOUR, GRAY, PALETTES, flip_byte, outcome, without, write_palette, write_png
 from networks import write_graph
 from PIL import Image
-from ssrvlad_place import scores as place_scores
 from ssrvlad_place.database import Database, save
 from ssrvlad_place.model import Seen
 
@@ -65,7 +64,7 @@ def test_without_torch_it_finds_what_the_command_line_finds(ssrvlad, head, datab
     assert ssrvlad("db", "export", database, "--format", "npy", "-o", tmp_path / "t.npy")[0] == 0
     expected_lines = ssrvlad("query", database, queries, *SINGLE, "--top", 3, "--json")[1]
     arguments = (queries, "--database", tmp_path / "t.npy", "--top", 3, "--json")
-    code, lines, errors = alone(head, *arguments)
+    code, lines, errors = alone(head, *arguments, blocked=("torch",))
     assert code == 0, errors
     assert_same("\n".join(lines), expected_lines)
 
@@ -106,6 +105,9 @@ def test_features_of_one_side_only_and_of_another_network(drives, tmp_path, run)
     code, out, (line,) = run(drives / "place.onnx", *frames, "--database", town)
     assert (code, out.startswith("today/5: monday/")) == (0, True)
     assert line == "only the model has features: frames are matched without"
+    assert alone(drives / "place.onnx", *frames)[0] == 0
+    problem = "run_onnx: databases need: pip install --no-deps ssrvlad-torch"
+    assert alone(drives / "place.onnx", *frames, "--database", town)[2][-1] == problem
 
 
 def test_arrays_need_no_pillow_and_pictures_say_so(head, maps, tmp_path):
@@ -220,14 +222,13 @@ def test_an_empty_frame_matches_nothing_and_is_no_candidate(head, maps, tmp_path
     assert {line["query"]: line["empty"] for line in lines}["monday/void"]
     np.save(out, np.zeros_like(np.load(out)))
     said = run(head, maps, "--database", out)[1].splitlines()
-    assert said[0] == "monday/000: no candidate"
+    assert said[0] == "monday/000: no candidate (cosine, confidence 0.00)"
     assert said[-1] == "monday/void: empty"
     assert run(head, maps)[1].startswith("monday/000: described\n")
     assert all(len(line["candidates"]) == (0 if line["empty"] else 6) for line in lines)
 
 
-def test_equal_scores_go_to_the_earlier_frame_across_blocks(tmp_path, monkeypatch):
-    monkeypatch.setattr(place_scores, "_BLOCK", 3)
+def test_equal_scores_go_to_the_earlier_frame(tmp_path):
     rng = np.random.default_rng(0)
     vectors = rng.integers(-1, 2, (20, 4)).astype(np.float32)
     frames = [f"s/{row}" for row in range(20)]
@@ -238,7 +239,9 @@ def test_equal_scores_go_to_the_earlier_frame_across_blocks(tmp_path, monkeypatc
     pairs = zip(frames, vectors, strict=True)
     scores = {frame: vector[0] / np.linalg.norm(vector) for frame, vector in pairs if vector.any()}
     best = sorted(scores, key=lambda frame: -scores[frame])[:7]
-    assert [frame for frame, _ in database.search(Seen(query), 7)] == best
+    [answer] = database.find([Seen(query)], top=7)
+    assert [frame for frame, _ in answer.candidates] == best
+    assert answer.score_is == "cosine"
 
 
 def test_class_scores_and_wide_labels(maps, tmp_path, run):

@@ -7,18 +7,8 @@ import torch.nn.functional as F
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ssrvlad_torch.channels.signs import (
-    REACH,
-    SignQueries,
-    SignReferences,
-    SignRows,
-    moved,
-    numbers,
-    products,
-    weighed,
-)
-from ssrvlad_torch.channels.vectors import VectorReferences
-from ssrvlad_torch.recognition.comparison import Member
+from ssrvlad_torch.channels.signs import REACH, moved, numbers, products
+from ssrvlad_torch.recognition.comparison import Member, ReferenceRows
 from ssrvlad_torch.recognition.recognise import Steps, recognise
 
 SHAPE = (8, 3, 4)
@@ -46,13 +36,6 @@ def test_products_are_exact(library, count, width):
     got = products(queries, masks, references)
     assert got.dtype == torch.int32
     assert torch.equal(got.float(), expected)
-
-
-@pytest.mark.parametrize("count", [0, 1, 300])
-def test_weighed_signs_are_products_by_column(library, count):
-    signs, weights = grids(count), torch.randn(8, 96, generator=torch.Generator().manual_seed(0))
-    expected = torch.einsum("ncd,cd->nc", numbers(signs).flatten(2), weights)
-    torch.testing.assert_close(weighed(signs, weights), expected, atol=1e-4, rtol=0)
 
 
 @given(st.integers(-3, 3))
@@ -86,7 +69,7 @@ def plain(queries, references, sequences=None, reach=REACH):
 def test_scores_are_cosines_of_the_best_move(library, reach):
     queries, references = grids(7), grids(40, 1)
     references[3] = moved(queries, reach)[2]
-    got = SignQueries(queries, SignRows(references), reach=reach).scores()
+    got = ReferenceRows(references, ["a"] * 40).compare(queries, False, bool(reach)).whole()
     torch.testing.assert_close(got, plain(queries, references, reach=reach), atol=1e-5, rtol=0)
     assert got[2].argmax() == 3
 
@@ -95,19 +78,17 @@ def test_scores_are_cosines_of_the_best_move(library, reach):
 def test_standardised_scores_are_those_of_means_off(library, reach):
     queries, sequences = drive(50), ["a"] * 30 + ["b"] * 45
     references = torch.cat((drive(30, 1), drive(45, 2)))
-    got = SignQueries(queries, SignRows(references, sequences), standardised=True, reach=reach)
+    got = ReferenceRows(references, sequences).compare(queries, True, bool(reach))
     expected = plain(queries, references, sequences, reach)
-    torch.testing.assert_close(got.scores(), expected, atol=1e-5, rtol=0)
-    part = got.scores(slice(10, 13))
-    torch.testing.assert_close(part, expected[10:13], atol=1e-5, rtol=0)
+    torch.testing.assert_close(got.whole(), expected, atol=1e-5, rtol=0)
 
 
-def test_a_traverse_of_equal_frames_stays_as_it_is():
-    frame, references = grids(1), grids(20, 1)
-    rows = SignRows(torch.cat((frame, references)), ["one"] + ["many"] * 20)
-    score = SignQueries(frame.expand(40, *SHAPE), rows, standardised=True, reach=0).scores()
-    assert score.shape == (40, 21)
-    torch.testing.assert_close(score[:, 0], torch.ones(40))
+def test_a_traverse_of_equal_frames_stays_as_it_is(library):
+    frame, references = grids(1).expand(30, *SHAPE), grids(40, 1)
+    rows = ReferenceRows(torch.cat((frame, references)), ["one"] * 30 + ["many"] * 40)
+    score = rows.compare(frame.repeat(2, 1, 1, 1), True, False).whole()
+    assert score.shape == (60, 70)
+    torch.testing.assert_close(score[:, :30], torch.ones(60, 30))
 
 
 @pytest.mark.parametrize("follow", [None, "offline"])
@@ -117,8 +98,8 @@ def test_recognise_takes_signs(follow):
     numbers_only = F.normalize(torch.rand(60, 16), dim=1)
     names = ["q"] * 40, ["r"] * 60
     members = {
-        "ssr-vlad": Member(numbers_only[10:50], VectorReferences(numbers_only, names[1])),
-        "features": Member(seen, SignReferences(frames, names[1]), 6),
+        "ssr-vlad": Member(numbers_only[10:50], ReferenceRows(numbers_only, names[1])),
+        "features": Member(seen, ReferenceRows(frames, names[1]), 6),
     }
     found = recognise(members, *names, Steps(follow=follow))
     assert found.matches.indices[:, 0].tolist() == list(range(10, 50))

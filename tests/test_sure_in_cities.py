@@ -7,11 +7,10 @@ import pytest
 import torch
 
 from ssrvlad_torch import SSRVLAD
-from ssrvlad_torch.channels.vectors import VectorReferences
 from ssrvlad_torch.datasets.synthetic_city import REFERENCE, Conditions, SyntheticCity
-from ssrvlad_torch.recognition.comparison import Member
+from ssrvlad_torch.recognition.comparison import Member, ReferenceRows
 from ssrvlad_torch.recognition.confidence import accept, estimate
-from ssrvlad_torch.recognition.follow import NEAR
+from ssrvlad_torch.recognition.motion import NEAR
 from ssrvlad_torch.recognition.recognise import Steps, recognise
 from ssrvlad_torch.recognition.sweep import COLUMNS
 
@@ -40,7 +39,7 @@ def found_in(here, there, steps):
     (queries, at), (references, known) = here, there
     names = ["map"] * len(references)
     middle = torch.from_numpy(references[:, len(COLUMNS) // 2])
-    member = Member(torch.from_numpy(queries), VectorReferences(middle, names))
+    member = Member(torch.from_numpy(queries), ReferenceRows(middle, names))
     found = recognise({"x": member}, ["q"] * len(queries), names, STEPS[steps], 1)
     x, y, turn = (at[:, None] - known).transpose(2, 0, 1)
     same = (np.hypot(x, y) <= 5) & (np.cos(turn) > 0.5)

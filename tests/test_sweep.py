@@ -4,9 +4,8 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from ssrvlad_torch.recognition.matching import Rows
-from ssrvlad_torch.recognition.standardise import standardise
-from ssrvlad_torch.recognition.sweep import narrowed, score
+from ssrvlad_torch.recognition.comparison import ReferenceRows
+from ssrvlad_torch.recognition.sweep import COLUMNS, score
 
 
 def test_a_reference_scores_its_best_anchor():
@@ -21,21 +20,19 @@ def test_a_reference_scores_its_best_anchor():
     )
 
 
-@pytest.mark.parametrize(("true_anchor", "width"), [(2, 0), (4, 8)])
-def test_the_sweep_is_as_wide_as_the_view_is_shifted(true_anchor, width):
+@pytest.mark.parametrize(("true_anchor", "width"), [(6, 0), (4, 8)])
+def test_the_sweep_is_as_wide_as_the_view_is_shifted(library, true_anchor, width):
     generator = torch.Generator().manual_seed(0)
     places = F.normalize(torch.randn(40, 64, generator=generator), dim=1)
-    swept = torch.randn(40, 5, 64, generator=generator)
+    swept = torch.randn(40, len(COLUMNS), 64, generator=generator)
     swept[:, true_anchor] = places * 6 + 0.3 * torch.randn(40, 64, generator=generator)
-    kept, reach = narrowed(
-        F.normalize(swept, dim=2), Rows.of(standardise(places)), (-8, -4, 0, 4, 8)
-    )
-    assert reach == width and kept.shape[1] == 1 + width // 2
-    assert (score(kept, standardise(places)).argmax(1) == torch.arange(40)).float().mean() > 0.9
+    found = ReferenceRows(places, ["a"] * 40).compare(F.normalize(swept, dim=2), True, True)
+    assert found.width == width
+    assert (found.whole().argmax(1) == torch.arange(40)).float().mean() > 0.9
 
 
-def test_refuses():
+def test_refuses(library):
     with pytest.raises(ValueError, match=r"got \(3, 2, 4\) and \(5, 3\)"):
         score(torch.zeros(3, 2, 4), torch.zeros(5, 3))
-    with pytest.raises(ValueError, match="one of which is 0"):
-        narrowed(torch.zeros(3, 2, 4), Rows.of(torch.ones(5, 4)), (-4, 4))
+    with pytest.raises(ValueError, match=r"expected \(Q, 13, D\) for columns .* got \(3, 5, 4\)"):
+        ReferenceRows(torch.ones(5, 4), ["a"] * 5).compare(torch.zeros(3, 5, 4), False, True)

@@ -5,6 +5,7 @@
 #include <onnxruntime_cxx_api.h>
 #include <zlib.h>
 
+#include <bitset>
 #include <cctype>
 #include <cstdint>
 #include <map>
@@ -55,6 +56,13 @@ struct Tensor {
 };
 
 using Tensors = std::map<std::string, Tensor>;
+
+// The number of bits that differ.
+inline std::size_t different(const std::uint8_t* one, const std::uint8_t* other, std::size_t size) {
+  std::size_t count = 0;
+  for (std::size_t at = 0; at < size; ++at) count += std::bitset<8>(one[at] ^ other[at]).count();
+  return count;
+}
 
 // Reads the JSON of the golden pair: objects, arrays of numbers, and strings without escapes.
 class Reader {

@@ -1,11 +1,9 @@
 // Descriptors of label maps and photographs with files of `ssrvlad export` and `ssrvlad fuse`.
 //
 //     ssrvlad::Place place("place.onnx");
-//     ssrvlad::Database town("town.npy", place.fingerprints());
-//     auto query = place.describe(pixels, height, width);
-//     for (const auto& match : town.match(query, 5)) std::cout << match.frame << match.score;
+//     auto seen = place.describe(pixels, height, width);
 //
-// Header-only, C++17; needs the C++ API of ONNX Runtime, and zlib. Errors are std::runtime_error,
+// map.hpp finds them in a database. Header-only, C++17; needs the C++ API of ONNX Runtime, and zlib. Errors are std::runtime_error,
 // or Ort::Exception from the runtime. Several threads may use one Place at a time.
 
 #pragma once
@@ -15,8 +13,6 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
-#include <fstream>
-#include <iostream>
 #include <limits>
 #include <memory>
 #include <numeric>
@@ -26,8 +22,6 @@
 #include <vector>
 
 #include "golden.hpp"
-#include "npy.hpp"
-#include "scores.hpp"
 
 namespace ssrvlad {
 
@@ -46,11 +40,6 @@ struct Described {
 // what it does not give. Descriptors of other fingerprints do not compare.
 struct Fingerprints {
   std::string descriptor, features, hog;
-};
-
-struct Match {
-  std::string frame;
-  float score;
 };
 
 namespace detail {
@@ -317,111 +306,6 @@ class Place {
 
   detail::Session head_;
   std::unique_ptr<detail::Session> network_;
-};
-
-// Descriptors of reference frames from `ssrvlad db export --format npy`: FILE.npy,
-// FILE.npy.frames.txt and FILE.npy.fingerprint.txt; and their other channels, FILE.npy.features.npy
-// and FILE.npy.hog.npy.
-class Database {
- public:
-  // The fingerprints are those of the model; channels are used that both have.
-  Database(const std::string& path, const Fingerprints& model) : array_(npy::load(path)) {
-    if (array_.dtype != "<f4" || array_.shape.size() != 2)
-      throw std::runtime_error(path + ": expected an (R, D) array of float32");
-    require_fingerprint(path, model.descriptor);
-    signs_ = channel(path, "features", model.features);
-    hog_ = channel(path, "hog", model.hog);
-    if (!signs_.bytes.empty() &&
-        (signs_.dtype != "|u1" || signs_.shape.size() != 4 || signs_.shape[0] != array_.shape[0] ||
-         signs_.shape[1] <= kReach || signs_.shape[3] % 8 != 0))
-      throw std::runtime_error(path + ".features.npy: expected an (R, 16, 16, 16) array of uint8");
-    if (!hog_.bytes.empty() && (hog_.dtype != "<f4" || hog_.shape.size() != 2 ||
-                                hog_.shape[0] != array_.shape[0]))
-      throw std::runtime_error(path + ".hog.npy: expected an (R, D) array of float32");
-    std::ifstream names(path + ".frames.txt");
-    for (std::string line; std::getline(names, line);) frames_.push_back(line);
-    if (frames_.size() != static_cast<std::size_t>(array_.shape[0]))
-      throw std::runtime_error(path + ".frames.txt: expected " + std::to_string(array_.shape[0]) +
-                               " ids, got " + std::to_string(frames_.size()));
-  }
-
-  std::size_t size() const { return frames_.size(); }
-
-  // The frames with the highest scores, best first; of equal ones the earlier first. A score is a
-  // cosine (Eq. 4), of several anchors the best one; with other channels in the query and here, a
-  // fused score.
-  std::vector<Match> match(const Described& query, std::size_t top) const {
-    const auto length = static_cast<std::size_t>(array_.shape[1]);
-    if (query.length != length)
-      throw std::runtime_error("expected a database of " + std::to_string(query.length) +
-                               " numbers a frame, got " + std::to_string(length));
-    const auto best = scores_of(query);
-    std::vector<std::pair<float, std::size_t>> scores;
-    for (std::size_t row = 0; row < size(); ++row)
-      if (best[row] != detail::kNoScore) scores.emplace_back(best[row], row);
-    const auto last = scores.begin() + static_cast<std::ptrdiff_t>(std::min(top, scores.size()));
-    std::partial_sort(scores.begin(), last, scores.end(), [](const auto& a, const auto& b) {
-      return a.first != b.first ? a.first > b.first : a.second < b.second;
-    });
-    std::vector<Match> matches;
-    for (auto each = scores.begin(); each != last; ++each)
-      matches.push_back({frames_[each->second], each->first});
-    return matches;
-  }
-
- private:
-  static void require_fingerprint(const std::string& path, const std::string& fingerprint) {
-    std::string own;
-    if (!std::getline(std::ifstream(path + ".fingerprint.txt"), own))
-      std::cerr << path << " has no fingerprint: it may not fit the model\n";
-    else if (own != fingerprint)
-      throw std::runtime_error(path + " has fingerprint " + own + ", the model " + fingerprint +
-                               ": they do not compare");
-  }
-
-  // The array of a channel, if both sides have it.
-  static npy::Array channel(const std::string& path, const std::string& name,
-                            const std::string& fingerprint) {
-    const auto file = path + "." + name + ".npy";
-    const bool is_here = std::ifstream(file).good();
-    if (is_here == fingerprint.empty())
-      std::cerr << "only " << (is_here ? path : "the model") << " has " << name
-                << ": frames are matched without\n";
-    if (!is_here || fingerprint.empty()) return {};
-    auto rows = npy::load(file);
-    require_fingerprint(file, fingerprint);
-    return rows;
-  }
-
-  std::vector<float> scores_of(const Described& query) const {
-    std::vector<detail::Scores> channels{
-        {kLabelShapes, detail::cosines(query.descriptor, query.length, array_)}};
-    if (!signs_.bytes.empty() && !query.features.empty())
-      channels.push_back({kFeatures, cosines_of_signs(query.features)});
-    if (!hog_.bytes.empty() && !query.hog.empty()) {
-      if (hog_.size() != query.hog.size() * size())
-        throw std::runtime_error("expected HOG of " + std::to_string(query.hog.size()) +
-                                 " numbers a frame");
-      channels.push_back({kHog, detail::cosines(query.hog, query.hog.size(), hog_)});
-    }
-    return channels.size() == 1 ? channels[0].of_rows : detail::fused(channels);
-  }
-
-  std::vector<float> cosines_of_signs(const std::vector<std::uint8_t>& query) const {
-    const auto length = query.size();
-    if (signs_.size() != length * size())
-      throw std::runtime_error("expected features of " + std::to_string(length) + " bytes a frame");
-    std::vector<float> cosines(size());
-    const auto columns = signs_.shape[1];
-    for (std::size_t row = 0; row < size(); ++row)
-      cosines[row] =
-          detail::cosine_of_signs(query.data(), signs_.as<std::uint8_t>() + row * length, columns,
-                                  static_cast<std::int64_t>(length) / columns);
-    return cosines;
-  }
-
-  npy::Array array_, signs_, hog_;
-  std::vector<std::string> frames_;
 };
 
 }  // namespace ssrvlad

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
+from functools import cached_property
+from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -13,21 +15,22 @@ import numpy.typing as npt
 from .frames import read_npy
 from .model import Seen
 from .output import note
-from .scores import (
-    FEATURES,
-    HOG,
-    LABEL_SHAPES,
-    TRUST,
-    cosines,
-    cosines_of_signs,
-    fused,
-    weights_of,
-)
+from .scores import FEATURES, HOG, LABEL_SHAPES, TRUST
 
 Array = npt.NDArray[Any]
 
 AXES = {LABEL_SHAPES: 2, FEATURES: 4, HOG: 2}
 """Of the array of each channel."""
+
+
+class Answer(NamedTuple):
+    """The answer to one query: candidates, best first, with their scores; what these are,
+    ``"cosine"``, ``"fused score"`` or ``"probability"``; and the probability that the first
+    candidate is right."""
+
+    candidates: list[tuple[str, float]]
+    score_is: str
+    confidence: float
 
 
 class Database:
@@ -55,9 +58,10 @@ class Database:
             if name == LABEL_SHAPES or rows.exists():
                 self.channels[name] = _rows(rows, fingerprint, AXES[name])
         for name in TRUST:
-            if (name in fingerprints) != array_of(path, name).exists():
-                which = "the model" if name in fingerprints else path
-                note(f"only {which} has {name}: frames are matched without")
+            if name in fingerprints and not array_of(path, name).exists():
+                note(f"only the model has {name}: frames are matched without")
+            elif name not in fingerprints and array_of(path, name).exists():
+                note(f"only {path} has {name}: frames are matched without; fuse the file again")
         if not (ids := beside(path, "frames")).exists():
             raise ValueError(f"{ids} does not exist; expected the ids of {path}, one a line")
         self.frames = ids.read_text(encoding="utf-8").splitlines()
@@ -65,31 +69,51 @@ class Database:
             if len(rows) != len(self.frames):
                 raise ValueError(f"{path}: {rows.shape} for {len(self.frames)} frames")
 
-    def search(self, seen: Seen, top: int) -> list[tuple[str, float]]:
-        """The frames with the highest scores, best first; of equal ones the earlier first.
+    def find(
+        self, drive: Sequence[Seen], follow: str | None = None, delay: int = 0, top: int = 5
+    ) -> list[Answer]:
+        """The places of the frames of a drive, or of one frame, as `ssrvlad query` finds them, by
+        all channels that both sides have.
 
-        A score is a cosine (Eq. 4), of several anchors the best one, and with several channels in
-        the frame and in the database a fused score, see `fused`. A zero vector, the descriptor of
-        an empty frame, matches nothing.
+        Args:
+            drive: the frames in order.
+            follow: ``"online"``, with ``delay`` later frames, ``"offline"``, or ``None``, which
+                judges each frame alone.
+            top: number of candidates of each frame.
 
         Raises:
-            ValueError: the descriptor has another length.
+            ValueError: the descriptors have another length.
+            RuntimeError: the core of the package is missing or of another version.
         """
-        given = seen.channels
-        length, expected = seen.descriptor.shape[-1], self.channels[LABEL_SHAPES].shape[1]
-        if length != expected:
-            raise ValueError(f"expected a database of {length} numbers a frame, got {expected}")
-        compare = {FEATURES: cosines_of_signs}
-        parts = {
-            name: compare.get(name, cosines)(given[name], rows)
-            for name, rows in self.channels.items()
+        queries = {
+            name: np.stack([seen.channels[name] for seen in drive]) for name in self.channels
         }
-        scores = next(iter(parts.values()))
-        if len(parts) > 1:
-            scores = fused([*parts.values()], weights_of(dict.fromkeys(parts, 0.0)))
-        rows = np.flatnonzero(np.isfinite(scores))
-        rows = rows[np.argsort(-scores[rows], kind="stable")[:top]]
-        return [(self.frames[row], float(scores[row])) for row in rows]
+        threads = os.cpu_count() or 1
+        found = self._map.query(queries, follow=follow, delay=delay, top=top, threads=threads)
+        alone = "fused score" if len(queries) > 1 else "cosine"
+        score_is = "probability" if found.decision.followed else alone
+        answers = []
+        for scores, rows, right in zip(*found.decision[:3], strict=True):
+            ranked = [
+                (self.frames[row], min(1.0, float(score)))
+                for row, score in zip(rows, scores, strict=True)
+                if row >= 0
+            ]
+            answers.append(Answer(ranked, score_is, float(right)))
+        return answers
+
+    @cached_property
+    def _map(self) -> Any:
+        try:
+            from ssrvlad_torch.native.map import Map
+        except ImportError as error:
+            problem = "databases need: pip install --no-deps ssrvlad-torch"
+            raise ImportError(problem) from error
+        names = [frame.rpartition("/")[0] for frame in self.frames]
+        town = Map([len(list(drive)) for _, drive in groupby(names)])
+        for name, rows in self.channels.items():
+            town.add(name, rows, TRUST[name])
+        return town
 
 
 def save(

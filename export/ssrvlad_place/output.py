@@ -7,6 +7,10 @@ import json
 import os
 import sys
 from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from .database import Answer
 
 
 def note(line: str) -> None:
@@ -32,7 +36,7 @@ def run_program(
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    except (ValueError, OSError, ImportError) as error:
+    except (ValueError, OSError, ImportError, RuntimeError) as error:
         note(f"{name}: {one_line(error)}")
         return 2
 
@@ -45,14 +49,14 @@ def finished(skipped: int, described: int) -> int:
     return 3
 
 
-def report(
-    frame: str, empty: bool, candidates: list[tuple[str, float]] | None, as_json: bool
-) -> None:
-    """Prints one line about a frame; without a database its candidates are ``None``."""
+def report(frame: str, empty: bool, answer: Answer | None, as_json: bool) -> None:
+    """Prints one line about a frame; without a database there is no answer."""
+    candidates, score_is, confidence = answer or ([], "", 0.0)
     if as_json:
-        ranked = [{"frame": name, "score": score} for name, score in candidates or []]
-        print(json.dumps({"query": frame, "candidates": ranked, "empty": empty}))
-    else:
-        names = ", ".join(f"{name} {score:.4f}" for name, score in candidates or [])
-        found = "described" if candidates is None else names or "no candidate"
-        print(f"{frame}: " + ("empty" if empty else found))
+        ranked = [{"frame": name, "score": score} for name, score in candidates]
+        told = {"score_is": score_is, "confidence": confidence} if answer else {}
+        print(json.dumps({"query": frame, "candidates": ranked, "empty": empty, **told}))
+        return
+    names = ", ".join(f"{name} {score:.4f}" for name, score in candidates) or "no candidate"
+    found = f"{names} ({score_is}, confidence {confidence:.2f})" if answer else "described"
+    print(f"{frame}: " + ("empty" if empty else found))

@@ -18,7 +18,6 @@ REACH = 2
 ELSEWHERE = 5
 """Rows beyond which a candidate is another place than the first."""
 
-_BLOCK, _SIGNS_AT_ONCE = 1 << 14, 1 << 10
 _ONES = (
     np.unpackbits(np.arange(1 << 16, dtype=np.uint16).view(np.uint8))
     .reshape(-1, 16)
@@ -70,33 +69,6 @@ def lead(scores: Array) -> float:
     elsewhere = np.abs(np.arange(len(near)) - first) > ELSEWHERE
     spread = np.sqrt(np.square(near).sum() / max(1, known.sum()))
     return float((near[first] - near[elsewhere].max()) / max(spread, _ROUNDING))
-
-
-def cosines(query: Array, rows: Array) -> Array:
-    """``(R,)`` float32 by a vector ``(D,)``, or by those of several anchors ``(S, D)``, of which
-    the best counts; -inf where a vector is zero."""
-    anchors, found = np.atleast_2d(query), np.full(len(rows), -np.inf, np.float32)
-    for first in range(0, len(found) if query.any() else 0, _BLOCK):
-        block = np.asarray(rows[first : first + _BLOCK], np.float32)
-        norms, products = np.linalg.norm(block, axis=1), (block @ anchors.T).max(1)
-        np.divide(products, norms, out=found[first : first + len(block)], where=norms > 0)
-    return found
-
-
-def cosines_of_signs(query: Array, rows: Array) -> Array:
-    """``(R,)`` float32 by signs ``(16, 16, 16)`` and ``(R, 16, 16, 16)``, of the columns of cells
-    that overlap, for the best of all moves."""
-    cosines = np.full(len(rows), -1, np.float32)
-    columns = len(query)
-    for first in range(0, len(rows), _SIGNS_AT_ONCE):
-        block = np.asarray(rows[first : first + _SIGNS_AT_ONCE])
-        best = cosines[first : first + len(block)]
-        for move in range(-REACH, REACH + 1):
-            ours = query[max(0, -move) : columns - max(0, move)]
-            theirs = block[:, max(0, move) : columns - max(0, -move)]
-            different = differing(ours, theirs).sum(1) / np.float32(4 * ours.size)
-            np.maximum(best, np.float32(1) - different.astype(np.float32), out=best)
-    return cosines
 
 
 def differing(signs: Array, rows: Array) -> Array:

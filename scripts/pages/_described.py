@@ -28,11 +28,10 @@ from ssrvlad_torch.channels.channel import Channel
 from ssrvlad_torch.channels.features import Features
 from ssrvlad_torch.channels.hog import HOG
 from ssrvlad_torch.channels.label_shapes import LabelShapes
-from ssrvlad_torch.channels.vectors import VectorReferences
 from ssrvlad_torch.datasets.frame_files import FrameFile
 from ssrvlad_torch.datasets.synthetic_city import REFERENCE
 from ssrvlad_torch.evaluation.ground_truth import from_poses
-from ssrvlad_torch.recognition.comparison import Member
+from ssrvlad_torch.recognition.comparison import Member, ReferenceRows
 from ssrvlad_torch.recognition.recognise import Steps
 from ssrvlad_torch.recognition.sweep import COLUMNS
 from ssrvlad_torch.recognition.temporal import temporal_sum
@@ -242,7 +241,7 @@ class Described:
             if reach is not None and method not in OF_NETWORKS:
                 references = temporal_sum(references, sequences, reach)
             if each in TRAINED:
-                members[name] = Member(queries, VectorReferences(references, sequences))
+                members[name] = Member(queries, ReferenceRows(references, sequences))
                 continue
             channel = channel_of(each)
             known = channel.references(references, sequences)

@@ -20,8 +20,8 @@ from torch import Tensor
 from ssrvlad_torch import Database, SSRVLADConfig
 from ssrvlad_torch.channels.features import Features
 from ssrvlad_torch.channels.hog import HOG
-from ssrvlad_torch.channels.signs import SignQueries, SignRows
 from ssrvlad_torch.database.frames import FrameRecord
+from ssrvlad_torch.recognition.comparison import ReferenceRows
 from ssrvlad_torch.recognition.fusion import fused, weights_of
 from ssrvlad_torch.recognition.matching import Rows, unit_queries
 from ssrvlad_torch.recognition.motion import lead, nearness
@@ -155,7 +155,8 @@ def exact(frames: int, folder: Path) -> Report:
         for at in range(0, frames, BLOCK):
             part = slice(at, at + BLOCK)
             known = taken(database, stored[part], columns)
-            signs[:, part] = SignQueries(some["features"], SignRows(known["features"])).scores()
+            rows = ReferenceRows(known["features"], [""] * len(known["features"]))
+            signs[:, part] = rows.compare(some["features"], False, True).whole()
             hog[:, part] = Rows.of(known["hog"]).cosines(unit_queries(some["hog"]))
             each = Rows.of(known["ssr-vlad"]).cosines(anchors).view(count, len(COLUMNS), -1)
             for number, reach in enumerate(reaches):

@@ -21,9 +21,10 @@ from _markdown import Page, head_row, parser, row
 from conditions import NETWORKS, ROUTES, near_rows
 from torch import Tensor
 
-from ssrvlad_torch.channels.signs import REACH, SignQueries, SignRows, moved
+from ssrvlad_torch.channels.signs import REACH, moved
 from ssrvlad_torch.datasets.frame_files import FrameFile
 from ssrvlad_torch.datasets.image_files import find_image_files, read_image
+from ssrvlad_torch.recognition.comparison import ReferenceRows
 from ssrvlad_torch.segmentation.features import noise_means
 from ssrvlad_torch.stages import features as stage
 
@@ -89,8 +90,8 @@ def rates(
 
     def rate(off: bool) -> float:
         if signs:
-            rows = SignRows(there, ["map"] * len(there) if off else None)
-            scores = SignQueries(here, rows, off).scores()
+            known = ReferenceRows(there, ["map"] * len(there))
+            scores = known.compare(here, off, True).whole()
         else:
             scores = cosines(here, there, off)
         firsts = scores.argmax(1).tolist()

@@ -21,7 +21,7 @@ from _sure_cases import Case, cases
 from matplotlib.figure import Figure
 
 from ssrvlad_torch.recognition.confidence import Estimate, accept, estimate
-from ssrvlad_torch.recognition.follow import NEAR
+from ssrvlad_torch.recognition.motion import NEAR
 from ssrvlad_torch.recognition.recognise import Steps, recognise_by_scores
 
 STEPS = {"alone": Steps(follow=None), "online": Steps(follow="online"), "offline": Steps()}

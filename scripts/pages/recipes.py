@@ -25,11 +25,9 @@ from conditions import NETWORKS, REAL
 from torch import Tensor
 
 from ssrvlad_torch import SSRVLAD, Segmenter
-from ssrvlad_torch.channels.signs import SignQueries, SignRows
-from ssrvlad_torch.channels.vectors import VectorReferences
 from ssrvlad_torch.datasets.image_files import decode_image
 from ssrvlad_torch.datasets.label_files import find_label_files, read_label_map
-from ssrvlad_torch.recognition.comparison import Member
+from ssrvlad_torch.recognition.comparison import Member, ReferenceRows
 from ssrvlad_torch.recognition.recognise import Steps, recognise
 from ssrvlad_torch.segmentation.network_outputs import classes_of, enlarged
 from ssrvlad_torch.segmentation.networks import open_network
@@ -89,7 +87,7 @@ def first_answers(seen: list[Segmented], known: list[Segmented], head: SSRVLAD) 
     for said in (seen, known):
         shapes.append(torch.cat([head(torch.from_numpy(each.labels)[None]) for each in said]))
         signs.append(torch.from_numpy(np.stack([each.features for each in said])))
-    by_signs = SignQueries(signs[0], SignRows(signs[1])).scores()
+    by_signs = ReferenceRows(signs[1], [""] * len(known)).compare(signs[0], False, True).whole()
     return torch.cat(((shapes[0] @ shapes[1].T).argmax(1), by_signs.argmax(1)))
 
 
@@ -149,7 +147,7 @@ def rate(here: Tensor, there: Tensor, near: np.ndarray, steps: Steps) -> float:
     """RecallRate@1."""
     alone = [str(n) for n in range(len(here))] if steps == ALONE else ["q"] * len(here)
     names = ["r"] * len(there)
-    member = Member(here, VectorReferences(there, names))
+    member = Member(here, ReferenceRows(there, names))
     first = recognise({"x": member}, alone, names, steps, 1).matches.indices[:, 0]
     return float(near[np.arange(len(here)), first.numpy()].mean())
 

@@ -29,11 +29,12 @@ import torch
 from _markdown import Page, head_row, row
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, match
-from ssrvlad_torch.channels.signs import REACH, SignQueries, SignRows
+from ssrvlad_torch.channels.signs import REACH
 from ssrvlad_torch.database.database import Database
 from ssrvlad_torch.database.frames import FrameRecord
 from ssrvlad_torch.datasets.synthetic_city import SyntheticCity
 from ssrvlad_torch.encoding.writer import COMMIT_ROWS
+from ssrvlad_torch.recognition.comparison import ReferenceRows
 from ssrvlad_torch.recognition.follow import follow
 from ssrvlad_torch.recognition.matching import Rows
 from ssrvlad_torch.recognition.recognise import recognise_by_search
@@ -247,10 +248,10 @@ def signs(frames: int, _folder: Path) -> Report:
     random, for times do not depend on values."""
     drawn = torch.Generator().manual_seed(0)
     stored = torch.randint(256, (frames, *SHAPE), dtype=torch.uint8, generator=drawn)
-    rows, times = SignRows(stored), []
+    rows, times = ReferenceRows(stored, [""] * frames), []
     for number in range(ALONE):
         began = time.process_time()
-        scores = SignQueries(stored[number : number + 1], rows).scores()
+        scores = rows.compare(stored[number : number + 1], False, True).whole()
         times.append(time.process_time() - began)
         assert int(scores.argmax()) == number
     report = {"features": float(np.median(times))}

@@ -17,9 +17,9 @@ from ..datasets.names import sequence_of
 from ..evaluation.measure import TOP, Recognition, measure, needs_similarity
 from ..evaluation.metrics import Convention
 from ..evaluation.true_matches import TrueMatches, Viewpoints
-from ..recognition.follow import runs
 from ..recognition.fusion import FusedScores
 from ..recognition.recognise import AS_PAPER, Steps, recognise_by_scores
+from ..recognition.sequences import runs
 from ..taxonomy import label_space
 from .protocol import Method
 from .run import run

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from ..channels.channel import PICTURE, View, batches, picture_of
 from ..channels.features import Features
-from ..channels.signs import SignQueries, SignReferences, SignRows
+from ..recognition.comparison import ReferenceRows
 from ..segmentation.networks import AUTO
 from ..segmentation.segmenter import Segmenter
 from ..stages.features import SHAPE
@@ -45,10 +45,11 @@ class EncoderFeatures:
         """``(R, *SHAPE)``, encoded as queries are."""
         return self.encode_query(frames)
 
-    def references(self, stored: Tensor, sequences: Sequence[str]) -> SignReferences:
+    def references(self, stored: Tensor, sequences: Sequence[str]) -> ReferenceRows:
         """See `Channel`."""
-        return SignReferences(stored, sequences)
+        return ReferenceRows(stored, sequences)
 
     def scores(self, queries: Tensor, references: Tensor) -> Tensor:
-        """``(Q, R)`` cosines of the best move, see `SignQueries`."""
-        return SignQueries(queries, SignRows(references)).scores()
+        """``(Q, R)`` cosines of the best move, see `channels.signs`."""
+        known = self.references(references, [""] * len(references))
+        return known.compare(queries, False, True).whole()

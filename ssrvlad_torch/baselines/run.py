@@ -8,8 +8,7 @@ import torch
 from torch import Tensor
 
 from ..channels.channel import View
-from ..channels.vectors import VectorReferences
-from ..recognition.comparison import Member, References
+from ..recognition.comparison import Member, ReferenceRows, References
 from ..recognition.matching import Matches, best_of
 from ..recognition.recognise import Recognised, Steps, recognise, recognise_by_scores
 from .protocol import Method, noting
@@ -121,7 +120,7 @@ def _references(method: Method, encoded: Any, sequences: Sequence[str]) -> Refer
         references: References = method.references(encoded, sequences)
         return references
     are_vectors = isinstance(encoded, Tensor) and encoded.ndim == 2 and encoded.is_floating_point()
-    return VectorReferences(encoded, sequences) if are_vectors else None
+    return ReferenceRows(encoded, sequences) if are_vectors else None
 
 
 def _cost(times: list[float]) -> dict[str, float]:

@@ -9,10 +9,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ..recognition.comparison import ReferenceRows
 from ..stages.features import SHAPE
 from .channel import FEATURES, Network, View
 from .column import Column
-from .signs import SignReferences
 
 if TYPE_CHECKING:
     from ..descriptor import SSRVLAD
@@ -56,6 +56,6 @@ class Features:
                 raise ValueError(f"frame {view.frame}: expected features {SHAPE}, got {got}")
         return torch.from_numpy(np.stack([np.asarray(view.features) for view in views]))
 
-    def references(self, stored: Tensor, sequences: Sequence[str]) -> SignReferences:
+    def references(self, stored: Tensor, sequences: Sequence[str]) -> ReferenceRows:
         """See `Channel`."""
-        return SignReferences(stored, sequences)
+        return ReferenceRows(stored, sequences)

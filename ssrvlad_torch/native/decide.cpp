@@ -214,6 +214,7 @@ class Trial {
 
 // The likeliest course and its gain; no gain if there is hardly any, or as much in a random order.
 std::pair<Course, double> course_of(const Drives &drives, const Evidence &evidence) {
+  if (evidence.queries() < 2) return {};
   std::vector<Course> courses;
   for (const Course &kind : COURSES)
     for (const int way : {FORWARDS, BACKWARDS}) courses.push_back({way, kind.rate, kind.streams});
@@ -228,6 +229,13 @@ std::pair<Course, double> course_of(const Drives &drives, const Evidence &eviden
   if (again.gains(evidence, at_random(evidence.queries())).front() > BY_ROWS * gains[best])
     return {};
   return {courses[best], gains[best]};
+}
+
+void assure(const std::vector<double> &chances, double together, Decision &decision) {
+  Confidence sure = Confidence::of(chances, together);
+  decision.right = std::move(sure.right);
+  decision.spread = std::move(sure.spread);
+  decision.together.assign(chances.size(), static_cast<float>(together));
 }
 
 double mean(const std::vector<float> &values) {
@@ -262,11 +270,7 @@ void take(const Places &places, double together, Decision &decision) {
     if (decision.rows[query * top] < 0) chances[query] = std::numeric_limits<double>::quiet_NaN();
   const double followed = mean(Confidence::of(chances, together).right);
   if (followed <= mean(decision.right) + (decision.gain > DRIVE ? -MARGIN : MARGIN)) return;
-  together = std::max(TRACK, together);
-  Confidence sure = Confidence::of(chances, together);
-  decision.right = std::move(sure.right);
-  decision.spread = std::move(sure.spread);
-  decision.together.assign(static_cast<std::size_t>(queries), static_cast<float>(together));
+  assure(chances, std::max(TRACK, together), decision);
   decision.followed = true;
   for (Size query = 0; query < queries; ++query) {
     const Size first = query * top;
@@ -292,10 +296,7 @@ double judge(const Drives &drives, const Evidence &evidence, Decision &decision)
     rivals.push_back(chance.rival);
   }
   const double together = answers_together(rivals);
-  Confidence sure = Confidence::of(chances, together);
-  decision.right = std::move(sure.right);
-  decision.spread = std::move(sure.spread);
-  decision.together.assign(static_cast<std::size_t>(queries), static_cast<float>(together));
+  assure(chances, together, decision);
   return together;
 }
 }  // namespace
@@ -326,7 +327,7 @@ std::shared_ptr<const Sight> AllRows::after(const Filter &filter, const Belief *
   std::vector<float> near(static_cast<std::size_t>(count));
   nearness(scores, count, near.data());
   const Spread spread = Spread::of(near.data(), count);
-  if (std::isnan(spread.mean) || highest(scores, count) > HIGHEST_SCORE) throw WrongScores();
+  if (std::isnan(sum(scores, count)) || highest(scores, count) > HIGHEST_SCORE) throw WrongScores();
   sight->likelihood.rows = likelihoods(scores, count, motion, spread);
   query_ = query, weight_ = motion.weight, level_ = motion.level;
   return last_ = sight;
@@ -452,10 +453,10 @@ class CallersScores : public places::Scores {
   Size queries() const override { return given_.queries; }
   Size rows() const override { return rows_; }
   void of(Size query, float *scores) const override {
-    if (given_.matrix)
-      std::copy_n(given_.matrix + query * rows_, rows_, scores);
-    else
+    if (given_.scores)
       passed(given_.scores(given_.context, query, scores));
+    else
+      std::copy_n(given_.matrix + query * rows_, rows_, scores);
   }
 
  private:
@@ -512,7 +513,7 @@ struct Given {
     require(of && of->queries >= 0);
     drives = places::drives_of(map);
     const bool searched = of->candidates && of->some && of->spread && of->sample;
-    require(of->matrix || of->scores || searched || !of->queries);
+    require(of->matrix || of->scores || searched || !of->queries || !drives.rows);
     if (searched) {
       search = std::make_unique<CallersSearch>(*of, drives.rows);
       evidence = std::make_unique<places::Candidates>(*search);

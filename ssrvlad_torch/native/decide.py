@@ -9,14 +9,14 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Sequence
 from functools import cache
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
 
 from . import core
 
-Floats = npt.NDArray[np.float32]
+Floats = npt.NDArray[np.floating[Any]]
 Rows = npt.NDArray[np.int64]
 
 MODES = {None: 0, "online": 1, "offline": 2}
@@ -28,32 +28,34 @@ _NUMBERS = ctypes.POINTER(_NUMBER)
 _WRONG_ARGUMENT, _RAISED = -2, -100
 
 
+@runtime_checkable
 class Scores(Protocol):
-    """The scores of the queries of one drive: ``scores[query]`` is ``(R,)`` float, one for each row
-    of a map. An array ``(Q, R)`` is one."""
+    """The scores of queries, computed on demand: ``scores[query]`` is an array ``(R,)`` float, one
+    for each row of a map. An array ``(Q, R)`` is one."""
 
     def __len__(self) -> int: ...
 
     def __getitem__(self, query: int, /) -> Any: ...
 
 
+@runtime_checkable
 class Search(Protocol):
-    """Finds candidates for the queries of one drive in a map that is too large to score every row,
-    and scores any row."""
+    """Finds candidates for queries in a map that is too large to score every row, and scores any
+    row. What it returns are arrays, or what NumPy makes arrays of."""
 
     def __len__(self) -> int:
         """Number of queries."""
 
-    def candidates(self, query: int) -> Rows:
+    def candidates(self, query: int) -> Any:
         """``(K,)`` int64, rows of the map in any order, each once."""
 
-    def scores(self, query: int, rows: Rows) -> Floats:
-        """``(N,)`` float32 cosines of rows, -inf where there can be no match."""
+    def scores(self, query: int, rows: Rows, /) -> Any:
+        """``(N,)`` float32 cosines of rows, rising, -inf where there can be no match."""
 
     def spread(self, query: int) -> tuple[float, float]:
         """Mean and standard deviation of the nearness of all rows, ``-log(1 - score)``."""
 
-    def sample(self, query: int) -> tuple[Rows, Floats]:
+    def sample(self, query: int) -> tuple[Any, Any]:
         """``(M,)`` int64 rows that represent all rows, and their scores."""
 
 
@@ -108,6 +110,7 @@ def decide(
     mode: str | None = "offline",
     delay: int = 0,
     top: int = 5,
+    queries: range | None = None,
 ) -> Decision:
     """The decision about one drive by its scores, or by a search of candidates.
 
@@ -119,13 +122,16 @@ def decide(
         mode: follow the drive ``"online"``, by the queries before each and ``delay`` later ones, or
             ``"offline"``, by all; ``None`` judges each query alone.
         top: number of candidates of each query.
+        queries: the numbers of the queries of the drive; without, all.
 
     Raises:
         ValueError: scores are NaN or above 1, or another argument is out of range.
-        RuntimeError: the core is not there, or memory is short.
+        RuntimeError: the core is not there.
+        MemoryError: memory is short.
     """
-    room = Room(len(evidence), top)
-    _call("ssrvlad_decide", evidence, starts, rows, MODES[mode], delay, top, room.pointer)
+    caller = _Caller(evidence, queries, starts, rows)
+    room = Room(caller.count, top)
+    caller.call("ssrvlad_decide", MODES[mode], delay, top, room.pointer)
     return room.decision()
 
 
@@ -138,17 +144,18 @@ def follow(
     top: int = 5,
     motion: Sequence[float] | None = None,
     way: int = 1,
+    queries: range | None = None,
 ) -> Places:
     """The places of a drive that is followed, as for `decide`, in a way, 1 for forwards or -1, and
     by a motion: the seven numbers of ``ssrvlad_motion``, by default its own."""
-    queries, found = len(evidence), _Places()
-    scores, indices = np.empty((queries, top), np.float32), np.empty((queries, top), np.int64)
-    near, unmapped = np.empty((2, queries), np.float32)
-    places = Places(scores, indices, near, unmapped, np.empty(queries))
-    for (name, _), array in zip(_Places._fields_, places, strict=True):
+    caller, found = _Caller(evidence, queries, starts, rows), _Places()
+    near, unmapped = np.empty((2, caller.count), np.float32)
+    matches = _matches(caller.count, top)
+    places = Places(*matches, near, unmapped, np.empty(caller.count))
+    for name, array in zip(_WHERE, places, strict=True):
         setattr(found, name, array.ctypes.data)
     given = _motion(motion), way, MODES[mode], delay, top
-    _call("ssrvlad_follow", evidence, starts, rows, *given, ctypes.byref(found))
+    caller.call("ssrvlad_follow", *given, ctypes.byref(found))
     return places
 
 
@@ -161,8 +168,8 @@ def gain(
 ) -> float:
     """How much likelier the queries are as a drive that runs the map in a way than each alone, as a
     natural logarithm; arguments as for `follow`."""
-    found = _NUMBER()
-    _call("ssrvlad_gain", evidence, starts, rows, _motion(motion), way, ctypes.byref(found))
+    found, caller = _NUMBER(), _Caller(evidence, None, starts, rows)
+    caller.call("ssrvlad_gain", _motion(motion), way, ctypes.byref(found))
     return found.value
 
 
@@ -236,39 +243,48 @@ class _Evidence(ctypes.Structure):
     )
 
 
+_ARRAYS = "scores", "rows", "right", "spread", "together"
+
+
 class _Decision(ctypes.Structure):
     """``ssrvlad_decision``."""
 
     _fields_ = (
-        *((name, _POINTER) for name in ("scores", "rows", "right", "spread", "together")),
+        *((name, _POINTER) for name in _ARRAYS),
         *(("followed", ctypes.c_int32), ("way", ctypes.c_int32), ("streams", _SIZE)),
         *(("rate", _NUMBER), ("gain", _NUMBER)),
     )
 
 
 class Room:
-    """Memory for the decision about so many queries; ``pointer`` is what the core fills."""
+    """Memory for a decision about so many queries; ``pointer`` is what the core fills."""
 
     def __init__(self, queries: int, top: int) -> None:
-        scores, rows = np.empty((queries, top), np.float32), np.empty((queries, top), np.int64)
-        self._arrays, self._found = (scores, rows, *np.empty((3, queries), np.float32)), _Decision()
-        for (name, _), array in zip(_Decision._fields_, self._arrays, strict=False):
+        self._matches, self._sure = _matches(queries, top), np.empty((3, queries), np.float32)
+        self._found = _Decision()
+        for name, array in zip(_ARRAYS, (*self._matches, *self._sure), strict=True):
             setattr(self._found, name, array.ctypes.data)
         self.pointer = ctypes.byref(self._found)
 
     def decision(self) -> Decision:
-        """What was filled."""
-        found = self._found
+        """What the core has filled."""
+        found, (right, spread, together) = self._found, self._sure
         course = bool(found.followed), found.way, found.rate, found.streams, found.gain
-        return Decision(*self._arrays, *course)
+        return Decision(*self._matches, right, spread, together, *course)
+
+
+def _matches(queries: int, top: int) -> tuple[Floats, Rows]:
+    """Memory for candidates."""
+    return np.empty((queries, top), np.float32), np.empty((queries, top), np.int64)
+
+
+_WHERE = "scores", "rows", "around", "unmapped", "chance"
 
 
 class _Places(ctypes.Structure):
     """``ssrvlad_places``."""
 
-    _fields_ = tuple(
-        (name, _POINTER) for name in ("scores", "rows", "around", "unmapped", "chance")
-    )
+    _fields_ = tuple((name, _POINTER) for name in _WHERE)
 
 
 class _Motion(ctypes.Structure):
@@ -281,90 +297,104 @@ class _Motion(ctypes.Structure):
 
 
 class _Caller:
-    """The evidence as the core takes it. What its functions raise is kept for after the call."""
+    """Evidence and a map as the core takes them. What a function of the evidence raises is kept for
+    after the call."""
 
-    def __init__(self, evidence: Scores | Search, rows: int) -> None:
-        self.raised: BaseException | None = None
-        self.given = _Evidence(len(evidence))
-        self._evidence, self._rows = evidence, rows
+    def __init__(
+        self, evidence: Scores | Search, queries: range | None, starts: Sequence[int], rows: int
+    ) -> None:
+        self._evidence, self._rows, self._raised = evidence, rows, list[BaseException]()
+        self._queries = range(len(evidence)) if queries is None else queries
+        self.count = len(self._queries)
+        self._starts = np.ascontiguousarray(starts, np.int64)
+        self._drives = Drives(self._starts.ctypes.data, self._starts.size, rows)
+        self._given = _Evidence(self.count)
         if isinstance(evidence, np.ndarray):
-            self._matrix = np.ascontiguousarray(evidence, np.float32)
-            if self._matrix.shape != (len(evidence), rows):
-                got = self._matrix.shape
-                raise ValueError(f"expected a score for each of {rows} rows, got {got}")
-            self.given.matrix = self._matrix.ctypes.data
+            part = slice(self._queries.start, self._queries.stop, self._queries.step)
+            self._matrix = np.ascontiguousarray(evidence[part], np.float32)
+            self._expect(self._matrix, (self.count, rows))
+            self._given.matrix = self._matrix.ctypes.data
             return
-        searched = ("candidates", "some", "spread", "sample")
-        for name in searched if hasattr(evidence, "candidates") else ("scores",):
-            function = self._guarded(getattr(self, f"_{name}"))
-            setattr(self.given, name, _FUNCTIONS[name](function))
+        functions = {"scores": self._score}
+        if isinstance(evidence, Search):
+            functions = _of_search(evidence, rows)
+        for name, function in functions.items():
+            setattr(self._given, name, _FUNCTIONS[name](self._guarded(function)))
+
+    def call(self, name: str, *arguments: Any) -> None:
+        """Calls a function of the core."""
+        function = getattr(library(), name)
+        status = function(ctypes.byref(self._drives), ctypes.byref(self._given), *arguments)
+        for error in self._raised:
+            raise error
+        if status == _WRONG_ARGUMENT and not isinstance(self._evidence, Search):
+            for query in self._queries:
+                scores = np.asarray(self._evidence[query], np.float32)
+                if scores.size and not (most := float(scores.max())) <= HIGHEST:
+                    raise ValueError(f"expected scores of at most 1, as cosines are, got {most:g}")
+        if status:
+            got = ", ".join(map(str, self._starts[:9])) or "none"
+            drives = f"rising starts of drives among {self._rows} rows, from 0, got {got}"
+            raise problem(status, drives)
 
     def _guarded(self, function: Callable[..., int]) -> Callable[..., int]:
-        def called(_context: object, *arguments: Any) -> int:
+        def called(_context: object, query: int, *arguments: Any) -> int:
             try:
-                return function(*arguments)
+                return function(self._queries[query], *arguments)
             except BaseException as error:
-                self.raised = error
+                self._raised.append(error)
                 return _RAISED
 
         return called
 
-    def _scores(self, query: int, target: int) -> int:
-        found = np.ascontiguousarray(self._evidence[query], np.float32)  # type: ignore[index]
-        if found.shape != (self._rows,):
-            raise ValueError(f"expected a score for each of {self._rows} rows, got {found.shape}")
-        return _filled(target, found)
+    def _score(self, query: int, target: int) -> int:
+        assert isinstance(self._evidence, Scores)
+        found = np.ascontiguousarray(self._evidence[query], np.float32)
+        self._expect(found, (self._rows,))
+        return _fill(target, found)
 
-    def _candidates(self, query: int, target: int | None) -> int:
-        found = np.ascontiguousarray(self._evidence.candidates(query), np.int64)  # type: ignore[union-attr]
-        return _filled(target, found) or len(found)
+    def _expect(self, scores: npt.NDArray[Any], shape: tuple[int, ...]) -> None:
+        if scores.shape != shape:
+            raise ValueError(f"expected a score for each of {self._rows} rows, got {scores.shape}")
 
-    def _some(self, query: int, rows: int, count: int, target: int) -> int:
+
+def _of_search(search: Search, count: int) -> dict[str, Callable[..., int]]:
+    """The functions of a search as the core calls them."""
+
+    def candidates(query: int, target: int | None) -> int:
+        found = np.ascontiguousarray(search.candidates(query), np.int64)
+        if bad := found[(found < 0) | (found >= count)].tolist():
+            raise ValueError(f"expected candidates among {count} rows, got row {bad[0]}")
+        return _fill(target, found) or len(found)
+
+    def some(query: int, rows: int, count: int, target: int) -> int:
         given = np.empty(count, np.int64)
         ctypes.memmove(given.ctypes.data, rows, given.nbytes)
-        found = self._evidence.scores(query, given)  # type: ignore[union-attr]
-        return _filled(target, np.ascontiguousarray(found, np.float32))
+        return _fill(target, np.ascontiguousarray(search.scores(query, given), np.float32))
 
-    def _spread(self, query: int, mean: Any, deviation: Any) -> int:
-        mean[0], deviation[0] = self._evidence.spread(query)  # type: ignore[union-attr]
+    def spread(query: int, mean: Any, deviation: Any) -> int:
+        mean[0], deviation[0] = search.spread(query)
         return 0
 
-    def _sample(self, query: int, rows: int | None, scores: int | None) -> int:
-        found, told = self._evidence.sample(query)  # type: ignore[union-attr]
-        _filled(rows, np.ascontiguousarray(found, np.int64))
-        return _filled(scores, np.ascontiguousarray(told, np.float32)) or len(found)
+    def sample(query: int, rows: int | None, scores: int | None) -> int:
+        found, told = search.sample(query)
+        _fill(rows, np.ascontiguousarray(found, np.int64))
+        return _fill(scores, np.ascontiguousarray(told, np.float32)) or len(found)
+
+    return {"candidates": candidates, "some": some, "spread": spread, "sample": sample}
 
 
-def _filled(target: int | None, values: npt.NDArray[Any]) -> int:
+def _fill(target: int | None, values: npt.NDArray[Any]) -> int:
     if target:
         ctypes.memmove(target, values.ctypes.data, values.nbytes)
     return 0
 
 
-def _call(
-    name: str, evidence: Scores | Search, starts: Sequence[int], rows: int, *arguments: Any
-) -> None:
-    """Calls a function of the core with a map, evidence and other arguments."""
-    first = np.ascontiguousarray(starts, np.int64)
-    caller = _Caller(evidence, rows)
-    drives = Drives(first.ctypes.data, first.size, rows)
-    function = getattr(library(), name)
-    status = function(ctypes.byref(drives), ctypes.byref(caller.given), *arguments)
-    if caller.raised:
-        raise caller.raised
-    if status == _WRONG_ARGUMENT and not hasattr(evidence, "candidates"):
-        for query in range(len(evidence)):
-            scores = np.asarray(evidence[query], np.float32)  # type: ignore[index]
-            if scores.size and not (highest := float(scores.max())) <= HIGHEST:
-                raise ValueError(f"expected scores of at most 1, as cosines are, got {highest:g}")
-    if status:
-        raise problem(status, f"drives that start at rising rows of {rows}, got {first.tolist()}")
-
-
 def problem(status: int, expected: str) -> Exception:
+    """What to raise for a return code of the core."""
     if status == _WRONG_ARGUMENT:
         return ValueError(f"expected {expected}")
-    return RuntimeError("not enough memory for the decision core")
+    return MemoryError("the decision core")
 
 
 def _motion(motion: Sequence[float] | None) -> Any:
@@ -374,21 +404,21 @@ def _motion(motion: Sequence[float] | None) -> Any:
 @cache
 def library() -> ctypes.CDLL:
     """The core, with the types of its functions."""
-    library, status = core()
-    if library is None:
-        raise RuntimeError(f"expected the native core, got {status}")
+    found, status = core()
+    if found is None:
+        raise RuntimeError(status.removeprefix("torch, for "))
     map_and_evidence = ctypes.POINTER(Drives), ctypes.POINTER(_Evidence)
     motion, size = ctypes.POINTER(_Motion), _SIZE
-    library.ssrvlad_decide.argtypes = [
+    found.ssrvlad_decide.argtypes = [
         *(*map_and_evidence, _INT, size, size, ctypes.POINTER(_Decision))
     ]
-    library.ssrvlad_follow.argtypes = [
+    found.ssrvlad_follow.argtypes = [
         *(*map_and_evidence, motion, _INT, _INT, size, size, ctypes.POINTER(_Places))
     ]
-    library.ssrvlad_gain.argtypes = [*map_and_evidence, motion, _INT, _NUMBERS]
+    found.ssrvlad_gain.argtypes = [*map_and_evidence, motion, _INT, _NUMBERS]
     sizes = ctypes.POINTER(size)
-    library.ssrvlad_chance.argtypes = [_POINTER, _POINTER, size, size, _NUMBERS, sizes]
-    library.ssrvlad_confidence.argtypes = [_POINTER, size, _NUMBER, _POINTER, _POINTER]
-    library.ssrvlad_together.argtypes = [_POINTER, size]
-    library.ssrvlad_together.restype = _NUMBER
-    return library
+    found.ssrvlad_chance.argtypes = [_POINTER, _POINTER, size, size, _NUMBERS, sizes]
+    found.ssrvlad_confidence.argtypes = [_POINTER, size, _NUMBER, _POINTER, _POINTER]
+    found.ssrvlad_together.argtypes = [_POINTER, size]
+    found.ssrvlad_together.restype = _NUMBER
+    return found

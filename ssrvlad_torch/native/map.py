@@ -88,16 +88,22 @@ class Map:
         Raises:
             ValueError: the rows are no such array, not one for each frame, or not finite.
         """
-        if name in self._rows or len(rows) != self._frames:
-            got = "another of that name" if name in self._rows else f"{len(rows)}"
-            raise ValueError(f"{name}: expected a row for each of {self._frames} frames, got {got}")
+        if name in self._rows:
+            raise ValueError(f"{name}: expected a name that is new, got {', '.join(self._rows)}")
+        if len(rows) != self._frames:
+            raise ValueError(
+                f"{name}: expected a row for each of {self._frames} frames, got {len(rows)}"
+            )
         kept = _checked(rows, name)
         kind = 0 if kept.dtype == np.float32 else 1
+        if kind == 0 and kept.ndim != 2:
+            raise ValueError(f"{name}: expected vectors (R, D), got {kept.shape}")
         columns, size = 1 if kind == 0 else kept.shape[1], int(np.prod(kept.shape[1 + kind :]))
         given = _Channel(kept.ctypes.data, kind, columns, size, trust)
         status = _library().ssrvlad_map_add_channel(self._map, ctypes.byref(given))
         if status:
-            raise problem(status, f"{name} as finite rows, got {kept.shape}, trust {trust}")
+            got = f"{kept.shape}, trust {trust}"
+            raise problem(status, f"{name} as finite rows and a trust above 0, got {got}")
         self._rows[name] = kept
 
     def query(
@@ -125,10 +131,11 @@ class Map:
             ValueError: the channels are not those of the map, or an argument is out of range.
             RuntimeError: memory is short.
         """
-        if [*queries] != [*self._rows]:
-            raise ValueError(
-                f"expected queries by {', '.join(self._rows)}, got {', '.join(queries)}"
-            )
+        if [*queries] != [*self._rows] or not queries:
+            wanted, got = (", ".join(names) or "none" for names in (self._rows, queries))
+            raise ValueError(f"expected queries by {wanted}, got {got}")
+        if follow not in MODES:
+            raise ValueError(f"follow: expected online, offline or None, got {follow!r}")
         kept = {name: self._of_queries(name, each) for name, each in queries.items()}
         counts = {name: len(each) for name, each in kept.items()}
         if len(set(counts.values())) != 1:

@@ -1427,6 +1427,8 @@ int on_each_plane(const std::uint8_t *planes, Size images, Size height, Size wid
 
 const char *ssrvlad_source(void) { return SSRVLAD_SOURCE; }
 
+int ssrvlad_interface(void) { return SSRVLAD_INTERFACE; }
+
 int ssrvlad_preset(const char *name, ssrvlad_settings *settings) {
   const bool paper = name && !std::strcmp(name, "paper");
   if (!paper && (!name || std::strcmp(name, "default"))) return SSRVLAD_WRONG_ARGUMENT;

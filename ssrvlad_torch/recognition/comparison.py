@@ -1,12 +1,25 @@
-"""Comparison: the queries of one sequence against all rows of a map, by one channel."""
+"""Comparison: the queries of one sequence against all rows of a map, by one channel.
+
+The native core compares; where it is not built, the oracle does, slowly.
+"""
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from collections.abc import Sequence
+from typing import Any, NamedTuple, Protocol
 
+import numpy as np
+import numpy.typing as npt
+import torch
 from torch import Tensor
 
-from .follow import Scores
+from ..native.map import Map
+from . import reference
+from .deciding import has_core
+from .follow import Computed, Scores
+from .matching import Vectors, real_tensor
+from .sequences import runs
+from .sweep import COLUMNS
 
 
 class Comparison(NamedTuple):
@@ -19,6 +32,10 @@ class Comparison(NamedTuple):
 
     scores: Scores
     width: int = 0
+
+    def whole(self) -> Tensor:
+        """``(Q, R)`` float32."""
+        return torch.stack([self.scores[query] for query in range(len(self.scores))])
 
 
 class References(Protocol):
@@ -38,6 +55,81 @@ class References(Protocol):
             sweep: use all anchors, or moves to both sides.
             excluded: ``(Q, R)`` bool, rows that are no candidates.
         """
+
+
+class ReferenceRows:
+    """Rows of a map, and the sequence of each, whose frames stand together.
+
+    Args:
+        rows: vectors ``(R, D)`` float, of length 1 or zero for an empty frame, or signs
+            ``(R, columns, ...)`` uint8, eight in a byte; see `channels.signs`.
+        sequences: of the rows.
+
+    Raises:
+        ValueError: the rows are no such array.
+
+    Examples:
+        >>> rows = ReferenceRows(torch.eye(3), ["a"] * 3)
+        >>> rows.compare(torch.eye(3)[1:2], False, False).scores[0]
+        tensor([0., 1., 0.])
+    """
+
+    def __init__(self, rows: Vectors, sequences: Sequence[str]) -> None:
+        self._rows, self._sequences = _array(rows), sequences
+        self._maps: dict[bool, Map] = {}
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def compare(
+        self, queries: Tensor, standardised: bool, sweep: bool, excluded: Tensor | None = None
+    ) -> Comparison:
+        """See `References`; the sweep is as wide as suits the scores, see `sweep`, and signs are
+        moved by up to two columns."""
+        given = _array(queries)
+        swept = sweep and given.dtype == np.float32 and given.ndim == 3
+        if swept and given.shape[1] != len(COLUMNS):
+            raise ValueError(
+                f"expected (Q, {len(COLUMNS)}, D) for columns {COLUMNS}, got {given.shape}"
+            )
+        scores, width = self._compared(given, standardised, sweep)
+
+        def of(query: int) -> Tensor:
+            found = torch.from_numpy(scores[query])
+            return found if excluded is None else found.masked_fill(excluded[query], -torch.inf)
+
+        return Comparison(Computed(of, len(given)), COLUMNS[len(COLUMNS) // 2 + width])
+
+    def _compared(self, given: Array, standardised: bool, sweep: bool) -> tuple[Any, int]:
+        """Scores, and the width of the sweep in anchors to each side."""
+        if has_core():
+            found = self._map(standardised).compare(
+                "references", given, standardised, sweep, torch.get_num_threads()
+            )
+            return found, found.width
+        rest = self._rows, self._sequences, standardised, sweep
+        if given.dtype == np.uint8:
+            return reference.compare_signs(given, *rest).astype(np.float32), 0
+        anchors = given.reshape(len(given), -1, given.shape[-1])
+        scores, width = reference.compare_vectors(anchors, *rest)
+        return scores.astype(np.float32), width
+
+    def _map(self, standardised: bool) -> Map:
+        if standardised not in self._maps:
+            drives = runs(self._sequences) if standardised else [self._rows]
+            town = Map([len(each) for each in drives if len(each)])
+            town.add("references", self._rows)
+            self._maps[standardised] = town
+        return self._maps[standardised]
+
+
+Array = npt.NDArray[Any]
+
+
+def _array(rows: Vectors) -> Array:
+    tensor = real_tensor(rows)
+    kept = tensor if tensor.dtype == torch.uint8 else tensor.float()
+    return kept.numpy(force=True)
 
 
 class Member(NamedTuple):

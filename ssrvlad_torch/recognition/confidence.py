@@ -5,37 +5,23 @@ wrong answers ``t = -log(chance)`` has the density ``exp(-t)``; of right ones a 
 larger mean. How many answers are wrong, and how far ahead the right ones are, is what makes the
 answers of the traverse likely (Pounds and Morris, 2003); few answers show little, and the prior
 decides. The doubt in an answer is the probability that it is of the wrong ones. All that is said of
-several answers follows from their doubts. docs/how-sure.md reports how well it holds.
+several answers follows from their doubts. docs/how-sure.md reports how well it holds;
+`reference.confidence` has the formula.
 """
 
 from __future__ import annotations
 
-import itertools
 import math
-from functools import cache
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 from torch.nn.functional import logsigmoid
 
-from .follow import NEAR
+from . import deciding
 
-TRACK = 10
-"""Frames that a wrong answer lasts in a followed sequence."""
-
-_FOREIGN = 0.1
-"""Prior probability that the map has none of the places."""
-_SLOPE, _DEVIATION, _SHAPES = 0.25, 0.6, (1.0, 2.0)
-"""Of the gamma density of right answers: the median of its rate, the deviation of the logit of the
-rate, and the shapes. With the first shape more right answers look like chance than with the second:
-which is true, chances do not show."""
-_POINTS, _REACH = (15, 11), 2.5
-"""Of the grid for the fraction of wrong answers and for the rate, and its reach in deviations."""
-_LEAST_CHANCE = math.exp(-20.0)
 _NOTHING = 0.9
 """An interval of this width says nothing."""
-_BLOCK = 1 << 12
 
 
 class Confidence(NamedTuple):
@@ -56,77 +42,9 @@ class Confidence(NamedTuple):
     def of_chances(cls, chances: Tensor, together: float) -> Confidence:
         """Of one traverse by the chances ``(Q,)`` of `rivals`, NaN where there is no candidate;
         so many neighbouring queries err together."""
-        known = ~chances.isnan()
-        ahead = -chances[known].double().clamp(_LEAST_CHANCE, 1 - 1e-3).log()
-        right, spread = (torch.zeros(len(chances)) for _ in range(2))
-        if len(ahead):
-            weights = _posterior(ahead, together)
-            parts = [_moments(block, weights) for block in ahead.split(_BLOCK)]
-            mean, deviation = (torch.cat(each) for each in zip(*parts, strict=True))
-            right[known], spread[known] = mean.float(), deviation.float()
+        found = deciding.confidence(chances, together)
+        right, spread = (torch.from_numpy(each).float() for each in found)
         return cls(right, spread, torch.full((len(chances),), float(together)))
-
-
-class Prior(NamedTuple):
-    """Points of the prior: the fraction of wrong answers, rate and shape of the gamma density of
-    right ones, and the logarithm of the weight."""
-
-    wrong: Tensor
-    rate: Tensor
-    shape: Tensor
-    log_weight: Tensor
-
-
-@cache
-def prior() -> Prior:
-    """The prior; its last point is a map that has none of the places."""
-    fractions = (torch.arange(_POINTS[0], dtype=torch.double) + 0.5) / _POINTS[0]
-    away = torch.linspace(-_REACH, _REACH, _POINTS[1], dtype=torch.double)
-    rates = torch.sigmoid(math.log(_SLOPE / (1 - _SLOPE)) + _DEVIATION * away)
-    axes = fractions, rates, torch.tensor(_SHAPES, dtype=torch.double)
-    wrong, rate, shape = (each.flatten() for each in torch.meshgrid(*axes, indexing="ij"))
-    log = torch.log_softmax(-away.square() / 2, 0) - math.log(len(fractions) * len(_SHAPES))
-    log = log[:, None].expand(len(fractions), -1, len(_SHAPES)).flatten()
-    last = torch.tensor([1.0, _SLOPE, _SHAPES[-1], math.log(_FOREIGN)], dtype=torch.double)
-    parts = wrong, rate, shape, log + math.log(1 - _FOREIGN)
-    return Prior(*(torch.cat((each, end[None])) for each, end in zip(parts, last, strict=True)))
-
-
-def _likelier(ahead: Tensor) -> Tensor:
-    """``(N, points)``, how much likelier each ``t`` ``(N,)`` is of a right answer than of a wrong
-    one."""
-    grid, ahead = prior(), ahead[:, None]
-    log = grid.shape * grid.rate.log() - torch.lgamma(grid.shape)
-    return (log + (grid.shape - 1) * ahead.log() + (1 - grid.rate) * ahead).exp()
-
-
-def _posterior(ahead: Tensor, together: float) -> Tensor:
-    """``(points,)``, the weight of each; queries that err together count as one."""
-    grid, log = prior(), torch.zeros(len(prior().wrong), dtype=torch.double)
-    for block in ahead.split(_BLOCK):
-        log += (grid.wrong + (1 - grid.wrong) * _likelier(block)).log().sum(0)
-    return (grid.log_weight + log / together).softmax(0)
-
-
-def _moments(ahead: Tensor, weights: Tensor) -> tuple[Tensor, Tensor]:
-    """Mean and standard deviation ``(N,)`` of the probability to be right."""
-    wrong = prior().wrong
-    right = (1 - wrong) * _likelier(ahead)
-    right /= right + wrong
-    mean = right @ weights
-    return mean, ((right - mean[:, None]).square() @ weights).sqrt()
-
-
-def answers_together(rows: Tensor) -> float:
-    """How many neighbouring queries have one answer, by the best rivals ``(Q,)`` of a traverse: the
-    mean over the queries of the length of their run, whose rows are at most `NEAR` apart. It is the
-    design effect of a sample in clusters (Kish, Survey Sampling, 1965)."""
-    if not len(rows):
-        return 1.0
-    apart = (rows.diff().abs() > NEAR).nonzero()[:, 0].tolist()
-    ends = [-1, *apart, len(rows) - 1]
-    lengths = [after - before for before, after in itertools.pairwise(ends)]
-    return float(sum(length * length for length in lengths) / len(rows))
 
 
 class Estimate(NamedTuple):

@@ -73,13 +73,18 @@ class FusedScores(Scores):
 def fused_scores(
     comparisons: Mapping[str, Comparison], trust: Mapping[str, float]
 ) -> tuple[Scores | Tensor, dict[str, float]]:
-    """The scores of all channels as one, and the weights of several channels."""
+    """The scores of all channels as one, in memory if they fit, and the weights of several
+    channels."""
+    every: Scores
     if len(comparisons) == 1:
         [only] = comparisons.values()
-        return only.scores, {}
-    every = FusedScores({name: each.scores for name, each in comparisons.items()}, trust)
-    fits = len(every) * len(every[0]) <= IN_MEMORY
-    return every.whole() if fits else every, every.weights
+        every, weights = only.scores, dict[str, float]()
+    else:
+        every = FusedScores({name: each.scores for name, each in comparisons.items()}, trust)
+        weights = every.weights
+    if not len(every) or len(every) * len(every[0]) > IN_MEMORY:
+        return every, weights
+    return torch.stack([every[query] for query in range(len(every))]), weights
 
 
 def weights_of(leads: Mapping[str, float], trusted: Mapping[str, float]) -> dict[str, float]:

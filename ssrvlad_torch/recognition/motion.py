@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import product
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -25,8 +26,8 @@ SPEEDS: tuple[tuple[float, dict[int, float]], ...] = (
 FORWARDS, BACKWARDS = 1, -1
 """Ways to run a map."""
 
-ELSEWHERE = 5
-"""Rows farther apart than this show different places."""
+NEAR, ELSEWHERE = 3, 5
+"""Rows at most so far apart show the same place, and rows farther apart different places."""
 
 _MIN_STEP, _MAX_STEP = -1, 5
 MOST_RATE = 100
@@ -112,6 +113,23 @@ class Motion:
         """The transpose of `off_track`, for the backward algorithm."""
         lost = (1 - self.unmapped) * any_row + self.unmapped * unmapped
         return lost, self.stay * unmapped + (1 - self.stay) * any_row
+
+
+class Course(NamedTuple):
+    """How queries run a map: `FORWARDS` or `BACKWARDS`, at a rate, see `Motion`, and as how many
+    streams whose frames alternate."""
+
+    way: int = FORWARDS
+    rate: float = 1
+    streams: int = 1
+
+    def __str__(self) -> str:
+        parts = (
+            "backwards" * (self.way == BACKWARDS),
+            f"at rate {self.rate:g}" * (self.rate != 1),
+            f"{self.streams} streams in turn" * (self.streams != 1),
+        )
+        return ", ".join(part for part in parts if part)
 
 
 def nearness(scores: Tensor) -> Tensor:

@@ -9,17 +9,17 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from .candidates import Search
+from ..native.decide import Decision, Scores, Search
+from . import deciding
 from .comparison import Member
-from .confidence import TRACK, Confidence, answers_together
-from .courses import Course, course, is_followed
+from .confidence import Confidence
 from .display import candidates_table
-from .evidence import AllRows, Candidates, Evidence
-from .follow import Mode, Places, runs
+from .follow import Mode
 from .fusion import fused_scores
 from .matching import Matches, checked_excluded, checked_number
-from .motion import Motion
+from .motion import Course
 from .rivals import Chance
+from .sequences import runs
 from .standardise import MIN_FRAMES
 
 SURE_ALONE = "no, no surer so"
@@ -34,9 +34,9 @@ class Steps:
         standardise: subtract the mean of each traverse, see `standardise`. A traverse of fewer
             than `standardise.MIN_FRAMES` queries, and the references for it, stay raw; so does all
             for a map of fewer references.
-        sweep: use all anchors of queries that have several, see `sweep.narrowed`.
+        sweep: use all anchors of queries that have several, see `sweep`.
         follow: see `follow.follow`; ``None`` judges each query alone. A sequence is judged so too
-            where following does not make its answers surer, see `courses`.
+            where following does not make its answers surer, see `reference.course`.
         delay: number of later queries that an online answer waits for.
 
     Raises:
@@ -69,7 +69,8 @@ class Recognised(NamedTuple):
     Attributes:
         matches: ``(Q, top)``. Scores of a query that is judged alone are cosines. Scores of a query
             that is followed are probabilities: for the first candidate that of its neighbourhood
-            (`Places.near`), for the others that of the row alone. An empty query has no candidate.
+            (`follow.Places.near`), for the others that of the row alone. An empty query has no
+            candidate.
         sure: how sure the first candidates are; all 0 with fewer than `standardise.MIN_FRAMES`
             references.
         used: the steps as a report: `Steps` and the number of references, and by sequence whether
@@ -125,7 +126,7 @@ def recognise(
 
     Examples:
         >>> frames = torch.eye(20)
-        >>> member = Member(frames[5:9], VectorReferences(frames, ["b"] * 20))
+        >>> member = Member(frames[5:9], ReferenceRows(frames, ["b"] * 20))
         >>> recognise({"x": member}, ["a"] * 4, ["b"] * 20).matches.indices[:, 0].tolist()
         [5, 6, 7, 8]
     """
@@ -133,7 +134,7 @@ def recognise(
     _check_lengths(members, query_sequences, reference_sequences)
     excluded = checked_excluded(excluded, (len(query_sequences), len(reference_sequences)))
     trust = {name: member.trust for name, member in members.items()}
-    decisions: dict[str, _Decision] = {}
+    decisions: dict[str, _Decided] = {}
     for run in runs(query_sequences):
         part = slice(run.start, run.stop)
         standardised = steps.standardise and _are_enough(run, reference_sequences)
@@ -143,10 +144,10 @@ def recognise(
             for name, each in members.items()
         }
         scores, weights = fused_scores(compared, trust)
-        decision = _decide(AllRows(scores, reference_sequences), steps, top)
+        decided = _decided(scores, range(len(run)), reference_sequences, steps, top)
         width = max(each.width for each in compared.values())
         decisions[query_sequences[run.start]] = replace(
-            decision, standardise=standardised, sweep=width, weights=weights
+            decided, standardise=standardised, sweep=width, weights=weights
         )
     return _joined(decisions, len(reference_sequences), steps, top)
 
@@ -163,9 +164,7 @@ def recognise_by_scores(
     steps = replace(steps or Steps(), standardise=False, sweep=False)
     top = checked_number("top", top, least=1)
     decisions = {
-        query_sequences[run.start]: _decide(
-            AllRows(scores[run.start : run.stop], reference_sequences), steps, top
-        )
+        query_sequences[run.start]: _decided(scores, run, reference_sequences, steps, top)
         for run in runs(query_sequences)
     }
     return _joined(decisions, len(reference_sequences), steps, top)
@@ -181,12 +180,11 @@ def recognise_by_search(
     """As `recognise`, for maps that are too large to score every row; without a sweep. ``search``
     returns what finds candidates, by standardised descriptors if its argument is true."""
     steps, top = replace(steps or Steps(), sweep=False), checked_number("top", top, least=1)
-    decisions: dict[str, _Decision] = {}
+    decisions: dict[str, _Decided] = {}
     for run in runs(query_sequences):
         standardised = steps.standardise and _are_enough(run, reference_sequences)
-        evidence = Candidates(search(standardised), reference_sequences, run)
-        decision = _decide(evidence, steps, top)
-        decisions[query_sequences[run.start]] = replace(decision, standardise=standardised)
+        decided = _decided(search(standardised), run, reference_sequences, steps, top)
+        decisions[query_sequences[run.start]] = replace(decided, standardise=standardised)
     return _joined(decisions, len(reference_sequences), steps, top)
 
 
@@ -202,7 +200,7 @@ def recognise_alone(
     with its rivals, and the width of their sweep; ``weights`` are of fused channels."""
     follow = SURE_ALONE if steps.follow else "no"
     decisions = {
-        name: replace(_judged(each), sweep=widths[name], follow=follow, weights=weights)
+        name: _Decided(*_judged(each), follow, sweep=widths[name], weights=weights)
         for name, each in judged.items()
     }
     return _joined(decisions, references, steps, top)
@@ -216,66 +214,46 @@ def judged_alone(query_sequences: Sequence[str], steps: Steps) -> bool:
 
 
 @dataclass(frozen=True)
-class _Decision:
+class _Decided:
     """The candidates of one sequence of queries, and the steps that were taken."""
 
     matches: Matches
     sure: Confidence
+    follow: str
     standardise: bool = False
     sweep: int = 0
-    follow: str = "no"
     weights: dict[str, float] = field(default_factory=dict)
 
 
-def _decide(evidence: Evidence, steps: Steps, top: int) -> _Decision:
-    """Judges each query of a sequence alone, and follows the sequence if that is asked for and it
-    has a course, see `courses`."""
-    alone = _alone(evidence, top)
+def _decided(
+    evidence: Scores | Search, queries: range, sequences: Sequence[str], steps: Steps, top: int
+) -> _Decided:
+    """Judges each query of a sequence alone, and follows the sequence if that is asked for, it has
+    a course, and its answers are not less sure for it."""
+    found = deciding.decide(evidence, queries, sequences, steps.follow, steps.delay, top)
+    scores, rows, *sure = (torch.from_numpy(each) for each in found[:5])
+    matches = Matches(scores.float(), rows)
+    return _Decided(matches, Confidence(*(each.float() for each in sure)), _told(found, steps))
+
+
+def _told(found: Decision, steps: Steps) -> str:
+    """How a sequence was followed, in words."""
     if not steps.follow:
-        return alone
-    if found := course(evidence):
-        taken, gain = found
-        matches, chances = _followed(evidence, taken, steps.follow, steps.delay, top)
-        together = float(alone.sure.together[0])
-        as_alone = Confidence.of_chances(chances, together)
-        if is_followed(gain, *(float(each.right.mean()) for each in (as_alone, alone.sure))):
-            sure = Confidence.of_chances(chances, max(TRACK, together))
-            told = ", ".join(filter(None, (steps.follow, str(taken))))
-            return _Decision(matches, sure, follow=told)
-    return replace(alone, follow=SURE_ALONE)
+        return "no"
+    course = str(Course(found.way, found.rate, found.streams))
+    return ", ".join(filter(None, (steps.follow, course))) if found.followed else SURE_ALONE
 
 
-def _followed(
-    evidence: Evidence, taken: Course, mode: Mode, delay: int, top: int
-) -> tuple[Matches, Tensor]:
-    """Follows each stream of a course: the candidates and the chances. An empty query has none."""
-    queries, motion = evidence.queries, Motion().at(taken.rate)
-    parts = taken.parts(queries)
-    streams = [evidence.follow(part, motion, taken.way, mode, delay, top) for part in parts]
-    order = torch.tensor([query for part in parts for query in part]).argsort()
-    places = Places(*(torch.cat(values)[order] for values in zip(*streams, strict=True)))
-    empty = torch.tensor([evidence.is_empty(query) for query in queries])
-    scores = torch.cat((places.near[:, None], places.scores[:, 1:]), 1)
-    scores = scores.masked_fill(empty[:, None] | (places.indices < 0), -torch.inf)
-    matches = Matches(scores, places.indices.masked_fill(empty[:, None], -1))
-    return matches, places.chance.masked_fill(empty, torch.nan)
-
-
-def _alone(evidence: Evidence, top: int) -> _Decision:
-    """Judges each query by itself."""
-    return _judged([evidence.judge(query, top) for query in evidence.queries])
-
-
-def _judged(judged: Sequence[tuple[Matches, Chance]]) -> _Decision:
+def _judged(judged: Sequence[tuple[Matches, Chance]]) -> tuple[Matches, Confidence]:
     matches = Matches(*map(torch.stack, zip(*(found for found, _ in judged), strict=True)))
     chances, rivals = (torch.tensor(each) for each in zip(*(c for _, c in judged), strict=True))
     chances = chances.double().masked_fill(matches.indices[:, 0] < 0, torch.nan)
-    together = answers_together(rivals[~chances.isnan()])
-    return _Decision(matches, Confidence.of_chances(chances, together))
+    together = deciding.answers_together(rivals[~chances.isnan()])
+    return matches, Confidence.of_chances(chances, together)
 
 
 def _joined(
-    decisions: Mapping[str, _Decision], references: int, steps: Steps, top: int
+    decisions: Mapping[str, _Decided], references: int, steps: Steps, top: int
 ) -> Recognised:
     """The decisions about all sequences of queries, by their names, as one."""
     used: dict[str, Any] = {**asdict(steps), "references": references}
@@ -287,8 +265,6 @@ def _joined(
     indices = torch.cat([none.long(), *(each.indices for each in matches)])
     sures = [Confidence(*[none.sum(1)] * 3), *(each.sure for each in decisions.values())]
     sure = Confidence(*map(torch.cat, zip(*sures, strict=True)))
-    if references < MIN_FRAMES:
-        sure = sure._replace(right=torch.zeros_like(sure.right))
     return Recognised(Matches(scores, indices), sure, used)
 
 

@@ -19,12 +19,12 @@ from torch import Tensor
 from ..channels.channel import Channel
 from ..database.database import Database
 from ..database.frames import FrameSet
-from ..recognition.follow import runs
 from ..recognition.fusion import fused, weights_of
 from ..recognition.matching import Matches, best_of
 from ..recognition.motion import ELSEWHERE, MIN_SPREAD, nearness
 from ..recognition.recognise import Recognised, Steps, recognise_alone
 from ..recognition.rivals import Chance, chance_of
+from ..recognition.sequences import runs
 from .coarse_index import LEAST_ROWS, CoarseIndex, is_indexed, taken
 from .selection import neighbours
 

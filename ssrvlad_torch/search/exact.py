@@ -16,8 +16,8 @@ from ..encoding.encoder import check_segmenter, encode_to_memory
 from ..encoding.results import Progress, Skipped, do_nothing
 from ..encoding.source import Source
 from ..recognition.comparison import Member
-from ..recognition.follow import runs
 from ..recognition.recognise import Recognised, Steps, judged_alone, recognise
+from ..recognition.sequences import runs
 from ..recognition.sweep import COLUMNS
 from ..recognition.temporal import temporal_sum
 from ..taxonomy import label_space

@@ -1,4 +1,4 @@
-"""Candidates by a database's index, for `recognition.candidates`."""
+"""Candidates by a database's index, for `recognise_by_search`."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _QUERIES_AHEAD, _THREADS = 8, 2
 
 
 class IndexSearch:
-    """Candidates of queries by a database's index; a `recognition.candidates.Search`.
+    """Candidates of queries by a database's index; a `native.decide.Search`.
 
     The index holds raw descriptors. With ``standardised`` it is searched for the rows nearest to
     each query minus the mean of the query's sequence. A row is scored after the mean of its own
@@ -96,7 +96,7 @@ class IndexSearch:
         return len(self._queries)
 
     def candidates(self, query: int) -> Tensor:
-        """See `recognition.candidates.Search`."""
+        """See `native.decide.Search`."""
         if query not in self._candidates:
             require_unforked()
             for later in range(query, min(query + _QUERIES_AHEAD, len(self))):
@@ -110,8 +110,9 @@ class IndexSearch:
             self._candidates[query] = rows[self._may_match(query, rows)]
         return self._candidates[query]
 
-    def scores(self, query: int, rows: Tensor) -> Tensor:
-        """See `recognition.candidates.Search`; scores are cached for a second pass."""
+    def scores(self, query: int, given: Tensor | npt.NDArray[np.int64], /) -> Tensor:
+        """See `native.decide.Search`; scores are cached for a second pass."""
+        rows = torch.as_tensor(given)
         cached, scores = self._scores.get(query, (rows[:0], torch.empty(0)))
         missing = rows[~torch.isin(rows, cached)]
         if len(missing):
@@ -123,11 +124,11 @@ class IndexSearch:
         return scores[torch.searchsorted(cached, rows)]
 
     def spread(self, query: int) -> tuple[float, float]:
-        """See `recognition.candidates.Search`."""
+        """See `native.decide.Search`."""
         return moments(self.sample(query)[1])
 
     def sample(self, query: int) -> tuple[Tensor, Tensor]:
-        """See `recognition.candidates.Search`."""
+        """See `native.decide.Search`."""
         if query not in self._sample_scores:
             scores = score(self._queries[query][None], self._sample_rows)[0]
             self._sample_scores[query] = scores

@@ -1,4 +1,5 @@
 include(CMakeFindDependencyMacro)
 find_dependency(ZLIB)
+find_dependency(Threads)
 include("${CMAKE_CURRENT_LIST_DIR}/onnxruntime.cmake")
 include("${CMAKE_CURRENT_LIST_DIR}/ssrvlad_placeTargets.cmake")

@@ -1,0 +1,119 @@
+"""Deciding: by the native core, or where it is not built by the oracle in NumPy, slowly.
+
+Both give the same decisions; see `native.decide` and `reference`.
+"""
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import astuple
+from functools import cache
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from torch import Tensor
+
+from .. import native
+from ..native import decide as by_core
+from ..native.decide import Decision, Places, Scores, Search
+from . import reference
+from .motion import Motion
+from .sequences import runs
+
+Evidence = Scores | Search
+
+
+def decide(
+    evidence: Evidence,
+    queries: range,
+    sequences: Sequence[str],
+    mode: str | None,
+    delay: int,
+    top: int,
+) -> Decision:
+    """The decision about the queries of one drive, see `native.decide.decide`; ``sequences`` are
+    those of the rows of the map, which stand together and in order if the drive is followed."""
+    if _form() is reference:
+        scores = _whole(evidence, queries, len(sequences))
+        return reference.decide(scores, sequences, mode, delay, top)
+    starts = _starts(sequences) if mode else [0][: len(sequences)]
+    given = mode, delay, top, queries
+    return by_core.decide(_array(evidence), starts, len(sequences), *given)
+
+
+def follow(
+    evidence: Evidence,
+    queries: range,
+    sequences: Sequence[str],
+    motion: Motion,
+    way: int,
+    mode: str,
+    delay: int,
+    top: int,
+) -> Places:
+    """The places of the queries of one drive, see `native.decide.follow`."""
+    if _form() is reference:
+        later = delay if mode == "online" else len(queries)
+        scores = _whole(evidence, queries, len(sequences))
+        return reference.places(scores, sequences, motion, way, later, top)
+    given = mode, delay, top, astuple(motion), way, queries
+    return by_core.follow(_array(evidence), _starts(sequences), len(sequences), *given)
+
+
+def chance(
+    values: Tensor, rows: Tensor | None = None, matching: int | None = None
+) -> tuple[float, int]:
+    """See `reference.chance`."""
+    some = None if rows is None else rows.numpy()
+    found: tuple[float, int] = _form().chance(values.detach().numpy(), some, matching)
+    return found
+
+
+def confidence(chances: Tensor, together: float) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+    """See `reference.confidence`."""
+    found: tuple[npt.NDArray[Any], npt.NDArray[Any]]
+    found = _form().confidence(chances.double().numpy(), together)
+    return found
+
+
+def answers_together(rivals: Tensor) -> float:
+    """See `reference.answers_together`."""
+    return float(_form().answers_together(rivals.numpy()))
+
+
+def has_core() -> bool:
+    """Whether the native core compares and decides; says once why not."""
+    library, status = native.core()
+    if library is None:
+        _say(status.removeprefix("torch, "))
+    return library is not None
+
+
+def _form() -> ModuleType:
+    """The form that decides."""
+    return by_core if has_core() else reference
+
+
+@cache
+def _say(why: str) -> None:
+    warnings.warn(f"NumPy decides, slowly, {why}", stacklevel=2)
+
+
+def _starts(sequences: Sequence[str]) -> list[int]:
+    return [part.start for part in runs(sequences)]
+
+
+def _array(evidence: Evidence) -> Evidence:
+    """Scores in memory as an array."""
+    return evidence.detach().numpy() if isinstance(evidence, Tensor) else evidence
+
+
+def _whole(evidence: Evidence, queries: range, rows: int) -> npt.NDArray[Any]:
+    """``(Q, R)`` scores of all rows."""
+    every = np.arange(rows)
+    scores = [
+        evidence.scores(query, every) if isinstance(evidence, Search) else evidence[query]
+        for query in queries
+    ]
+    return np.reshape([np.asarray(each) for each in scores], (len(queries), rows))

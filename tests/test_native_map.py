@@ -1,0 +1,316 @@
+"""The map of the core against `recognition.reference`, on drives drawn at random."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ssrvlad_torch.native.decide import decide
+from ssrvlad_torch.native.map import MIN_FRAMES, Map
+from ssrvlad_torch.recognition import reference
+
+pytestmark = pytest.mark.usefixtures("core")
+
+ROOT = Path(__file__).parents[1]
+DRIVES = st.lists(st.integers(1, 45), min_size=1, max_size=4)
+SEEDS = st.integers(0, 1000)
+TRUST = {"shapes": 1.0, "features": 6.0, "hog": 2.0}
+
+
+def unit(vectors):
+    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return (vectors / np.maximum(lengths, 1e-9)).astype(np.float32)
+
+
+def vectors(rng, *shape, common=2.0):
+    """Of one drive: some are zero."""
+    drawn = unit(rng.normal(size=shape) + common * rng.normal(size=shape[-1]))
+    drawn[rng.random(shape[:-1]) < 0.05] = 0
+    return drawn
+
+
+def named(drives):
+    return [str(number) for number, count in enumerate(drives) for _ in range(count)]
+
+
+def whole(comparison):
+    return np.stack([comparison[query] for query in range(len(comparison))])
+
+
+def equal(got, expected):
+    assert (np.isfinite(got) == np.isfinite(expected)).all()
+    np.testing.assert_allclose(got, expected, atol=1e-6, rtol=0)
+
+
+@given(
+    seed=SEEDS,
+    drives=DRIVES,
+    queries=st.integers(1, 70),
+    anchors=st.sampled_from((1, 5, 13)),
+    sweep=st.booleans(),
+    standardise=st.booleans(),
+)
+@settings(max_examples=60)
+def test_vectors_are_compared_as_by_the_reference(
+    seed, drives, queries, anchors, sweep, standardise
+):
+    rng = np.random.default_rng(seed)
+    there = np.concatenate([vectors(rng, count, 24) for count in drives])
+    here = vectors(rng, queries, anchors, 24)
+    here[:, anchors // 2] = unit(here[:, anchors // 2] + vectors(rng, queries, 24))
+    town = Map(drives)
+    town.add("shapes", there)
+    standardised = standardise and min(queries, len(there)) >= MIN_FRAMES
+    found = town.compare("shapes", here, standardised, sweep)
+    expected, width = reference.compare_vectors(here, there, named(drives), standardised, sweep)
+    assert found.width == width
+    equal(whole(found), expected)
+
+
+@pytest.mark.parametrize("equals", ["of the map", "of the queries"])
+def test_a_drive_of_equal_frames_stays_as_it_is(equals):
+    rng = np.random.default_rng(0)
+    one, others = unit(rng.normal(size=(1, 24))), unit(rng.normal(size=(40, 24)))
+    there, here = (one.repeat(40, 0), others) if equals == "of the map" else (others, one)
+    town = Map([40])
+    town.add("shapes", there)
+    found = whole(town.compare("shapes", here.repeat(40 // len(here), 0), True, False))
+    expected, _ = reference.compare_vectors(
+        here.repeat(40 // len(here), 0)[:, None], there, ["a"] * 40, True, False
+    )
+    equal(found, expected)
+
+
+@given(
+    seed=SEEDS,
+    drives=DRIVES,
+    queries=st.integers(30, 70),
+    shape=st.sampled_from(((8, 3, 4), (2, 1, 1), (1, 9), (3, 8))),
+    sweep=st.booleans(),
+    standardise=st.booleans(),
+)
+@settings(max_examples=60)
+def test_signs_are_compared_as_by_the_reference(seed, drives, queries, shape, sweep, standardise):
+    rng = np.random.default_rng(seed)
+    there = rng.integers(0, 256, (sum(drives), *shape), np.uint8)
+    here = rng.integers(0, 256, (queries, *shape), np.uint8)
+    sides = [np.where(rng.random(shape) < 0.5, each[:1], each) for each in (there, here)]
+    town = Map(drives)
+    town.add("features", sides[0])
+    standardised = standardise and len(there) >= MIN_FRAMES
+    found = town.compare("features", sides[1], standardised, sweep)
+    expected = reference.compare_signs(*sides[::-1], named(drives), standardised, sweep)
+    equal(whole(found), expected)
+    assert found.width == 0
+
+
+def test_equal_signs_stay_as_they_are():
+    rng = np.random.default_rng(0)
+    one, others = (rng.integers(0, 256, (n, 4, 8), np.uint8) for n in (1, 40))
+    town = Map([40])
+    town.add("features", one.repeat(40, 0))
+    assert whole(town.compare("features", one.repeat(30, 0), True, False)) == pytest.approx(1)
+    assert whole(town.compare("features", others, True, False)).std() > 0
+
+
+def channels(rng, drives, queries):
+    """A drive along a map by three channels."""
+    rows = sum(drives)
+    at = (rng.integers(0, rows) + np.arange(queries)) % rows
+    places, signs = rng.normal(size=(rows, 24)), rng.integers(0, 256, (rows, 6, 8), np.uint8)
+    flipped = rng.integers(0, 256, (queries, 6, 8), np.uint8)
+    flipped &= rng.integers(0, 256, flipped.shape, np.uint8)
+    there = {"shapes": unit(places + 1), "features": signs, "hog": unit(places - 1)}
+    seen = places[at][:, None] + rng.normal(size=(queries, 13, 24))
+    noisy = places[at] + 2 * rng.normal(size=(queries, 24))
+    here = {"shapes": unit(seen), "features": signs[at] ^ flipped, "hog": unit(noisy)}
+    there["shapes"][rng.random(rows) < 0.05] = here["shapes"][rng.random(queries) < 0.05] = 0
+    return there, here
+
+
+@given(
+    seed=SEEDS,
+    drives=DRIVES,
+    queries=st.integers(1, 60),
+    names=st.lists(st.sampled_from([*TRUST]), min_size=1, max_size=3, unique=True),
+    follow=st.sampled_from((None, "online", "offline")),
+    steps=st.tuples(st.booleans(), st.booleans()),
+)
+@settings(max_examples=60)
+def test_a_drive_is_found_by_all_channels_as_one(seed, drives, queries, names, follow, steps):
+    rng = np.random.default_rng(seed)
+    there, here = channels(rng, drives, queries)
+    town = Map(drives)
+    for name in names:
+        town.add(name, there[name], TRUST[name])
+    delay = 2 if follow == "online" else 0
+    found = town.query({name: here[name] for name in names}, *steps, follow, delay, top=3)
+    standardised = steps[0] and min(queries, len(town)) >= MIN_FRAMES
+    compared = {name: town.compare(name, here[name], standardised, steps[1]) for name in names}
+    scores = {name: whole(each) for name, each in compared.items()}
+    weights = reference.weights_of(scores, TRUST)
+    assert found.weights == pytest.approx(weights, abs=1e-6)
+    assert (found.standardised, found.width) == (
+        standardised,
+        max(each.width for each in compared.values()),
+    )
+    fused = reference.fused(scores, weights) if len(names) > 1 else scores[names[0]]
+    starts = np.cumsum([0, *drives[:-1]]).tolist()
+    expected = decide(fused.astype(np.float32), starts, len(town), follow, delay, 3)
+    got = found.decision
+    assert got.followed == expected.followed
+    assert (got.way, got.rate, got.streams) == (expected.way, expected.rate, expected.streams)
+    for name in ("scores", "right", "spread", "together"):
+        equal_sure(getattr(got, name), getattr(expected, name))
+    assert np.mean(got.rows == expected.rows) > 0.99  # of equal scores another may come first
+
+
+def equal_sure(got, expected):
+    """Confidence and beliefs hold sums of thousands of scores in single precision."""
+    assert (np.isfinite(got) == np.isfinite(expected)).all()
+    np.testing.assert_allclose(got, expected, atol=2e-5, rtol=0)
+
+
+@given(seed=SEEDS, names=st.sampled_from((("shapes", "hog"), [*TRUST])))
+def test_scores_of_channels_are_fused_as_by_the_reference(seed, names):
+    there, here = channels(np.random.default_rng(seed), [40, 33], 35)
+    town = Map([40, 33])
+    for name in names:
+        town.add(name, there[name], TRUST[name])
+    found = town.query({name: here[name] for name in names}, follow=None, top=len(town))
+    scores = {name: whole(town.compare(name, here[name], True, True)) for name in names}
+    expected = reference.fused(scores, reference.weights_of(scores, TRUST))
+    got = np.full_like(expected, -np.inf)
+    for query, (values, rows) in enumerate(zip(*found.decision[:2], strict=True)):
+        got[query, rows[rows >= 0]] = values[rows >= 0]
+    equal(got, expected)
+
+
+def test_threads_do_not_change_a_bit():
+    rng = np.random.default_rng(0)
+    there, here = channels(rng, [300, 200], 50)
+    town = Map([300, 200])
+    for name, trust in TRUST.items():
+        town.add(name, there[name], trust)
+    one, three = (town.query(here, threads=threads).decision for threads in (1, 3))
+    for some, other in zip(one, three, strict=True):
+        assert np.array_equal(some, other)
+
+
+def test_more_scores_than_fit_in_memory_come_in_blocks():
+    rng = np.random.default_rng(0)
+    there, here = vectors(rng, 30_000, 4), vectors(rng, 2300, 4)
+    town = Map([30_000])
+    town.add("shapes", there)
+    found = town.compare("shapes", here, False, False)
+    expected, _ = reference.compare_vectors(
+        here[[2299, 0, 1000], None], there, [""] * 30_000, False, False
+    )
+    equal(np.stack([found[query] for query in (2299, 0, 1000)]), expected)
+
+
+@pytest.mark.slow
+def test_scores_are_the_same_bits_on_a_processor_without_vectors(tmp_path):
+    """By the same program with both forms of the core."""
+    folder = ROOT / "ssrvlad_torch" / "native"
+    (tmp_path / "bits.cpp").write_text(PROGRAM)
+    flags = ["-std=c++17", "-O2", "-ffp-contract=off", "-pthread", f"-I{folder}"]
+    sources = [tmp_path / "bits.cpp", *folder.glob("*.cpp")]
+    outputs = []
+    for more in ([], ["-DSSRVLAD_ONE_TARGET"]):
+        subprocess.run(["g++", *flags, *more, *sources, "-o", tmp_path / "bits"], check=True)
+        outputs.append(subprocess.check_output([tmp_path / "bits"]))
+    assert outputs[0] == outputs[1] and len(outputs[0].splitlines()) == 6 * 40 * 40
+
+
+PROGRAM = r"""
+#include <cstdio>
+#include <random>
+#include <vector>
+
+#include "ssrvlad_map.h"
+
+int main() {
+  std::mt19937 random(1);
+  std::vector<float> vectors(40 * 480), swept(40 * 3 * 480), scores(40);
+  std::vector<unsigned char> signs(40 * 64);
+  const auto number = [&] { return static_cast<float>(random() % 2001) / 1000 - 1; };
+  for (float &each : vectors) each = number();
+  for (float &each : swept) each = number();
+  for (auto &each : signs) each = static_cast<unsigned char>(random());
+  const int64_t starts[] = {0, 33};
+  const ssrvlad_drives drives = {starts, 2, 40};
+  const ssrvlad_channel channels[] = {{vectors.data(), SSRVLAD_VECTORS, 1, 480, 1},
+                                      {signs.data(), SSRVLAD_SIGNS, 4, 16, 1}};
+  const ssrvlad_queries queries[] = {{swept.data(), 3}, {signs.data(), 1}};
+  ssrvlad_map *map = ssrvlad_map_new(&drives);
+  for (const auto &channel : channels)
+    if (ssrvlad_map_add_channel(map, &channel)) return 1;
+  int64_t width;
+  for (const int channel : {0, 1})
+    for (const int steps : {0, 1, 3}) {
+      ssrvlad_comparison *compared =
+          ssrvlad_map_compare(map, channel, queries + channel, 40, steps & 1, steps & 2, 1, &width);
+      for (int query = 0; query < 40; ++query) {
+        if (ssrvlad_comparison_scores(compared, query, scores.data())) return 2;
+        for (const float score : scores) std::printf("%a\n", static_cast<double>(score));
+      }
+      ssrvlad_comparison_free(compared);
+    }
+  ssrvlad_map_free(map);
+}
+"""
+
+
+def test_it_needs_no_torch():
+    program = (
+        "import sys; sys.modules['torch'] = None\n"
+        "import numpy as np\n"
+        "from ssrvlad_torch.native.map import Map\n"
+        "frames, town = np.eye(40, dtype=np.float32), Map([40])\n"
+        "town.add('shapes', frames)\n"
+        "print(town.query({'shapes': frames[5:9]}).decision.rows[:, 0].tolist())\n"
+    )
+    assert subprocess.check_output([sys.executable, "-c", program], text=True) == "[5, 6, 7, 8]\n"
+
+
+@pytest.mark.parametrize(
+    ("use", "message"),
+    [
+        (lambda town, _: Map([3, 0]), "drives of at least 1 frame, got [3, 0]"),
+        (lambda town, rows: town.add("a", rows[:3]), "a: expected a row for each of 40 frames"),
+        (lambda town, rows: town.add("shapes", rows), "shapes: expected a name that is new"),
+        (lambda town, rows: town.add("a", rows.astype(int)), "a: expected vectors of float32 or"),
+        (lambda town, rows: town.add("a", np.where(rows, rows, np.nan)), "a as finite rows"),
+        (lambda town, rows: town.add("a", rows, 0), "trust above 0, got (40, 40), trust 0"),
+        (lambda town, rows: town.query({"hog": rows}), "queries by shapes, got hog"),
+        (lambda town, rows: town.query({"shapes": rows[:, :9]}), "(Q, 40) float32, of vectors"),
+        (lambda town, rows: town.query({"shapes": rows[:, None].repeat(2, 1)}), "with an odd S"),
+        (lambda town, rows: town.query({"shapes": rows / 0.0}), "finite queries"),
+        (lambda town, rows: town.query({"shapes": rows}, top=0), "a top from 1, got 0 and 0"),
+        (lambda town, rows: town.query({"shapes": rows}, follow="on"), "online, offline or None"),
+        (lambda town, rows: town.compare("shapes", rows / 0.0, True, True), "finite queries"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_wrong_use_is_one_line(use, message):
+    rows, town = np.eye(40, dtype=np.float32), Map([40])
+    town.add("shapes", rows)
+    with pytest.raises(ValueError) as error:
+        use(town, rows)
+    assert message in str(error.value) and "\n" not in str(error.value)
+
+
+def test_queries_of_channels_are_as_many():
+    town = Map([40])
+    for name in ("shapes", "hog"):
+        town.add(name, np.eye(40, dtype=np.float32))
+    given = {
+        name: np.eye(40, dtype=np.float32)[:count] for name, count in (("shapes", 3), ("hog", 4))
+    }
+    with pytest.raises(ValueError, match="one number of queries by all channels, got"):
+        town.query(given)
