@@ -8,9 +8,10 @@ Prints a JSON object a line for every frame, as `ssrvlad loops --json` does: `fr
 `candidate`, `score`, `probability`, `ahead`, `candidates`. `-` reads names of files on stdin, one a
 line, and answers each at once. The rules and thresholds are those of `ssrvlad_torch.LoopDetector`:
 with one anchor a frame, those of `ssrvlad loops --no-sweep`, and of a fused file, which gives all
-channels, the same with the network. Needs numpy, onnxruntime and the folder `ssrvlad_place` beside
-it; `run_onnx.py` lists the formats of frames. Exit code 0 for success, 2 for wrong use, 3 for
-finished with some frames skipped.
+channels, the same with the network. Needs numpy, onnxruntime, `ssrvlad-torch` without what it
+depends on (`pip install --no-deps ssrvlad-torch`), and the folder `ssrvlad_place` beside it;
+`run_onnx.py` lists the formats of frames. Exit code 0 for success, 2 for wrong use, 3 for finished
+with some frames skipped.
 """
 
 from __future__ import annotations
@@ -21,11 +22,16 @@ import os
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from ssrvlad_place.frames import find_frames
-from ssrvlad_place.loops import Detector, Settings
-from ssrvlad_place.model import add_model, open_model
+from ssrvlad_place.model import Model, Seen, add_model, open_model
 from ssrvlad_place.output import finished, note, one_line, run_program
+from ssrvlad_place.scores import LABEL_SHAPES, TRUST
+
+from ssrvlad_torch.loops.config import LoopConfig
+from ssrvlad_torch.loops.live import Live, live
+from ssrvlad_torch.native.loops import Channel, Found
 
 STDIN = Path("-")
 
@@ -45,12 +51,28 @@ def frames_of(sources: list[Path], suffixes: tuple[str, ...]) -> Iterator[tuple[
             yield f"{path.absolute().parent.name}/{path.stem}", path
 
 
+def stream_of(seen: Seen, model: Model, config: LoopConfig) -> Live:
+    """A stream without frames, whose frames have the channels of this one."""
+    channels = []
+    for name, array in seen.channels.items():
+        shape = array.shape[1:] if name == LABEL_SHAPES and model.anchors else array.shape
+        channels.append(Channel(name, shape, str(array.dtype), TRUST[name]))
+    return live(channels, config)
+
+
+def line_of(frame: str, found: Found, frames: list[str]) -> dict[str, Any]:
+    """The result of a frame by the ids of the frames so far; without poses, none is ahead."""
+    candidate = None if found.candidate is None else frames[found.candidate]
+    places = [{"frame": frames[row], "probability": likely} for row, likely in found.places]
+    line = {"frame": frame, "reason": found.reason, "candidate": candidate, "score": found.score}
+    return {**line, "probability": found.probability, "ahead": None, "candidates": places}
+
+
 def run(options: argparse.Namespace) -> int:
     """Runs the detector over a stream; the exit code."""
-    model = open_model(options)
-    detector = Detector(Settings(options.exclude, options.threshold))
-    done: set[str] = set()
-    skipped = 0
+    model, config = open_model(options), LoopConfig(options.exclude, options.threshold)
+    stream: Live | None = None
+    frames, done, skipped = list[str](), set[str](), 0
     for frame, path in frames_of(options.source, model.suffixes):
         try:
             if frame in done:
@@ -60,14 +82,19 @@ def run(options: argparse.Namespace) -> int:
             note(f"{path}: {one_line(error)}")
             skipped += 1
             continue
+        if stream is None:
+            stream = stream_of(seen, model, config)
+        starts = not frames or frame.rpartition("/")[0] != frames[-1].rpartition("/")[0]
+        found = stream.update(seen.channels, starts=starts)
+        print(json.dumps(line_of(frame, found, frames)), flush=True)
+        frames.append(frame)
         done.add(frame)
-        print(json.dumps(detector.update(frame, seen).as_json()), flush=True)
     return finished(skipped, len(done))
 
 
 def main() -> int:
     """The command line; errors are one line."""
-    defaults = Settings()
+    defaults = LoopConfig()
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

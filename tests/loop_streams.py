@@ -46,6 +46,20 @@ def noisy_stream(
     return padded, sequences
 
 
+_DRAWN = np.random.default_rng(0).normal(size=(120, 16 * 2 * 64)).astype(np.float32)
+
+
+def signs_of(descriptor):
+    """Signs ``(16, 2, 8)`` uint8 that are as alike as descriptors are."""
+    return np.packbits(descriptor[:120] @ _DRAWN > 0).reshape(16, 2, 8)
+
+
+def hog_of(descriptor):
+    """``(480,)`` float32 of length 1 or zero, as alike as descriptors are."""
+    drawn = descriptor[:120] @ _DRAWN[:, :480]
+    return drawn / max(1e-9, np.linalg.norm(drawn))
+
+
 SEEDS = (*range(40), *range(10, 24))
 """A drive of forty places that comes back to fourteen of them."""
 

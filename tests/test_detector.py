@@ -1,12 +1,20 @@
-"""The detector with a network of its own; its decisions are asked by test_loop_closure.py."""
+"""The detector with a network of its own, and without the native core; its decisions are asked by
+test_loop_closure.py."""
+
+import warnings
 
 import numpy as np
 import pytest
+import torch
 import yaml
 from helpers import street
+from loop_streams import noisy_stream
 from networks import photo
 
-from ssrvlad_torch import LoopDetector, Segmenter
+from ssrvlad_torch import LoopDetector, Segmenter, native
+from ssrvlad_torch.channels.features import Features
+from ssrvlad_torch.database.frames import FrameRecord
+from ssrvlad_torch.loops import live
 from ssrvlad_torch.loops.config import LoopConfig
 
 SPACE = "camvid-11"
@@ -54,3 +62,34 @@ def test_what_is_no_picture_is_refused_and_leaves_no_trace(network):
 def test_without_a_network_a_picture_is_no_label_map():
     with pytest.raises(ValueError, match="class scores must be floating point"):
         LoopDetector().update(photo(street(0, 96, 128)), "drive/000")
+
+
+def test_without_the_core_the_oracle_finds_the_same_and_says_so_once(core, monkeypatch):
+    def found():
+        detector = LoopDetector(CONFIG)
+        frames = enumerate(noisy_stream(2, 130, 30, [])[0][:, 0])
+        return [detector.update(vector, f"drive/{number}") for number, vector in frames]
+
+    expected = found()
+    assert any(result.accepted for result in expected)
+    monkeypatch.setattr(native, "core", lambda: native.Core(None, "torch, for it was not built"))
+    live._say.cache_clear()
+    with pytest.warns(UserWarning, match="^NumPy finds loops, slowly, for it was not built$"):
+        got = found()
+    with warnings.catch_warnings(action="error"):
+        found()
+    for one, other in zip(got, expected, strict=True):
+        assert one[:3] == other[:3]
+        assert (one.probability or 0) == pytest.approx(other.probability or 0, abs=1e-5)
+
+
+def test_other_signs_are_refused():
+    detector = LoopDetector(channels=[Features("drawn")])
+    descriptors = {"ssr-vlad": torch.zeros(480)}
+    for wrong in (torch.zeros(16, 16, 16), torch.zeros(16, 16, dtype=torch.uint8)):
+        with pytest.raises(ValueError, match=r"'d/a': expected signs \(16, 16, 16\) uint8, got"):
+            detector.observe(FrameRecord("d", "a"), {**descriptors, "features": wrong})
+    with pytest.raises(
+        ValueError, match="expected descriptors by ssr-vlad, features, got ssr-vlad"
+    ):
+        detector.observe(FrameRecord("d", "a"), descriptors)

@@ -6,8 +6,7 @@ from loop_streams import LIGHT, PLACES, RNG, unit
 
 from ssrvlad_torch import SSRVLAD, Database, LoopDetector
 from ssrvlad_torch.loops.config import LoopConfig
-from ssrvlad_torch.loops.detector import starts
-from ssrvlad_torch.loops.stretches import GAP, LEAST, is_elsewhere, is_gap
+from ssrvlad_torch.loops.reference import GAP, LEAST_FRAMES, LIKE, is_gap, likeness
 
 HEAD = SSRVLAD.from_preset("default", labels_as="camvid-11")
 HOUR = 3600.0
@@ -65,23 +64,18 @@ def test_what_is_elsewhere(signs):
         drive = np.packbits(drive > 0, axis=1).reshape(-1, 8, 8)
     before = drive[:50]
     for row, elsewhere in ((50, False), (49, False), (47, False), (60, True), (190, True)):
-        assert is_elsewhere([np.concatenate((before, drive[row : row + 1]))]) == elsewhere
+        alike = likeness(np.concatenate((before, drive[row : row + 1])))
+        assert (alike < LIKE) == elsewhere
 
 
 def test_what_is_a_gap():
-    steady = np.arange(LEAST) / 3
+    steady = np.arange(LEAST_FRAMES) / 3
     assert is_gap(steady, steady[-1] + 1.1 * GAP)
     assert not is_gap(steady, steady[-1] + 0.9 * GAP)
     assert not is_gap(steady[1:], steady[-1] + HOUR), "too few to know what is usual"
     assert not is_gap(HOUR * steady, HOUR * (steady[-1] + 1)), "one frame in twenty minutes"
     assert not is_gap(steady, np.nan)
-    assert not is_gap(np.full(LEAST, np.nan), HOUR)
-
-
-def test_starts_are_the_rows_after_gaps():
-    stamps = np.concatenate((np.arange(150) / 3, HOUR + np.arange(80) / 3))
-    assert starts(stamps, [np.concatenate((DAY, NIGHT))]) == [0, 150]
-    assert starts(np.arange(230) / 3, [np.concatenate((DAY, NIGHT))]) == [0]
+    assert not is_gap(np.full(LEAST_FRAMES, np.nan), HOUR)
 
 
 @pytest.mark.parametrize("stop", [149, 150, 151, 200])

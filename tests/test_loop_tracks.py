@@ -10,7 +10,7 @@ from loop_streams import LIGHT, PLACES, RNG, unit
 from ssrvlad_torch import SSRVLAD, Database, LoopDetector
 from ssrvlad_torch.channels.features import Features
 from ssrvlad_torch.database.frames import FrameRecord
-from ssrvlad_torch.loops.tracks import Tracks
+from ssrvlad_torch.loops.reference import Tracks
 
 HEAD = SSRVLAD.from_preset("default", labels_as="camvid-11")
 STREET = 150
@@ -22,7 +22,7 @@ def told(closeness, chance=0.02, accepted=()):
     tracks, found = Tracks(), []
     rng = np.random.default_rng(0)
     for number in range(2 * STREET):
-        near = rng.uniform(-chance, chance, number).astype(np.float32)
+        near = rng.uniform(-chance, chance, number)
         near[-1:] = 1
         if number >= STREET:
             near[number - STREET] = closeness

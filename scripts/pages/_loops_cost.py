@@ -6,16 +6,15 @@ import time
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+import torch
 from _markdown import head_row, row
 
-from ssrvlad_torch.channels.label_shapes import LabelShapes
-from ssrvlad_torch.database.frames import FrameRecord
-from ssrvlad_torch.loops.config import LoopConfig
-from ssrvlad_torch.loops.memory import Memory
-from ssrvlad_torch.loops.tracker import Tracker
+from ssrvlad_torch.native.loops import Channel, Loops
+from ssrvlad_torch.recognition.matching import Rows
+from ssrvlad_torch.recognition.sweep import score
 
 SIZES = (10_000, 100_000, 1_000_000)
-DRIVES, ANCHORS, WARM_UP, FRAMES = 10, 3, 3, 40
+DRIVES, ANCHORS, WARM_UP, FRAMES, LENGTH = 10, 3, 3, 40, 480
 
 
 def loops_table(sizes: Sequence[int] = SIZES) -> Iterator[str]:
@@ -29,33 +28,27 @@ def loops_table(sizes: Sequence[int] = SIZES) -> Iterator[str]:
 
 
 def timed(size: int) -> np.ndarray:
-    """``(FRAMES, 2)`` seconds of a search and of a step. All rows of the map have something in
-    common."""
-    channel, rng, drive = LabelShapes(), np.random.default_rng(0), size // DRIVES
-    name, length = channel.name, channel.length
-    memory = Memory([channel])
-    live = memory.lives[name]
-    common = rng.standard_normal(length, dtype=np.float32)
+    """``(FRAMES, 2)`` seconds of an exact search and of a step. All rows of the map have something
+    in common."""
+    rng, drive = np.random.default_rng(0), size // DRIVES
+    common = rng.standard_normal(LENGTH, dtype=np.float32)
+    vectors = np.empty((size, LENGTH), np.float32)
     for number in range(size):
-        if number % drive == 0:
-            memory.start_stretch()
-        vector = unit(common + rng.standard_normal(length, dtype=np.float32))
-        memory.append(FrameRecord(f"{number // drive}", f"{number}"), {name: vector})
-    memory.start_stretch()
-    tracker = Tracker(LoopConfig(), memory)
+        vectors[number] = unit(common + rng.standard_normal(LENGTH, dtype=np.float32))
+    stream, rows = Loops([Channel("ssr-vlad", (LENGTH,))]), Rows.of(torch.from_numpy(vectors))
+    stream.extend({"ssr-vlad": vectors}, None, np.arange(size) % drive == 0)
     taken: list[np.ndarray] = []
     for number in range(WARM_UP + FRAMES):
-        [seen] = live.descriptors(size - drive + number, size - drive + number + 1)
-        vector = unit(seen + 0.01 * rng.standard_normal(length, dtype=np.float32))
+        seen = vectors[size - drive + number]
+        vector = unit(seen + 0.01 * rng.standard_normal(LENGTH, dtype=np.float32))
         swept = np.repeat(vector[None], ANCHORS, axis=0)
         times = [time.process_time()]
-        live.scores(swept)
+        score(swept[None], rows)
         times.append(time.process_time())
-        tracker.step(f"now/{number}", {name: swept})
+        stream.update({"ssr-vlad": swept}, starts=number == 0, threads=torch.get_num_threads())
         times.append(time.process_time())
         if number >= WARM_UP:
             taken.append(np.diff(times))
-        memory.append(FrameRecord("now", f"{number}"), {name: vector})
     return np.array(taken)
 
 

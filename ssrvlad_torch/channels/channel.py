@@ -151,39 +151,6 @@ class Channel(Protocol):
     def references(self, stored: Tensor, sequences: Sequence[str]) -> References:
         """Descriptors ``(R, *shape)`` of a map, to be compared with queries."""
 
-    def live(self) -> Live:
-        """The memory of a live stream, without frames."""
-
-
-class Live(Protocol):
-    """The descriptors of the frames of a live stream so far, in order, each compared without the
-    mean of its own sequence."""
-
-    def __len__(self) -> int: ...
-
-    @property
-    def empty(self) -> npt.NDArray[np.bool_]:
-        """``(N,)``, the frames of which nothing is known; a view."""
-
-    def checked(self, descriptor: Tensor, frame: str) -> npt.NDArray[Any]:
-        """``(S, *shape)`` descriptors of a frame, from ``shape``, or from S anchors with the usual
-        one in the middle; others are a ValueError that names the frame."""
-
-    def scores(self, swept: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
-        """``(N,)`` cosines of a new frame, `checked`, to all others; -inf for an empty one."""
-
-    def add(self, descriptor: npt.NDArray[Any]) -> None:
-        """Appends a frame by its descriptor from the usual anchor."""
-
-    def extend(self, descriptors: Tensor) -> None:
-        """Appends frames of the present sequence by their stored descriptors ``(N, *shape)``."""
-
-    def start_sequence(self) -> None:
-        """The next frame starts another sequence."""
-
-    def descriptors(self, first: int, last: int) -> npt.NDArray[Any]:
-        """``(last - first, *shape)``, a copy."""
-
 
 def channels_of(columns: Sequence[Column], head: SSRVLAD) -> list[Channel]:
     """The channels whose descriptors are in columns of a database; ``head`` describes label maps. A

@@ -13,7 +13,6 @@ from ..recognition.comparison import ReferenceRows
 from ..stages.features import SHAPE
 from .channel import FEATURES, Network, View
 from .column import Column
-from .live_signs import LiveSigns
 
 if TYPE_CHECKING:
     from ..descriptor import SSRVLAD
@@ -60,7 +59,3 @@ class Features:
     def references(self, stored: Tensor, sequences: Sequence[str]) -> ReferenceRows:
         """See `Channel`."""
         return ReferenceRows(stored, sequences)
-
-    def live(self) -> LiveSigns:
-        """See `Channel`."""
-        return LiveSigns(SHAPE)

@@ -10,7 +10,6 @@ from torch import Tensor
 from ..recognition.comparison import ReferenceRows
 from .channel import PICTURE, Network, View
 from .column import Column
-from .live_vectors import LiveVectors
 
 if TYPE_CHECKING:
     from ..descriptor import SSRVLAD
@@ -58,7 +57,3 @@ class VectorChannel:
     def references(self, stored: Tensor, sequences: Sequence[str]) -> ReferenceRows:
         """See `Channel`."""
         return ReferenceRows(stored, sequences)
-
-    def live(self) -> LiveVectors:
-        """See `Channel`."""
-        return LiveVectors(self.length)

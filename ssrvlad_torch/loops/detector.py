@@ -5,33 +5,34 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Mapping, Sequence
-from itertools import groupby, pairwise
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import torch
 from torch import Tensor
 
 from ..channels.channel import FEATURES, PICTURE, Channel, View, channels_of, new_channels
 from ..channels.label_shapes import LabelShapes
-from ..channels.live_vectors import Floats
 from ..database.database import Database
 from ..database.frames import FrameRecord, checked_pose, is_text, numbers_of
 from ..database.rows import check_records
 from ..datasets.label_files import digest
 from ..datasets.names import split_id
 from ..descriptor import SSRVLAD
+from ..native.loops import Array, Found
+from ..native.loops import Channel as Described
 from ..recognition.matching import real_tensor
 from ..segmentation.networks import AUTO
 from ..segmentation.segmenter import Segmented, Segmenter
 from ..stages.front_end import as_tensor
 from ..taxonomy import LabelSpace
 from .config import LoopConfig
+from .live import checked, live, require_lengths
 from .memory import Memory
-from .result import LoopResult
-from .stretches import RECENT, is_elsewhere, is_gap
-from .tracker import Tracker
+from .result import LoopResult, Place, Reason
 
 COLUMNS = (-4, 0, 4)
 """Anchors of a frame, see `recognition.sweep`."""
@@ -44,11 +45,11 @@ class LoopDetector:
     """Decides for each frame of a stream whether its place was seen before.
 
     A frame is described from several anchors and compared with all earlier frames, each without the
-    mean of its own stretch: a sequence, or what is between gaps of it (`loops.stretches`). A Bayes
-    filter (`loops.tracker`) follows the stream; its states are the earlier frames, the same frames
-    run backwards, which only chance makes probable, and "a new place". Excluded frames are states
-    too, except for the last `tracker.RECENT`: where one of them is more probable than the old
-    frames, no loop is closed.
+    mean of its own stretch: a sequence, or what is between gaps of it. A Bayes filter follows the
+    stream; its states are the earlier frames, the same frames run backwards, which only chance
+    makes probable, and "a new place". Excluded frames are states too, except for the last
+    `reference.RECENT`: where one of them is more probable than the old frames, no loop is closed.
+    All of that is the native core's; `loops.reference` says it plainly.
 
     One thread updates; another may `save` at the same time.
 
@@ -77,8 +78,12 @@ class LoopDetector:
         self.segmenter: Segmenter | None = None
         self.head = head or SSRVLAD()
         self.channels: tuple[Channel, ...] = (LabelShapes(self.head), *channels)
-        self._memory = Memory(self.channels)
-        self._tracker = Tracker(self.config, self._memory)
+        self._described = [
+            Described(name, shape, dtype, each.trust)
+            for each in self.channels
+            for name, _, shape, dtype in [each.column]
+        ]
+        self._loops, self._memory = live(self._described, self.config), Memory()
         self._sequence: str | None = None
         self._stamps: dict[str, float] = {}
         self._arrivals = 0
@@ -131,10 +136,10 @@ class LoopDetector:
     @property
     def poses(self) -> npt.NDArray[np.float64]:
         """``(N, 3)`` float64, a copy: x and y in metres, heading in radians, NaN where unknown."""
-        return self._memory.poses.copy()
+        return self._memory.poses
 
     @property
-    def descriptor(self) -> Floats:
+    def descriptor(self) -> npt.NDArray[np.float32]:
         """``(D,)`` float32, a copy, of the last frame.
 
         Raises:
@@ -142,8 +147,9 @@ class LoopDetector:
         """
         if not len(self):
             raise IndexError("no frame was seen yet")
-        first: Floats = self._memory.first.descriptors(len(self) - 1, len(self))[0]
-        return first
+        first, last = self._described[0].name, len(self)
+        descriptor: npt.NDArray[np.float32] = self._loops.descriptors(first, last - 1, last)[0]
+        return descriptor
 
     @property
     def columns(self) -> tuple[int, ...]:
@@ -153,7 +159,7 @@ class LoopDetector:
     @property
     def weights(self) -> dict[str, float]:
         """The present weight of each channel; empty if there is one."""
-        return self._tracker.weights if len(self.channels) > 1 else {}
+        return self._loops.weights if len(self.channels) > 1 else {}
 
     def update(
         self,
@@ -232,7 +238,7 @@ class LoopDetector:
             ValueError: as for `update`.
         """
         check_records([record], [record.origin])
-        swept = self._memory.checked(descriptors, record.frame)
+        swept = self._checked(descriptors, record.frame)
         with self._updating:
             last = self._stamps.get(record.sequence, -math.inf)
             if record.frame in self:
@@ -245,19 +251,38 @@ class LoopDetector:
                 raise ValueError(
                     f"frame {record.frame!r}: expected a stamp from {last} on, got {record.stamp}"
                 )
-            centres = {name: anchors[len(anchors) // 2] for name, anchors in swept.items()}
-            other = record.sequence != self._sequence
-            if other or self._memory.breaks(record.stamp, centres):
-                self._memory.start_stretch()
-                self._tracker.start_stretch()
-            result = self._tracker.step(record.frame, swept)
-            self._memory.append(record, centres)
+            starts = record.sequence != self._sequence
+            found = self._loops.update(swept, record.stamp, starts, torch.get_num_threads())
+            result = self._result(record.frame, found)
+            self._memory.append(record)
             self._unsaved.append(record._replace(arrival=self._arrivals))
             self._arrivals += 1
             self._sequence = record.sequence
             if not math.isnan(record.stamp):
                 self._stamps[record.sequence] = record.stamp
         return result
+
+    def _checked(self, descriptors: Mapping[str, Tensor] | Tensor, frame: str) -> dict[str, Array]:
+        """The descriptors of a frame from its anchors by the names of the channels; others are a
+        ValueError."""
+        given, names = descriptors, [each.name for each in self._described]
+        if isinstance(given, Tensor):
+            given = {names[0]: given}
+        if given.keys() != {*names}:
+            expected, got = (", ".join(each) or "nothing" for each in (names, given))
+            raise ValueError(f"frame {frame!r}: expected descriptors by {expected}, got {got}")
+        arrays = {name: each.numpy(force=True) for name, each in given.items()}
+        return {each.name: checked(each, arrays[each.name], frame) for each in self._described}
+
+    def _result(self, frame: str, found: Found) -> LoopResult:
+        """What was found, by the ids of frames."""
+        reason, frames = Reason(found.reason), self._memory.frames
+        if found.candidate is None:
+            return LoopResult(frame, reason)
+        ahead = self._memory.ahead(found) if reason is Reason.ACCEPTED else None
+        places = tuple(Place(frames[row], likely) for row, likely in found.places)
+        candidate = frames[found.candidate]
+        return LoopResult(frame, reason, candidate, found.score, found.probability, ahead, places)
 
     def save(self, database: Database) -> None:
         """Adds the frames since the last `save` or `load` to a database, as raw descriptors.
@@ -276,7 +301,7 @@ class LoopDetector:
                 fresh, last = self._unsaved.copy(), len(self)
                 saved = last - len(fresh)
                 described = {
-                    name: live.descriptors(saved, last) for name, live in self._memory.lives.items()
+                    name: self._loops.descriptors(name, saved, last) for name, *_ in self._described
                 }
             if len(database) != saved:
                 raise ValueError(
@@ -298,7 +323,7 @@ class LoopDetector:
         from files come before them, in whichever order workers stored them: sequences in the order
         in which they were added, the frames of each in the order of their names. The last
         `REPLAYED` frames are gone through again, from the usual anchor, which alone a database
-        stores: the stream goes on where it was, with weights of fused methods by these frames.
+        stores: the stream goes on where it was, with weights of fused channels by these frames.
 
         Args:
             database: of raw descriptors.
@@ -339,33 +364,19 @@ class LoopDetector:
         """Takes the frames of a sequence, the last ones as if they came now, by their descriptors
         ``(N, *shape)`` in each channel."""
         stamps = np.array([record.stamp for record in records])
-        for first, last in pairwise(
-            [*starts(stamps, [each.numpy() for each in described.values()]), len(records)]
-        ):
-            self._memory.start_stretch()
-            now = max(first, last - replayed)
-            for record in records[first:now]:
-                self._memory.place(record)
-            for name, live in self._memory.lives.items():
-                live.extend(described[name][first:now])
-            self._tracker.start_stretch()
-            for row in range(now, last):
-                record, one = records[row], {name: each[row] for name, each in described.items()}
-                swept = self._memory.checked(one, record.frame)
-                self._tracker.step(record.frame, swept)
-                self._memory.append(record, {name: each[0] for name, each in swept.items()})
+        arrays = {name: each.numpy() for name, each in described.items()}
+        for each in self._described:
+            if each.dtype == "float32":
+                require_lengths(arrays[each.name], [record.frame for record in records])
+        now = max(0, len(records) - replayed)
+        known = {name: each[:now] for name, each in arrays.items()}
+        self._loops.extend(known, stamps[:now], np.arange(now) == 0)
+        for row in range(now, len(records)):
+            self._loops.update(
+                {name: each[row] for name, each in arrays.items()}, stamps[row], not row
+            )
+        for record in records:
+            self._memory.append(record)
         self._sequence = records[-1].sequence
-        known = stamps[~np.isnan(stamps)]
-        if len(known):
-            self._stamps[self._sequence] = float(known.max())
-
-
-def starts(stamps: npt.NDArray[np.float64], channels: Sequence[npt.NDArray[Any]]) -> list[int]:
-    """Rows of a sequence at which a stretch starts, by the stamps ``(N,)`` and the descriptors of
-    each channel ``(N, *shape)``."""
-    found = [0]
-    for row, stamp in enumerate(stamps):
-        first = max(found[-1], row - RECENT)
-        if is_gap(stamps[first:row], stamp) and is_elsewhere(c[first : row + 1] for c in channels):
-            found.append(row)
-    return found
+        if not np.isnan(stamps).all():
+            self._stamps[self._sequence] = float(np.nanmax(stamps))

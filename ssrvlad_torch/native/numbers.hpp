@@ -18,6 +18,12 @@
 #define SSRVLAD_CLONES
 #endif
 
+#if defined(__GNUC__)
+#define SSRVLAD_INLINE inline __attribute__((always_inline))
+#else
+#define SSRVLAD_INLINE inline
+#endif
+
 namespace places {
 
 using Size = std::int64_t;

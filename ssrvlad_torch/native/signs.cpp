@@ -5,12 +5,6 @@
 #include "parallel.hpp"
 #include "ssrvlad.h"
 
-#if defined(__GNUC__)
-#define SSRVLAD_INLINE inline __attribute__((always_inline))
-#else
-#define SSRVLAD_INLINE inline
-#endif
-
 namespace places {
 
 namespace {

@@ -32,6 +32,10 @@ enum { SSRVLAD_RESIDUALS = 0, SSRVLAD_HARMONICS = 1 };
 enum { SSRVLAD_LANES = 64 };
 enum { SSRVLAD_VANISHING_COLUMN = 0, SSRVLAD_MIDDLE = 1 };
 
+/* Kinds of descriptors: float numbers of length 1, or zeros where nothing is seen; and bits of cells,
+ * eight in a byte. */
+enum { SSRVLAD_VECTORS = 0, SSRVLAD_SIGNS = 1 };
+
 /* The settings of the method, with the names of SSRVLADConfig. */
 typedef struct ssrvlad_settings {
   double opening, closing, hole_area, region_area, radius, inner_radius;

@@ -23,8 +23,6 @@
 extern "C" {
 #endif
 
-enum { SSRVLAD_VECTORS = 0, SSRVLAD_SIGNS = 1 };
-
 typedef struct ssrvlad_map ssrvlad_map;
 
 /* The descriptors of all rows of a map by one channel, in their order; they are not copied, and must

@@ -1,0 +1,341 @@
+// Loop closures in a live stream: has this place been seen before? The rules are those of `ssrvlad loops`.
+//
+//     ssrvlad::Loops loops(place.fingerprints());
+//     const auto loop = loops.update("drive/000001", place.describe(pixels, height, width), stamp);
+//     if (loop.accepted()) std::cout << loop.candidate << " " << loop.probability;
+//     loops.save("drive.npy");
+//     auto tomorrow = ssrvlad::Loops::load("drive.npy", place.fingerprints());
+//
+// Header-only, C++17, over the core's ssrvlad_loops.h and place.hpp. Errors are std::runtime_error. A
+// stream belongs to one thread at a time.
+//
+// A saved stream is one .npy array of records, which NumPy reads as `np.load("drive.npy")["ssr-vlad"]`: of
+// each frame its id `frame`, its `stamp`, float64 seconds, NaN where it is not known, and the descriptors
+// of its channels, `ssr-vlad` and, where the model gives them, `features` and `hog`. The titles of these
+// fields are the fingerprints.
+
+#pragma once
+
+#include <ssrvlad_loops.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <cstring>
+#include <filesystem>
+#include <fstream>
+#include <iterator>
+#include <limits>
+#include <memory>
+#include <regex>
+#include <stdexcept>
+#include <string>
+#include <unordered_map>
+#include <utility>
+#include <vector>
+
+#include "place.hpp"
+
+namespace ssrvlad {
+
+struct LoopSettings {
+  std::int64_t exclude = 50;  // number of the last frames, which are no candidates
+  double threshold = 0.8;     // least probability of a loop
+  int threads = 1;            // that share the comparison with many frames
+};
+
+// An earlier frame, and the probability that the place is near it.
+struct LoopPlace {
+  std::string frame;
+  double probability;
+};
+
+// The result of a frame; without a candidate its numbers are NaN.
+struct Loop {
+  std::string frame;
+  std::string reason;  // accepted, empty_frame, no_candidate, too_recent, ambiguous or below_threshold
+  std::string candidate;  // id of the most probable old frame, or empty
+  double score = std::numeric_limits<double>::quiet_NaN();        // a cosine, without the mean so far
+  double probability = std::numeric_limits<double>::quiet_NaN();  // that the place is near the candidate
+  std::vector<LoopPlace> candidates;  // the most probable places, best first
+
+  bool accepted() const { return reason == "accepted"; }
+};
+
+class Loops {
+ public:
+  // A stream without frames. The fingerprints are those of the model that describes its frames.
+  explicit Loops(Fingerprints model, LoopSettings settings = {})
+      : model_(std::move(model)), settings_(settings) {}
+
+  std::size_t size() const { return frames_.size(); }
+  const std::vector<std::string>& frames() const { return frames_; }
+  bool contains(const std::string& frame) const { return rows_.count(frame) > 0; }
+
+  // Looks for the place of the next frame, `<sequence>/<name>`, among the earlier ones, then stores it. The
+  // stamp is in seconds, not less than those of earlier frames of the sequence. A frame that is refused
+  // changes nothing.
+  Loop update(const std::string& frame, const Described& seen,
+              double stamp = std::numeric_limits<double>::quiet_NaN()) {
+    ssrvlad_loop found;
+    take(frame, seen, stamp, &found);
+    return result(frame, found);
+  }
+
+  // Writes all frames to a file, whole or not at all.
+  void save(const std::string& path) const;
+
+  // The stream in a file, as if its frames had come. The last hundred frames are gone through again, from
+  // the usual anchor, which alone is stored: the stream goes on where it was.
+  static Loops load(const std::string& path, const Fingerprints& model, LoopSettings settings = {});
+
+ private:
+  static constexpr std::size_t kReplayed = 100;
+  static constexpr std::size_t kSigns = 16 * 16 * 16;  // bytes of features: columns, rows, bytes of a cell
+
+  // What is known of a frame, or stored of it.
+  struct Channel {
+    std::string name, fingerprint;
+    ssrvlad_loops_channel of;
+    const void* data;
+    std::int64_t anchors;
+
+    std::size_t bytes() const {
+      const auto numbers = static_cast<std::size_t>(of.shape[0] * of.shape[1] * of.shape[2]);
+      return numbers * (of.kind == SSRVLAD_VECTORS ? sizeof(float) : 1);
+    }
+    std::string field() const {  // as NumPy writes it
+      const auto shape = of.kind == SSRVLAD_VECTORS
+                             ? std::to_string(of.shape[0]) + ","
+                             : std::to_string(of.shape[0]) + ", " + std::to_string(of.shape[1]) + ", " +
+                                   std::to_string(of.shape[2]);
+      return "(('" + fingerprint + "', '" + name + "'), '" +
+             (of.kind == SSRVLAD_VECTORS ? "<f4" : "|u1") + "', (" + shape + "))";
+    }
+  };
+
+  struct Free {
+    void operator()(ssrvlad_loops* stream) const { ssrvlad_loops_free(stream); }
+  };
+
+  std::vector<Channel> channels_of(const Described& seen) const {
+    const auto length = static_cast<std::int64_t>(seen.length);
+    const auto anchors = static_cast<std::int64_t>(seen.descriptor.size() / std::max<std::size_t>(1, seen.length));
+    std::vector<Channel> channels{{"ssr-vlad", model_.descriptor,
+                                   {SSRVLAD_VECTORS, {length, 1, 1}, 1}, seen.descriptor.data(), anchors}};
+    if (!seen.features.empty())
+      channels.push_back({"features", model_.features, {SSRVLAD_SIGNS, {16, 16, 16}, 6}, seen.features.data(), 1});
+    if (!seen.hog.empty())
+      channels.push_back({"hog", model_.hog,
+                          {SSRVLAD_VECTORS, {static_cast<std::int64_t>(seen.hog.size()), 1, 1}, 2},
+                          seen.hog.data(), 1});
+    return channels;
+  }
+
+  // Takes the next frame, with a result or as one that is known.
+  void take(const std::string& frame, const Described& seen, double stamp, ssrvlad_loop* found) {
+    const auto sequence = checked(frame, stamp);
+    const auto channels = channels_of(seen);
+    if (!stream_) open(channels);
+    require_same(frame, channels);
+    std::vector<const void*> descriptors;
+    std::vector<std::int64_t> anchors;
+    for (const auto& channel : channels) {
+      descriptors.push_back(channel.data);
+      anchors.push_back(channel.anchors);
+    }
+    const std::uint8_t starts = sequence != sequence_;
+    const int status =
+        found ? ssrvlad_loops_update(stream_.get(), descriptors.data(), anchors.data(), stamp, starts,
+                                     settings_.threads, found)
+              : ssrvlad_loops_extend(stream_.get(), descriptors.data(), &stamp, &starts, 1);
+    if (status == SSRVLAD_WRONG_ARGUMENT)
+      throw std::runtime_error("frame " + frame + ": expected descriptors of length 1 or zero");
+    if (status != SSRVLAD_OK) throw std::runtime_error("frame " + frame + ": memory is short");
+    rows_[frame] = frames_.size();
+    frames_.push_back(frame);
+    times_.push_back(stamp);
+    sequence_ = sequence;
+    if (!std::isnan(stamp)) stamps_[sequence] = stamp;
+  }
+
+  void open(const std::vector<Channel>& channels) {
+    std::vector<ssrvlad_loops_channel> given;
+    for (const auto& channel : channels) given.push_back(channel.of);
+    const ssrvlad_loops_settings settings{settings_.exclude, settings_.threshold};
+    stream_.reset(ssrvlad_loops_new(&settings, given.data(), static_cast<int>(given.size())));
+    if (!stream_)
+      throw std::runtime_error(
+          "expected exclude from 0 and a threshold from 0 to 1, got " + std::to_string(settings_.exclude) +
+          " and " + std::to_string(settings_.threshold) + "; or memory is short");
+    channels_ = channels;
+  }
+
+  void require_same(const std::string& frame, const std::vector<Channel>& channels) const {
+    const auto fields = [](const std::vector<Channel>& some) {
+      std::string text;
+      for (const auto& channel : some) text += (text.empty() ? "" : ", ") + channel.name + " of " +
+                                               std::to_string(channel.bytes()) + " bytes";
+      return text;
+    };
+    const auto expected = fields(channels_), got = fields(channels);
+    if (expected != got)
+      throw std::runtime_error("frame " + frame + ": expected descriptors " + expected + ", got " + got);
+  }
+
+  // The sequence of the next frame.
+  std::string checked(const std::string& frame, double stamp) const {
+    const auto slash = frame.rfind('/');
+    if (slash == frame.npos || slash == 0 || slash + 1 == frame.size())
+      throw std::runtime_error("expected a frame's id <sequence>/<name>, got " + frame);
+    if (contains(frame)) throw std::runtime_error("frame " + frame + " was there before");
+    const auto sequence = frame.substr(0, slash);
+    const auto last = stamps_.find(sequence);
+    if (std::isinf(stamp) || (last != stamps_.end() && stamp < last->second))
+      throw std::runtime_error("frame " + frame + ": expected a finite stamp, not less than the last one");
+    return sequence;
+  }
+
+  Loop result(const std::string& frame, const ssrvlad_loop& found) const {
+    static const char* const kReasons[] = {"accepted",   "empty_frame", "no_candidate",
+                                           "too_recent", "ambiguous",   "below_threshold"};
+    Loop loop;
+    loop.frame = frame;
+    loop.reason = kReasons[found.reason];
+    if (found.candidate < 0) return loop;
+    const auto name = [&](std::int64_t row) { return frames_[static_cast<std::size_t>(row)]; };
+    loop.candidate = name(found.candidate);
+    loop.score = found.score;
+    loop.probability = found.probability;
+    for (int at = 0; at < found.places; ++at)
+      loop.candidates.push_back({name(found.best[at].row), found.best[at].probability});
+    return loop;
+  }
+
+  Fingerprints model_;
+  LoopSettings settings_;
+  std::unique_ptr<ssrvlad_loops, Free> stream_;
+  std::vector<Channel> channels_;
+  std::vector<std::string> frames_;
+  std::vector<double> times_;
+  std::unordered_map<std::string, std::size_t> rows_;
+  std::unordered_map<std::string, double> stamps_;  // the last one of each sequence
+  std::string sequence_;
+};
+
+inline void Loops::save(const std::string& path) const {
+  std::size_t width = 8;  // of ids; of whole words, so that numbers stand where a processor likes them
+  for (const auto& frame : frames_) width = std::max(width, (frame.size() + 7) / 8 * 8);
+  std::string fields = "('frame', '|S" + std::to_string(width) + "'), ('stamp', '<f8')";
+  for (const auto& channel : channels_) fields += ", " + channel.field();
+  std::string header = "{'descr': [" + fields + "], 'fortran_order': False, 'shape': (" +
+                       std::to_string(size()) + ",), }";
+  header += std::string(63 - (header.size() + 12) % 64, ' ') + "\n";
+  const auto temporary = path + ".part";
+  std::ofstream file(temporary, std::ios::binary);
+  file.write("\x93NUMPY\x02\x00", 8);
+  for (int shift = 0; shift < 32; shift += 8) file.put(static_cast<char>(header.size() >> shift & 255));
+  file << header;
+  for (std::size_t row = 0; row < size(); ++row) {
+    std::string record = frames_[row];
+    record.resize(width);
+    record.append(reinterpret_cast<const char*>(&times_[row]), sizeof(double));
+    for (std::size_t number = 0; number < channels_.size(); ++number) {
+      std::vector<char> bytes(channels_[number].bytes());
+      const auto at = static_cast<std::int64_t>(row);
+      ssrvlad_loops_descriptors(stream_.get(), static_cast<int>(number), at, at + 1, bytes.data());
+      record.append(bytes.data(), bytes.size());
+    }
+    file.write(record.data(), static_cast<std::streamsize>(record.size()));
+  }
+  file.close();
+  if (!file) throw std::runtime_error(path + ": cannot be written");
+  std::filesystem::rename(temporary, path);
+}
+
+namespace detail {
+
+// The header of a saved stream, and its records.
+class Records {
+ public:
+  explicit Records(const std::string& path) : path_(path) {
+    std::ifstream file(path, std::ios::binary);
+    if (!file) throw std::runtime_error(path + ": cannot be read");
+    content_.assign(std::istreambuf_iterator<char>(file), {});
+    const auto byte = [&](std::size_t at) { return std::size_t{static_cast<unsigned char>(content_[at])}; };
+    if (content_.size() < 12 || content_.compare(0, 7, "\x93NUMPY\x02") != 0) fail("not a saved stream");
+    const auto length = byte(8) + (byte(9) << 8) + (byte(10) << 16) + (byte(11) << 24);
+    if (content_.size() - 12 < length) fail("ends too early");
+    header_ = content_.substr(12, length);
+    first_ = 12 + length;
+    width_ = number("'frame', '[|]S(\\d{1,6})'\\), \\('stamp', '<f8'");
+    count_ = number("'shape': \\((\\d{1,12}),\\)");
+  }
+
+  std::size_t count() const { return count_; }
+  std::size_t numbers(const std::string& channel) const {  // of its first axis; 0 without it
+    return number("'" + channel + "'\\), '(?:<f4|[|]u1)', \\((\\d{1,9})", "0");
+  }
+  bool holds(const std::string& field) const { return header_.find(field) != header_.npos; }
+
+  void require_size(std::size_t bytes) {
+    size_ = width_ + sizeof(double) + bytes;
+    if (content_.size() - first_ != count_ * size_) fail("the length does not fit the shape");
+  }
+  std::string frame(std::size_t row) const { return content_.substr(first_ + row * size_, width_).c_str(); }
+  std::string sequence(std::size_t row) const { return frame(row).substr(0, frame(row).rfind('/')); }
+  const char* numbers(std::size_t row) const { return content_.data() + first_ + row * size_ + width_; }
+
+ private:
+  [[noreturn]] void fail(const std::string& why) const { throw std::runtime_error(path_ + ": " + why); }
+  std::size_t number(const std::string& pattern, const char* otherwise = nullptr) const {
+    std::smatch match;
+    if (std::regex_search(header_, match, std::regex(pattern))) return std::stoul(match[1]);
+    if (!otherwise) fail("not a saved stream");
+    return std::stoul(otherwise);
+  }
+
+  std::string path_, content_, header_;
+  std::size_t first_ = 0, width_ = 0, count_ = 0, size_ = 0;
+};
+
+}  // namespace detail
+
+inline Loops Loops::load(const std::string& path, const Fingerprints& model, LoopSettings settings) {
+  detail::Records records(path);
+  Loops loops(model, settings);
+  Described seen;
+  seen.length = records.numbers("ssr-vlad");
+  seen.descriptor.resize(seen.length);
+  seen.features.resize(records.numbers("features") ? kSigns : 0);
+  seen.hog.resize(records.numbers("hog"));
+  std::size_t bytes = 0;
+  for (const auto& channel : loops.channels_of(seen)) {
+    if (records.count() && !records.holds(channel.field()))
+      throw std::runtime_error(path + " has other " + channel.name + " than the model, " +
+                               channel.fingerprint + ": they do not compare");
+    bytes += records.count() ? channel.bytes() : 0;
+  }
+  records.require_size(bytes);
+  std::size_t now = records.count();  // the first frame that is gone through again
+  while (now > 0 && records.count() - now < kReplayed &&
+         records.sequence(now - 1) == records.sequence(records.count() - 1))
+    --now;
+  ssrvlad_loop found;
+  for (std::size_t row = 0; row < records.count(); ++row) {
+    const char* from = records.numbers(row);
+    const auto read = [&](void* target, std::size_t size) {
+      std::memcpy(target, from, size);
+      from += size;
+    };
+    double stamp;
+    read(&stamp, sizeof stamp);
+    read(seen.descriptor.data(), seen.length * sizeof(float));
+    read(seen.features.data(), seen.features.size());
+    read(seen.hog.data(), seen.hog.size() * sizeof(float));
+    loops.take(records.frame(row), seen, stamp, row < now ? nullptr : &found);
+  }
+  return loops;
+}
+
+}  // namespace ssrvlad

@@ -1,0 +1,570 @@
+"""Reference: loop closures in a live stream plainly, in NumPy. The oracle of this room.
+
+Each new frame is compared with all earlier ones, each without the mean of its stretch; the scores
+of the channels are fused; what the stream itself shows says how alike a frame must be to one seen
+before; and a hidden Markov model follows the stream. Every step is written as docs/loops.md tells
+it, with whole arrays and float64. The native core computes the same and is held to it by the tests;
+without a compiler this file runs instead. It needs numpy and nothing else.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ..native.loops import NEAR, PLACES, Channel, Found
+
+Array = npt.NDArray[Any]
+Floats = npt.NDArray[np.float64]
+
+# --------------------------------------------------------------------- channels: scores of a frame
+
+BEFORE = 10
+"""A stretch's mean starts as the mean of all frames before it, weighted as this number of frames:
+what its own first frames have in common is their place."""
+
+REACH = 2
+"""Columns of cells by which signs are moved to each side."""
+
+_ROUNDING = 1e-6
+_LEAST_LENGTH, _LEAST_OF_SIGNS = 1e-9**0.5, 1e-3
+
+
+def means(frames: Floats, counted: npt.NDArray[np.bool_], starts: Sequence[int]) -> Floats:
+    """``(N, ...)``, the mean of the stretch of each frame ``(N, ...)``; not all count in it."""
+    found = np.zeros_like(frames)
+    for first, last in zip(starts, [*starts[1:], len(frames)], strict=True):
+        total, count = frames[first:last].sum(0), counted[first:last].sum()
+        if counted[:first].any():
+            total = total + BEFORE * frames[:first].sum(0) / counted[:first].sum()
+            count = count + BEFORE
+        found[first:last] = total / max(1, count)
+    return found
+
+
+def scores_of_vectors(known: Array, swept: Array, starts: Sequence[int]) -> Floats:
+    """``(N,)`` cosines of a new frame's best anchor ``(S, D)`` to earlier frames ``(N, D)``, each
+    without the mean of its stretch; -inf for an empty frame."""
+    frames = np.concatenate((known, swept[len(swept) // 2][None])).astype(np.float64)
+    described = frames.any(axis=1)
+    mean = means(frames, described, starts)
+    rows, anchors = (frames - mean)[:-1], swept - mean[-1]
+    anchors[np.abs(anchors).max(axis=1) <= _ROUNDING] = 0
+    anchors /= np.maximum(np.linalg.norm(anchors, axis=1, keepdims=True), _ROUNDING)
+    lengths = np.maximum(np.linalg.norm(rows, axis=1), _LEAST_LENGTH)
+    return np.where(described[:-1], (rows @ anchors.T).max(axis=1) / lengths, -np.inf)
+
+
+def scores_of_signs(known: Array, signs: Array, starts: Sequence[int]) -> Floats:
+    """``(N,)`` cosines of a new frame's signs ``(columns, rows, bytes)`` to those of earlier frames
+    ``(N, columns, rows, bytes)``, as 1 and -1 without the mean of their stretch, over the columns
+    that overlap; of the best move of the new frame."""
+    bits = np.unpackbits(np.concatenate((known, signs[None])), axis=-1, bitorder="little")
+    numbers = bits.reshape(*bits.shape[:2], -1).astype(np.float64) * 2 - 1
+    numbers -= means(numbers, np.ones(len(numbers), bool), starts)
+    best, columns = np.full(len(known), -np.inf), len(signs)
+    for move in range(-REACH, REACH + 1):
+        here = numbers[-1, max(0, -move) : columns - max(0, move)].ravel()
+        there = numbers[:-1, max(0, move) : columns - max(0, -move)].reshape(len(known), -1)
+        lengths = np.linalg.norm(there, axis=1) * np.linalg.norm(here)
+        best = np.maximum(best, there @ here / np.maximum(lengths, _LEAST_OF_SIGNS))
+    return np.minimum(best, 1)
+
+
+# ----------------------------------------------------------------------- fusion: one score of a row
+
+ELSEWHERE = 5
+"""Rows farther apart than this show different places."""
+
+_MIN_SPREAD = 1e-6
+
+
+def nearness(scores: Array) -> Floats:
+    """Minus the logarithm of 1 - cosine; -inf for -inf."""
+    return -np.log(np.maximum(1 - scores, _ROUNDING))
+
+
+def scaled(scores: Floats, first: int) -> tuple[Floats, float, float]:
+    """How many deviations the nearness of scores ``(N,)`` is above the mean, 0 where there is none;
+    the mean and the deviation. Both are of the first rows."""
+    known = np.isfinite(scores)
+    near = np.where(known, nearness(np.where(known, scores, 0)), 0)
+    count = max(1, np.count_nonzero(known[:first]))
+    mean = near[:first].sum() / count
+    centred = np.where(known, near - mean, 0)
+    deviation = math.sqrt(np.square(centred[:first]).sum() / count)
+    return centred / max(deviation, _MIN_SPREAD), float(mean), deviation
+
+
+def lead(z: Floats) -> float:
+    """How many deviations the nearest row is ahead of the nearest elsewhere."""
+    if len(z) <= 2 * ELSEWHERE + 1:
+        return 0.0
+    elsewhere = np.abs(np.arange(len(z)) - z.argmax()) > ELSEWHERE
+    return float(z.max() - z[elsewhere].max())
+
+
+def fused(channels: Sequence[Floats], weights: Sequence[float], first: int) -> Floats:
+    """``(N,)`` scores of several channels as one: weighted z-scores of nearness, with the weighted
+    means and deviations of the first rows, as cosines; -inf where no channel has a score."""
+    parts = [scaled(scores, first) for scores in channels]
+    z, mean, deviation = (
+        sum(weight * part for weight, part in zip(weights, each, strict=True))
+        for each in zip(*parts, strict=True)
+    )
+    some = np.isfinite(channels).any(axis=0)
+    return np.where(some, 1 - np.exp(-(mean + deviation * z)), -np.inf)
+
+
+# ----------------------------------------------------------------- stretches: where a stream breaks
+
+GAP, TIMES = 600.0, 10.0
+"""A gap is longer than these seconds, in which light does not change much, and than so many times
+the usual step."""
+
+LAST_FRAMES, LEAST_FRAMES = 50, 20
+"""Frames before a gap that show what is usual: at most and at least."""
+
+LAST, APART = 3, 10
+"""The last frames may show the present place; frames that are farther apart show others."""
+
+LIKE = 0.5
+"""How alike frames are: 0 as different places, 1 as one frame and the next. After a gap, the same
+view is at least so alike; that of a standing camera."""
+
+SPREADS = 3
+"""The usual step is at least so many standard deviations of how alike different places are."""
+
+
+def is_gap(stamps: Sequence[float], stamp: float) -> bool:
+    """Whether a stream whose last frames have these stamps pauses before the next; not where a
+    stamp is NaN."""
+    if len(stamps) < LEAST_FRAMES or not stamp - stamps[-1] > GAP:
+        return False
+    return bool(stamp - stamps[-1] > TIMES * np.median(np.diff(stamps)))
+
+
+def likeness(frames: Array) -> float:
+    """How alike the last of some frames ``(N, *shape)`` of a channel is to those just before it,
+    see `LIKE`. Frames too sparse to be like the next are measured by how much places vary."""
+    flat = frames.reshape(len(frames), -1)
+    if frames.dtype == np.uint8:
+        flat = np.unpackbits(flat, axis=1).astype(np.float64) * 2 - 1
+    vectors = flat / np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), _ROUNDING)
+    near = nearness(vectors.astype(np.float64) @ vectors.T)
+    before = near[:-1, :-1]
+    others = before[np.tril_indices(len(before), -APART)]
+    usual = np.median(np.diag(before, -1)) - np.median(others)
+    step = near[-1, -1 - LAST : -1].max() - np.median(others)
+    return float(step / max(usual, SPREADS * others.std(), _ROUNDING))
+
+
+# -------------------------------------------------- repeats: how much a street is alike all along
+
+MARGIN = 1.2
+"""A frame counts as seen again where it is so much nearer than different places of its street
+are."""
+
+DISTANT = 5
+"""Excluded frames that are a fifth of them apart, or more, show different places."""
+
+TRACK = 15
+"""Frames over which the nearness of two parts of a drive is averaged, at the same distance or one
+frame nearer or farther: single frames of a street with noisy labels are alike by chance."""
+
+
+class Repeats:
+    """A street that repeats runs forwards, so the map run backwards does not tell it from a loop.
+    But the frames that a stream excludes cannot be loops: what they have in common with the present
+    frame is how alike different places of this street are.
+
+    Attributes:
+        highest: ``(N,)``, for each frame of a stretch the highest nearness of the frames around it
+            to others of the same street; -inf where nothing is known.
+    """
+
+    def __init__(self, exclude: int) -> None:
+        self._nearest, self._farthest = max(1, exclude // DISTANT), exclude
+        self._last: list[Floats] = []
+        self.highest = np.zeros(0)
+
+    def after(self, near: Floats) -> None:
+        """Takes the nearness ``(N,)`` of the next frame to all earlier ones of the stretch."""
+        more = len(near) + 1 - len(self.highest)
+        self.highest = np.append(self.highest, np.full(more, -np.inf))
+        rows = len(near) - np.arange(self._nearest, min(self._farthest, len(near)) + 1)
+        # as many distances as there are, and one that is beside the last
+        distances = max(0, min(self._farthest + 1 - self._nearest, len(rows) + 1))
+        seen = np.full(distances + 2, -np.inf)
+        seen[1 : len(rows) + 1] = near[rows]
+        widest = np.maximum(np.maximum(seen[:-2], seen[1:-1]), seen[2:])
+        self._last = [*self._last, widest][-TRACK:]
+        shared = min(len(rows), *map(len, self._last))
+        if len(self._last) < TRACK or not shared:
+            return
+        track = np.mean([each[:shared] for each in self._last], axis=0)
+        self.highest[-TRACK:] = np.maximum(self.highest[-TRACK:], track.max())
+        for age in range(TRACK):
+            here = rows[:shared][rows[:shared] >= age] - age
+            self.highest[here] = np.maximum(self.highest[here], track[: len(here)])
+
+
+# ------------------------------------------------------------- tracks: returns in another light
+
+KEPT = 0.93
+"""A track is a mean over frames, in which each counts so much of the next."""
+
+BY_CHANCE = 1.5
+"""A track so many times as close as the closest by chance is a return."""
+
+CLEAR, SAME = 0.12, 0.75
+"""Closeness is 0 for different places and 1 for a frame and the next. Where tracks by chance are
+closer than the first, places look too alike to be told apart in another light; a track closer than
+the second is in the same light."""
+
+USUAL, EARLIER = 100, 1000
+"""Frames that show what is usual, and frames whose closest track is one by chance."""
+
+LEAST_BY_CHANCE, WAIT = 5, 25
+"""Frames by chance that must be known; and how long no loop is closed before and after them."""
+
+_AROUND, _BESIDE, _LEAST_STEP = 50, 10, 0.02
+
+
+class Tracks:
+    """In another light, a frame is nowhere near as like the old frame of its place as the frame
+    before. But the two drives run on side by side. How far that can happen by chance the stream
+    itself shows: most frames are at new places."""
+
+    def __init__(self) -> None:
+        self._closeness = np.zeros(0)
+        self._steps, self._others = list[float](), list[float]()
+        self._waiting, self._by_chance = list[float](), list[float]()
+        self._since, self._closest = WAIT, 0.0
+
+    @property
+    def returning(self) -> bool:
+        """Whether the last frames run beside old ones in another light."""
+        if len(self._by_chance) < LEAST_BY_CHANCE:
+            return False
+        highest = max(self._by_chance)
+        return highest <= CLEAR and BY_CHANCE * highest <= self._closest < SAME
+
+    def after(self, near: Floats, old: int) -> None:
+        """Takes the nearness ``(N,)`` of the next frame to all earlier ones of the stretch, of
+        which the first are old; -inf where a frame is empty."""
+        before, self._closeness = self._closeness, np.zeros(len(near))
+        if len(near) < 2 * _BESIDE or near[-1] == -np.inf:
+            return
+        self._steps = [*self._steps, float(near[-1])][-USUAL:]
+        self._others = [*self._others, float(np.median(near[-_AROUND:-_BESIDE]))][-USUAL:]
+        step = max(_LEAST_STEP, float(np.median(self._steps) - np.median(self._others)))
+        known = near[:old][near[:old] > -np.inf]
+        if not len(known):
+            return
+        close = np.where(np.isfinite(near), (near - known.mean()) / step, 0)
+        self._closeness[len(near) - len(before) :] = KEPT * before
+        self._closeness += (1 - KEPT) * close
+        self._closest = float(self._closeness[:old].max())
+
+    def decided(self, accepted: bool) -> None:
+        """Takes whether the frame closes a loop: tracks around one are not by chance."""
+        self._since = 0 if accepted else self._since + 1
+        if accepted:
+            self._waiting = []
+        elif self._since > WAIT and self._closest:
+            self._waiting.append(self._closest)
+            if len(self._waiting) > WAIT:
+                self._by_chance = [*self._by_chance, self._waiting.pop(0)][-EARLIER:]
+
+
+# ------------------------------------------------- the filter: where the stream is among its frames
+
+SPEEDS: tuple[tuple[float, dict[int, float]], ...] = (
+    (0.08, {-1: 0.05, 0: 0.9, 1: 0.05}),
+    (0.16, {0: 0.5, 1: 0.5}),
+    (0.34, {0: 0.1, 1: 0.8, 2: 0.1}),
+    (0.16, {1: 0.5, 2: 0.5}),
+    (0.14, {1: 0.1, 2: 0.8, 3: 0.1}),
+    (0.07, {2: 0.1, 3: 0.8, 4: 0.1}),
+    (0.05, {3: 0.15, 4: 0.7, 5: 0.15}),
+)
+"""Probability of each speed, and of its steps in rows, as `recognition.motion` has them."""
+
+WAYS = (1, -1)
+"""The rows are run forwards and, as a decoy, backwards: what that holds is chance."""
+
+CHANGE, JUMP, UNMAPPED, STAY = 0.01, 0.01, 0.3, 0.97
+"""Probabilities: the speed changes; a jump, to any row or to a new place; such a jump leads to a
+new place; and to stay at new places."""
+
+WEIGHT, LEVEL = 0.25, 0.5
+"""The likelihood of a row of another stretch with the z-score z is exp(WEIGHT * (z - LEVEL)),
+against that of a new place."""
+
+EVIDENCE, LEVEL_FRACTION = 3.0, 0.9
+"""For frames of the same stretch, which share light and network: the level is a fraction of the
+z-score that three quarters of the last `NEIGHBOURS` frames have with their previous frame, and at
+least the highest that so many frames have by chance; twice the level counts so much. These and the
+settings of `Repeats` were chosen on synthetic cities of which docs/loops.md measures none."""
+
+NEIGHBOURS = 1000
+
+STRIDE = 50
+"""The more frames a stream excludes, the denser it is. Where it excludes 50, the previous frame is
+one frame before; where it excludes 100, two."""
+
+MAX_LOG = 50.0
+"""Largest logarithm of a likelihood."""
+
+RECENT = 10
+"""Least age, in frames, of an excluded frame that can be the present place."""
+
+LEAST = 0.01
+"""Least probability of a place that a result lists."""
+
+
+class Filter:
+    """A hidden Markov model over the rows of the stream, the same rows run backwards, and a new
+    place.
+
+    Attributes:
+        mapped: ``(2, 7, N)``, the belief by way, speed and row.
+        unmapped: the belief in a new place.
+    """
+
+    def __init__(self) -> None:
+        self._stretches = np.zeros(0, int)
+        self.mapped = np.zeros((2, len(SPEEDS), 0))
+        self.restart()
+
+    @property
+    def rows(self) -> int:
+        """Their number."""
+        return len(self._stretches)
+
+    def extend(self, stretches: Sequence[int]) -> None:
+        """Adds rows by the numbers of their stretches; nothing is believed of them."""
+        self._stretches = np.append(self._stretches, np.array(stretches, int))
+        self.mapped = np.pad(self.mapped, ((0, 0), (0, 0), (0, len(stretches))))
+
+    def restart(self) -> None:
+        """Forgets the place: the next frame starts another stretch."""
+        self.unmapped = UNMAPPED if self.rows else 1.0
+        self.mapped = self._anywhere(1 - self.unmapped)
+        self._starting = True
+
+    def _anywhere(self, probability: float) -> Floats:
+        prior = np.array([chance for chance, _ in SPEEDS])[:, None]
+        each = probability / (len(WAYS) * max(1, self.rows))
+        return np.broadcast_to(prior * each, (len(WAYS), len(SPEEDS), self.rows)).copy()
+
+    def step(self, likelihood: Floats) -> Floats:
+        """The probability of each row ``(N,)`` after a frame, by how much likelier it is at each
+        row ``(N,)`` than at a new place."""
+        if not self._starting:
+            moved = self._moved()
+            lost = max(0.0, 1 - self.unmapped - moved.sum())
+            arriving = lost * (1 - UNMAPPED) + self.unmapped * (1 - STAY)
+            self.unmapped = lost * UNMAPPED + self.unmapped * STAY if self.rows else 1.0
+            self.mapped = moved + self._anywhere(arriving)
+        self._starting = False
+        self.mapped = self.mapped * likelihood
+        total = self.mapped.sum() + self.unmapped
+        self.mapped, self.unmapped = self.mapped / total, self.unmapped / total
+        found: Floats = self.mapped[0].sum(axis=0)
+        return found
+
+    def _moved(self) -> Floats:
+        """The belief one frame later, without jumps; what leaves its stretch is lost."""
+        later, rows = np.zeros_like(self.mapped), np.arange(self.rows)
+        for way, belief in enumerate(self.mapped):
+            for speed, (prior, steps) in enumerate(SPEEDS):
+                turned = (1 - CHANGE) * belief[speed] + CHANGE * prior * belief.sum(axis=0)
+                for step, chance in steps.items():
+                    to = rows + WAYS[way] * step
+                    inside = (to >= 0) & (to < self.rows)
+                    inside[inside] = self._stretches[to[inside]] == self._stretches[inside]
+                    later[way, speed, to[inside]] += (1 - JUMP) * chance * turned[inside]
+        return later
+
+
+# --------------------------------------------------------------------------------------- the stream
+
+
+class Loops:
+    """A live stream, as `native.loops.Loops`, which see."""
+
+    def __init__(
+        self, channels: Sequence[Channel], exclude: int = 50, threshold: float = 0.8
+    ) -> None:
+        self.channels, self._exclude, self._threshold = tuple(channels), exclude, threshold
+        self._frames: dict[str, list[Array]] = {each.name: [] for each in channels}
+        self._leads = {each.name: 0.0 for each in channels}
+        self._stamps, self._starts = list[float](), list[int]()
+        self._filter = Filter()
+
+    def __len__(self) -> int:
+        return len(self._stamps)
+
+    @property
+    def weights(self) -> dict[str, float]:
+        """The present weight of each channel: its trust, times the sum of the leads of its first
+        candidates; where none leads, trust decides."""
+        trust = {each.name: each.trust for each in self.channels}
+        known = {name: trust[name] * self._leads[name] for name in trust}
+        chosen = known if any(known.values()) else trust
+        return {name: weight / sum(chosen.values()) for name, weight in chosen.items()}
+
+    def descriptors(self, name: str, first: int, last: int) -> Array:
+        """``(last - first, *shape)``, a copy, by the channel with a name."""
+        return np.array(self._frames[name][first:last])
+
+    def update(
+        self,
+        descriptors: Mapping[str, Array],
+        stamp: float = math.nan,
+        starts: bool = False,
+        threads: int = 1,
+    ) -> Found:
+        """Looks for the place of the next frame among the earlier ones, then stores it."""
+        swept = {
+            each.name: np.asarray(descriptors[each.name]).reshape(-1, *each.shape)
+            for each in self.channels
+        }
+        centres = {name: anchors[len(anchors) // 2] for name, anchors in swept.items()}
+        self._arrive(centres, stamp, starts)
+        found = self._step(swept, centres)
+        self._store(centres, stamp)
+        return found
+
+    def extend(self, descriptors: Mapping[str, Array], stamps: Array | None, starts: Array) -> None:
+        """Stores frames that are known as if they had come, without results."""
+        for row, first in enumerate(starts):
+            stamp = math.nan if stamps is None else float(stamps[row])
+            centres = {name: each[row] for name, each in descriptors.items()}
+            self._arrive(centres, stamp, bool(first))
+            self._store(centres, stamp)
+
+    def _arrive(self, centres: Mapping[str, Array], stamp: float, starts: bool) -> None:
+        """What comes before a frame: a new stretch, and another state of the filter."""
+        if not self._starts or starts or self._breaks(centres, stamp):
+            self._starts.append(len(self))
+            self._neighbours = list[float]()
+            self._repeats, self._tracks = Repeats(self._exclude), Tracks()
+            self._filter.restart()
+        last = max(0, len(self) - min(RECENT, self._exclude))
+        fresh = np.arange(self._filter.rows, max(last, self._filter.rows))
+        self._filter.extend(np.searchsorted(self._starts, fresh, side="right").tolist())
+
+    def _breaks(self, centres: Mapping[str, Array], stamp: float) -> bool:
+        first = max(self._starts[-1], len(self) - LAST_FRAMES)
+        if not is_gap(self._stamps[first:], stamp):
+            return False
+        alike = [
+            likeness(np.array([*self._frames[name][first:], centres[name]])) for name in centres
+        ]
+        return bool(np.mean(alike) < LIKE)
+
+    def _store(self, centres: Mapping[str, Array], stamp: float) -> None:
+        for name, frames in self._frames.items():
+            frames.append(np.array(centres[name]))
+        self._stamps.append(stamp)
+
+    def _step(self, swept: Mapping[str, Array], centres: Mapping[str, Array]) -> Found:
+        first, old = self.channels[0].name, max(0, len(self) - self._exclude)
+        described = np.array([frame.any() for frame in self._frames[first]], bool)
+        too_few, empty = np.count_nonzero(described[:old]) < 2, not centres[first].any()
+        if empty:
+            if not too_few:
+                self._filter.step(np.ones(self._filter.rows))
+            return Found("empty_frame")
+        if not described.any():
+            return Found("no_candidate")
+        scores = self._scores(swept, 0 if too_few else old)
+        near = nearness(scores)
+        self._repeats.after(near[self._starts[-1] :])
+        if too_few:
+            return Found("too_recent")
+        rows = self._filter.step(self._likelihood(near, old)[: self._filter.rows])
+        return self._found(rows, scores, old)
+
+    def _scores(self, swept: Mapping[str, Array], old: int) -> Floats:
+        """``(N,)`` scores of a frame by all channels, scaled by those of the old frames, if any."""
+        parts = list[Floats]()
+        for channel in self.channels:
+            name, known = channel.name, np.array(self._frames[channel.name])
+            if channel.dtype == "uint8":
+                parts.append(scores_of_signs(known, swept[name][0], self._starts))
+            else:
+                parts.append(scores_of_vectors(known, swept[name], self._starts))
+            z, _, _ = scaled(parts[-1][:old], old)
+            self._leads[name] += max(0.0, lead(z))
+        if len(parts) == 1:
+            return parts[0]
+        return fused(parts, [*self.weights.values()], old or len(self))
+
+    def _likelihood(self, near: Floats, old: int) -> Floats:
+        """``(N,)``, how much likelier a frame is at each row than at a new place, by its nearness.
+        The level of frames of the same stretch is the higher, the more alike neighbouring frames
+        are and the more their street repeats."""
+        known = near[:old][np.isfinite(near[:old])]
+        mean, deviation = known.mean(), known.std()
+        if deviation <= _MIN_SPREAD or np.ptp(known) <= _MIN_SPREAD:
+            return np.ones(len(near))
+        start, z = self._starts[-1], (near - mean) / deviation
+        own, candidates = z[start:], max(0, len(z) - start - self._exclude)
+        previous = len(own) - max(1, self._exclude // STRIDE)
+        if previous >= 0 and np.isfinite(own[previous]):
+            self._neighbours = [*self._neighbours, float(own[previous])][-NEIGHBOURS:]
+        usual = float(np.quantile(self._neighbours, 0.25)) if self._neighbours else 0.0
+        by_chance = math.sqrt(2 * math.log(max(2, len(z))))
+        level = max(LEVEL, LEVEL_FRACTION * usual, by_chance)
+        others = np.exp(np.minimum(WEIGHT * (z - LEVEL), MAX_LOG))
+        same = np.exp(np.minimum(EVIDENCE / level * (own - level), MAX_LOG))
+        repeats = (self._repeats.highest[: len(own)] - mean) * MARGIN / deviation - level
+        same[:candidates] *= np.exp(-EVIDENCE / level * np.maximum(0, repeats))[:candidates]
+        if len(self.channels) > 1:  # label maps alone have tracks by chance as close as returns
+            self._tracks.after(near[start:], candidates)
+            if self._tracks.returning:
+                same[:candidates] = np.maximum(same, others[start:])[:candidates]
+        return np.concatenate((others[:start], same))
+
+    def _found(self, rows: Floats, scores: Floats, old: int) -> Found:
+        """The result, by the probabilities of the rows."""
+        candidate = int(np.where(np.isfinite(scores[:old]), rows[:old], -1).argmax())
+        first, last = max(0, candidate - NEAR), min(candidate + NEAR + 1, old)
+        probability = min(1.0, float(rows[first:last].sum()))
+        at_old, recent = float(rows[:old].sum()), float(rows[old:].sum())
+        reason = "below_threshold"
+        if probability >= self._threshold:
+            reason = "accepted"
+        elif recent > max(at_old, 1 - at_old - recent):
+            reason = "too_recent"
+        elif at_old >= self._threshold:
+            reason = "ambiguous"
+        self._tracks.decided(reason == "accepted")
+        stretch = np.searchsorted(self._starts, candidate, side="right")
+        first, last = (
+            max(first, self._starts[stretch - 1]),
+            min(last, *self._starts[stretch:], last),
+        )
+        near = tuple(rows[first:last].tolist())
+        places = tuple(_places(rows[:old].copy(), candidate))
+        return Found(reason, candidate, float(scores[candidate]), probability, places, first, near)
+
+
+def _places(left: Floats, row: int) -> Iterator[tuple[int, float]]:
+    """The most probable places by the probabilities of the old rows; the first is given."""
+    for _ in range(PLACES):
+        near = slice(max(0, row - NEAR), row + NEAR + 1)
+        probability = min(1.0, float(left[near].sum()))
+        if probability < LEAST:
+            return
+        yield row, probability
+        left[near] = 0
+        row = int(left.argmax())

@@ -1,0 +1,449 @@
+// The channels of live.hpp.
+
+#include "live.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+
+#include "parallel.hpp"
+
+namespace places {
+
+namespace {
+constexpr Size LANES = 16;
+constexpr Size AHEAD = 1024;    // numbers that come from memory while others are computed
+constexpr int TOGETHER = 3;  // anchors that are compared with a row at once
+constexpr Size MANY = 1 << 13;   // rows from which threads share them
+constexpr double LENGTH_TOLERANCE = 1e-3;
+constexpr double MIN_SQUARE = 1e-9, LEAST = 1e-3;  // of a length without a mean, of two lengths' product
+
+std::size_t place(Size at) { return static_cast<std::size_t>(at); }
+
+// Numbers that a processor takes at once; one that takes fewer makes several of them.
+#if defined(__GNUC__)
+SSRVLAD_INLINE void prefetch(const float *numbers) { __builtin_prefetch(numbers); }
+typedef float Lanes __attribute__((vector_size(LANES * sizeof(float)), aligned(4), may_alias));
+#else
+void prefetch(const float *) {}
+
+struct Lanes {
+  float of[LANES];
+
+  float operator[](Size lane) const { return of[lane]; }
+};
+
+Lanes operator-(Lanes a, const Lanes &b) { for (Size i = 0; i < LANES; ++i) a.of[i] -= b.of[i]; return a; }
+Lanes operator*(Lanes a, const Lanes &b) { for (Size i = 0; i < LANES; ++i) a.of[i] *= b.of[i]; return a; }
+void operator+=(Lanes &a, const Lanes &b) { for (Size i = 0; i < LANES; ++i) a.of[i] += b.of[i]; }
+#endif
+
+SSRVLAD_INLINE const Lanes &load(const float *numbers) {
+  return *reinterpret_cast<const Lanes *>(numbers);
+}
+
+SSRVLAD_INLINE float sum_of(const Lanes &lanes) {
+  float folded[LANES];
+  for (Size lane = 0; lane < LANES; ++lane) folded[lane] = lanes[lane];
+  for (Size half = LANES / 2; half; half /= 2)
+    for (Size lane = 0; lane < half; ++lane) folded[lane] += folded[lane + half];
+  return folded[0];
+}
+
+// For rows without their mean, the best product with some anchors, and their squared lengths.
+template <int ANCHORS>
+SSRVLAD_INLINE void best_of(const float *rows, Size count, Size width, const float *mean,
+                            const float *anchors, float *best, float *squares) {
+  for (Size row = 0; row < count; ++row, rows += width) {
+    Lanes products[ANCHORS] = {}, square = {};
+    for (Size i = 0; i < width; i += LANES) {
+      prefetch(rows + i + AHEAD);
+      const Lanes value = load(rows + i) - load(mean + i);
+      square += value * value;
+      for (int anchor = 0; anchor < ANCHORS; ++anchor)
+        products[anchor] += value * load(anchors + anchor * width + i);
+    }
+    for (const Lanes &product : products) best[row] = std::max(best[row], sum_of(product));
+    squares[row] = sum_of(square);
+  }
+}
+
+SSRVLAD_CLONES void best_of_one(const float *rows, Size count, Size width, const float *mean,
+                                const float *anchors, float *best, float *squares) {
+  best_of<1>(rows, count, width, mean, anchors, best, squares);
+}
+
+SSRVLAD_CLONES void best_of_some(const float *rows, Size count, Size width, const float *mean,
+                                 const float *anchors, float *best, float *squares) {
+  best_of<TOGETHER>(rows, count, width, mean, anchors, best, squares);
+}
+
+// Calls a function for the rows from `first` to `last` that are of each stretch.
+template <class Stretches, class Function>
+void by_stretch(const Stretches &stretches, Size first, Size last, Function function) {
+  for (std::size_t number = 0; number < stretches.size(); ++number) {
+    const Size end = number + 1 < stretches.size() ? stretches[number + 1].first : last;
+    const Size from = std::max(first, stretches[number].first), to = std::min(last, end);
+    if (from < to) function(stretches[number], from, to);
+  }
+}
+
+// The numbers of bits in which a column of a frame differs from that of another.
+Size differing(const Word *one, const Word *other, Size words) {
+  std::int32_t bits;
+  count_moves(one, other, 1, {1, words, 0}, &bits);
+  return bits;
+}
+}  // namespace
+
+// ------------------------------------------------------------------------------------------- vectors
+
+LiveVectors::LiveVectors(Size length)
+    : length_(length),
+      width_((length + LANES - 1) / LANES * LANES),
+      rows_(width_),
+      total_(place(length)),
+      before_(place(length)) {}
+
+bool LiveVectors::empty(const void *descriptor) const {
+  const auto *vector = static_cast<const float *>(descriptor);
+  return std::all_of(vector, vector + length_, [](float number) { return number == 0; });
+}
+
+bool LiveVectors::fits(const void *swept, Size anchors) const {
+  const auto *vector = static_cast<const float *>(swept);
+  for (Size anchor = 0; anchor < anchors; ++anchor, vector += length_) {
+    const double length = std::sqrt(dot(vector, vector, length_));
+    if (!(std::abs(length - 1) <= LENGTH_TOLERANCE || length == 0)) return false;
+  }
+  return anchors % 2 == 1;
+}
+
+void LiveVectors::append(const void *descriptor) {
+  const auto *vector = static_cast<const float *>(descriptor);
+  float *row = rows_.append();
+  std::copy_n(vector, length_, row);
+  std::fill(row + length_, row + width_, 0.0F);
+  empty_.push_back(empty(vector));
+  for (Size i = 0; i < length_; ++i) total_[place(i)] += static_cast<double>(vector[i]);
+  counted_ += !empty_.back();
+}
+
+void LiveVectors::start_stretch() {
+  if (first_ == rows()) return;
+  finished_.push_back({first_, mean(nullptr)});
+  for (Size i = 0; i < length_; ++i) before_[place(i)] += total_[place(i)];
+  std::fill(total_.begin(), total_.end(), 0.0);
+  counted_before_ += counted_;
+  counted_ = 0;
+  first_ = rows();
+}
+
+// The mean of the present stretch, with another frame if there is one.
+std::vector<float> LiveVectors::mean(const float *next) const {
+  Size counted = counted_ + (next && !empty(next)) + (counted_before_ ? BEFORE : 0);
+  counted = std::max<Size>(1, counted);
+  const double share = counted_before_ ? static_cast<double>(BEFORE) / static_cast<double>(counted_before_) : 0;
+  std::vector<float> mean(place(width_));
+  for (Size i = 0; i < length_; ++i) {
+    const double own = total_[place(i)] + (next ? static_cast<double>(next[i]) : 0);
+    mean[place(i)] = static_cast<float>((own + before_[place(i)] * share) / static_cast<double>(counted));
+  }
+  return mean;
+}
+
+// Anchors without the mean, of length 1 again; those that equal it are zero.
+std::vector<float> LiveVectors::centred(const float *swept, Size anchors, const float *mean) const {
+  std::vector<float> after(place(anchors * width_));
+  for (Size anchor = 0; anchor < anchors; ++anchor, swept += length_) {
+    float *vector = after.data() + anchor * width_, most = 0;
+    for (Size i = 0; i < length_; ++i) {
+      vector[i] = swept[i] - mean[i];
+      most = std::max(most, std::abs(vector[i]));
+    }
+    const double length = std::max(std::sqrt(dot(vector, vector, width_)), ROUNDING);
+    scale(vector, static_cast<float>(static_cast<double>(most) <= ROUNDING ? 0 : 1 / length), width_);
+  }
+  return after;
+}
+
+void LiveVectors::scores(const void *swept, Size anchors, int threads, float *scores) {
+  const auto *given = static_cast<const float *>(swept);
+  auto stretches = finished_;
+  stretches.push_back({first_, mean(given + anchors / 2 * length_)});
+  const std::vector<float> all = centred(given, anchors, stretches.back().mean.data());
+  over_blocks(rows(), GrowingRows<float>::ROWS, rows() < MANY ? 1 : threads, [&](Size first, Size last) {
+    float squares[GrowingRows<float>::ROWS];
+    std::fill(scores + first, scores + last, NONE);
+    by_stretch(stretches, first, last, [&](const Stretch &stretch, Size from, Size to) {
+      for (Size anchor = 0; anchor < anchors;) {
+        const bool some = anchors - anchor >= TOGETHER;
+        (some ? best_of_some : best_of_one)(rows_[from], to - from, width_, stretch.mean.data(),
+                                            all.data() + anchor * width_, scores + from,
+                                            squares + from - first);
+        anchor += some ? TOGETHER : 1;
+      }
+    });
+    for (Size row = first; row < last; ++row) {
+      const double square = std::max(static_cast<double>(squares[row - first]), MIN_SQUARE);
+      scores[row] = empty_[place(row)] ? NONE : scores[row] / static_cast<float>(std::sqrt(square));
+    }
+  });
+}
+
+void LiveVectors::copy(Size first, Size last, void *descriptors) const {
+  auto *out = static_cast<float *>(descriptors);
+  for (Size row = first; row < last; ++row, out += length_) std::copy_n(rows_[row], length_, out);
+}
+
+double LiveVectors::cosine(const void *one, const void *other) const {
+  const auto *a = static_cast<const float *>(one), *b = static_cast<const float *>(other);
+  const double length = std::max(std::sqrt(dot(a, a, length_)), ROUNDING);
+  return dot(a, b, length_) / (length * std::max(std::sqrt(dot(b, b, length_)), ROUNDING));
+}
+
+// --------------------------------------------------------------------------------------------- signs
+
+LiveSigns::LiveSigns(Size columns, Size size)
+    : columns_(columns),
+      size_(size),
+      grid_{columns, (size + 7) / 8, REACH},
+      rows_(grid_.size()),
+      nothing_(place(grid_.size())) {}
+
+std::vector<Word> LiveSigns::packed(const void *descriptor) const {
+  const auto *bytes = static_cast<const std::uint8_t *>(descriptor);
+  std::vector<Word> frame(nothing_);
+  for (Size column = 0; column < columns_; ++column)
+    std::memcpy(frame.data() + column * grid_.words, bytes + column * size_, place(size_));
+  return frame;
+}
+
+double LiveSigns::bits(int move) const {
+  return static_cast<double>(8 * size_ * std::max<Size>(0, columns_ - std::abs(move)));
+}
+
+void LiveSigns::add(const Word *frame, Sum &sum) const {
+  ++sum.frames;
+  std::vector<Word> carry(frame, frame + grid_.size());
+  for (std::size_t plane = 0; sum.frames >> plane; ++plane) {
+    if (plane == sum.planes.size()) sum.planes.push_back(nothing_);
+    for (std::size_t word = 0; word < carry.size(); ++word) {
+      const Word both = carry[word] & sum.planes[plane][word];
+      sum.planes[plane][word] ^= carry[word];
+      carry[word] = both;
+    }
+  }
+}
+
+LiveSigns::Products LiveSigns::with(const Word *frame, const Sum &sum) const {
+  Products found;
+  const auto add_products = [&](const Word *signs, double factor) {
+    std::array<std::int32_t, MOVES> different;
+    count_moves(signs, frame, 1, grid_, different.data());
+    for (int move = -REACH; move <= REACH; ++move)
+      found.moved[place(move + REACH)] += factor * (bits(move) - 2.0 * different[place(move + REACH)]);
+    for (Size column = 0; column < columns_; ++column) {
+      const Size at = column * grid_.words;
+      const auto product = static_cast<double>(8 * size_ - 2 * differing(signs + at, frame + at, grid_.words));
+      for (int move = -REACH; move <= REACH; ++move)
+        if (column - move >= 0 && column - move < columns_)
+          found.there[place(move + REACH)] += factor * product;
+    }
+  };
+  // A count of frames is the sum of half the numbers 1 and -1 of each plane, and half of all its values.
+  double value = 1;
+  for (const auto &plane : sum.planes) add_products(plane.data(), value), value *= 2;
+  add_products(nothing_.data(), static_cast<double>(sum.frames) + 1 - value);
+  return found;
+}
+
+LiveSigns::Stretch LiveSigns::present(Size fresh) const {
+  const double before = static_cast<double>(first_), own = static_cast<double>(rows() - first_ + fresh);
+  if (!first_) return {first_, 0, own};
+  return {first_, static_cast<double>(BEFORE) / before, own + static_cast<double>(BEFORE)};
+}
+
+LiveSigns::Products LiveSigns::with_sum(const Products &own, const Products &every) const {
+  Products sum;
+  const double share = present(0).share;
+  for (std::size_t move = 0; move < MOVES; ++move) {
+    sum.moved[move] = own.moved[move] + share * (every.moved[move] - own.moved[move]);
+    sum.there[move] = own.there[move] + share * (every.there[move] - own.there[move]);
+  }
+  return sum;
+}
+
+double LiveSigns::square_of_sum(std::size_t move) const {
+  const double share = present(0).share;
+  return own_square_[move] + 2 * share * own_with_before_[move] + share * share * before_square_[move];
+}
+
+void LiveSigns::store(const Word *frame, const Products &own, const Products &every) {
+  for (int move = -REACH; move <= REACH; ++move) {
+    const std::size_t at = place(move + REACH);
+    own_square_[at] += 2 * own.there[at] + bits(move);
+    own_with_before_[at] += every.there[at] - own.there[at];
+  }
+  std::copy_n(frame, grid_.size(), rows_.append());
+  add(frame, own_);
+  add(frame, every_);
+  compared_ = false;
+}
+
+void LiveSigns::extend(const void *descriptor) {
+  const std::vector<Word> frame = packed(descriptor);
+  store(frame.data(), with(frame.data(), own_), with(frame.data(), every_));
+  for (auto *each : {&with_every_, &with_present_, &there_or_length_})
+    for (auto &of_rows : *each) of_rows.push_back(0);
+  counted_ = false;
+}
+
+void LiveSigns::append(const void *descriptor) {
+  const std::vector<Word> frame = packed(descriptor);
+  if (!compared_) compare(frame.data(), 1);
+  const Products sum = with_sum(last_own_, last_every_);
+  for (int move = -REACH; move <= REACH; ++move) {
+    const std::size_t at = place(move + REACH);
+    for (std::size_t row = 0; row < moved_[at].size(); ++row) {
+      with_every_[at][row] += moved_[at][row];
+      with_present_[at][row] += moved_[at][row];
+    }
+    for (std::size_t row = 0; row < there_[at].size(); ++row)
+      there_or_length_[at][place(first_) + row] += there_[at][row];
+    with_every_[at].push_back(last_every_.moved[at] + last_self_[at]);
+    with_present_[at].push_back(sum.moved[at] + last_self_[at]);
+    there_or_length_[at].push_back(sum.there[at] + bits(move));
+  }
+  store(frame.data(), last_own_, last_every_);
+}
+
+void LiveSigns::recount() {
+  if (counted_) return;
+  for (Size row = 0; row < rows(); ++row) {
+    const Products every = with(rows_[row], every_), sum = with_sum(with(rows_[row], own_), every);
+    for (std::size_t move = 0; move < MOVES; ++move) {
+      with_every_[move][place(row)] = every.moved[move];
+      with_present_[move][place(row)] = sum.moved[move];
+      if (row >= first_) there_or_length_[move][place(row)] = sum.there[move];
+    }
+  }
+  counted_ = true;
+}
+
+void LiveSigns::start_stretch() {
+  if (first_ == rows()) return;
+  if (!counted_)
+    for (Size row = first_; row < rows(); ++row) {
+      const Products sum = with_sum(with(rows_[row], own_), with(rows_[row], every_));
+      for (std::size_t move = 0; move < MOVES; ++move) there_or_length_[move][place(row)] = sum.there[move];
+    }
+  finished_.push_back(present(0));
+  for (int move = -REACH; move <= REACH; ++move) {
+    const std::size_t at = place(move + REACH);
+    const double frames = finished_.back().frames;
+    const double square = bits(move) + square_of_sum(at) / (frames * frames);
+    for (Size row = first_; row < rows(); ++row) {
+      double &there = there_or_length_[at][place(row)];
+      there = std::sqrt(std::max(0.0, square - 2 * there / frames));
+    }
+    before_square_[at] += 2 * own_with_before_[at] + own_square_[at];
+    own_square_[at] = own_with_before_[at] = 0;
+  }
+  own_ = {};
+  first_ = rows();
+  for (std::size_t move = 0; move < MOVES; ++move)
+    for (std::size_t row = 0; row < with_every_[move].size(); ++row)
+      with_present_[move][row] = present(0).share * with_every_[move][row];
+  compared_ = false;
+}
+
+void LiveSigns::compare(const Word *frame, int threads) {
+  recount();
+  last_own_ = with(frame, own_);
+  last_every_ = with(frame, every_);
+  std::array<std::int32_t, MOVES> own;
+  count_moves(frame, frame, 1, grid_, own.data());
+  for (int move = -REACH; move <= REACH; ++move) {
+    const std::size_t at = place(move + REACH);
+    last_self_[at] = bits(move) - 2.0 * own[at];
+    moved_[at].resize(place(rows()));
+    there_[at].assign(place(rows() - first_), 0);
+  }
+  over_blocks(rows(), GrowingRows<Word>::ROWS, rows() < MANY ? 1 : threads, [&](Size first, Size last) {
+    const Size count = last - first;
+    std::vector<std::int32_t> different(place(MOVES * count));
+    count_moves(frame, rows_[first], count, grid_, different.data());
+    for (int move = -REACH; move <= REACH; ++move)
+      for (Size row = 0; row < count; ++row)
+        moved_[place(move + REACH)][place(first + row)] =
+            static_cast<std::int32_t>(bits(move)) - 2 * different[place((move + REACH) * count + row)];
+    for (Size row = std::max(first, first_); row < last; ++row)
+      for (Size column = 0; column < columns_; ++column) {
+        const Size at = column * grid_.words;
+        const Size product = 8 * size_ - 2 * differing(frame + at, rows_[row] + at, grid_.words);
+        for (int move = -REACH; move <= REACH; ++move)
+          if (column - move >= 0 && column - move < columns_)
+            there_[place(move + REACH)][place(row - first_)] += static_cast<std::int32_t>(product);
+      }
+  });
+  compared_ = true;
+}
+
+// Takes a move of the frame that was compared last into the scores of all rows.
+void LiveSigns::score(int move, std::vector<double> &centred, float *scores) const {
+  const std::size_t at = place(move + REACH), back = place(REACH - move);
+  const Stretch now = present(1);
+  const Products sum = with_sum(last_own_, last_every_);
+  const auto square = [&](std::size_t of) {  // of the mean with the frame
+    const double all = square_of_sum(of) + 2 * sum.there[of] + bits(move);
+    return all / (now.frames * now.frames);
+  };
+  const double query = std::sqrt(std::max(
+      0.0, bits(move) - 2 * (sum.there[back] + bits(move)) / now.frames + square(back)));
+  const double self = last_self_[at] - (sum.moved[at] + last_self_[at]) / now.frames;
+  auto stretches = finished_;
+  stretches.push_back(now);
+  double before = 0;  // sum of the rows of earlier stretches
+  by_stretch(stretches, 0, rows(), [&](const Stretch &stretch, Size from, Size to) {
+    const bool is_now = from >= first_;
+    double own = is_now ? self : 0;
+    for (Size row = from; row < to; ++row) {
+      const double product = moved_[at][place(row)];
+      centred[place(row)] = product - (with_present_[at][place(row)] + product) / now.frames;
+      own += centred[place(row)];
+    }
+    const double of_mean = (own + stretch.share * before) / stretch.frames;
+    const double most = bits(move) + square(at);
+    for (Size row = from; row < to; ++row) {
+      double length = there_or_length_[at][place(row)];
+      if (is_now) {
+        const double there = length + there_[at][place(row - first_)];
+        length = std::sqrt(std::max(0.0, most - 2 * there / now.frames));
+      }
+      const double score = (centred[place(row)] - of_mean) / std::max(query * length, LEAST);
+      scores[row] = std::max(scores[row], static_cast<float>(std::min(score, 1.0)));
+    }
+    before += own;
+  });
+}
+
+void LiveSigns::scores(const void *swept, Size, int threads, float *scores) {
+  compare(packed(swept).data(), threads);
+  std::fill(scores, scores + rows(), NONE);
+  std::vector<double> centred(place(rows()));
+  for (int move = -REACH; move <= REACH; ++move) score(move, centred, scores);
+}
+
+void LiveSigns::copy(Size first, Size last, void *descriptors) const {
+  auto *out = static_cast<std::uint8_t *>(descriptors);
+  for (Size row = first; row < last; ++row)
+    for (Size column = 0; column < columns_; ++column, out += size_)
+      std::memcpy(out, rows_[row] + column * grid_.words, place(size_));
+}
+
+double LiveSigns::cosine(const void *one, const void *other) const {
+  return 1 - 2 * static_cast<double>(differing(packed(one).data(), packed(other).data(), grid_.size())) / bits(0);
+}
+
+}  // namespace places

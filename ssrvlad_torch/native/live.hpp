@@ -1,0 +1,176 @@
+// The descriptors of a live stream by one channel, and the scores of a new frame against them.
+//
+// Each frame is compared without the mean of its stretch. The mean of the present stretch is that of its
+// frames so far, with BEFORE frames of the mean of all before. loops/reference.py says the same plainly.
+
+#ifndef SSRVLAD_LIVE_HPP
+#define SSRVLAD_LIVE_HPP
+
+#include <array>
+#include <memory>
+#include <vector>
+
+#include "signs.hpp"
+
+namespace places {
+
+constexpr Size BEFORE = 10;  // what the first frames of a stretch have in common is their place
+constexpr int REACH = 2;     // columns of cells by which signs are moved to each side
+
+// Rows of numbers in blocks that never move, so that growing copies nothing.
+template <class Number>
+class GrowingRows {
+ public:
+  static constexpr Size ROWS = 1024;
+
+  explicit GrowingRows(Size width) : width_(width) {}
+
+  Size rows() const { return rows_; }
+  const Number *operator[](Size row) const { return blocks_[place(row / ROWS)].get() + row % ROWS * width_; }
+
+  Number *append() {
+    if (rows_ % ROWS == 0) blocks_.emplace_back(new Number[place(ROWS * width_)]);
+    const Size row = rows_++;
+    return blocks_.back().get() + row % ROWS * width_;
+  }
+
+ private:
+  static std::size_t place(Size at) { return static_cast<std::size_t>(at); }
+
+  Size width_, rows_ = 0;
+  std::vector<std::unique_ptr<Number[]>> blocks_;
+};
+
+class LiveChannel {
+ public:
+  virtual ~LiveChannel() = default;
+
+  virtual Size bytes() const = 0;  // of a descriptor
+  virtual Size rows() const = 0;
+  virtual bool empty(const void *descriptor) const = 0;
+  // Whether descriptors from some anchors can be those of a frame.
+  virtual bool fits(const void *swept, Size anchors) const = 0;
+  // Fills a score for each row: of a new frame by its descriptors from some anchors, the usual one in the
+  // middle; NONE where the row is empty.
+  virtual void scores(const void *swept, Size anchors, int threads, float *scores) = 0;
+  // Appends the frame that was scored last, or one that was not, by its descriptor.
+  virtual void append(const void *descriptor) = 0;
+  // Appends a frame that is known; frames that come later make up for what `scores` would have counted.
+  virtual void extend(const void *descriptor) = 0;
+  // The next frame starts a stretch.
+  virtual void start_stretch() = 0;
+  virtual void copy(Size first, Size last, void *descriptors) const = 0;
+  // The cosine of two descriptors, with their means.
+  virtual double cosine(const void *one, const void *other) const = 0;
+};
+
+// LiveVectors of length 1, or zero for an empty frame.
+class LiveVectors : public LiveChannel {
+ public:
+  explicit LiveVectors(Size length);
+
+  Size bytes() const override { return length_ * static_cast<Size>(sizeof(float)); }
+  Size rows() const override { return rows_.rows(); }
+  bool empty(const void *descriptor) const override;
+  bool fits(const void *swept, Size anchors) const override;
+  void scores(const void *swept, Size anchors, int threads, float *scores) override;
+  void append(const void *descriptor) override;
+  void extend(const void *descriptor) override { append(descriptor); }
+  void start_stretch() override;
+  void copy(Size first, Size last, void *descriptors) const override;
+  double cosine(const void *one, const void *other) const override;
+
+ private:
+  struct Stretch {
+    Size first;
+    std::vector<float> mean;
+  };
+
+  std::vector<float> mean(const float *next) const;
+  std::vector<float> centred(const float *swept, Size anchors, const float *mean) const;
+
+  Size length_, width_;  // numbers of a vector, and with zeros that fill the lanes of a processor
+  GrowingRows<float> rows_;
+  std::vector<bool> empty_;
+  std::vector<Stretch> finished_;
+  Size first_ = 0;  // of the present stretch
+  std::vector<double> total_, before_;
+  Size counted_ = 0, counted_before_ = 0;
+};
+
+// LiveSigns of cells, `columns` columns of `size` bytes each, as numbers 1 and -1.
+//
+// A mean is a sum of frames, so products with it are sums of whole numbers: those of a row with the
+// frames so far grow by its product with each new frame, and no mean is ever written out. Two products
+// of two frames count, over the columns that are left after each move: `moved`, of one with the other
+// moved to the right, and `there`, of both where they are.
+class LiveSigns : public LiveChannel {
+ public:
+  LiveSigns(Size columns, Size size);
+
+  Size bytes() const override { return columns_ * size_; }
+  Size rows() const override { return rows_.rows(); }
+  bool empty(const void *) const override { return false; }
+  bool fits(const void *, Size anchors) const override { return anchors == 1; }
+  void scores(const void *swept, Size anchors, int threads, float *scores) override;
+  void append(const void *descriptor) override;
+  void extend(const void *descriptor) override;
+  void start_stretch() override;
+  void copy(Size first, Size last, void *descriptors) const override;
+  double cosine(const void *one, const void *other) const override;
+
+ private:
+  static constexpr int MOVES = 2 * REACH + 1;
+  template <class Number>
+  using ByMove = std::array<std::vector<Number>, MOVES>;
+
+  // A sum of frames: how many have each sign, as binary numbers. Plane p holds the bits of value 2 ** p.
+  struct Sum {
+    std::vector<std::vector<Word>> planes;
+    Size frames = 0;
+  };
+
+  // Products of a frame with a sum of frames, by move.
+  struct Products {
+    std::array<double, MOVES> moved{}, there{};
+  };
+
+  // The mean of a stretch is the sum of its frames, and a share of the sum of all before, by a number.
+  struct Stretch {
+    Size first;
+    double share, frames;
+  };
+
+  std::vector<Word> packed(const void *descriptor) const;
+  double bits(int move) const;  // of the columns that are left after a move
+  void add(const Word *frame, Sum &sum) const;
+  Products with(const Word *frame, const Sum &sum) const;
+  Stretch present(Size fresh) const;  // the present stretch with some more frames
+  Products with_sum(const Products &own, const Products &every) const;  // with that of the present mean
+  double square_of_sum(std::size_t move) const;
+  void store(const Word *frame, const Products &own, const Products &every);
+  void compare(const Word *frame, int threads);  // fills what is of the last frame
+  void recount();
+  void score(int move, std::vector<double> &centred, float *scores) const;
+
+  Size columns_, size_;
+  SignGrid grid_;
+  GrowingRows<Word> rows_;
+  std::vector<Word> nothing_;  // no bit
+  std::vector<Stretch> finished_;
+  Size first_ = 0;       // of the present stretch
+  Sum own_, every_;      // of the present stretch, and of all frames
+  std::array<double, MOVES> own_square_{}, own_with_before_{}, before_square_{};  // of their sums, by move
+  // Of each row by move: products `moved` with the sum of all frames, and with that of the present mean;
+  // with that also `there`, of rows of the present stretch, and of others the length without their mean.
+  ByMove<double> with_every_, with_present_, there_or_length_;
+  bool counted_ = true, compared_ = false;
+  // Of the frame that was compared last: products with each row, there with those of the present stretch.
+  ByMove<std::int32_t> moved_, there_;
+  Products last_own_, last_every_;
+  std::array<double, MOVES> last_self_{};
+};
+
+}  // namespace places
+
+#endif

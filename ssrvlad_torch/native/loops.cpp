@@ -1,0 +1,531 @@
+// The live stream of loops.hpp, and the functions of ssrvlad_loops.h.
+
+#include "loops.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+
+#include "interface.hpp"
+
+namespace places {
+
+namespace {
+constexpr Size RECENT = 10;       // least age of an excluded frame that can be the present place
+constexpr Size STRIDE = 50;       // the previous frame is one before where so many are excluded
+constexpr std::size_t NEIGHBOURS = 1000;
+constexpr double EVIDENCE = 3, LEVEL_FRACTION = 0.9;
+constexpr double LEAST_PLACE = 0.01;
+
+constexpr double MARGIN = 1.2;    // repeats
+constexpr Size APART = 5;
+constexpr std::size_t TRACK = 15;
+
+constexpr float KEPT = 0.93F;     // tracks
+constexpr float BY_CHANCE = 1.5F, CLEAR = 0.12F, SAME = 0.75F, LEAST_STEP = 0.02F;
+constexpr std::size_t USUAL = 100, EARLIER = 1000, LEAST_BY_CHANCE = 5;
+constexpr Size WAIT = 25, AROUND = 50, BESIDE = 10;
+
+constexpr double GAP = 600, TIMES = 10;  // stretches
+constexpr Size LAST_FRAMES = 50, LEAST_FRAMES = 20, LAST = 3, OTHERS = 10;
+constexpr double LIKE = 0.5, SPREADS = 3;
+
+constexpr Motion MOTION = {0.01, 0.01, 0.3, 0.97, 0.25, 0.5, 1};
+
+std::size_t place(Size at) { return static_cast<std::size_t>(at); }
+
+template <class Number>
+double median(std::vector<Number> values) {
+  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  const double upper = static_cast<double>(*middle);
+  if (values.size() % 2) return upper;
+  return (static_cast<double>(*std::max_element(values.begin(), middle)) + upper) / 2;
+}
+
+// The quantile between two values, as NumPy's.
+double quantile(std::vector<double> values, double part) {
+  const double at = part * static_cast<double>(values.size() - 1), whole = std::floor(at);
+  const auto lower = values.begin() + static_cast<std::ptrdiff_t>(whole);
+  std::nth_element(values.begin(), lower, values.end());
+  if (lower + 1 == values.end()) return *lower;
+  const double next = *std::min_element(lower + 1, values.end());
+  return *lower + (next - *lower) * (at - whole);
+}
+
+template <class Number>
+void keep(std::deque<Number> &values, Number value, std::size_t most) {
+  values.push_back(value);
+  if (values.size() > most) values.pop_front();
+}
+
+// Mean and deviation of nearness, also of equal values; 0 without values.
+Spread plain_spread(const float *near, Size count) {
+  double total = 0, squares = 0;
+  Size known = 0;
+  for (Size i = 0; i < count; ++i)
+    if (near[i] != NONE) total += static_cast<double>(near[i]), ++known;
+  const double mean = total / static_cast<double>(std::max<Size>(1, known));
+  for (Size i = 0; i < count; ++i)
+    if (near[i] != NONE) squares += (near[i] - mean) * (near[i] - mean);
+  return {mean, std::sqrt(squares / static_cast<double>(std::max<Size>(1, known)))};
+}
+
+// How many deviations the nearest row is ahead of the nearest elsewhere; rows without a score are at the mean.
+double lead(const float *near, Size count, const Spread &spread) {
+  if (count <= 2 * ELSEWHERE + 1) return 0;
+  const auto at = [&](Size row) { return near[row] == NONE ? spread.mean : static_cast<double>(near[row]); };
+  Size first = 0;
+  for (Size row = 1; row < count; ++row)
+    if (at(row) > at(first)) first = row;
+  double rival = -std::numeric_limits<double>::infinity();
+  for (Size row = 0; row < count; ++row)
+    if (std::abs(row - first) > ELSEWHERE) rival = std::max(rival, at(row));
+  return (at(first) - rival) / std::max(spread.deviation, MIN_SPREAD);
+}
+
+// Adds a channel's weighted z-scores of nearness to sums; nothing where a row has no score.
+SSRVLAD_CLONES void add_scaled(const float *near, Size count, double mean, double factor, double *sums) {
+  for (Size i = 0; i < count; ++i) {
+    const double value = near[i] == NONE ? mean : static_cast<double>(near[i]);
+    sums[i] += (value - mean) * factor;
+  }
+}
+
+// Replaces scores by cosines of nearness, where there are some.
+SSRVLAD_CLONES void as_scores(const double *z, Size count, double mean, double deviation, float *scores) {
+  for (Size i = 0; i < count; ++i) {
+    const float cosine = static_cast<float>(1 - exp_of(-(mean + deviation * z[i])));
+    scores[i] = scores[i] == NONE ? NONE : cosine;
+  }
+}
+
+// How much likelier a frame is at rows than at a new place, by their nearness.
+SSRVLAD_CLONES void likelihoods(const float *near, Size count, double weight, double level,
+                                const Spread &spread, float *told) {
+  const double least = spread.mean + level * spread.deviation, factor = weight / spread.deviation;
+  for (Size i = 0; i < count; ++i)
+    told[i] = static_cast<float>(exp_of(std::min((static_cast<double>(near[i]) - least) * factor, MAX_LOG)));
+}
+
+// How alike the last of some frames is to those just before it, by their cosines: 0 as different places,
+// 1 as one frame and the next.
+double likeness(const std::vector<double> &cosines, Size count) {
+  const auto near = [&](Size one, Size other) { return nearness(cosines[place(one * count + other)]); };
+  std::vector<double> others, steps;
+  double step = -std::numeric_limits<double>::infinity(), sum = 0, squares = 0;
+  for (Size row = 0; row + 1 < count; ++row)
+    for (Size other = 0; other <= row - OTHERS; ++other) others.push_back(near(row, other));
+  for (Size row = 1; row + 1 < count; ++row) steps.push_back(near(row, row - 1));
+  for (Size back = 1; back <= LAST; ++back) step = std::max(step, near(count - 1, count - 1 - back));
+  for (const double value : others) sum += value;
+  const double mean = sum / static_cast<double>(others.size()), elsewhere = median(others);
+  for (const double value : others) squares += (value - mean) * (value - mean);
+  const double deviation = std::sqrt(squares / static_cast<double>(others.size()));
+  return (step - elsewhere) / std::max({median(steps) - elsewhere, SPREADS * deviation, ROUNDING});
+}
+
+bool is_gap(const std::deque<double> &stamps, double stamp) {
+  if (static_cast<Size>(stamps.size()) < LEAST_FRAMES || !(stamp - stamps.back() > GAP)) return false;
+  std::vector<double> steps;
+  for (std::size_t row = 1; row < stamps.size(); ++row) steps.push_back(stamps[row] - stamps[row - 1]);
+  if (std::any_of(steps.begin(), steps.end(), [](double step) { return std::isnan(step); })) return false;
+  return stamp - stamps.back() > TIMES * median(steps);
+}
+}  // namespace
+
+// ------------------------------------------------------------------------------------------- repeats
+
+Repeats::Repeats(Size exclude) : nearest_(std::max<Size>(1, exclude / APART)), farthest_(exclude) {}
+
+void Repeats::after(const float *near, Size count) {
+  highest_.resize(place(count + 1), NONE);
+  const Size rows = std::max<Size>(0, std::min(farthest_, count) + 1 - nearest_);
+  const Size first = count - nearest_;  // the row at the least distance; others come before it
+  // as many distances as there are, and one that is beside the last
+  const Size distances = std::max<Size>(0, std::min(farthest_ + 1 - nearest_, rows + 1));
+  std::vector<float> seen(place(distances + 2), NONE), widest(place(distances));
+  for (Size far = 0; far < rows; ++far) seen[place(far + 1)] = near[first - far];
+  for (std::size_t far = 0; far < widest.size(); ++far)
+    widest[far] = std::max({seen[far], seen[far + 1], seen[far + 2]});
+  keep(last_, widest, TRACK);
+  std::size_t shared = place(rows);
+  for (const auto &each : last_) shared = std::min(shared, each.size());
+  if (last_.size() < TRACK || !shared) return;
+  std::vector<float> track(shared);
+  for (const auto &each : last_) add(track.data(), each.data(), 1, static_cast<Size>(shared));
+  for (float &value : track) value /= static_cast<float>(TRACK);
+  const float most = *std::max_element(track.begin(), track.end());
+  for (std::size_t back = 0; back < std::min(TRACK, highest_.size()); ++back) {
+    float &high = highest_[highest_.size() - 1 - back];
+    high = std::max(high, most);
+  }
+  for (Size age = 0; age < static_cast<Size>(TRACK); ++age)
+    for (Size far = 0; far < static_cast<Size>(shared) && first - far >= age; ++far) {
+      float &high = highest_[place(first - far - age)];
+      high = std::max(high, track[place(far)]);
+    }
+}
+
+// -------------------------------------------------------------------------------------------- tracks
+
+Tracks::Tracks() : since_(WAIT) {}
+
+void Tracks::after(const float *near, Size count, Size old) {
+  std::vector<float> before(place(count));
+  before.swap(closeness_);
+  if (count < 2 * BESIDE || near[count - 1] == NONE) return;
+  const std::vector<float> seen(near + std::max<Size>(0, count - AROUND), near + count - BESIDE);
+  keep(steps_, near[count - 1], USUAL);
+  keep(others_, static_cast<float>(median(seen)), USUAL);
+  const double usual = median(std::vector<float>(steps_.begin(), steps_.end())) -
+                       median(std::vector<float>(others_.begin(), others_.end()));
+  const float step = std::max(LEAST_STEP, static_cast<float>(usual));
+  const Spread known = plain_spread(near, old);
+  if (std::all_of(near, near + old, [](float value) { return value == NONE; })) return;
+  const auto later = count - static_cast<Size>(before.size());
+  for (Size row = 0; row < count; ++row) {
+    const float close = near[row] == NONE ? 0 : (near[row] - static_cast<float>(known.mean)) / step;
+    closeness_[place(row)] = (row >= later ? KEPT * before[place(row - later)] : 0) + (1 - KEPT) * close;
+  }
+  closest_ = *std::max_element(closeness_.begin(), closeness_.begin() + old);
+}
+
+void Tracks::decided(bool accepted) {
+  since_ = accepted ? 0 : since_ + 1;
+  if (accepted) waiting_.clear();
+  if (accepted || since_ <= WAIT || closest_ == 0) return;
+  waiting_.push_back(closest_);
+  if (static_cast<Size>(waiting_.size()) <= WAIT) return;
+  keep(by_chance_, waiting_.front(), EARLIER);
+  waiting_.pop_front();
+}
+
+bool Tracks::returning() const {
+  if (by_chance_.size() < LEAST_BY_CHANCE) return false;
+  const float highest = *std::max_element(by_chance_.begin(), by_chance_.end());
+  return highest <= CLEAR && BY_CHANCE * highest <= closest_ && closest_ < SAME;
+}
+
+// -------------------------------------------------------------------------------------------- stream
+
+Stream::Stream(const ssrvlad_loops_settings &settings, const ssrvlad_loops_channel *channels, int count)
+    : exclude_(settings.exclude),
+      threshold_(settings.threshold),
+      leads_(static_cast<std::size_t>(count)),
+      filter_(drives_, MOTION, {FORWARDS, BACKWARDS}),
+      repeats_(exclude_) {
+  for (int number = 0; number < count; ++number) {
+    const auto &[kind, shape, trust] = channels[number];
+    if (kind == SSRVLAD_VECTORS) channels_.push_back(std::make_unique<LiveVectors>(shape[0]));
+    else channels_.push_back(std::make_unique<LiveSigns>(shape[0], shape[1] * shape[2]));
+    trust_.push_back(trust);
+  }
+}
+
+std::vector<double> Stream::weights() const {
+  std::vector<double> weights;
+  double sum = 0, trust = 0;
+  for (std::size_t channel = 0; channel < leads_.size(); ++channel) {
+    weights.push_back(trust_[channel] * leads_[channel]);
+    sum += weights.back();
+    trust += trust_[channel];
+  }
+  for (std::size_t channel = 0; channel < leads_.size(); ++channel)  // where none leads, trust decides
+    weights[channel] = sum > 0 ? weights[channel] / sum : trust_[channel] / trust;
+  return weights;
+}
+
+bool Stream::breaks(const void *const *centres, double stamp) const {
+  if (!is_gap(stamps_, stamp)) return false;
+  const Size before = static_cast<Size>(stamps_.size()), count = before + 1;
+  double sum = 0;
+  for (std::size_t number = 0; number < channels_.size(); ++number) {
+    const LiveChannel &channel = *channels_[number];
+    std::vector<std::uint8_t> frames(place(count * channel.bytes()));
+    channel.copy(rows() - before, rows(), frames.data());
+    std::memcpy(frames.data() + before * channel.bytes(), centres[number], place(channel.bytes()));
+    const auto frame = [&](Size row) { return frames.data() + row * channel.bytes(); };
+    std::vector<double> cosines(place(count * count));
+    for (Size one = 0; one < count; ++one)
+      for (Size other = 0; other < one; ++other)
+        cosines[place(one * count + other)] = channel.cosine(frame(one), frame(other));
+    sum += likeness(cosines, count);
+  }
+  return sum / static_cast<double>(channels_.size()) < LIKE;
+}
+
+void Stream::start_stretch() {
+  for (auto &channel : channels_) channel->start_stretch();
+  starts_.push_back(rows());
+  stamps_.clear();
+  neighbours_.clear();
+  repeats_ = Repeats(exclude_);
+  tracks_ = Tracks();
+  belief_ = filter_.start(drives_.all());
+  starting_ = true;
+}
+
+void Stream::grow() {
+  const Size last = std::max<Size>(0, rows() - std::min(RECENT, exclude_));
+  for (; drives_.rows < last; ++drives_.rows)
+    if (std::binary_search(starts_.begin(), starts_.end(), drives_.rows))
+      drives_.starts.push_back(drives_.rows);
+}
+
+void Stream::store(const void *const *centres, double stamp) {
+  described_.push_back(!channels_[0]->empty(centres[0]));
+  known_ += described_.back();
+  keep(stamps_, stamp, place(LAST_FRAMES));
+}
+
+void Stream::extend(const void *const *descriptors, double stamp, bool starts) {
+  if (starts_.empty() || starts || breaks(descriptors, stamp)) start_stretch();
+  grow();
+  store(descriptors, stamp);
+  for (std::size_t number = 0; number < channels_.size(); ++number)
+    channels_[number]->extend(descriptors[number]);
+}
+
+ssrvlad_loop Stream::update(const void *const *descriptors, const Size *anchors, double stamp,
+                            bool starts, int threads) {
+  std::vector<const void *> centres;
+  for (std::size_t number = 0; number < channels_.size(); ++number) {
+    const Size middle = anchors ? anchors[number] / 2 : 0;
+    centres.push_back(static_cast<const std::uint8_t *>(descriptors[number]) +
+                      middle * channels_[number]->bytes());
+  }
+  if (starts_.empty() || starts || breaks(centres.data(), stamp)) start_stretch();
+  grow();
+  const ssrvlad_loop found = step(descriptors, centres.data(), anchors, threads);
+  store(centres.data(), stamp);
+  for (std::size_t number = 0; number < channels_.size(); ++number)
+    channels_[number]->append(centres[number]);
+  return found;
+}
+
+ssrvlad_loop Stream::step(const void *const *swept, const void *const *centres, const Size *anchors,
+                          int threads) {
+  ssrvlad_loop none{};
+  none.candidate = -1;
+  none.reason = SSRVLAD_EMPTY_FRAME;
+  for (const Size old = std::max<Size>(0, rows() - exclude_); old_ < old; ++old_)
+    old_known_ += described_[place(old_)];
+  const bool empty = channels_[0]->empty(centres[0]), too_few = old_known_ < 2;
+  if (empty) {
+    if (!too_few) filter(std::vector<float>(place(drives_.rows), 1.0F));
+    return none;
+  }
+  none.reason = known_ ? SSRVLAD_TOO_RECENT : SSRVLAD_NO_CANDIDATE;
+  if (!known_) return none;
+  const std::vector<float> scored = scores(swept, anchors, threads, too_few ? 0 : old_);
+  std::vector<float> near(scored.size());
+  nearness(scored.data(), rows(), near.data());
+  repeats_.after(near.data() + starts_.back(), rows() - starts_.back());
+  if (too_few) return none;
+  filter(likelihood(near, Spread::of(near.data(), old_)));
+  return result(scored);
+}
+
+// Scores of a frame by all channels, scaled by those of the old frames, if there are any.
+std::vector<float> Stream::scores(const void *const *swept, const Size *anchors, int threads, Size old) {
+  std::vector<std::vector<float>> near(channels_.size());
+  std::vector<float> scores(place(rows())), found(scores.size(), NONE);
+  std::vector<Spread> spreads;
+  for (std::size_t number = 0; number < channels_.size(); ++number) {
+    channels_[number]->scores(swept[number], anchors ? anchors[number] : 1, threads, scores.data());
+    if (channels_.size() == 1) return scores;
+    near[number].resize(scores.size());
+    nearness(scores.data(), rows(), near[number].data());
+    spreads.push_back(plain_spread(near[number].data(), old ? old : rows()));
+    leads_[number] += std::max(0.0, lead(near[number].data(), old, spreads.back()));
+    for (std::size_t row = 0; row < found.size(); ++row) found[row] = std::max(found[row], scores[row]);
+  }
+  std::vector<double> z(scores.size());
+  double mean = 0, deviation = 0;
+  const std::vector<double> weight = weights();
+  for (std::size_t number = 0; number < channels_.size(); ++number) {
+    const auto [own, spread] = spreads[number];
+    add_scaled(near[number].data(), rows(), own, weight[number] / std::max(spread, MIN_SPREAD), z.data());
+    mean += weight[number] * own;
+    deviation += weight[number] * spread;
+  }
+  as_scores(z.data(), rows(), mean, deviation, found.data());
+  return found;
+}
+
+// How much likelier a frame is at each row than at a new place. The level of rows of the same stretch is the
+// higher, the more alike neighbouring frames are and the more their street repeats.
+std::vector<float> Stream::likelihood(const std::vector<float> &near, const Spread &spread) {
+  std::vector<float> told(near.size(), 1.0F);
+  if (spread.deviation <= MIN_SPREAD) return told;
+  const Size start = starts_.back(), own = rows() - start, candidates = std::max<Size>(0, own - exclude_);
+  const Size previous = own - std::max<Size>(1, exclude_ / STRIDE);
+  if (previous >= 0 && near[place(start + previous)] != NONE)
+    keep(neighbours_, (static_cast<double>(near[place(start + previous)]) - spread.mean) / spread.deviation,
+         NEIGHBOURS);
+  const double usual =
+      neighbours_.empty() ? 0.0 : quantile({neighbours_.begin(), neighbours_.end()}, 0.25);
+  const double by_chance = std::sqrt(2 * log_of(static_cast<double>(std::max<Size>(2, rows()))));
+  const double level = std::max({MOTION.level, LEVEL_FRACTION * usual, by_chance});
+  const double weight = EVIDENCE / level;
+  likelihoods(near.data(), start + candidates, MOTION.weight, MOTION.level, spread, told.data());
+  const bool is_returning = returning(near.data() + start, own, candidates);
+  std::vector<float> same(place(own));
+  likelihoods(near.data() + start, own, weight, level, spread, same.data());
+  for (Size row = 0; row < own; ++row) {
+    float &here = told[place(start + row)];
+    const float others = here;
+    here = same[place(row)];
+    if (row >= candidates) continue;
+    const double repeats = (static_cast<double>(repeats_.highest()[place(row)]) - spread.mean) *
+                           (MARGIN / spread.deviation) - level;
+    if (repeats > 0) here *= static_cast<float>(exp_of(-weight * repeats));
+    if (is_returning) here = std::max(here, others);
+  }
+  return told;
+}
+
+bool Stream::returning(const float *near, Size count, Size old) {
+  if (channels_.size() == 1) return false;  // label maps alone have tracks by chance as close as returns
+  tracks_.after(near, count, old);
+  return tracks_.returning();
+}
+
+void Stream::filter(std::vector<float> told) {
+  told.resize(place(drives_.rows));
+  const Rows rows = drives_.all();
+  belief_ = starting_ ? filter_.extended(belief_, rows) : filter_.predicted(belief_, rows);
+  filter_.update(belief_, {std::move(told), 0});
+  starting_ = false;
+}
+
+ssrvlad_loop Stream::result(const std::vector<float> &scored) {
+  std::vector<float> rows = belief_.of_rows();
+  Size candidate = -1;
+  for (Size row = 0; row < old_; ++row)
+    if (scored[place(row)] != NONE && (candidate < 0 || rows[place(row)] > rows[place(candidate)]))
+      candidate = row;
+  const double old = sum(rows.data(), old_), recent = sum(rows.data() + old_, drives_.rows - old_);
+  const auto near = [&](Size row) {
+    return std::make_pair(std::max<Size>(0, row - SSRVLAD_NEAR), std::min(row + SSRVLAD_NEAR + 1, old_));
+  };
+  const auto [first, last] = near(candidate);
+  ssrvlad_loop found{};
+  found.candidate = candidate;
+  found.score = static_cast<double>(scored[place(candidate)]);
+  found.probability = std::min(1.0, sum(rows.data() + first, last - first));
+  const Size drive = drives_.of(candidate);
+  found.first = std::max(first, drives_.starts[place(drive)]);
+  found.rows = static_cast<std::int32_t>(std::min(last, drives_.last(drive)) - found.first);
+  for (Size row = 0; row < found.rows; ++row)
+    found.probabilities[row] = static_cast<double>(rows[place(found.first + row)]);
+  found.reason = SSRVLAD_BELOW_THRESHOLD;
+  if (found.probability >= threshold_) found.reason = SSRVLAD_ACCEPTED;
+  else if (recent > std::max(old, 1 - old - recent)) found.reason = SSRVLAD_TOO_RECENT;
+  else if (old >= threshold_) found.reason = SSRVLAD_AMBIGUOUS;
+  tracks_.decided(found.reason == SSRVLAD_ACCEPTED);
+  for (Size row = candidate; found.places < SSRVLAD_PLACES; ++found.places) {
+    const auto [from, to] = near(row);
+    const double probability = std::min(1.0, sum(rows.data() + from, to - from));
+    if (probability < LEAST_PLACE) break;
+    found.best[found.places] = {row, probability};
+    std::fill(rows.begin() + from, rows.begin() + to, 0.0F);
+    row = std::max_element(rows.begin(), rows.begin() + old_) - rows.begin();
+  }
+  return found;
+}
+
+}  // namespace places
+
+// ------------------------------------------------------------------------------------- the interface
+
+struct ssrvlad_loops {
+  places::Stream stream;
+};
+
+namespace {
+constexpr int64_t MOST = int64_t{1} << 31;  // numbers of a descriptor, and signs
+
+bool valid(const ssrvlad_loops_settings &settings) {
+  return settings.exclude >= 0 && settings.threshold >= 0 && settings.threshold <= 1;
+}
+
+bool valid(const ssrvlad_loops_channel &channel) {
+  int64_t size = 1;
+  for (const int64_t axis : channel.shape) {
+    if (axis < 1 || axis > MOST / size) return false;
+    size *= axis;
+  }
+  const bool vectors = channel.kind == SSRVLAD_VECTORS && channel.shape[0] == size;
+  return channel.trust > 0 && channel.trust < 1e300 && (vectors || channel.kind == SSRVLAD_SIGNS);
+}
+
+// Whether there are descriptors of one frame that can be such.
+bool fits(const places::Stream &stream, const void *const *descriptors, const int64_t *anchors) {
+  for (std::size_t number = 0; descriptors && number < stream.channels().size(); ++number)
+    if (!descriptors[number] ||
+        !stream.channels()[number]->fits(descriptors[number], anchors ? anchors[number] : 1))
+      return false;
+  return descriptors;
+}
+
+}  // namespace
+
+ssrvlad_loops *ssrvlad_loops_new(const ssrvlad_loops_settings *settings,
+                                 const ssrvlad_loops_channel *channels, int count) {
+  if (!settings || !channels || !valid(*settings) || count < 1 || count > SSRVLAD_CHANNELS) return nullptr;
+  for (int number = 0; number < count; ++number)
+    if (!valid(channels[number])) return nullptr;
+  try {
+    return new ssrvlad_loops{places::Stream(*settings, channels, count)};
+  } catch (const std::bad_alloc &) {
+    return nullptr;
+  }
+}
+
+void ssrvlad_loops_free(ssrvlad_loops *loops) { delete loops; }
+
+int64_t ssrvlad_loops_rows(const ssrvlad_loops *loops) { return loops->stream.rows(); }
+
+int ssrvlad_loops_update(ssrvlad_loops *loops, const void *const *descriptors, const int64_t *anchors,
+                         double stamp, int starts, int threads, ssrvlad_loop *result) {
+  return places::guarded([&] {
+    places::require(loops && result && fits(loops->stream, descriptors, anchors));
+    *result = loops->stream.update(descriptors, anchors, stamp, starts != 0, threads);
+  });
+}
+
+int ssrvlad_loops_extend(ssrvlad_loops *loops, const void *const *descriptors, const double *stamps,
+                         const uint8_t *starts, int64_t frames) {
+  return places::guarded([&] {
+    places::require(loops && descriptors && starts && frames >= 0);
+    const auto &channels = loops->stream.channels();
+    const auto frame = [&](int64_t row) {
+      std::vector<const void *> found;
+      for (std::size_t number = 0; number < channels.size(); ++number)
+        found.push_back(static_cast<const std::uint8_t *>(descriptors[number]) +
+                        row * channels[number]->bytes());
+      return found;
+    };
+    for (int64_t row = 0; row < frames; ++row)
+      places::require(fits(loops->stream, frame(row).data(), nullptr));
+    for (int64_t row = 0; row < frames; ++row) {
+      const double stamp = stamps ? stamps[row] : std::numeric_limits<double>::quiet_NaN();
+      loops->stream.extend(frame(row).data(), stamp, starts[row] != 0);
+    }
+  });
+}
+
+int ssrvlad_loops_descriptors(const ssrvlad_loops *loops, int channel, int64_t first, int64_t last,
+                              void *descriptors) {
+  if (!loops || !descriptors || channel < 0 || first < 0 || last < first || last > loops->stream.rows() ||
+      static_cast<std::size_t>(channel) >= loops->stream.channels().size())
+    return SSRVLAD_WRONG_ARGUMENT;
+  loops->stream.channels()[static_cast<std::size_t>(channel)]->copy(first, last, descriptors);
+  return SSRVLAD_OK;
+}
+
+void ssrvlad_loops_weights(const ssrvlad_loops *loops, double *weights) {
+  for (const double weight : loops->stream.weights()) *weights++ = weight;
+}

@@ -1,0 +1,95 @@
+// A live stream: has this place been seen before? loops/reference.py says the same plainly, and what its
+// constants mean.
+
+#ifndef SSRVLAD_LOOPS_HPP
+#define SSRVLAD_LOOPS_HPP
+
+#include <deque>
+
+#include "filter.hpp"
+#include "live.hpp"
+#include "ssrvlad_loops.h"
+
+namespace places {
+
+// For each frame of a stretch, the highest nearness of the frames around it to others of the same street.
+class Repeats {
+ public:
+  explicit Repeats(Size exclude);
+
+  // Takes the nearness of the next frame to all earlier ones of the stretch.
+  void after(const float *near, Size count);
+  // Of the earlier frames; NONE where nothing is known.
+  const std::vector<float> &highest() const { return highest_; }
+
+ private:
+  Size nearest_, farthest_;
+  std::deque<std::vector<float>> last_;
+  std::vector<float> highest_;
+};
+
+// How closely the frames of a stretch before each earlier frame run beside the last ones.
+class Tracks {
+ public:
+  Tracks();
+
+  // Takes the nearness of the next frame to all earlier ones of the stretch, of which the first are old.
+  void after(const float *near, Size count, Size old);
+  // Takes whether the frame closes a loop: tracks around one are not by chance.
+  void decided(bool accepted);
+  // Whether the last frames run beside old ones in another light.
+  bool returning() const;
+
+ private:
+  std::vector<float> closeness_;
+  std::deque<float> steps_, others_, waiting_, by_chance_;
+  Size since_;
+  float closest_ = 0;
+};
+
+class Stream {
+ public:
+  Stream(const ssrvlad_loops_settings &settings, const ssrvlad_loops_channel *channels, int count);
+  Stream(const Stream &) = delete;
+
+  Size rows() const { return channels_[0]->rows(); }
+  const std::vector<std::unique_ptr<LiveChannel>> &channels() const { return channels_; }
+  std::vector<double> weights() const;
+
+  ssrvlad_loop update(const void *const *descriptors, const Size *anchors, double stamp, bool starts,
+                      int threads);
+  void extend(const void *const *descriptors, double stamp, bool starts);
+
+ private:
+  bool breaks(const void *const *centres, double stamp) const;
+  void start_stretch();
+  void grow();  // states of the filter, one for each frame but the most recent
+  void store(const void *const *centres, double stamp);
+  ssrvlad_loop step(const void *const *swept, const void *const *centres, const Size *anchors,
+                    int threads);
+  std::vector<float> scores(const void *const *swept, const Size *anchors, int threads, Size old);
+  std::vector<float> likelihood(const std::vector<float> &near, const Spread &spread);
+  void filter(std::vector<float> likelihood);
+  ssrvlad_loop result(const std::vector<float> &scores);
+  bool returning(const float *near, Size count, Size old);
+
+  Size exclude_;
+  double threshold_;
+  std::vector<std::unique_ptr<LiveChannel>> channels_;
+  std::vector<double> trust_, leads_;
+  std::vector<bool> described_;
+  Size known_ = 0, old_known_ = 0, old_ = 0;  // frames that are not empty: of all, and of the first old
+  std::vector<Size> starts_;                   // of stretches
+  std::deque<double> stamps_;                  // of the last frames of the present stretch
+  Drives drives_;
+  Filter filter_;
+  Belief belief_;
+  bool starting_ = true;
+  std::deque<double> neighbours_;
+  Repeats repeats_;
+  Tracks tracks_;
+};
+
+}  // namespace places
+
+#endif

@@ -1,0 +1,169 @@
+"""The live stream of the native core: held to the oracle on random streams, and its refusals."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from loop_streams import LIGHT, PLACES, hog_of, noisy_stream, signs_of, unit
+
+from ssrvlad_torch.loops import reference
+from ssrvlad_torch.native.loops import Channel, Loops
+
+pytestmark = pytest.mark.usefixtures("core")
+
+CHANNELS = [
+    Channel("ssr-vlad", (480,)),
+    Channel("features", (16, 2, 8), "uint8", 6.0),
+    Channel("hog", (480,), "float32", 2.0),
+]
+
+
+def both(frames, starts, stamps=None, known=0, **settings):
+    """What the core and the oracle find, of ``(N, ...)`` descriptors by channel, of which the first
+    are known: both streams, and both results of each frame."""
+    channels = [each for each in CHANNELS if each.name in frames]
+    streams = [form(channels, **settings) for form in (Loops, reference.Loops)]
+    stamps = np.full(len(starts), math.nan) if stamps is None else stamps
+    for stream in streams:
+        centres = {each.name: frames[each.name][:known] for each in channels}
+        centres["ssr-vlad"] = centres["ssr-vlad"][:, frames["ssr-vlad"].shape[1] // 2]
+        stream.extend(centres, stamps[:known], starts[:known])
+    found = []
+    for row in range(known, len(starts)):
+        one = {name: each[row] for name, each in frames.items()}
+        found.append([stream.update(one, stamps[row], starts[row]) for stream in streams])
+    return streams, found
+
+
+def assert_same(streams, found, threshold):
+    """Scores and probabilities are equal but for rounding, and so are decisions, but for those that
+    rounding decides: at the threshold, and between two rows or reasons that are as probable."""
+    ours, theirs = streams
+    assert ours.weights == pytest.approx(theirs.weights, abs=1e-5)
+    for one, other in found:
+        assert (one.candidate is None) == (other.candidate is None)
+        if one.candidate is None:
+            assert one == other
+            continue
+        assert one.probability == pytest.approx(other.probability, abs=2e-5)
+        if abs(other.probability - threshold) > 1e-4:
+            assert (one.reason == "accepted") == (other.reason == "accepted")
+        if one.candidate == other.candidate:
+            assert one.score == pytest.approx(other.score, abs=1e-5)
+            assert one.first == other.first
+            assert one.near == pytest.approx(other.near, abs=2e-5)
+            for place, wanted in zip(one.places, other.places, strict=False):
+                assert place[1] == pytest.approx(wanted[1], abs=2e-5)
+    same = [one[:2] == other[:2] for one, other in found]
+    assert sum(same) >= 0.98 * len(same)
+
+
+@st.composite
+def streams(draw):
+    """Channels of a walk with empty frames, its sequences and stamps with gaps, how many frames are
+    known, and settings."""
+    anchors, length = draw(st.sampled_from([1, 3, 5])), draw(st.integers(1, 160))
+    seed, places = draw(st.integers(0, 2**31)), draw(st.integers(2, 80))
+    changes = draw(st.lists(st.integers(0, 160), max_size=2))
+    swept, names = noisy_stream(seed, length, places, changes, anchors)
+    light = np.random.default_rng(seed).normal(0, 0.3, (3, 480)).astype(np.float32)
+    drives = np.array([int(name.split()[1]) for name in names])
+    described = swept.any(axis=2)
+    swept[described] = unit((swept + draw(st.booleans()) * light[drives][:, None])[described])
+    usual = swept[:, anchors // 2]
+    frames = {"ssr-vlad": swept}
+    if draw(st.booleans()):
+        frames["features"] = np.array([signs_of(each) for each in usual])
+    if draw(st.booleans()):
+        frames["hog"] = np.array([hog_of(each) for each in usual])
+    stamps = np.arange(length) / 3
+    for row in draw(st.lists(st.integers(20, 160), max_size=2)):
+        stamps[row:] += 3600
+    starts = np.diff(drives, prepend=-1) > 0
+    settings = {
+        "exclude": draw(st.integers(0, 60)),
+        "threshold": draw(st.sampled_from([0.3, 0.8])),
+    }
+    return frames, starts, stamps, draw(st.integers(0, length)), settings
+
+
+@given(streams())
+def test_it_finds_what_the_oracle_finds(stream):
+    frames, starts, stamps, known, settings = stream
+    assert_same(*both(frames, starts, stamps, known, **settings), settings["threshold"])
+
+
+def test_a_return_in_another_light_is_that_of_the_oracle():
+    """Without a gap, by all channels: the tracks of the stream tell it."""
+    street = PLACES[:300] + PLACES[1:301]
+    drawn = np.random.default_rng(0).normal(0, 0.3 / 22, (230, 480))
+    light = 0.35 * LIGHT
+    vectors = unit(np.concatenate((street[:150], street[40:120] + light)) + drawn)
+    frames = {"ssr-vlad": vectors[:, None]}
+    frames |= {"features": np.array([*map(signs_of, vectors)])}
+    frames |= {"hog": np.array([*map(hog_of, vectors)])}
+    streams, found = both(frames, np.arange(230) == 0)
+    assert_same(streams, found, 0.8)
+    assert sum(one.reason == "accepted" for one, _ in found[150:]) > 30
+
+
+def test_a_long_stream_passes_the_ends_of_blocks():
+    """More rows than stand together in memory, over a sequence that starts within them."""
+    swept, names = noisy_stream(3, 1110, 110, [600], 3)
+    starts = np.array([a != b for a, b in zip(names, ["", *names], strict=False)])
+    frames = {"ssr-vlad": swept, "features": np.array([signs_of(each[1]) for each in swept])}
+    streams, found = both(frames, starts, known=1100)
+    assert_same(streams, found, 0.8)
+    ours, _ = streams
+    for first, last in ((0, 3), (1020, 1030), (1100, 1110)):
+        rows = ours.descriptors("features", first, last)
+        np.testing.assert_array_equal(rows, frames["features"][first:last])
+        rows = ours.descriptors("ssr-vlad", first, last)
+        np.testing.assert_array_equal(rows, swept[first:last, 1])
+
+
+def test_several_threads_find_the_same():
+    swept, names = noisy_stream(5, 9000, 110, [4000])
+    starts = np.array([a != b for a, b in zip(names, ["", *names], strict=False)])
+    results = []
+    for threads in (1, 3):
+        stream = Loops(CHANNELS[:1])
+        stream.extend({"ssr-vlad": swept[:8990, 0]}, None, starts[:8990])
+        results.append(
+            [stream.update({"ssr-vlad": each}, threads=threads) for each in swept[8990:]]
+        )
+    assert results[0] == results[1]
+
+
+def test_what_is_excluded_costs_what_there_is():
+    """Frames, and not settings, are stored and compared."""
+    results = []
+    for exclude in (40, 10**30):
+        stream = Loops(CHANNELS[:1], exclude)
+        results.append([stream.update({"ssr-vlad": each}) for each in PLACES[:40]])
+    assert results[0] == results[1]
+
+
+def test_what_is_no_descriptor_is_refused_and_leaves_no_trace():
+    stream = Loops(CHANNELS[:2])
+    one = {"ssr-vlad": PLACES[0], "features": signs_of(PLACES[0])}
+    for change, message in (
+        ({"ssr-vlad": 2 * PLACES[0]}, "expected descriptors of length 1 or zero"),
+        ({"ssr-vlad": math.nan * PLACES[0]}, "expected descriptors of length 1 or zero"),
+        ({"ssr-vlad": PLACES[:2]}, "and an odd number of anchors"),
+        ({"ssr-vlad": PLACES[0, :9]}, r"ssr-vlad: expected descriptors \(480,\) float32, got"),
+        ({"features": PLACES[0]}, r"features: expected descriptors \(16, 2, 8\) uint8, got"),
+        ({"features": np.zeros((3, 16, 2, 8), np.uint8)}, "and an odd number of anchors"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            stream.update(one | change)
+        rows = {name: np.array(each)[None] for name, each in (one | change).items()}
+        if rows["ssr-vlad"].ndim == rows["features"].ndim - 2 == 2:
+            with pytest.raises(ValueError, match=message):
+                stream.extend(rows, None, np.ones(1))
+    assert len(stream) == 0
+    for channels, exclude in (([], 50), ([Channel("x", (0,))], 50), (CHANNELS, -1)):
+        with pytest.raises(RuntimeError, match="the native core refuses the settings or channels"):
+            Loops(channels, exclude)
