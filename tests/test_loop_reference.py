@@ -21,7 +21,7 @@ from ssrvlad_torch.recognition.sweep import score
 
 
 def without_means(frames, ends):
-    """Frames ``(N, ...)`` less the means of their stretches, each with some frames of the mean of all
+    """Frames ``(N, ...)`` less the means of their stretches, each with some of the mean of all
     before."""
     centred = []
     for first, last in zip([0, *ends], [*ends, len(frames)], strict=True):
