@@ -25,13 +25,15 @@ from pathlib import Path
 from typing import Any
 
 from ssrvlad_place.frames import find_frames
-from ssrvlad_place.model import Model, Seen, add_model, open_model
+from ssrvlad_place.model import LABEL_SHAPES, TRUST, Model, Seen, add_model, open_model
 from ssrvlad_place.output import finished, note, one_line, run_program
-from ssrvlad_place.scores import LABEL_SHAPES, TRUST
 
-from ssrvlad_torch.loops.config import LoopConfig
-from ssrvlad_torch.loops.live import Live, live
-from ssrvlad_torch.native.loops import Channel, Found
+try:
+    from ssrvlad_torch.loops.config import LoopConfig
+    from ssrvlad_torch.loops.live import Live, live
+    from ssrvlad_torch.native.loops import Channel, Found
+except ImportError:
+    sys.exit("loops_onnx: loops need: pip install --no-deps ssrvlad-torch")
 
 STDIN = Path("-")
 

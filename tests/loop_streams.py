@@ -1,9 +1,11 @@
 """Streams of descriptors and settings of the loop detector, drawn at random; shared by tests."""
 
+import json
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+import pytest
 from helpers import write_street
 from hypothesis import strategies as st
 
@@ -69,6 +71,28 @@ def write_drive(folder: Path) -> Path:
     for number, seed in enumerate(SEEDS):
         write_street(folder / f"{number:02d}.png", seed)
     return folder
+
+
+def objects(out):
+    """The objects that a program prints, one a line."""
+    return [json.loads(line) for line in out.splitlines()]
+
+
+def _likely(candidates):
+    return {x["frame"]: x["probability"] for x in candidates if x["probability"] > 0.05}
+
+
+def assert_same_answers(got, expected):
+    """Those of two programs, whose scores may differ in their last digits."""
+    assert len(got) == len(expected)
+    for one, other in zip(got, expected, strict=True):
+        assert [*one] == [*other]
+        for name in ("frame", "reason", "candidate"):
+            assert one[name] == other[name], one["frame"]
+        for name in ("score", "probability"):
+            assert one[name] == pytest.approx(other[name], abs=3e-4), one["frame"]
+        places, wanted = (_likely(each["candidates"]) for each in (one, other))
+        assert places == pytest.approx(wanted, abs=3e-4), one["frame"]
 
 
 configs = st.builds(LoopConfig, exclude=st.integers(0, 20), threshold=st.floats(0.1, 0.9))

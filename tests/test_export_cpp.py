@@ -8,12 +8,14 @@ from functools import partial
 from pathlib import Path
 
 import follow_onnx
+import loops_onnx
 import numpy as np
 import pytest
 import torch
 from drives import write_maps
 from graphs import edit_golden, turned
 from helpers import outcome, street
+from loop_streams import SEEDS, assert_same_answers, objects
 from networks import photo, write_graph
 from PIL import Image
 from segmenting import write_drives, write_town
@@ -64,6 +66,12 @@ def place(build):
 def follow(build):
     """The program for drives."""
     return partial(outcome, build / "follow")
+
+
+@pytest.fixture(scope="module")
+def loops(build):
+    """The program for streams."""
+    return partial(outcome, build / "loops")
 
 
 def write_database(path, descriptors, folder):
@@ -326,6 +334,96 @@ def test_wrong_use_of_follow_is_one_line(follow, head, town, tmp_path):
         ((head, tmp_path / "short.npy", 5, maps), "a database of 480 numbers a frame, got 9"),
     ]:
         code, lines, errors = follow(*arguments)
+        assert (code, lines, len(errors)) == (2, [], 1), (arguments, errors)
+        assert message in errors[0]
+
+
+LOOPS = ("--exclude", 5, "--threshold", 0.7)
+
+
+@pytest.fixture
+def stream(tmp_path):
+    """The label maps of `SEEDS` as arrays."""
+    folder = tmp_path / "stream"
+    folder.mkdir()
+    for number, seed in enumerate(SEEDS):
+        np.save(folder / f"{number}.npy", street(seed))
+    return folder
+
+
+def test_loops_of_label_maps_are_those_of_python_and_of_the_command(
+    loops, main_of, ssrvlad, head, stream
+):
+    code, lines, errors = loops(*LOOPS, head, stream)
+    assert (code, errors) == (0, [])
+    got = [json.loads(line) for line in lines]
+    assert sum(line["reason"] == "accepted" for line in got) > 3
+    assert_same_answers(got, objects(main_of(loops_onnx.main, "x", head, stream, *LOOPS)[1]))
+    command = "loops", stream, "--labels-as", "camvid-11", *LOOPS, "--no-sweep", "--json"
+    assert_same_answers(got, objects(ssrvlad(*command)[1]))
+
+
+def test_loops_of_pictures_are_closed_by_all_channels_as_in_python(loops, main_of, tmp_path):
+    """With one file and with two; a file that is torn is skipped."""
+    write_drives(tmp_path, range(20), range(4, 18), (96, 128))
+    drives = [
+        as_arrays(tmp_path / new, tmp_path / old) for new, old in (("a", "monday"), ("b", "today"))
+    ]
+    (drives[0] / "9.npy").write_bytes(b"torn")
+    program = (tmp_path / "place.onnx", *drives, *LOOPS)
+    expected = objects(main_of(loops_onnx.main, "x", *program)[1])
+    assert sum(line["reason"] == "accepted" for line in expected) > 3
+    for model in (["place.onnx"], ["--network", tmp_path / "net.onnx", "head.onnx"]):
+        code, lines, errors = loops(*LOOPS, *model[:-1], tmp_path / model[-1], *drives)
+        torn = f"{drives[0] / '9.npy'}: not a .npy file"
+        assert (code, errors) == (3, [torn, "skipped 1 of 34 frames"])
+        assert_same_answers([json.loads(line) for line in lines], expected)
+
+
+def test_a_stream_is_saved_in_one_array_and_goes_on(loops, drives, head, stream, tmp_path):
+    """As one that was not stopped; another model, and what is no such array, are refused."""
+    memory, later = tmp_path / "memory.npy", tmp_path / "later"
+    expected = [json.loads(line) for line in loops(*LOOPS, head, stream)[1]]
+    later.mkdir()
+    for number in range(45, len(SEEDS)):
+        (stream / f"{number}.npy").rename(later / f"{number}.npy")
+    given = (*LOOPS, "--memory", memory)
+    code, lines, errors = loops(*given, head, stream)
+    assert (code, len(lines), errors) == (0, 45, [])
+    for file in later.iterdir():
+        file.rename(stream / file.name)
+    lines += loops(*given, head, stream)[1]
+    assert_same_answers([json.loads(line) for line in lines], expected)
+    saved = np.load(memory)
+    assert saved["frame"].tolist() == [b"stream/%d" % number for number in range(len(SEEDS))]
+    maps = torch.from_numpy(np.stack([street(seed) for seed in SEEDS]))
+    np.testing.assert_allclose(saved["ssr-vlad"], SSRVLAD(CONFIG)(maps), atol=1e-6)
+    np.testing.assert_array_equal(saved[CONFIG.fingerprint], saved["ssr-vlad"])
+    assert np.isnan(saved["stamp"]).all()
+    code, _, (line,) = loops("--memory", memory, drives / "place.onnx", stream)
+    assert code == 2 and "memory.npy has other" in line
+    for content, message in (
+        (b"torn", "not a saved stream"),
+        (memory.read_bytes()[:-1], "the length does not fit the shape"),
+        (memory.read_bytes()[:100], "ends too early"),
+        ((stream / "1.npy").read_bytes(), "not a saved stream"),
+    ):
+        memory.write_bytes(content)
+        code, _, (line,) = loops("--memory", memory, head, stream)
+        assert code == 2 and f"memory.npy: {message}" in line
+
+
+def test_wrong_use_of_loops_is_one_line(loops, head, stream, tmp_path):
+    (tmp_path / "empty").mkdir()
+    for arguments, message in [
+        ((head,), "usage: loops"),
+        (("--strange", head, stream), "usage: loops"),
+        (("--exclude", "few", head, stream), "expected a number from 0, got few"),
+        (("--threshold", -1, head, stream), "expected a number from 0, got -1"),
+        (("--threshold", 2, head, stream), "a threshold from 0 to 1, got 50 and 2"),
+        ((head, tmp_path / "empty"), "empty holds no frames"),
+    ]:
+        code, lines, errors = loops(*arguments)
         assert (code, lines, len(errors)) == (2, [], 1), (arguments, errors)
         assert message in errors[0]
 

@@ -1,6 +1,5 @@
 """Loops without torch: the command line's answers, line by line."""
 
-import json
 import os
 import subprocess
 from functools import partial
@@ -9,7 +8,7 @@ from pathlib import Path
 import loops_onnx
 import pytest
 from helpers import street, without
-from loop_streams import write_drive
+from loop_streams import assert_same_answers, objects, write_drive
 from PIL import Image
 from segmenting import write_drives
 
@@ -24,27 +23,6 @@ def run(main_of):
 @pytest.fixture
 def drive(tmp_path):
     return write_drive(tmp_path / "drive")
-
-
-def objects(out):
-    return [json.loads(line) for line in out.splitlines()]
-
-
-def likely(candidates):
-    return {x["frame"]: x["probability"] for x in candidates if x["probability"] > 0.05}
-
-
-def assert_same_answers(got, expected):
-    """Scores may differ in their last digits."""
-    assert len(got) == len(expected)
-    for one, other in zip(got, expected, strict=True):
-        assert [*one] == [*other]
-        for name in ("frame", "reason", "candidate"):
-            assert one[name] == other[name], one["frame"]
-        for name in ("score", "probability"):
-            assert one[name] == pytest.approx(other[name], abs=3e-4), one["frame"]
-        places, wanted = (likely(each["candidates"]) for each in (one, other))
-        assert places == pytest.approx(wanted, abs=3e-4), one["frame"]
 
 
 def test_with_all_channels_it_says_what_the_command_line_says(ssrvlad, tmp_path, run):

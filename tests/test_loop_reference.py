@@ -21,8 +21,8 @@ from ssrvlad_torch.recognition.sweep import score
 
 
 def without_means(frames, ends):
-    """Frames ``(N, ...)`` less the means of their stretches, each with some of the mean of all
-    before."""
+    """Frames ``(N, ...)`` without the means of their stretches; the mean of all before counts in
+    each as some frames."""
     centred = []
     for first, last in zip([0, *ends], [*ends, len(frames)], strict=True):
         part, before = frames[first:last], frames[:first]

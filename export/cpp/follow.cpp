@@ -51,24 +51,11 @@ Options parsed(const std::vector<std::string>& arguments) {
   return options;
 }
 
-std::string quoted(const std::string& text) {
-  std::string found = "\"";
-  for (const char each : text) {
-    char code[8];
-    std::snprintf(code, sizeof code, "\\u%04x", static_cast<unsigned char>(each));
-    if (each == '"' || each == '\\')
-      (found += '\\') += each;
-    else
-      found += static_cast<unsigned char>(each) < 0x20 ? code : std::string(1, each);
-  }
-  return found + '"';
-}
-
 void print(const std::string& frame, bool empty, const ssrvlad::Answer& answer) {
-  std::printf("{\"query\": %s, \"candidates\": [", quoted(frame).c_str());
+  std::printf("{\"query\": %s, \"candidates\": [", ssrvlad::quoted(frame).c_str());
   for (std::size_t at = 0; at < answer.candidates.size(); ++at)
     std::printf("%s{\"frame\": %s, \"score\": %.9g}", at ? ", " : "",
-                quoted(answer.candidates[at].frame).c_str(),
+                ssrvlad::quoted(answer.candidates[at].frame).c_str(),
                 static_cast<double>(answer.candidates[at].score));
   std::printf("], \"empty\": %s, \"score_is\": \"%s\", \"confidence\": %.9g}\n", empty ? "true" : "false",
               answer.score_is.c_str(), static_cast<double>(answer.confidence));

@@ -1,10 +1,12 @@
-// Frames on disk: finding them, and describing label maps and photographs in .npy, PGM and PPM files.
+// Frames on disk: finding them, describing label maps and photographs in .npy, PGM and PPM files, and their
+// names in JSON.
 
 #pragma once
 
 #include <algorithm>
 #include <cctype>
 #include <cstdint>
+#include <cstdio>
 #include <filesystem>
 #include <fstream>
 #include <map>
@@ -127,6 +129,20 @@ inline Described describe(const Place& place, const std::string& path) {
   } catch (const std::exception& error) {
     throw std::runtime_error(path + ": " + error.what());
   }
+}
+
+// A text in JSON.
+inline std::string quoted(const std::string& text) {
+  std::string found = "\"";
+  for (const char each : text) {
+    char code[8];
+    std::snprintf(code, sizeof code, "\\u%04x", static_cast<unsigned char>(each));
+    if (each == '"' || each == '\\')
+      (found += '\\') += each;
+    else
+      found += static_cast<unsigned char>(each) < 0x20 ? code : std::string(1, each);
+  }
+  return found + '"';
 }
 
 }  // namespace ssrvlad

@@ -3,14 +3,15 @@
 //     loops [--network net.onnx] [--unchecked] [--exclude N] [--threshold P] [--memory drive.npy]
 //           place.onnx FOLDER...
 //
-// Each folder is a drive of label maps, .npy or PGM, or photographs, .npy or PPM, in natural order. Prints
-// one JSON object a line, as `loops_onnx.py` and `ssrvlad loops --json` do. With --memory the stream in the
-// file, if it exists, goes on, and is saved there; frames that it has are omitted. Exit code 0 for success,
-// 2 for wrong use, with one line on stderr, 3 for finished with some frames skipped.
+// Each folder is a drive of label maps, .npy or PGM, or photographs, .npy or PPM, in natural order.
+// Prints one JSON object a line, as `loops_onnx.py` and `ssrvlad loops --json` do. With --memory the
+// stream in the file, if it exists, goes on, and is saved there; frames that it has are omitted. Exit
+// code 0 for success, 2 for wrong use, with one line on stderr, 3 for finished with some frames skipped.
 
 #include "loops.hpp"
 
 #include <cstdio>
+#include <iostream>
 
 #include "frames.hpp"
 
@@ -58,8 +59,7 @@ Options parsed(const std::vector<std::string>& arguments) {
 void print(const ssrvlad::Loop& loop) {
   using ssrvlad::quoted;
   std::printf("{\"frame\": %s, \"reason\": \"%s\", ", quoted(loop.frame).c_str(), loop.reason.c_str());
-  if (loop.candidate.empty())
-    std::printf("\"candidate\": null, \"score\": null, \"probability\": null");
+  if (loop.candidate.empty()) std::printf("\"candidate\": null, \"score\": null, \"probability\": null");
   else
     std::printf("\"candidate\": %s, \"score\": %.17g, \"probability\": %.17g",
                 quoted(loop.candidate).c_str(), loop.score, loop.probability);

@@ -1,4 +1,5 @@
-// Loop closures in a live stream: has this place been seen before? The rules are those of `ssrvlad loops`.
+// Loop closures in a live stream: has this place been seen before? The rules are those of `ssrvlad
+// loops`.
 //
 //     ssrvlad::Loops loops(place.fingerprints());
 //     const auto loop = loops.update("drive/000001", place.describe(pixels, height, width), stamp);
@@ -9,14 +10,12 @@
 // Header-only, C++17, over the core's ssrvlad_loops.h and place.hpp. Errors are std::runtime_error. A
 // stream belongs to one thread at a time.
 //
-// A saved stream is one .npy array of records, which NumPy reads as `np.load("drive.npy")["ssr-vlad"]`: of
-// each frame its id `frame`, its `stamp`, float64 seconds, NaN where it is not known, and the descriptors
-// of its channels, `ssr-vlad` and, where the model gives them, `features` and `hog`. The titles of these
-// fields are the fingerprints.
+// A saved stream is one .npy array of records, which NumPy reads as `np.load("drive.npy")["ssr-vlad"]`:
+// of each frame its id `frame`, its `stamp`, float64 seconds, NaN where it is not known, and the
+// descriptors of its channels, `ssr-vlad` and, where the model gives them, `features` and `hog`. The
+// titles of these fields are the fingerprints.
 
 #pragma once
-
-#include <ssrvlad_loops.h>
 
 #include <algorithm>
 #include <cmath>
@@ -35,6 +34,7 @@
 #include <vector>
 
 #include "place.hpp"
+#include "ssrvlad_loops.h"
 
 namespace ssrvlad {
 
@@ -57,7 +57,7 @@ struct Loop {
   std::string candidate;  // id of the most probable old frame, or empty
   double score = std::numeric_limits<double>::quiet_NaN();        // a cosine, without the mean so far
   double probability = std::numeric_limits<double>::quiet_NaN();  // that the place is near the candidate
-  std::vector<LoopPlace> candidates;  // the most probable places, best first
+  std::vector<LoopPlace> candidates;                              // the most probable places, best first
 
   bool accepted() const { return reason == "accepted"; }
 };
@@ -66,15 +66,20 @@ class Loops {
  public:
   // A stream without frames. The fingerprints are those of the model that describes its frames.
   explicit Loops(Fingerprints model, LoopSettings settings = {})
-      : model_(std::move(model)), settings_(settings) {}
+      : model_(std::move(model)), settings_(settings) {
+    if (settings.exclude < 0 || !(settings.threshold >= 0 && settings.threshold <= 1))
+      throw std::runtime_error("expected exclude from 0 and a threshold from 0 to 1, got " +
+                               std::to_string(settings.exclude) + " and " +
+                               std::to_string(settings.threshold));
+  }
 
   std::size_t size() const { return frames_.size(); }
   const std::vector<std::string>& frames() const { return frames_; }
   bool contains(const std::string& frame) const { return rows_.count(frame) > 0; }
 
-  // Looks for the place of the next frame, `<sequence>/<name>`, among the earlier ones, then stores it. The
-  // stamp is in seconds, not less than those of earlier frames of the sequence. A frame that is refused
-  // changes nothing.
+  // Looks for the place of the next frame, `<sequence>/<name>`, among the earlier ones, then stores it.
+  // The stamp is in seconds, not less than those of earlier frames of the sequence. A frame that is
+  // refused changes nothing.
   Loop update(const std::string& frame, const Described& seen,
               double stamp = std::numeric_limits<double>::quiet_NaN()) {
     ssrvlad_loop found;
@@ -85,13 +90,14 @@ class Loops {
   // Writes all frames to a file, whole or not at all.
   void save(const std::string& path) const;
 
-  // The stream in a file, as if its frames had come. The last hundred frames are gone through again, from
-  // the usual anchor, which alone is stored: the stream goes on where it was.
+  // The stream in a file, as if its frames had come. The last hundred frames are gone through again,
+  // from the usual anchor, which alone is stored: the stream goes on where it was.
   static Loops load(const std::string& path, const Fingerprints& model, LoopSettings settings = {});
 
  private:
   static constexpr std::size_t kReplayed = 100;
-  static constexpr std::size_t kSigns = 16 * 16 * 16;  // bytes of features: columns, rows, bytes of a cell
+  static constexpr std::size_t kSigns =
+      16 * 16 * 16;  // bytes of features: columns, rows, bytes of a cell
 
   // What is known of a frame, or stored of it.
   struct Channel {
@@ -120,15 +126,22 @@ class Loops {
 
   std::vector<Channel> channels_of(const Described& seen) const {
     const auto length = static_cast<std::int64_t>(seen.length);
-    const auto anchors = static_cast<std::int64_t>(seen.descriptor.size() / std::max<std::size_t>(1, seen.length));
-    std::vector<Channel> channels{{"ssr-vlad", model_.descriptor,
-                                   {SSRVLAD_VECTORS, {length, 1, 1}, 1}, seen.descriptor.data(), anchors}};
+    const auto anchors =
+        static_cast<std::int64_t>(seen.descriptor.size() / std::max<std::size_t>(1, seen.length));
+    std::vector<Channel> channels{{"ssr-vlad",
+                                   model_.descriptor,
+                                   {SSRVLAD_VECTORS, {length, 1, 1}, 1},
+                                   seen.descriptor.data(),
+                                   anchors}};
     if (!seen.features.empty())
-      channels.push_back({"features", model_.features, {SSRVLAD_SIGNS, {16, 16, 16}, 6}, seen.features.data(), 1});
+      channels.push_back(
+          {"features", model_.features, {SSRVLAD_SIGNS, {16, 16, 16}, 6}, seen.features.data(), 1});
     if (!seen.hog.empty())
-      channels.push_back({"hog", model_.hog,
+      channels.push_back({"hog",
+                          model_.hog,
                           {SSRVLAD_VECTORS, {static_cast<std::int64_t>(seen.hog.size()), 1, 1}, 2},
-                          seen.hog.data(), 1});
+                          seen.hog.data(),
+                          1});
     return channels;
   }
 
@@ -145,10 +158,10 @@ class Loops {
       anchors.push_back(channel.anchors);
     }
     const std::uint8_t starts = sequence != sequence_;
-    const int status =
-        found ? ssrvlad_loops_update(stream_.get(), descriptors.data(), anchors.data(), stamp, starts,
-                                     settings_.threads, found)
-              : ssrvlad_loops_extend(stream_.get(), descriptors.data(), &stamp, &starts, 1);
+    const int status = found
+                           ? ssrvlad_loops_update(stream_.get(), descriptors.data(), anchors.data(),
+                                                  stamp, starts, settings_.threads, found)
+                           : ssrvlad_loops_extend(stream_.get(), descriptors.data(), &stamp, &starts, 1);
     if (status == SSRVLAD_WRONG_ARGUMENT)
       throw std::runtime_error("frame " + frame + ": expected descriptors of length 1 or zero");
     if (status != SSRVLAD_OK) throw std::runtime_error("frame " + frame + ": memory is short");
@@ -164,18 +177,16 @@ class Loops {
     for (const auto& channel : channels) given.push_back(channel.of);
     const ssrvlad_loops_settings settings{settings_.exclude, settings_.threshold};
     stream_.reset(ssrvlad_loops_new(&settings, given.data(), static_cast<int>(given.size())));
-    if (!stream_)
-      throw std::runtime_error(
-          "expected exclude from 0 and a threshold from 0 to 1, got " + std::to_string(settings_.exclude) +
-          " and " + std::to_string(settings_.threshold) + "; or memory is short");
+    if (!stream_) throw std::runtime_error("memory is short for a stream");
     channels_ = channels;
   }
 
   void require_same(const std::string& frame, const std::vector<Channel>& channels) const {
     const auto fields = [](const std::vector<Channel>& some) {
       std::string text;
-      for (const auto& channel : some) text += (text.empty() ? "" : ", ") + channel.name + " of " +
-                                               std::to_string(channel.bytes()) + " bytes";
+      for (const auto& channel : some)
+        text += (text.empty() ? "" : ", ") + channel.name + " of " + std::to_string(channel.bytes()) +
+                " bytes";
       return text;
     };
     const auto expected = fields(channels_), got = fields(channels);
@@ -192,7 +203,8 @@ class Loops {
     const auto sequence = frame.substr(0, slash);
     const auto last = stamps_.find(sequence);
     if (std::isinf(stamp) || (last != stamps_.end() && stamp < last->second))
-      throw std::runtime_error("frame " + frame + ": expected a finite stamp, not less than the last one");
+      throw std::runtime_error("frame " + frame +
+                               ": expected a finite stamp, not less than the last one");
     return sequence;
   }
 
@@ -262,7 +274,9 @@ class Records {
     std::ifstream file(path, std::ios::binary);
     if (!file) throw std::runtime_error(path + ": cannot be read");
     content_.assign(std::istreambuf_iterator<char>(file), {});
-    const auto byte = [&](std::size_t at) { return std::size_t{static_cast<unsigned char>(content_[at])}; };
+    const auto byte = [&](std::size_t at) {
+      return std::size_t{static_cast<unsigned char>(content_[at])};
+    };
     if (content_.size() < 12 || content_.compare(0, 7, "\x93NUMPY\x02") != 0) fail("not a saved stream");
     const auto length = byte(8) + (byte(9) << 8) + (byte(10) << 16) + (byte(11) << 24);
     if (content_.size() - 12 < length) fail("ends too early");
@@ -282,7 +296,9 @@ class Records {
     size_ = width_ + sizeof(double) + bytes;
     if (content_.size() - first_ != count_ * size_) fail("the length does not fit the shape");
   }
-  std::string frame(std::size_t row) const { return content_.substr(first_ + row * size_, width_).c_str(); }
+  std::string frame(std::size_t row) const {
+    return content_.substr(first_ + row * size_, width_).c_str();
+  }
   std::string sequence(std::size_t row) const { return frame(row).substr(0, frame(row).rfind('/')); }
   const char* numbers(std::size_t row) const { return content_.data() + first_ + row * size_ + width_; }
 

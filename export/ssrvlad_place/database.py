@@ -13,9 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from .frames import read_npy
-from .model import Seen
+from .model import FEATURES, HOG, LABEL_SHAPES, TRUST, Seen
 from .output import note
-from .scores import FEATURES, HOG, LABEL_SHAPES, TRUST
 
 Array = npt.NDArray[Any]
 

@@ -16,9 +16,12 @@ import onnxruntime
 from .frames import SUFFIXES, SUFFIXES_OF_MAPS, read_labels, read_photograph, read_scores
 from .golden import TOLERANCE, Golden, require_golden, run_golden
 from .output import one_line
-from .scores import FEATURES, HOG, LABEL_SHAPES
 
 Array = npt.NDArray[Any]
+
+LABEL_SHAPES, FEATURES, HOG = "ssr-vlad", "features", "hog"
+TRUST = {LABEL_SHAPES: 1.0, FEATURES: 6.0, HOG: 2.0}
+"""How much each channel counts before anything is known of a drive, as in `ssrvlad query`."""
 
 CPU = "CPUExecutionProvider"
 FORMAT = "2"

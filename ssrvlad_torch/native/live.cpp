@@ -13,8 +13,8 @@ namespace places {
 namespace {
 constexpr Size LANES = 16;
 constexpr Size AHEAD = 1024;    // numbers that come from memory while others are computed
-constexpr int TOGETHER = 3;  // anchors that are compared with a row at once
-constexpr Size MANY = 1 << 13;   // rows from which threads share them
+constexpr int TOGETHER = 3;     // anchors that are compared with a row at once
+constexpr Size MANY = 1 << 13;  // rows from which threads share them
 constexpr double LENGTH_TOLERANCE = 1e-3;
 constexpr double MIN_SQUARE = 1e-9, LEAST = 1e-3;  // of a length without a mean, of two lengths' product
 
@@ -33,9 +33,17 @@ struct Lanes {
   float operator[](Size lane) const { return of[lane]; }
 };
 
-Lanes operator-(Lanes a, const Lanes &b) { for (Size i = 0; i < LANES; ++i) a.of[i] -= b.of[i]; return a; }
-Lanes operator*(Lanes a, const Lanes &b) { for (Size i = 0; i < LANES; ++i) a.of[i] *= b.of[i]; return a; }
-void operator+=(Lanes &a, const Lanes &b) { for (Size i = 0; i < LANES; ++i) a.of[i] += b.of[i]; }
+Lanes operator-(Lanes a, const Lanes &b) {
+  for (Size i = 0; i < LANES; ++i) a.of[i] -= b.of[i];
+  return a;
+}
+Lanes operator*(Lanes a, const Lanes &b) {
+  for (Size i = 0; i < LANES; ++i) a.of[i] *= b.of[i];
+  return a;
+}
+void operator+=(Lanes &a, const Lanes &b) {
+  for (Size i = 0; i < LANES; ++i) a.of[i] += b.of[i];
+}
 #endif
 
 SSRVLAD_INLINE const Lanes &load(const float *numbers) {
@@ -143,11 +151,13 @@ void LiveVectors::start_stretch() {
 std::vector<float> LiveVectors::mean(const float *next) const {
   Size counted = counted_ + (next && !empty(next)) + (counted_before_ ? BEFORE : 0);
   counted = std::max<Size>(1, counted);
-  const double share = counted_before_ ? static_cast<double>(BEFORE) / static_cast<double>(counted_before_) : 0;
+  const double share =
+      counted_before_ ? static_cast<double>(BEFORE) / static_cast<double>(counted_before_) : 0;
   std::vector<float> mean(place(width_));
   for (Size i = 0; i < length_; ++i) {
     const double own = total_[place(i)] + (next ? static_cast<double>(next[i]) : 0);
-    mean[place(i)] = static_cast<float>((own + before_[place(i)] * share) / static_cast<double>(counted));
+    mean[place(i)] =
+        static_cast<float>((own + before_[place(i)] * share) / static_cast<double>(counted));
   }
   return mean;
 }
@@ -245,7 +255,8 @@ LiveSigns::Products LiveSigns::with(const Word *frame, const Sum &sum) const {
       found.moved[place(move + REACH)] += factor * (bits(move) - 2.0 * different[place(move + REACH)]);
     for (Size column = 0; column < columns_; ++column) {
       const Size at = column * grid_.words;
-      const auto product = static_cast<double>(8 * size_ - 2 * differing(signs + at, frame + at, grid_.words));
+      const auto product =
+          static_cast<double>(8 * size_ - 2 * differing(signs + at, frame + at, grid_.words));
       for (int move = -REACH; move <= REACH; ++move)
         if (column - move >= 0 && column - move < columns_)
           found.there[place(move + REACH)] += factor * product;
@@ -336,7 +347,8 @@ void LiveSigns::start_stretch() {
   if (!counted_)
     for (Size row = first_; row < rows(); ++row) {
       const Products sum = with_sum(with(rows_[row], own_), with(rows_[row], every_));
-      for (std::size_t move = 0; move < MOVES; ++move) there_or_length_[move][place(row)] = sum.there[move];
+      for (std::size_t move = 0; move < MOVES; ++move)
+        there_or_length_[move][place(row)] = sum.there[move];
     }
   finished_.push_back(present(0));
   for (int move = -REACH; move <= REACH; ++move) {
@@ -399,8 +411,8 @@ void LiveSigns::score(int move, std::vector<double> &centred, float *scores) con
     const double all = square_of_sum(of) + 2 * sum.there[of] + bits(move);
     return all / (now.frames * now.frames);
   };
-  const double query = std::sqrt(std::max(
-      0.0, bits(move) - 2 * (sum.there[back] + bits(move)) / now.frames + square(back)));
+  const double query = std::sqrt(
+      std::max(0.0, bits(move) - 2 * (sum.there[back] + bits(move)) / now.frames + square(back)));
   const double self = last_self_[at] - (sum.moved[at] + last_self_[at]) / now.frames;
   auto stretches = finished_;
   stretches.push_back(now);
@@ -443,7 +455,8 @@ void LiveSigns::copy(Size first, Size last, void *descriptors) const {
 }
 
 double LiveSigns::cosine(const void *one, const void *other) const {
-  return 1 - 2 * static_cast<double>(differing(packed(one).data(), packed(other).data(), grid_.size())) / bits(0);
+  return 1 - 2 * static_cast<double>(differing(packed(one).data(), packed(other).data(), grid_.size())) /
+                 bits(0);
 }
 
 }  // namespace places

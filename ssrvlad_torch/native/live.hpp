@@ -26,7 +26,9 @@ class GrowingRows {
   explicit GrowingRows(Size width) : width_(width) {}
 
   Size rows() const { return rows_; }
-  const Number *operator[](Size row) const { return blocks_[place(row / ROWS)].get() + row % ROWS * width_; }
+  const Number *operator[](Size row) const {
+    return blocks_[place(row / ROWS)].get() + row % ROWS * width_;
+  }
 
   Number *append() {
     if (rows_ % ROWS == 0) blocks_.emplace_back(new Number[place(ROWS * width_)]);
@@ -50,8 +52,8 @@ class LiveChannel {
   virtual bool empty(const void *descriptor) const = 0;
   // Whether descriptors from some anchors can be those of a frame.
   virtual bool fits(const void *swept, Size anchors) const = 0;
-  // Fills a score for each row: of a new frame by its descriptors from some anchors, the usual one in the
-  // middle; NONE where the row is empty.
+  // Fills a score for each row: of a new frame by its descriptors from some anchors, the usual one in
+  // the middle; NONE where the row is empty.
   virtual void scores(const void *swept, Size anchors, int threads, float *scores) = 0;
   // Appends the frame that was scored last, or one that was not, by its descriptor.
   virtual void append(const void *descriptor) = 0;
@@ -158,14 +160,16 @@ class LiveSigns : public LiveChannel {
   GrowingRows<Word> rows_;
   std::vector<Word> nothing_;  // no bit
   std::vector<Stretch> finished_;
-  Size first_ = 0;       // of the present stretch
-  Sum own_, every_;      // of the present stretch, and of all frames
-  std::array<double, MOVES> own_square_{}, own_with_before_{}, before_square_{};  // of their sums, by move
+  Size first_ = 0;   // of the present stretch
+  Sum own_, every_;  // of the present stretch, and of all frames
+  std::array<double, MOVES> own_square_{}, own_with_before_{},
+      before_square_{};  // of their sums, by move
   // Of each row by move: products `moved` with the sum of all frames, and with that of the present mean;
   // with that also `there`, of rows of the present stretch, and of others the length without their mean.
   ByMove<double> with_every_, with_present_, there_or_length_;
   bool counted_ = true, compared_ = false;
-  // Of the frame that was compared last: products with each row, there with those of the present stretch.
+  // Of the frame that was compared last: products with each row, there with those of the present
+  // stretch.
   ByMove<std::int32_t> moved_, there_;
   Products last_own_, last_every_;
   std::array<double, MOVES> last_self_{};

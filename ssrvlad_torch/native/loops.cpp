@@ -11,17 +11,17 @@
 namespace places {
 
 namespace {
-constexpr Size RECENT = 10;       // least age of an excluded frame that can be the present place
-constexpr Size STRIDE = 50;       // the previous frame is one before where so many are excluded
+constexpr Size RECENT = 10;  // least age of an excluded frame that can be the present place
+constexpr Size STRIDE = 50;  // the previous frame is one before where so many are excluded
 constexpr std::size_t NEIGHBOURS = 1000;
 constexpr double EVIDENCE = 3, LEVEL_FRACTION = 0.9;
 constexpr double LEAST_PLACE = 0.01;
 
-constexpr double MARGIN = 1.2;    // repeats
+constexpr double MARGIN = 1.2;  // repeats
 constexpr Size APART = 5;
 constexpr std::size_t TRACK = 15;
 
-constexpr float KEPT = 0.93F;     // tracks
+constexpr float KEPT = 0.93F;  // tracks
 constexpr float BY_CHANCE = 1.5F, CLEAR = 0.12F, SAME = 0.75F, LEAST_STEP = 0.02F;
 constexpr std::size_t USUAL = 100, EARLIER = 1000, LEAST_BY_CHANCE = 5;
 constexpr Size WAIT = 25, AROUND = 50, BESIDE = 10;
@@ -71,10 +71,13 @@ Spread plain_spread(const float *near, Size count) {
   return {mean, std::sqrt(squares / static_cast<double>(std::max<Size>(1, known)))};
 }
 
-// How many deviations the nearest row is ahead of the nearest elsewhere; rows without a score are at the mean.
+// How many deviations the nearest row is ahead of the nearest elsewhere; rows without a score are at the
+// mean.
 double lead(const float *near, Size count, const Spread &spread) {
   if (count <= 2 * ELSEWHERE + 1) return 0;
-  const auto at = [&](Size row) { return near[row] == NONE ? spread.mean : static_cast<double>(near[row]); };
+  const auto at = [&](Size row) {
+    return near[row] == NONE ? spread.mean : static_cast<double>(near[row]);
+  };
   Size first = 0;
   for (Size row = 1; row < count; ++row)
     if (at(row) > at(first)) first = row;
@@ -93,7 +96,8 @@ SSRVLAD_CLONES void add_scaled(const float *near, Size count, double mean, doubl
 }
 
 // Replaces scores by cosines of nearness, where there are some.
-SSRVLAD_CLONES void as_scores(const double *z, Size count, double mean, double deviation, float *scores) {
+SSRVLAD_CLONES void as_scores(const double *z, Size count, double mean, double deviation,
+                              float *scores) {
   for (Size i = 0; i < count; ++i) {
     const float cosine = static_cast<float>(1 - exp_of(-(mean + deviation * z[i])));
     scores[i] = scores[i] == NONE ? NONE : cosine;
@@ -105,7 +109,8 @@ SSRVLAD_CLONES void likelihoods(const float *near, Size count, double weight, do
                                 const Spread &spread, float *told) {
   const double least = spread.mean + level * spread.deviation, factor = weight / spread.deviation;
   for (Size i = 0; i < count; ++i)
-    told[i] = static_cast<float>(exp_of(std::min((static_cast<double>(near[i]) - least) * factor, MAX_LOG)));
+    told[i] =
+        static_cast<float>(exp_of(std::min((static_cast<double>(near[i]) - least) * factor, MAX_LOG)));
 }
 
 // How alike the last of some frames is to those just before it, by their cosines: 0 as different places,
@@ -129,7 +134,8 @@ bool is_gap(const std::deque<double> &stamps, double stamp) {
   if (static_cast<Size>(stamps.size()) < LEAST_FRAMES || !(stamp - stamps.back() > GAP)) return false;
   std::vector<double> steps;
   for (std::size_t row = 1; row < stamps.size(); ++row) steps.push_back(stamps[row] - stamps[row - 1]);
-  if (std::any_of(steps.begin(), steps.end(), [](double step) { return std::isnan(step); })) return false;
+  if (std::any_of(steps.begin(), steps.end(), [](double step) { return std::isnan(step); }))
+    return false;
   return stamp - stamps.back() > TIMES * median(steps);
 }
 }  // namespace
@@ -346,7 +352,8 @@ std::vector<float> Stream::scores(const void *const *swept, const Size *anchors,
   const std::vector<double> weight = weights();
   for (std::size_t number = 0; number < channels_.size(); ++number) {
     const auto [own, spread] = spreads[number];
-    add_scaled(near[number].data(), rows(), own, weight[number] / std::max(spread, MIN_SPREAD), z.data());
+    add_scaled(near[number].data(), rows(), own, weight[number] / std::max(spread, MIN_SPREAD),
+               z.data());
     mean += weight[number] * own;
     deviation += weight[number] * spread;
   }
@@ -354,15 +361,17 @@ std::vector<float> Stream::scores(const void *const *swept, const Size *anchors,
   return found;
 }
 
-// How much likelier a frame is at each row than at a new place. The level of rows of the same stretch is the
-// higher, the more alike neighbouring frames are and the more their street repeats.
+// How much likelier a frame is at each row than at a new place. The level of rows of the same stretch is
+// the higher, the more alike neighbouring frames are and the more their street repeats.
 std::vector<float> Stream::likelihood(const std::vector<float> &near, const Spread &spread) {
   std::vector<float> told(near.size(), 1.0F);
   if (spread.deviation <= MIN_SPREAD) return told;
-  const Size start = starts_.back(), own = rows() - start, candidates = std::max<Size>(0, own - exclude_);
+  const Size start = starts_.back(), own = rows() - start,
+             candidates = std::max<Size>(0, own - exclude_);
   const Size previous = own - std::max<Size>(1, exclude_ / STRIDE);
   if (previous >= 0 && near[place(start + previous)] != NONE)
-    keep(neighbours_, (static_cast<double>(near[place(start + previous)]) - spread.mean) / spread.deviation,
+    keep(neighbours_,
+         (static_cast<double>(near[place(start + previous)]) - spread.mean) / spread.deviation,
          NEIGHBOURS);
   const double usual =
       neighbours_.empty() ? 0.0 : quantile({neighbours_.begin(), neighbours_.end()}, 0.25);
@@ -379,7 +388,8 @@ std::vector<float> Stream::likelihood(const std::vector<float> &near, const Spre
     here = same[place(row)];
     if (row >= candidates) continue;
     const double repeats = (static_cast<double>(repeats_.highest()[place(row)]) - spread.mean) *
-                           (MARGIN / spread.deviation) - level;
+                               (MARGIN / spread.deviation) -
+                           level;
     if (repeats > 0) here *= static_cast<float>(exp_of(-weight * repeats));
     if (is_returning) here = std::max(here, others);
   }
@@ -474,7 +484,8 @@ bool fits(const places::Stream &stream, const void *const *descriptors, const in
 
 ssrvlad_loops *ssrvlad_loops_new(const ssrvlad_loops_settings *settings,
                                  const ssrvlad_loops_channel *channels, int count) {
-  if (!settings || !channels || !valid(*settings) || count < 1 || count > SSRVLAD_CHANNELS) return nullptr;
+  if (!settings || !channels || !valid(*settings) || count < 1 || count > SSRVLAD_CHANNELS)
+    return nullptr;
   for (int number = 0; number < count; ++number)
     if (!valid(channels[number])) return nullptr;
   try {
@@ -519,7 +530,8 @@ int ssrvlad_loops_extend(ssrvlad_loops *loops, const void *const *descriptors, c
 
 int ssrvlad_loops_descriptors(const ssrvlad_loops *loops, int channel, int64_t first, int64_t last,
                               void *descriptors) {
-  if (!loops || !descriptors || channel < 0 || first < 0 || last < first || last > loops->stream.rows() ||
+  if (!loops || !descriptors || channel < 0 || first < 0 || last < first ||
+      last > loops->stream.rows() ||
       static_cast<std::size_t>(channel) >= loops->stream.channels().size())
     return SSRVLAD_WRONG_ARGUMENT;
   loops->stream.channels()[static_cast<std::size_t>(channel)]->copy(first, last, descriptors);

@@ -12,7 +12,8 @@
 
 namespace places {
 
-// For each frame of a stretch, the highest nearness of the frames around it to others of the same street.
+// For each frame of a stretch, the highest nearness of the frames around it to others of the same
+// street.
 class Repeats {
  public:
   explicit Repeats(Size exclude);
@@ -79,8 +80,8 @@ class Stream {
   std::vector<double> trust_, leads_;
   std::vector<bool> described_;
   Size known_ = 0, old_known_ = 0, old_ = 0;  // frames that are not empty: of all, and of the first old
-  std::vector<Size> starts_;                   // of stretches
-  std::deque<double> stamps_;                  // of the last frames of the present stretch
+  std::vector<Size> starts_;                  // of stretches
+  std::deque<double> stamps_;                 // of the last frames of the present stretch
   Drives drives_;
   Filter filter_;
   Belief belief_;

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
 from itertools import product
 from typing import NamedTuple
 
@@ -29,7 +27,6 @@ FORWARDS, BACKWARDS = 1, -1
 NEAR, ELSEWHERE = 3, 5
 """Rows at most so far apart show the same place, and rows farther apart different places."""
 
-_MIN_STEP, _MAX_STEP = -1, 5
 MOST_RATE = 100
 """Highest `Motion.rate`: time and memory grow with its square."""
 MIN_SPREAD = 1e-6
@@ -69,16 +66,6 @@ class Motion:
     level: float = 0.5
     rate: float = 1
 
-    @property
-    def gap(self) -> int:
-        """The longest step in rows, and the number of empty cells between two sequences."""
-        return _MAX_STEP * math.ceil(self.rate)
-
-    @property
-    def steps(self) -> range:
-        """All steps in rows."""
-        return range(_MIN_STEP * math.ceil(self.rate), self.gap + 1)
-
     def __post_init__(self) -> None:
         for name in ("change", "jump", "unmapped", "stay"):
             if not 0 <= (got := getattr(self, name)) <= 1:
@@ -102,17 +89,6 @@ class Motion:
     def unmapped_at_start(self, rows: int) -> float:
         """Probability that a map of so many rows lacks the place of the first frame."""
         return self.unmapped if rows else 1.0
-
-    def off_track(self, lost: float, unmapped: float) -> tuple[float, float]:
-        """Probabilities of any row and of an unmapped place, from those of a track that was left
-        and of an unmapped place one frame before."""
-        any_row = lost * (1 - self.unmapped) + unmapped * (1 - self.stay)
-        return any_row, lost * self.unmapped + unmapped * self.stay
-
-    def off_track_back(self, any_row: float, unmapped: float) -> tuple[float, float]:
-        """The transpose of `off_track`, for the backward algorithm."""
-        lost = (1 - self.unmapped) * any_row + self.unmapped * unmapped
-        return lost, self.stay * unmapped + (1 - self.stay) * any_row
 
 
 class Course(NamedTuple):
@@ -163,69 +139,6 @@ def _moments(near: Tensor) -> tuple[float, float]:
     return mean, max(MIN_SPREAD, deviation)
 
 
-def likelihoods(
-    scores: Tensor, motion: Motion, spread: tuple[float, float] | None = None
-) -> Tensor:
-    """How much likelier a query is at each row than at a place that the map lacks: ``(R,)``
-    float32, ``exp(weight * (z - level))`` of scores ``(R,)`` float, 0 where they are -inf; 1
-    everywhere if they are all equal. ``spread`` is the mean and standard deviation of the nearness
-    of all rows; without, of these scores."""
-    z = nearness(scores.float())
-    mean, deviation = _moments(z) if spread is None else spread
-    if deviation <= MIN_SPREAD:
-        return torch.ones(len(scores))
-    z.sub_(mean + motion.level * deviation).mul_(motion.weight / deviation)
-    return z.clamp_(max=MAX_LOG).exp_()
-
-
-def moved(belief: Tensor, motion: Motion, ways: Sequence[int], back: bool = False) -> Tensor:
-    """A belief ``(W, 7, cells)`` float32 by way, speed and cell, one frame later, without jumps;
-    with ``back`` by the transpose, for the backward algorithm. The first and last `Motion.gap`
-    cells stay 0. A track that leaves its sequence is in the gap beside it."""
-    after, start, end = torch.empty_like(belief), motion.gap, belief.shape[2] - motion.gap
-    after[:, :, :start] = after[:, :, end:] = 0
-    for first in range(start, end, CELLS):
-        last = min(first + CELLS, end)
-        after[:, :, first:last] = 0
-        for number, way in enumerate(ways):
-            for step, to, source, weights in _shifts(motion, back):
-                here = slice(first - way * step, last - way * step)
-                after[number, to, first:last].addmm_(weights, belief[number, source, here])
-    return after
-
-
-CELLS = 1 << 14
-"""Cells that are moved at once: their beliefs before and after fit into the cache of a core."""
-
-
-@cache
-def _shifts(motion: Motion, back: bool) -> list[tuple[int, slice, slice, Tensor]]:
-    """Each step in cells, the speeds after and before it, and the probabilities of the first from
-    the second."""
-    shifts, any_speed = list[tuple[int, slice, slice, Tensor]](), slice(0, len(SPEEDS))
-    for step, by_speed in zip(motion.steps, transitions(motion), strict=True):
-        speeds = by_speed.any(1).nonzero().flatten().tolist()
-        to = slice(speeds[0], speeds[-1] + 1)
-        if back:
-            shifts.append((-step, any_speed, to, by_speed[to].T.contiguous()))
-        else:
-            shifts.append((step, to, any_speed, by_speed[to].contiguous()))
-    return shifts
-
-
-@cache
-def transitions(motion: Motion) -> Tensor:
-    """``(steps, 7, 7)`` float32, by step, the probabilities after each speed; no jumps."""
-    probabilities = torch.zeros(len(motion.steps), len(SPEEDS), len(SPEEDS))
-    for speed, (prior, _) in enumerate(SPEEDS):
-        by_speed = motion.change * prior * torch.ones(len(SPEEDS))
-        by_speed[speed] += 1 - motion.change
-        for step, probability in steps_of(speed, motion.rate).items():
-            index = motion.steps.index(step)
-            probabilities[index, speed] = by_speed * probability * (1 - motion.jump)
-    return probabilities
-
-
 def steps_of(speed: int, rate: float) -> dict[int, float]:
     """The probability of each step in rows at a speed, by its number in `SPEEDS`."""
     steps, whole = {0: 1.0}, math.floor(rate)
@@ -235,8 +148,3 @@ def steps_of(speed: int, rate: float) -> dict[int, float]:
             after[far + step] = after.get(far + step, 0.0) + chance * part * likely
         steps = {far: chance for far, chance in after.items() if chance > 0}
     return steps
-
-
-def prior_of_speeds() -> Tensor:
-    """``(7, 1)`` float32, the probability of each speed; on the default device of this moment."""
-    return torch.tensor([probability for probability, _ in SPEEDS])[:, None]
