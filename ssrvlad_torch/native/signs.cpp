@@ -9,7 +9,7 @@ namespace places {
 
 namespace {
 
-constexpr Size ROWS_AT_ONCE = 64;
+constexpr Size ROWS_AT_ONCE = 64, SCANNED_ROWS = 1024;
 
 SSRVLAD_INLINE int ones(Word word) {
 #if defined(__GNUC__)
@@ -28,23 +28,42 @@ SSRVLAD_INLINE Word differing_bits(const Word *query, const Word *mask, const Wo
   return bits;
 }
 
+SSRVLAD_INLINE Word differing_bits(const Word *some, const Word *others, Size words) {
+  Word bits = 0;
+  for (Size i = 0; i < words; ++i) bits += static_cast<Word>(ones(some[i] ^ others[i]));
+  return bits;
+}
+
 SSRVLAD_INLINE void differing_moves(const Word *query, const Word *rows, Size count,
                                     const SignGrid &grid, std::int32_t *differing) {
   for (Size row = 0; row < count; ++row, rows += grid.size())
-    for (Size move = 0; move < grid.moves(); ++move) {
-      const Word *own = query + grid.ours(move) * grid.words;
-      const Word *other = rows + grid.theirs(move) * grid.words;
-      Word bits = 0;
-      for (Size i = 0; i < grid.overlapping(move) * grid.words; ++i)
-        bits += static_cast<Word>(ones(own[i] ^ other[i]));
-      differing[move * count + row] = static_cast<std::int32_t>(bits);
+    for (Size move = 0; move < grid.moves(); ++move)
+      differing[move * count + row] = static_cast<std::int32_t>(
+          differing_bits(query + grid.ours(move) * grid.words, rows + grid.theirs(move) * grid.words,
+                         grid.overlapping(move) * grid.words));
+}
+
+// The score of each row by the best move, where `bits` bits of a column count.
+SSRVLAD_INLINE void best_moves(const Word *query, const Word *rows, Size count, const SignGrid &grid,
+                               Size bits, float *scores) {
+  for (Size row = 0; row < count; ++row, rows += grid.size()) {
+    float best = -1;
+    for (Size move = -grid.reach; move <= grid.reach; ++move) {
+      const Size left = std::max<Size>(0, -move), right = std::max<Size>(0, move);
+      const Size kept = grid.columns - left - right;
+      const auto other = static_cast<float>(differing_bits(
+          query + left * grid.words, rows + right * grid.words, kept * grid.words));
+      best = std::max(best, 1 - 2 * other / static_cast<float>(kept * bits));
     }
+    scores[row] = best;
+  }
 }
 
 // The loops that count bits, for one kind of processor.
 struct BitCounters {
   Word (*differing)(const Word *, const Word *, const Word *, Size);
   void (*moves)(const Word *, const Word *, Size, const SignGrid &, std::int32_t *);
+  void (*best)(const Word *, const Word *, Size, const SignGrid &, Size, float *);
 };
 
 #define SSRVLAD_COUNTERS(name, target)                                                              \
@@ -55,7 +74,11 @@ struct BitCounters {
                            std::int32_t *differing) {                                               \
     differing_moves(query, rows, count, grid, differing);                                           \
   }                                                                                                 \
-  constexpr BitCounters name = {differing_##name, moves_##name};
+  target void best_##name(const Word *query, const Word *rows, Size count, const SignGrid &grid,    \
+                          Size bits, float *scores) {                                               \
+    best_moves(query, rows, count, grid, bits, scores);                                             \
+  }                                                                                                 \
+  constexpr BitCounters name = {differing_##name, moves_##name, best_##name};
 
 SSRVLAD_COUNTERS(plainly, )
 #if defined(__x86_64__) && defined(__GNUC__)
@@ -123,21 +146,11 @@ int ssrvlad_scan_signs(const uint64_t *queries, int64_t count, const uint64_t *r
     return SSRVLAD_WRONG_ARGUMENT;
   try {
     const SignGrid grid{columns, words, reach};
-    over_blocks(references, ROWS_AT_ONCE, threads, [&](Size first, Size last) {
-      const Size some = last - first;
-      std::vector<std::int32_t> differing(static_cast<std::size_t>(some * grid.moves()));
-      for (Size query = 0; query < count; ++query) {
-        float *best = scores + query * references + first;
-        std::fill_n(best, some, -1.0F);
-        count_moves(queries + query * grid.size(), rows + first * grid.size(), some, grid,
-                    differing.data());
-        for (Size move = 0; move < grid.moves(); ++move) {
-          const std::int32_t *other = differing.data() + move * some;
-          const float of = static_cast<float>(grid.overlapping(move) * bits);
-          for (Size row = 0; row < some; ++row)
-            best[row] = std::max(best[row], 1 - 2 * static_cast<float>(other[row]) / of);
-        }
-      }
+    const BitCounters counter = counters();
+    over_blocks(references, SCANNED_ROWS, threads, [&](Size first, Size last) {
+      for (Size query = 0; query < count; ++query)
+        counter.best(queries + query * grid.size(), rows + first * grid.size(), last - first, grid, bits,
+                     scores + query * references + first);
     });
     return SSRVLAD_OK;
   } catch (const std::bad_alloc &) {
