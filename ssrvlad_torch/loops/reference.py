@@ -50,13 +50,14 @@ def scores_of_vectors(known: Array, swept: Array, starts: Sequence[int]) -> Floa
     """``(N,)`` cosines of a new frame's best anchor ``(S, D)`` to earlier frames ``(N, D)``, each
     without the mean of its stretch; -inf for an empty frame."""
     frames = np.concatenate((known, swept[len(swept) // 2][None])).astype(np.float64)
-    described = frames.any(axis=1)
+    described = np.asarray(frames.any(axis=1), np.bool_)
     mean = means(frames, described, starts)
     rows, anchors = (frames - mean)[:-1], swept - mean[-1]
     anchors[np.abs(anchors).max(axis=1) <= _ROUNDING] = 0
     anchors /= np.maximum(np.linalg.norm(anchors, axis=1, keepdims=True), _ROUNDING)
     lengths = np.maximum(np.linalg.norm(rows, axis=1), _LEAST_LENGTH)
-    return np.where(described[:-1], (rows @ anchors.T).max(axis=1) / lengths, -np.inf)
+    scores: Floats = np.where(described[:-1], (rows @ anchors.T).max(axis=1) / lengths, -np.inf)
+    return scores
 
 
 def scores_of_signs(known: Array, signs: Array, starts: Sequence[int]) -> Floats:
@@ -72,7 +73,8 @@ def scores_of_signs(known: Array, signs: Array, starts: Sequence[int]) -> Floats
         there = numbers[:-1, max(0, move) : columns - max(0, -move)].reshape(len(known), -1)
         lengths = np.linalg.norm(there, axis=1) * np.linalg.norm(here)
         best = np.maximum(best, there @ here / np.maximum(lengths, _LEAST_OF_SIGNS))
-    return np.minimum(best, 1)
+    scores: Floats = np.minimum(best, 1)
+    return scores
 
 
 # ----------------------------------------------------------------------- fusion: one score of a row
@@ -85,7 +87,8 @@ _MIN_SPREAD = 1e-6
 
 def nearness(scores: Array) -> Floats:
     """Minus the logarithm of 1 - cosine; -inf for -inf."""
-    return -np.log(np.maximum(1 - scores, _ROUNDING))
+    near: Floats = -np.log(np.maximum(1 - scores, _ROUNDING))
+    return near
 
 
 def scaled(scores: Floats, first: int) -> tuple[Floats, float, float]:

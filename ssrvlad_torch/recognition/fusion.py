@@ -106,10 +106,10 @@ def z_lead(scores: Tensor) -> float:
 
 
 @torch.no_grad()
-def fused(scores: Sequence[Tensor], weights: Sequence[float]) -> Tensor:
+def fused(scores: Sequence[Tensor], weights: Sequence[float], first: int | None = None) -> Tensor:
     """``(R,)`` weighted scores of one query by several methods as one; -inf where no method has a
-    score."""
-    scaled = [_scaled(each) for each in scores]
+    score. Means and deviations are those of the ``first`` rows; without, of all rows."""
+    scaled = [_scaled(each, first) for each in scores]
     z, mean, spread = (
         sum(weight * part for weight, part in zip(weights, parts, strict=True))
         for parts in zip(*scaled, strict=True)
@@ -118,12 +118,12 @@ def fused(scores: Sequence[Tensor], weights: Sequence[float]) -> Tensor:
     return (-torch.expm1(-(mean + spread * z))).masked_fill(none, -torch.inf)
 
 
-def _scaled(scores: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def _scaled(scores: Tensor, first: int | None = None) -> tuple[Tensor, Tensor, Tensor]:
     """The z-scores ``(R,)`` of nearness, its mean and its standard deviation; see `fused`."""
     scored = scores > -torch.inf
     near = nearness(scores.float()).where(scored, 0)
-    count = scored.sum().clamp(min=1)
-    mean = near.sum() / count
+    count = scored[:first].sum().clamp(min=1)
+    mean = near[:first].sum() / count
     centred = (near - mean).where(scored, 0)
-    spread = (centred.square().sum() / count).sqrt()
+    spread = (centred[:first].square().sum() / count).sqrt()
     return centred / spread.clamp(min=MIN_SPREAD), mean, spread

@@ -589,6 +589,7 @@ def chances_around(
     moved to it. The chance is 1 if a row elsewhere is better than all within `NEAR` of the
     answer."""
     z = [z_scores(each)[0] for each in scores]
+    longest = max(max(steps_of(speed, motion.rate)) for speed in range(len(SPEEDS)))
     names, here = np.asarray(sequences), np.arange(len(sequences))
     chances = np.ones(len(rows))
     for query in np.flatnonzero(rows >= 0):
@@ -598,7 +599,7 @@ def chances_around(
             for other in range(query + way, query + way * (most + 1), way):
                 if not 0 <= other < len(rows) or rows[other] < 0:
                     break
-                if abs(rows[other] - before) > motion.gap:
+                if abs(rows[other] - before) > longest:
                     break
                 before, there = rows[other], here + rows[other] - rows[query]
                 inside = (there >= 0) & (there < len(names))
