@@ -325,6 +325,12 @@ inline Loops Loops::load(const std::string& path, const Fingerprints& model, Loo
   seen.descriptor.resize(seen.length);
   seen.features.resize(records.numbers("features") ? kSigns : 0);
   seen.hog.resize(records.numbers("hog"));
+  const std::pair<const char*, bool> lacking[] = {
+      {"features", seen.features.empty() && !model.features.empty()},
+      {"hog", seen.hog.empty() && !model.hog.empty()}};
+  for (const auto& [name, lacks] : lacking)
+    if (records.count() && lacks)
+      throw std::runtime_error(path + " has other channels than the model: no " + name);
   std::size_t bytes = 0;
   for (const auto& channel : loops.channels_of(seen)) {
     if (records.count() && !records.holds(channel.field()))
