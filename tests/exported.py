@@ -33,7 +33,7 @@ by_preset_and_input = pytest.mark.parametrize(
     ],
 )
 """What is done to an input is the same for both presets, and ``paper`` takes long to trace."""
-COLUMNS = (-8, 5)
+COLUMNS = (-8, 0, 5)
 """Anchors of exported sweeps: one graph for all tests, as tracing takes long."""
 
 CUSTOM: dict[str, dict[str, Any]] = {

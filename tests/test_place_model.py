@@ -165,17 +165,18 @@ def test_unknown_ids_of_a_network_are_counted_and_skipped(tmp_path, run):
 
 
 def test_of_a_sweep_the_best_anchor_counts(tmp_path, run):
-    """Each reference is the descriptor of one anchor of the query."""
-    labels = np.random.default_rng(0).integers(0, 11, (6, 9)).repeat(20, 0).repeat(20, 1)
-    np.save(tmp_path / "query.npy", labels.astype(np.uint8))
+    """One row is the descriptor of the query's first anchor, far from the rows of other places."""
+    drawn = np.random.default_rng(0).integers(0, 11, (30, 6, 9)).repeat(20, 1).repeat(20, 2)
+    np.save(tmp_path / "query.npy", drawn[0].astype(np.uint8))
     export_head(CONFIG, tmp_path / "sweep.onnx", columns=COLUMNS)
     model = Model(tmp_path / "sweep.onnx")
     swept = model.see(tmp_path / "query.npy").descriptor
-    seen, names = list(map(Seen, swept)), ["left", "right"]
-    save(tmp_path / "town.npy", seen, names, model.fingerprints)
+    others = SSRVLAD(CONFIG)(torch.from_numpy(drawn[1:])).numpy()
+    names = ["left", *map(str, range(29))]
+    save(tmp_path / "town.npy", [*map(Seen, [swept[0], *others])], names, model.fingerprints)
     source = (tmp_path / "sweep.onnx", tmp_path / "query.npy")
-    code, out, _ = run(*source, "--database", tmp_path / "town.npy", "--top", 2)
-    assert (code, out.count("1.0000")) == (0, 2)
+    code, out, _ = run(*source, "--database", tmp_path / "town.npy", "--top", 3)
+    assert (code, out.count("left"), out.count("1.0000")) == (0, 1, 1), out
     code, _, err = run(*source, "--save-descriptors", tmp_path / "no.npy")
     assert (code, "expected a file without --sweep" in err[0]) == (2, True)
 

@@ -81,6 +81,8 @@ class Drives:
 
     def complete(self, kinds: Sequence[str], note: Callable[[str], object]) -> Drives:
         """The drives without the frames that lack a kind of file; ``note`` gets their number."""
+        if not kinds:
+            return self
         has, words = zip(*(KINDS[kind] for kind in kinds), strict=True)
         complete = self._filter(lambda frame: all(h(frame) for h in has), " and ".join(words))
         before, after = (
