@@ -60,8 +60,8 @@ def export_head(
         path: the file; an existing one is replaced, whole or not at all.
         input: ``"labels"`` or ``"logits"``.
         dtype: of the labels: ``"uint8"`` (default), ``"int32"`` or ``"int64"``.
-        columns: S anchors of `SSRVLAD.sweep`, for a comparison with a map an odd number of them, the
-            plain one in the middle; empty for single descriptors.
+        columns: S anchors of `SSRVLAD.sweep`, for a comparison with a map an odd number, the plain
+            one in the middle; empty for single descriptors.
         shape: fixed B, H and W, for the aggregation harmonics; C is the largest number of classes
             of the label space.
 
