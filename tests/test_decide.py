@@ -82,8 +82,9 @@ def assert_same(got, expected, atol=1e-5):
     np.testing.assert_array_equal(got.rows, expected.rows)
     within = atol if got.followed else 1e-6
     np.testing.assert_allclose(got.scores, expected.scores, atol=within, rtol=0)
-    for name in ("right", "spread"):
-        np.testing.assert_allclose(getattr(got, name), getattr(expected, name), atol=within)
+    for name in ("right", "spread"):  # of steps between rivals, which may be small
+        of = 2e-4 if got.followed else within
+        np.testing.assert_allclose(getattr(got, name), getattr(expected, name), atol=of)
     np.testing.assert_allclose(got.together, expected.together, rtol=1e-6)
 
 

@@ -98,7 +98,9 @@ def test_signs_are_compared_as_by_the_reference(seed, drives, queries, shape, sw
     rng = np.random.default_rng(seed)
     there = rng.integers(0, 256, (sum(drives), *shape), np.uint8)
     here = rng.integers(0, 256, (queries, *shape), np.uint8)
-    sides = [np.where(rng.random(shape) < 0.5, each[:1], each) for each in (there, here)]
+    same = rng.random((2, *shape)) < 0.5
+    same[..., 0] = False  # columns of equal signs have no length without their mean
+    sides = [np.where(each, some[:1], some) for each, some in zip(same, (there, here), strict=True)]
     town = Map(drives)
     town.add("features", sides[0])
     standardised = standardise and len(there) >= MIN_FRAMES

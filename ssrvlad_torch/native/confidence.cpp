@@ -6,7 +6,7 @@ namespace places {
 
 namespace {
 constexpr Size PLACES = 10;  // most places that are compared
-constexpr double ROWS_A_PLACE = 8.5, LEAST_STEP = 1e-9;
+constexpr double ROWS_A_PLACE = 8.5, LEAST_STEP = 1e-4;
 constexpr float LEAST_BELIEF = 1e-38F;
 
 // The quantile of the normal distribution of a probability from 1e-11 to 1/2 (Wichura, Applied

@@ -373,6 +373,7 @@ std::shared_ptr<Sight> sight_of(const Scores &scores, const Drives &drives, Size
 
 void deviate(const Spread &spread, Sight &sight) {
   sight.z.resize(sight.scores.size());
+  if (spread.deviation <= MIN_SPREAD) return;  // equal scores say nothing
   for (std::size_t place = 0; place < sight.z.size(); ++place) {
     const double near = nearness(static_cast<double>(sight.scores[place]));
     if (sight.scores[place] != NONE)

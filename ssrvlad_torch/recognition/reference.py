@@ -336,7 +336,8 @@ PLACES = 10
 ROWS_A_PLACE = 8.5
 """Mean distance of places: the best rows, each farther than `ELSEWHERE` from all better ones, of
 maps of 60 to 600 rows are 8.2 to 9.1 rows apart."""
-LEAST_STEP = 1e-9
+LEAST_STEP = 1e-4
+"""Rivals that are nearer to one another are level: rounding is not to tell them apart."""
 
 
 def chance(
@@ -586,9 +587,9 @@ def chances_around(
     """How the answers of a stream, their rows ``(Q,)``, compare with their rivals by the frames
     around each: `TRACK` earlier ones and so many later, as far as no step is longer than the motion
     can make. The value of a row is the sum of the z-scores of these frames along the same path,
-    moved to it. The chance is 1 if a row elsewhere is better than all within `NEAR` of the
-    answer."""
-    z = [z_scores(each)[0] for each in scores]
+    moved to it; equal scores say nothing. The chance is 1 if a row elsewhere is better than all
+    within `NEAR` of the answer."""
+    z = [each * (deviation > MIN_SPREAD) for each, _, deviation in map(z_scores, scores)]
     longest = max(max(steps_of(speed, motion.rate)) for speed in range(len(SPEEDS)))
     names, here = np.asarray(sequences), np.arange(len(sequences))
     chances = np.ones(len(rows))
