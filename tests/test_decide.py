@@ -122,6 +122,17 @@ def test_all_rows_as_candidates_decide_as_scores_do(drive, mode):
     assert_same(decide(Best(scores, rows), starts, rows, *mode), expected)
 
 
+def test_a_query_of_scores_that_are_equal_but_for_rounding_says_nothing():
+    scores = noisy([*range(5, 25)], 80, strength=0.25).numpy()
+    scores[8] = -0.5
+    rounded = scores.copy()
+    rounded[8] += np.random.default_rng(0).uniform(-1e-6, 1e-6, 80)
+    expected = decide(scores, [0], 80, "offline")
+    assert expected.followed
+    assert_same(decide(rounded, [0], 80, "offline"), expected)
+    assert_same(expected, reference.decide(rounded, ["a"] * 80, "offline", 0, 5))
+
+
 @given(
     drive=drives(), way=st.sampled_from((FORWARDS, BACKWARDS)), rate=st.sampled_from((1, 0.25, 3))
 )
