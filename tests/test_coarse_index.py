@@ -12,6 +12,7 @@ from helpers import descriptors, spoil
 
 from ssrvlad_torch import Database, Map, SSRVLADConfig
 from ssrvlad_torch.channels.column import Column
+from ssrvlad_torch.recognition.standardise import sums
 from ssrvlad_torch.search import coarse_index
 from ssrvlad_torch.search.coarse_index import CoarseIndex, build
 
@@ -79,6 +80,32 @@ def test_rows_that_were_removed_before_are_left_out(town):
     town.remove([f"a/{n:04d}" for n in range(0, 100, 3)])
     assert build(town).frames == 66
     assert_own_row_is_first(town, "a/0001", {n: v[1:2] for n, v in rows(0, 2).items()})
+
+
+def test_means_are_of_the_rows_that_are_there_now(town):
+    """Also where a sequence is in several data files, or rows were removed after they were indexed."""
+    build(town)
+    add(town, 100, 40)
+    town.append([f"b/{n}" for n in range(5)], rows(7, 5))
+    build(town)
+
+    def assert_equal_means():
+        frames, index = town.load(), CoarseIndex(town)
+        for names in (["a"], ["b"], ["b", "a"]):
+            of = [each in names for each in frames.sequences]
+            for name, values in frames.channels.items():
+                total, counted = sums(values[torch.tensor(of)])
+                expected = torch.from_numpy(total / counted).float()
+                torch.testing.assert_close(index.mean(name, names), expected, atol=1e-6, rtol=0)
+
+    assert_equal_means()
+    town.remove(["a/0003", "a/0120", "b/2"])
+    assert_equal_means()
+    Path(town.path, "_coarse", next(Path(town.path, "_coarse").glob("*.sums.npz"))).unlink()
+    with pytest.raises(ValueError, match="lacks"):
+        CoarseIndex(town)
+    build(town)
+    assert_equal_means()
 
 
 def test_a_map_that_has_grown_much_is_learnt_anew(town, monkeypatch):

@@ -6,12 +6,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ssrvlad_torch.native.decide import decide
 from ssrvlad_torch.native.map import MIN_FRAMES, Map
 from ssrvlad_torch.recognition import reference
+from ssrvlad_torch.recognition.standardise import sums
 
 pytestmark = pytest.mark.usefixtures("core")
 
@@ -108,6 +110,51 @@ def test_signs_are_compared_as_by_the_reference(seed, drives, queries, shape, sw
     expected = reference.compare_signs(*sides[::-1], named(drives), standardised, sweep)
     equal(whole(found), expected)
     assert found.width == 0
+
+
+@given(
+    seed=SEEDS,
+    kind=st.sampled_from(("vectors", "swept", "signs")),
+    sweep=st.booleans(),
+    width=st.integers(0, 2),
+)
+def test_some_rows_and_queries_of_drives_lose_the_means_of_all(seed, kind, sweep, width):
+    """Scores are those of all rows and queries, at the same width of the sweep."""
+    rng, drives, count, vector = np.random.default_rng(seed), [33, 40, 31], 40, kind != "signs"
+    town, few = Map(drives), Map([11, 14, 10])
+    if vector:
+        there = vectors(rng, sum(drives), 24)
+        here = vectors(rng, *((count, 5) if kind == "swept" else (count, 1)), 24)
+        here = here[:, 2 - width : 3 + width] if kind == "swept" else here
+    else:
+        there, here = (rng.integers(0, 256, (n, 6, 2, 4), np.uint8) for n in (sum(drives), count))
+    town.add("x", there)
+    some, part = np.arange(0, len(there), 3), slice(9, 16)
+    starts = np.cumsum([0, *drives])
+    means = np.stack([mean_of(there[a:b]) for a, b in zip(starts, starts[1:], strict=False)])
+    few.add("x", there[some], means=means)
+    mean, names = mean_of(here.reshape(-1, 24) if vector else here), named(drives)
+    found = few.compare("x", here[part], True, sweep or vector, mean=mean)
+    assert found.width == (here.shape[1] // 2 if vector else 0)
+    own = means[[int(name) for name in np.array(names)[some]]]
+    if vector:
+        expected, _ = reference.compare_vectors(
+            here[part], there[some], names, True, True, own, mean
+        )
+    else:
+        expected = reference.compare_signs(here[part], there[some], names, True, sweep, own, mean)
+    equal(whole(found), expected)
+    if kind != "swept":
+        every = town.compare("x", here, True, sweep)
+        equal(whole(found), whole(every)[part][:, some])
+    zeros = few.compare("x", here[part], False, sweep or vector, mean=np.zeros_like(mean))
+    if kind != "swept":
+        equal(whole(zeros), whole(town.compare("x", here, False, sweep))[part][:, some])
+
+
+def mean_of(descriptors):
+    total, counted = sums(torch.from_numpy(descriptors))
+    return total / max(1, counted)
 
 
 def test_equal_signs_stay_as_they_are():

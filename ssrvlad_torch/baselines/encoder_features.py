@@ -45,9 +45,11 @@ class EncoderFeatures:
         """``(R, *SHAPE)``, encoded as queries are."""
         return self.encode_query(frames)
 
-    def references(self, stored: Tensor, sequences: Sequence[str]) -> ReferenceRows:
+    def references(
+        self, stored: Tensor, sequences: Sequence[str], means: Tensor | None = None
+    ) -> ReferenceRows:
         """See `Channel`."""
-        return ReferenceRows(stored, sequences)
+        return ReferenceRows(stored, sequences, means)
 
     def scores(self, queries: Tensor, references: Tensor) -> Tensor:
         """``(Q, R)`` cosines of the best move, see `channels.signs`."""

@@ -148,8 +148,11 @@ class Channel(Protocol):
         from S anchors, the columns, ``(N, S, *shape)``, see `recognition.sweep`. A view that lacks
         what the channel needs, or cannot be described, is a ValueError."""
 
-    def references(self, stored: Tensor, sequences: Sequence[str]) -> References:
-        """Descriptors ``(R, *shape)`` of a map, to be compared with queries."""
+    def references(
+        self, stored: Tensor, sequences: Sequence[str], means: Tensor | None = None
+    ) -> References:
+        """Descriptors ``(R, *shape)`` of a map, to be compared with queries; of some rows, with the
+        means of their sequences, see `standardise.sums`."""
 
 
 def channels_of(columns: Sequence[Column], head: SSRVLAD) -> list[Channel]:

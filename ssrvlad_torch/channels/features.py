@@ -56,6 +56,8 @@ class Features:
                 raise ValueError(f"frame {view.frame}: expected features {SHAPE}, got {got}")
         return torch.from_numpy(np.stack([np.asarray(view.features) for view in views]))
 
-    def references(self, stored: Tensor, sequences: Sequence[str]) -> ReferenceRows:
+    def references(
+        self, stored: Tensor, sequences: Sequence[str], means: Tensor | None = None
+    ) -> ReferenceRows:
         """See `Channel`."""
-        return ReferenceRows(stored, sequences)
+        return ReferenceRows(stored, sequences, means)

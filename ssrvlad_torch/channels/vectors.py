@@ -54,6 +54,8 @@ class VectorChannel:
         """See `Channel`."""
         raise NotImplementedError
 
-    def references(self, stored: Tensor, sequences: Sequence[str]) -> ReferenceRows:
+    def references(
+        self, stored: Tensor, sequences: Sequence[str], means: Tensor | None = None
+    ) -> ReferenceRows:
         """See `Channel`."""
-        return ReferenceRows(stored, sequences)
+        return ReferenceRows(stored, sequences, means)

@@ -89,6 +89,15 @@ std::vector<Shared> sharing(const Drives &drives) {
   return shared;
 }
 
+std::vector<Shared> each_alone(const Drives &drives) {
+  std::vector<Shared> shared;
+  for (std::size_t drive = 0; drive < drives.starts.size(); ++drive) {
+    const Size first = drives.starts[drive], last = drives.last(static_cast<Size>(drive));
+    shared.push_back({first, last, first, last});
+  }
+  return shared;
+}
+
 Blocks::Blocks(Size queries, Size rows) : queries_(queries), rows_(rows) {
   const Size most = std::max<Size>(1, IN_MEMORY / 4 / std::max<Size>(1, rows));
   size_ = queries * rows <= IN_MEMORY ? std::max<Size>(1, queries) : most;

@@ -25,6 +25,9 @@ struct Shared {
 // have too few frames, it is the mean of all. Fewer than MIN_FRAMES frames in all have none.
 std::vector<Shared> sharing(const Drives &drives);
 
+// Each drive, if it has a mean of its own whatever its number of frames.
+std::vector<Shared> each_alone(const Drives &drives);
+
 // Scores that are computed in blocks of as many queries as fit in memory. Not for several threads.
 class Blocks : public Scores {
  public:
@@ -51,29 +54,33 @@ class Comparison : public Blocks {
   Size width = 0;  // of the sweep, in anchors to each side
 };
 
-// The descriptors of the queries of one drive, each from several anchors with the usual one in the
-// middle: (count, anchors, ...).
+// The descriptors of queries of one drive, each from several anchors with the usual one in the middle:
+// (count, anchors, ...). They lose the mean of the drive, if it is given; else their own, if standardised.
 struct Queries {
   const void *descriptors;
   Size count, anchors;
+  const float *mean = nullptr;
 };
 
 // The descriptors of all rows of a map, which must outlive it.
 class Channel {
  public:
   virtual ~Channel() = default;
-  // Compares queries, without the mean of each drive if standardised, from all anchors or moved to both
-  // sides if swept. The channel must outlive the comparison; the queries need not.
+  // Compares queries, without the mean of each drive if standardised, from the anchors that suit or moved
+  // to both sides if swept; from all anchors if the mean of the queries is given. The channel must outlive
+  // the comparison; the queries need not.
   virtual std::unique_ptr<Comparison> compare(const Queries &queries, bool standardised, bool swept,
                                               int threads) = 0;
 };
 
-// Vectors (rows, length); zeros are an empty frame.
-std::unique_ptr<Channel> channel_of_vectors(const float *rows, Size length, const Drives &drives);
+// Vectors (rows, length); zeros are an empty frame. The means of the drives, (drives, length), must outlive
+// the channel, as the rows must; without, they are those of the rows.
+std::unique_ptr<Channel> channel_of_vectors(const float *rows, Size length, const Drives &drives,
+                                            const float *means);
 
-// Signs (rows, columns, bytes), eight in a byte.
+// Signs (rows, columns, bytes), eight in a byte; means as above, (drives, columns, 8 * bytes).
 std::unique_ptr<Channel> channel_of_signs(const std::uint8_t *rows, Size columns, Size bytes,
-                                          const Drives &drives);
+                                          const Drives &drives, const float *means);
 
 // By several channels, which must outlive it: the weighted mean of their z-scores of nearness.
 class Fused : public Blocks {

@@ -38,8 +38,17 @@ Words packed(const std::uint8_t *signs, Size count, const Shape &shape) {
   return words;
 }
 
-// The mean of signs as 1 and -1, (columns, bits); nothing if all frames are equal, of which it would
-// leave nothing.
+// A mean (columns, bits); nothing for one of frames that are all equal, of which it would leave nothing,
+// and for zeros.
+Floats checked(Floats mean) {
+  const auto is_sign = [](float each) { return std::abs(each) == 1; };
+  const auto is_zero = [](float each) { return each == 0; };
+  const bool leaves = std::all_of(mean.begin(), mean.end(), is_sign) ||
+                      std::all_of(mean.begin(), mean.end(), is_zero);
+  return leaves ? Floats() : mean;
+}
+
+// The mean of signs as 1 and -1.
 Floats mean_of(const Word *signs, Size count, const Shape &shape) {
   std::vector<std::int32_t> ones(static_cast<std::size_t>(shape.columns * shape.bits()));
   for (Size column = 0; column < count * shape.columns; ++column) {
@@ -50,8 +59,7 @@ Floats mean_of(const Word *signs, Size count, const Shape &shape) {
   Floats mean;
   for (const std::int32_t one : ones)
     mean.push_back(static_cast<float>(2.0 * one / static_cast<double>(count) - 1));
-  const auto is_sign = [](float each) { return std::abs(each) == 1; };
-  return std::all_of(mean.begin(), mean.end(), is_sign) ? Floats() : mean;
+  return checked(std::move(mean));
 }
 
 // What the nibbles of signs weigh by a mean.
@@ -124,11 +132,10 @@ struct Held {
 class SignComparison : public Comparison {
  public:
   SignComparison(Words queries, Size count, const Word *signs, Size rows, const Shape &shape,
-                 const Held &held, bool standardised, Size reach, int threads)
+                 const Held &held, const Floats &mean, Size reach, int threads)
       : Comparison(count, rows), queries_(std::move(queries)), signs_(signs), shape_(shape), held_(held),
         grid_{shape.columns, shape.words(), reach}, threads_(threads), of_mean_(of_moves(rows)),
         row_lengths_(of_moves(rows)), lengths_(of_moves(count)), levels_(held.means.size()) {
-    const Floats mean = standardised && count ? mean_of(queries_.data(), count, shape) : Floats();
     const Floats weights = mean.empty() ? Floats() : weights_of(mean, shape);
     over_blocks(rows, ROWS_AT_ONCE, threads, [&](Size first, Size last) {
       for (Size row = first; row < last; ++row) prepare_row(row, weights);
@@ -209,8 +216,8 @@ class SignComparison : public Comparison {
 
 class SignChannel : public Channel {
  public:
-  SignChannel(const std::uint8_t *rows, const Shape &shape, const Drives &drives)
-      : shape_(shape), drives_(drives), signs_(reinterpret_cast<const Word *>(rows)) {
+  SignChannel(const std::uint8_t *rows, const Shape &shape, const Drives &drives, const float *means)
+      : shape_(shape), drives_(drives), means_(means), signs_(reinterpret_cast<const Word *>(rows)) {
     if (shape.bytes % 8 == 0 && reinterpret_cast<std::uintptr_t>(rows) % sizeof(Word) == 0) return;
     own_ = packed(rows, drives.rows, shape);
     signs_ = own_.data();
@@ -221,8 +228,13 @@ class SignChannel : public Channel {
     const Held &rows = held(standardised, threads);
     const Size reach = swept ? std::min(REACH, shape_.columns - 1) : 0;
     Words words = packed(static_cast<const std::uint8_t *>(queries.descriptors), queries.count, shape_);
+    Floats mean;
+    if (queries.mean)
+      mean = checked(Floats(queries.mean, queries.mean + shape_.columns * shape_.bits()));
+    else if (standardised && queries.count)
+      mean = mean_of(words.data(), queries.count, shape_);
     return std::make_unique<SignComparison>(std::move(words), queries.count, signs_, drives_.rows, shape_,
-                                            rows, standardised, reach, threads);
+                                            rows, mean, reach, threads);
   }
 
  private:
@@ -231,14 +243,18 @@ class SignChannel : public Channel {
     auto &found = held_[standardised];
     if (found) return *found;
     auto fresh = std::make_unique<Held>();
-    if (standardised) fresh->shared = sharing(drives_);
+    const float *given = standardised ? means_ : nullptr;
+    if (standardised) fresh->shared = given ? each_alone(drives_) : sharing(drives_);
     if (fresh->shared.empty()) fresh->shared = {{0, drives_.rows, 0, 0}};
     fresh->squares.resize(static_cast<std::size_t>(drives_.rows * shape_.columns));
     Floats of_all;
     for (const Shared &shared : fresh->shared) {
-      const bool all = shared.to - shared.from == drives_.rows;
+      const bool all = !given && shared.to - shared.from == drives_.rows;
       Floats mean;
-      if (shared.to > shared.from && !(all && !of_all.empty()))
+      if (given) {
+        mean = checked(Floats(given, given + shape_.columns * shape_.bits()));
+        given += shape_.columns * shape_.bits();
+      } else if (shared.to > shared.from && !(all && !of_all.empty()))
         mean = mean_of(signs_ + shared.from * shape_.size(), shared.to - shared.from, shape_);
       if (all) mean = of_all = of_all.empty() ? mean : of_all;
       const Floats weights = mean.empty() ? Floats() : weights_of(mean, shape_);
@@ -255,6 +271,7 @@ class SignChannel : public Channel {
 
   Shape shape_;
   Drives drives_;
+  const float *means_;
   Words own_;
   const Word *signs_;
   Mutex mutex_;
@@ -264,8 +281,8 @@ class SignChannel : public Channel {
 }  // namespace
 
 std::unique_ptr<Channel> channel_of_signs(const std::uint8_t *rows, Size columns, Size bytes,
-                                          const Drives &drives) {
-  return std::make_unique<SignChannel>(rows, Shape{columns, bytes}, drives);
+                                          const Drives &drives, const float *means) {
+  return std::make_unique<SignChannel>(rows, Shape{columns, bytes}, drives, means);
 }
 
 }  // namespace places

@@ -252,8 +252,8 @@ class Narrowing {
 
 class VectorChannel : public Channel {
  public:
-  VectorChannel(const float *rows, Size length, const Drives &drives)
-      : vectors_(rows), length_(length), drives_(drives) {}
+  VectorChannel(const float *rows, Size length, const Drives &drives, const float *means)
+      : vectors_(rows), length_(length), drives_(drives), means_(means) {}
 
   std::unique_ptr<Comparison> compare(const Queries &queries, bool standardised, bool swept,
                                       int threads) override {
@@ -262,13 +262,14 @@ class VectorChannel : public Channel {
     const auto *given = static_cast<const float *>(queries.descriptors);
     Size width = sweeps ? queries.anchors / 2 : 0;
     Floats kept = anchors_of(given, queries, width);
-    if (sweeps) {
+    if (sweeps && !queries.mean) {
       width = Narrowing(kept, queries.count, queries.anchors, length_, rows, standardised, threads).width();
       kept = anchors_of(given, queries, width);
     }
-    if (standardised && queries.count >= MIN_FRAMES) {
-      const Size vectors = queries.count * (2 * width + 1);
-      const Floats mean = mean_of(kept.data(), vectors, length_);
+    const Size vectors = queries.count * (2 * width + 1);
+    if (queries.mean || (standardised && queries.count >= MIN_FRAMES)) {
+      const Floats mean = queries.mean ? Floats(queries.mean, queries.mean + length_)
+                                       : mean_of(kept.data(), vectors, length_);
       for (Size each = 0; each < vectors; ++each)
         standardise(kept.data() + each * length_, mean.data(), length_, kept.data() + each * length_);
     }
@@ -295,7 +296,7 @@ class VectorChannel : public Channel {
     if (found) return *found;
     auto fresh = std::make_unique<Held>();
     fresh->vectors = vectors_;
-    if (standardised && drives_.rows >= MIN_FRAMES) {
+    if (standardised && (means_ || drives_.rows >= MIN_FRAMES)) {
       fresh->own.resize(static_cast<std::size_t>(drives_.rows * length_));
       fresh->vectors = fresh->own.data();
       standardise_rows(fresh->own.data(), threads);
@@ -308,12 +309,14 @@ class VectorChannel : public Channel {
 
   void standardise_rows(float *target, int threads) const {
     Floats of_all, mean;
-    for (const Shared &shared : sharing(drives_)) {
-      const bool all = shared.to - shared.from == drives_.rows;
-      if (!all || of_all.empty())
+    const float *given = means_;
+    for (const Shared &shared : means_ ? each_alone(drives_) : sharing(drives_)) {
+      const bool all = !means_ && shared.to - shared.from == drives_.rows;
+      if (!means_ && (!all || of_all.empty()))
         mean = mean_of(vectors_ + shared.from * length_, shared.to - shared.from, length_);
       if (all && of_all.empty()) of_all = mean;
-      const float *less = all ? of_all.data() : mean.data();
+      const float *less = means_ ? given : all ? of_all.data() : mean.data();
+      if (means_) given += length_;
       over_blocks(shared.last - shared.first, ROWS_AT_ONCE, threads, [&](Size first, Size last) {
         for (Size row = shared.first + first; row < shared.first + last; ++row)
           standardise(vectors_ + row * length_, less, length_, target + row * length_);
@@ -324,14 +327,16 @@ class VectorChannel : public Channel {
   const float *vectors_;
   Size length_;
   Drives drives_;
+  const float *means_;
   Mutex mutex_;
   std::array<std::unique_ptr<Held>, 2> held_;
 };
 
 }  // namespace
 
-std::unique_ptr<Channel> channel_of_vectors(const float *rows, Size length, const Drives &drives) {
-  return std::make_unique<VectorChannel>(rows, length, drives);
+std::unique_ptr<Channel> channel_of_vectors(const float *rows, Size length, const Drives &drives,
+                                            const float *means) {
+  return std::make_unique<VectorChannel>(rows, length, drives, means);
 }
 
 }  // namespace places

@@ -24,6 +24,7 @@ SSRVLAD_CLONES bool are_finite(const float *values, Size count) {
 struct Member {
   std::unique_ptr<Channel> channel;
   Size length;  // of vectors; 0 for signs
+  Size of_mean;
   double trust;
 };
 
@@ -39,7 +40,9 @@ struct ssrvlad_map {
     require((queries.descriptors || !count) && queries.anchors >= 1 && queries.anchors % 2 == 1);
     const auto *vectors = static_cast<const float *>(queries.descriptors);
     require(member.length ? are_finite(vectors, count * queries.anchors * member.length) : queries.anchors == 1);
-    return member.channel->compare({queries.descriptors, count, queries.anchors}, standardised, swept, threads);
+    require(!queries.mean || are_finite(queries.mean, member.of_mean));
+    return member.channel->compare({queries.descriptors, count, queries.anchors, queries.mean}, standardised,
+                                   swept, threads);
   }
 };
 
@@ -59,15 +62,18 @@ int ssrvlad_map_add_channel(ssrvlad_map *map, const ssrvlad_channel *channel) {
   return guarded([&] {
     require(map && channel && (channel->rows || !map->drives.rows) && channel->trust > 0 &&
             std::isfinite(channel->trust) && channel->columns >= 1 && channel->size >= 1);
-    Member member{nullptr, 0, channel->trust};
-    if (channel->kind == SSRVLAD_SIGNS) {
+    const bool are_signs = channel->kind == SSRVLAD_SIGNS;
+    Member member{nullptr, 0, channel->columns * channel->size * (are_signs ? 8 : 1), channel->trust};
+    const auto drives = static_cast<Size>(map->drives.starts.size());
+    require(!channel->means || are_finite(channel->means, drives * member.of_mean));
+    if (are_signs) {
       member.channel = channel_of_signs(static_cast<const std::uint8_t *>(channel->rows),
-                                        channel->columns, channel->size, map->drives);
+                                        channel->columns, channel->size, map->drives, channel->means);
     } else {
       const auto *rows = static_cast<const float *>(channel->rows);
       require(channel->kind == SSRVLAD_VECTORS && channel->columns == 1);
       require(are_finite(rows, map->drives.rows * channel->size));
-      member.channel = channel_of_vectors(rows, channel->size, map->drives);
+      member.channel = channel_of_vectors(rows, channel->size, map->drives, channel->means);
       member.length = channel->size;
     }
     map->members.push_back(std::move(member));

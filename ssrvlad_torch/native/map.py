@@ -8,6 +8,7 @@ the same plainly.
 from __future__ import annotations
 
 import ctypes
+import math
 import weakref
 from collections.abc import Mapping, Sequence
 from functools import cache
@@ -71,12 +72,13 @@ class Map:
             raise ValueError(f"expected drives of at least 1 frame, got {list(frames)}")
         weakref.finalize(self, core.ssrvlad_map_free, ctypes.c_void_p(self._map))
         self._rows: dict[str, Array] = {}
-        self._frames = int(starts[-1])
+        self._of_drives: dict[str, Array | None] = {}
+        self._frames, self._drives = int(starts[-1]), len(frames)
 
     def __len__(self) -> int:
         return self._frames
 
-    def add(self, name: str, rows: Array, trust: float = 1.0) -> None:
+    def add(self, name: str, rows: Array, trust: float = 1.0, means: Array | None = None) -> None:
         """Adds a channel. The rows stay where they are, if they are contiguous.
 
         Args:
@@ -84,6 +86,8 @@ class Map:
             rows: vectors ``(R, D)`` float32 of length 1 or zero, which match nothing; or signs
                 ``(R, columns, ...)`` uint8, eight in a byte.
             trust: how much the channel counts before anything is known of a drive.
+            means: of the drives, if the rows are only some of theirs: ``(drives, D)`` float32, of
+                signs as 1 and -1 ``(drives, columns, bits)``.
 
         Raises:
             ValueError: the rows are no such array, not one for each frame, or not finite.
@@ -99,12 +103,13 @@ class Map:
         if kind == 0 and kept.ndim != 2:
             raise ValueError(f"{name}: expected vectors (R, D), got {kept.shape}")
         columns, size = 1 if kind == 0 else kept.shape[1], int(np.prod(kept.shape[1 + kind :]))
-        given = _Channel(kept.ctypes.data, kind, columns, size, trust)
+        of_drives = self._means(name, means, (self._drives, columns * size * (8 if kind else 1)))
+        given = _Channel(kept.ctypes.data, kind, columns, size, trust, _address(of_drives))
         status = _library().ssrvlad_map_add_channel(self._map, ctypes.byref(given))
         if status:
             got = f"{kept.shape}, trust {trust}"
             raise problem(status, f"{name} as finite rows and a trust above 0, got {got}")
-        self._rows[name] = kept
+        self._rows[name], self._of_drives[name] = kept, of_drives
 
     def query(
         self,
@@ -162,12 +167,23 @@ class Map:
         )
 
     def compare(
-        self, name: str, queries: Array, standardised: bool, sweep: bool, threads: int = 1
+        self,
+        name: str,
+        queries: Array,
+        standardised: bool,
+        sweep: bool,
+        threads: int = 1,
+        mean: Array | None = None,
     ) -> Comparison:
         """The scores of the queries of one drive by one channel; arguments as for `query`, except
-        that ``standardised`` is not asked of the numbers of frames."""
-        kept = self._of_queries(name, queries)
+        that ``standardised`` is not asked of the numbers of frames. The ``mean`` of the drive, of
+        the shape of those of `add`, is given if the queries are only some of it: it is subtracted,
+        and all anchors count."""
+        kept, rows = self._of_queries(name, queries), self._rows[name]
+        bits = 1 if rows.dtype == np.float32 else 8
+        of_drive = self._means(name, mean, (bits * math.prod(rows.shape[1:]),))
         given, width = self._given(name, kept), _SIZE()
+        given.mean = _address(of_drive)
         number = [*self._rows].index(name)
         comparison = _library().ssrvlad_map_compare(
             self._map, number, ctypes.byref(given), len(kept), standardised, sweep, threads,
@@ -189,6 +205,15 @@ class Map:
                 f"{name}: expected queries (Q, {wanted}) {rows.dtype}, of vectors also (Q, S, D) "
                 f"with an odd S, got {kept.shape} {kept.dtype}"
             )
+        return kept
+
+    @staticmethod
+    def _means(name: str, means: Array | None, shape: tuple[int, ...]) -> Array | None:
+        if means is None:
+            return None
+        kept = np.ascontiguousarray(means, np.float32)
+        if kept.size != math.prod(shape):
+            raise ValueError(f"{name}: expected means of {shape} numbers, got {kept.shape}")
         return kept
 
     def _given(self, name: str, queries: Array) -> _Queries:
@@ -224,14 +249,14 @@ class _Channel(ctypes.Structure):
 
     _fields_ = (
         *(("rows", _POINTER), ("kind", ctypes.c_int32)),
-        *(("columns", _SIZE), ("size", _SIZE), ("trust", ctypes.c_double)),
+        *(("columns", _SIZE), ("size", _SIZE), ("trust", ctypes.c_double), ("means", _POINTER)),
     )
 
 
 class _Queries(ctypes.Structure):
     """``ssrvlad_queries``."""
 
-    _fields_ = (("descriptors", _POINTER), ("anchors", _SIZE))
+    _fields_ = (("descriptors", _POINTER), ("anchors", _SIZE), ("mean", _POINTER))
 
 
 class _Steps(ctypes.Structure):
@@ -247,6 +272,10 @@ class _Taken(ctypes.Structure):
     """``ssrvlad_taken``."""
 
     _fields_ = (("standardised", ctypes.c_int32), ("width", _SIZE), ("weights", _POINTER))
+
+
+def _address(array: Array | None) -> int | None:
+    return None if array is None else array.ctypes.data
 
 
 def _checked(array: Array, name: str) -> Array:

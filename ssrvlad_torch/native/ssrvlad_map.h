@@ -28,19 +28,24 @@ typedef struct ssrvlad_map ssrvlad_map;
 /* The descriptors of all rows of a map by one channel, in their order; they are not copied, and must
  * outlive the map. Vectors are float (rows, size), of length 1, or zeros for an empty frame, which
  * matches nothing; columns is 1. Signs are bytes (rows, columns, size), eight signs in each. `trust` is
- * how much the channel counts beside others before anything is known of a drive. */
+ * how much the channel counts beside others before anything is known of a drive. `means` are of the drives
+ * of the map, if the rows are only some of theirs: (drives, size), of signs as 1 and -1 (drives, columns,
+ * 8 * size); NULL for those of the rows. */
 typedef struct ssrvlad_channel {
   const void *rows;
   int32_t kind;
   int64_t columns, size;
   double trust;
+  const float *means;
 } ssrvlad_channel;
 
 /* The descriptors of the queries of one drive by one channel, each from `anchors` anchors, with the usual
- * one in the middle: (count, anchors, ...). Signs have one anchor. */
+ * one in the middle: (count, anchors, ...). Signs have one anchor. `mean` is that of the drive, if the
+ * queries are only some of it, and all anchors count; NULL for that of the queries. */
 typedef struct ssrvlad_queries {
   const void *descriptors;
   int64_t anchors;
+  const float *mean;
 } ssrvlad_queries;
 
 /* What is done between descriptors and a decision. Standardise: each drive loses the mean of its

@@ -44,7 +44,12 @@ class References(Protocol):
     def __len__(self) -> int: ...
 
     def compare(
-        self, queries: Tensor, standardised: bool, sweep: bool, excluded: Tensor | None
+        self,
+        queries: Tensor,
+        standardised: bool,
+        sweep: bool,
+        excluded: Tensor | None = None,
+        mean: Tensor | None = None,
     ) -> Comparison:
         """Compares the queries of one sequence, ``(Q, *shape)``, or ``(Q, S, *shape)`` from
         `sweep.COLUMNS`.
@@ -54,6 +59,8 @@ class References(Protocol):
             standardised: subtract the mean of each traverse, see `standardise`.
             sweep: use all anchors, or moves to both sides.
             excluded: ``(Q, R)`` bool, rows that are no candidates.
+            mean: of the sequence, see `standardise.sums`, if the queries are only some of it; it is
+                subtracted, and all anchors count.
         """
 
 
@@ -64,6 +71,8 @@ class ReferenceRows:
         rows: vectors ``(R, D)`` float, of length 1 or zero for an empty frame, or signs
             ``(R, columns, ...)`` uint8, eight in a byte; see `channels.signs`.
         sequences: of the rows.
+        means: ``(S, ...)`` of the S sequences, see `standardise.sums`, if the rows are only some of
+            theirs.
 
     Raises:
         ValueError: the rows are no such array.
@@ -74,25 +83,34 @@ class ReferenceRows:
         tensor([0., 1., 0.])
     """
 
-    def __init__(self, rows: Vectors, sequences: Sequence[str]) -> None:
+    def __init__(
+        self, rows: Vectors, sequences: Sequence[str], means: Tensor | None = None
+    ) -> None:
         self._rows, self._sequences = _array(rows), sequences
+        self._means = None if means is None else _array(means)
         self._maps: dict[bool, Map] = {}
 
     def __len__(self) -> int:
         return len(self._rows)
 
     def compare(
-        self, queries: Tensor, standardised: bool, sweep: bool, excluded: Tensor | None = None
+        self,
+        queries: Tensor,
+        standardised: bool,
+        sweep: bool,
+        excluded: Tensor | None = None,
+        mean: Tensor | None = None,
     ) -> Comparison:
         """See `References`; the sweep is as wide as suits the scores, see `sweep`, and signs are
         moved by up to two columns."""
         given = _array(queries)
         swept = sweep and given.dtype == np.float32 and given.ndim == 3
-        if swept and given.shape[1] != len(COLUMNS):
+        if swept and mean is None and given.shape[1] != len(COLUMNS):
             raise ValueError(
                 f"expected (Q, {len(COLUMNS)}, D) for columns {COLUMNS}, got {given.shape}"
             )
-        scores, width = self._compared(given, standardised, sweep)
+        less = None if mean is None else _array(mean)
+        scores, width = self._compared(given, standardised, sweep, less)
 
         def of(query: int) -> Tensor:
             found = torch.from_numpy(scores[query])
@@ -100,14 +118,19 @@ class ReferenceRows:
 
         return Comparison(Computed(of, len(given)), COLUMNS[len(COLUMNS) // 2 + width])
 
-    def _compared(self, given: Array, standardised: bool, sweep: bool) -> tuple[Any, int]:
+    def _compared(
+        self, given: Array, standardised: bool, sweep: bool, mean: Array | None
+    ) -> tuple[Any, int]:
         """Scores, and the width of the sweep in anchors to each side."""
         if has_core():
             found = self._map(standardised).compare(
-                "references", given, standardised, sweep, torch.get_num_threads()
+                "references", given, standardised, sweep, torch.get_num_threads(), mean
             )
             return found, found.width
-        rest = self._rows, self._sequences, standardised, sweep
+        means = self._means
+        if means is not None:
+            means = means.repeat([len(run) for run in runs(self._sequences)], axis=0)
+        rest = self._rows, self._sequences, standardised, sweep, means, mean
         if given.dtype == np.uint8:
             return reference.compare_signs(given, *rest).astype(np.float32), 0
         anchors = given.reshape(len(given), -1, given.shape[-1])
@@ -118,7 +141,7 @@ class ReferenceRows:
         if standardised not in self._maps:
             drives = runs(self._sequences) if standardised else [self._rows]
             town = Map([len(each) for each in drives if len(each)])
-            town.add("references", self._rows)
+            town.add("references", self._rows, means=self._means if standardised else None)
             self._maps[standardised] = town
         return self._maps[standardised]
 

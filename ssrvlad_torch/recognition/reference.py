@@ -83,30 +83,40 @@ def cosines_of_signs(queries: Array, references: Array, reach: int) -> Floats:
     return capped
 
 
-def without_means(vectors: Array, sequences: Sequence[str]) -> Floats:
-    """Vectors ``(N, D)`` less the means of their drives; zeros stay, and what equals its mean
-    stays as it is."""
-    means = means_of_drives(vectors, sequences)
+def without_means(vectors: Array, sequences: Sequence[str], means: Array | None = None) -> Floats:
+    """Vectors ``(N, D)`` less the means of their drives, or less given ones; zeros stay, and what
+    equals its mean stays as it is."""
+    means = means_of_drives(vectors, sequences) if means is None else means
     less = vectors.any(1, keepdims=True) & (np.abs(vectors - means).max(1, keepdims=True) > EQUAL)
     found: Floats = np.where(less, vectors - means, vectors)
     return found
 
 
 def compare_vectors(
-    queries: Array, references: Array, sequences: Sequence[str], standardised: bool, sweep: bool
+    queries: Array,
+    references: Array,
+    sequences: Sequence[str],
+    standardised: bool,
+    sweep: bool,
+    means: Array | None = None,
+    mean: Array | None = None,
 ) -> tuple[Floats, int]:
     """``(Q, R)`` scores of the queries of one drive from S anchors ``(Q, S, D)``, by the best of
-    them or by the middle one, against ``(R, D)``; and how many anchors to each side count."""
+    them or by the middle one, against ``(R, D)``; and how many anchors to each side count. Of some
+    queries of a drive, the ``mean`` of the drive is given, and all anchors count; of some rows, the
+    ``means`` ``(R, D)`` of theirs."""
     middle = queries.shape[1] // 2
     enough = standardised and len(queries) >= MIN_FRAMES
-    rows = without_means(references, sequences) if standardised else references
+    rows = without_means(references, sequences, means) if standardised else references
     widths, scores = range(middle + 1 if sweep else 1), list[Floats]()
-    for width in widths:
+    for width in widths if mean is None else widths[-1:]:
         part = queries[:, middle - width : middle + width + 1]
-        if enough:
+        if enough or mean is not None:
             every = part.reshape(-1, part.shape[2])
-            part = without_means(every, [""] * len(every)).reshape(part.shape)
+            part = without_means(every, [""] * len(every), mean).reshape(part.shape)
         scores.append(np.max([cosines(each, rows) for each in part.swapaxes(0, 1)], axis=0))
+    if mean is not None:
+        return scores[0], widths[-1]
     leads, best = [mean_lead(each) for each in scores], 0
     for width in widths:
         if leads[width] > leads[best] + WIDER:
@@ -133,17 +143,31 @@ def mean_lead(scores: Array) -> float:
 
 
 def compare_signs(
-    queries: Array, references: Array, sequences: Sequence[str], standardised: bool, sweep: bool
+    queries: Array,
+    references: Array,
+    sequences: Sequence[str],
+    standardised: bool,
+    sweep: bool,
+    means: Array | None = None,
+    mean: Array | None = None,
 ) -> Floats:
     """``(Q, R)`` scores of the queries of one drive, signs ``(Q, columns, ...)`` uint8, against
-    those of a map, by the best move or by none. A drive of equal frames keeps its mean."""
+    those of a map, by the best move or by none. A drive of equal frames keeps its mean. Means are
+    given as for `compare_vectors`, ``(columns, bits)`` each."""
     sides = list[Array]()
-    for signs, names in (queries, [""] * len(queries)), (references, sequences):
+    for signs, names, given in (
+        (queries, [""] * len(queries), mean),
+        (references, sequences, means if standardised else None),
+    ):
         bits = np.unpackbits(signs.reshape(*signs.shape[:2], -1), axis=2, bitorder="little")
         side = 2.0 * bits - 1
-        if standardised:
-            means = means_of_drives(side, names)
-            side -= np.where((np.abs(means) == 1).all((1, 2), keepdims=True), 0, means)
+        if standardised or given is not None:
+            less = (
+                means_of_drives(side, names)
+                if given is None
+                else given.reshape(-1, *side.shape[1:])
+            )
+            side -= np.where((np.abs(less) == 1).all((1, 2), keepdims=True), 0, less)
         sides.append(side)
     reach = min(MOVES, queries.shape[1] - 1) if sweep else 0
     return cosines_of_signs(sides[0], sides[1], reach)

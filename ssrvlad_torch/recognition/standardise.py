@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from itertools import groupby
 
 import numpy as np
+import numpy.typing as npt
 import torch
 import torch.nn.functional as F
 from torch import Tensor
@@ -63,6 +64,19 @@ def standardise(descriptors: Vectors, sequences: Sequence[str] | None = None) ->
     return after.view_as(single)
 
 
+def sums(descriptors: Tensor) -> tuple[npt.NDArray[np.float64], int]:
+    """The sum of descriptors, and how many count in it: of vectors ``(N, D)`` at length 1, ``(D,)``,
+    without zeros; of signs ``(N, columns, ...)`` uint8 as 1 and -1, ``(columns, bits)``."""
+    if descriptors.dtype != torch.uint8:
+        units = F.normalize(descriptors.float(), dim=1)
+        return units.sum(0, dtype=torch.double).numpy(), int(units.any(1).sum())
+    bits = np.unpackbits(descriptors.flatten(2).numpy(), axis=2, bitorder="little")
+    ones = np.zeros(bits.shape[1:])
+    for first in range(0, len(bits), _IN_A_BYTE):
+        ones += bits[first : first + _IN_A_BYTE].sum(0, dtype=np.uint8)
+    return 2 * ones - len(bits), len(bits)
+
+
 def sharing(frames: Sequence[int]) -> dict[tuple[int, ...], tuple[int, ...]]:
     """Groups of traverses that share a mean, and for each group the traverses whose frames make the
     mean. Traverses are numbers in the order of the map; ``frames`` holds their numbers of frames.
@@ -91,6 +105,9 @@ def without_mean(vectors: Tensor, mean: Tensor) -> Tensor:
     after = torch.where(equal, vectors, F.normalize(centred, dim=-1))
     return after * vectors.any(dim=-1, keepdim=True)
 
+
+_IN_A_BYTE = 255
+"""Most bits whose sum is a byte."""
 
 _ROUNDING = 1e-6
 """A vector this near to the mean equals it: its traverse has one frame, or all frames are equal."""

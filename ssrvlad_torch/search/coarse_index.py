@@ -2,7 +2,7 @@
 
 It stands beside the rows, in files for each data file of the table: new data files get new ones,
 and rows that were removed are left out when it is opened. A sample of the rows shows how the scores
-of a query are spread over the map.
+of a query are spread over the map, and sums of the descriptors of each sequence give its mean.
 """
 
 from __future__ import annotations
@@ -10,8 +10,10 @@ from __future__ import annotations
 import json
 import math
 import time
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -27,6 +29,8 @@ from ..channels.column import Column
 from ..database.reading import Damage, read_intact
 from ..database.rows import intact, matrix
 from ..files import is_uri, read_json, read_npz, replacing
+from ..recognition.standardise import sums
+from .sums import Sums, SumsWriter, mean_of
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -34,11 +38,11 @@ if TYPE_CHECKING:
 
     from ..database.database import Database
 
-FOLDER, _ABOUT = "_coarse", "index.json"
+FOLDER, _ABOUT, _LEARNT, _SAMPLED = "_coarse", "index.json", "learnt.npz", "sample.npz"
 LEAST_ROWS = 20_000
 """Maps of fewer frames are searched faster in memory, see docs/scale.md."""
 
-_FORMAT = 2
+_FORMAT = 3
 _SAMPLE, _SAMPLE_BYTES, _GROWTH = 4096, 1 << 27, 4
 """Rows and bytes of the sample, at most; a map that has grown so many times is learnt anew."""
 _BLOCK, _OFFSET = 1 << 12, np.uint64((1 << 32) - 1)
@@ -69,12 +73,13 @@ def build(database: Database) -> Report:
         learnt = _learn(database)
     fragments, new = database.table().get_fragments(), 0
     for fragment in fragments:
-        if _codes(fragment, learnt.forms, database.columns, folder) is None:
+        if _part(fragment, learnt.forms, database.columns, folder) is None:
             _write(fragment, learnt.forms, database.columns, folder)
             new += fragment.count_rows()
     stored = {_stem(fragment) for fragment in fragments}
     kept = {path.stem for path in Path(database.path, "data").glob("*.lance")} | stored
-    for file in folder.glob("*.npy"):
+    kept |= {Path(name).stem for name in (_LEARNT, _SAMPLED)}
+    for file in folder.glob("*.np[yz]"):
         if file.name.split(".")[0] not in kept:
             file.unlink()
     size = sum(file.stat().st_size for file in folder.glob("*"))
@@ -113,6 +118,7 @@ class CoarseIndex:
                 f"the index of {path} is of other channels; ssrvlad db index builds it anew"
             )
         self._forms, self.sample = learnt.forms, learnt.sample
+        self._database, self._columns = database, {c.name: c for c in database.columns}
         table, lacking = database.table(), 0
         addresses = table.to_table(columns=[], with_row_address=True, scan_in_order=True)
         address = addresses["_rowaddr"].to_numpy()
@@ -120,12 +126,12 @@ class CoarseIndex:
         for fragment in table.get_fragments():
             of = address[address >> np.uint64(32) == np.uint64(fragment.fragment_id)]
             live = (of & _OFFSET).astype(np.int64)
-            codes = _codes(fragment, learnt.forms, database.columns, folder)
-            if codes is None:
+            part = _part(fragment, learnt.forms, database.columns, folder)
+            if part is None:
                 lacking += len(live)
                 continue
             whole = len(live) == fragment.physical_rows
-            self._parts.append(_Part(codes, fragment.physical_rows, None if whole else live))
+            self._parts.append(part if whole else part._replace(live=live))
         if lacking:
             raise ValueError(
                 f"the index of {path} lacks {lacking} of {self._rows} frames; ssrvlad db index "
@@ -161,14 +167,48 @@ class CoarseIndex:
             first = last
         return found
 
+    def mean(self, name: str, sequences: Sequence[str]) -> Tensor:
+        """The mean of the frames of some sequences by one channel, see `standardise.sums`."""
+        column, found, first = self._columns[name], list[tuple[npt.NDArray[Any], int]](), 0
+        for part, counts in zip(self._parts, self._counts, strict=True):
+            for sequence in sequences:
+                number, frames = part.sums.numbers.get(sequence), counts.get(sequence, 0)
+                if number is None or not frames:
+                    continue
+                if frames == part.sums.frames[number]:
+                    counted = int(part.sums.counted[name][number])
+                    found.append((part.sums.totals[name][number], counted))
+                else:  # some were removed
+                    here = self._sequences[first : first + counts.total()] == sequence
+                    rows = first + np.flatnonzero(here)
+                    found.append(sums(taken(self._database, rows, [column], True)[name]))
+            first += counts.total()
+        return mean_of(found, column)
+
+    @cached_property
+    def _sequences(self) -> npt.NDArray[np.object_]:
+        stored = self._database.table().to_table(columns=["sequence"], scan_in_order=True)
+        return np.asarray(stored["sequence"].to_pylist(), dtype=object)
+
+    @cached_property
+    def _counts(self) -> list[Counter[str]]:
+        """The frames of each sequence in each data file."""
+        counts, first = list[Counter[str]](), 0
+        for part in self._parts:
+            rows = part.rows if part.live is None else len(part.live)
+            counts.append(Counter(self._sequences[first : first + rows].tolist()))
+            first += rows
+        return counts
+
 
 class _Part(NamedTuple):
-    """The layers of codes of a data file by channel, its rows, and those that are not removed,
-    ``None`` for all."""
+    """The layers of codes of a data file by channel, the sums of its sequences, its rows, and those
+    that are not removed, ``None`` for all."""
 
     codes: Mapping[str, list[Codes]]
+    sums: Sums
     rows: int
-    live: npt.NDArray[np.int64] | None
+    live: npt.NDArray[np.int64] | None = None
 
 
 def _folder(database: Database) -> Path:
@@ -194,7 +234,7 @@ def _learnt(database: Database) -> _Learnt | None:
     folder = _folder(database)
     try:
         about = read_json(folder / _ABOUT)
-        arrays, sample = (read_npz(folder / f"{name}.npz") for name in ("learnt", "sample"))
+        arrays, sample = (read_npz(folder / name) for name in (_LEARNT, _SAMPLED))
         if about["format"] != _FORMAT:
             return None
         forms = {}
@@ -218,7 +258,7 @@ def _learn(database: Database) -> _Learnt:
     found = taken(database, np.sort(chosen), columns, verified=True)
     forms = {column.name: coarse.learn(column, found[column.name]) for column in columns}
     arrays = {f"{name}.{key}": a for name, form in forms.items() for key, a in form.learnt.items()}
-    for file, content in (("learnt.npz", arrays), ("sample.npz", found)):
+    for file, content in ((_LEARNT, arrays), (_SAMPLED, found)):
         values: dict[str, Any] = {name: np.asarray(each) for name, each in content.items()}
         with replacing(folder / file) as part, part.open("wb") as stream:
             np.savez(stream, **values)
@@ -248,11 +288,10 @@ def descriptors(values: pa.ChunkedArray | pa.Array, column: Column) -> Tensor:
     return torch.from_numpy(matrix(values).copy()).view(-1, *column.shape)
 
 
-def _codes(
+def _part(
     fragment: LanceFragment, forms: Mapping[str, Coarse], columns: Sequence[Column], folder: Path
-) -> dict[str, list[Codes]] | None:
-    """The layers of codes of a data file by channel, memory-mapped; ``None`` unless all are there,
-    whole."""
+) -> _Part | None:
+    """What the index holds of a data file, memory-mapped; ``None`` unless all is there, whole."""
     codes: dict[str, list[Codes]] = {column.name: [] for column in columns}
     for column, layer in _layers(forms, columns):
         try:
@@ -263,7 +302,8 @@ def _codes(
         if (array.shape, array.dtype) != expected or not array.flags.c_contiguous:
             return None
         codes[column.name].append(array)
-    return codes
+    known = Sums.read(folder / _stem(fragment), columns)
+    return None if known is None else _Part(codes, known, fragment.physical_rows)
 
 
 def _layers(forms: Mapping[str, Coarse], columns: Sequence[Column]) -> list[tuple[Column, int]]:
@@ -281,8 +321,13 @@ def _shape(
 def _write(
     fragment: LanceFragment, forms: Mapping[str, Coarse], columns: Sequence[Column], folder: Path
 ) -> None:
-    """Writes the codes of a data file."""
+    """Writes the codes and the sums of a data file."""
+    names = np.full(fragment.physical_rows, "", dtype=object)
+    stored = fragment.to_table(columns=["sequence"], with_row_address=True)
+    offsets = (stored["_rowaddr"].to_numpy() & _OFFSET).astype(np.int64)
+    names[offsets] = stored["sequence"].to_pylist()
     with ExitStack() as stack:
+        total = stack.enter_context(SumsWriter(folder / _stem(fragment), columns, names.tolist()))
         streams = {}
         for column, layer in _layers(forms, columns):
             part = stack.enter_context(replacing(_file(folder, fragment, column.name, layer)))
@@ -291,6 +336,7 @@ def _write(
             about = {"shape": shape, "fortran_order": False, "descr": dtype.str}
             npy.write_array_header_1_0(stream, about)
         for batch in _whole_blocks(fragment, columns):
+            total.add(batch)
             for (column, layer), stream in streams.items():
                 stream.write(forms[column.name].codes(batch[column.name], layer).tobytes())
 

@@ -1,0 +1,128 @@
+"""Sums of the descriptors of each sequence, beside the coarse index: of these, the means are made that
+drives lose, see `recognition.standardise`.
+
+Each data file of the table has its own, of the rows that it held when it was indexed. Where rows were
+removed since, the sums are made again from the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, NamedTuple, Self
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from numpy.lib.format import open_memmap
+from torch import Tensor
+
+from ..channels.column import Column
+from ..files import read_npz, replacing
+from ..recognition.standardise import sharing, sums
+
+Array = npt.NDArray[Any]
+
+
+class Sums(NamedTuple):
+    """Of the rows of one data file.
+
+    Attributes:
+        numbers: of the sequences, by their names.
+        frames: ``(S,)`` of each sequence.
+        counted: by channel, ``(S,)`` frames that are not empty.
+        totals: by channel, ``(S, *shape of the mean)`` float32.
+    """
+
+    numbers: dict[str, int]
+    frames: Array
+    counted: Mapping[str, Array]
+    totals: Mapping[str, Array]
+
+    @classmethod
+    def read(cls, stem: Path, columns: Sequence[Column]) -> Self | None:
+        """Those of a data file, memory-mapped; ``None`` unless all are there, whole."""
+        try:
+            about = read_npz(stem.with_name(f"{stem.name}.sums.npz"))
+            names, frames = about["sequences"].tolist(), about["frames"]
+            counted = {column.name: about[column.name] for column in columns}
+            totals = {c.name: np.load(_file(stem, c), mmap_mode="r") for c in columns}
+        except (OSError, ValueError, KeyError):
+            return None
+        for column in columns:
+            expected = (len(names), *_shape(column))
+            if totals[column.name].shape != expected or len(counted[column.name]) != len(names):
+                return None
+        return cls({name: number for number, name in enumerate(names)}, frames, counted, totals)
+
+
+class SumsWriter:
+    """Writes the sums of a data file of which all rows are in some sequences, "" for removed rows;
+    a context, in which rows are added in their order."""
+
+    def __init__(self, stem: Path, columns: Sequence[Column], sequences: Sequence[str]) -> None:
+        self._stem, self._columns, self._row = stem, columns, 0
+        self._names, self._of = np.unique(np.array(sequences, dtype=str), return_inverse=True)
+        self._counted = {c.name: np.zeros(len(self._names), np.int64) for c in columns}
+        self._totals: dict[str, Array] = {}
+        self._stack = ExitStack()
+
+    def __enter__(self) -> Self:
+        for column in self._columns:
+            part = self._stack.enter_context(replacing(_file(self._stem, column)))
+            shape = len(self._names), *_shape(column)
+            self._totals[column.name] = open_memmap(part, "w+", np.float32, shape)
+        return self
+
+    def add(self, rows: Mapping[str, Tensor]) -> None:
+        """Adds the next rows by channel."""
+        count = len(next(iter(rows.values())))
+        of, self._row = self._of[self._row : self._row + count], self._row + count
+        for number in np.unique(of):
+            for name, values in rows.items():
+                total, counted = sums(values[torch.from_numpy(of == number)])
+                self._totals[name][number] += total
+                self._counted[name][number] += counted
+
+    def __exit__(self, *raised: object) -> None:
+        for total in self._totals.values():
+            total.flush()
+        self._stack.__exit__(*raised)
+        if raised[0] is not None:
+            return
+        frames = np.bincount(self._of, minlength=len(self._names))
+        with (
+            replacing(self._stem.with_name(f"{self._stem.name}.sums.npz")) as part,
+            part.open("wb") as stream,
+        ):
+            arrays: dict[str, Any] = {"sequences": self._names, "frames": frames, **self._counted}
+            np.savez(stream, **arrays)
+
+
+def mean_of(parts: Iterable[tuple[Array, int]], column: Column) -> Tensor:
+    """The mean ``(*shape of the mean)`` float32 by sums of descriptors and how many count."""
+    total, counted = np.zeros(_shape(column)), 0
+    for each, count in parts:
+        total += each
+        counted += count
+    return torch.from_numpy(total / max(1, counted)).float()
+
+
+def means_of(frames: Sequence[int]) -> list[tuple[int, ...]]:
+    """For each sequence of so many frames the sequences whose frames make its mean, see
+    `standardise.sharing`; none if there is no mean."""
+    of: list[tuple[int, ...]] = [()] * len(frames)
+    for group, those in sharing(frames).items():
+        for number in group:
+            of[number] = those
+    return of
+
+
+def _shape(column: Column) -> tuple[int, ...]:
+    dtype = torch.uint8 if column.dtype == "uint8" else torch.float32
+    return sums(torch.zeros(0, *column.shape, dtype=dtype))[0].shape
+
+
+def _file(stem: Path, column: Column) -> Path:
+    return stem.with_name(f"{stem.name}.sums.{column.name}.npy")
