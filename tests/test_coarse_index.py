@@ -83,7 +83,7 @@ def test_rows_that_were_removed_before_are_left_out(town):
 
 
 def test_means_are_of_the_rows_that_are_there_now(town):
-    """Also where a sequence is in several data files, or rows were removed after they were indexed."""
+    """Also where a sequence is in several data files, or rows were removed later."""
     build(town)
     add(town, 100, 40)
     town.append([f"b/{n}" for n in range(5)], rows(7, 5))

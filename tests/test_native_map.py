@@ -1,5 +1,6 @@
 """The map of the core against `recognition.reference`, on drives drawn at random."""
 
+import itertools
 import subprocess
 import sys
 from pathlib import Path
@@ -131,7 +132,7 @@ def test_some_rows_and_queries_of_drives_lose_the_means_of_all(seed, kind, sweep
     town.add("x", there)
     some, part = np.arange(0, len(there), 3), slice(9, 16)
     starts = np.cumsum([0, *drives])
-    means = np.stack([mean_of(there[a:b]) for a, b in zip(starts, starts[1:], strict=False)])
+    means = np.stack([mean_of(there[a:b]) for a, b in itertools.pairwise(starts)])
     few.add("x", there[some], means=means)
     mean, names = mean_of(here.reshape(-1, 24) if vector else here), named(drives)
     found = few.compare("x", here[part], True, sweep or vector, mean=mean)

@@ -62,27 +62,32 @@ Floats mean_of(const Word *signs, Size count, const Shape &shape) {
   return checked(std::move(mean));
 }
 
-// What the nibbles of signs weigh by a mean.
+// What the nibbles of signs weigh by a mean: the sum of the four numbers, each plus or minus.
 Floats weights_of(const Floats &mean, const Shape &shape) {
   Floats weights;
+  weights.reserve(static_cast<std::size_t>(shape.columns * shape.weights()));
   for (Size column = 0; column < shape.columns; ++column)
-    for (Size nibble = 0; nibble < 16 * shape.words(); ++nibble)
-      for (int value = 0; value < NIBBLES; ++value) {
-        float sum = 0;
-        for (Size bit = 4 * nibble; bit < std::min(shape.bits(), 4 * nibble + 4); ++bit) {
-          const float weight = mean[static_cast<std::size_t>(column * shape.bits() + bit)];
-          sum += value >> (bit % 4) & 1 ? weight : -weight;
-        }
-        weights.push_back(sum);
-      }
+    for (Size nibble = 0; nibble < 16 * shape.words(); ++nibble) {
+      const auto of = [&](Size bit) {
+        const Size at = 4 * nibble + bit;
+        return at < shape.bits() ? mean[static_cast<std::size_t>(column * shape.bits() + at)] : 0;
+      };
+      const std::array<float, 4> low = {-of(0) - of(1), of(0) - of(1), of(1) - of(0), of(0) + of(1)};
+      const std::array<float, 4> high = {-of(2) - of(3), of(2) - of(3), of(3) - of(2), of(2) + of(3)};
+      for (const float upper : high)
+        for (const float lower : low) weights.push_back(lower + upper);
+    }
   return weights;
 }
 
-// The product of columns of signs with a mean, by its weights.
-float product(const Word *signs, const float *weights, Size columns, const Shape &shape) {
-  Floats sums(static_cast<std::size_t>(columns));
-  weigh(bytes_of(signs), 8 * columns * shape.words(), columns, weights, sums.data());
-  return std::accumulate(sums.begin(), sums.end(), 0.0F);
+// Adds the products of one column of each of some signs with the weights of a column: these stay in the
+// cache.
+void add_products(const Word *column, Size count, const float *weights, const Shape &shape, float *sums) {
+  for (Size each = 0; each < count; ++each, column += shape.size()) {
+    float sum;
+    weigh(bytes_of(column), 8 * shape.words(), 1, weights, &sum);
+    sums[each] += sum;
+  }
 }
 
 // The product of columns of two means; 0 if one is nothing.
@@ -92,16 +97,18 @@ double product(const Floats &some, Size first, const Floats &others, Size start,
   return dot(some.data() + first * shape.bits(), others.data() + start * shape.bits(), columns * shape.bits());
 }
 
-// The squared lengths of the columns of signs without a mean, of which the weights are known.
-void squares(const Word *signs, const Floats &mean, const Floats &weights, const Shape &shape, float *of) {
+// The squared lengths of the columns of some signs without a mean, of which the weights are known.
+void squares(const Word *signs, Size count, const Floats &mean, const Floats &weights, const Shape &shape,
+             float *of) {
   const auto bits = static_cast<float>(shape.bits());
-  std::fill_n(of, shape.columns, bits);
-  if (mean.empty()) return;
-  Floats sums(static_cast<std::size_t>(shape.columns));
-  weigh(bytes_of(signs), 8 * shape.size(), shape.columns, weights.data(), sums.data());
-  for (Size column = 0; column < shape.columns; ++column) {
-    const double mean_square = product(mean, column, mean, column, 1, shape);
-    of[column] = std::max(0.0F, static_cast<float>(bits + mean_square) - 2 * sums[static_cast<std::size_t>(column)]);
+  std::fill_n(of, count * shape.columns, bits);
+  for (Size column = 0; column < shape.columns && !mean.empty(); ++column) {
+    Floats sums(static_cast<std::size_t>(count));
+    add_products(signs + column * shape.words(), count, weights.data() + column * shape.weights(), shape,
+                 sums.data());
+    const auto without = static_cast<float>(bits + product(mean, column, mean, column, 1, shape));
+    for (Size each = 0; each < count; ++each)
+      of[each * shape.columns + column] = std::max(0.0F, without - 2 * sums[static_cast<std::size_t>(each)]);
   }
 }
 
@@ -138,15 +145,15 @@ class SignComparison : public Comparison {
         row_lengths_(of_moves(rows)), lengths_(of_moves(count)), levels_(held.means.size()) {
     const Floats weights = mean.empty() ? Floats() : weights_of(mean, shape);
     over_blocks(rows, ROWS_AT_ONCE, threads, [&](Size first, Size last) {
-      for (Size row = first; row < last; ++row) prepare_row(row, weights);
+      prepare_rows(first, last, weights);
     });
     over_blocks(count, ROWS_AT_ONCE, threads, [&](Size first, Size last) {
-      Floats of(static_cast<std::size_t>(shape_.columns));
-      for (Size query = first; query < last; ++query) {
-        squares(query_of(query), mean, weights, shape_, of.data());
+      Floats of(static_cast<std::size_t>((last - first) * shape_.columns));
+      squares(query_of(first), last - first, mean, weights, shape_, of.data());
+      for (Size query = first; query < last; ++query)
         for (Size move = 0; move < grid_.moves(); ++move)
-          lengths_[at(query, move)] = length_of(of.data(), grid_.ours(move), grid_.overlapping(move));
-      }
+          lengths_[at(query, move)] = length_of(of.data() + (query - first) * shape_.columns,
+                                                grid_.ours(move), grid_.overlapping(move));
     });
     for (std::size_t each = 0; each < levels_.size(); ++each) add_levels(each, mean);
   }
@@ -175,15 +182,23 @@ class SignComparison : public Comparison {
   std::size_t at(Size query, Size move) const { return static_cast<std::size_t>(query * grid_.moves() + move); }
   const Word *query_of(Size query) const { return queries_.data() + query * grid_.size(); }
 
-  void prepare_row(Size row, const Floats &weights) {
+  void prepare_rows(Size first, Size last, const Floats &weights) {
     for (Size move = 0; move < grid_.moves(); ++move) {
-      const Size ours = grid_.ours(move), theirs = grid_.theirs(move), columns = grid_.overlapping(move);
-      const auto of = static_cast<std::size_t>(move * rows() + row);
-      row_lengths_[of] = length_of(held_.squares.data() + row * shape_.columns, theirs, columns);
-      if (!weights.empty())
-        of_mean_[of] = product(signs_ + row * grid_.size() + theirs * grid_.words,
-                               weights.data() + ours * shape_.weights(), columns, shape_);
+      const Size theirs = grid_.theirs(move), columns = grid_.overlapping(move);
+      for (Size row = first; row < last; ++row)
+        row_lengths_[static_cast<std::size_t>(move * rows() + row)] =
+            length_of(held_.squares.data() + row * shape_.columns, theirs, columns);
+      add_overlapping(signs_ + first * grid_.size() + theirs * grid_.words, last - first, weights,
+                      grid_.ours(move), columns, of_mean_.data() + move * rows() + first);
     }
+  }
+
+  // Adds the products of adjacent columns of some signs with the weights of columns of a mean, if any.
+  void add_overlapping(const Word *signs, Size count, const Floats &weights, Size column, Size columns,
+                       float *sums) const {
+    for (Size each = 0; each < columns && !weights.empty(); ++each)
+      add_products(signs + each * grid_.words, count, weights.data() + (column + each) * shape_.weights(),
+                   shape_, sums);
   }
 
   // What is added to minus twice the bits that differ from rows of a mean.
@@ -195,11 +210,11 @@ class SignComparison : public Comparison {
       for (Size move = 0; move < grid_.moves(); ++move) {
         const Size own = grid_.ours(move), other = grid_.theirs(move), columns = grid_.overlapping(move);
         const double both = product(mean, own, theirs, other, columns, shape_);
-        for (Size query = first; query < last; ++query) {
-          const double less = weights.empty() ? 0 : product(query_of(query) + own * grid_.words,
-                                                            weights.data() + other * shape_.weights(), columns, shape_);
-          levels[at(query, move)] = static_cast<float>(both - less + static_cast<double>(columns * shape_.bits()));
-        }
+        Floats less(static_cast<std::size_t>(last - first));
+        add_overlapping(query_of(first) + own * grid_.words, last - first, weights, other, columns, less.data());
+        for (Size query = first; query < last; ++query)
+          levels[at(query, move)] = static_cast<float>(both - static_cast<double>(less[static_cast<std::size_t>(query - first)]) +
+                                                       static_cast<double>(columns * shape_.bits()));
       }
     });
   }
@@ -259,9 +274,8 @@ class SignChannel : public Channel {
       if (all) mean = of_all = of_all.empty() ? mean : of_all;
       const Floats weights = mean.empty() ? Floats() : weights_of(mean, shape_);
       over_blocks(shared.last - shared.first, ROWS_AT_ONCE, threads, [&](Size first, Size last) {
-        for (Size row = shared.first + first; row < shared.first + last; ++row)
-          squares(signs_ + row * shape_.size(), mean, weights, shape_,
-                  fresh->squares.data() + row * shape_.columns);
+        squares(signs_ + (shared.first + first) * shape_.size(), last - first, mean, weights, shape_,
+                fresh->squares.data() + (shared.first + first) * shape_.columns);
       });
       fresh->means.push_back(std::move(mean));
     }

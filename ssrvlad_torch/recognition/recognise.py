@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import torch
 from torch import Tensor
@@ -101,6 +101,14 @@ class Recognised(NamedTuple):
         return candidates_table(*self.matches, confidence=self.confidence)
 
 
+class DriveSearch(Search, Protocol):
+    """A search for the queries of one drive, the width of their sweep, and the weights of several
+    channels."""
+
+    width: int
+    weights: dict[str, float]
+
+
 @torch.no_grad()
 def recognise(
     members: Mapping[str, Member],
@@ -171,20 +179,24 @@ def recognise_by_scores(
 
 
 def recognise_by_search(
-    search: Callable[[bool], Search],
+    search: Callable[[range, bool], DriveSearch],
     query_sequences: Sequence[str],
     reference_sequences: Sequence[str],
     steps: Steps | None = None,
     top: int = 5,
 ) -> Recognised:
-    """As `recognise`, for maps that are too large to score every row; without a sweep. ``search``
-    returns what finds candidates, by standardised descriptors if its argument is true."""
-    steps, top = replace(steps or Steps(), sweep=False), checked_number("top", top, least=1)
+    """As `recognise`, for maps that are too large to score every row. ``search`` returns what finds
+    the candidates of the queries of one sequence, by standardised descriptors if its argument is
+    true."""
+    steps, top = steps or Steps(), checked_number("top", top, least=1)
     decisions: dict[str, _Decided] = {}
     for run in runs(query_sequences):
         standardised = steps.standardise and _are_enough(run, reference_sequences)
-        decided = _decided(search(standardised), run, reference_sequences, steps, top)
-        decisions[query_sequences[run.start]] = replace(decided, standardise=standardised)
+        found = search(run, standardised)
+        decided = _decided(found, range(len(run)), reference_sequences, steps, top)
+        decisions[query_sequences[run.start]] = replace(
+            decided, standardise=standardised, sweep=found.width, weights=found.weights
+        )
     return _joined(decisions, len(reference_sequences), steps, top)
 
 

@@ -65,8 +65,8 @@ def standardise(descriptors: Vectors, sequences: Sequence[str] | None = None) ->
 
 
 def sums(descriptors: Tensor) -> tuple[npt.NDArray[np.float64], int]:
-    """The sum of descriptors, and how many count in it: of vectors ``(N, D)`` at length 1, ``(D,)``,
-    without zeros; of signs ``(N, columns, ...)`` uint8 as 1 and -1, ``(columns, bits)``."""
+    """The sum of descriptors, and how many count in it: ``(D,)`` of vectors ``(N, D)`` at length 1,
+    without zeros; ``(columns, bits)`` of signs ``(N, columns, ...)`` uint8 as 1 and -1."""
     if descriptors.dtype != torch.uint8:
         units = F.normalize(descriptors.float(), dim=1)
         return units.sum(0, dtype=torch.double).numpy(), int(units.any(1).sum())

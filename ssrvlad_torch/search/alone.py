@@ -68,15 +68,15 @@ class LargeMap:
 
     def __init__(self, database: Database, channels: Sequence[Channel]) -> None:
         """Errors as for `CoarseIndex`."""
-        self._database = database
-        self._channels = sorted(channels, key=lambda channel: -channel.trust)
-        self._index = CoarseIndex(database)
-        self.frames, self._stored = database.placed()
-        self._natural = torch.from_numpy(np.argsort(self._stored))
-        self._size = len(next(iter(self._index.sample.values())))
-        trust = {channel.column.name: channel.trust for channel in self._channels}
-        self._share = weights_of(dict.fromkeys(trust, 0.0), trust)
-        self.weights = self._share if len(trust) > 1 else {}
+        self.database = database
+        self.channels = sorted(channels, key=lambda channel: -channel.trust)
+        self.index = CoarseIndex(database)
+        self.frames, self.stored = database.placed()
+        self.natural = torch.from_numpy(np.argsort(self.stored))
+        self._size = len(next(iter(self.index.sample.values())))
+        trust = {channel.column.name: channel.trust for channel in self.channels}
+        self.share = weights_of(dict.fromkeys(trust, 0.0), trust)
+        self.weights = self.share if len(trust) > 1 else {}
 
     @torch.no_grad()
     def judge(
@@ -88,42 +88,49 @@ class LargeMap:
     ) -> Judged:
         """The candidates of one query by its descriptors ``(*shape)``, or ``(S, *shape)`` from all
         anchors. ``allowed`` ``(R,)`` bool are the rows that may be candidates, by default all."""
-        where = None if allowed is None else torch.from_numpy(allowed)[self._natural]
+        where = None if allowed is None else torch.from_numpy(allowed)[self.natural]
         coarse = {
-            name: self._index.scan(name, [descriptors[name]], sweep)[0]
-            for name in (channel.column.name for channel in self._channels)
+            name: self.index.scan(name, [descriptors[name]], sweep)[0]
+            for name in (channel.column.name for channel in self.channels)
         }
-        own = self._natural[self._best(coarse, where, descriptors, sweep)].sort().values
+        own = self.natural[self.best(coarse, where, descriptors, sweep, COARSE)].sort().values
         return self._judged(descriptors, coarse, own, sweep, top)
 
-    def _best(
+    def best(
         self,
         coarse: Mapping[str, Tensor],
         where: Tensor | None,
         query: Mapping[str, Tensor],
         sweep: bool,
+        count: int,
     ) -> Tensor:
-        """The `COARSE` best stored rows by the fused coarse scores ``(R,)``, best first. Rows are
+        """The ``count`` best stored rows by the fused coarse scores ``(R,)``, best first. Rows are
         chosen by z-scores of cosines before those of nearness, and before all layers of codes,
         which take longer."""
-        linear = torch.zeros(len(self.frames))
-        for name, scores in coarse.items():
-            deviation = max(float(self._every(scores).std(correction=0)), MIN_SPREAD)
-            linear.add_(scores, alpha=self._share[name] / deviation)
+        linear = self.linear(coarse)
         if where is not None:
             linear.masked_fill_(~where, -torch.inf)
         some, least = linear[::_STRIDE], -torch.inf
         if len(linear) > _PRESELECTED:
-            count = max(1, len(some) * _PRESELECTED // len(linear))
-            least = float(some.topk(count).values[-1])
+            preselected = max(1, len(some) * _PRESELECTED // len(linear))
+            least = float(some.topk(preselected).values[-1])
         rows = ((linear >= least) & (linear > -torch.inf)).nonzero()[:, 0]
         chosen = torch.cat((self._every(torch.arange(len(linear))), rows))
         parts = [each[chosen] for each in coarse.values()]
         for number, name in enumerate(coarse):
-            again = self._index.rescan(name, query[name], chosen, sweep)
+            again = self.index.rescan(name, query[name], chosen, sweep)
             parts[number] = parts[number] if again is None else again
-        near = fused(parts, [self._share[name] for name in coarse], self._size)[self._size :]
-        return rows[near.topk(min(COARSE, len(rows))).indices]
+        near = fused(parts, [self.share[name] for name in coarse], self._size)[self._size :]
+        return rows[near.topk(min(count, len(rows))).indices]
+
+    def linear(self, coarse: Mapping[str, Tensor]) -> Tensor:
+        """The weighted z-score of coarse scores ``(R,)`` by each channel, but for a constant."""
+        linear = torch.zeros(len(self.frames))
+        for name, scores in coarse.items():
+            some = self._every(scores)
+            deviation = max(float(some[some > -torch.inf].std(correction=0)), MIN_SPREAD)
+            linear.add_(scores, alpha=self.share[name] / deviation)
+        return linear
 
     def _every(self, coarse: Tensor) -> Tensor:
         """Coarse scores ``(R,)`` of as many rows as the sample has."""
@@ -138,7 +145,7 @@ class LargeMap:
         top: int,
     ) -> Judged:
         """The decision by the exact scores of candidates, rising rows of the map."""
-        most, *others = self._channels
+        most, *others = self.channels
         compared = {most.column.name: self._compared(most, descriptors, coarse, rows, sweep)}
         if others:
             chosen = self._finer(compared, coarse, rows, max(top, EXACT))
@@ -162,14 +169,14 @@ class LargeMap:
     ) -> Tensor:
         """Which of the candidates are best by the exact scores of one channel and the coarse ones
         of the others, rising."""
-        stored = torch.from_numpy(self._stored[own.numpy()])
+        stored = torch.from_numpy(self.stored[own.numpy()])
         parts = [
             compared[name].scores[: self._size + len(own)]
             if name in compared
             else torch.cat((self._every(scores), scores[stored]))
             for name, scores in coarse.items()
         ]
-        best = fused(parts, [self._share[name] for name in coarse], self._size)[self._size :]
+        best = fused(parts, [self.share[name] for name in coarse], self._size)[self._size :]
         return best.topk(min(count, len(own))).indices.sort().values
 
     def _compared(
@@ -187,11 +194,11 @@ class LargeMap:
         unique = rows.unique()
         if swept:
             best = coarse[name].topk(min(LEADS, len(self.frames))).indices
-            unique = torch.cat((rows, self._natural[best])).unique()
+            unique = torch.cat((rows, self.natural[best])).unique()
         places = torch.arange(len(unique))
         if swept and len(unique):  # as far apart as in the map
             places[1:] += (unique.diff().clamp(max=ELSEWHERE + 1) - 1).cumsum(0)
-        sample, found = self._index.sample[name], self._taken(channel, unique)
+        sample, found = self.index.sample[name], self._taken(channel, unique)
         between = torch.arange(int(places[-1]) + 1 if len(places) else 0) % self._size
         known = torch.cat((sample, sample[between]))
         known[self._size + places] = found
@@ -203,14 +210,14 @@ class LargeMap:
 
     def _taken(self, channel: Channel, rows: Tensor) -> Tensor:
         """The descriptors of rows of the map by one channel."""
-        stored = self._stored[rows.numpy()]
-        return taken(self._database, stored, [channel.column])[channel.column.name]
+        stored = self.stored[rows.numpy()]
+        return taken(self.database, stored, [channel.column])[channel.column.name]
 
     def _together(self, compared: Sequence[_Compared]) -> Tensor:
         """The fused scores of all channels."""
         if len(compared) == 1:
             return compared[0].scores
-        weights = [self._share[channel.column.name] for channel in self._channels]
+        weights = [self.share[channel.column.name] for channel in self.channels]
         return fused([each.scores for each in compared], weights, self._size)
 
 

@@ -1,8 +1,8 @@
-"""Sums of the descriptors of each sequence, beside the coarse index: of these, the means are made that
-drives lose, see `recognition.standardise`.
+"""Sums of the descriptors of each sequence, beside the coarse index: of these, the means are made
+that drives lose, see `recognition.standardise`.
 
-Each data file of the table has its own, of the rows that it held when it was indexed. Where rows were
-removed since, the sums are made again from the others.
+Each data file of the table has its own, of the rows that it held when it was indexed. Where rows
+were removed since, the sums are made again from the others.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
+from types import TracebackType
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -85,11 +86,16 @@ class SumsWriter:
                 self._totals[name][number] += total
                 self._counted[name][number] += counted
 
-    def __exit__(self, *raised: object) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        raised: BaseException | None,
+        where: TracebackType | None,
+    ) -> None:
         for total in self._totals.values():
             total.flush()
-        self._stack.__exit__(*raised)
-        if raised[0] is not None:
+        self._stack.__exit__(kind, raised, where)
+        if raised is not None:
             return
         frames = np.bincount(self._of, minlength=len(self._names))
         with (
