@@ -40,7 +40,6 @@ from .search.alone import LargeMap, opened_large
 from .search.answers import Answer, Answers
 from .search.coarse_index import grow, taken
 from .search.exact import chosen_channels, locate_view, search
-from .search.index_search import search_by_index
 from .search.near import Near
 from .search.pictures import pictures_of_queries, pictures_of_references
 from .segmentation.segmenter import Segmenter
@@ -212,7 +211,6 @@ class Map:
         near: Circle | None = None,
         min_confidence: float = 0.0,
         max_wrong: float | None = None,
-        index: bool = False,
         progress: Progress = do_nothing,
     ) -> Answers:
         """Finds a drive, or any frames, in the map. A drive is found far better as a whole: give
@@ -225,7 +223,6 @@ class Map:
             temporal, channels, sequences, exclude, progress: see `search.exact.search`.
             near: only frames whose pose is in this circle are candidates.
             min_confidence, max_wrong: which answers are accepted, see `Answers.accepted`.
-            index: search by the index on disk, see ``ssrvlad db index``.
 
         Raises:
             ValueError: there are no frames, they do not fit the map, or the map has no poses in the
@@ -237,15 +234,10 @@ class Map:
             raise ValueError(f"expected steps as Steps, got {steps!r}")
         most = max(TOP, len(self))
         top = most if isinstance(top, int) and top > most else checked_number("top", top, least=1)
-        if index and circle:
-            raise ValueError("near does not go with the index")
-        if index:
-            found = search_by_index(self.database, source, steps, top, sequences, exclude, progress)
-        else:
-            found = search(
-                self.database, source, steps, top, temporal, channels, sequences, exclude, circle,
-                progress,
-            )  # fmt: skip
+        found = search(
+            self.database, source, steps, top, temporal, channels, sequences, exclude, circle,
+            progress,
+        )  # fmt: skip
         return found.accepted(min_confidence, max_wrong)
 
     @overload

@@ -20,7 +20,6 @@ from ssrvlad_torch.database.exporting import export_database
 from ssrvlad_torch.database.frames import FrameRecord
 from ssrvlad_torch.database.rows import intact
 from ssrvlad_torch.loops.config import LoopConfig
-from ssrvlad_torch.search.index import build_index, search_index
 
 CONFIG = SSRVLADConfig.from_preset("default", labels_as=SPACE)
 FRAMES = ["day/10", "day/2", "night/1"]
@@ -136,19 +135,6 @@ def test_descriptors_of_another_version_are_refused(tmp_path):
     town = Map.open(database.path, settings)
     with pytest.raises(ValueError, match="by hog are of 7 x 7 cells, this version makes 6 x"):
         town.locate(photo(street(0, 60, 80)))
-
-
-def test_an_index_is_of_label_maps_and_says_what_it_leaves_out(ssrvlad, maps, tmp_path):
-    path, numbers = tmp_path / "town", descriptors(0, 300)
-    database = Database.create(path, CONFIG, columns=[HOG_STORED])
-    given = {"ssr-vlad": numbers, "hog": descriptors(1, 300, *HOG_STORED.shape)}
-    database.append([f"a/{number}" for number in range(300)], given)
-    build_index(database)
-    [found] = search_index(Database.open(path), numbers[17][None], 1)
-    assert found[0][0] == "a/17"
-    code, _, (err, *_) = ssrvlad("query", path, maps, "--labels-as", SPACE, "--index")
-    assert code == 0
-    assert err.endswith(f"searches descriptors of label maps, without hog of {path}")
 
 
 # ---- loops

@@ -147,7 +147,6 @@ WRONG_USES = [
     (f"encode monday -o file/db {CAMVID}", "file"),
     (f"encode monday {NONE} --start 99", "no sequence has a frame 99; the longest has 6 frames"),
     ("query folder monday", "folder is not a database"),
-    ("query town.ssrdb monday --index --channel hog", "--index does not go with a temporal sum or"),
     (
         f"{EVALUATE} --tolerance-frames 1 --tolerance-metres 5",
         "expected one of --ground-truth, --tolerance-metres and --tolerance-frames, got 2",

@@ -228,7 +228,6 @@ def test_wrong_use_of_channels(town, photos, maps, ssrvlad, refusal):
         assert "expected images and --segmenter, or --channel ssr-vlad" in message
         assert ssrvlad("query", town, source, "--channel", "ssr-vlad")[0] == 0
     assert "--as-paper" in refusal("query", town, maps, *features, "--as-paper")
-    assert "or --channel" in refusal("query", town, maps, *features, "--index")
 
 
 def test_a_database_of_the_earlier_form_is_refused(photos, refusal):

@@ -30,7 +30,7 @@ def found():
     steps = [Steps(), Steps(follow="online", delay=2), Steps(follow=None)]
     queries = ["q"] * 20 + ["r"] * 10
     scored = [recognise_by_scores(SCORES, queries, NAMES, each, 3) for each in steps]
-    searched = recognise_by_search(lambda _: Best(SCORES, 60), queries, NAMES, top=3)
+    searched = recognise_by_search(lambda run, _: Best(SCORES[run], 60), queries, NAMES, top=3)
     return [*scored, searched], follow(SCORES, NAMES, top=2), chance_of(SCORES[0])
 
 

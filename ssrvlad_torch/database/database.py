@@ -457,10 +457,6 @@ class Database:
         self._apply(partial(engine.commit, plan=plan, message="drop damaged rows"))
         return damage
 
-    def write_index(self, column: str, kind: str, lists: int, **options: Any) -> None:
-        """Builds an index of cosines over a column; see `index.build_index`."""
-        self._apply(partial(engine.create_index, column=column, kind=kind, lists=lists, **options))
-
     def compact(self, keep_days: float = 14) -> None:
         """Joins small files, and deletes versions older than ``keep_days`` with the files that only
         they need.

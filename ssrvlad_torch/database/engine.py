@@ -209,20 +209,7 @@ def compact(table: LanceDataset) -> LanceDataset:
     done = [task.execute(table) for task in plan.tasks]
     flush_fragments(uri, [fragment for task in done for fragment in task.new_fragments])
     compaction.commit(table, done)
-    open_table(uri).optimize.optimize_indices()
     table = open_table(uri)
-    _flush_version(table)
-    return table
-
-
-def create_index(
-    table: LanceDataset, column: str, kind: str, lists: int, **options: Any
-) -> LanceDataset:
-    """A change of a table: builds an index of cosines over a column, and replaces an earlier
-    one."""
-    options |= {"metric": "cosine", "replace": True, "num_partitions": lists}
-    table.create_index(column, kind, **options)
-    table = open_table(table.uri)
     _flush_version(table)
     return table
 

@@ -7,6 +7,7 @@ channel was chosen as docs/fusion.md says. Not in the paper.
 """
 
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple, Self
 
 import torch
 from torch import Tensor
@@ -101,29 +102,41 @@ def z_lead(scores: Tensor) -> float:
     nearness of its scores ``(R,)``; 0 if there are too few scores."""
     if len(scores) <= 2 * ELSEWHERE + 1:
         return 0.0
-    z, _, _ = _scaled(scores)
-    return float(lead(z[None]))
+    return float(lead(Scale.of(scores).z(scores)[None]))
+
+
+class Scale(NamedTuple):
+    """Mean and standard deviation ``(..., 1)`` of the nearness of scores ``(..., R)`` that are not
+    -inf."""
+
+    mean: Tensor
+    deviation: Tensor
+
+    @classmethod
+    def of(cls, scores: Tensor) -> Self:
+        """Of some scores."""
+        scored = scores > -torch.inf
+        near = nearness(scores.float()).where(scored, 0)
+        count = scored.sum(-1, keepdim=True).clamp(min=1)
+        mean = near.sum(-1, keepdim=True) / count
+        centred = (near - mean).where(scored, 0)
+        return cls(mean, (centred.square().sum(-1, keepdim=True) / count).sqrt())
+
+    def z(self, scores: Tensor) -> Tensor:
+        """The nearness of scores in deviations; 0 where there is none."""
+        centred = (nearness(scores.float()) - self.mean).where(scores > -torch.inf, 0)
+        return centred / self.deviation.clamp(min=MIN_SPREAD)
 
 
 @torch.no_grad()
-def fused(scores: Sequence[Tensor], weights: Sequence[float], first: int | None = None) -> Tensor:
-    """``(R,)`` weighted scores of one query by several methods as one; -inf where no method has a
-    score. Means and deviations are those of the ``first`` rows; without, of all rows."""
-    scaled = [_scaled(each, first) for each in scores]
-    z, mean, spread = (
-        sum(weight * part for weight, part in zip(weights, parts, strict=True))
-        for parts in zip(*scaled, strict=True)
-    )
+def fused(
+    scores: Sequence[Tensor], weights: Sequence[float], scales: Sequence[Scale] | None = None
+) -> Tensor:
+    """``(..., R)`` weighted scores of queries by several methods as one; -inf where no method has a
+    score. Scales are those of the scores, if none are given."""
+    scales = [Scale.of(each) for each in scores] if scales is None else scales
+    every = zip(scores, scales, weights, strict=True)
+    parts = [(weight * scale.z(s), *(weight * n for n in scale)) for s, scale, weight in every]
+    z, mean, deviation = (sum(part) for part in zip(*parts, strict=True))
     none = torch.stack([each == -torch.inf for each in scores]).all(0)
-    return (-torch.expm1(-(mean + spread * z))).masked_fill(none, -torch.inf)
-
-
-def _scaled(scores: Tensor, first: int | None = None) -> tuple[Tensor, Tensor, Tensor]:
-    """The z-scores ``(R,)`` of nearness, its mean and its standard deviation; see `fused`."""
-    scored = scores > -torch.inf
-    near = nearness(scores.float()).where(scored, 0)
-    count = scored[:first].sum().clamp(min=1)
-    mean = near[:first].sum() / count
-    centred = (near - mean).where(scored, 0)
-    spread = (centred[:first].square().sum() / count).sqrt()
-    return centred / spread.clamp(min=MIN_SPREAD), mean, spread
+    return (-torch.expm1(-(mean + deviation * z))).masked_fill(none, -torch.inf)

@@ -19,7 +19,7 @@ from torch import Tensor
 from ..channels.channel import Channel
 from ..database.database import Database
 from ..database.frames import FrameSet
-from ..recognition.fusion import fused, weights_of
+from ..recognition.fusion import Scale, fused, weights_of
 from ..recognition.matching import Matches, best_of
 from ..recognition.motion import ELSEWHERE, MIN_SPREAD, nearness
 from ..recognition.recognise import Recognised, Steps, recognise_alone
@@ -59,11 +59,15 @@ def opened_large(database: Database, channels: Sequence[Channel]) -> LargeMap | 
 
 
 class LargeMap:
-    """A database with a coarse index, opened for pictures that are judged alone.
+    """A database with a coarse index, opened.
 
     Attributes:
-        frames: all frames, without descriptors.
-        weights: of several channels by their names.
+        database, index: opened.
+        channels: the most trusted first.
+        frames: all frames, without descriptors, in natural order.
+        stored, natural: ``(R,)``, where each of them is stored, and where each stored one stands.
+        share: the weights of the channels by their names; their sum is 1.
+        weights: the same of several channels, nothing of one.
     """
 
     def __init__(self, database: Database, channels: Sequence[Channel]) -> None:
@@ -120,7 +124,7 @@ class LargeMap:
         for number, name in enumerate(coarse):
             again = self.index.rescan(name, query[name], chosen, sweep)
             parts[number] = parts[number] if again is None else again
-        near = fused(parts, [self.share[name] for name in coarse], self._size)[self._size :]
+        near = self._fused(dict(zip(coarse, parts, strict=True)))
         return rows[near.topk(min(count, len(rows))).indices]
 
     def linear(self, coarse: Mapping[str, Tensor]) -> Tensor:
@@ -155,7 +159,7 @@ class LargeMap:
         for channel in others:
             found = self._compared(channel, descriptors, coarse, rows, sweep)
             compared[channel.column.name] = found
-        scores = self._together([*compared.values()])[self._size :]
+        scores = self._fused({name: each.scores for name, each in compared.items()})
         chance = chance_of(nearness(scores), rows, len(self.frames))
         width = max(each.width for each in compared.values())
         return Judged(best_of(scores, top, rows), chance, width)
@@ -170,13 +174,13 @@ class LargeMap:
         """Which of the candidates are best by the exact scores of one channel and the coarse ones
         of the others, rising."""
         stored = torch.from_numpy(self.stored[own.numpy()])
-        parts = [
-            compared[name].scores[: self._size + len(own)]
+        parts = {
+            name: compared[name].scores[: self._size + len(own)]
             if name in compared
             else torch.cat((self._every(scores), scores[stored]))
             for name, scores in coarse.items()
-        ]
-        best = fused(parts, [self.share[name] for name in coarse], self._size)[self._size :]
+        }
+        best = self._fused(parts)
         return best.topk(min(count, len(own))).indices.sort().values
 
     def _compared(
@@ -213,12 +217,13 @@ class LargeMap:
         stored = self.stored[rows.numpy()]
         return taken(self.database, stored, [channel.column])[channel.column.name]
 
-    def _together(self, compared: Sequence[_Compared]) -> Tensor:
-        """The fused scores of all channels."""
-        if len(compared) == 1:
-            return compared[0].scores
-        weights = [self.share[channel.column.name] for channel in self.channels]
-        return fused([each.scores for each in compared], weights, self._size)
+    def _fused(self, parts: Mapping[str, Tensor]) -> Tensor:
+        """The fused scores of some rows by those of each channel, after those of the sample."""
+        if len(parts) == 1:
+            return next(iter(parts.values()))[self._size :]
+        scales = [Scale.of(each[: self._size]) for each in parts.values()]
+        others = [each[self._size :] for each in parts.values()]
+        return fused(others, [self.share[name] for name in parts], scales)
 
 
 def recognise_in_large(

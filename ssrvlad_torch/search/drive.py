@@ -7,8 +7,7 @@ may be missed.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from functools import cached_property
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -18,99 +17,30 @@ from torch import Tensor
 
 from ..database.frames import FrameSet
 from ..recognition.comparison import References
-from ..recognition.fusion import fused, weights_of
-from ..recognition.motion import ELSEWHERE, MIN_SPREAD, lead, moments, nearness
+from ..recognition.fusion import Scale, fused, weights_of
+from ..recognition.motion import ELSEWHERE, lead, moments
 from ..recognition.recognise import Recognised, Steps, recognise_by_search
 from ..recognition.standardise import MIN_FRAMES, sums
 from ..recognition.sweep import COLUMNS
-from .coarse_index import taken
+from .map_rows import MapRows
 from .selection import neighbours
-from .sums import mean_of, means_of
 
 if TYPE_CHECKING:
-    from ..channels.channel import Channel
     from .alone import LargeMap
 
-CANDIDATES = 100
-"""Rows by the fused coarse scores of a query, whatever it follows."""
+CANDIDATES, BEST, EVERY = 40, 8, 4
+"""Rows by the fused coarse scores of a query, whatever it follows. Of a drive that is followed every
+fourth query is compared with all rows. The others have the candidates of the queries before and
+after, and the rows beside the best of these: docs/scale.md."""
 
-_SAMPLE = 1000
-_SAMPLED, _LEADING = 32, 30
+_SAMPLED, _LEADING = 32, 10
 """Queries by which the width of a sweep and the lead of a channel are known, and how many rows that
 are best by its coarse scores."""
 
-_SCANNED, _WINDOW, _AROUND, _AHEAD = 8, 16, 3, 24
-"""Queries that are scanned at once, and that are scored at once; rows to each side of a candidate,
-and of a row to which a drive may have moved, that are scored with it: the next queries will ask for
-them."""
-
-_CACHED = 1 << 14
-
-
-class MapRows:
-    """The descriptors of rows of a map, read from disk when they are needed, and the means of their
-    sequences."""
-
-    def __init__(self, large: LargeMap) -> None:
-        self._large, rows = large, len(large.frames)
-        names = large.frames.sequences
-        self._sequences, numbers = list(dict.fromkeys(names)), dict[str, int]()
-        for name in self._sequences:
-            numbers[name] = len(numbers)
-        self._of = np.fromiter((numbers[name] for name in names), np.int64, rows)
-        self._sharing = means_of(np.bincount(self._of).tolist())
-        self._means: dict[tuple[str, tuple[int, ...]], Tensor] = {}
-        self._slots, self._used = torch.full((rows,), -1), 0
-        self._held: dict[str, Tensor] = {}
-
-    @cached_property
-    def sample(self) -> Tensor:
-        """``(M,)`` int64, rows that represent all rows."""
-        rows = len(self._of)
-        chosen = np.random.default_rng(0).choice(rows, min(_SAMPLE, rows), replace=False)
-        return torch.from_numpy(np.sort(chosen))
-
-    def references(self, channel: Channel, rows: Tensor, standardised: bool) -> References:
-        """Rising rows by one channel."""
-        of, name = self._of[rows.numpy()], channel.column.name
-        means = None
-        if standardised:
-            each = [self._mean(channel, number) for number in of[np.diff(of, prepend=-1) != 0]]
-            means = torch.stack(each) if each else None
-        known = self._read(rows, name)
-        return channel.references(known, [self._sequences[number] for number in of], means)
-
-    def _mean(self, channel: Channel, number: int) -> Tensor:
-        """What is subtracted from the frames of a sequence."""
-        name, those = channel.column.name, self._sharing[number]
-        key = name, those if len(those) < len(self._sequences) else ()
-        if key not in self._means:
-            of = [self._sequences[each] for each in those]
-            self._means[key] = (
-                self._large.index.mean(name, of) if of else mean_of((), channel.column)
-            )
-        return self._means[key]
-
-    def _read(self, rows: Tensor, name: str) -> Tensor:
-        missing = rows[self._slots[rows] < 0]
-        if self._used + len(missing) > _CACHED:
-            self._slots.fill_(-1)
-            self._used, missing = 0, rows
-        if len(missing) > _CACHED:
-            return self._taken(missing)[name]
-        if len(missing):
-            last = self._used + len(missing)
-            for each, values in self._taken(missing).items():
-                if each not in self._held:
-                    self._held[each] = values.new_empty(_CACHED, *values.shape[1:])
-                self._held[each][self._used : last] = values
-            self._slots[missing] = torch.arange(self._used, last)
-            self._used = last
-        return self._held[name][self._slots[rows]]
-
-    def _taken(self, rows: Tensor) -> dict[str, Tensor]:
-        columns = [channel.column for channel in self._large.channels]
-        return taken(self._large.database, self._large.stored[rows.numpy()], columns)
+_SCANNED, _WINDOW, _AROUND, _AHEAD = 8, 32, 2, 24
+"""Queries that are compared with all rows at once, and that are scored at once; rows to each side
+of a candidate, and of a row to which a drive may have moved, that are scored with it: the next
+queries will ask for them."""
 
 
 class _Swept(NamedTuple):
@@ -137,6 +67,8 @@ class DriveSearch:
         rows: of the map.
         descriptors: of the queries by channel, from all anchors if they are swept.
         standardised: subtract the mean of each drive.
+        sweep: as wide as suits the scores.
+        followed: not each query alone.
         where: ``(R,)`` bool, the rows that may be candidates.
         own: ``(Q, 2)``, for each query the first of some rows that may not, and the one after the
             last.
@@ -153,10 +85,12 @@ class DriveSearch:
         descriptors: Mapping[str, Tensor],
         standardised: bool,
         sweep: bool,
+        followed: bool,
         where: npt.NDArray[np.bool_],
         own: npt.NDArray[np.int64],
     ) -> None:
         self._large, self._rows, self._standardised = large, rows, standardised
+        self._step = EVERY if followed else 1
         self._sweep, self._own = sweep, torch.from_numpy(own)
         self._where = torch.from_numpy(where)
         self._everywhere = bool(where.all()) and bool((own[:, 0] >= own[:, 1]).all())
@@ -170,10 +104,10 @@ class DriveSearch:
         self.width = max(each.width for each in self._drive.values())
         every = range(self._count)
         self._sampled = {name: self._scores(name, every, rows.sample) for name in given}
+        self._scales = {name: Scale.of(each) for name, each in self._sampled.items()}
         self._share = self._weighed(leading)
         self.weights = self._share if len(self._share) > 1 else {}
-        parts = zip(*self._sampled.values(), strict=True)
-        self._sample = [self._fused(each) for each in parts]
+        self._sample = self._fused(self._sampled, slice(None))
         self._spread = [moments(each) for each in self._sample]
 
     def __len__(self) -> int:
@@ -181,10 +115,20 @@ class DriveSearch:
 
     def candidates(self, query: int) -> Tensor:
         """See `native.decide.Search`."""
+        before = query - query % self._step
+        found = [self._scan(before)]
+        if query > before:
+            found.append(self._scan(min(before + self._step, self._count - 1)))
+            found += [self._around(each[:BEST], self._step - 1) for each in found]
+        return torch.from_numpy(np.unique(torch.cat(found).numpy()))
+
+    def _scan(self, query: int) -> Tensor:
+        """The candidates of one of the queries that are scanned, best first."""
         if query not in self._candidates:
-            some = range(query, min(query + _SCANNED, self._count))
-            missing = torch.tensor([each for each in some if each not in self._candidates])
-            self._scanned(missing, {name: each.queries for name, each in self._drive.items()})
+            some = [*range(query, self._count, self._step), self._count - 1]
+            missing = [each for each in dict.fromkeys(some) if each not in self._candidates]
+            drive = {name: each.queries for name, each in self._drive.items()}
+            self._scanned(torch.tensor(missing[:_SCANNED]), drive)
         return self._candidates[query]
 
     def scores(self, query: int, given: Tensor | npt.NDArray[np.int64], /) -> Tensor:
@@ -245,7 +189,7 @@ class DriveSearch:
             width = references.compare(some, self._standardised, self._sweep).width
             reach = COLUMNS.index(width) - COLUMNS.index(0)
             queries = given[:, middle - reach : middle + reach + 1]
-        total, counted = sums(queries.flatten(0, -1 - shape) if queries.ndim > 1 else queries)
+        total, counted = sums(queries.flatten(0, -1 - shape))
         if not (self._standardised and self._count >= MIN_FRAMES):
             total, counted = np.zeros_like(total), 1
         return _Swept(queries, torch.from_numpy(total / max(1, counted)).float(), width)
@@ -256,10 +200,9 @@ class DriveSearch:
         if self._count >= MIN_FRAMES and len(leads) > 1:
             some = range(0, self._count, max(1, self._count // _SAMPLED))
             for name, (rows, references) in leading.items():
-                near = nearness(self._scores(name, some, rows, references))
-                deviations = [moments(self._sampled[name][query])[1] for query in some]
-                ahead = lead(near) / torch.tensor(deviations).clamp(min=MIN_SPREAD)
-                leads[name] = float(ahead.nan_to_num(0, 0, 0).mean())
+                scale = Scale(*(of[:: some.step] for of in self._scales[name]))
+                z = scale.z(self._scores(name, some, rows, references))
+                leads[name] = float(lead(z).nan_to_num(0, 0, 0).mean())
         return weights_of(leads, {name: each.trust for name, each in self._channels.items()})
 
     def _scanned(self, some: Tensor, given: Mapping[str, Tensor]) -> dict[str, Tensor]:
@@ -275,25 +218,13 @@ class DriveSearch:
         for place, query in enumerate(some.tolist()):
             together = self._large.linear({name: each[place] for name, each in coarse.items()})
             best = together.topk(min(CANDIDATES, len(together)))
-            rows = self._large.natural[best.indices[best.values > -torch.inf]]
-            self._candidates[query] = rows.sort().values
+            self._candidates[query] = self._large.natural[best.indices[best.values > -torch.inf]]
         return coarse
 
     def _window(self, some: range, rows: Tensor) -> _Window:
         """The scores of some queries to rising rows."""
         parts = {name: self._scores(name, some, rows) for name in self._channels}
-        scores = torch.stack(
-            [
-                self._fused(
-                    [
-                        torch.cat((self._sampled[name][query], part[number]))
-                        for name, part in parts.items()
-                    ]
-                )[len(self._rows.sample) :]
-                for number, query in enumerate(some)
-            ]
-        )
-        return _Window(rows, scores)
+        return _Window(rows, self._fused(parts, slice(some.start, some.stop)))
 
     def _scores(
         self, name: str, some: range, rows: Tensor, references: References | None = None
@@ -309,11 +240,12 @@ class DriveSearch:
         scores: Tensor = compared.whole()
         return scores
 
-    def _fused(self, parts: Sequence[Tensor]) -> Tensor:
-        """The scores of one query by all channels as one, to rows of which the sample is first."""
+    def _fused(self, parts: Mapping[str, Tensor], queries: slice) -> Tensor:
+        """``(W, N)`` scores of some queries by all channels as one, by those of each."""
         if len(parts) == 1:
-            return parts[0]
-        return fused(parts, [*self._share.values()], len(self._rows.sample))
+            return next(iter(parts.values()))
+        scales = [Scale(*(of[queries] for of in self._scales[name])) for name in parts]
+        return fused([*parts.values()], [self._share[name] for name in parts], scales)
 
     def _may(self, queries: Tensor, rows: Tensor) -> Tensor:
         """``(W, N)`` bool, which rows may be candidates of which queries."""
@@ -345,8 +277,7 @@ def recognise_drives(
     def search(run: range, standardised: bool) -> DriveSearch:
         part = slice(run.start, run.stop)
         descriptors = {name: values[part] for name, values in queries.channels.items()}
-        return DriveSearch(
-            large, rows, descriptors, standardised, steps.sweep, where, own[part]
-        )
+        given = descriptors, standardised, steps.sweep, bool(steps.follow), where, own[part]
+        return DriveSearch(large, rows, *given)
 
     return recognise_by_search(search, queries.sequences, large.frames.sequences, steps, top)

@@ -1,4 +1,5 @@
-"""Search: the candidates of the frames of a source, among all frames of a map in memory."""
+"""Search: the candidates of the frames of a source, among all frames of a map in memory, or by the
+index of a large one."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -23,6 +24,7 @@ from ..recognition.temporal import temporal_sum
 from ..taxonomy import label_space
 from .alone import LargeMap, opened_large, recognise_in_large
 from .answers import Answer, Answers
+from .drive import recognise_drives
 from .near import Near
 from .selection import excluded_pairs, select
 
@@ -67,8 +69,7 @@ def search(
         raise ValueError(f"{database.path} holds no frames yet")
     columns = COLUMNS if steps.sweep else ()
     queries, skipped, folders = queries_of(database, source, used, columns, progress)
-    alone = not temporal and judged_alone(queries.sequences, steps)
-    large = opened_large(database, used) if alone else ""
+    large = "" if temporal else opened_large(database, used)
     references = database.load() if isinstance(large, str) else large.frames
     where = select(references, sequences)
     if near:
@@ -79,7 +80,9 @@ def search(
         without = excluded_pairs(queries, references, where, exclude)
         recognised = recognise_in(references, queries, used, steps, top, without)
     else:
-        recognised = recognise_in_large(large, queries, steps, top, where, exclude)
+        alone = judged_alone(queries.sequences, steps)
+        recognise_large = recognise_in_large if alone else recognise_drives
+        recognised = recognise_large(large, queries, steps, top, where, exclude)
     if near:
         recognised.used["near"] = f"{near}: {where.sum()} frames"
     if large:

@@ -66,7 +66,7 @@ class SumsWriter:
         self._stem, self._columns, self._row = stem, columns, 0
         self._names, self._of = np.unique(np.array(sequences, dtype=str), return_inverse=True)
         self._counted = {c.name: np.zeros(len(self._names), np.int64) for c in columns}
-        self._totals: dict[str, Array] = {}
+        self._totals: dict[str, np.memmap[Any, Any]] = {}
         self._stack = ExitStack()
 
     def __enter__(self) -> Self:

@@ -77,31 +77,26 @@ def compact(
 @db.command()
 @expand
 def index(database: DatabaseFolder, as_json: Json = False) -> None:
-    """Write two indexes on disk: one of all channels, for pictures that are judged alone, which
-    query, locate and evaluate take by themselves in a large database and encode keeps complete; and
-    one of label maps, for ssrvlad query --index, which is compared with exact search.
+    """Write an index of all channels on disk. Query, evaluate and Map.locate take it by themselves
+    in a large database, and encode keeps it complete.
 
     Example: ssrvlad db index town.ssrdb
     """
     from ...database.database import Database
-    from ...search import coarse_index
-    from ...search.index import build_index
+    from ...search.coarse_index import LEAST_ROWS, build
 
     opened = Database.open(database)
-    coarse, report = coarse_index.build(opened), build_index(opened)
+    report = build(opened)
     if as_json:
-        print_json({**report._asdict(), "coarse": coarse._asdict()})
+        print_json(report._asdict())
         return
     channels = ", ".join(column.name for column in opened.columns)
     say(
-        f"{database}: coarse index of {channels}: {coarse.new} of {coarse.frames} frames in "
-        f"{coarse.seconds:.1f} s, {coarse.bytes / 1e6:.0f} MB"
+        f"{database}: index of {channels}: {report.new} of {report.frames} frames in "
+        f"{report.seconds:.1f} s, {report.bytes / 1e6:.0f} MB"
     )
-    at = report.recall_at
-    say(
-        f"{database}: index of {report.lists} lists in {report.seconds:.1f} s; it finds {at[1]:.3f}"
-        f" of the best match and {at[10]:.3f} of the 10 best, {report.milliseconds:.1f} ms a query"
-    )
+    if report.frames < LEAST_ROWS:
+        say(f"a database of fewer than {LEAST_ROWS} frames is searched faster without it")
 
 
 @db.command()

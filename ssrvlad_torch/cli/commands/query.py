@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from ..options import AsOf, DatabaseFolder, Json, RecognitionOptions, SourceOptions, option, switch
+from ..options import AsOf, DatabaseFolder, Json, RecognitionOptions, SourceOptions, option
 from ..output import encoding_bar, finish, note, print_json, say
 
 if TYPE_CHECKING:
@@ -33,11 +33,6 @@ def query(
         "sequence is --sequence, or the one that the database has for its folder.",
         min=0,
     ),
-    index: bool = switch(
-        "--index",
-        "Search with the index on disk (ssrvlad db index). Scores are exact. Sequences are "
-        "followed over the candidates of the index. --sweep and channels of pictures are not used.",
-    ),
     as_of: AsOf = None,
     as_json: Json = False,
 ) -> None:
@@ -50,21 +45,15 @@ def query(
     from ...map import Map
 
     settings = {**recognition.settings(), "sequences": from_sequence, "exclude": exclude}
-    if index and (settings["temporal"] or recognition.channel):
-        raise ValueError("--index does not go with a temporal sum or --channel")
     town = Map.open(database, version=as_of)
-    unused = " and ".join(column.name for column in town.database.columns[1:])
     frames = town.source(source.wanted(), compared=True, note=note)
-    if index and unused:
-        note(f"--index searches descriptors of label maps, without {unused} of {database}")
     with encoding_bar(frames.files) as bar:
-        settings |= {"index": index, "progress": bar.advance}
-        answers = town.query(frames, recognition.steps(), top, **settings)
-    _print(answers, threshold, as_json, index)
+        answers = town.query(frames, recognition.steps(), top, **settings, progress=bar.advance)
+    _print(answers, threshold, as_json)
     finish(answers.skipped, len(answers))
 
 
-def _print(answers: Answers, threshold: float | None, as_json: bool, index: bool) -> None:
+def _print(answers: Answers, threshold: float | None, as_json: bool) -> None:
     """Prints the candidates of each query whose score is above a threshold, and the steps."""
     from ...evaluation.measure import estimate_in_json
     from ..words import steps_in_words
@@ -86,5 +75,4 @@ def _print(answers: Answers, threshold: float | None, as_json: bool, index: bool
     if not as_json:
         is_before = threshold is not None and answers.estimate.accepted
         before = ", before --threshold" if is_before else ""
-        steps = steps_in_words(used, t, answers.estimate)
-        note("candidates of the index, " * index + steps + before)
+        note(steps_in_words(used, t, answers.estimate) + before)
