@@ -6,82 +6,28 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-import torch.nn.functional as F
 from drawings import SPACE
 from drives import write_maps
 from helpers import descriptors
+from large_maps import ALL, CONFIG, ROWS, channels, large_town, queries_at
 
-from ssrvlad_torch import SSRVLAD, Database, Map, SSRVLADConfig
-from ssrvlad_torch.channels.channel import channels_of
-from ssrvlad_torch.channels.features import Features
-from ssrvlad_torch.channels.hog import HOG
-from ssrvlad_torch.database.frames import FrameRecord, FrameSet
+from ssrvlad_torch import Database, Map
+from ssrvlad_torch.database.frames import FrameSet
 from ssrvlad_torch.recognition.recognise import Steps
-from ssrvlad_torch.recognition.sweep import COLUMNS
 from ssrvlad_torch.search import alone
 from ssrvlad_torch.search.alone import LargeMap, opened_large, recognise_in_large
 from ssrvlad_torch.search.coarse_index import build
 from ssrvlad_torch.search.exact import recognise_in
 from ssrvlad_torch.search.selection import excluded_pairs
 
-CONFIG = SSRVLADConfig.from_preset("default", labels_as=SPACE)
-ROWS, STEPS = 400, Steps(follow=None)
-
-
-def noisy(numbers, seed, noise):
-    return F.normalize(numbers + noise * descriptors(seed, len(numbers)), dim=1)
-
-
-def flipped(signs, seed, share):
-    bits = np.random.default_rng(seed).random((*signs.shape, 8)) < share
-    return signs ^ torch.from_numpy(np.packbits(bits, axis=-1)[..., 0])
-
-
-def places():
-    """Descriptors of `ROWS` places by three channels."""
-    shape = Features("x").column.shape
-    signs = np.random.default_rng(0).integers(0, 256, (ROWS, *shape), np.uint8)
-    return {
-        "ssr-vlad": descriptors(0, ROWS),
-        "features": torch.from_numpy(signs),
-        "hog": descriptors(1, ROWS).abs(),
-    }
-
-
-def seen(rows):
-    """Other views of some places; label maps are described from all anchors."""
-    known = {name: values[rows] for name, values in places().items()}
-    swept = [noisy(known["ssr-vlad"], 10 + n, 0.5 + abs(c) / 8) for n, c in enumerate(COLUMNS)]
-    return {
-        "ssr-vlad": torch.stack(swept, 1),
-        "features": flipped(known["features"], 3, 0.35),
-        "hog": noisy(known["hog"], 4, 0.8),
-    }
-
-
-def queries_at(rows, names=("ssr-vlad", "features", "hog")):
-    count, unknown = len(rows), np.full((len(rows), 3), np.nan)
-    ids = tuple(f"today/{n:03d}" for n in range(count))
-    channels = {name: values for name, values in seen(rows).items() if name in names}
-    return FrameSet(ids, ("today",) * count, channels, unknown, unknown[:, 0], unknown[:, 0] > 0)
+STEPS = Steps(follow=None)
 
 
 @pytest.fixture(scope="module")
 def town(tmp_path_factory):
     """`ROWS` frames of two drives, one metre apart, with an index."""
-    folder, columns = tmp_path_factory.mktemp("alone"), [Features("x").column, HOG().column]
-    database = Database.create(folder / "town.ssrdb", CONFIG, columns=columns)
-    frames = [FrameRecord("ab"[n % 2], f"{n:03d}", float(n), 0.0) for n in range(ROWS)]
-    database.append(frames, places())
-    build(database)
-    return database
-
-
-def channels(town, names):
-    return channels_of([c for c in town.columns if c.name in names], SSRVLAD(CONFIG))
-
-
-ALL = ("ssr-vlad", "features", "hog")
+    folder = tmp_path_factory.mktemp("alone") / "town.ssrdb"
+    return large_town(folder, ["ab"[n % 2] for n in range(ROWS)])
 
 
 @pytest.mark.parametrize("names", [ALL, ("ssr-vlad",), ("features",), ("features", "hog")])

@@ -25,12 +25,19 @@ def without_core(monkeypatch):
     deciding._say.cache_clear()
 
 
+def drive(run, _):
+    """The search of the candidates of a drive."""
+    search = Best(SCORES[run.start : run.stop], 60)
+    search.width, search.weights = 0, {}
+    return search
+
+
 def found():
     """What is decided by all that is public."""
     steps = [Steps(), Steps(follow="online", delay=2), Steps(follow=None)]
     queries = ["q"] * 20 + ["r"] * 10
     scored = [recognise_by_scores(SCORES, queries, NAMES, each, 3) for each in steps]
-    searched = recognise_by_search(lambda run, _: Best(SCORES[run], 60), queries, NAMES, top=3)
+    searched = recognise_by_search(drive, queries, NAMES, top=3)
     return [*scored, searched], follow(SCORES, NAMES, top=2), chance_of(SCORES[0])
 
 

@@ -20,20 +20,24 @@ from torch import Tensor
 from ssrvlad_torch import Database, SSRVLADConfig
 from ssrvlad_torch.channels.features import Features
 from ssrvlad_torch.channels.hog import HOG
-from ssrvlad_torch.database.frames import FrameRecord
+from ssrvlad_torch.database.frames import FrameRecord, FrameSet
 from ssrvlad_torch.recognition.comparison import ReferenceRows
 from ssrvlad_torch.recognition.fusion import fused, weights_of
 from ssrvlad_torch.recognition.matching import Rows, unit_queries
 from ssrvlad_torch.recognition.motion import lead, nearness
+from ssrvlad_torch.recognition.recognise import Recognised, Steps
 from ssrvlad_torch.recognition.sweep import COLUMNS
 from ssrvlad_torch.search.alone import LargeMap
 from ssrvlad_torch.search.coarse_index import build, taken
-from ssrvlad_torch.search.exact import chosen_channels
+from ssrvlad_torch.search.drive import EVERY as EVERY_OF_A_DRIVE
+from ssrvlad_torch.search.drive import recognise_drives
+from ssrvlad_torch.search.exact import chosen_channels, recognise_in
 
 DATA, NETWORK = ROOT.parent / "shared" / "data", "espnetv2"
 REFERENCES = ("uofa/day", "gardens_walk/day_left")
 QUERIES = ("uofa/evening", "gardens_walk/day_right", "gardens_walk/night_right")
 EVERY, AT_ONCE, BLOCK, TOP = 4, 30, 1 << 13, 5
+MOST_IN_MEMORY, BESIDE = 100_000, 2
 NOISE, PATCHES = 0.15, 4
 
 Channels = dict[str, Tensor]
@@ -171,7 +175,58 @@ def exact(frames: int, folder: Path) -> Report:
     return {"first": first}
 
 
-STEPS = {"pictures": write, "coarse": index, "alone": alone, "together": exact}
+def drive_of(folder: Path, name: str) -> FrameSet:
+    """The frames of a real drive, as queries."""
+    found = described(folder, [name])
+    count, unknown = len(found["hog"]), np.full((len(found["hog"]), 3), np.nan)
+    ids = tuple(f"drive/{number:04d}" for number in range(count))
+    return FrameSet(ids, ("drive",) * count, found, unknown, unknown[:, 0], np.zeros(count, bool))
+
+
+def told(found: Recognised, seconds: float) -> Report:
+    """What is kept of the answers to a drive."""
+    return {
+        "rate": len(found.confidence) / seconds,
+        "first": found.matches.indices[:, 0].tolist(),
+        "confidence": found.confidence.tolist(),
+        "followed": found.used["follow"]["drive"],
+    }
+
+
+def followed(frames: int, folder: Path) -> Report:
+    """Each drive by the coarse index, warm: the second of two times."""
+    database, report = opened(frames, folder), {}
+    large, everywhere = LargeMap(database, chosen_channels(database)), np.ones(frames, bool)
+    for name in QUERIES:
+        queries = drive_of(folder, name)
+        for _ in range(2):
+            began = time.process_time()
+            found = recognise_drives(large, queries, Steps(), TOP, everywhere)
+            report[name] = told(found, time.process_time() - began)
+    return report
+
+
+def followed_exactly(frames: int, folder: Path) -> Report:
+    """Each drive by exact search in memory, where so many frames fit."""
+    if frames > MOST_IN_MEMORY:
+        return {}
+    database, report = opened(frames, folder), {}
+    references, channels = database.load(), chosen_channels(database)
+    for name in QUERIES:
+        queries, began = drive_of(folder, name), time.process_time()
+        found = recognise_in(references, queries, channels, Steps(), TOP)
+        report[name] = told(found, time.process_time() - began)
+    return report
+
+
+STEPS = {
+    "pictures": write,
+    "coarse": index,
+    "alone": alone,
+    "together": exact,
+    "drives": followed,
+    "drives together": followed_exactly,
+}
 
 
 def in_words(results: dict[int, dict[str, Report]]) -> Iterator[str]:
@@ -201,3 +256,38 @@ def in_words(results: dict[int, dict[str, Report]]) -> Iterator[str]:
             f"{found['peak'] / 1e9:.2f}", f"{coarse['cpu']:.0f}", f"{coarse['bytes'] / frames:.0f}",
             f"{reports['pictures']['bytes'] / frames:.0f}",
         )  # fmt: skip
+
+
+def drives_in_words(results: dict[int, dict[str, Report]]) -> Iterator[str]:
+    """The section of the page."""
+    yield (
+        f"The drives {', '.join(QUERIES)} by {NETWORK} among the same rows, with all steps, as "
+        f"`query` finds them with the index and without. One query of {EVERY_OF_A_DRIVE} is "
+        "compared with the coarse form of all rows; the number of candidates was chosen with such "
+        "figures in view. One thread, warm, CPU time of the search alone. A place is the same if "
+        f"it is at most {BESIDE} rows away; at more than {MOST_IN_MEMORY:,} frames exact search "
+        "was not run. "
+        f"Measured at commit {commit()}.\n"
+    )
+    yield from head_row(
+        "frames", "drive", "queries", "queries a second", "by exact search",
+        "first answer of exact search", "its place", "answers among the real frames",
+        "confidence differs by", "peak GB",
+    )  # fmt: skip
+    for frames, reports in results.items():
+        for name in QUERIES:
+            of, known = reports["drives"][name], reports["drives together"].get(name)
+            first = np.array(of["first"])
+            real = np.mean(first >= frames - reports["pictures"]["real"])
+            same = ["", "", "", ""]
+            if known:
+                apart = np.abs(first - np.array(known["first"]))
+                sure = np.abs(np.array(of["confidence"]) - np.array(known["confidence"])).mean()
+                same = [
+                    f"{known['rate']:.1f}", f"{np.mean(apart == 0):.3f}",
+                    f"{np.mean(apart <= BESIDE):.3f}", f"{sure:.3f}",
+                ]  # fmt: skip
+            yield row(
+                f"{frames:,}", name, f"{len(first)}", f"{of['rate']:.1f}", *same[:3], f"{real:.3f}",
+                same[3], f"{reports['drives']['peak'] / 1e9:.2f}",
+            )  # fmt: skip

@@ -37,10 +37,8 @@ from ssrvlad_torch.encoding.plan import COMMIT_ROWS
 from ssrvlad_torch.recognition.comparison import ReferenceRows
 from ssrvlad_torch.recognition.follow import follow
 from ssrvlad_torch.recognition.matching import Rows
-from ssrvlad_torch.recognition.recognise import recognise_by_search
 from ssrvlad_torch.recognition.sweep import COLUMNS, score
-from ssrvlad_torch.search.index import build_index, search_index
-from ssrvlad_torch.search.index_search import IndexSearch
+from ssrvlad_torch.search.coarse_index import build
 from ssrvlad_torch.stages.features import SHAPE
 
 LABELS_AS = "cityscapes-trainids"
@@ -57,7 +55,7 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, default=Path("scale"), help="of the databases")
     parser.add_argument("--out", type=Path, default=Path("docs/scale.md"))
     parser.add_argument("--signs", action="store_true", help="measure search by features alone")
-    parser.add_argument("--pictures", action="store_true", help="measure pictures alone")
+    parser.add_argument("--pictures", action="store_true", help="measure all channels alone")
     parser.add_argument("--step", choices=STEPS, help=argparse.SUPPRESS)
     given = parser.parse_args()
     sizes = given.frames or [1_000_000]
@@ -75,6 +73,7 @@ def main() -> None:
     page = Page("scale.md", given.out, not (given.pictures or given.signs))
     if given.pictures:
         page.section("## Pictures by all channels", _large_maps.in_words(results))
+        page.section("## Drives by all channels", _large_maps.drives_in_words(results))
         return
     if not given.signs:
         fill(page, results)
@@ -198,26 +197,7 @@ def exact(frames: int, folder: Path) -> Report:
 
 
 def index(frames: int, folder: Path) -> Report:
-    built = build_index(opened(frames, folder))
-    return {"recall": built.recall_at, "lists": built.lists, "one": built.milliseconds / 1e3}
-
-
-def by_index(frames: int, folder: Path) -> Report:
-    search_index(opened(frames, folder), queries(folder), 10)
-    return {}
-
-
-def follow_by_index(frames: int, folder: Path) -> Report:
-    """What `query --index` does with the frames of a drive that comes back."""
-    database, wanted = opened(frames, folder), again(folder)
-    drive = ["again"] * len(wanted)
-    search = IndexSearch(database, wanted, drive)
-    started = time.perf_counter()
-    found = recognise_by_search(lambda _: search, drive, search.frames.sequences, top=1)
-    lasted = time.perf_counter() - started
-    rows = torch.arange(BACK, BACK + len(wanted))
-    right = float((found.matches.indices[:, 0] == rows).float().mean())
-    return {"rate": len(wanted) / lasted, "right": right}
+    return {"bytes": build(opened(frames, folder)).bytes}
 
 
 def online(frames: int, folder: Path) -> Report:
@@ -289,8 +269,6 @@ STEPS: dict[str, tuple[str, Callable[[int, Path], Report]]] = {
     "load": ("load and verify", reads(Database.load)),
     "exact": (f"{QUERIES} exact queries", exact),
     "index": ("`db index`", index),
-    "by index": (f"{QUERIES} queries by the index", by_index),
-    "followed": (f"`query --index` of {QUERIES}, followed", follow_by_index),
     "online": ("", online),
     "signs": ("", signs),
     **{name: ("", step) for name, step in _large_maps.STEPS.items()},
@@ -322,22 +300,18 @@ def table(reports: dict[str, Report]) -> Iterator[str]:
 
 
 def facts(frames: int, reports: dict[str, Report]) -> list[str]:
-    exact, built = reports["exact"], reports["index"]
+    exact, built = reports["exact"], reports["index"]["bytes"]
     search, more, swept = (reports["online"][key] for key in ("search", "follow", "swept"))
     return [
-        f"- On disk: {reports['compact']['bytes'] / frames:.0f} bytes a frame.",
+        f"- On disk: {reports['compact']['bytes'] / frames:.0f} bytes a frame, and "
+        f"{built / frames:.0f} of the index.",
         f"- A single query takes {exact['one'] * 1e3:.0f} ms of CPU with exact search by `match` "
-        f"(lengths of all rows, cosines, the best 10), {built['one'] * 1e3:.1f} ms with the index.",
-        "- `query --index` of a drive over a known street, followed: "
-        f"{reports['followed']['rate']:.0f} queries a second, after the records are read, and "
-        f"RecallRate@1 {reports['followed']['right']:.3f}.",
+        "(lengths of all rows, cosines, the best 10).",
         f"- Online with exact search, the CPU time of a frame is {search * 1e3:.0f} ms for the "
         f"search (cosines alone; lengths are known) and {more * 1e3:.0f} ms for following, "
         f"{1 + more / search:.2f} times the search alone. With a sweep of {len(COLUMNS)} "
         f"anchors, the search takes {swept * 1e3:.0f} ms; search and following take "
         f"{1 + more / swept:.2f} times that.",
-        f"- The index has {built['lists']} lists. Its recall is {built['recall']['1']:.3f} for the "
-        f"best row and {built['recall']['10']:.3f} for the best 10 rows of the exact search.",
     ]
 
 

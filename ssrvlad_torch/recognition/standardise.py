@@ -70,11 +70,12 @@ def sums(descriptors: Tensor) -> tuple[npt.NDArray[np.float64], int]:
     if descriptors.dtype != torch.uint8:
         units = F.normalize(descriptors.float(), dim=1)
         return units.sum(0, dtype=torch.double).numpy(), int(units.any(1).sum())
-    bits = np.unpackbits(descriptors.flatten(2).numpy(), axis=2, bitorder="little")
-    ones = np.zeros(bits.shape[1:])
-    for first in range(0, len(bits), _IN_A_BYTE):
-        ones += bits[first : first + _IN_A_BYTE].sum(0, dtype=np.uint8)
-    return 2 * ones - len(bits), len(bits)
+    signs = descriptors.flatten(2).numpy()
+    ones = np.zeros((signs.shape[1], 8 * signs.shape[2]))
+    for first in range(0, len(signs), _IN_A_BYTE):
+        bits = np.unpackbits(signs[first : first + _IN_A_BYTE], axis=2, bitorder="little")
+        ones += bits.sum(0, dtype=np.uint8)
+    return 2 * ones - len(signs), len(signs)
 
 
 def sharing(frames: Sequence[int]) -> dict[tuple[int, ...], tuple[int, ...]]:

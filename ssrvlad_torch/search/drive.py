@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from .alone import LargeMap
 
 CANDIDATES, BEST, EVERY = 40, 8, 4
-"""Rows by the fused coarse scores of a query, whatever it follows. Of a drive that is followed every
-fourth query is compared with all rows. The others have the candidates of the queries before and
-after, and the rows beside the best of these: docs/scale.md."""
+"""Rows by the fused coarse scores of a query, whatever it follows. Of a drive that is followed,
+every fourth query is compared with all rows. The others have the candidates of the queries before
+and after, and the rows beside the best of these: docs/scale.md."""
 
 _SAMPLED, _LEADING = 32, 10
 """Queries by which the width of a sweep and the lead of a channel are known, and how many rows that

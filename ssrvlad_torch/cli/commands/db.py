@@ -63,14 +63,17 @@ def compact(
         "Largest age in days of versions to keep.", default=14, min=0, max=100_000
     ),
 ) -> None:
-    """Join small files, and delete old versions and the files that only they use.
+    """Join small files, and delete old versions and the files that only they use; an index is made
+    again of the new files.
 
     Example: ssrvlad db compact town.ssrdb --keep-days 0
     """
     from ...database.database import Database
+    from ...search.coarse_index import grow
 
     opened = Database.open(database)
     opened.compact(keep_days)
+    grow(opened)
     say(f"{database}: {len(opened)} frames, {len(opened.history())} versions kept")
 
 

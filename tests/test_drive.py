@@ -1,0 +1,146 @@
+"""Drives in a large map, against exact search."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+import torch
+from drives import write_maps
+from large_maps import ALL, ROWS, channels, large_town, queries_at
+
+from ssrvlad_torch import Database, Map
+from ssrvlad_torch.recognition.recognise import Steps
+from ssrvlad_torch.search import alone, drive
+from ssrvlad_torch.search.alone import LargeMap
+from ssrvlad_torch.search.coarse_index import build
+from ssrvlad_torch.search.drive import DriveSearch, recognise_drives
+from ssrvlad_torch.search.exact import recognise_in
+from ssrvlad_torch.search.map_rows import MapRows
+from ssrvlad_torch.search.selection import excluded_pairs, select
+
+EVERYWHERE = np.ones(ROWS, bool)
+
+
+@pytest.fixture(scope="module")
+def town(tmp_path_factory):
+    """Two drives, and folders of 20 frames."""
+    folders = [f"c{n:02d}" for n in range(5) for _ in range(20)]
+    return large_town(
+        tmp_path_factory.mktemp("drive") / "town.ssrdb", ["a"] * 180 + ["b"] * 120 + folders
+    )
+
+
+@pytest.fixture
+def whole(monkeypatch):
+    """All rows are candidates of every query."""
+    monkeypatch.setattr(drive, "CANDIDATES", ROWS)
+    monkeypatch.setattr(drive, "EVERY", 1)
+
+
+@pytest.mark.parametrize("names", [ALL, ("ssr-vlad",), ("features", "hog")])
+@pytest.mark.parametrize(
+    "steps",
+    [
+        Steps(),
+        Steps(follow="online", delay=2),
+        Steps(follow=None),
+        Steps(standardise=False, sweep=False),
+    ],
+)
+@pytest.mark.usefixtures("whole")
+def test_of_all_rows_answers_are_those_of_exact_search(town, names, steps):
+    used, queries = channels(town, names), queries_at([*range(100, 140)], names)
+    got = recognise_drives(LargeMap(town, used), queries, steps, 3, EVERYWHERE)
+    expected = recognise_in(town.load(), queries, used, steps, 3)
+    assert torch.equal(got.matches.indices, expected.matches.indices)
+    torch.testing.assert_close(got.matches.scores, expected.matches.scores, atol=1e-5, rtol=0)
+    torch.testing.assert_close(got.confidence, expected.confidence, atol=1e-4, rtol=0)
+    for step in ("standardise", "sweep", "follow", "references"):
+        assert got.used[step] == expected.used[step]
+    assert got.used["weights"]["today"] == pytest.approx(
+        expected.used["weights"]["today"], abs=1e-4
+    )
+
+
+@pytest.mark.parametrize("rows", [range(100, 145), range(290, 312), range(240, 200, -1)])
+def test_of_few_candidates_the_first_answers_are_the_same(town, rows):
+    used, queries, steps = channels(town, ALL), queries_at([*rows]), Steps()
+    got = recognise_drives(LargeMap(town, used), queries, steps, 3, EVERYWHERE)
+    expected = recognise_in(town.load(), queries, used, steps, 3)
+    assert torch.equal(got.matches.indices[:, 0], expected.matches.indices[:, 0])
+    assert got.used["follow"] == expected.used["follow"]
+    torch.testing.assert_close(got.confidence, expected.confidence, atol=0.1, rtol=0)
+
+
+def test_only_some_queries_of_a_followed_drive_are_compared_with_all_rows(town, monkeypatch):
+    compared, linear = [], LargeMap.linear
+    monkeypatch.setattr(LargeMap, "linear", lambda *given: (compared.append(1), linear(*given))[1])
+    used, queries = channels(town, ALL), queries_at([*range(100, 228)])
+    large = LargeMap(town, used)
+    recognise_drives(large, queries, Steps(), 3, EVERYWHERE)
+    assert len(compared) <= 128 / drive.EVERY + 1
+    compared.clear()
+    recognise_drives(large, queries, Steps(follow=None), 3, EVERYWHERE)
+    assert len(compared) == 128
+
+
+@pytest.mark.usefixtures("whole")
+def test_rows_that_may_not_match_are_no_candidates_and_have_no_score(town):
+    used, frames = channels(town, ALL), town.load()
+    where, queries = select(frames, ["a"]), queries_at([*range(100, 140)])
+    ids = tuple(f"a/{row:03d}" for row in range(100, 140))
+    again = dataclasses.replace(queries, frames=ids, sequences=("a",) * 40)
+    got = recognise_drives(LargeMap(town, used), again, Steps(), 3, where, exclude=4)
+    without = excluded_pairs(again, frames, where, 4)
+    expected = recognise_in(frames, again, used, Steps(), 3, without)
+    assert torch.equal(got.matches.indices, expected.matches.indices)
+    large, own = LargeMap(town, used), np.array([[96, 105]] * 40)
+    given = again.channels, True, True, True, where, own
+    search = DriveSearch(large, MapRows(large), *given)
+    rows = torch.tensor([3, 100, 179, 180])
+    assert search.scores(7, rows).isinf().tolist() == [False, True, False, True]
+    candidates = search.candidates(7)
+    assert bool((candidates < 180).all()) and not bool(
+        ((candidates >= 96) & (candidates < 105)).any()
+    )
+
+
+def test_sequences_in_several_data_files_and_without_removed_frames(tmp_path, monkeypatch, whole):
+    """The means are those of the frames that are there."""
+    del whole
+    town = large_town(tmp_path / "town.ssrdb", ["a"] * 200 + ["b"] * 200)
+    frames = town.load()
+    town.remove([frames.frames[row] for row in range(60, 90)])
+    build(town)
+    used, queries = channels(town, ALL), queries_at([*range(100, 140)])
+    got = recognise_drives(LargeMap(town, used), queries, Steps(), 3, EVERYWHERE[30:])
+    expected = recognise_in(town.load(), queries, used, Steps(), 3)
+    assert torch.equal(got.matches.indices, expected.matches.indices)
+    torch.testing.assert_close(got.confidence, expected.confidence, atol=1e-4, rtol=0)
+
+
+def test_empty_queries_and_few_of_them_have_an_answer_or_none(town):
+    used, queries = channels(town, ("ssr-vlad",)), queries_at([5, 6, 7], ("ssr-vlad",))
+    queries.channels["ssr-vlad"][1] = 0
+    got = recognise_drives(LargeMap(town, used), queries, Steps(follow=None), 3, EVERYWHERE)
+    assert got.matches.indices[:, 0].tolist() == [5, -1, 7]
+    assert got.used["follow"] == {"today": "no"} and got.used["standardise"] == {"today": False}
+
+
+def test_a_command_takes_the_index_for_a_drive_and_says_so(ssrvlad, tmp_path, monkeypatch):
+    monkeypatch.setattr(alone, "LEAST_ROWS", 40)
+    maps, path = write_maps(tmp_path / "monday", range(40)), tmp_path / "drawn.ssrdb"
+    town = Map.open(path, labels_as="camvid-11")
+    town.add(maps)
+    build(town.database)
+    some = write_maps(tmp_path / "today", range(3, 38))
+    _, out, _ = ssrvlad("query", path, some, "--json")
+    exact = [json.loads(line) for line in out.splitlines()]
+    monkeypatch.setattr(Database, "load", None)
+    code, out, err = ssrvlad("query", path, some, "--json")
+    found = [json.loads(line) for line in out.splitlines()]
+    assert code == 0 and found[0]["steps"]["index"] == "candidates of the index"
+    assert not err
+    for one, other in zip(found, exact, strict=True):
+        assert one["candidates"][0]["frame"] == other["candidates"][0]["frame"]
