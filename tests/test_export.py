@@ -120,6 +120,9 @@ def test_a_sweep_is_that_of_the_module(tmp_path):
     expected = SSRVLAD(config).sweep(torch.from_numpy(labels), COLUMNS).numpy()
     assert swept.shape == (2, len(COLUMNS), 480)
     np.testing.assert_allclose(swept, expected, atol=1e-6)
+    for columns in ((-8, 0, 5, 9), (0, 4, 8)):
+        with pytest.raises(ValueError, match=r"expected an odd number with 0 in the middle, .*got"):
+            export.head_model(config, columns=columns)
     with pytest.raises(ValueError, match="a sweep needs the aggregation harmonics"):
         export.head_model(of_preset("paper"), columns=COLUMNS)
 

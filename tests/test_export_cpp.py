@@ -317,12 +317,7 @@ def test_wrong_use_of_follow_is_one_line(follow, head, town, tmp_path):
     (tmp_path / "none.npy.frames.txt").touch()
     (tmp_path / "none.npy.fingerprint.txt").write_text(f"{CONFIG.fingerprint}\n")
     (tmp_path / "empty").mkdir()
-    export_head(CONFIG, tmp_path / "two.onnx", columns=(-4, 4))
     for arguments, message in [
-        (
-            (tmp_path / "two.onnx", base, 5, maps),
-            "an odd number of anchors, the usual",
-        ),
         ((head, base, 5), "usage: follow"),
         (("--strange", head, base, 5, maps), "usage: follow"),
         ((head, base, "many", maps), "expected a number, got many"),

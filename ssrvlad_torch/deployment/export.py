@@ -60,15 +60,15 @@ def export_head(
         path: the file; an existing one is replaced, whole or not at all.
         input: ``"labels"`` or ``"logits"``.
         dtype: of the labels: ``"uint8"`` (default), ``"int32"`` or ``"int64"``.
-        columns: S anchors of `SSRVLAD.sweep`, for a comparison with a map an odd number, the plain
-            one in the middle; empty for single descriptors.
+        columns: S anchors of `SSRVLAD.sweep`, an odd number with 0 in the middle; empty for single
+            descriptors.
         shape: fixed B, H and W, for the aggregation harmonics; C is the largest number of classes
             of the label space.
 
     Raises:
-        ValueError: an unknown input, dtype or label space, class scores for a label space whose ids
-            have gaps, a sweep of descriptors without an anchor, or a shape that these settings do
-            not have or whose sums are not exact.
+        ValueError: an unknown input, dtype or label space, other columns, class scores for a label
+            space whose ids have gaps, a sweep of descriptors without an anchor, or a shape that
+            these settings do not have or whose sums are not exact.
         ImportError: the extra ``onnx`` is not installed.
         OSError: the file cannot be written.
     """
@@ -89,6 +89,11 @@ def head_model(
     with requiring("onnx", "ONNX graphs need"):
         import onnx
     head = SweepHead(config, columns) if columns else SSRVLAD(config)
+    if isinstance(head, SweepHead) and (len(columns) % 2 == 0 or columns[len(columns) // 2]):
+        raise ValueError(
+            "columns: expected an odd number with 0 in the middle, from where the frames of a map "
+            f"are described, got {list(columns)}"
+        )
     if input == "logits" and dtype is not None:
         raise ValueError(f"dtype is for labels, class scores are float32; got {dtype!r}")
     dtype = dtype or DTYPES[0]
