@@ -96,21 +96,26 @@ int find(std::mt19937 &random, std::vector<int64_t> starts, int64_t rows, int64_
   std::fill_n(swept.begin(), anchors * length, 0.0F);
   const ssrvlad_drives drives{starts.data(), static_cast<int64_t>(starts.size()), rows};
   ssrvlad_map *map = ssrvlad_map_new(&drives);
-  const ssrvlad_channel channels[] = {{vectors.data(), SSRVLAD_VECTORS, 1, length, 1.0},
-                                      {signs.data(), SSRVLAD_SIGNS, columns, bytes, 6.0}};
+  const auto drives_count = static_cast<int64_t>(starts.size());
+  const std::vector<float> means(drives_count * length, 0.1F), others(drives_count * columns * bytes * 8, 0.5F);
+  const ssrvlad_channel channels[] = {{vectors.data(), SSRVLAD_VECTORS, 1, length, 1.0, nullptr},
+                                      {signs.data(), SSRVLAD_SIGNS, columns, bytes, 6.0, nullptr},
+                                      {vectors.data(), SSRVLAD_VECTORS, 1, length, 1.0, means.data()},
+                                      {signs.data(), SSRVLAD_SIGNS, columns, bytes, 6.0, others.data()}};
   for (const auto &channel : channels)
     if (ssrvlad_map_add_channel(map, &channel)) return 1;
   std::vector<float> scores(queries * top), sure(3 * queries), row(rows);
   std::vector<int64_t> found(queries * top);
-  double weights[2];
+  double weights[4];
   ssrvlad_decision decision{scores.data(), found.data(), sure.data(), sure.data() + queries,
                             sure.data() + 2 * queries, 0, 0, 0, 0, 0};
   ssrvlad_taken taken{0, 0, weights};
-  const ssrvlad_queries given[] = {{swept.data(), anchors}, {seen.data(), 1}};
+  const ssrvlad_queries given[] = {{swept.data(), anchors, nullptr}, {seen.data(), 1, nullptr},
+                                   {swept.data(), anchors, means.data()}, {seen.data(), 1, others.data()}};
   for (const int on : {0, 1}) {
     const ssrvlad_steps steps{on, on, SSRVLAD_OFFLINE, 0, top};
     if (ssrvlad_map_query(map, given, queries, &steps, 2, &decision, &taken)) return 2;
-    for (const int channel : {0, 1}) {
+    for (const int channel : {0, 1, 2, 3}) {
       ssrvlad_comparison *compared = ssrvlad_map_compare(map, channel, given + channel, queries, on,
                                                          on, 2, &taken.width);
       if (!compared || ssrvlad_comparison_scores(compared, queries, row.data()) >= 0) return 3;

@@ -263,57 +263,45 @@ def test_more_scores_than_fit_in_memory_come_in_blocks():
     equal(np.stack([found[query] for query in (2299, 0, 1000)]), expected)
 
 
-@pytest.mark.slow
-def test_scores_are_the_same_bits_on_a_processor_without_vectors(tmp_path):
-    """By the same program with both forms of the core."""
-    folder = ROOT / "ssrvlad_torch" / "native"
-    (tmp_path / "bits.cpp").write_text(PROGRAM)
-    flags = ["-std=c++17", "-O2", "-ffp-contract=off", "-pthread", f"-I{folder}"]
-    sources = [tmp_path / "bits.cpp", *folder.glob("*.cpp")]
-    outputs = []
-    for more in ([], ["-DSSRVLAD_ONE_TARGET"]):
-        subprocess.run(["g++", *flags, *more, *sources, "-o", tmp_path / "bits"], check=True)
-        outputs.append(subprocess.check_output([tmp_path / "bits"]))
-    assert outputs[0] == outputs[1] and len(outputs[0].splitlines()) == 6 * 40 * 40
-
-
-PROGRAM = r"""
-#include <cstdio>
-#include <random>
-#include <vector>
-
-#include "ssrvlad_map.h"
-
-int main() {
-  std::mt19937 random(1);
-  std::vector<float> vectors(40 * 480), swept(40 * 3 * 480), scores(40);
-  std::vector<unsigned char> signs(40 * 64);
-  const auto number = [&] { return static_cast<float>(random() % 2001) / 1000 - 1; };
-  for (float &each : vectors) each = number();
-  for (float &each : swept) each = number();
-  for (auto &each : signs) each = static_cast<unsigned char>(random());
-  const int64_t starts[] = {0, 33};
-  const ssrvlad_drives drives = {starts, 2, 40};
-  const ssrvlad_channel channels[] = {{vectors.data(), SSRVLAD_VECTORS, 1, 480, 1},
-                                      {signs.data(), SSRVLAD_SIGNS, 4, 16, 1}};
-  const ssrvlad_queries queries[] = {{swept.data(), 3}, {signs.data(), 1}};
-  ssrvlad_map *map = ssrvlad_map_new(&drives);
-  for (const auto &channel : channels)
-    if (ssrvlad_map_add_channel(map, &channel)) return 1;
-  int64_t width;
-  for (const int channel : {0, 1})
-    for (const int steps : {0, 1, 3}) {
-      ssrvlad_comparison *compared =
-          ssrvlad_map_compare(map, channel, queries + channel, 40, steps & 1, steps & 2, 1, &width);
-      for (int query = 0; query < 40; ++query) {
-        if (ssrvlad_comparison_scores(compared, query, scores.data())) return 2;
-        for (const float score : scores) std::printf("%a\n", static_cast<double>(score));
-      }
-      ssrvlad_comparison_free(compared);
-    }
-  ssrvlad_map_free(map);
+PROCESSORS = {
+    "without vectors": ("g++ -O2 -DSSRVLAD_ONE_TARGET", ()),
+    "aarch64": ("aarch64-linux-gnu-g++ -O1 -static -Wno-psabi", ("qemu-aarch64",)),
+    "32-bit ARM": ("arm-linux-gnueabihf-g++ -O2 -static -Wno-psabi", ("qemu-arm",)),
 }
-"""
+"""Compilers, and what runs their programs."""
+
+
+@pytest.fixture(scope="module")
+def bits(core, tmp_path_factory):
+    """Compiles and runs the program that prints scores, decisions and loops, bit by bit: with the
+    library of the package, and with the core by another compiler."""
+    folder, source = tmp_path_factory.mktemp("bits"), ROOT / "ssrvlad_torch" / "native"
+    library = Path(core.library._name)
+
+    def run(compiler, emulator, *sources):
+        flags = [
+            "-std=c++17",
+            "-ffp-contract=off",
+            "-pthread",
+            f"-I{source}",
+            "-o",
+            folder / "bits",
+        ]
+        given = [ROOT / "tests" / "bits.cpp", *sources]
+        subprocess.run([*compiler.split(), *flags, *given, "-o", folder / "bits"], check=True)
+        return subprocess.check_output([*emulator, folder / "bits"])
+
+    here = run("g++ -O2", (), library, f"-Wl,-rpath,{library.parent}")
+    assert len(here.splitlines()) > 9000 and b"nan" not in here
+    return lambda compiler, emulator: (here, run(compiler, emulator, *source.glob("*.cpp")))
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.slow if n != "aarch64" else ()) for n in PROCESSORS]
+)
+def test_all_processors_find_the_same_bits(bits, name):
+    here, there = bits(*PROCESSORS[name])
+    assert here == there
 
 
 def test_it_needs_no_torch():
