@@ -72,7 +72,7 @@ class Map {
     for (const auto& channel : channels_) {
       std::int64_t anchors;
       packed.push_back(pack(channel, drive, anchors));
-      queries.push_back({packed.back().data(), anchors});
+      queries.push_back({packed.back().data(), anchors, nullptr});
     }
     const auto count = drive.size();
     std::vector<float> scores(count * top), sure(3 * count);
@@ -169,7 +169,7 @@ class Map {
       const auto size = shape.size() == 2 ? shape[1] : shape[2] * shape[3];
       const ssrvlad_channel given{channel.rows.bytes.data(),
                                   channel.is_signs() ? SSRVLAD_SIGNS : SSRVLAD_VECTORS,
-                                  channel.is_signs() ? shape[1] : 1, size, channel.trust};
+                                  channel.is_signs() ? shape[1] : 1, size, channel.trust, nullptr};
       require(ssrvlad_map_add_channel(map_.get(), &given));
     }
   }
