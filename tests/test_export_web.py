@@ -429,10 +429,12 @@ def test_photographs_of_a_drive_are_found_by_all_channels(page, site, ssrvlad, t
     steps = steps_in_words(lines[0]["steps"])
     assert page.run(STEPS) == re.sub(r"sweep \S+ columns", "no sweep", steps)
     assert "features 0.9" in steps
-    page.run("document.querySelectorAll('#places button')[7].click()")
+    button = "document.querySelectorAll('#places button')[7]"
+    page.run(f"{button}.focus(); {button}.click()")
     page.wait_for("document.getElementById('frame').textContent === '9.png'")
     page.wait_for(f"{ROWS}[0].startsWith('{lines[7]['candidates'][0]['frame']}')")
     assert page.run(CONFIDENCE).endswith(f" {lines[7]['confidence']:.2f}")
+    assert page.run(f"document.activeElement === {button}"), "the list is not made anew"
 
 
 def write_map(ssrvlad, path, *maps):

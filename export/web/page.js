@@ -114,6 +114,7 @@ async function find() {
   }
   const steps = found && stepsInWords(found.steps, model.columns, database.frames.length);
   element("steps").textContent = steps ?? "";
+  listDrive(drive, found);
   await show(drive, found, 0);
   element("result").hidden = false;
   say(`${[...told, ...notesOf(model, database)].join("; ")}.`);
@@ -176,7 +177,8 @@ async function show(drive, found, shown) {
   drawMap(model, picture, described);
   drawTargets(model, described.usual);
   listMatches(found, shown);
-  listDrive(drive, found, shown);
+  for (const [at, row] of [...element("places").tBodies[0].rows].entries())
+    row.classList.toggle("shown", at === shown);
 }
 
 function drawMap({ space }, { labels, height, width }, { skeleton, rows, columns }) {
@@ -244,7 +246,7 @@ function listMatches(found, shown) {
 }
 
 /** The place of each frame; a frame that is chosen is shown. */
-function listDrive(drive, found, shown) {
+function listDrive(drive, found) {
   element("drive").hidden = drive.length < 2 || !found;
   const body = element("places").tBodies[0];
   body.replaceChildren();
@@ -257,7 +259,6 @@ function listDrive(drive, found, shown) {
     button.textContent = lastOf(frame.name);
     button.addEventListener("click", () => attempt(() => show(drive, found, at)));
     row.cells[0].append(button);
-    row.classList.toggle("shown", at === shown);
     row.lastElementChild.style.setProperty("--part", confidence);
   }
 }
