@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 from drives import write_maps
+from helpers import spoil
 from large_maps import ALL, ROWS, channels, large_town, queries_at
 
 from ssrvlad_torch import Database, Map
@@ -118,6 +119,15 @@ def test_sequences_in_several_data_files_and_without_removed_frames(tmp_path, mo
     expected = recognise_in(town.load(), queries, used, Steps(), 3)
     assert torch.equal(got.matches.indices, expected.matches.indices)
     torch.testing.assert_close(got.confidence, expected.confidence, atol=1e-4, rtol=0)
+
+
+def test_damaged_rows_are_refused(tmp_path):
+    town = large_town(tmp_path / "town.ssrdb", ["a"] * ROWS)
+    spoil(tmp_path / "town.ssrdb", town.load().descriptors[120])
+    again = Database.open(tmp_path / "town.ssrdb")
+    large, queries = LargeMap(again, channels(again, ALL)), queries_at([*range(100, 140)])
+    with pytest.raises(ValueError, match=r"is damaged; ssrvlad db verify shows where"):
+        recognise_drives(large, queries, Steps(), 3, EVERYWHERE)
 
 
 def test_empty_queries_and_few_of_them_have_an_answer_or_none(town):

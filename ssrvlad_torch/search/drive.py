@@ -103,11 +103,11 @@ class DriveSearch:
         self._drive = {name: self._swept(name, each, leading) for name, each in given.items()}
         self.width = max(each.width for each in self._drive.values())
         every = range(self._count)
-        self._sampled = {name: self._scores(name, every, rows.sample) for name in given}
-        self._scales = {name: Scale.of(each) for name, each in self._sampled.items()}
+        sampled = {name: self._scores(name, every, rows.sample) for name in given}
+        self._scales = {name: Scale.of(each) for name, each in sampled.items()}
         self._share = self._weighed(leading)
         self.weights = self._share if len(self._share) > 1 else {}
-        self._sample = self._fused(self._sampled, slice(None))
+        self._sample = self._fused(sampled, slice(None))
         self._spread = [moments(each) for each in self._sample]
 
     def __len__(self) -> int:

@@ -25,7 +25,7 @@ _CACHED = 1 << 14
 
 class MapRows:
     """The descriptors of rows of a map, read from disk when they are needed, and the means of their
-    sequences."""
+    sequences. A damaged row that is read is a ValueError."""
 
     def __init__(self, large: LargeMap) -> None:
         self._large, rows = large, len(large.frames)
@@ -86,4 +86,4 @@ class MapRows:
 
     def _taken(self, rows: Tensor) -> dict[str, Tensor]:
         columns = [channel.column for channel in self._large.channels]
-        return taken(self._large.database, self._large.stored[rows.numpy()], columns)
+        return taken(self._large.database, self._large.stored[rows.numpy()], columns, True)
