@@ -1,5 +1,6 @@
 """The coarse index: of which rows and channels, grown, opened, refused."""
 
+import errno
 import json
 from pathlib import Path
 
@@ -72,7 +73,7 @@ def test_every_row_is_scanned_also_after_changes_of_the_map(town):
     town.compact(keep_days=0)
     assert build(town).new == 168
     assert_own_row_is_first(town, "a/0000", rows(500, 1))
-    kept = {file.name.split(".")[0] for file in Path(town.path, "_coarse").glob("*.npy")}
+    kept = {file.name.split(".")[0] for file in Path(town.path, "_coarse").glob("*/*.npy")}
     assert kept == {file.stem for file in Path(town.path, "data").glob("*.lance")}
 
 
@@ -101,7 +102,7 @@ def test_means_are_of_the_rows_that_are_there_now(town):
     assert_equal_means()
     town.remove(["a/0003", "a/0120", "b/2"])
     assert_equal_means()
-    Path(town.path, "_coarse", next(Path(town.path, "_coarse").glob("*.sums.npz"))).unlink()
+    next(Path(town.path, "_coarse").glob("*/*.sums.npz")).unlink()
     with pytest.raises(ValueError, match="lacks"):
         CoarseIndex(town)
     build(town)
@@ -124,6 +125,26 @@ def test_the_sample_is_of_the_rows_as_they_are_stored(town):
     assert all(torch.equal(sample[name], values) for name, values in frames.channels.items())
 
 
+def test_an_index_that_is_learnt_anew_has_no_codes_of_another(town):
+    build(town)
+    coarse, folder = Path(town.path, "_coarse"), CoarseIndex(town).folder
+    (coarse / "index.json").unlink()
+    build(town)
+    assert [path for path in coarse.iterdir() if path.is_dir()] == [CoarseIndex(town).folder]
+    assert CoarseIndex(town).folder != folder
+
+
+def test_too_many_files_are_said_so(town, monkeypatch):
+    build(town)
+
+    def load(*_given, **_options):
+        raise OSError(errno.EMFILE, "too many open files")
+
+    monkeypatch.setattr(np, "load", load)
+    with pytest.raises(ValueError, match=r"more files than this process may open \(ulimit -n\)"):
+        CoarseIndex(town)
+
+
 def test_what_cannot_be_opened_or_built_is_refused_in_one_line(town, tmp_path):
     with pytest.raises(ValueError, match="has no index; ssrvlad db index builds one"):
         CoarseIndex(town)
@@ -138,10 +159,10 @@ def test_what_cannot_be_opened_or_built_is_refused_in_one_line(town, tmp_path):
     with pytest.raises(ValueError, match="holds no frames yet"):
         build(Database.create(tmp_path / "empty", CONFIG))
     about.write_text("{")
-    with pytest.raises(ValueError, match="is damaged; ssrvlad db index builds it anew"):
+    with pytest.raises(ValueError, match="is damaged, or of another version; ssrvlad db index"):
         CoarseIndex(town)
     assert build(town).new == 100
-    codes = next(Path(town.path, "_coarse").glob("*.1.signs.npy"))
+    codes = next(Path(town.path, "_coarse").glob("*/*.1.signs.npy"))
     codes.write_bytes(codes.read_bytes()[:-1])
     with pytest.raises(ValueError, match="lacks 100 of 100 frames"):
         CoarseIndex(town)

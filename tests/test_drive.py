@@ -97,7 +97,7 @@ def test_rows_that_may_not_match_are_no_candidates_and_have_no_score(town):
     expected = recognise_in(frames, again, used, Steps(), 3, without)
     assert torch.equal(got.matches.indices, expected.matches.indices)
     large, own = LargeMap(town, used), np.array([[96, 105]] * 40)
-    given = again.channels, True, True, True, where, own
+    given = again.channels, True, True, True, 3, where, own
     search = DriveSearch(large, MapRows(large), *given)
     rows = torch.tensor([3, 100, 179, 180])
     assert search.scores(7, rows).isinf().tolist() == [False, True, False, True]
@@ -105,6 +105,27 @@ def test_rows_that_may_not_match_are_no_candidates_and_have_no_score(town):
     assert bool((candidates < 180).all()) and not bool(
         ((candidates >= 96) & (candidates < 105)).any()
     )
+
+
+@pytest.mark.parametrize("allowed", [range(399, 400), range(110, 130), range(0, 400, 20)])
+@pytest.mark.parametrize("names", [ALL, ("ssr-vlad",)])
+def test_few_rows_that_may_match_are_found(town, allowed, names):
+    """Whatever rows are in a sample of the map."""
+    where = np.zeros(ROWS, bool)
+    where[[*allowed]] = True
+    used, frames = channels(town, names), town.load()
+    queries = queries_at([*range(100, 140)], names)
+    got = recognise_drives(LargeMap(town, used), queries, Steps(follow=None), 3, where)
+    without = excluded_pairs(queries, frames, where, None)
+    expected = recognise_in(frames, queries, used, Steps(follow=None), 3, without)
+    assert (got.matches.indices[:, 0] == expected.matches.indices[:, 0]).float().mean() > 0.9
+    torch.testing.assert_close(got.confidence, expected.confidence, atol=0.05, rtol=0)
+
+
+def test_as_many_candidates_as_are_wanted(town):
+    used, queries = channels(town, ALL), queries_at([*range(100, 140)])
+    got = recognise_drives(LargeMap(town, used), queries, Steps(follow=None), 100, EVERYWHERE)
+    assert bool((got.matches.indices >= 0).all())
 
 
 def test_sequences_in_several_data_files_and_without_removed_frames(tmp_path, monkeypatch, whole):

@@ -417,9 +417,17 @@ std::shared_ptr<Sight> sight_of(const Search &search, const Drives &drives, Size
   rows.erase(std::unique(rows.begin(), rows.end()), rows.end());
   auto sight = std::make_shared<Sight>();
   sight->rows = drives.some(rows.data(), static_cast<Size>(rows.size()));
-  sight->matching = drives.rows;
   sight->scores.resize(rows.size());
   search.of(query, rows, sight->scores.data());
+  // Of all rows as many could match as of the sample.
+  const std::vector<float> sampled = search.sample(query).second;
+  const auto matching = [](const std::vector<float> &scores) {
+    const auto none = std::count(scores.begin(), scores.end(), NONE);
+    return static_cast<Size>(scores.size()) - static_cast<Size>(none);
+  };
+  const auto count = static_cast<Size>(sampled.size());
+  const Size estimated = count ? drives.rows * matching(sampled) / count : drives.rows;
+  sight->matching = std::max(matching(sight->scores), estimated);
   return sight;
 }
 

@@ -78,6 +78,7 @@ class LargeMap:
         self.frames, self.stored = database.placed()
         self.natural = torch.from_numpy(np.argsort(self.stored))
         self._size = len(next(iter(self.index.sample.values())))
+        self._some = torch.arange(self._size) * len(self.frames) // self._size
         trust = {channel.column.name: channel.trust for channel in self.channels}
         self.share = weights_of(dict.fromkeys(trust, 0.0), trust)
         self.weights = self.share if len(trust) > 1 else {}
@@ -98,7 +99,8 @@ class LargeMap:
             for name in (channel.column.name for channel in self.channels)
         }
         own = self.natural[self.best(coarse, where, descriptors, sweep, COARSE)].sort().values
-        return self._judged(descriptors, coarse, own, sweep, top)
+        matching = len(self.frames) if allowed is None else int(allowed.sum())
+        return self._judged(descriptors, coarse, own, sweep, top, matching)
 
     def best(
         self,
@@ -131,14 +133,13 @@ class LargeMap:
         """The weighted z-score of coarse scores ``(R,)`` by each channel, but for a constant."""
         linear = torch.zeros(len(self.frames))
         for name, scores in coarse.items():
-            some = self._every(scores)
-            deviation = max(float(some[some > -torch.inf].std(correction=0)), MIN_SPREAD)
+            deviation = max(float(self._every(scores).std(correction=0)), MIN_SPREAD)
             linear.add_(scores, alpha=self.share[name] / deviation)
         return linear
 
     def _every(self, coarse: Tensor) -> Tensor:
-        """Coarse scores ``(R,)`` of as many rows as the sample has."""
-        return coarse[:: max(1, len(coarse) // self._size)][: self._size]
+        """Coarse scores ``(R,)`` of as many rows as the sample has, all over the map."""
+        return coarse[self._some]
 
     def _judged(
         self,
@@ -147,8 +148,10 @@ class LargeMap:
         rows: Tensor,
         sweep: bool,
         top: int,
+        matching: int,
     ) -> Judged:
-        """The decision by the exact scores of candidates, rising rows of the map."""
+        """The decision by the exact scores of candidates, rising rows of the map, of which so many
+        could match."""
         most, *others = self.channels
         compared = {most.column.name: self._compared(most, descriptors, coarse, rows, sweep)}
         if others:
@@ -160,7 +163,7 @@ class LargeMap:
             found = self._compared(channel, descriptors, coarse, rows, sweep)
             compared[channel.column.name] = found
         scores = self._fused({name: each.scores for name, each in compared.items()})
-        chance = chance_of(nearness(scores), rows, len(self.frames))
+        chance = chance_of(nearness(scores), rows, matching)
         width = max(each.width for each in compared.values())
         return Judged(best_of(scores, top, rows), chance, width)
 

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import json
 import math
+import secrets
+import shutil
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -30,7 +32,7 @@ from ..database.reading import Damage, read_intact
 from ..database.rows import intact, matrix
 from ..files import is_uri, read_json, read_npz, replacing
 from ..recognition.standardise import sums
-from .sums import Sums, SumsWriter, mean_of
+from .sums import Sums, SumsWriter, mean_of, refuse_many_files
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -63,26 +65,26 @@ def build(database: Database) -> Report:
     store, or without frames is a ValueError, an index that cannot be written an OSError."""
     if is_uri(database.path):
         raise ValueError(f"an index needs a folder on this machine, {database.path} is a URI")
-    rows, began, folder = len(database), time.perf_counter(), _folder(database)
+    rows, began = len(database), time.perf_counter()
     if not rows:
         raise ValueError(f"{database.path} holds no frames yet")
     learnt = _learnt(database)
     if learnt is None or rows > _GROWTH * learnt.rows or learnt.columns != _columns(database):
-        for file in (folder / _ABOUT, *folder.glob("*.np[yz]")):
-            file.unlink(missing_ok=True)
         learnt = _learn(database)
-    fragments, new = database.table().get_fragments(), 0
+        _remove_others(learnt.folder)
+    fragments, new, columns = database.table().get_fragments(), 0, database.columns
     for fragment in fragments:
-        if _part(fragment, learnt.forms, database.columns, folder) is None:
-            _write(fragment, learnt.forms, database.columns, folder)
+        if _part(fragment, learnt.forms, columns, learnt.folder) is None:
+            _write(fragment, learnt.forms, columns, learnt.folder)
             new += fragment.count_rows()
     stored = {_stem(fragment) for fragment in fragments}
     kept = {path.stem for path in Path(database.path, "data").glob("*.lance")} | stored
     kept |= {Path(name).stem for name in (_LEARNT, _SAMPLED)}
-    for file in folder.glob("*.np[yz]"):
+    files = [*learnt.folder.glob("*.np[yz]")]
+    for file in files:
         if file.name.split(".")[0] not in kept:
-            file.unlink()
-    size = sum(file.stat().st_size for file in folder.glob("*"))
+            file.unlink(missing_ok=True)
+    size = sum(file.stat().st_size for file in files if file.exists())
     return Report(new, rows, size, time.perf_counter() - began)
 
 
@@ -102,22 +104,26 @@ class CoarseIndex:
 
     Attributes:
         sample: descriptors ``(N, *shape)`` of some rows by channel.
+        folder: of its files.
     """
 
     def __init__(self, database: Database) -> None:
         """Raises a ValueError in one line if there is no index, or one of other channels, or older
         than the rows, or damaged."""
-        path, folder = database.path, _folder(database)
+        path = database.path
         if not is_indexed(database):
             raise ValueError(f"{path} has no index; ssrvlad db index builds one")
         learnt = _learnt(database)
         if learnt is None:
-            raise ValueError(f"the index of {path} is damaged; ssrvlad db index builds it anew")
+            raise ValueError(
+                f"the index of {path} is damaged, or of another version; ssrvlad db index builds "
+                "it anew"
+            )
         if learnt.columns != _columns(database):
             raise ValueError(
                 f"the index of {path} is of other channels; ssrvlad db index builds it anew"
             )
-        self._forms, self.sample = learnt.forms, learnt.sample
+        self._forms, self.sample, self.folder = learnt.forms, learnt.sample, learnt.folder
         self._database, self._columns = database, {c.name: c for c in database.columns}
         table, lacking = database.table(), 0
         addresses = table.to_table(columns=[], with_row_address=True, scan_in_order=True)
@@ -126,7 +132,7 @@ class CoarseIndex:
         for fragment in table.get_fragments():
             of = address[address >> np.uint64(32) == np.uint64(fragment.fragment_id)]
             live = (of & _OFFSET).astype(np.int64)
-            part = _part(fragment, learnt.forms, database.columns, folder)
+            part = _part(fragment, learnt.forms, database.columns, learnt.folder)
             if part is None:
                 lacking += len(live)
                 continue
@@ -176,8 +182,7 @@ class CoarseIndex:
                 if number is None or not frames:
                     continue
                 if frames == part.sums.frames[number]:
-                    counted = int(part.sums.counted[name][number])
-                    found.append((part.sums.totals[name][number], counted))
+                    found.append(part.sums.of(sequence, column))
                 else:  # some were removed
                     here = self._sequences[first : first + counts.total()] == sequence
                     rows = first + np.flatnonzero(here)
@@ -220,9 +225,10 @@ def _columns(database: Database) -> list[list[Any]]:
 
 
 class _Learnt(NamedTuple):
-    """What an index was made of: the number of rows and the columns then, the coarse form of each
-    channel, and the sample."""
+    """What an index was made of: its folder, the number of rows and the columns then, the coarse
+    form of each channel, and the sample."""
 
+    folder: Path
     rows: int
     columns: list[list[Any]]
     forms: dict[str, Coarse]
@@ -234,6 +240,7 @@ def _learnt(database: Database) -> _Learnt | None:
     folder = _folder(database)
     try:
         about = read_json(folder / _ABOUT)
+        folder /= about["folder"]
         arrays, sample = (read_npz(folder / name) for name in (_LEARNT, _SAMPLED))
         if about["format"] != _FORMAT:
             return None
@@ -245,13 +252,15 @@ def _learnt(database: Database) -> _Learnt | None:
         known = {column.name: torch.from_numpy(sample[column.name]) for column in database.columns}
     except (OSError, ValueError, KeyError, TypeError):
         return None
-    return _Learnt(about["rows"], about["columns"], forms, known)
+    return _Learnt(folder, about["rows"], about["columns"], forms, known)
 
 
 def _learn(database: Database) -> _Learnt:
-    """Chooses a sample of the rows, and learns the coarse forms from it."""
+    """Chooses a sample of the rows, and learns the coarse forms from it. Codes stand beside what
+    they were made by, so that those of two processes are not mixed."""
     folder, rows, columns = _folder(database), len(database), database.columns
-    folder.mkdir(exist_ok=True)
+    own = folder / secrets.token_hex(4)
+    own.mkdir(parents=True)
     size = sum(math.prod(column.shape) * np.dtype(column.dtype).itemsize for column in columns)
     count = min(rows, _SAMPLE, max(1, _SAMPLE_BYTES // size))
     chosen = np.random.default_rng(0).choice(rows, count, replace=False)
@@ -260,12 +269,21 @@ def _learn(database: Database) -> _Learnt:
     arrays = {f"{name}.{key}": a for name, form in forms.items() for key, a in form.learnt.items()}
     for file, content in ((_LEARNT, arrays), (_SAMPLED, found)):
         values: dict[str, Any] = {name: np.asarray(each) for name, each in content.items()}
-        with replacing(folder / file) as part, part.open("wb") as stream:
+        with replacing(own / file) as part, part.open("wb") as stream:
             np.savez(stream, **values)
-    about = {"format": _FORMAT, "rows": rows, "columns": _columns(database)}
+    about = {"format": _FORMAT, "folder": own.name, "rows": rows, "columns": _columns(database)}
     with replacing(folder / _ABOUT) as part:
         part.write_text(json.dumps(about))
-    return _Learnt(rows, _columns(database), forms, found)
+    return _Learnt(own, rows, _columns(database), forms, found)
+
+
+def _remove_others(folder: Path) -> None:
+    """Removes what earlier indexes left beside the folder of the present one."""
+    for path in folder.parent.iterdir():
+        if path.is_dir() and path != folder:
+            shutil.rmtree(path, ignore_errors=True)
+        elif path.is_file() and path.name != _ABOUT:
+            path.unlink(missing_ok=True)
 
 
 def taken(
@@ -296,7 +314,8 @@ def _part(
     for column, layer in _layers(forms, columns):
         try:
             array = np.load(_file(folder, fragment, column.name, layer), mmap_mode="r")
-        except (OSError, ValueError):
+        except (OSError, ValueError) as error:
+            refuse_many_files(error)
             return None
         expected = _shape(fragment, column, forms[column.name], layer)
         if (array.shape, array.dtype) != expected or not array.flags.c_contiguous:

@@ -61,7 +61,7 @@ class _Window(NamedTuple):
 
 class DriveSearch:
     """Candidates of the queries of one drive in a large map, and their scores; a
-    `native.decide.Search`.
+    `native.decide.Search`. It keeps all scores, 10 to 30 kB a query.
 
     Args:
         rows: of the map.
@@ -69,6 +69,7 @@ class DriveSearch:
         standardised: subtract the mean of each drive.
         sweep: as wide as suits the scores.
         followed: not each query alone.
+        top: the number of candidates that are wanted.
         where: ``(R,)`` bool, the rows that may be candidates.
         own: ``(Q, 2)``, for each query the first of some rows that may not, and the one after the
             last.
@@ -86,11 +87,12 @@ class DriveSearch:
         standardised: bool,
         sweep: bool,
         followed: bool,
+        top: int,
         where: npt.NDArray[np.bool_],
         own: npt.NDArray[np.int64],
     ) -> None:
         self._large, self._rows, self._standardised = large, rows, standardised
-        self._step = EVERY if followed else 1
+        self._step, self._most = EVERY if followed else 1, max(CANDIDATES, top)
         self._sweep, self._own = sweep, torch.from_numpy(own)
         self._where = torch.from_numpy(where)
         self._everywhere = bool(where.all()) and bool((own[:, 0] >= own[:, 1]).all())
@@ -103,12 +105,17 @@ class DriveSearch:
         self._drive = {name: self._swept(name, each, leading) for name, each in given.items()}
         self.width = max(each.width for each in self._drive.values())
         every = range(self._count)
-        sampled = {name: self._scores(name, every, rows.sample) for name in given}
+        allowed = rows.sample(where)
+        sampled = {name: self._scores(name, every, allowed) for name in given}
         self._scales = {name: Scale.of(each) for name, each in sampled.items()}
         self._share = self._weighed(leading)
         self.weights = self._share if len(self._share) > 1 else {}
-        self._sample = self._fused(sampled, slice(None))
+        self._sample_rows, self._sample = allowed, self._fused(sampled, slice(None))
         self._spread = [moments(each) for each in self._sample]
+        if not where.all():
+            self._sample_rows = rows.sample(np.ones_like(where))
+            sampled = {name: self._scores(name, every, self._sample_rows) for name in given}
+            self._sample = self._fused(sampled, slice(None))
 
     def __len__(self) -> int:
         return self._count
@@ -159,7 +166,7 @@ class DriveSearch:
 
     def sample(self, query: int) -> tuple[Tensor, Tensor]:
         """See `native.decide.Search`."""
-        return self._rows.sample, self._sample[query]
+        return self._sample_rows, self._sample[query]
 
     def _leading(self, given: Mapping[str, Tensor]) -> dict[str, tuple[Tensor, References]]:
         """By each channel: some of the queries, and the rows that are nearest to them by the coarse
@@ -212,13 +219,15 @@ class DriveSearch:
             name: self._large.index.scan(name, [*each[some]], self._sweep)
             for name, each in given.items()
         }
-        if not self._everywhere:
-            may = self._may(some, self._large.natural)
-            coarse = {name: each.masked_fill_(~may, -torch.inf) for name, each in coarse.items()}
+        may = None if self._everywhere else self._may(some, self._large.natural)
         for place, query in enumerate(some.tolist()):
             together = self._large.linear({name: each[place] for name, each in coarse.items()})
-            best = together.topk(min(CANDIDATES, len(together)))
+            if may is not None:
+                together.masked_fill_(~may[place], -torch.inf)
+            best = together.topk(min(self._most, len(together)))
             self._candidates[query] = self._large.natural[best.indices[best.values > -torch.inf]]
+        if may is not None:
+            coarse = {name: each.masked_fill_(~may, -torch.inf) for name, each in coarse.items()}
         return coarse
 
     def _window(self, some: range, rows: Tensor) -> _Window:
@@ -277,7 +286,7 @@ def recognise_drives(
     def search(run: range, standardised: bool) -> DriveSearch:
         part = slice(run.start, run.stop)
         descriptors = {name: values[part] for name, values in queries.channels.items()}
-        given = descriptors, standardised, steps.sweep, bool(steps.follow), where, own[part]
+        given = descriptors, standardised, steps.sweep, bool(steps.follow), top, where, own[part]
         return DriveSearch(large, rows, *given)
 
     return recognise_by_search(search, queries.sequences, large.frames.sequences, steps, top)

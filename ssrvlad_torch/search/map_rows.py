@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor
 
 from ..recognition.comparison import References
+from ..recognition.sequences import runs
+from ..recognition.standardise import sharing
 from .coarse_index import taken
-from .sums import mean_of, means_of
 
 if TYPE_CHECKING:
     from ..channels.channel import Channel
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 SAMPLE = 1000
 """Rows that represent all rows."""
 
-_CACHED = 1 << 14
+_CACHED, _MEANS = 1 << 14, 1 << 10
 
 
 class MapRows:
@@ -29,42 +30,42 @@ class MapRows:
 
     def __init__(self, large: LargeMap) -> None:
         self._large, rows = large, len(large.frames)
-        names = large.frames.sequences
-        self._sequences, numbers = list(dict.fromkeys(names)), dict[str, int]()
-        for name in self._sequences:
-            numbers[name] = len(numbers)
-        self._of = np.fromiter((numbers[name] for name in names), np.int64, rows)
-        self._sharing = means_of(np.bincount(self._of).tolist())
-        self._means: dict[tuple[str, tuple[int, ...]], Tensor] = {}
+        parts = [*runs(large.frames.sequences)]
+        names = [large.frames.sequences[part.start] for part in parts]
+        frames = [len(part) for part in parts]
+        group_of = np.zeros(len(parts), np.int64)
+        self._members: list[list[str]] = []
+        for group, those in sharing(frames).items():
+            group_of[list(group)] = len(self._members)
+            self._members.append([names[number] for number in those])
+        self._groups, self._sequences = np.repeat(group_of, frames), len(parts)
+        self._means: dict[tuple[str, int], Tensor] = {}
         self._slots, self._used = torch.full((rows,), -1), 0
         self._held: dict[str, Tensor] = {}
 
-    @cached_property
-    def sample(self) -> Tensor:
-        """``(M,)`` int64, rows that represent all rows."""
-        rows = len(self._of)
-        chosen = np.random.default_rng(0).choice(rows, min(SAMPLE, rows), replace=False)
+    def sample(self, allowed: npt.NDArray[np.bool_]) -> Tensor:
+        """``(M,)`` int64, rows that represent all allowed ones ``(R,)`` bool."""
+        rows = np.flatnonzero(allowed)
+        chosen = np.random.default_rng(0).choice(rows, min(SAMPLE, len(rows)), replace=False)
         return torch.from_numpy(np.sort(chosen))
 
     def references(self, channel: Channel, rows: Tensor, standardised: bool) -> References:
-        """Rising rows by one channel."""
-        of, name = self._of[rows.numpy()], channel.column.name
-        means = None
+        """Rising rows by one channel. Those that share a mean are as of one sequence."""
+        groups, means = self._groups[rows.numpy()], None
         if standardised:
-            each = [self._mean(channel, number) for number in of[np.diff(of, prepend=-1) != 0]]
+            each = [self._mean(channel, number) for number in np.unique(groups).tolist()]
             means = torch.stack(each) if each else None
-        known = self._read(rows, name)
-        return channel.references(known, [self._sequences[number] for number in of], means)
+        known = self._read(rows, channel.column.name)
+        return channel.references(known, [str(number) for number in groups], means)
 
-    def _mean(self, channel: Channel, number: int) -> Tensor:
-        """What is subtracted from the frames of a sequence."""
-        name, those = channel.column.name, self._sharing[number]
-        key = name, those if len(those) < len(self._sequences) else ()
+    def _mean(self, channel: Channel, group: int) -> Tensor:
+        """What is subtracted from the frames of a group of sequences."""
+        members = self._members[group] if self._members else []
+        key = channel.column.name, group if len(members) < self._sequences else -1
         if key not in self._means:
-            of = [self._sequences[each] for each in those]
-            self._means[key] = (
-                self._large.index.mean(name, of) if of else mean_of((), channel.column)
-            )
+            if len(self._means) >= _MEANS:
+                self._means.clear()
+            self._means[key] = self._large.index.mean(channel.column.name, members)
         return self._means[key]
 
     def _read(self, rows: Tensor, name: str) -> Tensor:

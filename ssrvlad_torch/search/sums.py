@@ -7,6 +7,7 @@ were removed since, the sums are made again from the others.
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -21,7 +22,7 @@ from torch import Tensor
 
 from ..channels.column import Column
 from ..files import read_npz, replacing
-from ..recognition.standardise import sharing, sums
+from ..recognition.standardise import sums
 
 Array = npt.NDArray[Any]
 
@@ -30,32 +31,46 @@ class Sums(NamedTuple):
     """Of the rows of one data file.
 
     Attributes:
+        stem: of its files.
         numbers: of the sequences, by their names.
         frames: ``(S,)`` of each sequence.
         counted: by channel, ``(S,)`` frames that are not empty.
-        totals: by channel, ``(S, *shape of the mean)`` float32.
     """
 
+    stem: Path
     numbers: dict[str, int]
     frames: Array
     counted: Mapping[str, Array]
-    totals: Mapping[str, Array]
 
     @classmethod
     def read(cls, stem: Path, columns: Sequence[Column]) -> Self | None:
-        """Those of a data file, memory-mapped; ``None`` unless all are there, whole."""
+        """Those of a data file; ``None`` unless all are there, whole."""
         try:
             about = read_npz(stem.with_name(f"{stem.name}.sums.npz"))
             names, frames = about["sequences"].tolist(), about["frames"]
             counted = {column.name: about[column.name] for column in columns}
-            totals = {c.name: np.load(_file(stem, c), mmap_mode="r") for c in columns}
-        except (OSError, ValueError, KeyError):
+            shapes = [np.load(_file(stem, column), mmap_mode="r").shape for column in columns]
+        except (OSError, ValueError, KeyError) as error:
+            refuse_many_files(error)
             return None
-        for column in columns:
-            expected = (len(names), *_shape(column))
-            if totals[column.name].shape != expected or len(counted[column.name]) != len(names):
-                return None
-        return cls({name: number for number, name in enumerate(names)}, frames, counted, totals)
+        if shapes != [(len(names), *_shape(column)) for column in columns]:
+            return None
+        return cls(stem, {name: number for number, name in enumerate(names)}, frames, counted)
+
+    def of(self, sequence: str, column: Column) -> tuple[Array, int]:
+        """The sum ``(*shape of the mean)`` of a sequence, and how many frames count in it."""
+        number = self.numbers[sequence]
+        total = np.load(_file(self.stem, column), mmap_mode="r")[number]  # files are not kept open
+        return np.array(total), int(self.counted[column.name][number])
+
+
+def refuse_many_files(error: Exception) -> None:
+    """Raises a ValueError if an error is that too many files are open."""
+    if isinstance(error, OSError) and error.errno in (errno.EMFILE, errno.ENFILE):
+        raise ValueError(
+            "the index is in more files than this process may open (ulimit -n); ssrvlad db "
+            "compact joins them"
+        ) from error
 
 
 class SumsWriter:
@@ -113,16 +128,6 @@ def mean_of(parts: Iterable[tuple[Array, int]], column: Column) -> Tensor:
         total += each
         counted += count
     return torch.from_numpy(total / max(1, counted)).float()
-
-
-def means_of(frames: Sequence[int]) -> list[tuple[int, ...]]:
-    """For each sequence of so many frames the sequences whose frames make its mean, see
-    `standardise.sharing`; none if there is no mean."""
-    of: list[tuple[int, ...]] = [()] * len(frames)
-    for group, those in sharing(frames).items():
-        for number in group:
-            of[number] = those
-    return of
 
 
 def _shape(column: Column) -> tuple[int, ...]:
