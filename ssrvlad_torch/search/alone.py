@@ -98,19 +98,18 @@ class LargeMap:
             name: self.index.scan(name, [descriptors[name]], sweep)[0]
             for name in (channel.column.name for channel in self.channels)
         }
-        own = self.natural[self.best(coarse, where, descriptors, sweep, COARSE)].sort().values
+        own = self.natural[self._best(coarse, where, descriptors, sweep)].sort().values
         matching = len(self.frames) if allowed is None else int(allowed.sum())
         return self._judged(descriptors, coarse, own, sweep, top, matching)
 
-    def best(
+    def _best(
         self,
         coarse: Mapping[str, Tensor],
         where: Tensor | None,
         query: Mapping[str, Tensor],
         sweep: bool,
-        count: int,
     ) -> Tensor:
-        """The ``count`` best stored rows by the fused coarse scores ``(R,)``, best first. Rows are
+        """The `COARSE` best stored rows by the fused coarse scores ``(R,)``, best first. Rows are
         chosen by z-scores of cosines before those of nearness, and before all layers of codes,
         which take longer."""
         linear = self.linear(coarse)
@@ -127,7 +126,7 @@ class LargeMap:
             again = self.index.rescan(name, query[name], chosen, sweep)
             parts[number] = parts[number] if again is None else again
         near = self._fused(dict(zip(coarse, parts, strict=True)))
-        return rows[near.topk(min(count, len(rows))).indices]
+        return rows[near.topk(min(COARSE, len(rows))).indices]
 
     def linear(self, coarse: Mapping[str, Tensor]) -> Tensor:
         """The weighted z-score of coarse scores ``(R,)`` by each channel, but for a constant."""
@@ -239,9 +238,7 @@ def recognise_in_large(
 ) -> Recognised:
     """The candidates of queries, each judged alone and swept as wide as suits it, among the rows
     ``where`` ``(R,)`` bool of a large map; ``exclude`` as for `exact.search`."""
-    own, everywhere = np.zeros((len(queries), 2), np.int64), bool(where.all())
-    if exclude is not None:
-        own = neighbours(queries.frames, large.frames, exclude)
+    own, everywhere = neighbours(queries.frames, large.frames, exclude), bool(where.all())
     judged = list[Judged]()
     for query, (first, last) in enumerate(own.tolist()):
         allowed = where

@@ -104,7 +104,6 @@ class CoarseIndex:
 
     Attributes:
         sample: descriptors ``(N, *shape)`` of some rows by channel.
-        folder: of its files.
     """
 
     def __init__(self, database: Database) -> None:
@@ -123,7 +122,7 @@ class CoarseIndex:
             raise ValueError(
                 f"the index of {path} is of other channels; ssrvlad db index builds it anew"
             )
-        self._forms, self.sample, self.folder = learnt.forms, learnt.sample, learnt.folder
+        self._forms, self.sample = learnt.forms, learnt.sample
         self._database, self._columns = database, {c.name: c for c in database.columns}
         table, lacking = database.table(), 0
         addresses = table.to_table(columns=[], with_row_address=True, scan_in_order=True)

@@ -99,6 +99,7 @@ class DriveSearch:
         self._channels = {channel.column.name: channel for channel in large.channels}
         given = {name: descriptors[name] for name in self._channels}
         self._count = len(next(iter(given.values())))
+        self._some = range(0, self._count, max(1, self._count // _SAMPLED))
         self._candidates: dict[int, Tensor] = {}
         self._windows: dict[int, _Window] = {}
         leading = self._leading(given)
@@ -171,9 +172,8 @@ class DriveSearch:
     def _leading(self, given: Mapping[str, Tensor]) -> dict[str, tuple[Tensor, References]]:
         """By each channel: some of the queries, and the rows that are nearest to them by the coarse
         scores, with those beside them."""
-        some = torch.arange(0, self._count, max(1, self._count // _SAMPLED))
         nearest: dict[str, list[Tensor]] = {name: [] for name in given}
-        for part in some.split(_SCANNED):
+        for part in torch.tensor(self._some).split(_SCANNED):
             for name, scores in self._scanned(part, given).items():
                 best = scores.topk(min(_LEADING, scores.shape[1])).indices
                 nearest[name].append(self._large.natural[best.flatten()])
@@ -191,8 +191,7 @@ class DriveSearch:
         shape = len(self._channels[name].column.shape)
         width, queries, middle = 0, given, given.shape[1] // 2
         if given.ndim > shape + 1:
-            some = given[:: max(1, self._count // _SAMPLED)]
-            references = leading[name][1]
+            some, references = given[:: self._some.step], leading[name][1]
             width = references.compare(some, self._standardised, self._sweep).width
             reach = COLUMNS.index(width) - COLUMNS.index(0)
             queries = given[:, middle - reach : middle + reach + 1]
@@ -205,10 +204,9 @@ class DriveSearch:
         """The weights of the channels by their leads, see `fusion.FusedScores`."""
         leads = dict.fromkeys(self._channels, 0.0)
         if self._count >= MIN_FRAMES and len(leads) > 1:
-            some = range(0, self._count, max(1, self._count // _SAMPLED))
             for name, (rows, references) in leading.items():
-                scale = Scale(*(of[:: some.step] for of in self._scales[name]))
-                z = scale.z(self._scores(name, some, rows, references))
+                scale = Scale(*(of[:: self._some.step] for of in self._scales[name]))
+                z = scale.z(self._scores(name, self._some, rows, references))
                 leads[name] = float(lead(z).nan_to_num(0, 0, 0).mean())
         return weights_of(leads, {name: each.trust for name, each in self._channels.items()})
 
@@ -278,10 +276,7 @@ def recognise_drives(
 ) -> Recognised:
     """The candidates of drives of queries among the rows ``where`` ``(R,)`` bool of a large map;
     ``exclude`` as for `exact.search`."""
-    own = np.zeros((len(queries), 2), np.int64)
-    if exclude is not None:
-        own = neighbours(queries.frames, large.frames, exclude)
-    rows = MapRows(large)
+    own, rows = neighbours(queries.frames, large.frames, exclude), MapRows(large)
 
     def search(run: range, standardised: bool) -> DriveSearch:
         part = slice(run.start, run.stop)

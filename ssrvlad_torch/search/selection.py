@@ -27,11 +27,15 @@ def select(frames: FrameSet, sequences: Collection[str] | None = None) -> npt.ND
     return np.fromiter((s in sequences for s in frames.sequences), bool, len(frames))
 
 
-def neighbours(queries: Sequence[str], references: FrameSet, reach: int) -> npt.NDArray[np.int64]:
+def neighbours(
+    queries: Sequence[str], references: FrameSet, reach: int | None
+) -> npt.NDArray[np.int64]:
     """The references around each query in its own sequence: ``(Q, 2)`` int64, the first of these
     rows and the one after the last, with the query's own. ``reach`` is the number of frames, from
     0, on each side of the position that the query has or would have among the references, which are
-    in natural order."""
+    in natural order; without, there are none."""
+    if reach is None:
+        return np.zeros((len(queries), 2), np.int64)
     if reach < 0:
         raise ValueError(f"the reach of neighbours must be 0 or more frames, got {reach}")
     starts: dict[str, int] = {}

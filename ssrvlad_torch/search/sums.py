@@ -8,6 +8,7 @@ were removed since, the sums are made again from the others.
 from __future__ import annotations
 
 import errno
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -17,11 +18,11 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 import numpy.typing as npt
 import torch
-from numpy.lib.format import open_memmap
+from numpy.lib import format as npy
 from torch import Tensor
 
 from ..channels.column import Column
-from ..files import read_npz, replacing
+from ..files import flush, read_npz, replacing
 from ..recognition.standardise import sums
 
 Array = npt.NDArray[Any]
@@ -82,13 +83,20 @@ class SumsWriter:
         self._names, self._of = np.unique(np.array(sequences, dtype=str), return_inverse=True)
         self._counted = {c.name: np.zeros(len(self._names), np.int64) for c in columns}
         self._totals: dict[str, np.memmap[Any, Any]] = {}
-        self._stack = ExitStack()
 
     def __enter__(self) -> Self:
-        for column in self._columns:
-            part = self._stack.enter_context(replacing(_file(self._stem, column)))
-            shape = len(self._names), *_shape(column)
-            self._totals[column.name] = open_memmap(part, "w+", np.float32, shape)
+        with ExitStack() as stack:
+            for column in self._columns:
+                part = stack.enter_context(replacing(_file(self._stem, column)))
+                shape = len(self._names), *_shape(column)
+                about = {"shape": shape, "fortran_order": False, "descr": "<f4"}
+                with part.open("wb") as stream:
+                    npy.write_array_header_1_0(stream, about)
+                    for _ in self._names:
+                        stream.write(bytes(4 * math.prod(shape[1:])))
+                flush(part)  # a full disk is an error here, and none where the file is mapped
+                self._totals[column.name] = np.load(part, mmap_mode="r+")
+            self._stack = stack.pop_all()
         return self
 
     def add(self, rows: Mapping[str, Tensor]) -> None:
