@@ -19,7 +19,7 @@ CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome") or shutil.w
 _WAIT = """new Promise((done, fail) => {
   const look = () => { try { const found = %s; if (found) done(found); else setTimeout(look, 20) }
     catch (error) { fail(error) } };
-  setTimeout(() => fail(new Error("waited a minute for " + %s)), 60000); look() })"""
+  setTimeout(() => fail(new Error("waited for " + %s)), 180000); look() })"""
 
 
 class Page:

@@ -267,6 +267,15 @@ def noisy(values, rng):
     return (values / np.linalg.norm(values, axis=-1, keepdims=True)).astype(np.float32)
 
 
+def test_a_page_without_its_worker_says_so(page, site):
+    (site / "worker.js").rename(site / "elsewhere.js")
+    try:
+        open_page(page, "?model=default.onnx")
+        assert failure(page) == "worker.js cannot run: is it beside the page?"
+    finally:
+        (site / "elsewhere.js").rename(site / "worker.js")
+
+
 @presets
 def test_the_golden_pair_the_matches_and_what_is_drawn(page, site, preset):
     labels = files_of(site)[2]

@@ -1,10 +1,8 @@
 // The page: reads files, shows pictures and a table. `?model=&database=&labels=` opens files by URL,
 // `?unchecked` does not run the golden pair.
 
-import { Core } from "./core.js";
-import { Database } from "./database.js";
 import { readLabels } from "./label_png.js";
-import { Model } from "./model.js";
+import { Remote } from "./remote.js";
 import { drawTarget, targetsOf } from "./targets.js";
 import { scoreInWords, stepsInWords } from "./words.js";
 
@@ -28,8 +26,7 @@ const open = { model: null, refusal: null, database: null, frames: [], described
 const element = (id) => document.getElementById(id);
 const bytesOf = async (file) => new Uint8Array(await file.arrayBuffer());
 const lastOf = (path) => path.split("/").pop();
-const pause = (milliseconds) => new Promise((done) => setTimeout(done, milliseconds));
-let core = null;
+const remote = new Remote();
 
 /** Opens files, by their names, as the ends of the names say, and finds the frames. */
 async function openFiles(files) {
@@ -59,7 +56,8 @@ async function openModel(file) {
   say("Loading the model …");
   Object.assign(open, { model: null, refusal: null, described: null });
   element("golden").value = "";
-  open.model = await Model.load(await bytesOf(file), !query.has("unchecked")).catch((error) => {
+  const load = remote.call("openModel", await bytesOf(file), !query.has("unchecked"));
+  open.model = await load.catch((error) => {
     throw (open.refusal = error);
   });
   element("golden").value = open.model.checked?.text ?? "The golden pair was not run.";
@@ -75,10 +73,8 @@ async function openDatabase(files, array) {
     const fingerprint = await text(`${file}.fingerprint.txt`);
     if (files[file]) channels[name] = { bytes: await bytesOf(files[file]), fingerprint };
   }
-  core ??= await Core.load();
-  open.database?.free();
   open.database = null;
-  open.database = new Database(core, frames, channels);
+  open.database = await remote.call("openDatabase", frames, channels);
 }
 
 /** ``{pixels, height, width}`` of a photograph, RGB bytes, turned upright by its EXIF. */
@@ -108,11 +104,10 @@ async function find() {
   const { drive, told } = open.described;
   let found = null;
   if (database) {
-    say(`Finding ${drive.length} frames among ${database.frames.length} …`);
-    await pause(20); // until it is on the screen
-    found = database.query(drive.map(({ channels }) => channels), model.columns, TOP);
+    say(`Finding ${drive.length} frames among ${database.count} …`);
+    found = await remote.call("query", drive.map(({ channels }) => channels), TOP);
   }
-  const steps = found && stepsInWords(found.steps, model.columns, database.frames.length);
+  const steps = found && stepsInWords(found.steps, model.columns, database.count);
   element("steps").textContent = steps ?? "";
   listDrive(drive, found);
   await show(drive, found, 0);
@@ -129,7 +124,6 @@ async function describeAll(frames) {
   for (const [at, frame] of frames.entries()) {
     if (several) say(`Describing frame ${at + 1} of ${frames.length} …`);
     progress.value = at / frames.length;
-    await pause(0);
     try {
       const seen = await see(frame);
       const { descriptor, features, hog } = seen.described;
@@ -165,7 +159,7 @@ async function see({ file }) {
   const picture = model.takesPhotos
     ? await readPhoto(file)
     : await readLabels(await bytesOf(file), model.space.classes);
-  const described = await (model.takesPhotos ? model.describePhoto(picture) : model.describe(picture));
+  const described = await remote.call("describe", picture);
   return { picture: { ...picture, labels: described.labels ?? picture.labels }, described };
 }
 
