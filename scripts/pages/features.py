@@ -65,7 +65,7 @@ def main() -> None:
 def table(described: Described) -> Iterator[str]:
     """A row for each form and network."""
     names = [*ROUTES, *OTHERS]
-    off = (f"own means off, {name}" for name in names)
+    off = (f"standardised, {name}" for name in names)
     yield from head_row("form", "network", *names, *off, "mean of the first four, both")
     for form, (levels, signs, share) in FORMS.items():
         for network in NETWORKS:
@@ -79,7 +79,7 @@ def table(described: Described) -> Iterator[str]:
 def rates(
     described: Described, network: str, name: str, levels: tuple[str, ...], signs: int
 ) -> tuple[float, float]:
-    """RecallRate@1 of the queries of a route by a form of features, raw and with own means off."""
+    """RecallRate@1 of the queries of a route by a form of features, raw and with standardised."""
     queries, references, truth = route(described.data, name)
     noise = [getattr(means(described, network, "noise"), level) for level in levels]
     made = stage.Features(*noise)

@@ -33,7 +33,7 @@ MEMBERS = (OURS, FEATURES, "HOG")
 SUMMED = (*MEMBERS, *reversed(FUSED))
 WAYS = {
     "Picture by picture": ALONE,
-    "Own means off": Steps(follow=None),
+    "Standardised": Steps(follow=None),
     "Followed online": Steps(follow="online"),
 }
 
