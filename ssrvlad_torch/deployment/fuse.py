@@ -1,9 +1,11 @@
 """Fuse: a segmentation network and the head in one ONNX file, from pictures to descriptors."""
 
+from __future__ import annotations
+
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +26,9 @@ from .label_graph import EXAMPLE, label_graph
 from .metadata import PREFIX, Arrays, Metadata
 from .runtimes import Run, runtime_of
 from .trace import interface, join, opset, with_opset
+
+if TYPE_CHECKING:
+    import onnx
 
 NETWORK = f"{PREFIX}network"
 """The property of a fused file that holds its `FusedNetwork`."""
@@ -153,12 +158,7 @@ def _fuse(
     extra = {NETWORK: json.dumps(asdict(fused))}
     extra |= {PREFIX + name: fingerprint for name, fingerprint in fused.channels.items()}
     if head_path is None:
-        first = list(model.graph.output)
-        parts = [model, with_opset(head_part, opset(model))]
-        model = join(parts, ["", HEAD], [[(LABELS, f"{HEAD}{LABELS}")]])
-        last = [value for value in model.graph.output if value.name not in OF_PICTURES]
-        del model.graph.output[:]
-        model.graph.output.extend([*last, *first])
+        model = _joined(model, head_part)
     form = interface(model)
 
     def describe(file: Path) -> dict[str, str]:
@@ -173,6 +173,17 @@ def _fuse(
         with replacing(head_path) as temporary:
             temporary.write_bytes(head_part.SerializeToString())
     return fused
+
+
+def _joined(network: onnx.ModelProto, head: onnx.ModelProto) -> onnx.ModelProto:
+    """A network and the head of its labels; the outputs of the head come first."""
+    first = list(network.graph.output)
+    parts = [network, with_opset(head, opset(network))]
+    model = join(parts, ["", HEAD], [[(LABELS, f"{HEAD}{LABELS}")]])
+    last = [value for value in model.graph.output if value.name not in OF_PICTURES]
+    del model.graph.output[:]
+    model.graph.output.extend([*last, *first])
+    return model
 
 
 def _golden_image(segmenter: Segmenter, features: bool) -> Arrays:

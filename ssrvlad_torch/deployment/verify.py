@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -155,33 +155,20 @@ def _verify(
     text = properties.get(NETWORK)
     fused = FusedNetwork(**parse_json(text, NETWORK)) if text else None
     result = _begun(metadata, module, fused, runtime, path)
-    golden, source = metadata.golden_arrays(), path
-    own = fused.channels if fused else {}
-    for name in OF_PICTURES:
-        if properties.get(PREFIX + name, "") != own.get(name, "") or (name in golden) != (
-            name in own
-        ):
-            problem = f"{name}: not what the properties {PREFIX}{name} and {NETWORK} name"
-            result.problems.append(problem)
+    golden = metadata.golden_arrays()
+    result.problems += _problems_of_channels(properties, golden, fused.channels if fused else {})
     if fused:
-
-        def judge(name: str, got: Arrays) -> Check:
-            if problem := problem_of_network(got, golden):
-                return Check(name, np.inf, problem)
-            expected = outputs_of(module, got[LABELS]) if "descriptor" in golden else {}
-            return compare(name, got, expected)
-
+        judge = partial(_judge_image, golden=golden, module=module)
         image = {IMAGE: golden[IMAGE]}
         result.add(_File(runtime, path).check("golden image", image, judge))
         if "descriptor" not in golden:
             return result
         model = _head_of(model)
-        source = model.SerializeToString()
-    head, value = _File(runtime, source), model.graph.input[0]
+    head = _File(runtime, model.SerializeToString() if fused else path)
+    value = model.graph.input[0]
     given = {value.name: golden.pop(value.name)}
     expected = {name: golden[name] for name in golden if name not in (IMAGE, *OF_PICTURES)}
-    expected = expected or outputs_of(module, given[value.name])
-    judge_pair = partial(compare, expected=expected)
+    judge_pair = partial(compare, expected=expected or outputs_of(module, given[value.name]))
     if runtime.plain:
         plain = _File(runtime.plain, model.SerializeToString())
         check = plain.check(f"golden pair, {runtime.plain.name}", given, judge_pair)
@@ -198,6 +185,25 @@ def _verify(
         if progress:
             progress(1)
     return result
+
+
+def _problems_of_channels(
+    properties: Mapping[str, str], golden: Arrays, own: Mapping[str, str]
+) -> Iterator[str]:
+    """Where the channels of pictures that a file names, and its golden arrays, are not those that
+    its network has."""
+    for name in OF_PICTURES:
+        named = properties.get(PREFIX + name, "") == own.get(name, "")
+        if not named or (name in golden) != (name in own):
+            yield f"{name}: not what the properties {PREFIX}{name} and {NETWORK} name"
+
+
+def _judge_image(name: str, got: Arrays, golden: Arrays, module: SSRVLAD) -> Check:
+    """Compares the outputs of the golden image with the recorded ones, and its descriptor with that
+    of the labels that the runtime gives it."""
+    if problem := problem_of_network(got, golden):
+        return Check(name, np.inf, problem)
+    return compare(name, got, outputs_of(module, got[LABELS]) if "descriptor" in golden else {})
 
 
 def _begun(
