@@ -2,7 +2,7 @@
 """Loop closures in a live stream with an exported or fused file: images in, loops out.
 
 python export/loops_onnx.py place.onnx images/monday
-camera | python export/loops_onnx.py place.onnx -
+your-camera | python export/loops_onnx.py place.onnx -
 
 Prints a JSON object a line for every frame, as `ssrvlad loops --json` does: `frame`, `reason`,
 `candidate`, `score`, `probability`, `ahead`, `candidates`. `-` reads names of files on stdin, one a
@@ -80,14 +80,14 @@ def run(options: argparse.Namespace) -> int:
             if frame in done:
                 raise ValueError(f"frame {frame} was there before")
             seen = model.see(path)
+            if stream is None:
+                stream = stream_of(seen, model, config)
+            starts = not frames or frame.rpartition("/")[0] != frames[-1].rpartition("/")[0]
+            found = stream.update(seen.channels, starts=starts)
         except ValueError as error:
             note(f"{path}: {one_line(error)}")
             skipped += 1
             continue
-        if stream is None:
-            stream = stream_of(seen, model, config)
-        starts = not frames or frame.rpartition("/")[0] != frames[-1].rpartition("/")[0]
-        found = stream.update(seen.channels, starts=starts)
         print(json.dumps(line_of(frame, found, frames)), flush=True)
         frames.append(frame)
         done.add(frame)

@@ -1,9 +1,14 @@
 """The C++ header and its example against the module; needs CMake, zlib and the headers of ONNX
 Runtime: in the folder that ORT_ROOT names, or as a CMake package."""
 
+import base64
 import json
+import math
 import os
 import shutil
+import signal
+import subprocess
+import zlib
 from functools import partial
 from pathlib import Path
 
@@ -122,6 +127,7 @@ def test_wrong_use_is_one_line(place, head, town, tmp_path):
         ((head, labels, labels), "expected an (R, D) array of float32"),
         (("--network", head, head, labels), "expected a network and a head"),
         ((head, labels, base, "many"), "TOP"),
+        ((head, labels, base, 0), "TOP"),
     ]:
         code, _, errors = place(*arguments)
         assert (code, len(errors)) == (2, 1), (arguments, errors)
@@ -220,6 +226,12 @@ def test_a_runtime_that_gets_the_golden_pair_wrong_is_refused(place, drive, tmp_
         assert place("--unchecked", *model, photograph)[0] == 0
 
 
+def as_bytes(golden):
+    """Records the descriptor as numbers of one byte."""
+    content = zlib.compress(bytes(math.prod(golden["descriptor"]["shape"])))
+    golden["descriptor"].update(dtype="uint8", data=base64.b64encode(content).decode())
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -229,6 +241,8 @@ def test_a_runtime_that_gets_the_golden_pair_wrong_is_refused(place, drive, tmp_
         (lambda golden: golden["labels"].update(dtype="text"), "the golden pair is damaged"),
         (lambda golden: golden.pop("labels"), "no golden pair for input labels"),
         (lambda golden: golden.update(labels=3), "the golden pair is damaged"),
+        (lambda golden: golden.pop("descriptor"), "no golden pair for input labels"),
+        (as_bytes, "is computed wrong here"),
     ],
 )
 def test_a_damaged_golden_pair_is_one_line(place, drive, tmp_path, change, message):
@@ -236,7 +250,77 @@ def test_a_damaged_golden_pair_is_one_line(place, drive, tmp_path, change, messa
     np.save(tmp_path / "map.npy", np.zeros((4, 5), np.uint8))
     code, _, (line,) = place(tmp_path / "x.onnx", tmp_path / "map.npy")
     assert code == 2
-    assert message in line
+    assert message in line and "x.onnx" in line
+
+
+DESCR, ORDER = "'descr': '|u1', ", "'fortran_order': False, "
+
+
+@pytest.mark.parametrize(
+    ("header", "message"),
+    [
+        (f"{{'descr': '{'u' * 400_000}', {ORDER}'shape': (4, 5)}}", "expected numbers of up to 8"),
+        (f"{{{DESCR}{ORDER}'shape': ({'1, ' * 200_000})}}", "its header is damaged"),
+        (f"{{{DESCR}{ORDER}'shape': ({'9' * 23}, 5)}}", "its header is damaged"),
+        (f"{{{DESCR}{ORDER}'shape': ({2**40}, {2**40})}}", "the length does not fit the shape"),
+        (f"{{{DESCR}{ORDER}}}", "its header is damaged"),
+        (f"{{'descr': '>i4', {ORDER}'shape': (4, 5)}}", "little-endian, got >i4"),
+        (f"{{'descr': [('x', '<i4')], {ORDER}'shape': (4, 5)}}", "of numbers, got records"),
+        (f"{{{DESCR}'fortran_order': True, 'shape': (4, 5)}}", "expected C order"),
+    ],
+    ids=range(8),
+)
+def test_a_damaged_array_is_one_line(place, head, tmp_path, header, message):
+    length = len(header).to_bytes(4, "little")
+    content = b"\x93NUMPY\x02\x00" + length + header.encode() + bytes(20)
+    (tmp_path / "x.npy").write_bytes(content)
+    code, lines, (line,) = place(head, tmp_path / "x.npy")
+    assert (code, lines) == (2, [])
+    assert f"x.npy: {message}" in line or ("x.npy: " in line and message in line)
+
+
+def test_a_picture_that_is_shorter_than_its_header_says_is_one_line(place, head, tmp_path):
+    (tmp_path / "x.pgm").write_bytes(b"P5 1048576 1048576 255\n")
+    assert place(head, tmp_path / "x.pgm")[2] == [f"place: {tmp_path / 'x.pgm'}: ends too early"]
+
+
+def test_frames_have_the_order_and_the_ids_of_python(follow, main_of, head, town, tmp_path):
+    """Files of one folder, a folder named twice, another spelling of it, and a second frame."""
+    drive = tmp_path / "drive"
+    drive.mkdir()
+    for name in ("10", "9", "001", "01", "1", "b2", "a10", "12.5", "12.25"):
+        shutil.copy(tmp_path / "map.npy", drive / f"{name}.npy")
+    shutil.copy(tmp_path / "map.npy", drive / "2.NPY")
+    shutil.copy(tmp_path / "map.pgm", drive / "9.pgm")
+    for sources in ([drive], [*drive.glob("*.npy")], [drive, drive / ".." / "drive"]):
+        code, lines, errors = follow(head, tmp_path / "town.npy", 1, *sources)
+        program = (head, *sources, "--database", tmp_path / "town.npy", "--top", 1, "--json")
+        expected = main_of(follow_onnx.main, "x", *program)[1].splitlines()
+        assert [json.loads(line)["query"] for line in lines] == [
+            json.loads(line)["query"] for line in expected
+        ]
+        assert code == 0 and all(": a second frame drive/" in line for line in errors)
+        assert bool(errors) == (len(sources) < 9)
+
+
+def test_a_database_that_was_written_on_windows_is_read(place, head, town, tmp_path):
+    base = tmp_path / "town.npy"
+    expected = place(head, tmp_path / "map.npy", base, 4)
+    for name in ("frames", "fingerprint"):
+        file = Path(f"{base}.{name}.txt")
+        file.write_bytes(file.read_bytes().replace(b"\n", b"\r\n"))
+    assert place(head, tmp_path / "map.npy", base, 4) == expected
+
+
+def test_output_that_cannot_be_written_is_an_error(build, head, town, stream, tmp_path):
+    for program, arguments in (
+        ("place", (head, tmp_path / "map.npy")),
+        ("follow", (head, tmp_path / "town.npy", 1, stream)),
+        ("loops", (head, stream)),
+    ):
+        command = " ".join(map(str, (build / program, *arguments)))
+        code, _, (*_, line) = outcome("bash", "-c", f"{command} > /dev/full")
+        assert (code, line) == (2, f"{program}: standard output cannot be written")
 
 
 def as_arrays(folder, source):
@@ -320,8 +404,9 @@ def test_wrong_use_of_follow_is_one_line(follow, head, town, tmp_path):
     for arguments, message in [
         ((head, base, 5), "usage: follow"),
         (("--strange", head, base, 5, maps), "usage: follow"),
-        ((head, base, "many", maps), "expected a number, got many"),
-        ((head, base, 0, maps), "TOP: expected 1 or more, got 0"),
+        ((head, base, "many", maps), "TOP: expected a whole number from 1 to 999999999, got many"),
+        ((head, base, 0, maps), "TOP: expected a whole number from 1 to 999999999, got 0"),
+        (("--online", -1, head, base, 5, maps), "DELAY: expected a whole number from 0"),
         ((head, base, 5, tmp_path / "nowhere"), "nowhere does not exist"),
         ((head, base, 5, tmp_path / "empty"), "empty holds no frames"),
         ((head, tmp_path / "no.npy", 5, maps), "no.npy: cannot be read"),
@@ -395,6 +480,9 @@ def test_a_stream_is_saved_in_one_array_and_goes_on(loops, drives, head, stream,
     np.testing.assert_allclose(saved["ssr-vlad"], SSRVLAD(CONFIG)(maps), atol=1e-6)
     np.testing.assert_array_equal(saved[CONFIG.fingerprint], saved["ssr-vlad"])
     assert np.isnan(saved["stamp"]).all()
+    code, lines, errors = loops(*given, head, stream)
+    omitted = f"omitted {len(SEEDS)} frames: {memory} has their ids"
+    assert (code, lines, errors) == (0, [], [omitted])
     code, _, (line,) = loops("--memory", memory, drives / "place.onnx", stream)
     assert code == 2 and "memory.npy has other" in line
     for content, message in (
@@ -413,22 +501,68 @@ def test_wrong_use_of_loops_is_one_line(loops, head, stream, tmp_path):
     for arguments, message in [
         ((head,), "usage: loops"),
         (("--strange", head, stream), "usage: loops"),
-        (("--exclude", "few", head, stream), "expected a number from 0, got few"),
-        (("--threshold", -1, head, stream), "expected a number from 0, got -1"),
-        (("--threshold", 2, head, stream), "a threshold from 0 to 1, got 50 and 2"),
+        (("--exclude", "few", head, stream), "--exclude: expected a whole number from 0"),
+        (("--exclude", 2.7, head, stream), "--exclude: expected a whole number from 0"),
+        (("--threshold", -1, head, stream), "expected a number from 0 to 1, got -1"),
+        (("--threshold", 2, head, stream), "expected a number from 0 to 1, got 2"),
         ((head, tmp_path / "empty"), "empty holds no frames"),
+        (("--memory", tmp_path / "no" / "x.npy", head, stream), "x.npy: cannot be written"),
     ]:
         code, lines, errors = loops(*arguments)
         assert (code, lines, len(errors)) == (2, [], 1), (arguments, errors)
         assert message in errors[0]
 
 
+def test_a_stream_that_is_interrupted_is_saved(build, head, stream, tmp_path):
+    command = [build / "loops", "--memory", tmp_path / "memory.npy", head, *[stream] * 1]
+    with subprocess.Popen([*map(str, command)], stdout=subprocess.PIPE, text=True) as process:
+        first = process.stdout.readline()
+        process.send_signal(signal.SIGINT)
+        lines = [first, *process.stdout]
+    saved = np.load(tmp_path / "memory.npy")["frame"]
+    assert [json.loads(line)["frame"].encode() for line in lines] == saved.tolist()
+    assert process.returncode == (130 if len(lines) < len(SEEDS) else 0)
+
+
 CONSUMER = r"""
+#include <ssrvlad/loops.hpp>
 #include <ssrvlad/map.hpp>
 #include <thread>
 
+// Whether a job is refused with a reason that has some words.
+template <typename Job>
+bool refused(const Job& job, const std::string& words) {
+  try {
+    job();
+  } catch (const std::runtime_error& error) {
+    return std::string(error.what()).find(words) != std::string::npos;
+  }
+  return false;
+}
+
 int main(int count, char** files) {
+  if (count < 2) return ssrvlad::Loops({}).size() != 0;
   const ssrvlad::Place place(files[1]);
+  if (count > 3) {  // frames as no model describes them; the stream stays as it was
+    const std::vector<std::int64_t> labels(12 * 9, 0);
+    auto seen = place.describe(labels.data(), 12, 9), other = seen;
+    ssrvlad::Loops loops(place.fingerprints());
+    const ssrvlad::Map town(files[2], place.fingerprints());
+    other.descriptor.assign(479, 1.0F);
+    other.length = 479;
+    bool right = refused([&] { loops.update("a/1", other); }, "length 1");
+    right = right && refused([&] { loops.update("a/1", {}); }, "as of Place::describe");
+    other = seen;
+    other.features.resize(3);
+    right = right && refused([&] { loops.update("a/1", other); }, "as of Place::describe");
+    const auto online = ssrvlad::Follow::kOnline;
+    right = right && refused([&] { town.query({seen}, online, -1); }, "a delay from 0");
+    right = right && refused([&] { town.locate(seen, 0); }, "expected 1 candidate or more");
+    std::fill(other.descriptor.begin(), other.descriptor.end(), 0.0F);
+    right = right && !town.locate(other).found() && town.locate(seen, std::size_t{1} << 62).found();
+    loops.update("a/1", seen);
+    return !right || loops.size() != 1;
+  }
   if (count > 2) return ssrvlad::Map(files[2], place.fingerprints()).size() != 2;
   const std::vector<std::int64_t> labels(12 * 9, 0);
   ssrvlad::Described found[2];
@@ -449,7 +583,7 @@ def test_a_project_finds_the_installed_package(build, tmp_path):
     (source / "main.cpp").write_text(CONSUMER)
     (source / "CMakeLists.txt").write_text(
         "cmake_minimum_required(VERSION 3.16)\nproject(consumer LANGUAGES CXX)\n"
-        "find_package(ssrvlad_place REQUIRED)\nfind_package(Threads REQUIRED)\n"
+        "find_package(ssrvlad_place 1.0 REQUIRED)\nfind_package(Threads REQUIRED)\n"
         "add_executable(consumer main.cpp)\n"
         "target_link_libraries(consumer PRIVATE ssrvlad::map Threads::Threads)\n"
     )
@@ -462,8 +596,11 @@ def test_a_project_finds_the_installed_package(build, tmp_path):
     np.testing.assert_allclose(np.array(lines, float), expected, atol=1e-6)
     write_database(tmp_path / "two.npy", torch.eye(480)[:2], "a")
     assert outcome(made / "consumer", tmp_path / "wide.onnx", tmp_path / "two.npy") == (0, [], [])
+    assert outcome(made / "consumer", tmp_path / "wide.onnx", tmp_path / "two.npy", "x")[0] == 0
+    assert outcome(made / "consumer")[0] == 0
     header = installed / "include" / "ssrvlad" / "ssrvlad.h"
     header.write_text(header.read_text().replace("SSRVLAD_INTERFACE 1", "SSRVLAD_INTERFACE 2"))
     cmake("--build", made)
     code, _, errors = outcome(made / "consumer", tmp_path / "wide.onnx", tmp_path / "two.npy")
     assert code and "the library ssrvlad has interface 1, the program is of 2" in "".join(errors)
+    assert outcome(made / "consumer")[0] != 0

@@ -24,6 +24,7 @@ from networks import PLAIN, colour_network, photo
 from PIL import Image
 from segmenting import write_drives, write_image, write_town
 from ssrvlad_place.database import save
+from ssrvlad_place.frames import _natural
 from ssrvlad_place.model import Seen
 
 from ssrvlad_torch import SSRVLAD, Segmenter, SSRVLADConfig, export_head, match
@@ -268,12 +269,12 @@ def noisy(values, rng):
 
 
 def test_a_page_without_its_worker_says_so(page, site):
-    (site / "worker.js").rename(site / "elsewhere.js")
-    try:
-        open_page(page, "?model=default.onnx")
-        assert failure(page) == "worker.js cannot run: is it beside the page?"
-    finally:
-        (site / "elsewhere.js").rename(site / "worker.js")
+    (site / "alone").mkdir()
+    for file in [*site.glob("*.js"), site / "index.html"]:
+        if file.name != "worker.js":
+            shutil.copy(file, site / "alone")
+    page.open(page.address.replace("index", "alone/index") + "?model=../default.onnx", "true")
+    assert failure(page) == "worker.js cannot run: is it beside the page?"
 
 
 @presets
@@ -582,6 +583,11 @@ def test_label_pictures_are_read_bit_by_bit(page, site):
     for name in PALETTES.keys() - pictures:
         with pytest.raises(AssertionError, match="the palette shows index"):
             page.run(reading(name))
+    content = (site / "gray8.png").read_bytes()
+    at = content.index(b"IHDR") + 7  # the last byte of the width
+    (site / "damaged.png").write_bytes(content[:at] + b"\x02" + content[at + 1 :])
+    with pytest.raises(AssertionError, match="the PNG is damaged: wrong checksum of IHDR"):
+        page.run(reading("damaged"))
 
 
 def reading(name):
@@ -591,6 +597,53 @@ def reading(name):
         const file = await answer.arrayBuffer();
         return Array.from((await readLabels(new Uint8Array(file), {CLASSES})).labels);
     }})()"""
+
+
+def test_frames_have_the_order_of_encode(page):
+    names = ["000010-1", "000010", "a1", "B1", "img_2", "img-1", "12.5", "12.25", "2", "10"]
+    names += ["001", "01", "1", "02", "e\u0301", "\u00e9", "z", "frame10", "frame9"]
+    open_page(page)
+    order = f"import('./frames.js').then(({{ inOrder }}) => {json.dumps(names)}.sort(inOrder))"
+    assert page.run(order) == sorted(names, key=_natural)
+
+
+def test_a_gray_label_map_is_no_photograph(page, site):
+    fuse(Segmenter(colour_network(), SPACE, PLAIN), CONFIGS["default"], site / "place.onnx")
+    Image.fromarray(street(1, 60, 90).astype(np.uint8)).save(site / "gray.png")
+    open_page(page, "?model=place.onnx&labels=gray.png")
+    assert failure(page) == "gray.png: expected a photograph, got a label map"
+
+
+def test_a_core_that_stops_is_replaced(page, site):
+    """NaN stops it; the worker says so, and opens the database again."""
+    open_page(page)
+    answers = page.run("""(async () => {
+        const { Remote } = await import('./remote.js');
+        const remote = new Remote(), told = [];
+        const bytes = async (name) => new Uint8Array(await (await fetch(name)).arrayBuffer());
+        const text = await (await fetch('default.npy.frames.txt')).text();
+        const ids = text.replaceAll('\\n', '\\r\\n').trimEnd();
+        const open = async () => remote.call('openDatabase', ids,
+            { descriptor: { bytes: await bytes('default.npy') } });
+        const say = (error) => told.push(error.message);
+        const drive = (value) => [{ descriptor: new Float32Array(480).fill(value) }];
+        await remote.call('openModel', await bytes('default.onnx'), false);
+        told.push((await open()).count);
+        await remote.call('query', drive(NaN), 3).catch(say);
+        await remote.call('query', drive(1), 3).catch(say);
+        await open();
+        told.push((await remote.call('query', drive(1), 3)).answers[0].candidates.length);
+        const short = { descriptor: new Float32Array(9) };
+        await remote.call('query', [...drive(1), short], 3).catch(say);
+        return told;
+    })()""")
+    assert answers == [
+        6,
+        "the core stopped in ssrvlad_map_query, for want of memory or by what it was given",
+        "the database is closed, for the core stopped: open it again",
+        3,
+        "expected a database of 9 numbers a frame, got 480",
+    ]
 
 
 def test_nothing_is_wider_than_the_window(page, site, tmp_path):

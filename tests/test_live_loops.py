@@ -120,6 +120,35 @@ def test_frames_are_kept_and_gone_on_from(tmp_path, monkeypatch):
     assert stored.known()[f"drive/{0:019d}"].digest == digest(labels)
 
 
+def test_a_checkpoint_that_cannot_be_written_costs_no_result(tmp_path, monkeypatch):
+    """It is said once, and tried again at the next one."""
+    monkeypatch.setattr(live_loops, "CHECKPOINT_FRAMES", 6)
+    expected, core, full = seen(labelled()), labelled(memory=tmp_path / "drive.ssrdb"), [True]
+    save, told = core.save, []
+
+    def save_if_there_is_room():
+        if full:
+            raise OSError("no space left on device")
+        save()
+
+    monkeypatch.setattr(core, "save", save_if_there_is_room)
+    update = core.update
+
+    def noted(*given):
+        told.append(update(*given))
+        return told[-1]
+
+    monkeypatch.setattr(core, "update", noted)
+    got = seen(core, SEEDS[:14])
+    full.clear()
+    got += seen(core, SEEDS[14:], 14)
+    assert [result.frame for result in got] == [result.frame for result in expected]
+    unsaved = [number for number, each in enumerate(told) if each.unsaved]
+    assert unsaved == [5, 11]
+    assert told[5].unsaved == "no space left on device"
+    assert len(Database.open(tmp_path / "drive.ssrdb")) == len(SEEDS) // 6 * 6
+
+
 def test_a_memory_of_other_frames_is_refused(tmp_path):
     head = SSRVLAD.from_preset("default", labels_as=label_table.LABELS_AS)
     Database.create(tmp_path / "db", head.config).append(["monday/a"], head(street(0)[None]))

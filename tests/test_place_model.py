@@ -101,6 +101,7 @@ def test_a_runtime_that_gets_the_golden_pair_wrong_is_refused(head, maps, fused,
     [
         (lambda golden: golden["labels"].update(shape=[1 << 20, 1 << 20]), "at most 64 MiB"),
         (lambda golden: golden.pop("labels"), "no golden pair for input labels"),
+        (lambda golden: golden.pop("descriptor"), "no golden pair for input labels"),
         (lambda golden: golden["labels"].update(data="AAAA"), "run_onnx: "),
     ],
 )

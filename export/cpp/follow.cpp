@@ -10,6 +10,7 @@
 
 #include "frames.hpp"
 #include "map.hpp"
+#include "program.hpp"
 
 namespace {
 
@@ -20,12 +21,6 @@ struct Options {
   std::int64_t delay = 0;
   std::vector<std::string> rest;
 };
-
-std::int64_t number(const std::string& text) {
-  if (text.empty() || text.size() > 9 || text.find_first_not_of("0123456789") != text.npos)
-    throw std::runtime_error("expected a number, got " + text);
-  return std::stoll(text);
-}
 
 Options parsed(const std::vector<std::string>& arguments) {
   Options options;
@@ -39,7 +34,7 @@ Options parsed(const std::vector<std::string>& arguments) {
       options.network = arguments[++at];
     } else if (each == "--online" && at + 1 < arguments.size()) {
       options.follow = ssrvlad::Follow::kOnline;
-      options.delay = number(arguments[++at]);
+      options.delay = program::number("DELAY", arguments[++at]);
     } else {
       options.rest.push_back(each);
     }
@@ -63,13 +58,9 @@ void print(const std::string& frame, bool empty, const ssrvlad::Answer& answer) 
 
 int run(const Options& options) {
   const auto& files = options.rest;
-  const Ort::SessionOptions session;  // append a provider for the network here
-  const auto place = options.network.empty()
-                         ? ssrvlad::Place(files[0], session, options.check)
-                         : ssrvlad::Place(options.network, files[0], session, options.check);
+  const auto place = program::opened(options.network, files[0], options.check);
   const ssrvlad::Map town(files[1], place.fingerprints());
-  const auto top = static_cast<std::size_t>(number(files[2]));
-  if (!top) throw std::runtime_error("TOP: expected 1 or more, got 0");
+  const auto top = static_cast<std::size_t>(program::number("TOP", files[2], 1));
   const auto frames = ssrvlad::find_frames({files.begin() + 3, files.end()}, place.takes_photographs());
   std::size_t skipped = 0;
   for (std::size_t first = 0, last = 0; first < frames.size(); first = last) {
@@ -89,18 +80,11 @@ int run(const Options& options) {
       print(names[at], empty, answers[at]);
     }
   }
-  if (!skipped) return 0;
-  std::cerr << "skipped " << skipped << " of " << frames.size() << " frames\n";
-  return 3;
+  return program::finished(skipped, frames.size());
 }
 
 }  // namespace
 
 int main(int count, char** values) {
-  try {
-    return run(parsed({values + 1, values + count}));
-  } catch (const std::exception& error) {
-    std::cerr << "follow: " << error.what() << "\n";
-    return 2;
-  }
+  return program::run("follow", [&] { return run(parsed({values + 1, values + count})); });
 }

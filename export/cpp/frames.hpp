@@ -9,10 +9,13 @@
 #include <cstdio>
 #include <filesystem>
 #include <fstream>
+#include <iostream>
 #include <map>
+#include <set>
 #include <stdexcept>
 #include <string>
 #include <tuple>
+#include <utility>
 #include <vector>
 
 #include "npy.hpp"
@@ -41,15 +44,24 @@ inline npy::Array load_netpbm(const std::string& path, bool colour) {
         path + ": expected a binary " +
         (colour ? "PPM whose largest value is 255" : "PGM of 8 bits") + ", without comments");
   file.get();
-  npy::Array map{"|u1", {height, width}, std::vector<char>(width * height * (colour ? 3 : 1))};
+  const auto size = static_cast<std::size_t>(width * height * (colour ? 3 : 1));
+  if (std::filesystem::file_size(path) < size) throw std::runtime_error(path + ": ends too early");
+  npy::Array map{"|u1", {height, width}, std::vector<char>(size)};
   if (colour) map.shape.push_back(3);
   if (!file.read(map.bytes.data(), static_cast<std::streamsize>(map.bytes.size())))
     throw std::runtime_error(path + ": ends too early");
   return map;
 }
 
+// The end of the name of a file, in small letters.
+inline std::string suffix(const std::filesystem::path& path) {
+  auto end = path.extension().string();
+  for (char& letter : end) letter = static_cast<char>(std::tolower(static_cast<unsigned char>(letter)));
+  return end;
+}
+
 inline npy::Array load_frame(const std::string& path, bool photograph) {
-  const bool is_netpbm = std::filesystem::path(path).extension() == (photograph ? ".ppm" : ".pgm");
+  const bool is_netpbm = suffix(path) == (photograph ? ".ppm" : ".pgm");
   auto map = is_netpbm ? load_netpbm(path, photograph) : npy::load(path);
   const bool fits = photograph ? map.shape.size() == 3 && map.shape[2] == 3 && map.dtype == "|u1"
                                : map.shape.size() == 2 && (map.dtype == "|u1" || map.dtype == "<i4" ||
@@ -86,17 +98,19 @@ inline std::vector<std::tuple<bool, std::string>> natural(std::string name) {
 
 }  // namespace detail
 
-// The frames in folders, or single files; those of a folder in natural order.
+// The frames in folders, or single files; those of a folder in natural order. A second frame of one id is
+// left out, and named on stderr.
 inline std::vector<Frame> find_frames(const std::vector<std::string>& sources, bool photographs) {
-  std::vector<Frame> frames;
-  std::map<std::string, std::filesystem::path> folders;
-  for (const std::filesystem::path source : sources) {
-    std::vector<std::filesystem::path> files;
-    if (!std::filesystem::exists(source))
+  namespace fs = std::filesystem;
+  std::map<std::string, fs::path> folders;
+  std::vector<std::pair<std::string, std::vector<fs::path>>> drives;
+  for (const fs::path source : sources) {
+    std::vector<fs::path> files;
+    if (!fs::exists(source))
       throw std::runtime_error(source.string() + " does not exist; expected a file or a folder of frames");
-    if (std::filesystem::is_directory(source)) {
-      for (const auto& entry : std::filesystem::directory_iterator(source)) {
-        const auto end = entry.path().extension();
+    if (fs::is_directory(source)) {
+      for (const auto& entry : fs::directory_iterator(source)) {
+        const auto end = detail::suffix(entry.path());
         if (entry.path().filename().string()[0] != '.' &&
             (end == ".npy" || end == (photographs ? ".ppm" : ".pgm")))
           files.push_back(entry.path());
@@ -105,29 +119,48 @@ inline std::vector<Frame> find_frames(const std::vector<std::string>& sources, b
       files.push_back(source);
     }
     if (files.empty()) throw std::runtime_error(source.string() + " holds no frames");
-    std::sort(files.begin(), files.end(), [](const auto& one, const auto& other) {
-      return detail::natural(one.stem().string()) < detail::natural(other.stem().string());
-    });
-    const auto folder = std::filesystem::absolute(files[0]).parent_path();
+    const auto folder = fs::absolute(files[0]).lexically_normal().parent_path();
     const auto name = folder.filename().string();
-    if (folders.emplace(name, folder).first->second != folder)
+    const auto known = folders.emplace(name, fs::weakly_canonical(folder));
+    if (known.first->second != fs::weakly_canonical(folder))
       throw std::runtime_error(folders[name].string() + " and " + folder.string() + " have one name");
-    for (const auto& file : files) frames.push_back({name + "/" + file.stem().string(), file});
+    if (known.second) drives.emplace_back(name, std::vector<fs::path>{});
+    for (auto& [drive, own] : drives)
+      if (drive == name) own.insert(own.end(), files.begin(), files.end());
+  }
+  std::vector<Frame> frames;
+  std::set<std::string> ids;
+  for (auto& [name, files] : drives) {
+    std::sort(files.begin(), files.end(), [](const auto& one, const auto& other) {
+      const auto key = [](const auto& file) {
+        const auto stem = file.stem().string();
+        return std::pair(detail::natural(stem), stem);
+      };
+      return key(one) < key(other);
+    });
+    for (const auto& file : files) {
+      const auto id = name + "/" + file.stem().string();
+      if (ids.insert(id).second)
+        frames.push_back({id, file});
+      else
+        std::cerr << file.string() << ": a second frame " << id << ", left out\n";
+    }
   }
   return frames;
 }
 
 // The descriptors of a frame in a file.
 inline Described describe(const Place& place, const std::string& path) {
-  const auto map = detail::load_frame(path, place.takes_photographs());
   try {
+    const auto map = detail::load_frame(path, place.takes_photographs());
     if (map.dtype == "<i4")
       return place.describe(map.as<std::int32_t>(), map.shape[0], map.shape[1]);
     if (map.dtype == "<i8")
       return place.describe(map.as<std::int64_t>(), map.shape[0], map.shape[1]);
     return place.describe(map.as<std::uint8_t>(), map.shape[0], map.shape[1]);
   } catch (const std::exception& error) {
-    throw std::runtime_error(path + ": " + error.what());
+    const std::string reason = error.what();
+    throw std::runtime_error(reason.compare(0, path.size(), path) ? path + ": " + reason : reason);
   }
 }
 

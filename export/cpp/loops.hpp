@@ -7,8 +7,8 @@
 //     loops.save("drive.npy");
 //     auto tomorrow = ssrvlad::Loops::load("drive.npy", place.fingerprints());
 //
-// Header-only, C++17, over the core's ssrvlad_loops.h and place.hpp. Errors are std::runtime_error. A
-// stream belongs to one thread at a time.
+// Header-only, C++17, over the core's ssrvlad_loops.h and place.hpp. Errors are std::runtime_error, or
+// std::bad_alloc. A stream belongs to one thread at a time.
 //
 // A saved stream is one .npy array of records, which NumPy reads as `np.load("drive.npy")["ssr-vlad"]`:
 // of each frame its id `frame`, its `stamp`, float64 seconds, NaN where it is not known, and the
@@ -33,6 +33,7 @@
 #include <utility>
 #include <vector>
 
+#include "interface.hpp"
 #include "place.hpp"
 #include "ssrvlad_loops.h"
 
@@ -67,6 +68,7 @@ class Loops {
   // A stream without frames. The fingerprints are those of the model that describes its frames.
   explicit Loops(Fingerprints model, LoopSettings settings = {})
       : model_(std::move(model)), settings_(settings) {
+    detail::require_interface();
     if (settings.exclude < 0 || !(settings.threshold >= 0 && settings.threshold <= 1))
       throw std::runtime_error("expected exclude from 0 and a threshold from 0 to 1, got " +
                                std::to_string(settings.exclude) + " and " +
@@ -148,8 +150,11 @@ class Loops {
   // Takes the next frame, with a result or as one that is known.
   void take(const std::string& frame, const Described& seen, double stamp, ssrvlad_loop* found) {
     const auto sequence = checked(frame, stamp);
+    if (!seen.length || seen.descriptor.size() % seen.length ||
+        (!seen.features.empty() && seen.features.size() != kSigns))
+      throw std::runtime_error("frame " + frame + ": expected a frame as of Place::describe");
     const auto channels = channels_of(seen);
-    if (!stream_) open(channels);
+    if (frames_.empty()) open(channels);
     require_same(frame, channels);
     std::vector<const void*> descriptors;
     std::vector<std::int64_t> anchors;
@@ -288,7 +293,9 @@ class Records {
 
   std::size_t count() const { return count_; }
   std::size_t numbers(const std::string& channel) const {  // of its first axis; 0 without it
-    return number("'" + channel + "'\\), '(?:<f4|[|]u1)', \\((\\d{1,9})", "0");
+    const auto found = number("'" + channel + "'\\), '(?:<f4|[|]u1)', \\((\\d{1,9})", "0");
+    if (found > content_.size()) fail("the length does not fit the shape");
+    return found;
   }
   bool holds(const std::string& field) const { return header_.find(field) != header_.npos; }
 

@@ -3,10 +3,10 @@
 //     ssrvlad::Place place("place.onnx");
 //     ssrvlad::Map town("town.npy", place.fingerprints());
 //     for (const auto& answer : town.query(drive))  // the described frames of a drive, in order
-//       if (answer.confidence > 0.9F) std::cout << answer.candidates[0].frame;
+//       if (answer.found() && answer.confidence > 0.9F) std::cout << answer.candidates[0].frame;
 //
-// Header-only, C++17, over the library `ssrvlad` of ssrvlad_map.h. Errors are std::runtime_error. Several
-// threads may use one Map at a time.
+// Header-only, C++17, over the library `ssrvlad` of ssrvlad_map.h. Errors are std::runtime_error, or
+// std::bad_alloc. Several threads may use one Map at a time.
 
 #pragma once
 
@@ -20,23 +20,37 @@
 #include <utility>
 #include <vector>
 
+#include "interface.hpp"
 #include "npy.hpp"
 #include "place.hpp"
 #include "ssrvlad_map.h"
 
 namespace ssrvlad {
 
+namespace detail {
+
+// A line of a text file, also of one that was written on Windows.
+inline bool read_line(std::istream& file, std::string& line) {
+  if (!std::getline(file, line)) return false;
+  if (!line.empty() && line.back() == '\r') line.pop_back();
+  return true;
+}
+
+}  // namespace detail
+
 struct Match {
   std::string frame;
   float score;
 };
 
-// The answer to one query: candidates, best first; what their scores are, "cosine", "fused score" or
-// "probability"; and the probability that the first candidate is right.
+// The answer to one query: candidates, best first, none for a frame that shows nothing; what their scores
+// are, "cosine", "fused score" or "probability"; and the probability that the first candidate is right.
 struct Answer {
   std::vector<Match> candidates;
   std::string score_is;
   float confidence;
+
+  bool found() const { return !candidates.empty(); }
 };
 
 // Each frame alone; by the frames before it and `delay` later ones; by all frames of the drive.
@@ -49,24 +63,25 @@ class Map {
  public:
   // The fingerprints are those of the model; channels are used that both have.
   Map(const std::string& path, const Fingerprints& model) {
-    if (ssrvlad_interface() != SSRVLAD_INTERFACE)
-      throw std::runtime_error("the library ssrvlad has interface " + std::to_string(ssrvlad_interface()) +
-                               ", the program is of " + std::to_string(SSRVLAD_INTERFACE) +
-                               ": compile it again");
+    detail::require_interface();
     std::ifstream names(path + ".frames.txt");
-    for (std::string line; std::getline(names, line);) frames_.push_back(line);
+    for (std::string line; detail::read_line(names, line);) frames_.push_back(line);
     add(path, "", model.descriptor, "<f4", 2, 1.0);
     add(path, ".features.npy", model.features, "|u1", 4, 6.0);
     add(path, ".hog.npy", model.hog, "<f4", 2, 2.0);
     if (frames_.empty()) throw std::runtime_error(path + " holds no frames");
-    open();
+    open(path);
   }
 
   std::size_t size() const { return frames_.size(); }
 
-  // The places of the frames of a drive, in its order.
+  // The places of the frames of a drive, in its order: the best `top`, from 1.
   std::vector<Answer> query(const std::vector<Described>& drive, Follow follow = Follow::kOffline,
                             std::int64_t delay = 0, std::size_t top = 5) const {
+    if (top < 1 || delay < 0)
+      throw std::runtime_error("expected 1 candidate or more and a delay from 0, got " +
+                               std::to_string(top) + " and " + std::to_string(delay));
+    top = std::min(top, size());
     std::vector<std::vector<char>> packed;
     std::vector<ssrvlad_queries> queries;
     for (const auto& channel : channels_) {
@@ -90,7 +105,8 @@ class Map {
                               static_cast<std::int64_t>(top)};
     const int threads = static_cast<int>(std::max(1U, std::thread::hardware_concurrency()));
     require(ssrvlad_map_query(map_.get(), queries.data(), static_cast<std::int64_t>(count), &steps,
-                              threads, &decision, &taken));
+                              threads, &decision, &taken),
+            "the descriptors of the drive");
     const char* alone = channels_.size() > 1 ? "fused score" : "cosine";
     std::vector<Answer> answers;
     for (std::size_t query = 0; query < count; ++query) {
@@ -116,10 +132,10 @@ class Map {
     bool is_signs() const { return rows.dtype == "|u1"; }
   };
 
-  static void require(int status) {
+  static void require(int status, const std::string& what) {
     if (status == SSRVLAD_NO_MEMORY) throw std::bad_alloc();
     if (status != SSRVLAD_OK)
-      throw std::runtime_error("the library ssrvlad refuses the descriptors: expected finite numbers");
+      throw std::runtime_error("the library ssrvlad refuses " + what + ": expected finite numbers");
   }
 
   // Adds the array of a channel, if both sides have it.
@@ -148,14 +164,15 @@ class Map {
 
   static void require_fingerprint(const std::string& path, const std::string& fingerprint) {
     std::string own;
-    if (!std::getline(std::ifstream(path + ".fingerprint.txt"), own))
+    std::ifstream file(path + ".fingerprint.txt");
+    if (!detail::read_line(file, own))
       std::cerr << path << " has no fingerprint: it may not fit the model\n";
     else if (own != fingerprint)
       throw std::runtime_error(path + " has fingerprint " + own + ", the model " + fingerprint +
                                ": they do not compare");
   }
 
-  void open() {
+  void open(const std::string& path) {
     std::vector<std::int64_t> starts;
     for (std::size_t row = 0; row < frames_.size(); ++row)
       if (!row || drive_of(frames_[row]) != drive_of(frames_[row - 1]))
@@ -170,7 +187,7 @@ class Map {
       const ssrvlad_channel given{channel.rows.bytes.data(),
                                   channel.is_signs() ? SSRVLAD_SIGNS : SSRVLAD_VECTORS,
                                   channel.is_signs() ? shape[1] : 1, size, channel.trust, nullptr};
-      require(ssrvlad_map_add_channel(map_.get(), &given));
+      require(ssrvlad_map_add_channel(map_.get(), &given), path + channel.name);
     }
   }
 

@@ -2,11 +2,11 @@
 
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <fstream>
 #include <iterator>
-#include <regex>
 #include <stdexcept>
 #include <string>
 #include <vector>
@@ -28,19 +28,68 @@ struct Array {
   }
 };
 
-inline std::string field(const std::string& header, const std::string& pattern) {
-  std::smatch match;
-  if (!std::regex_search(header, match, std::regex(pattern)))
-    throw std::runtime_error("the header of the .npy file is damaged");
-  return match[1];
+// What stands behind the name of a field of a header.
+inline std::string behind(const std::string& header, const std::string& name) {
+  const auto key = "'" + name + "':";
+  auto at = header.find(key);
+  if (at != header.npos) at = header.find_first_not_of(' ', at + key.size());
+  if (at == header.npos) throw std::runtime_error("its header is damaged");
+  return header.substr(at);
 }
 
-inline std::vector<std::int64_t> numbers(const std::string& text) {
-  const std::regex digits("\\d+");
+// The text of a field between two letters.
+inline std::string field(const std::string& header, const std::string& name, char open, char close) {
+  const auto text = behind(header, name);
+  const auto end = text.find(close, 1);
+  if (text[0] != open || end == text.npos) throw std::runtime_error("its header is damaged");
+  return text.substr(1, end - 1);
+}
+
+// The lengths in the text of a shape, such as "3, 4" or "3,".
+inline std::vector<std::int64_t> lengths(const std::string& text) {
+  constexpr std::size_t kMostDigits = 18, kMostAxes = 32;
   std::vector<std::int64_t> values;
-  for (std::sregex_iterator it(text.begin(), text.end(), digits), end; it != end; ++it)
-    values.push_back(std::stoll(it->str()));
+  for (std::size_t at = 0; (at = text.find_first_of("0123456789", at)) != text.npos;) {
+    const auto end = std::min(text.find_first_not_of("0123456789", at), text.size());
+    if (end - at > kMostDigits || values.size() == kMostAxes)
+      throw std::runtime_error("its header is damaged");
+    values.push_back(std::stoll(text.substr(at, end - at)));
+    at = end;
+  }
   return values;
+}
+
+// The array in the content of a file; see `load`.
+inline Array parsed(const std::string& content) {
+  if (content.size() < 12 || content.compare(0, 6, "\x93NUMPY") != 0)
+    throw std::runtime_error("not a .npy file");
+  const auto byte = [&](std::size_t at) { return static_cast<unsigned char>(content[at]); };
+  std::size_t begin = 10, length = byte(8) + (byte(9) << 8);
+  if (byte(6) > 1) {
+    begin = 12;
+    length += (std::size_t{byte(10)} << 16) + (std::size_t{byte(11)} << 24);
+  }
+  if (content.size() < begin + length) throw std::runtime_error("ends too early");
+  const std::string header = content.substr(begin, length);
+  Array array;
+  array.shape = lengths(field(header, "shape", '(', ')'));
+  if (behind(header, "descr")[0] == '[')
+    throw std::runtime_error("expected an array of numbers, got records");
+  array.dtype = field(header, "descr", '\'', '\'');
+  if (array.dtype.size() != 3 || array.dtype[2] < '1' || array.dtype[2] > '8' ||
+      (array.dtype[0] != '|' && array.dtype[0] != '<'))
+    throw std::runtime_error("expected numbers of up to 8 bytes, little-endian, got " + array.dtype);
+  if (behind(header, "fortran_order").compare(0, 5, "False") != 0)
+    throw std::runtime_error("expected C order");
+  array.bytes.assign(content.begin() + static_cast<std::ptrdiff_t>(begin + length), content.end());
+  std::size_t size = static_cast<std::size_t>(array.dtype[2] - '0');
+  for (const auto axis : array.shape) {
+    if (axis && size > array.bytes.size() / static_cast<std::size_t>(axis))
+      throw std::runtime_error("the length does not fit the shape");
+    size *= static_cast<std::size_t>(axis);
+  }
+  if (array.bytes.size() != size) throw std::runtime_error("the length does not fit the shape");
+  return array;
 }
 
 // Throws std::runtime_error if the file is not such an array or is too short.
@@ -48,26 +97,11 @@ inline Array load(const std::string& path) {
   std::ifstream file(path, std::ios::binary);
   if (!file) throw std::runtime_error(path + ": cannot be read");
   const std::string content((std::istreambuf_iterator<char>(file)), {});
-  if (content.size() < 12 || content.compare(0, 6, "\x93NUMPY") != 0)
-    throw std::runtime_error(path + ": not a .npy file");
-  const auto byte = [&](std::size_t at) { return static_cast<unsigned char>(content[at]); };
-  std::size_t begin = 10, length = byte(8) + (byte(9) << 8);
-  if (byte(6) > 1) {
-    begin = 12;
-    length += (std::size_t{byte(10)} << 16) + (std::size_t{byte(11)} << 24);
+  try {
+    return parsed(content);
+  } catch (const std::runtime_error& error) {
+    throw std::runtime_error(path + ": " + error.what());
   }
-  if (content.size() < begin + length) throw std::runtime_error(path + ": ends too early");
-  const std::string header = content.substr(begin, length);
-  Array array;
-  array.dtype = field(header, "'descr': *'([^']*)'");
-  array.shape = numbers(field(header, "'shape': *\\(([^)]*)\\)"));
-  if (field(header, "'fortran_order': *(True|False)") == "True")
-    throw std::runtime_error(path + ": expected C order");
-  array.bytes.assign(content.begin() + static_cast<std::ptrdiff_t>(begin + length), content.end());
-  const std::size_t width = std::stoul(field(array.dtype, "[|<][a-z](\\d+)$"));
-  if (array.bytes.size() != array.size() * width)
-    throw std::runtime_error(path + ": the length does not fit the shape");
-  return array;
 }
 
 }  // namespace npy

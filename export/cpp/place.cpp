@@ -15,26 +15,20 @@
 
 #include "frames.hpp"
 #include "map.hpp"
+#include "program.hpp"
 
 namespace {
 
-std::size_t number(const std::string& text) {
-  if (text.empty() || text.size() > 9 || text.find_first_not_of("0123456789") != text.npos)
-    throw std::runtime_error("TOP: expected a number, got " + text);
-  return std::stoul(text);
-}
-
 void run(const std::string& network, const std::vector<std::string>& arguments, bool check) {
-  const Ort::SessionOptions options;  // append a provider for the network here
-  const auto place = network.empty() ? ssrvlad::Place(arguments[0], options, check)
-                                     : ssrvlad::Place(network, arguments[0], options, check);
+  const auto place = program::opened(network, arguments[0], check);
   const auto described = ssrvlad::describe(place, arguments[1]);
   const float* numbers = described.descriptor.data();
   const double square = std::inner_product(numbers, numbers + described.length, numbers, 0.0);
   std::printf("descriptor: %zu numbers, norm %.6f\n", described.descriptor.size(), std::sqrt(square));
   if (arguments.size() < 3) return;
   const ssrvlad::Map town(arguments[2], place.fingerprints());
-  const auto answer = town.locate(described, arguments.size() > 3 ? number(arguments[3]) : 5);
+  const auto top = arguments.size() > 3 ? program::number("TOP", arguments[3], 1) : 5;
+  const auto answer = town.locate(described, static_cast<std::size_t>(top));
   for (const auto& match : answer.candidates)
     std::printf("%s %.6f\n", match.frame.c_str(), static_cast<double>(match.score));
 }
@@ -57,11 +51,8 @@ int main(int count, char** values) {
                  "[town.npy [TOP]]\n";
     return 2;
   }
-  try {
+  return program::run("place", [&] {
     run(network, arguments, check);
-  } catch (const std::exception& error) {
-    std::cerr << "place: " << error.what() << "\n";
-    return 2;
-  }
-  return 0;
+    return 0;
+  });
 }

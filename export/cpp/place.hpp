@@ -3,8 +3,8 @@
 //     ssrvlad::Place place("place.onnx");
 //     auto seen = place.describe(pixels, height, width);
 //
-// map.hpp finds them in a database. Header-only, C++17; needs the C++ API of ONNX Runtime, and zlib. Errors are std::runtime_error,
-// or Ort::Exception from the runtime. Several threads may use one Place at a time.
+// map.hpp finds them in a database. Header-only, C++17; needs the C++ API of ONNX Runtime, and zlib. Errors
+// are std::runtime_error, or Ort::Exception from the runtime. Several threads may use one Place at a time.
 
 #pragma once
 
@@ -98,8 +98,13 @@ class Session {
 
   // Runs the golden pair of the file.
   Golden golden() const {
-    auto tensors = golden_tensors(property("ssrvlad.golden"));
-    if (!tensors.count(input_))
+    Tensors tensors;
+    try {
+      tensors = golden_tensors(property("ssrvlad.golden"));
+    } catch (const std::runtime_error& error) {
+      throw std::runtime_error(path_ + ": " + error.what());
+    }
+    if (!tensors.count(input_) || tensors.size() < 2 || (input_ == "labels" && !tensors.count("descriptor")))
       throw std::runtime_error(path_ + ": no golden pair for input " + input_);
     auto& input = tensors[input_];
     const auto value = value_of(input.bytes.data(), input.bytes.size(), input.shape, input.type);
@@ -110,7 +115,8 @@ class Session {
     Golden golden;
     for (std::size_t at = 0; at < names.size(); ++at) {
       const auto& expected = tensors[names[at]];
-      if (outputs[at].GetTensorTypeAndShapeInfo().GetShape() != expected.shape)
+      const auto info = outputs[at].GetTensorTypeAndShapeInfo();
+      if (info.GetShape() != expected.shape || info.GetElementType() != expected.type)
         return {std::numeric_limits<float>::infinity(), 1, 0};
       compare(names[at], outputs[at], expected, golden);
     }

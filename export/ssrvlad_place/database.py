@@ -134,7 +134,8 @@ def save(
     """
     for frame in frames:
         require_one_line(frame)
-    beside(path, "frames").write_text("".join(f"{frame}\n" for frame in frames), encoding="utf-8")
+    text = "".join(f"{frame}\n" for frame in frames)
+    beside(path, "frames").write_text(text, encoding="utf-8", newline="\n")
     for name in reversed(TRUST):
         array = array_of(path, name)
         if name in fingerprints:
@@ -144,7 +145,7 @@ def save(
 
 
 def _save(path: Path, rows: Sequence[Any], fingerprint: str) -> None:
-    beside(path, "fingerprint").write_text(f"{fingerprint}\n")
+    beside(path, "fingerprint").write_text(f"{fingerprint}\n", newline="\n")
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         with temporary.open("wb") as file:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+import os
 import re
 import unicodedata
 from collections.abc import Iterator, Sequence
@@ -47,7 +48,7 @@ def find_frames(
         if not files:
             raise ValueError(f"{source} holds no frames; expected {', '.join(suffixes)} files")
         for path in files:
-            folder = path.absolute().parent
+            folder = Path(os.path.normpath(path.absolute())).parent
             if folders.setdefault(folder.name, folder.resolve()) != folder.resolve():
                 raise ValueError(f"{folders[folder.name]} and {folder} have one name")
             found.setdefault(folder.name, []).append(path)

@@ -38,6 +38,9 @@ export class Struct {
   }
 }
 
+/** The core cannot be used any more; a new one can. */
+export class CoreStopped extends Error {}
+
 export class Core {
   static async load() {
     const answer = await fetch(new URL("ssrvlad.wasm", import.meta.url), { cache: "no-cache" });
@@ -60,7 +63,7 @@ export class Core {
       return this.functions[name](...parameters);
     } catch (error) {
       if (!(error instanceof WebAssembly.RuntimeError)) throw error;
-      throw new Error(`the core stopped in ${name}, probably for want of memory: load the page again`);
+      throw new CoreStopped(`the core stopped in ${name}, for want of memory or by what it was given`);
     }
   }
 

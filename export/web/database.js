@@ -32,7 +32,8 @@ export class Database {
    */
   constructor(core, frames, channels) {
     this.core = core;
-    this.frames = frames.split("\n").slice(0, -1);
+    this.frames = frames.split(/\r?\n/);
+    if (!this.frames.at(-1)) this.frames.pop();
     if (!this.frames.length) throw new Error("expected a database of frames, got an empty one");
     const arrays = Object.entries(channels).map(([name, { bytes, fingerprint }]) => {
       const { shape: [count, ...form], values } = readArray(bytes, name);
@@ -41,9 +42,14 @@ export class Database {
       const columns = form.length > 1 ? form.shift() : 1;
       return [name, { columns, size: productOf(form), values, fingerprint: fingerprint?.trim() }];
     });
-    this.channels = Object.fromEntries(
-      arrays.map(([name, { values, ...others }]) => [name, { ...others, rows: core.put(values) }]),
-    );
+    this.channels = {};
+    try {
+      for (const [name, { values, ...others }] of arrays)
+        this.channels[name] = { ...others, rows: core.put(values) };
+    } catch (error) {
+      this.free();
+      throw error;
+    }
   }
 
   free() {
@@ -109,10 +115,12 @@ export class Database {
       const { columns: across, size } = this.channels[name];
       const anchors = (name === "descriptor" && columns.length) || 1;
       const length = anchors * across * size;
-      const given = drive[0][name];
-      if (given.length !== length)
-        throw new Error(`expected a database of ${given.length / anchors} numbers a frame, got ${across * size}`);
-      const joined = new given.constructor(drive.length * length);
+      const odd = drive.find((frame) => frame[name]?.length !== length);
+      if (odd)
+        throw new Error(
+          `expected a database of ${(odd[name]?.length ?? 0) / anchors} numbers a frame, got ${across * size}`,
+        );
+      const joined = new drive[0][name].constructor(drive.length * length);
       for (const [at, frame] of drive.entries()) joined.set(frame[name], at * length);
       return [...QUERIES.bytes({ descriptors: put(joined), anchors })];
     });

@@ -3,6 +3,14 @@
 
 const SIGNATURE = [137, 80, 78, 71, 13, 10, 26, 10];
 const [GRAY, PALETTE] = [0, 3];
+const PAETH = 4;
+const COLOUR_AT = 25; // of its header, which is the first chunk
+const BITS = { [GRAY]: [8, 16], [PALETTE]: [1, 2, 4, 8] };
+const CRC = Uint32Array.from({ length: 256 }, (_, byte) => {
+  let crc = byte;
+  for (let bit = 0; bit < 8; bit++) crc = crc & 1 ? 0xedb88320 ^ (crc >>> 1) : crc >>> 1;
+  return crc;
+});
 
 /**
  * ``{labels, height, width}`` of a PNG; labels are an array of unsigned integers. `classes` are those of
@@ -17,6 +25,8 @@ export async function readLabels(file, classes) {
     const length = view.getUint32(at);
     const kind = String.fromCharCode(...file.subarray(at + 4, at + 8));
     if (at + 12 + length > file.length) throw new Error("the PNG is cut short");
+    if (crc32(file.subarray(at + 4, at + 8 + length)) !== view.getUint32(at + 8 + length))
+      throw new Error(`the PNG is damaged: wrong checksum of ${kind}`);
     if (kind === "IHDR") header = headerOf(view, at + 8);
     if (kind === "PLTE") colours = file.subarray(at + 8, at + 8 + length);
     if (kind === "IDAT") parts.push(file.subarray(at + 8, at + 8 + length));
@@ -27,6 +37,17 @@ export async function readLabels(file, classes) {
   const values = unpacked(rows, header);
   const labels = header.colour === PALETTE ? idsOfPalette(values, colours, classes) : values;
   return { ...header, labels };
+}
+
+/** Whether a file is a PNG of gray values. */
+export function isGrayPng(file) {
+  return SIGNATURE.every((byte, at) => file[at] === byte) && file[COLOUR_AT] === GRAY;
+}
+
+function crc32(bytes) {
+  let crc = ~0;
+  for (const byte of bytes) crc = CRC[(crc ^ byte) & 255] ^ (crc >>> 8);
+  return ~crc >>> 0;
 }
 
 /** The rule of `ssrvlad encode`: ids are the indices, unless the palette shows other ids. */
@@ -73,9 +94,9 @@ export async function inflated(parts, size = null) {
 function headerOf(view, at) {
   const [width, height] = [view.getUint32(at), view.getUint32(at + 4)];
   const [bits, colour, , , interlaced] = Array.from({ length: 5 }, (_, i) => view.getUint8(at + 8 + i));
-  const readable = colour === PALETTE || (colour === GRAY && bits >= 8);
-  if (!readable) throw new Error("expected a PNG of gray of 8 or 16 bits, or of a palette");
+  if (!BITS[colour]?.includes(bits)) throw new Error("expected a PNG of gray of 8 or 16 bits, or of a palette");
   if (interlaced) throw new Error("expected a PNG that is not interlaced");
+  if (!width || !height) throw new Error("expected at least one pixel");
   return { width, height, bits, colour };
 }
 
@@ -87,6 +108,7 @@ function unfiltered(content, { width, height, bits }) {
   const rows = new Uint8Array(height * length);
   for (let y = 0; y < height; y++) {
     const filter = content[y * (length + 1)];
+    if (filter > PAETH) throw new Error(`the PNG is damaged: filter ${filter}`);
     for (let x = 0; x < length; x++) {
       const at = y * length + x;
       const left = x >= step ? rows[at - step] : 0;
@@ -99,7 +121,7 @@ function unfiltered(content, { width, height, bits }) {
 }
 
 function prediction(filter, left, up, corner) {
-  if (filter < 4) return [0, left, up, (left + up) >> 1][filter];
+  if (filter < PAETH) return [0, left, up, (left + up) >> 1][filter];
   const [a, b, c] = [up - corner, left - corner, left + up - 2 * corner].map(Math.abs);
   return a <= b && a <= c ? left : b <= c ? up : corner;
 }

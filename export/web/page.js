@@ -1,7 +1,8 @@
 // The page: reads files, shows pictures and a table. `?model=&database=&labels=` opens files by URL,
 // `?unchecked` does not run the golden pair.
 
-import { readLabels } from "./label_png.js";
+import { inOrder, looksLikeLabels } from "./frames.js";
+import { isGrayPng, readLabels } from "./label_png.js";
 import { Remote } from "./remote.js";
 import { drawTarget, targetsOf } from "./targets.js";
 import { scoreInWords, stepsInWords } from "./words.js";
@@ -33,7 +34,7 @@ async function openFiles(files) {
   const names = Object.keys(files);
   const model = names.find((name) => name.endsWith(".onnx"));
   const array = names.find((name) => /(?<!\.features|\.hog)\.npy$/.test(name));
-  const frames = names.filter((name) => PICTURE.test(name)).sort(byNumber);
+  const frames = names.filter((name) => PICTURE.test(name)).sort(inOrder);
   if (!model && !array && !frames.length)
     throw new Error("expected .onnx, .npy with .txt, or picture files");
   const folders = [...new Set(frames.map((name) => name.slice(0, -lastOf(name).length)))];
@@ -44,12 +45,6 @@ async function openFiles(files) {
   if (frames.length)
     Object.assign(open, { frames: frames.map((name) => ({ name, file: files[name] })), described: null });
   await find();
-}
-
-/** The order of the frames of a drive: frame10 after frame9, and 12.5 after 12.25. */
-function byNumber(one, other) {
-  const key = (name) => name.replace(/(?<=^|\/)\d+\.\d+(?=\.\w+$)/, (decimal) => decimal.padEnd(40, "0"));
-  return key(one).localeCompare(key(other), "en", { numeric: true });
 }
 
 async function openModel(file) {
@@ -77,15 +72,19 @@ async function openDatabase(files, array) {
   open.database = await remote.call("openDatabase", frames, channels);
 }
 
-/** ``{pixels, height, width}`` of a photograph, RGB bytes, turned upright by its EXIF. */
+/** ``{pixels, height, width}`` of a photograph, RGB bytes, turned upright by its EXIF. What looks like a
+ * label map is an error, as in `ssrvlad encode`. */
 async function readPhoto(file) {
-  const bitmap = await createImageBitmap(file);
+  const bitmap = await createImageBitmap(file, { colorSpaceConversion: "none", premultiplyAlpha: "none" });
   const { width, height } = bitmap;
   const context = new OffscreenCanvas(width, height).getContext("2d");
   context.drawImage(bitmap, 0, 0);
   const { data } = context.getImageData(0, 0, width, height);
   if (data.some((value, at) => at % 4 === 3 && value < 255))
     throw new Error("the picture has transparent pixels; expected a photograph without");
+  const red = data.filter((_, at) => at % 4 === 0);
+  if (isGrayPng(await bytesOf(file)) && looksLikeLabels(red, width))
+    throw new Error("expected a photograph, got a label map");
   return { pixels: data.filter((_, at) => at % 4 < 3), height, width };
 }
 

@@ -1,7 +1,7 @@
 // The worker of the page: the model, and the map in the memory of the core. While it computes, the page can
 // be read and scrolled. `Remote` in remote.js calls its jobs.
 
-import { Core } from "./core.js";
+import { Core, CoreStopped } from "./core.js";
 import { Database } from "./database.js";
 import { Model } from "./model.js";
 
@@ -29,13 +29,17 @@ const JOBS = {
   describe: (picture) => (model.takesPhotos ? model.describePhoto(picture) : model.describe(picture)),
 
   /** Finds the frames of a drive, see `Database.query`. */
-  query: (drive, top) => database.query(drive, model.columns, top),
+  query(drive, top) {
+    if (!database) throw new Error("the database is closed, for the core stopped: open it again");
+    return database.query(drive, model.columns, top);
+  },
 };
 
 addEventListener("message", async ({ data: { number, job, given } }) => {
   try {
     postMessage({ number, answer: await JOBS[job](...given) });
   } catch (error) {
+    if (error instanceof CoreStopped) core = database = null;
     postMessage({ number, refusal: error.message ?? `${error}` }); // onnxruntime-web also throws numbers
   }
 });

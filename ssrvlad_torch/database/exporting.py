@@ -65,7 +65,7 @@ def export_database(database: Database, form: Format, file: Path) -> list[Path]:
             with stack.enter_context(_replacing(path)).open("wb") as stream:
                 np.save(stream, values.numpy())
         for path, text in text_files.items():
-            stack.enter_context(_replacing(path)).write_text(text, encoding="utf-8")
+            stack.enter_context(_replacing(path)).write_text(text, encoding="utf-8", newline="\n")
     for path in {file.with_name(f"{file.name}.fingerprint.txt"), *earlier} - {*written}:
         if path.is_file():
             path.unlink()

@@ -489,8 +489,15 @@ std::shared_ptr<const Sight> Candidates::after(const Filter &filter, const Belie
 
 // ------------------------------------------------------------------------------------------ decision
 
+namespace {
+std::size_t room(Size queries, Size top) {
+  if (top > std::numeric_limits<Size>::max() / std::max<Size>(1, queries)) throw std::bad_alloc();
+  return static_cast<std::size_t>(queries * top);
+}
+}  // namespace
+
 Matches::Matches(Size queries, Size number)
-    : top(number), scores(static_cast<std::size_t>(queries * top), NONE), rows(scores.size(), -1) {}
+    : top(number), scores(room(queries, top), NONE), rows(scores.size(), -1) {}
 
 Places::Places(Size queries, Size number)
     : Matches(queries, number),

@@ -455,6 +455,7 @@ struct ssrvlad_loops {
 };
 
 namespace {
+constexpr int64_t MOST_EXCLUDED = int64_t{1} << 62;
 constexpr int64_t MOST = int64_t{1} << 31;  // numbers of a descriptor, and signs
 
 bool valid(const ssrvlad_loops_settings &settings) {
@@ -489,7 +490,9 @@ ssrvlad_loops *ssrvlad_loops_new(const ssrvlad_loops_settings *settings,
   for (int number = 0; number < count; ++number)
     if (!valid(channels[number])) return nullptr;
   try {
-    return new ssrvlad_loops{places::Stream(*settings, channels, count)};
+    auto own = *settings;
+    own.exclude = std::min(own.exclude, MOST_EXCLUDED);
+    return new ssrvlad_loops{places::Stream(own, channels, count)};
   } catch (const std::bad_alloc &) {
     return nullptr;
   }

@@ -86,7 +86,7 @@ class Loops:
         self._library, self.channels = _library(), tuple(channels)
         made = [_of(each) for each in channels]
         # more frames than fit are excluded by the largest number that fits
-        settings = _Settings(min(exclude, 2**62), threshold)
+        settings = _Settings(min(exclude, 2**63 - 1), threshold)
         handle = self._library.ssrvlad_loops_new(settings, (_Channel * len(made))(*made), len(made))
         if not handle:
             raise RuntimeError(

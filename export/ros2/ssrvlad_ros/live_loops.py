@@ -66,10 +66,12 @@ class Observation(NamedTuple):
     Attributes:
         result: whether it closes a loop.
         descriptor: ``(D,)`` float32.
+        unsaved: why a checkpoint that was due could not be written; else empty.
     """
 
     result: LoopResult
     descriptor: npt.NDArray[np.float32]
+    unsaved: str = ""
 
 
 class LiveLoops:
@@ -161,9 +163,19 @@ class LiveLoops:
         frame = f"{self.sequence}/{nanoseconds:019d}"
         stamp = nanoseconds / 1e9
         result = self._detector.update(labels, frame, stamp, pose, features=features)
-        if len(self._detector) >= self._saved + CHECKPOINT_FRAMES:
+        return Observation(result, self._detector.descriptor, self._checkpoint())
+
+    def _checkpoint(self) -> str:
+        """Saves if a checkpoint is due, and says what kept it from being written; the next try is
+        the next checkpoint."""
+        if len(self._detector) < self._saved + CHECKPOINT_FRAMES:
+            return ""
+        try:
             self.save()
-        return Observation(result, self._detector.descriptor)
+        except OSError as error:
+            self._saved = len(self._detector)
+            return str(error)
+        return ""
 
     def save(self) -> None:
         """Writes a checkpoint to the memory; without a memory, does nothing.

@@ -95,11 +95,14 @@ class LoopNode(Node):
         header = message.header
         try:
             nanoseconds = header.stamp.sec * _SECOND + header.stamp.nanosec
-            result, descriptor = self._loops.update(message, nanoseconds, self._pose)
-            closed = nanoseconds_of(result.candidate) if result.accepted else None
-        except (ValueError, OSError) as error:
+            seen = self._loops.update(message, nanoseconds, self._pose)
+        except ValueError as error:
             self.get_logger().warning(f"frame skipped: {error}")
             return
+        result, descriptor = seen.result, seen.descriptor
+        closed = nanoseconds_of(result.candidate) if result.accepted else None
+        if seen.unsaved:
+            self.get_logger().error(f"the memory cannot be written: {seen.unsaved}")
         data = array("B", as_rtabmap(descriptor))
         self._descriptors.publish(
             GlobalDescriptor(header=header, type=_OF_PYTHON, info=array("B"), data=data)
@@ -112,7 +115,8 @@ class LoopNode(Node):
 
 
 def main() -> None:
-    """Runs the node until it is interrupted; wrong parameters are one line and exit code 1."""
+    """Runs the node until it is interrupted; wrong parameters, and a memory that cannot be written
+    at the end, are one line and exit code 1."""
     rclpy.init()
     try:
         node = LoopNode()
@@ -124,6 +128,10 @@ def main() -> None:
     except KeyboardInterrupt:
         pass
     finally:
-        node.close()
-        node.destroy_node()
+        try:
+            node.close()
+        except (ValueError, OSError) as error:
+            sys.exit(f"ssrvlad_loops: {error}")
+        finally:
+            node.destroy_node()
         rclpy.try_shutdown()
