@@ -72,15 +72,19 @@ def say(text: object, file: TextIO | None = None) -> None:
 
 
 @contextmanager
-def progress_bar(what: str, total: int, played: Sequence[float] = ()) -> Iterator[Progress]:
+def progress_bar(
+    what: str, total: int, played: Sequence[float] = (), then: str = ""
+) -> Iterator[Progress]:
     """Shows a progress bar on stderr, with the rate and, if any are skipped, their number. With
-    ``played``, the seconds of video up to each step, it also shows the time in the video. Where
-    stderr is no terminal, a line appears every `_LINE_SECONDS`."""
+    ``played``, the seconds of video up to each step, it also shows the time in the video; with
+    ``then``, what follows the last step. Where stderr is no terminal, a line appears every
+    `_LINE_SECONDS`."""
     from rich import progress
     from rich.console import Console
 
     columns = (
-        *(progress.TextColumn(what), progress.BarColumn(), progress.MofNCompleteColumn()),
+        progress.TextColumn("{task.description}"),
+        *(progress.BarColumn(), progress.MofNCompleteColumn()),
         progress.TextColumn("{task.fields[rate]}"),
         *(progress.TimeElapsedColumn(), progress.TimeRemainingColumn()),
     )
@@ -111,6 +115,8 @@ def progress_bar(what: str, total: int, played: Sequence[float] = ()) -> Iterato
             done += steps
             if time.monotonic() > due:
                 show()
+            if done == total and then:
+                bar.update(task, description=then)
 
         def skip(_frame: object) -> None:
             nonlocal skipped
@@ -123,11 +129,11 @@ def progress_bar(what: str, total: int, played: Sequence[float] = ()) -> Iterato
                 show()
 
 
-def encoding_bar(files: Sequence[FrameFile]) -> AbstractContextManager[Progress]:
+def encoding_bar(files: Sequence[FrameFile], then: str = "") -> AbstractContextManager[Progress]:
     """The progress bar of encoding files."""
     from ..datasets.videos import played
 
-    return progress_bar("encoding", len(files), played(files))
+    return progress_bar("encoding", len(files), played(files), then)
 
 
 def print_table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> None:

@@ -45,7 +45,7 @@ def evaluate(
     town = Map.open(database, version=as_of)
     by_poses = None if truth.definition == (None,) * 4 else truth.tolerance_metres is not None
     frames = town.source(source.wanted(by_poses), compared=True, note=note)
-    with encoding_bar(frames.files) as bar:
+    with encoding_bar(frames.files, then="recognising") as bar:
         evaluation = town.evaluate(
             frames,
             recognition.steps(),

@@ -26,7 +26,7 @@ def locate(
 
     town = Map.open(database)
     frames = town.source(source.wanted(), compared=True, images=True, note=note)
-    with encoding_bar(frames.files) as bar:
+    with encoding_bar(frames.files, then="recognising") as bar:
         settings = recognition.settings()
         answers = town.query(frames, recognition.steps(), 1, progress=bar.advance, **settings)
     for answer in answers:

@@ -47,7 +47,7 @@ def query(
     settings = {**recognition.settings(), "sequences": from_sequence, "exclude": exclude}
     town = Map.open(database, version=as_of)
     frames = town.source(source.wanted(), compared=True, note=note)
-    with encoding_bar(frames.files) as bar:
+    with encoding_bar(frames.files, then="recognising") as bar:
         answers = town.query(frames, recognition.steps(), top, **settings, progress=bar.advance)
     _print(answers, threshold, as_json)
     finish(answers.skipped, len(answers))
