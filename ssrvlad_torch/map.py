@@ -270,7 +270,7 @@ class Map:
             ValueError: something is no picture, the network fails, or the map has no frames, or
                 none in the circle.
         """
-        circle = None if near is None else Near.of(near)
+        circle, top = None if near is None else Near.of(near), checked_number("top", top, 1)
         several = isinstance(pictures, Sequence) and not isinstance(pictures, str)
         given: Sequence[Picture] = pictures if several else [pictures]  # type: ignore[assignment,list-item]
         frames = [pixels_of(picture) for picture in given]

@@ -22,7 +22,6 @@ from segmenting import write_settings
 from ssrvlad_torch import __version__
 from ssrvlad_torch.cli.output import print_json
 from ssrvlad_torch.database.database import Database
-from ssrvlad_torch.encoding import source as sources
 
 
 @pytest.mark.parametrize(
@@ -279,7 +278,6 @@ def test_only_results_are_on_stdout_whatever_a_network_prints(ssrvlad, tmp_path,
         ("loops", photos),
         ("loops", "-"),
     ]):  # fmt: skip
-        sources._network.cache_clear()
         cache = ("--segmenter-cache", tmp_path / f"cache {number}")
         network = ("--segmenter", settings, *cache) if number else ()
         code, out, err = ssrvlad(*command, *network, "--json")

@@ -12,7 +12,6 @@ from PIL import Image
 
 from ssrvlad_torch import Database
 from ssrvlad_torch.cli.words import by_sequence
-from ssrvlad_torch.encoding import source as sources
 
 
 def test_more_candidates_than_references_give_all_references(ssrvlad, database, maps):
@@ -130,7 +129,6 @@ def test_locate_takes_the_network_of_the_database(town, network, ssrvlad, tmp_pa
     unsure = ssrvlad("locate", photos[0], "--in", town, "--min-confidence", 1)[1]
     assert unsure.startswith("photos/1: no place (confidence 0.")
     network.write_text("network: net.onnx\nmean: [0, 0, 0]\nstd: [1, 1, 2]\n")
-    sources._network.cache_clear()
     code, _, (line,) = ssrvlad("locate", photos[0], "--in", town)
     assert code == 2
     assert "gives other label maps" in line

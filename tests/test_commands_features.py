@@ -19,7 +19,6 @@ from ssrvlad_torch.channels.hog import HOG
 from ssrvlad_torch.datasets.frame_file import FrameFile
 from ssrvlad_torch.datasets.image_files import read_image
 from ssrvlad_torch.descriptor import SSRVLAD
-from ssrvlad_torch.encoding import source as sources
 from ssrvlad_torch.loops.config import LoopConfig
 from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
 from ssrvlad_torch.segmentation.segmenter import Segmenter
@@ -37,7 +36,6 @@ def graph(tmp_path_factory):
 def photos(graph, tmp_path, monkeypatch):
     """``monday``, 32 photos, ``today``, the same, and ``net.yaml``, a network with features."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    sources._network.cache_clear()
     (tmp_path / "net.onnx").write_bytes(graph)
     (tmp_path / "net.yaml").write_text(f"{SETTINGS}")
     for drive in ("monday", "today"):

@@ -8,7 +8,12 @@ from helpers import COLOUR, GRAY, flip_byte, refused, refuses, touch, write_png
 from PIL import Image
 
 from ssrvlad_torch.datasets.frame_files import FrameFile
-from ssrvlad_torch.datasets.image_files import decode_image, find_image_files, read_image
+from ssrvlad_torch.datasets.image_files import (
+    decode_image,
+    find_image_files,
+    pixels_of,
+    read_image,
+)
 
 PICTURE = np.random.default_rng(0).integers(0, 256, (20, 30, 3), np.uint8)
 SMOOTH = np.linspace((0, 40, 250), (250, 90, 0), 20 * 30).reshape(20, 30, 3).astype(np.uint8)
@@ -197,3 +202,20 @@ def test_a_label_map_is_refused_as_a_photograph():
     night = np.random.default_rng(0).integers(0, 39, (20, 20), np.uint8)
     for picture in (black, gray, night, column, np.stack([ids] * 3, 2)):
         assert decode_image(encoded(picture, "PNG")).shape == (20, picture.shape[1], 3)
+
+
+@pytest.mark.parametrize("orientation", [1, 6])
+def test_an_image_of_pillow_gives_the_pixels_of_its_file(tmp_path, orientation):
+    """In 16 bits, with transparency, and turned by its EXIF tag."""
+    rng = np.random.default_rng(0)
+    for number, array in enumerate((
+        rng.integers(0, 1 << 16, (8, 6), np.uint16),
+        rng.integers(0, 256, (8, 6, 4), np.uint8),
+        rng.integers(0, 256, (8, 6, 3), np.uint8),
+    )):  # fmt: skip
+        path = tmp_path / f"{number}.png"
+        Image.fromarray(array).save(path, **turned(orientation))
+        with Image.open(path) as image:
+            np.testing.assert_array_equal(pixels_of(image), pixels_of(path))
+    with pytest.raises(ValueError, match="got mode F"):
+        pixels_of(Image.fromarray(np.zeros((8, 6), np.float32)))

@@ -2,7 +2,6 @@
 
 import math
 import re
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -164,7 +163,7 @@ def test_the_network_of_a_map_is_loaded_once(settings, photos, tmp_path, monkeyp
         return open_network(name)
 
     monkeypatch.setattr("ssrvlad_torch.segmentation.segmenter.open_network", opening)
-    monkeypatch.setattr("ssrvlad_torch.encoding.source._network", cache(opening))
+    monkeypatch.setattr("ssrvlad_torch.encoding.source.open_network", opening)
     town = Map.open(tmp_path / "town.ssrdb", network=settings)
     town.add(photos)
     town.add(photos)
@@ -258,6 +257,7 @@ REFUSED = [
     (lambda town, today: Map.open(3), "expected the folder or URI of a map, got 3"),
     (lambda town, today: Map.open("none.ssrdb").query(today), "none.ssrdb does not exist"),
     (lambda town, today: town.query(today, top=0), "top must be an integer from 1, got 0"),
+    (lambda town, today: town.locate(today / "000.png", top=0), "top must be an integer from 1"),
     (lambda town, today: town.query(today, "online"), "expected steps as Steps, got 'online'"),
     (lambda town, today: town.query(today, channels="hog"), "expected a list of channels"),
     (lambda town, today: town.query(today, channels=["hog"]), "holds ssr-vlad of every frame, not"),

@@ -21,6 +21,11 @@ def test_a_wrong_match_is_among_them_if_there_is_one(right, matched, expected):
     assert chosen(right, matched, 3) == expected
 
 
+def test_a_name_is_cut_to_the_width_of_its_picture():
+    narrow, space = np.full((240, 5), 10), label_space("cityscapes-trainids")
+    assert draw_pairs([Pair(narrow, narrow, "query/000000", "b", True)], space, "a", "b").width
+
+
 def test_right_is_green_and_wrong_is_red():
     """Two columns; the classes that are seen stand below, no others."""
     sky, road = np.full((48, 64), 10), np.full((48, 64), 0)

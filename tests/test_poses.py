@@ -3,6 +3,8 @@
 import csv
 import math
 import os
+import struct
+import zlib
 
 import numpy as np
 import pytest
@@ -138,8 +140,11 @@ def test_exif_tags_give_poses_of_some_pictures(tmp_path):
     })  # fmt: skip
     Image.new("RGB", (8, 6)).save(tmp_path / "photos" / "1.jpg", exif=exif)
     os.mkfifo(tmp_path / "photos" / "3.png")
+    bomb = struct.pack(">IIBBBBB", 30_000, 30_000, 8, 2, 0, 0, 0)
+    header = struct.pack(">I", 13) + b"IHDR" + bomb + struct.pack(">I", zlib.crc32(b"IHDR" + bomb))
+    (tmp_path / "photos" / "4.png").write_bytes(b"\x89PNG\r\n\x1a\n" + header)
     files = find_image_files([folder, str(tmp_path / "photos" / "*.png")], poses="exif")
-    expected = [[EAST, NORTH, math.pi / 2], UNKNOWN, UNKNOWN]
+    expected = [[EAST, NORTH, math.pi / 2], UNKNOWN, UNKNOWN, UNKNOWN]
     np.testing.assert_allclose([file.pose for file in files], expected, atol=0.01)
     with pytest.raises(ValueError, match="no image of none has a position in its EXIF"):
         find_image_files([plant(tmp_path / "none", "1.jpg")], poses="exif")

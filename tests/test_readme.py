@@ -17,7 +17,6 @@ from ssrvlad_torch.cli import main as cli
 from ssrvlad_torch.cli.app import app
 from ssrvlad_torch.datasets.label_files import find_label_files
 from ssrvlad_torch.datasets.synthetic_city import write_city
-from ssrvlad_torch.encoding import source as sources
 from ssrvlad_torch.encoding.encoder import encode_to_database
 from ssrvlad_torch.taxonomy import colourise
 
@@ -31,7 +30,6 @@ PYTHON = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
 @pytest.fixture(scope="module")
 def maps(tmp_path_factory):
     """``maps/monday``, ``maps/tuesday`` and ``maps/today`` with poses, as in the examples."""
-    sources._network.cache_clear()  # networks of another folder with the same names
     folder = tmp_path_factory.mktemp("user")
     write_city(folder / "city", frames=43, size=(48, 64), labels_as="cityscapes-ids")
     for day, sequence in (("monday", "reference"), ("tuesday", "query"), ("today", "query")):
@@ -40,8 +38,7 @@ def maps(tmp_path_factory):
     tuesday = [line.replace("query/", "tuesday/") for line in re.findall("query/.*\n", poses)]
     poses = poses.replace("query/", "today/") + "".join(tuesday)
     (folder / "maps" / "poses.csv").write_text(poses)
-    yield folder
-    sources._network.cache_clear()
+    return folder
 
 
 def write_views(label_maps, folder):

@@ -9,8 +9,10 @@ from helpers import street
 from networks import photo
 from segmenting import write_image
 
-from ssrvlad_torch import Database
+from ssrvlad_torch import Database, LabelSpace
 from ssrvlad_torch.datasets.synthetic_city import write_city
+from ssrvlad_torch.encoding.source import Wanted, open_source
+from ssrvlad_torch.taxonomy import label_space
 
 CITY = ("--labels-as", "cityscapes-trainids")
 
@@ -94,6 +96,14 @@ def reference(ssrvlad, city, tmp_path):
     code, out, _ = ssrvlad("encode", city, "-o", db, *options)
     assert (code, "8 frames encoded" in out) == (0, True)
     return db
+
+
+def test_a_label_space_of_ones_own_goes_with_label_maps_of_another_folder(city):
+    space = label_space("cityscapes-trainids").to_dict()
+    mine = LabelSpace.from_dict({**space, "name": "mine"})
+    wanted = Wanted([str(city)], layout="folders", labels=str(city), labels_as=mine)
+    source = open_source(wanted)
+    assert source.labels_as is mine and len(source.files) == 16
 
 
 def test_roles_and_truth_come_from_the_data_set(ssrvlad, city, reference, tmp_path):

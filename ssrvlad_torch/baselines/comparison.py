@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import torch
 
 from ..channels.channel import View
-from ..datasets.dataset import Dataset, DatasetFrame
+from ..datasets.dataset import Dataset, DatasetFrame, LabelsAs
 from ..datasets.drives import KINDS, Drives
 from ..datasets.frame_files import FrameFile, read_ahead
 from ..datasets.image_files import read_image
@@ -205,7 +205,7 @@ def _sequences(frames: Sequence[str]) -> list[str]:
 
 
 def _given(
-    method: Method, side: Dataset, labels_as: str | None, workers: int
+    method: Method, side: Dataset, labels_as: LabelsAs, workers: int
 ) -> tuple[Sequence[DatasetFrame | FrameFile], Iterator[View]]:
     """References or queries on disk, and as the method needs them."""
     if not method.needs:
@@ -216,7 +216,7 @@ def _given(
     return files, _frames(files, labels_as, workers)
 
 
-def _frames(files: Sequence[FrameFile], labels_as: str | None, workers: int) -> Iterator[View]:
+def _frames(files: Sequence[FrameFile], labels_as: LabelsAs, workers: int) -> Iterator[View]:
     """Frames with their label maps, or, without a label space, with their images."""
     space = label_space(labels_as) if labels_as else None
 

@@ -69,7 +69,7 @@ def _tile(labels: LabelMap, space: LabelSpace, name: str, colour: tuple[int, ...
     tile = ImageOps.expand(picture, (_FRAME, top, _FRAME, _FRAME), colour)
     font = ImageFont.load_default(_TEXT)
     draw = ImageDraw.Draw(tile)
-    while draw.textlength(name, font) > size[0]:
+    while draw.textlength(name, font) > size[0] and name != "...":
         name = name.removesuffix("...")[:-1] + "..."
     draw.text((_FRAME, _FRAME - 1), name, fill="white", font=font)
     return tile

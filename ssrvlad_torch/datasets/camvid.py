@@ -15,7 +15,16 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from .dataset import Dataset, GroundTruth, Layout, Traverse, folders_in, images_in, labels_in
+from .dataset import (
+    Dataset,
+    GroundTruth,
+    LabelsAs,
+    Layout,
+    Traverse,
+    folders_in,
+    images_in,
+    labels_in,
+)
 from .names import absolute_folder
 
 _DRIVE = re.compile(r"(0001TP|0006R0|0016E5|Seq05VD|05VD)(?:_.*)?")
@@ -31,7 +40,7 @@ class _Pair(NamedTuple):
     drive: str | None = None
 
 
-def read(root: Path, labels_as: str | None) -> Dataset:
+def read(root: Path, labels_as: LabelsAs) -> Dataset:
     """The data set in ``root``. Label maps of two label spaces are a ValueError."""
     pairs = list(_pairs(root))
     spaces = {pair.labels_as for pair in pairs}

@@ -9,7 +9,7 @@ import math
 from pathlib import Path
 
 from ..files import read_json
-from .dataset import Dataset, Layout, Traverse, files_in, folders_in, images_in, labels_in
+from .dataset import Dataset, LabelsAs, Layout, Traverse, files_in, folders_in, images_in, labels_in
 from .poses import Pose, heading_of_course
 
 _IMAGES = "leftImg8bit"
@@ -19,7 +19,7 @@ _EARTH_RADIUS = 6_371_000
 _MERIDIAN = 9.0
 
 
-def read(root: Path, labels_as: str | None) -> Dataset:
+def read(root: Path, labels_as: LabelsAs) -> Dataset:
     """The data set in ``root``; fine annotations of the label space before coarse ones. The label
     space is that of the label maps on disk, of the ids if both exist or none."""
     cities = _cities(root)
@@ -30,7 +30,7 @@ def read(root: Path, labels_as: str | None) -> Dataset:
         if any(any((root / kind / city).glob(f"*_{ending}.png")) for city in cities)
     )
     space = labels_as or next(published, "cityscapes-ids")
-    ending = _ENCODINGS.get(space, "labelIds")
+    ending = _ENCODINGS.get(str(space), "labelIds")
     traverses = []
     for city in cities:
         images = images_in(root / _IMAGES / city, f"_{_IMAGES}")

@@ -14,11 +14,14 @@ from typing import Literal, NamedTuple
 from natsort import natsorted
 
 from ..files import natural_key
-from ..taxonomy import label_space
+from ..taxonomy import LabelSpace, label_space
 from .frame_files import FrameFile, every_nth
 from .image_files import SUFFIXES as IMAGE_SUFFIXES
 from .label_files import SUFFIXES as LABEL_SUFFIXES
 from .poses import UNKNOWN, Pose
+
+LabelsAs = str | LabelSpace | None
+"""A label space or its name, if there is one."""
 
 Role = Literal["reference", "query"]
 
@@ -96,7 +99,7 @@ class Dataset:
     layout: str
     root: Path
     traverses: tuple[Traverse, ...]
-    labels_as: str | None = None
+    labels_as: LabelsAs = None
     truth: GroundTruth | None = None
     notes: tuple[str, ...] = ()
 
@@ -159,7 +162,7 @@ class Dataset:
             raise ValueError(f"no frame of {self.root} ({self.layout}) has a pose")
         return posed
 
-    def with_labels(self, folder: str | Path, labels_as: str) -> Dataset:
+    def with_labels(self, folder: str | Path, labels_as: str | LabelSpace) -> Dataset:
         """The data set with label maps of another folder and label space, for example the
         predictions of a network; none there, or an unknown label space, is a ValueError.
 
@@ -238,7 +241,7 @@ class Layout(NamedTuple):
     origin: str
     expected: str
     recognises: Callable[[Path], object]
-    read: Callable[[Path, str | None], Dataset]
+    read: Callable[[Path, LabelsAs], Dataset]
 
 
 def files_in(suffixes: Sequence[str], folder: Path, ending: str = "") -> dict[str, Path]:

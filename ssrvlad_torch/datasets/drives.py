@@ -8,7 +8,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from .dataset import Dataset, DatasetFrame
+from .dataset import Dataset, DatasetFrame, LabelsAs
 from .layouts import open_dataset
 from .names import absolute
 
@@ -38,7 +38,7 @@ class Drives:
         odd_even: bool,
         layout: str | None,
         labels: Path | None,
-        labels_as: str | None,
+        labels_as: LabelsAs,
     ) -> Drives:
         """Opens a data set, or, without ``dataset``, folders as references and queries. A file that
         may be an image or a label map is a label map if the label space is known. With
@@ -47,8 +47,7 @@ class Drives:
         go together are a ValueError too. ``note`` gets what the data set lacks."""
         names, asked = (references or (), queries or ()), (labels, labels_as)
         if dataset:
-            name = None if layout == "auto" else layout
-            whole = _unambiguous(open_dataset(dataset, name, *asked))
+            whole = _unambiguous(open_dataset(dataset, layout, *asked))
             if odd_even and queries:
                 raise ValueError("--odd-even takes the queries from --references; got --queries")
             if odd_even:

@@ -14,7 +14,16 @@ from itertools import product
 from pathlib import Path
 
 from .camera_poses import Z_UP, optical_axis, read_poses
-from .dataset import Dataset, GroundTruth, Layout, Role, Traverse, images_in, itself_or_inside
+from .dataset import (
+    Dataset,
+    GroundTruth,
+    LabelsAs,
+    Layout,
+    Role,
+    Traverse,
+    images_in,
+    itself_or_inside,
+)
 from .names import absolute_folder
 from .poses import Pose
 
@@ -24,7 +33,7 @@ _POSES = "ground-truth-database-images-slice*.txt"
 _ROLES: dict[str, Role] = {"database": "reference", "query": "query"}
 
 
-def read(root: Path, labels_as: str | None) -> Dataset:
+def read(root: Path, labels_as: LabelsAs) -> Dataset:
     """The slices in ``root``, or the slice that ``root`` is."""
     traverses, notes = list[Traverse](), list[str]()
     for folder, (half, role) in product(_slices(root), _ROLES.items()):

@@ -11,6 +11,7 @@ from pathlib import Path
 from .dataset import (
     Dataset,
     GroundTruth,
+    LabelsAs,
     Layout,
     Role,
     Traverse,
@@ -36,7 +37,7 @@ _TRUTHS = ("ground_truth.json", "ground_truth.csv", "ground_truth.npy")
 _ONLY_IMAGES = tuple(suffix for suffix in IMAGE_SUFFIXES if suffix not in LABEL_SUFFIXES)
 
 
-def read(root: Path, labels_as: str | None) -> Dataset:
+def read(root: Path, labels_as: LabelsAs) -> Dataset:
     """The sequences in ``root``, or the sequence that ``root`` is."""
     file = next((root / name for name in _TRUTHS if (root / name).is_file()), None)
     traverses = []

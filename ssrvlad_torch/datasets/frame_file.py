@@ -1,15 +1,16 @@
 """One frame, a label map or an image, on this machine or in the file systems of pyarrow, ``s3://``,
 ``gs://``, ``hdfs://`` and ``file://``, and the frames that these hold."""
 
+import io
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path, PurePosixPath
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, BinaryIO, ClassVar, NamedTuple
 
 from numpy.lib.format import open_memmap
 
-from ..files import check_size, npy_bytes, one_line, read_bytes
+from ..files import check_regular, check_size, npy_bytes, one_line, read_bytes
 from .names import absolute
 from .poses import UNKNOWN, Pose
 
@@ -86,6 +87,14 @@ class FrameFile:
         except Exception as error:  # damaged files raise any exception
             raise ValueError(one_line(error)) from error
 
+    def opened(self) -> BinaryIO:
+        """The file, to read its head; one that cannot be read is a ValueError."""
+        check_regular(self.path)
+        try:
+            return self.path.open("rb")
+        except OSError as error:
+            raise ValueError(one_line(error)) from error
+
     def _content(self) -> bytes:
         if self.row is None:
             return read_bytes(self.path)
@@ -111,6 +120,10 @@ class RemoteFile(FrameFile):
     def state(self) -> str:
         """Size and modification time when the folder was listed."""
         return self.listed
+
+    def opened(self) -> BinaryIO:
+        """The file, to read its head; one that cannot be read is a ValueError."""
+        return io.BytesIO(self.read())
 
     def _content(self) -> bytes:
         with _file_system(self.uri).open_input_file(str(self.path)) as source:

@@ -15,7 +15,7 @@ from .bags import bag_files, is_bag
 from .frame_file import FrameFile, RemoteFile, remote_files
 from .names import KnownFolders, absolute, sequence_names
 from .pose_tables import PoseTable
-from .poses import UNKNOWN, Pose, poses_of_fixes, read_exif, read_name, read_poses
+from .poses import UNKNOWN, Fix, Pose, poses_of_fixes, read_exif, read_name, read_poses
 from .trajectories import read_trajectory
 from .videos import VideoFile, is_video, video_files
 from .workers import in_order
@@ -161,11 +161,19 @@ def _given_poses(
 
 
 def _poses_of_exif(drive: Sequence[FrameFile]) -> list[Pose]:
-    fixes = [read_exif(file.path) for file in drive]
+    fixes = list(map(_fix_of, drive))
     if not any(fixes):
         raise ValueError(f"no image of {drive[0].sequence} has a position in its EXIF tags")
     poses = iter(poses_of_fixes([fix for fix in fixes if fix]))
     return [next(poses) if fix else UNKNOWN for fix in fixes]
+
+
+def _fix_of(file: FrameFile) -> Fix | None:
+    try:
+        with file.opened() as opened:
+            return read_exif(opened)
+    except ValueError:
+        return None
 
 
 def read_ahead(

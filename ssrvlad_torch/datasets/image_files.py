@@ -3,7 +3,6 @@
 import errno
 import io
 import os
-import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -44,7 +43,7 @@ def decode_image(content: bytes) -> Pixels:
     """
     with decoding(f"is no image file; expected {', '.join(_FORMATS)} or .npy"):
         if not content.startswith(MAGIC_PREFIX):
-            return _decode(content)
+            return _rgb(checked_image(content, _FORMATS))
         array = parse_npy(content)
         if array.ndim != 3 or array.shape[2] != 3 or array.size == 0 or array.dtype != np.uint8:
             raise ValueError(f"expected an (H, W, 3) uint8 image, got {array.shape} {array.dtype}")
@@ -86,7 +85,7 @@ def pixels_of(picture: Picture) -> Pixels:
         with naming(path):
             return read_image(FrameFile("", "", path))
     if isinstance(picture, Image.Image):
-        return np.asarray(picture.convert("RGB"))
+        return _rgb(picture)
     if not isinstance(picture, np.ndarray):
         raise ValueError(
             "expected a picture as an (H, W, 3) uint8 array, an image of Pillow or the path of a "
@@ -108,12 +107,13 @@ def write_pictures(folder: Path, files: Sequence[FrameFile]) -> None:
         target = folder / f"{name}{file.path.suffix}"
         try:
             target.hardlink_to(file.path)
-        except OSError:  # another disk
-            shutil.copyfile(file.path, target)
+        except OSError:  # another disk, or an object store
+            target.write_bytes(file.read())
 
 
-def _decode(content: bytes) -> Pixels:
-    image: Image.Image = ImageOps.exif_transpose(checked_image(content, _FORMATS))
+def _rgb(picture: Image.Image) -> Pixels:
+    """An image in RGB, as `decode_image` says."""
+    image = ImageOps.exif_transpose(picture)
     if image.mode in ("L", "P"):
         require_photograph(np.asarray(image))
     if image.mode in _SIXTEEN_BIT:

@@ -6,7 +6,7 @@ from pathlib import Path
 from natsort import natsorted
 
 from . import camvid, cityscapes, extended_cmu, folders, robotcar, synthia, vpr_bench
-from .dataset import Dataset, Layout, folders_in, shortened
+from .dataset import Dataset, LabelsAs, Layout, folders_in, shortened
 
 LAYOUTS: tuple[Layout, ...] = (
     extended_cmu.LAYOUT,
@@ -19,6 +19,7 @@ LAYOUTS: tuple[Layout, ...] = (
 )
 """The layouts in the order in which they are tried; plain folders, which accept most data, last."""
 
+AUTO = "auto"
 _MOST = 1000
 
 
@@ -26,13 +27,14 @@ def open_dataset(
     path: str | Path,
     layout: str | None = None,
     labels: str | Path | None = None,
-    labels_as: str | None = None,
+    labels_as: LabelsAs = None,
 ) -> Dataset:
     """The data set in a folder.
 
     Args:
         path: the folder.
-        layout: name of a layout; if ``None``, the first in `LAYOUTS` that recognises the folder.
+        layout: name of a layout; if ``None`` or ``"auto"``, the first in `LAYOUTS` that recognises
+            the folder.
         labels: a folder of label maps that replace those of the data set, or the name of such a
             folder beside each folder of images; see `Dataset.with_labels`.
         labels_as: label space of the label maps; ``None`` for that of the layout.
@@ -53,7 +55,7 @@ def open_dataset(
         raise ValueError(f"{root} is no folder; expected the folder of a data set")
     if labels is not None and labels_as is None:
         raise ValueError(f"the label maps in {labels} need a label space")
-    chosen = _layout_of(root, layout)
+    chosen = _layout_of(root, None if layout == AUTO else layout)
     dataset = chosen.read(root, labels_as)
     if not dataset.traverses:
         raise ValueError(

@@ -13,11 +13,11 @@ import math
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import NamedTuple
+from typing import BinaryIO, NamedTuple
 
 from PIL import ExifTags, Image
 
-from ..files import check_regular, read_text, replacing, requiring
+from ..files import read_text, replacing, requiring
 
 _KILOMETRE = 1 / 111.2
 """Degrees of latitude."""
@@ -131,20 +131,21 @@ def heading_of_course(course: float) -> float:
     return math.remainder(math.radians(90 - course), math.tau)
 
 
-def read_exif(path: Path) -> Fix | None:
+def read_exif(file: BinaryIO) -> Fix | None:
     """The position and direction in the EXIF tags of an image; ``None`` without a position. A
     direction from magnetic north is ignored."""
     tag = ExifTags.GPS
     try:
-        check_regular(path)
-        with Image.open(path) as image:
+        with Image.open(file) as image:
             tags = image.getexif().get_ifd(ExifTags.IFD.GPSInfo)
         latitude = _degrees(tags[tag.GPSLatitude], tags[tag.GPSLatitudeRef])
         longitude = _degrees(tags[tag.GPSLongitude], tags[tag.GPSLongitudeRef])
         is_true = tags.get(tag.GPSImgDirectionRef, "T") == "T"
         course = float(tags.get(tag.GPSImgDirection, "nan")) if is_true else math.nan
         return Fix(latitude, longitude, course)
-    except (OSError, KeyError, TypeError, ValueError, ZeroDivisionError):
+    except (OSError, LookupError, TypeError, ValueError, ZeroDivisionError):
+        return None
+    except Image.DecompressionBombError:
         return None
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from ..files import naming
 from .camera_poses import Z_DOWN, optical_axis, parse_numbers, read_poses
-from .dataset import Dataset, GroundTruth, Layout, Role, Traverse, folders_in, images_in
+from .dataset import Dataset, GroundTruth, LabelsAs, Layout, Role, Traverse, folders_in, images_in
 from .poses import Pose
 
 _CAMERAS = ("left", "rear", "right")
@@ -19,7 +19,7 @@ _REFERENCE = "overcast-reference"
 _V2_POSES = "robotcar_v2_train.txt"
 
 
-def read(root: Path, labels_as: str | None) -> Dataset:
+def read(root: Path, labels_as: LabelsAs) -> Dataset:
     """The data set in ``root``."""
     models = sorted((root / "3D-models").rglob("*.nvm"))
     poses = {name: pose for model in models for name, pose in read_nvm(model).items()}

@@ -14,6 +14,7 @@ from .camera_poses import Y_UP_LEFT_HANDED, parse_numbers
 from .dataset import (
     Dataset,
     GroundTruth,
+    LabelsAs,
     Layout,
     Traverse,
     files_in,
@@ -27,7 +28,7 @@ from .poses import Pose
 _LABELS, _IMAGES, _POSES = "GT/LABELS", "RGB", "CameraParams"
 
 
-def read(root: Path, labels_as: str | None) -> Dataset:
+def read(root: Path, labels_as: LabelsAs) -> Dataset:
     """The sequences in ``root``, or the sequence that ``root`` is."""
     traverses, notes = list[Traverse](), list[str]()
     for folder in _sequences(root):

@@ -7,14 +7,14 @@ names images by their numbers, from 0, in the order of the file names. It is pub
 
 from pathlib import Path
 
-from .dataset import Dataset, GroundTruth, Layout, Role, Traverse, images_in
+from .dataset import Dataset, GroundTruth, LabelsAs, Layout, Role, Traverse, images_in
 from .names import absolute_folder
 
 _FOLDERS: tuple[tuple[str, Role], ...] = (("query", "query"), ("ref", "reference"))
 _TRUTHS = ("ground_truth_new.json", "ground_truth_new.npy")
 
 
-def read(root: Path, labels_as: str | None) -> Dataset:
+def read(root: Path, labels_as: LabelsAs) -> Dataset:
     """The data set in ``root``; its truth may be ``<folder>.ground_truth_new.json`` beside it."""
     traverses = []
     for name, role in _FOLDERS:

@@ -4,7 +4,6 @@ import os
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
 from typing import Literal
 
@@ -18,7 +17,7 @@ from ..datasets.image_files import find_image_files, read_image
 from ..datasets.label_files import find_label_files, read_label_map
 from ..datasets.layouts import open_dataset
 from ..datasets.names import KnownFolders
-from ..segmentation.networks import ACCEPT, AUTO, open_network, runs_code
+from ..segmentation.networks import ACCEPT, AUTO, NamedNetwork, open_network, runs_code
 from ..segmentation.preparation import channels
 from ..segmentation.segmenter import Segmenter, space_of
 from ..taxonomy import LabelSpace, label_space
@@ -139,8 +138,10 @@ def _opened(
     """The source without its files: the data set, the label space and the network."""
     dataset = _open_dataset(wanted, note)
     source = Source(wanted, dataset=dataset, known=database.folders() if database else ())
-    network, labels_as = wanted.segmenter, wanted.labels_as
+    network: str | Segmenter | NamedNetwork | None = wanted.segmenter
+    labels_as = wanted.labels_as
     if network and labels_as in (None, AUTO):
+        network = _network(network)
         labels_as = _space_of_network(network, labels_as, wanted.classes)
     labels_as = labels_as or (dataset.labels_as if dataset else None)
     if compared and len(wanted.paths) == 1 and Database.exists(wanted.paths[0]):
@@ -200,24 +201,25 @@ def _open_dataset(wanted: Wanted, note: Note) -> Dataset | None:
         raise ValueError(
             f"--layout: expected the folder of one data set, got {len(wanted.paths)} sources"
         )
-    name = None if wanted.layout == "auto" else wanted.layout
-    space = wanted.labels_as
-    labels_as = space.name if isinstance(space, LabelSpace) else space
-    whole = open_dataset(wanted.paths[0], name, wanted.labels, labels_as)
+    whole = open_dataset(wanted.paths[0], wanted.layout, wanted.labels, wanted.labels_as)
     for warning in whole.select(wanted.split or (), wanted.role).warnings:
         note(warning)
     return whole
 
 
+def _network(network: str | Segmenter | NamedNetwork) -> Segmenter | NamedNetwork:
+    """A network, opened."""
+    return open_network(network) if isinstance(network, str) else network
+
+
 def _space_of_network(
-    network: str | Segmenter, labels_as: str | LabelSpace | None, classes: str | None
+    network: Segmenter | NamedNetwork, labels_as: str | LabelSpace | None, classes: str | None
 ) -> LabelSpace | None:
     """The label space that a network names, if it names one."""
     if isinstance(network, Segmenter):
         return network.label_space
-    named = _network(network)
-    if labels_as or named.class_names or named.labels_as is not None:
-        return space_of(named, AUTO, channels(classes))
+    if labels_as or network.class_names or network.labels_as is not None:
+        return space_of(network, AUTO, channels(classes))
     return None
 
 
@@ -287,7 +289,10 @@ def _space(
 
 
 def _segmenter(
-    network: str | Segmenter | None, wanted: Wanted, labels_as: str | LabelSpace, note: Note
+    network: str | Segmenter | NamedNetwork | None,
+    wanted: Wanted,
+    labels_as: str | LabelSpace,
+    note: Note,
 ) -> Segmenter | None:
     """The segmenter with its cache; ``None`` without a network."""
     folder = wanted.segmenter_cache
@@ -295,18 +300,15 @@ def _segmenter(
         if folder is not None:
             raise ValueError("--segmenter-cache needs --segmenter")
         return None
-    if isinstance(network, Segmenter):
-        return network
-    classes, opened = channels(wanted.classes), _network(network)
+    opened = _network(network)
+    if isinstance(opened, Segmenter):
+        return opened
     if folder is None:
         folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "ssrvlad"
-    segmenter = Segmenter.load(opened, labels_as, folder, classes)
+    segmenter = Segmenter.load(opened, labels_as, folder, channels(wanted.classes))
     if opened.assumed:
         note(
-            f"{network} does not say how it wants pictures; assumed: {opened.preparation} "
+            f"{opened.name} does not say how it wants pictures; assumed: {opened.preparation} "
             f"({ACCEPT}: true in a YAML file accepts that)"
         )
     return segmenter
-
-
-_network = cache(open_network)

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..database.frames import numbers_of
+from ..datasets.poses import parse_number
 
 
 class Near(NamedTuple):
@@ -28,7 +29,8 @@ class Near(NamedTuple):
             >>> Near.of("12.5,-3,50")
             Near(x=12.5, y=-3.0, metres=50.0)
         """
-        numbers = numbers_of(map(_number, given.split(",")) if isinstance(given, str) else given)
+        parts = map(parse_number, given.split(",")) if isinstance(given, str) else given
+        numbers = numbers_of(parts)
         if len(numbers) != 3 or not all(map(math.isfinite, numbers)) or numbers[2] < 0:
             raise ValueError(
                 "near: expected X,Y,METRES, three finite numbers, the last from 0, such as "
@@ -50,10 +52,3 @@ class Near(NamedTuple):
             nearest = f"the nearest is {np.nanmin(metres):.1f} m away"
             raise ValueError(f"near: no candidate of {path} is {self}; {nearest}")
         return inside
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan
