@@ -274,9 +274,8 @@ def bucket(monkeypatch):
 def library(request, monkeypatch):
     """Channels with the native core and without it."""
     if request.param == "torch":
-        for module in ("signs", "coarse"):
-            name = f"ssrvlad_torch.channels.{module}.core"
-            monkeypatch.setattr(name, lambda: native.Core(None, "none"))
+        none = native.Core(None, "none")
+        monkeypatch.setattr("ssrvlad_torch.channels.coarse.core", lambda: none)
         monkeypatch.setattr("ssrvlad_torch.recognition.comparison.has_core", lambda: False)
     elif native.core().library is None:
         pytest.skip("needs the native core")

@@ -76,16 +76,12 @@ def core() -> Core:
     library.ssrvlad_free.argtypes = [pointer]
     library.ssrvlad_describe.argtypes = [pointer, *maps, ctypes.c_int, pointer]
     library.ssrvlad_vote.argtypes = [*maps, size, size, pointer]
-    library.ssrvlad_differing.argtypes = [
-        *(pointer, pointer, size, pointer, size, size, ctypes.c_int, pointer)
-    ]
     library.ssrvlad_scan_signs.argtypes = [
         *(pointer, size, pointer, size, size, size, size, size, ctypes.c_int, pointer)
     ]
     library.ssrvlad_scan_vectors.argtypes = [
         *(pointer, pointer, size, size, pointer, size, size, ctypes.c_int, pointer)
     ]
-    library.ssrvlad_weigh.argtypes = [*planes, pointer, ctypes.c_int, pointer]
     library.ssrvlad_open_and_close.argtypes = [*planes, size, size, pointer]
     library.ssrvlad_fill_holes.argtypes = [*planes, size, pointer]
     library.ssrvlad_drop_regions.argtypes = [*planes, size, pointer]

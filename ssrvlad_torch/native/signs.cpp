@@ -13,7 +13,7 @@ namespace places {
 
 namespace {
 
-constexpr Size ROWS_AT_ONCE = 64, SCANNED_ROWS = 1024;
+constexpr Size SCANNED_ROWS = 1024;
 
 SSRVLAD_INLINE int ones(Word word) {
 #if defined(__GNUC__)
@@ -25,13 +25,7 @@ SSRVLAD_INLINE int ones(Word word) {
 #endif
 }
 
-// The bits under a mask in which a query differs from a row.
-SSRVLAD_INLINE Word differing_bits(const Word *query, const Word *mask, const Word *row, Size words) {
-  Word bits = 0;
-  for (Size i = 0; i < words; ++i) bits += static_cast<Word>(ones((query[i] ^ row[i]) & mask[i]));
-  return bits;
-}
-
+// The bits in which some words differ from others.
 SSRVLAD_INLINE Word differing_bits(const Word *some, const Word *others, Size words) {
   Word sums[4] = {};
   Size i = 0;
@@ -106,15 +100,11 @@ constexpr BitsByWord bits_by_word;
 
 // The loops that count bits, for one kind of processor.
 struct BitCounters {
-  Word (*differing)(const Word *, const Word *, const Word *, Size);
   void (*moves)(const Word *, const Word *, Size, const SignGrid &, std::int32_t *);
   void (*best)(const Word *, const Word *, Size, const SignGrid &, Size, float *);
 };
 
 #define SSRVLAD_COUNTERS(name, target, count_bits)                                                              \
-  target Word differing_##name(const Word *query, const Word *mask, const Word *row, Size words) {  \
-    return differing_bits(query, mask, row, words);                                                 \
-  }                                                                                                 \
   target void moves_##name(const Word *query, const Word *rows, Size count, const SignGrid &grid,   \
                            std::int32_t *differing) {                                               \
     differing_moves(count_bits, query, rows, count, grid, differing);                                           \
@@ -123,7 +113,7 @@ struct BitCounters {
                           Size bits, float *scores) {                                               \
     best_moves(count_bits, query, rows, count, grid, bits, scores);                                             \
   }                                                                                                 \
-  constexpr BitCounters name = {differing_##name, moves_##name, best_##name};
+  constexpr BitCounters name = {moves_##name, best_##name};
 
 SSRVLAD_COUNTERS(plainly, , bits_by_word)
 #if defined(__x86_64__) && defined(__GNUC__)
@@ -166,25 +156,6 @@ void weigh(const std::uint8_t *row, Size bytes, Size groups, const float *weight
 
 using namespace places;
 
-int ssrvlad_differing(const uint64_t *queries, const uint64_t *masks, int64_t count,
-                      const uint64_t *rows, int64_t references, int64_t words, int threads,
-                      int32_t *differing) {
-  if (!queries || !masks || !rows || !differing || count < 0 || references < 0 || words < 1)
-    return SSRVLAD_WRONG_ARGUMENT;
-  try {
-    const BitCounters counter = counters();
-    over_blocks(references, ROWS_AT_ONCE, threads, [&](Size first, Size last) {
-      for (Size row = first; row < last; ++row)
-        for (Size query = 0; query < count; ++query)
-          differing[query * references + row] = static_cast<std::int32_t>(counter.differing(
-              queries + query * words, masks + query * words, rows + row * words, words));
-    });
-    return SSRVLAD_OK;
-  } catch (const std::bad_alloc &) {
-    return SSRVLAD_NO_MEMORY;
-  }
-}
-
 int ssrvlad_scan_signs(const uint64_t *queries, int64_t count, const uint64_t *rows,
                        int64_t references, int64_t columns, int64_t words, int64_t bits,
                        int64_t reach, int threads, float *scores) {
@@ -198,21 +169,6 @@ int ssrvlad_scan_signs(const uint64_t *queries, int64_t count, const uint64_t *r
       for (Size query = 0; query < count; ++query)
         counter.best(queries + query * grid.size(), rows + first * grid.size(), last - first, grid, bits,
                      scores + query * references + first);
-    });
-    return SSRVLAD_OK;
-  } catch (const std::bad_alloc &) {
-    return SSRVLAD_NO_MEMORY;
-  }
-}
-
-int ssrvlad_weigh(const uint8_t *rows, int64_t references, int64_t bytes, int64_t groups,
-                  const float *weights, int threads, float *sums) {
-  if (!rows || !weights || !sums || references < 0 || groups < 1 || bytes < 1 || bytes % groups)
-    return SSRVLAD_WRONG_ARGUMENT;
-  try {
-    over_blocks(references, ROWS_AT_ONCE, threads, [&](Size first, Size last) {
-      for (Size row = first; row < last; ++row)
-        weigh(rows + row * bytes, bytes, groups, weights, sums + row * groups);
     });
     return SSRVLAD_OK;
   } catch (const std::bad_alloc &) {

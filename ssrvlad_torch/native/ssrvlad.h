@@ -106,17 +106,6 @@ SSRVLAD_API int ssrvlad_keypoints(const uint8_t *skeletons, int64_t images, int6
 SSRVLAD_API int64_t ssrvlad_vote(const ssrvlad_labels *labels, const ssrvlad_table *table,
                                  int64_t rows, int64_t columns, uint8_t *categories);
 
-/* Counts, for each of `count` queries and each of `references` rows of `words` words, the bits under
- * the query's mask in which they differ: (count, references). `threads` threads share the rows. */
-SSRVLAD_API int ssrvlad_differing(const uint64_t *queries, const uint64_t *masks, int64_t count,
-                                  const uint64_t *rows, int64_t references, int64_t words,
-                                  int threads, int32_t *differing);
-
-/* Sums, for each of `references` rows of `bytes` bytes and each of `groups` groups of them, weights of
- * nibbles: (references, groups). `weights` (bytes, 2, 16) are those of the low and the high nibbles. */
-SSRVLAD_API int ssrvlad_weigh(const uint8_t *rows, int64_t references, int64_t bytes, int64_t groups,
-                              const float *weights, int threads, float *sums);
-
 /* Scores, for each of `count` queries, each of `references` rows of signs by the best of the moves of
  * the query by up to `reach` columns to each side: (count, references). A score is 1 less twice the
  * fraction of the bits, in the columns that overlap, that differ. A row is `columns` columns of

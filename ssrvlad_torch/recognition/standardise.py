@@ -1,7 +1,8 @@
 """Standardise: subtract from each traverse what all its frames have in common.
 
 Light, season, camera and errors of a network shift all descriptors of a traverse alike, whatever
-the place. Schubert, Neubert and Protzel (ICRA 2020) subtract the mean of each traverse.
+the place. Schubert, Neubert and Protzel (ICRA 2020) subtract the mean of each traverse, as the core
+does, see `reference.without_means`. This module says which traverses share a mean, and sums them.
 """
 
 from collections.abc import Sequence
@@ -13,55 +14,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from .matching import Vectors
-
 MIN_FRAMES = 30
 """Least number of frames of a traverse whose mean is subtracted. The mean of fewer frames describes
 their place: subtracting it lowered Recall@1 of single pictures on CamVid, swept, from 0.84 to
 0.69."""
-
-
-@torch.no_grad()
-def standardise(descriptors: Vectors, sequences: Sequence[str] | None = None) -> Tensor:
-    """Descriptors without the mean of their traverse, normalised again.
-
-    Empty frames, whose descriptors are zero, stay zero and do not count in the mean. Traverses of
-    few frames share a mean, see `sharing`; fewer than `MIN_FRAMES` frames in all stay as they are.
-
-    Args:
-        descriptors: ``(N, D)`` float, or ``(N, S, D)`` of a sweep; the mean is over all anchors.
-        sequences: the traverse of each frame; without, all frames are of one.
-
-    Returns:
-        float32 of the same shape, of length 1 or zero.
-
-    Raises:
-        ValueError: the descriptors are of another shape or not finite, or there is not one
-            sequence for each.
-
-    Examples:
-        >>> frames = torch.eye(30) + 5  # a large part in common
-        >>> standardise(frames)[0, :3]
-        tensor([ 0.9832, -0.0339, -0.0339])
-    """
-    single = F.normalize(torch.as_tensor(descriptors).float(), dim=-1)
-    if single.ndim not in (2, 3):
-        raise ValueError(f"expected descriptors (N, D) or (N, S, D), got {tuple(single.shape)}")
-    if bad := (~single.isfinite()).flatten(1).any(1).nonzero()[:, 0].tolist():
-        raise ValueError(f"row {bad[0]} of the descriptors holds values that are not finite")
-    names = [""] * len(single) if sequences is None else sequences
-    if len(names) != len(single):
-        raise ValueError(f"expected a sequence for each of {len(single)} frames, got {len(names)}")
-    number = {name: place for place, name in enumerate(dict.fromkeys(names))}
-    numbers = np.array([number[name] for name in names], np.int64)
-    anchors = single if single.ndim == 3 else single[:, None]
-    after, shared = anchors.clone(), sharing(np.bincount(numbers).tolist())
-    for group, means in shared.items():
-        rows = torch.from_numpy(np.flatnonzero(np.isin(numbers, group)))
-        of = anchors[torch.from_numpy(np.flatnonzero(np.isin(numbers, means)))]
-        mean = of.sum((0, 1), dtype=torch.double) / of.any(dim=2).sum().clamp(min=1)
-        after[rows] = without_mean(anchors[rows], mean.float())
-    return after.view_as(single)
 
 
 def sums(descriptors: Tensor) -> tuple[npt.NDArray[np.float64], int]:
@@ -98,17 +54,5 @@ def sharing(frames: Sequence[int]) -> dict[tuple[int, ...], tuple[int, ...]]:
     return shared
 
 
-def without_mean(vectors: Tensor, mean: Tensor) -> Tensor:
-    """Vectors ``(..., D)`` float32 of length 1 or zero, less a mean and normalised again. A zero
-    vector stays zero, and a vector that equals the mean stays as it is."""
-    centred = vectors - mean
-    equal = centred.abs().amax(dim=-1, keepdim=True) <= _ROUNDING
-    after = torch.where(equal, vectors, F.normalize(centred, dim=-1))
-    return after * vectors.any(dim=-1, keepdim=True)
-
-
 _IN_A_BYTE = 255
 """Most bits whose sum is a byte."""
-
-_ROUNDING = 1e-6
-"""A vector this near to the mean equals it: its traverse has one frame, or all frames are equal."""
