@@ -7,7 +7,7 @@ import torch.nn.functional as F
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ssrvlad_torch.channels.signs import REACH, moved, numbers
+from ssrvlad_torch.channels.signs import moved
 from ssrvlad_torch.recognition.comparison import Member, ReferenceRows
 from ssrvlad_torch.recognition.recognise import Steps, recognise
 
@@ -36,48 +36,6 @@ def test_moved_columns_leave_zeros(columns):
         inside = 0 <= source < SHAPE[0]
         expected = grid[:, source] if inside else torch.zeros_like(grid[:, 0])
         assert torch.equal(after[:, column], expected)
-
-
-def plain(queries, references, sequences=None, reach=REACH):
-    """The scores by matrices of numbers."""
-    q, r = numbers(queries), numbers(references)
-    if sequences is not None:
-        q = q - q.mean(0)
-        for name in dict.fromkeys(sequences):
-            rows = torch.tensor([name == each for each in sequences])
-            r[rows] -= r[rows].mean(0)
-    scores = []
-    for move in range(-reach, reach + 1):
-        kept = [c for c in range(SHAPE[0]) if 0 <= c - move < SHAPE[0]]
-        here, there = (each[:, kept].flatten(1) for each in (moved(q, move), r))
-        scores.append(F.normalize(here, dim=1) @ F.normalize(there, dim=1).T)
-    return torch.stack(scores).amax(0)
-
-
-@pytest.mark.parametrize("reach", [0, REACH])
-def test_scores_are_cosines_of_the_best_move(library, reach):
-    queries, references = grids(7), grids(40, 1)
-    references[3] = moved(queries, reach)[2]
-    got = ReferenceRows(references, ["a"] * 40).compare(queries, False, bool(reach)).whole()
-    torch.testing.assert_close(got, plain(queries, references, reach=reach), atol=1e-5, rtol=0)
-    assert got[2].argmax() == 3
-
-
-@pytest.mark.parametrize("reach", [0, REACH])
-def test_standardised_scores_are_those_of_means_off(library, reach):
-    queries, sequences = drive(50), ["a"] * 30 + ["b"] * 45
-    references = torch.cat((drive(30, 1), drive(45, 2)))
-    got = ReferenceRows(references, sequences).compare(queries, True, bool(reach))
-    expected = plain(queries, references, sequences, reach)
-    torch.testing.assert_close(got.whole(), expected, atol=1e-5, rtol=0)
-
-
-def test_a_traverse_of_equal_frames_stays_as_it_is(library):
-    frame, references = grids(1).expand(30, *SHAPE), grids(40, 1)
-    rows = ReferenceRows(torch.cat((frame, references)), ["one"] * 30 + ["many"] * 40)
-    score = rows.compare(frame.repeat(2, 1, 1, 1), True, False).whole()
-    assert score.shape == (60, 70)
-    torch.testing.assert_close(score[:, :30], torch.ones(60, 30))
 
 
 @pytest.mark.parametrize("follow", [None, "offline"])

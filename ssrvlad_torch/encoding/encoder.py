@@ -82,7 +82,7 @@ def encode_to_database(
     """
     options = options or EncodeOptions()
     plan, describer = prepared(head, files, database, options, segmenter)
-    results = _encode(describer, plan.files, options.workers, segmenter)
+    results = encode(describer, plan.files, options.workers, segmenter)
     with closing(results), Writer(database, plan, options) as writer:
         for result in results:
             writer.add(result)
@@ -162,11 +162,12 @@ def encode_to_memory(
     segmenter: Segmenter | None = None,
     columns: Sequence[int] = (),
 ) -> tuple[FrameSet, list[Skipped]]:
-    """The frames that could be encoded and those that were skipped, in order. ``progress`` is
-    called with 1 for each frame; other arguments and errors as for `encode`."""
+    """The frames of a label space that could be encoded and those that were skipped, in order, see
+    `encode`. ``columns`` are the anchors of channels that can sweep, see `Channel.describe`;
+    ``progress`` is called with 1 for each frame."""
     frames: list[Encoded] = []
     skipped: list[Skipped] = []
-    for frame in encode(channels, space, files, workers, segmenter, columns):
+    for frame in encode(Describer(channels, space, columns), files, workers, segmenter):
         if isinstance(frame, Skipped):
             skipped.append(frame)
         else:
@@ -187,30 +188,18 @@ def encode_to_memory(
 
 
 def encode(
-    channels: Sequence[Channel],
-    space: LabelSpace,
+    describer: Describer,
     files: Sequence[FrameFile],
     workers: int | None = None,
     segmenter: Segmenter | None = None,
-    columns: Sequence[int] = (),
-) -> Iterator[Encoded | Skipped]:
-    """Encodes label maps of a label space, or images with a segmenter, in order, by some channels.
-
-    ``columns`` are the anchors of channels that can sweep, see `Channel.describe`. Each worker, by
-    default one for each core, is a thread that reads and describes one batch at a time; with 0 or 1
-    everything runs in the caller's thread. Where a channel describes in the caller's thread alone,
-    workers only read. A segmenter runs there too, while workers describe its earlier
-    label maps.
-    """
-    return _encode(Describer(channels, space, columns), files, workers, segmenter)
-
-
-def _encode(
-    describer: Describer,
-    files: Sequence[FrameFile],
-    workers: int | None,
-    segmenter: Segmenter | None,
 ) -> Generator[Encoded | Skipped]:
+    """Encodes label maps, or images with a segmenter, in order.
+
+    Each worker, by default one for each core, is a thread that reads and describes one batch at a
+    time; with 0 or 1 everything runs in the caller's thread. Where a channel describes in the
+    caller's thread alone, workers only read. A segmenter runs there too, while workers describe its
+    earlier label maps.
+    """
     workers = cores() if workers is None else workers
     items: Iterator[Item] = map(Item, files)
     if segmenter:

@@ -17,7 +17,7 @@ from ..datasets.frame_files import FrameFile, with_poses
 from ..datasets.names import absolute, sequence_names
 from ..datasets.pose_tables import PoseTable
 from ..descriptor import SSRVLAD
-from ..encoding.encoder import channels_to_store, check_segmenter, encode
+from ..encoding.encoder import Describer, channels_to_store, check_segmenter, encode
 from ..encoding.plan import check_folder
 from ..encoding.results import Encoded, Note, Skipped, do_nothing
 from ..evaluation.loops import loop_curve, loop_errors, score_loops, surest_point
@@ -68,8 +68,12 @@ def encode_files(
     """Encodes the files whose frames the detector does not know yet; see `encoding.encode`."""
     check_segmenter(segmenter, detector.head, detector.channels)
     fresh = [file for file in files if file.frame not in detector]
-    space = detector.head.label_space
-    return encode(detector.channels, space, fresh, workers, segmenter, detector.columns)
+    return encode(describer_of(detector), fresh, workers, segmenter)
+
+
+def describer_of(detector: LoopDetector) -> Describer:
+    """What describes the frames of a detector."""
+    return Describer(detector.channels, detector.head.label_space, detector.columns)
 
 
 def encode_as_they_come(
@@ -84,7 +88,7 @@ def encode_as_they_come(
     file's folder is read once. The sequence is named by the folder, as in the database from which
     the detector was loaded. A segmenter labels images; without one, the files are label maps."""
     check_segmenter(segmenter, detector.head, detector.channels)
-    at_start, space = frozenset(detector.frames), detector.head.label_space
+    at_start, describer = frozenset(detector.frames), describer_of(detector)
     records, folders = (database.known(), database.folders()) if database else ({}, set())
     find = functools.cache(PoseTable.of_folder)
 
@@ -109,7 +113,7 @@ def encode_as_they_come(
         except ValueError as error:
             yield Skipped(frame, str(error))
             continue
-        yield from encode(detector.channels, space, posed, 1, segmenter, detector.columns)
+        yield from encode(describer, posed, 1, segmenter)
 
 
 def detect_loops(

@@ -21,8 +21,6 @@ from .decide import MODES, Decision, Drives, Floats, Room, library, problem
 
 Array = npt.NDArray[Any]
 
-REACH = 2
-"""Columns by which signs are moved to each side."""
 MIN_FRAMES = 30
 """Of a drive that has a mean of its own, and of a map for it."""
 

@@ -139,11 +139,6 @@ class Rows(NamedTuple):
     def __len__(self) -> int:
         return len(self.vectors)
 
-    def mean(self) -> Tensor:
-        """``(D,)`` float32, the mean of the rows at length 1; rows of zero do not count."""
-        weights = self.lengths.reciprocal().nan_to_num(posinf=0.0)
-        return weights @ self.vectors.float() / max(1, int((weights > 0).sum()))
-
     def cosines(self, queries: Tensor) -> Tensor:
         """``(Q, R)`` float32 cosines of ``(Q, D)`` `unit_queries`, -inf where a vector is zero."""
         scores = queries @ self.vectors.float().T
