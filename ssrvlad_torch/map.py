@@ -16,14 +16,18 @@ import torch
 from .channels import LABEL_SHAPES
 from .channels.channel import Channel, View
 from .channels.column import Column
-from .config import SSRVLADConfig
 from .database.database import Database
 from .database.engine import discard_empty
 from .database.frames import FrameSet
 from .datasets.image_files import Picture, pixels_of
 from .datasets.label_files import read_label_map
 from .descriptor import SSRVLAD
-from .encoding.encoder import channels_to_store, check_segmenter, encode_to_database
+from .encoding.encoder import (
+    channels_to_store,
+    check_segmenter,
+    config_for,
+    encode_to_database,
+)
 from .encoding.ray_engine import encode_with_ray
 from .encoding.results import EncodeOptions, Note, Progress, Summary, do_nothing
 from .encoding.source import Source, Wanted, open_source, origin_of, require_network
@@ -187,7 +191,7 @@ class Map:
         source = frames if isinstance(frames, Source) else self.source(frames, note=note)
         if options.gpus and not source.segmenter:
             raise ValueError("--gpus needs --engine ray and --segmenter")
-        head = SSRVLAD(self._config(source))
+        head = SSRVLAD(config_for(self._database, self.preset, source.labels_as))
         beside = channels_to_store(self._database, head, source.segmenter, self.channels, note)
         columns = [channel.column for channel in beside]
         if self._database is None:
@@ -347,12 +351,6 @@ class Map:
             network = self.network and (self._opened or self.network)
             frames = replace(frames, segmenter=network, labels_as=self.labels_as)
         return frames
-
-    def _config(self, source: Source) -> SSRVLADConfig:
-        """The settings of the map, or of a new one, for the label space of a source."""
-        if self.preset is None and self._database:
-            return replace(self._database.config, labels_as=source.labels_as)
-        return SSRVLADConfig.from_preset(self.preset or "default", labels_as=source.labels_as)
 
     def _encoded(
         self,

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing
+from dataclasses import replace
 from functools import partial
 from itertools import islice
 from typing import Any, NamedTuple
@@ -23,6 +24,7 @@ from ..channels.channel import (
     channels_of,
     new_channels,
 )
+from ..config import SSRVLADConfig
 from ..database.database import Database
 from ..database.frames import FrameRecord, FrameSet
 from ..datasets.frame_files import FrameFile
@@ -105,6 +107,16 @@ def prepared(
     plan = Plan.of(files, database, database.origins[origin])
     options.progress(plan.already_there)
     return plan, Describer(channels, head.label_space, origin=origin)
+
+
+def config_for(
+    database: Database | None, preset: str | None, labels_as: str | LabelSpace
+) -> SSRVLADConfig:
+    """The settings of a preset for a label space; without one those of the database, or else
+    ``default``."""
+    if database and preset is None:
+        return replace(database.config, labels_as=labels_as)
+    return SSRVLADConfig.from_preset(preset or "default", labels_as=labels_as)
 
 
 def channels_to_store(

@@ -3,7 +3,6 @@
 import functools
 from collections import Counter
 from collections.abc import Generator, Iterable, Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +10,12 @@ import numpy as np
 import torch
 
 from ..channels.channel import Network
-from ..config import SSRVLADConfig
 from ..database.database import Database
 from ..datasets.frame_files import FrameFile, with_poses
 from ..datasets.names import absolute, sequence_names
 from ..datasets.pose_tables import PoseTable
 from ..descriptor import SSRVLAD
-from ..encoding.encoder import Describer, channels_to_store, check_segmenter, encode
+from ..encoding.encoder import Describer, channels_to_store, check_segmenter, config_for, encode
 from ..encoding.plan import check_folder
 from ..encoding.results import Encoded, Note, Skipped, do_nothing
 from ..evaluation.loops import loop_curve, loop_errors, score_loops, surest_point
@@ -46,10 +44,7 @@ def open_detector(
     channels, those of the database, or ``default`` and all that the frames have; others, and a
     damaged database, are a ValueError."""
     stored = Database.open(memory) if memory is not None and Database.exists(memory) else None
-    if stored and preset is None:
-        method = replace(stored.config, labels_as=labels_as)
-    else:
-        method = SSRVLADConfig.from_preset(preset or "default", labels_as=labels_as)
+    method = config_for(stored, preset, labels_as)
     head = SSRVLAD(method)
     beside = channels_to_store(stored, head, network, channels, note)
     if memory is None:
