@@ -15,10 +15,10 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Collection
-from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
+from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass, replace
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, get_type_hints
 
 import typer
 
@@ -208,10 +208,8 @@ class StepOptions:
 
     def steps(self) -> Steps:
         """The chosen steps."""
-        from ..recognition.recognise import AS_PAPER, Steps
+        from ..recognition.recognise import Steps
 
-        if getattr(self, "as_paper", False):
-            return AS_PAPER
         follow = None if self.follow == "no" else self.follow
         return Steps(self.standardise, self.sweep, follow, self.delay)
 
@@ -254,33 +252,35 @@ class RecognitionOptions(StepOptions):
         max=1,
     )
 
-    def check(self, typed: Collection[str]) -> None:
-        """Refuses options that contradict each other by a ValueError that names them; ``typed`` are
-        the names of the options on the command line."""
+    def checked(self, typed: Collection[str]) -> Self:
+        """The options, with all that `as_paper` means. Those that contradict each other are a
+        ValueError that names them; ``typed`` are the names of the options on the command line."""
         if self.near is not None:
             from ..search.near import Near
 
             Near.of(self.near)
         if "max_wrong" in typed and "min_confidence" in typed:
             raise ValueError("--max-wrong chooses the least confidence; leave out --min-confidence")
-        paper = {"standardise": False, "sweep": False, "follow": "no", "delay": 0}
+        if not self.as_paper:
+            return self
+        paper: dict[str, Any] = {"standardise": False, "sweep": False, "follow": "no", "delay": 0}
         paper |= {"channel": [LABEL_SHAPES], "temporal": PAPER_REACH}
         contradicting = [
             name for name, value in paper.items() if name in typed and getattr(self, name) != value
         ]
-        if self.as_paper and contradicting:
+        if contradicting:
             names = " and ".join(f"--{name}" for name in contradicting)
             raise ValueError(
                 f"--as-paper means --no-standardise --no-sweep --follow no --temporal "
                 f"{PAPER_REACH} --channel {LABEL_SHAPES}; it contradicts {names}"
             )
+        return replace(self, **paper)
 
     def settings(self) -> dict[str, Any]:
         """What `Map.query` takes beside steps and frames."""
-        paper = self.as_paper
         return {
-            "temporal": self.temporal or (PAPER_REACH if paper else 0),
-            "channels": [LABEL_SHAPES] if paper else self.channel,
+            "temporal": self.temporal or 0,
+            "channels": self.channel,
             "near": self.near,
             "min_confidence": self.min_confidence,
             "max_wrong": self.max_wrong,
@@ -318,8 +318,8 @@ class TruthOptions:
 
 def expand(command: Callable[..., None]) -> Callable[..., None]:
     """The command in the form that typer expects: the fields of each options class are parameters,
-    and each `option` or `argument` is typer's. If a class has a method ``check``, it is called with
-    the names of the options on the command line."""
+    and each `option` or `argument` is typer's. If a class has a method ``checked``, it is called
+    with the names of the options on the command line, and gives what the command gets."""
     types = get_type_hints(command, include_extras=True)
     classes: dict[str, Any] = {name: kind for name, kind in types.items() if is_dataclass(kind)}
     parameters: list[inspect.Parameter] = []
@@ -336,8 +336,8 @@ def expand(command: Callable[..., None]) -> Callable[..., None]:
         typed = [n for n in values if (s := source_of(n)) and s.name == "COMMANDLINE"]
         for name, kind in classes.items():
             values[name] = kind(**{f.name: values.pop(f.name) for f in fields(kind)})
-            if hasattr(kind, "check"):
-                values[name].check(typed)
+            if hasattr(kind, "checked"):
+                values[name] = values[name].checked(typed)
         with results_alone():
             command(**values)
 
