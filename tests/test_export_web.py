@@ -445,6 +445,14 @@ def test_photographs_of_a_drive_are_found_by_all_channels(page, site, ssrvlad, t
     page.wait_for(f"{ROWS}[0].startsWith('{lines[7]['candidates'][0]['frame']}')")
     assert page.run(CONFIDENCE).endswith(f" {lines[7]['confidence']:.2f}")
     assert page.run(f"document.activeElement === {button}"), "the list is not made anew"
+    config = SSRVLADConfig(labels_as="camvid-11")
+    fuse(tmp_path / "net.yaml", config, site / "bare.onnx", features=False)
+    open_page(page, "?model=bare.onnx&database=drive.npy")
+    page.wait_for(f"{STATUS} === 'Choose photographs.'")
+    page.drop(tmp_path / "today" / "9.png")
+    page.wait_for(f"{SHOWN} || {FAILED}")
+    lacking = "; only the database has features: matched without; fuse the file again."
+    assert page.run(STATUS).endswith(lacking)
 
 
 def write_map(ssrvlad, path, *maps):
