@@ -8,7 +8,6 @@ from test_decide import Best
 from test_follow import noisy
 
 from ssrvlad_torch import native
-from ssrvlad_torch.recognition import deciding
 from ssrvlad_torch.recognition.follow import follow
 from ssrvlad_torch.recognition.recognise import Steps, recognise_by_scores, recognise_by_search
 from ssrvlad_torch.recognition.rivals import chance_of
@@ -20,9 +19,9 @@ NAMES = ["a"] * 55 + ["b"] * 5
 @pytest.fixture
 def without_core(monkeypatch):
     monkeypatch.setattr(native, "core", lambda: native.Core(None, "torch, for it was not built"))
-    deciding._say.cache_clear()
+    native._warn.cache_clear()
     yield
-    deciding._say.cache_clear()
+    native._warn.cache_clear()
 
 
 def drive(run, _):

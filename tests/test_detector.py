@@ -14,7 +14,6 @@ from networks import photo
 from ssrvlad_torch import LoopDetector, Segmenter, native
 from ssrvlad_torch.channels.features import Features
 from ssrvlad_torch.database.frames import FrameRecord
-from ssrvlad_torch.loops import live
 from ssrvlad_torch.loops.config import LoopConfig
 
 SPACE = "camvid-11"
@@ -73,7 +72,7 @@ def test_without_the_core_the_oracle_finds_the_same_and_says_so_once(core, monke
     expected = found()
     assert any(result.accepted for result in expected)
     monkeypatch.setattr(native, "core", lambda: native.Core(None, "torch, for it was not built"))
-    live._say.cache_clear()
+    native._warn.cache_clear()
     with pytest.warns(UserWarning, match="^NumPy finds loops, slowly, for it was not built$"):
         got = found()
     with warnings.catch_warnings(action="error"):

@@ -6,9 +6,7 @@ Both find the same loops; see `native.loops` and `reference`. Needs no torch.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
-from functools import cache
 
 import numpy as np
 import numpy.typing as npt
@@ -26,16 +24,9 @@ _LENGTH_TOLERANCE = 1e-3
 
 def live(channels: Sequence[Channel], config: LoopConfig) -> Live:
     """A stream without frames; a UserWarning says once where the core is not there."""
-    library, status = native.core()
-    if library is None:
-        _say(status.removeprefix("torch, "))
+    if native.if_built("finds loops") is None:
         return reference.Loops(channels, config.exclude, config.threshold)
     return by_core.Loops(channels, config.exclude, config.threshold)
-
-
-@cache
-def _say(why: str) -> None:
-    warnings.warn(f"NumPy finds loops, slowly, {why}", stacklevel=3)
 
 
 def checked(channel: Channel, descriptor: Array, frame: str) -> Array:

@@ -7,6 +7,7 @@ Without it, and on other devices, the stages in torch compute the same numbers.
 import ctypes
 import hashlib
 import sys
+import warnings
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -52,6 +53,27 @@ class Core(NamedTuple):
 
     library: ctypes.CDLL | None
     status: str
+
+
+def required() -> ctypes.CDLL:
+    """The library; without it a RuntimeError says why."""
+    library, status = core()
+    if library is None:
+        raise RuntimeError(status.removeprefix("torch, for "))
+    return library
+
+
+def if_built(task: str) -> ctypes.CDLL | None:
+    """The library; without it ``None``, and a UserWarning says once that NumPy does a task."""
+    library, status = core()
+    if library is None:
+        _warn(f"NumPy {task}, slowly, {status.removeprefix('torch, ')}")
+    return library
+
+
+@cache
+def _warn(text: str) -> None:
+    warnings.warn(text, stacklevel=4)
 
 
 @cache

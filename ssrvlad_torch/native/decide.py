@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
-from . import core
+from . import required
 
 Floats = npt.NDArray[np.floating[Any]]
 Rows = npt.NDArray[np.int64]
@@ -405,9 +405,7 @@ def _motion(motion: Sequence[float] | None) -> Any:
 @cache
 def library() -> ctypes.CDLL:
     """The core, with the types of its functions."""
-    found, status = core()
-    if found is None:
-        raise RuntimeError(status.removeprefix("torch, for "))
+    found = required()
     map_and_evidence = ctypes.POINTER(Drives), ctypes.POINTER(_Evidence)
     motion, size = ctypes.POINTER(_Motion), _SIZE
     found.ssrvlad_decide.argtypes = [

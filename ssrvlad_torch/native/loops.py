@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from . import core
+from . import required
 
 Array = npt.NDArray[Any]
 
@@ -236,9 +236,7 @@ def _require(status: int) -> None:
 
 @cache
 def _library() -> ctypes.CDLL:
-    library = core().library
-    if library is None:
-        raise RuntimeError(core().status)
+    library = required()
     size, pointer, integer = ctypes.c_int64, ctypes.c_void_p, ctypes.c_int
     library.ssrvlad_loops_new.restype = pointer
     library.ssrvlad_loops_new.argtypes = [ctypes.POINTER(_Settings), pointer, integer]

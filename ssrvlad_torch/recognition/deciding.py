@@ -3,10 +3,8 @@
 Both give the same decisions; see `native.decide` and `reference`.
 """
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import astuple
-from functools import cache
 from types import ModuleType
 from typing import Any
 
@@ -84,20 +82,12 @@ def answers_together(rivals: Tensor) -> float:
 
 def has_core() -> bool:
     """Whether the native core compares and decides; says once why not."""
-    library, status = native.core()
-    if library is None:
-        _say(status.removeprefix("torch, "))
-    return library is not None
+    return native.if_built("decides") is not None
 
 
 def _form() -> ModuleType:
     """The form that decides."""
     return by_core if has_core() else reference
-
-
-@cache
-def _say(why: str) -> None:
-    warnings.warn(f"NumPy decides, slowly, {why}", stacklevel=2)
 
 
 def _starts(sequences: Sequence[str]) -> list[int]:
