@@ -295,6 +295,8 @@ def test_train_ids_are_read_when_asked_for_or_alone(copy):
     write_street(copy / f"gtFine/train/aachen/{name}_gtFine_labelTrainIds.png", 1)
     assert open_dataset(copy).labels_as == "cityscapes-ids"
     asked = open_dataset(copy, labels_as="cityscapes-trainids")
+    space = label_space("cityscapes-trainids")
+    assert open_dataset(copy, labels_as=space).traverses == asked.traverses
     assert [file.path.name for file in asked.label_files()] == [f"{name}_gtFine_labelTrainIds.png"]
     for path in copy.rglob("*_labelIds.png"):
         path.unlink()

@@ -9,6 +9,7 @@ import math
 from pathlib import Path
 
 from ..files import read_json
+from ..taxonomy import label_space
 from .dataset import Dataset, LabelsAs, Layout, Traverse, files_in, folders_in, images_in, labels_in
 from .poses import Pose, heading_of_course
 
@@ -30,7 +31,7 @@ def read(root: Path, labels_as: LabelsAs) -> Dataset:
         if any(any((root / kind / city).glob(f"*_{ending}.png")) for city in cities)
     )
     space = labels_as or next(published, "cityscapes-ids")
-    ending = _ENCODINGS.get(str(space), "labelIds")
+    ending = _ENCODINGS.get(label_space(space).name, "labelIds")
     traverses = []
     for city in cities:
         images = images_in(root / _IMAGES / city, f"_{_IMAGES}")
