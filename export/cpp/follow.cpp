@@ -7,6 +7,7 @@
 // success, 2 for wrong use, with one line on stderr, 3 for finished with some frames skipped.
 
 #include <cstdio>
+#include <set>
 
 #include "frames.hpp"
 #include "map.hpp"
@@ -62,12 +63,17 @@ int run(const Options& options) {
   const ssrvlad::Map town(files[1], place.fingerprints());
   const auto top = static_cast<std::size_t>(program::number("TOP", files[2], 1));
   const auto frames = ssrvlad::find_frames({files.begin() + 3, files.end()}, place.takes_photographs());
+  std::set<std::string> ids;
   std::size_t skipped = 0;
   for (std::size_t first = 0, last = 0; first < frames.size(); first = last) {
     std::vector<std::string> names;
     std::vector<ssrvlad::Described> drive;
     for (; last < frames.size() && frames[last].drive() == frames[first].drive(); ++last) try {
-        drive.push_back(ssrvlad::describe(place, frames[last].path.string()));
+        const auto path = frames[last].path.string();
+        if (ids.count(frames[last].id))
+          throw std::runtime_error(path + ": a second frame " + frames[last].id);
+        drive.push_back(ssrvlad::describe(place, path));
+        ids.insert(frames[last].id);
         names.push_back(frames[last].id);
       } catch (const std::runtime_error& error) {
         std::cerr << error.what() << "\n";

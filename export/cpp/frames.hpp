@@ -9,9 +9,7 @@
 #include <cstdio>
 #include <filesystem>
 #include <fstream>
-#include <iostream>
 #include <map>
-#include <set>
 #include <stdexcept>
 #include <string>
 #include <tuple>
@@ -98,8 +96,7 @@ inline std::vector<std::tuple<bool, std::string>> natural(std::string name) {
 
 }  // namespace detail
 
-// The frames in folders, or single files; those of a folder in natural order. A second frame of one id is
-// left out, and named on stderr.
+// The frames in folders, or single files; those of a folder in natural order. Two may have one id.
 inline std::vector<Frame> find_frames(const std::vector<std::string>& sources, bool photographs) {
   namespace fs = std::filesystem;
   std::map<std::string, fs::path> folders;
@@ -129,7 +126,6 @@ inline std::vector<Frame> find_frames(const std::vector<std::string>& sources, b
       if (drive == name) own.insert(own.end(), files.begin(), files.end());
   }
   std::vector<Frame> frames;
-  std::set<std::string> ids;
   for (auto& [name, files] : drives) {
     std::sort(files.begin(), files.end(), [](const auto& one, const auto& other) {
       const auto key = [](const auto& file) {
@@ -138,13 +134,7 @@ inline std::vector<Frame> find_frames(const std::vector<std::string>& sources, b
       };
       return key(one) < key(other);
     });
-    for (const auto& file : files) {
-      const auto id = name + "/" + file.stem().string();
-      if (ids.insert(id).second)
-        frames.push_back({id, file});
-      else
-        std::cerr << file.string() << ": a second frame " << id << ", left out\n";
-    }
+    for (const auto& file : files) frames.push_back({name + "/" + file.stem().string(), file});
   }
   return frames;
 }

@@ -14,6 +14,7 @@
 #include <csignal>
 #include <cstdio>
 #include <iostream>
+#include <set>
 
 #include "frames.hpp"
 #include "program.hpp"
@@ -91,10 +92,11 @@ int run(const Options& options) {
   };
   save();  // an error is known before the drive
   std::signal(SIGINT, [](int) { interrupted = 1; });
+  const std::set<std::string> known(loops.frames().begin(), loops.frames().end());
   std::size_t skipped = 0, omitted = 0;
   for (const auto& frame : frames) {
     if (interrupted) break;
-    if (goes_on && loops.contains(frame.id)) {
+    if (known.count(frame.id)) {
       ++omitted;
       continue;
     }

@@ -33,7 +33,7 @@
 #include <utility>
 #include <vector>
 
-#include "interface.hpp"
+#include "library.hpp"
 #include "place.hpp"
 #include "ssrvlad_loops.h"
 

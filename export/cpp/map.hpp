@@ -20,7 +20,7 @@
 #include <utility>
 #include <vector>
 
-#include "interface.hpp"
+#include "library.hpp"
 #include "npy.hpp"
 #include "place.hpp"
 #include "ssrvlad_map.h"

@@ -77,8 +77,7 @@ def run_golden(session: Any, name: str, properties: dict[str, str]) -> Golden:
         outputs = dict(zip(golden, session.run(list(golden), inputs), strict=True))
     except Exception as error:  # ONNX Runtime has no common error type
         raise ValueError(f"cannot run the golden pair: {one_line(error)}") from error
-    forms = ([(a.shape, a.dtype) for a in side] for side in (outputs.values(), golden.values()))
-    if next(forms) != next(forms):
+    if _forms(outputs) != _forms(golden):
         return Golden(float("inf"), cosine=0.0)
     other = float((outputs["labels"] != golden["labels"]).mean()) if "labels" in golden else 0.0
     signs = [each["features"] for each in (outputs, golden) if "features" in golden]
@@ -108,6 +107,10 @@ def require_golden(path: Path, golden: Golden) -> None:
 def _largest(got: Array, expected: Array) -> float:
     """The largest difference of two arrays, infinite for NaN."""
     return float(np.nan_to_num(np.abs(got - expected), nan=np.inf).max())
+
+
+def _forms(arrays: dict[str, Array]) -> dict[str, Any]:
+    return {name: (array.shape, array.dtype) for name, array in arrays.items()}
 
 
 def _array(entry: dict[str, Any]) -> Array:

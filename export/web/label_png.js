@@ -4,7 +4,9 @@
 const SIGNATURE = [137, 80, 78, 71, 13, 10, 26, 10];
 const [GRAY, PALETTE] = [0, 3];
 const PAETH = 4;
-const COLOUR_AT = 25; // of its header, which is the first chunk
+const COLOUR_AT = 25;
+/** Bytes of a file that `isGrayPng` needs: up to the colour type in the header, its first chunk. */
+export const HEAD = COLOUR_AT + 1;
 const BITS = { [GRAY]: [8, 16], [PALETTE]: [1, 2, 4, 8] };
 const CRC = Uint32Array.from({ length: 256 }, (_, byte) => {
   let crc = byte;

@@ -143,9 +143,14 @@ def read_exif(file: BinaryIO) -> Fix | None:
         is_true = tags.get(tag.GPSImgDirectionRef, "T") == "T"
         course = float(tags.get(tag.GPSImgDirection, "nan")) if is_true else math.nan
         return Fix(latitude, longitude, course)
-    except (OSError, LookupError, TypeError, ValueError, ZeroDivisionError):
-        return None
-    except Image.DecompressionBombError:
+    except (
+        OSError,
+        KeyError,
+        TypeError,
+        ValueError,
+        ZeroDivisionError,
+        Image.DecompressionBombError,
+    ):
         return None
 
 

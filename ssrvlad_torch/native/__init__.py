@@ -1,4 +1,4 @@
-"""The native core: the whole method in one C++ file without torch, as an operator of torch.
+"""The native core: the method and the decisions in C++ without torch; the method as its operator.
 
 It is built with the package if a C++ compiler is available, and describes label maps on a CPU.
 Without it, and on other devices, the stages in torch compute the same numbers.
