@@ -22,6 +22,7 @@ from graphs import edit_golden, turned
 from helpers import COLOUR, GRAY, PALETTES, street, write_palette, write_png
 from networks import PLAIN, colour_network, photo
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 from segmenting import write_drives, write_image, write_town
 from ssrvlad_place.database import save
 from ssrvlad_place.frames import _natural
@@ -341,6 +342,12 @@ def test_a_photograph_goes_into_a_fused_file(page, site):
     )
     assert (best, score) == ("photos/1", pytest.approx(1, abs=1e-4))
     assert page.run(GOLDEN).startswith("golden pair: largest")
+    linear = PngInfo()
+    linear.add(b"gAMA", (100_000).to_bytes(4, "big"))
+    Image.fromarray(photo(labels[1])).save(site / "linear.png", pnginfo=linear)
+    query = "?model=place.onnx&database=photos.npy&labels="
+    plain = matches_of(page, f"{query}photo.png")
+    assert matches_of(page, f"{query}linear.png") == plain, "colours are taken as they are stored"
     shown = Image.open(site / "photo.png")
     shown.putalpha(254)
     shown.save(site / "alpha.png")

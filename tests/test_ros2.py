@@ -244,6 +244,26 @@ def test_the_node_saves_when_it_is_interrupted(node, store, monkeypatch, tmp_pat
     assert len(Database.open(tmp_path / "db")) == 1
 
 
+def test_a_memory_that_cannot_be_written_is_told_and_costs_no_result(
+    node, store, monkeypatch, tmp_path
+):
+    def save(self):
+        raise OSError("no space left on device")
+
+    def spin(running):
+        running._on_labels(label_info(store.types, CAMVID))
+        running._on_image(image(store.types, street(0), 1))
+        assert running.said == ["the memory cannot be written: no space left on device"]
+        assert {topic for topic, _ in running.published} == {"descriptor", "results"}
+
+    monkeypatch.setattr(StandInNode, "given", {"memory": str(tmp_path / "db")})
+    monkeypatch.setattr(node.rclpy, "spin", spin, raising=False)
+    monkeypatch.setattr("ssrvlad_ros.live_loops.CHECKPOINT_FRAMES", 1)
+    monkeypatch.setattr("ssrvlad_ros.live_loops.LiveLoops.save", save)
+    with refused("^ssrvlad_loops: no space left on device$", by=SystemExit):
+        node.main()
+
+
 def test_the_node_reads_pictures_with_a_model(node, store, monkeypatch, drives, tmp_path):
     given = {"model": str(drives / "place.onnx"), "exclude": 5, "memory": str(tmp_path / "db")}
     monkeypatch.setattr(StandInNode, "given", given)
