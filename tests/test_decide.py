@@ -9,12 +9,18 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_follow import TRACKS, noisy
 
 from ssrvlad_torch.native.decide import Search, decide, follow, gain
 from ssrvlad_torch.recognition import reference
 from ssrvlad_torch.recognition.motion import BACKWARDS, FORWARDS, NEAR, Course, Motion, moments
 
+TRACKS = {
+    "as fast": list(range(20, 80)),
+    "three times as fast": list(range(10, 160, 3)),
+    "half as fast": [20 + i // 2 for i in range(80)],
+    "with a stop": [*range(20, 50), *[50] * 20, *range(51, 80)],
+    "with a jump": [*range(20, 60), *range(130, 170)],
+}
 MODES = st.sampled_from([("offline", 0), ("online", 0), ("online", 3), (None, 0)])
 
 
@@ -39,6 +45,14 @@ class Best:
 
     def sample(self, query):
         return self.rows, self.matrix[query, self.rows]
+
+
+def noisy(track, rows, seed=0, strength=0.25):
+    """Scores in which the true row stands out only on average."""
+    generator = torch.Generator().manual_seed(seed)
+    scores = torch.rand(len(track), rows, generator=generator) * 0.5
+    scores[range(len(track)), track] += strength
+    return scores
 
 
 def tracks(kind, queries, start):
@@ -161,6 +175,31 @@ def test_scores_on_demand_and_a_part_of_the_queries_decide_as_a_matrix_does():
         got = decide(evidence, [0, 50], 100, queries=range(5, 33))
         for ours, theirs in zip(got, expected, strict=True):
             np.testing.assert_array_equal(ours, theirs)
+
+
+@pytest.mark.parametrize("name", TRACKS)
+def test_follows_where_single_frames_do_not(name):
+    track = np.array(TRACKS[name])
+    scores = noisy(TRACKS[name], 200).numpy()
+    single = (np.abs(scores.argmax(1) - track) <= NEAR).mean()
+    followed = follow(scores, [0], 200).rows[:, 0]
+    assert (np.abs(followed - track) <= NEAR).mean() > max(0.9, single + 0.1)
+
+
+def test_a_place_that_the_map_lacks_is_told():
+    scores = noisy([*range(40, 100)], 200, seed=1, strength=0.5)
+    scores[30:, 70:100] -= 0.5 * torch.eye(30)
+    found = follow(scores.numpy(), [0], 200, motion=astuple(Motion(weight=1.0, level=3.0)))
+    assert found.unmapped[:25].max() < 0.1 and found.unmapped[40:].min() > 0.9
+
+
+@pytest.mark.parametrize("mode", ["online", "offline"])
+def test_a_row_without_a_score_is_no_candidate(mode):
+    scores = np.eye(30, dtype=np.float32)[10:20]
+    scores[:, 15] = -np.inf
+    found = follow(scores, [0], 30, mode, top=30)
+    assert (found.rows != 15).all() and (found.rows[:, -1] == -1).all()
+    assert found.rows[4, 0] == 14
 
 
 @pytest.mark.parametrize("mode", ["online", "offline"])

@@ -36,8 +36,8 @@ IN_A_CONTEXT = """
 import torch
 with torch.device("meta"):
     from ssrvlad_torch import SSRVLAD
-    from ssrvlad_torch.recognition.follow import follow
-print(follow(torch.eye(30)[:3], ["map"] * 30, top=1).indices.flatten().tolist())
+    from ssrvlad_torch import match
+print(match(torch.eye(30)[:3], torch.eye(30), top=1).indices.flatten().tolist())
 """
 
 

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from ssrvlad_torch.native import decide as core
 from ssrvlad_torch.recognition import reference
 from ssrvlad_torch.recognition.confidence import Confidence
-from ssrvlad_torch.recognition.follow import follow
 from ssrvlad_torch.recognition.fusion import FusedScores
 from ssrvlad_torch.recognition.motion import BACKWARDS, FORWARDS, Motion
 from ssrvlad_torch.recognition.rivals import chance_of
@@ -56,15 +55,13 @@ def test_a_drive_is_followed(seed, lengths, queries, later, way, rate):
     scores = drawn(seed, queries, len(names), 0.1)
     motion = Motion(change=0.1, jump=0.05, unmapped=0.2, stay=0.8, weight=1.0, rate=rate)
     expected, unmapped = reference.follow(scores, names, motion, way, later)
-    mode = "offline" if later == 100 else "online"
-    places = follow(
-        scores, names, mode=mode, delay=later % 100, top=len(names), motion=motion, way=way
-    )
+    starts = [names.index(name) for name in dict.fromkeys(names)]
+    mode, numbers = "offline" if later == 100 else "online", astuple(motion)
+    places = core.follow(scores, starts, len(names), mode, later % 100, len(names), numbers, way)
     for row, (probabilities, rows) in enumerate(zip(*places[:2], strict=True)):
         known = rows >= 0
         np.testing.assert_allclose(probabilities[known], expected[row][rows[known]], atol=2e-5)
     np.testing.assert_allclose(places.unmapped, unmapped, atol=2e-5)
-    starts = [names.index(name) for name in dict.fromkeys(names)]
     fast = core.gain(scores, starts, len(names), astuple(motion), way)
     assert fast == pytest.approx(reference.gain(scores, names, motion, way), abs=1e-3)
 

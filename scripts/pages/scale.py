@@ -34,9 +34,10 @@ from ssrvlad_torch.database.database import Database
 from ssrvlad_torch.database.frames import FrameRecord
 from ssrvlad_torch.datasets.synthetic_city import SyntheticCity
 from ssrvlad_torch.encoding.plan import COMMIT_ROWS
+from ssrvlad_torch.native.decide import follow
 from ssrvlad_torch.recognition.comparison import ReferenceRows
-from ssrvlad_torch.recognition.follow import follow
 from ssrvlad_torch.recognition.matching import Rows
+from ssrvlad_torch.recognition.sequences import runs
 from ssrvlad_torch.recognition.sweep import COLUMNS, score
 from ssrvlad_torch.search.coarse_index import build
 from ssrvlad_torch.stages.features import SHAPE
@@ -205,11 +206,12 @@ def online(frames: int, folder: Path) -> Report:
     of it, in seconds of CPU. What `follow` does once for a map counts in none."""
     references = opened(frames, folder).load()
     known, wanted = Rows.of(references.descriptors), again(folder)[:ONLINE]
+    starts = [run.start for run in runs(references.sequences)]
     times = [time.process_time()]
     scores = torch.cat([score(query[None], known) for query in wanted])
     times.append(time.process_time())
     for part in (scores[:1], scores):
-        follow(part, references.sequences, mode="online", top=1)
+        follow(part.numpy(), starts, len(known), "online", top=1)
         times.append(time.process_time())
     for query in wanted[:ALONE]:
         score(query.expand(1, len(COLUMNS), -1), known)

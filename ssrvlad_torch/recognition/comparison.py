@@ -5,7 +5,7 @@ The native core compares; where it is not built, the oracle does, slowly.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -13,10 +13,10 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from ..native.decide import Scores
 from ..native.map import Map
 from . import reference
 from .deciding import has_core
-from .follow import Computed, Scores
 from .matching import Vectors, real_tensor
 from .sequences import runs
 from .sweep import COLUMNS
@@ -36,6 +36,19 @@ class Comparison(NamedTuple):
     def whole(self) -> Tensor:
         """``(Q, R)`` float32."""
         return torch.stack([self.scores[query] for query in range(len(self.scores))])
+
+
+class Computed(Scores):
+    """The scores of each query by a function."""
+
+    def __init__(self, compute: Callable[[int], Tensor], queries: int) -> None:
+        self._compute, self._queries = compute, queries
+
+    def __len__(self) -> int:
+        return self._queries
+
+    def __getitem__(self, query: int, /) -> Tensor:
+        return self._compute(query)
 
 
 class References(Protocol):

@@ -4,7 +4,6 @@ Both give the same decisions; see `native.decide` and `reference`.
 """
 
 from collections.abc import Sequence
-from dataclasses import astuple
 from types import ModuleType
 from typing import Any
 
@@ -14,9 +13,8 @@ from torch import Tensor
 
 from .. import native
 from ..native import decide as by_core
-from ..native.decide import Decision, Places, Scores, Search
+from ..native.decide import Decision, Scores, Search
 from . import reference
-from .motion import Motion
 from .sequences import runs
 
 Evidence = Scores | Search
@@ -38,25 +36,6 @@ def decide(
     starts = _starts(sequences) if mode else [0][: len(sequences)]
     given = mode, delay, top, queries
     return by_core.decide(_array(evidence), starts, len(sequences), *given)
-
-
-def follow(
-    evidence: Evidence,
-    queries: range,
-    sequences: Sequence[str],
-    motion: Motion,
-    way: int,
-    mode: str,
-    delay: int,
-    top: int,
-) -> Places:
-    """The places of the queries of one drive, see `native.decide.follow`."""
-    if _form() is reference:
-        later = delay if mode == "online" else len(queries)
-        scores = _whole(evidence, queries, len(sequences))
-        return reference.places(scores, sequences, motion, way, later, top)
-    given = mode, delay, top, astuple(motion), way, queries
-    return by_core.follow(_array(evidence), _starts(sequences), len(sequences), *given)
 
 
 def chance(

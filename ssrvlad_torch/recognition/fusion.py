@@ -12,18 +12,19 @@ from typing import NamedTuple, Self
 import torch
 from torch import Tensor
 
+from ..native.decide import Scores
 from .comparison import Comparison
-from .follow import IN_MEMORY, Scores
 from .motion import ELSEWHERE, MIN_SPREAD, lead, nearness
 from .standardise import MIN_FRAMES
 
-_SAMPLE = 200
+_SAMPLE, _IN_MEMORY = 200, 1 << 26
+"""Queries that show the lead of a method, and scores that are in memory at once."""
 
 
 class FusedScores(Scores):
     """The scores of one traverse of queries by several methods as one, computed on demand.
 
-    They have the form of cosines, for `follow` and `recognise_by_scores`. Where a method has no
+    They have the form of cosines, for `recognise_by_scores`. Where a method has no
     score of a pair, the others decide. Queries fewer than `standardise.MIN_FRAMES` do not show
     which method leads, so trust alone weighs them.
 
@@ -83,7 +84,7 @@ def fused_scores(
     else:
         every = FusedScores({name: each.scores for name, each in comparisons.items()}, trust)
         weights = every.weights
-    if not len(every) or len(every) * len(every[0]) > IN_MEMORY:
+    if not len(every) or len(every) * len(every[0]) > _IN_MEMORY:
         return every, weights
     return torch.stack([every[query] for query in range(len(every))]), weights
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 import torch
 from torch import Tensor
@@ -14,7 +14,6 @@ from . import deciding
 from .comparison import Member
 from .confidence import Confidence
 from .display import candidates_table
-from .follow import Mode
 from .fusion import fused_scores
 from .matching import Matches, checked_excluded, checked_number
 from .motion import Course
@@ -35,8 +34,10 @@ class Steps:
             than `standardise.MIN_FRAMES` queries, and the references for it, stay raw; so does all
             for a map of fewer references.
         sweep: use all anchors of queries that have several, see `sweep`.
-        follow: see `follow.follow`; ``None`` judges each query alone. A sequence is judged so too
-            where following does not make its answers surer, see `reference.course`.
+        follow: place each query by the queries before it (online) or by all (offline) of its
+            sequence, with a hidden Markov model, see `reference.Model`; ``None`` judges each query
+            alone. A sequence is judged so too where following does not make its answers surer, see
+            `reference.course`.
         delay: number of later queries that an online answer waits for.
 
     Raises:
@@ -46,7 +47,7 @@ class Steps:
 
     standardise: bool = True
     sweep: bool = True
-    follow: Mode | None = "offline"
+    follow: Literal["online", "offline"] | None = "offline"
     delay: int = 0
 
     def __post_init__(self) -> None:
@@ -68,8 +69,8 @@ class Recognised(NamedTuple):
 
     Attributes:
         matches: ``(Q, top)``. Scores of a query that is judged alone are cosines. Scores of a query
-            that is followed are probabilities: for the first candidate that of its neighbourhood
-            (`follow.Places.near`), for the others that of the row alone. An empty query has no
+            that is followed are probabilities: for the first candidate that of the rows within
+            `motion.NEAR`, for the others that of the row alone. An empty query has no
             candidate.
         sure: how sure the first candidates are; all 0 with fewer than `standardise.MIN_FRAMES`
             references.
