@@ -440,9 +440,8 @@ class Map:
                 order = self.database.placed()[1][columns]
                 stored = taken(self.database, order, [channel.column])[channel.column.name]
             known = channel.references(stored, places)
-            compared = known.compare(queries.descriptors[rows], False, False, None)
-            scores = [compared.scores[query] for query in range(len(rows))]
-            pairs: npt.NDArray[np.float32] = torch.stack(scores).numpy()
+            compared = known.compare(queries.descriptors[rows], False, False).whole()
+            pairs: npt.NDArray[np.float32] = compared.numpy()
             return pairs
 
         return Recognition(

@@ -5,7 +5,7 @@ The native core compares; where it is not built, the oracle does, slowly.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -22,33 +22,31 @@ from .sequences import runs
 from .sweep import COLUMNS
 
 
-class Comparison(NamedTuple):
-    """The queries of one sequence against all rows of a map.
+class Comparison(Scores):
+    """The queries of one sequence against all rows of a map: of each query the cosines ``(R,)`` of
+    the best anchor or move.
 
-    Attributes:
-        scores: ``(Q, R)`` cosines of the best anchor or move.
+    Args:
+        scores: of all queries, arrays or computed on demand.
         width: of the sweep, in columns on each side.
+        excluded: ``(Q, R)`` bool, rows that are no candidates.
     """
 
-    scores: Scores
-    width: int = 0
+    def __init__(self, scores: Scores, width: int = 0, excluded: Tensor | None = None) -> None:
+        self.width, self._scores, self._excluded = width, scores, excluded
+
+    def __len__(self) -> int:
+        return len(self._scores)
+
+    def __getitem__(self, query: int, /) -> Tensor:
+        found = torch.as_tensor(self._scores[query])
+        if self._excluded is not None:
+            found = found.masked_fill(self._excluded[query], -torch.inf)
+        return found
 
     def whole(self) -> Tensor:
         """``(Q, R)`` float32."""
-        return torch.stack([self.scores[query] for query in range(len(self.scores))])
-
-
-class Computed(Scores):
-    """The scores of each query by a function."""
-
-    def __init__(self, compute: Callable[[int], Tensor], queries: int) -> None:
-        self._compute, self._queries = compute, queries
-
-    def __len__(self) -> int:
-        return self._queries
-
-    def __getitem__(self, query: int, /) -> Tensor:
-        return self._compute(query)
+        return torch.stack([self[query] for query in range(len(self))])
 
 
 class References(Protocol):
@@ -92,7 +90,7 @@ class ReferenceRows:
 
     Examples:
         >>> rows = ReferenceRows(torch.eye(3), ["a"] * 3)
-        >>> rows.compare(torch.eye(3)[1:2], False, False).scores[0]
+        >>> rows.compare(torch.eye(3)[1:2], False, False)[0]
         tensor([0., 1., 0.])
     """
 
@@ -124,12 +122,7 @@ class ReferenceRows:
             )
         less = None if mean is None else _array(mean)
         scores, width = self._compared(given, standardised, sweep, less)
-
-        def of(query: int) -> Tensor:
-            found = torch.from_numpy(scores[query])
-            return found if excluded is None else found.masked_fill(excluded[query], -torch.inf)
-
-        return Comparison(Computed(of, len(given)), COLUMNS[len(COLUMNS) // 2 + width])
+        return Comparison(scores, COLUMNS[len(COLUMNS) // 2 + width], excluded)
 
     def _compared(
         self, given: Array, standardised: bool, sweep: bool, mean: Array | None

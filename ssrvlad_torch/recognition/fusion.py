@@ -79,10 +79,9 @@ def fused_scores(
     channels."""
     every: Scores
     if len(comparisons) == 1:
-        [only] = comparisons.values()
-        every, weights = only.scores, dict[str, float]()
+        [every], weights = comparisons.values(), dict[str, float]()
     else:
-        every = FusedScores({name: each.scores for name, each in comparisons.items()}, trust)
+        every = FusedScores(comparisons, trust)
         weights = every.weights
     if not len(every) or len(every) * len(every[0]) > _IN_MEMORY:
         return every, weights

@@ -212,7 +212,7 @@ class LargeMap:
         each = references.compare(query[None], False, sweep, None)
         at = self._size + places[torch.searchsorted(unique, rows)]
         wanted = torch.cat((torch.arange(self._size), at))
-        return _Compared(each.scores[0][wanted], each.width)
+        return _Compared(each[0][wanted], each.width)
 
     def _taken(self, channel: Channel, rows: Tensor) -> Tensor:
         """The descriptors of rows of the map by one channel."""
