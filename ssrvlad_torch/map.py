@@ -11,7 +11,6 @@ from typing import Any, Literal, NamedTuple, overload
 
 import numpy as np
 import numpy.typing as npt
-import torch
 
 from .channels import LABEL_SHAPES
 from .channels.channel import Channel, View
