@@ -13,9 +13,9 @@ from helpers import descriptors, spoil
 
 from ssrvlad_torch import Database, Map, SSRVLADConfig
 from ssrvlad_torch.channels.column import Column
-from ssrvlad_torch.recognition.standardise import sums
 from ssrvlad_torch.search import coarse_index
 from ssrvlad_torch.search.coarse_index import CoarseIndex, build
+from ssrvlad_torch.search.sums import sums
 
 CONFIG = SSRVLADConfig.from_preset("default", labels_as=SPACE)
 SIGNS = Column("signs", "few", (4, 2, 4), "uint8")

@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from ssrvlad_torch.native.decide import Search, decide, follow, gain
 from ssrvlad_torch.recognition import reference
-from ssrvlad_torch.recognition.motion import BACKWARDS, FORWARDS, NEAR, Course, Motion, moments
+from ssrvlad_torch.recognition.fusion import moments
+from ssrvlad_torch.recognition.motion import BACKWARDS, FORWARDS, NEAR, Course, Motion
 
 TRACKS = {
     "as fast": list(range(20, 80)),

@@ -4,8 +4,7 @@ import torch
 from ssrvlad_torch.channels.features import Features
 from ssrvlad_torch.channels.hog import HOG
 from ssrvlad_torch.channels.label_shapes import LabelShapes
-from ssrvlad_torch.recognition.fusion import FusedScores
-from ssrvlad_torch.recognition.motion import nearness
+from ssrvlad_torch.recognition.fusion import FusedScores, moments, nearness
 
 TRUST = {channel.name: channel.trust for channel in (LabelShapes, HOG, Features)}
 
@@ -95,3 +94,16 @@ def test_equal_scores_say_nothing():
 def test_shapes_that_do_not_fit_are_refused(scores):
     with pytest.raises(ValueError, match=r"expected scores \(Q, R\) of one shape, got"):
         fuse(*scores)
+
+
+def test_moments_leave_out_what_has_no_score():
+    scores = torch.rand(5000, generator=torch.Generator().manual_seed(0))
+    near = nearness(scores).double()
+    scores = torch.cat((scores, torch.full((9,), -torch.inf)))
+    expected = float(near.mean()), float(near.std(correction=0))
+    assert moments(scores) == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize("scores", [[], [0.3], [1.0] * 999, [-torch.inf] * 3, [0.1] * 5])
+def test_scores_that_are_all_equal_have_no_spread(scores):
+    assert moments(torch.tensor(scores))[1] <= 1e-6

@@ -11,12 +11,12 @@ from test_signs import SHAPE, drive
 from ssrvlad_torch.channels.signs import numbers
 from ssrvlad_torch.loops.reference import (
     BEFORE,
-    REACH,
     TRACK,
     Repeats,
     scores_of_signs,
     scores_of_vectors,
 )
+from ssrvlad_torch.recognition.reference import MOVES
 from ssrvlad_torch.recognition.sweep import score
 
 
@@ -60,7 +60,7 @@ def test_signs_have_the_scores_of_numbers_without_the_means(ends):
     signs = drive(60).numpy()
     every = numbers(torch.from_numpy(signs)).double().flatten(2).numpy()
     centred, scores = torch.from_numpy(without_means(every, ends)), []
-    for move in range(-REACH, REACH + 1):
+    for move in range(-MOVES, MOVES + 1):
         kept = [c for c in range(SHAPE[0]) if 0 <= c - move < SHAPE[0]]
         here, there = centred[-1, [c - move for c in kept]], centred[:-1, kept]
         scores.append(F.normalize(there.flatten(1), dim=1) @ F.normalize(here.flatten(), dim=0))

@@ -1,11 +1,10 @@
-"""`recognition.motion`: steps at a rate, and the spread of scores."""
+"""`recognition.motion`: steps at a rate."""
 
 import math
 
 import pytest
-import torch
 
-from ssrvlad_torch.recognition.motion import SPEEDS, Motion, moments, nearness, steps_of
+from ssrvlad_torch.recognition.motion import SPEEDS, Motion, steps_of
 
 
 @pytest.mark.parametrize("rate", [0.25, 1, 2.5, 3])
@@ -31,16 +30,3 @@ def test_steps_at_a_rate(rate):
 def test_a_motion_out_of_range_is_refused(settings, said):
     with pytest.raises(ValueError, match=said):
         Motion(**settings)
-
-
-def test_moments_leave_out_what_has_no_score():
-    scores = torch.rand(5000, generator=torch.Generator().manual_seed(0))
-    near = nearness(scores).double()
-    scores = torch.cat((scores, torch.full((9,), -torch.inf)))
-    expected = float(near.mean()), float(near.std(correction=0))
-    assert moments(scores) == pytest.approx(expected, rel=1e-6)
-
-
-@pytest.mark.parametrize("scores", [[], [0.3], [1.0] * 999, [-torch.inf] * 3, [0.1] * 5])
-def test_scores_that_are_all_equal_have_no_spread(scores):
-    assert moments(torch.tensor(scores))[1] <= 1e-6

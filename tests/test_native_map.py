@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from ssrvlad_torch.native.decide import decide
 from ssrvlad_torch.native.map import MIN_FRAMES, Map
 from ssrvlad_torch.recognition import reference
-from ssrvlad_torch.recognition.standardise import sums
+from ssrvlad_torch.search.sums import sums
 
 pytestmark = pytest.mark.usefixtures("core")
 
@@ -39,6 +39,13 @@ def vectors(rng, *shape, common=2.0):
 
 def named(drives):
     return [str(number) for number, count in enumerate(drives) for _ in range(count)]
+
+
+def fused(scores, weights):
+    """``(Q, R)`` of each channel as one, by the oracle."""
+    queries = range(len(next(iter(scores.values()))))
+    each = [{name: of[query] for name, of in scores.items()} for query in queries]
+    return np.stack([reference.fused(one, weights) for one in each])
 
 
 def whole(comparison):
@@ -209,9 +216,9 @@ def test_a_drive_is_found_by_all_channels_as_one(seed, drives, queries, names, f
         standardised,
         max(each.width for each in compared.values()),
     )
-    fused = reference.fused(scores, weights) if len(names) > 1 else scores[names[0]]
+    together = fused(scores, weights) if len(names) > 1 else scores[names[0]]
     starts = np.cumsum([0, *drives[:-1]]).tolist()
-    expected = decide(fused.astype(np.float32), starts, len(town), follow, delay, 3)
+    expected = decide(together.astype(np.float32), starts, len(town), follow, delay, 3)
     got = found.decision
     assert got.followed == expected.followed
     assert (got.way, got.rate, got.streams) == (expected.way, expected.rate, expected.streams)
@@ -234,7 +241,7 @@ def test_scores_of_channels_are_fused_as_by_the_reference(seed, names):
         town.add(name, there[name], TRUST[name])
     found = town.query({name: here[name] for name in names}, follow=None, top=len(town))
     scores = {name: whole(town.compare(name, here[name], True, True)) for name in names}
-    expected = reference.fused(scores, reference.weights_of(scores, TRUST))
+    expected = fused(scores, reference.weights_of(scores, TRUST))
     got = np.full_like(expected, -np.inf)
     for query, (values, rows) in enumerate(zip(*found.decision[:2], strict=True)):
         got[query, rows[rows >= 0]] = values[rows >= 0]

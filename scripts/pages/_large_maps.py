@@ -22,9 +22,8 @@ from ssrvlad_torch.channels.features import Features
 from ssrvlad_torch.channels.hog import HOG
 from ssrvlad_torch.database.frames import FrameRecord, FrameSet
 from ssrvlad_torch.recognition.comparison import ReferenceRows
-from ssrvlad_torch.recognition.fusion import fused, weights_of
+from ssrvlad_torch.recognition.fusion import fused, lead, nearness, weights_of
 from ssrvlad_torch.recognition.matching import Rows, unit_queries
-from ssrvlad_torch.recognition.motion import lead, nearness
 from ssrvlad_torch.recognition.recognise import Recognised, Steps
 from ssrvlad_torch.recognition.sweep import COLUMNS
 from ssrvlad_torch.search.alone import LargeMap

@@ -152,7 +152,7 @@ class Channel(Protocol):
         self, stored: Tensor, sequences: Sequence[str], means: Tensor | None = None
     ) -> References:
         """Descriptors ``(R, *shape)`` of a map, to be compared with queries; of some rows, with the
-        means of their sequences, see `standardise.sums`."""
+        means of their sequences, see `search.sums.sums`."""
 
 
 def channels_of(columns: Sequence[Column], head: SSRVLAD) -> list[Channel]:

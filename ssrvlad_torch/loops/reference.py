@@ -4,7 +4,7 @@ Each new frame is compared with all earlier ones, each without the mean of its s
 of the channels are fused; what the stream itself shows says how alike a frame must be to one seen
 before; and a hidden Markov model follows the stream. Every step is written as docs/loops.md tells
 it, with whole arrays and float64. The native core computes the same and is held to it by the tests;
-without a compiler this file runs instead. It needs numpy and nothing else.
+without a compiler this file runs instead. It needs no torch.
 """
 
 from __future__ import annotations
@@ -17,6 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ..native.loops import NEAR, PLACES, Channel, Found
+from ..recognition.motion import MAX_LOG, MIN_SPREAD, ROUNDING, SPEEDS
+from ..recognition.reference import MOVES, cosines_of_signs, fused, lead, nearness
 
 Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
@@ -27,11 +29,7 @@ BEFORE = 10
 """A stretch's mean starts as the mean of all frames before it, weighted as this number of frames:
 what its own first frames have in common is their place."""
 
-REACH = 2
-"""Columns of cells by which signs are moved to each side."""
-
-_ROUNDING = 1e-6
-_LEAST_LENGTH, _LEAST_OF_SIGNS = 1e-9**0.5, 1e-3
+_LEAST_LENGTH = 1e-9**0.5
 
 
 def means(frames: Floats, counted: npt.NDArray[np.bool_], starts: Sequence[int]) -> Floats:
@@ -53,8 +51,8 @@ def scores_of_vectors(known: Array, swept: Array, starts: Sequence[int]) -> Floa
     described = np.asarray(frames.any(axis=1), np.bool_)
     mean = means(frames, described, starts)
     rows, anchors = (frames - mean)[:-1], swept - mean[-1]
-    anchors[np.abs(anchors).max(axis=1) <= _ROUNDING] = 0
-    anchors /= np.maximum(np.linalg.norm(anchors, axis=1, keepdims=True), _ROUNDING)
+    anchors[np.abs(anchors).max(axis=1) <= ROUNDING] = 0
+    anchors /= np.maximum(np.linalg.norm(anchors, axis=1, keepdims=True), ROUNDING)
     lengths = np.maximum(np.linalg.norm(rows, axis=1), _LEAST_LENGTH)
     scores: Floats = np.where(described[:-1], (rows @ anchors.T).max(axis=1) / lengths, -np.inf)
     return scores
@@ -67,60 +65,8 @@ def scores_of_signs(known: Array, signs: Array, starts: Sequence[int]) -> Floats
     bits = np.unpackbits(np.concatenate((known, signs[None])), axis=-1, bitorder="little")
     numbers = bits.reshape(*bits.shape[:2], -1).astype(np.float64) * 2 - 1
     numbers -= means(numbers, np.ones(len(numbers), bool), starts)
-    best, columns = np.full(len(known), -np.inf), len(signs)
-    for move in range(-REACH, REACH + 1):
-        here = numbers[-1, max(0, -move) : columns - max(0, move)].ravel()
-        there = numbers[:-1, max(0, move) : columns - max(0, -move)].reshape(len(known), -1)
-        lengths = np.linalg.norm(there, axis=1) * np.linalg.norm(here)
-        best = np.maximum(best, there @ here / np.maximum(lengths, _LEAST_OF_SIGNS))
-    scores: Floats = np.minimum(best, 1)
+    scores: Floats = cosines_of_signs(numbers[-1:], numbers[:-1], MOVES)[0]
     return scores
-
-
-# ----------------------------------------------------------------------- fusion: one score of a row
-
-ELSEWHERE = 5
-"""Rows farther apart than this show different places."""
-
-_MIN_SPREAD = 1e-6
-
-
-def nearness(scores: Array) -> Floats:
-    """Minus the logarithm of 1 - cosine; -inf for -inf."""
-    near: Floats = -np.log(np.maximum(1 - scores, _ROUNDING))
-    return near
-
-
-def scaled(scores: Floats, first: int) -> tuple[Floats, float, float]:
-    """How many deviations the nearness of scores ``(N,)`` is above the mean, 0 where there is none;
-    the mean and the deviation. Both are of the first rows."""
-    known = np.isfinite(scores)
-    near = np.where(known, nearness(np.where(known, scores, 0)), 0)
-    count = max(1, np.count_nonzero(known[:first]))
-    mean = near[:first].sum() / count
-    centred = np.where(known, near - mean, 0)
-    deviation = math.sqrt(np.square(centred[:first]).sum() / count)
-    return centred / max(deviation, _MIN_SPREAD), float(mean), deviation
-
-
-def lead(z: Floats) -> float:
-    """How many deviations the nearest row is ahead of the nearest elsewhere."""
-    if len(z) <= 2 * ELSEWHERE + 1:
-        return 0.0
-    elsewhere = np.abs(np.arange(len(z)) - z.argmax()) > ELSEWHERE
-    return float(z.max() - z[elsewhere].max())
-
-
-def fused(channels: Sequence[Floats], weights: Sequence[float], first: int) -> Floats:
-    """``(N,)`` scores of several channels as one: weighted z-scores of nearness, with the weighted
-    means and deviations of the first rows, as cosines; -inf where no channel has a score."""
-    parts = [scaled(scores, first) for scores in channels]
-    z, mean, deviation = (
-        sum(weight * part for weight, part in zip(weights, each, strict=True))
-        for each in zip(*parts, strict=True)
-    )
-    some = np.isfinite(channels).any(axis=0)
-    return np.where(some, 1 - np.exp(-(mean + deviation * z)), -np.inf)
 
 
 # ----------------------------------------------------------------- stretches: where a stream breaks
@@ -157,13 +103,13 @@ def likeness(frames: Array) -> float:
     flat = frames.reshape(len(frames), -1)
     if frames.dtype == np.uint8:
         flat = np.unpackbits(flat, axis=1).astype(np.float64) * 2 - 1
-    vectors = flat / np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), _ROUNDING)
+    vectors = flat / np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), ROUNDING)
     near = nearness(vectors.astype(np.float64) @ vectors.T)
     before = near[:-1, :-1]
     others = before[np.tril_indices(len(before), -APART)]
     usual = np.median(np.diag(before, -1)) - np.median(others)
     step = near[-1, -1 - LAST : -1].max() - np.median(others)
-    return float(step / max(usual, SPREADS * others.std(), _ROUNDING))
+    return float(step / max(usual, SPREADS * others.std(), ROUNDING))
 
 
 # -------------------------------------------------- repeats: how much a street is alike all along
@@ -287,17 +233,6 @@ class Tracks:
 
 # ------------------------------------------------- the filter: where the stream is among its frames
 
-SPEEDS: tuple[tuple[float, dict[int, float]], ...] = (
-    (0.08, {-1: 0.05, 0: 0.9, 1: 0.05}),
-    (0.16, {0: 0.5, 1: 0.5}),
-    (0.34, {0: 0.1, 1: 0.8, 2: 0.1}),
-    (0.16, {1: 0.5, 2: 0.5}),
-    (0.14, {1: 0.1, 2: 0.8, 3: 0.1}),
-    (0.07, {2: 0.1, 3: 0.8, 4: 0.1}),
-    (0.05, {3: 0.15, 4: 0.7, 5: 0.15}),
-)
-"""Probability of each speed, and of its steps in rows, as `recognition.motion` has them."""
-
 WAYS = (1, -1)
 """The rows are run forwards and, as a decoy, backwards: what that holds is chance."""
 
@@ -320,9 +255,6 @@ NEIGHBOURS = 1000
 STRIDE = 50
 """The more frames a stream excludes, the denser it is. Where it excludes 50, the previous frame is
 one frame before; where it excludes 100, two."""
-
-MAX_LOG = 50.0
-"""Largest logarithm of a likelihood."""
 
 RECENT = 10
 """Least age, in frames, of an excluded frame that can be the present place."""
@@ -498,18 +430,17 @@ class Loops:
 
     def _scores(self, swept: Mapping[str, Array], old: int) -> Floats:
         """``(N,)`` scores of a frame by all channels, scaled by those of the old frames, if any."""
-        parts = list[Floats]()
+        scores = dict[str, Floats]()
         for channel in self.channels:
             name, known = channel.name, np.array(self._frames[channel.name])
             if channel.dtype == "uint8":
-                parts.append(scores_of_signs(known, swept[name][0], self._starts))
+                scores[name] = scores_of_signs(known, swept[name][0], self._starts)
             else:
-                parts.append(scores_of_vectors(known, swept[name], self._starts))
-            z, _, _ = scaled(parts[-1][:old], old)
-            self._leads[name] += max(0.0, lead(z))
-        if len(parts) == 1:
-            return parts[0]
-        return fused(parts, [*self.weights.values()], old or len(self))
+                scores[name] = scores_of_vectors(known, swept[name], self._starts)
+            self._leads[name] += max(0.0, lead(scores[name][:old]))
+        if len(scores) == 1:
+            return next(iter(scores.values()))
+        return fused(scores, self.weights, old or len(self))
 
     def _likelihood(self, near: Floats, old: int) -> Floats:
         """``(N,)``, how much likelier a frame is at each row than at a new place, by its nearness.
@@ -517,7 +448,7 @@ class Loops:
         are and the more their street repeats."""
         known = near[:old][np.isfinite(near[:old])]
         mean, deviation = known.mean(), known.std()
-        if deviation <= _MIN_SPREAD or np.ptp(known) <= _MIN_SPREAD:
+        if deviation <= MIN_SPREAD or np.ptp(known) <= MIN_SPREAD:
             return np.ones(len(near))
         start, z = self._starts[-1], (near - mean) / deviation
         own, candidates = z[start:], max(0, len(z) - start - self._exclude)

@@ -70,7 +70,7 @@ class References(Protocol):
             standardised: subtract the mean of each traverse, see `standardise`.
             sweep: use all anchors, or moves to both sides.
             excluded: ``(Q, R)`` bool, rows that are no candidates.
-            mean: of the sequence, see `standardise.sums`, if the queries are only some of it; it is
+            mean: of the sequence, see `search.sums.sums`, if the queries are only some of it; it is
                 subtracted, and all anchors count.
         """
 
@@ -82,7 +82,7 @@ class ReferenceRows:
         rows: vectors ``(R, D)`` float, of length 1 or zero for an empty frame, or signs
             ``(R, columns, ...)`` uint8, eight in a byte; see `channels.signs`.
         sequences: of the rows.
-        means: ``(S, ...)`` of the S sequences, see `standardise.sums`, if the rows are only some of
+        means: ``(S, ...)`` of the S sequences, see `search.sums.sums`, if the rows are only some of
             theirs.
 
     Raises:

@@ -6,6 +6,7 @@ anything is known of a traverse, times the lead of its first candidates there. T
 channel was chosen as docs/fusion.md says. Not in the paper.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple, Self
 
@@ -14,7 +15,7 @@ from torch import Tensor
 
 from ..native.decide import Scores
 from .comparison import Comparison
-from .motion import ELSEWHERE, MIN_SPREAD, lead, nearness
+from .motion import ELSEWHERE, MIN_SPREAD, ROUNDING
 from .standardise import MIN_FRAMES
 
 _SAMPLE, _IN_MEMORY = 200, 1 << 26
@@ -97,8 +98,39 @@ def weights_of(leads: Mapping[str, float], trusted: Mapping[str, float]) -> dict
     return {name: weight / sum(weights.values()) for name, weight in weights.items()}
 
 
+def nearness(scores: Tensor) -> Tensor:
+    """Minus the logarithm of half the squared Euclidean distance of descriptors of length 1."""
+    return (1 - scores).clamp_(min=ROUNDING).log_().neg_()
+
+
+def lead(near: Tensor) -> Tensor:
+    """``(Q,)``, how much nearer the first candidate is than the best row `ELSEWHERE`; infinite if
+    no row is elsewhere. ``near`` ``(Q, N)`` is the nearness of all rows of the map."""
+    rows = torch.arange(near.shape[1])
+    apart = (rows - rows[near.argmax(1)][:, None]).abs()
+    return near.amax(1) - near.masked_fill(apart <= ELSEWHERE, -torch.inf).amax(1)
+
+
+def moments(scores: Tensor) -> tuple[float, float]:
+    """Mean and standard deviation of the nearness of scores, without scores of -inf."""
+    return _moments(nearness(scores))
+
+
+def _moments(near: Tensor) -> tuple[float, float]:
+    if not len(near):
+        return 0.0, MIN_SPREAD
+    least, most = map(float, near.aminmax())
+    if least == -torch.inf:
+        return _moments(near[near > -torch.inf])
+    if most - least <= MIN_SPREAD:
+        return least, MIN_SPREAD
+    mean = float(near.mean())
+    deviation = math.sqrt(float((near - mean).square_().mean()))
+    return mean, max(MIN_SPREAD, deviation)
+
+
 def z_lead(scores: Tensor) -> float:
-    """The lead of the first candidate of a query, see `motion.lead`, in standard deviations of the
+    """The lead of the first candidate of a query, see `lead`, in standard deviations of the
     nearness of its scores ``(R,)``; 0 if there are too few scores."""
     if len(scores) <= 2 * ELSEWHERE + 1:
         return 0.0

@@ -1,4 +1,7 @@
-"""Motion: how a sequence moves along the rows of a map, and how likely one frame is at each row."""
+"""Motion: how a sequence moves along the rows of a map, and how far apart rows show the same place.
+
+It needs no torch.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +9,6 @@ import math
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import NamedTuple
-
-import torch
-from torch import Tensor
 
 SPEEDS: tuple[tuple[float, dict[int, float]], ...] = (
     (0.08, {-1: 0.05, 0: 0.9, 1: 0.05}),
@@ -106,37 +106,6 @@ class Course(NamedTuple):
             f"{self.streams} streams in turn" * (self.streams != 1),
         )
         return ", ".join(part for part in parts if part)
-
-
-def nearness(scores: Tensor) -> Tensor:
-    """Minus the logarithm of half the squared Euclidean distance of descriptors of length 1."""
-    return (1 - scores).clamp_(min=ROUNDING).log_().neg_()
-
-
-def lead(near: Tensor) -> Tensor:
-    """``(Q,)``, how much nearer the first candidate is than the best row `ELSEWHERE`; infinite if
-    no row is elsewhere. ``near`` ``(Q, N)`` is the nearness of all rows of the map."""
-    rows = torch.arange(near.shape[1])
-    apart = (rows - rows[near.argmax(1)][:, None]).abs()
-    return near.amax(1) - near.masked_fill(apart <= ELSEWHERE, -torch.inf).amax(1)
-
-
-def moments(scores: Tensor) -> tuple[float, float]:
-    """Mean and standard deviation of the nearness of scores, without scores of -inf."""
-    return _moments(nearness(scores))
-
-
-def _moments(near: Tensor) -> tuple[float, float]:
-    if not len(near):
-        return 0.0, MIN_SPREAD
-    least, most = map(float, near.aminmax())
-    if least == -torch.inf:
-        return _moments(near[near > -torch.inf])
-    if most - least <= MIN_SPREAD:
-        return least, MIN_SPREAD
-    mean = float(near.mean())
-    deviation = math.sqrt(float((near - mean).square_().mean()))
-    return mean, max(MIN_SPREAD, deviation)
 
 
 def steps_of(speed: int, rate: float) -> dict[int, float]:

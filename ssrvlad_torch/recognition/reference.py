@@ -29,7 +29,7 @@ from .motion import (
     Motion,
     steps_of,
 )
-from .standardise import MIN_FRAMES
+from .standardise import MIN_FRAMES, sharing
 
 Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.float64]
@@ -45,19 +45,17 @@ _LEAST_LENGTH = 1e-3
 
 
 def means_of_drives(numbers: Array, sequences: Sequence[str]) -> Floats:
-    """``(N, ...)``, what is subtracted from each frame: the mean of its drive. Adjacent drives of
-    fewer than `MIN_FRAMES` frames share a mean, and if they have too few together, they have that
-    of all; fewer than `MIN_FRAMES` frames in all have none. Frames of zeros do not count."""
-    means = np.zeros(numbers.shape)
-    if len(numbers) < MIN_FRAMES:
-        return means
-    drives = [list(run) for _, run in itertools.groupby(range(len(numbers)), sequences.__getitem__)]
-    for short, run in itertools.groupby(drives, lambda drive: len(drive) < MIN_FRAMES):
-        adjacent = list(run)
-        for rows in [list(itertools.chain(*adjacent))] if short else adjacent:
-            of = numbers[rows] if len(rows) >= MIN_FRAMES else numbers
-            known = of[of.reshape(len(of), -1).any(1)]
-            means[rows] = known.mean(0) if len(known) else 0
+    """``(N, ...)``, what is subtracted from each frame: the mean of its drive, or of the drives
+    that share one, see `sharing`. Frames of zeros do not count."""
+    means, rows = np.zeros(numbers.shape), range(len(numbers))
+    drives = [[*run] for _, run in itertools.groupby(rows, sequences.__getitem__)]
+    for group, drives_of_mean in sharing([*map(len, drives)]).items():
+        own, every = (
+            [*itertools.chain.from_iterable(drives[number] for number in numbers_of)]
+            for numbers_of in (group, drives_of_mean)
+        )
+        known = numbers[every][numbers[every].reshape(len(every), -1).any(1)]
+        means[own] = known.mean(0) if len(known) else 0
     return means
 
 
@@ -178,14 +176,15 @@ def nearness(scores: Array) -> Floats:
     return -np.log(np.maximum(1 - scores.astype(np.float64), ROUNDING))
 
 
-def z_scores(scores: Array) -> tuple[Floats, float, float]:
+def z_scores(scores: Array, first: int | None = None) -> tuple[Floats, float, float]:
     """Of the nearness of scores ``(R,)``: how many deviations each is above the mean, 0 where there
-    is none; the mean and the deviation."""
+    is none; the mean and the deviation, which are of the ``first`` rows, by default of all."""
     known = np.isfinite(scores)
     near = np.where(known, nearness(np.where(known, scores, 0)), 0)
-    mean = near.sum() / max(1, known.sum())
+    count = max(1, np.count_nonzero(known[:first]))
+    mean = near[:first].sum() / count
     centred = np.where(known, near - mean, 0)
-    deviation = math.sqrt(np.square(centred).sum() / max(1, known.sum()))
+    deviation = math.sqrt(np.square(centred[:first]).sum() / count)
     return centred / max(deviation, MIN_SPREAD), float(mean), deviation
 
 
@@ -212,21 +211,19 @@ def weights_of(channels: Mapping[str, Array], trust: Mapping[str, float]) -> dic
     return {name: weight / sum(known.values()) for name, weight in known.items()}
 
 
-def fused(channels: Mapping[str, Array], weights: Mapping[str, float]) -> Floats:
-    """``(Q, R)`` scores of all channels as one: the weighted z-score, with the weighted mean and
-    deviation, as a cosine."""
-    queries, rows = next(iter(channels.values())).shape
-    scores = np.full((queries, rows), -np.inf)
-    for query in range(queries):
-        z, mean, deviation = np.zeros(rows), 0.0, 0.0
-        for name, of_channel in channels.items():
-            own_z, own_mean, own_deviation = z_scores(of_channel[query])
-            z += weights[name] * own_z
-            mean += weights[name] * own_mean
-            deviation += weights[name] * own_deviation
-        some = np.any([np.isfinite(each[query]) for each in channels.values()], axis=0)
-        scores[query, some] = 1 - np.exp(-(mean + deviation * z[some]))
-    return scores
+def fused(
+    channels: Mapping[str, Array], weights: Mapping[str, float], first: int | None = None
+) -> Floats:
+    """``(R,)`` scores of a query by all channels as one, as cosines: the weighted z-score, with the
+    weighted mean and deviation of the ``first`` rows, by default of all; -inf where no channel has
+    a score."""
+    parts = {name: z_scores(scores, first) for name, scores in channels.items()}
+    z, mean, deviation = (
+        sum(weights[name] * part for name, part in zip(parts, each, strict=True))
+        for each in zip(*parts.values(), strict=True)
+    )
+    some = np.isfinite([*channels.values()]).any(axis=0)
+    return np.where(some, 1 - np.exp(-(mean + deviation * z)), -np.inf)
 
 
 def likelihood(scores: Array, motion: Motion) -> Floats:

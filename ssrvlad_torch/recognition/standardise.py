@@ -2,36 +2,17 @@
 
 Light, season, camera and errors of a network shift all descriptors of a traverse alike, whatever
 the place. Schubert, Neubert and Protzel (ICRA 2020) subtract the mean of each traverse, as the core
-does, see `reference.without_means`. This module says which traverses share a mean, and sums them.
+does, see `reference.without_means`. This module says which traverses share a mean, and
+needs no torch.
 """
 
 from collections.abc import Sequence
 from itertools import groupby
 
-import numpy as np
-import numpy.typing as npt
-import torch
-import torch.nn.functional as F
-from torch import Tensor
-
 MIN_FRAMES = 30
 """Least number of frames of a traverse whose mean is subtracted. The mean of fewer frames describes
 their place: subtracting it lowered Recall@1 of single pictures on CamVid, swept, from 0.84 to
 0.69."""
-
-
-def sums(descriptors: Tensor) -> tuple[npt.NDArray[np.float64], int]:
-    """The sum of descriptors, and how many count in it: ``(D,)`` of vectors ``(N, D)`` at length 1,
-    without zeros; ``(columns, bits)`` of signs ``(N, columns, ...)`` uint8 as 1 and -1."""
-    if descriptors.dtype != torch.uint8:
-        units = F.normalize(descriptors.float(), dim=1)
-        return units.sum(0, dtype=torch.double).numpy(), int(units.any(1).sum())
-    signs = descriptors.flatten(2).numpy()
-    ones = np.zeros((signs.shape[1], 8 * signs.shape[2]))
-    for first in range(0, len(signs), _IN_A_BYTE):
-        bits = np.unpackbits(signs[first : first + _IN_A_BYTE], axis=2, bitorder="little")
-        ones += bits.sum(0, dtype=np.uint8)
-    return 2 * ones - len(signs), len(signs)
 
 
 def sharing(frames: Sequence[int]) -> dict[tuple[int, ...], tuple[int, ...]]:
@@ -52,7 +33,3 @@ def sharing(frames: Sequence[int]) -> dict[tuple[int, ...], tuple[int, ...]]:
             enough = sum(frames[number] for number in group) >= MIN_FRAMES
             shared[group] = group if enough else every
     return shared
-
-
-_IN_A_BYTE = 255
-"""Most bits whose sum is a byte."""

@@ -19,9 +19,9 @@ from torch import Tensor
 from ..channels.channel import Channel
 from ..database.database import Database
 from ..database.frames import FrameSet
-from ..recognition.fusion import Scale, fused, weights_of
+from ..recognition.fusion import Scale, fused, nearness, weights_of
 from ..recognition.matching import Matches, best_of
-from ..recognition.motion import ELSEWHERE, MIN_SPREAD, nearness
+from ..recognition.motion import ELSEWHERE, MIN_SPREAD
 from ..recognition.recognise import Recognised, Steps, recognise_alone
 from ..recognition.rivals import Chance, chance_of
 from ..recognition.sequences import runs

@@ -31,8 +31,7 @@ from ..channels.column import Column
 from ..database.reading import Damage, read_intact
 from ..database.rows import intact, matrix
 from ..files import is_uri, read_json, read_npz, replacing
-from ..recognition.standardise import sums
-from .sums import Sums, SumsWriter, mean_of, refuse_many_files
+from .sums import Sums, SumsWriter, mean_of, refuse_many_files, sums
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -173,7 +172,7 @@ class CoarseIndex:
         return found
 
     def mean(self, name: str, sequences: Sequence[str]) -> Tensor:
-        """The mean of the frames of some sequences by one channel, see `standardise.sums`."""
+        """The mean of the frames of some sequences by one channel, see `search.sums.sums`."""
         column, found, first = self._columns[name], list[tuple[npt.NDArray[Any], int]](), 0
         for part, counts in zip(self._parts, self._counts, strict=True):
             for sequence in sequences:

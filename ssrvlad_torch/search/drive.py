@@ -17,13 +17,14 @@ from torch import Tensor
 
 from ..database.frames import FrameSet
 from ..recognition.comparison import References
-from ..recognition.fusion import Scale, fused, weights_of
-from ..recognition.motion import ELSEWHERE, lead, moments
+from ..recognition.fusion import Scale, fused, lead, moments, weights_of
+from ..recognition.motion import ELSEWHERE
 from ..recognition.recognise import Recognised, Steps, recognise_by_search
-from ..recognition.standardise import MIN_FRAMES, sums
+from ..recognition.standardise import MIN_FRAMES
 from ..recognition.sweep import COLUMNS
 from .map_rows import MapRows
 from .selection import neighbours
+from .sums import sums
 
 if TYPE_CHECKING:
     from .alone import LargeMap

@@ -18,14 +18,31 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 import numpy.typing as npt
 import torch
+import torch.nn.functional as F
 from numpy.lib import format as npy
 from torch import Tensor
 
 from ..channels.column import Column
 from ..files import flush, read_npz, replacing
-from ..recognition.standardise import sums
 
 Array = npt.NDArray[Any]
+
+_IN_A_BYTE = 255
+"""Most bits whose sum is a byte."""
+
+
+def sums(descriptors: Tensor) -> tuple[npt.NDArray[np.float64], int]:
+    """The sum of descriptors, and how many count in it: ``(D,)`` of vectors ``(N, D)`` at length 1,
+    without zeros; ``(columns, bits)`` of signs ``(N, columns, ...)`` uint8 as 1 and -1."""
+    if descriptors.dtype != torch.uint8:
+        units = F.normalize(descriptors.float(), dim=1)
+        return units.sum(0, dtype=torch.double).numpy(), int(units.any(1).sum())
+    signs = descriptors.flatten(2).numpy()
+    ones = np.zeros((signs.shape[1], 8 * signs.shape[2]))
+    for first in range(0, len(signs), _IN_A_BYTE):
+        bits = np.unpackbits(signs[first : first + _IN_A_BYTE], axis=2, bitorder="little")
+        ones += bits.sum(0, dtype=np.uint8)
+    return 2 * ones - len(signs), len(signs)
 
 
 class Sums(NamedTuple):
