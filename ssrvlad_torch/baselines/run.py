@@ -75,8 +75,12 @@ def run(
             inputs.append(scores)
     if not costs:
         raise ValueError(f"method {method.name} got no queries")
-    sequences = drives, map_drives
-    stepped = _stepped(method.name, compared, inputs, sequences, steps, top) if steps else None
+    stepped = None
+    if steps and compared:
+        member = Member(torch.cat(inputs), compared)
+        stepped = recognise({method.name: member}, drives, map_drives, steps, top)
+    elif steps:
+        stepped = recognise_by_scores(torch.cat(inputs), drives, map_drives, steps, top)
     return Retrieval(
         matches=Matches(*map(torch.stack, zip(*matches, strict=True))),
         encode=_cost([encoding for encoding, _ in costs]),
@@ -85,22 +89,6 @@ def run(
         similarity=torch.cat(kept) if all_pairs else None,
         stepped=stepped,
     )
-
-
-def _stepped(
-    name: str,
-    compared: References | None,
-    inputs: Sequence[Tensor],
-    sequences: tuple[Sequence[str], Sequence[str]],
-    steps: Steps,
-    top: int,
-) -> Recognised:
-    """The result of steps on the encodings of queries or, without references that they are compared
-    with, on scores; ``sequences`` of queries and of references."""
-    given = torch.cat(list(inputs))
-    if compared is None:
-        return recognise_by_scores(given, *sequences, steps, top)
-    return recognise({name: Member(given, compared)}, *sequences, steps, top)
 
 
 def _timed_scores(
