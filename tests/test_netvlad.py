@@ -120,11 +120,6 @@ def write_port(path: Path, source: NetVLADNetwork, parallel: bool, bias: bool) -
     torch.save(content, path, _use_new_zipfile_serialization=False)
 
 
-def same(one: nn.Module, other: nn.Module) -> bool:
-    theirs = other.state_dict()
-    return all(torch.equal(tensor, theirs[name]) for name, tensor in one.state_dict().items())
-
-
 @pytest.mark.parametrize("parallel", [False, True])
 @pytest.mark.parametrize("outputs", [None, OUTPUTS])
 @pytest.mark.parametrize("bias", [False, True])
@@ -137,7 +132,7 @@ def test_a_checkpoint_of_the_port_is_the_network(parallel, outputs, bias, tmp_pa
     write_port(path, source, parallel, bias)
     network = read_netvlad(path, WIDTHS)
     assert network.size == source.size
-    assert same(network, source)
+    torch.testing.assert_close(network.state_dict(), source.state_dict(), rtol=0, atol=0)
     image = torch.randint(0, 256, (1, 3, 32, 32), dtype=torch.uint8)
     assert torch.equal(network(image), source(image))
 
