@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from helpers import refuses
 from methods import frames, noise
 from plain_layers import Array, convolve, max_pool, relu, unit
 from torch import nn
@@ -165,10 +166,8 @@ def test_it_is_the_network_on_each_frame(checkpoint):
     torch.testing.assert_close(scores, found @ found[:2].T)
     torch.testing.assert_close(scores[[0, 1, 2], [0, 1, 0]], torch.ones(3))
     assert method.encode_query([]).shape == (0, 32768)
-    with pytest.raises(ValueError, match="netvlad needs pictures, but frame drive/1"):
-        method.encode_query([View("drive/1")])
-    with pytest.raises(ValueError, match="at least 16 x 16 pixels, got 15 x 40"):
-        method.encode_query(frames([noise(0, 15, 40)]))
+    refuses("netvlad needs pictures, but frame drive/1", method.encode_query, [View("drive/1")])
+    refuses("at least 16 x 16 pixels, got 15 x 40", method.encode_query, frames([noise(0, 15, 40)]))
 
 
 def test_random_weights_have_the_published_size_and_say_what_they_are(monkeypatch):

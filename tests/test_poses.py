@@ -8,17 +8,10 @@ import numpy as np
 import pytest
 from helpers import COLOUR, png_bytes, refused, refuses
 from PIL import ExifTags, Image
-from trees import plant
+from trees import plant, write
 
 from ssrvlad_torch.datasets.image_files import find_image_files
 from ssrvlad_torch.datasets.poses import UNKNOWN, Pose, read_name, read_poses, write_name
-
-
-def write(folder, text, encoding="utf-8"):
-    path = folder / "poses.csv"
-    path.write_text(text, encoding=encoding)
-    return path
-
 
 NAN = math.nan
 
@@ -38,7 +31,7 @@ NAN = math.nan
     ],
 )
 def test_tables_of_poses_are_read_by_column_name(tmp_path, text, poses):
-    found = read_poses(write(tmp_path, text))
+    found = read_poses(write(tmp_path / "poses.csv", text))
     assert found.keys() == poses.keys()
     for frame, pose in poses.items():
         assert found[frame] == pytest.approx(Pose(*pose), nan_ok=True)
@@ -65,7 +58,8 @@ def test_tables_of_poses_are_read_by_column_name(tmp_path, text, poses):
 )
 def test_damaged_files_are_refused_by_name_and_line(tmp_path, text, message):
     """The last is in another encoding; for the others the two are one."""
-    path = write(tmp_path, text, "latin-1")
+    path = tmp_path / "poses.csv"
+    path.write_text(text, encoding="latin-1")
     with refused(message, path):
         read_poses(path)
 
