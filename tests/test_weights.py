@@ -82,8 +82,7 @@ class TestReading:
         torch.save(layer().state_dict(), path, _use_new_zipfile_serialization=zipped)
         content = path.read_bytes()
         path.write_bytes(content[: keep if isinstance(keep, int) else int(keep * len(content))])
-        with refused(r"checkpoint\.pth\.tar is not a whole"):
-            read_checkpoint(path)
+        refuses(r"checkpoint\.pth\.tar is not a whole", read_checkpoint, path)
 
     @pytest.mark.parametrize("content", [{}, {"state_dict": {}}, [torch.ones(1)], {"epoch": 1}])
     def test_a_file_without_tensors_is_refused(self, content, path):
