@@ -7,8 +7,7 @@ import os
 import numpy as np
 import pytest
 from helpers import COLOUR, png_bytes, refused, refuses
-from PIL import ExifTags, Image
-from trees import plant, write
+from trees import plant, write, write_placed
 
 from ssrvlad_torch.datasets.image_files import find_image_files
 from ssrvlad_torch.datasets.poses import UNKNOWN, Pose, read_name, read_poses, write_name
@@ -120,14 +119,8 @@ def test_latitudes_become_metres(tmp_path):
 
 def test_exif_tags_give_poses_of_some_pictures(tmp_path):
     pytest.importorskip("utm")
-    folder = plant(tmp_path / "photos", "1.jpg", "2.jpg")
-    tag, exif = ExifTags.GPS, Image.Exif()
-    exif.get_ifd(ExifTags.IFD.GPSInfo).update({
-        tag.GPSLatitudeRef: "N", tag.GPSLatitude: (52.0, 12.0, 0.0),
-        tag.GPSLongitudeRef: "E", tag.GPSLongitude: (0.0, 7.0, 12.0),
-        tag.GPSImgDirectionRef: "T", tag.GPSImgDirection: 0.0,
-    })  # fmt: skip
-    Image.new("RGB", (8, 6)).save(tmp_path / "photos" / "1.jpg", exif=exif)
+    folder = plant(tmp_path / "photos", "2.jpg")
+    write_placed(folder / "1.jpg", (52.0, 12.0, 0.0), (0.0, 7.0, 12.0))
     os.mkfifo(tmp_path / "photos" / "3.png")
     bomb = png_bytes(30_000, 30_000, 8, COLOUR, b"")
     (tmp_path / "photos" / "4.png").write_bytes(bomb)
