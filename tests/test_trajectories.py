@@ -22,18 +22,17 @@ def poses(files):
 def test_kitti_goes_by_the_place_of_a_frame(tmp_path):
     """The camera of KITTI looks along z and has x to its right; the second frame looks right."""
     rows = ["1 0 0 0 0 1 0 0 0 0 1 0", "0 0 1 2 0 1 0 -1.5 -1 0 0 7"]
-    (tmp_path / "00.txt").write_text("\n".join(rows))
+    kitti = str(write(tmp_path / "00.txt", rows))
     folder = plant(tmp_path / "image_2", "000000.jpg", "000001.jpg")
-    files = find_image_files([folder], poses=str(tmp_path / "00.txt"))
+    files = find_image_files([folder], poses=kitti)
     np.testing.assert_allclose(poses(files), [[0, 0, math.pi / 2], [2, 7, 0]], atol=1e-12)
-    only = find_image_files([folder], start=1, poses=str(tmp_path / "00.txt"))
+    only = find_image_files([folder], start=1, poses=kitti)
     assert only[0].pose.y == 7, "places count before frames are left out"
     plant(tmp_path / "image_2", "000002.jpg")
-    with pytest.raises(ValueError, match=r"00\.txt: expected 2 frames, one per pose, got 3"):
-        find_image_files([folder], poses=str(tmp_path / "00.txt"))
+    one_each = r"00\.txt: expected 2 frames, one per pose, got 3"
+    refuses(one_each, find_image_files, [folder], poses=kitti)
     other = plant(tmp_path / "image_3", "000000.jpg")
-    with pytest.raises(ValueError, match="poses of one drive, got 2 sequences"):
-        find_image_files([folder, other], poses=str(tmp_path / "00.txt"))
+    refuses("poses of one drive, got 2 seq", find_image_files, [folder, other], poses=kitti)
 
 
 def test_tum_goes_by_the_time_that_is_a_name(tmp_path):
@@ -67,9 +66,9 @@ def test_tum_goes_by_the_time_that_is_a_name(tmp_path):
 
 def test_a_table_that_fits_no_frame_is_refused(tmp_path):
     folder = plant(tmp_path / "monday", "1.jpg")
-    (tmp_path / "other.csv").write_text("frame,x,y\n9,1,1\n")
-    with pytest.raises(ValueError, match=r"other\.csv has none of the frames, .* monday/1"):
-        find_image_files([folder], poses=str(tmp_path / "other.csv"))
+    other = str(write(tmp_path / "other.csv", "frame,x,y\n9,1,1\n"))
+    message = r"other\.csv has none of the frames, .* monday/1"
+    refuses(message, find_image_files, [folder], poses=other)
     refuses("expected a file of poses, or exif", find_image_files, [folder], poses="gps")
 
 
