@@ -19,12 +19,12 @@ CAMVID = ("--labels-as", "camvid-11")
 VECTORS = np.random.default_rng(0).random((12, 5))
 
 
-def write(path: Path, descriptors: dict[str, np.ndarray], dtype: str = "f2") -> Path:
+def write(path: Path, descriptors: dict[str, np.ndarray]) -> Path:
     """As hloc's `extract_features` writes them, in half precision, beside other data sets."""
     with h5py.File(path, "w", libver="latest") as file:
         for name, vector in descriptors.items():
             group = file.create_group(name)
-            group.create_dataset("global_descriptor", data=vector.astype(dtype))
+            group.create_dataset("global_descriptor", data=vector.astype("f2"))
             group.create_dataset("image_size", data=[80, 60])
     return path
 
