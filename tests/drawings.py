@@ -163,3 +163,9 @@ def blobs(seed: int, height: int, width: int, grain: float) -> npt.NDArray[np.ui
     y = (np.arange(height)[:, None] + wobble_y) / grain
     x = (np.arange(width)[None, :] + wobble_x) / grain
     return ids[y.astype(int), x.astype(int)]
+
+
+def one_hot(labels: npt.NDArray[np.uint8], classes: int = 12) -> Tensor:
+    """``(1, classes, H, W)`` float32 class scores of a label map."""
+    hot = torch.eye(classes)[torch.from_numpy(labels).long()]
+    return hot.permute(2, 0, 1)[None].contiguous()

@@ -2,12 +2,7 @@
 
 import json
 
-import numpy as np
-from helpers import COLOUR, write_png, write_street
-from PIL import Image
 from trees import plant, write
-
-from ssrvlad_torch.taxonomy import colourise
 
 CITIES = {
     "train/aachen": ["aachen_000000_000019", "aachen_000001_000019", "aachen_000010_000019"],
@@ -32,21 +27,17 @@ MAP, AUTUMN, OCTOBER = 1303398475046031, 1285948800000000, 1287446410000000
 def cityscapes(root):
     for city, names in CITIES.items():
         for name in names:
+            annotation = f"gtFine/{city}/{name}_gtFine"
             plant(root, f"leftImg8bit/{city}/{name}_leftImg8bit.png")
-            write_street(root / f"gtFine/{city}/{name}_gtFine_labelIds.png", 0)
-            plant(root, f"gtFine/{city}/{name}_gtFine_color.png")
-            write(root / f"gtFine/{city}/{name}_gtFine_polygons.json", "{}")
+            plant(root, f"{annotation}_labelIds.png", f"{annotation}_color.png")
+            write(root / f"{annotation}_polygons.json", "{}")
             write(root / f"vehicle/{city}/{name}_vehicle.json", json.dumps(FIX))
 
 
 def camvid(root):
     """The two archives of Cambridge, unpacked side by side, and the list of colours."""
-    plant(root, *(f"701_StillsRaw_full/{name}.png" for name in STILLS))
-    labels = np.arange(32 * 4).reshape(8, 16) // 4
     for name in STILLS:
-        path = root / "LabeledApproved_full" / f"{name}_L.png"
-        path.parent.mkdir(exist_ok=True)
-        Image.fromarray(colourise(labels, "camvid-32")).save(path)
+        plant(root, f"701_StillsRaw_full/{name}.png", f"LabeledApproved_full/{name}_L.png")
     (root / "label_colors.txt").touch()
 
 
@@ -60,30 +51,23 @@ def camvid_of_the_tutorial(root):
     """The SegNet tutorial: the first drive is in two splits."""
     for split, numbers in (("train", (0, 2)), ("val", (3,)), ("test", (1, 4))):
         for number in numbers:
-            plant(root, f"{split}/{STILLS[number]}.png")
-            write_street(root / f"{split}annot" / f"{STILLS[number]}.png", number)
+            plant(root, f"{split}/{STILLS[number]}.png", f"{split}annot/{STILLS[number]}.png")
         (root / f"{split}.txt").touch()
 
 
 def camvid_by_drive(root):
     for name in ("0016E5/{}/000390.{}", "0016E5/{}/000420.{}", "0001TP/{}/006690.{}"):
         plant(root, name.format("images", "jpg"))
-        write_street(root / name.format("labels", "png"), 0)
-        write_street(root / name.format("predicted_net", "png"), 1)
+        plant(root, *(name.format(folder, "png") for folder in ("labels", "predicted_net")))
 
 
 def synthia(root):
-    """Two seasons of a front camera, of different lengths, one with a second camera. Label maps
-    have 16-bit channels: the class, the instance, and one of zeros. The camera looks along z."""
-    labels = np.arange(30 * 40).reshape(30, 40) // 100 % 13
-    instances = np.random.default_rng(0).integers(0, 1 << 16, labels.shape)
+    """Two seasons of a front camera, of different lengths, one with a second camera. The camera
+    looks along z."""
     for season, count in ((NIGHT, 3), (FALL, 4)):
         for number in range(count):
-            name = f"{FRONT}/{number:06d}"
-            plant(root / season, f"RGB/{name}.png", f"GT/COLOR/{name}.png")
-            path = root / season / f"GT/LABELS/{name}.png"
-            path.parent.mkdir(parents=True, exist_ok=True)
-            write_png(path, np.stack((labels, instances, 0 * labels), axis=2), COLOUR, 16)
+            name, kinds = f"{FRONT}/{number:06d}", ("RGB", "GT/COLOR", "GT/LABELS")
+            plant(root / season, *(f"{kind}/{name}.png" for kind in kinds))
             matrix = f"1 0 0 0 0 1 0 0 0 0 -1 0 {2 * number} 1.5 10 1"
             write(root / season / f"CameraParams/{name}.txt", matrix)
         write(root / season / "CameraParams/intrinsics.txt", "532.740352\n\n640\n\n380\n\n0.8\n")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 from drawings import ROAD, SKY, SPACE, TREE, VOID, blobs
-from helpers import street
+from helpers import refuses, street
 from methods import frames, picture
 
 from ssrvlad_torch import SSRVLAD, match
@@ -84,8 +84,7 @@ def test_a_frame_without_what_a_method_reads_is_named(name):
     method = make(name)
     (need,) = method.needs
     what = "pictures" if need == "images" else need
-    with pytest.raises(ValueError, match=f"{name} needs {what}, but frame b/7 "):
-        method.encode_reference([View("b/7")])
+    refuses(f"{name} needs {what}, but frame b/7 ", method.encode_reference, [View("b/7")])
 
 
 @pytest.mark.parametrize("name", METHODS)
@@ -114,8 +113,7 @@ def test_every_method_is_where_the_registry_says(name):
     ],
 )
 def test_unknown_methods_and_wrong_settings_are_refused(name, settings, message):
-    with pytest.raises(ValueError, match=message):
-        make(name, **settings)
+    refuses(message, make, name, **settings)
 
 
 class Numbers:
@@ -233,10 +231,6 @@ def test_settings_of_the_method_are_taken():
     assert method.config.working_size is None
 
 
-def labelled(labels, name="a/1", space=SPACE):
-    return View(name, labels=labels, labels_as=space)
-
-
 def plain_grid(labels, rows, columns):
     """Cell by cell, category by category."""
     height, width = labels.shape
@@ -261,7 +255,7 @@ def plain_grid(labels, rows, columns):
 def test_the_label_grid_equals_a_loop(size, grid):
     labels = blobs(0, *size, grain=4)
     method = make("label-grid", rows=grid[0], columns=grid[1])
-    found = method.encode_query([labelled(labels)])[0]
+    found = method.encode_query([View("a/1", labels, SPACE)])[0]
     np.testing.assert_allclose(found.numpy(), plain_grid(labels, *grid), rtol=0, atol=1e-6)
 
 
@@ -269,10 +263,9 @@ def test_label_spaces_compare():
     in_camvid = np.array([[SKY, SKY], [ROAD, TREE]])
     in_trainids = np.array([[10, 10], [0, 8]])
     method = make("label-grid", rows=2, columns=2)
-    encoded = method.encode_query(
-        [labelled(in_camvid), labelled(in_trainids, space="cityscapes-trainids")]
-    )
+    spaces = (in_camvid, SPACE), (in_trainids, "cityscapes-trainids")
+    encoded = method.encode_query(View("a/1", *labels) for labels in spaces)
     assert torch.equal(encoded[0], encoded[1])
     # an unknown id is an error
     with pytest.raises(ValueError, match=r"label id 99 \(6 pixels\) is not in label space camvid"):
-        method.encode_query([labelled(np.full((2, 3), 99))])
+        method.encode_query([View("a/1", np.full((2, 3), 99), SPACE)])

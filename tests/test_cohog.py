@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from methods import frames
+from methods import frames, picture
 from PIL import Image
 from skimage.filters.rank import entropy
 from skimage.morphology import disk
@@ -15,17 +15,6 @@ from vpr_bench import CORRIDOR, needs_corridor
 from ssrvlad_torch.baselines import cohog, make
 from ssrvlad_torch.baselines.cohog import local_entropy, region_descriptors, region_entropies
 from ssrvlad_torch.channels.channel import View
-
-
-def gray_noise(seed, height, width, grain=4):
-    """Random gray blocks, smoothed."""
-    rng = np.random.default_rng(seed)
-    small = rng.integers(0, 256, (height // grain + 1, width // grain + 1), dtype=np.uint8)
-    return cv2.resize(small, (width, height), interpolation=cv2.INTER_CUBIC)
-
-
-def image(seed, height=90, width=120):
-    return np.repeat(gray_noise(seed, height, width)[..., None], 3, axis=2)
 
 
 def plain_descriptors(picture):
@@ -58,11 +47,11 @@ def plain_score(query, chosen, reference):
 
 @pytest.mark.parametrize("size", [(64, 64), (48, 96)])
 def test_descriptors_equal_a_loop(size):
-    pictures = np.stack([gray_noise(seed, *size) for seed in range(3)])
+    pictures = np.stack([picture(seed, *size)[..., 0] for seed in range(3)])
     found = region_descriptors(torch.from_numpy(pictures))
     assert found.dtype == torch.float32
-    for picture, regions in zip(pictures, found, strict=True):
-        np.testing.assert_allclose(regions.numpy(), plain_descriptors(picture), rtol=0, atol=1e-5)
+    for gray, regions in zip(pictures, found, strict=True):
+        np.testing.assert_allclose(regions.numpy(), plain_descriptors(gray), rtol=0, atol=1e-5)
 
 
 @pytest.mark.parametrize(("size", "radius"), [((100, 100), 5), ((7, 30), 5), ((13, 11), 2)])
@@ -71,17 +60,17 @@ def test_entropy_is_that_of_scikit_image(size, radius, levels):
     rng = np.random.default_rng(levels)
     pictures = rng.integers(256 - levels, 256, (2, *size), dtype=np.uint8)
     found = local_entropy(torch.from_numpy(pictures), radius)
-    for picture, bits in zip(pictures, found, strict=True):
-        np.testing.assert_allclose(bits.numpy(), entropy(picture, disk(radius)), rtol=0, atol=1e-5)
+    for gray, bits in zip(pictures, found, strict=True):
+        np.testing.assert_allclose(bits.numpy(), entropy(gray, disk(radius)), rtol=0, atol=1e-5)
 
 
 def test_entropies_of_regions_equal_those_of_the_libraries():
-    picture = gray_noise(0, 512, 512, grain=40)
-    picture[:200, :300] = 128
-    bits = cv2.resize(entropy(cv2.resize(picture, (100, 100)), disk(5)), (512, 512))
+    gray = picture(0, 512, 512, grain=16)[..., 0]
+    gray[:200, :300] = 128
+    bits = cv2.resize(entropy(cv2.resize(gray, (100, 100)), disk(5)), (512, 512))
     starts = range(0, 512 - 16, 16)
     expected = [bits[y : y + 32, x : x + 32].mean() / 8 for y in starts for x in starts]
-    found = region_entropies(torch.from_numpy(picture)[None])[0].numpy()
+    found = region_entropies(torch.from_numpy(gray)[None])[0].numpy()
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-5)
     assert found[0] == 0
     assert found.max() > 0.4
@@ -91,9 +80,9 @@ def test_entropies_of_regions_equal_those_of_the_libraries():
 def test_scores_equal_a_loop_whatever_the_block(at_once, monkeypatch):
     monkeypatch.setattr(cohog, "_SCORES_AT_ONCE", at_once)
     method = make("cohog", size=64)
-    queries = method.encode_query(frames([image(0), image(1)]))
+    queries = method.encode_query(frames([picture(0), picture(1)]))
     queries.chosen[1, ::2] = False
-    references = method.encode_reference(frames([image(seed) for seed in range(5)]))
+    references = method.encode_reference(frames(map(picture, range(5))))
     found = method.scores(queries, references)
     assert (found.shape, found.dtype) == ((2, 5), torch.float32)
     for row, column in np.ndindex(2, 5):
@@ -103,7 +92,7 @@ def test_scores_equal_a_loop_whatever_the_block(at_once, monkeypatch):
 
 
 def test_only_regions_of_high_entropy_are_looked_for():
-    half = image(0, 512, 512)
+    half = picture(0, 512, 512)
     half[:, :256] = 128
     chosen = make("cohog").encode_query(frames([half])).chosen[0].view(31, 31)
     assert not chosen[:, :14].any()

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 from drawings import SPACE
+from methods import frames, picture
 from networks import PLAIN, Street, write_street
 from segmenting import write_photos
 
@@ -23,19 +24,17 @@ def segmenter():
     return Segmenter(Street(), SPACE, PLAIN)
 
 
-def frames(count: int, sequence: str = "a") -> list[View]:
-    """Pictures of one size, each of another street of noise in blocks."""
-    noise = np.random.default_rng(0).integers(0, 256, (count, 8, 12, 3), np.uint8)
-    pictures = noise.repeat(16, 1).repeat(16, 2)
-    return [View(f"{sequence}/{n}", picture=picture) for n, picture in enumerate(pictures)]
+def drive(count: int, sequence: str = "a") -> list[View]:
+    """Pictures of one size, each of other blocks."""
+    return frames((picture(n, 128, 192, grain=16) for n in range(count)), sequence)
 
 
 def test_scores_are_the_cosines_of_the_signs_of_the_segmenter(segmenter):
-    method, pictures = EncoderFeatures(segmenter), [frame.picture for frame in frames(6)]
-    signs = method.encode_reference(frames(6))
+    method, pictures = EncoderFeatures(segmenter), [frame.picture for frame in drive(6)]
+    signs = method.encode_reference(drive(6))
     expected = [result.features for result in segmenter.segment(pictures, features=True)]
     np.testing.assert_array_equal(signs.numpy(), np.stack(expected))
-    assert torch.equal(method.encode_query(frames(6)), signs)
+    assert torch.equal(method.encode_query(drive(6)), signs)
     scores = method.scores(signs[:2], signs)
     expected = ReferenceRows(signs, [""] * len(signs)).compare(signs[:2], False, True)
     torch.testing.assert_close(scores, expected.whole())
@@ -43,8 +42,7 @@ def test_scores_are_the_cosines_of_the_signs_of_the_segmenter(segmenter):
 
 
 def test_the_steps_standardise_signs(segmenter):
-    method, drive = EncoderFeatures(segmenter), frames(32)
-    found = run(method, drive, frames(32, "b"), steps=Steps(follow=None))
+    found = run(EncoderFeatures(segmenter), drive(32), drive(32, "b"), steps=Steps(follow=None))
     assert found.bytes_a_reference == 4096
     assert found.stepped.used["standardise"] == {"a": True}
     assert found.stepped.matches.indices[:, 0].tolist() == list(range(32))

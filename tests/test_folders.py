@@ -1,7 +1,5 @@
 """Plain folders."""
 
-import math
-
 import pytest
 from helpers import touch
 from trees import outline, plant, roles, write
@@ -55,15 +53,6 @@ def test_images_and_labels_of_separate_folders_are_joined_by_name(tmp_path):
     assert second.label == tmp_path / "monday/labels/2.png"
     assert second.pose[:2] == (5, 6)
     assert outline(open_dataset(tmp_path / "monday")) == {"monday": ["1", "2"]}
-
-
-def test_poses_beside_the_folders_are_joined_by_id_before_name(tmp_path):
-    touch(*(tmp_path / name for name in ("a/1.png", "a/2.png", "b/1.png")))
-    write(tmp_path / "poses.csv", "frame,x,y,heading\na/1,1,0,0\n1,3,0,0\n")
-    poses = {frame.frame: frame.pose.x for frame in open_dataset(tmp_path).frames}
-    assert (poses["a/1"], poses["b/1"]) == (1, 3)
-    assert math.isnan(poses["a/2"])
-    assert open_dataset(tmp_path).warnings == ["1 of 3 frames have no pose, the first is a/2"]
 
 
 @pytest.mark.parametrize("name", ["ground_truth.json", "ground_truth.csv", "ground_truth.npy"])

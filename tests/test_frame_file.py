@@ -8,9 +8,9 @@ import pytest
 import torch
 from helpers import refuses, street, write_street
 from networks import write_street as write_network
-from PIL import ExifTags, Image
 from pyarrow.fs import FileSystem, copy_files
 from segmenting import write_photos, write_settings
+from trees import write_placed
 
 from ssrvlad_torch import SSRVLAD
 from ssrvlad_torch.channels.label_shapes import LabelShapes
@@ -72,8 +72,8 @@ def test_changed_files_are_encoded_anew_and_missing_ones_skipped(folder, tmp_pat
 
 
 def test_a_uri_without_frames_is_refused(folder, tmp_path):
-    with pytest.raises(ValueError, match=r"deeper holds no label maps; expected \.png"):
-        find_label_files([(folder / "deeper").as_uri()])
+    deeper = [(folder / "deeper").as_uri()]
+    refuses(r"deeper holds no label maps; expected \.png", find_label_files, deeper)
     with pytest.raises(FileNotFoundError, match="none"):
         find_label_files([(tmp_path / "none").as_uri()])
     refuses("ftp", find_label_files, ["ftp://host/monday"])
@@ -82,12 +82,7 @@ def test_a_uri_without_frames_is_refused(folder, tmp_path):
 def test_positions_of_pictures_in_a_bucket_are_those_of_their_exif_tags(bucket, tmp_path):
     """They are also written as names."""
     frame_file._file_system.cache_clear()
-    tag, exif = ExifTags.GPS, Image.Exif()
-    place = {tag.GPSLatitudeRef: "N", tag.GPSLatitude: (48, 7, 30.0)}
-    place |= {tag.GPSLongitudeRef: "E", tag.GPSLongitude: (11, 34, 0.0)}
-    exif.get_ifd(ExifTags.IFD.GPSInfo).update(place)
-    (tmp_path / "photos").mkdir()
-    Image.new("RGB", (8, 6)).save(tmp_path / "photos" / "1.jpg", exif=exif)
+    write_placed(tmp_path / "photos" / "1.jpg", (48.0, 7.0, 30.0), (11.0, 34.0, 0.0))
     files, root = FileSystem.from_uri(f"{bucket}/placed")
     copy_files(str(tmp_path / "photos"), f"{root}/photos", destination_filesystem=files)
     here = find_image_files([str(tmp_path / "photos")], poses="exif")

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers import refuses, street, touch
+from trees import write
 
 from ssrvlad_torch.datasets.label_files import find_label_files
 from ssrvlad_torch.datasets.pose_tables import PoseTable
@@ -14,10 +15,8 @@ from ssrvlad_torch.datasets.pose_tables import PoseTable
 def plant(root, table, *files):
     """Empty files, and a table of poses: x by frame."""
     touch(*(root / file for file in files))
-    rows = "".join(f"{frame},{x},0\n" for frame, x in table.items())
-    root.mkdir(exist_ok=True)
-    (root / "poses.csv").write_text(f"frame,x,y\n{rows}")
-    return root / "poses.csv"
+    rows = (f"{frame},{x},0" for frame, x in table.items())
+    return write(root / "poses.csv", ["frame,x,y", *rows])
 
 
 def found(*folders, **options):

@@ -9,7 +9,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 import torch
-from helpers import refused
+from helpers import refused, refuses
 from methods import frames, noise
 from plain_layers import Array, convolve, local_response_norm, max_pool, relu, unit
 from skimage.measure import label, regionprops
@@ -193,16 +193,14 @@ def test_random_weights_say_what_they_are():
     method = RegionVLAD(random_weights=True)
     assert method.name == "region-vlad (random weights)"
     assert method.encode_query(frames(images(1))).shape == (1, 256 * 384)
-    with pytest.raises(ValueError, match=r"region-vlad .* needs pictures, but frame a/b"):
-        method.encode_query([View("a/b")])
+    refuses(r"region-vlad .* needs pictures, but frame a/b", method.encode_query, [View("a/b")])
 
 
 def test_torchvisions_alexnet_is_refused(tmp_path):
     """The PyTorch file of Places365 holds another network under the same name."""
     path = tmp_path / "alexnet_places365.pth.tar"
     torch.save({"state_dict": {"features.module.0.weight": torch.ones(64, 3, 11, 11)}}, path)
-    with pytest.raises(ValueError, match=r"lacks conv1\.weight \(96, 3, 11, 11\); it has features"):
-        RegionVLAD(path)
+    refuses(r"lacks conv1\.weight \(96, 3, 11, 11\); it has features", RegionVLAD, path)
 
 
 OTHER_WORDS = [WORDS[:3], WORDS[:, :9], WORDS[0], WORDS * np.nan, WORDS > 0]

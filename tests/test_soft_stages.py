@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from drawings import SPACE, blobs
+from drawings import SPACE, blobs, one_hot
 from helpers import street
 from torch import Tensor
 
@@ -47,16 +47,11 @@ def masks_of(numbers: Tensor) -> Tensor:
     return (numbers[:, None] == torch.arange(6).view(-1, 1, 1)).double()
 
 
-def one_hot(labels: np.ndarray) -> Tensor:
-    """``(1, 12, h, w)`` float64."""
-    return torch.eye(12).double()[torch.from_numpy(labels).long()].permute(2, 0, 1)[None]
-
-
 @pytest.mark.parametrize("channels", [12, 8])
 def test_one_hot_labels_give_the_layers(channels):
     """With 8 channels cars and what follows have none: what is missing to 1 is void."""
     labels = street(0)
-    some = one_hot(labels)[:, :channels]
+    some = one_hot(labels)[:, :channels].double()
     assert bool(some.sum(1).all()) == (channels == 12)
     soft = soft_layers(some, membership(label_space(SPACE), channels), 1.0)
     torch.testing.assert_close(soft, unpack(layers_of(labels)).double(), rtol=0, atol=2e-5)

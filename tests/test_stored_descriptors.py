@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from helpers import refused
+from helpers import refused, refuses
 
 from ssrvlad_torch.baselines import make
 from ssrvlad_torch.baselines.stored_descriptors import StoredDescriptors
@@ -19,12 +19,12 @@ CAMVID = ("--labels-as", "camvid-11")
 VECTORS = np.random.default_rng(0).random((12, 5))
 
 
-def write(path: Path, descriptors: dict[str, np.ndarray], dtype: str = "f2") -> Path:
+def write(path: Path, descriptors: dict[str, np.ndarray]) -> Path:
     """As hloc's `extract_features` writes them, in half precision, beside other data sets."""
     with h5py.File(path, "w", libver="latest") as file:
         for name, vector in descriptors.items():
             group = file.create_group(name)
-            group.create_dataset("global_descriptor", data=vector.astype(dtype))
+            group.create_dataset("global_descriptor", data=vector.astype("f2"))
             group.create_dataset("image_size", data=[80, 60])
     return path
 
@@ -111,18 +111,15 @@ def test_the_longest_name_counts_and_one_group_is_one_frame(tmp_path):
     both = method.encode_reference([View(frame) for frame in paths])
     assert not torch.equal(both[0], both[1])
     method = StoredDescriptors(write(tmp_path / "b.h5", {"0.jpg": VECTORS[0]}))
-    with refused("0.jpg fits monday/0, today/0; expected more of the path"):
-        method.read(paths)
+    refuses("0.jpg fits monday/0, today/0; expected more of the path", method.read, paths)
 
 
 def test_other_files_and_damaged_descriptors_are_refused(tmp_path):
     (tmp_path / "a.h5").write_text("no HDF5")
-    with refused("a.h5 is no whole HDF5 file: "):
-        make(str(tmp_path / "a.h5"))
+    refuses("a.h5 is no whole HDF5 file: ", make, str(tmp_path / "a.h5"))
     whole = write(tmp_path / "b.h5", dict(zip("ab", VECTORS, strict=False))).read_bytes()
     (tmp_path / "b.h5").write_bytes(whole[: len(whole) // 2])
-    with refused("b.h5 is no whole HDF5 file: "):
-        make(str(tmp_path / "b.h5"))
+    refuses("b.h5 is no whole HDF5 file: ", make, str(tmp_path / "b.h5"))
     with h5py.File(tmp_path / "c.hdf5", "w") as file:
         file.create_dataset("global_descriptor", data=[1.0])
     with refused("c.hdf5 has no group with a global_descriptor, as hloc writes them"):

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from helpers import refused
+from helpers import refused, refuses
 from torch import nn
 
 from ssrvlad_torch.baselines import weights
@@ -74,8 +74,7 @@ class TestReading:
 
     def test_code_is_refused(self, path):
         torch.save({"a": torch.ones(2), "b": Path("x")}, path)
-        with pytest.raises(ValueError, match=r"checkpoint\.pth\.tar.*Weights only load failed"):
-            read_checkpoint(path)
+        refuses(r"checkpoint\.pth\.tar.*Weights only load failed", read_checkpoint, path)
 
     @pytest.mark.parametrize("keep", [0, 10, 0.5, 0.95])
     @pytest.mark.parametrize("zipped", [True, False])
@@ -83,14 +82,12 @@ class TestReading:
         torch.save(layer().state_dict(), path, _use_new_zipfile_serialization=zipped)
         content = path.read_bytes()
         path.write_bytes(content[: keep if isinstance(keep, int) else int(keep * len(content))])
-        with refused(r"checkpoint\.pth\.tar is not a whole"):
-            read_checkpoint(path)
+        refuses(r"checkpoint\.pth\.tar is not a whole", read_checkpoint, path)
 
     @pytest.mark.parametrize("content", [{}, {"state_dict": {}}, [torch.ones(1)], {"epoch": 1}])
     def test_a_file_without_tensors_is_refused(self, content, path):
         torch.save(content, path)
-        with pytest.raises(ValueError, match="must hold tensors by name"):
-            read_checkpoint(path)
+        refuses("must hold tensors by name", read_checkpoint, path)
 
 
 class TestFilling:
@@ -118,8 +115,7 @@ class TestFilling:
         network = layer(0)
         changed = {**layer(1).state_dict(), **change}
         state = {name: value for name, value in changed.items() if value is not None}
-        with pytest.raises(ValueError, match=message):
-            fill(network, state, Path("file.pth"))
+        refuses(message, fill, network, state, Path("file.pth"))
         assert torch.equal(network.weight, layer(0).weight)
 
 

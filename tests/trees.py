@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
+from PIL import ExifTags, Image
 
 from ssrvlad_torch.datasets.dataset import Dataset
 
@@ -16,6 +16,18 @@ def plant(root: Path, *names: str) -> Path:
         path.parent.mkdir(parents=True, exist_ok=True)
         Image.fromarray(np.zeros((4, 6, 3), np.uint8)).save(path)
     return root
+
+
+def write_placed(path: Path, latitude: tuple[float, ...], longitude: tuple[float, ...]) -> None:
+    """A picture with its place, degrees, minutes and seconds, in EXIF tags; it looks north."""
+    tag, exif = ExifTags.GPS, Image.Exif()
+    exif.get_ifd(ExifTags.IFD.GPSInfo).update({
+        tag.GPSLatitudeRef: "N", tag.GPSLatitude: latitude,
+        tag.GPSLongitudeRef: "E", tag.GPSLongitude: longitude,
+        tag.GPSImgDirectionRef: "T", tag.GPSImgDirection: 0.0,
+    })  # fmt: skip
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.new("RGB", (8, 6)).save(path, exif=exif)
 
 
 def write(path: Path, lines: Iterable[str] | str) -> Path:

@@ -156,7 +156,7 @@ def _fused(
     """The fused recognition of single frames, and the followed one if ``steps.follow``. Members are
     recognitions of single frames by each method, with scores of all pairs."""
     details = [member.details for member in members]
-    sequences = _sequences(members[0].queries.frames)
+    sequences = [*map(sequence_of, members[0].queries.frames)]
     scores = {m.details["method"]: torch.from_numpy(m.similarity) for m in members}
     fused = {
         sequences[run.start]: FusedScores(
@@ -188,20 +188,14 @@ def _fused(
 def _by_scores(recognition: Recognition, steps: Steps) -> Recognition:
     """The recognition decided anew by its scores of all pairs."""
     scores = torch.from_numpy(recognition.similarity)
-    queries = _sequences(recognition.queries.frames)
-    references = _sequences(recognition.references.frames)
+    queries = [*map(sequence_of, recognition.queries.frames)]
+    references = [*map(sequence_of, recognition.references.frames)]
     recognised = recognise_by_scores(scores, queries, references, steps, TOP)
-    before = recognition.details["steps"] or {}
-    used = {
-        **recognised.used,
-        **{key: before[key] for key in ("standardise", "sweep") if key in before},
-    }
+    used, before = recognised.used, recognition.details["steps"]
+    if before:
+        used |= {"standardise": before["standardise"], "sweep": before["sweep"]}
     details = {**recognition.details, "steps": used}
     return replace(recognition, matches=recognised.matches, details=details)
-
-
-def _sequences(frames: Sequence[str]) -> list[str]:
-    return [sequence_of(frame) for frame in frames]
 
 
 def _given(

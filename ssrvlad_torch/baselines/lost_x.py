@@ -23,7 +23,7 @@ from ..segmentation.networks import AUTO
 from ..segmentation.segmenter import Segmenter
 from ..taxonomy import LabelSpace, label_space
 from .dense_network import DenseNetwork, dense_network, segmenter_of
-from .protocol import Columns
+from .protocol import Columns, noting
 
 _REACH = 7
 _CANDIDATES = 10
@@ -133,10 +133,8 @@ class LoSTX:
         return layout_cost((x[0, same], reference.columns[0, same]), 1 - cosine[number])
 
     def _encode(self, frames: Iterable[View], reach: int) -> LoSTEncodings:
-        views, sequences = [], []
-        for frame in frames:
-            views.append(self._view(picture_of(frame, self.name)))
-            sequences.append(frame.sequence)
+        sequences: list[str] = []
+        views = [self._view(picture_of(frame, self.name)) for frame in noting(frames, sequences)]
         if not views:
             raise ValueError(f"method {self.name}: no frames to encode")
         descriptors = []

@@ -79,16 +79,14 @@ STORED = (".h5", ".hdf5")
 def make(name: str, **settings: Any) -> Method:
     """A method of `METHODS` with settings, or a file of stored descriptors; an unknown name or
     setting is a ValueError."""
-    known = METHODS
     if name.endswith(STORED):
-        known, settings = (
-            {name: ("stored_descriptors", "StoredDescriptors")},
-            {"file": name, **settings},
-        )
-    elif name not in METHODS:
-        known_names = f"{', '.join(METHODS)}, or a file of stored descriptors (.h5)"
-        raise ValueError(f"unknown method {name!r}; expected one of {known_names}")
-    module, class_name = known[name]  # imported here, not earlier
+        module, class_name = "stored_descriptors", "StoredDescriptors"
+        settings = {"file": name, **settings}
+    elif name in METHODS:
+        module, class_name = METHODS[name]
+    else:
+        known = f"{', '.join(METHODS)}, or a file of stored descriptors (.h5)"
+        raise ValueError(f"unknown method {name!r}; expected one of {known}")
     method: type[Method] = getattr(import_module(f".{module}", __package__), class_name)
     try:
         signature(method).bind(**settings)

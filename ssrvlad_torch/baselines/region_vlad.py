@@ -15,7 +15,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from ..channels.channel import View, picture_of
-from ..files import one_line, parse_npy, read_bytes, requiring
+from ..files import naming, parse_npy, read_bytes, requiring
 from .vectors import VectorMethod
 from .weights import fill, find_weights, random_network, read_checkpoint
 
@@ -144,11 +144,8 @@ def vlad(descriptors: Tensor, words: Tensor) -> Tensor:
 
 def read_vocabulary(path: Path, words: int) -> Tensor:
     """The vocabulary ``(words, 384)`` float32 in a ``.npy`` file; another file is a ValueError."""
-    try:
+    with naming(f"{path}: expected a vocabulary in a .npy file, see docs/methods.md"):
         array = parse_npy(read_bytes(path))
-    except Exception as error:  # NumPy raises any exception on damaged bytes
-        expected = "expected a vocabulary in a .npy file, see docs/methods.md"
-        raise ValueError(f"{path}: {expected}: {one_line(error)}") from error
     numbers = array.dtype.kind in "iuf"
     if array.shape != (words, CHANNELS) or not numbers or not np.isfinite(array).all():
         expected = f"must hold a vocabulary ({words}, {CHANNELS}) of finite numbers"

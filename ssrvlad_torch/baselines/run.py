@@ -61,57 +61,38 @@ def run(
     compared = _references(method, encoded, map_drives)
     sweep = getattr(method, "encode_sweep", None) if steps and steps.sweep and compared else None
     matches, inputs, kept = list[Matches](), list[Tensor](), list[Tensor]()
-    costs = list[tuple[float, float]]()
+    encode_ms, match_ms = list[float](), list[float]()
     for frame in noting(queries, drives, progress):
-        if not costs:
+        if not matches:
             method.scores(method.encode_query([frame]), encoded)
-        encodings, scores, times = _timed_scores(method, frame, encoded)
-        costs.append(times)
+        begin = time.perf_counter()
+        encodings = method.encode_query([frame])
+        between = time.perf_counter()
+        scores = method.scores(encodings, encoded)
+        match_ms.append(1e3 * (time.perf_counter() - between))
+        encode_ms.append(1e3 * (between - begin))
         matches += [best_of(row, top) for row in scores]
         kept += [scores.float()] if all_pairs else []
         if steps and compared:
             inputs.append(sweep([frame]) if sweep else encodings)
         elif steps:
             inputs.append(scores)
-    if not costs:
+    if not matches:
         raise ValueError(f"method {method.name} got no queries")
-    sequences = drives, map_drives
-    stepped = _stepped(method.name, compared, inputs, sequences, steps, top) if steps else None
+    stepped = None
+    if steps and compared:
+        member = Member(torch.cat(inputs), compared)
+        stepped = recognise({method.name: member}, drives, map_drives, steps, top)
+    elif steps:
+        stepped = recognise_by_scores(torch.cat(inputs), drives, map_drives, steps, top)
     return Retrieval(
         matches=Matches(*map(torch.stack, zip(*matches, strict=True))),
-        encode=_cost([encoding for encoding, _ in costs]),
-        match=_cost([matching for _, matching in costs]),
+        encode=_cost(encode_ms),
+        match=_cost(match_ms),
         bytes_a_reference=encoded.nbytes / len(map_drives),
         similarity=torch.cat(kept) if all_pairs else None,
         stepped=stepped,
     )
-
-
-def _stepped(
-    name: str,
-    compared: References | None,
-    inputs: Sequence[Tensor],
-    sequences: tuple[Sequence[str], Sequence[str]],
-    steps: Steps,
-    top: int,
-) -> Recognised:
-    """The result of steps on the encodings of queries or, without references that they are compared
-    with, on scores; ``sequences`` of queries and of references."""
-    given = torch.cat(list(inputs))
-    if compared is None:
-        return recognise_by_scores(given, *sequences, steps, top)
-    return recognise({name: Member(given, compared)}, *sequences, steps, top)
-
-
-def _timed_scores(
-    method: Method, query: View, references: Any
-) -> tuple[Any, Tensor, tuple[float, float]]:
-    """The encoding of a query, its scores, and the milliseconds that each of them took."""
-    begin = time.perf_counter()
-    encodings = method.encode_query([query])
-    between = time.perf_counter()
-    scores = method.scores(encodings, references)
-    return encodings, scores, (1e3 * (between - begin), 1e3 * (time.perf_counter() - between))
 
 
 def _references(method: Method, encoded: Any, sequences: Sequence[str]) -> References | None:

@@ -64,23 +64,20 @@ class StoredDescriptors(VectorMethod):
                 f"{self.name} has no descriptor of {len(lacking)} of {len(frames)} frames: "
                 f"{shortened(lacking, most=3)}; it has {shortened(sorted(self._groups), most=2)}"
             )
-        for group, count in Counter(group_of.values()).most_common(1):
-            if count > 1:
-                twins = shortened([frame for frame in frames if group_of[frame] == group], most=3)
-                raise ValueError(f"{self.name}: {group} fits {twins}; expected more of the path")
+        [(group, count)] = Counter(group_of.values()).most_common(1)
+        if count > 1:
+            twins = shortened([frame for frame in frames if group_of[frame] == group], most=3)
+            raise ValueError(f"{self.name}: {group} fits {twins}; expected more of the path")
         with self._opened() as stored:
             arrays = {frame: np.asarray(stored[f"{group_of[frame]}/{_KEY}"]) for frame in frames}
         self.length = next(iter(arrays.values())).size
         for frame, array in arrays.items():
-            if (
-                array.shape != (self.length,)
-                or array.dtype.kind != "f"
-                or not np.isfinite(array).all()
-            ):
-                expected = (
-                    f"{self.name}: {group_of[frame]}/{_KEY} must be ({self.length},) finite floats"
+            finite = array.dtype.kind == "f" and np.isfinite(array).all()
+            if array.shape != (self.length,) or not finite:
+                raise ValueError(
+                    f"{self.name}: {group_of[frame]}/{_KEY} must be ({self.length},) finite "
+                    f"floats, got {array.shape} {array.dtype}"
                 )
-                raise ValueError(f"{expected}, got {array.shape} {array.dtype}")
             self._vectors[frame] = F.normalize(torch.from_numpy(array.astype(np.float32)), dim=0)
 
     def describe(self, views: Sequence[View], _columns: Sequence[int] = ()) -> Tensor:

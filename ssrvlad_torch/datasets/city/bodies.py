@@ -101,7 +101,7 @@ def rider(axis: Axis) -> Iterator[Body]:
     yield from person(axis, RIDER, feet=0.25)
 
 
-def car(axis: Axis, length: float = 4.3) -> Iterator[Body]:
+def car(axis: Axis, length: float) -> Iterator[Body]:
     """A car: body and cabin."""
     half = length / 2
     yield box(axis, CAR, (-half, half), (-0.9, 0.9), (0.15, 0.85))
