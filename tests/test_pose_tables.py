@@ -8,6 +8,7 @@ import pytest
 from helpers import refuses, street, touch
 from trees import write
 
+from ssrvlad_torch.datasets.frame_file import FrameFile
 from ssrvlad_torch.datasets.label_files import find_label_files
 from ssrvlad_torch.datasets.pose_tables import PoseTable
 
@@ -77,6 +78,17 @@ def test_a_bare_name_that_two_folders_have_is_refused(tmp_path):
     assert found(tuesday, poses=str(path)) == [1]
     (monday / "0.png").unlink()
     assert found(tuesday) == [1]
+
+
+def test_folders_beside_each_subfolder_are_searched(tmp_path):
+    files = "monday/labels/0.png", "monday/images/1.jpg", "tuesday/images/1.jpg"
+    plant(tmp_path, {"0": 1, "1": 2}, *files)
+    monday = tmp_path / "monday"
+    table = PoseTable.of_folder(monday)
+    paths = monday / "labels" / "0.png", monday / "images" / "1.jpg"
+    first, second = (FrameFile("monday", p.stem, p, folder=str(monday)) for p in paths)
+    assert table.pose_of(first).x == 1
+    refuses("can be a frame of .*monday and of .*tuesday", table.pose_of, second)
 
 
 def test_each_frame_has_its_own_row(tmp_path):

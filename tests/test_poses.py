@@ -43,7 +43,7 @@ def test_tables_of_poses_are_read_by_column_name(tmp_path, text, poses):
         ("frame,x\n1,2\n", "no column 'y'"),
         ("1,2,3,0\n", "no column 'frame'"),
         ("frame,x,y\n1,2,3\n2,east,4\n", "line 3: .*'east'"),
-        ("frame,x,y\n0,inf,1\n", "line 2: x is inf; expected a finite number"),
+        ("frame,x,y\n0,inf,1\n", "line 2: expected a finite number, got inf"),
         ("frame,x,y\n0,1,1\n0,2,1\n", "line 3: frame '0' has two positions"),
         ("frame,x,y,heading\n0,1,5,2,5,0\n", "line 2: more cells than columns: 5,0"),
         ("frame,x,y,x\n0,1,1,2\n", "line 1: two columns 'x'"),
@@ -113,8 +113,11 @@ def test_latitudes_become_metres(tmp_path):
     for places in ("a,52.2,5.9\nb,52.2,6.1", "a,52.2,5.99", "a,0.005,7"):
         path.write_text(f"frame,latitude,longitude\n{places}\n")
         refuses("within 1 km of the border of a UTM zone", read_poses, path)
-    path.write_text("frame,latitude,longitude\na,89,5.9\n")
-    refuses("latitude out of range", read_poses, path)
+    path.write_text("frame,latitude,longitude\na,52.2,0.12\nb,89,5.9\nc,52.2,0.12\n")
+    refuses("line 3: latitude out of range", read_poses, path)
+    path.write_text("frame,latitude,longitude\na,nan,nan\nb,52.2,0.12\n")
+    unknown, known = read_poses(path).values()
+    assert np.isnan(unknown).all() and known.x == pytest.approx(EAST, abs=0.01)
 
 
 def test_exif_tags_give_poses_of_some_pictures(tmp_path):
@@ -124,8 +127,9 @@ def test_exif_tags_give_poses_of_some_pictures(tmp_path):
     os.mkfifo(tmp_path / "photos" / "3.png")
     bomb = png_bytes(30_000, 30_000, 8, COLOUR, b"")
     (tmp_path / "photos" / "4.png").write_bytes(bomb)
+    (tmp_path / "photos" / "5.png").symlink_to("gone")
     files = find_image_files([folder, str(tmp_path / "photos" / "*.png")], poses="exif")
-    expected = [[EAST, NORTH, math.pi / 2], UNKNOWN, UNKNOWN, UNKNOWN]
+    expected = [[EAST, NORTH, math.pi / 2], *[UNKNOWN] * 4]
     np.testing.assert_allclose([file.pose for file in files], expected, atol=0.01)
     with pytest.raises(ValueError, match="no image of none has a position in its EXIF"):
         find_image_files([plant(tmp_path / "none", "1.jpg")], poses="exif")

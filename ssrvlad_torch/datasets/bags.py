@@ -1,6 +1,7 @@
 """Images in ROS 1 and ROS 2 bags. Needs the extra ``rosbag``."""
 
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -50,10 +51,11 @@ def bag_files(path: Path, topic: str | None = None) -> list[FrameFile]:
     the extra ``rosbag``, an ImportError."""
     opened = _Topic(path, topic)
     name, folder = opened.connection.topic, absolute(path)
-    return [
-        BagFile("", str(time), path, row, folder=folder, stamp=time * 1e-9, topic=name)
-        for row, (time, _) in enumerate(opened.messages())
-    ]
+    with closing(opened.bag):
+        return [
+            BagFile("", str(time), path, row, folder=folder, stamp=time * 1e-9, topic=name)
+            for row, (time, _) in enumerate(opened.messages())
+        ]
 
 
 class _Topic:

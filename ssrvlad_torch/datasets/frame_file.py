@@ -89,8 +89,8 @@ class FrameFile:
 
     def opened(self) -> BinaryIO:
         """The file, to read its head; one that cannot be read is a ValueError."""
-        check_regular(self.path)
         try:
+            check_regular(self.path)
             return self.path.open("rb")
         except OSError as error:
             raise ValueError(one_line(error)) from error

@@ -164,8 +164,7 @@ def _poses_of_exif(drive: Sequence[FrameFile]) -> list[Pose]:
     fixes = list(map(_fix_of, drive))
     if not any(fixes):
         raise ValueError(f"no image of {drive[0].sequence} has a position in its EXIF tags")
-    poses = iter(poses_of_fixes([fix for fix in fixes if fix]))
-    return [next(poses) if fix else UNKNOWN for fix in fixes]
+    return poses_of_fixes([fix or Fix(*UNKNOWN) for fix in fixes])
 
 
 def _fix_of(file: FrameFile) -> Fix | None:

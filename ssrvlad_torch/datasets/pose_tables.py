@@ -29,7 +29,7 @@ class PoseTable:
     poses: Mapping[str, Pose]
     folder: Path | None = None
     _users: dict[str, str] = field(default_factory=dict)
-    _listed: dict[Path, frozenset[str]] = field(default_factory=dict)
+    _listed: dict[Path, dict[Path, frozenset[str]]] = field(default_factory=dict)
 
     @classmethod
     def of_folder(cls, folder: Path) -> PoseTable | None:
@@ -68,12 +68,13 @@ class PoseTable:
         other = self._users.setdefault(row, file.folder)
         if other == file.folder and self.folder and self.path.parent != self.folder:
             home, place = absolute_folder(self.folder), file.path.relative_to(self.folder)
-            if not self._listed:
-                for folder in (home.parent, *home.parent.iterdir()):
-                    if folder.is_dir() and folder != home:
-                        files = (folder / place.parent).glob("*")
-                        self._listed[folder] = frozenset(path.name for path in files)
-            for folder, names in self._listed.items():
+            if place.parent not in self._listed:
+                self._listed[place.parent] = {
+                    folder: frozenset(path.name for path in (folder / place.parent).glob("*"))
+                    for folder in (home.parent, *home.parent.iterdir())
+                    if folder.is_dir() and folder != home
+                }
+            for folder, names in self._listed[place.parent].items():
                 ids = (f"{folder.name}/{file.name}{suffix}" for suffix in ("", file.path.suffix))
                 if place.name in names and not any(name in self.poses for name in ids):
                     other = str(folder)

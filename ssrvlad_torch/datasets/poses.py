@@ -45,11 +45,13 @@ class Fix(NamedTuple):
 
 
 def parse_number(text: str) -> float:
-    """The number that a text is, also ``nan`` and ``inf``. Unlike `float`, it refuses ``1_000`` and
-    digits of other scripts; both are a ValueError."""
+    """The number that a text is, also ``nan``. Unlike `float`, it refuses ``inf``, ``1_000`` and
+    digits of other scripts; all are a ValueError."""
     if "_" in text or not text.isascii():
         raise ValueError(f"could not convert string to float: {text!r}")
-    return float(text)
+    if math.isinf(number := float(text)):
+        raise ValueError(f"expected a finite number, got {text}")
+    return number
 
 
 def read_poses(path: Path) -> dict[str, Pose]:
@@ -77,12 +79,12 @@ def read_poses(path: Path) -> dict[str, Pose]:
                 text = row.get(column) or ""
                 is_missing = not text and column == names[-1]
                 numbers.append(math.nan if is_missing else parse_number(text))
-                if math.isinf(numbers[-1]):
-                    raise ValueError(f"{column} is {text}; expected a finite number")
             if math.isnan(numbers[0]) != math.isnan(numbers[1]):
                 x, y = (f"{column} is {row[column]}" for column in names[:2])
                 raise ValueError(f"{x} and {y}; expected two numbers, or nan twice")
             position = tuple(numbers)
+            if is_gps:
+                poses_of_fixes([Fix(*position)])
             earlier = positions.setdefault(row["frame"], position)
             if repr(earlier) != repr(position):  # as text, NaN equals NaN
                 raise ValueError(f"frame {row['frame']!r} has two positions")
@@ -103,17 +105,19 @@ def write_poses(path: Path, poses: Mapping[str, Pose]) -> None:
 
 
 def poses_of_fixes(fixes: Sequence[Fix]) -> list[Pose]:
-    """Poses of one drive: metres of UTM, east and north. A position outside UTM, or within 1 km of
-    the border of a zone, across which coordinates of other drives would not compare, is a
-    ValueError; without the extra ``gps``, an ImportError."""
+    """Poses of one drive: metres of UTM, east and north; unknown where a position is NaN. One
+    outside UTM, or within 1 km of the border of a zone, across which coordinates of other drives
+    would not compare, is a ValueError; without the extra ``gps``, an ImportError."""
     with requiring("gps", "latitudes need"):
         import utm
-    poses = []
+    poses, zones = list[Pose](), set[tuple[int, bool]]()
     for latitude, longitude, course in fixes:
+        if math.isnan(latitude) or math.isnan(longitude):
+            poses.append(UNKNOWN)
+            continue
         east, north, _, _ = utm.from_latlon(latitude, longitude)
         poses.append(Pose(float(east), float(north), heading_of_course(course)))
-    zones = set[tuple[int, bool]]()
-    for latitude, longitude, _ in fixes:  # and about 1 km from it in each direction
+        # the zones there, and about 1 km from there in each direction
         wide = _KILOMETRE / max(math.cos(math.radians(latitude)), _KILOMETRE)
         for up, right in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)):
             north, east = latitude + up * _KILOMETRE, longitude + right * wide

@@ -144,7 +144,8 @@ def read_trajectory(path: Path, largest_gap: float | None = None) -> Trajectory:
                 stamps.append(numbers[0])
             else:
                 raise ValueError(f"expected 12 numbers (KITTI) or 8 (TUM), got {len(numbers)}")
-    if stamps and (len(stamps) != len(poses) or stamps != sorted(stamps)):
+    in_order = all(before <= after for before, after in pairwise([*stamps, math.inf]))
+    if stamps and (len(stamps) != len(poses) or not in_order):
         raise ValueError(f"{path}: expected lines of 8 numbers in order of time")
     if not poses:
         raise ValueError(f"{path} holds no poses")
