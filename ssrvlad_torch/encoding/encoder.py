@@ -130,17 +130,18 @@ def channels_to_store(
     names, a new database gets all that the frames have, with a note if the network has no features;
     an existing one gets no other. Names of channels of pictures without a network are a
     ValueError."""
-    if names is None and network is None:
-        return []
-    if names is None and database:
-        of_pictures = any(origin.segmenter for origin in database.origins.values())
-        if len(database.columns) == 1 and not of_pictures:
-            note(f"{database.path} is of label maps alone: features and HOG are not stored")
-        return []
-    if names and network is None and (beside := [n for n in names if n != LABEL_SHAPES]):
+    if names is None:
+        if network is None:
+            return []
+        if database:
+            of_pictures = any(origin.segmenter for origin in database.origins.values())
+            if len(database.columns) == 1 and not of_pictures:
+                note(f"{database.path} is of label maps alone: features and HOG are not stored")
+            return []
+        if problem := network.problem_of_features:
+            note(f"stored without features: {problem}")
+    elif network is None and (beside := [name for name in names if name != LABEL_SHAPES]):
         raise ValueError(f"--channel {beside[0]} needs images as SOURCE and --segmenter")
-    if names is None and network and (problem := network.problem_of_features):
-        note(f"stored without features: {problem}")
     return new_channels(names, head, network)[1:]
 
 
@@ -221,9 +222,7 @@ def encode(
     reads_only = 0 in limits
     if not reads_only:
         workers = min([workers, *limits])
-    work: Callable[[list[Item]], Any] = describer
-    if reads_only:
-        work = partial(read, describer.space)
+    work: Callable[[list[Item]], Any] = partial(read, describer.space) if reads_only else describer
     threads = torch.get_num_threads()
     done: Iterator[Any] = map(work, batches)
     if workers > 1:
@@ -339,8 +338,10 @@ class Describer:
             picture = read_image(item.file) if pictured else None
             labels = np.asarray(item.labels)
             views.append(View(item.file.frame, labels, self.space, picture, item.features))
-        channels = ((channel.column.name, channel) for channel in self.channels)
-        return {name: channel.describe(views, self.columns).numpy() for name, channel in channels}
+        return {
+            channel.column.name: channel.describe(views, self.columns).numpy()
+            for channel in self.channels
+        }
 
     def _record(self, item: Item) -> FrameRecord:
         file, size = item.file, np.asarray(item.labels).shape

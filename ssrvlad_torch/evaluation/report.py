@@ -130,8 +130,7 @@ def chosen_matches(
         rows = truth[query]
         return int(rows[cosines(np.array([query]), rows)[0].argmax()]) if len(rows) else -1
 
-    wrong = ~outcomes.correct & (outcomes.candidate >= 0)
-    return highest(wrong, WRONG_MATCHES), highest(outcomes.correct, RIGHT_MATCHES)
+    return highest(outcomes.wrong, WRONG_MATCHES), highest(outcomes.correct, RIGHT_MATCHES)
 
 
 def reduced_cosines(
@@ -182,11 +181,10 @@ def _precision_recall(axes: Axes, report: Report) -> None:
 
 def score_groups(outcomes: Outcomes) -> dict[str, Floats]:
     """Scores of best candidates: right, wrong, and of places that no reference shows."""
-    wrong = (outcomes.candidate >= 0) & ~outcomes.correct
     groups = {
         "right": outcomes.correct,
-        "wrong": wrong & outcomes.has_match,
-        "wrong, place not in the database": wrong & ~outcomes.has_match,
+        "wrong": outcomes.wrong & outcomes.has_match,
+        "wrong, place not in the database": outcomes.wrong & ~outcomes.has_match,
     }
     return {name: outcomes.score[queries] for name, queries in groups.items()}
 
@@ -216,11 +214,10 @@ def _matrix(axes: Axes, report: Report) -> None:
     outcomes, query = report.outcomes, np.arange(queries)
     counts = [len(rows) for rows in report.truth]
     true = np.concatenate((np.zeros(0, np.int64), *report.truth))
-    wrong = ~outcomes.correct & (outcomes.candidate >= 0)
     for name, colour, down, across in (
         ("true match", _TRUE, np.repeat(query, counts), true),
         ("right", _RIGHT, query[outcomes.correct], outcomes.candidate[outcomes.correct]),
-        ("wrong", _WRONG, query[wrong], outcomes.candidate[wrong]),
+        ("wrong", _WRONG, query[outcomes.wrong], outcomes.candidate[outcomes.wrong]),
     ):
         axes.plot(across, down, ".", ms=2, color=colour, label=name)
     axes.set(xlabel="references", ylabel="queries")
