@@ -197,13 +197,9 @@ def test_every_convention_takes_degenerate_results(convention, resamples):
     assert results[3]["auc_pr"] == pytest.approx(expected)
 
 
-def precision_recall(scores, correct, positives, start=None):
-    weights = np.ones(len(scores))
-    return rank(scores, correct).curve(weights, np.asarray(positives, np.float64), start)
-
-
-def curve_of(scores, correct, positives):
-    return precision_recall(np.array(scores, float), np.array(correct, bool), positives)
+def curve_of(scores, correct, positives, start=None):
+    ranking = rank(np.array(scores, float), np.array(correct, bool))
+    return ranking.curve(np.ones(len(scores)), np.array(positives, float), start)
 
 
 ANY_SCORE = st.sampled_from([-INF, -0.25, 0.0, 0.25, 0.5, 0.5 + 2**-30, 1.0])
@@ -222,7 +218,7 @@ def test_curve_equals_a_loop_over_thresholds(queries, more_positives):
     scores = np.array([score for score, _ in queries], float)
     correct = np.array([right and score > -INF for score, right in queries], bool)
     positives = int(correct.sum()) + more_positives
-    curve = precision_recall(scores, correct, positives)
+    curve = curve_of(scores, correct, positives)
 
     thresholds = sorted({score for score in scores if score > -INF}, reverse=True)
     assert curve.thresholds.tolist() == thresholds
@@ -272,7 +268,7 @@ def test_scikit_learn_agrees_on_heavy_ties(seed):
     correct = rng.random(200) < 0.2 + 0.6 * (scores - scores.min())
     correct[:2] = [True, False]
     right = int(correct.sum())
-    curve = precision_recall(scores, correct, right, start=1.0)
+    curve = curve_of(scores, correct, right, start=1.0)
     precision, recall, thresholds = sklearn.precision_recall_curve(correct, scores)
     np.testing.assert_allclose(curve.precision, precision[-2::-1], rtol=1e-12)
     np.testing.assert_allclose(curve.recall, recall[-2::-1], rtol=1e-12)
@@ -282,12 +278,6 @@ def test_scikit_learn_agrees_on_heavy_ties(seed):
     assert curve.average_precision == pytest.approx(expected, abs=1e-12)
     found = roc_auc(curve, np.array(float(right)), np.array(200.0 - right))
     assert found == pytest.approx(sklearn.roc_auc_score(correct, scores), abs=1e-12)
-
-
-@pytest.fixture
-def curve():
-    """Right, right, wrong, right, right; five positives."""
-    return curve_of([0.9, 0.8, 0.6, 0.4, 0.3], [1, 1, 0, 1, 1], 5)
 
 
 def test_wilson_is_that_of_scipy():
@@ -354,8 +344,9 @@ def test_operating_points_equal_a_search_over_thresholds(queries, fraction):
         assert point.accepted == counts[min(sure)][1]
 
 
-def test_all_points_as_a_mapping(curve):
-    points = operating_points(curve)
+def test_all_points_as_a_mapping():
+    """Right, right, wrong, right, right; five positives."""
+    points = operating_points(curve_of([0.9, 0.8, 0.6, 0.4, 0.3], [1, 1, 0, 1, 1], 5))
     assert points["at_precision"].keys() == {"0.99", "1"}
     assert points["at_precision"]["1"]["score"] == 0.8
     assert points["at_recall"]["0.5"]["precision"] == 0.75

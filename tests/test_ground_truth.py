@@ -75,6 +75,7 @@ POSE = np.zeros((1, 3))
     [
         ((POSE, POSE, -1), "0 metres or more"),
         ((POSE, POSE, math.nan), "0 metres or more"),
+        ((POSE, POSE, math.inf), "0 metres or more and finite, got inf"),
         ((POSE, POSE, 1, -1), "0 degrees or more"),
         ((POSE, POSE, 1, math.nan), "0 degrees or more"),
         ((["a/1"], ["a/1"], -1), "0 frames or more, got -1"),
