@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-from ..files import check_output, replacing, requiring
+from ..files import replacing, requiring
 from .curves import PrecisionRecall
 from .metrics import figure_rows, fraction, precision_recall_curve
 from .outcomes import Bools, Floats, Outcomes, Rows, Truth
@@ -84,7 +84,6 @@ class Match(NamedTuple):
 def write_report(path: Path, report: Report) -> None:
     """Writes the page, whole or not at all; it needs the extra ``eval`` (Jinja2, matplotlib). Its
     size is bounded for any number of queries and references."""
-    check_output(path)
     page = render(report).encode("utf-8", "replace")
     with replacing(path) as temporary:
         temporary.write_bytes(page)
