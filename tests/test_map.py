@@ -248,15 +248,12 @@ def test_other_objects_and_torn_files_are_refused_as_pictures(town, photos):
 
 REFUSED = [
     (lambda town, today: Map.open(3), "expected the folder or URI of a map, got 3"),
-    (lambda town, today: Map.open("none.ssrdb").query(today), "none.ssrdb does not exist"),
     (lambda town, today: town.query(today, top=0), "top must be an integer from 1, got 0"),
     (lambda town, today: town.locate(today / "000.png", top=0), "top must be an integer from 1"),
     (lambda town, today: town.query(today, "online"), "expected steps as Steps, got 'online'"),
     (lambda town, today: town.query(today, channels="hog"), "expected a list of channels"),
     (lambda town, today: town.query(today, channels=["hog"]), "holds ssr-vlad of every frame, not"),
     (lambda town, today: town.query(today, min_confidence=0.5, max_wrong=0.1), "no min_confidence"),
-    (lambda town, today: town.evaluate(today), "expected one of --ground-truth"),
-    (lambda town, today: town.add(today / "none"), "does not exist"),
 ]
 
 
