@@ -132,8 +132,7 @@ def test_a_data_set_has_photos_too(ssrvlad, tmp_path, out, predicted):
         assert difference.mean() < 12
 
 
-def test_with_a_segmenter_photos_and_label_maps_are_shown(ssrvlad, tmp_path, out, monkeypatch):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+def test_with_a_segmenter_photos_and_label_maps_are_shown(ssrvlad, tmp_path, out):
     for day in ("monday", "friday"):
         street_photos(tmp_path / day, range(4))
     network = ("--segmenter", write_settings(tmp_path))

@@ -94,16 +94,12 @@ def town(network, ssrvlad, tmp_path):
     poses = ["frame,x,y,heading", *(f"photos/{seed},{seed},0,0.5" for seed in range(2))]
     (tmp_path / "poses.csv").write_text("\n".join(poses))
     town = tmp_path / "town"
-    cache = ("--segmenter-cache", tmp_path / "cache")
-    given = ("--segmenter", network, "--channel", "ssr-vlad", *cache)
+    given = ("--segmenter", network, "--channel", "ssr-vlad")
     ssrvlad("encode", tmp_path / "photos", "-o", town, *given)
     return town
 
 
-def test_locate_takes_the_network_of_the_database(
-    town, network, ssrvlad, refusal, tmp_path, monkeypatch
-):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+def test_locate_takes_the_network_of_the_database(town, network, ssrvlad, refusal, tmp_path):
     photos = [tmp_path / "photos" / f"{seed}.png" for seed in (1, 2)]
     code, out, _ = ssrvlad("locate", *photos, "--in", town)
     first, second = out.splitlines()
@@ -178,8 +174,7 @@ def test_labels_lists_all_activations(ssrvlad, refusal, tmp_path):
     assert "--labels-as and --all are for networks" in refusal("labels", SPACE, "--all")
 
 
-def test_show_takes_an_image(network, ssrvlad, tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+def test_show_takes_an_image(network, ssrvlad, tmp_path):
     frame, picture = tmp_path / "photos" / "1.png", tmp_path / "out.png"
     assert ssrvlad("show", frame, "-o", picture, "--segmenter", network)[0] == 0
     shown = Image.open(picture)

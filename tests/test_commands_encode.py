@@ -138,10 +138,9 @@ def test_an_empty_frame_is_counted_and_never_matches(ssrvlad, encode, maps, tmp_
 
 
 @pytest.fixture
-def photos(maps, tmp_path, monkeypatch):
+def photos(maps, tmp_path):
     """``photos/monday``, the world of ``maps`` as a camera sees it, and ``net.yaml``, which labels
-    it; the user's cache is ``cache``."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    it."""
     write_settings(tmp_path)
     folder = tmp_path / "photos" / "monday"
     for path in maps.iterdir():

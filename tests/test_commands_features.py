@@ -33,9 +33,8 @@ def graph(tmp_path_factory):
 
 
 @pytest.fixture
-def photos(graph, tmp_path, monkeypatch):
+def photos(graph, tmp_path):
     """``monday``, 32 photos, ``today``, the same, and ``net.yaml``, a network with features."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     (tmp_path / "net.onnx").write_bytes(graph)
     (tmp_path / "net.yaml").write_text(f"{SETTINGS}")
     for drive in ("monday", "today"):

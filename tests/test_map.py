@@ -20,7 +20,8 @@ from ssrvlad_torch.segmentation.networks import open_network
 
 
 @pytest.fixture
-def settings(tmp_path):
+def settings(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     return write_settings(tmp_path, f"labels_as: {SPACE}\n")
 
 

@@ -26,10 +26,7 @@ def camera(folder, seeds):
     return folder
 
 
-def test_every_command_takes_the_network_of_the_database(
-    network, ssrvlad, maps, tmp_path, monkeypatch
-):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+def test_every_command_takes_the_network_of_the_database(network, ssrvlad, maps, tmp_path):
     monday, tuesday = (camera(tmp_path / name, range(4)) for name in ("first", "second"))
     town, named = tmp_path / "drives", ("--segmenter", network)
     assert ssrvlad("encode", monday, "-o", town, *named)[0] == 0
@@ -60,7 +57,7 @@ def without_version(out):
 
 
 def test_an_assumed_preparation_is_noted_unless_accepted(network, ssrvlad, refusal, tmp_path):
-    given = ("--labels-as", SPACE, "--segmenter-cache", tmp_path / "cache", "--segmenter")
+    given = ("--labels-as", SPACE, "--segmenter")
     accepting = {value: tmp_path / f"{value}.yaml" for value in ("true", "false", "3")}
     for value, path in accepting.items():
         path.write_text(f"network: net.onnx\nsize: 60\naccept_defaults: {value}\n")
