@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing
 from dataclasses import replace
@@ -299,8 +298,7 @@ class Describer:
         return any(what in channel.needs for channel in self.channels)
 
     def __call__(self, items: Sequence[Item]) -> list[Encoded | Skipped]:
-        """The results of frames, in their order; a batch has one size and dtype, and its frames are
-        described one by one if it fails."""
+        """The results of frames, in their order; a batch has one size and dtype."""
         items = read(self.space, items)
         results: dict[int, Encoded | Skipped] = {}
         groups: dict[object, list[int]] = {}
@@ -309,26 +307,25 @@ class Describer:
                 groups.setdefault((item.labels.shape, item.labels.dtype), []).append(number)
             else:
                 results[number] = _skipped(item, item.labels)
-        batches = deque(
-            group[first : first + BATCH]
-            for group in groups.values()
-            for first in range(0, len(group), BATCH)
-        )
-        while batches:
-            numbers = batches.popleft()
-            batch = [items[number] for number in numbers]
-            try:
-                described = self._described(batch)
-            except ValueError as error:
-                if len(batch) == 1:
-                    results[numbers[0]] = _skipped(batch[0], error)
-                else:  # one by one
-                    batches.extendleft([number] for number in reversed(numbers))
-                continue
-            for row, (number, item) in enumerate(zip(numbers, batch, strict=True)):
-                own = {name: values[row] for name, values in described.items()}
-                results[number] = Encoded(self._record(item), own)
+        for group in groups.values():
+            for first in range(0, len(group), BATCH):
+                numbers = group[first : first + BATCH]
+                batch = [items[number] for number in numbers]
+                results.update(zip(numbers, self._results(batch), strict=True))
         return [results[number] for number in range(len(items))]
+
+    def _results(self, batch: Sequence[Item]) -> list[Encoded | Skipped]:
+        """The results of frames of one size, which are described one by one if they fail."""
+        try:
+            described = self._described(batch)
+        except ValueError as error:
+            if len(batch) == 1:
+                return [_skipped(batch[0], error)]
+            return [result for item in batch for result in self._results([item])]
+        return [
+            Encoded(self._record(item), {name: values[row] for name, values in described.items()})
+            for row, item in enumerate(batch)
+        ]
 
     def _described(self, batch: Sequence[Item]) -> dict[str, npt.NDArray[Any]]:
         """The descriptors of frames of one size, by the names of the channels."""
