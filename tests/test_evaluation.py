@@ -79,15 +79,13 @@ def recall_rate(indices, truth, n):
     return evaluate(scores, indices, truth, at=(n,))["recall_at"][str(n)]
 
 
-@pytest.mark.parametrize(("n", "expected"), [(1, 1 / 3), (2, 2 / 3), (3, 2 / 3), (4, 3 / 3)])
-def test_the_recall_rate_of_four_queries_equals_that_by_hand(n, expected):
-    """The first true match of the queries stands at place 1, 2 and 4; the last query has none."""
+def test_recall_rates_equal_those_by_hand():
+    """The first true match of four queries stands at place 1, 2 and 4; the last query has none.
+    Then without candidates, true matches or queries."""
     indices = np.array([[5, 1, 2, 3], [1, 6, 2, 3], [9, 8, 0, 7], [0, 1, 2, 3]])
     truth = rows([5], [6, 100], [7], [])
-    assert recall_rate(indices, truth, n) == pytest.approx(expected)
-
-
-def test_recall_rate_without_candidates_true_matches_or_queries():
+    rates = [recall_rate(indices, truth, n) for n in (1, 2, 3, 4)]
+    assert rates == pytest.approx([1 / 3, 2 / 3, 2 / 3, 3 / 3])
     assert recall_rate(np.array([[-1, -1], [0, -1]]), rows([3], [0]), 2) == 0.5
     assert math.isnan(recall_rate(np.array([[1], [2]]), rows([], []), 1))
     assert math.isnan(recall_rate(np.zeros((0, 5), np.int64), [], 1))
