@@ -278,10 +278,8 @@ class Map:
         given: Sequence[Picture] = pictures if several else [pictures]  # type: ignore[assignment,list-item]
         frames = [pixels_of(picture) for picture in given]
         references, channels = self._loaded()
-        frames_of_map = references if isinstance(references, FrameSet) else references.frames
-        where = np.ones(len(frames_of_map), bool)
-        if circle:
-            where = circle.rows(frames_of_map.poses, self.path)
+        known = references if isinstance(references, FrameSet) else references.frames
+        where = circle.rows(known.poses, self.path) if circle else np.ones(len(known), bool)
         features = any("features" in channel.needs for channel in channels)
         said = self._segmenter().segment(frames, features=features)
         space = self._segmenter().label_space
@@ -370,11 +368,11 @@ class Map:
             if new:
                 discard_empty(self.path, error)
             raise
-        if not new or len(database):
+        if new and not len(database):
+            del database
+            discard_empty(self.path, None)
+        else:
             self._database = database
-            return summary
-        del database
-        discard_empty(self.path, None)
         return summary
 
     def _note_void(self, source: Source, head: SSRVLAD, note: Note) -> None:

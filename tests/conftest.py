@@ -166,10 +166,11 @@ def main_of(monkeypatch, capsys):
 
 
 @pytest.fixture
-def ssrvlad(main_of):
-    """Runs a command line as `main_of` does."""
+def ssrvlad(main_of, monkeypatch, tmp_path):
+    """Runs a command line as `main_of` does; the user's cache is the folder ``cache``."""
     from ssrvlad_torch.cli.main import main
 
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     return partial(main_of, main, "ssrvlad")
 
 

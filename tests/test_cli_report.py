@@ -26,14 +26,11 @@ def out(tmp_path):
 
 
 @pytest.fixture
-def evaluate(ssrvlad, database, tmp_path, out):
-    """Reports six frames of Friday, like those of Monday, against Monday's database."""
-    write_maps(tmp_path / "friday", range(6))
+def report(evaluate, out):
+    """The page of an evaluation."""
 
     def run(*arguments: object) -> Page:
-        code, _, err = ssrvlad(
-            "evaluate", database, tmp_path / "friday", "--temporal", 0, "--report", out, *arguments
-        )
+        code, _, err = evaluate("--report", out, *arguments)
         assert (code, err) == (0, [])
         return Page(out.read_text("utf-8"))
 
@@ -56,55 +53,53 @@ def assert_shows(page: Page, what: str, seed: int) -> None:
     np.testing.assert_array_equal(shown(page, what), colourise(street(seed), "camvid-11"))
 
 
-def test_a_page_comes_beside_the_figures(ssrvlad, evaluate, database, tmp_path, out):
-    page = evaluate("--tolerance-frames", 0)
+def test_a_page_comes_beside_the_figures(evaluate, report, out):
+    page = report("--tolerance-frames", 0)
     for words in (
         "6 queries, 6 of them with a true match, against 6 references.",
-        "/friday against town.ssrdb ",
+        "/tuesday against town.ssrdb ",
         "true matches at most 0 frames away",
         "preset default",
     ):
         assert words in page.words
     assert "steps standardised, sweep" in page.words or "steps not standardised" in page.words
-    assert {name[:-4] for name in described(page)} == {"label map of monday", "label map of friday"}
+    days = {name[:-4] for name in described(page)}
+    assert days == {"label map of monday", "label map of tuesday"}
     assert len(described(page)) == 8
     for picture in described(page):
         assert_shows(page, picture, int(picture[-3:]))
 
-    arguments = ("evaluate", database, tmp_path / "friday", "--tolerance-frames", 1)
-    plain, reported = (ssrvlad(*arguments, *rest)[1] for rest in ((), ("--report", out)))
+    near, page = ("--tolerance-frames", 1), ("--report", out)
+    plain, reported = (evaluate(*near, *rest)[1] for rest in ((), page))
     assert reported == f"{plain}report: {out}\n"
-    metrics = json.loads(ssrvlad(*arguments, "--json")[1])
-    assert json.loads(ssrvlad(*arguments, "--json", "--report", out)[1]) == metrics
+    metrics = json.loads(evaluate(*near, "--json")[1])
+    assert json.loads(evaluate(*near, "--json", *page)[1]) == metrics
     page = Page(out.read_text("utf-8"))
     assert f"fingerprint {metrics['fingerprint']}" in page.words
     low, high = metrics["intervals"]["auc_pr"]
     assert f"AUC-PR {metrics['auc_pr']:.3f} {low:.3f} to {high:.3f}" in page.words
 
 
-def test_only_the_file_that_was_encoded_is_shown(evaluate, tmp_path):
+def test_only_the_file_that_was_encoded_is_shown(report, tmp_path):
     for number in range(6):
-        shutil.copy(tmp_path / "friday" / "000.png", tmp_path / "monday" / f"{number:03d}.png")
-    page = evaluate("--tolerance-frames", 0)
+        shutil.copy(tmp_path / "tuesday" / "000.png", tmp_path / "monday" / f"{number:03d}.png")
+    page = report("--tolerance-frames", 0)
     assert not any("monday" in name for name in described(page))
     (tmp_path / "monday").rename(tmp_path / "moved")
-    assert evaluate("--tolerance-frames", 0).words.count("no picture") == 4
+    assert report("--tolerance-frames", 0).words.count("no picture") == 4
 
 
-def test_the_page_counts_queries_that_were_left_out_or_skipped(
-    ssrvlad, evaluate, database, tmp_path, out
-):
-    truth = {f"friday/{n:03d}": [f"monday/{n:03d}"] for n in (0, 2, 3)}
-    (tmp_path / "friday" / "005.png").write_text("no image")
+def test_the_page_counts_queries_that_were_left_out_or_skipped(evaluate, tmp_path, out):
+    truth = {f"tuesday/{n:03d}": [f"monday/{n:03d}"] for n in (0, 2, 3)}
+    (tmp_path / "tuesday" / "005.png").write_text("no image")
     truth = write_truth(tmp_path / "truth.json", truth)
-    arguments = (database, tmp_path / "friday", "--report", out, "--ground-truth", truth)
-    code, _, err = ssrvlad("evaluate", *arguments)
+    code, _, err = evaluate("--report", out, "--ground-truth", truth)
     assert (code, len(err)) == (3, 2)
     page = Page(out.read_text("utf-8"))
     assert "3 queries, 3 of them with a true match" in page.words
     assert "2 of 5 queries are left out: no true matches are known" in page.words
-    assert "1 more queries were skipped, the first is friday/005: " in page.words
-    assert {"label map of friday/002", "label map of friday/003"} <= described(page)
+    assert "1 more queries were skipped, the first is tuesday/005: " in page.words
+    assert {"label map of tuesday/002", "label map of tuesday/003"} <= described(page)
 
 
 @pytest.mark.parametrize("predicted", [False, True])
@@ -132,19 +127,18 @@ def test_a_data_set_has_photos_too(ssrvlad, tmp_path, out, predicted):
         assert difference.mean() < 12
 
 
-def test_with_a_segmenter_photos_and_label_maps_are_shown(ssrvlad, tmp_path, out, monkeypatch):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    for day in ("monday", "friday"):
+def test_with_a_segmenter_photos_and_label_maps_are_shown(ssrvlad, tmp_path, out):
+    for day in ("monday", "tuesday"):
         street_photos(tmp_path / day, range(4))
     network = ("--segmenter", write_settings(tmp_path))
     db = tmp_path / "photos.ssrdb"
     assert ssrvlad("encode", tmp_path / "monday", "-o", db, *CAMVID, *network)[0] == 0
-    arguments = (db, tmp_path / "friday", *network, "--tolerance-frames", 0)
+    arguments = (db, tmp_path / "tuesday", *network, "--tolerance-frames", 0)
     assert ssrvlad("evaluate", *arguments, "--report", out)[0] == 0
     page = Page(out.read_text("utf-8"))
     days = {name.rpartition("/")[0] for name in described(page)}
     kinds = ("photo", "label map")
-    assert days == {f"{kind} of {day}" for kind in kinds for day in ("monday", "friday")}
+    assert days == {f"{kind} of {day}" for kind in kinds for day in ("monday", "tuesday")}
     for name in described(page):
         if name.startswith("label map"):
             assert_shows(page, name, int(name.rpartition("/")[2]))

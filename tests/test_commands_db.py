@@ -147,10 +147,8 @@ def test_candidates_are_limited_to_a_sequence_or_far_frames(
 def test_a_database_is_a_source_of_queries(
     ssrvlad, candidates, encode, refusal, database, tuesday, tmp_path
 ):
-    other, truth = (
-        tmp_path / "tuesday.ssrdb",
-        {f"tuesday/00{n}": [f"monday/00{n}"] for n in range(4)},
-    )
+    other = tmp_path / "tuesday.ssrdb"
+    truth = {f"tuesday/00{n}": [f"monday/00{n}"] for n in range(4)}
     encode(tuesday, "-o", other)
     assert candidates(database, other, "--top", 1) == (truth, [])
     file = write_truth(tmp_path / "truth.json", truth)

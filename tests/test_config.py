@@ -2,6 +2,7 @@ import dataclasses
 from itertools import pairwise
 
 import pytest
+from helpers import refuses
 
 from ssrvlad_torch import SSRVLADConfig
 from ssrvlad_torch.config import PRESETS
@@ -86,8 +87,7 @@ def test_equal_settings_have_one_fingerprint(preset, name, value):
     ],
 )
 def test_bad_settings_are_refused_by_name(settings, message):
-    with pytest.raises(ValueError, match=message):
-        SSRVLADConfig.from_preset(**{"preset": "default", **settings})
+    refuses(message, SSRVLADConfig.from_preset, **{"preset": "default", **settings})
 
 
 @pytest.mark.parametrize(

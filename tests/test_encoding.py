@@ -18,21 +18,6 @@ from ssrvlad_torch.encoding.encoder import Item, encode_to_database, encode_to_m
 CHANNELS = [LabelShapes(HEAD)]
 
 
-def test_descriptors_equal_those_of_single_frames(town):
-    town.add("a", range(20))
-    town.add("b", range(3))
-    (town.folder / "poses.csv").write_text("frame,x,y,heading\na/3,1,2,0.5\n")
-    assert counts(town.encode()) == (23, 0, 0)
-    frames = town.database().load()
-    numbers = [*range(20), *range(3)]
-    assert frames.frames == tuple(f"{'ab'[row > 19]}/{n}" for row, n in enumerate(numbers))
-    assert_streets(frames, numbers)
-    assert frames.poses[3].tolist() == [1, 2, 0.5]
-    assert np.isnan(np.delete(frames.poses, 3, axis=0)).all()
-    record = town.database().known()["a/4"]
-    assert (record.height, record.width, record.digest) == (24, 32, digest(street(4)))
-
-
 def test_unreadable_frames_alone_leave_a_valid_empty_database(town):
     for number in range(3):
         touch(town.folder / "a" / f"{number}.png")
@@ -49,10 +34,17 @@ def test_memory_and_database_hold_the_same_frames(town, workers):
     town.add("b", range(3))
     town.add("a", range(70, 110))
     (town.folder / "a" / "75.png").write_text("no image")
-    (town.folder / "poses.csv").write_text("frame,x,y\na/70,1,2\nb/2,3,4\n")
+    (town.folder / "poses.csv").write_text("frame,x,y,heading\na/73,1,2,0.5\n")
     in_memory, skipped = encode_to_memory(CHANNELS, HEAD.label_space, town.files(), workers)
-    assert_streets(in_memory, [n for n in range(70, 110) if n != 75] + [0, 1, 2])
+    numbers = [*(n for n in range(70, 110) if n != 75), *range(3)]
+    assert in_memory.frames == tuple(f"{'ab'[n < 70]}/{n}" for n in numbers)
+    assert_streets(in_memory, numbers)
+    assert in_memory.poses[3].tolist() == [1, 2, 0.5]
+    assert np.isnan(np.delete(in_memory.poses, 3, axis=0)).all()
     summary = town.encode()
+    assert counts(summary) == (42, 0, 1)
+    record = town.database().known()["a/74"]
+    assert (record.height, record.width, record.digest) == (24, 32, digest(street(74)))
     on_disk = town.database().load()
     assert [frame.frame for frame in skipped] == ["a/75"]
     assert skipped == summary.skipped

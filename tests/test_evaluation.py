@@ -7,6 +7,7 @@ from itertools import product
 import numpy as np
 import pytest
 import torch
+from helpers import refuses
 from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -58,22 +59,19 @@ def test_the_outcomes_of_five_queries_equal_those_by_hand():
         (np.ones((2, 0)), np.zeros((2, 0), int), "top >= 1"),
         (np.ones((3, 1)), np.zeros((3, 1), int), "candidates for 2 queries"),
         (np.ones(2), np.zeros(2, int), r"for 2 queries, got \(2,\)"),
-        (np.array([[1.0, 0], [1, math.nan]]), np.zeros((2, 2), int), "1 of 2 queries .* NaN"),
+        (np.array([[1.0, 0], [1, math.nan]]), np.zeros((2, 2), int), "1 of 2 queries have scores"),
         (np.array([[INF], [math.nan]]), np.zeros((2, 1), int), "2 of 2 queries"),
         (np.array([[0.9], [0.9]]), np.array([[0], [-1]]), "a score but no row"),
     ],
 )
 def test_scores_and_truth_of_other_shapes_are_refused(scores, indices, message):
-    with pytest.raises(ValueError, match=message):
-        judge(scores, indices, rows([0], [0]))
+    refuses(message, judge, scores, indices, rows([0], [0]))
 
 
-@pytest.mark.parametrize(
-    "truth", [np.eye(2, dtype=bool), np.eye(2, dtype=int), list(np.eye(2) > 0)]
-)
-def test_a_matrix_in_place_of_rows_is_refused(truth):
-    with pytest.raises(ValueError, match=r"expected the rows .*got a matrix.*flatnonzero"):
-        judge(np.ones((2, 1)), np.zeros((2, 1), int), truth)
+def test_a_matrix_in_place_of_rows_is_refused():
+    message = r"expected the rows .*got a matrix.*flatnonzero"
+    for truth in (np.eye(2, dtype=bool), np.eye(2, dtype=int), list(np.eye(2) > 0)):
+        refuses(message, judge, np.ones((2, 1)), np.zeros((2, 1), int), truth)
 
 
 def recall_rate(indices, truth, n):
@@ -81,15 +79,13 @@ def recall_rate(indices, truth, n):
     return evaluate(scores, indices, truth, at=(n,))["recall_at"][str(n)]
 
 
-@pytest.mark.parametrize(("n", "expected"), [(1, 1 / 3), (2, 2 / 3), (3, 2 / 3), (4, 3 / 3)])
-def test_the_recall_rate_of_four_queries_equals_that_by_hand(n, expected):
-    """The first true match of the queries stands at place 1, 2 and 4; the last query has none."""
+def test_recall_rates_equal_those_by_hand():
+    """The first true match of four queries stands at place 1, 2 and 4; the last query has none.
+    Then without candidates, true matches or queries."""
     indices = np.array([[5, 1, 2, 3], [1, 6, 2, 3], [9, 8, 0, 7], [0, 1, 2, 3]])
     truth = rows([5], [6, 100], [7], [])
-    assert recall_rate(indices, truth, n) == pytest.approx(expected)
-
-
-def test_recall_rate_without_candidates_true_matches_or_queries():
+    rates = [recall_rate(indices, truth, n) for n in (1, 2, 3, 4)]
+    assert rates == pytest.approx([1 / 3, 2 / 3, 2 / 3, 3 / 3])
     assert recall_rate(np.array([[-1, -1], [0, -1]]), rows([3], [0]), 2) == 0.5
     assert math.isnan(recall_rate(np.array([[1], [2]]), rows([], []), 1))
     assert math.isnan(recall_rate(np.zeros((0, 5), np.int64), [], 1))
@@ -107,18 +103,14 @@ def test_evaluate_takes_what_match_gives():
 
 
 def test_evaluate_refuses_what_it_cannot_compute():
-    scores, indices, truth = np.ones((2, 10)), np.zeros((2, 10), np.int64), rows([0], [1])
-    with pytest.raises(ValueError, match=r"convention must be one of .*, got 'sklearn'"):
-        evaluate(scores, indices, truth, convention="sklearn")
-    with pytest.raises(ValueError, match="convention vpr-tutorial requires the similarity"):
-        evaluate(scores, indices, truth, convention="vpr-tutorial")
-    with pytest.raises(ValueError, match=r"similarity matrix for 2 queries, got \(3, 4\)"):
-        evaluate(scores, indices, truth, convention="vpr-tutorial", similarity=np.ones((3, 4)))
-    with pytest.raises(ValueError, match="1 of 2 queries have scores of candidates that are NaN"):
-        evaluate(np.array([[math.nan], [1]]), indices[:, :1], truth, at=(1,))
-    for n in (5, 0):
-        with pytest.raises(ValueError, match=f"RecallRate@{n}: expected N from 1 to 4 candidates"):
-            evaluate(scores[:, :4], indices[:, :4], truth, at=(1, n))
+    given = np.ones((2, 4)), np.zeros((2, 4), np.int64), rows([0], [1])
+    for message, settings in (
+        (r"convention must be one of .*, got 'sklearn'", {"convention": "sklearn"}),
+        ("convention vpr-tutorial requires the similarity", {"convention": "vpr-tutorial"}),
+        ("RecallRate@5: expected N from 1 to 4 candidates", {"at": (1, 5)}),
+        ("RecallRate@0: expected N from 1 to 4 candidates", {"at": (1, 0)}),
+    ):
+        refuses(message, evaluate, *given, **{"at": (1,), **settings})
 
 
 @pytest.mark.parametrize(
@@ -197,13 +189,9 @@ def test_every_convention_takes_degenerate_results(convention, resamples):
     assert results[3]["auc_pr"] == pytest.approx(expected)
 
 
-def precision_recall(scores, correct, positives, start=None):
-    weights = np.ones(len(scores))
-    return rank(scores, correct).curve(weights, np.asarray(positives, np.float64), start)
-
-
-def curve_of(scores, correct, positives):
-    return precision_recall(np.array(scores, float), np.array(correct, bool), positives)
+def curve_of(scores, correct, positives, start=None):
+    ranking = rank(np.array(scores, float), np.array(correct, bool))
+    return ranking.curve(np.ones(len(scores)), np.array(positives, float), start)
 
 
 ANY_SCORE = st.sampled_from([-INF, -0.25, 0.0, 0.25, 0.5, 0.5 + 2**-30, 1.0])
@@ -222,7 +210,7 @@ def test_curve_equals_a_loop_over_thresholds(queries, more_positives):
     scores = np.array([score for score, _ in queries], float)
     correct = np.array([right and score > -INF for score, right in queries], bool)
     positives = int(correct.sum()) + more_positives
-    curve = precision_recall(scores, correct, positives)
+    curve = curve_of(scores, correct, positives)
 
     thresholds = sorted({score for score in scores if score > -INF}, reverse=True)
     assert curve.thresholds.tolist() == thresholds
@@ -272,7 +260,7 @@ def test_scikit_learn_agrees_on_heavy_ties(seed):
     correct = rng.random(200) < 0.2 + 0.6 * (scores - scores.min())
     correct[:2] = [True, False]
     right = int(correct.sum())
-    curve = precision_recall(scores, correct, right, start=1.0)
+    curve = curve_of(scores, correct, right, start=1.0)
     precision, recall, thresholds = sklearn.precision_recall_curve(correct, scores)
     np.testing.assert_allclose(curve.precision, precision[-2::-1], rtol=1e-12)
     np.testing.assert_allclose(curve.recall, recall[-2::-1], rtol=1e-12)
@@ -282,12 +270,6 @@ def test_scikit_learn_agrees_on_heavy_ties(seed):
     assert curve.average_precision == pytest.approx(expected, abs=1e-12)
     found = roc_auc(curve, np.array(float(right)), np.array(200.0 - right))
     assert found == pytest.approx(sklearn.roc_auc_score(correct, scores), abs=1e-12)
-
-
-@pytest.fixture
-def curve():
-    """Right, right, wrong, right, right; five positives."""
-    return curve_of([0.9, 0.8, 0.6, 0.4, 0.3], [1, 1, 0, 1, 1], 5)
 
 
 def test_wilson_is_that_of_scipy():
@@ -354,8 +336,9 @@ def test_operating_points_equal_a_search_over_thresholds(queries, fraction):
         assert point.accepted == counts[min(sure)][1]
 
 
-def test_all_points_as_a_mapping(curve):
-    points = operating_points(curve)
+def test_all_points_as_a_mapping():
+    """Right, right, wrong, right, right; five positives."""
+    points = operating_points(curve_of([0.9, 0.8, 0.6, 0.4, 0.3], [1, 1, 0, 1, 1], 5))
     assert points["at_precision"].keys() == {"0.99", "1"}
     assert points["at_precision"]["1"]["score"] == 0.8
     assert points["at_recall"]["0.5"]["precision"] == 0.75
@@ -446,8 +429,7 @@ def test_weights_are_copies_of_queries():
     ],
 )
 def test_a_similarity_of_another_shape_or_nan_is_refused(similarity, message):
-    with pytest.raises(ValueError, match=message):
-        count_pairs(similarity, rows([0], [1]))
+    refuses(message, count_pairs, similarity, rows([0], [1]))
 
 
 def with_heavy_ties(queries, seed=0):

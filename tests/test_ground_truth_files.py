@@ -7,7 +7,7 @@ import sys
 
 import numpy as np
 import pytest
-from helpers import refused
+from helpers import refuses
 from vpr_bench import VPR_BENCH, needs_vpr_bench
 
 from ssrvlad_torch.evaluation.ground_truth_files import from_file
@@ -107,8 +107,7 @@ def test_an_entry_may_have_the_suffix_of_the_file_and_be_a_whole_path(read):
     for entry in ("12.5", "12.5.jpg", "images/12.5.tif"):
         assert read("t.json", {entry: []}, paths, ["a"]) == [None, None, []]
     for entry in ("12.6", "12.5.txt", "000002.5", "/evening/images/000002.jpg", "/"):
-        with pytest.raises(ValueError, match="has an entry for none of the 3 queries"):
-            read("t.json", {entry: []}, paths, ["a"])
+        refuses("has an entry for none of the 3 queries", read, "t.json", {entry: []}, paths, ["a"])
     with pytest.raises(ValueError, match=r"'000002\.jpg', which may be /d/dawn/.* or /d/evening/"):
         read("t.json", {"000002.jpg": []}, paths, ["a"])
     assert read("t.json", {"a.jpg": ["b"]}, ["a", "a.jpg"], ["b"]) == [None, [0]]
@@ -165,14 +164,12 @@ REFUSED = [
 
 @pytest.mark.parametrize(("name", "content", "message"), REFUSED)
 def test_other_files_are_refused(read, name, content, message):
-    with refused(message):
-        read(name, content)
+    refuses(message, read, name, content)
 
 
 def test_a_missing_file_is_refused(tmp_path):
     for path in (tmp_path / "missing.json", tmp_path):
-        with pytest.raises(ValueError, match=r"No such file|expected a file"):
-            from_file(path, QUERIES, REFERENCES)
+        refuses(r"No such file|expected a file", from_file, path, QUERIES, REFERENCES)
 
 
 @needs_vpr_bench
@@ -199,7 +196,6 @@ def test_converted_files_of_vpr_bench_are_read(name, queries, references, first,
     assert (truth[0], truth[-1]) == ([*first], [*last])
     trusting = np.load(shipped, allow_pickle=True)
     assert truth == [sorted(set(matches)) for _, matches in trusting]
-    with pytest.raises(ValueError, match="expected one for each of"):
-        from_file(path, frames[0][1:], frames[1])
+    refuses("expected one for each of", from_file, path, frames[0][1:], frames[1])
     with pytest.raises(ValueError, match=f"the database has {references // 2}"):
         from_file(path, frames[0], frames[1][: references // 2])

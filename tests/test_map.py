@@ -20,7 +20,8 @@ from ssrvlad_torch.segmentation.networks import open_network
 
 
 @pytest.fixture
-def settings(tmp_path):
+def settings(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     return write_settings(tmp_path, f"labels_as: {SPACE}\n")
 
 
@@ -119,14 +120,6 @@ def test_a_drive_is_found_from_a_folder_files_or_a_database(drawn, tmp_path):
     assert none.candidates == [] and none.confidence == 0
 
 
-def test_candidates_are_limited_by_sequence_and_exclusion(drawn, maps, tmp_path):
-    drawn.add(write_maps(tmp_path / "tuesday", range(6)))
-    for answer in drawn.query(maps, AS_PAPER, sequences=["tuesday"]):
-        assert {candidate.frame.split("/")[0] for candidate in answer.candidates} == {"tuesday"}
-    [first, *_] = drawn.query(maps, AS_PAPER, top=12, exclude=5)
-    assert {candidate.frame.split("/")[0] for candidate in first.candidates} == {"tuesday"}
-
-
 def test_evaluate_measures_recall_by_a_tolerance(drawn, tmp_path):
     today = write_maps(tmp_path / "today", range(6))
     notes = []
@@ -194,8 +187,11 @@ def test_a_map_is_made_by_its_first_frames(settings, photos, tmp_path):
         raise KeyboardInterrupt
 
     refuses("nowhere does not exist", town.add, tmp_path / "nowhere")
-    with pytest.raises(ValueError, match="expected a channel, ssr-vlad, features, hog, got 'x'"):
-        Map.open(town.path, settings, channels=["x"]).add(photos)
+    for channels, message in (
+        (["x"], "expected a channel, ssr-vlad, features, hog, got 'x'"),
+        ("hog", "expected a list of channels, got the text"),
+    ):
+        refuses(message, Map.open(town.path, settings, channels=channels).add, photos)
     with pytest.raises(KeyboardInterrupt):
         town.add(tmp_path / "torn", EncodeOptions(skipped=fail))
     assert not Path(town.path).exists() and len(town) == 0
@@ -228,8 +224,8 @@ def test_an_older_version_is_read_only(drawn, maps, tmp_path):
 def test_another_network_is_refused_and_label_maps_are_not(town, drawn, photos, tmp_path):
     town.add(photos)
     other = Segmenter(Strided(2), SPACE, PLAIN)
-    with pytest.raises(ValueError, match=r"made by .*net\.yaml as it was then; the given network"):
-        Map.open(town.path, other).locate(photos / "3.png")
+    message = r"made by .*net\.yaml as it was then; the given network"
+    refuses(message, Map.open(town.path, other).locate, photos / "3.png")
     assert Map.open(drawn.path, other).locate(photos / "3.png").candidates
     refuses("was not made from pictures", drawn.locate, photos / "3.png")
 
@@ -246,30 +242,23 @@ def test_other_objects_and_torn_files_are_refused_as_pictures(town, photos):
         ([photos / "1.png", None], "expected a picture as .*, got NoneType"),
         (torn, r"torn\.jpg: is no image file"),
     ):
-        with pytest.raises(ValueError, match=message) as error:
-            town.locate(picture)
-        assert "\n" not in str(error.value)
+        refuses(message, town.locate, picture)
     with pytest.raises(FileNotFoundError, match=r"No such file or directory: '.*none\.png'"):
         town.locate(photos / "none.png")
 
 
 REFUSED = [
     (lambda town, today: Map.open(3), "expected the folder or URI of a map, got 3"),
-    (lambda town, today: Map.open("none.ssrdb").query(today), "none.ssrdb does not exist"),
     (lambda town, today: town.query(today, top=0), "top must be an integer from 1, got 0"),
     (lambda town, today: town.locate(today / "000.png", top=0), "top must be an integer from 1"),
     (lambda town, today: town.query(today, "online"), "expected steps as Steps, got 'online'"),
     (lambda town, today: town.query(today, channels="hog"), "expected a list of channels"),
     (lambda town, today: town.query(today, channels=["hog"]), "holds ssr-vlad of every frame, not"),
     (lambda town, today: town.query(today, min_confidence=0.5, max_wrong=0.1), "no min_confidence"),
-    (lambda town, today: town.evaluate(today), "expected one of --ground-truth"),
-    (lambda town, today: town.add(today / "none"), "does not exist"),
 ]
 
 
 @pytest.mark.parametrize("call, message", REFUSED, ids=[message for _, message in REFUSED])
 def test_wrong_use_is_one_line(drawn, tmp_path, call, message):
     today = write_maps(tmp_path / "today", range(2))
-    with pytest.raises(ValueError, match=re.escape(message)) as refusal:
-        call(drawn, today)
-    assert "\n" not in str(refusal.value)
+    refuses(re.escape(message), call, drawn, today)

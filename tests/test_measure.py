@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 from drawings import SPACE, VOID
-from drives import write_truth
-from helpers import street
+from drives import write_maps, write_truth
+from helpers import write_street
 from PIL import Image
 
 
@@ -42,14 +42,13 @@ def test_queries_without_ground_truth_are_left_out_and_counted(evaluate, tmp_pat
 
 def test_the_estimate_of_wrong_answers_comes_with_the_truth(ssrvlad, tmp_path):
     """Forty streets; four queries show others."""
-    streets = [street(seed) for seed in range(44)]
-    for name, maps in (("town", streets[:40]), ("today", streets[40:] + streets[4:40])):
-        (tmp_path / name).mkdir()
-        for number, labels in enumerate(maps):
-            np.save(tmp_path / name / f"{number:03}.npy", labels)
+    maps, today = write_maps(tmp_path / "town", range(40)), tmp_path / "today"
+    write_maps(today, range(4, 40))
+    for number in range(4):
+        write_street(today / f"{number:03d}.png", 40 + number)
     town = tmp_path / "town.ssrdb"
-    assert ssrvlad("encode", tmp_path / "town", "-o", town, "--labels-as", SPACE)[0] == 0
-    ask = "evaluate", town, tmp_path / "today", "--tolerance-frames", 0, "--follow", "no"
+    assert ssrvlad("encode", maps, "-o", town, "--labels-as", SPACE)[0] == 0
+    ask = "evaluate", town, today, "--tolerance-frames", 0, "--follow", "no"
     code, out, _ = ssrvlad(*ask, "--json")
     found = json.loads(out)["estimates"]
     assert code == 0 and list(found) == ["accepted", "suggested_without_truth"]

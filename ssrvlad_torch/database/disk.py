@@ -119,17 +119,15 @@ def has_leases(uri: str) -> bool:
 
 def hold(table: LanceDataset) -> bool:
     """Holds a table's version while the object lives; ``False`` if it is, or is being, deleted."""
-    if has_leases(table.uri):
-        try:
-            table.__dict__["lease"] = Lease(manifest(table.uri, table.version), exclusive=False)
-        except (FileNotFoundError, BlockingIOError):
-            return False
-    return True
+    if not has_leases(table.uri):
+        return True
+    lease = table.__dict__["lease"] = take_lease(table.uri, table.version, exclusive=False)
+    return lease is not None
 
 
-def seize(uri: str, version: int) -> Lease | None:
-    """An exclusive lock on a version that nobody uses; ``None`` if somebody does."""
+def take_lease(uri: str, version: int, exclusive: bool) -> Lease | None:
+    """A lock on a version; ``None`` if the version is deleted or locked otherwise."""
     try:
-        return Lease(manifest(uri, version), exclusive=True)
+        return Lease(manifest(uri, version), exclusive)
     except (FileNotFoundError, BlockingIOError):
         return None

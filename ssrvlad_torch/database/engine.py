@@ -38,7 +38,7 @@ from .disk import (
     hold,
     local_versions,
     manifest,
-    seize,
+    take_lease,
 )
 
 if TYPE_CHECKING:
@@ -182,7 +182,7 @@ def discard_empty(uri: str, error: BaseException | None) -> None:
         traceback.clear_frames(error.__traceback__)
         error = error.__cause__ or error.__context__
     versions = local_versions(uri)
-    leases = [has_leases(uri) and seize(uri, version) for version in versions]
+    leases = [has_leases(uri) and take_lease(uri, v, exclusive=True) for v in versions]
     if not (leases and all(leases)):
         return
     with contextlib.suppress(OSError, ValueError):
@@ -224,7 +224,7 @@ def clean(uri: str, keep: timedelta) -> None:
             if now - before["timestamp"] < keep:
                 break
             if has_leases(uri):
-                lease = seize(uri, before["version"])
+                lease = take_lease(uri, before["version"], exclusive=True)
                 if lease is None:
                     break
                 leases.append(lease)

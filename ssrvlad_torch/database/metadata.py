@@ -66,7 +66,8 @@ class Meta(NamedTuple):
         format, is damaged, or was made by another version of the method is a ValueError."""
         texts = {key.decode(): value.decode() for key, value in entries.items()}
         text = texts.get(_META, "")
-        form = json.loads(text).get("format", "") if text else ""
+        content = json.loads(text) if text else {}
+        form = content.get("format", "")
         if form.startswith("ssrvlad-") and form != FORMAT:
             raise ValueError(f"{path} was made by an earlier format of database: encode it again")
         if form != FORMAT:
@@ -76,12 +77,11 @@ class Meta(NamedTuple):
         origins = {}
         for name, entry in texts.items():
             if name.startswith(_ORIGIN):
-                content, key = json.loads(entry), name.removeprefix(_ORIGIN)
-                space = content.pop("label_space")
-                origins[key] = Origin(space and LabelSpace.from_dict(space), **content)
+                stored, key = json.loads(entry), name.removeprefix(_ORIGIN)
+                space = stored.pop("label_space")
+                origins[key] = Origin(space and LabelSpace.from_dict(space), **stored)
                 if origins[key].key != key:
                     raise ValueError(f"{path} is damaged: origin {key} does not match its content")
-        content = json.loads(text)
         columns = tuple(
             Column(**{**column, "shape": tuple(column["shape"])}) for column in content["columns"]
         )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing
 from dataclasses import replace
@@ -130,17 +129,18 @@ def channels_to_store(
     names, a new database gets all that the frames have, with a note if the network has no features;
     an existing one gets no other. Names of channels of pictures without a network are a
     ValueError."""
-    if names is None and network is None:
-        return []
-    if names is None and database:
-        of_pictures = any(origin.segmenter for origin in database.origins.values())
-        if len(database.columns) == 1 and not of_pictures:
-            note(f"{database.path} is of label maps alone: features and HOG are not stored")
-        return []
-    if names and network is None and (beside := [n for n in names if n != LABEL_SHAPES]):
+    if names is None:
+        if network is None:
+            return []
+        if database:
+            of_pictures = any(origin.segmenter for origin in database.origins.values())
+            if len(database.columns) == 1 and not of_pictures:
+                note(f"{database.path} is of label maps alone: features and HOG are not stored")
+            return []
+        if problem := network.problem_of_features:
+            note(f"stored without features: {problem}")
+    elif network is None and (beside := [name for name in names if name != LABEL_SHAPES]):
         raise ValueError(f"--channel {beside[0]} needs images as SOURCE and --segmenter")
-    if names is None and network and (problem := network.problem_of_features):
-        note(f"stored without features: {problem}")
     return new_channels(names, head, network)[1:]
 
 
@@ -221,9 +221,7 @@ def encode(
     reads_only = 0 in limits
     if not reads_only:
         workers = min([workers, *limits])
-    work: Callable[[list[Item]], Any] = describer
-    if reads_only:
-        work = partial(read, describer.space)
+    work: Callable[[list[Item]], Any] = partial(read, describer.space) if reads_only else describer
     threads = torch.get_num_threads()
     done: Iterator[Any] = map(work, batches)
     if workers > 1:
@@ -300,8 +298,7 @@ class Describer:
         return any(what in channel.needs for channel in self.channels)
 
     def __call__(self, items: Sequence[Item]) -> list[Encoded | Skipped]:
-        """The results of frames, in their order; a batch has one size and dtype, and its frames are
-        described one by one if it fails."""
+        """The results of frames, in their order; a batch has one size and dtype."""
         items = read(self.space, items)
         results: dict[int, Encoded | Skipped] = {}
         groups: dict[object, list[int]] = {}
@@ -310,26 +307,25 @@ class Describer:
                 groups.setdefault((item.labels.shape, item.labels.dtype), []).append(number)
             else:
                 results[number] = _skipped(item, item.labels)
-        batches = deque(
-            group[first : first + BATCH]
-            for group in groups.values()
-            for first in range(0, len(group), BATCH)
-        )
-        while batches:
-            numbers = batches.popleft()
-            batch = [items[number] for number in numbers]
-            try:
-                described = self._described(batch)
-            except ValueError as error:
-                if len(batch) == 1:
-                    results[numbers[0]] = _skipped(batch[0], error)
-                else:  # one by one
-                    batches.extendleft([number] for number in reversed(numbers))
-                continue
-            for row, (number, item) in enumerate(zip(numbers, batch, strict=True)):
-                own = {name: values[row] for name, values in described.items()}
-                results[number] = Encoded(self._record(item), own)
+        for group in groups.values():
+            for first in range(0, len(group), BATCH):
+                numbers = group[first : first + BATCH]
+                batch = [items[number] for number in numbers]
+                results.update(zip(numbers, self._results(batch), strict=True))
         return [results[number] for number in range(len(items))]
+
+    def _results(self, batch: Sequence[Item]) -> list[Encoded | Skipped]:
+        """The results of frames of one size, which are described one by one if they fail."""
+        try:
+            described = self._described(batch)
+        except ValueError as error:
+            if len(batch) == 1:
+                return [_skipped(batch[0], error)]
+            return [result for item in batch for result in self._results([item])]
+        return [
+            Encoded(self._record(item), {name: values[row] for name, values in described.items()})
+            for row, item in enumerate(batch)
+        ]
 
     def _described(self, batch: Sequence[Item]) -> dict[str, npt.NDArray[Any]]:
         """The descriptors of frames of one size, by the names of the channels."""
@@ -339,8 +335,10 @@ class Describer:
             picture = read_image(item.file) if pictured else None
             labels = np.asarray(item.labels)
             views.append(View(item.file.frame, labels, self.space, picture, item.features))
-        channels = ((channel.column.name, channel) for channel in self.channels)
-        return {name: channel.describe(views, self.columns).numpy() for name, channel in channels}
+        return {
+            channel.column.name: channel.describe(views, self.columns).numpy()
+            for channel in self.channels
+        }
 
     def _record(self, item: Item) -> FrameRecord:
         file, size = item.file, np.asarray(item.labels).shape

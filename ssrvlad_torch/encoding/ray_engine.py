@@ -91,15 +91,16 @@ class PartEncoder:
         """The results of the files of a part; ``new``: none of its frames is in the database."""
         items = list(map(Item, files))
         if self.load:
-            segmenter = self._segmenter or self.load()
-            if self.gpus and not self._segmenter:
-                segmenter.network.to("cuda")
-            if not self._segmenter and segmenter.key() != self._key:
-                name = segmenter.name
-                raise ValueError(f"{name} is another network here than where Ray was called")
-            self._segmenter = segmenter
+            if self._segmenter is None:
+                segmenter = self.load()
+                if self.gpus:
+                    segmenter.network.to("cuda")
+                if segmenter.key() != self._key:
+                    name = segmenter.name
+                    raise ValueError(f"{name} is another network here than where Ray was called")
+                self._segmenter = segmenter
             features = self.describer.needs(FEATURES)
-            items = list(segmented_items(files, segmenter, 1, features))
+            items = list(segmented_items(files, self._segmenter, 1, features))
         results = self.describer(items)
         described = [result for result in results if isinstance(result, Encoded)]
         if not new or not described:

@@ -141,7 +141,7 @@ def _opened(
     network: str | Segmenter | NamedNetwork | None = wanted.segmenter
     labels_as = wanted.labels_as
     if network and labels_as in (None, AUTO):
-        network = _network(network)
+        network = open_network(network) if isinstance(network, str) else network
         labels_as = _space_of_network(network, labels_as, wanted.classes)
     labels_as = labels_as or (dataset.labels_as if dataset else None)
     if compared and len(wanted.paths) == 1 and Database.exists(wanted.paths[0]):
@@ -205,11 +205,6 @@ def _open_dataset(wanted: Wanted, note: Note) -> Dataset | None:
     for warning in whole.select(wanted.split or (), wanted.role).warnings:
         note(warning)
     return whole
-
-
-def _network(network: str | Segmenter | NamedNetwork) -> Segmenter | NamedNetwork:
-    """A network, opened."""
-    return open_network(network) if isinstance(network, str) else network
 
 
 def _space_of_network(
@@ -300,7 +295,7 @@ def _segmenter(
         if folder is not None:
             raise ValueError("--segmenter-cache needs --segmenter")
         return None
-    opened = _network(network)
+    opened = open_network(network) if isinstance(network, str) else network
     if isinstance(opened, Segmenter):
         return opened
     if folder is None:

@@ -42,6 +42,11 @@ class Outcomes:
     def __len__(self) -> int:
         return len(self.score)
 
+    @property
+    def wrong(self) -> Bools:
+        """Whether the best candidate is no true match; false without a candidate."""
+        return ~self.correct & (self.candidate >= 0)
+
 
 def judge(scores: Scores, indices: Indices, truth: Truth) -> Outcomes:
     """Compares the candidates of each query, ``(Q, top)`` scores, best first, and int64 rows from

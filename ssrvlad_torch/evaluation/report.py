@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-from ..files import check_output, replacing, requiring
+from ..files import replacing, requiring
 from .curves import PrecisionRecall
 from .metrics import figure_rows, fraction, precision_recall_curve
 from .outcomes import Bools, Floats, Outcomes, Rows, Truth
@@ -84,7 +84,6 @@ class Match(NamedTuple):
 def write_report(path: Path, report: Report) -> None:
     """Writes the page, whole or not at all; it needs the extra ``eval`` (Jinja2, matplotlib). Its
     size is bounded for any number of queries and references."""
-    check_output(path)
     page = render(report).encode("utf-8", "replace")
     with replacing(path) as temporary:
         temporary.write_bytes(page)
@@ -130,8 +129,7 @@ def chosen_matches(
         rows = truth[query]
         return int(rows[cosines(np.array([query]), rows)[0].argmax()]) if len(rows) else -1
 
-    wrong = ~outcomes.correct & (outcomes.candidate >= 0)
-    return highest(wrong, WRONG_MATCHES), highest(outcomes.correct, RIGHT_MATCHES)
+    return highest(outcomes.wrong, WRONG_MATCHES), highest(outcomes.correct, RIGHT_MATCHES)
 
 
 def reduced_cosines(
@@ -182,11 +180,10 @@ def _precision_recall(axes: Axes, report: Report) -> None:
 
 def score_groups(outcomes: Outcomes) -> dict[str, Floats]:
     """Scores of best candidates: right, wrong, and of places that no reference shows."""
-    wrong = (outcomes.candidate >= 0) & ~outcomes.correct
     groups = {
         "right": outcomes.correct,
-        "wrong": wrong & outcomes.has_match,
-        "wrong, place not in the database": wrong & ~outcomes.has_match,
+        "wrong": outcomes.wrong & outcomes.has_match,
+        "wrong, place not in the database": outcomes.wrong & ~outcomes.has_match,
     }
     return {name: outcomes.score[queries] for name, queries in groups.items()}
 
@@ -216,11 +213,10 @@ def _matrix(axes: Axes, report: Report) -> None:
     outcomes, query = report.outcomes, np.arange(queries)
     counts = [len(rows) for rows in report.truth]
     true = np.concatenate((np.zeros(0, np.int64), *report.truth))
-    wrong = ~outcomes.correct & (outcomes.candidate >= 0)
     for name, colour, down, across in (
         ("true match", _TRUE, np.repeat(query, counts), true),
         ("right", _RIGHT, query[outcomes.correct], outcomes.candidate[outcomes.correct]),
-        ("wrong", _WRONG, query[wrong], outcomes.candidate[wrong]),
+        ("wrong", _WRONG, query[outcomes.wrong], outcomes.candidate[outcomes.wrong]),
     ):
         axes.plot(across, down, ".", ms=2, color=colour, label=name)
     axes.set(xlabel="references", ylabel="queries")

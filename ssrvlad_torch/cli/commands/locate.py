@@ -19,7 +19,7 @@ def locate(
 
     Example: ssrvlad locate photos/today/000002.png --in photos.ssrdb --near 12.5,-3,50
     """
-    from ...datasets.poses import Pose
+    from ...datasets.poses import UNKNOWN
     from ...evaluation.measure import estimate_in_json
     from ...map import Map
     from ..words import steps_in_words
@@ -31,7 +31,7 @@ def locate(
         answers = town.query(frames, recognition.steps(), 1, progress=bar.advance, **settings)
     for answer in answers:
         place = answer.candidates[0] if answer.candidates else None
-        pose = place.pose if place else Pose(*[math.nan] * 3)
+        pose = place.pose if place else UNKNOWN
         if as_json:
             print_json(
                 {

@@ -70,7 +70,7 @@ def loops(
     opened = open_source(wanted, stored, live=live, note=note)
     network = opened.labels_as, opened.segmenter
     detector, database = stream.open_detector(config, memory, preset, *network, channel, note)
-    frames = (_described_live if live else _described)(detector, opened, database)
+    frames = _described(detector, opened, database, live)
     results, skipped = _printed(stream.detect_loops(detector, frames, database), as_json)
     if results or skipped or as_json or not len(detector):
         summary = stream.report(detector, results, tolerance_metres)
@@ -91,26 +91,20 @@ def _check_stdin(wanted: Wanted) -> None:
         )
 
 
-def _described_live(
-    detector: LoopDetector, source: Source, database: Database | None
-) -> Iterator[Encoded | Skipped]:
-    """The frames whose names arrive on stdin."""
-    from ...loops.stream import encode_as_they_come
-
-    names = map(os.fsdecode, sys.stdin.buffer)
-    sequence = source.wanted.sequence
-    return encode_as_they_come(detector, names, sequence, source.segmenter, database)
-
-
 def _described(
-    detector: LoopDetector, source: Source, database: Database | None
+    detector: LoopDetector, source: Source, database: Database | None, live: bool
 ) -> Iterator[Encoded | Skipped]:
+    """The frames of a source; if ``live``, those whose names arrive on stdin."""
     from ...encoding.plan import check_folders
-    from ...loops.stream import encode_files
+    from ...loops.stream import encode_as_they_come, encode_files
 
+    wanted, segmenter = source.wanted, source.segmenter
+    if live:
+        names = map(os.fsdecode, sys.stdin.buffer)
+        return encode_as_they_come(detector, names, wanted.sequence, segmenter, database)
     if database:
         check_folders(source.files, database.known())
-    return encode_files(detector, source.files, source.wanted.workers, source.segmenter)
+    return encode_files(detector, source.files, wanted.workers, segmenter)
 
 
 def _printed(
