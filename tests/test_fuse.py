@@ -155,16 +155,16 @@ def test_a_users_own_export_of_network_and_head_is_the_fused_file(tmp_path):
         assert descriptor.any()
 
 
-def weighted(opset: int, name: str = "scores") -> onnx.ModelProto:
+def weighted(opset: int) -> onnx.ModelProto:
     """A convolution of random weights whose names are those of the head."""
     weight = np.random.default_rng(3).normal(size=(CLASSES, 3, 3, 3)).astype(np.float32)
     nodes = [
         helper.make_node("Conv", ["image", "table_0"], ["labels"], "thin", pads=[1] * 4),
-        helper.make_node("Softmax", ["labels"], [name], axis=1),
+        helper.make_node("Softmax", ["labels"], ["descriptor"], axis=1),
     ]
     value = [
         helper.make_tensor_value_info(each, TensorProto.FLOAT, ["B", count, "H", "W"])
-        for each, count in (("image", 3), (name, CLASSES))
+        for each, count in (("image", 3), ("descriptor", CLASSES))
     ]
     tables = [numpy_helper.from_array(weight, "table_0")]
     graph = helper.make_graph(nodes, "network", value[:1], value[1:], tables)
@@ -174,7 +174,7 @@ def weighted(opset: int, name: str = "scores") -> onnx.ModelProto:
 
 @pytest.mark.parametrize("opset", [13, 21])
 def test_any_opset_and_any_names(opset, tmp_path):
-    onnx.save(weighted(opset, "descriptor"), tmp_path / "seg.onnx")
+    onnx.save(weighted(opset), tmp_path / "seg.onnx")
     segmenter = Segmenter.load(tmp_path / "seg.onnx", SPACE)
     fuse(segmenter, CONFIG, tmp_path / "place.onnx")
     fused = onnx.load(tmp_path / "place.onnx")
