@@ -134,6 +134,12 @@ def descriptors(seed: int, count: int, length: int = 480) -> Tensor:
     return torch.nn.functional.normalize(numbers, dim=1)
 
 
+def grids(count: int, shape: Sequence[int], seed: int = 0) -> Tensor:
+    """``(count, *shape)`` random signs, eight in a byte."""
+    rng = np.random.default_rng(seed)
+    return torch.from_numpy(rng.integers(0, 256, (count, *shape), np.uint8))
+
+
 def without(blocked: Sequence[str], script: Path, *arguments: object) -> list[str]:
     """The command that runs a script in a process which cannot import some packages."""
     code = (

@@ -46,23 +46,31 @@ def colour_network(white: float = 1.0) -> nn.Conv2d:
     return network.requires_grad_(False)
 
 
-class Strided(nn.Module):
+class Coloured(nn.Module):
+    """A network around the colour network, `network`."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.network = colour_network()
+
+
+class Strided(Coloured):
     """The colour network on every ``stride``-th pixel."""
 
     def __init__(self, stride: int) -> None:
         super().__init__()
-        self.network, self.stride = colour_network(), stride
+        self.stride = stride
 
     def forward(self, images: Tensor) -> Tensor:
         return self.network(images[:, :, :: self.stride, :: self.stride])
 
 
-class Then(nn.Module):
+class Then(Coloured):
     """The colour network, and a function of its scores."""
 
     def __init__(self, function: object) -> None:
         super().__init__()
-        self.network, self.function = colour_network(), function
+        self.function = function
 
     def forward(self, images: Tensor) -> object:
         return self.function(self.network(images))
@@ -179,18 +187,9 @@ NAMES = ["road", "sidewalk", "building", "pole", "vegetation", "sky", "car", "th
 """Class names of the tiny published models."""
 
 
-def write_segformer(folder: Path) -> Path:
-    """A tiny SegFormer with random weights, as transformers saves it."""
-    return write_published(folder, "Segformer")
-
-
-def write_published(folder: Path, family: str) -> Path:
-    """A tiny model of a family with random weights, as transformers saves it.
-
-    Args:
-        folder: where it is written.
-        family: the beginning of the names of its classes in transformers.
-    """
+def write_published(folder: Path, family: str = "Segformer") -> Path:
+    """A tiny model of a family, the beginning of the names of its classes in transformers, with
+    random weights, as transformers saves it."""
     library = pytest.importorskip("transformers")
     torch.manual_seed(0)
     ids = {"id2label": dict(enumerate(NAMES)), "label2id": {n: i for i, n in enumerate(NAMES)}}

@@ -19,14 +19,12 @@ from ssrvlad_torch.deployment.fuse import fuse
 from ssrvlad_torch.encoding.encoder import encode_to_memory
 from ssrvlad_torch.recognition.recognise import Steps
 from ssrvlad_torch.search.exact import recognise_in
-from ssrvlad_torch.segmentation.preparation import SegmenterConfig
 from ssrvlad_torch.segmentation.segmenter import Segmenter
 from ssrvlad_torch.taxonomy import label_space
 
 LABELS = [street(seed) for seed in range(5)]
 PHOTOS = [photo(labels) for labels in LABELS]
 NOISE = np.random.default_rng(0).integers(0, 256, (17, 23, 3), np.uint8)
-BYTES = SegmenterConfig(white=255, mean=(0, 0, 0), std=(1, 1, 1))
 
 
 def assert_right(segmenter, photos=PHOTOS, expected=LABELS):

@@ -167,13 +167,7 @@ def test_names_choose_other_activations(street_graph):
     assert found(OnnxNetwork(street_graph), ["cat_2"]) == [("cat_2", (1, 35, 28, 56))]
 
 
-class Pooled(nn.Module):
-    def __init__(self):
-        super().__init__()
-        self.step, self.pool = nn.Conv2d(3, 8, 8, 8), nn.Flatten()
-
-    def forward(self, images):
-        return self.pool(self.step(images))
+FLAT = nn.Sequential(nn.Conv2d(3, 8, 8, 8), nn.Flatten(), nn.Hardtanh())
 
 
 @pytest.mark.parametrize(
@@ -182,7 +176,7 @@ class Pooled(nn.Module):
         (colour_network(), None, "the encoder has no activation at a stride from 4 to 32; name"),
         (Street(), ["act.7"], r"features: no activation 'act\.7'; the nearest are act\.\d"),
         (nn.Sequential(nn.Conv2d(3, 12, 8, 8)), None, "no activation at a stride"),  # the output
-        (nn.Sequential(Pooled(), nn.Hardtanh()), ["0.pool"], r"\(B, C, h, w\) floats, 0\.pool is"),
+        (FLAT, ["1"], r"\(B, C, h, w\) floats, 1 is \(1, 12544\)"),
     ],
 )
 def test_what_cannot_be_features_is_refused(network, names, message):

@@ -9,8 +9,7 @@ import torch
 import torch.nn.functional as F
 from drawings import SPACE
 from helpers import refused
-from networks import PLAIN, Then, colour_network, write_graph, write_street
-from torch import nn
+from networks import PLAIN, Coloured, Then, colour_network, write_graph, write_street
 
 from ssrvlad_torch import SSRVLADConfig
 from ssrvlad_torch.deployment.against import verify_against
@@ -21,12 +20,8 @@ from ssrvlad_torch.segmentation.segmenter import Segmenter
 SETTINGS = "mean: [0, 0, 0]\nstd: [1, 1, 1]\n"
 
 
-class Pooled(nn.Module):
+class Pooled(Coloured):
     """The colour network on areas, an eighth of the picture: of their size Python computes."""
-
-    def __init__(self):
-        super().__init__()
-        self.network = colour_network()
 
     def forward(self, images):
         sides = [max(1, int(side) // 8) for side in images.shape[2:]]
@@ -34,12 +29,8 @@ class Pooled(nn.Module):
         return self.network(F.interpolate(small, images.shape[2:]))
 
 
-class Large(nn.Module):
+class Large(Coloured):
     """The colour network on large pictures alone."""
-
-    def __init__(self):
-        super().__init__()
-        self.network = colour_network()
 
     def forward(self, images):
         assert images.shape[2] > 200, "too small"
@@ -166,12 +157,8 @@ def test_arguments_that_cannot_be_compared_are_refused(folder, refusal):
         assert message in refusal("verify", *arguments)
 
 
-class Turned(nn.Module):
+class Turned(Coloured):
     """The colour network, turned over for small pictures."""
-
-    def __init__(self):
-        super().__init__()
-        self.network = colour_network()
 
     def forward(self, images):
         return self.network(images) * (1 if images.shape[2] > 80 else -1)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 import torch.nn.functional as F
-from helpers import descriptors
+from helpers import descriptors, grids
 
 from ssrvlad_torch import native
 from ssrvlad_torch.channels import coarse as module
@@ -12,11 +12,6 @@ from ssrvlad_torch.channels.coarse import LANES, CoarseSigns, CoarseVectors, lea
 from ssrvlad_torch.channels.column import Column
 from ssrvlad_torch.recognition.comparison import ReferenceRows
 from ssrvlad_torch.recognition.sweep import score
-
-
-def grids(count, shape, seed=0):
-    rng = np.random.default_rng(seed)
-    return torch.from_numpy(rng.integers(0, 256, (count, *shape), np.uint8))
 
 
 def by_signs(queries, rows, sweep=True):

@@ -39,8 +39,7 @@ def test_an_output_is_recognised_by_its_shape(form):
 @pytest.mark.parametrize("form", ["tensor", "channels last"])
 @pytest.mark.parametrize("classes", [None, (0, 12)])
 def test_the_axis_of_the_classes_does_not_follow_the_size_of_a_picture(form, size, classes):
-    config = SegmenterConfig(**{**vars(PLAIN), "classes": classes})
-    segmenter = Segmenter(Then(OUTPUTS[form]), SPACE, config)
+    segmenter = Segmenter(Then(OUTPUTS[form]), SPACE, PLAIN, classes=classes)
     for height, width in (size, (24, 32), (17, 12)):
         labels = street(3, height, width)
         assert_right(segmenter, [photo(labels)], [labels])
@@ -75,8 +74,7 @@ def test_the_output_and_the_channels_may_be_named():
     def give(scores):
         return {"one": torch.cat([scores[:, :3] + 9, scores], 1), "other": -scores}
 
-    config = SegmenterConfig(**{**vars(PLAIN), "output": "one", "classes": (3, 15)})
-    assert_right(Segmenter(Then(give), SPACE, config))
+    assert_right(Segmenter(Then(give), SPACE, PLAIN, output="one", classes=(3, 15)))
     with pytest.raises(ValueError, match=r"no output 'out'; the outputs are one \(1, 15, 24"):
         Segmenter(Then(give), SPACE, SegmenterConfig(output="out"))(PHOTOS[:1])
 

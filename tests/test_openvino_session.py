@@ -7,7 +7,7 @@ import pytest
 from drawings import SPACE
 from helpers import refused, street
 from networks import PLAIN, photo, write_graph
-from segmenting import assert_right
+from segmenting import assert_right, write_settings
 from test_segmentation import GRAPHS
 
 from ssrvlad_torch.segmentation import onnx_network
@@ -28,10 +28,8 @@ def test_a_graph_gives_what_the_network_gives(tmp_path, form):
 
 
 def test_a_yaml_file_names_the_runtime_and_the_identity_stays(tmp_path, monkeypatch):
-    write_graph(tmp_path / "net.onnx")
-    text = "network: net.onnx\nmean: [0, 0, 0]\nstd: [1, 1, 1]\n"
-    (tmp_path / "net.yaml").write_text(text)
-    (tmp_path / "fast.yaml").write_text(text + "runtime: openvino\n")
+    settings = write_settings(tmp_path).read_text()
+    (tmp_path / "fast.yaml").write_text(settings + "runtime: openvino\n")
     plain, fast = (Segmenter.load(tmp_path / f"{name}.yaml", SPACE) for name in ("net", "fast"))
     assert (plain.network.runtime, fast.network.runtime) == onnx_network.RUNTIMES
     assert_right(fast)

@@ -5,10 +5,9 @@ import pytest
 import torch
 from drawings import SPACE
 from helpers import street
-from networks import PLAIN, Street, Then, colour_network, photo
+from networks import PLAIN, Coloured, Street, Then, colour_network, photo
 from PIL import Image
 from segmenting import LABELS, NOISE, assert_right, write_photos
-from torch import nn
 
 from ssrvlad_torch.datasets.image_files import find_image_files
 from ssrvlad_torch.segmentation import segmenter as segmentation
@@ -65,11 +64,7 @@ def test_images_of_like_size_share_a_batch_of_bounded_pixels(monkeypatch):
 
 
 def test_a_picture_that_fails_in_a_batch_is_tried_alone_and_named(tmp_path):
-    class Picky(nn.Module):
-        def __init__(self):
-            super().__init__()
-            self.network = colour_network()
-
+    class Picky(Coloured):
         def forward(self, images):
             if len(images) > 1 or images.shape[2] % 8:
                 raise torch.OutOfMemoryError("one at a time,\nmultiples of 8")

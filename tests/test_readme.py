@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer
-from networks import write_graph, write_segformer
+from networks import write_graph, write_published
 from PIL import Image
 
 from ssrvlad_torch import SSRVLAD, Database
@@ -111,7 +111,7 @@ def test_the_commands_on_label_maps_run_in_order(run, maps):
 
 
 def test_the_commands_on_images_and_the_map_run(run, maps):
-    published = f"hf:{write_segformer(maps / 'segformer')}"
+    published = f"hf:{write_published(maps / 'segformer')}"
     for day in ("monday", "tuesday", "today"):
         write_views(maps / "maps" / day, maps / "images" / day)
     for line in next(block for block in CONSOLE if "--segmenter" in block).splitlines():

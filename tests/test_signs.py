@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 import torch.nn.functional as F
+from helpers import grids
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -12,11 +13,6 @@ from ssrvlad_torch.recognition.comparison import Member, ReferenceRows
 from ssrvlad_torch.recognition.recognise import Steps, recognise
 
 SHAPE = (8, 3, 4)
-
-
-def grids(count, seed=0, shape=SHAPE):
-    rng = np.random.default_rng(seed)
-    return torch.from_numpy(rng.integers(0, 256, (count, *shape), np.uint8))
 
 
 def drive(count, seed=0):
@@ -29,7 +25,7 @@ def drive(count, seed=0):
 
 @given(st.integers(-3, 3))
 def test_moved_columns_leave_zeros(columns):
-    grid = grids(2)
+    grid = grids(2, SHAPE)
     after = moved(grid, columns)
     for column in range(SHAPE[0]):
         source = column - columns
@@ -41,7 +37,7 @@ def test_moved_columns_leave_zeros(columns):
 @pytest.mark.parametrize("follow", [None, "offline"])
 def test_recognise_takes_signs(follow):
     frames = drive(60)
-    seen = frames[10:50] ^ (grids(40, 5) & grids(40, 6) & grids(40, 7))
+    seen = frames[10:50] ^ (grids(40, SHAPE, 5) & grids(40, SHAPE, 6) & grids(40, SHAPE, 7))
     numbers_only = F.normalize(torch.rand(60, 16), dim=1)
     names = ["q"] * 40, ["r"] * 60
     members = {

@@ -31,15 +31,15 @@ from ssrvlad_torch.segmentation.segmenter import Segmenter
 CONFIG = SSRVLADConfig.from_preset("default", labels_as=SPACE)
 
 
-def with_other_operator(operator: str, other: str) -> Runtime:
-    """A runtime with another operator in the place of one; without, it refuses the operator."""
+def with_other_floor(other: str) -> Runtime:
+    """A runtime with another operator in the place of Floor; without, it refuses Floor."""
 
     def changed(source):
         model = onnx.load_from_string(source) if isinstance(source, bytes) else onnx.load(source)
-        nodes = [node for node in model.graph.node if node.op_type == operator]
+        nodes = [node for node in model.graph.node if node.op_type == "Floor"]
         assert nodes
         if not other:
-            raise RuntimeError(f"no kernel for {operator}")
+            raise RuntimeError("no kernel for Floor")
         for node in nodes:
             node.op_type = other
         return runtime_of().open(model.SerializeToString())
@@ -274,7 +274,7 @@ def test_a_label_space_of_its_own_travels_with_the_file(tmp_path):
 def test_a_runtime_that_is_wrong_or_fails_is_told(kind, files, ssrvlad, monkeypatch):
     """One that rounds up, and one that cannot round."""
     for other, verdict in (("Ceil", "wrong"), ("", "cannot run")):
-        runtime = with_other_operator("Floor", other)
+        runtime = with_other_floor(other)
         monkeypatch.setattr("ssrvlad_torch.deployment.verify.runtime_of", lambda _, r=runtime: r)
         code, out, _ = ssrvlad("verify", files[kind], "--json")
         report = json.loads(out)

@@ -8,6 +8,7 @@ exactly. Not in the paper.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Protocol, Self
 
@@ -84,10 +85,11 @@ class CoarseSigns:
         self._more = 8 * rows * len(range(self._every // 2, size, self._every))
         self._reach = min(REACH, columns - 1)
 
-    def codes(self, stored: Tensor, layer: int = 0) -> Codes:
+    def codes(self, stored: Tensor, layer: int = 0) -> npt.NDArray[np.uint8]:
         """See `Coarse`: ``(N, columns, bytes)`` uint8, a column of whole words."""
         taken = stored[..., layer * self._every // 2 :: self._every].flatten(2)
-        return F.pad(taken, (0, -taken.shape[2] % _WORD)).numpy()
+        words: npt.NDArray[np.uint8] = F.pad(taken, (0, -taken.shape[2] % _WORD)).numpy()
+        return words
 
     def scan(
         self, queries: Sequence[Tensor], codes: Codes, rows: int, sweep: bool = True
@@ -97,10 +99,7 @@ class CoarseSigns:
         layers, bits = [self.codes(stacked)], self._bits
         if codes.shape[2] > layers[0].shape[2]:
             layers, bits = [*layers, self.codes(stacked, 1)], bits + self._more
-        own = np.concatenate(layers, 2).astype(np.uint8)
-        return self._scanned(own, codes, rows, bits, sweep)
-
-    def _scanned(self, own: Codes, codes: Codes, rows: int, bits: int, sweep: bool) -> Tensor:
+        own = np.concatenate(layers, 2)
         reach = self._reach if sweep else 0
         scores, library = torch.empty(len(own), rows), core().library
         if library is None:
@@ -120,17 +119,12 @@ class CoarseSigns:
     def _plain(self, queries: Tensor, rows: Tensor, reach: int, bits: int) -> Tensor:
         """The scores in torch: products of the numbers 1 and -1, without what fills the words."""
         signed, known = numbers(rows).flatten(1), numbers(queries)
-        filling, best = 8 * codes_length(rows) - self._columns * bits, []
+        filling, best = 8 * math.prod(rows.shape[1:]) - self._columns * bits, []
         for step in range(-reach, reach + 1):
             kept = self._columns - abs(step)
             product = moved(known, step).flatten(1) @ signed.T
             best.append((product - filling * kept / self._columns) / (kept * bits))
         return torch.stack(best).amax(0)
-
-
-def codes_length(rows: Tensor) -> int:
-    """Bytes of a row of codes ``(N, columns, bytes)``."""
-    return rows.shape[1] * rows.shape[2]
 
 
 class CoarseVectors:
@@ -159,12 +153,10 @@ class CoarseVectors:
         """See `Coarse`."""
         squares = self._basis.square().sum(1).clamp(min=1e-30)
         parts = [
-            ((F.normalize(part, dim=1) - self._mean) @ (self._basis / squares[:, None]).T)
+            (F.normalize(part, dim=1) - self._mean) @ (self._basis / squares[:, None]).T
             for part in stored.split(_ROWS_AT_ONCE)
         ]
-        whole = (
-            torch.cat([stored[:0, :0].new_zeros(0, LENGTH), *parts]).round_().clamp_(-_MOST, _MOST)
-        )
+        whole = torch.cat(parts).round_().clamp_(-_MOST, _MOST)
         filled = F.pad(whole, (0, 0, 0, -len(whole) % LANES)).to(torch.int8)
         return filled.view(-1, LANES, LENGTH).transpose(1, 2).contiguous().numpy()
 

@@ -48,7 +48,7 @@ def label_graph(labels: LabelNetwork, features: NetworkFeatures | None = None) -
     network, names = labels.network, features.names if features else []
     model = with_opset(load_model(network.path), OPSET)
     config, version = labels.config, opset(model)
-    prepare = _traced_preparation(config, network.form.dtype, network.form.channels_last)
+    prepare = _traced_preparation(config, network.form)
     size = config.size if isinstance(config.size, tuple) else (64, 96)
     with torch.inference_mode():
         example = torch.zeros(network.batch or 1, *size, 3, dtype=torch.uint8)
@@ -56,11 +56,10 @@ def label_graph(labels: LabelNetwork, features: NetworkFeatures | None = None) -
         values = network(labels.preparation(example), names=[str(config.output), *names])
     output = values[str(config.output)]
     shape: list[int | None] = [None] * output.ndim
-    axis, classes = None, (0, 0)
-    if labels.axis is not None and output.ndim != 3:
-        axis = labels.axis
-        channels = shape[axis] = output.shape[axis]
-        classes = config.classes or (0, channels)
+    axis, classes = labels.axis, (0, 0)
+    if axis is not None:
+        shape[axis] = output.shape[axis]
+        classes = config.classes or (0, output.shape[axis])
     decide = _traced_decision(output.dtype, tuple(shape), axis, classes)
     parts = [with_opset(prepare, version), model, with_opset(decide, version)]
     joints = [
@@ -153,10 +152,8 @@ def _traced_features(module: Features, dtypes: tuple[torch.dtype, ...]) -> onnx.
     return traced(module.cpu(), inputs, {NAME: ["B", *SHAPE]})
 
 
-def _traced_preparation(
-    config: SegmenterConfig, dtype: torch.dtype, channels_last: bool
-) -> onnx.ModelProto:
-    module = _Preparation(Preparation(config, InputForm(dtype, channels_last)))
+def _traced_preparation(config: SegmenterConfig, form: InputForm) -> onnx.ModelProto:
+    module = _Preparation(Preparation(config, form))
     example = torch.zeros(2, *EXAMPLE, 3, dtype=torch.uint8)
     forms: dict[str, Axes] = {"numbers": [None] * 4, "picture": ["B", "H", "W"]}
     return traced(module, {"image": (example, _IMAGE)}, {**forms, HOG.name: _HISTOGRAMS})

@@ -19,15 +19,7 @@ from ..files import one_line, parse_json
 from ..segmentation.onnx_files import CPU, load_model
 from ..segmentation.openvino_session import SINGLE
 from ..taxonomy import LabelSpace
-from .fuse import (
-    HEAD,
-    IMAGE,
-    LABELS,
-    NETWORK,
-    OF_PICTURES,
-    FusedNetwork,
-    problem_of_network,
-)
+from .fuse import HEAD, IMAGE, LABELS, NETWORK, OF_PICTURES, FusedNetwork, problem_of_network
 from .golden import as_input, outputs_of
 from .metadata import PREFIX, Arrays, Metadata
 from .runtimes import Run, Runtime, runtime_of

@@ -235,11 +235,11 @@ def _of_module(network: nn.Module, numbers: Tensor) -> list[Activation]:
 
     with torch.no_grad(), _hidden_states(network, states), _hooked(network, note), operators:
         outputs = [each for each in tree_leaves(network(numbers)) if isinstance(each, Tensor)]
-    found = [each for each, value in seen if not any(value() is output for output in outputs)]
-    modules = [_call_of(each.name)[0] for each in found]
+    once = {f"{name}{_CALL}1": name for name, count in calls.items() if count == 1}
     found = [
-        each if calls[module] > 1 else each._replace(name=module)
-        for module, each in zip(modules, found, strict=True)
+        each._replace(name=once.get(each.name, each.name))
+        for each, value in seen
+        if not any(value() is output for output in outputs)
     ]
     return [*found, *(_activation(name, state, size) for name, state in states.items())]
 

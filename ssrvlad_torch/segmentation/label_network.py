@@ -9,6 +9,7 @@ from typing import cast
 import torch
 from torch import Tensor, nn
 
+from ..files import naming
 from ..taxonomy import LabelSpace
 from .activations import taken
 from .network_outputs import (
@@ -46,10 +47,8 @@ class LabelNetwork(nn.Module):
         self.config, form = config, None
         self.axis: int | None = None
         if isinstance(network, OnnxNetwork):
-            try:
+            with naming(network.path):
                 self.config, form = _completed(config, network, space), network.form
-            except ValueError as error:
-                raise ValueError(f"{network.path}: {error}") from error
             declared = network.outputs[str(self.config.output)]
             if declared.shape and len(declared.shape) == 4:
                 self.axis = class_axis(declared, space, self.config.classes)

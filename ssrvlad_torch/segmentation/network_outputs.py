@@ -109,9 +109,7 @@ def classes_of(output: Tensor) -> Tensor:
     floats wins, the first of equal ones; ``(B, h, w)`` ids stay. `Segmenter`, `SSRVLAD` on class
     scores and the files of `fuse` all use this rule. A NaN is a ValueError; a graph cannot raise,
     and does not detect it."""
-    if not output.is_floating_point():
-        return output
-    return output.argmax(1) if torch.compiler.is_exporting() else best_class(output)
+    return best_class(output) if output.is_floating_point() else output
 
 
 def enlarged(labels: Tensor, height: int, width: int) -> Tensor:

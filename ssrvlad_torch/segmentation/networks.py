@@ -13,7 +13,7 @@ from typing import Any, cast
 import torch
 from torch import Tensor, nn
 
-from ..files import one_line, read_yaml, requiring
+from ..files import naming, one_line, read_yaml, requiring
 from .onnx_network import ONNX_RUNTIME, RUNTIMES, OnnxNetwork
 from .preparation import SegmenterConfig
 
@@ -135,17 +135,15 @@ def _of_file(path: Path) -> NamedNetwork:
     name, document = _named(path)
     labels_as, arguments = document.pop("labels_as", None), document.pop("arguments", {})
     accepted, runtime = document.pop(ACCEPT, False), document.pop("runtime", ONNX_RUNTIME)
-    try:
+    with naming(path):
         config = SegmenterConfig.of(document, _KEYS)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
+        if not isinstance(arguments, dict):
+            raise ValueError(f"arguments must be names with values, got {arguments!r}")
+        if not isinstance(accepted, bool):
+            raise ValueError(f"{ACCEPT} must be true or false, got {accepted!r}")
+        if runtime not in RUNTIMES:
+            raise ValueError(f"runtime must be {' or '.join(RUNTIMES)}, got {runtime!r}")
     settings = {key: getattr(config, key) for key in document}
-    if not isinstance(arguments, dict):
-        raise ValueError(f"{path}: arguments must be names with values, got {arguments!r}")
-    if not isinstance(accepted, bool):
-        raise ValueError(f"{path}: {ACCEPT} must be true or false, got {accepted!r}")
-    if runtime not in RUNTIMES:
-        raise ValueError(f"{path}: runtime must be {' or '.join(RUNTIMES)}, got {runtime!r}")
     for key, value in arguments.items():
         if isinstance(value, str) and value and (path.parent / value).exists():
             arguments[key] = str(path.parent / value)
@@ -248,10 +246,8 @@ def _of_hub(name: str, settings: dict[str, Any]) -> NamedNetwork:
             task = processor._preprocess_text(["the task is semantic"])
             processor = processor.image_processor
         network = MaskScores(network, task)
-    try:
+    with naming(name):
         settings = _settings_of(processor, settings)
-    except ValueError as error:
-        raise ValueError(f"{name}: {error}") from error
     return NamedNetwork(name, network, SegmenterConfig(**settings), dict(config.id2label))
 
 

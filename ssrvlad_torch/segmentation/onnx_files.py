@@ -45,33 +45,28 @@ def open_session(
     source: Path | bytes,
     name: object,
     provider: str = CPU,
-    fallback: str | None = None,
     settings: Mapping[str, str] | None = None,
     threads: int = 0,
 ) -> Any:
     """A session of ONNX Runtime for a file or its content; ``name`` is that of the file in
     messages.
 
-    Operators that the provider lacks run on the CPU; ``fallback`` is used if this ONNX Runtime
-    lacks the provider. ``settings`` are configuration entries of the session, ``threads`` those for
-    an operator, 0 for one per core. No such provider, and a graph that cannot run, are a
-    ValueError; without the extra ``onnx``, an ImportError.
+    Operators that the provider lacks run on the CPU, and all of them if this ONNX Runtime lacks the
+    provider. ``settings`` are configuration entries of the session, ``threads`` those for an
+    operator, 0 for one per core. A graph that cannot run is a ValueError; without the extra
+    ``onnx``, an ImportError.
     """
     with requiring("onnx", "ONNX files need"):
         import onnxruntime
     available = onnxruntime.get_available_providers()
-    provider = provider if provider in available else fallback or provider
-    if provider not in available:
-        raise ValueError(
-            f"no execution provider {provider!r}; expected one of {', '.join(available)}"
-        )
+    providers = [each for each in dict.fromkeys((provider, CPU)) if each in available]
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 4  # only what is fatal
     options.intra_op_num_threads = threads
     for key, value in (settings or {}).items():
         options.add_session_config_entry(key, value)
     try:
-        return onnxruntime.InferenceSession(source, options, [*dict.fromkeys((provider, CPU))])
+        return onnxruntime.InferenceSession(source, options, providers)
     except Exception as error:  # each kind of failure has its own type, and not all are public
         raise ValueError(f"{name} cannot run in ONNX Runtime: {one_line(error)}") from error
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..files import one_line, requiring
+from ..files import naming, requiring
 
 SINGLE = {"INFERENCE_PRECISION_HINT": "f32"}
 """The settings for single precision: OpenVINO computes in bfloat16 on a processor that has it."""
@@ -45,12 +45,10 @@ class OpenVinoSession:
             import openvino
         core, self._name = openvino.Core(), name
         limits = {"INFERENCE_NUM_THREADS": threads} if threads else {}
-        try:
+        with naming(f"{name} cannot run in OpenVINO"):
             model = core.read_model(source)
             model.add_outputs([*taken])
             self._compiled = core.compile_model(model, "CPU", {**settings, **limits})
-        except Exception as error:  # OpenVINO raises RuntimeErrors of many kinds
-            raise ValueError(f"{name} cannot run in OpenVINO: {one_line(error)}") from error
         self._numbers = {
             each: number for number, output in enumerate(model.outputs) for each in output.names
         }

@@ -9,15 +9,7 @@ from torch import Tensor, nn
 
 from ..config import SSRVLADConfig
 from ..taxonomy import NO_LAYER, LabelSpace, label_space
-from .layers import (
-    UNKNOWN,
-    best_class,
-    best_class_operator,
-    categorise,
-    category_table,
-    entries_of,
-    refuse_unknown,
-)
+from .layers import UNKNOWN, best_class, categorise, category_table, entries_of, refuse_unknown
 from .reduction import ballots, reduce_by_majority
 from .tracing import length
 
@@ -100,10 +92,7 @@ def label_map(labels: Tensor, space: LabelSpace) -> Tensor:
         raise ValueError(
             f"class scores have {labels.shape[1]} classes; label space {space.name} takes {counts}"
         )
-    if torch.compiler.is_exporting():
-        return labels.argmax(1)
-    choose = best_class_operator if torch.compiler.is_compiling() else best_class
-    return choose(labels)
+    return best_class(labels)
 
 
 def as_tensor(labels: Tensor | npt.NDArray[Any]) -> Tensor:

@@ -1,6 +1,5 @@
 """Keypoints: the end points and intersections of skeletons, as bit-planes."""
 
-import torch.nn.functional as F
 from torch import Tensor
 
 from .bitplanes import neighbours, steps_around, two_or_more
@@ -19,8 +18,5 @@ def intersections(skeleton: Tensor) -> Tensor:
     """
     a, b, c, d = steps_around(neighbours(skeleton))
     crossing = skeleton & (a & b & (c | d) | c & d & (a | b))  # three of the four
-    height, width = skeleton.shape[-2:]
-    padded = F.pad(crossing, (1, 1, 1, 0))
-    west, above = padded[:, 1:, :width], padded[:, :height]
-    earlier = west | above[..., :width] | above[..., 1 : width + 1] | above[..., 2:]
-    return crossing & ~earlier
+    n, ne, *_, w, nw = neighbours(crossing)
+    return crossing & ~(w | nw | n | ne)

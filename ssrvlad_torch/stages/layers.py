@@ -12,7 +12,14 @@ UNKNOWN = 255
 
 def best_class(scores: Tensor) -> Tensor:
     """``(B, H, W)`` int64, the class of the largest of class scores ``(B, C, H, W)``; of equal
-    scores, the first class. A score that is NaN is a ValueError."""
+    scores, the first class. A score that is NaN is a ValueError; a graph cannot raise, and does not
+    detect it."""
+    if torch.compiler.is_exporting():
+        return scores.argmax(1)
+    return (_operator if torch.compiler.is_compiling() else _best_class)(scores)
+
+
+def _best_class(scores: Tensor) -> Tensor:
     largest, label = scores.max(1)  # the index of argmax(1), much faster on a CPU; NaN is largest
     if bool(largest.isnan().any()):
         count = int(scores.isnan().sum())
@@ -20,11 +27,11 @@ def best_class(scores: Tensor) -> Tensor:
     return label
 
 
-best_class_operator = torch.library.custom_op("ssrvlad::best_class", best_class, mutates_args=())
-"""`best_class` for `torch.compile` and `torch.export`, which cannot follow its check."""
+_operator = torch.library.custom_op("ssrvlad::best_class", _best_class, mutates_args=())
+"""For `torch.compile`, which cannot follow the check."""
 
 
-@best_class_operator.register_fake
+@_operator.register_fake
 def _(scores: Tensor) -> Tensor:
     return scores.new_empty((scores.shape[0], *scores.shape[2:]), dtype=torch.int64)
 
