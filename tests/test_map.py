@@ -192,6 +192,8 @@ def test_a_map_is_made_by_its_first_frames(settings, photos, tmp_path):
         ("hog", "expected a list of channels, got the text"),
     ):
         refuses(message, Map.open(town.path, settings, channels=channels).add, photos)
+    labelled = Map.open(town.path, labels_as=SPACE, channels="hog")
+    refuses("expected a list of channels, got the text 'hog'", labelled.add, tmp_path)
     with pytest.raises(KeyboardInterrupt):
         town.add(tmp_path / "torn", EncodeOptions(skipped=fail))
     assert not Path(town.path).exists() and len(town) == 0

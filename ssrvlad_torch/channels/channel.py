@@ -180,13 +180,18 @@ def new_channels(
     maps, and those with these names. Without names, all that the frames have: without a network
     none of pictures, and no features of a network that has none. An unknown name, and a channel
     that the frames do not have, are a ValueError."""
-    if isinstance(names, str):
-        raise ValueError(f"expected a list of channels, got the text {names!r}")
+    refuse_text(names)
     if names is None:
         wanted = [name for name in CHANNELS if not _class(name).lacks(network)]
     else:
         wanted = list(dict.fromkeys([LABEL_SHAPES, *names]))
     return [_class(name).make(head, network) for name in wanted]
+
+
+def refuse_text(names: Sequence[str] | None) -> None:
+    """Raises a ValueError if the names of channels are one text, whose letters would be names."""
+    if isinstance(names, str):
+        raise ValueError(f"expected a list of channels, got the text {names!r}")
 
 
 def _class(name: str) -> type[Channel]:

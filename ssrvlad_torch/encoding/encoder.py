@@ -22,6 +22,7 @@ from ..channels.channel import (
     View,
     channels_of,
     new_channels,
+    refuse_text,
 )
 from ..config import SSRVLADConfig
 from ..database.database import Database
@@ -129,6 +130,7 @@ def channels_to_store(
     names, a new database gets all that the frames have, with a note if the network has no features;
     an existing one gets no other. Names of channels of pictures without a network are a
     ValueError."""
+    refuse_text(names)
     if names is None:
         if network is None:
             return []

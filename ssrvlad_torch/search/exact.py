@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from torch import Tensor
 
-from ..channels.channel import Channel, View, channels_of
+from ..channels.channel import Channel, View, channels_of, refuse_text
 from ..database.database import Database
 from ..database.frames import FrameSet
 from ..datasets.names import KnownFolders, check_sequences, name_of
@@ -102,8 +102,7 @@ def _sum_over_time(references: FrameSet, channels: Sequence[Channel], temporal: 
 def chosen_channels(database: Database, names: Sequence[str] | None = None) -> list[Channel]:
     """The channels of a database, all or those with these names; others are a ValueError."""
     stored = [column.name for column in database.columns]
-    if isinstance(names, str):
-        raise ValueError(f"expected a list of channels, got the text {names!r}")
+    refuse_text(names)
     if names is not None and (missing := [name for name in names if name not in stored]):
         raise ValueError(
             f"{database.path} holds {', '.join(stored)} of every frame, not {missing[0]}; encode a "
