@@ -7,6 +7,7 @@ import zlib
 from collections.abc import Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -147,9 +148,11 @@ def without(blocked: Sequence[str], script: Path, *arguments: object) -> list[st
     return [sys.executable, "-c", code]
 
 
-def outcome(*command: object) -> tuple[int, list[str], list[str]]:
-    """The exit code of a program, and the lines that it prints on stdout and on stderr."""
-    done = subprocess.run([*map(str, command)], capture_output=True, text=True, check=False)
+def outcome(*command: object, **options: Any) -> tuple[int, list[str], list[str]]:
+    """The exit code of a program, and the lines that it prints on stdout and on stderr; options
+    are those of `subprocess.run`."""
+    words = [*map(str, command)]
+    done = subprocess.run(words, capture_output=True, text=True, check=False, **options)
     return done.returncode, done.stdout.splitlines(), done.stderr.splitlines()
 
 

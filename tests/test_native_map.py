@@ -280,14 +280,7 @@ def bits(core, tmp_path_factory):
     library = Path(core.library._name)
 
     def run(compiler, emulator, *sources):
-        flags = [
-            "-std=c++17",
-            "-ffp-contract=off",
-            "-pthread",
-            f"-I{source}",
-            "-o",
-            folder / "bits",
-        ]
+        flags = ["-std=c++17", "-ffp-contract=off", "-pthread", f"-I{source}"]
         given = [ROOT / "tests" / "bits.cpp", *sources]
         subprocess.run([*compiler.split(), *flags, *given, "-o", folder / "bits"], check=True)
         return subprocess.check_output([*emulator, folder / "bits"])
