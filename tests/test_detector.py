@@ -6,7 +6,6 @@ import warnings
 import numpy as np
 import pytest
 import torch
-import yaml
 from helpers import street
 from loop_streams import noisy_stream
 from networks import photo
@@ -16,20 +15,13 @@ from ssrvlad_torch.channels.features import Features
 from ssrvlad_torch.database.frames import FrameRecord
 from ssrvlad_torch.loops.config import LoopConfig
 
-SPACE = "camvid-11"
 PLACES = (*range(12), *range(4, 10))
 CONFIG = LoopConfig(exclude=5)
 
 
-@pytest.fixture(scope="module")
-def network(tmp_path_factory):
-    """A network in a YAML file, as its function in a module beside it."""
-    folder = tmp_path_factory.mktemp("network")
-    (folder / "streets.py").write_text("from networks import Street as street\n")
-    settings = {"network": "streets:street", "labels_as": SPACE, "mean": [0] * 3, "std": [1] * 3}
-    path = folder / "net.yaml"
-    path.write_text(yaml.safe_dump(settings))
-    return path
+@pytest.fixture
+def network(drives):
+    return drives / "net.yaml"
 
 
 @pytest.mark.parametrize("channels", [None, ["hog"], ["ssr-vlad"]])

@@ -11,6 +11,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from loop_streams import unit
 
 from ssrvlad_torch.native.decide import decide
 from ssrvlad_torch.native.map import MIN_FRAMES, Map
@@ -23,11 +24,6 @@ ROOT = Path(__file__).parents[1]
 DRIVES = st.lists(st.integers(1, 45), min_size=1, max_size=4)
 SEEDS = st.integers(0, 1000)
 TRUST = {"shapes": 1.0, "features": 6.0, "hog": 2.0}
-
-
-def unit(vectors):
-    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return (vectors / np.maximum(lengths, 1e-9)).astype(np.float32)
 
 
 def vectors(rng, *shape, common=2.0):
