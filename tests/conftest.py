@@ -18,7 +18,7 @@ from urllib.request import Request, urlopen
 import pytest
 import torch
 import typer
-from drives import write_maps, write_photos, write_truth
+from drives import write_maps, write_truth, write_two_drives
 from filelock import FileLock
 from hypothesis import settings
 from maps import Maps
@@ -226,12 +226,10 @@ def compare(ssrvlad):
 @pytest.fixture
 def two_drives(tmp_path):
     """Two drives past six places, with images and label maps, and the truth."""
-    for drive in ("query", "reference"):
-        write_photos(tmp_path / "town" / drive / "images", range(6), ".jpg")
-        write_maps(tmp_path / "town" / drive / "labels", range(6))
+    town = write_two_drives(tmp_path / "town", 6)
     truth = {f"query/{n:03d}": [f"reference/{n:03d}"] for n in range(6)}
-    write_truth(tmp_path / "town" / "ground_truth.json", truth)
-    return tmp_path / "town"
+    write_truth(town / "ground_truth.json", truth)
+    return town
 
 
 @pytest.fixture

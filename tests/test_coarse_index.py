@@ -10,14 +10,14 @@ import torch
 from drawings import SPACE
 from drives import write_maps
 from helpers import descriptors, spoil
+from large_maps import CONFIG
 
-from ssrvlad_torch import Database, Map, SSRVLADConfig
+from ssrvlad_torch import Database, Map
 from ssrvlad_torch.channels.column import Column
 from ssrvlad_torch.recognition.standardise import sums
 from ssrvlad_torch.search import coarse_index
 from ssrvlad_torch.search.coarse_index import CoarseIndex, build
 
-CONFIG = SSRVLADConfig.from_preset("default", labels_as=SPACE)
 SIGNS = Column("signs", "few", (4, 2, 4), "uint8")
 
 
