@@ -33,6 +33,8 @@ from ssrvlad_torch.taxonomy import label_space_names
 
 torch.set_num_threads(1)
 
+ROOT = Path(__file__).parents[1]
+
 
 def pytest_collection_modifyitems(items):
     """The longest files come first, so that workers which share the files end together."""
@@ -51,13 +53,9 @@ def core():
     if native.core().library is None:
         if not shutil.which("g++"):
             pytest.skip("no C++ compiler")
-        build = Path(__file__).parents[1] / "scripts" / "hatch_build.py"
-        subprocess.run([sys.executable, build], check=True)
+        subprocess.run([sys.executable, ROOT / "scripts" / "hatch_build.py"], check=True)
         native.core.cache_clear()
     return native.core()
-
-
-ROOT = Path(__file__).parents[1]
 
 
 ABOVE = {"baselines", "cli", "encoding", "evaluation", "loops", "map.py", "search"}
