@@ -39,6 +39,13 @@ def whole(monkeypatch):
     monkeypatch.setattr(drive, "EVERY", 1)
 
 
+def found_in(town, queries, steps, names=ALL):
+    """What is recognised by the index, and by exact search."""
+    used, where = channels(town, names), np.ones(len(town), bool)
+    exact = recognise_in(town.load(), queries, used, steps, 3)
+    return recognise_drives(LargeMap(town, used), queries, steps, 3, where), exact
+
+
 @pytest.mark.parametrize("names", [ALL, ("ssr-vlad",), ("features", "hog")])
 @pytest.mark.parametrize(
     "steps",
@@ -51,9 +58,7 @@ def whole(monkeypatch):
 )
 @pytest.mark.usefixtures("whole")
 def test_of_all_rows_answers_are_those_of_exact_search(town, names, steps):
-    used, queries = channels(town, names), queries_at([*range(100, 140)], names)
-    got = recognise_drives(LargeMap(town, used), queries, steps, 3, EVERYWHERE)
-    expected = recognise_in(town.load(), queries, used, steps, 3)
+    got, expected = found_in(town, queries_at([*range(100, 140)], names), steps, names)
     assert torch.equal(got.matches.indices, expected.matches.indices)
     torch.testing.assert_close(got.matches.scores, expected.matches.scores, atol=1e-5, rtol=0)
     torch.testing.assert_close(got.confidence, expected.confidence, atol=1e-4, rtol=0)
@@ -66,9 +71,7 @@ def test_of_all_rows_answers_are_those_of_exact_search(town, names, steps):
 
 @pytest.mark.parametrize("rows", [range(100, 145), range(290, 312), range(240, 200, -1)])
 def test_of_few_candidates_the_first_answers_are_the_same(town, rows):
-    used, queries, steps = channels(town, ALL), queries_at([*rows]), Steps()
-    got = recognise_drives(LargeMap(town, used), queries, steps, 3, EVERYWHERE)
-    expected = recognise_in(town.load(), queries, used, steps, 3)
+    got, expected = found_in(town, queries_at([*rows]), Steps())
     assert torch.equal(got.matches.indices[:, 0], expected.matches.indices[:, 0])
     assert got.used["follow"] == expected.used["follow"]
     torch.testing.assert_close(got.confidence, expected.confidence, atol=0.1, rtol=0)
@@ -132,9 +135,7 @@ def test_sequences_in_several_data_files_and_without_removed_frames(tmp_path):
     frames = town.load()
     town.remove([frames.frames[row] for row in range(60, 90)])
     build(town)
-    used, queries = channels(town, ALL), queries_at([*range(100, 140)])
-    got = recognise_drives(LargeMap(town, used), queries, Steps(), 3, EVERYWHERE[30:])
-    expected = recognise_in(town.load(), queries, used, Steps(), 3)
+    got, expected = found_in(town, queries_at([*range(100, 140)]), Steps())
     assert torch.equal(got.matches.indices, expected.matches.indices)
     torch.testing.assert_close(got.confidence, expected.confidence, atol=1e-4, rtol=0)
 

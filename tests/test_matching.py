@@ -77,7 +77,6 @@ def test_blocks_do_not_show_on_real_numbers(monkeypatch):
         F.cosine_similarity(queries[:, None].double(), references.double(), dim=2).topk(7).values
     )
     torch.testing.assert_close(scores.double(), exact, rtol=0, atol=1e-6)
-    assert abs(float(exact[0, 1] - scores[0, 0])) < 0.2
 
 
 def test_arrays_and_doubles_are_taken():
