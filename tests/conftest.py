@@ -118,13 +118,6 @@ def built_once():
         yield
 
 
-@pytest.fixture(scope="module")
-def patch():
-    """Patches that last as long as the tests of a file."""
-    with pytest.MonkeyPatch.context() as patch:
-        yield patch
-
-
 @pytest.fixture(scope="session")
 def head(tmp_path_factory):
     """The head of ``default`` for labels of ``camvid-11`` as a file, not to be changed."""

@@ -68,11 +68,8 @@ def test_the_first_frames_have_nothing_to_compare_with():
     assert results[6]._replace(frame="") == ("", Reason.TOO_RECENT, None, None, None, None, ())
 
 
-@pytest.mark.parametrize(
-    ("second", "step"),
-    [(range(20, 80), 1), (range(20, 80, 2), 2), ([*range(20, 45), *[45] * 40], 0)],
-)
-def test_places_seen_again_close_loops(second, step):
+@pytest.mark.parametrize("second", [range(20, 80), range(20, 80, 2), [*range(20, 45), *[45] * 40]])
+def test_places_seen_again_close_loops(second):
     """In the same order, at twice the speed, and standing still at one on the way."""
     results = drive(detector(), views([*range(150), *second]))
     loops = accepted(results)
