@@ -18,7 +18,7 @@ from urllib.request import Request, urlopen
 import pytest
 import torch
 import typer
-from drives import write_maps, write_photos, write_truth
+from drives import write_maps, write_truth, write_two_drives
 from filelock import FileLock
 from hypothesis import settings
 from maps import Maps
@@ -32,6 +32,8 @@ from ssrvlad_torch.files import replacing
 from ssrvlad_torch.taxonomy import label_space_names
 
 torch.set_num_threads(1)
+
+ROOT = Path(__file__).parents[1]
 
 
 def pytest_collection_modifyitems(items):
@@ -51,13 +53,9 @@ def core():
     if native.core().library is None:
         if not shutil.which("g++"):
             pytest.skip("no C++ compiler")
-        build = Path(__file__).parents[1] / "scripts" / "hatch_build.py"
-        subprocess.run([sys.executable, build], check=True)
+        subprocess.run([sys.executable, ROOT / "scripts" / "hatch_build.py"], check=True)
         native.core.cache_clear()
     return native.core()
-
-
-ROOT = Path(__file__).parents[1]
 
 
 ABOVE = {"baselines", "cli", "encoding", "evaluation", "loops", "map.py", "search"}
@@ -118,13 +116,6 @@ def built_once():
         for name in ("_traced_preparation", "_traced_decision", "_traced_features"):
             patch.setattr(label_graph, name, stored(getattr(label_graph, name)))
         yield
-
-
-@pytest.fixture(scope="module")
-def patch():
-    """Patches that last as long as the tests of a file."""
-    with pytest.MonkeyPatch.context() as patch:
-        yield patch
 
 
 @pytest.fixture(scope="session")
@@ -227,12 +218,10 @@ def compare(ssrvlad):
 @pytest.fixture
 def two_drives(tmp_path):
     """Two drives past six places, with images and label maps, and the truth."""
-    for drive in ("query", "reference"):
-        write_photos(tmp_path / "town" / drive / "images", range(6), ".jpg")
-        write_maps(tmp_path / "town" / drive / "labels", range(6))
+    town = write_two_drives(tmp_path / "town", 6)
     truth = {f"query/{n:03d}": [f"reference/{n:03d}"] for n in range(6)}
-    write_truth(tmp_path / "town" / "ground_truth.json", truth)
-    return tmp_path / "town"
+    write_truth(town / "ground_truth.json", truth)
+    return town
 
 
 @pytest.fixture

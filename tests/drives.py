@@ -25,6 +25,14 @@ def write_photos(folder: Path, seeds: range, suffix: str = ".png") -> Path:
     return folder
 
 
+def write_two_drives(folder: Path, count: int) -> Path:
+    """Drives ``query`` and ``reference`` past the same places, with images and label maps."""
+    for drive in ("query", "reference"):
+        write_photos(folder / drive / "images", range(count), ".jpg")
+        write_maps(folder / drive / "labels", range(count))
+    return folder
+
+
 def write_truth(path: Path, content: object) -> Path:
     """A ground truth in the form that the file's name says."""
     if path.suffix == ".npy":

@@ -7,6 +7,7 @@ import zlib
 from collections.abc import Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -65,15 +66,9 @@ def write_street(path: Path, seed: int, height: int = 24, width: int = 32) -> Pa
 def write_png(path: Path, pixels: npt.NDArray[np.integer], colour_type: int, bits: int) -> Path:
     """A PNG of any colour type, ``pixels`` ``(H, W)`` or ``(H, W, C)``; Pillow cannot write all."""
     height, width = pixels.shape[:2]
-    flat = pixels.reshape(height, -1)
-    if bits == 16:
-        rows = [row.astype(">u2").tobytes() for row in flat]
-    elif bits == 8:
-        rows = [row.astype(np.uint8).tobytes() for row in flat]
-    else:
-        unpacked = flat.astype(np.uint8)[..., None] >> np.arange(bits - 1, -1, -1) & 1
-        rows = [np.packbits(row.ravel()).tobytes() for row in unpacked]
-    packed = zlib.compress(b"".join(b"\0" + row for row in rows))
+    unpacked = pixels.reshape(height, -1, 1).astype(int) >> np.arange(bits - 1, -1, -1) & 1
+    rows = [b"\0" + np.packbits(row).tobytes() for row in unpacked]
+    packed = zlib.compress(b"".join(rows))
     path.write_bytes(png_bytes(width, height, bits, colour_type, packed))
     return path
 
@@ -153,9 +148,11 @@ def without(blocked: Sequence[str], script: Path, *arguments: object) -> list[st
     return [sys.executable, "-c", code]
 
 
-def outcome(*command: object) -> tuple[int, list[str], list[str]]:
-    """The exit code of a program, and the lines that it prints on stdout and on stderr."""
-    done = subprocess.run([*map(str, command)], capture_output=True, text=True, check=False)
+def outcome(*command: object, **options: Any) -> tuple[int, list[str], list[str]]:
+    """The exit code of a program, and the lines that it prints on stdout and on stderr; options
+    are those of `subprocess.run`."""
+    words = [*map(str, command)]
+    done = subprocess.run(words, capture_output=True, text=True, check=False, **options)
     return done.returncode, done.stdout.splitlines(), done.stderr.splitlines()
 
 

@@ -23,7 +23,9 @@ def views(places, noise=0.002, light=0.0):
 
 
 def unit(vectors):
-    return (vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)).astype(np.float32)
+    """Vectors of length 1; zeros stay zeros."""
+    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return (vectors / np.maximum(lengths, 1e-9)).astype(np.float32)
 
 
 def noisy_stream(
@@ -41,9 +43,8 @@ def noisy_stream(
     noise = rng.normal(0, rng.choice([0.03, 0.1]), (length, anchors, 120))
     vectors = PLACES[where, None, :120] + noise
     vectors[rng.random(length) < 0.05] = 0
-    lengths = np.maximum(np.linalg.norm(vectors, axis=2, keepdims=True), 1e-9)
     padded = np.zeros((length, anchors, 480), np.float32)
-    padded[..., :120] = vectors / lengths
+    padded[..., :120] = unit(vectors)
     sequences = [f"drive {sum(n >= c for c in changes)}" for n in range(length)]
     return padded, sequences
 
@@ -58,8 +59,7 @@ def signs_of(descriptor):
 
 def hog_of(descriptor):
     """``(480,)`` float32 of length 1 or zero, as alike as descriptors are."""
-    drawn = descriptor[:120] @ _DRAWN[:, :480]
-    return drawn / max(1e-9, np.linalg.norm(drawn))
+    return unit(descriptor[:120] @ _DRAWN[:, :480])
 
 
 SEEDS = (*range(40), *range(10, 24))

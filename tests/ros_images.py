@@ -29,9 +29,14 @@ def picture(pixels, encoding="mono8", padding=0, big=0):
     )
 
 
-def seen(core, seeds=SEEDS, start=0):
+def updates(core, seeds=SEEDS, start=0):
     """What a core says of a drive, a frame a second."""
     return [
-        core.update(picture(street(seed)), number * SECOND, (number, -1.0, 0.5)).result
+        core.update(picture(street(seed)), number * SECOND, (number, -1.0, 0.5))
         for number, seed in enumerate(seeds, start)
     ]
+
+
+def seen(core, seeds=SEEDS, start=0):
+    """The results of `updates`."""
+    return [update.result for update in updates(core, seeds, start)]

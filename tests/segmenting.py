@@ -87,6 +87,28 @@ def write_drives(folder, monday=range(12), today=range(3, 9), size=(96, 144)):
     return folder
 
 
+def write_moved_drives(ssrvlad, folder, exported):
+    """`write_drives`, where the photos of ``today`` are moved by two cells, and ``monday`` as a
+    database, also in NumPy's form. Returns the words that query it."""
+    write_drives(folder, range(36), (), (96, 128))
+    for seed in range(2, 35):
+        pixels = np.roll(photo(street(seed, 96, 128)), 14, axis=1)
+        write_image(folder / "today" / f"{seed}.png", pixels)
+    network = ("--segmenter", folder / "net.yaml")
+    database = folder / "town"
+    ssrvlad("encode", folder / "monday", "-o", database, *network, "--labels-as", "camvid-11")
+    ssrvlad("db", "export", database, "--format", "npy", "-o", exported)
+    return ("query", database, folder / "today", *network, "--json")
+
+
+def write_map(ssrvlad, path, *maps):
+    """A database of label maps of cities, also in NumPy's form as ``path``."""
+    database = path.with_suffix(".ssrdb")
+    assert ssrvlad("encode", *maps, "-o", database, "--labels-as", "cityscapes-trainids")[0] == 0
+    assert ssrvlad("db", "export", database, "--format", "npy", "-o", path)[0] == 0
+    return database
+
+
 def write_town(folder, path, top=5):
     """The database of ``monday`` in NumPy's form; the frames and scores of the candidates of the
     photos of ``today``, judged alone by all channels."""

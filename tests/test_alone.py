@@ -1,6 +1,7 @@
 """Pictures that are judged alone in a large map, against exact search."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,6 @@ from helpers import descriptors
 from large_maps import ALL, CONFIG, ROWS, channels, large_town, queries_at
 
 from ssrvlad_torch import Database, Map
-from ssrvlad_torch.database.frames import FrameSet
 from ssrvlad_torch.recognition.recognise import Steps
 from ssrvlad_torch.search import alone
 from ssrvlad_torch.search.alone import LargeMap, opened_large, recognise_in_large
@@ -57,10 +57,8 @@ def test_answers_are_those_of_exact_search(town, monkeypatch, names, sweep):
 def recognise_in_each(frames, queries, used, steps, number):
     """Exact search of one query alone."""
     some = {name: values[number : number + 1] for name, values in queries.channels.items()}
-    one = FrameSet(
-        queries.frames[number : number + 1], ("today",), some,
-        queries.poses[:1], queries.stamps[:1], queries.empty[:1],
-    )  # fmt: skip
+    of_one = queries.frames[number : number + 1]
+    one = replace(queries, frames=of_one, sequences=("today",), channels=some)
     return recognise_in(frames, one, used, steps, 5)
 
 
@@ -81,8 +79,7 @@ def test_candidates_are_among_the_allowed_rows_and_no_neighbours(town):
     got = recognise_in_large(large, queries, STEPS, 50, where).matches
     assert {*got.indices[got.indices >= 0].tolist()} == {*range(100, 120)}
     assert bool((got.indices[:, 20:] == -1).all())
-    again = FrameSet(("a/030", "b/031"), ("a", "b"), *(getattr(queries, name) for name in (
-        "channels", "poses", "stamps", "empty")))  # fmt: skip
+    again = replace(queries, frames=("a/030", "b/031"), sequences=("a", "b"))
     whole = np.ones(ROWS, bool)
     near = recognise_in_large(large, again, STEPS, 50, whole, exclude=3).matches.indices
     excluded = excluded_pairs(again, frames, whole, 3)

@@ -3,12 +3,12 @@
 import os
 import re
 import runpy
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 import yaml
+from helpers import outcome
 
 ROOT = Path(__file__).parents[1]
 WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
@@ -16,18 +16,17 @@ NOTES = ROOT / "scripts" / "notes"
 
 
 def check_workflows(*files):
-    """check-jsonschema, with the schema that it carries."""
-    command = [sys.executable, "-m", "check_jsonschema"]
-    given = ["--builtin-schema", "vendor.github-workflows", *files]
-    return subprocess.run([*command, *given], capture_output=True, text=True, check=False)
+    """The outcome of check-jsonschema, with the schema that it carries."""
+    given = ("--builtin-schema", "vendor.github-workflows", *files)
+    return outcome(sys.executable, "-m", "check_jsonschema", *given)
 
 
 def test_workflows_follow_the_published_schema(tmp_path):
-    done = check_workflows(*WORKFLOWS)
-    assert done.returncode == 0, done.stdout
+    code, out, _ = check_workflows(*WORKFLOWS)
+    assert code == 0, out
     wrong = tmp_path / "wrong.yml"
     wrong.write_text(WORKFLOWS[0].read_text().replace("runs-on", "run-on"))
-    assert check_workflows(wrong).returncode == 1
+    assert check_workflows(wrong)[0] == 1
 
 
 def test_workflows_call_scripts_that_exist():
@@ -53,9 +52,9 @@ def test_notes_are_the_section_of_a_version():
 
 
 def test_a_release_without_a_section_is_refused():
-    done = subprocess.run([NOTES, "v0.0.0"], capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout) == (1, "")
-    assert done.stderr.startswith("CHANGELOG.md: expected a section 0.0.0, got ")
+    code, out, (line,) = outcome(NOTES, "v0.0.0")
+    assert (code, out) == (1, [])
+    assert line.startswith("CHANGELOG.md: expected a section 0.0.0, got ")
 
 
 @pytest.mark.parametrize(("ci", "failed"), [("true", 2), ("", 0)])
@@ -69,15 +68,11 @@ def test_ci_refuses_skips_that_are_not_allowed(tmp_path, ci, failed):
         "def test_known(): assert 0\n"
     )
     environment = {**os.environ, "CI": ci, "PYTHONPATH": str(ROOT / "tests")}
-    command = [sys.executable, "-m", "pytest", "-p", "skips", "--rootdir", tmp_path, tmp_path]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
-    assert done.returncode == (1 if failed else 0), done.stdout
-    counts = {word: int(number) for number, word in re.findall(r"(\d+) (\w+)", done.stdout)}
-    assert (counts.get("failed", 0), counts["skipped"], counts["xfailed"]) == (
-        failed,
-        3 - failed,
-        1,
-    )
-    assert (
-        "skipped, which CI does not allow: Skipped: npm is not installed" in done.stdout
-    ) == bool(ci)
+    command = (sys.executable, "-m", "pytest", "-p", "skips", "--rootdir", tmp_path, tmp_path)
+    code, out, _ = outcome(*command, env=environment)
+    assert code == (1 if failed else 0), out
+    counts = {word: int(number) for number, word in re.findall(r"(\d+) (\w+)", out[-1])}
+    assert (counts.get("failed", 0), counts["skipped"]) == (failed, 3 - failed)
+    assert counts["xfailed"] == 1
+    refusal = "skipped, which CI does not allow: Skipped: npm is not installed"
+    assert (refusal in "\n".join(out)) == bool(ci)

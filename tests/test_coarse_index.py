@@ -10,14 +10,14 @@ import torch
 from drawings import SPACE
 from drives import write_maps
 from helpers import descriptors, spoil
+from large_maps import CONFIG
 
-from ssrvlad_torch import Database, Map, SSRVLADConfig
+from ssrvlad_torch import Database, Map
 from ssrvlad_torch.channels.column import Column
 from ssrvlad_torch.search import coarse_index
 from ssrvlad_torch.search.coarse_index import CoarseIndex, build
 from ssrvlad_torch.search.sums import sums
 
-CONFIG = SSRVLADConfig.from_preset("default", labels_as=SPACE)
 SIGNS = Column("signs", "few", (4, 2, 4), "uint8")
 
 
@@ -39,16 +39,13 @@ def town(tmp_path):
     return database
 
 
-def scanned(index, query):
-    return {name: index.scan(name, [query[name][0]])[0] for name in ("ssr-vlad", "signs")}
-
-
 def assert_own_row_is_first(database, frame, query):
     """That of all rows the one that equals a query has its highest score by every channel."""
     frames, stored = database.placed()
     expected = int(stored[frames.frames.index(frame)])
     index = CoarseIndex(database)
-    for scores in scanned(index, query).values():
+    for name, vectors in query.items():
+        scores = index.scan(name, [vectors[0]])[0]
         assert len(scores) == len(database) and int(scores.argmax()) == expected
     some = torch.arange(len(database)).flip(0)
     again = index.rescan("signs", query["signs"][0], some, True)

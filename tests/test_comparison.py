@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from drives import write_maps, write_photos
+from drives import write_two_drives
 from PIL import Image
 
 CAMVID = ("--labels-as", "camvid-11")
@@ -12,28 +12,23 @@ SMALL = ("--set", "cohog.size=128")
 
 
 def test_every_method_with_the_steps_that_it_can_take(ssrvlad, tmp_path):
-    for drive in ("query", "reference"):
-        write_photos(tmp_path / "town" / drive / "images", range(12), ".jpg")
-        write_maps(tmp_path / "town" / drive / "labels", range(12))
-    names = "ssr-vlad,label-grid,hog,cohog"
+    town, names = write_two_drives(tmp_path / "town", 12), "ssr-vlad,label-grid,hog,cohog"
     options = ("--method", names, *CAMVID, "--tolerance-frames", 0, "--json", *SMALL)
-    rows = json.loads(ssrvlad("compare", tmp_path / "town", *options)[1])["rows"]
+    rows = json.loads(ssrvlad("compare", town, *options)[1])["rows"]
     assert [row["method"] for row in rows[::2]] == names.split(",")
     for single, stepped in zip(rows[::2], rows[1::2], strict=True):
         assert (single["method"], single["steps"]) == (stepped["method"], None)
         assert stepped["steps"]["standardise"] == {"query": False}, "of twelve frames"
         assert stepped["recall_at"]["1"] >= single["recall_at"]["1"]
     without = ("--no-standardise", "--no-sweep", "--follow", "no")
-    rows = json.loads(ssrvlad("compare", tmp_path / "town", *options, *without)[1])["rows"]
+    rows = json.loads(ssrvlad("compare", town, *options, *without)[1])["rows"]
     assert [row["method"] for row in rows] == names.split(",")
 
 
 def test_fused_methods_are_two_more_rows(ssrvlad, tmp_path):
     """The rows of each stay as they were; two more are those of single frames and followed."""
-    for drive in ("query", "reference"):
-        write_photos(tmp_path / "town" / drive / "images", range(32), ".jpg")
-        write_maps(tmp_path / "town" / drive / "labels", range(32))
-    options = (tmp_path / "town", "--method", "label-grid,hog", *CAMVID, "--tolerance-frames", 0)
+    town = write_two_drives(tmp_path / "town", 32)
+    options = (town, "--method", "label-grid,hog", *CAMVID, "--tolerance-frames", 0)
     alone = json.loads(ssrvlad("compare", *options, "--json")[1])["rows"]
     code, out, _ = ssrvlad("compare", *options, "--fuse", "hog,label-grid", "--json")
     *rows, single, followed = json.loads(out)["rows"]

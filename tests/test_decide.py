@@ -1,12 +1,12 @@
 """`native.decide`: the decision core is held to `recognition.reference`, on drives at random."""
 
-import subprocess
 import sys
 from dataclasses import astuple
 
 import numpy as np
 import pytest
 import torch
+from helpers import outcome
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -338,9 +338,6 @@ print(*sorted(name for name in sys.modules if name.startswith("ssrvlad_torch")))
 
 
 def test_decides_without_torch():
-    done = subprocess.run(
-        [sys.executable, "-c", WITHOUT_TORCH], capture_output=True, text=True, check=True
-    )
-    rows, modules = done.stdout.splitlines()
+    _, (rows, modules), _ = outcome(sys.executable, "-c", WITHOUT_TORCH)
     assert rows == str([*range(10, 30)])
     assert modules == "ssrvlad_torch ssrvlad_torch.native ssrvlad_torch.native.decide"

@@ -6,7 +6,6 @@ import warnings
 import numpy as np
 import pytest
 import torch
-import yaml
 from helpers import street
 from loop_streams import noisy_stream
 from networks import photo
@@ -16,24 +15,13 @@ from ssrvlad_torch.channels.features import Features
 from ssrvlad_torch.database.frames import FrameRecord
 from ssrvlad_torch.loops.config import LoopConfig
 
-SPACE = "camvid-11"
 PLACES = (*range(12), *range(4, 10))
 CONFIG = LoopConfig(exclude=5)
 
 
-@pytest.fixture(scope="module")
-def network(tmp_path_factory):
-    """A network in a YAML file, as its function in a module beside it."""
-    folder = tmp_path_factory.mktemp("network")
-    (folder / "streets.py").write_text("from networks import Street as street\n")
-    settings = {"network": "streets:street", "labels_as": SPACE, "mean": [0] * 3, "std": [1] * 3}
-    path = folder / "net.yaml"
-    path.write_text(yaml.safe_dump(settings))
-    return path
-
-
 @pytest.mark.parametrize("channels", [None, ["hog"], ["ssr-vlad"]])
-def test_a_picture_is_labelled_and_described_as_if_all_were_given(network, channels):
+def test_a_picture_is_labelled_and_described_as_if_all_were_given(drives, channels):
+    network = drives / "net.yaml"
     ours = LoopDetector.from_pretrained(network, config=CONFIG, channels=channels)
     names = [channel.column.name for channel in ours.channels]
     assert names == (["ssr-vlad", "features", "hog"] if channels is None else names)
@@ -49,13 +37,13 @@ def test_a_picture_is_labelled_and_described_as_if_all_were_given(network, chann
     assert ours.weights.keys() == (set(names) if len(names) > 1 else set())
 
 
-def test_what_is_no_picture_is_refused_and_leaves_no_trace(network):
-    detector = LoopDetector.from_pretrained(network)
+def test_what_is_no_picture_is_refused_and_leaves_no_trace(drives):
+    detector = LoopDetector.from_pretrained(drives / "net.yaml")
     with pytest.raises(ValueError, match=r"expected a list of \(H, W, 3\) uint8 images"):
         detector.update(np.zeros((96, 128, 3)), "drive/000")
     assert len(detector) == 0
     with pytest.raises(ValueError, match="expected a channel"):
-        LoopDetector.from_pretrained(network, channels=["nothing"])
+        LoopDetector.from_pretrained(drives / "net.yaml", channels=["nothing"])
 
 
 def test_without_a_network_a_picture_is_no_label_map():

@@ -17,13 +17,12 @@ import loops_onnx
 import numpy as np
 import pytest
 import torch
-from drives import write_maps
 from graphs import edit_golden, turned
 from helpers import outcome, street
 from loop_streams import SEEDS, assert_same_answers, objects
 from networks import photo, write_graph
 from PIL import Image
-from segmenting import write_drives, write_town
+from segmenting import write_drives, write_map, write_town
 from ssrvlad_place.database import save
 from ssrvlad_place.model import Seen
 
@@ -87,8 +86,7 @@ def write_database(path, descriptors, folder):
 @pytest.fixture
 def town(tmp_path):
     """Six label maps as arrays, their descriptors as a database."""
-    files = sorted(write_maps(tmp_path / "maps", range(6)).iterdir())
-    labels = np.stack([np.asarray(Image.open(file)) for file in files])
+    labels = np.stack([street(seed) for seed in range(6)])
     view = SSRVLAD(CONFIG).explain(torch.from_numpy(labels))
     write_database(tmp_path / "town.npy", view.descriptor, "maps")
     np.save(tmp_path / "map.npy", labels[2])
@@ -357,9 +355,8 @@ def test_drives_of_label_maps_are_followed_as_in_python(
     city = write_city(tmp_path / "city", frames=40, size=(60, 80), seed=3)
     other = write_city(tmp_path / "b", frames=12, size=(60, 80), seed=1)
     maps = city.reference, other.reference.rename(tmp_path / "other")
-    town, database = tmp_path / "town.npy", tmp_path / "town"
-    assert ssrvlad("encode", *maps, "-o", database, "--labels-as", "cityscapes-trainids")[0] == 0
-    assert ssrvlad("db", "export", database, "--format", "npy", "-o", town)[0] == 0
+    town = tmp_path / "town.npy"
+    database = write_map(ssrvlad, town, *maps)
     config = SSRVLADConfig(labels_as="cityscapes-trainids")
     export_head(config, tmp_path / "head.onnx", columns=COLUMNS)
     drives = [as_arrays(tmp_path / "q1", city.query), as_arrays(tmp_path / "q2", other.query)]
@@ -368,8 +365,8 @@ def test_drives_of_label_maps_are_followed_as_in_python(
     program = (tmp_path / "head.onnx", *drives, "--database", town, "--top", 3, "--json", *given)
     assert_as_in_python(lines, main_of(follow_onnx.main, "x", *program)[1].splitlines())
     found = [json.loads(line)["candidates"][0]["frame"] for line in lines]
-    expected = ssrvlad("query", database, *drives, "--top", 3, "--json", *given)[1].splitlines()
-    assert found == [json.loads(line)["candidates"][0]["frame"] for line in expected]
+    expected = objects(ssrvlad("query", database, *drives, "--top", 3, "--json", *given)[1])
+    assert found == [line["candidates"][0]["frame"] for line in expected]
 
 
 def test_drives_of_pictures_are_followed_by_all_channels_as_in_python(follow, main_of, tmp_path):

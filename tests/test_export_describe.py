@@ -11,10 +11,8 @@ from subprocess import DEVNULL
 import numpy as np
 import pytest
 from cases import camvid_labels, degenerate, hand_drawn
-from drives import write_maps
 from exported import hundreds_of_label_maps, noise
-from helpers import outcome
-from PIL import Image
+from helpers import outcome, street
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, reference
 from ssrvlad_torch.config import PRESETS
@@ -96,8 +94,7 @@ def write_categories(path, space):
 @pytest.fixture
 def inputs(tmp_path):
     """The categories of CamVid's ids, and a label map."""
-    file = next(iter(sorted(write_maps(tmp_path / "maps", range(1)).iterdir())))
-    np.save(tmp_path / "map.npy", np.asarray(Image.open(file)))
+    np.save(tmp_path / "map.npy", street(0))
     return write_categories(tmp_path / "categories.npy", SPACE), tmp_path / "map.npy"
 
 

@@ -1,6 +1,5 @@
 """The program that finds drives without torch, against the command line."""
 
-import json
 import shutil
 import sys
 from functools import partial
@@ -12,9 +11,9 @@ import onnx
 import pytest
 import run_onnx
 from cases import REAL, needs_real
-from helpers import outcome, street, without
-from networks import photo
-from segmenting import write_drives, write_image, write_town
+from helpers import outcome, without
+from loop_streams import objects
+from segmenting import write_drives, write_map, write_moved_drives, write_town
 
 from ssrvlad_torch import SSRVLADConfig, export_head, native
 from ssrvlad_torch.datasets.synthetic_city import write_city
@@ -34,12 +33,9 @@ def town(ssrvlad, tmp_path):
     descriptors."""
 
     def store(*maps, columns=()):
-        database, exported = tmp_path / "town", tmp_path / "town.npy"
-        assert ssrvlad("encode", *maps, "-o", database, "--labels-as", SPACE)[0] == 0
-        assert ssrvlad("db", "export", database, "--format", "npy", "-o", exported)[0] == 0
-        config = SSRVLADConfig(labels_as=SPACE)
-        export_head(config, tmp_path / "head.onnx", dtype="int64", columns=columns)
-        return database, tmp_path / "head.onnx", exported
+        head, exported = tmp_path / "head.onnx", tmp_path / "town.npy"
+        export_head(SSRVLADConfig(labels_as=SPACE), head, dtype="int64", columns=columns)
+        return write_map(ssrvlad, exported, *maps), head, exported
 
     return store
 
@@ -50,18 +46,15 @@ def follow(main_of):
 
 
 def first(out):
-    lines = [json.loads(line) for line in out.splitlines()]
-    return {line["query"]: line["candidates"][0] for line in lines}
+    return {line["query"]: line["candidates"][0] for line in objects(out)}
 
 
 def assert_as_query(out, expected, atol=1e-4):
     """The same lines as of the command line, but for the last digits of numbers. Of rows that are
     hardly believed any may come later."""
-    lines = [[*map(json.loads, each.splitlines())] for each in (out, expected)]
-    for line, right in zip(*lines, strict=True):
-        assert [line[name] for name in ("query", "score_is")] == [
-            right[name] for name in ("query", "score_is")
-        ]
+    for line, right in zip(objects(out), objects(expected), strict=True):
+        for name in ("query", "score_is"):
+            assert line[name] == right[name]
         assert line["confidence"] == pytest.approx(right["confidence"], abs=atol)
         scores, others = (
             {each["frame"]: each["score"] for each in told["candidates"]} for told in (line, right)
@@ -103,18 +96,11 @@ def test_single_pictures_are_judged_alone_as_by_query(follow, ssrvlad, town, tmp
 
 def test_pictures_are_found_by_all_channels_as_by_query(follow, ssrvlad, tmp_path):
     """Also moved by two cells; without a sweep most are not found. Without torch it is the same."""
-    write_drives(tmp_path, range(36), (), (96, 128))
-    for seed in range(2, 35):
-        pixels = np.roll(photo(street(seed, 96, 128)), 14, axis=1)
-        write_image(tmp_path / "today" / f"{seed}.png", pixels)
-    database, exported = tmp_path / "town", tmp_path / "town.npy"
-    network = ("--segmenter", tmp_path / "net.yaml", "--labels-as", "camvid-11")
-    ssrvlad("encode", tmp_path / "monday", "-o", database, *network)
-    ssrvlad("db", "export", database, "--format", "npy", "-o", exported)
+    exported = tmp_path / "town.npy"
+    query = write_moved_drives(ssrvlad, tmp_path, exported)
     given = (tmp_path / "place.onnx", tmp_path / "today", "--database", exported, "--json")
     code, out, err = follow(*given)
     assert (code, err) == (0, [])
-    query = ("query", database, tmp_path / "today", *network[:2], "--json")
     same, still = (first(ssrvlad(*query, *options)[1]) for options in ((), ("--no-sweep",)))
     got = first(out)
     assert len(got) == 33 and [*got] == [*same]
@@ -160,10 +146,8 @@ def test_wrong_use_is_one_line(main_of, town, tmp_path):
     city = write_city(tmp_path / "city", frames=2, size=(60, 80))
     _, head, exported = town(city.reference)
     follow = partial(main_of, program.main, "follow_onnx.py", head)
-    (tmp_path / "empty").mkdir()
-    for folder, problem in (("none", "does not exist"), ("empty", "holds no frames")):
-        code, _, err = follow(tmp_path / folder, "--database", exported)
-        assert (code, len(err)) == (2, 1) and problem in err[0]
+    code, _, (line,) = follow(tmp_path / "none", "--database", exported)
+    assert code == 2 and line.startswith("follow_onnx: ") and "none does not exist" in line
     np.save(tmp_path / "none.npy", np.zeros((0, 480), np.float32))
     (tmp_path / "none.npy.frames.txt").touch()
     code, _, err = follow(city.query, "--database", tmp_path / "none.npy")
@@ -172,7 +156,7 @@ def test_wrong_use_is_one_line(main_of, town, tmp_path):
     (tmp_path / "void.npy.frames.txt").write_text("a/0\na/1\n")
     code, out, _ = follow(city.query, "--database", tmp_path / "void.npy", "--json")
     assert code == 0
-    for line in map(json.loads, out.splitlines()):
+    for line in objects(out):
         assert (line["candidates"], line["empty"]) == ([], False)
     (city.query / "torn.png").write_bytes(b"torn")
     code, out, err = follow(city.query, "--database", exported)

@@ -20,10 +20,11 @@ from drives import write_maps
 from exported import noise
 from graphs import edit_golden, turned
 from helpers import COLOUR, GRAY, PALETTES, street, write_palette, write_png
+from loop_streams import objects, unit
 from networks import PLAIN, colour_network, photo
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
-from segmenting import write_drives, write_image, write_town
+from segmenting import write_map, write_moved_drives, write_town
 from ssrvlad_place.database import save
 from ssrvlad_place.frames import _natural
 from ssrvlad_place.model import Seen
@@ -140,6 +141,13 @@ def matches_of(page, query):
     open_result(page, query)
     found = [row.split() for row in page.run(ROWS)]
     return [frame for frame, _ in found], [float(score) for _, score in found]
+
+
+def drop(page, query, *files):
+    """Opens the page, drops files on it once it asks for them, and waits for its answer."""
+    open_page(page, query, f"/choose (label maps|photographs)\\.$/i.test({STATUS})")
+    page.drop(*files)
+    page.wait_for(f"{SHOWN} || {FAILED}")
 
 
 def failure(page):
@@ -265,8 +273,7 @@ def noisy(values, rng):
         return np.where(
             rng.random(values.shape) < 0.3, rng.integers(0, 256, values.shape, np.uint8), values
         )
-    values = values + rng.normal(size=values.shape, scale=0.05).astype(np.float32)
-    return (values / np.linalg.norm(values, axis=-1, keepdims=True)).astype(np.float32)
+    return unit(values + rng.normal(size=values.shape, scale=0.05).astype(np.float32))
 
 
 def test_a_page_without_its_worker_says_so(page, site):
@@ -381,7 +388,8 @@ def test_a_drive_that_is_dropped_is_found_as_by_query(page, site, ssrvlad, tmp_p
     """A folder, and a few files; then the way back with a camera that is turned."""
     city = write_city(tmp_path / "city", frames=32, size=(60, 80), seed=3)
     other = write_city(tmp_path / "b", frames=12, size=(60, 80), seed=1)
-    database = write_map(ssrvlad, site / "city", city.reference, other.reference)
+    database = write_map(ssrvlad, site / "city.npy", city.reference, other.reference)
+    write_heads(site / "city")
     files = sorted(city.query.iterdir())
     some, back = tmp_path / "some", tmp_path / "back"
     some.mkdir()
@@ -396,25 +404,20 @@ def test_a_drive_that_is_dropped_is_found_as_by_query(page, site, ssrvlad, tmp_p
         ("plain", some.iterdir(), some, "not standardised, no sweep, followed: no, no surer so"),
         ("swept", [back], back, "standardised, sweep +-4 columns, followed: offline, backwards"),
     ):
-        open_page(page, f"?model=city.{model}.onnx&database=city.npy")
-        page.wait_for(f"{STATUS}.endsWith('choose label maps.')")
-        page.drop(*dropped)
-        page.wait_for(f"{SHOWN} || {FAILED}")
+        drop(page, f"?model=city.{model}.onnx&database=city.npy", *dropped)
         options = ["--no-sweep"] * (model == "plain")
-        lines = lines_of(ssrvlad("query", database, folder, *options, "--json"))
+        lines = objects(ssrvlad("query", database, folder, *options, "--json")[1])
         assert page.run(STEPS) == steps == steps_in_words(lines[0]["steps"])
         assert_placed(page, lines)
 
 
 def test_one_frame_is_judged_alone(page, site, ssrvlad, tmp_path):
     city = write_city(tmp_path / "city", frames=32, size=(60, 80), seed=3)
-    database = write_map(ssrvlad, site / "one", city.reference)
-    open_page(page, "?model=one.swept.onnx&database=one.npy")
+    database = write_map(ssrvlad, site / "one.npy", city.reference)
+    write_heads(site / "one")
     picture = sorted(city.query.iterdir())[9]
-    page.wait_for(f"{STATUS}.endsWith('choose label maps.')")
-    page.drop(picture)
-    page.wait_for(f"{SHOWN} || {FAILED}")
-    [found] = lines_of(ssrvlad("query", database, picture, "--follow", "no", "--json"))
+    drop(page, "?model=one.swept.onnx&database=one.npy", picture)
+    [found] = objects(ssrvlad("query", database, picture, "--follow", "no", "--json")[1])
     candidates = [f"{each['frame']}\t{each['score']:.4f}" for each in found["candidates"]]
     assert page.run(ROWS) == candidates
     assert page.run(CONFIDENCE).endswith(f" {found['confidence']:.2f}")
@@ -425,21 +428,11 @@ def test_one_frame_is_judged_alone(page, site, ssrvlad, tmp_path):
 def test_photographs_of_a_drive_are_found_by_all_channels(page, site, ssrvlad, tmp_path):
     """As by `query`: they are moved by two cells, and features are moved to both sides. A frame
     that is chosen is shown; one that is no picture is skipped."""
-    write_drives(tmp_path, range(36), (), (96, 128))
-    for seed in range(2, 35):
-        pixels = np.roll(photo(street(seed, 96, 128)), 14, axis=1)
-        write_image(tmp_path / "today" / f"{seed}.png", pixels)
+    query = write_moved_drives(ssrvlad, tmp_path, site / "drive.npy")
     shutil.copy(tmp_path / "place.onnx", site / "drive.onnx")
-    network = ("--segmenter", tmp_path / "net.yaml", "--labels-as", "camvid-11")
-    ssrvlad("encode", tmp_path / "monday", "-o", tmp_path / "town", *network)
-    ssrvlad("db", "export", tmp_path / "town", "--format", "npy", "-o", site / "drive.npy")
-    query = ("query", tmp_path / "town", tmp_path / "today", *network[:2], "--json")
-    lines = lines_of(ssrvlad(*query))
+    lines = objects(ssrvlad(*query)[1])
     (tmp_path / "today" / "40.png").write_bytes(b"torn")
-    open_page(page, "?model=drive.onnx&database=drive.npy")
-    page.wait_for(f"{STATUS} === 'Choose photographs.'")
-    page.drop(tmp_path / "today")
-    page.wait_for(f"{SHOWN} || {FAILED}")
+    drop(page, "?model=drive.onnx&database=drive.npy", tmp_path / "today")
     told = re.fullmatch(r"33 frames, \d+ ms each; skipped (.*)", page.run(STATUS))
     assert told and told[1].startswith("1 of 34 frames: today/40.png: ")
     assert_placed(page, lines)
@@ -454,30 +447,16 @@ def test_photographs_of_a_drive_are_found_by_all_channels(page, site, ssrvlad, t
     assert page.run(f"document.activeElement === {button}"), "the list is not made anew"
     config = SSRVLADConfig(labels_as="camvid-11")
     fuse(tmp_path / "net.yaml", config, site / "bare.onnx", features=False)
-    open_page(page, "?model=bare.onnx&database=drive.npy")
-    page.wait_for(f"{STATUS} === 'Choose photographs.'")
-    page.drop(tmp_path / "today" / "9.png")
-    page.wait_for(f"{SHOWN} || {FAILED}")
+    drop(page, "?model=bare.onnx&database=drive.npy", tmp_path / "today" / "9.png")
     lacking = "; only the database has features: matched without; fuse the file again."
     assert page.run(STATUS).endswith(lacking)
 
 
-def write_map(ssrvlad, path, *maps):
-    """A database of drives, also in NumPy's form beside heads with and without a sweep."""
-    space = "cityscapes-trainids"
-    database = path.parent.with_name(f"{path.name}.ssrdb")
-    ssrvlad("encode", *maps, "-o", database, "--labels-as", space)
-    ssrvlad("db", "export", database, "--format", "npy", "-o", f"{path}.npy")
+def write_heads(path):
+    """Heads with and without a sweep."""
+    config = SSRVLADConfig(labels_as="cityscapes-trainids")
     for name, columns in (("swept", COLUMNS), ("plain", ())):
-        config, file = SSRVLADConfig(labels_as=space), Path(f"{path}.{name}.onnx")
-        export_head(config, file, dtype="uint8", columns=columns)
-    return database
-
-
-def lines_of(done):
-    code, out, _ = done
-    assert code == 0
-    return [json.loads(line) for line in out.splitlines()]
+        export_head(config, Path(f"{path}.{name}.onnx"), dtype="uint8", columns=columns)
 
 
 def assert_placed(page, lines):

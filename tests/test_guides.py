@@ -6,17 +6,13 @@ from pathlib import Path
 
 import pytest
 import yaml
-from test_readme import maps, photos, run  # noqa: F401 - fixtures
+from test_readme import blocks, maps, photos, run  # noqa: F401 - fixtures
 
 from ssrvlad_torch.segmentation.preparation import SegmenterConfig
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "docs" / "index.md", *sorted((ROOT / "docs" / "guides").glob("*.md"))]
 OTHER_PROGRAMS = ("scripts/", "pip ", "cmake ", "python ")
-
-
-def blocks(page: Path, language: str) -> list[str]:
-    return re.findall(rf"```{language}\n(.*?)```", page.read_text("utf-8"), re.DOTALL)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
@@ -45,15 +41,15 @@ def test_the_page_of_cpp_says_where_the_headers_of_onnx_runtime_come_from():
 
 
 def test_the_page_of_networks_has_every_setting():
-    page = (ROOT / "docs" / "guides" / "own-network.md").read_text("utf-8")
+    page = ROOT / "docs" / "guides" / "own-network.md"
     keys = {
         key
-        for row in re.findall(r"^\| (`.*?) \|", page, re.M)
+        for row in re.findall(r"^\| (`.*?) \|", page.read_text("utf-8"), re.M)
         for key in re.findall(r"`(\w+)`", row)
     }
     settings = {each.name for each in dataclasses.fields(SegmenterConfig)}
     assert keys == settings | {"network", "labels_as", "arguments", "runtime", "accept_defaults"}
-    (example,) = re.findall(r"```yaml\n(.*?)```", page, re.S)
+    (example,) = blocks(page, "yaml")
     document = yaml.safe_load(example)
     assert document.keys() <= keys
     given = {k: tuple(v) if isinstance(v, list) else v for k, v in document.items()}

@@ -1,19 +1,18 @@
 """What is heavy is imported only where it is used. Who may import whom: see pyproject.toml."""
 
 import importlib
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from helpers import outcome
 
 
 def printed(program, *arguments):
     """What a program prints in a process of its own, without an error or a note."""
-    command = [sys.executable, "-c", program, *arguments]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (0, "")
-    return done.stdout
+    code, out, errors = outcome(sys.executable, "-c", program, *arguments)
+    assert (code, errors) == (0, [])
+    return "\n".join(out)
 
 
 LIGHT = """
@@ -42,7 +41,7 @@ print(match(torch.eye(30)[:3], torch.eye(30), top=1).indices.flatten().tolist())
 
 
 def test_no_tensor_stays_on_the_device_of_an_import():
-    assert printed(IN_A_CONTEXT) == "[0, 1, 2]\n"
+    assert printed(IN_A_CONTEXT) == "[0, 1, 2]"
 
 
 def test_heavy_packages_are_imported_only_where_they_are_used():

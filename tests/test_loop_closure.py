@@ -8,7 +8,7 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 import torch
-from helpers import street
+from helpers import refuses, street
 from loop_streams import LIGHT, PLACES, noisy_stream, unit, views
 
 from ssrvlad_torch import SSRVLAD, Database
@@ -68,11 +68,8 @@ def test_the_first_frames_have_nothing_to_compare_with():
     assert results[6]._replace(frame="") == ("", Reason.TOO_RECENT, None, None, None, None, ())
 
 
-@pytest.mark.parametrize(
-    ("second", "step"),
-    [(range(20, 80), 1), (range(20, 80, 2), 2), ([*range(20, 45), *[45] * 40], 0)],
-)
-def test_places_seen_again_close_loops(second, step):
+@pytest.mark.parametrize("second", [range(20, 80), range(20, 80, 2), [*range(20, 45), *[45] * 40]])
+def test_places_seen_again_close_loops(second):
     """In the same order, at twice the speed, and standing still at one on the way."""
     results = drive(detector(), views([*range(150), *second]))
     loops = accepted(results)
@@ -144,12 +141,7 @@ def test_an_empty_frame_matches_nothing_and_the_stream_goes_on():
     assert all(math.isfinite(each.score or 0) for each in drive(detector(), vectors))
 
 
-def test_two_places_alike_are_ambiguous():
-    places = [*range(80), *range(20, 40), *range(80, 140), *range(20, 40)]
-    assert "ambiguous" in reasons(drive(detector(threshold=0.9), views(places)))[160:]
-
-
-def test_both_of_two_places_alike_are_candidates():
+def test_two_places_alike_are_ambiguous_and_both_are_candidates():
     """For a back end that verifies; the first is the candidate of the result."""
     places = [*range(80), *range(20, 40), *range(80, 140), *range(20, 40)]
     results = drive(detector(threshold=0.9), views(places))[160:]
@@ -249,9 +241,7 @@ def test_a_frame_that_is_refused_leaves_no_trace(message):
     for each in (loops, spared):
         for number in range(5):
             each.update(PLACES[number], f"drive/{number}", float(number))
-    with pytest.raises(ValueError, match=message) as caught:
-        loops.update(*BAD_FRAMES[message])
-    assert "\n" not in str(caught.value)
+    refuses(message, loops.update, *BAD_FRAMES[message])
     assert (len(loops), "drive/a" in loops) == (5, False)
     after = [each.update(PLACES[1], "drive/z", 6.0) for each in (loops, spared)]
     assert after[0] == after[1]
@@ -260,7 +250,7 @@ def test_a_frame_that_is_refused_leaves_no_trace(message):
 def test_what_is_excluded_costs_what_there_is():
     """Frames, and not settings, are stored and compared."""
     results = []
-    for exclude in (len(PLACES), 2**31, 10**12):
+    for exclude in (len(PLACES), 2**31, 10**30):
         loops = detector(exclude=exclude)
         results.append([loops.update(place, f"drive/{n}") for n, place in enumerate(PLACES)])
     assert results[0] == results[1] == results[2]

@@ -11,7 +11,7 @@ from contextlib import closing
 
 import pytest
 from helpers import street
-from loop_streams import SEEDS, write_drive
+from loop_streams import SEEDS, objects, write_drive
 from PIL import Image
 
 from ssrvlad_torch import SSRVLAD, Database
@@ -49,10 +49,6 @@ def loops(ssrvlad, monkeypatch):
         return ssrvlad("loops", *arguments, "--labels-as", "camvid-11", *settings)
 
     return run
-
-
-def objects(out):
-    return [json.loads(line) for line in out.splitlines()]
 
 
 def accepted(lines):

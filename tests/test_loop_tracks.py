@@ -64,14 +64,14 @@ def test_a_stream_that_was_saved_knows_what_chance_does(tmp_path, stop):
     light = 0.35 * LIGHT + RNG.normal(0, 0.3 / 22, (230, 480))
     light[:150] -= 0.35 * LIGHT
     vectors = unit(np.concatenate((street[:150], street[40:120])) + light)
+    signs = np.packbits(vectors @ drawn > 0, axis=1).reshape(-1, *beside.column.shape)
 
     def go(loops, rows):
         results = []
         for row in rows:
-            signs = np.packbits(vectors[row] @ drawn > 0).reshape(beside.column.shape)
-            described = {"ssr-vlad": vectors[row], "features": signs}
-            tensors = {name: torch.from_numpy(each) for name, each in described.items()}
-            results.append(loops.observe(FrameRecord("drive", str(row)), tensors))
+            vector = torch.from_numpy(vectors[row])
+            described = {"ssr-vlad": vector, "features": torch.from_numpy(signs[row])}
+            results.append(loops.observe(FrameRecord("drive", str(row)), described))
         return results
 
     expected = go(LoopDetector(head=HEAD, channels=[beside]), range(230))

@@ -63,12 +63,6 @@ def test_match_equals_brute_force(query_count, reference_count, top, threshold, 
     np.testing.assert_array_equal(found.scores.numpy(), scores)
 
 
-@pytest.mark.parametrize("references", [100, 5000])
-def test_the_first_of_many_equal_references_wins_inside_one_block(references):
-    found = match(torch.ones(2, 4), torch.ones(references, 4), top=5)
-    assert found.indices.tolist() == [[0, 1, 2, 3, 4]] * 2
-
-
 def test_blocks_do_not_show_on_real_numbers(monkeypatch):
     generator = torch.Generator().manual_seed(0)
     queries = torch.randn(30, 48, generator=generator)
@@ -83,7 +77,6 @@ def test_blocks_do_not_show_on_real_numbers(monkeypatch):
         F.cosine_similarity(queries[:, None].double(), references.double(), dim=2).topk(7).values
     )
     torch.testing.assert_close(scores.double(), exact, rtol=0, atol=1e-6)
-    assert abs(float(exact[0, 1] - scores[0, 0])) < 0.2
 
 
 def test_arrays_and_doubles_are_taken():
@@ -99,41 +92,34 @@ def test_top_is_any_integer(top):
     assert match(torch.eye(3), torch.eye(3), top).indices.tolist() == [[0], [1], [2]]
 
 
-@pytest.mark.parametrize(
-    ("queries", "references", "top", "message"),
-    [
-        (torch.zeros(2, 3), torch.zeros(2, 4), 1, r"width D, got \(2, 3\) and \(2, 4\)"),
-        (torch.zeros(3), torch.zeros(2, 3), 1, r"got \(3,\)"),
-        (torch.eye(3), torch.eye(3), 0, "top must be an integer from 1, got 0"),
-        (torch.eye(3), torch.eye(3), 2.5, "top must be an integer from 1, got 2.5"),
-        (torch.eye(3), torch.eye(3), True, "top must be an integer from 1, got True"),
-        (torch.eye(3), torch.eye(3), 2**70, "top must be at most 2147483647, got 11805916"),
-        (torch.eye(3), torch.eye(3), "2", "top must be an integer from 1, got '2'"),
-        (torch.eye(3) * torch.nan, torch.eye(3), 1, "queries hold values that are not finite"),
-        (torch.eye(3), torch.full((2, 3), torch.inf), 1, "references hold values"),
-    ],
-)
-def test_wrong_vectors_are_refused(queries, references, top, message):
-    with pytest.raises(ValueError, match=message):
-        match(queries, references, top)
-    with pytest.raises(ValueError, match="threshold: expected a number, got nan"):
-        match(torch.eye(3), torch.eye(3), threshold=math.nan)
+ONES = torch.ones(1, 3)
 
 
 @pytest.mark.parametrize(
-    ("vectors", "message"),
+    ("wrong", "message"),
     [
-        (None, "expected queries as a tensor or an array, got NoneType"),
-        ("abc", "expected queries as a tensor or an array, got str"),
-        (torch.ones(1, 3, dtype=torch.complex64), "of real numbers in memory, got torch.complex64"),
-        (torch.ones(1, 3, device="meta"), "of real numbers in memory, .* on meta"),
-        (torch.ones(1, 3).to_sparse(), "of real numbers in memory, .*sparse"),
-        (torch.full((1, 3), 1e-30), "too small for float32"),
+        ({"queries": torch.zeros(2, 4)}, r"width D, got \(2, 4\) and \(3, 3\)"),
+        ({"queries": torch.zeros(3)}, r"got \(3,\)"),
+        ({"top": 0}, "top must be an integer from 1, got 0"),
+        ({"top": 2.5}, "top must be an integer from 1, got 2.5"),
+        ({"top": True}, "top must be an integer from 1, got True"),
+        ({"top": 2**70}, "top must be at most 2147483647, got 11805916"),
+        ({"top": "2"}, "top must be an integer from 1, got '2'"),
+        ({"threshold": math.nan}, "threshold: expected a number, got nan"),
+        ({"queries": torch.eye(3) * torch.nan}, "queries hold values that are not finite"),
+        ({"references": torch.full((2, 3), torch.inf)}, "references hold values"),
+        ({"queries": None}, "expected queries as a tensor or an array, got NoneType"),
+        ({"queries": "abc"}, "expected queries as a tensor or an array, got str"),
+        ({"queries": ONES.to(torch.complex64)}, "of real numbers in memory, got torch.complex64"),
+        ({"queries": ONES.to("meta")}, "of real numbers in memory, .* on meta"),
+        ({"queries": ONES.to_sparse()}, "of real numbers in memory, .*sparse"),
+        ({"queries": 1e-30 * ONES}, "too small for float32"),
     ],
 )
-def test_what_are_no_vectors_is_a_sentence(vectors, message):
+def test_wrong_arguments_are_refused(wrong, message):
+    given = {"queries": torch.eye(3), "references": torch.eye(3), **wrong}
     with pytest.raises(ValueError, match=message):
-        match(vectors, torch.eye(3), top=1)
+        match(**given)
 
 
 @given(

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import torch
 from drawings import MASKS, SPACE, VOID, blobs, every_neighbourhood, mask, planes
+from helpers import outcome
 from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
@@ -233,8 +234,7 @@ def test_sanitisers_find_nothing(tmp_path):
     checks = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
     sources = [ROOT / "tests" / "sanitised.cpp", *folder.glob("*.cpp")]
     subprocess.run(["g++", *flags, *checks, *sources, "-o", program], check=True)
-    done = subprocess.run([program], check=False, capture_output=True, text=True)
-    assert (done.returncode, done.stdout, done.stderr) == (0, "clean\n", "")
+    assert outcome(program) == (0, ["clean"], [])
 
 
 def test_a_library_of_another_source_is_refused(tmp_path, monkeypatch):

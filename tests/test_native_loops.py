@@ -139,15 +139,6 @@ def test_several_threads_find_the_same():
     assert results[0] == results[1]
 
 
-def test_what_is_excluded_costs_what_there_is():
-    """Frames, and not settings, are stored and compared."""
-    results = []
-    for exclude in (40, 10**30):
-        stream = Loops(CHANNELS[:1], exclude)
-        results.append([stream.update({"ssr-vlad": each}) for each in PLACES[:40]])
-    assert results[0] == results[1]
-
-
 def test_what_is_no_descriptor_is_refused_and_leaves_no_trace():
     stream = Loops(CHANNELS[:2])
     one = {"ssr-vlad": PLACES[0], "features": signs_of(PLACES[0])}

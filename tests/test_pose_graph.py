@@ -2,14 +2,13 @@
 
 import json
 import math
-import subprocess
 import sys
-from pathlib import Path
 
 import cv2
 import numpy as np
 import pose_graph
 import pytest
+from helpers import outcome
 from PIL import Image
 from pose_graph import Loop, correct, in_front, moved, read_loops, relative, tum_line
 
@@ -136,17 +135,15 @@ def drive(tmp_path):
 
 
 def run(*arguments):
-    program = Path(pose_graph.__file__)
-    command = [sys.executable, str(program), *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
+    return outcome(sys.executable, pose_graph.__file__, *arguments)
 
 
 @pytest.mark.parametrize("odometry", ["poses.csv", "odometry.tum"])
 def test_the_program_writes_the_corrected_drive(drive, odometry):
     out = drive / "corrected"
-    done = run(drive / "loops.jsonl", "--odometry", drive / odometry, "-o", out)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout == f"301 poses, 201 loops, 0 refused: {out}\n"
+    code, said, errors = run(drive / "loops.jsonl", "--odometry", drive / odometry, "-o", out)
+    assert code == 0, errors
+    assert said == [f"301 poses, 201 loops, 0 refused: {out}"]
     corrected = np.array(list(read_poses(out / "poses.csv").values()))
     assert error(corrected, laps()) < 0.3 * error(laps(turn_error=0.02), laps())
     tum = read_trajectory(out / "poses.tum")
@@ -169,9 +166,9 @@ def test_the_program_writes_the_corrected_drive(drive, odometry):
 )
 def test_wrong_arguments_are_one_line(drive, arguments, message):
     given = [drive / a if "." in a and not a.startswith("-") else a for a in arguments]
-    done = run(drive / "loops.jsonl", *given, "-o", drive / "out")
-    assert done.returncode == 2
-    assert message in done.stderr.splitlines()[-1]
+    code, _, errors = run(drive / "loops.jsonl", *given, "-o", drive / "out")
+    assert code == 2
+    assert message in errors[-1]
     assert not (drive / "out").exists()
 
 

@@ -21,10 +21,14 @@ from ssrvlad_torch.encoding.encoder import encode_to_database
 from ssrvlad_torch.taxonomy import colourise
 
 ROOT = Path(__file__).parents[1]
-README = (ROOT / "README.md").read_text(encoding="utf-8")
-GUIDES = ROOT / "docs" / "guides"
-CONSOLE = re.findall(r"```console\n(.*?)```", README, re.DOTALL)
-PYTHON = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
+README, GUIDES = ROOT / "README.md", ROOT / "docs" / "guides"
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", page.read_text("utf-8"), re.DOTALL)
+
+
+CONSOLE, PYTHON = blocks(README, "console"), blocks(README, "python")
 
 
 @pytest.fixture(scope="module")
@@ -64,8 +68,7 @@ def photos(maps):
     truth = {f"query/{n:06d}": [f"reference/{n:06d}"] for n in range(4)}
     (maps / "town" / "ground_truth.json").write_text(json.dumps(truth))
     write_graph(maps / "net.onnx", labels=True)
-    choosing = (GUIDES / "choosing.md").read_text(encoding="utf-8")
-    settings = re.findall(r"```yaml\n(.*?)```", choosing, re.DOTALL)[0]
+    settings = blocks(GUIDES / "choosing.md", "yaml")[0]
     (maps / "seg.yaml").write_text(re.sub(r"(?m)^(labels_as|classes):.*\n", "", settings))
     return maps
 
@@ -99,7 +102,7 @@ def run(maps, monkeypatch, capsys):
 
 
 def test_command_1_stands_by_line_15_and_prints_what_the_readme_shows(run, maps):
-    assert "$ scripts/demo" in README.splitlines()[:15]
+    assert "$ scripts/demo" in README.read_text("utf-8").splitlines()[:15]
     assert "$ scripts/demo\n" + run("ssrvlad demo") == CONSOLE[0]
     assert Image.open(maps / "ssrvlad-demo" / "demo.png").width > 300
 

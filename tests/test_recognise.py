@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 import torch.nn.functional as F
+from helpers import refuses
 
 from ssrvlad_torch.recognition.comparison import Member, ReferenceRows
 from ssrvlad_torch.recognition.confidence import accept, estimate
@@ -176,30 +177,20 @@ def test_what_is_followed_in_a_foreign_map_is_not_accepted(follow):
         assert accept(found.sure, 0.05).accepted == 0
 
 
-def test_few_references_give_no_confidence():
-    queries, references = two_traverses(29, 0.3)
-    found = whole(queries, references, Steps(follow=None))
-    assert right(found) > 0.9 and not found.confidence.any()
-
-
 def test_refuses():
-    frames = torch.eye(4)
+    here, there = ["a"] * 4, ["b"] * 4
+    members = {"x": Member(torch.eye(4), ReferenceRows(torch.eye(4), there))}
     for message, arguments in (
-        ("each of 4 queries, got 1", (frames, frames, ["a"], ["b"] * 4)),
+        ("each of 4 queries, got 1", (members, ["a"], there)),
+        ("a sequence for each of 4 references, got 3", (members, here, ["b"] * 3, AS_PAPER)),
+        ("expected a channel by which to recognise, got none", ({}, here, there)),
+        ("top must be at most 2147483647", (members, here, there, None, 2**70)),
         (
             r"excluded: expected \(4, 4\) bool, got \(1, 4\)",
-            (frames, frames, ["a"] * 4, ["b"] * 4, None, 5, torch.ones(1, 4) > 0),
+            (members, here, there, None, 5, torch.ones(1, 4) > 0),
         ),
     ):
-        with pytest.raises(ValueError, match=message):
-            by_vectors(*arguments)
-    member = Member(frames, ReferenceRows(frames, ["b"] * 4))
-    with pytest.raises(ValueError, match="a sequence for each of 4 references, got 3"):
-        recognise({"x": member}, ["a"] * 4, ["b"] * 3, AS_PAPER)
-    with pytest.raises(ValueError, match="expected a channel by which to recognise, got none"):
-        recognise({}, ["a"] * 4, ["b"] * 4)
-    with pytest.raises(ValueError, match="top must be at most 2147483647"):
-        recognise({"x": member}, ["a"] * 4, ["b"] * 4, top=2**70)
+        refuses(message, recognise, *arguments)
 
 
 @pytest.mark.parametrize("delay", [1.5, math.nan, True, -1, "1", None])

@@ -90,6 +90,11 @@ class StandInNode:
     def destroy_node(self):
         self.said.append("destroyed")
 
+    def sent(self, topic):
+        """What was published, by the fields of its message."""
+        kind = KINDS[topic]
+        return [self.store.deserialize_cdr(c, kind) for t, c in self.published if t == topic]
+
 
 def module(name, **contents):
     made = ModuleType(name)
@@ -196,19 +201,16 @@ def test_the_node_over_a_bag(node, store, monkeypatch, tmp_path):
             running.listeners[connection.topic][0](message)
     assert running.said[0] == "frame skipped: no table of labels has come yet"
     assert "has 0 classes" in running.said[1] and len(running.said) == 2
-    found = {
-        topic: [store.deserialize_cdr(c, KINDS[t]) for t, c in running.published if t == topic]
-        for topic in ("descriptor", "loops", "results")
-    }
-    assert [m.header.stamp.sec for m in found["descriptor"]] == [*range(1, len(SEEDS) + 1)]
+    described, loops = running.sent("descriptor"), running.sent("loops")
+    assert [m.header.stamp.sec for m in described] == [*range(1, len(SEEDS) + 1)]
     head = SSRVLAD.from_preset("default", labels_as="camvid-11")
-    for seed, message in zip(SEEDS[:3], found["descriptor"], strict=False):
+    for seed, message in zip(SEEDS[:3], described, strict=False):
         expected = head(street(seed)[None])[0].numpy()
         np.testing.assert_allclose(uncompressed(message.data.tobytes()), expected, atol=1e-6)
     core = live_loops.LiveLoops(CONFIG)
     core.set_labels(CAMVID)
     results = seen(core, start=1)
-    said = [json.loads(message.data) for message in found["results"]]
+    said = [json.loads(message.data) for message in running.sent("results")]
     places = [[place._asdict() for place in result.candidates] for result in results]
     assert [each["reason"] for each in said] == [result.reason for result in results]
     assert [len(each["candidates"]) for each in said] == [*map(len, places)]
@@ -216,9 +218,9 @@ def test_the_node_over_a_bag(node, store, monkeypatch, tmp_path):
     closed = [result for result in results if result.accepted]
     pairs = [(int(r.frame[-19:-9]), int(r.candidate[-19:-9])) for r in closed]
     assert len(pairs) == 12
-    assert [(m.header.stamp.sec, m.time_ref.sec) for m in found["loops"]] == pairs
-    assert {(m.header.stamp.nanosec, m.time_ref.nanosec) for m in found["loops"]} == {(7, 7)}
-    assert {m.source for m in found["loops"]} == {"drive"}
+    assert [(m.header.stamp.sec, m.time_ref.sec) for m in loops] == pairs
+    assert {(m.header.stamp.nanosec, m.time_ref.nanosec) for m in loops} == {(7, 7)}
+    assert {m.source for m in loops} == {"drive"}
     running.close()
     poses = Database.open(tmp_path / "db").load().poses
     np.testing.assert_allclose(poses[:2], [[1, 2, 0.25], [2, 2, 0.25]])
@@ -232,10 +234,15 @@ def test_the_node_may_be_told_that_labels_are_not_latched(node, store, monkeypat
     assert running.said == []
 
 
+def show_one(running, types):
+    """The table of labels, and a label map."""
+    running._on_labels(label_info(types, CAMVID))
+    running._on_image(image(types, street(0), 1))
+
+
 def test_the_node_saves_when_it_is_interrupted(node, store, monkeypatch, tmp_path):
     def spin(running):
-        running._on_labels(label_info(store.types, CAMVID))
-        running._on_image(image(store.types, street(0), 1))
+        show_one(running, store.types)
         raise KeyboardInterrupt
 
     monkeypatch.setattr(StandInNode, "given", {"memory": str(tmp_path / "db")})
@@ -251,8 +258,7 @@ def test_a_memory_that_cannot_be_written_is_told_and_costs_no_result(
         raise OSError("no space left on device")
 
     def spin(running):
-        running._on_labels(label_info(store.types, CAMVID))
-        running._on_image(image(store.types, street(0), 1))
+        show_one(running, store.types)
         assert running.said == ["the memory cannot be written: no space left on device"]
         assert {topic for topic, _ in running.published} == {"descriptor", "results"}
 
@@ -276,7 +282,7 @@ def test_the_node_reads_pictures_with_a_model(node, store, monkeypatch, drives, 
     assert running.said == [
         "frame skipped: encoding 'mono16'; expected one of rgb8, bgr8, rgba8, bgra8, mono8"
     ]
-    loops = [store.deserialize_cdr(c, KINDS[t]) for t, c in running.published if t == "loops"]
+    loops = running.sent("loops")
     assert len(loops) > 5
     assert all(each.header.stamp.sec - each.time_ref.sec == 16 for each in loops)
     running.close()

@@ -1,6 +1,5 @@
 """The script without torch against the command line."""
 
-import json
 import os
 import shutil
 import subprocess
@@ -15,6 +14,7 @@ import pytest
 import run_onnx
 from drives import write_maps
 from helpers import COLOUR, GRAY, PALETTES, flip_byte, outcome, without, write_palette, write_png
+from loop_streams import objects
 from networks import write_graph
 from PIL import Image
 from ssrvlad_place.database import Database, save
@@ -45,15 +45,11 @@ def town(head, maps, tmp_path, run):
 
 def assert_same(got, expected):
     """Queries and candidates of JSON lines; scores may differ in their last digits."""
-    for line, right in zip(got.splitlines(), expected.splitlines(), strict=True):
-        one, other = json.loads(line), json.loads(right)
-        assert one["query"] == other["query"]
-        (frames, scores), (names, wanted) = (
-            ([c["frame"] for c in line["candidates"]], [c["score"] for c in line["candidates"]])
-            for line in (one, other)
-        )
-        assert frames == names
-        np.testing.assert_allclose(scores, wanted, rtol=0, atol=1e-5)
+    for line, right in zip(objects(got), objects(expected), strict=True):
+        assert line["query"] == right["query"]
+        for one, other in zip(line["candidates"], right["candidates"], strict=True):
+            assert one["frame"] == other["frame"]
+            assert one["score"] == pytest.approx(other["score"], abs=1e-5)
 
 
 SINGLE = ("--no-standardise", "--no-sweep", "--follow", "no")
@@ -217,8 +213,7 @@ def test_an_empty_frame_matches_nothing_and_is_no_candidate(head, maps, tmp_path
     Image.fromarray(np.full((9, 9), 11, np.uint8)).save(maps / "void.png")
     out = tmp_path / "out.npy"
     assert run(head, maps, "--save-descriptors", out)[0] == 0
-    said = run(head, maps, "--database", out, "--top", 9, "--json")[1].splitlines()
-    lines = [json.loads(line) for line in said]
+    lines = objects(run(head, maps, "--database", out, "--top", 9, "--json")[1])
     assert {line["query"]: line["empty"] for line in lines}["monday/void"]
     np.save(out, np.zeros_like(np.load(out)))
     said = run(head, maps, "--database", out)[1].splitlines()

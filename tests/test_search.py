@@ -6,6 +6,7 @@ import numpy as np
 from drawings import SPACE
 from drives import write_maps
 from helpers import street
+from loop_streams import objects
 
 from ssrvlad_torch import Database, SSRVLADConfig
 
@@ -83,8 +84,7 @@ def test_as_many_as_an_estimate_permits(ssrvlad, tmp_path):
     assert code == 0 and all("no candidate" not in line for line in out.splitlines())
     assert "; accepted 60 answers of confidence " in err[0]
     assert "% estimated to be wrong (95 % interval 0.0% to " in err[0]
-    code, out, _ = ssrvlad(*ask, "--json")
-    lines = [json.loads(line) for line in out.splitlines()]
+    lines = objects(ssrvlad(*ask, "--json")[1])
     assert lines[0]["estimate"] == lines[-1]["estimate"]
     assert lines[0]["estimate"]["accepted"] == 60 and lines[0]["estimate"]["low"] == 0
     ask = "query", town, tmp_path / "mirrored", "--follow", "no", "--max-wrong", 0.1

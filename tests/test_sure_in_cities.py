@@ -34,12 +34,13 @@ def drive(seed: int, name: str) -> tuple[torch.Tensor, np.ndarray]:
     return (found.flip(0), poses[::-1]) if name == "back" else (found, poses)
 
 
-def found_in(here, there, steps):
-    """What is recognised, and which answers are another place."""
-    (queries, at), (references, known) = here, there
+def found_in(rows, place, steps):
+    """What is recognised of some frames of the query in the map of a drive, and which answers are
+    another place."""
+    (queries, at), (references, known) = drive(CITY, "query"), drive(*place)
+    queries, at = queries[[*rows]], at[[*rows]]
     names = ["map"] * len(references)
-    middle = torch.from_numpy(references[:, len(COLUMNS) // 2])
-    member = Member(torch.from_numpy(queries), ReferenceRows(middle, names))
+    member = Member(queries, ReferenceRows(references[:, len(COLUMNS) // 2], names))
     found = recognise({"x": member}, ["q"] * len(queries), names, STEPS[steps], 1)
     x, y, turn = (at[:, None] - known).transpose(2, 0, 1)
     same = (np.hypot(x, y) <= 5) & (np.cos(turn) > 0.5)
@@ -51,40 +52,29 @@ def found_in(here, there, steps):
     return found, np.array(wrong)
 
 
-def of(seed: int, name: str, rows=None):
-    vectors, poses = drive(seed, name)
-    rows = slice(None) if rows is None else list(rows)
-    return vectors.numpy()[rows], poses[rows]
-
-
 def in_turn(streams: int) -> list[int]:
     length = FRAMES // streams
     return [part * length + frame for frame in range(length) for part in range(streams)]
 
 
+EVERY, SAME, OTHER = range(FRAMES), (CITY, "reference"), (CITY + 1, "reference")
 CASES = {
-    "as it is": lambda: (of(CITY, "query"), of(CITY, "reference")),
-    "3 streams in turn": lambda: (of(CITY, "query", in_turn(3)), of(CITY, "reference")),
-    "6 streams in turn": lambda: (of(CITY, "query", in_turn(6)), of(CITY, "reference")),
-    "a stop": lambda: (
-        of(CITY, "query", sorted([*range(FRAMES), *[30] * 40])),
-        of(CITY, "reference"),
-    ),
-    "random frames": lambda: (
-        of(CITY, "query", RANDOM.permutation(FRAMES)[:40]),
-        of(CITY, "reference"),
-    ),
-    "foreign": lambda: (of(CITY, "query"), of(CITY + 1, "reference")),
-    "foreign, 30": lambda: (of(CITY, "query", range(30)), of(CITY + 1, "reference")),
-    "the way back alone": lambda: (of(CITY, "query"), of(CITY, "back")),
+    "as it is": (EVERY, SAME),
+    "3 streams in turn": (in_turn(3), SAME),
+    "6 streams in turn": (in_turn(6), SAME),
+    "a stop": (sorted([*EVERY, *[30] * 40]), SAME),
+    "random frames": (RANDOM.permutation(FRAMES)[:40], SAME),
+    "foreign": (EVERY, OTHER),
+    "foreign, 30": (range(30), OTHER),
+    "the way back alone": (EVERY, (CITY, "back")),
 }
+"""Frames of the query, and the drive whose map they are looked for in."""
 
 
 @pytest.mark.parametrize("steps", STEPS)
 @pytest.mark.parametrize("case", CASES)
 def test_what_is_accepted_is_right_and_the_interval_holds(case, steps):
-    here, there = CASES[case]()
-    found, wrong = found_in(here, there, steps)
+    found, wrong = found_in(*CASES[case], steps)
     kept, every = accept(found.sure, 0.05), estimate(found.sure)
     taken = found.confidence.numpy() >= kept.confidence
     assert wrong[taken].sum() <= 0.1 * taken.sum()

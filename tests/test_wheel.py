@@ -9,6 +9,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from helpers import outcome
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "scripts"))
@@ -23,15 +24,16 @@ def wheel(tmp_path_factory):
     if not shutil.which("g++"):
         pytest.skip("no C++ compiler")
     out = tmp_path_factory.mktemp("dist")
-    command = [sys.executable, "-m", "build", "--no-isolation", "--outdir", out, ROOT]
-    own = {
-        name: value for name, value in os.environ.items() if name not in ("CXX", "SSRVLAD_WHEEL")
-    }
-    done = subprocess.run(command, env=own, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    command = (sys.executable, "-m", "build", "--no-isolation", "--outdir", out, ROOT)
+    code, _, errors = outcome(*command, env=environment_without("CXX", "SSRVLAD_WHEEL"))
+    assert code == 0, errors
     assert len(list(out.glob("*.tar.gz"))) == 1
     [wheel] = out.glob("*.whl")
     return wheel
+
+
+def environment_without(*names):
+    return {name: value for name, value in os.environ.items() if name not in names}
 
 
 def test_the_wheel_holds_all_that_the_package_needs(wheel):
@@ -68,17 +70,10 @@ def test_the_wheel_runs_in_an_empty_environment_without_a_compiler(wheel, tmp_pa
     [site] = (tmp_path / "venv").glob("lib/*/site-packages")
     (site / "dependencies.pth").write_text("\n".join(p for p in sys.path if "site-packages" in p))
     empty = {"PATH": str(tmp_path / "venv" / "bin"), "HOME": str(tmp_path)}
-    done = subprocess.run(
-        [python, "-c", DESCRIBE],
-        cwd=tmp_path,
-        env=empty,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith(f"{site} the native core True [None, None]\n")
-    assert "RecallRate@1" in done.stdout
+    code, out, errors = outcome(python, "-c", DESCRIBE, cwd=tmp_path, env=empty)
+    assert code == 0, errors
+    assert out[0] == f"{site} the native core True [None, None]"
+    assert "RecallRate@1" in "".join(out)
     assert (tmp_path / "ssrvlad-demo" / "demo.png").exists()
 
 
@@ -109,9 +104,8 @@ def test_every_wheel_has_its_tag_and_library(name, tmp_path):
 
 
 def version_of(folder):
-    command = [sys.executable, "-m", "hatchling", "version"]
-    done = subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True)
-    return done.stdout.strip()
+    _, [version], _ = outcome(sys.executable, "-m", "hatchling", "version", cwd=folder)
+    return version
 
 
 def test_the_tag_is_the_version(tmp_path):
@@ -141,17 +135,10 @@ def test_the_wheel_installs_with_its_dependencies_alone(wheel, tmp_path):
     constraints = ["--constraint", ROOT / "constraints.txt"]
     install = [programs / "python", "-m", "pip", "install", "--quiet", *constraints, wheel]
     subprocess.run(install, check=True)
-    inside = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     for arguments, expected in (
         (["--version"], wheel.name.split("-")[1]),
         (["demo", "--frames", "8"], "RecallRate@1"),
     ):
-        done = subprocess.run(
-            [programs / "ssrvlad", *arguments],
-            cwd=tmp_path,
-            env=inside,
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        assert expected in done.stdout
+        command = (programs / "ssrvlad", *arguments)
+        code, out, _ = outcome(*command, cwd=tmp_path, env=environment_without("PYTHONPATH"))
+        assert code == 0 and expected in "".join(out)
