@@ -174,7 +174,7 @@ def test_label_maps_are_queries_also_after_a_picture_was_located(town, photos, m
     refuses("expected images and --segmenter, or --channel ssr-vlad", again.query, maps)
 
 
-def test_a_map_is_made_by_its_first_frames(settings, photos, tmp_path):
+def test_a_map_is_made_by_its_first_frames(settings, photos, maps, tmp_path):
     """A failing `add` leaves nothing behind."""
     (tmp_path / "torn").mkdir()
     (tmp_path / "torn" / "1.jpg").write_bytes(b"torn")
@@ -193,7 +193,7 @@ def test_a_map_is_made_by_its_first_frames(settings, photos, tmp_path):
     ):
         refuses(message, Map.open(town.path, settings, channels=channels).add, photos)
     labelled = Map.open(town.path, labels_as=SPACE, channels="hog")
-    refuses("expected a list of channels, got the text 'hog'", labelled.add, tmp_path)
+    refuses("expected a list of channels, got the text 'hog'", labelled.add, maps)
     with pytest.raises(KeyboardInterrupt):
         town.add(tmp_path / "torn", EncodeOptions(skipped=fail))
     assert not Path(town.path).exists() and len(town) == 0
