@@ -77,16 +77,25 @@ def test_of_few_candidates_the_first_answers_are_the_same(town, rows):
     torch.testing.assert_close(got.confidence, expected.confidence, atol=0.1, rtol=0)
 
 
-def test_only_some_queries_of_a_followed_drive_are_compared_with_all_rows(town, monkeypatch):
-    compared, linear = [], LargeMap.linear
-    monkeypatch.setattr(LargeMap, "linear", lambda *given: (compared.append(1), linear(*given))[1])
-    used, queries = channels(town, ALL), queries_at([*range(100, 228)])
+@pytest.mark.parametrize(("count", "most"), [(128, 33), (70, 36), (40, 40)])
+def test_only_some_queries_of_a_followed_drive_are_compared_with_all_rows(
+    town, monkeypatch, count, most
+):
+    """Those that show the width of the sweep are among them; none is compared twice."""
+    compared, scanned = [], drive.DriveSearch._scanned
+
+    def note(search, some, given):
+        compared.extend(some.tolist())
+        return scanned(search, some, given)
+
+    monkeypatch.setattr(drive.DriveSearch, "_scanned", note)
+    used, queries = channels(town, ALL), queries_at([*range(100, 100 + count)])
     large = LargeMap(town, used)
     recognise_drives(large, queries, Steps(), 3, EVERYWHERE)
-    assert len(compared) <= 128 / drive.EVERY + 1
+    assert len(compared) == len({*compared}) <= most
     compared.clear()
     recognise_drives(large, queries, Steps(follow=None), 3, EVERYWHERE)
-    assert len(compared) == 128
+    assert sorted(compared) == [*range(count)]
 
 
 @pytest.mark.usefixtures("whole")

@@ -132,9 +132,13 @@ class LargeMap:
         """The weighted z-score of coarse scores ``(R,)`` by each channel, but for a constant."""
         linear = torch.zeros(len(self.frames))
         for name, scores in coarse.items():
-            deviation = max(float(self._every(scores).std(correction=0)), MIN_SPREAD)
-            linear.add_(scores, alpha=self.share[name] / deviation)
+            linear.add_(scores, alpha=self.factor(name, scores))
         return linear
+
+    def factor(self, name: str, scores: Tensor) -> float:
+        """What the coarse scores ``(R,)`` of a query by a channel count in a weighted z-score."""
+        deviation = float(self._every(scores).std(correction=0))
+        return self.share[name] / max(deviation, MIN_SPREAD)
 
     def _every(self, coarse: Tensor) -> Tensor:
         """Coarse scores ``(R,)`` of as many rows as the sample has, all over the map."""

@@ -30,13 +30,13 @@ if TYPE_CHECKING:
     from .alone import LargeMap
 
 CANDIDATES, BEST, EVERY = 40, 8, 4
-"""Rows by the fused coarse scores of a query, whatever it follows. Of a drive that is followed,
-every fourth query is compared with all rows. The others have the candidates of the queries before
-and after, and the rows beside the best of these: docs/scale.md."""
+"""Rows by the fused coarse scores of a query, whatever it follows. Of a long drive that is
+followed, every fourth query is compared with all rows, of a shorter one more. The others have the
+candidates of the queries before and after, and the rows beside the best of these: docs/scale.md."""
 
 _SAMPLED, _LEADING = 32, 10
-"""Queries by which the width of a sweep and the lead of a channel are known, and how many rows that
-are best by its coarse scores."""
+"""Least number of queries, if there are as many, by which the width of a sweep and the lead of a
+channel are known, and how many rows that are best by its coarse scores."""
 
 _SCANNED, _WINDOW, _AROUND, _AHEAD = 8, 32, 2, 24
 """Queries that are compared with all rows at once, and that are scored at once; rows to each side
@@ -93,14 +93,16 @@ class DriveSearch:
         own: npt.NDArray[np.int64],
     ) -> None:
         self._large, self._rows, self._standardised = large, rows, standardised
-        self._step, self._most = EVERY if followed else 1, max(CANDIDATES, top)
+        self._most = max(CANDIDATES, top)
         self._sweep, self._own = sweep, torch.from_numpy(own)
         self._where = torch.from_numpy(where)
         self._everywhere = bool(where.all()) and bool((own[:, 0] >= own[:, 1]).all())
         self._channels = {channel.column.name: channel for channel in large.channels}
         given = {name: descriptors[name] for name in self._channels}
         self._count = len(next(iter(given.values())))
-        self._some = range(0, self._count, max(1, self._count // _SAMPLED))
+        sampled_every = max(1, self._count // _SAMPLED)
+        self._step = min(EVERY, sampled_every) if followed else 1  # so that the sample is scanned
+        self._some = range(0, self._count, sampled_every - sampled_every % self._step)
         self._candidates: dict[int, Tensor] = {}
         self._windows: dict[int, _Window] = {}
         leading = self._leading(given)
@@ -175,9 +177,8 @@ class DriveSearch:
         scores, with those beside them."""
         nearest: dict[str, list[Tensor]] = {name: [] for name in given}
         for part in torch.tensor(self._some).split(_SCANNED):
-            for name, scores in self._scanned(part, given).items():
-                best = scores.topk(min(_LEADING, scores.shape[1])).indices
-                nearest[name].append(self._large.natural[best.flatten()])
+            for name, rows in self._scanned(part, given).items():
+                nearest[name].append(rows)
         leading = {}
         for name, each in nearest.items():
             rows = self._around(torch.cat(each), ELSEWHERE)
@@ -212,22 +213,25 @@ class DriveSearch:
         return weights_of(leads, {name: each.trust for name, each in self._channels.items()})
 
     def _scanned(self, some: Tensor, given: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """The coarse scores ``(B, R)`` of some queries by each channel to all rows as they are
-        stored; keeps their candidates."""
-        coarse = {
-            name: self._large.index.scan(name, [*each[some]], self._sweep)
-            for name, each in given.items()
-        }
-        may = None if self._everywhere else self._may(some, self._large.natural)
-        for place, query in enumerate(some.tolist()):
-            together = self._large.linear({name: each[place] for name, each in coarse.items()})
-            if may is not None:
-                together.masked_fill_(~may[place], -torch.inf)
-            best = together.topk(min(self._most, len(together)))
-            self._candidates[query] = self._large.natural[best.indices[best.values > -torch.inf]]
-        if may is not None:
-            coarse = {name: each.masked_fill_(~may, -torch.inf) for name, each in coarse.items()}
-        return coarse
+        """The rows that are nearest to some queries by the coarse scores of each channel to all
+        rows; keeps the candidates of these queries."""
+        natural, nearest = self._large.natural, dict[str, Tensor]()
+        never = None if self._everywhere else ~self._may(some, natural)
+        together = torch.zeros(len(some), len(natural))
+        for name, each in given.items():
+            coarse = self._large.index.scan(name, [*each[some]], self._sweep)
+            for of_query, scores in zip(together, coarse, strict=True):
+                of_query.add_(scores, alpha=self._large.factor(name, scores))
+            if never is not None:
+                coarse.masked_fill_(never, -torch.inf)
+            best = coarse.topk(min(_LEADING, len(natural))).indices
+            nearest[name] = natural[best.flatten()]
+        if never is not None:
+            together.masked_fill_(never, -torch.inf)
+        for query, scores in zip(some.tolist(), together, strict=True):
+            best = scores.topk(min(self._most, len(scores)))
+            self._candidates[query] = natural[best.indices[best.values > -torch.inf]]
+        return nearest
 
     def _window(self, some: range, rows: Tensor) -> _Window:
         """The scores of some queries to rising rows."""
