@@ -12,19 +12,26 @@ from _markdown import head_row, row
 from ssrvlad_torch.native.loops import Channel, Loops
 from ssrvlad_torch.recognition.matching import Rows
 from ssrvlad_torch.recognition.sweep import score
+from ssrvlad_torch.stages.features import SHAPE
 
 SIZES = (10_000, 100_000, 1_000_000)
-DRIVES, ANCHORS, WARM_UP, FRAMES, LENGTH = 10, 3, 3, 40, 480
+DRIVES, ANCHORS, WARM_UP, FRAMES, LENGTH, BLOCK = 10, 3, 3, 40, 480, 1000
+CHANNELS = (
+    ("ssr-vlad", (LENGTH,), "float32", 1.0),
+    ("features", SHAPE, "uint8", 6.0),
+    ("hog", (LENGTH,), "float32", 2.0),
+)
 
 
 def loops_table(sizes: Sequence[int] = SIZES) -> Iterator[str]:
     """A row for each number of frames in the map."""
-    yield from head_row("frames", "search", "step", "step / search")
+    yield from head_row("frames", "search", "step", "step / search", "step, all channels")
     for size in sizes:
         search, step = 1e3 * timed(size).T
         low, middle, high = np.quantile(step / search, (0.25, 0.5, 0.75))
         times = (f"{np.median(each):.2f}" for each in (search, step))
-        yield row(str(size), *times, f"{middle:.2f} [{low:.2f}, {high:.2f}]")
+        ratio = f"{middle:.2f} [{low:.2f}, {high:.2f}]"
+        yield row(str(size), *times, ratio, f"{1e3 * timed_with_all_channels(size):.2f}")
 
 
 def timed(size: int) -> np.ndarray:
@@ -50,6 +57,32 @@ def timed(size: int) -> np.ndarray:
         if number >= WARM_UP:
             taken.append(np.diff(times))
     return np.array(taken)
+
+
+def timed_with_all_channels(size: int) -> float:
+    """The median of the seconds of a step by label maps, features and HOG, of random values."""
+    stream = Loops([Channel(name, shape, dtype, trust) for name, shape, dtype, trust in CHANNELS])
+    rng, known = np.random.default_rng(0), dict[str, np.ndarray]()
+    for first in range(0, size, BLOCK):
+        known = {name: drawn(rng, min(BLOCK, size - first), *about) for name, *about in CHANNELS}
+        count = len(known["hog"])
+        stream.extend(known, None, (first + np.arange(count)) % (size // DRIVES) == 0)
+    times: list[float] = []
+    for number in range(WARM_UP + FRAMES):
+        one = {name: values[number] for name, values in known.items()}
+        one["ssr-vlad"] = np.repeat(one["ssr-vlad"][None], ANCHORS, axis=0)
+        began = time.process_time()
+        stream.update(one, starts=number == 0, threads=torch.get_num_threads())
+        times.append(time.process_time() - began)
+    return float(np.median(times[WARM_UP:]))
+
+
+def drawn(rng: np.random.Generator, count: int, shape: tuple[int, ...], dtype: str, _: float):
+    """Random descriptors of frames by a channel."""
+    if dtype == "uint8":
+        return rng.integers(0, 256, (count, *shape), np.uint8)
+    vectors = rng.standard_normal((count, *shape), np.float32)
+    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
 
 
 def unit(vector: np.ndarray) -> np.ndarray:

@@ -25,6 +25,7 @@ import numpy.typing as npt
 from _markdown import ROOT, head_row, quote, row
 
 sys.path.insert(0, str(ROOT / "tests"))
+sys.path.append(str(ROOT / "export"))
 
 from test_export import city, hundreds_of_label_maps
 
