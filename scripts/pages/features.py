@@ -4,7 +4,7 @@
     .venv/bin/python scripts/pages/features.py --data ../shared/data
 
 The folder holds `uofa`, `gardens_walk`, `cmu_schenley`, `nordland` and `networks`. The means over
-cells of all drives are cached in `--cache`: some 20 minutes of the networks at first.
+cells of all drives are cached in `--cache`: some 25 minutes of the networks at first.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 from unittest.mock import patch
 
+import _small_network
 import numpy as np
 import torch
 from _described import Described
@@ -26,6 +27,7 @@ from ssrvlad_torch.datasets.frame_files import FrameFile
 from ssrvlad_torch.datasets.image_files import find_image_files, read_image
 from ssrvlad_torch.recognition.comparison import ReferenceRows
 from ssrvlad_torch.segmentation.features import noise_means
+from ssrvlad_torch.segmentation.segmenter import Segmenter
 from ssrvlad_torch.stages import features as stage
 
 OTHERS = {
@@ -68,7 +70,7 @@ def table(described: Described) -> Iterator[str]:
     off = (f"standardised, {name}" for name in names)
     yield from head_row("form", "network", *names, *off, "mean of the first four, both")
     for form, (levels, signs, share) in FORMS.items():
-        for network in NETWORKS:
+        for network in (*NETWORKS, _small_network.NAME):
             with patch.object(stage, "SHARE", share):
                 found = [rates(described, network, name, levels, signs) for name in names]
             chosen = np.mean(found[: len(ROUTES)])
@@ -138,11 +140,19 @@ def files_of(data: Path, folder: str) -> list[FrameFile]:
     return find_image_files([str(images if images.is_dir() else data / folder)])
 
 
+def segmenter_of(described: Described, network: str) -> Segmenter:
+    """One of the networks that lie there, or the one that is trained here."""
+    if network == _small_network.NAME:
+        side = described.shorter_side
+        return _small_network.segmenter(described.data, described.cache, side)
+    return described.segmenter(network)
+
+
 def means(described: Described, network: str, folder: str) -> Levels:
     """The means over cells of a drive, or of the noise from which projections come."""
 
     def run() -> Levels:
-        segmenter = described.segmenter(network)
+        segmenter = segmenter_of(described, network)
         found = segmenter.features
         if folder == "noise":
             return Levels(*noise_means(segmenter.labels, found.names, *found.size))
