@@ -39,7 +39,7 @@ def part(page: Page, options: argparse.Namespace, described: Described) -> None:
             frame.frame,
             enlarged(frame.labels, Image.Resampling.NEAREST),
             frame.labels_as,
-            enlarged(frame.image, Image.Resampling.BILINEAR),
+            enlarged(frame.picture, Image.Resampling.BILINEAR),
         )
         for frame in described.drive(search.queries).seen(rows)
     ]
