@@ -11,6 +11,7 @@ from functools import partial
 from itertools import groupby, product
 from typing import NamedTuple
 
+import _small_network
 import numpy as np
 import torch
 from _described import FEATURES, OURS, Described, channel_of
@@ -24,10 +25,11 @@ from conditions import (
     city,
     near_rows,
     pictured,
+    pictures_of,
 )
 from torch import Tensor
 
-from ssrvlad_torch.datasets.image_files import find_image_files
+from ssrvlad_torch.baselines.encoder_features import EncoderFeatures
 from ssrvlad_torch.datasets.synthetic_city import Conditions
 from ssrvlad_torch.evaluation.loops import FACING
 from ssrvlad_torch.recognition.fusion import fused_scores
@@ -114,7 +116,8 @@ def vectors(described: Described, frames: Frames, method: str) -> Tensor:
 def cases(described: Described) -> list[Case]:
     """The cases of the table: at most `MOST` of each row, evenly from all that there are."""
     rows: dict[str, list[Case]] = {}
-    for case in (*real_cases(described), *city_cases(described)):
+    every = (*real_cases(described), *of_third_network(described), *city_cases(described))
+    for case in every:
         rows.setdefault(case.row, []).append(case)
     return [
         some[number * len(some) // min(MOST, len(some))]
@@ -157,6 +160,29 @@ def of_method(described: Described, network: str, method: str) -> Iterator[Case]
             other = [(drive.replace(network, NETWORKS[0]), row) for drive, row in there]
             title = f"{name} of {NETWORKS[0]}"
             yield case_of("map of another network", here, other, truth, title, method)
+
+
+def of_third_network(described: Described) -> Iterator[Case]:
+    """Drives by the features of a network to which nothing was fitted, trained on CamVid alone."""
+    network = _small_network.NAME
+    side = described.shorter_side
+    method = EncoderFeatures(_small_network.segmenter(described.data, described.cache, side))
+    for folder in (*dict.fromkeys(each for route in ROUTES.values() for each in route[:2]), *NEW):
+        name, files = of(network, folder), pictures_of(described.data, folder)
+        described.add(name, files, partial(pictured, files))
+        seen = described.drive(name).seen
+        described.kept(f"{name} {FEATURES}", lambda seen=seen: method.encode_query(seen()))
+    for name, here, there, truth in pairs(described, network):
+        one = partial(case_of, name=name, method=FEATURES)
+        for case in drives(one, here, there, truth):
+            yield case._replace(row="third network")
+    for later, earlier in (*FOREIGN, *NEW_FOREIGN):
+        if "camvid" not in later + earlier:
+            here, there = (all_of(described, of(network, each)) for each in (later, earlier))
+            for some in (here, here[: len(here) // 3]):
+                name = f"{later} -> {earlier}, {network}"
+                none = [_NONE] * len(some)
+                yield case_of("third network, foreign", some, there, none, name, FEATURES)
 
 
 def case_of(
@@ -301,14 +327,13 @@ def of(network: str, folder: str) -> str:
 def add_new(described: Described) -> None:
     """The drives that come as pictures alone."""
     for network, folder in product(NETWORKS, NEW):
-        files = find_image_files([str(described.data / folder)])
+        files = pictures_of(described.data, folder)
         make = partial(_pictured, described, network, folder)
         described.add(of(network, folder), files, make)
 
 
 def _pictured(described: Described, network: str, folder: str) -> Drive:
-    files = find_image_files([str(described.data / folder)])
-    return pictured(files, described.segmenter(network))
+    return pictured(pictures_of(described.data, folder), described.segmenter(network))
 
 
 def pairs(described: Described, network: str) -> Iterator[tuple[str, Frames, Frames, Truth]]:

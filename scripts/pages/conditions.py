@@ -20,7 +20,7 @@ import torch
 
 from ssrvlad_torch.channels.channel import View
 from ssrvlad_torch.datasets.frame_files import FrameFile
-from ssrvlad_torch.datasets.image_files import decode_image
+from ssrvlad_torch.datasets.image_files import decode_image, find_image_files
 from ssrvlad_torch.datasets.label_files import find_label_files, read_label_map
 from ssrvlad_torch.datasets.segmentation_noise import SegmentationNoise
 from ssrvlad_torch.datasets.synthetic_city import Conditions, SyntheticCity
@@ -128,6 +128,12 @@ def pictured(files: Sequence[FrameFile], segmenter: Segmenter | None = None) -> 
             raise ValueError(f"{file.path}: {labels}")
         maps.append(labels)
     return Drive(*places_of(files), np.stack(maps), segmenter.label_space.name, paths)
+
+
+def pictures_of(data: Path, folder: str) -> list[FrameFile]:
+    """The pictures of a real drive."""
+    images = data / folder / "images"
+    return find_image_files([str(images if images.is_dir() else data / folder)])
 
 
 def places_of(files: Sequence[FrameFile]) -> tuple[tuple[str, ...], np.ndarray]:

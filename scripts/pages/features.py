@@ -19,12 +19,11 @@ import numpy as np
 import torch
 from _described import Described
 from _markdown import Page, head_row, parser, row
-from conditions import NETWORKS, ROUTES, near_rows
+from conditions import NETWORKS, ROUTES, near_rows, pictures_of
 from torch import Tensor
 
 from ssrvlad_torch.channels.signs import REACH, moved
-from ssrvlad_torch.datasets.frame_files import FrameFile
-from ssrvlad_torch.datasets.image_files import find_image_files, read_image
+from ssrvlad_torch.datasets.image_files import read_image
 from ssrvlad_torch.recognition.comparison import ReferenceRows
 from ssrvlad_torch.segmentation.features import noise_means
 from ssrvlad_torch.segmentation.segmenter import Segmenter
@@ -120,7 +119,7 @@ def cosines(queries: Tensor, references: Tensor, off: bool) -> Tensor:
 def route(data: Path, name: str) -> tuple[str, str, list[np.ndarray]]:
     """Folders of queries and references, and the true matches of each query."""
     queries, references, reach = ROUTES[name] if name in ROUTES else OTHERS[name]
-    here, there = (files_of(data, folder) for folder in (queries, references))
+    here, there = (pictures_of(data, folder) for folder in (queries, references))
     if name in ROUTES:
         return queries, references, near_rows(len(here), len(there), reach)
     if reach:
@@ -132,12 +131,6 @@ def route(data: Path, name: str) -> tuple[str, str, list[np.ndarray]]:
     numbers = np.array([int(file.name) for file in there])
     near = [np.flatnonzero(abs(numbers - int(file.name)) <= 2) for file in here]
     return queries, references, near
-
-
-def files_of(data: Path, folder: str) -> list[FrameFile]:
-    """Pictures of a drive."""
-    images = data / folder / "images"
-    return find_image_files([str(images if images.is_dir() else data / folder)])
 
 
 def segmenter_of(described: Described, network: str) -> Segmenter:
@@ -158,7 +151,7 @@ def means(described: Described, network: str, folder: str) -> Levels:
             return Levels(*noise_means(segmenter.labels, found.names, *found.size))
         parts = []
         with torch.inference_mode():
-            for file in files_of(described.data, folder):
+            for file in pictures_of(described.data, folder):
                 picture = torch.from_numpy(read_image(file))[None]
                 _, activations = segmenter.labels.run(picture, found.names)
                 parts.append([stage.cell_means(each) for each in activations])
