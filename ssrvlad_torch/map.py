@@ -131,8 +131,12 @@ class Map:
         """
         if not isinstance(path, str | os.PathLike):
             raise ValueError(f"expected the folder or URI of a map, got {path!r}")
-        if network is not None and not isinstance(network, Segmenter):
+        if isinstance(network, os.PathLike):
             network = str(network)
+        if network is not None and not isinstance(network, str | Segmenter):
+            raise ValueError(
+                f"network: expected its name, its file or a Segmenter, got {type(network).__name__}"
+            )
         return cls(str(path), network, labels_as, preset, channels, version)
 
     def __len__(self) -> int:

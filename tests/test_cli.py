@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from drawings import SPACE
 from drives import write_maps, write_photos
+from helpers import outcome
 from networks import photo
 from PIL import Image
 from segmenting import write_photos as write_streets
@@ -232,6 +233,22 @@ def test_a_signal_ends_a_run_and_done_frames_are_stored(tmp_path, segmenter, num
         _, err = process.communicate()
     assert (process.returncode, err.splitlines(keepends=True)[-1]) == end
     assert len(Database.open(tmp_path / "db")) < 2000
+
+
+def test_what_a_program_writes_to_stdout_by_its_descriptor_is_no_result(tmp_path):
+    (tmp_path / "loud.py").write_text(
+        "import os, torch\n"
+        "def loud():\n"
+        "    os.write(1, b'built\\n')\n"
+        "    os.system('echo child')\n"
+        "    return torch.nn.Conv2d(3, 19, 1).eval()\n"
+    )
+    settings = tmp_path / "net.yaml"
+    settings.write_text(f"network: loud:loud\nmean: [0, 0, 0]\nlabels_as: {SPACE}\n")
+    command = sys.executable, "-m", "ssrvlad_torch", "labels", settings, "--json"
+    code, [line], err = outcome(*command)
+    assert code == 0 and json.loads(line)["name"] == SPACE
+    assert {"built", "child"} <= {*err}
 
 
 def test_only_results_are_on_stdout_whatever_a_network_prints(ssrvlad, tmp_path, monkeypatch):

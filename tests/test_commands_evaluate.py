@@ -73,3 +73,12 @@ def test_a_real_network_finds_what_its_stored_predictions_find(ssrvlad, tmp_path
         )
     )
     assert made["recall_at"]["1"] >= stored["recall_at"]["1"] - 0.02
+
+
+def test_a_ground_truth_may_name_files_by_whole_paths(evaluate, maps, tmp_path):
+    pairs = {
+        str(tmp_path / "tuesday" / f"{n:03d}.png"): [str(maps / f"{n:03d}.png")] for n in range(6)
+    }
+    (tmp_path / "truth.json").write_text(json.dumps(pairs))
+    code, out, _ = evaluate("--ground-truth", tmp_path / "truth.json", "--json")
+    assert code == 0 and json.loads(out)["recall_at"]["1"] == 1

@@ -12,6 +12,7 @@ from helpers import refuses, street
 from networks import PLAIN, Street, Strided, photo
 from PIL import Image
 from segmenting import counted, write_photos, write_settings
+from torch import nn
 
 from ssrvlad_torch import Database, Map, Segmenter
 from ssrvlad_torch.encoding.results import EncodeOptions
@@ -251,6 +252,9 @@ def test_other_objects_and_torn_files_are_refused_as_pictures(town, photos):
 
 REFUSED = [
     (lambda town, today: Map.open(3), "expected the folder or URI of a map, got 3"),
+    (lambda town, today: Map.open("x", 7), "its name, its file or a Segmenter, got int"),
+    (lambda town, today: Map.open("x", nn.Identity()), "or a Segmenter, got Identity"),
+    (lambda town, today: Map.open(nn.Identity(), "x"), "expected the folder or URI of a map"),
     (lambda town, today: town.query(today, top=0), "top must be an integer from 1, got 0"),
     (lambda town, today: town.locate(today / "000.png", top=0), "top must be an integer from 1"),
     (lambda town, today: town.query(today, "online"), "expected steps as Steps, got 'online'"),

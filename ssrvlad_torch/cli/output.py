@@ -1,9 +1,10 @@
 """Output of commands: results on stdout, notes and a progress bar on stderr. What others print, as
-a network while it is loaded, goes to stderr too."""
+a network while it is loaded, or a program that it starts, goes to stderr too."""
 
 from __future__ import annotations
 
 import json
+import os
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -43,9 +44,28 @@ class _Stderr:
 
 @contextmanager
 def results_alone() -> Iterator[None]:
-    """While it lasts, only this module prints on stdout."""
-    with redirect_stdout(_Stderr(_results())):
+    """While it lasts, only this module prints on stdout, also by its file descriptor."""
+    with _moved(_results()) as results, redirect_stdout(_Stderr(results)):
         yield
+
+
+@contextmanager
+def _moved(results: TextIO) -> Iterator[TextIO]:
+    """Stdout by another descriptor, while its own is that of stderr; anything else as it is."""
+    try:
+        is_stdout = results.fileno() == 1
+    except (AttributeError, OSError):  # none, or a stream in memory
+        is_stdout = False
+    if not is_stdout:
+        yield results
+        return
+    results.flush()
+    with os.fdopen(os.dup(1), "w", encoding=results.encoding, errors=results.errors) as moved:
+        os.dup2(2, 1)
+        try:
+            yield moved
+        finally:
+            os.dup2(moved.fileno(), 1)
 
 
 def _results() -> TextIO:
