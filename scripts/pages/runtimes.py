@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from _markdown import ROOT, head_row, quote, row
+from _markdown import ROOT, commit, head_row, quote, row
 
 sys.path.insert(0, str(ROOT / "tests"))
 sys.path.append(str(ROOT / "export"))
@@ -137,7 +137,7 @@ def main() -> None:
     parser.add_argument("--readme", type=Path, default=README)
     options = parser.parse_args()
     text = "\n".join(table(options.runtime, options.head or sorted(PRESETS)))
-    where = f"Measured on {platform.system()} {platform.machine()}, the CPU."
+    where = f"Measured at commit {commit()} on {platform.system()} {platform.machine()}, the CPU."
     quote(options.readme, "runtimes", f"\n{where}\n\n{text}\n")
 
 
