@@ -22,10 +22,11 @@ class Identity:
     """The digest of a network once it is taken, and the versions of weights and persistent buffers
     at that time.
 
-    Comparing versions takes about two milliseconds for a network of 400 modules. They count what
+    Comparing versions takes about five milliseconds for a network of 400 modules. They count what
     PyTorch counts: steps of optimizers, ``load_state_dict``, other operators in place, and tensors
-    and modules that replace others. What is written through ``tensor.data`` is not counted; the
-    next digest sees it. On another device a network is the same.
+    and modules that replace others. What is written through ``tensor.data``, as means of weights
+    are, is not counted, so one number of each tensor on a CPU is compared; the next digest sees the
+    others. On another device a network is the same.
     """
 
     def __init__(self, network: nn.Module) -> None:
@@ -128,9 +129,18 @@ def _versions(network: nn.Module) -> dict[str, object]:
 
 
 def _version(tensor: Tensor | None) -> object:
-    if tensor is None or tensor.is_inference():
-        return id(tensor)
-    return id(tensor), tensor._version, tensor.dtype
+    if tensor is None:
+        return None
+    counted = -1 if tensor.is_inference() else tensor._version
+    return id(tensor), counted, tensor.dtype, _a_number(tensor)
+
+
+def _a_number(tensor: Tensor) -> str:
+    """The number in the middle of a plain tensor in the memory of this machine, as text."""
+    plain = type(tensor) in (Tensor, nn.Parameter) and tensor.layout == torch.strided
+    if not (plain and tensor.device.type == "cpu" and tensor.numel()):
+        return ""
+    return str(tensor.detach()[tuple(length // 2 for length in tensor.shape)].item())
 
 
 def _is_plain(value: Any) -> bool:
