@@ -172,8 +172,9 @@ class Described:
         """``(N, D)`` of a drive, of `default` ``(N, S, D)`` over `sweep.COLUMNS`."""
         if method not in SETTINGS:
             made = partial(self.make, method, network_of(name))
+            size = "" if self.shorter_side or method not in OF_NETWORKS else " at its own size"
             return self.kept(
-                f"{name} {method}", lambda: made().encode_query(self.drive(name).seen())
+                f"{name} {method}{size}", lambda: made().encode_query(self.drive(name).seen())
             )
         version = head(method, "camvid-11").config.fingerprint
         return self.kept(f"{name} {method} {version}", lambda: swept(self.drive(name), method))
