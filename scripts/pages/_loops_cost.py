@@ -17,9 +17,9 @@ from ssrvlad_torch.stages.features import SHAPE
 SIZES = (10_000, 100_000, 1_000_000)
 DRIVES, ANCHORS, WARM_UP, FRAMES, LENGTH, BLOCK = 10, 3, 3, 40, 480, 1000
 CHANNELS = (
-    ("ssr-vlad", (LENGTH,), "float32", 1.0),
-    ("features", SHAPE, "uint8", 6.0),
-    ("hog", (LENGTH,), "float32", 2.0),
+    Channel("ssr-vlad", (LENGTH,)),
+    Channel("features", SHAPE, "uint8"),
+    Channel("hog", (LENGTH,)),
 )
 
 
@@ -61,11 +61,10 @@ def timed(size: int) -> np.ndarray:
 
 def timed_with_all_channels(size: int) -> float:
     """The median of the seconds of a step by label maps, features and HOG, of random values."""
-    stream = Loops([Channel(name, shape, dtype, trust) for name, shape, dtype, trust in CHANNELS])
-    rng, known = np.random.default_rng(0), dict[str, np.ndarray]()
+    stream, rng, known = Loops(CHANNELS), np.random.default_rng(0), dict[str, np.ndarray]()
     for first in range(0, size, BLOCK):
-        known = {name: drawn(rng, min(BLOCK, size - first), *about) for name, *about in CHANNELS}
-        count = len(known["hog"])
+        count = min(BLOCK, size - first)
+        known = {channel.name: drawn(rng, count, channel) for channel in CHANNELS}
         stream.extend(known, None, (first + np.arange(count)) % (size // DRIVES) == 0)
     times: list[float] = []
     for number in range(WARM_UP + FRAMES):
@@ -77,11 +76,11 @@ def timed_with_all_channels(size: int) -> float:
     return float(np.median(times[WARM_UP:]))
 
 
-def drawn(rng: np.random.Generator, count: int, shape: tuple[int, ...], dtype: str, _: float):
+def drawn(rng: np.random.Generator, count: int, channel: Channel) -> np.ndarray:
     """Random descriptors of frames by a channel."""
-    if dtype == "uint8":
-        return rng.integers(0, 256, (count, *shape), np.uint8)
-    vectors = rng.standard_normal((count, *shape), np.float32)
+    if channel.dtype == "uint8":
+        return rng.integers(0, 256, (count, *channel.shape), np.uint8)
+    vectors = rng.standard_normal((count, *channel.shape), np.float32)
     return vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import torch
 import torch.nn.functional as F
+from _described import Described
 from conditions import Drive, camvid, kept
 from torch import Tensor, nn
 
@@ -48,12 +49,13 @@ def block(before: int, width: int, stride: int) -> nn.Sequential:
     return nn.Sequential(convolution, nn.BatchNorm2d(width), nn.ReLU())
 
 
-def segmenter(data: Path, cache: Path, shorter_side: int) -> Segmenter:
+def segmenter(described: Described) -> Segmenter:
     """The network, trained on the label maps of CamVid, as a segmenter."""
-    network = SmallNetwork()
-    network.load_state_dict(kept(cache / "small network.pt", lambda: trained(data / "camvid")))
+    network, file = SmallNetwork(), described.cache / "small network.pt"
+    network.load_state_dict(kept(file, lambda: trained(described.data / "camvid")))
+    size = described.shorter_side
     config = SegmenterConfig(
-        size=shorter_side, multiple=16, mean=MEAN, std=STD, white=1, colour_order="rgb"
+        size=size, multiple=16, mean=MEAN, std=STD, white=1, colour_order="rgb"
     )
     return Segmenter(network.eval(), "camvid-11", config)
 

@@ -165,8 +165,7 @@ def of_method(described: Described, network: str, method: str) -> Iterator[Case]
 def of_third_network(described: Described) -> Iterator[Case]:
     """Drives by the features of a network to which nothing was fitted, trained on CamVid alone."""
     network = _small_network.NAME
-    side = described.shorter_side
-    method = EncoderFeatures(_small_network.segmenter(described.data, described.cache, side))
+    method = EncoderFeatures(_small_network.segmenter(described))
     for folder in (*dict.fromkeys(each for route in ROUTES.values() for each in route[:2]), *NEW):
         name, files = of(network, folder), pictures_of(described.data, folder)
         described.add(name, files, partial(pictured, files))

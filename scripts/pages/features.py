@@ -136,8 +136,7 @@ def route(data: Path, name: str) -> tuple[str, str, list[np.ndarray]]:
 def segmenter_of(described: Described, network: str) -> Segmenter:
     """One of the networks that lie there, or the one that is trained here."""
     if network == _small_network.NAME:
-        side = described.shorter_side
-        return _small_network.segmenter(described.data, described.cache, side)
+        return _small_network.segmenter(described)
     return described.segmenter(network)
 
 

@@ -149,7 +149,7 @@ def read_exif(file: BinaryIO) -> Fix | None:
         return Fix(latitude, longitude, course)
     except (
         OSError,
-        KeyError,
+        LookupError,
         TypeError,
         ValueError,
         ZeroDivisionError,
