@@ -18,6 +18,7 @@ from .channels.column import Column
 from .database.database import Database
 from .database.engine import discard_empty
 from .database.frames import FrameSet
+from .datasets.dataset import GroundTruth
 from .datasets.image_files import Picture, pixels_of
 from .datasets.label_files import read_label_map
 from .descriptor import SSRVLAD
@@ -35,7 +36,7 @@ from .evaluation.measure import TOP, Recognition, measure, needs_similarity
 from .evaluation.metrics import Convention
 from .evaluation.outcomes import Rows
 from .evaluation.thresholds import SURE_PRECISION
-from .evaluation.true_matches import TrueMatches, Viewpoints
+from .evaluation.true_matches import Viewpoints, true_matches
 from .recognition.confidence import accept
 from .recognition.matching import checked_number
 from .recognition.recognise import AS_PAPER, Steps
@@ -323,8 +324,8 @@ class Map:
             ValueError: as for `query`, or no true match is defined or known.
         """
         source = self._source(frames)
-        true = TrueMatches.of(
-            ground_truth, tolerance_metres, tolerance_degrees, tolerance_frames, source.truth
+        definition = GroundTruth.chosen(
+            source.truth, ground_truth, tolerance_metres, tolerance_degrees, tolerance_frames
         )
         pairs = needs_similarity(convention)
         if pairs and settings.get("near") is not None:
@@ -335,8 +336,9 @@ class Map:
             steps, settings["channels"] = AS_PAPER, [LABEL_SHAPES]
         answers = self.query(source, steps, TOP, **settings)
         recognition = self._recognition(answers, source, pairs)
-        truth = true.among(recognition.references, recognition.queries, note)
-        return Evaluation(measure(recognition, truth, convention), recognition, truth, true.words)
+        truth = true_matches(definition, recognition.references, recognition.queries, note)
+        metrics = measure(recognition, truth, convention)
+        return Evaluation(metrics, recognition, truth, definition.words)
 
     def _source(self, frames: Frames | Source) -> Source:
         """The frames to be compared with the map, which must exist."""

@@ -36,7 +36,7 @@ def read(tmp_path):
             np.savez(path, **content)
         else:
             np.save(path, content)
-        return as_lists(from_file(path, queries, references))
+        return as_lists(from_file(path, queries, references)[0])
 
     return write_and_read
 
@@ -192,7 +192,7 @@ def test_converted_files_of_vpr_bench_are_read(name, queries, references, first,
     command = str(refusal.value).partition("if you trust it: ")[2]
     subprocess.run(command.replace("python", sys.executable, 1), shell=True, check=True)
     path = shipped.with_suffix(".json")
-    truth = as_lists(from_file(path, *frames))
+    truth = as_lists(from_file(path, *frames)[0])
     assert (truth[0], truth[-1]) == ([*first], [*last])
     trusting = np.load(shipped, allow_pickle=True)
     assert truth == [sorted(set(matches)) for _, matches in trusting]

@@ -101,7 +101,7 @@ def test_each_layout_has_its_traverses_label_space_and_truth(copy, layout, space
         for name in frames
     }
     if truth and truth.file:
-        truth = truth._replace(file=copy / truth.file)
+        truth = GroundTruth(copy / truth.file)
     assert dataset.truth == truth
 
 

@@ -22,7 +22,7 @@ from conditions import Search, camvid, every_other, labelled, pictured
 from ssrvlad_torch.channels.channel import View
 from ssrvlad_torch.datasets.dataset import Dataset
 from ssrvlad_torch.evaluation.ground_truth import from_frame_numbers
-from ssrvlad_torch.evaluation.true_matches import TrueMatches, Viewpoints
+from ssrvlad_torch.evaluation.true_matches import Viewpoints, true_matches
 from ssrvlad_torch.recognition.recognise import AS_PAPER
 from ssrvlad_torch.segmentation.segmenter import Segmenter
 
@@ -147,7 +147,6 @@ def trial_of(
         drives.append(drive)
         places.append(Viewpoints.of(files))
     word = "segmented" if segmenter else kind
-    rule = TrueMatches.of(None, None, None, None, truth)
-    known = rule.among(places[1], places[0], print)
+    known = true_matches(truth, places[1], places[0], print)
     rows = [np.zeros(0, np.int64) if rows is None else rows for rows in known]
     return Condition(name, f"{word} -> {word}", [Search(*drives, rows)])

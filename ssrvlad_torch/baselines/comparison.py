@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import torch
 
 from ..channels.channel import View
-from ..datasets.dataset import Dataset, DatasetFrame, LabelsAs
+from ..datasets.dataset import Dataset, DatasetFrame, GroundTruth, LabelsAs
 from ..datasets.drives import KINDS, Drives
 from ..datasets.frame_files import FrameFile, read_ahead
 from ..datasets.image_files import read_image
@@ -16,7 +16,7 @@ from ..datasets.label_files import read_label_map
 from ..datasets.names import sequence_of
 from ..evaluation.measure import TOP, Recognition, measure, needs_similarity
 from ..evaluation.metrics import Convention
-from ..evaluation.true_matches import TrueMatches, Viewpoints
+from ..evaluation.true_matches import Viewpoints, true_matches
 from ..recognition.fusion import FusedScores
 from ..recognition.recognise import AS_PAPER, Steps, recognise_by_scores
 from ..recognition.sequences import runs
@@ -38,7 +38,7 @@ class Protocol(NamedTuple):
     between encodings and a decision, the threads that read ahead, the names of the methods that are
     fused, and what shows the progress of a method with a number of frames."""
 
-    true: TrueMatches
+    true: GroundTruth
     convention: Convention
     steps: Steps
     workers: int
@@ -79,7 +79,7 @@ def _measured(
     references, queries = (
         Viewpoints.of(side.frames, drives.whole) for side in (drives.references, drives.queries)
     )
-    truth = protocol.true.among(references, queries, note)
+    truth = true_matches(protocol.true, references, queries, note)
     all_pairs = needs_similarity(protocol.convention)
     steps = None if all_pairs or protocol.steps == AS_PAPER else protocol.steps
     no_following = replace(protocol.steps, follow=None, delay=0)

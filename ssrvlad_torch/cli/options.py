@@ -311,7 +311,7 @@ class TruthOptions:
 
     @property
     def definition(self) -> tuple[Path | None, float | None, float | None, int | None]:
-        """What `TrueMatches.of` takes."""
+        """What `GroundTruth.chosen` takes beside the declared one."""
         metres = self.tolerance_metres
         return self.ground_truth, metres, self.tolerance_degrees, self.tolerance_frames
 

@@ -48,13 +48,50 @@ class DatasetFrame:
         return not (math.isnan(self.pose.x) or math.isnan(self.pose.y))
 
 
-class GroundTruth(NamedTuple):
-    """The definition of a true match, as in ``evaluate``: a file, or the largest distance, either
-    in metres on the ground or in frames along the drive."""
+@dataclass(frozen=True)
+class GroundTruth:
+    """The definition of a true match: a file, or the largest distance, either in metres on the
+    ground, and then also in degrees of heading, or in frames along the drive. Not exactly one of
+    the three is a ValueError."""
 
     file: Path | None = None
     metres: float | None = None
+    degrees: float | None = None
     frames: int | None = None
+
+    def __post_init__(self) -> None:
+        given = sum(value is not None for value in (self.file, self.metres, self.frames))
+        if given != 1:
+            raise ValueError(
+                "expected one of --ground-truth, --tolerance-metres and --tolerance-frames, "
+                f"got {given} of them"
+            )
+        if self.degrees is not None and self.metres is None:
+            raise ValueError("--tolerance-degrees needs --tolerance-metres")
+
+    @classmethod
+    def chosen(
+        cls,
+        declared: GroundTruth | None,
+        file: Path | None,
+        metres: float | None,
+        degrees: float | None,
+        frames: int | None,
+    ) -> GroundTruth:
+        """The definition by a file or a distance, or the declared one if neither is given."""
+        if declared and (file, metres, frames) == (None,) * 3:
+            return replace(declared, degrees=degrees)
+        return cls(file, metres, degrees, frames)
+
+    @property
+    def words(self) -> str:
+        """The definition in words."""
+        if self.file is not None:
+            return str(self.file)
+        if self.frames is not None:
+            return f"at most {self.frames} frame{'s'[: self.frames != 1]} away"
+        turned = "" if self.degrees is None else f" and {self.degrees:g} degrees"
+        return f"within {self.metres:g} metres{turned}"
 
 
 @dataclass(frozen=True)

@@ -24,8 +24,11 @@ Frames = Sequence[str] | Mapping[str, str]
 """Frame ids ``<sequence>/<name>`` in order; a mapping also gives the full path of each file."""
 
 
-def from_file(path: str | Path, queries: Frames, references: Frames) -> PartialTruth:
-    """True matches from a file, whose form is recognised by its suffix and content.
+def from_file(
+    path: str | Path, queries: Frames, references: Frames
+) -> tuple[PartialTruth, list[str]]:
+    """True matches from a file, whose form is recognised by its suffix and content; and the entries
+    of a file of pairs that name none of the queries.
 
     | file | holds |
     |---|---|
@@ -48,16 +51,10 @@ def from_file(path: str | Path, queries: Frames, references: Frames) -> PartialT
         if isinstance(content, dict):
             return _from_pairs(content, queries, references)
         if isinstance(content, list):
-            return _from_vpr_bench(content, len(queries), len(references))
-        return _from_matrix(content, len(queries), len(references))
+            return _from_vpr_bench(content, len(queries), len(references)), []
+        return _from_matrix(content, len(queries), len(references)), []
     except ValueError as error:
         raise ValueError(f"ground truth {path} {error}") from error
-
-
-def unmatched_entries(path: str | Path, queries: Frames) -> list[str]:
-    """Entries of a file of pairs that name none of the queries; empty for files of other forms."""
-    content, find = _read(Path(path)), _finder(queries)
-    return [entry for entry in content if find(entry) is None] if isinstance(content, dict) else []
 
 
 def _read(path: Path) -> Pairs | Numbers | Matrix:
@@ -158,12 +155,16 @@ def _grouped(pairs: Iterable[Sequence[str]]) -> Pairs:
     return grouped
 
 
-def _from_pairs(pairs: Pairs, queries: Frames, references: Frames) -> PartialTruth:
+def _from_pairs(
+    pairs: Pairs, queries: Frames, references: Frames
+) -> tuple[PartialTruth, list[str]]:
     find_query, find_reference = _finder(queries), _finder(references)
     row = {frame: number for number, frame in enumerate(references)}
     matches: dict[str, list[int]] = {}
+    unmatched = list[str]()
     for query_entry, reference_entries in pairs.items():
         if (query := find_query(query_entry)) is None:
+            unmatched.append(query_entry)
             continue
         rows = matches.setdefault(query, [])
         for entry in reference_entries:
@@ -173,7 +174,8 @@ def _from_pairs(pairs: Pairs, queries: Frames, references: Frames) -> PartialTru
     if queries and not matches:
         first = next(iter(queries))
         raise ValueError(f"has an entry for none of the {len(queries)} queries, as {first}")
-    return [_rows(matches[query]) if query in matches else None for query in queries]
+    truth = [_rows(matches[query]) if query in matches else None for query in queries]
+    return truth, unmatched
 
 
 def _finder(frames: Frames) -> Callable[[str], str | None]:

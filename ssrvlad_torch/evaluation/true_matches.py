@@ -5,19 +5,18 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from pathlib import Path, PurePath
+from pathlib import PurePath
 
 import numpy as np
 import numpy.typing as npt
 
 from ..database.frames import FrameSet
-from ..datasets.dataset import Dataset, DatasetFrame
-from ..datasets.dataset import GroundTruth as DatasetTruth
+from ..datasets.dataset import Dataset, DatasetFrame, GroundTruth
 from ..datasets.frame_files import FrameFile
 from ..datasets.names import KnownFolders, sequence_of, split_id
 from ..files import natural_key
 from .ground_truth import from_frame_numbers, from_poses
-from .ground_truth_files import PartialTruth, from_file, unmatched_entries
+from .ground_truth_files import PartialTruth, from_file
 
 
 @dataclass(frozen=True)
@@ -71,98 +70,64 @@ class Viewpoints:
         }
 
 
-@dataclass(frozen=True)
-class TrueMatches:
-    """The definition of a true match: by a file, or by a distance in metres or in frames."""
+def true_matches(
+    definition: GroundTruth,
+    references: Viewpoints,
+    queries: Viewpoints,
+    note: Callable[[str], object],
+) -> PartialTruth:
+    """The rows of the references that are true matches of each query; ``None`` if they are not
+    known. ``note`` gets the number of these queries, of queries with the id of a reference, and of
+    names in the file that are not there."""
+    truth = _found(definition, references, queries, note) if queries.frames else []
+    unknown = sum(rows is None for rows in truth)
+    if unknown:
+        note(
+            f"{unknown} of {len(truth)} queries are left out: {definition.file} does not name them"
+        )
+    common = len(set(queries.frames) & set(references.frames))
+    if common:
+        note(f"{common} of {len(queries.frames)} queries have ids of the database")
+    return truth
 
-    file: Path | None
-    metres: float | None
-    degrees: float | None
-    frames: int | None
 
-    def __post_init__(self) -> None:
-        given = sum(value is not None for value in (self.file, self.metres, self.frames))
-        if given != 1:
-            raise ValueError(
-                "expected one of --ground-truth, --tolerance-metres and --tolerance-frames, "
-                f"got {given} of them"
-            )
-        if self.degrees is not None and self.metres is None:
-            raise ValueError("--tolerance-degrees needs --tolerance-metres")
-
-    @classmethod
-    def of(
-        cls,
-        file: Path | None,
-        metres: float | None,
-        degrees: float | None,
-        frames: int | None,
-        dataset: DatasetTruth | None,
-    ) -> TrueMatches:
-        """The definition by a file or a distance, or that of the data set if none is given."""
-        if (file, metres, frames) == (None,) * 3 and dataset:
-            file, metres, frames = dataset.file, dataset.metres, dataset.frames
-        return cls(file, metres, degrees, frames)
-
-    @property
-    def words(self) -> str:
-        """The definition in words."""
-        if self.file is not None:
-            return str(self.file)
-        if self.frames is not None:
-            return f"at most {self.frames} frame{'s'[: self.frames != 1]} away"
-        turned = "" if self.degrees is None else f" and {self.degrees:g} degrees"
-        return f"within {self.metres:g} metres{turned}"
-
-    def among(
-        self, references: Viewpoints, queries: Viewpoints, note: Callable[[str], object]
-    ) -> PartialTruth:
-        """The rows of the references that are true matches of each query; ``None`` if they are not
-        known. ``note`` gets the number of these queries, of queries with the id of a reference, and
-        of names in the file that are not there."""
-        truth = self._find(references, queries, note) if queries.frames else []
-        unknown = sum(rows is None for rows in truth)
-        if unknown:
-            note(f"{unknown} of {len(truth)} queries are left out: {self.file} does not name them")
-        common = len(set(queries.frames) & set(references.frames))
-        if common:
-            note(f"{common} of {len(queries.frames)} queries have ids of the database")
-        return truth
-
-    def _find(
-        self, references: Viewpoints, queries: Viewpoints, note: Callable[[str], object]
-    ) -> PartialTruth:
-        if self.metres is not None:
-            return [*from_poses(queries.poses, references.poses, self.metres, self.degrees)]
-        if self.file is not None:
-            counted = from_file(self.file, queries.paths, references.paths)
-            unmatched = unmatched_entries(self.file, queries.paths)
-            if unmatched:
-                note(
-                    f"{len(unmatched)} queries of {self.file} do not exist, "
-                    f"the first is {_in_order(unmatched)[0]}"
-                )
-        else:
-            assert self.frames is not None
-            counted = [*from_frame_numbers(queries.counted, references.counted, self.frames)]
-        of_query = dict(zip(queries.counted, counted, strict=True))
-        row = {frame: number for number, frame in enumerate(references.frames)}
-        rows = np.array([row.get(frame, -1) for frame in references.counted], np.int64)
-        truth: PartialTruth = []
-        missing = set[str]()
-        for positions in map(of_query.__getitem__, queries.frames):
-            if positions is None:
-                truth.append(None)
-                continue
-            matches = rows[positions]
-            truth.append(np.sort(matches[matches >= 0]))
-            missing |= {references.counted[at] for at in positions[matches < 0].tolist()}
-        if self.file and missing:
+def _found(
+    definition: GroundTruth,
+    references: Viewpoints,
+    queries: Viewpoints,
+    note: Callable[[str], object],
+) -> PartialTruth:
+    if definition.metres is not None:
+        limits = definition.metres, definition.degrees
+        return [*from_poses(queries.poses, references.poses, *limits)]
+    if definition.file is not None:
+        counted, unmatched = from_file(definition.file, queries.paths, references.paths)
+        if unmatched:
             note(
-                f"{len(missing)} references of {self.file} are not in the database, "
-                f"the first is {_in_order(missing)[0]}"
+                f"{len(unmatched)} queries of {definition.file} do not exist, "
+                f"the first is {_in_order(unmatched)[0]}"
             )
-        return truth
+    else:
+        assert definition.frames is not None
+        counted = [*from_frame_numbers(queries.counted, references.counted, definition.frames)]
+    of_query = dict(zip(queries.counted, counted, strict=True))
+    row = {frame: number for number, frame in enumerate(references.frames)}
+    rows = np.array([row.get(frame, -1) for frame in references.counted], np.int64)
+    truth: PartialTruth = []
+    missing = set[str]()
+    for positions in map(of_query.__getitem__, queries.frames):
+        if positions is None:
+            truth.append(None)
+            continue
+        matches = rows[positions]
+        truth.append(np.sort(matches[matches >= 0]))
+        missing |= {references.counted[at] for at in positions[matches < 0].tolist()}
+    if definition.file and missing:
+        note(
+            f"{len(missing)} references of {definition.file} are not in the database, "
+            f"the first is {_in_order(missing)[0]}"
+        )
+    return truth
 
 
 def _counted(frames: Iterable[str], dataset: Dataset | None) -> tuple[str, ...]:

@@ -57,14 +57,14 @@ def compare(
     """
     from ...baselines.comparison import Protocol
     from ...baselines.comparison import compare as compared
+    from ...datasets.dataset import GroundTruth
     from ...datasets.drives import Drives
     from ...encoding.results import Skipped
-    from ...evaluation.true_matches import TrueMatches
 
     names = _names(method)
     fused, methods = _fused(fuse, names), _make(names, settings or ())
     drives = Drives.open(note, **vars(options))
-    true = TrueMatches.of(*truth.definition, drives.whole.truth)
+    true = GroundTruth.chosen(drives.whole.truth, *truth.definition)
     protocol = Protocol(true, truth.convention, steps.steps(), workers, fused, progress_bar)
     rows = compared(methods, drives if true.metres is None else drives.posed(), protocol, note)
     if as_json:
