@@ -6,14 +6,14 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from itertools import groupby, islice
-from typing import TYPE_CHECKING, Any, Protocol, Self
+from typing import TYPE_CHECKING, Any, Literal, Protocol, Self
 
 import numpy as np
 import numpy.typing as npt
 from torch import Tensor
 
 from ..datasets.names import sequence_of
-from ..recognition.comparison import References
+from ..recognition.comparison import ReferenceRows, References
 from ..taxonomy import LabelSpace
 from . import CHANNELS, LABEL_SHAPES
 from .column import Column
@@ -105,12 +105,14 @@ class Network(Protocol):
         """Why the network has no features, in one line; empty if it has."""
 
 
-class Channel(Protocol):
-    """Something that is known of every frame, as numbers that show where the frame was taken.
+class Channel:
+    """Something that is known of every frame, as numbers that show where the frame was taken. A
+    subclass defines `describe`.
 
     Attributes:
-        column: name, fingerprint, shape and dtype under which a database stores the descriptors;
-            the name is also the key of the channel in fusion.
+        name: of the column, and the key of the channel in fusion.
+        fingerprint: what makes the descriptors; others do not compare.
+        shape, dtype: of a descriptor.
         needs: what a view must have: `LABELS`, `PICTURE`, `FEATURES`.
         trust: how much the channel counts in fusion before anything is known of a drive; label maps
             count 1.
@@ -118,41 +120,52 @@ class Channel(Protocol):
             another device, ``None`` for any number.
     """
 
-    needs: frozenset[str]
-    trust: float
-
-    @property
-    def threads(self) -> int | None:
-        """See above."""
+    name: str
+    fingerprint: str = ""
+    shape: tuple[int, ...]
+    dtype: Literal["float32", "uint8"] = "float32"
+    needs: frozenset[str] = frozenset({PICTURE})
+    trust = 1.0
+    threads: int | None = None
 
     @property
     def column(self) -> Column:
-        """See above."""
+        """Under which a database stores the descriptors."""
+        return Column(self.name, self.fingerprint, self.shape, self.dtype)
 
     @classmethod
     def lacks(cls, network: Network | None) -> str:
         """Why frames that the network labels, or label maps without one, do not have the channel;
         empty if they do."""
+        if network is None and PICTURE in cls.needs:
+            return f"{cls.name} describes pictures: expected images and a segmenter"
+        return ""
 
     @classmethod
-    def make(cls, head: SSRVLAD, network: Network | None) -> Self:
-        """The channel of frames that a network labels, or of label maps; ``head`` describes label
+    def make(cls, _head: SSRVLAD, network: Network | None) -> Self:
+        """The channel of frames that a network labels, or of label maps; the head describes label
         maps. A ValueError if they do not have it."""
+        if problem := cls.lacks(network):
+            raise ValueError(problem)
+        return cls()
 
     @classmethod
-    def of(cls, column: Column, head: SSRVLAD) -> Self:
+    def of(cls, _column: Column, _head: SSRVLAD) -> Self:
         """The channel of stored descriptors."""
+        return cls()
 
     def describe(self, views: Sequence[View], columns: Sequence[int] = ()) -> Tensor:
         """``(N, *shape)`` descriptors of views of one `View.kind`; of a channel that can sweep,
         from S anchors, the columns, ``(N, S, *shape)``, see `recognition.sweep`. A view that lacks
         what the channel needs, or cannot be described, is a ValueError."""
+        raise NotImplementedError
 
     def references(
         self, stored: Tensor, sequences: Sequence[str], means: Tensor | None = None
     ) -> References:
         """Descriptors ``(R, *shape)`` of a map, to be compared with queries; of some rows, with the
         means of their sequences, see `search.sums.sums`."""
+        return ReferenceRows(stored, sequences, means)
 
 
 def channels_of(columns: Sequence[Column], head: SSRVLAD) -> list[Channel]:

@@ -9,25 +9,23 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..recognition.comparison import ReferenceRows
 from ..stages.features import SHAPE
-from .channel import FEATURES, Network, View
+from .channel import FEATURES, Channel, Network, View
 from .column import Column
 
 if TYPE_CHECKING:
     from ..descriptor import SSRVLAD
 
 
-class Features:
+class Features(Channel):
     """The features of the network with a fingerprint, which views hold."""
 
-    name = "features"
+    name, shape, dtype = "features", SHAPE, "uint8"
     needs = frozenset({FEATURES})
     trust = 6.0
-    threads = None
 
     def __init__(self, fingerprint: str) -> None:
-        self.column = Column(self.name, fingerprint, SHAPE, "uint8")
+        self.fingerprint = fingerprint
 
     @classmethod
     def lacks(cls, network: Network | None) -> str:
@@ -55,9 +53,3 @@ class Features:
                 got = "none" if view.features is None else np.shape(view.features)
                 raise ValueError(f"frame {view.frame}: expected features {SHAPE}, got {got}")
         return torch.from_numpy(np.stack([np.asarray(view.features) for view in views]))
-
-    def references(
-        self, stored: Tensor, sequences: Sequence[str], means: Tensor | None = None
-    ) -> ReferenceRows:
-        """See `Channel`."""
-        return ReferenceRows(stored, sequences, means)
