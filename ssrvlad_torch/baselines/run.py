@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from ..channels.channel import View
-from ..recognition.comparison import Member, ReferenceRows, References
+from ..recognition.comparison import Member, ReferenceRows
 from ..recognition.matching import Matches, best_of
 from ..recognition.recognise import Recognised, Steps, recognise, recognise_by_scores
 from .protocol import Method, noting
@@ -95,10 +95,10 @@ def run(
     )
 
 
-def _references(method: Method, encoded: Any, sequences: Sequence[str]) -> References | None:
+def _references(method: Method, encoded: Any, sequences: Sequence[str]) -> ReferenceRows | None:
     """The encodings of a map to be compared with queries; ``None`` if they are no vectors."""
     if hasattr(method, "references"):
-        references: References = method.references(encoded, sequences)
+        references: ReferenceRows = method.references(encoded, sequences)
         return references
     are_vectors = isinstance(encoded, Tensor) and encoded.ndim == 2 and encoded.is_floating_point()
     return ReferenceRows(encoded, sequences) if are_vectors else None

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from torch import Tensor
 
 from ..datasets.names import sequence_of
-from ..recognition.comparison import ReferenceRows, References
+from ..recognition.comparison import ReferenceRows
 from ..taxonomy import LabelSpace
 from . import CHANNELS, LABEL_SHAPES
 from .column import Column
@@ -162,7 +162,7 @@ class Channel:
 
     def references(
         self, stored: Tensor, sequences: Sequence[str], means: Tensor | None = None
-    ) -> References:
+    ) -> ReferenceRows:
         """Descriptors ``(R, *shape)`` of a map, to be compared with queries; of some rows, with the
         means of their sequences, see `search.sums.sums`."""
         return ReferenceRows(stored, sequences, means)

@@ -6,7 +6,7 @@ The native core compares; where it is not built, the oracle does, slowly.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -49,32 +49,6 @@ class Comparison(Scores):
         return torch.stack([self[query] for query in range(len(self))])
 
 
-class References(Protocol):
-    """The descriptors of a map by one channel."""
-
-    def __len__(self) -> int: ...
-
-    def compare(
-        self,
-        queries: Tensor,
-        standardised: bool,
-        sweep: bool,
-        excluded: Tensor | None = None,
-        mean: Tensor | None = None,
-    ) -> Comparison:
-        """Compares the queries of one sequence, ``(Q, *shape)``, or ``(Q, S, *shape)`` from
-        `sweep.COLUMNS`.
-
-        Args:
-            queries: raw descriptors.
-            standardised: subtract the mean of each traverse, see `standardise`.
-            sweep: use all anchors, or moves to both sides.
-            excluded: ``(Q, R)`` bool, rows that are no candidates.
-            mean: of the sequence, see `search.sums.sums`, if the queries are only some of it; it is
-                subtracted, and all anchors count.
-        """
-
-
 class ReferenceRows:
     """Rows of a map, and the sequence of each, whose frames stand together.
 
@@ -112,8 +86,18 @@ class ReferenceRows:
         excluded: Tensor | None = None,
         mean: Tensor | None = None,
     ) -> Comparison:
-        """See `References`; the sweep is as wide as suits the scores, see `sweep`, and signs are
-        moved by up to two columns."""
+        """Compares the queries of one sequence, ``(Q, *shape)``, or ``(Q, S, *shape)`` from
+        `sweep.COLUMNS`.
+
+        Args:
+            queries: raw descriptors.
+            standardised: subtract the mean of each traverse, see `standardise`.
+            sweep: use all anchors, as wide a sweep as suits the scores, see `sweep`, or of signs
+                moves by up to two columns to both sides.
+            excluded: ``(Q, R)`` bool, rows that are no candidates.
+            mean: of the sequence, see `search.sums.sums`, if the queries are only some of it; it is
+                subtracted, and all anchors count.
+        """
         given = _array(queries)
         swept = sweep and given.dtype == np.float32 and given.ndim == 3
         if swept and mean is None and given.shape[1] != len(COLUMNS):
@@ -152,6 +136,7 @@ class ReferenceRows:
         return self._maps[standardised]
 
 
+References = ReferenceRows
 Array = npt.NDArray[Any]
 
 
@@ -166,5 +151,5 @@ class Member(NamedTuple):
     the channel counts before anything is known of a drive."""
 
     queries: Tensor
-    references: References
+    references: ReferenceRows
     trust: float = 1.0
