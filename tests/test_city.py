@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from ssrvlad_torch.datasets.city.streets import camera_poses
-from ssrvlad_torch.datasets.segmentation_noise import SegmentationNoise
 from ssrvlad_torch.datasets.synthetic_city import (
     LEFT,
     QUERY,
@@ -188,7 +187,6 @@ def test_labels_are_ids_of_the_label_space():
     """Train ids are the ids renamed."""
     spaces = [label_space(name) for name in ("cityscapes-ids", "cityscapes-trainids")]
     names = [{label.id: label.name for label in space.classes} for space in spaces]
-    noise = SegmentationNoise(3.0)
-    ids, train_ids = (stack(drive(labels_as=space.name, noise=noise)) for space in spaces)
+    ids, train_ids = (stack(drive(labels_as=space.name, noise=3.0)) for space in spaces)
     for label, train in np.unique(np.stack((ids.ravel(), train_ids.ravel())), axis=1).T:
         assert names[1][train] in (names[0][label], "ignored")

@@ -22,7 +22,6 @@ from ssrvlad_torch.channels.channel import View
 from ssrvlad_torch.datasets.frame_files import FrameFile
 from ssrvlad_torch.datasets.image_files import decode_image, find_image_files
 from ssrvlad_torch.datasets.label_files import find_label_files, read_label_map
-from ssrvlad_torch.datasets.segmentation_noise import SegmentationNoise
 from ssrvlad_torch.datasets.synthetic_city import Conditions, SyntheticCity
 from ssrvlad_torch.segmentation.segmenter import Segmenter
 from ssrvlad_torch.taxonomy import label_space
@@ -58,7 +57,7 @@ def _drive(**settings: object) -> Conditions:
 
 CITY_CONDITIONS: dict[str, list[Conditions]] = {
     "clean": [_drive()],
-    **{f"noise {s}": [_drive(noise=SegmentationNoise(strength=s))] for s in (1, 2, 4)},
+    **{f"noise {s}": [_drive(noise=float(s))] for s in (1, 2, 4)},
     **{f"{m:g} m aside": [_drive(lateral_offset=float(m))] for m in (0.5, 1, 2, 4)},
     **{f"heading +-{d}": [_drive(heading_offset=float(h)) for h in (d, -d)] for d in (5, 10)},
     "winter": [_drive(season="winter")],
@@ -69,7 +68,7 @@ CITY_CONDITIONS: dict[str, list[Conditions]] = {
             heading_offset=float(heading),
             season="winter",
             traffic=3.0,
-            noise=SegmentationNoise(strength=2),
+            noise=2.0,
         )
         for heading in (5, -5)
     ],

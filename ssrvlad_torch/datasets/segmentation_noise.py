@@ -7,7 +7,6 @@ cover regions instead of single pixels and scale with the image.
 """
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,22 +19,13 @@ BLOB_IDS = (7, 8, 11, 12, 13, 21, 22, 23, 26)
 CONFUSED_WITH = {7: 8, 8: 7, 9: 8, 11: 12, 12: 13, 13: 11, 14: 13, 22: 8}
 
 
-@dataclass(frozen=True)
-class SegmentationNoise:
-    """All errors together; strength 0: none, 1: as of a good network, about 5: as of a bad one."""
-
-    strength: float = 1.0
-
-    def __post_init__(self) -> None:
-        if not (math.isfinite(self.strength) and self.strength >= 0):
-            raise ValueError(f"noise strength: got {self.strength}, expected a finite number >= 0")
-
-    def apply(self, labels: LabelMap, rng: np.random.Generator) -> LabelMap:
-        """A noisy copy of a label map ``(H, W)`` of uint8 Cityscapes ids."""
-        noisy = labels.copy()
-        for add_error, generator in zip(ERRORS, rng.spawn(len(ERRORS)), strict=True):
-            noisy = add_error(noisy, self.strength, generator)
-        return noisy
+def add_errors(labels: LabelMap, strength: float, rng: np.random.Generator) -> LabelMap:
+    """A copy of a label map ``(H, W)`` of uint8 Cityscapes ids with all errors together; strength
+    0: none, 1: as of a good network, about 5: as of a bad one."""
+    noisy = labels.copy()
+    for add_error, generator in zip(ERRORS, rng.spawn(len(ERRORS)), strict=True):
+        noisy = add_error(noisy, strength, generator)
+    return noisy
 
 
 def lose_poles(labels: LabelMap, strength: float, rng: np.random.Generator) -> LabelMap:

@@ -36,7 +36,7 @@ from .city.rendering import background, paint
 from .city.streets import camera_poses, nearby_blocks
 from .city.traffic import changing_bodies, vehicles
 from .poses import Pose, write_poses
-from .segmentation_noise import SegmentationNoise
+from .segmentation_noise import add_errors
 
 LABEL_SPACES = ("cityscapes-trainids", "cityscapes-ids")
 FRAME_SECONDS = 1 / 3
@@ -49,7 +49,7 @@ QUERY = Conditions(
     lateral_offset=0.7,
     heading_jitter=2.0,
     season="winter",
-    noise=SegmentationNoise(),
+    noise=1.0,
     seed=1,
 )
 
@@ -135,7 +135,7 @@ class SyntheticCity:
             labels = paint(background(self.seed, pose, size), bodies, pose)
             if conditions.noise:
                 rng = generator(conditions.seed, "noise", self.seed, index)
-                labels = conditions.noise.apply(labels, rng)
+                labels = add_errors(labels, conditions.noise, rng)
             yield CityFrame(ids[labels], pose, f"{index:06d}")
 
 

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..segmentation_noise import SegmentationNoise
-
 SEASONS = ("summer", "winter")
 
 
@@ -22,7 +20,7 @@ class Conditions:
         heading_jitter: standard deviation in degrees of a smooth rotation of the camera.
         traffic: amount of vehicles and people; 0 none, 1 usual, 3 heavy.
         season: "summer", or "winter", when most trees are bare.
-        noise: errors of a segmentation network, or ``None`` for perfect labels.
+        noise: strength of the errors of a segmentation network, see `segmentation_noise`; 0 none.
         seed: seed of all that differs between drives (>= 0).
     """
 
@@ -32,15 +30,16 @@ class Conditions:
     heading_jitter: float = 0.0
     traffic: float = 1.0
     season: str = "summer"
-    noise: SegmentationNoise | None = None
+    noise: float = 0.0
     seed: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("spacing", "lateral_offset", "heading_offset", "heading_jitter", "traffic"):
+        for name in ("lateral_offset", "heading_offset"):
             require(math.isfinite(getattr(self, name)), name, getattr(self, name), "finite")
-        require(self.spacing > 0, "spacing", self.spacing, "metres > 0")
-        require(self.heading_jitter >= 0, "heading_jitter", self.heading_jitter, "degrees >= 0")
-        require(self.traffic >= 0, "traffic", self.traffic, "a number >= 0")
+        for name in ("heading_jitter", "traffic", "noise"):
+            given = getattr(self, name)
+            require(math.isfinite(given) and given >= 0, name, given, "a finite number >= 0")
+        require(0 < self.spacing < math.inf, "spacing", self.spacing, "metres > 0")
         require(self.season in SEASONS, "season", self.season, f"one of {SEASONS}")
         require(self.seed >= 0, "seed", self.seed, "an integer >= 0")
 
