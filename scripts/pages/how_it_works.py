@@ -69,7 +69,7 @@ def _paper(axes: Any, labels: np.ndarray, head: SSRVLAD, given: torch.Tensor) ->
     for mask, mark in ((ends, "o"), (crossings, "s")):
         y, x = np.nonzero(mask)
         axes[2].plot(x, y, mark, color="black", markersize=4)
-    x, y = view.centres[0, LAYER].tolist()
+    y, x = view.centres[0, LAYER].tolist()
     axes[2].plot(x, y, "+", color=_OURS, markersize=14, markeredgewidth=3)
     vector = view.descriptor[0].view(len(CATEGORIES), -1)
     _bars(axes[3], vector, "paper: eight\nvectors of 60 (Eq. 2)", _PAPER)
