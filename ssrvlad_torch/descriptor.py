@@ -52,13 +52,14 @@ class SSRVLAD(nn.Module):
 
     Args:
         config: the settings; the default is the preset ``default``.
+        columns: S anchors; with them a call is a `sweep`.
 
     Shape:
         - input: ``(B, H, W)`` label ids of any integer dtype, or ``(B, C, H, W)`` floating class
           scores (logits or probabilities; the largest wins, the first of equals), any ``H`` and
           ``W`` from 1. A tensor or a NumPy array.
         - output: ``(B, 480)`` float32 of length 1, or exact zeros for an empty image, one that
-          shows no category.
+          shows no category; with S anchors ``(B, S, 480)``.
 
     Raises:
         ValueError: input on another device than the module, wrong rank or dtype, an empty batch or
@@ -73,11 +74,12 @@ class SSRVLAD(nn.Module):
         torch.Size([2, 480])
     """
 
-    def __init__(self, config: SSRVLADConfig | None = None) -> None:
+    def __init__(self, config: SSRVLADConfig | None = None, columns: Sequence[int] = ()) -> None:
         super().__init__()
         if not isinstance(config, SSRVLADConfig | None):
             raise ValueError(f"expected an SSRVLADConfig, got {config!r}; see SSRVLAD.from_preset")
         self.config = config or SSRVLADConfig()
+        self.columns = _checked(columns) if columns else ()
         self._front_end = FrontEnd(self.config)
         harmonic = self.config.aggregation == "harmonics"
         self._aggregation: Aggregation = (Harmonics if harmonic else Residuals)(self.config)
@@ -99,6 +101,8 @@ class SSRVLAD(nn.Module):
 
     def forward(self, labels: Tensor | npt.NDArray[Any]) -> Tensor:
         """The descriptors of a batch."""
+        if self.columns and not torch.compiler.is_exporting():
+            return self.sweep(labels, self.columns)
         labels = self._input(labels)
         if torch.compiler.is_exporting():
             self._refuse_loops_in_onnx()
@@ -158,6 +162,9 @@ class SSRVLAD(nn.Module):
         no layer; of ``paper`` also ``(B, 8)`` int64, the number of keypoints of each layer, and
         ``(B, h, w)`` uint8, the skeletons as bit-planes."""
         layers, unknown = self._front_end.counted(label_map(labels, self.label_space))
+        if self.columns:
+            assert isinstance(self._aggregation, Harmonics)
+            return self._aggregation.sweep(layers, self.columns), unknown
         histograms = self._aggregation.histograms(layers)
         descriptor = self._aggregation.descriptor(histograms)
         if isinstance(histograms, ResidualHistograms):
@@ -207,26 +214,6 @@ class SSRVLAD(nn.Module):
     def extra_repr(self) -> str:
         """What ``print(head)`` shows: the preset, the label space and the fingerprint."""
         return ", ".join((self.config.preset, self.config.labels_name, self.config.fingerprint))
-
-
-class SweepHead(SSRVLAD):
-    """`SSRVLAD.sweep` over some columns as a module: its output is ``(B, S, 480)``."""
-
-    def __init__(self, config: SSRVLADConfig, columns: Sequence[int]) -> None:
-        super().__init__(config)
-        self.columns = _checked(columns)
-
-    def forward(self, labels: Tensor | npt.NDArray[Any]) -> Tensor:
-        """The descriptors of a batch from every anchor."""
-        if torch.compiler.is_exporting():
-            return super().forward(labels)
-        return self.sweep(labels, self.columns)
-
-    def counted(self, labels: Tensor) -> tuple[Tensor, ...]:
-        """As `SSRVLAD.counted`, with descriptors from every anchor."""
-        layers, unknown = self._front_end.counted(label_map(labels, self.label_space))
-        assert isinstance(self._aggregation, Harmonics)
-        return self._aggregation.sweep(layers, self.columns), unknown
 
 
 def _checked(columns: Sequence[int]) -> tuple[int, ...]:

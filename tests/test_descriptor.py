@@ -19,7 +19,6 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig
 from ssrvlad_torch.config import CHOICES, PRESETS
 from ssrvlad_torch.datasets.synthetic_city import QUERY, SyntheticCity
-from ssrvlad_torch.descriptor import SweepHead
 from ssrvlad_torch.stages.harmonics import waves
 from ssrvlad_torch.stages.shape_context import PAIRS_AT_ONCE
 from ssrvlad_torch.taxonomy import label_space
@@ -208,7 +207,7 @@ def test_it_is_compiled_as_one_operator_and_paper_is_exported_as_it(core):
     ("head", "shape"),
     [
         (SSRVLAD(DEFAULT), ()),
-        pytest.param(SweepHead(DEFAULT, [-3, 5]), (2,), marks=pytest.mark.slow),
+        pytest.param(SSRVLAD(DEFAULT, [-3, 5]), (2,), marks=pytest.mark.slow),
     ],
 )
 def test_default_is_exported_as_its_stages_for_every_size(head, shape):
@@ -241,7 +240,7 @@ def test_a_network_with_the_head_is_compiled_and_exported(core):
             compiled(other * torch.nan)
 
 
-@pytest.mark.parametrize("head", [SSRVLAD(DEFAULT), SSRVLAD(PAPER), SweepHead(DEFAULT, [0])])
+@pytest.mark.parametrize("head", [SSRVLAD(DEFAULT), SSRVLAD(PAPER), SSRVLAD(DEFAULT, [0])])
 def test_torch_jit_trace_and_the_old_exporter_are_refused(head, tmp_path):
     with refused(r"torch\.jit\.trace cannot record SSRVLAD", by=RuntimeError):
         torch.jit.trace(head, batch_of_blobs(1))
@@ -340,7 +339,7 @@ def city() -> torch.Tensor:
 
 def test_the_usual_anchor_gives_the_descriptor(city):
     head = SSRVLAD(IN_CITY)
-    swept = SweepHead(IN_CITY, (-4, 0, 4))(city)
+    swept = SSRVLAD(IN_CITY, (-4, 0, 4))(city)
     assert swept.shape == (3, 3, 480)
     assert torch.equal(swept[:, 1], head(city))
     assert not torch.equal(swept[:, 0], swept[:, 1])

@@ -11,7 +11,6 @@ from ssrvlad_torch import SSRVLAD, SSRVLADConfig
 from ssrvlad_torch.deployment import export
 from ssrvlad_torch.deployment.golden import SIZE, golden_pair, outputs_of
 from ssrvlad_torch.deployment.metadata import Metadata
-from ssrvlad_torch.descriptor import SweepHead
 from ssrvlad_torch.taxonomy import label_space_names
 
 
@@ -37,7 +36,7 @@ def test_unknown_ids_belong_to_no_layer():
     assert labels.max() > 11
     labels[labels > 11] = 11  # void
     np.testing.assert_array_equal(head(labels), pair["descriptor"])
-    sweep = SweepHead(head.config, (0, 9))
+    sweep = SSRVLAD(head.config, (0, 9))
     outputs = outputs_of(sweep, pair["labels"])
     np.testing.assert_array_equal(outputs["descriptor"], sweep(labels))
 

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from ..config import CATEGORY_COUNT, SSRVLADConfig
-from ..descriptor import SSRVLAD, SweepHead
+from ..descriptor import SSRVLAD
 from ..files import check_output, replacing, requiring
 from ..stages.vanishing_column import MAX_WIDTH
 from .golden import SIZE, golden_pair
@@ -88,8 +88,8 @@ def head_model(
     """The model that `export_head` writes; arguments and errors as there."""
     with requiring("onnx", "ONNX graphs need"):
         import onnx
-    head = SweepHead(config, columns) if columns else SSRVLAD(config)
-    if isinstance(head, SweepHead) and (len(columns) % 2 == 0 or columns[len(columns) // 2]):
+    head = SSRVLAD(config, columns)
+    if columns and (len(columns) % 2 == 0 or columns[len(columns) // 2]):
         raise ValueError(
             "columns: expected an odd number with 0 in the middle, from where the frames of a map "
             f"are described, got {list(columns)}"
@@ -129,7 +129,7 @@ def _graph(
         channels = head.label_space.channel_counts[-1]
         axes = (axes[0], channels if shape else "C", *axes[1:])
         example = example.new_zeros((len(example), channels, *example.shape[1:]), dtype=torch.float)
-    swept = [len(head.columns)] if isinstance(head, SweepHead) else []
+    swept = [len(head.columns)] if head.columns else []
     outputs: dict[str, Axes] = {
         "descriptor": [axes[0], *swept, config.length],
         "unknown": [axes[0]],

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from ..descriptor import SSRVLAD, SweepHead
+from ..descriptor import SSRVLAD
 from ..stages.vanishing_column import OPEN_LAYERS
 from ..taxonomy import CATEGORIES, VOID, LabelClass
 
@@ -71,8 +71,7 @@ def outputs_of(head: SSRVLAD, array: Array) -> dict[str, Array]:
         free = next(number for number in count() if number not in ids)
         array = np.where(unknown, np.array(free, array.dtype), array)
         space = replace(space, classes=(*space.classes, LabelClass(free, "unknown", VOID)))
-        config = replace(head.config, labels_as=space)
-        head = SweepHead(config, head.columns) if isinstance(head, SweepHead) else SSRVLAD(config)
+        head = SSRVLAD(replace(head.config, labels_as=space), head.columns)
     labels = torch.tensor(array)
     outputs = {
         "descriptor": head(labels).numpy(),

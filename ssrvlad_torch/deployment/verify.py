@@ -14,7 +14,7 @@ import numpy.typing as npt
 from ..config import SSRVLADConfig, package_version
 from ..datasets.frame_file import FrameFile, Skipped
 from ..datasets.label_files import LabelMap, read_label_map
-from ..descriptor import SSRVLAD, SweepHead
+from ..descriptor import SSRVLAD
 from ..files import one_line, parse_json
 from ..segmentation.onnx_files import CPU, load_model
 from ..segmentation.openvino_session import SINGLE
@@ -317,5 +317,4 @@ def _module(metadata: Metadata) -> SSRVLAD:
             f"settings of version {metadata.version} do not fit {package_version()}: {error}"
         ) from error
     space = LabelSpace.from_dict({"source": PREFIX, **metadata.label_space})
-    config, columns = replace(config, labels_as=space), metadata.interface.get("sweep")
-    return SweepHead(config, columns) if columns else SSRVLAD(config)
+    return SSRVLAD(replace(config, labels_as=space), metadata.interface.get("sweep", ()))
