@@ -19,7 +19,7 @@ STREET = 150
 def told(closeness, chance=0.02, accepted=()):
     """Whether the drive is told to return at each frame: a street, and then the same again, whose
     frames are so close to those of the first time; others are close by chance."""
-    tracks, found = Tracks(), []
+    tracks, found = Tracks(50), []
     rng = np.random.default_rng(0)
     for number in range(2 * STREET):
         near = rng.uniform(-chance, chance, number)
@@ -42,8 +42,24 @@ def test_a_return_in_another_light_is_told_soon_and_as_long_as_it_lasts():
 
 
 def test_what_closes_no_loop_was_by_chance():
-    """Tracks that the filter does not follow raise the level for all later ones."""
-    assert not told(0.3)[STREET + 60 :].any()
+    """Tracks that the filter does not follow for long raise the level for all later ones."""
+    found = told(0.3)
+    assert found[STREET + 10 : STREET + 50].all()
+    assert not found[STREET + 110 :].any()
+
+
+def test_a_slow_stream_is_none():
+    """Its excluded frames run beside the last ones as closely as older frames do."""
+    tracks, rng, found = Tracks(50), np.random.default_rng(0), False
+    for number in range(2 * STREET):
+        near = rng.uniform(-0.02, 0.02, number)
+        near[-1:] = 1
+        if number >= STREET:
+            near[-80:-1] = 0.3
+        tracks.after(near, max(0, number - 50))
+        found |= tracks.returning
+        tracks.decided(accepted=False)
+    assert not found
 
 
 @pytest.mark.parametrize("closeness", [0.0, 1.0])
@@ -53,6 +69,47 @@ def test_neither_a_new_place_nor_one_light_is(closeness):
 
 def test_where_places_look_alike_nothing_is_told():
     assert not told(0.6, chance=0.9).any()
+
+
+def test_a_new_place_explains_what_chance_does_in_any_stretch():
+    tracks, rng = Tracks(50), np.random.default_rng(0)
+    assert tracks.explained == 0
+    for number in range(2 * STREET):
+        near = rng.uniform(0.2, 0.4, number)
+        near[-1:] = 0.7
+        tracks.after(near, max(0, number - 50))
+        tracks.decided(accepted=False)
+    explained = tracks.explained
+    assert 0.03 < explained < 0.1
+    tracks.restart()
+    assert tracks.explained == explained
+    assert not tracks.returning
+
+
+BETWEEN = PLACES + np.roll(PLACES, -1, axis=0)
+
+
+def alike(start, styles, strength=0.8, light=0.0):
+    """Descriptors of new places, which are like those of the same style, but less than a frame is
+    like the next."""
+    return unit(BETWEEN[start : start + len(styles)] + strength * BETWEEN[styles] + light)
+
+
+def test_places_no_more_alike_than_those_of_the_stream_close_no_loop():
+    """A street of two parts that are alike, and a third; by another name, a street like the third;
+    and last the third itself, in another light."""
+    first, third = np.arange(300, 380), np.arange(380, 460)
+    street = np.concatenate((alike(0, first), alike(80, first), alike(160, third)))
+    loops = LoopDetector(head=HEAD)
+
+    def go(name, vectors):
+        noisy = unit(vectors + RNG.normal(0, 0.3 / 22, vectors.shape))
+        records = (FrameRecord(name, f"{number:03d}") for number in range(len(noisy)))
+        return [loops.observe(*each) for each in zip(records, torch.from_numpy(noisy), strict=True)]
+
+    go("first", street)
+    assert not any(result.accepted for result in go("second", alike(240, third[:60], 0.6)))
+    assert sum(result.accepted for result in go("third", alike(160, third, light=0.2 * LIGHT))) > 50
 
 
 @pytest.mark.parametrize("stop", [145, 155, 200])

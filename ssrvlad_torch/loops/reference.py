@@ -167,19 +167,24 @@ class Repeats:
 KEPT = 0.93
 """A track is a mean over frames, in which each counts so much of the next."""
 
+EXPLAINED = 0.9
+"""A new place explains tracks as close as so many of those by chance."""
+
 BY_CHANCE = 1.5
 """A track so many times as close as the closest by chance is a return."""
 
 CLEAR, SAME = 0.12, 0.75
 """Closeness is 0 for different places and 1 for a frame and the next. Where tracks by chance are
 closer than the first, places look too alike to be told apart in another light; a track closer than
-the second is in the same light."""
+the second is in the same light. The older half of the excluded frames shows how dense a stream is:
+in a slow one, they run beside the last ones as closely as a return in another light would."""
 
 USUAL, EARLIER = 100, 1000
 """Frames that show what is usual, and frames whose closest track is one by chance."""
 
 LEAST_BY_CHANCE, WAIT = 5, 25
-"""Frames by chance that must be known; and how long no loop is closed before and after them."""
+"""Frames by chance that must be known; and how long no loop is closed before and after them. A
+return that closes none for twice as long is by chance, too."""
 
 _AROUND, _BESIDE, _LEAST_STEP = 50, 10, 0.02
 
@@ -187,13 +192,18 @@ _AROUND, _BESIDE, _LEAST_STEP = 50, 10, 0.02
 class Tracks:
     """In another light, a frame is nowhere near as like the old frame of its place as the frame
     before. But the two drives run on side by side. How far that can happen by chance the stream
-    itself shows: most frames are at new places."""
+    itself shows: most frames are at new places. What is by chance in one stretch is so in the next.
+    """
 
-    def __init__(self) -> None:
-        self._closeness = np.zeros(0)
-        self._steps, self._others = list[float](), list[float]()
-        self._waiting, self._by_chance = list[float](), list[float]()
-        self._since, self._closest = WAIT, 0.0
+    def __init__(self, exclude: int, clear: float = CLEAR) -> None:
+        self._exclude, self._clear = exclude, clear
+        self._steps, self._others, self._by_chance = (list[float]() for _ in range(3))
+        self.restart()
+
+    def restart(self) -> None:
+        """The next frame is the first of a stretch."""
+        self._closeness, self._waiting = np.zeros(0), list[float]()
+        self._since, self._held, self._closest, self._densest = WAIT, 0, 0.0, 0.0
 
     @property
     def returning(self) -> bool:
@@ -201,7 +211,21 @@ class Tracks:
         if len(self._by_chance) < LEAST_BY_CHANCE:
             return False
         highest = max(self._by_chance)
-        return highest <= CLEAR and BY_CHANCE * highest <= self._closest < SAME
+        is_clear = highest <= self._clear and BY_CHANCE * highest <= self._closest
+        return is_clear and self._densest <= self._closest < SAME
+
+    @property
+    def explained(self) -> float:
+        """How much nearer than the mean an old frame can be at a new place, see `EXPLAINED`; 0
+        where too few tracks by chance are known."""
+        if len(self._by_chance) < LEAST_BY_CHANCE:
+            return 0.0
+        return float(np.quantile(self._by_chance, EXPLAINED)) * self._step
+
+    @property
+    def _step(self) -> float:
+        """How much nearer than different places a frame is to the next."""
+        return max(_LEAST_STEP, float(np.median(self._steps) - np.median(self._others)))
 
     def after(self, near: Floats, old: int) -> None:
         """Takes the nearness ``(N,)`` of the next frame to all earlier ones of the stretch, of
@@ -211,17 +235,21 @@ class Tracks:
             return
         self._steps = [*self._steps, float(near[-1])][-USUAL:]
         self._others = [*self._others, float(np.median(near[-_AROUND:-_BESIDE]))][-USUAL:]
-        step = max(_LEAST_STEP, float(np.median(self._steps) - np.median(self._others)))
         known = near[:old][near[:old] > -np.inf]
         if not len(known):
             return
-        close = np.where(np.isfinite(near), (near - known.mean()) / step, 0)
+        close = np.where(np.isfinite(near), (near - known.mean()) / self._step, 0)
         self._closeness[len(near) - len(before) :] = KEPT * before
         self._closeness += (1 - KEPT) * close
         self._closest = float(self._closeness[:old].max())
+        self._densest = float(self._closeness[old : len(near) - self._exclude // 2].max(initial=0))
 
     def decided(self, accepted: bool) -> None:
-        """Takes whether the frame closes a loop: tracks around one are not by chance."""
+        """Takes whether the frame closes a loop: tracks around one are not by chance, nor is, for a
+        while, a return that may still become one."""
+        self._held = self._held + 1 if self.returning and not accepted else 0
+        if 0 < self._held <= 2 * WAIT:
+            return
         self._since = 0 if accepted else self._since + 1
         if accepted:
             self._waiting = []
@@ -241,8 +269,8 @@ CHANGE, JUMP, UNMAPPED, STAY = 0.01, 0.01, 0.3, 0.97
 new place; and to stay at new places."""
 
 WEIGHT, LEVEL = 0.25, 0.5
-"""The likelihood of a row of another stretch with the z-score z is exp(WEIGHT * (z - LEVEL)),
-against that of a new place."""
+"""The likelihood of a row of another stretch with the z-score z is exp(WEIGHT * (z - level)),
+against that of a new place. The level is at least LEVEL, and what `Tracks` explain by chance."""
 
 EVIDENCE, LEVEL_FRACTION = 3.0, 0.9
 """For frames of the same stretch, which share light and network: the level is a fraction of the
@@ -341,6 +369,8 @@ class Loops:
         self._frames: dict[str, list[Array]] = {each.name: [] for each in channels}
         self._leads = {each.name: 0.0 for each in channels}
         self._stamps, self._starts = list[float](), list[int]()
+        # label maps alone have tracks by chance as close as returns
+        self._tracks = Tracks(exclude, CLEAR if len(channels) > 1 else 0.0)
         self._filter = Filter()
 
     def __len__(self) -> int:
@@ -390,7 +420,8 @@ class Loops:
         if not self._starts or starts or self._breaks(centres, stamp):
             self._starts.append(len(self))
             self._neighbours = list[float]()
-            self._repeats, self._tracks = Repeats(self._exclude), Tracks()
+            self._repeats = Repeats(self._exclude)
+            self._tracks.restart()
             self._filter.restart()
         last = max(0, len(self) - min(RECENT, self._exclude))
         fresh = np.arange(self._filter.rows, max(last, self._filter.rows))
@@ -458,15 +489,16 @@ class Loops:
         usual = float(np.quantile(self._neighbours, 0.25)) if self._neighbours else 0.0
         by_chance = math.sqrt(2 * math.log(max(2, len(z))))
         level = max(LEVEL, LEVEL_FRACTION * usual, by_chance)
-        others = np.exp(np.minimum(WEIGHT * (z - LEVEL), MAX_LOG))
+        self._tracks.after(near[start:], candidates)
+        explained = max(LEVEL, self._tracks.explained / deviation)
+        others = np.exp(np.minimum(WEIGHT * (z[:start] - explained), MAX_LOG))
         same = np.exp(np.minimum(EVIDENCE / level * (own - level), MAX_LOG))
         repeats = (self._repeats.highest[: len(own)] - mean) * MARGIN / deviation - level
         same[:candidates] *= np.exp(-EVIDENCE / level * np.maximum(0, repeats))[:candidates]
-        if len(self.channels) > 1:  # label maps alone have tracks by chance as close as returns
-            self._tracks.after(near[start:], candidates)
-            if self._tracks.returning:
-                same[:candidates] = np.maximum(same, others[start:])[:candidates]
-        return np.concatenate((others[:start], same))
+        if self._tracks.returning:
+            returned = np.exp(np.minimum(WEIGHT * (own - LEVEL), MAX_LOG))
+            same[:candidates] = np.maximum(same, returned)[:candidates]
+        return np.concatenate((others, same))
 
     def _found(self, rows: Floats, scores: Floats, old: int) -> Found:
         """The result, by the probabilities of the rows."""

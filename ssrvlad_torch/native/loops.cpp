@@ -22,6 +22,7 @@ constexpr Size APART = 5;
 constexpr std::size_t TRACK = 15;
 
 constexpr float KEPT = 0.93F;  // tracks
+constexpr double EXPLAINED = 0.9;
 constexpr float BY_CHANCE = 1.5F, CLEAR = 0.12F, SAME = 0.75F, LEAST_STEP = 0.02F;
 constexpr std::size_t USUAL = 100, EARLIER = 1000, LEAST_BY_CHANCE = 5;
 constexpr Size WAIT = 25, AROUND = 50, BESIDE = 10;
@@ -175,7 +176,26 @@ void Repeats::after(const float *near, Size count) {
 
 // -------------------------------------------------------------------------------------------- tracks
 
-Tracks::Tracks() : since_(WAIT) {}
+void Tracks::restart() {
+  closeness_.clear();
+  waiting_.clear();
+  since_ = WAIT;
+  held_ = 0;
+  closest_ = densest_ = 0;
+}
+
+bool Tracks::known() const { return by_chance_.size() >= LEAST_BY_CHANCE; }
+
+float Tracks::step() const {
+  const double usual = median(std::vector<float>(steps_.begin(), steps_.end())) -
+                       median(std::vector<float>(others_.begin(), others_.end()));
+  return std::max(LEAST_STEP, static_cast<float>(usual));
+}
+
+double Tracks::explained() const {
+  if (!known()) return 0;
+  return quantile({by_chance_.begin(), by_chance_.end()}, EXPLAINED) * static_cast<double>(step());
+}
 
 void Tracks::after(const float *near, Size count, Size old) {
   std::vector<float> before(place(count));
@@ -184,20 +204,22 @@ void Tracks::after(const float *near, Size count, Size old) {
   const std::vector<float> seen(near + std::max<Size>(0, count - AROUND), near + count - BESIDE);
   keep(steps_, near[count - 1], USUAL);
   keep(others_, static_cast<float>(median(seen)), USUAL);
-  const double usual = median(std::vector<float>(steps_.begin(), steps_.end())) -
-                       median(std::vector<float>(others_.begin(), others_.end()));
-  const float step = std::max(LEAST_STEP, static_cast<float>(usual));
   const Spread known = plain_spread(near, old);
   if (std::all_of(near, near + old, [](float value) { return value == NONE; })) return;
   const auto later = count - static_cast<Size>(before.size());
+  const float usual = step();
   for (Size row = 0; row < count; ++row) {
-    const float close = near[row] == NONE ? 0 : (near[row] - static_cast<float>(known.mean)) / step;
+    const float close = near[row] == NONE ? 0 : (near[row] - static_cast<float>(known.mean)) / usual;
     closeness_[place(row)] = (row >= later ? KEPT * before[place(row - later)] : 0) + (1 - KEPT) * close;
   }
-  closest_ = *std::max_element(closeness_.begin(), closeness_.begin() + old);
+  const auto first = closeness_.begin();
+  closest_ = *std::max_element(first, first + old);
+  densest_ = std::max(0.0F, *std::max_element(first + old, first + std::max(old + 1, count - exclude_ / 2)));
 }
 
 void Tracks::decided(bool accepted) {
+  held_ = returning() && !accepted ? held_ + 1 : 0;
+  if (0 < held_ && held_ <= 2 * WAIT) return;
   since_ = accepted ? 0 : since_ + 1;
   if (accepted) waiting_.clear();
   if (accepted || since_ <= WAIT || closest_ == 0) return;
@@ -208,9 +230,10 @@ void Tracks::decided(bool accepted) {
 }
 
 bool Tracks::returning() const {
-  if (by_chance_.size() < LEAST_BY_CHANCE) return false;
+  if (!known()) return false;
   const float highest = *std::max_element(by_chance_.begin(), by_chance_.end());
-  return highest <= CLEAR && BY_CHANCE * highest <= closest_ && closest_ < SAME;
+  const bool is_clear = highest <= clear_ && BY_CHANCE * highest <= closest_;
+  return is_clear && densest_ <= closest_ && closest_ < SAME;
 }
 
 // -------------------------------------------------------------------------------------------- stream
@@ -220,7 +243,8 @@ Stream::Stream(const ssrvlad_loops_settings &settings, const ssrvlad_loops_chann
       threshold_(settings.threshold),
       leads_(static_cast<std::size_t>(count)),
       filter_(drives_, MOTION, {FORWARDS, BACKWARDS}),
-      repeats_(exclude_) {
+      repeats_(exclude_),
+      tracks_(exclude_, count > 1 ? CLEAR : 0) {  // label maps alone have tracks as close as returns
   for (int number = 0; number < count; ++number) {
     const auto &[kind, shape, trust] = channels[number];
     if (kind == SSRVLAD_VECTORS) channels_.push_back(std::make_unique<LiveVectors>(shape[0]));
@@ -267,7 +291,7 @@ void Stream::start_stretch() {
   stamps_.clear();
   neighbours_.clear();
   repeats_ = Repeats(exclude_);
-  tracks_ = Tracks();
+  tracks_.restart();
   belief_ = filter_.start(drives_.all());
   starting_ = true;
 }
@@ -378,8 +402,11 @@ std::vector<float> Stream::likelihood(const std::vector<float> &near, const Spre
   const double by_chance = std::sqrt(2 * log_of(static_cast<double>(std::max<Size>(2, rows()))));
   const double level = std::max({MOTION.level, LEVEL_FRACTION * usual, by_chance});
   const double weight = EVIDENCE / level;
-  likelihoods(near.data(), start + candidates, MOTION.weight, MOTION.level, spread, told.data());
-  const bool is_returning = returning(near.data() + start, own, candidates);
+  tracks_.after(near.data() + start, own, candidates);
+  const double explained = std::max(MOTION.level, tracks_.explained() / spread.deviation);
+  likelihoods(near.data(), start, MOTION.weight, explained, spread, told.data());
+  likelihoods(near.data() + start, candidates, MOTION.weight, MOTION.level, spread, told.data() + start);
+  const bool is_returning = tracks_.returning();
   std::vector<float> same(place(own));
   likelihoods(near.data() + start, own, weight, level, spread, same.data());
   for (Size row = 0; row < own; ++row) {
@@ -394,12 +421,6 @@ std::vector<float> Stream::likelihood(const std::vector<float> &near, const Spre
     if (is_returning) here = std::max(here, others);
   }
   return told;
-}
-
-bool Stream::returning(const float *near, Size count, Size old) {
-  if (channels_.size() == 1) return false;  // label maps alone have tracks by chance as close as returns
-  tracks_.after(near, count, old);
-  return tracks_.returning();
 }
 
 void Stream::filter(std::vector<float> told) {

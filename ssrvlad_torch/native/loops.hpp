@@ -32,20 +32,31 @@ class Repeats {
 // How closely the frames of a stretch before each earlier frame run beside the last ones.
 class Tracks {
  public:
-  Tracks();
+  // Returns in another light are looked for where tracks by chance are no closer than `clear`.
+  Tracks(Size exclude, float clear) : exclude_(exclude), clear_(clear) {}
 
+  // The next frame is the first of a stretch. What is by chance in one stretch is so in the next.
+  void restart();
   // Takes the nearness of the next frame to all earlier ones of the stretch, of which the first are old.
   void after(const float *near, Size count, Size old);
-  // Takes whether the frame closes a loop: tracks around one are not by chance.
+  // Takes whether the frame closes a loop: tracks around one are not by chance, nor is, for a while, a
+  // return that may still become one.
   void decided(bool accepted);
   // Whether the last frames run beside old ones in another light.
   bool returning() const;
+  // How much nearer than the mean an old frame can be at a new place; 0 where that is not known.
+  double explained() const;
 
  private:
+  bool known() const;
+  float step() const;  // how much nearer than different places a frame is to the next
+
+  Size exclude_;
+  float clear_;
   std::vector<float> closeness_;
   std::deque<float> steps_, others_, waiting_, by_chance_;
-  Size since_;
-  float closest_ = 0;
+  Size since_ = 0, held_ = 0;
+  float closest_ = 0, densest_ = 0;  // of old frames, and of the older half of the excluded ones
 };
 
 class Stream {
@@ -72,7 +83,6 @@ class Stream {
   std::vector<float> likelihood(const std::vector<float> &near, const Spread &spread);
   void filter(std::vector<float> likelihood);
   ssrvlad_loop result(const std::vector<float> &scores);
-  bool returning(const float *near, Size count, Size old);
 
   Size exclude_;
   double threshold_;
