@@ -104,10 +104,11 @@ def difference(ours: Hits, base: Hits) -> str:
     shares = rng.random((len(ours) // 2, RESAMPLES, 200))
     for number, pair in enumerate(zip(ours, base, strict=True)):
         gained = np.subtract(*(each.mean((0, 1)).numpy() for each in pair))
+        gained = gained[~np.isnan(gained)]
         starts = (shares[number // 2, :, : -(-len(gained) // BLOCK)] * len(gained)).astype(int)
         chosen = gained[(starts[..., None] + np.arange(BLOCK)) % len(gained)]
-        exact.append(np.nanmean(gained))
-        drawn.append(np.nanmean(chosen, (1, 2)))
+        exact.append(gained.mean())
+        drawn.append(chosen.mean((1, 2)))
     low, high = np.quantile(np.mean(drawn, 0), (0.025, 0.975))
     return f"{np.mean(exact):+.3f} [{low:+.3f}, {high:+.3f}]"
 
