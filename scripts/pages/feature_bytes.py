@@ -52,7 +52,7 @@ FORMS = {
     "256 signs": Form(256, 256),
     "128 of two bits, quarters of a normal": Form(cut="normal"),
     "128 of two bits, quarters of the map": Form(cut="map"),
-    "floats": Form(0),
+    "floats": Form(0, of=""),
 }
 Hits = list[Tensor]
 
