@@ -283,7 +283,7 @@ def test_no_tensor_outgrows_the_image(preset, specks):
 def test_cuda_equals_cpu(preset):
     head, batch = SSRVLAD.from_preset(preset, labels_as=SPACE), batch_of_blobs()
     expected = head.explain(batch)
-    view = head.explain(batch.to("cuda"))
+    view = head.to("cuda").explain(batch.to("cuda"))
     named = {**vars(view), **view.histograms._asdict()}
     for name, value in {**vars(expected), **expected.histograms._asdict()}.items():
         if isinstance(value, torch.Tensor):
