@@ -24,9 +24,7 @@ SIZES, BATCHES, REPETITIONS = ((120, 160), (512, 512), (1024, 1024)), (1, 64), 5
 
 def main() -> None:
     files = sorted(Path(sys.argv[1]).glob("**/*.png"))
-    print(
-        f"{torch.cuda.get_device_name()}, torch {torch.__version__}, {torch.get_num_threads()} threads"
-    )
+    print(torch.cuda.get_device_name(), torch.__version__, torch.get_num_threads(), "threads")
     names = ("CUDA", "native core", "native core, one thread", "torch, CPU")
     print(*head_row("preset", "size", "batch", *names, "largest difference"), sep="\n")
     for preset, (height, width), count in product(PRESETS, SIZES, BATCHES):
