@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from loop_streams import LIGHT, PLACES, hog_of, noisy_stream, signs_of, unit
 
 from ssrvlad_torch.loops import reference
-from ssrvlad_torch.native.loops import Channel, Loops
+from ssrvlad_torch.native.loops import SCAN_ABOVE, Channel, Loops
 
 pytestmark = pytest.mark.usefixtures("core")
 
@@ -87,6 +87,7 @@ def streams(draw):
     settings = {
         "exclude": draw(st.integers(0, 60)),
         "threshold": draw(st.sampled_from([0.3, 0.8])),
+        "scan_above": draw(st.sampled_from([SCAN_ABOVE, 0, 40, 80])),
     }
     return frames, starts, stamps, draw(st.integers(0, length)), settings
 
