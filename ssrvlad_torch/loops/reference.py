@@ -109,7 +109,7 @@ def chosen(rough: Sequence[Floats], usual: slice, believed: Floats) -> npt.NDArr
     chosen as well, and their neighbours."""
     rows = len(rough[0])
     found = np.zeros(rows, np.bool_)
-    found[usual] = found[min(usual.stop, rows - LATEST) :] = True
+    found[usual] = found[max(0, min(usual.stop, rows - LATEST)) :] = True
     for near in rough:
         found |= near >= np.quantile(near[usual], 1 - BEST)
     for row in np.flatnonzero(believed * len(believed) > 1):

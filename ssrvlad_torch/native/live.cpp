@@ -23,10 +23,10 @@ std::size_t place(Size at) { return static_cast<std::size_t>(at); }
 
 // Numbers that a processor takes at once; one that takes fewer makes several of them.
 #if defined(__GNUC__)
-SSRVLAD_INLINE void prefetch(const float *numbers) { __builtin_prefetch(numbers); }
+SSRVLAD_INLINE void prefetch(const void *numbers) { __builtin_prefetch(numbers); }
 typedef float Lanes __attribute__((vector_size(LANES * sizeof(float)), aligned(4), may_alias));
 #else
-void prefetch(const float *) {}
+void prefetch(const void *) {}
 
 struct Lanes {
   float of[LANES];
@@ -63,10 +63,11 @@ SSRVLAD_INLINE float sum_of(const Lanes &lanes) {
 template <int ANCHORS>
 SSRVLAD_INLINE void best_of(const float *rows, Size count, Size width, const float *mean,
                             const float *anchors, float *best, float *squares) {
+  const float *const last = rows + count * width - AHEAD;
   for (Size row = 0; row < count; ++row, rows += width) {
     Lanes products[ANCHORS] = {}, square = {};
     for (Size i = 0; i < width; i += LANES) {
-      prefetch(rows + i + AHEAD);
+      if (rows + i < last) prefetch(rows + i + AHEAD);
       const Lanes value = load(rows + i) - load(mean + i);
       square += value * value;
       for (int anchor = 0; anchor < ANCHORS; ++anchor)
@@ -97,13 +98,22 @@ void by_stretch(const Stretches &stretches, Size first, Size last, Function func
   }
 }
 
-// Calls a function for neighbouring rows from `first` to `last` that are chosen.
-template <class Function>
-void by_choice(const Chosen &chosen, Size first, Size last, Function function) {
+// Calls a function for neighbouring rows from `first` to `last` that are chosen, while the next of them
+// comes from memory.
+template <class Number, class Function>
+void by_choice(const Chosen &chosen, const GrowingRows<Number> &rows, Size width, Size first, Size last,
+               Function function) {
   if (chosen.empty()) return function(first, last);
-  for (Size from = first, to; from < last; from = to + 1) {
-    for (to = from; to < last && chosen[place(to)];) ++to;
-    if (from < to) function(from, to);
+  constexpr Size LINE = 64 / sizeof(Number);
+  const auto next = [&](Size row, bool is_chosen) {
+    while (row < last && (chosen[place(row)] != 0) != is_chosen) ++row;
+    return row;
+  };
+  for (Size from = next(first, true), to, then; from < last; from = then) {
+    to = next(from, false);
+    then = next(to, true);
+    for (Size at = 0; then < last && at < width; at += LINE) prefetch(rows[then] + at);
+    function(from, to);
   }
 }
 
@@ -211,7 +221,8 @@ void LiveVectors::scores(const void *swept, Size anchors, int threads, const Cho
       }
     };
     by_stretch(stretches, first, last, [&](const Stretch &stretch, Size from, Size to) {
-      by_choice(chosen, from, to, [&](Size start, Size end) { compare(stretch, start, end); });
+      by_choice(chosen, rows_, width_, from, to,
+                [&](Size start, Size end) { compare(stretch, start, end); });
     });
   });
 }
@@ -248,6 +259,10 @@ double StoredSigns::bits(int move) const {
   return static_cast<double>(8 * size_ * std::max<Size>(0, columns_ - std::abs(move)));
 }
 
+Size StoredSigns::together(Size column) const {
+  return column == REACH ? std::max<Size>(1, columns_ - 2 * REACH) : 1;
+}
+
 void StoredSigns::add(const Word *frame, Sum &sum) const {
   ++sum.frames;
   std::vector<Word> carry(frame, frame + grid_.size());
@@ -268,13 +283,13 @@ LiveSigns::Products LiveSigns::with(const Word *frame, const Sum &sum) const {
     count_moves(signs, frame, 1, grid_, different.data());
     for (int move = -REACH; move <= REACH; ++move)
       found.moved[place(move + REACH)] += factor * (bits(move) - 2.0 * different[place(move + REACH)]);
-    for (Size column = 0; column < columns_; ++column) {
+    for (Size column = 0, count; column < columns_; column += count) {
       const Size at = column * grid_.words;
-      const auto product =
-          static_cast<double>(8 * size_ - 2 * differing(signs + at, frame + at, grid_.words));
+      count = together(column);
+      const auto product = static_cast<double>(
+          8 * size_ * count - 2 * differing(signs + at, frame + at, grid_.words * count));
       for (int move = -REACH; move <= REACH; ++move)
-        if (column - move >= 0 && column - move < columns_)
-          found.there[place(move + REACH)] += factor * product;
+        if (leaves(move, column)) found.there[place(move + REACH)] += factor * product;
     }
   };
   // A count of frames is the sum of half the numbers 1 and -1 of each plane, and half of all its values.
@@ -406,11 +421,13 @@ void LiveSigns::compare(const Word *frame, int threads) {
         moved_[place(move + REACH)][place(first + row)] =
             static_cast<std::int32_t>(bits(move)) - 2 * different[place((move + REACH) * count + row)];
     for (Size row = std::max(first, first_); row < last; ++row)
-      for (Size column = 0; column < columns_; ++column) {
+      for (Size column = 0, count; column < columns_; column += count) {
         const Size at = column * grid_.words;
-        const Size product = 8 * size_ - 2 * differing(frame + at, rows_[row] + at, grid_.words);
+        count = together(column);
+        const Size product =
+            8 * size_ * count - 2 * differing(frame + at, rows_[row] + at, grid_.words * count);
         for (int move = -REACH; move <= REACH; ++move)
-          if (column - move >= 0 && column - move < columns_)
+          if (leaves(move, column))
             there_[place(move + REACH)][place(row - first_)] += static_cast<std::int32_t>(product);
       }
   });
@@ -583,8 +600,7 @@ LargeSigns::ByMove LargeSigns::product(const Planes &vector, const Word *frame) 
 LargeSigns::ByMove LargeSigns::lengths(const Word *frame, const Mean &mean, bool is_moved) const {
   ByMove squares{};
   for (Size column = 0, count; column < columns_; column += count) {
-    // columns that no move leaves out count together
-    count = column == REACH ? std::max<Size>(1, columns_ - 2 * REACH) : 1;
+    count = together(column);
     const Size at = column * grid_.words, words = count * grid_.words;
     double square = static_cast<double>(8 * size_ * count);
     for (Size each = 0; each < count; ++each) square += mean.squares[place(column + each)];
@@ -593,10 +609,8 @@ LargeSigns::ByMove LargeSigns::lengths(const Word *frame, const Mean &mean, bool
       square -= 2 * mean.planes.weights[plane] *
                 static_cast<double>(8 * size_ * count - 2 * differing(signs, frame + at, words));
     }
-    for (int move = -REACH; move <= REACH; ++move) {
-      const Size other = is_moved ? column + move : column - move;
-      if ((other >= 0 && other < columns_) || count > 1) squares[place(move + REACH)] += square;
-    }
+    for (int move = -REACH; move <= REACH; ++move)
+      if (leaves(is_moved ? -move : move, column)) squares[place(move + REACH)] += square;
   }
   for (double &each : squares) each = std::sqrt(std::max(0.0, each));
   return squares;
@@ -629,7 +643,7 @@ void LargeSigns::scores(const void *swept, Size anchors, int threads, const Chos
     std::fill(scores + first, scores + last, NONE);
     by_stretch(stretches, first, last, [&](const Mean &mean, Size from, Size to) {
       const ByMove &of_mean = of_means[static_cast<std::size_t>(&mean - stretches.data())];
-      by_choice(chosen, from, to, [&](Size start, Size end) {
+      by_choice(chosen, rows_, grid_.size(), from, to, [&](Size start, Size end) {
         for (Size row = start; row < end; ++row) {
           const ByMove products = product(query, rows_[row]), own_lengths = lengths(rows_[row], mean, false);
           for (std::size_t move = 0; move < MOVES; ++move) {

@@ -130,6 +130,9 @@ class StoredSigns : public LiveChannel {
 
   std::vector<Word> packed(const void *descriptor) const;
   double bits(int move) const;  // of the columns that are left after a move
+  // How many columns from one on each move leaves or does not leave together, and whether one does.
+  Size together(Size column) const;
+  bool leaves(int move, Size column) const { return column - move >= 0 && column - move < columns_; }
   void add(const Word *frame, Sum &sum) const;
 
   Size columns_, size_;

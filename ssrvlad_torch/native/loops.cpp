@@ -288,7 +288,7 @@ void Stream::start_stretch() {
   repeats_ = Repeats(exclude_);
   tracks_ = Tracks();
   belief_ = filter_.start(drives_.all());
-  probable_.clear();
+  probable_ = belief_.of_rows();
   starting_ = true;
 }
 
@@ -439,7 +439,7 @@ void Stream::choose(const std::vector<float> &rough, Size old, Chosen &chosen) c
   };
   choose(std::min(old, rows() - LATEST), rows());
   for (std::size_t row = 0; row < probable_.size(); ++row)
-    if (static_cast<double>(probable_[row]) * static_cast<double>(probable_.size()) > 1)
+    if (static_cast<double>(probable_[row]) * static_cast<double>(drives_.rows) > 1)
       choose(static_cast<Size>(row) - SSRVLAD_NEAR, static_cast<Size>(row) + SSRVLAD_NEAR + 1);
 }
 

@@ -91,7 +91,7 @@ class Stream {
   Drives drives_;
   Filter filter_;
   Belief belief_;
-  std::vector<float> probable_;  // of rows, by the belief; empty before the first frame of a stretch
+  std::vector<float> probable_;  // how probable rows are by it
   bool starting_ = true;
   std::deque<double> neighbours_;
   Repeats repeats_;
