@@ -84,7 +84,7 @@ LEVELS = 15
 """Of chosen rows all bytes are compared. The numbers of a mean are rounded to one more levels then,
 so that it is a sum of few signs."""
 
-SAMPLE, BEST, LATEST = 1 / 16, 0.01, 50
+SAMPLE, BEST, LATEST = 0.04, 0.01, 50
 """Rows that are chosen: evenly spaced ones, at most so many of the size above which a memory is
 large, or `LATEST`, show what is usual; the nearest by the rough scores of a channel, so many of
 all, may show the place; by the last ones, at least so many, the present stretch is judged."""
@@ -96,11 +96,8 @@ def part_of(signs: Array) -> Array:
 
 
 def stride(rows: int, large: int) -> int:
-    """A power of two, the distance of rows that show what is usual."""
-    step = 1
-    while step * max(LATEST, SAMPLE * large) < rows:
-        step *= 2
-    return step
+    """The distance of rows that show what is usual."""
+    return max(1, math.ceil(rows / max(LATEST, SAMPLE * large)))
 
 
 def chosen(rough: Sequence[Floats], usual: slice, believed: Floats) -> npt.NDArray[np.bool_]:

@@ -421,11 +421,11 @@ void LiveSigns::compare(const Word *frame, int threads) {
         moved_[place(move + REACH)][place(first + row)] =
             static_cast<std::int32_t>(bits(move)) - 2 * different[place((move + REACH) * count + row)];
     for (Size row = std::max(first, first_); row < last; ++row)
-      for (Size column = 0, count; column < columns_; column += count) {
+      for (Size column = 0, some; column < columns_; column += some) {
         const Size at = column * grid_.words;
-        count = together(column);
+        some = together(column);
         const Size product =
-            8 * size_ * count - 2 * differing(frame + at, rows_[row] + at, grid_.words * count);
+            8 * size_ * some - 2 * differing(frame + at, rows_[row] + at, grid_.words * some);
         for (int move = -REACH; move <= REACH; ++move)
           if (leaves(move, column))
             there_[place(move + REACH)][place(row - first_)] += static_cast<std::int32_t>(product);
@@ -559,13 +559,13 @@ LargeSigns::Mean LargeSigns::mean(const Sum &own, const Sum &every) const {
   constexpr Size BITS = 64;
   for (Size word = 0; word < grid_.size(); ++word) {
     std::array<std::int32_t, BITS> own_ones{}, ones{}, levels;
-    const auto count = [&](const Sum &sum, std::array<std::int32_t, BITS> &counts) {
+    const auto add_ones = [&](const Sum &sum, std::array<std::int32_t, BITS> &counts) {
       for (std::size_t plane = 0; plane < sum.planes.size(); ++plane)
         for (std::size_t bit = 0; bit < BITS; ++bit)
           counts[bit] += static_cast<std::int32_t>(sum.planes[plane][place(word)] >> bit & 1) << plane;
     };
-    count(own, own_ones);
-    count(every, ones);
+    add_ones(own, own_ones);
+    add_ones(every, ones);
     const Size used = std::min(BITS, 8 * size_ - word % grid_.words * BITS);
     for (std::size_t bit = 0; bit < static_cast<std::size_t>(used); ++bit) {
       const double here = 2.0 * own_ones[bit] - static_cast<double>(own.frames);

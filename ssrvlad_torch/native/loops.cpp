@@ -31,7 +31,7 @@ constexpr Size LAST_FRAMES = 50, LEAST_FRAMES = 20, LAST = 3, OTHERS = 10;
 constexpr double LIKE = 0.5, SPREADS = 3;
 
 constexpr Size LATEST = 50;  // large memories
-constexpr double SAMPLE = 1.0 / 16, BEST = 0.01;
+constexpr double SAMPLE = 0.04, BEST = 0.01;
 
 constexpr Motion MOTION = {0.01, 0.01, 0.3, 0.97, 0.25, 0.5, 1};
 
@@ -413,10 +413,9 @@ std::vector<float> Stream::scores(const void *const *swept, const Size *anchors,
 }
 
 Size Stream::stride(Size old) const {
-  Size stride = 1;
+  if (large_.empty()) return 1;
   const double most = std::max<double>(LATEST, SAMPLE * static_cast<double>(scan_above_));
-  while (!large_.empty() && static_cast<double>(stride) * most < static_cast<double>(old)) stride *= 2;
-  return stride;
+  return std::max<Size>(1, static_cast<Size>(std::ceil(static_cast<double>(old) / most)));
 }
 
 std::vector<float> Stream::usual(const std::vector<float> &near, Size old) const {
