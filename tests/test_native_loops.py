@@ -1,6 +1,7 @@
 """The live stream of the native core: held to the oracle on random streams, and its refusals."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from hypothesis import strategies as st
 from loop_streams import LIGHT, PLACES, hog_of, noisy_stream, signs_of, unit
 
 from ssrvlad_torch.loops import reference
+from ssrvlad_torch.native import loops
 from ssrvlad_torch.native.loops import SCAN_ABOVE, Channel, Loops
 
 pytestmark = pytest.mark.usefixtures("core")
@@ -144,6 +146,11 @@ def test_a_large_memory_finds_what_the_oracle_finds():
     ]
     assert len(accepted) > 30
     assert all(candidate == row for candidate, row in accepted)
+
+
+def test_programs_in_c_and_python_have_the_same_size_of_large_memories():
+    header = (Path(loops.__file__).parent / "ssrvlad_loops.h").read_text()
+    assert f"SSRVLAD_SCAN_ABOVE = {SCAN_ABOVE} " in header
 
 
 def test_a_memory_is_large_alike_whether_frames_came_or_were_known():
