@@ -27,16 +27,8 @@ CHANNELS = (
 
 def loops_table(sizes: Sequence[int] = SIZES) -> Iterator[str]:
     """A row for each number of frames in the map."""
-    yield from head_row(
-        *(
-            "frames",
-            "search",
-            "step",
-            "step / search",
-            "step, all channels",
-            "all rows by all of them",
-        )
-    )
+    names = "frames", "search", "step", "step / search", "step, all channels"
+    yield from head_row(*names, "all rows by all of them")
     for size in sizes:
         search, step = 1e3 * timed(size).T
         low, middle, high = np.quantile(step / search, (0.25, 0.5, 0.75))
