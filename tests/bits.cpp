@@ -80,7 +80,7 @@ int find(const Town &town) {
 int close(const Town &town) {
   const ssrvlad_loops_channel channels[] = {{SSRVLAD_VECTORS, {LENGTH, 1, 1}, 1},
                                             {SSRVLAD_SIGNS, {COLUMNS, BYTES, 1}, 6}};
-  const ssrvlad_loops_settings settings = {20, 0.8};
+  const ssrvlad_loops_settings settings = {20, 0.8, SSRVLAD_SCAN_ABOVE};
   ssrvlad_loops *loops = ssrvlad_loops_new(&settings, channels, 2);
   if (!loops) return 4;
   std::vector<float> unit(LENGTH);

@@ -1,6 +1,7 @@
 """The live stream of the native core: held to the oracle on random streams, and its refusals."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,7 +10,8 @@ from hypothesis import strategies as st
 from loop_streams import LIGHT, PLACES, hog_of, noisy_stream, signs_of, unit
 
 from ssrvlad_torch.loops import reference
-from ssrvlad_torch.native.loops import Channel, Loops
+from ssrvlad_torch.native import loops
+from ssrvlad_torch.native.loops import SCAN_ABOVE, Channel, Loops
 
 pytestmark = pytest.mark.usefixtures("core")
 
@@ -87,6 +89,7 @@ def streams(draw):
     settings = {
         "exclude": draw(st.integers(0, 60)),
         "threshold": draw(st.sampled_from([0.3, 0.8])),
+        "scan_above": draw(st.sampled_from([SCAN_ABOVE, 20, 40, 80])),
     }
     return frames, starts, stamps, draw(st.integers(0, length)), settings
 
@@ -126,17 +129,63 @@ def test_a_long_stream_passes_the_ends_of_blocks():
         np.testing.assert_array_equal(rows, swept[first:last, 1])
 
 
+def test_a_large_memory_finds_what_the_oracle_finds():
+    """Most rows have rough scores alone: of 350 and more, 50 are the last, and a few others. The
+    street has 500 places, and then come its last 100 again, of which 60 are known."""
+    rng = np.random.default_rng(0)
+    rows = [*range(0, 500), *range(400, 500)]
+    signs = rng.integers(0, 256, (500, 16, 2, 8), np.uint8)[rows]
+    signs ^= np.bitwise_and.reduce(rng.integers(0, 256, (3, *signs.shape), np.uint8))
+    vectors = unit(rng.normal(size=(500, 480)))[rows]
+    vectors = unit(vectors + rng.normal(0, 0.02, vectors.shape))
+    frames = {"ssr-vlad": vectors[:, None], "features": signs, "hog": vectors}
+    streams, found = both(frames, np.arange(600) % 500 == 0, known=560, scan_above=350)
+    assert_same(streams, found, 0.8)
+    accepted = [
+        (one.candidate, row) for row, (one, _) in enumerate(found, 460) if one[0] == "accepted"
+    ]
+    assert len(accepted) > 30
+    assert all(candidate == row for candidate, row in accepted)
+
+
+def test_programs_in_c_and_python_have_the_same_size_of_large_memories():
+    header = (Path(loops.__file__).parent / "ssrvlad_loops.h").read_text()
+    assert f"SSRVLAD_SCAN_ABOVE = {SCAN_ABOVE} " in header
+
+
+def test_a_memory_is_large_alike_whether_frames_came_or_were_known():
+    """It was small first, or was large at once; by signs alone, which weigh alike."""
+    signs = np.random.default_rng(0).integers(0, 256, (240, 16, 2, 8), np.uint8)
+    signs[200:] = signs[50:90] ^ (signs[200:] & signs[100:140] & signs[150:190])
+    ours = [Loops([CHANNELS[1]], scan_above=60) for _ in range(2)]
+    for row, each in enumerate(signs[:200]):
+        ours[0].update({"features": each}, starts=row == 150)
+    ours[1].extend({"features": signs[:200]}, None, np.arange(200) == 150)
+    found = [
+        [stream.update({"features": each}, starts=not row) for row, each in enumerate(signs[200:])]
+        for stream in ours
+    ]
+    assert found[0] == found[1]
+    assert sum(one.reason == "accepted" for one in found[0]) > 20
+    np.testing.assert_array_equal(ours[0].descriptors("features", 0, 240), signs)
+
+
 def test_several_threads_find_the_same():
     swept, names = noisy_stream(5, 9000, 110, [4000])
     starts = np.array([a != b for a, b in zip(names, ["", *names], strict=False)])
-    results = []
-    for threads in (1, 3):
-        stream = Loops(CHANNELS[:1])
-        stream.extend({"ssr-vlad": swept[:8990, 0]}, None, starts[:8990])
+    results, signs = [], np.array([signs_of(each[0]) for each in swept])
+    for threads, above in ((1, SCAN_ABOVE), (3, SCAN_ABOVE), (1, 5000), (3, 5000)):
+        stream = Loops(CHANNELS[:2], scan_above=above)
+        known = {"ssr-vlad": swept[:8990, 0], "features": signs[:8990]}
+        stream.extend(known, None, starts[:8990])
         results.append(
-            [stream.update({"ssr-vlad": each}, threads=threads) for each in swept[8990:]]
+            [
+                stream.update({"ssr-vlad": one, "features": other}, threads=threads)
+                for one, other in zip(swept[8990:], signs[8990:], strict=True)
+            ]
         )
     assert results[0] == results[1]
+    assert results[2] == results[3]
 
 
 def test_what_is_no_descriptor_is_refused_and_leaves_no_trace():
@@ -157,6 +206,9 @@ def test_what_is_no_descriptor_is_refused_and_leaves_no_trace():
             with pytest.raises(ValueError, match=message):
                 stream.extend(rows, None, np.ones(1))
     assert len(stream) == 0
-    for channels, exclude in (([], 50), ([Channel("x", (0,))], 50), (CHANNELS, -1)):
+    for channels, *settings in (
+        *(([], 50), ([Channel("x", (0,))], 50), (CHANNELS, -1), (CHANNELS, 50, 2.0)),
+        (CHANNELS, 50, 0.8, -1),
+    ):
         with pytest.raises(RuntimeError, match="the native core refuses the settings or channels"):
-            Loops(channels, exclude)
+            Loops(channels, *settings)

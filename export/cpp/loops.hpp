@@ -180,7 +180,7 @@ class Loops {
   void open(const std::vector<Channel>& channels) {
     std::vector<ssrvlad_loops_channel> given;
     for (const auto& channel : channels) given.push_back(channel.of);
-    const ssrvlad_loops_settings settings{settings_.exclude, settings_.threshold};
+    const ssrvlad_loops_settings settings{settings_.exclude, settings_.threshold, SSRVLAD_SCAN_ABOVE};
     stream_.reset(ssrvlad_loops_new(&settings, given.data(), static_cast<int>(given.size())));
     if (!stream_) throw std::runtime_error("memory is short for a stream");
     channels_ = channels;

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..native.loops import NEAR, PLACES, Channel, Found
+from ..native.loops import NEAR, PLACES, SCAN_ABOVE, Channel, Found
 from ..recognition.motion import MAX_LOG, MIN_SPREAD, ROUNDING, SPEEDS
 from ..recognition.reference import MOVES, cosines_of_signs, fused, lead, nearness
 
@@ -58,15 +58,70 @@ def scores_of_vectors(known: Array, swept: Array, starts: Sequence[int]) -> Floa
     return scores
 
 
-def scores_of_signs(known: Array, signs: Array, starts: Sequence[int]) -> Floats:
+def scores_of_signs(
+    known: Array, signs: Array, starts: Sequence[int], levels: int | None = None
+) -> Floats:
     """``(N,)`` cosines of a new frame's signs ``(columns, rows, bytes)`` to those of earlier frames
     ``(N, columns, rows, bytes)``, as 1 and -1 without the mean of their stretch, over the columns
-    that overlap; of the best move of the new frame."""
+    that overlap; of the best move of the new frame. Means are rounded to one more levels, if any
+    are given."""
     bits = np.unpackbits(np.concatenate((known, signs[None])), axis=-1, bitorder="little")
     numbers = bits.reshape(*bits.shape[:2], -1).astype(np.float64) * 2 - 1
-    numbers -= means(numbers, np.ones(len(numbers), bool), starts)
+    mean = means(numbers, np.ones(len(numbers), bool), starts)
+    if levels is not None:
+        mean = 2 * np.floor(mean * levels / 2 + (levels + 1) / 2) / levels - 1
+    numbers -= mean
     scores: Floats = cosines_of_signs(numbers[-1:], numbers[:-1], MOVES)[0]
     return scores
+
+
+# ------------------------------------------------------------ large memories: which rows are chosen
+
+PART = 2
+"""Bytes of each cell by which signs are roughly compared with all rows of a large memory."""
+
+LEVELS = 15
+"""Of chosen rows all bytes are compared. The numbers of a mean are rounded to one more levels then,
+so that it is a sum of few signs."""
+
+SAMPLE, BEST, LATEST = 0.04, 0.01, 50
+"""Rows that are chosen: evenly spaced ones, at most so many of the size above which a memory is
+large, or `LATEST`, show what is usual; the nearest by the rough scores of a channel, so many of
+all, may show the place; by the last ones, at least so many, the present stretch is judged."""
+
+
+def part_of(signs: Array) -> Array:
+    """Some bytes of each cell of signs ``(..., bytes)``, evenly spaced."""
+    return signs[..., :: max(1, signs.shape[-1] // PART)]
+
+
+def stride(rows: int, large: int) -> int:
+    """The distance of rows that show what is usual."""
+    return max(1, math.ceil(rows / max(LATEST, SAMPLE * large)))
+
+
+def chosen(rough: Sequence[Floats], usual: slice, believed: Floats) -> npt.NDArray[np.bool_]:
+    """``(N,)``, whether each row is chosen, by its rough nearness by channels, ``(N,)`` each, and
+    by how probable rows were before this frame. Those that were more probable than by guessing are
+    chosen as well, and their neighbours."""
+    rows = len(rough[0])
+    found = np.zeros(rows, np.bool_)
+    found[usual] = found[max(0, min(usual.stop, rows - LATEST)) :] = True
+    for near in rough:
+        found |= near >= np.quantile(near[usual], 1 - BEST)
+    for row in np.flatnonzero(believed * len(believed) > 1):
+        found[max(0, row - NEAR) : row + NEAR + 1] = True
+    return found
+
+
+def expected(scores: Floats, rough: Floats, usual: slice) -> Floats:
+    """Scores ``(N,)``, of rows that have none what their rough one lets expect: on the straight
+    line of nearness through what is ``usual``."""
+    near, given = nearness(scores), nearness(rough)
+    off, other = near[usual] - near[usual].mean(), given[usual] - given[usual].mean()
+    slope = (off * other).mean() / max(other.std(), MIN_SPREAD) ** 2
+    line = near[usual].mean() + slope * (given - given[usual].mean())
+    return np.where(np.isfinite(scores), scores, 1 - np.exp(-line))
 
 
 # ----------------------------------------------------------------- stretches: where a stream breaks
@@ -363,9 +418,14 @@ class Loops:
     """A live stream, as `native.loops.Loops`, which see."""
 
     def __init__(
-        self, channels: Sequence[Channel], exclude: int = 50, threshold: float = 0.8
+        self,
+        channels: Sequence[Channel],
+        exclude: int = 50,
+        threshold: float = 0.8,
+        scan_above: int = SCAN_ABOVE,
     ) -> None:
         self.channels, self._exclude, self._threshold = tuple(channels), exclude, threshold
+        self._scan_above = scan_above
         self._frames: dict[str, list[Array]] = {each.name: [] for each in channels}
         self._leads = {each.name: 0.0 for each in channels}
         self._stamps, self._starts = list[float](), list[int]()
@@ -375,6 +435,15 @@ class Loops:
 
     def __len__(self) -> int:
         return len(self._stamps)
+
+    @property
+    def _is_large(self) -> bool:
+        signs = any(channel.dtype == "uint8" for channel in self.channels)
+        return signs and len(self) - self._exclude > self._scan_above
+
+    def _usual(self, old: int) -> slice:
+        """The old rows that show what is usual."""
+        return slice(0, old, stride(old, self._scan_above) if self._is_large else 1)
 
     @property
     def weights(self) -> dict[str, float]:
@@ -461,23 +530,36 @@ class Loops:
 
     def _scores(self, swept: Mapping[str, Array], old: int) -> Floats:
         """``(N,)`` scores of a frame by all channels, scaled by those of the old frames, if any."""
-        scores = dict[str, Floats]()
-        for channel in self.channels:
-            name, known = channel.name, np.array(self._frames[channel.name])
-            if channel.dtype == "uint8":
-                scores[name] = scores_of_signs(known, swept[name][0], self._starts)
+        scores, usual = dict[str, Floats](), self._usual(old or len(self))
+        signs = [each for each in self.channels if each.dtype == "uint8" and self._is_large]
+        known = {name: np.array(frames) for name, frames in self._frames.items()}
+        rough = {
+            name: scores_of_signs(part_of(known[name]), part_of(swept[name][0]), self._starts)
+            for name in (channel.name for channel in signs)
+        }
+        rows = np.ones(len(self), bool)
+        if rough:
+            believed = self._filter.mapped[0].sum(axis=0)
+            rows = chosen([*map(nearness, rough.values())], usual, believed)
+        for name, _, dtype, _ in self.channels:
+            if dtype == "uint8":
+                levels = LEVELS if rough else None
+                found = scores_of_signs(known[name], swept[name][0], self._starts, levels)
             else:
-                scores[name] = scores_of_vectors(known, swept[name], self._starts)
-            self._leads[name] += max(0.0, lead(scores[name][:old]))
-        if len(scores) == 1:
+                found = scores_of_vectors(known[name], swept[name], self._starts)
+            found[~rows] = -np.inf
+            scores[name] = expected(found, rough[name], usual) if name in rough else found
+            self._leads[name] += max(0.0, lead(scores[name][:old], usual))
+        if len(scores) == 1 and not rough:
             return next(iter(scores.values()))
-        return fused(scores, self.weights, old or len(self))
+        return fused(scores, self.weights, usual)
 
     def _likelihood(self, near: Floats, old: int) -> Floats:
         """``(N,)``, how much likelier a frame is at each row than at a new place, by its nearness.
         The level of frames of the same stretch is the higher, the more alike neighbouring frames
         are and the more their street repeats."""
-        known = near[:old][np.isfinite(near[:old])]
+        known = near[self._usual(old)]
+        known = known[np.isfinite(known)]
         mean, deviation = known.mean(), known.std()
         if deviation <= MIN_SPREAD or np.ptp(known) <= MIN_SPREAD:
             return np.ones(len(near))

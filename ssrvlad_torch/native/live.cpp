@@ -16,16 +16,17 @@ constexpr Size AHEAD = 1024;    // numbers that come from memory while others ar
 constexpr int TOGETHER = 3;     // anchors that are compared with a row at once
 constexpr Size MANY = 1 << 13;  // rows from which threads share them
 constexpr double LENGTH_TOLERANCE = 1e-3;
+constexpr Size PART = 2;  // bytes of a cell by which all rows of a large memory are compared
 constexpr double MIN_SQUARE = 1e-9, LEAST = 1e-3;  // of a length without a mean, of two lengths' product
 
 std::size_t place(Size at) { return static_cast<std::size_t>(at); }
 
 // Numbers that a processor takes at once; one that takes fewer makes several of them.
 #if defined(__GNUC__)
-SSRVLAD_INLINE void prefetch(const float *numbers) { __builtin_prefetch(numbers); }
+SSRVLAD_INLINE void prefetch(const void *numbers) { __builtin_prefetch(numbers); }
 typedef float Lanes __attribute__((vector_size(LANES * sizeof(float)), aligned(4), may_alias));
 #else
-void prefetch(const float *) {}
+void prefetch(const void *) {}
 
 struct Lanes {
   float of[LANES];
@@ -62,10 +63,11 @@ SSRVLAD_INLINE float sum_of(const Lanes &lanes) {
 template <int ANCHORS>
 SSRVLAD_INLINE void best_of(const float *rows, Size count, Size width, const float *mean,
                             const float *anchors, float *best, float *squares) {
+  const float *const last = rows + count * width - AHEAD;
   for (Size row = 0; row < count; ++row, rows += width) {
     Lanes products[ANCHORS] = {}, square = {};
     for (Size i = 0; i < width; i += LANES) {
-      prefetch(rows + i + AHEAD);
+      if (rows + i < last) prefetch(rows + i + AHEAD);
       const Lanes value = load(rows + i) - load(mean + i);
       square += value * value;
       for (int anchor = 0; anchor < ANCHORS; ++anchor)
@@ -93,6 +95,25 @@ void by_stretch(const Stretches &stretches, Size first, Size last, Function func
     const Size end = number + 1 < stretches.size() ? stretches[number + 1].first : last;
     const Size from = std::max(first, stretches[number].first), to = std::min(last, end);
     if (from < to) function(stretches[number], from, to);
+  }
+}
+
+// Calls a function for neighbouring rows from `first` to `last` that are chosen, while the next of them
+// comes from memory.
+template <class Number, class Function>
+void by_choice(const Chosen &chosen, const GrowingRows<Number> &rows, Size width, Size first, Size last,
+               Function function) {
+  if (chosen.empty()) return function(first, last);
+  constexpr Size LINE = 64 / sizeof(Number);
+  const auto next = [&](Size row, bool is_chosen) {
+    while (row < last && (chosen[place(row)] != 0) != is_chosen) ++row;
+    return row;
+  };
+  for (Size from = next(first, true), to, then; from < last; from = then) {
+    to = next(from, false);
+    then = next(to, true);
+    for (Size at = 0; then < last && at < width; at += LINE) prefetch(rows[then] + at);
+    function(from, to);
   }
 }
 
@@ -177,7 +198,8 @@ std::vector<float> LiveVectors::centred(const float *swept, Size anchors, const 
   return after;
 }
 
-void LiveVectors::scores(const void *swept, Size anchors, int threads, float *scores) {
+void LiveVectors::scores(const void *swept, Size anchors, int threads, const Chosen &chosen,
+                         float *scores) {
   const auto *given = static_cast<const float *>(swept);
   auto stretches = finished_;
   stretches.push_back({first_, mean(given + anchors / 2 * length_)});
@@ -185,7 +207,7 @@ void LiveVectors::scores(const void *swept, Size anchors, int threads, float *sc
   over_blocks(rows(), GrowingRows<float>::ROWS, rows() < MANY ? 1 : threads, [&](Size first, Size last) {
     float squares[GrowingRows<float>::ROWS];
     std::fill(scores + first, scores + last, NONE);
-    by_stretch(stretches, first, last, [&](const Stretch &stretch, Size from, Size to) {
+    const auto compare = [&](const Stretch &stretch, Size from, Size to) {
       for (Size anchor = 0; anchor < anchors;) {
         const bool some = anchors - anchor >= TOGETHER;
         (some ? best_of_some : best_of_one)(rows_[from], to - from, width_, stretch.mean.data(),
@@ -193,11 +215,15 @@ void LiveVectors::scores(const void *swept, Size anchors, int threads, float *sc
                                             squares + from - first);
         anchor += some ? TOGETHER : 1;
       }
+      for (Size row = from; row < to; ++row) {
+        const double square = std::max(static_cast<double>(squares[row - first]), MIN_SQUARE);
+        scores[row] = empty_[place(row)] ? NONE : scores[row] / static_cast<float>(std::sqrt(square));
+      }
+    };
+    by_stretch(stretches, first, last, [&](const Stretch &stretch, Size from, Size to) {
+      by_choice(chosen, rows_, width_, from, to,
+                [&](Size start, Size end) { compare(stretch, start, end); });
     });
-    for (Size row = first; row < last; ++row) {
-      const double square = std::max(static_cast<double>(squares[row - first]), MIN_SQUARE);
-      scores[row] = empty_[place(row)] ? NONE : scores[row] / static_cast<float>(std::sqrt(square));
-    }
   });
 }
 
@@ -214,14 +240,14 @@ double LiveVectors::cosine(const void *one, const void *other) const {
 
 // --------------------------------------------------------------------------------------------- signs
 
-LiveSigns::LiveSigns(Size columns, Size size)
+StoredSigns::StoredSigns(Size columns, Size size)
     : columns_(columns),
       size_(size),
       grid_{columns, (size + 7) / 8, REACH},
       rows_(grid_.size()),
       nothing_(place(grid_.size())) {}
 
-std::vector<Word> LiveSigns::packed(const void *descriptor) const {
+std::vector<Word> StoredSigns::packed(const void *descriptor) const {
   const auto *bytes = static_cast<const std::uint8_t *>(descriptor);
   std::vector<Word> frame(nothing_);
   for (Size column = 0; column < columns_; ++column)
@@ -229,11 +255,15 @@ std::vector<Word> LiveSigns::packed(const void *descriptor) const {
   return frame;
 }
 
-double LiveSigns::bits(int move) const {
+double StoredSigns::bits(int move) const {
   return static_cast<double>(8 * size_ * std::max<Size>(0, columns_ - std::abs(move)));
 }
 
-void LiveSigns::add(const Word *frame, Sum &sum) const {
+Size StoredSigns::together(Size column) const {
+  return column == REACH ? std::max<Size>(1, columns_ - 2 * REACH) : 1;
+}
+
+void StoredSigns::add(const Word *frame, Sum &sum) const {
   ++sum.frames;
   std::vector<Word> carry(frame, frame + grid_.size());
   for (std::size_t plane = 0; sum.frames >> plane; ++plane) {
@@ -253,13 +283,13 @@ LiveSigns::Products LiveSigns::with(const Word *frame, const Sum &sum) const {
     count_moves(signs, frame, 1, grid_, different.data());
     for (int move = -REACH; move <= REACH; ++move)
       found.moved[place(move + REACH)] += factor * (bits(move) - 2.0 * different[place(move + REACH)]);
-    for (Size column = 0; column < columns_; ++column) {
+    for (Size column = 0, count; column < columns_; column += count) {
       const Size at = column * grid_.words;
-      const auto product =
-          static_cast<double>(8 * size_ - 2 * differing(signs + at, frame + at, grid_.words));
+      count = together(column);
+      const auto product = static_cast<double>(
+          8 * size_ * count - 2 * differing(signs + at, frame + at, grid_.words * count));
       for (int move = -REACH; move <= REACH; ++move)
-        if (column - move >= 0 && column - move < columns_)
-          found.there[place(move + REACH)] += factor * product;
+        if (leaves(move, column)) found.there[place(move + REACH)] += factor * product;
     }
   };
   // A count of frames is the sum of half the numbers 1 and -1 of each plane, and half of all its values.
@@ -391,11 +421,13 @@ void LiveSigns::compare(const Word *frame, int threads) {
         moved_[place(move + REACH)][place(first + row)] =
             static_cast<std::int32_t>(bits(move)) - 2 * different[place((move + REACH) * count + row)];
     for (Size row = std::max(first, first_); row < last; ++row)
-      for (Size column = 0; column < columns_; ++column) {
+      for (Size column = 0, some; column < columns_; column += some) {
         const Size at = column * grid_.words;
-        const Size product = 8 * size_ - 2 * differing(frame + at, rows_[row] + at, grid_.words);
+        some = together(column);
+        const Size product =
+            8 * size_ * some - 2 * differing(frame + at, rows_[row] + at, grid_.words * some);
         for (int move = -REACH; move <= REACH; ++move)
-          if (column - move >= 0 && column - move < columns_)
+          if (leaves(move, column))
             there_[place(move + REACH)][place(row - first_)] += static_cast<std::int32_t>(product);
       }
   });
@@ -440,23 +472,190 @@ void LiveSigns::score(int move, std::vector<double> &centred, float *scores) con
   });
 }
 
-void LiveSigns::scores(const void *swept, Size, int threads, float *scores) {
+std::unique_ptr<LiveChannel> LiveSigns::large() const {
+  auto large = std::make_unique<LargeSigns>(columns_, size_, cell_);
+  std::vector<std::uint8_t> descriptor(place(bytes()));
+  auto stretches = finished_;
+  stretches.push_back(present(0));
+  by_stretch(stretches, 0, rows(), [&](const Stretch &, Size from, Size to) {
+    large->start_stretch();
+    for (Size row = from; row < to; ++row) {
+      copy(row, row + 1, descriptor.data());
+      large->extend(descriptor.data());
+    }
+  });
+  if (first_ == rows()) large->start_stretch();
+  return large;
+}
+
+void LiveSigns::scores(const void *swept, Size, int threads, const Chosen &, float *scores) {
   compare(packed(swept).data(), threads);
   std::fill(scores, scores + rows(), NONE);
   std::vector<double> centred(place(rows()));
   for (int move = -REACH; move <= REACH; ++move) score(move, centred, scores);
 }
 
-void LiveSigns::copy(Size first, Size last, void *descriptors) const {
+void StoredSigns::copy(Size first, Size last, void *descriptors) const {
   auto *out = static_cast<std::uint8_t *>(descriptors);
   for (Size row = first; row < last; ++row)
     for (Size column = 0; column < columns_; ++column, out += size_)
       std::memcpy(out, rows_[row] + column * grid_.words, place(size_));
 }
 
-double LiveSigns::cosine(const void *one, const void *other) const {
+double StoredSigns::cosine(const void *one, const void *other) const {
   return 1 - 2 * static_cast<double>(differing(packed(one).data(), packed(other).data(), grid_.size())) /
                  bits(0);
+}
+
+// ------------------------------------------------------------------------------- signs of a large memory
+
+LargeSigns::LargeSigns(Size columns, Size size, Size cell)
+    : StoredSigns(columns, size),
+      cell_(cell),
+      every_byte_(std::max<Size>(1, cell / PART)),
+      part_(columns, size / cell * ((cell + every_byte_ - 1) / every_byte_), PART) {}
+
+// Some bytes of each cell, evenly spaced.
+std::vector<std::uint8_t> LargeSigns::part(const void *descriptor) const {
+  const auto *bytes = static_cast<const std::uint8_t *>(descriptor);
+  std::vector<std::uint8_t> some;
+  for (Size cell = 0; cell < columns_ * size_; cell += cell_)
+    for (Size at = 0; at < cell_; at += every_byte_) some.push_back(bytes[cell + at]);
+  return some;
+}
+
+void LargeSigns::take(const void *descriptor) {
+  const std::vector<Word> frame = packed(descriptor);
+  std::copy_n(frame.data(), grid_.size(), rows_.append());
+  add(frame.data(), own_);
+  add(frame.data(), every_);
+}
+
+void LargeSigns::append(const void *descriptor) {
+  take(descriptor);
+  part_.append(part(descriptor).data());
+}
+
+void LargeSigns::extend(const void *descriptor) {
+  take(descriptor);
+  part_.extend(part(descriptor).data());
+}
+
+void LargeSigns::start_stretch() {
+  if (first_ == rows()) return;
+  finished_.push_back(mean(own_, every_));
+  own_ = {};
+  first_ = rows();
+  part_.start_stretch();
+}
+
+LargeSigns::Mean LargeSigns::mean(const Sum &own, const Sum &every) const {
+  const Size before = every.frames - own.frames;
+  const double frames = static_cast<double>(own.frames + (before ? BEFORE : 0));
+  Mean mean{first_, {std::vector<Word>(place(PLANES * grid_.size())), {}},
+            std::vector<double>(place(columns_))};
+  for (int plane = 0; plane < PLANES; ++plane)
+    mean.planes.weights.push_back(static_cast<double>(1 << plane) / LEVELS);
+  constexpr Size BITS = 64;
+  for (Size word = 0; word < grid_.size(); ++word) {
+    std::array<std::int32_t, BITS> own_ones{}, ones{}, levels;
+    const auto add_ones = [&](const Sum &sum, std::array<std::int32_t, BITS> &counts) {
+      for (std::size_t plane = 0; plane < sum.planes.size(); ++plane)
+        for (std::size_t bit = 0; bit < BITS; ++bit)
+          counts[bit] += static_cast<std::int32_t>(sum.planes[plane][place(word)] >> bit & 1) << plane;
+    };
+    add_ones(own, own_ones);
+    add_ones(every, ones);
+    const Size used = std::min(BITS, 8 * size_ - word % grid_.words * BITS);
+    for (std::size_t bit = 0; bit < static_cast<std::size_t>(used); ++bit) {
+      const double here = 2.0 * own_ones[bit] - static_cast<double>(own.frames);
+      const double there = 2.0 * (ones[bit] - own_ones[bit]) - static_cast<double>(before);
+      const double sum = before ? here + BEFORE * there / static_cast<double>(before) : here;
+      levels[bit] = static_cast<std::int32_t>(sum / frames * (LEVELS / 2.0) + (LEVELS + 1) / 2.0);
+    }
+    for (std::size_t bit = 0; bit < static_cast<std::size_t>(used); ++bit) {
+      for (int plane = 0; plane < PLANES; ++plane)
+        mean.planes.signs[place(plane * grid_.size() + word)] |=
+            static_cast<Word>(levels[bit] >> plane & 1) << bit;
+      const double value = 2.0 * levels[bit] / LEVELS - 1;
+      mean.squares[place(word / grid_.words)] += value * value;
+    }
+  }
+  return mean;
+}
+
+LargeSigns::ByMove LargeSigns::product(const Planes &vector, const Word *frame) const {
+  ByMove found{};
+  for (std::size_t plane = 0; plane < vector.weights.size(); ++plane) {
+    std::array<std::int32_t, MOVES> different;
+    count_moves(vector.signs.data() + static_cast<Size>(plane) * grid_.size(), frame, 1, grid_,
+                different.data());
+    for (int move = -REACH; move <= REACH; ++move)
+      found[place(move + REACH)] +=
+          vector.weights[plane] * (bits(move) - 2.0 * different[place(move + REACH)]);
+  }
+  return found;
+}
+
+LargeSigns::ByMove LargeSigns::lengths(const Word *frame, const Mean &mean, bool is_moved) const {
+  ByMove squares{};
+  for (Size column = 0, count; column < columns_; column += count) {
+    count = together(column);
+    const Size at = column * grid_.words, words = count * grid_.words;
+    double square = static_cast<double>(8 * size_ * count);
+    for (Size each = 0; each < count; ++each) square += mean.squares[place(column + each)];
+    for (std::size_t plane = 0; plane < PLANES; ++plane) {
+      const Word *signs = mean.planes.signs.data() + static_cast<Size>(plane) * grid_.size() + at;
+      square -= 2 * mean.planes.weights[plane] *
+                static_cast<double>(8 * size_ * count - 2 * differing(signs, frame + at, words));
+    }
+    for (int move = -REACH; move <= REACH; ++move)
+      if (leaves(is_moved ? -move : move, column)) squares[place(move + REACH)] += square;
+  }
+  for (double &each : squares) each = std::sqrt(std::max(0.0, each));
+  return squares;
+}
+
+void LargeSigns::scores(const void *swept, Size anchors, int threads, const Chosen &chosen,
+                        float *scores) {
+  if (chosen.empty()) return part_.scores(part(swept).data(), anchors, threads, chosen, scores);
+  const std::vector<Word> frame = packed(swept);
+  Sum own = own_, every = every_;
+  add(frame.data(), own);
+  add(frame.data(), every);
+  finished_.push_back(mean(own, every));  // that of the present stretch, for now
+  const auto &stretches = finished_;
+  const Mean &now = stretches.back();
+  const ByMove moved = lengths(frame.data(), now, true);
+  Planes query{frame, {1}};  // less its mean
+  query.signs.insert(query.signs.end(), now.planes.signs.begin(), now.planes.signs.end());
+  for (const double weight : now.planes.weights) query.weights.push_back(-weight);
+  std::vector<ByMove> of_means(stretches.size());
+  for (std::size_t number = 0; number < stretches.size(); ++number)
+    for (std::size_t plane = 0; plane < PLANES; ++plane) {
+      const Planes &planes = stretches[number].planes;
+      const ByMove products =
+          product(query, planes.signs.data() + static_cast<Size>(plane) * grid_.size());
+      for (std::size_t move = 0; move < MOVES; ++move)
+        of_means[number][move] += planes.weights[plane] * products[move];
+    }
+  over_blocks(rows(), GrowingRows<Word>::ROWS, rows() < MANY ? 1 : threads, [&](Size first, Size last) {
+    std::fill(scores + first, scores + last, NONE);
+    by_stretch(stretches, first, last, [&](const Mean &mean, Size from, Size to) {
+      const ByMove &of_mean = of_means[static_cast<std::size_t>(&mean - stretches.data())];
+      by_choice(chosen, rows_, grid_.size(), from, to, [&](Size start, Size end) {
+        for (Size row = start; row < end; ++row) {
+          const ByMove products = product(query, rows_[row]), own_lengths = lengths(rows_[row], mean, false);
+          for (std::size_t move = 0; move < MOVES; ++move) {
+            const double score =
+                (products[move] - of_mean[move]) / std::max(moved[move] * own_lengths[move], LEAST);
+            scores[row] = std::max(scores[row], static_cast<float>(std::min(score, 1.0)));
+          }
+        }
+      });
+    });
+  });
+  finished_.pop_back();
 }
 
 }  // namespace places

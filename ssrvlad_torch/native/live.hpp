@@ -43,6 +43,9 @@ class GrowingRows {
   std::vector<std::unique_ptr<Number[]>> blocks_;
 };
 
+// Whether each row is chosen; empty if all are.
+using Chosen = std::vector<std::uint8_t>;
+
 class LiveChannel {
  public:
   virtual ~LiveChannel() = default;
@@ -53,8 +56,12 @@ class LiveChannel {
   // Whether descriptors from some anchors can be those of a frame.
   virtual bool fits(const void *swept, Size anchors) const = 0;
   // Fills a score for each row: of a new frame by its descriptors from some anchors, the usual one in
-  // the middle; NONE where the row is empty.
-  virtual void scores(const void *swept, Size anchors, int threads, float *scores) = 0;
+  // the middle; NONE where the row is empty, and where it is not chosen.
+  virtual void scores(const void *swept, Size anchors, int threads, const Chosen &chosen,
+                      float *scores) = 0;
+  // The same frames in a form that first gives rough scores of all rows and then those of some; nothing
+  // if there is no such form.
+  virtual std::unique_ptr<LiveChannel> large() const { return nullptr; }
   // Appends the frame that was scored last, or one that was not, by its descriptor.
   virtual void append(const void *descriptor) = 0;
   // Appends a frame that is known; frames that come later make up for what `scores` would have counted.
@@ -75,7 +82,7 @@ class LiveVectors : public LiveChannel {
   Size rows() const override { return rows_.rows(); }
   bool empty(const void *descriptor) const override;
   bool fits(const void *swept, Size anchors) const override;
-  void scores(const void *swept, Size anchors, int threads, float *scores) override;
+  void scores(const void *swept, Size anchors, int threads, const Chosen &chosen, float *scores) override;
   void append(const void *descriptor) override;
   void extend(const void *descriptor) override { append(descriptor); }
   void start_stretch() override;
@@ -100,37 +107,59 @@ class LiveVectors : public LiveChannel {
   Size counted_ = 0, counted_before_ = 0;
 };
 
-// LiveSigns of cells, `columns` columns of `size` bytes each, as numbers 1 and -1.
-//
-// A mean is a sum of frames, so products with it are sums of whole numbers: those of a row with the
-// frames so far grow by its product with each new frame, and no mean is ever written out. Two products
-// of two frames count, over the columns that are left after each move: `moved`, of one with the other
-// moved to the right, and `there`, of both where they are.
-class LiveSigns : public LiveChannel {
+// Signs of cells, `columns` columns of `size` bytes each, as numbers 1 and -1.
+class StoredSigns : public LiveChannel {
  public:
-  LiveSigns(Size columns, Size size);
+  StoredSigns(Size columns, Size size);
 
   Size bytes() const override { return columns_ * size_; }
   Size rows() const override { return rows_.rows(); }
   bool empty(const void *) const override { return false; }
   bool fits(const void *, Size anchors) const override { return anchors == 1; }
-  void scores(const void *swept, Size anchors, int threads, float *scores) override;
-  void append(const void *descriptor) override;
-  void extend(const void *descriptor) override;
-  void start_stretch() override;
   void copy(Size first, Size last, void *descriptors) const override;
   double cosine(const void *one, const void *other) const override;
 
- private:
+ protected:
   static constexpr int MOVES = 2 * REACH + 1;
-  template <class Number>
-  using ByMove = std::array<std::vector<Number>, MOVES>;
 
   // A sum of frames: how many have each sign, as binary numbers. Plane p holds the bits of value 2 ** p.
   struct Sum {
     std::vector<std::vector<Word>> planes;
     Size frames = 0;
   };
+
+  std::vector<Word> packed(const void *descriptor) const;
+  double bits(int move) const;  // of the columns that are left after a move
+  // How many columns from one on each move leaves or does not leave together, and whether one does.
+  Size together(Size column) const;
+  bool leaves(int move, Size column) const { return column - move >= 0 && column - move < columns_; }
+  void add(const Word *frame, Sum &sum) const;
+
+  Size columns_, size_;
+  SignGrid grid_;
+  GrowingRows<Word> rows_;
+  std::vector<Word> nothing_;  // no bit
+  Size first_ = 0;             // of the present stretch
+  Sum own_, every_;            // of the present stretch, and of all frames
+};
+
+// A mean is a sum of frames, so products with it are sums of whole numbers: those of a row with the
+// frames so far grow by its product with each new frame, and no mean is ever written out. Two products
+// of two frames count, over the columns that are left after each move: `moved`, of one with the other
+// moved to the right, and `there`, of both where they are.
+class LiveSigns : public StoredSigns {
+ public:
+  LiveSigns(Size columns, Size size, Size cell) : StoredSigns(columns, size), cell_(cell) {}
+
+  void scores(const void *swept, Size, int threads, const Chosen &, float *scores) override;
+  std::unique_ptr<LiveChannel> large() const override;
+  void append(const void *descriptor) override;
+  void extend(const void *descriptor) override;
+  void start_stretch() override;
+
+ private:
+  template <class Number>
+  using ByMove = std::array<std::vector<Number>, MOVES>;
 
   // Products of a frame with a sum of frames, by move.
   struct Products {
@@ -143,9 +172,6 @@ class LiveSigns : public LiveChannel {
     double share, frames;
   };
 
-  std::vector<Word> packed(const void *descriptor) const;
-  double bits(int move) const;  // of the columns that are left after a move
-  void add(const Word *frame, Sum &sum) const;
   Products with(const Word *frame, const Sum &sum) const;
   Stretch present(Size fresh) const;  // the present stretch with some more frames
   Products with_sum(const Products &own, const Products &every) const;  // with that of the present mean
@@ -155,13 +181,8 @@ class LiveSigns : public LiveChannel {
   void recount();
   void score(int move, std::vector<double> &centred, float *scores) const;
 
-  Size columns_, size_;
-  SignGrid grid_;
-  GrowingRows<Word> rows_;
-  std::vector<Word> nothing_;  // no bit
+  Size cell_;  // bytes of a cell
   std::vector<Stretch> finished_;
-  Size first_ = 0;   // of the present stretch
-  Sum own_, every_;  // of the present stretch, and of all frames
   std::array<double, MOVES> own_square_{}, own_with_before_{},
       before_square_{};  // of their sums, by move
   // Of each row by move: products `moved` with the sum of all frames, and with that of the present mean;
@@ -173,6 +194,47 @@ class LiveSigns : public LiveChannel {
   ByMove<std::int32_t> moved_, there_;
   Products last_own_, last_every_;
   std::array<double, MOVES> last_self_{};
+};
+
+// Signs of a memory too large to compare each frame with all of them: with all rows a part of each cell
+// is compared, as LiveSigns, and all of it with chosen rows. For these the numbers of a mean are rounded to
+// LEVELS + 1 levels, so that it is a sum of few signs.
+class LargeSigns : public StoredSigns {
+ public:
+  LargeSigns(Size columns, Size size, Size cell);
+
+  void scores(const void *swept, Size, int threads, const Chosen &chosen, float *scores) override;
+  void append(const void *descriptor) override;
+  void extend(const void *descriptor) override;
+  void start_stretch() override;
+
+ private:
+  static constexpr int PLANES = 4, LEVELS = (1 << PLANES) - 1;
+  using ByMove = std::array<double, MOVES>;
+
+  // Signs one after another, of which the weighted sum is a vector: a mean, or a frame less its mean.
+  struct Planes {
+    std::vector<Word> signs;
+    std::vector<double> weights;
+  };
+
+  // The mean of a stretch, and the squares of its columns.
+  struct Mean {
+    Size first;
+    Planes planes;
+    std::vector<double> squares;
+  };
+
+  std::vector<std::uint8_t> part(const void *descriptor) const;
+  void take(const void *descriptor);
+  Mean mean(const Sum &own, const Sum &every) const;
+  ByMove product(const Planes &vector, const Word *frame) const;  // of it with the frame, moved
+  // By move, of the columns of a frame less a mean that are left: of a row, or of the one that is moved.
+  ByMove lengths(const Word *frame, const Mean &mean, bool is_moved) const;
+
+  Size cell_, every_byte_;
+  LiveSigns part_;
+  std::vector<Mean> finished_;
 };
 
 }  // namespace places

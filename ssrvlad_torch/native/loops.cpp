@@ -31,6 +31,9 @@ constexpr double GAP = 600, TIMES = 10;  // stretches
 constexpr Size LAST_FRAMES = 50, LEAST_FRAMES = 20, LAST = 3, OTHERS = 10;
 constexpr double LIKE = 0.5, SPREADS = 3;
 
+constexpr Size LATEST = 50;  // large memories
+constexpr double SAMPLE = 0.04, BEST = 0.01;
+
 constexpr Motion MOTION = {0.01, 0.01, 0.3, 0.97, 0.25, 0.5, 1};
 
 std::size_t place(Size at) { return static_cast<std::size_t>(at); }
@@ -94,6 +97,21 @@ SSRVLAD_CLONES void add_scaled(const float *near, Size count, double mean, doubl
     const double value = near[i] == NONE ? mean : static_cast<double>(near[i]);
     sums[i] += (value - mean) * factor;
   }
+}
+
+// Gives the rows that have none the nearness that their rough one lets expect, by what is known of both.
+void expect(const std::vector<float> &rough, const std::vector<float> &known, const std::vector<float> &given,
+            std::vector<float> &near) {
+  const auto count = static_cast<Size>(known.size());
+  const Spread from = plain_spread(rough.data(), count), to = plain_spread(known.data(), count);
+  double both = 0;
+  for (std::size_t row = 0; row < known.size(); ++row)
+    both += (static_cast<double>(rough[row]) - from.mean) * (static_cast<double>(known[row]) - to.mean);
+  const double least = std::max(from.deviation, MIN_SPREAD);
+  const double slope = both / static_cast<double>(std::max<Size>(1, count)) / (least * least);
+  for (std::size_t row = 0; row < near.size(); ++row)
+    if (near[row] == NONE)
+      near[row] = static_cast<float>(to.mean + slope * (static_cast<double>(given[row]) - from.mean));
 }
 
 // Replaces scores by cosines of nearness, where there are some.
@@ -241,6 +259,7 @@ bool Tracks::returning() const {
 Stream::Stream(const ssrvlad_loops_settings &settings, const ssrvlad_loops_channel *channels, int count)
     : exclude_(settings.exclude),
       threshold_(settings.threshold),
+      scan_above_(settings.scan_above),
       leads_(static_cast<std::size_t>(count)),
       filter_(drives_, MOTION, {FORWARDS, BACKWARDS}),
       repeats_(exclude_),
@@ -248,7 +267,7 @@ Stream::Stream(const ssrvlad_loops_settings &settings, const ssrvlad_loops_chann
   for (int number = 0; number < count; ++number) {
     const auto &[kind, shape, trust] = channels[number];
     if (kind == SSRVLAD_VECTORS) channels_.push_back(std::make_unique<LiveVectors>(shape[0]));
-    else channels_.push_back(std::make_unique<LiveSigns>(shape[0], shape[1] * shape[2]));
+    else channels_.push_back(std::make_unique<LiveSigns>(shape[0], shape[1] * shape[2], shape[2]));
     trust_.push_back(trust);
   }
 }
@@ -293,6 +312,7 @@ void Stream::start_stretch() {
   repeats_ = Repeats(exclude_);
   tracks_.restart();
   belief_ = filter_.start(drives_.all());
+  probable_ = belief_.of_rows();
   starting_ = true;
 }
 
@@ -301,6 +321,15 @@ void Stream::grow() {
   for (; drives_.rows < last; ++drives_.rows)
     if (std::binary_search(starts_.begin(), starts_.end(), drives_.rows))
       drives_.starts.push_back(drives_.rows);
+}
+
+void Stream::enlarge() {
+  if (!large_.empty() || rows() - exclude_ <= scan_above_) return;
+  for (std::size_t number = 0; number < channels_.size(); ++number)
+    if (auto large = channels_[number]->large()) {
+      channels_[number] = std::move(large);
+      large_.push_back(number);
+    }
 }
 
 void Stream::store(const void *const *centres, double stamp) {
@@ -312,6 +341,7 @@ void Stream::store(const void *const *centres, double stamp) {
 void Stream::extend(const void *const *descriptors, double stamp, bool starts) {
   if (starts_.empty() || starts || breaks(descriptors, stamp)) start_stretch();
   grow();
+  enlarge();
   store(descriptors, stamp);
   for (std::size_t number = 0; number < channels_.size(); ++number)
     channels_[number]->extend(descriptors[number]);
@@ -327,6 +357,7 @@ ssrvlad_loop Stream::update(const void *const *descriptors, const Size *anchors,
   }
   if (starts_.empty() || starts || breaks(centres.data(), stamp)) start_stretch();
   grow();
+  enlarge();
   const ssrvlad_loop found = step(descriptors, centres.data(), anchors, threads);
   store(centres.data(), stamp);
   for (std::size_t number = 0; number < channels_.size(); ++number)
@@ -353,7 +384,8 @@ ssrvlad_loop Stream::step(const void *const *swept, const void *const *centres, 
   nearness(scored.data(), rows(), near.data());
   repeats_.after(near.data() + starts_.back(), rows() - starts_.back());
   if (too_few) return none;
-  filter(likelihood(near, Spread::of(near.data(), old_)));
+  const std::vector<float> known = usual(near, old_);
+  filter(likelihood(near, Spread::of(known.data(), static_cast<Size>(known.size()))));
   return result(scored);
 }
 
@@ -362,12 +394,31 @@ std::vector<float> Stream::scores(const void *const *swept, const Size *anchors,
   std::vector<std::vector<float>> near(channels_.size());
   std::vector<float> scores(place(rows())), found(scores.size(), NONE);
   std::vector<Spread> spreads;
+  const Size counted = old ? old : rows();
+  Chosen chosen;
+  const auto score = [&](std::size_t number) {
+    channels_[number]->scores(swept[number], anchors ? anchors[number] : 1, threads, chosen,
+                              scores.data());
+  };
+  if (channels_.size() == 1 && large_.empty()) return score(0), scores;
+  std::vector<std::vector<float>> rough(large_.size());
+  for (std::size_t each = 0; each < large_.size(); ++each) {
+    score(large_[each]);
+    rough[each].resize(scores.size());
+    nearness(scores.data(), rows(), rough[each].data());
+  }
+  for (const auto &each : rough) choose(each, counted, chosen);
   for (std::size_t number = 0; number < channels_.size(); ++number) {
-    channels_[number]->scores(swept[number], anchors ? anchors[number] : 1, threads, scores.data());
-    if (channels_.size() == 1) return scores;
+    score(number);
     near[number].resize(scores.size());
     nearness(scores.data(), rows(), near[number].data());
-    spreads.push_back(plain_spread(near[number].data(), old ? old : rows()));
+    const std::vector<float> known = usual(near[number], counted);
+    spreads.push_back(plain_spread(known.data(), static_cast<Size>(known.size())));
+    const auto each = std::find(large_.begin(), large_.end(), number) - large_.begin();
+    if (each < static_cast<std::ptrdiff_t>(large_.size())) {
+      expect(usual(rough[place(each)], counted), known, rough[place(each)], near[number]);
+      scores = rough[place(each)];  // there is one
+    }
     leads_[number] += std::max(0.0, lead(near[number].data(), old, spreads.back()));
     for (std::size_t row = 0; row < found.size(); ++row) found[row] = std::max(found[row], scores[row]);
   }
@@ -383,6 +434,36 @@ std::vector<float> Stream::scores(const void *const *swept, const Size *anchors,
   }
   as_scores(z.data(), rows(), mean, deviation, found.data());
   return found;
+}
+
+Size Stream::stride(Size old) const {
+  if (large_.empty()) return 1;
+  const double most = std::max<double>(LATEST, SAMPLE * static_cast<double>(scan_above_));
+  return std::max<Size>(1, static_cast<Size>(std::ceil(static_cast<double>(old) / most)));
+}
+
+std::vector<float> Stream::usual(const std::vector<float> &near, Size old) const {
+  std::vector<float> known;
+  for (Size row = 0, step = stride(old); row < old; row += step) known.push_back(near[place(row)]);
+  return known;
+}
+
+// Chooses the nearest rows by the rough scores of a channel, the last ones, a sample, and those that are
+// more probable than by guessing, and their neighbours.
+void Stream::choose(const std::vector<float> &rough, Size old, Chosen &chosen) const {
+  const std::vector<float> known = usual(rough, old);
+  const double least = quantile({known.begin(), known.end()}, 1 - BEST);
+  chosen.resize(rough.size());
+  for (std::size_t row = 0; row < rough.size(); ++row)
+    chosen[row] |= static_cast<double>(rough[row]) >= least;
+  for (Size row = 0; row < old; row += stride(old)) chosen[place(row)] = 1;
+  const auto choose = [&](Size first, Size last) {
+    std::fill(chosen.begin() + std::max<Size>(0, first), chosen.begin() + std::min(last, rows()), 1);
+  };
+  choose(std::min(old, rows() - LATEST), rows());
+  for (std::size_t row = 0; row < probable_.size(); ++row)
+    if (static_cast<double>(probable_[row]) * static_cast<double>(drives_.rows) > 1)
+      choose(static_cast<Size>(row) - SSRVLAD_NEAR, static_cast<Size>(row) + SSRVLAD_NEAR + 1);
 }
 
 // How much likelier a frame is at each row than at a new place. The level of rows of the same stretch is
@@ -428,11 +509,12 @@ void Stream::filter(std::vector<float> told) {
   const Rows rows = drives_.all();
   belief_ = starting_ ? filter_.extended(belief_, rows) : filter_.predicted(belief_, rows);
   filter_.update(belief_, {std::move(told), 0});
+  probable_ = belief_.of_rows();
   starting_ = false;
 }
 
 ssrvlad_loop Stream::result(const std::vector<float> &scored) {
-  std::vector<float> rows = belief_.of_rows();
+  std::vector<float> rows = probable_;
   Size candidate = -1;
   for (Size row = 0; row < old_; ++row)
     if (scored[place(row)] != NONE && (candidate < 0 || rows[place(row)] > rows[place(candidate)]))
@@ -480,7 +562,8 @@ constexpr int64_t MOST_EXCLUDED = int64_t{1} << 62;
 constexpr int64_t MOST = int64_t{1} << 31;  // numbers of a descriptor, and signs
 
 bool valid(const ssrvlad_loops_settings &settings) {
-  return settings.exclude >= 0 && settings.threshold >= 0 && settings.threshold <= 1;
+  return settings.exclude >= 0 && settings.threshold >= 0 && settings.threshold <= 1 &&
+         settings.scan_above >= 0;
 }
 
 bool valid(const ssrvlad_loops_channel &channel) {

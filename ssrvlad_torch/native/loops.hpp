@@ -80,12 +80,18 @@ class Stream {
   ssrvlad_loop step(const void *const *swept, const void *const *centres, const Size *anchors,
                     int threads);
   std::vector<float> scores(const void *const *swept, const Size *anchors, int threads, Size old);
+  void enlarge();  // above the size, if a channel can be large
+  Size stride(Size old) const;     // between old rows that show what is usual
+  std::vector<float> usual(const std::vector<float> &near, Size old) const;  // nearness of old rows
+  void choose(const std::vector<float> &rough, Size old, Chosen &chosen) const;
   std::vector<float> likelihood(const std::vector<float> &near, const Spread &spread);
   void filter(std::vector<float> likelihood);
   ssrvlad_loop result(const std::vector<float> &scores);
 
   Size exclude_;
   double threshold_;
+  Size scan_above_;
+  std::vector<std::size_t> large_;  // numbers of the channels that first give rough scores
   std::vector<std::unique_ptr<LiveChannel>> channels_;
   std::vector<double> trust_, leads_;
   std::vector<bool> described_;
@@ -95,6 +101,7 @@ class Stream {
   Drives drives_;
   Filter filter_;
   Belief belief_;
+  std::vector<float> probable_;  // how probable rows are by it
   bool starting_ = true;
   std::deque<double> neighbours_;
   Repeats repeats_;

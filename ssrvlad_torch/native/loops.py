@@ -27,6 +27,9 @@ REASONS = (
 PLACES, NEAR = 5, 5
 """Places of a result, at most; rows on each side of a row that show the same place."""
 
+SCAN_ABOVE = 50_000
+"""Old frames up to which each is compared by all channels."""
+
 
 class Channel(NamedTuple):
     """What is known of each frame.
@@ -75,18 +78,24 @@ class Loops:
         channels: what is known of each frame; where the first is zero, a frame is empty.
         exclude: number of the last frames, which are no candidates.
         threshold: least probability of a loop, 0 to 1.
+        scan_above: if there are more old frames, all are compared by a part of their signs, if
+            they have some, and by other channels those that are chosen so.
 
     Raises:
         RuntimeError: there is no native core, or it refuses a setting or a shape.
     """
 
     def __init__(
-        self, channels: Sequence[Channel], exclude: int = 50, threshold: float = 0.8
+        self,
+        channels: Sequence[Channel],
+        exclude: int = 50,
+        threshold: float = 0.8,
+        scan_above: int = SCAN_ABOVE,
     ) -> None:
         self._library, self.channels = _library(), tuple(channels)
         made = [_of(each) for each in channels]
         # more frames than fit are excluded by the largest number that fits
-        settings = _Settings(min(exclude, 2**63 - 1), threshold)
+        settings = _Settings(min(exclude, 2**63 - 1), threshold, scan_above)
         handle = self._library.ssrvlad_loops_new(settings, (_Channel * len(made))(*made), len(made))
         if not handle:
             raise RuntimeError(
@@ -187,7 +196,10 @@ class Loops:
 
 
 class _Settings(ctypes.Structure):
-    _fields_ = (("exclude", ctypes.c_int64), ("threshold", ctypes.c_double))
+    _fields_ = (
+        *(("exclude", ctypes.c_int64), ("threshold", ctypes.c_double)),
+        ("scan_above", ctypes.c_int64),
+    )
 
 
 class _Channel(ctypes.Structure):

@@ -176,23 +176,26 @@ def nearness(scores: Array) -> Floats:
     return -np.log(np.maximum(1 - scores.astype(np.float64), ROUNDING))
 
 
-def z_scores(scores: Array, first: int | None = None) -> tuple[Floats, float, float]:
+EVERY = slice(None)
+
+
+def z_scores(scores: Array, of: slice = EVERY) -> tuple[Floats, float, float]:
     """Of the nearness of scores ``(R,)``: how many deviations each is above the mean, 0 where there
-    is none; the mean and the deviation, which are of the ``first`` rows, by default of all."""
+    is none; the mean and the deviation, which are ``of`` some rows, by default of all."""
     known = np.isfinite(scores)
     near = np.where(known, nearness(np.where(known, scores, 0)), 0)
-    count = max(1, np.count_nonzero(known[:first]))
-    mean = near[:first].sum() / count
+    count = max(1, np.count_nonzero(known[of]))
+    mean = near[of].sum() / count
     centred = np.where(known, near - mean, 0)
-    deviation = math.sqrt(np.square(centred[:first]).sum() / count)
+    deviation = math.sqrt(np.square(centred[of]).sum() / count)
     return centred / max(deviation, MIN_SPREAD), float(mean), deviation
 
 
-def lead(scores: Array) -> float:
-    """How many deviations the nearest row is ahead of the nearest elsewhere."""
+def lead(scores: Array, of: slice = EVERY) -> float:
+    """How many deviations, as for `z_scores`, the nearest row is ahead of the nearest elsewhere."""
     if len(scores) <= 2 * ELSEWHERE + 1:
         return 0.0
-    z, _, _ = z_scores(scores)
+    z, _, _ = z_scores(scores, of)
     elsewhere = np.abs(np.arange(len(z)) - z.argmax()) > ELSEWHERE
     return float(z.max() - z[elsewhere].max())
 
@@ -211,13 +214,11 @@ def weights_of(channels: Mapping[str, Array], trust: Mapping[str, float]) -> dic
     return {name: weight / sum(known.values()) for name, weight in known.items()}
 
 
-def fused(
-    channels: Mapping[str, Array], weights: Mapping[str, float], first: int | None = None
-) -> Floats:
+def fused(channels: Mapping[str, Array], weights: Mapping[str, float], of: slice = EVERY) -> Floats:
     """``(R,)`` scores of a query by all channels as one, as cosines: the weighted z-score, with the
-    weighted mean and deviation of the ``first`` rows, by default of all; -inf where no channel has
-    a score."""
-    parts = {name: z_scores(scores, first) for name, scores in channels.items()}
+    weighted mean and deviation ``of`` some rows, by default of all; -inf where no channel has a
+    score."""
+    parts = {name: z_scores(scores, of) for name, scores in channels.items()}
     z, mean, deviation = (
         sum(weights[name] * part for name, part in zip(parts, each, strict=True))
         for each in zip(*parts.values(), strict=True)
