@@ -154,7 +154,8 @@ def test_programs_in_c_and_python_have_the_same_size_of_large_memories():
 
 
 def test_a_memory_is_large_alike_whether_frames_came_or_were_known():
-    """It was small first, or was large at once; by signs alone, which weigh alike."""
+    """It was small first, or was large at once; by signs alone, which weigh alike. What chance does
+    is known of frames that came."""
     signs = np.random.default_rng(0).integers(0, 256, (240, 16, 2, 8), np.uint8)
     signs[200:] = signs[50:90] ^ (signs[200:] & signs[100:140] & signs[150:190])
     ours = [Loops([CHANNELS[1]], scan_above=60) for _ in range(2)]
@@ -165,7 +166,7 @@ def test_a_memory_is_large_alike_whether_frames_came_or_were_known():
         [stream.update({"features": each}, starts=not row) for row, each in enumerate(signs[200:])]
         for stream in ours
     ]
-    assert found[0] == found[1]
+    assert [one[:3] for one in found[0]] == [one[:3] for one in found[1]]
     assert sum(one.reason == "accepted" for one in found[0]) > 20
     np.testing.assert_array_equal(ours[0].descriptors("features", 0, 240), signs)
 
