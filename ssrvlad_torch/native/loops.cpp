@@ -230,9 +230,10 @@ void Tracks::after(const float *near, Size count, Size old) {
     const float close = near[row] == NONE ? 0 : (near[row] - static_cast<float>(known.mean)) / usual;
     closeness_[place(row)] = (row >= later ? KEPT * before[place(row - later)] : 0) + (1 - KEPT) * close;
   }
-  const auto first = closeness_.begin();
-  closest_ = *std::max_element(first, first + old);
-  densest_ = std::max(0.0F, *std::max_element(first + old, first + std::max(old + 1, count - exclude_ / 2)));
+  closest_ = *std::max_element(closeness_.begin(), closeness_.begin() + old);
+  densest_ = 0;
+  for (Size row = old; row < count - exclude_ / 2; ++row)
+    densest_ = std::max(densest_, closeness_[place(row)]);
 }
 
 void Tracks::decided(bool accepted) {
