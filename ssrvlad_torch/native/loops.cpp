@@ -15,10 +15,10 @@ constexpr Size RECENT = 10;  // least age of an excluded frame that can be the p
 constexpr Size STRIDE = 50;  // the previous frame is one before where so many are excluded
 constexpr std::size_t NEIGHBOURS = 1000;
 constexpr double EVIDENCE = 3, LEVEL_FRACTION = 0.9;
-constexpr double LEAST_PLACE = 0.01;
+constexpr double LEAST = 0.01;
 
 constexpr double MARGIN = 1.2;  // repeats
-constexpr Size APART = 5;
+constexpr Size DISTANT = 5;
 constexpr std::size_t TRACK = 15;
 
 constexpr float KEPT = 0.93F;  // tracks
@@ -28,7 +28,7 @@ constexpr std::size_t USUAL = 100, EARLIER = 1000, LEAST_BY_CHANCE = 5;
 constexpr Size WAIT = 25, AROUND = 50, BESIDE = 10;
 
 constexpr double GAP = 600, TIMES = 10;  // stretches
-constexpr Size LAST_FRAMES = 50, LEAST_FRAMES = 20, LAST = 3, OTHERS = 10;
+constexpr Size LAST_FRAMES = 50, LEAST_FRAMES = 20, LAST = 3, APART = 10;
 constexpr double LIKE = 0.5, SPREADS = 3;
 
 constexpr Size LATEST = 50;  // large memories
@@ -99,19 +99,21 @@ SSRVLAD_CLONES void add_scaled(const float *near, Size count, double mean, doubl
   }
 }
 
-// Gives the rows that have none the nearness that their rough one lets expect, by what is known of both.
-void expect(const std::vector<float> &rough, const std::vector<float> &known, const std::vector<float> &given,
-            std::vector<float> &near) {
+// Gives rows without nearness what their rough nearness lets expect: on the straight line through some
+// rows whose nearness is known.
+void expect(const std::vector<float> &rough, const std::vector<float> &known_rough,
+            const std::vector<float> &known, std::vector<float> &near) {
   const auto count = static_cast<Size>(known.size());
-  const Spread from = plain_spread(rough.data(), count), to = plain_spread(known.data(), count);
+  const Spread from = plain_spread(known_rough.data(), count), to = plain_spread(known.data(), count);
   double both = 0;
   for (std::size_t row = 0; row < known.size(); ++row)
-    both += (static_cast<double>(rough[row]) - from.mean) * (static_cast<double>(known[row]) - to.mean);
+    both += (static_cast<double>(known_rough[row]) - from.mean) *
+            (static_cast<double>(known[row]) - to.mean);
   const double least = std::max(from.deviation, MIN_SPREAD);
   const double slope = both / static_cast<double>(std::max<Size>(1, count)) / (least * least);
   for (std::size_t row = 0; row < near.size(); ++row)
     if (near[row] == NONE)
-      near[row] = static_cast<float>(to.mean + slope * (static_cast<double>(given[row]) - from.mean));
+      near[row] = static_cast<float>(to.mean + slope * (static_cast<double>(rough[row]) - from.mean));
 }
 
 // Replaces scores by cosines of nearness, where there are some.
@@ -139,7 +141,7 @@ double likeness(const std::vector<double> &cosines, Size count) {
   std::vector<double> others, steps;
   double step = -std::numeric_limits<double>::infinity(), sum = 0, squares = 0;
   for (Size row = 0; row + 1 < count; ++row)
-    for (Size other = 0; other <= row - OTHERS; ++other) others.push_back(near(row, other));
+    for (Size other = 0; other <= row - APART; ++other) others.push_back(near(row, other));
   for (Size row = 1; row + 1 < count; ++row) steps.push_back(near(row, row - 1));
   for (Size back = 1; back <= LAST; ++back) step = std::max(step, near(count - 1, count - 1 - back));
   for (const double value : others) sum += value;
@@ -161,7 +163,7 @@ bool is_gap(const std::deque<double> &stamps, double stamp) {
 
 // ------------------------------------------------------------------------------------------- repeats
 
-Repeats::Repeats(Size exclude) : nearest_(std::max<Size>(1, exclude / APART)), farthest_(exclude) {}
+Repeats::Repeats(Size exclude) : nearest_(std::max<Size>(1, exclude / DISTANT)), farthest_(exclude) {}
 
 void Repeats::after(const float *near, Size count) {
   highest_.resize(place(count + 1), NONE);
@@ -417,8 +419,8 @@ std::vector<float> Stream::scores(const void *const *swept, const Size *anchors,
     spreads.push_back(plain_spread(known.data(), static_cast<Size>(known.size())));
     const auto each = std::find(large_.begin(), large_.end(), number) - large_.begin();
     if (each < static_cast<std::ptrdiff_t>(large_.size())) {
-      expect(usual(rough[place(each)], counted), known, rough[place(each)], near[number]);
-      scores = rough[place(each)];  // there is one
+      expect(rough[place(each)], usual(rough[place(each)], counted), known, near[number]);
+      scores = rough[place(each)];  // of every row
     }
     leads_[number] += std::max(0.0, lead(near[number].data(), old, spreads.back()));
     for (std::size_t row = 0; row < found.size(); ++row) found[row] = std::max(found[row], scores[row]);
@@ -542,7 +544,7 @@ ssrvlad_loop Stream::result(const std::vector<float> &scored) {
   for (Size row = candidate; found.places < SSRVLAD_PLACES; ++found.places) {
     const auto [from, to] = near(row);
     const double probability = std::min(1.0, sum(rows.data() + from, to - from));
-    if (probability < LEAST_PLACE) break;
+    if (probability < LEAST) break;
     found.best[found.places] = {row, probability};
     std::fill(rows.begin() + from, rows.begin() + to, 0.0F);
     row = std::max_element(rows.begin(), rows.begin() + old_) - rows.begin();
