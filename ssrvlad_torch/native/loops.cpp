@@ -266,7 +266,8 @@ Stream::Stream(const ssrvlad_loops_settings &settings, const ssrvlad_loops_chann
       leads_(static_cast<std::size_t>(count)),
       filter_(drives_, MOTION, {FORWARDS, BACKWARDS}),
       repeats_(exclude_),
-      tracks_(exclude_, count > 1 ? CLEAR : 0) {  // label maps alone have tracks as close as returns
+      // label maps alone have tracks by chance as close as returns
+      tracks_(exclude_, count > 1 ? CLEAR : 0) {
   for (int number = 0; number < count; ++number) {
     const auto &[kind, shape, trust] = channels[number];
     if (kind == SSRVLAD_VECTORS) channels_.push_back(std::make_unique<LiveVectors>(shape[0]));
@@ -460,13 +461,13 @@ void Stream::choose(const std::vector<float> &rough, Size old, Chosen &chosen) c
   for (std::size_t row = 0; row < rough.size(); ++row)
     chosen[row] |= static_cast<double>(rough[row]) >= least;
   for (Size row = 0; row < old; row += stride(old)) chosen[place(row)] = 1;
-  const auto choose = [&](Size first, Size last) {
+  const auto mark = [&](Size first, Size last) {
     std::fill(chosen.begin() + std::max<Size>(0, first), chosen.begin() + std::min(last, rows()), 1);
   };
-  choose(std::min(old, rows() - LATEST), rows());
+  mark(std::min(old, rows() - LATEST), rows());
   for (std::size_t row = 0; row < probable_.size(); ++row)
     if (static_cast<double>(probable_[row]) * static_cast<double>(drives_.rows) > 1)
-      choose(static_cast<Size>(row) - SSRVLAD_NEAR, static_cast<Size>(row) + SSRVLAD_NEAR + 1);
+      mark(static_cast<Size>(row) - SSRVLAD_NEAR, static_cast<Size>(row) + SSRVLAD_NEAR + 1);
 }
 
 // How much likelier a frame is at each row than at a new place. The level of rows of the same stretch is
