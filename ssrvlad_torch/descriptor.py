@@ -157,10 +157,10 @@ class SSRVLAD(nn.Module):
         return tensor
 
     def counted(self, labels: Tensor) -> tuple[Tensor, ...]:
-        """The outputs of exported files, which cannot raise an error: the descriptors of a batch,
-        and ``(B,)`` int64, the number of pixels of each image with an unknown id, which belong to
-        no layer; of ``paper`` also ``(B, 8)`` int64, the number of keypoints of each layer, and
-        ``(B, h, w)`` uint8, the skeletons as bit-planes."""
+        """The outputs of exported files, which cannot raise an error: the descriptors of a batch as
+        a call gives them, and ``(B,)`` int64, the number of pixels of each image with an unknown
+        id, which belong to no layer; of ``paper`` also ``(B, 8)`` int64, the number of keypoints of
+        each layer, and ``(B, h, w)`` uint8, the skeletons as bit-planes."""
         layers, unknown = self._front_end.counted(label_map(labels, self.label_space))
         if self.columns:
             assert isinstance(self._aggregation, Harmonics)

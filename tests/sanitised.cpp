@@ -10,6 +10,7 @@
 
 #include "ssrvlad.h"
 #include "ssrvlad_decide.h"
+#include "ssrvlad_loops.h"
 #include "ssrvlad_map.h"
 
 namespace {
@@ -129,12 +130,50 @@ int find(std::mt19937 &random, std::vector<int64_t> starts, int64_t rows, int64_
   ssrvlad_map_free(map);
   return status != SSRVLAD_WRONG_ARGUMENT;
 }
+
+// A stream of two drives by vectors from several anchors and by signs of odd sizes, of which the first
+// frames are known. Returns 0 if all goes well.
+int close(std::mt19937 &random, int64_t exclude, int64_t scan_above) {
+  const int64_t frames = 130, known = 10, second = 65, length = 7, anchors = 3, columns = 5, bytes = 3;
+  std::vector<float> vectors(known * length), swept(anchors * length);
+  std::vector<uint8_t> signs(known * columns * bytes), starts(known), copied(signs.size());
+  const auto draw = [&](std::vector<float> &some) {
+    std::fill(some.begin(), some.end(), 0.0F);
+    for (std::size_t row = 0; row < some.size(); row += length) some[row + random() % length] = 1;
+  };
+  draw(vectors);
+  for (auto &each : signs) each = static_cast<uint8_t>(random());
+  const ssrvlad_loops_channel channels[] = {{SSRVLAD_VECTORS, {length, 1, 1}, 1},
+                                            {SSRVLAD_SIGNS, {columns, 1, bytes}, 6}};
+  const ssrvlad_loops_settings settings{exclude, 0.8, scan_above};
+  ssrvlad_loops *loops = ssrvlad_loops_new(&settings, channels, 2);
+  const void *first[] = {vectors.data(), signs.data()}, *next[] = {swept.data(), signs.data()};
+  if (!loops || ssrvlad_loops_extend(loops, first, nullptr, starts.data(), known)) return 1;
+  const int64_t counts[] = {anchors, 1};
+  for (int64_t frame = known; frame < frames; ++frame) {
+    draw(swept);
+    if (frame % 20 == 0) std::fill(swept.begin(), swept.end(), 0.0F);
+    for (int64_t each = 0; each < columns * bytes; ++each) signs[each] = static_cast<uint8_t>(random());
+    ssrvlad_loop loop;
+    const double stamp = static_cast<double>(frame < 100 ? frame : 3600 + frame);
+    if (ssrvlad_loops_update(loops, next, counts, stamp, frame == second, 2, &loop)) return 2;
+  }
+  double weights[2];
+  ssrvlad_loops_weights(loops, weights);
+  if (ssrvlad_loops_descriptors(loops, 1, frames - known, frames, copied.data())) return 3;
+  if (ssrvlad_loops_rows(loops) != frames) return 4;
+  ssrvlad_loops_free(loops);
+  return 0;
+}
 }  // namespace
 
 int main() {
   std::mt19937 random(1);
   if (find(random, {0, 1, 60}, 250, 70) || find(random, {0}, 1, 5) || find(random, {0}, 40, 31))
     return 8;
+  for (const int64_t exclude : {0, 1, 20})
+    for (const int64_t scan_above : {int64_t{0}, int64_t{40}, int64_t{SSRVLAD_SCAN_ABOVE}})
+      if (close(random, exclude, scan_above)) return 9;
   if (decide(random, {0, 1, 60}, 150, 70) || decide(random, {0}, 1, 5) ||
       decide(random, {}, 0, 4) || decide(random, {0}, 40, 0))
     return 7;

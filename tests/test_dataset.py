@@ -10,6 +10,7 @@ from trees import outline, plant
 from ssrvlad_torch.datasets.dataset import (
     Dataset,
     DatasetFrame,
+    GroundTruth,
     Traverse,
     files_in,
     folders_in,
@@ -203,3 +204,18 @@ def test_long_lists_are_shortened():
     assert shortened([]) == "nothing"
     assert shortened(list("ab"), 2) == "a, b"
     assert shortened(list("01234"), 2) == "0, 1 and 3 more"
+
+
+# ---- true matches
+
+
+def test_a_definition_that_is_given_replaces_the_declared_one():
+    declared = GroundTruth(metres=5, degrees=30)
+    for given, expected in (
+        ((None, None, None, None), declared),
+        ((None, None, 10, None), GroundTruth(metres=5, degrees=10)),
+        ((None, 7, None, None), GroundTruth(metres=7)),
+        ((None, None, None, 1), GroundTruth(frames=1)),
+    ):
+        assert GroundTruth.chosen(declared, *given) == expected
+    refuses("expected one of", GroundTruth.chosen, None, None, None, None, None)

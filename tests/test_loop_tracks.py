@@ -48,7 +48,7 @@ def test_what_closes_no_loop_was_by_chance():
     assert not found[STREET + 110 :].any()
 
 
-def test_a_slow_stream_is_none():
+def test_a_slow_stream_is_no_return():
     """Its excluded frames run beside the last ones as closely as older frames do."""
     tracks, rng, found = Tracks(50), np.random.default_rng(0), False
     for number in range(2 * STREET):

@@ -107,7 +107,7 @@ class Network(Protocol):
 
 class Channel:
     """Something that is known of every frame, as numbers that show where the frame was taken. A
-    subclass defines `describe`.
+    subclass defines ``name``, ``shape`` and `describe`.
 
     Attributes:
         name: of the column, and the key of the channel in fusion.

@@ -5,7 +5,7 @@ from .channel import Channel
 
 class VectorChannel(Channel):
     """A channel of vectors of length 1, or zero for an empty frame. A subclass defines ``name``,
-    ``length``, ``needs`` and `describe`."""
+    ``length`` and `describe`."""
 
     length: int
 

@@ -78,9 +78,10 @@ class GroundTruth:
         degrees: float | None,
         frames: int | None,
     ) -> GroundTruth:
-        """The definition by a file or a distance, or the declared one if neither is given."""
+        """The definition by a file or a distance, or the declared one if neither is given; degrees
+        that are given count for both."""
         if declared and (file, metres, frames) == (None,) * 3:
-            return replace(declared, degrees=degrees)
+            return declared if degrees is None else replace(declared, degrees=degrees)
         return cls(file, metres, degrees, frames)
 
     @property

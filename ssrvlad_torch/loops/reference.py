@@ -63,8 +63,8 @@ def scores_of_signs(
 ) -> Floats:
     """``(N,)`` cosines of a new frame's signs ``(columns, rows, bytes)`` to those of earlier frames
     ``(N, columns, rows, bytes)``, as 1 and -1 without the mean of their stretch, over the columns
-    that overlap; of the best move of the new frame. Means are rounded to one more levels, if any
-    are given."""
+    that overlap; of the best move of the new frame. With levels, the numbers of means are rounded
+    to so many and one, from -1 to 1."""
     bits = np.unpackbits(np.concatenate((known, signs[None])), axis=-1, bitorder="little")
     numbers = bits.reshape(*bits.shape[:2], -1).astype(np.float64) * 2 - 1
     mean = means(numbers, np.ones(len(numbers), bool), starts)
@@ -78,16 +78,18 @@ def scores_of_signs(
 # ------------------------------------------------------------ large memories: which rows are chosen
 
 PART = 2
-"""Bytes of each cell by which signs are roughly compared with all rows of a large memory."""
+"""Bytes of each cell by which signs are roughly compared with all rows of a large memory. Of chosen
+rows all bytes are compared."""
 
 LEVELS = 15
-"""Of chosen rows all bytes are compared. The numbers of a mean are rounded to one more levels then,
-so that it is a sum of few signs."""
+"""The numbers of a mean are rounded to 16 levels for chosen rows: then it is the weighted sum of
+four vectors of signs."""
 
 SAMPLE, BEST, LATEST = 0.04, 0.01, 50
-"""Rows that are chosen: evenly spaced ones, at most so many of the size above which a memory is
-large, or `LATEST`, show what is usual; the nearest by the rough scores of a channel, so many of
-all, may show the place; by the last ones, at least so many, the present stretch is judged."""
+"""What is chosen. Evenly spaced rows show what is usual: at most a fraction `SAMPLE` of the size
+above which a memory is large, or `LATEST` if that is more. The nearest by the rough scores of each
+channel may be the place: a fraction `BEST`. By the last ones the present stretch is judged: at
+least `LATEST`."""
 
 
 def part_of(signs: Array) -> Array:
@@ -96,14 +98,14 @@ def part_of(signs: Array) -> Array:
 
 
 def stride(rows: int, large: int) -> int:
-    """The distance of rows that show what is usual."""
+    """How many rows it is from one that shows what is usual to the next."""
     return max(1, math.ceil(rows / max(LATEST, SAMPLE * large)))
 
 
 def chosen(rough: Sequence[Floats], usual: slice, believed: Floats) -> npt.NDArray[np.bool_]:
-    """``(N,)``, whether each row is chosen, by its rough nearness by channels, ``(N,)`` each, and
-    by how probable rows were before this frame. Those that were more probable than by guessing are
-    chosen as well, and their neighbours."""
+    """``(N,)``, whether each row is chosen, by its rough nearness ``(N,)`` by each channel, and by
+    how probable rows were before this frame: those that were more probable than by guessing are
+    chosen as well, with their neighbours."""
     rows = len(rough[0])
     found = np.zeros(rows, np.bool_)
     found[usual] = found[max(0, min(usual.stop, rows - LATEST)) :] = True
@@ -115,8 +117,8 @@ def chosen(rough: Sequence[Floats], usual: slice, believed: Floats) -> npt.NDArr
 
 
 def expected(scores: Floats, rough: Floats, usual: slice) -> Floats:
-    """Scores ``(N,)``, of rows that have none what their rough one lets expect: on the straight
-    line of nearness through what is ``usual``."""
+    """Scores ``(N,)``, where rows that have none get what their rough score lets expect: their
+    nearness is on the straight line through that of the ``usual`` rows."""
     near, given = nearness(scores), nearness(rough)
     off, other = near[usual] - near[usual].mean(), given[usual] - given[usual].mean()
     slope = (off * other).mean() / max(other.std(), MIN_SPREAD) ** 2
@@ -223,7 +225,7 @@ KEPT = 0.93
 """A track is a mean over frames, in which each counts so much of the next."""
 
 EXPLAINED = 0.9
-"""A new place explains tracks as close as so many of those by chance."""
+"""A new place explains what is no closer than this quantile of the tracks by chance."""
 
 BY_CHANCE = 1.5
 """A track so many times as close as the closest by chance is a return."""
@@ -245,9 +247,9 @@ _AROUND, _BESIDE, _LEAST_STEP = 50, 10, 0.02
 
 
 class Tracks:
-    """In another light, a frame is nowhere near as like the old frame of its place as the frame
-    before. But the two drives run on side by side. How far that can happen by chance the stream
-    itself shows: most frames are at new places. What is by chance in one stretch is so in the next.
+    """In another light, a frame is much less like the old frame of its place than like the frame
+    before. But the two drives run on side by side. The stream itself shows how closely drives do so
+    by chance: most frames are at new places. What is by chance in one stretch is so in the next.
     """
 
     def __init__(self, exclude: int, clear: float = CLEAR) -> None:
@@ -271,8 +273,8 @@ class Tracks:
 
     @property
     def explained(self) -> float:
-        """How much nearer than the mean an old frame can be at a new place, see `EXPLAINED`; 0
-        where too few tracks by chance are known."""
+        """How much nearer than the mean an old frame can be to one of a new place, see
+        `EXPLAINED`; 0 where too few tracks by chance are known."""
         if len(self._by_chance) < LEAST_BY_CHANCE:
             return 0.0
         return float(np.quantile(self._by_chance, EXPLAINED)) * self._step
@@ -531,11 +533,11 @@ class Loops:
     def _scores(self, swept: Mapping[str, Array], old: int) -> Floats:
         """``(N,)`` scores of a frame by all channels, scaled by those of the old frames, if any."""
         scores, usual = dict[str, Floats](), self._usual(old or len(self))
-        signs = [each for each in self.channels if each.dtype == "uint8" and self._is_large]
         known = {name: np.array(frames) for name, frames in self._frames.items()}
         rough = {
             name: scores_of_signs(part_of(known[name]), part_of(swept[name][0]), self._starts)
-            for name in (channel.name for channel in signs)
+            for name, _, dtype, _ in self.channels
+            if dtype == "uint8" and self._is_large
         }
         rows = np.ones(len(self), bool)
         if rough:

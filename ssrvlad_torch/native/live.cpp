@@ -276,6 +276,24 @@ void StoredSigns::add(const Word *frame, Sum &sum) const {
   }
 }
 
+void StoredSigns::store(const Word *frame) {
+  std::copy_n(frame, grid_.size(), rows_.append());
+  add(frame, own_);
+  add(frame, every_);
+}
+
+void StoredSigns::copy(Size first, Size last, void *descriptors) const {
+  auto *out = static_cast<std::uint8_t *>(descriptors);
+  for (Size row = first; row < last; ++row)
+    for (Size column = 0; column < columns_; ++column, out += size_)
+      std::memcpy(out, rows_[row] + column * grid_.words, place(size_));
+}
+
+double StoredSigns::cosine(const void *one, const void *other) const {
+  return 1 - 2 * static_cast<double>(differing(packed(one).data(), packed(other).data(), grid_.size())) /
+                 bits(0);
+}
+
 LiveSigns::Products LiveSigns::with(const Word *frame, const Sum &sum) const {
   Products found;
   const auto add_products = [&](const Word *signs, double factor) {
@@ -320,21 +338,19 @@ double LiveSigns::square_of_sum(std::size_t move) const {
   return own_square_[move] + 2 * share * own_with_before_[move] + share * share * before_square_[move];
 }
 
-void LiveSigns::store(const Word *frame, const Products &own, const Products &every) {
+void LiveSigns::store_with(const Word *frame, const Products &own, const Products &every) {
   for (int move = -REACH; move <= REACH; ++move) {
     const std::size_t at = place(move + REACH);
     own_square_[at] += 2 * own.there[at] + bits(move);
     own_with_before_[at] += every.there[at] - own.there[at];
   }
-  std::copy_n(frame, grid_.size(), rows_.append());
-  add(frame, own_);
-  add(frame, every_);
+  store(frame);
   compared_ = false;
 }
 
 void LiveSigns::extend(const void *descriptor) {
   const std::vector<Word> frame = packed(descriptor);
-  store(frame.data(), with(frame.data(), own_), with(frame.data(), every_));
+  store_with(frame.data(), with(frame.data(), own_), with(frame.data(), every_));
   for (auto *each : {&with_every_, &with_present_, &there_or_length_})
     for (auto &of_rows : *each) of_rows.push_back(0);
   counted_ = false;
@@ -356,7 +372,7 @@ void LiveSigns::append(const void *descriptor) {
     with_present_[at].push_back(sum.moved[at] + last_self_[at]);
     there_or_length_[at].push_back(sum.there[at] + bits(move));
   }
-  store(frame.data(), last_own_, last_every_);
+  store_with(frame.data(), last_own_, last_every_);
 }
 
 void LiveSigns::recount() {
@@ -495,49 +511,30 @@ void LiveSigns::scores(const void *swept, Size, int threads, const Chosen &, flo
   for (int move = -REACH; move <= REACH; ++move) score(move, centred, scores);
 }
 
-void StoredSigns::copy(Size first, Size last, void *descriptors) const {
-  auto *out = static_cast<std::uint8_t *>(descriptors);
-  for (Size row = first; row < last; ++row)
-    for (Size column = 0; column < columns_; ++column, out += size_)
-      std::memcpy(out, rows_[row] + column * grid_.words, place(size_));
-}
-
-double StoredSigns::cosine(const void *one, const void *other) const {
-  return 1 - 2 * static_cast<double>(differing(packed(one).data(), packed(other).data(), grid_.size())) /
-                 bits(0);
-}
-
 // ------------------------------------------------------------------------------- signs of a large memory
 
 LargeSigns::LargeSigns(Size columns, Size size, Size cell)
     : StoredSigns(columns, size),
       cell_(cell),
-      every_byte_(std::max<Size>(1, cell / PART)),
-      part_(columns, size / cell * ((cell + every_byte_ - 1) / every_byte_), PART) {}
+      stride_(std::max<Size>(1, cell / PART)),
+      part_(columns, size / cell * ((cell + stride_ - 1) / stride_), PART) {}
 
 // Some bytes of each cell, evenly spaced.
 std::vector<std::uint8_t> LargeSigns::part(const void *descriptor) const {
   const auto *bytes = static_cast<const std::uint8_t *>(descriptor);
   std::vector<std::uint8_t> some;
   for (Size cell = 0; cell < columns_ * size_; cell += cell_)
-    for (Size at = 0; at < cell_; at += every_byte_) some.push_back(bytes[cell + at]);
+    for (Size at = 0; at < cell_; at += stride_) some.push_back(bytes[cell + at]);
   return some;
 }
 
-void LargeSigns::take(const void *descriptor) {
-  const std::vector<Word> frame = packed(descriptor);
-  std::copy_n(frame.data(), grid_.size(), rows_.append());
-  add(frame.data(), own_);
-  add(frame.data(), every_);
-}
-
 void LargeSigns::append(const void *descriptor) {
-  take(descriptor);
+  store(packed(descriptor).data());
   part_.append(part(descriptor).data());
 }
 
 void LargeSigns::extend(const void *descriptor) {
-  take(descriptor);
+  store(packed(descriptor).data());
   part_.extend(part(descriptor).data());
 }
 

@@ -59,8 +59,8 @@ class LiveChannel {
   // the middle; NONE where the row is empty, and where it is not chosen.
   virtual void scores(const void *swept, Size anchors, int threads, const Chosen &chosen,
                       float *scores) = 0;
-  // The same frames in a form that first gives rough scores of all rows and then those of some; nothing
-  // if there is no such form.
+  // The same frames in a form for large memories, whose scores are rough where all rows are chosen;
+  // nothing if there is no such form.
   virtual std::unique_ptr<LiveChannel> large() const { return nullptr; }
   // Appends the frame that was scored last, or one that was not, by its descriptor.
   virtual void append(const void *descriptor) = 0;
@@ -73,7 +73,7 @@ class LiveChannel {
   virtual double cosine(const void *one, const void *other) const = 0;
 };
 
-// LiveVectors of length 1, or zero for an empty frame.
+// Vectors of length 1, or zero for an empty frame.
 class LiveVectors : public LiveChannel {
  public:
   explicit LiveVectors(Size length);
@@ -134,6 +134,7 @@ class StoredSigns : public LiveChannel {
   Size together(Size column) const;
   bool leaves(int move, Size column) const { return column - move >= 0 && column - move < columns_; }
   void add(const Word *frame, Sum &sum) const;
+  void store(const Word *frame);
 
   Size columns_, size_;
   SignGrid grid_;
@@ -176,7 +177,7 @@ class LiveSigns : public StoredSigns {
   Stretch present(Size fresh) const;  // the present stretch with some more frames
   Products with_sum(const Products &own, const Products &every) const;  // with that of the present mean
   double square_of_sum(std::size_t move) const;
-  void store(const Word *frame, const Products &own, const Products &every);
+  void store_with(const Word *frame, const Products &own, const Products &every);
   void compare(const Word *frame, int threads);  // fills what is of the last frame
   void recount();
   void score(int move, std::vector<double> &centred, float *scores) const;
@@ -226,13 +227,12 @@ class LargeSigns : public StoredSigns {
   };
 
   std::vector<std::uint8_t> part(const void *descriptor) const;
-  void take(const void *descriptor);
   Mean mean(const Sum &own, const Sum &every) const;
   ByMove product(const Planes &vector, const Word *frame) const;  // of it with the frame, moved
-  // By move, of the columns of a frame less a mean that are left: of a row, or of the one that is moved.
+  // By move, the length of what is left of a frame less a mean; the frame is moved, or the other one is.
   ByMove lengths(const Word *frame, const Mean &mean, bool is_moved) const;
 
-  Size cell_, every_byte_;
+  Size cell_, stride_;  // bytes of a cell, and from one to the next of those that are compared with all
   LiveSigns part_;
   std::vector<Mean> finished_;
 };

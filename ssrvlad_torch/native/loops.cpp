@@ -15,10 +15,10 @@ constexpr Size RECENT = 10;  // least age of an excluded frame that can be the p
 constexpr Size STRIDE = 50;  // the previous frame is one before where so many are excluded
 constexpr std::size_t NEIGHBOURS = 1000;
 constexpr double EVIDENCE = 3, LEVEL_FRACTION = 0.9;
-constexpr double LEAST_PLACE = 0.01;
+constexpr double LEAST = 0.01;
 
 constexpr double MARGIN = 1.2;  // repeats
-constexpr Size APART = 5;
+constexpr Size DISTANT = 5;
 constexpr std::size_t TRACK = 15;
 
 constexpr float KEPT = 0.93F;  // tracks
@@ -28,7 +28,7 @@ constexpr std::size_t USUAL = 100, EARLIER = 1000, LEAST_BY_CHANCE = 5;
 constexpr Size WAIT = 25, AROUND = 50, BESIDE = 10;
 
 constexpr double GAP = 600, TIMES = 10;  // stretches
-constexpr Size LAST_FRAMES = 50, LEAST_FRAMES = 20, LAST = 3, OTHERS = 10;
+constexpr Size LAST_FRAMES = 50, LEAST_FRAMES = 20, LAST = 3, APART = 10;
 constexpr double LIKE = 0.5, SPREADS = 3;
 
 constexpr Size LATEST = 50;  // large memories
@@ -99,19 +99,21 @@ SSRVLAD_CLONES void add_scaled(const float *near, Size count, double mean, doubl
   }
 }
 
-// Gives the rows that have none the nearness that their rough one lets expect, by what is known of both.
-void expect(const std::vector<float> &rough, const std::vector<float> &known, const std::vector<float> &given,
-            std::vector<float> &near) {
+// Gives rows without nearness what their rough nearness lets expect: on the straight line through some
+// rows whose nearness is known.
+void expect(const std::vector<float> &rough, const std::vector<float> &known_rough,
+            const std::vector<float> &known, std::vector<float> &near) {
   const auto count = static_cast<Size>(known.size());
-  const Spread from = plain_spread(rough.data(), count), to = plain_spread(known.data(), count);
+  const Spread from = plain_spread(known_rough.data(), count), to = plain_spread(known.data(), count);
   double both = 0;
   for (std::size_t row = 0; row < known.size(); ++row)
-    both += (static_cast<double>(rough[row]) - from.mean) * (static_cast<double>(known[row]) - to.mean);
+    both += (static_cast<double>(known_rough[row]) - from.mean) *
+            (static_cast<double>(known[row]) - to.mean);
   const double least = std::max(from.deviation, MIN_SPREAD);
   const double slope = both / static_cast<double>(std::max<Size>(1, count)) / (least * least);
   for (std::size_t row = 0; row < near.size(); ++row)
     if (near[row] == NONE)
-      near[row] = static_cast<float>(to.mean + slope * (static_cast<double>(given[row]) - from.mean));
+      near[row] = static_cast<float>(to.mean + slope * (static_cast<double>(rough[row]) - from.mean));
 }
 
 // Replaces scores by cosines of nearness, where there are some.
@@ -139,7 +141,7 @@ double likeness(const std::vector<double> &cosines, Size count) {
   std::vector<double> others, steps;
   double step = -std::numeric_limits<double>::infinity(), sum = 0, squares = 0;
   for (Size row = 0; row + 1 < count; ++row)
-    for (Size other = 0; other <= row - OTHERS; ++other) others.push_back(near(row, other));
+    for (Size other = 0; other <= row - APART; ++other) others.push_back(near(row, other));
   for (Size row = 1; row + 1 < count; ++row) steps.push_back(near(row, row - 1));
   for (Size back = 1; back <= LAST; ++back) step = std::max(step, near(count - 1, count - 1 - back));
   for (const double value : others) sum += value;
@@ -161,7 +163,7 @@ bool is_gap(const std::deque<double> &stamps, double stamp) {
 
 // ------------------------------------------------------------------------------------------- repeats
 
-Repeats::Repeats(Size exclude) : nearest_(std::max<Size>(1, exclude / APART)), farthest_(exclude) {}
+Repeats::Repeats(Size exclude) : nearest_(std::max<Size>(1, exclude / DISTANT)), farthest_(exclude) {}
 
 void Repeats::after(const float *near, Size count) {
   highest_.resize(place(count + 1), NONE);
@@ -230,9 +232,10 @@ void Tracks::after(const float *near, Size count, Size old) {
     const float close = near[row] == NONE ? 0 : (near[row] - static_cast<float>(known.mean)) / usual;
     closeness_[place(row)] = (row >= later ? KEPT * before[place(row - later)] : 0) + (1 - KEPT) * close;
   }
-  const auto first = closeness_.begin();
-  closest_ = *std::max_element(first, first + old);
-  densest_ = std::max(0.0F, *std::max_element(first + old, first + std::max(old + 1, count - exclude_ / 2)));
+  closest_ = *std::max_element(closeness_.begin(), closeness_.begin() + old);
+  densest_ = 0;
+  for (Size row = old; row < count - exclude_ / 2; ++row)
+    densest_ = std::max(densest_, closeness_[place(row)]);
 }
 
 void Tracks::decided(bool accepted) {
@@ -263,7 +266,8 @@ Stream::Stream(const ssrvlad_loops_settings &settings, const ssrvlad_loops_chann
       leads_(static_cast<std::size_t>(count)),
       filter_(drives_, MOTION, {FORWARDS, BACKWARDS}),
       repeats_(exclude_),
-      tracks_(exclude_, count > 1 ? CLEAR : 0) {  // label maps alone have tracks as close as returns
+      // label maps alone have tracks by chance as close as returns
+      tracks_(exclude_, count > 1 ? CLEAR : 0) {
   for (int number = 0; number < count; ++number) {
     const auto &[kind, shape, trust] = channels[number];
     if (kind == SSRVLAD_VECTORS) channels_.push_back(std::make_unique<LiveVectors>(shape[0]));
@@ -416,8 +420,8 @@ std::vector<float> Stream::scores(const void *const *swept, const Size *anchors,
     spreads.push_back(plain_spread(known.data(), static_cast<Size>(known.size())));
     const auto each = std::find(large_.begin(), large_.end(), number) - large_.begin();
     if (each < static_cast<std::ptrdiff_t>(large_.size())) {
-      expect(usual(rough[place(each)], counted), known, rough[place(each)], near[number]);
-      scores = rough[place(each)];  // there is one
+      expect(rough[place(each)], usual(rough[place(each)], counted), known, near[number]);
+      scores = rough[place(each)];  // of every row
     }
     leads_[number] += std::max(0.0, lead(near[number].data(), old, spreads.back()));
     for (std::size_t row = 0; row < found.size(); ++row) found[row] = std::max(found[row], scores[row]);
@@ -457,13 +461,13 @@ void Stream::choose(const std::vector<float> &rough, Size old, Chosen &chosen) c
   for (std::size_t row = 0; row < rough.size(); ++row)
     chosen[row] |= static_cast<double>(rough[row]) >= least;
   for (Size row = 0; row < old; row += stride(old)) chosen[place(row)] = 1;
-  const auto choose = [&](Size first, Size last) {
+  const auto mark = [&](Size first, Size last) {
     std::fill(chosen.begin() + std::max<Size>(0, first), chosen.begin() + std::min(last, rows()), 1);
   };
-  choose(std::min(old, rows() - LATEST), rows());
+  mark(std::min(old, rows() - LATEST), rows());
   for (std::size_t row = 0; row < probable_.size(); ++row)
     if (static_cast<double>(probable_[row]) * static_cast<double>(drives_.rows) > 1)
-      choose(static_cast<Size>(row) - SSRVLAD_NEAR, static_cast<Size>(row) + SSRVLAD_NEAR + 1);
+      mark(static_cast<Size>(row) - SSRVLAD_NEAR, static_cast<Size>(row) + SSRVLAD_NEAR + 1);
 }
 
 // How much likelier a frame is at each row than at a new place. The level of rows of the same stretch is
@@ -541,7 +545,7 @@ ssrvlad_loop Stream::result(const std::vector<float> &scored) {
   for (Size row = candidate; found.places < SSRVLAD_PLACES; ++found.places) {
     const auto [from, to] = near(row);
     const double probability = std::min(1.0, sum(rows.data() + from, to - from));
-    if (probability < LEAST_PLACE) break;
+    if (probability < LEAST) break;
     found.best[found.places] = {row, probability};
     std::fill(rows.begin() + from, rows.begin() + to, 0.0F);
     row = std::max_element(rows.begin(), rows.begin() + old_) - rows.begin();

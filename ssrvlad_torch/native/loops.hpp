@@ -80,9 +80,9 @@ class Stream {
   ssrvlad_loop step(const void *const *swept, const void *const *centres, const Size *anchors,
                     int threads);
   std::vector<float> scores(const void *const *swept, const Size *anchors, int threads, Size old);
-  void enlarge();  // above the size, if a channel can be large
-  Size stride(Size old) const;     // between old rows that show what is usual
-  std::vector<float> usual(const std::vector<float> &near, Size old) const;  // nearness of old rows
+  void enlarge();               // above the size, if a channel can be large
+  Size stride(Size old) const;  // between old rows that show what is usual
+  std::vector<float> usual(const std::vector<float> &near, Size old) const;  // the nearness of these
   void choose(const std::vector<float> &rough, Size old, Chosen &chosen) const;
   std::vector<float> likelihood(const std::vector<float> &near, const Spread &spread);
   void filter(std::vector<float> likelihood);

@@ -78,8 +78,8 @@ class Loops:
         channels: what is known of each frame; where the first is zero, a frame is empty.
         exclude: number of the last frames, which are no candidates.
         threshold: least probability of a loop, 0 to 1.
-        scan_above: if there are more old frames, all are compared by a part of their signs, if
-            they have some, and by other channels those that are chosen so.
+        scan_above: number of old frames above which, if they have signs, all are compared by a
+            part of these, and only some by all channels.
 
     Raises:
         RuntimeError: there is no native core, or it refuses a setting or a shape.

@@ -36,8 +36,8 @@ typedef struct ssrvlad_loops_channel {
 typedef struct ssrvlad_loops_settings {
   int64_t exclude;  /* number of the last frames, which are no candidates; 50 for frames 3 m apart */
   double threshold; /* least probability of a loop, 0 to 1; 0.8 */
-  int64_t scan_above; /* if there are more old frames, all are compared by a part of their signs, if they
-                         have some, and by other channels those that are chosen so; SSRVLAD_SCAN_ABOVE */
+  int64_t scan_above; /* number of old frames above which, if they have signs, all are compared by a
+                         part of these, and only some by all channels; SSRVLAD_SCAN_ABOVE */
 } ssrvlad_loops_settings;
 
 /* Why a frame closes a loop or does not. */
@@ -52,10 +52,10 @@ enum {
 };
 
 enum {
-  SSRVLAD_PLACES = 5,   /* places in a result, at most */
-  SSRVLAD_NEAR = 5,     /* rows on each side of a row that show the same place */
-  SSRVLAD_CHANNELS = 16, /* channels of a stream, at most */
-  SSRVLAD_SCAN_ABOVE = 50000 /* old frames from which a part of their signs is faster */
+  SSRVLAD_PLACES = 5,        /* places in a result, at most */
+  SSRVLAD_NEAR = 5,          /* rows on each side of a row that show the same place */
+  SSRVLAD_CHANNELS = 16,     /* channels of a stream, at most */
+  SSRVLAD_SCAN_ABOVE = 50000 /* old frames above which not all are compared by all channels */
 };
 
 /* An earlier frame by its row, and the probability that the place is near it. */

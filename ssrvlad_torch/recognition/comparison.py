@@ -136,7 +136,6 @@ class ReferenceRows:
         return self._maps[standardised]
 
 
-References = ReferenceRows
 Array = npt.NDArray[Any]
 
 

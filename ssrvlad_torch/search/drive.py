@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from ..database.frames import FrameSet
-from ..recognition.comparison import References
+from ..recognition.comparison import ReferenceRows
 from ..recognition.fusion import Scale, fused, lead, moments, weights_of
 from ..recognition.motion import ELSEWHERE
 from ..recognition.recognise import Recognised, Steps, recognise_by_search
@@ -172,7 +172,7 @@ class DriveSearch:
         """See `native.decide.Search`."""
         return self._sample_rows, self._sample[query]
 
-    def _leading(self, given: Mapping[str, Tensor]) -> dict[str, tuple[Tensor, References]]:
+    def _leading(self, given: Mapping[str, Tensor]) -> dict[str, tuple[Tensor, ReferenceRows]]:
         """By each channel: some of the queries, and the rows that are nearest to them by the coarse
         scores, with those beside them."""
         nearest: dict[str, list[Tensor]] = {name: [] for name in given}
@@ -187,7 +187,7 @@ class DriveSearch:
         return leading
 
     def _swept(
-        self, name: str, given: Tensor, leading: Mapping[str, tuple[Tensor, References]]
+        self, name: str, given: Tensor, leading: Mapping[str, tuple[Tensor, ReferenceRows]]
     ) -> _Swept:
         """The queries as wide as suits the rows that are nearest to them."""
         shape = len(self._channels[name].column.shape)
@@ -202,7 +202,7 @@ class DriveSearch:
             total, counted = np.zeros_like(total), 1
         return _Swept(queries, torch.from_numpy(total / max(1, counted)).float(), width)
 
-    def _weighed(self, leading: Mapping[str, tuple[Tensor, References]]) -> dict[str, float]:
+    def _weighed(self, leading: Mapping[str, tuple[Tensor, ReferenceRows]]) -> dict[str, float]:
         """The weights of the channels by their leads, see `fusion.FusedScores`."""
         leads = dict.fromkeys(self._channels, 0.0)
         if self._count >= MIN_FRAMES and len(leads) > 1:
@@ -239,7 +239,7 @@ class DriveSearch:
         return _Window(rows, self._fused(parts, slice(some.start, some.stop)))
 
     def _scores(
-        self, name: str, some: range, rows: Tensor, references: References | None = None
+        self, name: str, some: range, rows: Tensor, references: ReferenceRows | None = None
     ) -> Tensor:
         """``(W, N)`` exact scores of some queries to rising rows by one channel."""
         if references is None:

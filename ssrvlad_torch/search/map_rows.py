@@ -9,7 +9,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from ..recognition.comparison import References
+from ..recognition.comparison import ReferenceRows
 from ..recognition.sequences import runs
 from ..recognition.standardise import sharing
 from .coarse_index import taken
@@ -49,7 +49,7 @@ class MapRows:
         chosen = np.random.default_rng(0).choice(rows, min(SAMPLE, len(rows)), replace=False)
         return torch.from_numpy(np.sort(chosen))
 
-    def references(self, channel: Channel, rows: Tensor, standardised: bool) -> References:
+    def references(self, channel: Channel, rows: Tensor, standardised: bool) -> ReferenceRows:
         """Rising rows by one channel. Those that share a mean are as of one sequence."""
         groups, means = self._groups[rows.numpy()], None
         if standardised:
