@@ -76,6 +76,10 @@ def test_what_is_a_gap():
     assert not is_gap(HOUR * steady, HOUR * (steady[-1] + 1)), "one frame in twenty minutes"
     assert not is_gap(steady, np.nan)
     assert not is_gap(np.full(LEAST_FRAMES, np.nan), HOUR)
+    for unknown in (0, 7, -1):
+        some = np.append(steady, steady[-1] + np.diff(steady)[0])
+        some[unknown] = np.nan
+        assert is_gap(some, some[-2:][~np.isnan(some[-2:])][-1] + 10 * HOUR)
 
 
 @pytest.mark.parametrize("stop", [149, 150, 151, 200])

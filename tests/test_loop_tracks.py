@@ -71,19 +71,20 @@ def test_where_places_look_alike_nothing_is_told():
     assert not told(0.6, chance=0.9).any()
 
 
-def test_a_new_place_explains_what_chance_does_in_any_stretch():
-    tracks, rng = Tracks(50), np.random.default_rng(0)
+@pytest.mark.parametrize(("alone", "stands"), [(True, False), (True, True), (False, False)])
+def test_a_new_place_explains_what_chance_does_by_label_maps_alone(alone, stands):
+    """A stop is no chance."""
+    tracks, rng = Tracks(50, alone), np.random.default_rng(0)
     assert tracks.explained == 0
     for number in range(2 * STREET):
         near = rng.uniform(0.2, 0.4, number)
         near[-1:] = 0.7
+        if stands and 100 < number < 170:
+            near[100:] = 0.7
         tracks.after(near, max(0, number - 50))
         tracks.decided(accepted=False)
-    explained = tracks.explained
-    assert 0.03 < explained < 0.1
-    tracks.restart()
-    assert tracks.explained == explained
     assert not tracks.returning
+    assert 0.03 < tracks.explained < 0.1 if alone else tracks.explained == 0
 
 
 BETWEEN = PLACES + np.roll(PLACES, -1, axis=0)

@@ -147,11 +147,12 @@ SPREADS = 3
 
 
 def is_gap(stamps: Sequence[float], stamp: float) -> bool:
-    """Whether a stream whose last frames have these stamps pauses before the next; not where a
-    stamp is NaN."""
-    if len(stamps) < LEAST_FRAMES or not stamp - stamps[-1] > GAP:
+    """Whether a stream whose last frames have these stamps pauses before the next. Frames
+    without a stamp, which is NaN, do not count."""
+    known = [each for each in stamps if not math.isnan(each)]
+    if len(known) < LEAST_FRAMES or not stamp - known[-1] > GAP:
         return False
-    return bool(stamp - stamps[-1] > TIMES * np.median(np.diff(stamps)))
+    return bool(stamp - known[-1] > TIMES * np.median(np.diff(known)))
 
 
 def likeness(frames: Array) -> float:
@@ -225,7 +226,8 @@ KEPT = 0.93
 """A track is a mean over frames, in which each counts so much of the next."""
 
 EXPLAINED = 0.9
-"""A new place explains what is no closer than this quantile of the tracks by chance."""
+"""By label maps alone, a new place explains a frame of an earlier stretch that is no nearer than
+this quantile of the tracks by chance was in that stretch."""
 
 BY_CHANCE = 1.5
 """A track so many times as close as the closest by chance is a return."""
@@ -249,33 +251,31 @@ _AROUND, _BESIDE, _LEAST_STEP = 50, 10, 0.02
 class Tracks:
     """In another light, a frame is much less like the old frame of its place than like the frame
     before. But the two drives run on side by side. The stream itself shows how closely drives do so
-    by chance: most frames are at new places. What is by chance in one stretch is so in the next.
-    """
+    by chance: most frames are at new places."""
 
-    def __init__(self, exclude: int, clear: float = CLEAR) -> None:
-        self._exclude, self._clear = exclude, clear
-        self._steps, self._others, self._by_chance = (list[float]() for _ in range(3))
-        self.restart()
-
-    def restart(self) -> None:
-        """The next frame is the first of a stretch."""
-        self._closeness, self._waiting = np.zeros(0), list[float]()
+    def __init__(self, exclude: int, alone: bool = False) -> None:
+        self._exclude, self._alone = exclude, alone
+        self._closeness = np.zeros(0)
+        self._steps, self._others = list[float](), list[float]()
+        self._waiting, self._by_chance = list[float](), list[float]()
         self._since, self._held, self._closest, self._densest = WAIT, 0, 0.0, 0.0
 
     @property
     def returning(self) -> bool:
-        """Whether the last frames run beside old ones in another light."""
-        if len(self._by_chance) < LEAST_BY_CHANCE:
+        """Whether the last frames run beside old ones in another light; never by label maps alone,
+        whose tracks by chance are as close as those of returns."""
+        if self._alone or len(self._by_chance) < LEAST_BY_CHANCE:
             return False
         highest = max(self._by_chance)
-        is_clear = highest <= self._clear and BY_CHANCE * highest <= self._closest
+        is_clear = highest <= CLEAR and BY_CHANCE * highest <= self._closest
         return is_clear and self._densest <= self._closest < SAME
 
     @property
     def explained(self) -> float:
         """How much nearer than the mean an old frame can be to one of a new place, see
-        `EXPLAINED`; 0 where too few tracks by chance are known."""
-        if len(self._by_chance) < LEAST_BY_CHANCE:
+        `EXPLAINED`; 0 where too few tracks by chance are known, or other channels tell places
+        apart."""
+        if not self._alone or len(self._by_chance) < LEAST_BY_CHANCE:
             return 0.0
         return float(np.quantile(self._by_chance, EXPLAINED)) * self._step
 
@@ -302,13 +302,14 @@ class Tracks:
         self._densest = float(self._closeness[old : len(near) - self._exclude // 2].max(initial=0))
 
     def decided(self, accepted: bool) -> None:
-        """Takes whether the frame closes a loop: tracks around one are not by chance, nor is, for a
-        while, a return that may still become one."""
+        """Takes whether the frame closes a loop: tracks around one are not by chance, nor are those
+        of a camera that stands, nor is, for a while, a return that may still become a loop."""
         self._held = self._held + 1 if self.returning and not accepted else 0
         if 0 < self._held <= 2 * WAIT:
             return
-        self._since = 0 if accepted else self._since + 1
-        if accepted:
+        stands = self._densest >= SAME
+        self._since = 0 if accepted or stands else self._since + 1
+        if accepted or stands:
             self._waiting = []
         elif self._since > WAIT and self._closest:
             self._waiting.append(self._closest)
@@ -431,8 +432,7 @@ class Loops:
         self._frames: dict[str, list[Array]] = {each.name: [] for each in channels}
         self._leads = {each.name: 0.0 for each in channels}
         self._stamps, self._starts = list[float](), list[int]()
-        # label maps alone have tracks by chance as close as returns
-        self._tracks = Tracks(exclude, CLEAR if len(channels) > 1 else 0.0)
+        self._explained = list[float]()
         self._filter = Filter()
 
     def __len__(self) -> int:
@@ -489,10 +489,12 @@ class Loops:
     def _arrive(self, centres: Mapping[str, Array], stamp: float, starts: bool) -> None:
         """What comes before a frame: a new stretch, and another state of the filter."""
         if not self._starts or starts or self._breaks(centres, stamp):
+            if self._starts:
+                self._explained.append(self._tracks.explained)
             self._starts.append(len(self))
+            self._tracks = Tracks(self._exclude, len(self.channels) == 1)
             self._neighbours = list[float]()
             self._repeats = Repeats(self._exclude)
-            self._tracks.restart()
             self._filter.restart()
         last = max(0, len(self) - min(RECENT, self._exclude))
         fresh = np.arange(self._filter.rows, max(last, self._filter.rows))
@@ -574,8 +576,9 @@ class Loops:
         by_chance = math.sqrt(2 * math.log(max(2, len(z))))
         level = max(LEVEL, LEVEL_FRACTION * usual, by_chance)
         self._tracks.after(near[start:], candidates)
-        explained = max(LEVEL, self._tracks.explained / deviation)
-        others = np.exp(np.minimum(WEIGHT * (z[:start] - explained), MAX_LOG))
+        explained = np.repeat(np.array(self._explained), np.diff(self._starts)) / deviation
+        levels = np.maximum(LEVEL, explained)
+        others = np.exp(np.minimum(WEIGHT * (z[:start] - levels), MAX_LOG))
         same = np.exp(np.minimum(EVIDENCE / level * (own - level), MAX_LOG))
         repeats = (self._repeats.highest[: len(own)] - mean) * MARGIN / deviation - level
         same[:candidates] *= np.exp(-EVIDENCE / level * np.maximum(0, repeats))[:candidates]

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
+#include <iterator>
 
 #include "interface.hpp"
 
@@ -152,12 +153,12 @@ double likeness(const std::vector<double> &cosines, Size count) {
 }
 
 bool is_gap(const std::deque<double> &stamps, double stamp) {
-  if (static_cast<Size>(stamps.size()) < LEAST_FRAMES || !(stamp - stamps.back() > GAP)) return false;
-  std::vector<double> steps;
-  for (std::size_t row = 1; row < stamps.size(); ++row) steps.push_back(stamps[row] - stamps[row - 1]);
-  if (std::any_of(steps.begin(), steps.end(), [](double step) { return std::isnan(step); }))
-    return false;
-  return stamp - stamps.back() > TIMES * median(steps);
+  std::vector<double> known, steps;
+  std::copy_if(stamps.begin(), stamps.end(), std::back_inserter(known),
+               [](double each) { return !std::isnan(each); });
+  if (static_cast<Size>(known.size()) < LEAST_FRAMES || !(stamp - known.back() > GAP)) return false;
+  for (std::size_t row = 1; row < known.size(); ++row) steps.push_back(known[row] - known[row - 1]);
+  return stamp - known.back() > TIMES * median(steps);
 }
 }  // namespace
 
@@ -196,13 +197,7 @@ void Repeats::after(const float *near, Size count) {
 
 // -------------------------------------------------------------------------------------------- tracks
 
-void Tracks::restart() {
-  closeness_.clear();
-  waiting_.clear();
-  since_ = WAIT;
-  held_ = 0;
-  closest_ = densest_ = 0;
-}
+Tracks::Tracks(Size exclude, bool alone) : exclude_(exclude), alone_(alone), since_(WAIT) {}
 
 bool Tracks::known() const { return by_chance_.size() >= LEAST_BY_CHANCE; }
 
@@ -213,7 +208,7 @@ float Tracks::step() const {
 }
 
 double Tracks::explained() const {
-  if (!known()) return 0;
+  if (!alone_ || !known()) return 0;
   return quantile({by_chance_.begin(), by_chance_.end()}, EXPLAINED) * static_cast<double>(step());
 }
 
@@ -241,9 +236,10 @@ void Tracks::after(const float *near, Size count, Size old) {
 void Tracks::decided(bool accepted) {
   held_ = returning() && !accepted ? held_ + 1 : 0;
   if (0 < held_ && held_ <= 2 * WAIT) return;
-  since_ = accepted ? 0 : since_ + 1;
-  if (accepted) waiting_.clear();
-  if (accepted || since_ <= WAIT || closest_ == 0) return;
+  const bool apart = accepted || densest_ >= SAME;
+  since_ = apart ? 0 : since_ + 1;
+  if (apart) waiting_.clear();
+  if (apart || since_ <= WAIT || closest_ == 0) return;
   waiting_.push_back(closest_);
   if (static_cast<Size>(waiting_.size()) <= WAIT) return;
   keep(by_chance_, waiting_.front(), EARLIER);
@@ -251,9 +247,9 @@ void Tracks::decided(bool accepted) {
 }
 
 bool Tracks::returning() const {
-  if (!known()) return false;
+  if (alone_ || !known()) return false;
   const float highest = *std::max_element(by_chance_.begin(), by_chance_.end());
-  const bool is_clear = highest <= clear_ && BY_CHANCE * highest <= closest_;
+  const bool is_clear = highest <= CLEAR && BY_CHANCE * highest <= closest_;
   return is_clear && densest_ <= closest_ && closest_ < SAME;
 }
 
@@ -267,7 +263,7 @@ Stream::Stream(const ssrvlad_loops_settings &settings, const ssrvlad_loops_chann
       filter_(drives_, MOTION, {FORWARDS, BACKWARDS}),
       repeats_(exclude_),
       // label maps alone have tracks by chance as close as returns
-      tracks_(exclude_, count > 1 ? CLEAR : 0) {
+      tracks_(exclude_, count == 1) {
   for (int number = 0; number < count; ++number) {
     const auto &[kind, shape, trust] = channels[number];
     if (kind == SSRVLAD_VECTORS) channels_.push_back(std::make_unique<LiveVectors>(shape[0]));
@@ -310,11 +306,12 @@ bool Stream::breaks(const void *const *centres, double stamp) const {
 
 void Stream::start_stretch() {
   for (auto &channel : channels_) channel->start_stretch();
+  if (!starts_.empty()) explained_.push_back(tracks_.explained());
   starts_.push_back(rows());
   stamps_.clear();
   neighbours_.clear();
   repeats_ = Repeats(exclude_);
-  tracks_.restart();
+  tracks_ = Tracks(exclude_, channels_.size() == 1);
   belief_ = filter_.start(drives_.all());
   probable_ = belief_.of_rows();
   starting_ = true;
@@ -488,8 +485,11 @@ std::vector<float> Stream::likelihood(const std::vector<float> &near, const Spre
   const double level = std::max({MOTION.level, LEVEL_FRACTION * usual, by_chance});
   const double weight = EVIDENCE / level;
   tracks_.after(near.data() + start, own, candidates);
-  const double explained = std::max(MOTION.level, tracks_.explained() / spread.deviation);
-  likelihoods(near.data(), start, MOTION.weight, explained, spread, told.data());
+  for (std::size_t stretch = 0; stretch < explained_.size(); ++stretch) {
+    const double explained = std::max(MOTION.level, explained_[stretch] / spread.deviation);
+    const Size first = starts_[stretch], count = starts_[stretch + 1] - first;
+    likelihoods(near.data() + first, count, MOTION.weight, explained, spread, told.data() + first);
+  }
   likelihoods(near.data() + start, candidates, MOTION.weight, MOTION.level, spread, told.data() + start);
   const bool is_returning = tracks_.returning();
   std::vector<float> same(place(own));

@@ -32,15 +32,13 @@ class Repeats {
 // How closely the frames of a stretch before each earlier frame run beside the last ones.
 class Tracks {
  public:
-  // Returns in another light are looked for where tracks by chance are no closer than `clear`.
-  Tracks(Size exclude, float clear) : exclude_(exclude), clear_(clear) {}
+  // By label maps alone, tracks by chance are as close as those of returns.
+  Tracks(Size exclude, bool alone);
 
-  // The next frame is the first of a stretch. What is by chance in one stretch is so in the next.
-  void restart();
   // Takes the nearness of the next frame to all earlier ones of the stretch, of which the first are old.
   void after(const float *near, Size count, Size old);
-  // Takes whether the frame closes a loop: tracks around one are not by chance, nor is, for a while, a
-  // return that may still become one.
+  // Takes whether the frame closes a loop: tracks around one are not by chance, nor are those of a camera
+  // that stands, nor is, for a while, a return that may still become a loop.
   void decided(bool accepted);
   // Whether the last frames run beside old ones in another light.
   bool returning() const;
@@ -52,10 +50,10 @@ class Tracks {
   float step() const;  // how much nearer than different places a frame is to the next
 
   Size exclude_;
-  float clear_;
+  bool alone_;
   std::vector<float> closeness_;
   std::deque<float> steps_, others_, waiting_, by_chance_;
-  Size since_ = 0, held_ = 0;
+  Size since_, held_ = 0;
   float closest_ = 0, densest_ = 0;  // of old frames, and of the older half of the excluded ones
 };
 
@@ -106,6 +104,7 @@ class Stream {
   std::deque<double> neighbours_;
   Repeats repeats_;
   Tracks tracks_;
+  std::vector<double> explained_;  // by the tracks of each stretch but the present one
 };
 
 }  // namespace places
