@@ -114,6 +114,19 @@ def test_a_return_in_another_light_is_that_of_the_oracle():
     assert sum(one.reason == "accepted" for one, _ in found[150:]) > 30
 
 
+def test_an_empty_frame_is_no_place_whatever_other_channels_see():
+    """The first 30 frames of a street have no label map; then the whole street comes again."""
+    vectors = unit(PLACES[:120] + PLACES[1:121])[[*range(120), *range(120)]]
+    frames = {"features": np.array([*map(signs_of, vectors)]), "ssr-vlad": vectors[:, None].copy()}
+    frames["ssr-vlad"][:30] = 0
+    streams, found = both(frames, np.arange(240) % 120 == 0)
+    assert_same(streams, found, 0.8)
+    for one, _ in found[120:]:
+        assert one.candidate >= 30
+    assert not any(one.reason == "accepted" for one, _ in found[120:150])
+    assert sum(one.reason == "accepted" for one, _ in found[150:]) > 60
+
+
 def test_a_long_stream_passes_the_ends_of_blocks():
     """More rows than stand together in memory, over a sequence that starts within them."""
     swept, names = noisy_stream(3, 1110, 110, [600], 3)

@@ -524,7 +524,7 @@ class Loops:
             return Found("empty_frame")
         if not described.any():
             return Found("no_candidate")
-        scores = self._scores(swept, 0 if too_few else old)
+        scores = np.where(described, self._scores(swept, 0 if too_few else old), -np.inf)
         near = nearness(scores)
         self._repeats.after(near[self._starts[-1] :])
         if too_few:

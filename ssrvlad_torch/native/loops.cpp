@@ -434,6 +434,8 @@ std::vector<float> Stream::scores(const void *const *swept, const Size *anchors,
     deviation += weight[number] * spread;
   }
   as_scores(z.data(), rows(), mean, deviation, found.data());
+  for (std::size_t row = 0; row < found.size(); ++row)
+    if (!described_[row]) found[row] = NONE;
   return found;
 }
 
