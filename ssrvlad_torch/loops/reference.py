@@ -524,7 +524,8 @@ class Loops:
             return Found("empty_frame")
         if not described.any():
             return Found("no_candidate")
-        scores = np.where(described, self._scores(swept, 0 if too_few else old), -np.inf)
+        scores = self._scores(swept, 0 if too_few else old)
+        scores[~described] = -np.inf
         near = nearness(scores)
         self._repeats.after(near[self._starts[-1] :])
         if too_few:
