@@ -432,7 +432,7 @@ class Loops:
         self._frames: dict[str, list[Array]] = {each.name: [] for each in channels}
         self._leads = {each.name: 0.0 for each in channels}
         self._stamps, self._starts = list[float](), list[int]()
-        self._explained = list[float]()
+        self._tracks, self._explained = Tracks(exclude, len(channels) == 1), list[float]()
         self._filter = Filter()
 
     def __len__(self) -> int:
@@ -491,8 +491,8 @@ class Loops:
         if not self._starts or starts or self._breaks(centres, stamp):
             if self._starts:
                 self._explained.append(self._tracks.explained)
+                self._tracks = Tracks(self._exclude, len(self.channels) == 1)
             self._starts.append(len(self))
-            self._tracks = Tracks(self._exclude, len(self.channels) == 1)
             self._neighbours = list[float]()
             self._repeats = Repeats(self._exclude)
             self._filter.restart()
