@@ -172,7 +172,7 @@ int main() {
   if (find(random, {0, 1, 60}, 250, 70) || find(random, {0}, 1, 5) || find(random, {0}, 40, 31))
     return 8;
   for (const int64_t exclude : {0, 1, 20})
-    for (const int64_t scan_above : {int64_t{0}, int64_t{40}, int64_t{SSRVLAD_SCAN_ABOVE}})
+    for (const int64_t scan_above : {int64_t{1}, int64_t{40}, int64_t{SSRVLAD_SCAN_ABOVE}})
       if (close(random, exclude, scan_above)) return 9;
   if (decide(random, {0, 1, 60}, 150, 70) || decide(random, {0}, 1, 5) ||
       decide(random, {}, 0, 4) || decide(random, {0}, 40, 0))

@@ -127,6 +127,17 @@ def test_an_empty_frame_is_no_place_whatever_other_channels_see():
     assert sum(one.reason == "accepted" for one, _ in found[150:]) > 60
 
 
+def test_a_frame_is_empty_where_the_first_channel_is_zero_signs_too():
+    signs = np.random.default_rng(0).integers(0, 256, (40, 16, 2, 8), np.uint8)
+    signs[[0, 7, 39]] = 0
+    for form in (Loops, reference.Loops):
+        stream = form([CHANNELS[1]], exclude=5)
+        found = [stream.update({"features": each}) for each in signs]
+        empty = [row for row, each in enumerate(found) if each.reason == "empty_frame"]
+        assert empty == [0, 7, 39]
+        assert all(each.candidate not in (0, 7) for each in found)
+
+
 def test_a_long_stream_passes_the_ends_of_blocks():
     """More rows than stand together in memory, over a sequence that starts within them."""
     swept, names = noisy_stream(3, 1110, 110, [600], 3)
@@ -222,7 +233,7 @@ def test_what_is_no_descriptor_is_refused_and_leaves_no_trace():
     assert len(stream) == 0
     for channels, *settings in (
         *(([], 50), ([Channel("x", (0,))], 50), (CHANNELS, -1), (CHANNELS, 50, 2.0)),
-        (CHANNELS, 50, 0.8, -1),
+        *((CHANNELS, 50, 0.8, -1), (CHANNELS, 50, 0.8, 0)),
     ):
         with pytest.raises(RuntimeError, match="the native core refuses the settings or channels"):
             Loops(channels, *settings)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib import import_module
@@ -105,7 +106,7 @@ class Network(Protocol):
         """Why the network has no features, in one line; empty if it has."""
 
 
-class Channel:
+class Channel(ABC):
     """Something that is known of every frame, as numbers that show where the frame was taken. A
     subclass defines ``name``, ``shape`` and `describe`.
 
@@ -154,11 +155,11 @@ class Channel:
         """The channel of stored descriptors."""
         return cls()
 
+    @abstractmethod
     def describe(self, views: Sequence[View], columns: Sequence[int] = ()) -> Tensor:
         """``(N, *shape)`` descriptors of views of one `View.kind`; of a channel that can sweep,
         from S anchors, the columns, ``(N, S, *shape)``, see `recognition.sweep`. A view that lacks
         what the channel needs, or cannot be described, is a ValueError."""
-        raise NotImplementedError
 
     def references(
         self, stored: Tensor, sequences: Sequence[str], means: Tensor | None = None

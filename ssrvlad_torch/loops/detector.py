@@ -323,7 +323,8 @@ class LoopDetector:
         from files come before them, in whichever order workers stored them: sequences in the order
         in which they were added, the frames of each in the order of their names. The last
         `REPLAYED` frames are gone through again, from the usual anchor, which alone a database
-        stores: the stream goes on where it was, with weights of fused channels by these frames.
+        stores: the stream goes on where it was. Weights of fused channels, and how closely places
+        are alike by chance, are then known of these frames alone.
 
         Args:
             database: of raw descriptors.

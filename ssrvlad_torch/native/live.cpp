@@ -247,6 +247,11 @@ StoredSigns::StoredSigns(Size columns, Size size)
       rows_(grid_.size()),
       nothing_(place(grid_.size())) {}
 
+bool StoredSigns::empty(const void *descriptor) const {
+  const auto *bytes = static_cast<const std::uint8_t *>(descriptor);
+  return std::all_of(bytes, bytes + columns_ * size_, [](std::uint8_t byte) { return byte == 0; });
+}
+
 std::vector<Word> StoredSigns::packed(const void *descriptor) const {
   const auto *bytes = static_cast<const std::uint8_t *>(descriptor);
   std::vector<Word> frame(nothing_);

@@ -114,7 +114,7 @@ class StoredSigns : public LiveChannel {
 
   Size bytes() const override { return columns_ * size_; }
   Size rows() const override { return rows_.rows(); }
-  bool empty(const void *) const override { return false; }
+  bool empty(const void *descriptor) const override;
   bool fits(const void *, Size anchors) const override { return anchors == 1; }
   void copy(Size first, Size last, void *descriptors) const override;
   double cosine(const void *one, const void *other) const override;

@@ -380,7 +380,9 @@ ssrvlad_loop Stream::step(const void *const *swept, const void *const *centres, 
   }
   none.reason = known_ ? SSRVLAD_TOO_RECENT : SSRVLAD_NO_CANDIDATE;
   if (!known_) return none;
-  const std::vector<float> scored = scores(swept, anchors, threads, too_few ? 0 : old_);
+  std::vector<float> scored = scores(swept, anchors, threads, too_few ? 0 : old_);
+  for (std::size_t row = 0; row < scored.size(); ++row)
+    if (!described_[row]) scored[row] = NONE;
   std::vector<float> near(scored.size());
   nearness(scored.data(), rows(), near.data());
   repeats_.after(near.data() + starts_.back(), rows() - starts_.back());
@@ -434,8 +436,6 @@ std::vector<float> Stream::scores(const void *const *swept, const Size *anchors,
     deviation += weight[number] * spread;
   }
   as_scores(z.data(), rows(), mean, deviation, found.data());
-  for (std::size_t row = 0; row < found.size(); ++row)
-    if (!described_[row]) found[row] = NONE;
   return found;
 }
 
@@ -569,7 +569,7 @@ constexpr int64_t MOST = int64_t{1} << 31;  // numbers of a descriptor, and sign
 
 bool valid(const ssrvlad_loops_settings &settings) {
   return settings.exclude >= 0 && settings.threshold >= 0 && settings.threshold <= 1 &&
-         settings.scan_above >= 0;
+         settings.scan_above > 0;
 }
 
 bool valid(const ssrvlad_loops_channel &channel) {

@@ -37,7 +37,7 @@ typedef struct ssrvlad_loops_settings {
   int64_t exclude;  /* number of the last frames, which are no candidates; 50 for frames 3 m apart */
   double threshold; /* least probability of a loop, 0 to 1; 0.8 */
   int64_t scan_above; /* number of old frames above which, if they have signs, all are compared by a
-                         part of these, and only some by all channels; SSRVLAD_SCAN_ABOVE */
+                         part of these, and only some by all channels, at least 1; SSRVLAD_SCAN_ABOVE */
 } ssrvlad_loops_settings;
 
 /* Why a frame closes a loop or does not. */
