@@ -284,7 +284,7 @@ def main() -> None:
             for line in size_table(maps, options.repetitions):
                 print(line, flush=True)
         return
-    page = Page("benchmark.md", options.output)
+    page = Page("benchmark.md", options.output, whole=not options.only)
     pictures = sorted(options.camvid.glob("0001TP/images/*.jpg")) if options.camvid else []
     figure = options.output.parent / "figures" / "benchmark.svg"
     again = options.repetitions
