@@ -33,10 +33,28 @@ def test_confidence_learns_how_often_answers_are_right(right):
 
 
 def test_confidence_falls_with_the_chance():
-    sure = Confidence.of_chances(torch.logspace(-8, -0.01, 101), 2.0)
-    assert (sure.right.diff() <= 1e-6).all() and sure.right[0] > sure.right[-1] + 0.5
-    assert (sure.together == 2).all()
-    assert ((sure.spread > 0) & (sure.spread < 0.5)).all()
+    """Of one answer among others that stay as they are."""
+    others = traverse(100, 0.6)[0]
+    found = []
+    for chance in torch.logspace(-8, -0.01, 25, dtype=torch.double):
+        others[50] = chance
+        sure = Confidence.of_chances(others, 2.0)
+        found.append(sure.right[50])
+        assert (sure.together == 2).all()
+        assert ((sure.spread > 0) & (sure.spread < 0.5)).all()
+    assert (torch.stack(found).diff() <= 1e-6).all() and found[0] > found[-1] + 0.5
+
+
+def test_answers_are_less_sure_where_those_around_look_wrong():
+    """The map has the places of the first half only; one answer of the other half stands out."""
+    random = np.random.default_rng(1)
+    mapped, unmapped = random.gamma(2, 3, 60), random.exponential(1, 60)
+    unmapped[30] = 5
+    here = Confidence.of_chances(torch.from_numpy(np.exp(-np.r_[mapped, unmapped])), 1.0)
+    assert here.right[:50].mean() > 0.9 and here.right[70:].mean() < 0.1
+    mixed = np.r_[mapped, unmapped][order := random.permutation(120)]
+    there = Confidence.of_chances(torch.from_numpy(np.exp(-mixed)), 1.0)
+    assert here.right[90] < 0.5 < there.right[(order == 90).nonzero()[0]]
 
 
 def test_a_query_without_a_candidate_is_no_answer():

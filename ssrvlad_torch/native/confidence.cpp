@@ -2,6 +2,8 @@
 
 #include "confidence.hpp"
 
+#include <array>
+
 namespace places {
 
 namespace {
@@ -164,97 +166,151 @@ constexpr double FOREIGN = 0.1;  // prior probability that the map has none of t
 // Of the gamma density of right answers: the median of its rate, and the deviation of the rate's logit.
 constexpr double SLOPE = 0.25, DEVIATION = 0.6, REACH = 2.5;
 constexpr int FRACTIONS = 15, RATES = 11, SHAPES = 2;
+constexpr double STRETCH = 30;      // mean number of queries whose places the map has, or lacks
+constexpr double NEGLIGIBLE = 1e-15;  // weight of a point
 constexpr double LEAST_AHEAD = 1.000500333583534e-3, MOST_AHEAD = 20;  // -log of 1 - 1e-3
 
-// Points of the prior: the fraction of wrong answers; of the gamma density of right ones the rate, the
-// shape less 1 and the factor; the logarithm of the weight. The last one is a map that has no place.
-struct Prior {
-  static constexpr int COUNT = FRACTIONS * RATES * SHAPES + 1;
-  double wrong[COUNT], rate[COUNT], shape[COUNT], factor[COUNT], log_weight[COUNT];
+// A point of the prior: the fraction of wrong answers; of the gamma density of right ones the rate, the
+// shape less 1 and the factor; the logarithm of the weight.
+struct Point {
+  double wrong, rate, shape, factor, log_weight;
 
-  Prior() {
-    double weights = 0;
-    for (int each = 0; each < RATES; ++each) weights += exp_of(-away(each) * away(each) / 2);
-    int point = 0;
-    for (int fraction = 0; fraction < FRACTIONS; ++fraction)
-      for (int each = 0; each < RATES; ++each)
-        for (int more = 0; more < SHAPES; ++more) {
-          const double rate = 1 / (1 + exp_of(log_of(1 / SLOPE - 1) - DEVIATION * away(each)));
-          const double weight =
-              exp_of(-away(each) * away(each) / 2) / (weights * FRACTIONS * SHAPES);
-          set(point++, (fraction + 0.5) / FRACTIONS, rate, more, weight * (1 - FOREIGN));
-        }
-    set(point, 1, SLOPE, SHAPES - 1, FOREIGN);
-  }
-
- private:
-  static double away(int each) { return -REACH + 2 * REACH * each / (RATES - 1); }
-
-  void set(int point, double fraction, double slope, double more, double weight) {
-    wrong[point] = fraction;
-    rate[point] = slope;
-    shape[point] = more;
-    factor[point] = (1 + more) * log_of(slope);  // gamma functions of shapes 1 and 2 are 1
-    log_weight[point] = log_of(weight);
+  Point(double fraction, double slope, double more, double weight)
+      : wrong(fraction), rate(slope), shape(more), log_weight(log_of(weight)) {
+    factor = (1 + more) * log_of(slope);  // gamma functions of shapes 1 and 2 are 1
   }
 };
 
-const Prior &prior() {
-  static const Prior points;
+// All points; the last one is a map that has no place.
+std::vector<Point> points_of_prior() {
+  const auto away = [](int each) { return -REACH + 2 * REACH * each / (RATES - 1); };
+  std::vector<Point> points;
+  double weights = 0;
+  for (int each = 0; each < RATES; ++each) weights += exp_of(-away(each) * away(each) / 2);
+  for (int fraction = 0; fraction < FRACTIONS; ++fraction)
+    for (int each = 0; each < RATES; ++each)
+      for (int more = 0; more < SHAPES; ++more) {
+        const double rate = 1 / (1 + exp_of(log_of(1 / SLOPE - 1) - DEVIATION * away(each)));
+        const double weight =
+            exp_of(-away(each) * away(each) / 2) / (weights * FRACTIONS * SHAPES);
+        points.emplace_back((fraction + 0.5) / FRACTIONS, rate, more, weight * (1 - FOREIGN));
+      }
+  points.emplace_back(1, SLOPE, SHAPES - 1, FOREIGN);
   return points;
 }
 
-// How much likelier an answer so far ahead is of the right ones than of the wrong ones, at each point.
-SSRVLAD_CLONES void likelier(const Prior &points, double ahead, double *found) {
-  const double log_ahead = log_of(ahead);
-  for (int point = 0; point < Prior::COUNT; ++point)
-    found[point] = exp_of(points.factor[point] + points.shape[point] * log_ahead +
-                          (1 - points.rate[point]) * ahead);
+const std::vector<Point> &prior() {
+  static const std::vector<Point> points = points_of_prior();
+  return points;
 }
 
-SSRVLAD_CLONES void learn(const Prior &points, double ahead, double *told) {
-  double found[Prior::COUNT];
-  likelier(points, ahead, found);
-  for (int point = 0; point < Prior::COUNT; ++point)
-    told[point] += log_of(points.wrong[point] + (1 - points.wrong[point]) * found[point]);
-}
-
-// Mean and standard deviation of the probability that an answer is right.
-std::pair<double, double> moments(const Prior &points, const double *weights, double ahead) {
-  double right[Prior::COUNT], mean = 0, variance = 0;
-  likelier(points, ahead, right);
-  for (int point = 0; point < Prior::COUNT; ++point) {
-    right[point] *= 1 - points.wrong[point];
-    right[point] /= right[point] + points.wrong[point];
-    mean += right[point] * weights[point];
+// How much likelier answers so far ahead are where the map has their places than where it lacks them, at a
+// point of the prior, and the probability that they are right if it has; `logs` are logarithms of `ahead`.
+SSRVLAD_CLONES void tell(const Point &point, const std::vector<double> &ahead,
+                         const std::vector<double> &logs, double *told, double *right) {
+  const auto count = static_cast<Size>(ahead.size());
+  for (Size query = 0; query < count; ++query) {
+    const double likelier =
+        exp_of(point.factor + point.shape * logs[query] + (1 - point.rate) * ahead[query]);
+    right[query] = (1 - point.wrong) * likelier;
+    told[query] = point.wrong + right[query];
+    right[query] /= told[query];
   }
-  for (int point = 0; point < Prior::COUNT; ++point)
-    variance += (right[point] - mean) * (right[point] - mean) * weights[point];
-  return {mean, std::sqrt(variance)};
 }
+
+// The logarithm of how likely queries are all in all, where the map has all places.
+SSRVLAD_CLONES double log_of_all(const double *told, Size count) {
+  double log = 0;
+  for (Size query = 0; query < count; ++query) log += log_of(told[query]);
+  return log;
+}
+
+SSRVLAD_CLONES void temper(double *told, Size count, double together) {
+  for (Size query = 0; query < count; ++query) told[query] = exp_of(log_of(told[query]) / together);
+}
+
+// A drive in stretches whose places the map has or lacks.
+class Stretches {
+ public:
+  explicit Stretches(Size count) : mapped_(static_cast<std::size_t>(count)), likely_(static_cast<std::size_t>(count)) {}
+
+  // The forward algorithm: the logarithm of how likely queries are, each `told` times as likely where
+  // the map has its place as where it lacks it.
+  double learn(const double *told, Size count) {
+    double mapped = 0.5;
+    for (Size query = 0; query < count; ++query) {
+      const double before = STAY * mapped + (1 - STAY) * (1 - mapped);
+      likely_[query] = before * told[query] + (1 - before);
+      mapped_[query] = mapped = before * told[query] / likely_[query];
+    }
+    return log_of_all(likely_.data(), count);
+  }
+
+  // The backward algorithm: the probabilities that the map has the places.
+  const std::vector<double> &smooth(const double *told, Size count) {
+    double future = 0.5;  // of the queries after one, where the map has its place and where it lacks it
+    for (Size query = count - 1; query >= 0; --query) {
+      const double both = mapped_[query] * future;
+      mapped_[query] = both / (both + (1 - mapped_[query]) * (1 - future));
+      const double here = told[query] * future, sum = here + (1 - future);
+      future = (STAY * here + (1 - STAY) * (1 - future)) / sum;
+    }
+    return mapped_;
+  }
+
+ private:
+  static constexpr double STAY = 1 - 1 / STRETCH;
+
+  std::vector<double> mapped_, likely_;
+};
 }  // namespace
 
 Confidence Confidence::of(const std::vector<double> &chances, double together) {
-  const Prior &points = prior();
-  std::vector<double> ahead(chances.size());
-  double weights[Prior::COUNT] = {}, total = 0;
-  for (std::size_t query = 0; query < chances.size(); ++query) {
-    if (std::isnan(chances[query])) continue;
-    const double far = chances[query] > 0 ? -log_of(std::max(chances[query], 1e-300)) : MOST_AHEAD;
-    ahead[query] = std::min(std::max(far, LEAST_AHEAD), MOST_AHEAD);
-    learn(points, ahead[query], weights);
+  std::vector<double> ahead, logs;
+  for (const double chance : chances) {
+    if (std::isnan(chance)) continue;
+    const double far = chance > 0 ? -log_of(std::max(chance, 1e-300)) : MOST_AHEAD;
+    ahead.push_back(std::min(std::max(far, LEAST_AHEAD), MOST_AHEAD));
+    logs.push_back(log_of(ahead.back()));
   }
-  for (int point = 0; point < Prior::COUNT; ++point)
-    weights[point] = points.log_weight[point] + weights[point] / together;
-  const double highest = *std::max_element(weights, weights + Prior::COUNT);
-  for (double &weight : weights) total += weight = exp_of(weight - highest);
-  for (double &weight : weights) weight /= total;
+  const auto count = static_cast<Size>(ahead.size());
+  std::vector<double> told(ahead), right(ahead), mean(ahead.size()), square(ahead.size());
+  Stretches stretches(count);
+
+  std::vector<std::array<double, 2>> weights;  // everywhere, in stretches
+  double highest = -std::numeric_limits<double>::infinity(), total = 0;
+  for (const Point &point : prior()) {
+    tell(point, ahead, logs, told.data(), right.data());
+    const double everywhere = log_of_all(told.data(), count) / together;
+    temper(told.data(), count, together);
+    const double log = point.log_weight - log_of(2);
+    weights.push_back({log + everywhere, log + stretches.learn(told.data(), count)});
+    highest = std::max({highest, weights.back()[0], weights.back()[1]});
+  }
+  for (auto &both : weights)
+    for (double &weight : both) total += weight = exp_of(weight - highest);
+
+  for (std::size_t number = 0; number < weights.size(); ++number) {
+    const double everywhere = weights[number][0] / total, some = weights[number][1] / total;
+    if (everywhere + some < NEGLIGIBLE) continue;
+    tell(prior()[number], ahead, logs, told.data(), right.data());
+    temper(told.data(), count, together);
+    stretches.learn(told.data(), count);
+    const std::vector<double> &mapped = stretches.smooth(told.data(), count);
+    for (Size query = 0; query < count; ++query) {
+      const double part = right[query] * mapped[query];
+      mean[query] += everywhere * right[query] + some * part;
+      square[query] += everywhere * right[query] * right[query] + some * part * part;
+    }
+  }
+
   Confidence sure{std::vector<float>(chances.size()), std::vector<float>(chances.size())};
-  for (std::size_t query = 0; query < chances.size(); ++query) {
+  for (std::size_t query = 0, at = 0; query < chances.size(); ++query) {
     if (std::isnan(chances[query])) continue;
-    const auto [mean, deviation] = moments(points, weights, ahead[query]);
-    sure.right[query] = static_cast<float>(mean);
-    sure.spread[query] = static_cast<float>(deviation);
+    sure.right[query] = static_cast<float>(mean[at]);
+    sure.spread[query] =
+        static_cast<float>(std::sqrt(std::max(0.0, square[at] - mean[at] * mean[at])));
+    ++at;
   }
   return sure;
 }

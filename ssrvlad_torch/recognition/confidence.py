@@ -4,9 +4,10 @@ Each answer comes with the probability that chance is as far ahead of its rivals
 wrong answers ``t = -log(chance)`` has the density ``exp(-t)``; of right ones a gamma density of
 larger mean. How many answers are wrong, and how far ahead the right ones are, is what makes the
 answers of the traverse likely (Pounds and Morris, 2003); few answers show little, and the prior
-decides. The doubt in an answer is the probability that it is of the wrong ones. All that is said of
-several answers follows from their doubts. docs/how-sure.md reports how well it holds;
-`reference.confidence` has the formula.
+decides. Where the map lacks the place all answers are wrong, and what it has or lacks comes in
+stretches: a hidden Markov chain says in which an answer is. The doubt in an answer is the
+probability that it is of the wrong ones. All that is said of several answers follows from their
+doubts. docs/how-sure.md reports how well it holds; `reference.confidence` has the formula.
 """
 
 from __future__ import annotations

@@ -434,10 +434,15 @@ def prior() -> list[tuple[float, float, float, float]]:
     return [*points, (1.0, SLOPE, SHAPES[-1], FOREIGN)]
 
 
+STRETCH = 30
+"""Mean number of queries between places that the map has and places that it lacks."""
+
+
 def confidence(chances: Array, together: float) -> tuple[Floats, Floats]:
     """Of each answer of a drive the probability that it is right and its standard deviation, by its
     chance ``(Q,)``, NaN without an answer: the mean over the prior, weighed by how likely each of
-    its points makes all chances; queries that err together count as one. See `confidence`."""
+    its points makes all chances, once in a map that has what it has everywhere and once in
+    stretches; queries that err together count as one. See `confidence`."""
     right, spread = np.zeros(len(chances)), np.zeros(len(chances))
     known = ~np.isnan(chances)
     ahead = -np.log(np.clip(chances[known], math.exp(-20), 1 - 1e-3))
@@ -446,13 +451,37 @@ def confidence(chances: Array, together: float) -> tuple[Floats, Floats]:
         log = k * math.log(r) - math.lgamma(k) + (k - 1) * np.log(ahead) + (1 - r) * ahead
         likelier = np.exp(log)
         told = wrong + (1 - wrong) * likelier
-        logs.append(math.log(weight) + float(np.log(told).sum()) / together)
-        rights.append((1 - wrong) * likelier / told)
+        if_mapped = (1 - wrong) * likelier / told
+        likely, mapped = in_stretches(told ** (1 / together))
+        logs += [math.log(weight / 2) + float(np.log(told).sum()) / together]
+        logs += [math.log(weight / 2) + likely]
+        rights += [if_mapped, if_mapped * mapped]
     weights = np.exp(np.array(logs) - max(logs))
     weights /= weights.sum()
     right[known] = mean = weights @ rights
     spread[known] = np.sqrt(weights @ np.square(rights - mean))
     return right, spread
+
+
+def in_stretches(told: Floats) -> tuple[float, Floats]:
+    """The logarithm of how likely queries are, each ``told (Q,)`` times as likely where the map has
+    its place as where it lacks it, and ``(Q,)`` the probability that it has the place. Both kinds
+    of stretches last `STRETCH` queries in the mean: forward-backward."""
+    stay = 1 - 1 / STRETCH
+    change = np.array([[stay, 1 - stay], [1 - stay, stay]])
+    each = np.stack([told, np.ones(len(told))], axis=1)
+    belief, future, log = np.full(2, 0.5), np.ones(2), 0.0
+    beliefs, mapped = np.zeros((len(told), 2)), np.zeros(len(told))
+    for query in range(len(told)):
+        belief = each[query] * (change @ belief)  # nothing is known before the first query
+        log += math.log(belief.sum())
+        beliefs[query] = belief = belief / belief.sum()
+    for query in reversed(range(len(told))):
+        both = beliefs[query] * future
+        mapped[query] = both[0] / both.sum()
+        future = change @ (each[query] * future)
+        future /= future.sum()
+    return log, mapped
 
 
 COURSES = (Course(), Course(rate=3), Course(rate=0.25), Course(streams=2))
