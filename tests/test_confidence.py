@@ -5,7 +5,7 @@ import pytest
 import torch
 from scipy.stats import beta
 
-from ssrvlad_torch.recognition import deciding
+from ssrvlad_torch.recognition import deciding, reference
 from ssrvlad_torch.recognition.confidence import (
     Confidence,
     _beta,
@@ -55,6 +55,18 @@ def test_answers_are_less_sure_where_those_around_look_wrong():
     mixed = np.r_[mapped, unmapped][order := random.permutation(120)]
     there = Confidence.of_chances(torch.from_numpy(np.exp(-mixed)), 1.0)
     assert here.right[90] < 0.5 < there.right[(order == 90).nonzero()[0]]
+
+
+def test_a_track_that_goes_on_shows_in_each_query():
+    """Its answers all look sure; those of the queries alone agree in the first half only."""
+    random = np.random.default_rng(2)
+    followed = np.full(120, 1e-6)
+    alone = np.r_[np.exp(-random.gamma(2, 2, 60)), np.ones(60)]
+    mapped = reference.mapped(alone, 1.0)
+    assert (mapped[:58] > 0.95).all() and (mapped[64:] < 0.05).all()
+    right, spread = reference.confidence(followed, mapped, 10.0)
+    assert (right[:58] > 0.9).all() and (right[64:] < 0.05).all() and (spread < 0.5).all()
+    assert (reference.confidence(followed, np.ones(120), 10.0)[0] > 0.95).all()
 
 
 def test_a_query_without_a_candidate_is_no_answer():

@@ -104,7 +104,9 @@ def test_doubts_of_a_traverse(seed, queries, right):
     together = core.answers_together(rows)
     assert together == reference.answers_together(rows)
     chances[rng.random(queries) < 0.1] = np.nan
+    has = reference.mapped(chances, together)
+    np.testing.assert_allclose(core.mapped(chances, together), has, atol=1e-9)
     sure = Confidence.of_chances(torch.from_numpy(chances), together)
-    right, spread = reference.confidence(chances, together)
+    right, spread = reference.confidence(chances, has, together)
     np.testing.assert_allclose(sure.right, right, atol=1e-6)
     np.testing.assert_allclose(sure.spread, spread, atol=1e-6)

@@ -2,8 +2,6 @@
 
 #include "confidence.hpp"
 
-#include <array>
-
 namespace places {
 
 namespace {
@@ -166,7 +164,7 @@ constexpr double FOREIGN = 0.1;  // prior probability that the map has none of t
 // Of the gamma density of right answers: the median of its rate, and the deviation of the rate's logit.
 constexpr double SLOPE = 0.25, DEVIATION = 0.6, REACH = 2.5;
 constexpr int FRACTIONS = 15, RATES = 11, SHAPES = 2;
-constexpr double STRETCH = 30;      // mean number of queries whose places the map has, or lacks
+constexpr double STRETCH = 100;       // mean number of queries whose places the map has, or lacks
 constexpr double NEGLIGIBLE = 1e-15;  // weight of a point
 constexpr double LEAST_AHEAD = 1.000500333583534e-3, MOST_AHEAD = 20;  // -log of 1 - 1e-3
 
@@ -204,35 +202,61 @@ const std::vector<Point> &prior() {
   return points;
 }
 
-// How much likelier answers so far ahead are where the map has their places than where it lacks them, at a
-// point of the prior, and the probability that they are right if it has; `logs` are logarithms of `ahead`.
-SSRVLAD_CLONES void tell(const Point &point, const std::vector<double> &ahead,
-                         const std::vector<double> &logs, double *told, double *right) {
-  const auto count = static_cast<Size>(ahead.size());
-  for (Size query = 0; query < count; ++query) {
-    const double likelier =
-        exp_of(point.factor + point.shape * logs[query] + (1 - point.rate) * ahead[query]);
-    right[query] = (1 - point.wrong) * likelier;
-    told[query] = point.wrong + right[query];
-    right[query] /= told[query];
+// The answers of a drive: the queries that have one, how far each is ahead, and the logarithm of that.
+struct Answers {
+  std::vector<std::size_t> queries;
+  std::vector<double> ahead, logs;
+
+  explicit Answers(const std::vector<double> &chances) {
+    for (std::size_t query = 0; query < chances.size(); ++query) {
+      const double chance = chances[query];
+      if (std::isnan(chance)) continue;
+      const double far = chance > 0 ? -log_of(std::max(chance, 1e-300)) : MOST_AHEAD;
+      queries.push_back(query);
+      ahead.push_back(std::min(std::max(far, LEAST_AHEAD), MOST_AHEAD));
+      logs.push_back(log_of(ahead.back()));
+    }
+  }
+
+  Size count() const { return static_cast<Size>(queries.size()); }
+};
+
+// How much likelier answers are where the map has their places than where it lacks them, at a point of the
+// prior, and the probability that they are right if it has.
+SSRVLAD_CLONES void tell(const Point &point, const Answers &answers, double *told, double *right) {
+  for (Size each = 0; each < answers.count(); ++each) {
+    const double likelier = exp_of(point.factor + point.shape * answers.logs[each] +
+                                   (1 - point.rate) * answers.ahead[each]);
+    right[each] = (1 - point.wrong) * likelier;
+    told[each] = point.wrong + right[each];
+    right[each] /= told[each];
   }
 }
 
-// The logarithm of how likely queries are all in all, where the map has all places.
-SSRVLAD_CLONES double log_of_all(const double *told, Size count) {
+// The logarithm of how likely answers are all in all, each of which counts so much.
+SSRVLAD_CLONES double log_of_all(const double *told, const double *counts, Size number) {
   double log = 0;
-  for (Size query = 0; query < count; ++query) log += log_of(told[query]);
+  for (Size each = 0; each < number; ++each) log += counts[each] * log_of(told[each]);
   return log;
 }
 
 SSRVLAD_CLONES void temper(double *told, Size count, double together) {
-  for (Size query = 0; query < count; ++query) told[query] = exp_of(log_of(told[query]) / together);
+  for (Size each = 0; each < count; ++each) told[each] = exp_of(log_of(told[each]) / together);
+}
+
+// Makes logarithms weights of the sum 1.
+void normalise(std::vector<double> &weights) {
+  const double highest = *std::max_element(weights.begin(), weights.end());
+  double total = 0;
+  for (double &weight : weights) total += weight = exp_of(weight - highest);
+  for (double &weight : weights) weight /= total;
 }
 
 // A drive in stretches whose places the map has or lacks.
 class Stretches {
  public:
-  explicit Stretches(Size count) : mapped_(static_cast<std::size_t>(count)), likely_(static_cast<std::size_t>(count)) {}
+  explicit Stretches(Size count)
+      : mapped_(static_cast<std::size_t>(count)), likely_(mapped_), once_(mapped_.size(), 1) {}
 
   // The forward algorithm: the logarithm of how likely queries are, each `told` times as likely where
   // the map has its place as where it lacks it.
@@ -243,7 +267,7 @@ class Stretches {
       likely_[query] = before * told[query] + (1 - before);
       mapped_[query] = mapped = before * told[query] / likely_[query];
     }
-    return log_of_all(likely_.data(), count);
+    return log_of_all(likely_.data(), once_.data(), count);
   }
 
   // The backward algorithm: the probabilities that the map has the places.
@@ -261,56 +285,74 @@ class Stretches {
  private:
   static constexpr double STAY = 1 - 1 / STRETCH;
 
-  std::vector<double> mapped_, likely_;
+  std::vector<double> mapped_, likely_, once_;
 };
 }  // namespace
 
-Confidence Confidence::of(const std::vector<double> &chances, double together) {
-  std::vector<double> ahead, logs;
-  for (const double chance : chances) {
-    if (std::isnan(chance)) continue;
-    const double far = chance > 0 ? -log_of(std::max(chance, 1e-300)) : MOST_AHEAD;
-    ahead.push_back(std::min(std::max(far, LEAST_AHEAD), MOST_AHEAD));
-    logs.push_back(log_of(ahead.back()));
-  }
-  const auto count = static_cast<Size>(ahead.size());
-  std::vector<double> told(ahead), right(ahead), mean(ahead.size()), square(ahead.size());
+std::vector<double> mapped(const std::vector<double> &chances, double together) {
+  const Answers answers(chances);
+  const Size count = answers.count();
+  std::vector<double> told(answers.ahead), right(told), found(told.size()), once(told.size(), 1);
   Stretches stretches(count);
 
-  std::vector<std::array<double, 2>> weights;  // everywhere, in stretches
-  double highest = -std::numeric_limits<double>::infinity(), total = 0;
+  std::vector<double> weights;  // of each point, of a map with all places and of one with stretches
   for (const Point &point : prior()) {
-    tell(point, ahead, logs, told.data(), right.data());
-    const double everywhere = log_of_all(told.data(), count) / together;
-    temper(told.data(), count, together);
+    tell(point, answers, told.data(), right.data());
     const double log = point.log_weight - log_of(2);
-    weights.push_back({log + everywhere, log + stretches.learn(told.data(), count)});
-    highest = std::max({highest, weights.back()[0], weights.back()[1]});
+    weights.push_back(log + log_of_all(told.data(), once.data(), count) / together);
+    temper(told.data(), count, together);
+    weights.push_back(log + stretches.learn(told.data(), count));
   }
-  for (auto &both : weights)
-    for (double &weight : both) total += weight = exp_of(weight - highest);
+  normalise(weights);
 
-  for (std::size_t number = 0; number < weights.size(); ++number) {
-    const double everywhere = weights[number][0] / total, some = weights[number][1] / total;
-    if (everywhere + some < NEGLIGIBLE) continue;
-    tell(prior()[number], ahead, logs, told.data(), right.data());
+  double everywhere = 0;
+  for (std::size_t number = 0; number + 1 < prior().size(); ++number) {
+    everywhere += weights[2 * number];
+    const double some = weights[2 * number + 1];
+    if (some < NEGLIGIBLE) continue;
+    tell(prior()[number], answers, told.data(), right.data());
     temper(told.data(), count, together);
     stretches.learn(told.data(), count);
-    const std::vector<double> &mapped = stretches.smooth(told.data(), count);
-    for (Size query = 0; query < count; ++query) {
-      const double part = right[query] * mapped[query];
-      mean[query] += everywhere * right[query] + some * part;
-      square[query] += everywhere * right[query] * right[query] + some * part * part;
+    const std::vector<double> &smoothed = stretches.smooth(told.data(), count);
+    for (std::size_t each = 0; each < found.size(); ++each) found[each] += some * smoothed[each];
+  }
+
+  std::vector<double> all(chances.size());
+  for (std::size_t each = 0; each < found.size(); ++each)
+    all[answers.queries[each]] = std::min(1.0, everywhere + found[each]);
+  return all;
+}
+
+Confidence Confidence::of(const std::vector<double> &chances, const std::vector<double> &mapped,
+                          double together) {
+  const Answers answers(chances);
+  const Size count = answers.count();
+  std::vector<double> told(answers.ahead), right(told), mean(told.size()), square(told.size());
+  std::vector<double> counts;
+  for (const std::size_t query : answers.queries) counts.push_back(mapped[query] / together);
+
+  std::vector<double> weights;
+  for (const Point &point : prior()) {
+    tell(point, answers, told.data(), right.data());
+    weights.push_back(point.log_weight + log_of_all(told.data(), counts.data(), count));
+  }
+  normalise(weights);
+
+  for (std::size_t number = 0; number < weights.size(); ++number) {
+    if (weights[number] < NEGLIGIBLE) continue;
+    tell(prior()[number], answers, told.data(), right.data());
+    for (std::size_t each = 0; each < mean.size(); ++each) {
+      mean[each] += weights[number] * right[each];
+      square[each] += weights[number] * right[each] * right[each];
     }
   }
 
   Confidence sure{std::vector<float>(chances.size()), std::vector<float>(chances.size())};
-  for (std::size_t query = 0, at = 0; query < chances.size(); ++query) {
-    if (std::isnan(chances[query])) continue;
-    sure.right[query] = static_cast<float>(mean[at]);
-    sure.spread[query] =
-        static_cast<float>(std::sqrt(std::max(0.0, square[at] - mean[at] * mean[at])));
-    ++at;
+  for (std::size_t each = 0; each < mean.size(); ++each) {
+    const std::size_t query = answers.queries[each];
+    const double spread = std::sqrt(std::max(0.0, square[each] - mean[each] * mean[each]));
+    sure.right[query] = static_cast<float>(mapped[query] * mean[each]);
+    sure.spread[query] = static_cast<float>(mapped[query] * spread);
   }
   return sure;
 }

@@ -32,12 +32,18 @@ Chance chance_of(const double *values, const Rows &rows, Size matching);
 // How many neighbouring queries have one answer, by the best rivals of a drive.
 double answers_together(const std::vector<Size> &rivals);
 
+// The probability that the map has the place of each query of a drive, by the chance of its answer by this
+// query alone, NaN without an answer; so many neighbouring queries err together. 0 without an answer.
+std::vector<double> mapped(const std::vector<double> &chances, double together);
+
 // Of each answer the probability that it is right, and its standard deviation; 0 without an answer.
 struct Confidence {
   std::vector<float> right, spread;
 
-  // By the chances of a drive, NaN without an answer; so many neighbouring queries err together.
-  static Confidence of(const std::vector<double> &chances, double together);
+  // By the chances of a drive, NaN without an answer, and the probability that the map has the place; so
+  // many neighbouring queries err together.
+  static Confidence of(const std::vector<double> &chances, const std::vector<double> &mapped,
+                       double together);
 };
 
 }  // namespace places

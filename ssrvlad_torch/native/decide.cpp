@@ -11,7 +11,8 @@
 namespace places {
 
 namespace {
-constexpr Size TRACK = 10;            // frames that a wrong answer lasts in a followed drive
+constexpr Size TRACK = 10;    // frames that a wrong answer lasts in a followed drive
+constexpr double BEST = 0.5;  // how often a wrong answer of a followed drive is the best of its query
 constexpr Size KEPT = Size{1} << 24;  // numbers of beliefs that are kept rather than computed again
 
 // The track may go on from the most probable rows, up to this number and down to this belief.
@@ -231,8 +232,9 @@ std::pair<Course, double> course_of(const Drives &drives, const Evidence &eviden
   return {courses[best], gains[best]};
 }
 
-void assure(const std::vector<double> &chances, double together, Decision &decision) {
-  Confidence sure = Confidence::of(chances, together);
+void assure(const std::vector<double> &chances, const std::vector<double> &mapped, double together,
+            Decision &decision) {
+  Confidence sure = Confidence::of(chances, mapped, together);
   decision.right = std::move(sure.right);
   decision.spread = std::move(sure.spread);
   decision.together.assign(chances.size(), static_cast<float>(together));
@@ -242,6 +244,13 @@ double mean(const std::vector<float> &values) {
   return sum(values.data(), static_cast<Size>(values.size())) /
          static_cast<double>(std::max<std::size_t>(1, values.size()));
 }
+
+// The places of a course, and the chance of each by its query alone.
+struct Followed : Places {
+  std::vector<double> alone;
+
+  using Places::Places;
+};
 
 // How a row compares with its rivals by values of the rows of a sight; 1 if a row elsewhere is better
 // than all that are NEAR it.
@@ -261,21 +270,23 @@ double chance_near(const std::vector<float> &values, const Sight &sight, const D
 
 // How the answers of a stream, their rows, compare with their rivals by the frames around each: TRACK
 // earlier ones and so many later, as far as no step is longer than the drive can make. The value of a row
-// is the sum of the deviations of these frames along the same path, moved to it.
-std::vector<double> chances_around(const Filter &filter, const Evidence &evidence,
-                                   const std::vector<Size> &queries, const std::vector<Size> &rows,
-                                   Size later) {
+// is the sum of the deviations of these frames along the same path, moved to it. And by each frame alone.
+std::pair<std::vector<double>, std::vector<double>> chances_around(
+    const Filter &filter, const Evidence &evidence, const std::vector<Size> &queries,
+    const std::vector<Size> &rows, Size later) {
   const Drives &drives = filter.drives();
   const auto [least, most] = filter.reach();
   const Size count = static_cast<Size>(queries.size()), longest = std::max(-least, most);
   std::deque<std::shared_ptr<const Sight>> window;  // of the queries from `first` on
-  std::vector<double> chances(queries.size(), 1);
+  std::vector<double> chances(queries.size(), 1), alone(chances);
   for (Size query = 0, first = 0, next = 0; query < count; ++query) {
     for (; next < std::min(count, query + later + 1); ++next)
       window.push_back(evidence.beside(drives, queries[next], rows[next]));
     for (; first < query - TRACK; ++first) window.pop_front();
     if (rows[query] < 0) continue;
     const Sight &here = *window[query - first];
+    alone[query] = chance_near(here.z, here, drives, rows[query]);
+    if (alone[query] < 1) alone[query] *= BEST;
     std::vector<float> total = here.z;
     const auto take = [&](Size other) {
       const Sight &sight = *window[other - first];
@@ -295,26 +306,28 @@ std::vector<double> chances_around(const Filter &filter, const Evidence &evidenc
       }
     chances[query] = chance_near(total, here, drives, rows[query]);
   }
-  return chances;
+  return {std::move(chances), std::move(alone)};
 }
 
 // Places all streams of a course.
-Places follow_course(const Drives &drives, const Evidence &evidence, const Course &course,
+Followed follow_course(const Drives &drives, const Evidence &evidence, const Course &course,
                      Mode mode, Size delay, Size top) {
   const Filter filter(drives, Motion().at(course.rate), {course.way});
   const Size later = mode == Mode::ONLINE ? std::min(TRACK, delay) : TRACK;
-  Places places(evidence.queries(), top);
+  Followed places(evidence.queries(), top);
+  places.alone.resize(places.chance.size());
   for (const std::vector<Size> &stream : streams_of(course, in_order(evidence.queries()))) {
     const Places some = follow(filter, evidence, stream, mode, delay, top);
     std::vector<Size> rows(stream.size());
     for (std::size_t at = 0; at < rows.size(); ++at) rows[at] = some.rows[at * top];
-    const std::vector<double> around = chances_around(filter, evidence, stream, rows, later);
+    const auto [around, alone] = chances_around(filter, evidence, stream, rows, later);
     for (std::size_t at = 0; at < stream.size(); ++at) {
       const auto from = static_cast<std::ptrdiff_t>(at) * top, to = stream[at] * top;
       std::copy_n(some.scores.begin() + from, top, places.scores.begin() + to);
       std::copy_n(some.rows.begin() + from, top, places.rows.begin() + to);
       places.near[stream[at]] = some.near[at];
       places.chance[stream[at]] = std::max(some.chance[at], around[at]);
+      places.alone[stream[at]] = alone[at];
     }
   }
   return places;
@@ -322,14 +335,16 @@ Places follow_course(const Drives &drives, const Evidence &evidence, const Cours
 
 // Makes a followed decision of one that was made alone, if that makes its answers surer. An empty query
 // stays one.
-void take(const Places &places, double together, Decision &decision) {
+void take(const Followed &places, double together, Decision &decision) {
   const Size queries = static_cast<Size>(decision.right.size()), top = decision.top;
-  std::vector<double> chances = places.chance;
+  std::vector<double> chances = places.chance, alone = places.alone;
   for (Size query = 0; query < queries; ++query)
-    if (decision.rows[query * top] < 0) chances[query] = std::numeric_limits<double>::quiet_NaN();
-  const double followed = mean(Confidence::of(chances, together).right);
+    if (decision.rows[query * top] < 0)
+      chances[query] = alone[query] = std::numeric_limits<double>::quiet_NaN();
+  const std::vector<double> mapped = places::mapped(alone, together);
+  const double followed = mean(Confidence::of(chances, mapped, together).right);
   if (followed <= mean(decision.right) + (decision.gain > DRIVE ? -MARGIN : MARGIN)) return;
-  assure(chances, std::max(static_cast<double>(TRACK), together), decision);
+  assure(chances, mapped, std::max(static_cast<double>(TRACK), together), decision);
   decision.followed = true;
   for (Size query = 0; query < queries; ++query) {
     const Size first = query * top;
@@ -355,7 +370,7 @@ double judge(const Drives &drives, const Evidence &evidence, Decision &decision)
     rivals.push_back(chance.rival);
   }
   const double together = answers_together(rivals);
-  assure(chances, together, decision);
+  assure(chances, mapped(chances, together), together, decision);
   return together;
 }
 }  // namespace
@@ -695,11 +710,19 @@ int ssrvlad_chance(const double *values, const int64_t *rows, int64_t count, int
   });
 }
 
-int ssrvlad_confidence(const double *chances, int64_t queries, double together, float *right,
-                       float *spread) {
+int ssrvlad_mapped(const double *chances, int64_t queries, double together, double *mapped) {
   return guarded([&] {
     require(queries >= 0 && together > 0);
-    const places::Confidence found = places::Confidence::of({chances, chances + queries}, together);
+    give(places::mapped({chances, chances + queries}, together), mapped);
+  });
+}
+
+int ssrvlad_confidence(const double *chances, const double *mapped, int64_t queries,
+                       double together, float *right, float *spread) {
+  return guarded([&] {
+    require(queries >= 0 && together > 0);
+    const places::Confidence found = places::Confidence::of(
+        {chances, chances + queries}, {mapped, mapped + queries}, together);
     give(found.right, right);
     give(found.spread, spread);
   });

@@ -196,18 +196,42 @@ def chance(
     return found.value, rival.value
 
 
-def confidence(chances: npt.ArrayLike, together: float) -> tuple[Floats, Floats]:
-    """``(Q,)`` float32 each, the probability that an answer is right and its standard deviation, by
-    the chances of the answers of a drive, NaN without one; so many neighbouring queries err
-    together."""
+def mapped(chances: npt.ArrayLike, together: float) -> npt.NDArray[np.float64]:
+    """``(Q,)`` float64, the probability that the map has the place of each query of a drive, by the
+    chance of its answer by this query alone, NaN without one; so many neighbouring queries err
+    together. 0 without an answer."""
     numbers = np.ascontiguousarray(chances, np.float64)
-    right, spread = np.empty((2, numbers.size), np.float32)
-    status = library().ssrvlad_confidence(
-        numbers.ctypes.data, numbers.size, together, right.ctypes.data, spread.ctypes.data
+    found = np.empty_like(numbers)
+    status = library().ssrvlad_mapped(
+        numbers.ctypes.data, numbers.size, together, found.ctypes.data
     )
     if status:
-        raise problem(status, f"a number of queries above 0 that err together, got {together}")
+        raise problem(status, _TOGETHER.format(together))
+    return found
+
+
+def confidence(
+    chances: npt.ArrayLike, mapped: npt.ArrayLike, together: float
+) -> tuple[Floats, Floats]:
+    """``(Q,)`` float32 each, the probability that an answer is right and its standard deviation, by
+    the chances of the answers of a drive, NaN without one, and the probability that the map has
+    the place; so many neighbouring queries err together."""
+    numbers, places = (np.ascontiguousarray(each, np.float64) for each in (chances, mapped))
+    right, spread = np.empty((2, numbers.size), np.float32)
+    status = library().ssrvlad_confidence(
+        numbers.ctypes.data,
+        places.ctypes.data,
+        numbers.size,
+        together,
+        right.ctypes.data,
+        spread.ctypes.data,
+    )
+    if status:
+        raise problem(status, _TOGETHER.format(together))
     return right, spread
+
+
+_TOGETHER = "a number of queries above 0 that err together, got {}"
 
 
 def answers_together(rivals: npt.ArrayLike) -> float:
@@ -417,7 +441,11 @@ def library() -> ctypes.CDLL:
     found.ssrvlad_gain.argtypes = [*map_and_evidence, motion, _INT, _NUMBERS]
     sizes = ctypes.POINTER(size)
     found.ssrvlad_chance.argtypes = [_POINTER, _POINTER, size, size, _NUMBERS, sizes]
-    found.ssrvlad_confidence.argtypes = [_POINTER, size, _NUMBER, _POINTER, _POINTER]
+    found.ssrvlad_mapped.argtypes = [_POINTER, size, _NUMBER, _POINTER]
+    found.ssrvlad_confidence.argtypes = [
+        *(_POINTER, _POINTER, size, _NUMBER),
+        *(_POINTER, _POINTER),
+    ]
     found.ssrvlad_together.argtypes = [_POINTER, size]
     found.ssrvlad_together.restype = _NUMBER
     return found

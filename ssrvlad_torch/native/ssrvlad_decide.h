@@ -101,10 +101,15 @@ SSRVLAD_API int ssrvlad_gain(const ssrvlad_drives *map, const ssrvlad_evidence *
 SSRVLAD_API int ssrvlad_chance(const double *values, const int64_t *rows, int64_t count, int64_t matching,
                                double *chance, int64_t *rival);
 
+/* The probability that the map has the place of each query of a drive, by the chance of its answer by this
+ * query alone, NaN without an answer; so many neighbouring queries err together. 0 without an answer. */
+SSRVLAD_API int ssrvlad_mapped(const double *chances, int64_t queries, double together, double *mapped);
+
 /* Of the answers to the queries of a drive the probability that each is right, and its standard
- * deviation, by their chances, NaN without an answer; so many neighbouring queries err together. */
-SSRVLAD_API int ssrvlad_confidence(const double *chances, int64_t queries, double together, float *right,
-                                   float *spread);
+ * deviation, by their chances, NaN without an answer, and the probability that the map has the place; so
+ * many neighbouring queries err together. */
+SSRVLAD_API int ssrvlad_confidence(const double *chances, const double *mapped, int64_t queries,
+                                   double together, float *right, float *spread);
 
 /* How many neighbouring queries of a drive have one answer, by the best rivals of their answers; -1 if
  * memory is short. */

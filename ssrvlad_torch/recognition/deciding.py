@@ -48,9 +48,10 @@ def chance(
 
 
 def confidence(chances: Tensor, together: float) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-    """See `reference.confidence`."""
+    """Of answers that were judged alone: see `reference.mapped` and `reference.confidence`."""
+    numbers, form = chances.double().numpy(), _form()
     found: tuple[npt.NDArray[Any], npt.NDArray[Any]]
-    found = _form().confidence(chances.double().numpy(), together)
+    found = form.confidence(numbers, form.mapped(numbers, together), together)
     return found
 
 

@@ -7,7 +7,7 @@ formula says, with whole matrices and float64; all other forms are held to it by
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from statistics import NormalDist
 from typing import Any, NamedTuple
@@ -434,33 +434,58 @@ def prior() -> list[tuple[float, float, float, float]]:
     return [*points, (1.0, SLOPE, SHAPES[-1], FOREIGN)]
 
 
-STRETCH = 30
+STRETCH = 100
 """Mean number of queries between places that the map has and places that it lacks."""
 
 
-def confidence(chances: Array, together: float) -> tuple[Floats, Floats]:
-    """Of each answer of a drive the probability that it is right and its standard deviation, by its
-    chance ``(Q,)``, NaN without an answer: the mean over the prior, weighed by how likely each of
-    its points makes all chances, once in a map that has what it has everywhere and once in
-    stretches; queries that err together count as one. See `confidence`."""
-    right, spread = np.zeros(len(chances)), np.zeros(len(chances))
-    known = ~np.isnan(chances)
-    ahead = -np.log(np.clip(chances[known], math.exp(-20), 1 - 1e-3))
-    logs, rights = list[float](), list[Floats]()
-    for wrong, r, k, weight in prior():
-        log = k * math.log(r) - math.lgamma(k) + (k - 1) * np.log(ahead) + (1 - r) * ahead
-        likelier = np.exp(log)
-        told = wrong + (1 - wrong) * likelier
-        if_mapped = (1 - wrong) * likelier / told
-        likely, mapped = in_stretches(told ** (1 / together))
+def mapped(chances: Array, together: float) -> Floats:
+    """The probability ``(Q,)`` that the map has the place of each query of a drive, by the chance
+    of its answer by this query alone, NaN without one: the mean over the prior, each point once
+    with a map that has all places and once with one that has them in stretches, weighed by how
+    likely it makes all chances; queries that err together count as one. 0 without an answer."""
+    known, found = ~np.isnan(chances), np.zeros(len(chances))
+    logs, each = [], []
+    for weight, told, right in at_points(chances[known]):
+        likely, where = in_stretches(told ** (1 / together))
         logs += [math.log(weight / 2) + float(np.log(told).sum()) / together]
         logs += [math.log(weight / 2) + likely]
-        rights += [if_mapped, if_mapped * mapped]
-    weights = np.exp(np.array(logs) - max(logs))
-    weights /= weights.sum()
-    right[known] = mean = weights @ rights
-    spread[known] = np.sqrt(weights @ np.square(rights - mean))
+        each += [right.any() * np.ones(len(told)), right.any() * where]
+    found[known] = of_points(logs) @ each
+    return found
+
+
+def confidence(chances: Array, mapped: Array, together: float) -> tuple[Floats, Floats]:
+    """Of each answer of a drive the probability that it is right and its standard deviation, by its
+    chance ``(Q,)``, NaN without an answer, and the probability that the map has its place: that
+    times the mean over the prior, each point weighed by how likely it makes the chances where the
+    map has the places; queries that err together count as one. See `confidence`."""
+    right, spread, known = np.zeros(len(chances)), np.zeros(len(chances)), ~np.isnan(chances)
+    logs, rights = [], []
+    for weight, told, each in at_points(chances[known]):
+        logs.append(math.log(weight) + float((mapped[known] * np.log(told)).sum()) / together)
+        rights.append(each)
+    weights = of_points(logs)
+    mean = weights @ rights
+    right[known] = mapped[known] * mean
+    spread[known] = mapped[known] * np.sqrt(weights @ np.square(np.array(rights) - mean))
     return right, spread
+
+
+def at_points(chances: Floats) -> Iterator[tuple[float, Floats, Floats]]:
+    """Of each point of the prior the weight, and of answers how much likelier they are where the
+    map has their places than where it lacks them, and how probably they are right if it has."""
+    ahead = -np.log(np.clip(chances, math.exp(-20), 1 - 1e-3))
+    for wrong, r, k, weight in prior():
+        log = k * math.log(r) - math.lgamma(k) + (k - 1) * np.log(ahead) + (1 - r) * ahead
+        likelier = (1 - wrong) * np.exp(log)
+        yield weight, wrong + likelier, likelier / (wrong + likelier)
+
+
+def of_points(logs: list[float]) -> Floats:
+    """Weights of the sum 1, by their logarithms."""
+    weights: Floats = np.exp(np.array(logs) - max(logs))
+    weights /= weights.sum()
+    return weights
 
 
 def in_stretches(told: Floats) -> tuple[float, Floats]:
@@ -471,17 +496,17 @@ def in_stretches(told: Floats) -> tuple[float, Floats]:
     change = np.array([[stay, 1 - stay], [1 - stay, stay]])
     each = np.stack([told, np.ones(len(told))], axis=1)
     belief, future, log = np.full(2, 0.5), np.ones(2), 0.0
-    beliefs, mapped = np.zeros((len(told), 2)), np.zeros(len(told))
+    beliefs, found = np.zeros((len(told), 2)), np.zeros(len(told))
     for query in range(len(told)):
         belief = each[query] * (change @ belief)  # nothing is known before the first query
         log += math.log(belief.sum())
         beliefs[query] = belief = belief / belief.sum()
     for query in reversed(range(len(told))):
         both = beliefs[query] * future
-        mapped[query] = both[0] / both.sum()
+        found[query] = both[0] / both.sum()
         future = change @ (each[query] * future)
         future /= future.sum()
-    return log, mapped
+    return log, found
 
 
 COURSES = (Course(), Course(rate=3), Course(rate=0.25), Course(streams=2))
@@ -497,6 +522,8 @@ DRIVE, MARGIN = 0.5, 0.05
 """The gain a query that only drives have, and a difference of mean confidences."""
 TRACK = 10
 """Frames that a wrong answer lasts in a followed sequence."""
+BEST = 0.5
+"""How often a wrong answer of a followed sequence is the best of its query alone."""
 
 
 def course(scores: Array, sequences: Sequence[str]) -> tuple[Course, float]:
@@ -593,20 +620,22 @@ def decide(
     rivals = np.array([rival for _, rival in judged])
     together = answers_together(rivals[answered])
     chances = np.where(answered, [each for each, _ in judged], np.nan)
-    right, spread = confidence(chances, together)
+    right, spread = confidence(chances, mapped(chances, together), together)
     taken, gained = course(scores, sequences) if mode else (Course(), 0.0)
     followed = False
     if gained:
-        found = follow_course(scores, sequences, taken, delay if mode == "online" else None, top)
+        later = delay if mode == "online" else None
+        found, alone = follow_course(scores, sequences, taken, later, top)
         chances = np.where(answered, found.chance, np.nan)
-        surer = confidence(chances, together)[0].mean()
+        has = mapped(np.where(answered, alone, np.nan), together)
+        surer = confidence(chances, has, together)[0].mean()
         followed = is_followed(gained, float(surer), float(right.mean()))
     if followed:
         values, rows = found.scores.copy(), found.rows.copy()
         values[:, 0] = np.where(rows[:, 0] >= 0, found.near, -np.inf)
         values[~answered], rows[~answered] = -np.inf, -1
         together = max(TRACK, together)
-        right, spread = confidence(chances, together)
+        right, spread = confidence(chances, has, together)
     if len(sequences) < MIN_FRAMES:
         right = np.zeros(len(right))
     return Decision(
@@ -616,27 +645,36 @@ def decide(
 
 def follow_course(
     scores: Array, sequences: Sequence[str], taken: Course, delay: int | None, top: int
-) -> Places:
+) -> tuple[Places, Floats]:
     """The places of the queries of all streams of a course, given so many later queries of their
-    stream, or all. A track lasts where the map lacks the place, so the frames around an answer must
-    show it too: of both chances the higher counts."""
+    stream, or all, and the chance of each by its query alone. A track lasts where the map lacks the
+    place, so the frames around an answer must show it too: of both chances the higher counts."""
     motion, later = Motion().at(taken.rate), len(scores) if delay is None else delay
     streams = []
     for stream in (scores[number :: taken.streams] for number in range(taken.streams)):
         found = places(stream, sequences, motion, taken.way, later, top)
-        around = chances_around(stream, sequences, found.rows[:, 0], motion, min(later, TRACK))
-        streams.append(found._replace(chance=np.maximum(found.chance, around)))
+        rows = found.rows[:, 0]
+        around = chances_around(stream, sequences, rows, motion, min(later, TRACK))
+        alone = chances_around(stream, sequences, rows, motion, 0, 0)
+        alone[alone < 1] *= BEST
+        streams.append((*found._replace(chance=np.maximum(found.chance, around)), alone))
     order = np.argsort(
         [query for n in range(taken.streams) for query in range(n, len(scores), taken.streams)]
     )
-    return Places(*(np.concatenate(parts)[order] for parts in zip(*streams, strict=True)))
+    *parts, alone = (np.concatenate(each)[order] for each in zip(*streams, strict=True))
+    return Places(*parts), alone
 
 
 def chances_around(
-    scores: Array, sequences: Sequence[str], rows: Array, motion: Motion, later: int
+    scores: Array,
+    sequences: Sequence[str],
+    rows: Array,
+    motion: Motion,
+    later: int,
+    earlier: int = TRACK,
 ) -> Floats:
     """How the answers of a stream, their rows ``(Q,)``, compare with their rivals by the frames
-    around each: `TRACK` earlier ones and so many later, as far as no step is longer than the motion
+    around each: so many earlier ones and so many later, as far as no step is longer than the motion
     can make. The value of a row is the sum of the z-scores of these frames along the same path,
     moved to it; equal scores say nothing. The chance is 1 if a row elsewhere is better than all
     within `NEAR` of the answer."""
@@ -646,7 +684,7 @@ def chances_around(
     chances = np.ones(len(rows))
     for query in np.flatnonzero(rows >= 0):
         total = z[query].copy()
-        for way, most in ((-1, TRACK), (1, later)):
+        for way, most in ((-1, earlier), (1, later)):
             before = rows[query]
             for other in range(query + way, query + way * (most + 1), way):
                 if not 0 <= other < len(rows) or rows[other] < 0:
