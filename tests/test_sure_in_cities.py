@@ -20,6 +20,11 @@ DRIVES = {
     "query": Conditions(spacing=2.7, lateral_offset=0.7, seed=1),
     "back": Conditions(spacing=2.7, lateral_offset=0.7, seed=3, heading_offset=180.0),
 }
+HALF = FRAMES // 2
+PARTS = {
+    "half": (("reference", slice(HALF)),),
+    "turned": (("query", slice(HALF)), ("back", slice(HALF, None))),
+}
 STEPS = {"alone": Steps(follow=None), "online": Steps(follow="online"), "offline": Steps()}
 RANDOM = np.random.default_rng(0)
 
@@ -27,6 +32,10 @@ RANDOM = np.random.default_rng(0)
 @cache
 def drive(seed: int, name: str) -> tuple[torch.Tensor, np.ndarray]:
     """Descriptors from all anchors, and poses; the way back in the order of time."""
+    if name in PARTS:
+        parts = [[each[some] for each in drive(seed, part)] for part, some in PARTS[name]]
+        descriptors, poses = zip(*parts, strict=True)
+        return torch.cat(descriptors), np.concatenate(poses)
     head = SSRVLAD.from_preset("default", labels_as="cityscapes-trainids")
     frames = list(SyntheticCity(seed).traverse(FRAMES, DRIVES[name], (90, 120)))
     labels = torch.from_numpy(np.stack([frame.labels for frame in frames]))
@@ -34,10 +43,10 @@ def drive(seed: int, name: str) -> tuple[torch.Tensor, np.ndarray]:
     return (found.flip(0), poses[::-1]) if name == "back" else (found, poses)
 
 
-def found_in(rows, place, steps):
-    """What is recognised of some frames of the query in the map of a drive, and which answers are
+def found_in(rows, place, steps, asked="query"):
+    """What is recognised of some frames of one drive in the map of another, and which answers are
     another place."""
-    (queries, at), (references, known) = drive(CITY, "query"), drive(*place)
+    (queries, at), (references, known) = drive(CITY, asked), drive(*place)
     queries, at = queries[[*rows]], at[[*rows]]
     names = ["map"] * len(references)
     member = Member(queries, ReferenceRows(references[:, len(COLUMNS) // 2], names))
@@ -67,14 +76,17 @@ CASES = {
     "foreign": (EVERY, OTHER),
     "foreign, 30": (range(30), OTHER),
     "the way back alone": (EVERY, (CITY, "back")),
+    "half of the map": (EVERY, (CITY, "half")),
+    "a U-turn": (EVERY, SAME, "turned"),
 }
-"""Frames of the query, and the drive whose map they are looked for in."""
+"""Frames, the drive in whose map they are looked for, and the drive that they are of."""
 
 
 @pytest.mark.parametrize("steps", STEPS)
 @pytest.mark.parametrize("case", CASES)
 def test_what_is_accepted_is_right_and_the_interval_holds(case, steps):
-    found, wrong = found_in(*CASES[case], steps)
+    frames, place, *asked = CASES[case]
+    found, wrong = found_in(frames, place, steps, *asked)
     kept, every = accept(found.sure, 0.05), estimate(found.sure)
     taken = found.confidence.numpy() >= kept.confidence
     assert wrong[taken].sum() <= 0.1 * taken.sum()
