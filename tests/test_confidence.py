@@ -62,7 +62,7 @@ def test_a_track_that_goes_on_shows_in_each_query():
     random = np.random.default_rng(2)
     followed = np.full(120, 1e-6)
     alone = np.r_[np.exp(-random.gamma(2, 2, 60)), np.ones(60)]
-    mapped = reference.mapped(alone, 1.0)
+    mapped = reference.mapped(alone, 1.0, reference.BEST)
     assert (mapped[:58] > 0.95).all() and (mapped[64:] < 0.05).all()
     right, spread = reference.confidence(followed, mapped, 10.0)
     assert (right[:58] > 0.9).all() and (right[64:] < 0.05).all() and (spread < 0.5).all()

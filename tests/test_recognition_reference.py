@@ -106,6 +106,9 @@ def test_doubts_of_a_traverse(seed, queries, right):
     chances[rng.random(queries) < 0.1] = np.nan
     has = reference.mapped(chances, together)
     np.testing.assert_allclose(core.mapped(chances, together), has, atol=1e-9)
+    alone = np.where(rng.random(queries) < 0.3, 1, chances)
+    got, expected = (each.mapped(alone, together, 0.3) for each in (core, reference))
+    np.testing.assert_allclose(got, expected, atol=1e-9)
     sure = Confidence.of_chances(torch.from_numpy(chances), together)
     right, spread = reference.confidence(chances, has, together)
     np.testing.assert_allclose(sure.right, right, atol=1e-6)

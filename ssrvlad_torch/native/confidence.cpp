@@ -221,16 +221,13 @@ struct Answers {
   Size count() const { return static_cast<Size>(queries.size()); }
 };
 
-// How much likelier answers are where the map has their places than where it lacks them, at a point of the
-// prior, and the probability that they are right if it has.
-SSRVLAD_CLONES void tell(const Point &point, const Answers &answers, double *told, double *right) {
-  for (Size each = 0; each < answers.count(); ++each) {
-    const double likelier = exp_of(point.factor + point.shape * answers.logs[each] +
+// How much likelier each answer is as one of the right ones than as any where the map lacks the place, at a
+// point of the prior.
+SSRVLAD_CLONES void compare(const Point &point, const Answers &answers, double *likelier) {
+  for (Size each = 0; each < answers.count(); ++each)
+    likelier[each] =
+        (1 - point.wrong) * exp_of(point.factor + point.shape * answers.logs[each] +
                                    (1 - point.rate) * answers.ahead[each]);
-    right[each] = (1 - point.wrong) * likelier;
-    told[each] = point.wrong + right[each];
-    right[each] /= told[each];
-  }
 }
 
 // The logarithm of how likely answers are all in all, each of which counts so much.
@@ -289,15 +286,23 @@ class Stretches {
 };
 }  // namespace
 
-std::vector<double> mapped(const std::vector<double> &chances, double together) {
+std::vector<double> mapped(const std::vector<double> &chances, double together, double best) {
   const Answers answers(chances);
   const Size count = answers.count();
-  std::vector<double> told(answers.ahead), right(told), found(told.size()), once(told.size(), 1);
+  std::vector<double> told(answers.ahead), found(told.size()), once(told.size(), 1);
+  const auto tell = [&](const Point &point) {
+    compare(point, answers, told.data());
+    const double other = point.wrong < 1 ? point.wrong / (1 - best) : 1;
+    for (std::size_t each = 0; each < told.size(); ++each)
+      told[each] = best == 1 || chances[answers.queries[each]] < 1
+                       ? point.wrong + told[each] / best
+                       : other;
+  };
   Stretches stretches(count);
 
   std::vector<double> weights;  // of each point, of a map with all places and of one with stretches
   for (const Point &point : prior()) {
-    tell(point, answers, told.data(), right.data());
+    tell(point);
     const double log = point.log_weight - log_of(2);
     weights.push_back(log + log_of_all(told.data(), once.data(), count) / together);
     temper(told.data(), count, together);
@@ -310,7 +315,7 @@ std::vector<double> mapped(const std::vector<double> &chances, double together) 
     everywhere += weights[2 * number];
     const double some = weights[2 * number + 1];
     if (some < NEGLIGIBLE) continue;
-    tell(prior()[number], answers, told.data(), right.data());
+    tell(prior()[number]);
     temper(told.data(), count, together);
     stretches.learn(told.data(), count);
     const std::vector<double> &smoothed = stretches.smooth(told.data(), count);
@@ -327,21 +332,24 @@ Confidence Confidence::of(const std::vector<double> &chances, const std::vector<
                           double together) {
   const Answers answers(chances);
   const Size count = answers.count();
-  std::vector<double> told(answers.ahead), right(told), mean(told.size()), square(told.size());
+  std::vector<double> right(answers.ahead), told(right), mean(right.size()), square(right.size());
   std::vector<double> counts;
   for (const std::size_t query : answers.queries) counts.push_back(mapped[query] / together);
 
   std::vector<double> weights;
   for (const Point &point : prior()) {
-    tell(point, answers, told.data(), right.data());
+    compare(point, answers, told.data());
+    for (double &each : told) each += point.wrong;
     weights.push_back(point.log_weight + log_of_all(told.data(), counts.data(), count));
   }
   normalise(weights);
 
   for (std::size_t number = 0; number < weights.size(); ++number) {
+    const Point &point = prior()[number];
     if (weights[number] < NEGLIGIBLE) continue;
-    tell(prior()[number], answers, told.data(), right.data());
+    compare(point, answers, right.data());
     for (std::size_t each = 0; each < mean.size(); ++each) {
+      right[each] /= point.wrong + right[each];
       mean[each] += weights[number] * right[each];
       square[each] += weights[number] * right[each] * right[each];
     }

@@ -34,7 +34,9 @@ double answers_together(const std::vector<Size> &rivals);
 
 // The probability that the map has the place of each query of a drive, by the chance of its answer by this
 // query alone, NaN without an answer; so many neighbouring queries err together. 0 without an answer.
-std::vector<double> mapped(const std::vector<double> &chances, double together);
+// `best` is how often a wrong answer is the best of its query: 1 if it was judged alone; if it is less, the
+// chance of an answer that is not the best is 1.
+std::vector<double> mapped(const std::vector<double> &chances, double together, double best);
 
 // Of each answer the probability that it is right, and its standard deviation; 0 without an answer.
 struct Confidence {

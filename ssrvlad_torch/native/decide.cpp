@@ -11,8 +11,8 @@
 namespace places {
 
 namespace {
-constexpr Size TRACK = 10;    // frames that a wrong answer lasts in a followed drive
-constexpr double BEST = 0.5;  // how often a wrong answer of a followed drive is the best of its query
+constexpr Size TRACK = 10;        // frames that a wrong answer lasts in a followed drive
+constexpr double BEST = 1.0 / 3;  // how often a wrong answer of a followed drive is the best of its query
 constexpr Size KEPT = Size{1} << 24;  // numbers of beliefs that are kept rather than computed again
 
 // The track may go on from the most probable rows, up to this number and down to this belief.
@@ -286,7 +286,6 @@ std::pair<std::vector<double>, std::vector<double>> chances_around(
     if (rows[query] < 0) continue;
     const Sight &here = *window[query - first];
     alone[query] = chance_near(here.z, here, drives, rows[query]);
-    if (alone[query] < 1) alone[query] *= BEST;
     std::vector<float> total = here.z;
     const auto take = [&](Size other) {
       const Sight &sight = *window[other - first];
@@ -341,7 +340,7 @@ void take(const Followed &places, double together, Decision &decision) {
   for (Size query = 0; query < queries; ++query)
     if (decision.rows[query * top] < 0)
       chances[query] = alone[query] = std::numeric_limits<double>::quiet_NaN();
-  const std::vector<double> mapped = places::mapped(alone, together);
+  const std::vector<double> mapped = places::mapped(alone, together, BEST);
   const double followed = mean(Confidence::of(chances, mapped, together).right);
   if (followed <= mean(decision.right) + (decision.gain > DRIVE ? -MARGIN : MARGIN)) return;
   assure(chances, mapped, std::max(static_cast<double>(TRACK), together), decision);
@@ -370,7 +369,7 @@ double judge(const Drives &drives, const Evidence &evidence, Decision &decision)
     rivals.push_back(chance.rival);
   }
   const double together = answers_together(rivals);
-  assure(chances, mapped(chances, together), together, decision);
+  assure(chances, mapped(chances, together, 1), together, decision);
   return together;
 }
 }  // namespace
@@ -710,10 +709,11 @@ int ssrvlad_chance(const double *values, const int64_t *rows, int64_t count, int
   });
 }
 
-int ssrvlad_mapped(const double *chances, int64_t queries, double together, double *mapped) {
+int ssrvlad_mapped(const double *chances, int64_t queries, double together, double best,
+                   double *mapped) {
   return guarded([&] {
-    require(queries >= 0 && together > 0);
-    give(places::mapped({chances, chances + queries}, together), mapped);
+    require(queries >= 0 && together > 0 && best > 0 && best <= 1);
+    give(places::mapped({chances, chances + queries}, together, best), mapped);
   });
 }
 

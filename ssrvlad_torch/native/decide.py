@@ -196,17 +196,18 @@ def chance(
     return found.value, rival.value
 
 
-def mapped(chances: npt.ArrayLike, together: float) -> npt.NDArray[np.float64]:
+def mapped(chances: npt.ArrayLike, together: float, best: float = 1.0) -> npt.NDArray[np.float64]:
     """``(Q,)`` float64, the probability that the map has the place of each query of a drive, by the
     chance of its answer by this query alone, NaN without one; so many neighbouring queries err
-    together. 0 without an answer."""
+    together. 0 without an answer. ``best``, above 0 to 1: how often a wrong answer is the best of
+    its query, always if it was judged alone; if not, the chance is 1 where it is not the best."""
     numbers = np.ascontiguousarray(chances, np.float64)
     found = np.empty_like(numbers)
     status = library().ssrvlad_mapped(
-        numbers.ctypes.data, numbers.size, together, found.ctypes.data
+        numbers.ctypes.data, numbers.size, together, best, found.ctypes.data
     )
     if status:
-        raise problem(status, _TOGETHER.format(together))
+        raise problem(status, f"{_TOGETHER.format(together)}, and best above 0 to 1, got {best}")
     return found
 
 
@@ -441,7 +442,7 @@ def library() -> ctypes.CDLL:
     found.ssrvlad_gain.argtypes = [*map_and_evidence, motion, _INT, _NUMBERS]
     sizes = ctypes.POINTER(size)
     found.ssrvlad_chance.argtypes = [_POINTER, _POINTER, size, size, _NUMBERS, sizes]
-    found.ssrvlad_mapped.argtypes = [_POINTER, size, _NUMBER, _POINTER]
+    found.ssrvlad_mapped.argtypes = [_POINTER, size, _NUMBER, _NUMBER, _POINTER]
     found.ssrvlad_confidence.argtypes = [
         *(_POINTER, _POINTER, size, _NUMBER),
         *(_POINTER, _POINTER),

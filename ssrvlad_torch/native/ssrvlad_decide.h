@@ -102,8 +102,11 @@ SSRVLAD_API int ssrvlad_chance(const double *values, const int64_t *rows, int64_
                                double *chance, int64_t *rival);
 
 /* The probability that the map has the place of each query of a drive, by the chance of its answer by this
- * query alone, NaN without an answer; so many neighbouring queries err together. 0 without an answer. */
-SSRVLAD_API int ssrvlad_mapped(const double *chances, int64_t queries, double together, double *mapped);
+ * query alone, NaN without an answer; so many neighbouring queries err together. 0 without an answer.
+ * `best` is how often a wrong answer is the best of its query: 1 if it was judged alone; if it is less, the
+ * chance of an answer that is not the best is 1. */
+SSRVLAD_API int ssrvlad_mapped(const double *chances, int64_t queries, double together, double best,
+                               double *mapped);
 
 /* Of the answers to the queries of a drive the probability that each is right, and its standard
  * deviation, by their chances, NaN without an answer, and the probability that the map has the place; so

@@ -438,18 +438,26 @@ STRETCH = 100
 """Mean number of queries between places that the map has and places that it lacks."""
 
 
-def mapped(chances: Array, together: float) -> Floats:
+def mapped(chances: Array, together: float, best: float = 1.0) -> Floats:
     """The probability ``(Q,)`` that the map has the place of each query of a drive, by the chance
     of its answer by this query alone, NaN without one: the mean over the prior, each point once
     with a map that has all places and once with one that has them in stretches, weighed by how
-    likely it makes all chances; queries that err together count as one. 0 without an answer."""
+    likely it makes all chances; queries that err together count as one. 0 without an answer.
+
+    ``best`` is how often a wrong answer is the best of its query, always if it was judged alone; if
+    not, the chance of an answer is 1 where it is not the best."""
     known, found = ~np.isnan(chances), np.zeros(len(chances))
+    is_best = (chances[known] < 1) | (best == 1)
     logs, each = [], []
-    for weight, told, right in at_points(chances[known]):
+    for weight, wrong, likelier in at_points(chances[known]):
+        has_some = wrong < 1
+        told = wrong + likelier / best
+        if has_some and best < 1:
+            told[~is_best] = wrong / (1 - best)
         likely, where = in_stretches(told ** (1 / together))
         logs += [math.log(weight / 2) + float(np.log(told).sum()) / together]
         logs += [math.log(weight / 2) + likely]
-        each += [right.any() * np.ones(len(told)), right.any() * where]
+        each += [has_some * np.ones(len(told)), has_some * where]
     found[known] = of_points(logs) @ each
     return found
 
@@ -461,9 +469,10 @@ def confidence(chances: Array, mapped: Array, together: float) -> tuple[Floats, 
     map has the places; queries that err together count as one. See `confidence`."""
     right, spread, known = np.zeros(len(chances)), np.zeros(len(chances)), ~np.isnan(chances)
     logs, rights = [], []
-    for weight, told, each in at_points(chances[known]):
+    for weight, wrong, likelier in at_points(chances[known]):
+        told = wrong + likelier
         logs.append(math.log(weight) + float((mapped[known] * np.log(told)).sum()) / together)
-        rights.append(each)
+        rights.append(likelier / told)
     weights = of_points(logs)
     mean = weights @ rights
     right[known] = mapped[known] * mean
@@ -471,14 +480,13 @@ def confidence(chances: Array, mapped: Array, together: float) -> tuple[Floats, 
     return right, spread
 
 
-def at_points(chances: Floats) -> Iterator[tuple[float, Floats, Floats]]:
-    """Of each point of the prior the weight, and of answers how much likelier they are where the
-    map has their places than where it lacks them, and how probably they are right if it has."""
+def at_points(chances: Floats) -> Iterator[tuple[float, float, Floats]]:
+    """Of each point of the prior the weight, the fraction of wrong answers, and how much likelier
+    each answer is as one of the right ones than as any where the map lacks the place."""
     ahead = -np.log(np.clip(chances, math.exp(-20), 1 - 1e-3))
     for wrong, r, k, weight in prior():
         log = k * math.log(r) - math.lgamma(k) + (k - 1) * np.log(ahead) + (1 - r) * ahead
-        likelier = (1 - wrong) * np.exp(log)
-        yield weight, wrong + likelier, likelier / (wrong + likelier)
+        yield weight, wrong, (1 - wrong) * np.exp(log)
 
 
 def of_points(logs: list[float]) -> Floats:
@@ -522,7 +530,7 @@ DRIVE, MARGIN = 0.5, 0.05
 """The gain a query that only drives have, and a difference of mean confidences."""
 TRACK = 10
 """Frames that a wrong answer lasts in a followed sequence."""
-BEST = 0.5
+BEST = 1 / 3
 """How often a wrong answer of a followed sequence is the best of its query alone."""
 
 
@@ -627,7 +635,7 @@ def decide(
         later = delay if mode == "online" else None
         found, alone = follow_course(scores, sequences, taken, later, top)
         chances = np.where(answered, found.chance, np.nan)
-        has = mapped(np.where(answered, alone, np.nan), together)
+        has = mapped(np.where(answered, alone, np.nan), together, BEST)
         surer = confidence(chances, has, together)[0].mean()
         followed = is_followed(gained, float(surer), float(right.mean()))
     if followed:
@@ -656,7 +664,6 @@ def follow_course(
         rows = found.rows[:, 0]
         around = chances_around(stream, sequences, rows, motion, min(later, TRACK))
         alone = chances_around(stream, sequences, rows, motion, 0, 0)
-        alone[alone < 1] *= BEST
         streams.append((*found._replace(chance=np.maximum(found.chance, around)), alone))
     order = np.argsort(
         [query for n in range(taken.streams) for query in range(n, len(scores), taken.streams)]
