@@ -160,16 +160,16 @@ double answers_together(const std::vector<Size> &rivals) {
 // ---------------------------------------------------------------------------------------- confidence
 
 namespace {
-constexpr double FOREIGN = 0.1;  // prior probability that the map has none of the places
+constexpr double FOREIGN = 0.1;  // prior probability that the map lacks the place of the first query
 // Of the gamma density of right answers: the median of its rate, and the deviation of the rate's logit.
 constexpr double SLOPE = 0.25, DEVIATION = 0.6, REACH = 2.5;
 constexpr int FRACTIONS = 15, RATES = 11, SHAPES = 2;
-constexpr double STRETCH = 100;       // mean number of queries whose places the map has, or lacks
+constexpr double STRETCH = 200;       // mean number of queries whose places the map has, or lacks
 constexpr double NEGLIGIBLE = 1e-15;  // weight of a point
 constexpr double LEAST_AHEAD = 1.000500333583534e-3, MOST_AHEAD = 20;  // -log of 1 - 1e-3
 
-// A point of the prior: the fraction of wrong answers; of the gamma density of right ones the rate, the
-// shape less 1 and the factor; the logarithm of the weight.
+// A point of the prior: the fraction of wrong answers where the map has the places; of the gamma density of
+// right ones the rate, the shape less 1 and the factor; the logarithm of the weight.
 struct Point {
   double wrong, rate, shape, factor, log_weight;
 
@@ -179,7 +179,6 @@ struct Point {
   }
 };
 
-// All points; the last one is a map that has no place.
 std::vector<Point> points_of_prior() {
   const auto away = [](int each) { return -REACH + 2 * REACH * each / (RATES - 1); };
   std::vector<Point> points;
@@ -191,9 +190,8 @@ std::vector<Point> points_of_prior() {
         const double rate = 1 / (1 + exp_of(log_of(1 / SLOPE - 1) - DEVIATION * away(each)));
         const double weight =
             exp_of(-away(each) * away(each) / 2) / (weights * FRACTIONS * SHAPES);
-        points.emplace_back((fraction + 0.5) / FRACTIONS, rate, more, weight * (1 - FOREIGN));
+        points.emplace_back((fraction + 0.5) / FRACTIONS, rate, more, weight);
       }
-  points.emplace_back(1, SLOPE, SHAPES - 1, FOREIGN);
   return points;
 }
 
@@ -237,10 +235,6 @@ SSRVLAD_CLONES double log_of_all(const double *told, const double *counts, Size 
   return log;
 }
 
-SSRVLAD_CLONES void temper(double *told, Size count, double together) {
-  for (Size each = 0; each < count; ++each) told[each] = exp_of(log_of(told[each]) / together);
-}
-
 // Makes logarithms weights of the sum 1.
 void normalise(std::vector<double> &weights) {
   const double highest = *std::max_element(weights.begin(), weights.end());
@@ -258,11 +252,11 @@ class Stretches {
   // The forward algorithm: the logarithm of how likely queries are, each `told` times as likely where
   // the map has its place as where it lacks it.
   double learn(const double *told, Size count) {
-    double mapped = 0.5;
+    double before = 1 - FOREIGN;
     for (Size query = 0; query < count; ++query) {
-      const double before = STAY * mapped + (1 - STAY) * (1 - mapped);
       likely_[query] = before * told[query] + (1 - before);
-      mapped_[query] = mapped = before * told[query] / likely_[query];
+      mapped_[query] = before * told[query] / likely_[query];
+      before = STAY * mapped_[query] + (1 - STAY) * (1 - mapped_[query]);
     }
     return log_of_all(likely_.data(), once_.data(), count);
   }
@@ -284,47 +278,48 @@ class Stretches {
 
   std::vector<double> mapped_, likely_, once_;
 };
+
+// How much likelier the chance of each answer by its query alone is where the map has the place than where it
+// lacks it, at a point of the prior; answers that err together count as one.
+SSRVLAD_CLONES void tell(const Point &point, const Answers &answers, const std::vector<char> &is_best,
+                         double together, double best, double *told) {
+  compare(point, answers, told);
+  for (Size each = 0; each < answers.count(); ++each) {
+    const double likelier = is_best[each] ? point.wrong + told[each] / best : point.wrong / (1 - best);
+    told[each] = exp_of(log_of(likelier) / together);
+  }
+}
 }  // namespace
 
 std::vector<double> mapped(const std::vector<double> &chances, double together, double best) {
   const Answers answers(chances);
   const Size count = answers.count();
-  std::vector<double> told(answers.ahead), found(told.size()), once(told.size(), 1);
-  const auto tell = [&](const Point &point) {
-    compare(point, answers, told.data());
-    const double other = point.wrong < 1 ? point.wrong / (1 - best) : 1;
-    for (std::size_t each = 0; each < told.size(); ++each)
-      told[each] = best == 1 || chances[answers.queries[each]] < 1
-                       ? point.wrong + told[each] / best
-                       : other;
+  std::vector<char> is_best;
+  for (const std::size_t query : answers.queries)
+    is_best.push_back(best == 1 || chances[query] < 1);
+  std::vector<double> told(answers.ahead);
+  const auto tell_of = [&](const Point &point) {
+    tell(point, answers, is_best, together, best, told.data());
   };
   Stretches stretches(count);
 
-  std::vector<double> weights;  // of each point, of a map with all places and of one with stretches
+  std::vector<double> weights;
   for (const Point &point : prior()) {
-    tell(point);
-    const double log = point.log_weight - log_of(2);
-    weights.push_back(log + log_of_all(told.data(), once.data(), count) / together);
-    temper(told.data(), count, together);
-    weights.push_back(log + stretches.learn(told.data(), count));
+    tell_of(point);
+    weights.push_back(point.log_weight + stretches.learn(told.data(), count));
   }
   normalise(weights);
 
-  double everywhere = 0;
-  for (std::size_t number = 0; number + 1 < prior().size(); ++number) {
-    everywhere += weights[2 * number];
-    const double some = weights[2 * number + 1];
-    if (some < NEGLIGIBLE) continue;
-    tell(prior()[number]);
-    temper(told.data(), count, together);
+  std::vector<double> all(chances.size());
+  for (std::size_t number = 0; number < weights.size(); ++number) {
+    if (weights[number] < NEGLIGIBLE) continue;
+    tell_of(prior()[number]);
     stretches.learn(told.data(), count);
     const std::vector<double> &smoothed = stretches.smooth(told.data(), count);
-    for (std::size_t each = 0; each < found.size(); ++each) found[each] += some * smoothed[each];
+    for (std::size_t each = 0; each < told.size(); ++each)
+      all[answers.queries[each]] += weights[number] * smoothed[each];
   }
-
-  std::vector<double> all(chances.size());
-  for (std::size_t each = 0; each < found.size(); ++each)
-    all[answers.queries[each]] = std::min(1.0, everywhere + found[each]);
+  for (double &each : all) each = std::min(each, 1.0);
   return all;
 }
 

@@ -406,8 +406,6 @@ def answers_together(rivals: Array) -> float:
     return sum(length * length for length in lengths) / len(rivals) if len(rivals) else 1.0
 
 
-FOREIGN = 0.1
-"""Prior probability that the map has none of the places."""
 SLOPE, DEVIATION, SHAPES = 0.25, 0.6, (1.0, 2.0)
 """Of the gamma density of right answers: the median of its rate, the deviation of the logit of the
 rate, and the shapes. With the first shape more right answers look like chance than with the second:
@@ -418,31 +416,31 @@ FRACTIONS, RATES, REACH = 15, 11, 2.5
 
 @cache
 def prior() -> list[tuple[float, float, float, float]]:
-    """Points of the prior: the fraction of wrong answers, rate and shape of the gamma density of
-    right ones, and the weight; the last point is a map that has none of the places."""
+    """Points of the prior: the fraction of wrong answers where the map has the places, rate and
+    shape of the gamma density of right ones, and the weight."""
     away = np.linspace(-REACH, REACH, RATES)
     weights = np.exp(-np.square(away) / 2)
     rates = 1 / (1 + np.exp(math.log(1 / SLOPE - 1) - DEVIATION * away))
     fractions = (np.arange(FRACTIONS) + 0.5) / FRACTIONS
-    each = (1 - FOREIGN) * weights / weights.sum() / (FRACTIONS * len(SHAPES))
-    points = [
+    each = weights / weights.sum() / (FRACTIONS * len(SHAPES))
+    return [
         (float(wrong), float(rate), shape, float(weight))
         for wrong in fractions
         for rate, weight in zip(rates, each, strict=True)
         for shape in SHAPES
     ]
-    return [*points, (1.0, SLOPE, SHAPES[-1], FOREIGN)]
 
 
-STRETCH = 100
+FOREIGN = 0.1
+"""Prior probability that the map lacks the place of the first query."""
+STRETCH = 200
 """Mean number of queries between places that the map has and places that it lacks."""
 
 
 def mapped(chances: Array, together: float, best: float = 1.0) -> Floats:
     """The probability ``(Q,)`` that the map has the place of each query of a drive, by the chance
-    of its answer by this query alone, NaN without one: the mean over the prior, each point once
-    with a map that has all places and once with one that has them in stretches, weighed by how
-    likely it makes all chances; queries that err together count as one. 0 without an answer.
+    of its answer by this query alone, NaN without one: the mean over the prior, each point weighed
+    by how likely it makes all chances; queries that err together count as one. 0 without an answer.
 
     ``best`` is how often a wrong answer is the best of its query, always if it was judged alone; if
     not, the chance of an answer is 1 where it is not the best."""
@@ -450,14 +448,12 @@ def mapped(chances: Array, together: float, best: float = 1.0) -> Floats:
     is_best = (chances[known] < 1) | (best == 1)
     logs, each = [], []
     for weight, wrong, likelier in at_points(chances[known]):
-        has_some = wrong < 1
         told = wrong + likelier / best
-        if has_some and best < 1:
+        if best < 1:
             told[~is_best] = wrong / (1 - best)
         likely, where = in_stretches(told ** (1 / together))
-        logs += [math.log(weight / 2) + float(np.log(told).sum()) / together]
-        logs += [math.log(weight / 2) + likely]
-        each += [has_some * np.ones(len(told)), has_some * where]
+        logs.append(math.log(weight) + likely)
+        each.append(where)
     found[known] = of_points(logs) @ each
     return found
 
@@ -503,12 +499,13 @@ def in_stretches(told: Floats) -> tuple[float, Floats]:
     stay = 1 - 1 / STRETCH
     change = np.array([[stay, 1 - stay], [1 - stay, stay]])
     each = np.stack([told, np.ones(len(told))], axis=1)
-    belief, future, log = np.full(2, 0.5), np.ones(2), 0.0
+    before, future, log = np.array([1 - FOREIGN, FOREIGN]), np.ones(2), 0.0
     beliefs, found = np.zeros((len(told), 2)), np.zeros(len(told))
     for query in range(len(told)):
-        belief = each[query] * (change @ belief)  # nothing is known before the first query
+        belief = each[query] * before
         log += math.log(belief.sum())
         beliefs[query] = belief = belief / belief.sum()
+        before = change @ belief
     for query in reversed(range(len(told))):
         both = beliefs[query] * future
         found[query] = both[0] / both.sum()
