@@ -353,9 +353,10 @@ Confidence Confidence::of(const std::vector<double> &chances, const std::vector<
   Confidence sure{std::vector<float>(chances.size()), std::vector<float>(chances.size())};
   for (std::size_t each = 0; each < mean.size(); ++each) {
     const std::size_t query = answers.queries[each];
-    const double spread = std::sqrt(std::max(0.0, square[each] - mean[each] * mean[each]));
-    sure.right[query] = static_cast<float>(mapped[query] * mean[each]);
-    sure.spread[query] = static_cast<float>(mapped[query] * spread);
+    const double has = mapped[query], of_all = has * mean[each];
+    sure.right[query] = static_cast<float>(of_all);
+    sure.spread[query] =
+        static_cast<float>(std::sqrt(std::max(0.0, has * square[each] - of_all * of_all)));
   }
   return sure;
 }

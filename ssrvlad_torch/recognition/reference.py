@@ -462,7 +462,8 @@ def confidence(chances: Array, mapped: Array, together: float) -> tuple[Floats, 
     """Of each answer of a drive the probability that it is right and its standard deviation, by its
     chance ``(Q,)``, NaN without an answer, and the probability that the map has its place: that
     times the mean over the prior, each point weighed by how likely it makes the chances where the
-    map has the places; queries that err together count as one. See `confidence`."""
+    map has the places; queries that err together count as one. The deviation is that of answers
+    whose places the map has all together or not at all. See `confidence`."""
     right, spread, known = np.zeros(len(chances)), np.zeros(len(chances)), ~np.isnan(chances)
     logs, rights = [], []
     for weight, wrong, likelier in at_points(chances[known]):
@@ -470,9 +471,9 @@ def confidence(chances: Array, mapped: Array, together: float) -> tuple[Floats, 
         logs.append(math.log(weight) + float((mapped[known] * np.log(told)).sum()) / together)
         rights.append(likelier / told)
     weights = of_points(logs)
-    mean = weights @ rights
-    right[known] = mapped[known] * mean
-    spread[known] = mapped[known] * np.sqrt(weights @ np.square(np.array(rights) - mean))
+    right[known] = mapped[known] * (weights @ rights)
+    square = mapped[known] * (weights @ np.square(rights))
+    spread[known] = np.sqrt(np.maximum(0, square - right[known] ** 2))
     return right, spread
 
 
