@@ -113,3 +113,17 @@ def test_doubts_of_a_traverse(seed, queries, right):
     right, spread = reference.confidence(chances, has, together)
     np.testing.assert_allclose(sure.right, right, atol=1e-6)
     np.testing.assert_allclose(sure.spread, spread, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("ask", "said"),
+    [
+        (lambda: core.mapped([0.1], 0.5), "from 1 that err together, got 0.5"),
+        (lambda: core.mapped([0.1], 1.0, 1.5), "best above 0 to 1, got 1.5"),
+        (lambda: core.confidence([0.1], [1.0], 0.0), "from 1 that err together, got 0.0"),
+        (lambda: core.confidence([0.1, 0.2], [1.0], 1.0), r"shape: \(2,\) and \(1,\)"),
+    ],
+)
+def test_wrong_numbers_are_named(ask, said):
+    with pytest.raises(ValueError, match=said):
+        ask()

@@ -712,7 +712,7 @@ int ssrvlad_chance(const double *values, const int64_t *rows, int64_t count, int
 int ssrvlad_mapped(const double *chances, int64_t queries, double together, double best,
                    double *mapped) {
   return guarded([&] {
-    require(queries >= 0 && together > 0 && best > 0 && best <= 1);
+    require(queries >= 0 && together >= 1 && best > 0 && best <= 1);
     give(places::mapped({chances, chances + queries}, together, best), mapped);
   });
 }
@@ -720,7 +720,7 @@ int ssrvlad_mapped(const double *chances, int64_t queries, double together, doub
 int ssrvlad_confidence(const double *chances, const double *mapped, int64_t queries,
                        double together, float *right, float *spread) {
   return guarded([&] {
-    require(queries >= 0 && together > 0);
+    require(queries >= 0 && together >= 1);
     const places::Confidence found = places::Confidence::of(
         {chances, chances + queries}, {mapped, mapped + queries}, together);
     give(found.right, right);

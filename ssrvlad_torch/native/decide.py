@@ -218,6 +218,8 @@ def confidence(
     the chances of the answers of a drive, NaN without one, and the probability that the map has
     the place; so many neighbouring queries err together."""
     numbers, places = (np.ascontiguousarray(each, np.float64) for each in (chances, mapped))
+    if numbers.shape != places.shape:
+        raise ValueError(f"chances and mapped differ in shape: {numbers.shape} and {places.shape}")
     right, spread = np.empty((2, numbers.size), np.float32)
     status = library().ssrvlad_confidence(
         numbers.ctypes.data,
@@ -232,7 +234,7 @@ def confidence(
     return right, spread
 
 
-_TOGETHER = "a number of queries above 0 that err together, got {}"
+_TOGETHER = "a number of queries from 1 that err together, got {}"
 
 
 def answers_together(rivals: npt.ArrayLike) -> float:

@@ -431,9 +431,9 @@ def prior() -> list[tuple[float, float, float, float]]:
     ]
 
 
-FOREIGN = 0.1
+FOREIGN = 0.05
 """Prior probability that the map lacks the place of the first query."""
-STRETCH = 200
+STRETCH = 500
 """Mean number of queries between places that the map has and places that it lacks."""
 
 
@@ -448,9 +448,7 @@ def mapped(chances: Array, together: float, best: float = 1.0) -> Floats:
     is_best = (chances[known] < 1) | (best == 1)
     logs, each = [], []
     for weight, wrong, likelier in at_points(chances[known]):
-        told = wrong + likelier / best
-        if best < 1:
-            told[~is_best] = wrong / (1 - best)
+        told = wrong + is_best * likelier / best
         likely, where = in_stretches(told ** (1 / together))
         logs.append(math.log(weight) + likely)
         each.append(where)
