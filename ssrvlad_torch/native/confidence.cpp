@@ -160,11 +160,11 @@ double answers_together(const std::vector<Size> &rivals) {
 // ---------------------------------------------------------------------------------------- confidence
 
 namespace {
-constexpr double FOREIGN = 0.05;  // prior probability that the map lacks the place of the first query
+constexpr double FOREIGN = 0.1;  // prior probability that the map lacks the place of the first query
 // Of the gamma density of right answers: the median of its rate, and the deviation of the rate's logit.
 constexpr double SLOPE = 0.25, DEVIATION = 0.6, REACH = 2.5;
 constexpr int FRACTIONS = 15, RATES = 11, SHAPES = 2;
-constexpr double STRETCH = 500;       // mean number of queries whose places the map has, or lacks
+constexpr double STRETCH = 200;       // mean number of queries whose places the map has, or lacks
 constexpr double NEGLIGIBLE = 1e-15;  // weight of a point
 constexpr double LEAST_AHEAD = 1.000500333583534e-3, MOST_AHEAD = 20;  // -log of 1 - 1e-3
 
@@ -281,22 +281,26 @@ class Stretches {
 
 // How much likelier the chance of each answer by its query alone is where the map has the place than where it
 // lacks it, at a point of the prior; answers that err together count as one.
-SSRVLAD_CLONES void tell(const Point &point, const Answers &answers, const double *seen,
-                         double together, double *told) {
+SSRVLAD_CLONES void tell(const Point &point, const Answers &answers, const std::vector<char> &is_best,
+                         double together, double best, double *told) {
   compare(point, answers, told);
-  for (Size each = 0; each < answers.count(); ++each)
-    told[each] = exp_of(log_of(point.wrong + seen[each] * told[each]) / together);
+  const double other = point.wrong < 1 - best ? point.wrong / (1 - best) : 1;
+  for (Size each = 0; each < answers.count(); ++each) {
+    const double likelier = is_best[each] ? point.wrong + told[each] / best : other;
+    told[each] = exp_of(log_of(likelier) / together);
+  }
 }
 }  // namespace
 
 std::vector<double> mapped(const std::vector<double> &chances, double together, double best) {
   const Answers answers(chances);
   const Size count = answers.count();
-  std::vector<double> told(answers.ahead), seen;
+  std::vector<char> is_best;
   for (const std::size_t query : answers.queries)
-    seen.push_back(best == 1 || chances[query] < 1 ? 1 / best : 0);
+    is_best.push_back(best == 1 || chances[query] < 1);
+  std::vector<double> told(answers.ahead);
   const auto tell_of = [&](const Point &point) {
-    tell(point, answers, seen.data(), together, told.data());
+    tell(point, answers, is_best, together, best, told.data());
   };
   Stretches stretches(count);
 

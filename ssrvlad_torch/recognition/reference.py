@@ -431,9 +431,9 @@ def prior() -> list[tuple[float, float, float, float]]:
     ]
 
 
-FOREIGN = 0.05
+FOREIGN = 0.1
 """Prior probability that the map lacks the place of the first query."""
-STRETCH = 500
+STRETCH = 200
 """Mean number of queries between places that the map has and places that it lacks."""
 
 
@@ -443,12 +443,15 @@ def mapped(chances: Array, together: float, best: float = 1.0) -> Floats:
     by how likely it makes all chances; queries that err together count as one. 0 without an answer.
 
     ``best`` is how often a wrong answer is the best of its query, always if it was judged alone; if
-    not, the chance of an answer is 1 where it is not the best."""
+    not, the chance of an answer is 1 where it is not the best. That speaks against the map as far
+    as other answers of the drive are the best, never for it."""
     known, found = ~np.isnan(chances), np.zeros(len(chances))
     is_best = (chances[known] < 1) | (best == 1)
     logs, each = [], []
     for weight, wrong, likelier in at_points(chances[known]):
-        told = wrong + is_best * likelier / best
+        told = wrong + likelier / best
+        if best < 1:
+            told[~is_best] = min(1, wrong / (1 - best))
         likely, where = in_stretches(told ** (1 / together))
         logs.append(math.log(weight) + likely)
         each.append(where)
