@@ -59,11 +59,9 @@ def test_the_estimate_of_wrong_answers_comes_with_the_truth(ssrvlad, tmp_path):
     assert suggested["accepted"] >= 30 and suggested["truly_wrong"] <= 0.1
     _, out, _ = ssrvlad(*ask)
     assert "without ground truth: 40 answers; " in out
-    suggested = f"without ground truth: accepted {suggested['accepted']} answers of confidence"
-    assert f"suggested {suggested}" in out
+    assert "suggested without ground truth: accepted 40 answers of confidence" in out
     assert out.count("in truth 10.0%\n") >= 1
     truth = {f"today/{number:03}": [f"town/{number:03}"] for number in range(6)}
     (tmp_path / "truth.json").write_text(json.dumps(truth))
     _, out, _ = ssrvlad(*ask[:3], "--follow", "no", "--ground-truth", tmp_path / "truth.json")
-    assert "in truth 66.7% of 6 whose truth is known" in out
-    assert out.count("whose truth is known") == 2
+    assert out.count("in truth 66.7% of 6 whose truth is known") == 2
