@@ -56,7 +56,7 @@ def test_match_equals_brute_force(query_count, reference_count, top, threshold, 
     references = coarse_vectors(seed + 1, reference_count)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(matching, "_QUERY_BLOCK", 4)
-        patch.setattr(matching, "_REFERENCE_BLOCK", 7)
+        patch.setattr(matching, "_MOST_ROWS", 7)
         found = match(queries, references, top, threshold)
     scores, indices = brute_force(queries, references, top, threshold)
     np.testing.assert_array_equal(found.indices.numpy(), indices)
@@ -69,7 +69,7 @@ def test_blocks_do_not_show_on_real_numbers(monkeypatch):
     references = torch.randn(200, 48, generator=generator)
     scores, indices = match(queries, references, top=7)
     monkeypatch.setattr(matching, "_QUERY_BLOCK", 11)
-    monkeypatch.setattr(matching, "_REFERENCE_BLOCK", 13)
+    monkeypatch.setattr(matching, "_MOST_ROWS", 13)
     blockwise = match(queries, references, top=7)
     assert torch.equal(blockwise.indices, indices)
     torch.testing.assert_close(blockwise.scores, scores, rtol=0, atol=1e-6)

@@ -17,7 +17,7 @@ from .display import candidates_table
 Vectors = Tensor | npt.NDArray[np.float32] | npt.NDArray[np.uint8]
 
 _QUERY_BLOCK = 1024
-_REFERENCE_BLOCK = 1 << 12
+_LEAST_ROWS, _MOST_ROWS = 1 << 10, 1 << 12
 _MOST = 2**31 - 1
 
 
@@ -80,8 +80,9 @@ def match(
     scores = queries.new_full((len(queries), top), -torch.inf, dtype=torch.float32)
     indices = torch.full(scores.shape, -1, dtype=torch.int64, device=scores.device)
     units = unit_queries(queries)
-    for first in range(0, len(vectors), _REFERENCE_BLOCK):
-        last = first + _REFERENCE_BLOCK
+    together = min(max(_QUERY_BLOCK * _LEAST_ROWS // max(len(queries), 1), _LEAST_ROWS), _MOST_ROWS)
+    for first in range(0, len(vectors), together):
+        last = first + together
         block = Rows.of(vectors[first:last].float())
         for start in range(0, len(queries), _QUERY_BLOCK):
             part = slice(start, start + _QUERY_BLOCK)
@@ -133,7 +134,7 @@ class Rows(NamedTuple):
     def of(cls, vectors: Vectors) -> Rows:
         """Rows of vectors ``(R, D)``; values that are not finite are a ValueError."""
         single = real_tensor(vectors)
-        lengths = [_lengths(block.float()) for block in torch.split(single, _REFERENCE_BLOCK)]
+        lengths = [_lengths(block.float()) for block in torch.split(single, _LEAST_ROWS)]
         return cls(single, torch.cat(lengths))
 
     def __len__(self) -> int:

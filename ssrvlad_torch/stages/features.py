@@ -109,7 +109,7 @@ def cell_means(activations: Tensor) -> Tensor:
     none = torch.zeros(1, dtype=torch.int64, device=activations.device)
     rows = overlaps(height, ROWS, none)[0].T / height
     columns = overlaps(width, COLUMNS, none)[0] / width
-    return rows @ (activations.float() @ columns)
+    return (rows @ activations.float()) @ columns
 
 
 def unit_cells(levels: list[Tensor]) -> Tensor:
