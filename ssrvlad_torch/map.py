@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -164,7 +165,10 @@ class Map:
     ) -> Source:
         """The frames on disk, before the first is read; see `open_source`."""
         wanted, database = self._wanted(frames), self.database if compared else self._database
-        source = open_source(wanted, database, compared=compared, images=images, note=note)
+        opened = None if self.network else self._opened
+        source = open_source(
+            wanted, database, compared=compared, images=images, opened=opened, note=note
+        )
         if source.segmenter and not isinstance(frames, Wanted):
             self._opened = source.segmenter
         return source
@@ -348,7 +352,14 @@ class Map:
     def _wanted(self, frames: Frames) -> Wanted:
         """What the user wants, with the network and the label space of the map."""
         if not isinstance(frames, Wanted):
-            paths = [frames] if isinstance(frames, str | os.PathLike) else frames
+            several = isinstance(frames, Sequence) and not isinstance(frames, str)
+            paths: list[Any] = [*frames] if several else [frames]  # type: ignore[misc]
+            for path in paths:
+                if not isinstance(path, str | os.PathLike):
+                    kind = type(path).__name__
+                    raise ValueError(
+                        f"expected folders, globs or files, got {kind}; locate takes pictures"
+                    )
             frames = Wanted([str(path) for path in paths])
         if frames.segmenter is None and frames.labels_as is None:
             network = self.network and (self._opened or self.network)
@@ -421,6 +432,8 @@ class Map:
                 raise ValueError(f"{self.path} holds no frames yet")
             segmenter, channels = self._segmenter(), chosen_channels(self.database)
             large = opened_large(self.database, channels)
+            if large and isinstance(large, str):
+                warnings.warn(f"{large}; all frames are loaded", stacklevel=3)
             frames = self.database.load() if isinstance(large, str) else large
             require_network(self.database, segmenter)
             config = replace(self.database.config, labels_as=segmenter.label_space)

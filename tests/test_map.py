@@ -11,10 +11,11 @@ from drives import write_maps
 from helpers import refuses, street
 from networks import PLAIN, Street, Strided, photo
 from PIL import Image
-from segmenting import counted, write_photos, write_settings
+from segmenting import counted, write_image, write_photos, write_settings
 from torch import nn
 
 from ssrvlad_torch import Database, Map, Segmenter
+from ssrvlad_torch.datasets.image_files import pixels_of
 from ssrvlad_torch.encoding.results import EncodeOptions
 from ssrvlad_torch.recognition.recognise import AS_PAPER
 from ssrvlad_torch.segmentation.networks import open_network
@@ -164,6 +165,29 @@ def test_the_network_of_a_map_is_loaded_once(settings, photos, tmp_path, monkeyp
     town.locate(photos / "7.png")
     town.query(photos / "7.png")
     assert len(opened) == 1
+    today = tmp_path / "today" / "7.png"
+    write_image(today, pixels_of(photos / "7.png") ^ 1)  # no label map's colours
+    again = Map.open(town.path)
+    for _ in range(2):
+        again.query(today)
+    again.locate(today)
+    assert len(opened) == 2
+
+
+def test_locate_says_that_an_index_is_not_used(town, photos, monkeypatch):
+    town.add(photos)
+    monkeypatch.setattr("ssrvlad_torch.map.opened_large", lambda *_: "the index is old")
+    with pytest.warns(UserWarning, match="the index is old; all frames are loaded"):
+        town.locate(photos / "7.png")
+
+
+def test_pictures_in_memory_are_for_locate(town, photos):
+    picture = pixels_of(photos / "7.png")
+    for given in ([picture], picture):
+        refuses("globs or files, got ndarray; locate takes pictures", town.add, given)
+    refuses("got Image; locate takes pictures", town.add, Image.fromarray(picture))
+    town.add(photos)
+    assert town.locate(picture).candidates[0].frame.endswith("/7")
 
 
 def test_label_maps_are_queries_also_after_a_picture_was_located(town, photos, maps):

@@ -94,6 +94,7 @@ def open_source(
     compared: bool = False,
     images: bool = False,
     live: bool = False,
+    opened: Segmenter | None = None,
     note: Note = do_nothing,
 ) -> Source:
     """The source, before its first frame is read.
@@ -104,6 +105,7 @@ def open_source(
             to which they are added.
         images: the frames can only be images.
         live: the names of the files come later, one by one.
+        opened: the network of the database, if it was opened before.
         note: gets what a data set lacks, and the network that labels pictures if the user names
             none.
 
@@ -111,7 +113,7 @@ def open_source(
         ValueError: settings do not go together, there are no frames or no label space, or the
             network of the database cannot be opened or has changed.
     """
-    source = _opened(wanted, database, compared, images, note)
+    source = _opened(wanted, database, compared, images, opened, note)
     if source.database or live:
         return source
     paths, dataset = wanted.paths, source.dataset
@@ -133,7 +135,12 @@ def open_source(
 
 
 def _opened(
-    wanted: Wanted, database: Database | None, compared: bool, images: bool, note: Note
+    wanted: Wanted,
+    database: Database | None,
+    compared: bool,
+    images: bool,
+    opened: Segmenter | None,
+    note: Note,
 ) -> Source:
     """The source without its files: the data set, the label space and the network."""
     dataset = _open_dataset(wanted, note)
@@ -151,6 +158,7 @@ def _opened(
         return replace(source, labels_as=space, database=Database.open(wanted.paths[0]))
     if database and not network and (images or not labels_as):
         network, labels_as = _network_of_database(source, database, labels_as, images)
+        network = network and (opened or network)
     space = _space(labels_as, database, compared, images)
     segmenter = _segmenter(network, wanted, space, note) if space else None
     if segmenter and database and not wanted.segmenter:
@@ -279,7 +287,7 @@ def _space(
     if labels_as is None and compared and database:
         return label_space(database.config.labels_as)
     if labels_as is None and not images:
-        raise ValueError("Missing option '--labels-as': label space of the label maps")
+        raise ValueError("expected the label space of the label maps, --labels-as, got none")
     return labels_as or ""
 
 

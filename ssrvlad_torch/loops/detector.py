@@ -93,7 +93,7 @@ class LoopDetector:
     @classmethod
     def from_pretrained(
         cls,
-        network: str | Path,
+        network: str | Path | Segmenter,
         labels_as: str | LabelSpace = AUTO,
         config: LoopConfig | None = None,
         channels: Sequence[str] | None = None,
@@ -101,8 +101,8 @@ class LoopDetector:
         """A detector whose `update` takes pictures.
 
         Args:
-            network: name of the network that labels them, see `open_network`.
-            labels_as: label space of its classes; with ``"auto"`` the one that it names.
+            network: labels them; a name, see `open_network`, or a `Segmenter`.
+            labels_as: label space of the classes of a named one; with ``"auto"`` its own.
             config: the settings; without, the defaults.
             channels: names of what is known of frames beside their label maps; by default all that
                 the network gives.
@@ -110,7 +110,9 @@ class LoopDetector:
         Raises:
             ValueError: the network cannot be used, or gives no such channel.
         """
-        segmenter = Segmenter.load(network, labels_as)
+        segmenter = (
+            network if isinstance(network, Segmenter) else Segmenter.load(network, labels_as)
+        )
         head = SSRVLAD.from_preset("default", labels_as=segmenter.label_space)
         detector = cls(config, head, new_channels(channels, head, segmenter)[1:])
         detector.segmenter = segmenter
