@@ -31,7 +31,7 @@ def test_the_steps_are_taken_and_reported(ssrvlad, database, maps):
     assert sure["confidence"] == 0 and sure["steps"]["standardise"] == {"monday": False}
     assert "6 references are too few" in err[-1]
     _, followed, err = ssrvlad("query", database, maps)
-    assert "followed: no, no surer so" in err[-1] and "(cosine, confidence" in followed
+    assert "followed: no, following is no surer" in err[-1] and "(cosine, confidence" in followed
     assert sure["score_is"] == "cosine"
     nothing = ssrvlad("query", database, maps, "--min-confidence", 1)[1].splitlines()
     assert all("no candidate" in line for line in nothing)

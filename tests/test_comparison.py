@@ -36,7 +36,7 @@ def test_fused_methods_are_two_more_rows(ssrvlad, tmp_path):
     for row, before in zip(rows, alone, strict=True):
         for key in ("method", "recall_at", "steps"):
             assert row[key] == before[key]
-    for row, mode in ((single, "no"), (followed, "no, no surer so")):
+    for row, mode in ((single, "no"), (followed, "no, following is no surer")):
         assert row["method"] == "hog + label-grid"
         assert row["steps"]["standardise"] == {"query": True}
         assert row["steps"]["follow"] == {"query": mode}

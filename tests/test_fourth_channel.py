@@ -12,8 +12,7 @@ from segmenting import write_photos, write_settings
 
 from ssrvlad_torch import Database, Map
 from ssrvlad_torch.channels import CHANNELS
-from ssrvlad_torch.channels.channel import picture_of
-from ssrvlad_torch.channels.vectors import VectorChannel
+from ssrvlad_torch.channels.channel import VectorChannel, picture_of
 
 
 class Brightness(VectorChannel):

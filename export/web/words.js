@@ -18,7 +18,7 @@ export function stepsInWords(steps, columns, references) {
 }
 
 function courseInWords({ frames, followed, way, rate, streams }) {
-  if (!followed) return frames > 1 ? "no, no surer so" : "no";
+  if (!followed) return frames > 1 ? "no, following is no surer" : "no";
   const course = ["offline"];
   if (way === BACKWARDS) course.push("backwards");
   if (rate !== 1) course.push(`at rate ${rate}`);

@@ -5,9 +5,8 @@ from collections.abc import Iterable
 import torch
 from torch import Tensor
 
-from ..channels.channel import Channel, View, batches
+from ..channels.channel import Channel, VectorChannel, View, batches
 from ..channels.hog import HOG
-from ..channels.vectors import VectorChannel
 from ..recognition.sweep import score
 
 

@@ -2,6 +2,9 @@
 
 from typing import Literal, NamedTuple
 
+import torch
+from torch import Tensor
+
 
 class Column(NamedTuple):
     """The column of a database that holds the descriptors of a channel.
@@ -18,3 +21,7 @@ class Column(NamedTuple):
     fingerprint: str
     shape: tuple[int, ...]
     dtype: Literal["float32", "uint8"] = "float32"
+
+    def zeros(self, frames: int) -> Tensor:
+        """Room for the descriptors of frames, ``(N, *shape)``."""
+        return torch.zeros(frames, *self.shape, dtype=getattr(torch, self.dtype))

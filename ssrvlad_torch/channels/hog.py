@@ -6,9 +6,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from .channel import View
+from .channel import VectorChannel, View
 from .gray import grays, resize
-from .vectors import VectorChannel
 
 CELL = 16
 """Side of a cell in pixels, after the picture has become ``CELL`` times the grid."""

@@ -190,8 +190,8 @@ class Repeats:
     frame is how alike different places of this street are.
 
     Attributes:
-        highest: ``(N,)``, for each frame of a stretch the highest nearness of the frames around it
-            to others of the same street; -inf where nothing is known.
+        highest: ``(N,)``, how self-similar the street is around each frame of a stretch, from
+            frames too recent to be loops; -inf where nothing is known.
     """
 
     def __init__(self, exclude: int) -> None:
@@ -331,10 +331,11 @@ WEIGHT, LEVEL = 0.25, 0.5
 against that of a new place. The level is at least LEVEL, and what `Tracks` explain by chance."""
 
 EVIDENCE, LEVEL_FRACTION = 3.0, 0.9
-"""For frames of the same stretch, which share light and network: the level is a fraction of the
+"""For frames of the same stretch, which share light and network. The level is a fraction of the
 z-score that three quarters of the last `NEIGHBOURS` frames have with their previous frame, and at
-least the highest that so many frames have by chance; twice the level counts so much. These and the
-settings of `Repeats` were chosen on synthetic cities of which docs/loops.md measures none."""
+least the highest that so many frames have by chance. A frame at twice the level contributes
+EVIDENCE to the log-likelihood. These and the settings of `Repeats` were chosen on synthetic cities
+of which docs/loops.md measures none."""
 
 NEIGHBOURS = 1000
 

@@ -12,8 +12,7 @@
 
 namespace places {
 
-// For each frame of a stretch, the highest nearness of the frames around it to others of the same
-// street.
+// How self-similar the street is around each frame of a stretch, from frames too recent to be loops.
 class Repeats {
  public:
   explicit Repeats(Size exclude);

@@ -54,7 +54,7 @@ constexpr double PI = 3.14159265358979323846;
 
 constexpr int CELL_ROWS = 24, CELL_COLUMNS = 32, CELLS = CELL_ROWS * CELL_COLUMNS;
 constexpr int AREA_LAYERS = 6, DIRECTIONS = 4;
-constexpr double FAINT = 1e-4;  // coefficients far below it are not raised to a power
+constexpr double FAINT = 1e-4;  // below it, coefficients stay linear
 constexpr double BOUNDARY_WIDTH = 2;  // a straight boundary is counted at 2 pixels across it
 
 inline int lowest_bit(Word word) {

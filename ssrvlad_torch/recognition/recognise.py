@@ -21,7 +21,7 @@ from .rivals import Chance
 from .sequences import runs
 from .standardise import MIN_FRAMES
 
-SURE_ALONE = "no, no surer so"
+SURE_ALONE = "no, following is no surer"
 """Reported as the way of following where following makes the answers no surer."""
 
 

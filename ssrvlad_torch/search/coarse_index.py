@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 FOLDER, _ABOUT, _LEARNT, _SAMPLED = "_coarse", "index.json", "learnt.npz", "sample.npz"
 LEAST_ROWS = 20_000
-"""Maps of fewer frames are searched faster in memory, see docs/scale.md."""
+"""Maps of fewer frames are searched faster in memory."""
 
 _FORMAT = 3
 _SAMPLE, _SAMPLE_BYTES, _GROWTH = 4096, 1 << 27, 4
@@ -331,7 +331,7 @@ def _shape(
     fragment: LanceFragment, column: Column, form: Coarse, layer: int
 ) -> tuple[tuple[int, ...], np.dtype[Any]]:
     """Shape and dtype of a layer of codes of a data file by one channel."""
-    none = form.codes(torch.zeros(0, *column.shape, dtype=_dtype(column)), layer)
+    none = form.codes(column.zeros(0), layer)
     return (-(-fragment.physical_rows // form.together), *none.shape[1:]), none.dtype
 
 
@@ -370,7 +370,7 @@ def _whole_blocks(
 
     def fresh() -> dict[str, Tensor]:
         size = min(_BLOCK, rows - start)
-        return {c.name: torch.zeros(size, *c.shape, dtype=_dtype(c)) for c in columns}
+        return {c.name: c.zeros(size) for c in columns}
 
     block = fresh()
     for batch in read_intact(fragment, damage):
@@ -392,10 +392,6 @@ def _whole_blocks(
         yield block
         start += _BLOCK
         block = fresh() if start < rows else {}
-
-
-def _dtype(column: Column) -> torch.dtype:
-    return torch.uint8 if column.dtype == "uint8" else torch.float32
 
 
 def _stem(fragment: LanceFragment) -> str:

@@ -61,9 +61,10 @@ def search(
         ValueError: the source lacks a channel, or what was asked for does not go together.
     """
     used = chosen_channels(database, channels)
-    if temporal and any(each.column.dtype != "float32" for each in used):
+    signs = [channel.name for channel in used if channel.dtype == "uint8"]
+    if temporal and signs:
         raise ValueError(
-            "features are signs, which have no temporal sum; expected --channel ssr-vlad"
+            f"{signs[0]} are signs, which have no temporal sum; expected --channel ssr-vlad"
         )
     if not len(database):
         raise ValueError(f"{database.path} holds no frames yet")

@@ -156,8 +156,7 @@ def mean_of(parts: Iterable[tuple[Array, int]], column: Column) -> Tensor:
 
 
 def _shape(column: Column) -> tuple[int, ...]:
-    dtype = torch.uint8 if column.dtype == "uint8" else torch.float32
-    return sums(torch.zeros(0, *column.shape, dtype=dtype))[0].shape
+    return sums(column.zeros(0))[0].shape
 
 
 def _file(stem: Path, column: Column) -> Path:

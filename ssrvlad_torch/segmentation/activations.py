@@ -1,11 +1,10 @@
 """Activations inside a network: which of them are features, and taking them while it runs.
 
-The features of a network are the last activation of its encoder at stride 8, or at half the
-coarsest stride if that is finer, or at the stride nearest to it, before the encoder goes on to a
-coarser stride, and the last at the next coarser stride, if there is one. The encoder is all that
-does not depend on an operator that raised the resolution, one that made a map of at least twice as
-many cells. Activations with at most half the channels of the widest of their stride belong to the
-step to the next stride and do not count.
+Features are the encoder's last activation at the target stride, and the last at the next coarser
+stride, if there is one. The target is stride 8, or half the coarsest stride if that is finer, or
+else the nearest that there is. The encoder ends where an operator raises the resolution: where a
+map has at least twice as many cells as before. Activations with at most half the channels of the
+widest of their stride belong to the step to the next stride and do not count.
 
 An activation has the name of its module, and of a module that runs several times ``NAME#CALL``:
 ``act#2`` is the output of the second call.

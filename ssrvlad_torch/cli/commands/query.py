@@ -19,10 +19,10 @@ def query(
     recognition: RecognitionOptions,
     top: int = option("Number of candidates of each query.", default=5, min=1),
     threshold: float | None = option(
-        "Leave out candidates whose score is not above this: a cosine for queries that are judged "
-        "alone (a fused score of the same range if several channels judge them), a probability for "
-        "followed ones: of the first candidate that of the place (a few frames around it), of "
-        "others that of one frame. The estimate of wrong answers is of all answers, before that.",
+        "Leave out candidates whose score is not above this. For queries that are judged alone it is "
+        "a cosine, or of several channels a fused score in the same range. For followed ones it is "
+        "a probability: of the first candidate that of its place, of others that of one frame. "
+        "The estimate of wrong answers is of all answers, before that.",
         max=1,
     ),
     from_sequence: list[str] | None = option(
