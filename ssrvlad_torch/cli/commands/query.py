@@ -19,9 +19,9 @@ def query(
     recognition: RecognitionOptions,
     top: int = option("Number of candidates of each query.", default=5, min=1),
     threshold: float | None = option(
-        "Leave out candidates whose score is not above this. For queries that are judged alone it is "
-        "a cosine, or of several channels a fused score in the same range. For followed ones it is "
-        "a probability: of the first candidate that of its place, of others that of one frame. "
+        "Leave out candidates whose score is not above this. For queries that are judged alone it "
+        "is a cosine, or of several channels a fused score in the same range. For followed ones it "
+        "is a probability: of the first candidate that of its place, of others that of one frame. "
         "The estimate of wrong answers is of all answers, before that.",
         max=1,
     ),
