@@ -13,14 +13,18 @@ from types import ModuleType, SimpleNamespace
 from xml.etree import ElementTree
 
 import numpy as np
+import onnx
 import pytest
 from helpers import refused, street
-from loop_streams import SEEDS
+from loop_streams import SEEDS, assert_same_answers, objects
 from networks import photo
 from ros_images import CAMVID, CONFIG, picture, seen
+from segmenting import write_image
 from ssrvlad_ros import live_loops
 
-from ssrvlad_torch import SSRVLAD, Database
+from ssrvlad_torch import SSRVLAD, Database, LoopDetector
+from ssrvlad_torch.channels.hog import HOG
+from ssrvlad_torch.datasets.image_files import find_image_files, read_image
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "export" / "ros2"
@@ -270,14 +274,37 @@ def test_a_memory_that_cannot_be_written_is_told_and_costs_no_result(
         node.main()
 
 
-def test_the_node_reads_pictures_with_a_model(node, store, monkeypatch, drives, tmp_path):
-    given = {"model": str(drives / "place.onnx"), "exclude": 5, "memory": str(tmp_path / "db")}
-    monkeypatch.setattr(StandInNode, "given", given)
-    running = node.LoopNode()
+SECOND_DRIVE = (*range(20), *range(4, 16))
+"""Twenty places, and twelve of them again."""
+
+
+@pytest.fixture
+def node_with(node, monkeypatch, drives):
+    """Starts the node with a model, and shows it the photos of some seeds, a second apart."""
+
+    def run(seeds, **given):
+        settings = {"model": str(drives / "place.onnx"), "exclude": 5, **given}
+        monkeypatch.setattr(StandInNode, "given", settings)
+        running = node.LoopNode()
+        for number, seed in enumerate(seeds, 1):
+            pixels = photo(street(seed, 96, 128))
+            running._on_image(image(StandInNode.store.types, pixels, number, "rgb8"))
+        return running
+
+    return run
+
+
+def columns(memory):
+    return [column.name for column in Database.open(memory).columns]
+
+
+def lines(running):
+    return [json.loads(message.data) for message in running.sent("results")]
+
+
+def test_the_node_reads_pictures_with_a_model(node_with, store, tmp_path):
+    running = node_with(SECOND_DRIVE, memory=str(tmp_path / "db"))
     assert running.listeners.keys() == {"odom", "image"}
-    for number, seed in enumerate((*range(20), *range(4, 16)), 1):
-        pixels = photo(street(seed, 96, 128))
-        running._on_image(image(store.types, pixels, number, "rgb8"))
     running._on_image(image(store.types, street(0), 40, "mono16"))
     assert running.said == [
         "frame skipped: encoding 'mono16'; expected one of rgb8, bgr8, rgba8, bgra8, mono8"
@@ -286,8 +313,104 @@ def test_the_node_reads_pictures_with_a_model(node, store, monkeypatch, drives, 
     assert len(loops) > 5
     assert all(each.header.stamp.sec - each.time_ref.sec == 16 for each in loops)
     running.close()
-    columns = Database.open(tmp_path / "db").columns
-    assert [column.name for column in columns] == ["ssr-vlad", "features"]
+    assert columns(tmp_path / "db") == ["ssr-vlad", "features", "hog"]
+
+
+def write_photos(folder, seeds, name="{:010d}000000007"):
+    """Photos, by default under the names that the node gives them."""
+    for number, seed in enumerate(seeds, 1):
+        write_image(folder / f"{name.format(number)}.png", photo(street(seed, 96, 128)))
+    return folder
+
+
+@pytest.mark.parametrize("file", ["place.onnx", "net.onnx"])
+def test_its_answers_of_pictures_are_those_of_the_command_line(
+    node_with, ssrvlad, drives, tmp_path, file
+):
+    """By all channels, with one file, or the network's of two."""
+    given = ("--segmenter", drives / "net.yaml", "--exclude", 5, "--json")
+    code, out, _ = ssrvlad("loops", write_photos(tmp_path / "drive", SECOND_DRIVE), *given)
+    assert code == 0
+    answers = lines(node_with(SECOND_DRIVE, model=str(drives / file)))
+    assert sum(line["reason"] == "accepted" for line in answers) > 5
+    assert_same_answers(answers, objects(out))
+
+
+def saved_by_a_detector(path, drives, folder):
+    """A memory of photos as users of `LoopDetector` make it."""
+    detector = LoopDetector.from_pretrained(drives / "net.yaml")
+    for file in find_image_files([str(folder)]):
+        detector.update(read_image(file), file.frame)
+    stored = [channel.column for channel in detector.channels[1:]]
+    detector.save(Database.create(path, detector.head.config, columns=stored))
+
+
+@pytest.mark.parametrize("by", ["encode", "encode --channel hog", "detector"])
+def test_a_memory_that_was_made_elsewhere_is_gone_on_from(node_with, ssrvlad, drives, tmp_path, by):
+    """Its channels decide, and its frames have ids without a stamp."""
+    monday, again = write_photos(tmp_path / "monday", range(20), "{}"), range(4, 18)
+    drive, network = write_photos(tmp_path / "drive", again), ("--segmenter", drives / "net.yaml")
+    ours, theirs = tmp_path / "ours", tmp_path / "theirs"
+    for path in (ours, theirs):
+        if by == "detector":
+            saved_by_a_detector(path, drives, monday)
+        else:
+            assert ssrvlad(*by.split(), monday, "-o", path, *network)[0] == 0
+    stored = columns(ours)
+    assert stored == ["ssr-vlad", *(["hog"] if "hog" in by else ["features", "hog"])]
+    running = node_with(again, memory=str(ours), threshold=0.7)
+    given = ("--exclude", 5, "--threshold", 0.7, "--memory", theirs, "--json")
+    code, out, _ = ssrvlad("loops", drive, *network, *given)
+    answers = lines(running)
+    assert code == 0
+    assert_same_answers(answers, objects(out))
+    closed = [line["candidate"] for line in answers if line["reason"] == "accepted"]
+    assert len(closed) > 5 and all(each.startswith("monday/") for each in closed)
+    loops = [(each.source, each.time_ref.sec) for each in running.sent("loops")]
+    assert loops == [(candidate, 0) for candidate in closed]
+    running.close()
+    assert columns(ours) == stored and len(Database.open(ours)) == 20 + len(again)
+
+
+def test_a_model_without_hog_goes_without_and_opens_no_memory_with_it(
+    node, node_with, drives, tmp_path
+):
+    model, plain = onnx.load(drives / "place.onnx"), tmp_path / "plain.onnx"
+    (hog,) = (each for each in model.metadata_props if each.key == "ssrvlad.hog")
+    model.metadata_props.remove(hog)
+    onnx.save(model, plain)
+    with_hog, without = tmp_path / "with", tmp_path / "without"
+    node_with([0], memory=str(with_hog)).close()
+    node_with([0], memory=str(without), model=str(plain)).close()
+    assert columns(without) == ["ssr-vlad", "features"]
+    node_with([], memory=str(without))
+    given = {"model": str(plain), "memory": str(with_hog)}
+    problem = "has hog of its frames, which this stream has not: it gives ssr-vlad, features$"
+    StandInNode.given.update(given)
+    with refused(f"^ssrvlad_loops: .*{problem}", with_hog, by=SystemExit):
+        node.main()
+
+
+def test_hog_that_is_computed_wrong_is_refused(node_with, monkeypatch, drives):
+    right = HOG.describe
+    monkeypatch.setattr(HOG, "describe", lambda *given: 1.001 * right(*given))
+    with refused("is computed wrong on this machine: hog differs by 0.00", drives / "place.onnx"):
+        node_with([])
+    node_with([], check=False)
+
+
+@pytest.mark.parametrize(
+    ("frame", "source", "nanoseconds"),
+    [
+        ("a/drive/1700000000000000007", "a/drive", 1700000000000000007),
+        ("drive/0000000000000000001", "drive", 1),
+        ("monday/000012", "monday/000012", 0),
+        ("monday/9700000000000000007", "monday/9700000000000000007", 0),
+        ("monday/street-of-19-letter", "monday/street-of-19-letter", 0),
+    ],
+)
+def test_the_stamp_in_a_name(frame, source, nanoseconds):
+    assert live_loops.source_of(frame) == (source, nanoseconds)
 
 
 def test_wrong_parameters_are_one_line(node, monkeypatch, drives):

@@ -12,7 +12,8 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from ssrvlad_torch import SSRVLAD
+from ssrvlad_torch import SSRVLAD, Database
+from ssrvlad_torch.channels import LABEL_SHAPES
 from ssrvlad_torch.datasets.image_files import require_photograph
 from ssrvlad_torch.loops.config import LoopConfig
 from ssrvlad_torch.loops.result import LoopResult
@@ -33,7 +34,10 @@ CHANNELS = {
 """Encodings of pictures, and their channels of red, green and blue."""
 
 _OPENCV_FLOAT32 = 5
-
+_DIGITS = 19
+"""Of a stamp in nanoseconds that names a frame."""
+_END = 2**31 * 10**9
+"""The first time in nanoseconds that ``builtin_interfaces/Time`` cannot hold."""
 
 GOLDEN = Path(__file__).with_name("golden.npz")
 """Label maps with their descriptors by the reference, by the fingerprint of a preset."""
@@ -77,6 +81,8 @@ class Observation(NamedTuple):
 class LiveLoops:
     """Finds loop closures in a stream of label images, or of pictures that a model labels.
 
+    Its channels are all that the stream gives, or those of a memory that exists.
+
     Args:
         config: the settings of the detector.
         sequence: the name of this drive; frames are called ``<sequence>/<nanoseconds>``.
@@ -84,11 +90,11 @@ class LiveLoops:
         memory: database that stores the frames, created if it does not exist; without, none.
         preset: of the descriptors; without, the memory's, or ``default``.
         check: whether to run `check_head`.
-        model: labels pictures and takes their features; without, frames are label images.
+        model: labels pictures; without, frames are label images.
 
     Raises:
-        ValueError: the memory is damaged, has another preset, frames with other ids or other
-            features; the model has other settings; or as for `check_head`.
+        ValueError: the memory is damaged, has another preset, other features or channels that the
+            stream does not give; the model has other settings; or as for `check_head`.
     """
 
     def __init__(
@@ -101,35 +107,24 @@ class LiveLoops:
         check: bool = True,
         model: PlaceModel | None = None,
     ) -> None:
-        self.sequence, self._model = sequence, model
+        self.sequence = sequence
         self._meanings = dict(meanings or {})
         labels_as = model.labels_as if model else LABELS_AS
-        names = ["features"] if model and model.fingerprint_of_features else []
+        names = channels_beside(memory, model.channels if model else [])
         self._detector, self._database = open_detector(
             config, memory, preset, labels_as, model, names
         )
-        self._require_same(memory, names)
-        if check:
-            check_head(self._detector.head)
-        for frame in self._detector.frames:
-            nanoseconds_of(frame)
-        self._saved = len(self._detector)
-        self._table: LabelTable | None = None
-
-    def _require_same(self, memory: Path | None, names: list[str]) -> None:
-        """Refuses a memory or a model whose frames do not compare with those of this stream, which
-        have channels with these names beside that of label maps."""
-        stored, model = [each.column.name for each in self._detector.channels[1:]], self._model
-        if stored != names:
-            raise ValueError(
-                f"{memory} has {', '.join(stored)} of its frames, which this stream has not"
-            )
         fingerprint = self._detector.head.config.fingerprint
         if model and model.fingerprint != fingerprint:
             raise ValueError(
                 f"the model has settings {model.fingerprint}, this node {fingerprint}: expected "
                 "the preset with which it was fused"
             )
+        self._detector.segmenter = model
+        if check:
+            check_head(self._detector.head)
+        self._saved = len(self._detector)
+        self._table: LabelTable | None = None
 
     def set_labels(self, class_map: Iterable[tuple[int, str]]) -> None:
         """Sets the ids and names of the classes, as in ``vision_msgs/LabelInfo``.
@@ -154,15 +149,14 @@ class LiveLoops:
             ValueError: there is no table of labels yet, the encoding is another, an id is unknown,
                 the model fails, or the stamp goes back. Nothing is changed.
         """
-        if self._model:
-            labels, features = self._model(decode_picture(image))
+        if self._detector.segmenter:
+            view = decode_picture(image)
         elif self._table is None:
             raise ValueError("no table of labels has come yet")
         else:
-            labels, features = self._table(decode(image)), None
-        frame = f"{self.sequence}/{nanoseconds:019d}"
-        stamp = nanoseconds / 1e9
-        result = self._detector.update(labels, frame, stamp, pose, features=features)
+            view = self._table(decode(image))
+        frame = f"{self.sequence}/{nanoseconds:0{_DIGITS}d}"
+        result = self._detector.update(view, frame, nanoseconds / 1e9, pose)
         return Observation(result, self._detector.descriptor, self._checkpoint())
 
     def _checkpoint(self) -> str:
@@ -186,6 +180,24 @@ class LiveLoops:
         if self._database is not None:
             self._detector.save(self._database)
         self._saved = len(self._detector)
+
+
+def channels_beside(memory: Path | None, given: list[str]) -> list[str]:
+    """Names of the channels beside that of label maps: those of a memory that exists, or all that
+    the stream gives.
+
+    Raises:
+        ValueError: the stream does not give one of the memory.
+    """
+    if memory is None or not Database.exists(memory):
+        return given
+    names = [column.name for column in Database.open(memory).columns[1:]]
+    if missing := [name for name in names if name not in given]:
+        raise ValueError(
+            f"{memory} has {', '.join(missing)} of its frames, which this stream has not: it gives "
+            f"{', '.join([LABEL_SHAPES, *given])}"
+        )
+    return names
 
 
 def check_head(head: SSRVLAD) -> None:
@@ -260,16 +272,12 @@ def as_rtabmap(descriptor: npt.NDArray[np.float32]) -> bytes:
     return content + np.array((1, len(descriptor), _OPENCV_FLOAT32), "<i4").tobytes()
 
 
-def nanoseconds_of(frame: str) -> tuple[str, int]:
-    """The drive and the stamp in the id of a frame.
-
-    Raises:
-        ValueError: the id has another form.
-    """
-    drive, _, number = frame.rpartition("/")
-    if not (drive and number.isdecimal()):
-        raise ValueError(f"expected a frame <drive>/<nanoseconds>, got {frame!r}")
-    return drive, int(number)
+def source_of(frame: str) -> tuple[str, int]:
+    """The drive and the stamp in nanoseconds of a frame, by its id ``<drive>/<19 digits>``; of
+    another, such as those of `ssrvlad encode`, the id and 0."""
+    drive, _, name = frame.rpartition("/")
+    is_stamp = len(name) == _DIGITS and name.isdecimal() and int(name) < _END
+    return (drive, int(name)) if is_stamp else (frame, 0)
 
 
 def heading(rotation: Quaternion) -> float:

@@ -23,7 +23,7 @@ from vision_msgs.msg import LabelInfo
 
 from ssrvlad_torch.loops.config import LoopConfig
 
-from .live_loops import LiveLoops, as_rtabmap, heading, meanings_of, nanoseconds_of
+from .live_loops import LiveLoops, as_rtabmap, heading, meanings_of, source_of
 from .place_model import PlaceModel
 
 _SECOND = 10**9
@@ -100,7 +100,7 @@ class LoopNode(Node):
             self.get_logger().warning(f"frame skipped: {error}")
             return
         result, descriptor = seen.result, seen.descriptor
-        closed = nanoseconds_of(result.candidate) if result.accepted else None
+        closed = source_of(result.candidate) if result.accepted else None
         if seen.unsaved:
             self.get_logger().error(f"the memory cannot be written: {seen.unsaved}")
         data = array("B", as_rtabmap(descriptor))
@@ -109,9 +109,9 @@ class LoopNode(Node):
         )
         self._results.publish(String(data=json.dumps(result.as_json())))
         if closed:
-            drive, known = closed
+            source, known = closed
             stamp = Time(sec=known // _SECOND, nanosec=known % _SECOND)
-            self._closures.publish(TimeReference(header=header, time_ref=stamp, source=drive))
+            self._closures.publish(TimeReference(header=header, time_ref=stamp, source=source))
 
 
 def main() -> None:

@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from ssrvlad_torch.deployment.fuse import FEATURES, IMAGE, LABELS, problem_of_network
+from ssrvlad_torch.channels.channel import View
+from ssrvlad_torch.channels.hog import HOG
+from ssrvlad_torch.deployment.fuse import (
+    FEATURES,
+    IMAGE,
+    LABELS,
+    OF_PICTURES,
+    problem_of_network,
+)
 from ssrvlad_torch.deployment.metadata import PREFIX, Metadata
 from ssrvlad_torch.files import one_line
 from ssrvlad_torch.segmentation.onnx_files import open_session
@@ -17,7 +26,8 @@ from ssrvlad_torch.taxonomy import LabelSpace
 
 
 class PlaceModel:
-    """Labels pictures and takes their features in one pass.
+    """Labels pictures and takes their features in one pass, as a `Segmenter` does. HOG of the same
+    pictures is the package's; the file says whether it is a channel, as for the other programs.
 
     Args:
         path: a file of `ssrvlad fuse`, or the network's file of `ssrvlad fuse --split`.
@@ -27,11 +37,12 @@ class PlaceModel:
     Attributes:
         fingerprint: of the settings of the head in the file.
         labels_as: label space of the label maps.
+        channels: names of what it gives of a frame beside the label map.
         fingerprint_of_features: under which a database stores them; empty without.
 
     Raises:
         ValueError: the file is of another kind or damaged, gives no features, or the golden image
-            has other labels or features here.
+            has other labels, features or HOG here.
         OSError: it cannot be read.
         ImportError: onnxruntime is not installed.
     """
@@ -53,37 +64,44 @@ class PlaceModel:
             self.labels_as = LabelSpace.from_dict({"source": "ssrvlad.", **metadata.label_space})
         except (ValueError, KeyError) as error:
             raise ValueError(f"{path}: {one_line(error)}") from error
-        self.fingerprint, signs = metadata.fingerprint, properties.get(PREFIX + FEATURES, "")
-        if features and not (signs and FEATURES in names):
+        self.fingerprint = metadata.fingerprint
+        given = [each for each in OF_PICTURES if each in names and properties.get(PREFIX + each)]
+        if features and FEATURES not in given:
             raise ValueError(
                 f"{path} gives no features: fuse it again without --no-features, or set the "
                 "parameter features to false"
             )
-        self.fingerprint_of_features, self.problem_of_features = signs if features else "", ""
-        self._outputs = [LABELS, FEATURES] if features else [LABELS]
+        self.channels = [each for each in given if features or each != FEATURES]
+        self.fingerprint_of_features = properties[PREFIX + FEATURES] if features else ""
+        self.problem_of_features = ""
         if check:
-            wanted = {name: golden[name] for name in self._outputs}
-            got = dict(zip(self._outputs, self._run(golden[IMAGE]), strict=True))
-            if problem := problem_of_network(got, wanted):
+            got = self._run(golden[IMAGE], features)
+            if HOG.name in self.channels:
+                views = [View("golden", picture=each) for each in golden[IMAGE]]
+                got[HOG.name] = HOG().describe(views).numpy()
+            if problem := problem_of_network(got, {name: golden[name] for name in got}):
                 raise ValueError(f"{path} is computed wrong on this machine: {problem}")
 
-    def __call__(self, pixels: npt.NDArray[np.uint8]) -> Segmented:
-        """What the network says of a picture ``(H, W, 3)`` uint8 in RGB.
+    def segment(
+        self, images: Sequence[npt.NDArray[np.uint8]], features: bool = False
+    ) -> list[Segmented]:
+        """What the network says of pictures of one size, ``(H, W, 3)`` uint8 in RGB.
 
         Raises:
             ValueError: the network fails at this size, or its activations are not finite or the
                 same everywhere.
         """
-        labels, *features = (output[0] for output in self._run(pixels[None]))
-        if features and not features[0].any():
+        outputs = self._run(np.stack(images), features)
+        if features and not outputs[FEATURES].any((1, 2, 3)).all():
             raise ValueError(
                 "the activations of the network are not finite, or the same everywhere"
             )
-        return Segmented(labels, *features)
+        return [Segmented(*said) for said in zip(*outputs.values(), strict=True)]
 
-    def _run(self, images: npt.NDArray[np.uint8]) -> list[npt.NDArray[Any]]:
+    def _run(self, images: npt.NDArray[np.uint8], features: bool) -> dict[str, npt.NDArray[Any]]:
+        names = [LABELS, FEATURES] if features else [LABELS]
         try:
-            return list(self._session.run(self._outputs, {IMAGE: images}))
+            return dict(zip(names, self._session.run(names, {IMAGE: images}), strict=True))
         except Exception as error:  # ONNX Runtime has no common error type
             size = "x".join(map(str, images.shape[1:3]))
             raise ValueError(f"{self._path} fails at {size}: {one_line(error)}") from error
