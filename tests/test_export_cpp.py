@@ -25,6 +25,7 @@ from PIL import Image
 from segmenting import write_drives, write_map, write_town
 from ssrvlad_place.database import save
 from ssrvlad_place.model import Seen
+from test_export_follow import forget_hog
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, export_head, match
 from ssrvlad_torch.datasets.synthetic_city import write_city
@@ -206,6 +207,16 @@ def test_features_of_another_network_or_of_one_side_only(place, drives, tmp_path
     edit_golden(drives / "place.onnx", turned_signs, turned("features"))
     code, _, (line,) = place(turned_signs, tmp_path / "photo.npy")
     assert code == 2 and " % of its features differ" in line and " 0.000000 % of its lab" in line
+
+
+def test_a_file_without_hog_says_so(place, drives, tmp_path):
+    town = tmp_path / "town.npy"
+    write_town(drives, town)
+    np.save(tmp_path / "photo.npy", np.asarray(Image.open(drives / "today" / "5.png")))
+    forget_hog(shutil.copy(drives / "place.onnx", tmp_path))
+    code, lines, (line,) = place(tmp_path / "place.onnx", tmp_path / "photo.npy", town)
+    assert (code, len(lines)) == (0, 6)
+    assert line == f"only {town} has hog: frames are matched without; fuse the file again"
 
 
 def test_a_runtime_that_gets_the_golden_pair_wrong_is_refused(place, drive, tmp_path):
