@@ -92,3 +92,10 @@ def test_commands_refuse_in_one_line(refusal, database, maps, posed, tmp_path):
     today = write_maps(tmp_path / "today", range(6))
     line = refusal("query", posed.path, today, "--near", "0,90,3")
     assert line.endswith("is within 3 m of 0, 90; the nearest is 90.0 m away")
+
+
+def test_locate_refuses_a_map_without_poses(ssrvlad, refusal, network, tmp_path):
+    photos, town, segmenter = tmp_path / "photos", tmp_path / "town", ("--segmenter", network)
+    assert ssrvlad("encode", photos, "-o", town, *segmenter)[0] == 0
+    line = refusal("locate", photos / "1.png", "--in", town, *segmenter, "--near", "1,2,3")
+    assert line == f"ssrvlad: near: expected candidates with poses, {town} has none"
