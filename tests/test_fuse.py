@@ -212,14 +212,15 @@ def test_a_real_network_gives_what_encoding_its_pictures_gives(name, tmp_path):
     fused = fuse(segmenter, config, tmp_path / "place.onnx")
     folders = [REAL / "camvid" / "0001TP" / "images", REAL / "uofa" / "evening" / "images"]
     files = [find_image_files([str(folder)])[7] for folder in folders]
-    channels = new_channels(["features"], SSRVLAD(config), segmenter)
+    channels = new_channels(["features", "hog"], SSRVLAD(config), segmenter)
     space = segmenter.label_space
     encoded, _ = encode_to_memory(channels, space, files, segmenter=segmenter)
     assert fused.features == segmenter.fingerprint_of_features
     for row, file in enumerate(files):
         found = run_of(tmp_path / "place.onnx")({"image": read_image(file)[None]})
-        expected = encoded.descriptors[row].numpy()
-        np.testing.assert_allclose(found["descriptor"][0], expected, rtol=0, atol=1e-6)
+        for output, channel in (("descriptor", "ssr-vlad"), ("hog", "hog")):
+            expected = encoded.channels[channel][row].numpy()
+            np.testing.assert_allclose(found[output][0], expected, rtol=0, atol=1e-6)
         assert other_signs(found["features"][0], encoded.channels["features"][row].numpy()) < 1e-3
 
 
