@@ -399,9 +399,10 @@ def test_a_drive_that_is_dropped_is_found_as_by_query(page, site, ssrvlad, tmp_p
     for number, file in enumerate(reversed(files)):
         labels = np.roll(np.asarray(Image.open(file)), 7, axis=1)
         Image.fromarray(labels).save(back / f"{number}.png")
+    alone = "not standardised, no sweep, followed: no, following is no surer"
     for model, dropped, folder, steps in (
         ("plain", [city.query], city.query, "standardised, no sweep, followed: offline"),
-        ("plain", some.iterdir(), some, "not standardised, no sweep, followed: no, no surer so"),
+        ("plain", some.iterdir(), some, alone),
         ("swept", [back], back, "standardised, sweep +-4 columns, followed: offline, backwards"),
     ):
         drop(page, f"?model=city.{model}.onnx&database=city.npy", *dropped)
