@@ -20,7 +20,7 @@ CONFIG = LoopConfig(exclude=5)
 
 
 @pytest.mark.parametrize("channels", [None, ["hog"], ["ssr-vlad"]])
-def test_a_picture_is_labelled_and_described_as_if_all_were_given(drives, channels):
+def test_a_picture_is_labelled_and_described_as_if_all_were_given(drives, channels, monkeypatch):
     network = drives / "net.yaml"
     ours = LoopDetector.from_pretrained(network, config=CONFIG, channels=channels)
     names = [channel.column.name for channel in ours.channels]
@@ -37,6 +37,9 @@ def test_a_picture_is_labelled_and_described_as_if_all_were_given(drives, channe
         expected = theirs.update(said.labels, f"drive/{number:03d}", float(number), **given)
         assert ours.update(picture, f"drive/{number:03d}", float(number)) == expected
     assert ours.weights.keys() == (set(names) if len(names) > 1 else set())
+    assert not ours.scans
+    monkeypatch.setattr("ssrvlad_torch.loops.detector.SCAN_ABOVE", len(PLACES) - CONFIG.exclude - 1)
+    assert ours.scans == ("features" in names)
 
 
 def test_what_is_no_picture_is_refused_and_leaves_no_trace(drives):

@@ -66,7 +66,7 @@ def test_a_line_of_json_for_every_frame(loops, drive):
     assert lines[-1]["score"] == pytest.approx(1)
 
 
-def test_text_shows_the_loops_and_counts_the_rest(loops, drive):
+def test_text_shows_the_loops_and_counts_the_rest(loops, drive, monkeypatch):
     code, out, _ = loops(drive)
     lines = out.splitlines()
     assert (code, len(lines)) == (0, 14)
@@ -75,6 +75,8 @@ def test_text_shows_the_loops_and_counts_the_rest(loops, drive):
     assert lines[12].startswith("54 frames: 12 accepted, ")
     assert lines[13] == "steps: standardised, anchors 0, no temporal sum, followed online"
     assert "anchors -4, 0, 4, no temporal sum" in loops(drive / "00.png", settings=())[1]
+    monkeypatch.setattr(LoopDetector, "scans", True)
+    assert "online, all frames by a part of their signs" in loops(drive / "00.png")[1]
 
 
 def test_precision_and_recall_by_poses(loops, drive):

@@ -22,7 +22,7 @@ from ..database.rows import check_records
 from ..datasets.label_files import digest
 from ..datasets.names import split_id
 from ..descriptor import SSRVLAD
-from ..native.loops import Array, Found
+from ..native.loops import SCAN_ABOVE, Array, Found
 from ..native.loops import Channel as Described
 from ..recognition.matching import real_tensor
 from ..segmentation.networks import AUTO
@@ -215,6 +215,13 @@ class LoopDetector:
         height, width = labels.shape
         record = record._replace(digest=digest(labels), height=height, width=width)
         return self.observe(record, {first.column.name: descriptor, **described})
+
+    @property
+    def scans(self) -> bool:
+        """Whether there are so many old frames that a part of the signs of all, and only some of
+        the frames, are compared; see `native.loops.SCAN_ABOVE`."""
+        signs = any(channel.dtype == "uint8" for channel in self._described)
+        return signs and len(self) - self.config.exclude > SCAN_ABOVE
 
     def _needs(self, what: str) -> bool:
         return any(what in channel.needs for channel in self.channels)

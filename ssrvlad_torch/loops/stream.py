@@ -160,7 +160,7 @@ def report(
     no frame with a pose, is a ValueError."""
     counts = Counter(result.reason.value for result in results)
     steps = {"standardised": "mean so far", "sweep": list(detector.columns), "temporal": 0}
-    steps |= {"follow": "online", "weights": detector.weights}
+    steps |= {"follow": "online", "scan": detector.scans, "weights": detector.weights}
     summary: dict[str, Any] = {"frames": len(results), "reasons": dict(counts), "steps": steps}
     if metres is not None:
         exclude = detector.config.exclude

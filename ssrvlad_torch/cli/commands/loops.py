@@ -178,6 +178,7 @@ def _print_report(
     say(f"{summary['frames']} frames: {', '.join(reasons) or 'nothing'}")
     columns = ", ".join(map(str, summary["steps"]["sweep"])) or "0"
     steps = ["standardised", f"anchors {columns}", "no temporal sum", "followed online"]
+    steps += ["all frames by a part of their signs"] * summary["steps"]["scan"]
     say(f"steps: {', '.join([*steps, *weights_in_words([summary['steps']['weights']])])}")
     if results and not any(result.accepted for result in results):
         _print_likeliest(results, config)
