@@ -29,7 +29,9 @@ PICTURES = 8
 def pictures_table(networks: Path, pictures: list[Path], repetitions: int) -> Iterator[str]:
     """A row for every YAML file in a folder whose network gives trainIds."""
     pictures = pictures[:: len(pictures) // PICTURES][:PICTURES]
-    yield from head_row("network", "size", "whole", *PARTS, "fused file, without decoding")
+    yield from head_row(
+        "network", "size", "whole", *PARTS, "features / network", "fused file, without decoding"
+    )
     for settings in sorted(networks.glob("*.yaml")):
         segmenter = Segmenter.load(settings, "cityscapes-trainids")
         head = SSRVLAD.from_preset("default", labels_as="cityscapes-trainids")
@@ -50,6 +52,7 @@ def pictures_table(networks: Path, pictures: list[Path], repetitions: int) -> It
             f"{size[0]} x {size[1]}",
             span(whole, 0),
             *(f"{part:.1f} ({part / parts.sum():.1%})" for part in parts),
+            f"{parts[PARTS.index('features')] / parts[PARTS.index('network')]:.2%}",
             f"{fused.milliseconds['median'] / len(pictures):.0f}",
         )
 

@@ -12,6 +12,7 @@ city. Needs the extra `dev`; `pip install faiss-cpu` adds the comparison of matc
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import platform
 import subprocess
@@ -32,7 +33,7 @@ from _loops_cost import loops_table
 from _markdown import Page, head_row, paragraph, row, save, span
 from _opencv import opencv_describe
 from _picture_costs import pictures_table
-from _timing import heads, onnx_head, threads, time_in_turn
+from _timing import Timing, heads, onnx_head, threads, time_in_turn
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
@@ -41,12 +42,15 @@ from torch import Tensor
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, match, reference
 from ssrvlad_torch.config import PRESETS
 from ssrvlad_torch.datasets.synthetic_city import SyntheticCity
+from ssrvlad_torch.recognition.comparison import ReferenceRows
+from ssrvlad_torch.stages.features import SHAPE
 
 SIZES = [(512, 512), (1024, 1024)]
 LARGE = (1024, 1024)
 BATCH = 16
 EVERY_BUFFER_GIVEN_BACK = {"MALLOC_MMAP_THRESHOLD_": "65536", "MALLOC_TRIM_THRESHOLD_": "65536"}
 SPECKS = [0, 1000, 10_000]
+SIGN_QUERIES = 20
 
 
 class Maps:
@@ -229,6 +233,7 @@ def matching_section(references: int) -> Iterator[str]:
     ways = {
         "faiss.IndexFlatIP": partial(index.search, queries, 10),
         "match": partial(match, queries, database, 10),
+        "the product alone": partial(products, queries, database),
     }
     extra = in_new_process("", "match", "0", "0", str(references))
     found = match(queries, database, top=10).indices.numpy()
@@ -238,16 +243,47 @@ def matching_section(references: int) -> Iterator[str]:
         f"1000 queries against {references} x 480 float32, exact top 10, one thread, "
         f"faiss {faiss.__version__}:"
     )
+    yield from against("faiss.IndexFlatIP", timings)
+    yield paragraph(
+        f"Equal candidates: {same:.4%}. Peak memory of `match` in addition to its arguments: "
+        f"{extra} MB. *The product alone* is what `match` asks of torch, queries times references."
+    )
+    yield paragraph(
+        f"Signs of features, at one alignment, against {references} x {math.prod(SHAPE)} bytes, "
+        "exact top 10, one thread:"
+    )
+    signs = torch.from_numpy(
+        np.random.default_rng(0).integers(0, 256, (references, *SHAPE), np.uint8)
+    )
+    asked, flat = signs[:: references // SIGN_QUERIES], faiss.IndexBinaryFlat(8 * math.prod(SHAPE))
+    flat.add(signs.flatten(1).numpy())
+    known = ReferenceRows(signs, ["map"] * references)
+
+    def ours(queries: Tensor) -> Tensor:
+        return known.compare(queries, False, False).whole().topk(10).indices
+
+    for count in (1, SIGN_QUERIES):
+        some = asked[:count]
+        name = f"faiss.IndexBinaryFlat, {count} at once"
+        ways = {
+            name: partial(flat.search, some.flatten(1).numpy(), 10),
+            f"signs, {count} at once": partial(ours, some),
+        }
+        yield from against(name, time_in_turn(ways, 5))
+
+
+def against(other: str, timings: dict[str, Timing]) -> Iterator[str]:
     yield from head_row("way", "s", "relative to faiss")
     for name, timing in timings.items():
         seconds = {k: v / 1e3 for k, v in timing.milliseconds.items()}
-        slower = timings["faiss.IndexFlatIP"].times_faster_than(timing)
-        yield row(name, span(seconds, 2), span(slower, 2))
+        yield row(name, span(seconds, 3), span(timings[other].times_faster_than(timing), 2))
     yield ""
-    yield paragraph(
-        f"Equal candidates: {same:.4%}. Peak memory of `match` in addition to its arguments: "
-        f"{extra} MB."
-    )
+
+
+def products(queries: NDArray[np.float32], database: NDArray[np.float32]) -> None:
+    """All products of queries and references, block by block."""
+    for block in torch.from_numpy(database).split(1 << 10):
+        torch.from_numpy(queries) @ block.T
 
 
 def random_rows(references: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

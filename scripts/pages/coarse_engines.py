@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import shutil
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -122,7 +123,8 @@ def of_lance(known: torch.Tensor, folder: Path) -> Callable[[torch.Tensor, int],
     codes = known.flatten(1).numpy()
     values = pa.FixedSizeListArray.from_arrays(pa.array(codes.ravel()), codes.shape[1])
     path = str(folder / f"codes-{codes.shape[1]}.lance")
-    table = lance.write_dataset(pa.table({"codes": values}), path, mode="overwrite")
+    shutil.rmtree(path, ignore_errors=True)  # row ids count from 0 in a new data set
+    table = lance.write_dataset(pa.table({"codes": values}), path)
     table = table.create_index("codes", "IVF_FLAT", metric="hamming", num_partitions=LISTS)
 
     def search(codes: np.ndarray, best: int) -> np.ndarray:
