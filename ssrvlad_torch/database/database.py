@@ -102,7 +102,11 @@ class Database:
         1
     """
 
-    def __init__(self, path: str, table: LanceDataset, read_only: bool) -> None:
+    def __init__(
+        self, path: str, table: LanceDataset | None = None, read_only: bool = False
+    ) -> None:
+        if table is None:
+            raise ValueError(f"expected Database.open({path!r}), got Database({path!r})")
         self.path = path
         self._read_only = read_only
         self._lock = threading.Lock()
