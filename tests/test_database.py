@@ -180,7 +180,7 @@ def test_a_path_that_is_not_a_database_is_refused_and_not_changed(path, tmp_path
         refuses("exists and is not a database", Database.create, tmp_path / name, CONFIG)
     assert [entry.name for entry in (tmp_path / "folder").iterdir()] == ["letter.txt"]
     refuses("is a database already", Database.create, path, CONFIG)
-    refuses("expected Database.open('town.ssrdb')", Database, "town.ssrdb")
+    refuses(r"expected Database\.open\('town.ssrdb'\)", Database, "town.ssrdb")
     assert len(Database.open(path)) == len(FRAMES)
 
 
