@@ -46,17 +46,20 @@ def brute_force(queries, references, top, threshold):
     st.integers(1, 12),
     st.sampled_from([None, -0.5, 0.0, 0.25, 1.0]),
     st.integers(0, 2**32 - 1),
+    st.booleans(),
 )
-@example(9, 60, 12, None, 3)  # empty images, opposite vectors and ties
-@example(3, 0, 2, None, 0)  # no references
-@example(0, 5, 2, None, 0)  # no queries
-@example(9, 60, 12, 0.25, 3)  # a score equal to the threshold is left out
-def test_match_equals_brute_force(query_count, reference_count, top, threshold, seed):
+@example(9, 60, 12, None, 3, True)  # empty images, opposite vectors and ties
+@example(3, 0, 2, None, 0, True)  # no references
+@example(0, 5, 2, None, 0, True)  # no queries
+@example(9, 60, 12, 0.25, 3, True)  # a score equal to the threshold is left out
+def test_match_equals_brute_force(query_count, reference_count, top, threshold, seed, by_core):
     queries = coarse_vectors(seed, query_count)
     references = coarse_vectors(seed + 1, reference_count)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(matching, "_QUERY_BLOCK", 4)
-        patch.setattr(matching, "_MOST_ROWS", 7)
+        patch.setattr(matching, "_REFERENCE_BLOCK", 7)
+        patch.setattr(matching, "_CORE_BLOCK", 7)
+        patch.setattr(matching, "_CORE_QUERIES", 1 if by_core else 10)
         found = match(queries, references, top, threshold)
     scores, indices = brute_force(queries, references, top, threshold)
     np.testing.assert_array_equal(found.indices.numpy(), indices)
@@ -69,7 +72,7 @@ def test_blocks_do_not_show_on_real_numbers(monkeypatch):
     references = torch.randn(200, 48, generator=generator)
     scores, indices = match(queries, references, top=7)
     monkeypatch.setattr(matching, "_QUERY_BLOCK", 11)
-    monkeypatch.setattr(matching, "_MOST_ROWS", 13)
+    monkeypatch.setattr(matching, "_REFERENCE_BLOCK", 13)
     blockwise = match(queries, references, top=7)
     assert torch.equal(blockwise.indices, indices)
     torch.testing.assert_close(blockwise.scores, scores, rtol=0, atol=1e-6)
@@ -77,6 +80,22 @@ def test_blocks_do_not_show_on_real_numbers(monkeypatch):
         F.cosine_similarity(queries[:, None].double(), references.double(), dim=2).topk(7).values
     )
     torch.testing.assert_close(scores.double(), exact, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float16])
+def test_the_core_matches_as_torch(monkeypatch, dtype):
+    generator = torch.Generator().manual_seed(1)
+    queries = torch.randn(70, 48, generator=generator)
+    references = torch.randn(250, 48, generator=generator, dtype=dtype).repeat(2, 1)
+    queries[5], references[3] = 0, 0
+    excluded = torch.rand(70, 500, generator=generator) < 0.3
+    monkeypatch.setattr(matching, "_CORE_BLOCK", 130)
+    found = match(queries, references, 9, 0.1, excluded)
+    monkeypatch.setattr(matching, "_CORE_QUERIES", 71)
+    expected = match(queries, references, 9, 0.1, excluded)
+    assert torch.equal(found.indices, expected.indices)
+    torch.testing.assert_close(found.scores, expected.scores, rtol=0, atol=1e-6)
+    assert not bool((found.indices[5] >= 0).any()) and not bool((found.indices == 3).any())
 
 
 def test_arrays_and_doubles_are_taken():

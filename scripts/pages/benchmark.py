@@ -233,7 +233,7 @@ def matching_section(references: int) -> Iterator[str]:
     ways = {
         "faiss.IndexFlatIP": partial(index.search, queries, 10),
         "match": partial(match, queries, database, 10),
-        "the product alone": partial(products, queries, database),
+        "the products alone, by torch": partial(products, queries, database),
     }
     extra = in_new_process("", "match", "0", "0", str(references))
     found = match(queries, database, top=10).indices.numpy()
@@ -246,7 +246,7 @@ def matching_section(references: int) -> Iterator[str]:
     yield from against("faiss.IndexFlatIP", timings)
     yield paragraph(
         f"Equal candidates: {same:.4%}. Peak memory of `match` in addition to its arguments: "
-        f"{extra} MB. *The product alone* is what `match` asks of torch, queries times references."
+        f"{extra} MB."
     )
     yield paragraph(
         f"Signs of features, at one alignment, against {references} x {math.prod(SHAPE)} bytes, "

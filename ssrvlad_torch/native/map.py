@@ -242,6 +242,45 @@ class Comparison:
         return scores
 
 
+def match(
+    queries: Array,
+    rows: tuple[Array, Array],
+    first: int,
+    excluded: Array | None,
+    threads: int,
+    best: tuple[Array, Array],
+) -> None:
+    """Puts rows of a map among the best of each query, see ``ssrvlad_match``.
+
+    Args:
+        queries: ``(Q, D)`` float32, of length 1, or NaN, which finds nothing.
+        rows: ``(R, D)`` float32, and their lengths ``(R,)`` float32.
+        first: number of the first row.
+        excluded: ``(Q, R)`` bool, rows that are no candidates.
+        best: scores ``(Q, top)`` float32 and rows int64 of earlier rows, in falling order; they are
+            changed.
+    """
+    vectors, lengths = rows
+    given = _Rows(
+        vectors.ctypes.data, lengths.ctypes.data, _address(excluded), *vectors.shape, first
+    )
+    status = _library().ssrvlad_match(
+        ctypes.byref(given), queries.ctypes.data, len(queries), best[0].shape[1], threads,
+        *(each.ctypes.data for each in best),
+    )  # fmt: skip
+    if status:
+        raise problem(status, f"vectors of at least 1 number, got {vectors.shape}")
+
+
+class _Rows(ctypes.Structure):
+    """``ssrvlad_rows`` of ssrvlad_map.h."""
+
+    _fields_ = (
+        *((name, _POINTER) for name in ("vectors", "lengths", "excluded")),
+        *((name, _SIZE) for name in ("count", "length", "first")),
+    )
+
+
 class _Channel(ctypes.Structure):
     """``ssrvlad_channel`` of ssrvlad_map.h."""
 
@@ -303,6 +342,9 @@ def _library() -> ctypes.CDLL:
     ]
     core.ssrvlad_map_compare.argtypes = [
         *(map_of, _SIZE, queries, _SIZE, _INT, _INT, _INT, ctypes.POINTER(_SIZE))
+    ]
+    core.ssrvlad_match.argtypes = [
+        *(ctypes.POINTER(_Rows), _POINTER, _SIZE, _SIZE, _INT, _POINTER, _POINTER)
     ]
     core.ssrvlad_comparison_scores.argtypes = [_POINTER, _SIZE, _POINTER]
     return core

@@ -96,6 +96,21 @@ SSRVLAD_API void ssrvlad_comparison_free(ssrvlad_comparison *comparison);
 SSRVLAD_API int ssrvlad_comparison_scores(const ssrvlad_comparison *comparison, int64_t query,
                                           float *scores);
 
+/* Some rows among which queries look for the nearest: vectors (count, length) with their lengths
+ * (count,), the first of which has the number `first` in the map; for each query of (queries, count) bytes
+ * whether a row is excluded, or NULL. */
+typedef struct ssrvlad_rows {
+  const float *vectors, *lengths;
+  const uint8_t *excluded;
+  int64_t count, length, first;
+} ssrvlad_rows;
+
+/* Puts rows among the `top` of the highest cosine to each query, in falling order and of equal scores the
+ * earlier first: `scores` and `rows`, (count, top), hold those of earlier rows of the map, or -INFINITY.
+ * Queries have length 1; one that is NaN finds nothing, nor does a row of length 0 match. */
+SSRVLAD_API int ssrvlad_match(const ssrvlad_rows *given, const float *queries, int64_t count,
+                              int64_t top, int threads, float *scores, int64_t *rows);
+
 #ifdef __cplusplus
 }
 #endif

@@ -12,12 +12,15 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from .. import native
+from ..native.map import match as core_match
 from .display import candidates_table
 
 Vectors = Tensor | npt.NDArray[np.float32] | npt.NDArray[np.uint8]
 
-_QUERY_BLOCK = 1024
-_LEAST_ROWS, _MOST_ROWS = 1 << 10, 1 << 12
+_QUERY_BLOCK, _REFERENCE_BLOCK = 1024, 1 << 12
+_CORE_QUERIES, _CORE_BLOCK = 32, 1 << 14
+"""Queries that fill the registers of the core, and rows that it gets at once."""
 _MOST = 2**31 - 1
 
 
@@ -79,28 +82,45 @@ def match(
         raise ValueError("threshold: expected a number, got nan")
     scores = queries.new_full((len(queries), top), -torch.inf, dtype=torch.float32)
     indices = torch.full(scores.shape, -1, dtype=torch.int64, device=scores.device)
-    units = unit_queries(queries)
-    together = min(max(_QUERY_BLOCK * _LEAST_ROWS // max(len(queries), 1), _LEAST_ROWS), _MOST_ROWS)
+    units, best = unit_queries(queries), Matches(scores, indices)
+    on_cpu = units.device.type == vectors.device.type == "cpu"
+    by_core = on_cpu and len(units) >= _CORE_QUERIES and native.core().library is not None
+    take, together = (_by_core, _CORE_BLOCK) if by_core else (_by_torch, _REFERENCE_BLOCK)
     for first in range(0, len(vectors), together):
-        last = first + together
-        block = Rows.of(vectors[first:last].float())
-        for start in range(0, len(queries), _QUERY_BLOCK):
-            part = slice(start, start + _QUERY_BLOCK)
-            cosines = block.cosines(units[part])
-            if excluded is not None:
-                without = excluded[part, first:last].to(cosines.device)
-                cosines.masked_fill_(without, -torch.inf)
-            better = (cosines.amax(dim=1) > scores[part, -1]).nonzero()[:, 0]
-            if len(better):  # most queries find nothing better in a later block
-                rows = better + start
-                best, columns = _best(cosines[better], top)
-                scores[rows], places = _best(torch.cat((scores[rows], best), 1), top)
-                both = torch.cat((indices[rows], columns + first), 1)
-                indices[rows] = both.gather(1, places)
+        part = slice(first, first + together)
+        rows = Rows.of(vectors[part].float().contiguous())
+        take(best, units, rows, first, None if excluded is None else excluded[:, part])
     no_candidate = ~(scores > (-torch.inf if threshold is None else threshold))
     return Matches(
         scores.masked_fill(no_candidate, -torch.inf), indices.masked_fill(no_candidate, -1)
     )
+
+
+def _by_core(best: Matches, units: Tensor, rows: Rows, first: int, excluded: Tensor | None) -> None:
+    """Puts rows, which follow the ``first`` ones, among the best of each query."""
+    known = rows.vectors.numpy(), rows.lengths.numpy()
+    without = None if excluded is None else excluded.cpu().contiguous().numpy()
+    found = best.scores.numpy(), best.indices.numpy()
+    core_match(units.numpy(), known, first, without, torch.get_num_threads(), found)
+
+
+def _by_torch(
+    best: Matches, units: Tensor, rows: Rows, first: int, excluded: Tensor | None
+) -> None:
+    """As `_by_core`, on any device, and for few queries."""
+    scores, indices = best
+    for start in range(0, len(units), _QUERY_BLOCK):
+        part = slice(start, start + _QUERY_BLOCK)
+        cosines = rows.cosines(units[part])
+        if excluded is not None:
+            cosines.masked_fill_(excluded[part].to(cosines.device), -torch.inf)
+        better = (cosines.amax(dim=1) > scores[part, -1]).nonzero()[:, 0]
+        if len(better):  # most queries find nothing better in a later block
+            of = better + start
+            found, columns = _best(cosines[better], len(scores[0]))
+            scores[of], places = _best(torch.cat((scores[of], found), 1), len(scores[0]))
+            both = torch.cat((indices[of], columns + first), 1)
+            indices[of] = both.gather(1, places)
 
 
 def checked_number(name: str, value: int, least: int) -> int:
@@ -134,7 +154,7 @@ class Rows(NamedTuple):
     def of(cls, vectors: Vectors) -> Rows:
         """Rows of vectors ``(R, D)``; values that are not finite are a ValueError."""
         single = real_tensor(vectors)
-        lengths = [_lengths(block.float()) for block in torch.split(single, _LEAST_ROWS)]
+        lengths = [_lengths(block.float()) for block in torch.split(single, _REFERENCE_BLOCK)]
         return cls(single, torch.cat(lengths))
 
     def __len__(self) -> int:
