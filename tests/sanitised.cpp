@@ -124,6 +124,16 @@ int find(std::mt19937 &random, std::vector<int64_t> starts, int64_t rows, int64_
       ssrvlad_comparison_free(compared);
     }
   }
+  std::vector<float> lengths(rows, 2), best(queries * anchors * top, -INFINITY);
+  std::vector<int64_t> nearest(best.size(), -1);
+  std::vector<uint8_t> excluded(queries * anchors * rows);
+  for (auto &each : excluded) each = random() % 2;
+  if (rows > 1) lengths[1] = 0;
+  for (const auto *without : {static_cast<uint8_t *>(nullptr), excluded.data()}) {
+    const ssrvlad_rows some{vectors.data(), lengths.data(), without, rows, length, 5};
+    if (ssrvlad_match(&some, swept.data(), queries * anchors, top, 2, best.data(), nearest.data())) return 5;
+    if (!ssrvlad_match(&some, swept.data(), queries, 0, 2, best.data(), nearest.data())) return 6;
+  }
   swept[length] = INFINITY;
   const ssrvlad_steps steps{1, 1, SSRVLAD_ALONE, 0, top};
   const int status = ssrvlad_map_query(map, given, queries, &steps, 1, &decision, &taken);
