@@ -193,7 +193,7 @@ def test_bad_input_is_refused_by_shape_and_type(labels, message):
 OPERATOR = "ssrvlad.describe.default"
 
 
-def test_it_is_compiled_as_one_operator_and_paper_is_exported_as_it(core):
+def test_the_head_is_compiled_as_one_operator_and_paper_exported_as_one(core):
     head, batch = SSRVLAD.from_preset("paper", labels_as=SPACE), batch_of_blobs(2, 61, 83)
     assert torch.equal(
         torch.compile(SSRVLAD(DEFAULT), fullgraph=True)(batch), SSRVLAD(DEFAULT)(batch)

@@ -102,7 +102,7 @@ def ranked(lines):
 
 
 @pytest.mark.parametrize("name", ["map.npy", "map.pgm"])
-def test_it_prints_what_the_module_finds(place, head, town, tmp_path, name):
+def test_the_program_prints_what_the_module_finds(place, head, town, tmp_path, name):
     code, lines, errors = place(head, tmp_path / name, tmp_path / "town.npy", 4)
     assert (code, errors) == (0, [])
     assert lines[0] == "descriptor: 480 numbers, norm 1.000000"

@@ -170,7 +170,7 @@ def test_wrong_use_is_one_line(main_of, town, tmp_path):
 
 @pytest.mark.slow
 @needs_real
-def test_what_following_is_worth(main_of, ssrvlad, town):
+def test_following_finds_the_figures_of_the_readme(main_of, ssrvlad, town):
     """The figures of export/README.md: UofA, evening against day, one row to each side."""
     day, evening = (REAL / "uofa" / each / "predicted_espnetv2" for each in ("day", "evening"))
     database, head, exported = town(day)
@@ -184,7 +184,7 @@ def test_what_following_is_worth(main_of, ssrvlad, town):
 
 @pytest.mark.slow
 @needs_real
-def test_what_features_change(main_of, ssrvlad, tmp_path):
+def test_features_find_the_figures_of_the_readme(main_of, ssrvlad, tmp_path):
     """The figures of export/README.md: UofA, evening against day, by pictures."""
     network = REAL / "networks" / "espnetv2.yaml"
     day, evening = (REAL / "uofa" / each / "images" for each in ("day", "evening"))

@@ -106,7 +106,7 @@ def test_a_map_has_it_beside_all_others(settings, photos, tmp_path):
     assert {each.query == each.candidates[0].frame for each in answers} == {True}
 
 
-def test_label_maps_have_it_not(stored, refusal, tmp_path):
+def test_label_maps_lack_the_channel(stored, refusal, tmp_path):
     maps = write_maps(tmp_path / "maps", range(3))
     line = refusal("encode", maps, "-o", tmp_path / "b", "--labels-as", SPACE, "--channel",
                    "brightness")  # fmt: skip

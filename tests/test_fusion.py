@@ -32,7 +32,7 @@ def test_two_methods_that_err_apart_are_better_together():
     assert sum(fused.weights.values()) == pytest.approx(1)
 
 
-def test_what_knows_nothing_hardly_weighs():
+def test_a_method_without_information_hardly_weighs():
     good, bad = noisy(0, 0.03), noisy(1, 10.0).clamp(max=0.99)
     fused = fuse(good, bad)
     assert fused.weights["0"] > 3 * fused.weights["1"]
@@ -82,7 +82,7 @@ def test_trust_decides_until_frames_show_which_method_leads():
     assert blind.weights["hog"] > 3 * blind.weights["features"]
 
 
-def test_equal_scores_say_nothing():
+def test_equal_scores_stay_finite_and_equal():
     fused = fuse(torch.full((3, 20), 0.25), torch.full((3, 20), 0.75))
     assert fused.whole().isfinite().all()
     assert (fused.whole() == fused.whole()[:, :1]).all()

@@ -56,7 +56,7 @@ def labelled(*given, **settings):
     return core
 
 
-def test_it_finds_what_the_detector_finds():
+def test_the_node_finds_what_the_detector_finds():
     detector = LoopDetector(CONFIG, SSRVLAD.from_preset("default", labels_as="camvid-11"))
     expected = [
         detector.update(street(seed), f"monday/{number * SECOND:019d}", number, (number, -1.0, 0.5))

@@ -247,7 +247,7 @@ def test_a_frame_that_is_refused_leaves_no_trace(message):
     assert after[0] == after[1]
 
 
-def test_what_is_excluded_costs_what_there_is():
+def test_a_stream_shorter_than_the_excluded_frames_finds_nothing_more():
     """Frames, and not settings, are stored and compared."""
     results = []
     for exclude in (len(PLACES), 2**31, 10**30):

@@ -56,7 +56,7 @@ def test_a_pause_at_the_same_view_is_no_break():
 
 
 @pytest.mark.parametrize("signs", [False, True])
-def test_what_is_elsewhere(signs):
+def test_a_frame_that_does_not_go_on_is_elsewhere(signs):
     """Each frame is half like the one before; the next goes on, stands still, or is far ahead."""
     street = np.random.default_rng(0).normal(size=(200, 512)).astype(np.float32)
     drive = street[:-1] + street[1:]
@@ -68,7 +68,7 @@ def test_what_is_elsewhere(signs):
         assert (alike < LIKE) == elsewhere
 
 
-def test_what_is_a_gap():
+def test_a_gap_is_long_for_light_and_for_the_stream():
     steady = np.arange(LEAST_FRAMES) / 3
     assert is_gap(steady, steady[-1] + 1.1 * GAP)
     assert not is_gap(steady, steady[-1] + 0.9 * GAP)

@@ -41,7 +41,7 @@ def test_a_return_in_another_light_is_told_soon_and_as_long_as_it_lasts():
     assert found[STREET + 10 :].all()
 
 
-def test_what_closes_no_loop_was_by_chance():
+def test_a_track_that_closes_no_loop_was_by_chance():
     """Tracks that the filter does not follow for long raise the level for all later ones."""
     found = told(0.3)
     assert found[STREET + 10 : STREET + 50].all()

@@ -49,7 +49,7 @@ def test_a_drive_worked_by_hand():
         ([(0, EAST)] * 3, [-1, 0, 1], {"first": 2}, (1, 1, 1, 1)),
     ],
 )
-def test_what_counts(places, loops, settings, expected):
+def test_loops_and_revisits_are_counted_by_distance_and_heading(places, loops, settings, expected):
     settings = {"exclude": 0, "metres": 1.0, **settings}
     assert score_loops(np.array(loops), drive(*places), **settings) == expected
 

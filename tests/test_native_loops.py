@@ -95,7 +95,7 @@ def streams(draw):
 
 
 @given(streams())
-def test_it_finds_what_the_oracle_finds(stream):
+def test_the_core_finds_what_the_oracle_finds(stream):
     frames, starts, stamps, known, settings = stream
     assert_same(*both(frames, starts, stamps, known, **settings), settings["threshold"])
 

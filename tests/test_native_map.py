@@ -306,7 +306,7 @@ def test_all_processors_find_the_same_bits(bits, name):
     assert here == there
 
 
-def test_it_needs_no_torch():
+def test_the_map_needs_no_torch():
     program = (
         "import sys; sys.modules['torch'] = None\n"
         "import numpy as np\n"

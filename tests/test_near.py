@@ -38,13 +38,13 @@ OTHERS = ((1, 2), (1, 2, -1), (math.nan, 0, 1), ("1", "2", "3"), 5, [None] * 3)
 
 
 @pytest.mark.parametrize("given", [*TEXTS, *OTHERS])
-def test_what_is_no_circle(given):
+def test_a_circle_is_three_finite_numbers(given):
     with pytest.raises(ValueError, match="near: expected X,Y,METRES, three finite numbers") as got:
         Near.of(given)
     assert str(given) in str(got.value)
 
 
-def test_nothing_is_inside():
+def test_an_empty_circle_is_refused():
     with pytest.raises(ValueError, match="near: expected candidates with poses, town has none"):
         Near.of((0, 0, 5)).rows(POSES[3:], "town")
     nearest = "near: no candidate of town is within 2 m of 3, 0; the nearest is 3.0 m away"

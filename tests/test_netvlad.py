@@ -42,7 +42,7 @@ def test_the_layers_have_the_published_sizes():
 
 @torch.no_grad()
 @pytest.mark.parametrize("outputs", [5, None])
-def test_it_is_scaling_trunk_layer_and_whitening(outputs):
+def test_netvlad_is_scaling_trunk_layer_and_whitening(outputs):
     torch.manual_seed(0)
     network = NetVLADNetwork(WIDTHS, clusters=4, outputs=outputs).double()
     image = torch.randint(0, 256, (3, 33, 47), dtype=torch.uint8)
@@ -79,7 +79,7 @@ def test_the_layer_is_equation_4(seed):
 
 
 @torch.no_grad()
-def test_it_is_thirteen_convolutions_and_four_poolings():
+def test_the_trunk_is_thirteen_convolutions_and_four_poolings():
     torch.manual_seed(0)
     network = vgg16((2, 3, 2, 3, 2)).double()
     image = torch.rand(3, 17, 19, dtype=torch.float64)
@@ -151,7 +151,7 @@ def checkpoint(tmp_path_factory):
     return folder, network
 
 
-def test_it_is_the_network_on_each_frame(checkpoint):
+def test_an_encoding_is_the_network_on_each_frame(checkpoint):
     folder, network = checkpoint
     method = NetVLAD(folder)
     assert (method.name, method.needs) == ("netvlad", {"images", "weights"})

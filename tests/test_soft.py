@@ -219,7 +219,7 @@ def test_a_twin_that_ran_in_inference_mode_can_be_trained():
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.bfloat16])
-def test_it_has_the_numbers_of_the_head_and_the_gradient_of_the_twin(dtype):
+def test_the_surrogate_has_the_numbers_of_the_head_and_the_gradient_of_the_twin(dtype):
     given, same = scores(0, dtype), scores(0, dtype)
     found, soft = SurrogateSSRVLAD(DEFAULT)(given), SoftSSRVLAD(DEFAULT)(same)
     assert found.requires_grad

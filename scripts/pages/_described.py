@@ -29,6 +29,7 @@ from ssrvlad_torch.channels.features import Features
 from ssrvlad_torch.channels.hog import HOG
 from ssrvlad_torch.channels.label_shapes import LabelShapes
 from ssrvlad_torch.datasets.frame_files import FrameFile
+from ssrvlad_torch.datasets.names import sequence_of
 from ssrvlad_torch.datasets.synthetic_city import REFERENCE
 from ssrvlad_torch.evaluation.ground_truth import from_poses
 from ssrvlad_torch.recognition.comparison import Member, ReferenceRows
@@ -282,7 +283,7 @@ class Described:
     def sequences(self, search: Search) -> tuple[list[str], list[str]]:
         """Sequences of the queries and of the references."""
         here, there = (
-            [self.about(name)[0][row].rpartition("/")[0] for row in rows]
+            [sequence_of(self.about(name)[0][row]) for row in rows]
             for name, rows in zip(search[:2], self.rows(search), strict=True)
         )
         return here, there

@@ -22,6 +22,7 @@ from ssrvlad_torch.channels.channel import View
 from ssrvlad_torch.datasets.frame_files import FrameFile
 from ssrvlad_torch.datasets.image_files import decode_image, find_image_files
 from ssrvlad_torch.datasets.label_files import find_label_files, read_label_map
+from ssrvlad_torch.datasets.names import sequence_of
 from ssrvlad_torch.datasets.synthetic_city import Conditions, SyntheticCity
 from ssrvlad_torch.segmentation.segmenter import Segmenter
 from ssrvlad_torch.taxonomy import label_space
@@ -184,7 +185,7 @@ def near_rows(queries: int, references: int, reach: int) -> list[np.ndarray]:
 
 def every_other(frames: Sequence[str], start: int) -> list[int]:
     """Rows of every second frame of each sequence, from frame ``start``."""
-    sequences = np.array([frame.rpartition("/")[0] for frame in frames])
+    sequences = np.array([sequence_of(frame) for frame in frames])
     chosen = [np.flatnonzero(sequences == name)[start::2] for name in dict.fromkeys(sequences)]
     return np.concatenate(chosen).tolist()
 
