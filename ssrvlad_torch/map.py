@@ -358,7 +358,8 @@ class Map:
                 if not isinstance(path, str | os.PathLike):
                     kind = type(path).__name__
                     raise ValueError(
-                        f"expected folders, globs or files, got {kind}; locate takes pictures"
+                        f"expected folders, globs or files, or a list of them, got {kind}; "
+                        "locate takes pictures in memory"
                     )
             frames = Wanted([str(path) for path in paths])
         if frames.segmenter is None and frames.labels_as is None:

@@ -24,10 +24,11 @@ def test_a_picture_is_labelled_and_described_as_if_all_were_given(drives, channe
     network = drives / "net.yaml"
     ours = LoopDetector.from_pretrained(network, config=CONFIG, channels=channels)
     names = [channel.column.name for channel in ours.channels]
-    assert names == (["ssr-vlad", "features", "hog"] if channels is None else names)
+    assert names == [*dict.fromkeys(["ssr-vlad", *(channels or ["features", "hog"])])]
     segmenter = Segmenter.load(network)
     with_it = LoopDetector.from_pretrained(segmenter, config=CONFIG, channels=channels)
-    assert with_it.segmenter is segmenter and repr(with_it) == repr(ours)
+    assert with_it.segmenter is segmenter
+    assert [c.column for c in with_it.channels] == [c.column for c in ours.channels]
     theirs = LoopDetector(CONFIG, ours.head, ours.channels[1:])
     for number, seed in enumerate(PLACES):
         picture = photo(street(seed, 96, 128))

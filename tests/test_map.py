@@ -184,7 +184,7 @@ def test_locate_says_that_an_index_is_not_used(town, photos, monkeypatch):
 def test_pictures_in_memory_are_for_locate(town, photos):
     picture = pixels_of(photos / "7.png")
     for given in ([picture], picture):
-        refuses("globs or files, got ndarray; locate takes pictures", town.add, given)
+        refuses("a list of them, got ndarray; locate takes pictures in memory", town.add, given)
     refuses("got Image; locate takes pictures", town.add, Image.fromarray(picture))
     town.add(photos)
     assert town.locate(picture).candidates[0].frame.endswith("/7")

@@ -83,9 +83,10 @@ def test_blocks_do_not_show_on_real_numbers(monkeypatch):
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float16])
-def test_the_core_matches_as_torch(monkeypatch, dtype):
+def test_the_core_matches_as_torch(core, monkeypatch, dtype):
     generator = torch.Generator().manual_seed(1)
-    queries = torch.randn(70, 48, generator=generator)
+    assert core.library
+    queries = torch.randn(48, 70, generator=generator).T  # not contiguous
     references = torch.randn(250, 48, generator=generator, dtype=dtype).repeat(2, 1)
     queries[5], references[3] = 0, 0
     excluded = torch.rand(70, 500, generator=generator) < 0.3
@@ -95,6 +96,7 @@ def test_the_core_matches_as_torch(monkeypatch, dtype):
     expected = match(queries, references, 9, 0.1, excluded)
     assert torch.equal(found.indices, expected.indices)
     torch.testing.assert_close(found.scores, expected.scores, rtol=0, atol=1e-6)
+    assert match(torch.zeros(70, 0), torch.zeros(5, 0)).indices.eq(-1).all()
     assert not bool((found.indices[5] >= 0).any()) and not bool((found.indices == 3).any())
 
 

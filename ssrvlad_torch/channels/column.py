@@ -23,5 +23,5 @@ class Column(NamedTuple):
     dtype: Literal["float32", "uint8"] = "float32"
 
     def zeros(self, frames: int) -> Tensor:
-        """Room for the descriptors of frames, ``(N, *shape)``."""
+        """Zeros ``(N, *shape)`` of `dtype`, for the descriptors of N frames."""
         return torch.zeros(frames, *self.shape, dtype=getattr(torch, self.dtype))

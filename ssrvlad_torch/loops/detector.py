@@ -218,8 +218,8 @@ class LoopDetector:
 
     @property
     def scans(self) -> bool:
-        """Whether there are so many old frames that a part of the signs of all, and only some of
-        the frames, are compared; see `native.loops.SCAN_ABOVE`."""
+        """Whether each frame is compared with all old frames by a part of their features, and by
+        all channels with only some; see `native.loops.SCAN_ABOVE`."""
         signs = any(channel.dtype == "uint8" for channel in self._described)
         return signs and len(self) - self.config.exclude > SCAN_ABOVE
 

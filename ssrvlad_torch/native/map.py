@@ -257,8 +257,14 @@ def match(
         rows: ``(R, D)`` float32, and their lengths ``(R,)`` float32.
         first: number of the first row.
         excluded: ``(Q, R)`` bool, rows that are no candidates.
+        threads: that share the queries.
         best: scores ``(Q, top)`` float32 and rows int64 of earlier rows, in falling order; they are
             changed.
+
+    All arrays are C-contiguous.
+
+    Raises:
+        ValueError: D or top is 0.
     """
     vectors, lengths = rows
     given = _Rows(

@@ -82,9 +82,9 @@ def match(
         raise ValueError("threshold: expected a number, got nan")
     scores = queries.new_full((len(queries), top), -torch.inf, dtype=torch.float32)
     indices = torch.full(scores.shape, -1, dtype=torch.int64, device=scores.device)
-    units, best = unit_queries(queries), Matches(scores, indices)
+    units, best = unit_queries(queries).contiguous(), Matches(scores, indices)
     on_cpu = units.device.type == vectors.device.type == "cpu"
-    by_core = on_cpu and len(units) >= _CORE_QUERIES and native.core().library is not None
+    by_core = on_cpu and units.shape[1] and len(units) >= _CORE_QUERIES and native.core().library
     take, together = (_by_core, _CORE_BLOCK) if by_core else (_by_torch, _REFERENCE_BLOCK)
     for first in range(0, len(vectors), together):
         part = slice(first, first + together)

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 FOLDER, _ABOUT, _LEARNT, _SAMPLED = "_coarse", "index.json", "learnt.npz", "sample.npz"
 LEAST_ROWS = 20_000
-"""A few queries are answered sooner in memory by maps of fewer frames, see docs/scale.md."""
+"""Maps of fewer frames are loaded and searched in memory, see docs/scale.md."""
 
 _FORMAT = 3
 _SAMPLE, _SAMPLE_BYTES, _GROWTH = 4096, 1 << 27, 4

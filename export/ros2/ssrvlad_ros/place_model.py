@@ -26,8 +26,8 @@ from ssrvlad_torch.taxonomy import LabelSpace
 
 
 class PlaceModel:
-    """Labels pictures and takes their features in one pass, as a `Segmenter` does. HOG of the same
-    pictures is the package's; the file says whether it is a channel, as for the other programs.
+    """Labels pictures and takes their features in one pass, as a `Segmenter` does. The package
+    computes HOG of the same pictures, if the file's metadata has HOG.
 
     Args:
         path: a file of `ssrvlad fuse`, or the network's file of `ssrvlad fuse --split`.
