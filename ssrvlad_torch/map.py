@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, overload
@@ -31,7 +31,7 @@ from .encoding.encoder import (
 )
 from .encoding.ray_engine import encode_with_ray
 from .encoding.results import EncodeOptions, Note, Progress, Summary, do_nothing
-from .encoding.source import Source, Wanted, open_source, origin_of, require_network
+from .encoding.source import Source, Wanted, cache_folder, open_source, origin_of, require_network
 from .evaluation.ground_truth_files import PartialTruth
 from .evaluation.measure import TOP, Recognition, measure, needs_similarity
 from .evaluation.metrics import Convention
@@ -352,7 +352,7 @@ class Map:
     def _wanted(self, frames: Frames) -> Wanted:
         """What the user wants, with the network and the label space of the map."""
         if not isinstance(frames, Wanted):
-            several = isinstance(frames, Sequence) and not isinstance(frames, str)
+            several = isinstance(frames, Iterable) and not isinstance(frames, str)
             paths: list[Any] = [*frames] if several else [frames]  # type: ignore[misc]
             for path in paths:
                 if not isinstance(path, str | os.PathLike):
@@ -422,7 +422,9 @@ class Map:
             if not isinstance(name, str):
                 origin = origin_of(self.database)
                 name, labels_as = origin.network, labels_as or origin.label_space
-            self._opened = Segmenter.load(name, labels_as or "auto")
+            segmenter = Segmenter.load(name, labels_as or "auto", cache_folder())
+            require_network(self.database, segmenter)
+            self._opened = segmenter
         return self._opened
 
     def _loaded(self) -> tuple[FrameSet | LargeMap, list[Channel]]:

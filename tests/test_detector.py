@@ -50,6 +50,8 @@ def test_what_is_no_picture_is_refused_and_leaves_no_trace(drives):
     assert len(detector) == 0
     with pytest.raises(ValueError, match="expected a channel"):
         LoopDetector.from_pretrained(drives / "net.yaml", channels=["nothing"])
+    with pytest.raises(ValueError, match="its name, its file or a Segmenter, got Identity"):
+        LoopDetector.from_pretrained(torch.nn.Identity())
 
 
 def test_without_a_network_a_picture_is_no_label_map():

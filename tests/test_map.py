@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from drawings import SPACE
 from drives import write_maps
 from helpers import refuses, street
@@ -172,6 +173,25 @@ def test_the_network_of_a_map_is_loaded_once(settings, photos, tmp_path, monkeyp
         again.query(today)
     again.locate(today)
     assert len(opened) == 2
+
+
+def test_label_maps_are_kept_after_a_picture_was_located(settings, photos, tmp_path, monkeypatch):
+    Map.open(tmp_path / "town.ssrdb", network=settings).add(photos)
+    today, town = tmp_path / "today" / "7.png", Map.open(tmp_path / "town.ssrdb")
+    write_image(today, pixels_of(photos / "7.png") ^ 1)
+    town.locate(photos / "3.png")
+    first = town.query(today)
+    monkeypatch.setattr(Segmenter, "_segment", None)
+    assert torch.equal(town.query(today).matches.scores, first.matches.scores)
+
+
+def test_a_network_that_does_not_fit_is_not_kept(settings, photos, tmp_path):
+    Map.open(tmp_path / "town.ssrdb", network=settings).add(photos)
+    town, before = Map.open(tmp_path / "town.ssrdb"), settings.read_text()
+    settings.write_text(before.replace("[1, 1, 1]", "[2, 2, 2]"))
+    refuses("gives other label maps", town.locate, photos / "7.png")
+    settings.write_text(before)
+    assert town.locate(photos / "7.png").candidates[0].frame == "monday/7"
 
 
 def test_locate_says_that_an_index_is_not_used(town, photos, monkeypatch):

@@ -92,6 +92,7 @@ def test_the_core_matches_as_torch(core, monkeypatch, dtype):
     excluded = torch.rand(70, 500, generator=generator) < 0.3
     monkeypatch.setattr(matching, "_CORE_BLOCK", 130)
     found = match(queries, references, 9, 0.1, excluded)
+    assert torch.equal(match(queries, references, 300, 0.1, excluded).indices[:, :9], found.indices)
     monkeypatch.setattr(matching, "_CORE_QUERIES", 71)
     expected = match(queries, references, 9, 0.1, excluded)
     assert torch.equal(found.indices, expected.indices)

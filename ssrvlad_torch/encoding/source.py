@@ -158,13 +158,19 @@ def _opened(
         return replace(source, labels_as=space, database=Database.open(wanted.paths[0]))
     if database and not network and (images or not labels_as):
         network, labels_as = _network_of_database(source, database, labels_as, images)
-        network = network and (opened or network)
+        if network and not wanted.given("segmenter_cache", "classes"):
+            network = opened or network
     space = _space(labels_as, database, compared, images)
     segmenter = _segmenter(network, wanted, space, note) if space else None
     if segmenter and database and not wanted.segmenter:
         require_network(database, segmenter)
         note(f"{segmenter.name}, the network of {database.path}, labels the pictures")
     return replace(source, labels_as=space, segmenter=segmenter)
+
+
+def cache_folder() -> Path:
+    """Where label maps and features of pictures are kept, unless the user names a folder."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "ssrvlad"
 
 
 def origin_of(database: Database) -> Origin:
@@ -306,8 +312,7 @@ def _segmenter(
     opened = open_network(network) if isinstance(network, str) else network
     if isinstance(opened, Segmenter):
         return opened
-    if folder is None:
-        folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "ssrvlad"
+    folder = folder or cache_folder()
     segmenter = Segmenter.load(opened, labels_as, folder, channels(wanted.classes))
     if opened.assumed:
         note(

@@ -19,8 +19,9 @@ from .display import candidates_table
 Vectors = Tensor | npt.NDArray[np.float32] | npt.NDArray[np.uint8]
 
 _QUERY_BLOCK, _REFERENCE_BLOCK = 1024, 1 << 12
-_CORE_QUERIES, _CORE_BLOCK = 32, 1 << 14
-"""Queries that fill the registers of the core, and rows that it gets at once."""
+_CORE_QUERIES, _CORE_LENGTH, _CORE_TOP, _CORE_BLOCK = 32, 512, 256, 1 << 14
+"""The core matches at least so many queries, which fill its registers, of at most so many numbers,
+whose sums are exact to 1e-6, to so many candidates, and gets so many rows at once."""
 _MOST = 2**31 - 1
 
 
@@ -83,8 +84,7 @@ def match(
     scores = queries.new_full((len(queries), top), -torch.inf, dtype=torch.float32)
     indices = torch.full(scores.shape, -1, dtype=torch.int64, device=scores.device)
     units, best = unit_queries(queries).contiguous(), Matches(scores, indices)
-    on_cpu = units.device.type == vectors.device.type == "cpu"
-    by_core = on_cpu and units.shape[1] and len(units) >= _CORE_QUERIES and native.core().library
+    by_core = _suit_the_core(units, top) and vectors.device.type == "cpu"
     take, together = (_by_core, _CORE_BLOCK) if by_core else (_by_torch, _REFERENCE_BLOCK)
     for first in range(0, len(vectors), together):
         part = slice(first, first + together)
@@ -94,6 +94,11 @@ def match(
     return Matches(
         scores.masked_fill(no_candidate, -torch.inf), indices.masked_fill(no_candidate, -1)
     )
+
+
+def _suit_the_core(units: Tensor, top: int) -> bool:
+    sizes = len(units) >= _CORE_QUERIES and 0 < units.shape[1] <= _CORE_LENGTH and top <= _CORE_TOP
+    return sizes and units.device.type == "cpu" and native.core().library is not None
 
 
 def _by_core(best: Matches, units: Tensor, rows: Rows, first: int, excluded: Tensor | None) -> None:

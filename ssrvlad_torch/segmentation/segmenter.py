@@ -148,6 +148,10 @@ class Segmenter:
             OSError: the network cannot be downloaded.
             ImportError: an extra is not installed.
         """
+        if not isinstance(name, str | os.PathLike | NamedNetwork):
+            raise ValueError(
+                f"network: expected its name, its file or a Segmenter, got {type(name).__name__}"
+            )
         named = name if isinstance(name, NamedNetwork) else open_network(name)
         config = named.config
         if classes is not None:
