@@ -20,8 +20,8 @@ Vectors = Tensor | npt.NDArray[np.float32] | npt.NDArray[np.uint8]
 
 _QUERY_BLOCK, _REFERENCE_BLOCK = 1024, 1 << 12
 _CORE_QUERIES, _CORE_LENGTH, _CORE_TOP, _CORE_BLOCK = 32, 512, 256, 1 << 14
-"""The core matches at least so many queries, which fill its registers, of at most so many numbers,
-whose sums are exact to 1e-6, to so many candidates, and gets so many rows at once."""
+"""The core matches where there are many queries, which fill its registers, of few numbers, whose
+sums err by less than 1e-6, and few candidates; it gets so many rows at once."""
 _MOST = 2**31 - 1
 
 
