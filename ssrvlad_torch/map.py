@@ -13,9 +13,8 @@ from typing import Any, Literal, NamedTuple, overload
 import numpy as np
 import numpy.typing as npt
 
-from .channels import LABEL_SHAPES
+from .channels import LABEL_SHAPES, Column
 from .channels.channel import Channel, View
-from .channels.column import Column
 from .database.database import Database
 from .database.engine import discard_empty
 from .database.frames import FrameSet

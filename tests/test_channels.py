@@ -13,8 +13,8 @@ from networks import photo
 from segmenting import write_settings
 
 from ssrvlad_torch import Database, LoopDetector, Map, SSRVLADConfig
+from ssrvlad_torch.channels import Column
 from ssrvlad_torch.channels.channel import View
-from ssrvlad_torch.channels.column import Column
 from ssrvlad_torch.channels.hog import HOG
 from ssrvlad_torch.database.exporting import export_database
 from ssrvlad_torch.database.frames import FrameRecord

@@ -7,9 +7,9 @@ import torch.nn.functional as F
 from helpers import descriptors, grids
 
 from ssrvlad_torch import native
+from ssrvlad_torch.channels import Column
 from ssrvlad_torch.channels import coarse as module
 from ssrvlad_torch.channels.coarse import LANES, CoarseSigns, CoarseVectors, learn, of
-from ssrvlad_torch.channels.column import Column
 from ssrvlad_torch.recognition.comparison import ReferenceRows
 from ssrvlad_torch.recognition.sweep import score
 

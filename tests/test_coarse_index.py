@@ -13,7 +13,7 @@ from helpers import descriptors, spoil
 from large_maps import CONFIG
 
 from ssrvlad_torch import Database, Map
-from ssrvlad_torch.channels.column import Column
+from ssrvlad_torch.channels import Column
 from ssrvlad_torch.search import coarse_index
 from ssrvlad_torch.search.coarse_index import CoarseIndex, build
 from ssrvlad_torch.search.sums import sums

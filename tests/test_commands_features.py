@@ -13,8 +13,8 @@ from segmenting import write_photos
 from torch import nn
 
 from ssrvlad_torch import Database, LoopDetector, Map
+from ssrvlad_torch.channels import Column
 from ssrvlad_torch.channels.channel import View, new_channels
-from ssrvlad_torch.channels.column import Column
 from ssrvlad_torch.channels.hog import HOG
 from ssrvlad_torch.datasets.frame_file import FrameFile
 from ssrvlad_torch.datasets.image_files import read_image

@@ -8,7 +8,7 @@ import pytest
 from helpers import descriptors, record, refused, touch
 
 from ssrvlad_torch import SSRVLADConfig
-from ssrvlad_torch.channels.column import Column
+from ssrvlad_torch.channels import Column
 from ssrvlad_torch.database.database import Database
 from ssrvlad_torch.database.exporting import export_database
 

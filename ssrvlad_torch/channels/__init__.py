@@ -5,7 +5,10 @@ A channel is one file and one line of `CHANNELS`; its class is imported at its f
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
 
 if TYPE_CHECKING:
     from .channel import Channel
@@ -19,3 +22,24 @@ CHANNELS: dict[str, str | type[Channel]] = {
 frames has it."""
 
 LABEL_SHAPES = next(iter(CHANNELS))
+
+
+class Column(NamedTuple):
+    """The column of a database that holds the descriptors of a channel.
+
+    Attributes:
+        name: of the channel.
+        fingerprint: descriptors are comparable only if their fingerprints are equal; empty if they
+            are custom.
+        shape: of the descriptor of a frame.
+        dtype: ``"float32"``, or ``"uint8"`` for signs, eight in a byte.
+    """
+
+    name: str
+    fingerprint: str
+    shape: tuple[int, ...]
+    dtype: Literal["float32", "uint8"] = "float32"
+
+    def zeros(self, frames: int) -> npt.NDArray[Any]:
+        """Zeros ``(N, *shape)`` of `dtype`, for the descriptors of N frames."""
+        return np.zeros((frames, *self.shape), self.dtype)

@@ -16,8 +16,7 @@ from torch import Tensor
 from ..datasets.names import sequence_of
 from ..recognition.comparison import ReferenceRows
 from ..taxonomy import LabelSpace
-from . import CHANNELS, LABEL_SHAPES
-from .column import Column
+from . import CHANNELS, LABEL_SHAPES, Column
 
 if TYPE_CHECKING:
     from ..descriptor import SSRVLAD

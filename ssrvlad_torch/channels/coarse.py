@@ -19,7 +19,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ..native import core
-from .column import Column
+from . import Column
 from .signs import REACH, moved, numbers
 
 Codes = npt.NDArray[np.uint8] | npt.NDArray[np.int8]

@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from ..stages.features import SHAPE
+from . import Column
 from .channel import FEATURES, Channel, Network, View
-from .column import Column
 
 if TYPE_CHECKING:
     from ..descriptor import SSRVLAD

@@ -13,8 +13,8 @@ from torch import Tensor
 from ..config import SSRVLADConfig
 from ..descriptor import SSRVLAD
 from ..taxonomy import LabelSpace, label_space
+from . import Column
 from .channel import LABELS, Network, VectorChannel, View, labels_of
-from .column import Column
 
 TORCH_THREADS = 2
 """Threads of the stages in torch: their many short operators wait for Python's global lock, which

@@ -24,8 +24,7 @@ import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from ..channels import LABEL_SHAPES
-from ..channels.column import Column
+from ..channels import LABEL_SHAPES, Column
 from ..config import SSRVLADConfig
 from ..files import is_uri
 from ..taxonomy import LabelSpace, label_space, label_space_names

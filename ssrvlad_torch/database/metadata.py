@@ -7,7 +7,7 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from ..channels.column import Column
+from ..channels import Column
 from ..config import SSRVLADConfig
 from ..taxonomy import LabelSpace
 

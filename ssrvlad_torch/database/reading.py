@@ -12,7 +12,7 @@ import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from ..channels.column import Column
+from ..channels import Column
 from ..files import natural_key
 from .engine import lance, message_of, write_fragments
 from .frames import FrameSet

@@ -12,7 +12,7 @@ import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from ..channels.column import Column
+from ..channels import Column
 from .frames import FrameRecord, checked_pose, is_text
 
 if TYPE_CHECKING:

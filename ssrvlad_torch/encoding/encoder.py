@@ -189,7 +189,7 @@ def encode_to_memory(
         progress(1)
     records = [frame.record for frame in frames]
     stored = [channel.column for channel in channels]
-    nothing = {column.name: np.zeros((0, *column.shape), column.dtype) for column in stored}
+    nothing = {column.name: column.zeros(0) for column in stored}
     descriptors = stacked(frames) if frames else nothing
     return FrameSet(
         frames=tuple(record.frame for record in records),

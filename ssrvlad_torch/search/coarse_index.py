@@ -25,9 +25,8 @@ import torch
 from numpy.lib import format as npy
 from torch import Tensor
 
-from ..channels import coarse
+from ..channels import Column, coarse
 from ..channels.coarse import Coarse, Codes
-from ..channels.column import Column
 from ..database.reading import Damage, read_intact
 from ..database.rows import intact, matrix
 from ..files import is_uri, read_json, read_npz, replacing
@@ -331,7 +330,7 @@ def _shape(
     fragment: LanceFragment, column: Column, form: Coarse, layer: int
 ) -> tuple[tuple[int, ...], np.dtype[Any]]:
     """Shape and dtype of a layer of codes of a data file by one channel."""
-    none = form.codes(column.zeros(0), layer)
+    none = form.codes(torch.from_numpy(column.zeros(0)), layer)
     return (-(-fragment.physical_rows // form.together), *none.shape[1:]), none.dtype
 
 
@@ -370,7 +369,7 @@ def _whole_blocks(
 
     def fresh() -> dict[str, Tensor]:
         size = min(_BLOCK, rows - start)
-        return {c.name: c.zeros(size) for c in columns}
+        return {c.name: torch.from_numpy(c.zeros(size)) for c in columns}
 
     block = fresh()
     for batch in read_intact(fragment, damage):

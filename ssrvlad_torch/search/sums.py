@@ -22,7 +22,7 @@ import torch.nn.functional as F
 from numpy.lib import format as npy
 from torch import Tensor
 
-from ..channels.column import Column
+from ..channels import Column
 from ..files import flush, read_npz, replacing
 
 Array = npt.NDArray[Any]
@@ -156,7 +156,7 @@ def mean_of(parts: Iterable[tuple[Array, int]], column: Column) -> Tensor:
 
 
 def _shape(column: Column) -> tuple[int, ...]:
-    return sums(column.zeros(0))[0].shape
+    return sums(torch.from_numpy(column.zeros(0)))[0].shape
 
 
 def _file(stem: Path, column: Column) -> Path:
