@@ -271,6 +271,36 @@ def test_a_map_in_another_order_is_run_by_hardly_anything():
     assert decide(scores, [0], ROWS).gain > 0.5
 
 
+def seen_in_a_street(queries, rows):
+    """Scores of places of a street, by numbers that change slowly along it."""
+    rng = np.random.default_rng(1)
+    street = rng.normal(size=(200, 64))
+    street = sum(np.roll(street, place, 0) for place in range(5))
+    here, there = (
+        torch.from_numpy(street[places] + 0.7 * rng.normal(size=(len(places), 64)))
+        for places in (queries, rows)
+    )
+    return torch.cosine_similarity(here[:, None], there, 2).float().numpy()
+
+
+@pytest.mark.parametrize("mode", ["online", "offline"])
+def test_answers_that_linger_where_the_map_has_a_hole_are_not_believed(mode):
+    drive, whole = np.arange(20, 120), np.arange(150)
+    found = decide(seen_in_a_street(drive, whole), [0], 150, mode)
+    assert found.followed and found.right.mean() > 0.95
+    rows = whole[(whole < 60) | (whole >= 70)]
+    lacking = decide(seen_in_a_street(drive, rows), [0], len(rows), mode)
+    assert lacking.followed and lacking.right[43:47].mean() < 0.05
+    assert lacking.right[:36].mean() > 0.95 and lacking.right[56:].mean() > 0.95
+
+
+@pytest.mark.parametrize("mode", ["online", "offline"])
+def test_answers_of_a_drive_that_stands_linger_rightly(mode):
+    stops = np.array([*range(20, 60), *[60] * 30, *range(61, 110)])
+    found = decide(seen_in_a_street(stops, np.arange(150)), [0], 150, mode)
+    assert found.followed and found.right[42:68].mean() > 0.9
+
+
 def test_a_long_drive_computes_beliefs_again_with_the_same_places():
     """Of a map whose beliefs are too many to be kept."""
     scores = noisy([*range(5000, 5050)], 60_000, strength=0.4).numpy()

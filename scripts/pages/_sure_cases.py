@@ -78,7 +78,8 @@ class Case(NamedTuple):
         row: of the table.
         method: of `METHODS`.
         sequences: of the frames of the map.
-        truth: rows of the map that show the place of each query.
+        rows: of the frames of the map, in the drive from which it was taken.
+        truth: rows of that drive that show the place of each query; the map may lack them.
     """
 
     row: str
@@ -87,6 +88,7 @@ class Case(NamedTuple):
     queries: Frames
     references: Frames
     sequences: list[str]
+    rows: Sequence[int]
     truth: Truth
 
     def scores(self, described: Described) -> Tensor:
@@ -192,8 +194,13 @@ def case_of(
     name: str,
     method: str,
     sequences: list[str] | None = None,
+    rows: Sequence[int] | None = None,
 ) -> Case:
-    return Case(row, name, method, here, there, sequences or ["map"] * len(there), truth)
+    """Of a map of all frames ``there``, or of some rows of them."""
+    rows = range(len(there)) if rows is None else rows
+    names = sequences or ["map"] * len(there)
+    known = [there[each] for each in rows], [names[each] for each in rows]
+    return Case(row, name, method, here, *known, rows, truth)
 
 
 def drives(one: partial[Case], here: Frames, there: Frames, truth: Truth) -> Iterator[Case]:
@@ -204,7 +211,7 @@ def drives(one: partial[Case], here: Frames, there: Frames, truth: Truth) -> Ite
         for part in (slice(0, middle), slice(middle, None)):
             yield one("half of a drive", here[part], there, truth[part])
         if half >= 30:
-            yield one("half of the map", here, there[:half], within(truth, range(half)))
+            yield one("half of the map", here, there, truth, rows=range(half))
 
 
 def harder(one: partial[Case], here: Frames, there: Frames, truth: Truth) -> Iterator[Case]:
@@ -216,7 +223,7 @@ def harder(one: partial[Case], here: Frames, there: Frames, truth: Truth) -> Ite
 
     count, chance = len(here), random.Random(str(here[0]))
     kept = [row for row in range(len(there)) if row // 15 % 2 == 0]
-    yield one("holes of 15 rows", here, [there[row] for row in kept], within(truth, kept))
+    yield one("holes of 15 rows", here, there, truth, rows=kept)
     for streams in (2, 3, 4, 6):
         row = "two streams in turn" if streams == 2 else "3, 4, 6 streams in turn"
         yield asked(row, in_turn(count, streams))
@@ -228,14 +235,13 @@ def harder(one: partial[Case], here: Frames, there: Frames, truth: Truth) -> Ite
         yield asked("random frames", chance.sample(range(count), min(some, count)))
     yield asked("one picture", [chance.randrange(count)])
     twice = [row for row in range(len(there)) for _ in range(2)]
-    yield one("duplicates in the map", here, [there[row] for row in twice], within(truth, twice))
+    yield one("duplicates in the map", here, there, truth, rows=twice)
     for size in (5, 12, 31, 60):
         first = chance.randrange(len(there) - size)
         rows = range(first, first + size)
-        few = within(truth, rows)
-        shown = [query for query in range(count) if size <= 12 or len(few[query])]
-        queries, true = [here[each] for each in shown], [few[each] for each in shown]
-        yield one("maps of 5 to 60 rows", queries, [there[row] for row in rows], true)
+        shown = [query for query in range(count) if size <= 12 or np.isin(truth[query], rows).any()]
+        queries, true = [here[each] for each in shown], [truth[each] for each in shown]
+        yield one("maps of 5 to 60 rows", queries, there, true, rows=rows)
 
 
 def city_cases(described: Described) -> Iterator[Case]:
@@ -259,8 +265,7 @@ def in_city(described: Described, seed: int, others: Sequence[Frames]) -> Iterat
         yield one("city", here, there, truth)
         yield one("city, foreign", here, others[0], [_NONE] * len(here))
         yield one("city, foreign, 30", here[:30], others[0], [_NONE] * 30)
-        half = len(there) // 2
-        yield one("city, half of the map", here, there[:half], within(truth, range(half)))
+        yield one("city, half of the map", here, there, truth, rows=range(len(there) // 2))
         yield one("city, map of 600", here, known, truth, sequences=names)
         for some in (1, 3, 10, 30):
             order = random.Random(seed).sample(range(len(here)), some)
@@ -276,9 +281,10 @@ def in_city(described: Described, seed: int, others: Sequence[Frames]) -> Iterat
     turned = [*easy[:50], *back[50:]]
     yield one("city, U-turn", turned, there, facing(described, turned, there))
     yield one("city, way back alone", easy, back, facing(described, easy, back))
-    both, names = [*there[:50], *back], ["map"] * 50 + ["back"] * len(back)
+    both, names = [*there, *back], ["map"] * len(there) + ["back"] * len(back)
+    rows = [*range(50), *range(len(there), len(both))]
     true = facing(described, easy, both)
-    yield one("city, half of the map and way back", easy, both, true, sequences=names)
+    yield one("city, half of the map and way back", easy, both, true, sequences=names, rows=rows)
 
 
 def in_turn(count: int, streams: int) -> list[int]:
@@ -290,11 +296,6 @@ def in_turn(count: int, streams: int) -> list[int]:
 def stops(count: int, at: Sequence[int], frames: int) -> list[int]:
     """A drive that stands for some frames."""
     return sorted([*range(count), *(min(stop, count - 1) for stop in at for _ in range(frames))])
-
-
-def within(truth: Truth, rows: Sequence[int]) -> list[np.ndarray]:
-    """True matches in a map of some rows, of which some may come twice."""
-    return [np.flatnonzero(np.isin(rows, true)) for true in truth]
 
 
 def facing(described: Described, here: Frames, there: Frames) -> list[np.ndarray]:

@@ -97,7 +97,7 @@ def outcome(described: Described, case: Case) -> list[Outcome]:
         rows = one.matches.indices[:, 0].numpy()
         away = np.array(
             [
-                min(abs(true - row), default=np.inf)
+                min(abs(true - case.rows[row]), default=np.inf)
                 for row, true in zip(rows, case.truth, strict=True)
             ]
         )

@@ -11,7 +11,7 @@
 namespace places {
 
 namespace {
-constexpr Size TRACK = 10;        // frames that a wrong answer lasts in a followed drive
+constexpr Size AROUND = Likeness::AROUND;
 constexpr double BEST = 1.0 / 3;  // how often a wrong answer of a followed drive is the best of its query
 constexpr Size KEPT = Size{1} << 24;  // numbers of beliefs that are kept rather than computed again
 
@@ -21,7 +21,7 @@ constexpr float MIN_BELIEF = 1e-4F;
 
 // recognition/reference.py explains these.
 constexpr Course COURSES[] = {
-    {FORWARDS, 1, 1}, {FORWARDS, 3, 1}, {FORWARDS, 0.25, 1}, {FORWARDS, 1, 2}};
+    {FORWARDS, 1, 1}, {FORWARDS, 3, 1}, {FORWARDS, 0.25, 1}, {FORWARDS, 1, Likeness::STREAMS}};
 constexpr double OF_TWO = 0.75, LEAST_GAIN = 1, UNUSUAL = 3, BY_ROWS = 0.5, DRIVE = 0.5,
                  MARGIN = 0.05;
 
@@ -268,7 +268,7 @@ double chance_near(const std::vector<float> &values, const Sight &sight, const D
   return near < best ? 1 : chance_of(known.data(), sight.rows, sight.matching).chance;
 }
 
-// How the answers of a stream, their rows, compare with their rivals by the frames around each: TRACK
+// How the answers of a stream, their rows, compare with their rivals by the frames around each: AROUND
 // earlier ones and so many later, as far as no step is longer than the drive can make. The value of a row
 // is the sum of the deviations of these frames along the same path, moved to it. And by each frame alone.
 std::pair<std::vector<double>, std::vector<double>> chances_around(
@@ -282,7 +282,7 @@ std::pair<std::vector<double>, std::vector<double>> chances_around(
   for (Size query = 0, first = 0, next = 0; query < count; ++query) {
     for (; next < std::min(count, query + later + 1); ++next)
       window.push_back(evidence.beside(drives, queries[next], rows[next]));
-    for (; first < query - TRACK; ++first) window.pop_front();
+    for (; first < query - AROUND; ++first) window.pop_front();
     if (rows[query] < 0) continue;
     const Sight &here = *window[query - first];
     alone[query] = chance_near(here.z, here, drives, rows[query]);
@@ -308,11 +308,16 @@ std::pair<std::vector<double>, std::vector<double>> chances_around(
   return {std::move(chances), std::move(alone)};
 }
 
+// How many later queries count beside an answer.
+Size later_of(Mode mode, Size delay) {
+  return mode == Mode::ONLINE ? std::min(AROUND, delay) : AROUND;
+}
+
 // Places all streams of a course.
-Followed follow_course(const Drives &drives, const Evidence &evidence, const Course &course,
-                     Mode mode, Size delay, Size top) {
+Followed follow_course(const Drives &drives, const Evidence &evidence, const Likeness &likeness,
+                       const Course &course, Mode mode, Size delay, Size top) {
   const Filter filter(drives, Motion().at(course.rate), {course.way});
-  const Size later = mode == Mode::ONLINE ? std::min(TRACK, delay) : TRACK;
+  const Size later = later_of(mode, delay);
   Followed places(evidence.queries(), top);
   places.alone.resize(places.chance.size());
   for (const std::vector<Size> &stream : streams_of(course, in_order(evidence.queries()))) {
@@ -320,13 +325,14 @@ Followed follow_course(const Drives &drives, const Evidence &evidence, const Cou
     std::vector<Size> rows(stream.size());
     for (std::size_t at = 0; at < rows.size(); ++at) rows[at] = some.rows[at * top];
     const auto [around, alone] = chances_around(filter, evidence, stream, rows, later);
+    const std::vector<bool> lingers = lingering(likeness, stream, rows, later);
     for (std::size_t at = 0; at < stream.size(); ++at) {
       const auto from = static_cast<std::ptrdiff_t>(at) * top, to = stream[at] * top;
       std::copy_n(some.scores.begin() + from, top, places.scores.begin() + to);
       std::copy_n(some.rows.begin() + from, top, places.rows.begin() + to);
       places.near[stream[at]] = some.near[at];
-      places.chance[stream[at]] = std::max(some.chance[at], around[at]);
-      places.alone[stream[at]] = alone[at];
+      places.chance[stream[at]] = lingers[at] ? 1 : std::max(some.chance[at], around[at]);
+      places.alone[stream[at]] = lingers[at] ? 1 : alone[at];
     }
   }
   return places;
@@ -343,7 +349,7 @@ void take(const Followed &places, double together, Decision &decision) {
   const std::vector<double> mapped = places::mapped(alone, together, BEST);
   const double followed = mean(Confidence::of(chances, mapped, together).right);
   if (followed <= mean(decision.right) + (decision.gain > DRIVE ? -MARGIN : MARGIN)) return;
-  assure(chances, mapped, std::max(static_cast<double>(TRACK), together), decision);
+  assure(chances, mapped, std::max(static_cast<double>(AROUND), together), decision);
   decision.followed = true;
   for (Size query = 0; query < queries; ++query) {
     const Size first = query * top;
@@ -354,23 +360,41 @@ void take(const Followed &places, double together, Decision &decision) {
   }
 }
 
-// Judges each query by itself; returns how many err together.
-double judge(const Drives &drives, const Evidence &evidence, Decision &decision) {
+// Each query by itself.
+struct Judged {
+  std::vector<double> chances;  // NaN without an answer
+  double together;              // how many err together
+  Likeness likeness;            // of a drive that may be followed
+};
+
+Judged judge(const Drives &drives, const Evidence &evidence, bool drive, Decision &decision) {
   const Size queries = evidence.queries();
-  std::vector<double> chances(static_cast<std::size_t>(queries),
-                              std::numeric_limits<double>::quiet_NaN());
+  Judged judged;
+  judged.chances.assign(static_cast<std::size_t>(queries), std::numeric_limits<double>::quiet_NaN());
   std::vector<Size> rivals;
   for (Size query = 0; query < queries; ++query) {
     const auto sight = evidence.alone(drives, query);
+    if (drive) judged.likeness.add(evidence.profile(*sight, query));
     put(sight->scores, sight->rows, query, decision);
     if (decision.rows[query * decision.top] < 0) continue;
     const Chance chance = chance_of_scores(sight->scores.data(), sight->rows, sight->matching);
-    chances[query] = chance.chance;
+    judged.chances[query] = chance.chance;
     rivals.push_back(chance.rival);
   }
-  const double together = answers_together(rivals);
-  assure(chances, mapped(chances, together, 1), together, decision);
-  return together;
+  judged.together = answers_together(rivals);
+  return judged;
+}
+
+// Of answers that linger the chance is 1.
+void doubt_lingering(const Decision &decision, Size later, Judged &judged) {
+  for (const std::vector<Size> &stream :
+       streams_of(decision.course, in_order(static_cast<Size>(judged.chances.size())))) {
+    std::vector<Size> rows;
+    for (const Size query : stream) rows.push_back(decision.rows[query * decision.top]);
+    const std::vector<bool> lingers = lingering(judged.likeness, stream, rows, later);
+    for (std::size_t at = 0; at < stream.size(); ++at)
+      if (lingers[at]) judged.chances[stream[at]] = 1;
+  }
 }
 }  // namespace
 
@@ -424,6 +448,15 @@ std::shared_ptr<const Sight> AllRows::after(const Filter &filter, const Belief *
   return last_ = sight;
 }
 
+std::vector<float> AllRows::profile(const Sight &alone, Size) const {
+  const auto rows = static_cast<Size>(alone.scores.size());
+  constexpr Size most = Likeness::COMPARED;
+  std::vector<float> some;
+  for (Size row = 0, step = std::max<Size>(1, (rows + most - 1) / most); row < rows; row += step)
+    some.push_back(alone.scores[row]);
+  return some;
+}
+
 namespace {
 std::shared_ptr<Sight> sight_of(const Search &search, const Drives &drives, Size query,
                                 std::vector<Size> &rows) {
@@ -463,6 +496,10 @@ void add_moved(const Filter &filter, const Belief &before, std::vector<Size> &ro
 std::shared_ptr<const Sight> Candidates::alone(const Drives &drives, Size query) const {
   std::vector<Size> rows = search_.candidates(query);
   return sight_of(search_, drives, query, rows);
+}
+
+std::vector<float> Candidates::profile(const Sight &, Size query) const {
+  return search_.sample(query).second;
 }
 
 std::shared_ptr<const Sight> Candidates::beside(const Drives &drives, Size query, Size row) const {
@@ -538,13 +575,17 @@ double gain(const Filter &filter, const Evidence &evidence, const std::vector<Si
 
 Decision decide(const Drives &drives, const Evidence &evidence, Mode mode, Size delay, Size top) {
   Decision decision(evidence.queries(), top);
-  const double together = judge(drives, evidence, decision);
-  if (mode != Mode::ALONE) {
+  Judged judged = judge(drives, evidence, mode != Mode::ALONE, decision);
+  if (mode != Mode::ALONE)
     std::tie(decision.course, decision.gain) = course_of(drives, evidence);
-    if (decision.gain > 0) {
-      decision.gain /= static_cast<double>(evidence.queries());
-      take(follow_course(drives, evidence, decision.course, mode, delay, top), together, decision);
-    }
+  if (decision.gain > 0) doubt_lingering(decision, later_of(mode, delay), judged);
+  const double together = judged.together;
+  assure(judged.chances, mapped(judged.chances, together, 1), together, decision);
+  if (decision.gain > 0) {
+    decision.gain /= static_cast<double>(evidence.queries());
+    const Course course = decision.course;
+    take(follow_course(drives, evidence, judged.likeness, course, mode, delay, top), together,
+         decision);
   }
   if (drives.rows < MIN_FRAMES) std::fill(decision.right.begin(), decision.right.end(), 0.0F);
   return decision;

@@ -17,6 +17,7 @@
 
 #include "confidence.hpp"
 #include "filter.hpp"
+#include "progress.hpp"
 #include "scores.hpp"
 
 namespace places {
@@ -58,6 +59,8 @@ class Evidence {
                                              Size query) const = 0;
   // Of a query alone, with the rows within NEAR of one listed; 0 deviations where there is no score.
   virtual std::shared_ptr<const Sight> beside(const Drives &drives, Size query, Size row) const = 0;
+  // The scores of a query that was seen alone at rows that represent all, the same for each query.
+  virtual std::vector<float> profile(const Sight &alone, Size query) const = 0;
 };
 
 // By the scores of all rows.
@@ -69,6 +72,7 @@ class AllRows : public Evidence {
   std::shared_ptr<const Sight> after(const Filter &filter, const Belief *before,
                                      Size query) const override;
   std::shared_ptr<const Sight> beside(const Drives &drives, Size query, Size row) const override;
+  std::vector<float> profile(const Sight &alone, Size query) const override;
 
  private:
   const Scores &scores_;
@@ -88,7 +92,7 @@ class Search {
   virtual void of(Size query, const std::vector<Size> &rows, float *scores) const = 0;
   // Of the nearness of all rows.
   virtual Spread spread(Size query) const = 0;
-  // Rows that represent all rows, and their scores.
+  // Rows that represent all rows, the same for each query, and their scores.
   virtual std::pair<std::vector<Size>, std::vector<float>> sample(Size query) const = 0;
 };
 
@@ -101,6 +105,7 @@ class Candidates : public Evidence {
   std::shared_ptr<const Sight> after(const Filter &filter, const Belief *before,
                                      Size query) const override;
   std::shared_ptr<const Sight> beside(const Drives &drives, Size query, Size row) const override;
+  std::vector<float> profile(const Sight &alone, Size query) const override;
 
  private:
   const Search &search_;

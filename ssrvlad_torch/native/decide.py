@@ -56,8 +56,8 @@ class Search(Protocol):
         """Mean and standard deviation of the nearness of all rows, ``-log(1 - score)``."""
 
     def sample(self, query: int) -> tuple[Any, Any]:
-        """``(M,)`` int64 rows that represent all rows, and their scores, -inf where there can be no
-        match: the same part of all rows is taken to match."""
+        """``(M,)`` int64 rows that represent all rows, the same for each query, and their scores,
+        -inf where there can be no match: the same part of all rows is taken to match."""
 
 
 class Decision(NamedTuple):

@@ -30,8 +30,8 @@ typedef struct ssrvlad_drives {
  *  - `scores` fills those of one query, one for each row of the map.
  *  - For a map that is too large to score every row, four functions: `candidates` of a query; scores
  *    of `some` rows, rising; the `spread`, mean and standard deviation, of the nearness of all rows,
- *    which is -log(1 - score); and a `sample` of rows that represent all, with their scores: the same part
- *    of all rows as of these is taken to match.
+ *    which is -log(1 - score); and a `sample` of rows that represent all, the same for each query, with
+ *    their scores: the same part of all rows as of these is taken to match.
  *    `candidates` and `sample` return how many rows there are, and fill them unless `rows` is NULL.
  * Functions are called several times with each query, by the thread of the caller and with `context`.
  * A negative return value ends the call. */

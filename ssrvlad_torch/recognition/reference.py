@@ -527,10 +527,12 @@ BY_ROWS = 0.5
 query gains all of it."""
 DRIVE, MARGIN = 0.5, 0.05
 """The gain a query that only drives have, and a difference of mean confidences."""
-TRACK = 10
-"""Frames that a wrong answer lasts in a followed sequence."""
+AROUND = 10
+"""Frames on each side that tell of an answer: so many a wrong one lasts in a followed sequence."""
 BEST = 1 / 3
 """How often a wrong answer of a followed sequence is the best of its query alone."""
+COMPARED = 512
+"""Rows at most by whose scores queries are compared with one another."""
 
 
 def course(scores: Array, sequences: Sequence[str]) -> tuple[Course, float]:
@@ -623,15 +625,18 @@ def decide(
     values = np.reshape([each for each, _ in best], shape)
     rows = np.reshape([each for _, each in best], shape).astype(int)
     answered = rows[:, 0] >= 0
+    taken, gained = course(scores, sequences) if mode else (Course(), 0.0)
+    later = delay if mode == "online" else len(scores)
     judged = [chance(nearness(row)) for row in scores]
     rivals = np.array([rival for _, rival in judged])
     together = answers_together(rivals[answered])
     chances = np.where(answered, [each for each, _ in judged], np.nan)
+    for stream in (slice(number, None, taken.streams) for number in range(taken.streams)):
+        if gained:
+            chances[stream][lingering(scores[stream], rows[stream, 0], later)] = 1
     right, spread = confidence(chances, mapped(chances, together), together)
-    taken, gained = course(scores, sequences) if mode else (Course(), 0.0)
     followed = False
     if gained:
-        later = delay if mode == "online" else None
         found, alone = follow_course(scores, sequences, taken, later, top)
         chances = np.where(answered, found.chance, np.nan)
         has = mapped(np.where(answered, alone, np.nan), together, BEST)
@@ -641,7 +646,7 @@ def decide(
         values, rows = found.scores.copy(), found.rows.copy()
         values[:, 0] = np.where(rows[:, 0] >= 0, found.near, -np.inf)
         values[~answered], rows[~answered] = -np.inf, -1
-        together = max(TRACK, together)
+        together = max(AROUND, together)
         right, spread = confidence(chances, has, together)
     if len(sequences) < MIN_FRAMES:
         right = np.zeros(len(right))
@@ -651,19 +656,21 @@ def decide(
 
 
 def follow_course(
-    scores: Array, sequences: Sequence[str], taken: Course, delay: int | None, top: int
+    scores: Array, sequences: Sequence[str], taken: Course, later: int, top: int
 ) -> tuple[Places, Floats]:
     """The places of the queries of all streams of a course, given so many later queries of their
-    stream, or all, and the chance of each by its query alone. A track lasts where the map lacks the
-    place, so the frames around an answer must show it too: of both chances the higher counts."""
-    motion, later = Motion().at(taken.rate), len(scores) if delay is None else delay
-    streams = []
+    stream, and the chance of each by its query alone. A track lasts where the map lacks the place,
+    so the frames around an answer must show it too, and move on as they change: of all chances the
+    highest counts."""
+    motion, streams = Motion().at(taken.rate), []
     for stream in (scores[number :: taken.streams] for number in range(taken.streams)):
         found = places(stream, sequences, motion, taken.way, later, top)
         rows = found.rows[:, 0]
-        around = chances_around(stream, sequences, rows, motion, min(later, TRACK))
+        around = chances_around(stream, sequences, rows, motion, min(later, AROUND))
         alone = chances_around(stream, sequences, rows, motion, 0, 0)
-        streams.append((*found._replace(chance=np.maximum(found.chance, around)), alone))
+        lingers = lingering(stream, rows, later).astype(float)
+        chances = np.max([found.chance, around, lingers], axis=0)
+        streams.append((*found._replace(chance=chances), np.maximum(alone, lingers)))
     order = np.argsort(
         [query for n in range(taken.streams) for query in range(n, len(scores), taken.streams)]
     )
@@ -677,7 +684,7 @@ def chances_around(
     rows: Array,
     motion: Motion,
     later: int,
-    earlier: int = TRACK,
+    earlier: int = AROUND,
 ) -> Floats:
     """How the answers of a stream, their rows ``(Q,)``, compare with their rivals by the frames
     around each: so many earlier ones and so many later, as far as no step is longer than the motion
@@ -706,3 +713,49 @@ def chances_around(
         if values[near].max() >= values.max():
             chances[query], _ = chance(values)
     return chances
+
+
+def lingering(scores: Array, rows: Array, later: int) -> npt.NDArray[np.bool_]:
+    """Which answers of a stream, their rows ``(Q,)``, linger at one place while the frames go on
+    to others, as where the map ends or has a hole: to more than half of the neighbours, `AROUND`
+    earlier queries and so many later ones, at most as many, the row moves less than half as far
+    as is usual for frames so far `apart`, and at most `ELSEWHERE`."""
+    lags, pairs = queries_apart(profiles(scores)), []
+    for lag, query in itertools.product(range(1, AROUND + 1), range(len(rows))):
+        if query >= lag and rows[query] >= 0 and rows[query - lag] >= 0:
+            moved = abs(rows[query] - rows[query - lag])
+            pairs.append((query, query - lag, lags[query, lag], moved))
+    pace = np.median([moved / apart for _, _, apart, moved in pairs if apart >= 1] or [0.0])
+    still, neighbours = np.zeros(len(rows)), np.zeros(len(rows))
+    for query, before, apart, moved in pairs:
+        stands = apart >= 1 and moved <= ELSEWHERE and moved < pace * apart / 2
+        neighbours[query] += 1
+        still[query] += stands
+        if query - before <= later:
+            neighbours[before] += 1
+            still[before] += stands
+    found: npt.NDArray[np.bool_] = (neighbours >= AROUND / 2) & (still > neighbours / 2)
+    return found
+
+
+def profiles(scores: Array) -> Floats:
+    """How each query ``(Q, R)`` sees the map: ``(Q, M)`` z-scores of length 1 of at most
+    `COMPARED` rows, every so many; zeros where they are equal."""
+    some = scores[:, :: max(1, -(-scores.shape[1] // COMPARED))]
+    z = [each * (deviation > MIN_SPREAD) for each, _, deviation in map(z_scores, some)]
+    seen = np.reshape(z, some.shape)
+    lengths = np.linalg.norm(seen, axis=1, keepdims=True)
+    found: Floats = seen / np.where(lengths > 0, lengths, 1)
+    return found
+
+
+def queries_apart(seen: Floats) -> Floats:
+    """``(Q, AROUND + 1)``, how far each query is from the ones 0, 1, 2 and so on before it, in
+    queries, by how alike their profiles ``(Q, M)`` are: as many as frames are apart for which that
+    is usual, the median, and at most as many as they are."""
+    apart, usual = np.zeros((len(seen), AROUND + 1)), [1.0]
+    for lag in range(1, min(AROUND, len(seen) - 1) + 1):
+        likeness = (seen[lag:] * seen[:-lag]).sum(1)
+        usual.append(min(usual[-1], float(np.median(likeness))))
+        apart[lag:, lag] = np.interp(-likeness, -np.array(usual), range(lag + 1))
+    return apart

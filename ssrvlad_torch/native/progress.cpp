@@ -1,0 +1,99 @@
+// The comparison of neighbouring queries of progress.hpp.
+
+#include "progress.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdlib>
+#include <utility>
+
+namespace places {
+
+namespace {
+constexpr Size ELSEWHERE = 5, AROUND = Likeness::AROUND;
+
+double median(std::vector<double> values) {
+  if (values.empty()) return 0;
+  std::sort(values.begin(), values.end());
+  const std::size_t count = values.size();
+  return (values[(count - 1) / 2] + values[count / 2]) / 2;
+}
+
+// Nearness without its mean, of length 1; zeros where there is no score, and if all are equal.
+std::vector<double> profile(const std::vector<float> &scores) {
+  std::vector<double> seen(scores.size());
+  double total = 0, known = 0, square = 0;
+  for (std::size_t row = 0; row < scores.size(); ++row) {
+    if (!std::isfinite(scores[row])) continue;
+    total += seen[row] = nearness(static_cast<double>(scores[row]));
+    ++known;
+  }
+  const double mean = total / std::max(1.0, known);
+  for (std::size_t row = 0; row < scores.size(); ++row) {
+    if (std::isfinite(scores[row])) seen[row] -= mean;
+    square += seen[row] * seen[row];
+  }
+  const double length = std::sqrt(square);
+  const bool equal = std::sqrt(square / std::max(1.0, known)) <= static_cast<double>(MIN_SPREAD);
+  for (double &each : seen) each = equal ? 0 : each / length;
+  return seen;
+}
+
+// How many queries apart frames of a likeness are: as many as those for which it is usual.
+double apart(double likeness, const std::vector<double> &usual) {
+  const auto below = std::upper_bound(usual.begin(), usual.end(), likeness,
+                                      [](double like, double each) { return like > each; });
+  if (below == usual.begin()) return 0;
+  const auto lag = below - usual.begin();
+  if (below == usual.end()) return static_cast<double>(lag - 1);
+  const double last = *(below - 1);
+  return (last - likeness) / (last - *below) + static_cast<double>(lag - 1);
+}
+}  // namespace
+
+void Likeness::add(const std::vector<float> &scores) {
+  const std::vector<double> seen = profile(scores);
+  each_.emplace_back();
+  for (std::size_t back = 0; back < recent_.size(); ++back)
+    for (std::size_t row = 0; row < seen.size(); ++row)
+      each_.back()[back] += seen[row] * recent_[back][row];
+  recent_.push_front(seen);
+  if (recent_.size() > each_.back().size()) recent_.pop_back();
+}
+
+std::vector<bool> lingering(const Likeness &likeness, const std::vector<Size> &queries,
+                            const std::vector<Size> &rows, Size later) {
+  struct Pair {
+    Size query, before;
+    double apart, moved;
+  };
+  const Size count = static_cast<Size>(queries.size());
+  std::vector<Pair> pairs;
+  std::vector<double> usual = {1}, paces;
+  for (Size lag = 1; lag <= std::min(AROUND, count - 1); ++lag) {
+    std::vector<double> alike;
+    for (Size query = lag; query < count; ++query)
+      alike.push_back(likeness.of(queries[query], queries[query - lag]));
+    usual.push_back(std::min(usual.back(), median(alike)));
+    for (Size query = lag; query < count; ++query) {
+      const Size before = query - lag;
+      if (rows[query] < 0 || rows[before] < 0) continue;
+      const double far = apart(alike[before], usual);
+      pairs.push_back({query, before, far, std::abs(static_cast<double>(rows[query] - rows[before]))});
+      if (far >= 1) paces.push_back(pairs.back().moved / far);
+    }
+  }
+  const double pace = median(std::move(paces));
+  std::vector<Size> still(queries.size()), neighbours(queries.size());
+  for (const auto &[query, before, far, moved] : pairs) {
+    const bool stands = far >= 1 && moved <= ELSEWHERE && moved < pace * far / 2;
+    ++neighbours[query], still[query] += stands;
+    if (query - before <= later) ++neighbours[before], still[before] += stands;
+  }
+  std::vector<bool> found(queries.size());
+  for (std::size_t query = 0; query < found.size(); ++query)
+    found[query] = 2 * neighbours[query] >= AROUND && 2 * still[query] > neighbours[query];
+  return found;
+}
+
+}  // namespace places

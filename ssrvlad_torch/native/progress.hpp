@@ -1,0 +1,40 @@
+// Whether the answers of a drive move on as its frames change. recognition/reference.py says the same
+// plainly.
+
+#ifndef SSRVLAD_PROGRESS_HPP
+#define SSRVLAD_PROGRESS_HPP
+
+#include <array>
+#include <deque>
+#include <vector>
+
+#include "numbers.hpp"
+
+namespace places {
+
+// How alike the neighbouring queries of a drive see a map.
+class Likeness {
+ public:
+  static constexpr Size AROUND = 10;   // frames on each side that tell of an answer
+  static constexpr Size STREAMS = 2;   // of a course, at most
+  static constexpr Size COMPARED = 512;  // rows at most by whose scores queries are compared
+
+  // Takes the next query: its scores at rows that represent the map, the same for each, NONE where there
+  // can be no match.
+  void add(const std::vector<float> &scores);
+  // The correlation of a query with one before it, at most AROUND * STREAMS.
+  double of(Size query, Size before) const { return each_[query][query - before - 1]; }
+
+ private:
+  std::deque<std::vector<double>> recent_;  // profiles, the newest first
+  std::vector<std::array<double, AROUND * STREAMS>> each_;
+};
+
+// Which answers of a stream of queries, their rows, -1 for none, linger at one place while the frames go
+// on to others, by so many later queries, at most AROUND.
+std::vector<bool> lingering(const Likeness &likeness, const std::vector<Size> &queries,
+                            const std::vector<Size> &rows, Size later);
+
+}  // namespace places
+
+#endif
