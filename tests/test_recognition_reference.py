@@ -113,6 +113,8 @@ def test_doubts_of_a_traverse(seed, queries, right):
     right, spread = reference.confidence(chances, has, together)
     np.testing.assert_allclose(sure.right, right, atol=1e-6)
     np.testing.assert_allclose(sure.spread, spread, atol=1e-6)
+    got, expected = (each.confidence(chances, has, together, True) for each in (core, reference))
+    np.testing.assert_allclose(got, expected, atol=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -165,6 +165,7 @@ constexpr double FOREIGN = 0.1;  // prior probability that the map lacks the pla
 constexpr double SLOPE = 0.25, DEVIATION = 0.6, REACH = 2.5;
 constexpr int FRACTIONS = 15, RATES = 11, SHAPES = 2;
 constexpr double STRETCH = 200;       // mean number of queries whose places the map has, or lacks
+constexpr double FEW = 2;             // of the density of the fraction of wrong answers, if followed
 constexpr double NEGLIGIBLE = 1e-15;  // weight of a point
 constexpr double LEAST_AHEAD = 1.000500333583534e-3, MOST_AHEAD = 20;  // -log of 1 - 1e-3
 
@@ -325,7 +326,7 @@ std::vector<double> mapped(const std::vector<double> &chances, double together, 
 }
 
 Confidence Confidence::of(const std::vector<double> &chances, const std::vector<double> &mapped,
-                          double together) {
+                          double together, bool followed) {
   const Answers answers(chances);
   const Size count = answers.count();
   std::vector<double> right(answers.ahead), told(right), mean(right.size()), square(right.size());
@@ -337,6 +338,7 @@ Confidence Confidence::of(const std::vector<double> &chances, const std::vector<
     compare(point, answers, told.data());
     for (double &each : told) each += point.wrong;
     weights.push_back(point.log_weight + log_of_all(told.data(), counts.data(), count));
+    if (followed) weights.back() += FEW * log_of(1 - point.wrong);
   }
   normalise(weights);
 

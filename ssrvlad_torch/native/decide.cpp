@@ -234,7 +234,7 @@ std::pair<Course, double> course_of(const Drives &drives, const Evidence &eviden
 
 void assure(const std::vector<double> &chances, const std::vector<double> &mapped, double together,
             Decision &decision) {
-  Confidence sure = Confidence::of(chances, mapped, together);
+  Confidence sure = Confidence::of(chances, mapped, together, decision.followed);
   decision.right = std::move(sure.right);
   decision.spread = std::move(sure.spread);
   decision.together.assign(chances.size(), static_cast<float>(together));
@@ -347,10 +347,10 @@ void take(const Followed &places, double together, Decision &decision) {
     if (decision.rows[query * top] < 0)
       chances[query] = alone[query] = std::numeric_limits<double>::quiet_NaN();
   const std::vector<double> mapped = places::mapped(alone, together, BEST);
-  const double followed = mean(Confidence::of(chances, mapped, together).right);
+  const double followed = mean(Confidence::of(chances, mapped, together, false).right);
   if (followed <= mean(decision.right) + (decision.gain > DRIVE ? -MARGIN : MARGIN)) return;
-  assure(chances, mapped, std::max(static_cast<double>(AROUND), together), decision);
   decision.followed = true;
+  assure(chances, mapped, std::max(static_cast<double>(AROUND), together), decision);
   for (Size query = 0; query < queries; ++query) {
     const Size first = query * top;
     if (decision.rows[first] < 0) continue;
@@ -759,11 +759,11 @@ int ssrvlad_mapped(const double *chances, int64_t queries, double together, doub
 }
 
 int ssrvlad_confidence(const double *chances, const double *mapped, int64_t queries,
-                       double together, float *right, float *spread) {
+                       double together, int followed, float *right, float *spread) {
   return guarded([&] {
     require(queries >= 0 && together >= 1);
     const places::Confidence found = places::Confidence::of(
-        {chances, chances + queries}, {mapped, mapped + queries}, together);
+        {chances, chances + queries}, {mapped, mapped + queries}, together, followed != 0);
     give(found.right, right);
     give(found.spread, spread);
   });

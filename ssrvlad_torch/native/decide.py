@@ -212,11 +212,12 @@ def mapped(chances: npt.ArrayLike, together: float, best: float = 1.0) -> npt.ND
 
 
 def confidence(
-    chances: npt.ArrayLike, mapped: npt.ArrayLike, together: float
+    chances: npt.ArrayLike, mapped: npt.ArrayLike, together: float, followed: bool = False
 ) -> tuple[Floats, Floats]:
     """``(Q,)`` float32 each, the probability that an answer is right and its standard deviation, by
     the chances of the answers of a drive, NaN without one, and the probability that the map has
-    the place; so many neighbouring queries err together."""
+    the place; so many neighbouring queries err together. Where the map has the places few answers
+    of a drive that is ``followed`` are wrong; of queries judged alone any part may be."""
     numbers, places = (np.ascontiguousarray(each, np.float64) for each in (chances, mapped))
     if numbers.shape != places.shape:
         raise ValueError(f"chances and mapped differ in shape: {numbers.shape} and {places.shape}")
@@ -226,6 +227,7 @@ def confidence(
         places.ctypes.data,
         numbers.size,
         together,
+        followed,
         right.ctypes.data,
         spread.ctypes.data,
     )
@@ -446,7 +448,7 @@ def library() -> ctypes.CDLL:
     found.ssrvlad_chance.argtypes = [_POINTER, _POINTER, size, size, _NUMBERS, sizes]
     found.ssrvlad_mapped.argtypes = [_POINTER, size, _NUMBER, _NUMBER, _POINTER]
     found.ssrvlad_confidence.argtypes = [
-        *(_POINTER, _POINTER, size, _NUMBER),
+        *(_POINTER, _POINTER, size, _NUMBER, _INT),
         *(_POINTER, _POINTER),
     ]
     found.ssrvlad_together.argtypes = [_POINTER, size]

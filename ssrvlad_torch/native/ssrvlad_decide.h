@@ -110,9 +110,10 @@ SSRVLAD_API int ssrvlad_mapped(const double *chances, int64_t queries, double to
 
 /* Of the answers to the queries of a drive the probability that each is right, and its standard
  * deviation, by their chances, NaN without an answer, and the probability that the map has the place; so
- * many neighbouring queries err together. */
+ * many neighbouring queries err together. Where the map has the places few answers of a drive that is
+ * `followed`, not 0, are wrong; of queries judged alone any part may be. */
 SSRVLAD_API int ssrvlad_confidence(const double *chances, const double *mapped, int64_t queries,
-                                   double together, float *right, float *spread);
+                                   double together, int followed, float *right, float *spread);
 
 /* How many neighbouring queries of a drive have one answer, by the best rivals of their answers; -1 if
  * memory is short. */

@@ -459,7 +459,14 @@ def mapped(chances: Array, together: float, best: float = 1.0) -> Floats:
     return found
 
 
-def confidence(chances: Array, mapped: Array, together: float) -> tuple[Floats, Floats]:
+FEW = 2
+"""Of the density (1 - f) ** FEW of the fraction f of wrong answers where the map has the places, of
+a sequence that is followed: one that fits is seldom wrong. Judged alone any f is as likely."""
+
+
+def confidence(
+    chances: Array, mapped: Array, together: float, followed: bool = False
+) -> tuple[Floats, Floats]:
     """Of each answer of a drive the probability that it is right and its standard deviation, by its
     chance ``(Q,)``, NaN without an answer, and the probability that the map has its place: that
     times the mean over the prior, each point weighed by how likely it makes the chances where the
@@ -470,6 +477,7 @@ def confidence(chances: Array, mapped: Array, together: float) -> tuple[Floats, 
     for weight, wrong, likelier in at_points(chances[known]):
         told = wrong + likelier
         logs.append(math.log(weight) + float((mapped[known] * np.log(told)).sum()) / together)
+        logs[-1] += FEW * math.log(1 - wrong) if followed else 0
         rights.append(likelier / told)
     weights = of_points(logs)
     right[known] = mapped[known] * (weights @ rights)
@@ -647,7 +655,7 @@ def decide(
         values[:, 0] = np.where(rows[:, 0] >= 0, found.near, -np.inf)
         values[~answered], rows[~answered] = -np.inf, -1
         together = max(AROUND, together)
-        right, spread = confidence(chances, has, together)
+        right, spread = confidence(chances, has, together, followed)
     if len(sequences) < MIN_FRAMES:
         right = np.zeros(len(right))
     return Decision(
