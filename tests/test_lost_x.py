@@ -235,23 +235,6 @@ def test_class_names_come_from_the_label_space(space):
     refuses("no class 'license plate'", LoSTX, network=network, classes=("license plate",))
 
 
-@pytest.mark.parametrize(
-    ("features", "scores", "message"),
-    [
-        ((1, 5, 2, 2), (1, 7, 2, 2), r"C from 4 to 4, got \(1, 5, 2, 2\) and \(1, 7, 2, 2\)"),
-        ((1, 5), (1, 4, 2, 2), r"got \(1, 5\) and"),
-        ((1, 5, 2, 2), (-1, 4, 2, 2), r"class probabilities, got -.*put a softmax"),
-    ],
-)
-def test_a_network_of_other_outputs_is_refused(features, scores, message, space):
-    """The sign of the first size is that of the scores."""
-
-    def other(images: Tensor) -> tuple[Tensor, Tensor]:
-        return torch.rand(features), scores[0] * torch.rand(1, *scores[1:])
-
-    refuses(message, LoSTX(network=other, labels_as=space).encode_query, frames(1))
-
-
 def test_missing_pictures_frames_and_networks_are_refused(method):
     refuses("lost-x needs pictures, but frame drive/1", method.encode_query, [View("drive/1")])
     refuses("method lost-x: no frames to encode", method.encode_query, [])

@@ -91,7 +91,7 @@ class LoSTX:
             segmenter = segmenter_of(network, self.name, labels_as or AUTO)
             labels_as, network = segmenter.label_space, dense_network(segmenter)
         self._network = network
-        self._space = space = label_space(labels_as or "cityscapes-trainids")
+        space = label_space(labels_as or "cityscapes-trainids")
         channels = range(space.channel_counts.start)
         ids = {label.name: label.id for label in space.classes if label.id in channels}
         if unknown := [name for name in classes if name not in ids]:
@@ -157,18 +157,6 @@ class LoSTX:
     @torch.no_grad()
     def _view(self, image: Picture) -> _View:
         features, scores = self._network(torch.tensor(image)[None])
-        counts = self._space.channel_counts
-        if features.ndim != 4 or scores.ndim != 4 or scores.shape[1] not in counts:
-            raise ValueError(
-                f"method {self.name}: the network must give features (1, D, h, w) and "
-                f"probabilities (1, C, h, w) with C from {counts.start} to {counts.stop - 1}, "
-                f"got {tuple(features.shape)} and {tuple(scores.shape)}"
-            )
-        if bool((scores < 0).any()):
-            raise ValueError(
-                f"method {self.name}: the network must give class probabilities, got "
-                f"{float(scores.min()):.3g}; put a softmax behind it"
-            )
         scores = F.interpolate(scores, features.shape[2:], mode="nearest-exact")[0].flatten(1)
         labels, flat = scores.argmax(dim=0), features[0].flatten(1)
         probabilities = F.normalize(scores, p=1, dim=0)[self._classes]
