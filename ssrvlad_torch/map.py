@@ -327,8 +327,9 @@ class Map:
             ValueError: as for `query`, or no true match is defined or known.
         """
         source = self._source(frames)
+        declared = source.dataset.truth if source.dataset else None
         definition = GroundTruth.chosen(
-            source.truth, ground_truth, tolerance_metres, tolerance_degrees, tolerance_frames
+            declared, ground_truth, tolerance_metres, tolerance_degrees, tolerance_frames
         )
         pairs = needs_similarity(convention)
         if pairs and settings.get("near") is not None:

@@ -7,7 +7,6 @@ computes of a size while it is traced becomes a constant. Comparing files with f
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -16,6 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ..encoding.results import Progress, do_nothing
 from ..files import one_line, parse_json
 from ..segmentation.label_network import LabelNetwork
 from ..segmentation.network_outputs import tensors_of
@@ -55,7 +55,7 @@ class SizeCheck(NamedTuple):
 
 @torch.inference_mode()
 def verify_against(
-    file: str | Path, network: str, progress: Callable[[int], None] | None = None
+    file: str | Path, network: str, progress: Progress = do_nothing
 ) -> list[SizeCheck]:
     """Compares the label maps of an ONNX file with those of the network that it was made of, on a
     drawn picture of each of `SIZES`.
@@ -81,8 +81,7 @@ def verify_against(
     checks = []
     for size in SIZES:
         checks.append(_check(exported, original, size))
-        if progress:
-            progress(1)
+        progress(1)
     if not any(check.compared for check in checks):
         raise ValueError(f"{network} takes none of the sizes: {checks[-1].problem}")
     return checks
@@ -93,7 +92,8 @@ def _prepared(graph: NamedNetwork, module: NamedNetwork) -> tuple[LabelNetwork, 
     of the network in it."""
     assert isinstance(graph.network, OnnxNetwork)
     own = module.config if module.config != SegmenterConfig() else None
-    given, fused = graph.config, _fused_settings(graph.network)
+    given, text = graph.config, graph.network.metadata.get(NETWORK)
+    fused = SegmenterConfig.of(parse_json(text, NETWORK)["settings"]) if text else None
     if fused:
         given = _BYTES
     elif given == SegmenterConfig() and own:
@@ -121,12 +121,6 @@ def _check(exported: LabelNetwork, original: LabelNetwork, size: tuple[int, int]
 
 def _picture(height: int, width: int) -> Tensor:
     return torch.from_numpy(photograph(np.random.default_rng(0), height, width))[None]
-
-
-def _fused_settings(graph: OnnxNetwork) -> SegmenterConfig | None:
-    """The settings of the network in a file of ``ssrvlad fuse``; ``None`` of another file."""
-    text = graph.metadata.get(NETWORK)
-    return SegmenterConfig.of(parse_json(text, NETWORK)["settings"]) if text else None
 
 
 def _without_names(config: SegmenterConfig) -> SegmenterConfig:

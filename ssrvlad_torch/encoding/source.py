@@ -11,7 +11,7 @@ import numpy as np
 
 from ..database.database import Database
 from ..database.metadata import Origin
-from ..datasets.dataset import Dataset, GroundTruth
+from ..datasets.dataset import Dataset
 from ..datasets.frame_files import FrameFile, found_by
 from ..datasets.image_files import find_image_files, read_image
 from ..datasets.label_files import find_label_files, read_label_map
@@ -80,11 +80,6 @@ class Source:
     database: Database | None = None
     dataset: Dataset | None = None
     known: KnownFolders = ()
-
-    @property
-    def truth(self) -> GroundTruth | None:
-        """The ground truth of the data set, if it declares one."""
-        return self.dataset.truth if self.dataset else None
 
 
 def open_source(

@@ -141,9 +141,6 @@ class CoarseIndex:
                 "adds them"
             )
 
-    def __len__(self) -> int:
-        return self._rows
-
     def scan(self, name: str, queries: Sequence[Tensor], sweep: bool = True) -> Tensor:
         """``(Q, R)`` float32 coarse scores of descriptors by one channel to all rows."""
         scores, first, form = torch.empty(len(queries), self._rows), 0, self._forms[name]
