@@ -4,8 +4,6 @@ A graph that is right at the size at which it was traced can be wrong at others:
 computes of a size while it is traced becomes a constant. Comparing files with files misses that.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

@@ -5,8 +5,6 @@ Each data file of the table has its own, of the rows that it held when it was in
 were removed since, the sums are made again from the others.
 """
 
-from __future__ import annotations
-
 import errno
 import math
 from collections.abc import Iterable, Mapping, Sequence

@@ -1,7 +1,5 @@
 """OpenVINO on the CPU in the place of a session of ONNX Runtime. Needs the extra ``openvino``."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
