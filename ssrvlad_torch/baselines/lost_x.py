@@ -30,7 +30,8 @@ _CANDIDATES = 10
 
 
 class _View(NamedTuple):
-    """The arguments of `lost_descriptor` for one image, and its `class_sums`."""
+    """The arguments of `lost_descriptor` for one image; and the parts of the mean features of
+    classes: ``(S, D)`` sums of the features of each class, and ``(S, 1)`` numbers of places."""
 
     features: Tensor
     probabilities: Tensor
@@ -160,7 +161,8 @@ class LoSTX:
         scores = F.interpolate(scores, features.shape[2:], mode="nearest-exact")[0].flatten(1)
         labels, flat = scores.argmax(dim=0), features[0].flatten(1)
         probabilities = F.normalize(scores, p=1, dim=0)[self._classes]
-        sums = class_sums(flat, labels, self._classes)
+        members = (labels == self._classes[:, None]).to(flat.dtype)
+        sums = members @ flat.mT, members.sum(dim=1, keepdim=True)
         return _View(flat, probabilities, labels, features.shape[3], sums)
 
 
@@ -183,14 +185,6 @@ def layout_cost(columns: tuple[Tensor, Tensor], distances: Tensor) -> float:
     first, second = (weights * side.double() for side in columns)
     distance = 1 - F.cosine_similarity(first, second, dim=0)
     return float(distance.clamp(min=0) / weights.norm() / count)
-
-
-def class_sums(features: Tensor, labels: Tensor, classes: Tensor) -> tuple[Tensor, Tensor]:
-    """The parts of the mean features of classes ``(S,)`` int64, channel numbers: sums ``(S, D)`` of
-    the features ``(D, P)`` float of each class, and numbers of places ``(S, 1)``, by labels
-    ``(P,)`` int64."""
-    members = (labels == classes[:, None]).to(features.dtype)
-    return members @ features.mT, members.sum(dim=1, keepdim=True)
 
 
 def lost_descriptor(features: Tensor, probabilities: Tensor, means: Tensor) -> Tensor:

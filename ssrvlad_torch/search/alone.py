@@ -104,7 +104,7 @@ class LargeMap:
         if others:
             chosen = self._finer(compared, coarse, rows, max(top, EXACT))
             kept = torch.cat((torch.arange(self._size), self._size + chosen))
-            compared = {name: each.only(kept) for name, each in compared.items()}
+            compared = {n: c._replace(scores=c.scores[kept]) for n, c in compared.items()}
             rows = rows[chosen]
         for channel in others:
             found = self._compared(channel, descriptors, coarse, rows, sweep)
@@ -246,7 +246,3 @@ class _Compared(NamedTuple):
 
     scores: Tensor
     width: int
-
-    def only(self, kept: Tensor) -> _Compared:
-        """Of some rows."""
-        return self._replace(scores=self.scores[kept])
