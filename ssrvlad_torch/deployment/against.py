@@ -14,7 +14,8 @@ import torch
 from torch import Tensor
 
 from ..encoding.results import Progress, do_nothing
-from ..files import one_line, parse_json
+from ..files import naming, one_line, parse_json
+from ..segmentation.features import probed
 from ..segmentation.label_network import LabelNetwork
 from ..segmentation.network_outputs import tensors_of
 from ..segmentation.networks import AUTO, NamedNetwork, open_network
@@ -141,14 +142,8 @@ def _space(graph: NamedNetwork, module: NamedNetwork, config: SegmenterConfig) -
 def _channels(module: NamedNetwork, config: SegmenterConfig) -> int:
     """The channels of the class scores of a network, as many as ids of bytes if it gives ids."""
     prepared = LabelNetwork(module.network, label_space("cityscapes-trainids"), config)
-    for size in SIZES:
-        try:
-            result = module.network(prepared.numbers(_picture(*size)))
-        except Exception as error:  # networks raise many kinds of errors
-            reason = one_line(error)
-            continue
-        tensors = tensors_of(result)
-        names = (str(config.output), "out", "logits", *tensors)
-        scores = [tensors[n] for n in names if n in tensors and tensors[n].ndim == 4]
-        return scores[0].shape[1] if scores and scores[0].is_floating_point() else _IDS
-    raise ValueError(f"{module.name} fails: {reason}")
+    with naming(module.name):
+        tensors = tensors_of(module.network(probed(prepared)[0]))
+    names = (str(config.output), "out", "logits", *tensors)
+    scores = [tensors[n] for n in names if n in tensors and tensors[n].ndim == 4]
+    return scores[0].shape[1] if scores and scores[0].is_floating_point() else _IDS

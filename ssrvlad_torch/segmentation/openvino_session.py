@@ -41,7 +41,7 @@ class OpenVinoSession:
     ) -> None:
         with requiring("openvino", "OpenVINO needs"):
             import openvino
-        core, self._name = openvino.Core(), name
+        core = openvino.Core()
         limits = {"INFERENCE_NUM_THREADS": threads} if threads else {}
         with naming(f"{name} cannot run in OpenVINO"):
             model = core.read_model(source)
