@@ -14,8 +14,7 @@ from scipy.spatial.distance import cosine
 from torch import Tensor, nn
 
 from ssrvlad_torch.baselines import make
-from ssrvlad_torch.baselines.dense_network import dense_network
-from ssrvlad_torch.baselines.lost_x import LoSTX, layout_cost
+from ssrvlad_torch.baselines.lost_x import LoSTX, dense_network, layout_cost
 from ssrvlad_torch.channels.channel import View
 from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
 from ssrvlad_torch.segmentation.preparation import SegmenterConfig

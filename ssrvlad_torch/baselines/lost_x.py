@@ -8,7 +8,7 @@ every step.
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -22,8 +22,12 @@ from ..recognition.sweep import score
 from ..segmentation.networks import AUTO
 from ..segmentation.segmenter import Segmenter
 from ..taxonomy import LabelSpace, label_space
-from .dense_network import DenseNetwork, dense_network, segmenter_of
+from .encoder_features import segmenter_of
 from .protocol import Columns, noting
+
+DenseNetwork = Callable[[Tensor], tuple[Tensor, Tensor]]
+"""``(1, H, W, 3)`` uint8 RGB -> ``(1, D, h, w)`` features and, at any resolution, ``(1, C, h',
+w')`` probabilities, both float; channel c is of id c of a label space."""
 
 _REACH = 7
 _CANDIDATES = 10
@@ -164,6 +168,23 @@ class LoSTX:
         members = (labels == self._classes[:, None]).to(flat.dtype)
         sums = members @ flat.mT, members.sum(dim=1, keepdim=True)
         return _View(flat, probabilities, labels, features.shape[3], sums)
+
+
+def dense_network(segmenter: Segmenter) -> DenseNetwork:
+    """A segmentation network with one of its activations, the finest of `find_activations`, and a
+    softmax behind it; no such activation, or several by name, are a ValueError."""
+    names = segmenter.features.names  # of an ONNX graph, outputs only now
+    names = names if segmenter.config.features else names[:1]
+    if len(names) != 1:
+        raise ValueError(f"features: expected one activation for LoST-X, got {', '.join(names)}")
+
+    def run(pictures: Tensor) -> tuple[Tensor, Tensor]:
+        scores, [features] = segmenter.labels.run(pictures, names)
+        if not scores.is_floating_point():
+            raise ValueError("method lost-x: the network gives ids, expected class scores")
+        return features.float().cpu(), scores.float().softmax(dim=1).cpu()
+
+    return run
 
 
 def layout_cost(columns: tuple[Tensor, Tensor], distances: Tensor) -> float:
