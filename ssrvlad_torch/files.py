@@ -6,6 +6,7 @@ Whatever a parser raises on damaged or hostile bytes becomes an `InputError` tha
 
 from __future__ import annotations
 
+import base64
 import errno
 import io
 import json
@@ -289,6 +290,13 @@ def new_figure(width: float, height: float) -> Figure:
     with requiring("eval", "pictures need"):
         from matplotlib.figure import Figure
     return Figure(figsize=(width, height), layout="constrained")
+
+
+def png_address(save: Callable[[io.BytesIO], object]) -> str:
+    """The address, for HTML, of a PNG that ``save`` writes to a file."""
+    content = io.BytesIO()
+    save(content)
+    return f"data:image/png;base64,{base64.b64encode(content.getvalue()).decode()}"
 
 
 def _format(path: Path) -> str:

@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple, overload
 import numpy as np
 import numpy.typing as npt
 
-from .channels import LABEL_SHAPES, Column
+from .channels import LABEL_SHAPES
 from .channels.channel import Channel, View
 from .database.database import Database
 from .database.engine import discard_empty
@@ -179,7 +179,8 @@ class Map:
         engine: Engine = "local",
         note: Note = do_nothing,
     ) -> Summary:
-        """Adds frames that the map lacks, and those whose file, pose or labels have changed.
+        """Adds frames that the map lacks, and those whose file, pose or labels have changed. A new
+        map that stays without frames is deleted.
 
         Args:
             frames: folders, globs or files of label maps, or of pictures with a network. The poses
@@ -200,13 +201,26 @@ class Map:
             raise ValueError("--gpus needs --engine ray and --segmenter")
         head = SSRVLAD(config_for(self._database, self.preset, source.labels_as))
         beside = channels_to_store(self._database, head, source.segmenter, self.channels, note)
-        columns = [channel.column for channel in beside]
-        if self._database is None:
+        new = self._database is None
+        if new:
             self._note_void(source, head, note)
-        summary = self._encoded(head, source, columns, options, engine)
-        if self._database:
-            grow(self._database)
-            self._note_other_spaces(head.label_space, note)
+        run = encode_with_ray if engine == "ray" else encode_to_database
+        columns = [channel.column for channel in beside]
+        database = Database.open_or_create(self.path, head.config, columns)
+        try:
+            summary = run(head, source.files, database, options, source.segmenter)
+        except BaseException as error:
+            del database
+            if new:
+                discard_empty(self.path, error)
+            raise
+        if new and not len(database):
+            del database
+            discard_empty(self.path, None)
+            return summary
+        self._database = database
+        grow(database)
+        self._note_other_spaces(head.label_space, note)
         return summary
 
     def query(
@@ -327,8 +341,9 @@ class Map:
             ValueError: as for `query`, or no true match is defined or known.
         """
         source = self._source(frames)
+        declared = source.dataset.truth if source.dataset else None
         definition = GroundTruth.chosen(
-            source.truth, ground_truth, tolerance_metres, tolerance_degrees, tolerance_frames
+            declared, ground_truth, tolerance_metres, tolerance_degrees, tolerance_frames
         )
         pairs = needs_similarity(convention)
         if pairs and settings.get("near") is not None:
@@ -365,32 +380,6 @@ class Map:
             network = self.network and (self._opened or self.network)
             frames = replace(frames, segmenter=network, labels_as=self.labels_as)
         return frames
-
-    def _encoded(
-        self,
-        head: SSRVLAD,
-        source: Source,
-        columns: Sequence[Column],
-        options: EncodeOptions,
-        engine: Engine,
-    ) -> Summary:
-        """Encodes a source into the database; a new one that stays without frames is deleted."""
-        new = self._database is None
-        run = encode_with_ray if engine == "ray" else encode_to_database
-        database = Database.open_or_create(self.path, head.config, columns)
-        try:
-            summary = run(head, source.files, database, options, source.segmenter)
-        except BaseException as error:
-            del database
-            if new:
-                discard_empty(self.path, error)
-            raise
-        if new and not len(database):
-            del database
-            discard_empty(self.path, None)
-        else:
-            self._database = database
-        return summary
 
     def _note_void(self, source: Source, head: SSRVLAD, note: Note) -> None:
         """Notes a first label map that is mostly void: the label space may be wrong."""

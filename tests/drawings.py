@@ -5,8 +5,6 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from ssrvlad_torch.stages.bitplanes import pack
-
 SPACE = "camvid-11"
 SKY, BUILDING, POLE, ROAD, PAVEMENT, TREE = 0, 1, 2, 3, 4, 5
 SIGN, FENCE, CAR, VOID = 6, 7, 8, 11
@@ -136,11 +134,16 @@ def mask(drawing: str) -> npt.NDArray[np.bool_]:
     return np.array([[cell == "#" for cell in row] for row in drawing.split()])
 
 
+def pack(layers: npt.NDArray[np.bool_]) -> Tensor:
+    """``(B, 8, H, W)`` layers -> ``(B, H, W)`` uint8 bit-planes."""
+    return torch.from_numpy(np.packbits(layers, axis=1, bitorder="little")[:, 0])
+
+
 def planes(*masks: npt.NDArray[np.bool_]) -> Tensor:
     """``(1, H, W)`` bit-planes with the given masks of one size as layers 0, 1, ..."""
     layers = np.zeros((1, 8, *masks[0].shape), bool)
     layers[0, : len(masks)] = masks
-    return pack(torch.from_numpy(layers))
+    return pack(layers)
 
 
 def random_planes(seed: int = 0, shape: tuple[int, int, int] = (3, 13, 17)) -> Tensor:
@@ -151,8 +154,8 @@ def random_planes(seed: int = 0, shape: tuple[int, int, int] = (3, 13, 17)) -> T
 
 def every_neighbourhood() -> Tensor:
     """``(64, 3, 3)`` bit-planes, whose layers are all 512 patterns of 3 x 3 pixels."""
-    patterns = torch.arange(512)[:, None] >> torch.arange(9) & 1
-    return pack(patterns.view(64, 8, 3, 3).bool())
+    patterns = np.arange(512)[:, None] >> np.arange(9) & 1
+    return pack(patterns.reshape(64, 8, 3, 3).astype(bool))
 
 
 def blobs(seed: int, height: int, width: int, grain: float) -> npt.NDArray[np.uint8]:

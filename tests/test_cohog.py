@@ -78,8 +78,9 @@ def test_entropies_of_regions_equal_those_of_the_libraries():
 
 @pytest.mark.parametrize("at_once", [1, 300, 1 << 20])
 def test_scores_equal_a_loop_whatever_the_block(at_once, monkeypatch):
-    monkeypatch.setattr(cohog, "_SCORES_AT_ONCE", at_once)
-    method = make("cohog", size=64)
+    for name, value in (("_SCORES_AT_ONCE", at_once), ("SIDE", 64), ("REGIONS", 9)):
+        monkeypatch.setattr(cohog, name, value)
+    method = make("cohog")
     queries = method.encode_query(frames([picture(0), picture(1)]))
     queries.chosen[1, ::2] = False
     references = method.encode_reference(frames(map(picture, range(5))))

@@ -8,12 +8,11 @@ from drives import write_two_drives
 from PIL import Image
 
 CAMVID = ("--labels-as", "camvid-11")
-SMALL = ("--set", "cohog.size=128")
 
 
 def test_every_method_with_the_steps_that_it_can_take(ssrvlad, tmp_path):
     town, names = write_two_drives(tmp_path / "town", 12), "ssr-vlad,label-grid,hog,cohog"
-    options = ("--method", names, *CAMVID, "--tolerance-frames", 0, "--json", *SMALL)
+    options = ("--method", names, *CAMVID, "--tolerance-frames", 0, "--json")
     rows = json.loads(ssrvlad("compare", town, *options)[1])["rows"]
     assert [row["method"] for row in rows[::2]] == names.split(",")
     for single, stepped in zip(rows[::2], rows[1::2], strict=True):

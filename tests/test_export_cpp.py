@@ -365,12 +365,15 @@ def test_drives_of_label_maps_are_followed_as_in_python(
     """Two drives, from several anchors, in a map of two."""
     city = write_city(tmp_path / "city", frames=40, size=(60, 80), seed=3)
     other = write_city(tmp_path / "b", frames=12, size=(60, 80), seed=1)
-    maps = city.reference, other.reference.rename(tmp_path / "other")
+    maps = city / "reference", (other / "reference").rename(tmp_path / "other")
     town = tmp_path / "town.npy"
     database = write_map(ssrvlad, town, *maps)
     config = SSRVLADConfig(labels_as="cityscapes-trainids")
     export_head(config, tmp_path / "head.onnx", columns=COLUMNS)
-    drives = [as_arrays(tmp_path / "q1", city.query), as_arrays(tmp_path / "q2", other.query)]
+    drives = [
+        as_arrays(tmp_path / "q1", city / "query"),
+        as_arrays(tmp_path / "q2", other / "query"),
+    ]
     code, lines, errors = follow(*options, tmp_path / "head.onnx", town, 3, *drives)
     assert (code, errors) == (0, [])
     program = (tmp_path / "head.onnx", *drives, "--database", town, "--top", 3, "--json", *given)

@@ -72,19 +72,19 @@ def test_a_drive_is_found_as_by_query(follow, ssrvlad, town, tmp_path, columns, 
     """In a map of two drives, one of them of another city, with a sweep and without."""
     city = write_city(tmp_path / "city", frames=40, size=(60, 80), seed=3)
     other = write_city(tmp_path / "b", frames=12, size=(60, 80), seed=1)
-    maps = city.reference, other.reference.rename(tmp_path / "other")
+    maps = city / "reference", (other / "reference").rename(tmp_path / "other")
     database, head, exported = town(*maps, columns=columns)
-    code, out, err = follow(head, city.query, "--database", exported, "--json", *steps)
+    code, out, err = follow(head, city / "query", "--database", exported, "--json", *steps)
     assert (code, err) == (0, [])
     given = steps if columns else (*steps, "--no-sweep")
-    assert_as_query(out, ssrvlad("query", database, city.query, *given, "--json")[1])
+    assert_as_query(out, ssrvlad("query", database, city / "query", *given, "--json")[1])
 
 
 def test_single_pictures_are_judged_alone_as_by_query(follow, ssrvlad, town, tmp_path):
     """Eight of a shuffled drive."""
     city = write_city(tmp_path / "city", frames=40, size=(60, 80), seed=3)
-    database, head, exported = town(city.reference)
-    order = np.random.default_rng(0).permutation(sorted(city.query.glob("*.png")))[:8]
+    database, head, exported = town(city / "reference")
+    order = np.random.default_rng(0).permutation(sorted((city / "query").glob("*.png")))[:8]
     (tmp_path / "some").mkdir()
     for number, file in enumerate(order):
         (tmp_path / "some" / f"{number}.png").write_bytes(Path(file).read_bytes())
@@ -135,13 +135,13 @@ def test_a_file_without_hog_says_so_once(follow, tmp_path):
 
 def test_a_library_of_another_version_is_one_line(town, tmp_path):
     city = write_city(tmp_path / "city", frames=3, size=(60, 80))
-    _, head, exported = town(city.reference)
+    _, head, exported = town(city / "reference")
     package = tmp_path / "other" / "ssrvlad_torch"
     shutil.copytree(native.FOLDER, package / "native")
     shutil.copy(native.FOLDER.parent / "__init__.py", package)
     with (package / "native" / "map.cpp").open("a") as source:
         source.write("// changed\n")
-    given = (program.__file__, head, city.query, "--database", exported)
+    given = (program.__file__, head, city / "query", "--database", exported)
     code, out, (line,) = outcome("env", f"PYTHONPATH={package.parent}", sys.executable, *given)
     assert (code, out) == (2, [])
     assert line == "follow_onnx: the native core is of another version: install again"
@@ -149,22 +149,22 @@ def test_a_library_of_another_version_is_one_line(town, tmp_path):
 
 def test_wrong_use_is_one_line(main_of, town, tmp_path):
     city = write_city(tmp_path / "city", frames=2, size=(60, 80))
-    _, head, exported = town(city.reference)
+    _, head, exported = town(city / "reference")
     follow = partial(main_of, program.main, "follow_onnx.py", head)
     code, _, (line,) = follow(tmp_path / "none", "--database", exported)
     assert code == 2 and line.startswith("follow_onnx: ") and "none does not exist" in line
     np.save(tmp_path / "none.npy", np.zeros((0, 480), np.float32))
     (tmp_path / "none.npy.frames.txt").touch()
-    code, _, err = follow(city.query, "--database", tmp_path / "none.npy")
+    code, _, err = follow(city / "query", "--database", tmp_path / "none.npy")
     assert code == 2 and err[-1] == f"follow_onnx: {tmp_path / 'none.npy'} holds no frames"
     np.save(tmp_path / "void.npy", np.zeros((2, 480), np.float32))
     (tmp_path / "void.npy.frames.txt").write_text("a/0\na/1\n")
-    code, out, _ = follow(city.query, "--database", tmp_path / "void.npy", "--json")
+    code, out, _ = follow(city / "query", "--database", tmp_path / "void.npy", "--json")
     assert code == 0
     for line in objects(out):
         assert (line["candidates"], line["empty"]) == ([], False)
-    (city.query / "torn.png").write_bytes(b"torn")
-    code, out, err = follow(city.query, "--database", exported)
+    (city / "query" / "torn.png").write_bytes(b"torn")
+    code, out, err = follow(city / "query", "--database", exported)
     assert (code, out.count("\n"), err[-1]) == (3, 2, "skipped 1 of 3 frames")
 
 

@@ -388,9 +388,9 @@ def test_a_drive_that_is_dropped_is_found_as_by_query(page, site, ssrvlad, tmp_p
     """A folder, and a few files; then the way back with a camera that is turned."""
     city = write_city(tmp_path / "city", frames=32, size=(60, 80), seed=3)
     other = write_city(tmp_path / "b", frames=12, size=(60, 80), seed=1)
-    database = write_map(ssrvlad, site / "city.npy", city.reference, other.reference)
+    database = write_map(ssrvlad, site / "city.npy", city / "reference", other / "reference")
     write_heads(site / "city")
-    files = sorted(city.query.iterdir())
+    files = sorted((city / "query").iterdir())
     some, back = tmp_path / "some", tmp_path / "back"
     some.mkdir()
     back.mkdir()
@@ -401,7 +401,7 @@ def test_a_drive_that_is_dropped_is_found_as_by_query(page, site, ssrvlad, tmp_p
         Image.fromarray(labels).save(back / f"{number}.png")
     alone = "not standardised, no sweep, followed: no, following is no surer"
     for model, dropped, folder, steps in (
-        ("plain", [city.query], city.query, "standardised, no sweep, followed: offline"),
+        ("plain", [city / "query"], city / "query", "standardised, no sweep, followed: offline"),
         ("plain", some.iterdir(), some, alone),
         ("swept", [back], back, "standardised, sweep +-4 columns, followed: offline, backwards"),
     ):
@@ -414,9 +414,9 @@ def test_a_drive_that_is_dropped_is_found_as_by_query(page, site, ssrvlad, tmp_p
 
 def test_one_frame_is_judged_alone(page, site, ssrvlad, tmp_path):
     city = write_city(tmp_path / "city", frames=32, size=(60, 80), seed=3)
-    database = write_map(ssrvlad, site / "one.npy", city.reference)
+    database = write_map(ssrvlad, site / "one.npy", city / "reference")
     write_heads(site / "one")
-    picture = sorted(city.query.iterdir())[9]
+    picture = sorted((city / "query").iterdir())[9]
     drop(page, "?model=one.swept.onnx&database=one.npy", picture)
     [found] = objects(ssrvlad("query", database, picture, "--follow", "no", "--json")[1])
     candidates = [f"{each['frame']}\t{each['score']:.4f}" for each in found["candidates"]]

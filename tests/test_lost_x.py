@@ -14,8 +14,7 @@ from scipy.spatial.distance import cosine
 from torch import Tensor, nn
 
 from ssrvlad_torch.baselines import make
-from ssrvlad_torch.baselines.dense_network import dense_network
-from ssrvlad_torch.baselines.lost_x import LoSTX, layout_cost
+from ssrvlad_torch.baselines.lost_x import LoSTX, dense_network, layout_cost
 from ssrvlad_torch.channels.channel import View
 from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
 from ssrvlad_torch.segmentation.preparation import SegmenterConfig
@@ -233,23 +232,6 @@ def test_class_names_come_from_the_label_space(space):
     refuses("camvid-11 has no class 'vegetation'", LoSTX, network=network, labels_as="camvid-11")
     LoSTX(network=network, labels_as="camvid-11", classes=("road", "building", "tree"))
     refuses("no class 'license plate'", LoSTX, network=network, classes=("license plate",))
-
-
-@pytest.mark.parametrize(
-    ("features", "scores", "message"),
-    [
-        ((1, 5, 2, 2), (1, 7, 2, 2), r"C from 4 to 4, got \(1, 5, 2, 2\) and \(1, 7, 2, 2\)"),
-        ((1, 5), (1, 4, 2, 2), r"got \(1, 5\) and"),
-        ((1, 5, 2, 2), (-1, 4, 2, 2), r"class probabilities, got -.*put a softmax"),
-    ],
-)
-def test_a_network_of_other_outputs_is_refused(features, scores, message, space):
-    """The sign of the first size is that of the scores."""
-
-    def other(images: Tensor) -> tuple[Tensor, Tensor]:
-        return torch.rand(features), scores[0] * torch.rand(1, *scores[1:])
-
-    refuses(message, LoSTX(network=other, labels_as=space).encode_query, frames(1))
 
 
 def test_missing_pictures_frames_and_networks_are_refused(method):

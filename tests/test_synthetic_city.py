@@ -41,7 +41,7 @@ def test_a_written_city_is_its_frames_their_poses_and_true_matches(tmp_path):
     calls = []
     files = write_city(tmp_path, 12, 2, SIZE, progress=lambda *done: calls.append(done))
     assert calls == [(1,)] * 24
-    for folder, conditions in ((files.reference, REFERENCE), (files.query, QUERY)):
+    for folder, conditions in ((files / "reference", REFERENCE), (files / "query", QUERY)):
         paths = sorted(folder.iterdir())
         frames = list(SyntheticCity(2).traverse(12, conditions, SIZE))
         assert [path.name for path in paths] == [f"{frame.name}.png" for frame in frames]
@@ -51,9 +51,9 @@ def test_a_written_city_is_its_frames_their_poses_and_true_matches(tmp_path):
                 assert np.array_equal(np.asarray(image), frame.labels)
                 colours = np.asarray(image.convert("RGB"))
             assert np.array_equal(colours, palette("cityscapes-trainids")[frame.labels])
-    assert files.poses.read_text().startswith("frame,x,y,heading\n")
-    poses = read_poses(files.poses)
-    truth = json.loads(files.ground_truth.read_text())
+    assert (files / "poses.csv").read_text().startswith("frame,x,y,heading\n")
+    poses = read_poses(files / "poses.csv")
+    truth = json.loads((files / "ground_truth.json").read_text())
     assert list(truth) == [name for name in poses if name.startswith("query/")]
     for query, matches in truth.items():
         assert matches == [
@@ -69,7 +69,7 @@ def test_a_written_city_is_its_frames_their_poses_and_true_matches(tmp_path):
 def test_query_without_a_match_has_an_empty_list(tmp_path):
     far = dataclasses.replace(QUERY, spacing=50.0)
     files = write_city(tmp_path, frames=2, size=(16, 16), query=far, labels_as="cityscapes-ids")
-    truth = json.loads(files.ground_truth.read_text())
+    truth = json.loads((files / "ground_truth.json").read_text())
     assert truth["query/000000"]
     assert truth["query/000001"] == []
 

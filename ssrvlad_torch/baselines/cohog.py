@@ -26,6 +26,12 @@ ORIENTATIONS = 8
 REGION_NUMBERS = 4 * ORIENTATIONS
 """Numbers in a region's descriptor: the histograms of its 2 x 2 cells."""
 
+SIDE, THRESHOLD = 512, 0.4
+"""Sides of a picture in pixels, and the least mean entropy of a chosen region, a fraction of 8
+bits."""
+
+REGIONS = (SIDE // CELL - 1) ** 2
+
 ENTROPY_SIDE = 100
 ENTROPY_RADIUS = 5
 
@@ -48,33 +54,21 @@ class CoHOG:
     """Compares each region of the query with the most similar region of the reference.
 
     The score is the mean, over the query's regions of high entropy, of the largest cosine with any
-    region of the reference. A query without such a region matches nothing. Images are resized to
-    squares with sides of ``size`` pixels, a multiple of 16 from 32; the mean entropy of a chosen
-    region is at least a threshold, a fraction of 8 bits, 0 to 1. Other settings are a ValueError.
+    region of the reference. A query without such a region matches nothing.
     """
 
     name = "cohog"
     needs = frozenset({"images"})
 
-    def __init__(self, size: int = 512, entropy_threshold: float = 0.4) -> None:
-        if size < 2 * CELL or size % CELL:
-            raise ValueError(f"method cohog: size must be 32, 48, 64, ..., got {size}")
-        if not 0 <= entropy_threshold <= 1:
-            raise ValueError(
-                f"method cohog: entropy_threshold must be from 0 to 1, got {entropy_threshold}"
-            )
-        self.size, self.entropy_threshold = size, entropy_threshold
-        self.regions = (size // CELL - 1) ** 2
-
     @torch.no_grad()
     def encode_query(self, frames: Iterable[View]) -> Regions:
         """The regions of every query, and which of them are compared."""
-        described = [torch.zeros(0, self.regions, REGION_NUMBERS)]
-        chosen = [torch.zeros(0, self.regions, dtype=torch.bool)]
+        described = [torch.zeros(0, REGIONS, REGION_NUMBERS)]
+        chosen = [torch.zeros(0, REGIONS, dtype=torch.bool)]
         for batch in batches(frames, _BATCH):
             pictures = self._pictures(batch)
             described.append(region_descriptors(pictures))
-            chosen.append(region_entropies(pictures) >= self.entropy_threshold)
+            chosen.append(region_entropies(pictures) >= THRESHOLD)
         return Regions(torch.cat(described), torch.cat(chosen))
 
     @torch.no_grad()
@@ -82,7 +76,7 @@ class CoHOG:
         """``(R, regions, 32)`` float32, the descriptors of all regions."""
         pictures = map(self._pictures, batches(frames, _BATCH))
         return torch.cat(
-            [torch.zeros(0, self.regions, REGION_NUMBERS), *map(region_descriptors, pictures)]
+            [torch.zeros(0, REGIONS, REGION_NUMBERS), *map(region_descriptors, pictures)]
         )
 
     @torch.no_grad()
@@ -95,14 +89,14 @@ class CoHOG:
             regions = descriptors[chosen]
             if len(regions) == 0:
                 continue
-            at_once = max(1, _SCORES_AT_ONCE // (len(regions) * self.regions))
+            at_once = max(1, _SCORES_AT_ONCE // (len(regions) * REGIONS))
             for places, block in zip(row.split(at_once), references.split(at_once), strict=True):
                 cosines = regions @ block.flatten(0, 1).T
                 places.copy_(cosines.unflatten(1, (len(block), -1)).amax(2).mean(0))
         return scores
 
     def _pictures(self, frames: Sequence[View]) -> Tensor:
-        return resize(grays(frames, self.name), self.size, self.size)
+        return resize(grays(frames, self.name), SIDE, SIDE)
 
 
 def region_descriptors(pictures: Tensor) -> Tensor:

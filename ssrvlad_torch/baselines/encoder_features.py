@@ -11,8 +11,18 @@ from ..channels.features import Features
 from ..segmentation.networks import AUTO
 from ..segmentation.segmenter import Segmenter
 from ..taxonomy import LabelSpace
-from .dense_network import segmenter_of
 from .vectors import ChannelMethod
+
+
+def segmenter_of(
+    network: Segmenter | str | Path | None, method: str, labels_as: str | LabelSpace = AUTO
+) -> Segmenter:
+    """A method's segmentation network, given or by its name; none is a FileNotFoundError."""
+    if network is None:
+        raise FileNotFoundError(
+            f"no network: {method} needs a segmentation network, by the setting network"
+        )
+    return network if isinstance(network, Segmenter) else Segmenter.load(network, labels_as)
 
 
 class EncoderFeatures(ChannelMethod):

@@ -12,23 +12,19 @@ from ..stages.layers import UNKNOWN, categorise, category_table, refuse_unknown
 from ..taxonomy import CATEGORIES, label_space
 from .vectors import VectorMethod
 
+ROWS, COLUMNS = 6, 10
+
 
 class LabelGrid(VectorMethod):
-    """Square roots of the categories' fractions in the cells of a grid, normalised.
+    """Square roots of the categories' fractions in the cells of a grid of 6 x 10, normalised.
 
     If the grid does not divide the image, neighbouring cells share pixels. Pixels of no category
     count in a cell's size. Label maps are read as SSR-VLAD reads them, so descriptors of different
     label spaces are comparable.
     """
 
-    name = "label-grid"
+    name, length = "label-grid", len(CATEGORIES) * ROWS * COLUMNS
     needs = frozenset({LABELS})
-
-    def __init__(self, rows: int = 6, columns: int = 10) -> None:
-        if rows < 1 or columns < 1:
-            raise ValueError(f"label-grid: the grid must be 1 x 1 or more, got {rows} x {columns}")
-        self.rows, self.columns, self.length = rows, columns, len(CATEGORIES) * rows * columns
-        self.fingerprint = f"{rows} x {columns} cells"
 
     def describe(self, views: Sequence[View], _columns: Sequence[int] = ()) -> Tensor:
         """See `Channel`."""
@@ -38,5 +34,5 @@ class LabelGrid(VectorMethod):
         if bool((categories == UNKNOWN).any()):
             refuse_unknown(labels, space)
         layers = categories[:, None] == torch.arange(len(CATEGORIES))[:, None, None]
-        fractions = F.adaptive_avg_pool2d(layers.float(), (self.rows, self.columns))
+        fractions = F.adaptive_avg_pool2d(layers.float(), (ROWS, COLUMNS))
         return F.normalize(fractions.sqrt().flatten(1), dim=1)

@@ -8,7 +8,7 @@ every step.
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -22,15 +22,20 @@ from ..recognition.sweep import score
 from ..segmentation.networks import AUTO
 from ..segmentation.segmenter import Segmenter
 from ..taxonomy import LabelSpace, label_space
-from .dense_network import DenseNetwork, dense_network, segmenter_of
+from .encoder_features import segmenter_of
 from .protocol import Columns, noting
+
+DenseNetwork = Callable[[Tensor], tuple[Tensor, Tensor]]
+"""``(1, H, W, 3)`` uint8 RGB -> ``(1, D, h, w)`` features and, at any resolution, ``(1, C, h',
+w')`` probabilities, both float; channel c is of id c of a label space."""
 
 _REACH = 7
 _CANDIDATES = 10
 
 
 class _View(NamedTuple):
-    """The arguments of `lost_descriptor` for one image, and its `class_sums`."""
+    """The arguments of `lost_descriptor` for one image; and the parts of the mean features of
+    classes: ``(S, D)`` sums of the features of each class, and ``(S, 1)`` numbers of places."""
 
     features: Tensor
     probabilities: Tensor
@@ -91,7 +96,7 @@ class LoSTX:
             segmenter = segmenter_of(network, self.name, labels_as or AUTO)
             labels_as, network = segmenter.label_space, dense_network(segmenter)
         self._network = network
-        self._space = space = label_space(labels_as or "cityscapes-trainids")
+        space = label_space(labels_as or "cityscapes-trainids")
         channels = range(space.channel_counts.start)
         ids = {label.name: label.id for label in space.classes if label.id in channels}
         if unknown := [name for name in classes if name not in ids]:
@@ -157,23 +162,29 @@ class LoSTX:
     @torch.no_grad()
     def _view(self, image: Picture) -> _View:
         features, scores = self._network(torch.tensor(image)[None])
-        counts = self._space.channel_counts
-        if features.ndim != 4 or scores.ndim != 4 or scores.shape[1] not in counts:
-            raise ValueError(
-                f"method {self.name}: the network must give features (1, D, h, w) and "
-                f"probabilities (1, C, h, w) with C from {counts.start} to {counts.stop - 1}, "
-                f"got {tuple(features.shape)} and {tuple(scores.shape)}"
-            )
-        if bool((scores < 0).any()):
-            raise ValueError(
-                f"method {self.name}: the network must give class probabilities, got "
-                f"{float(scores.min()):.3g}; put a softmax behind it"
-            )
         scores = F.interpolate(scores, features.shape[2:], mode="nearest-exact")[0].flatten(1)
         labels, flat = scores.argmax(dim=0), features[0].flatten(1)
         probabilities = F.normalize(scores, p=1, dim=0)[self._classes]
-        sums = class_sums(flat, labels, self._classes)
+        members = (labels == self._classes[:, None]).to(flat.dtype)
+        sums = members @ flat.mT, members.sum(dim=1, keepdim=True)
         return _View(flat, probabilities, labels, features.shape[3], sums)
+
+
+def dense_network(segmenter: Segmenter) -> DenseNetwork:
+    """A segmentation network with one of its activations, the finest of `find_activations`, and a
+    softmax behind it; no such activation, or several by name, are a ValueError."""
+    names = segmenter.features.names  # of an ONNX graph, outputs only now
+    names = names if segmenter.config.features else names[:1]
+    if len(names) != 1:
+        raise ValueError(f"features: expected one activation for LoST-X, got {', '.join(names)}")
+
+    def run(pictures: Tensor) -> tuple[Tensor, Tensor]:
+        scores, [features] = segmenter.labels.run(pictures, names)
+        if not scores.is_floating_point():
+            raise ValueError("method lost-x: the network gives ids, expected class scores")
+        return features.float().cpu(), scores.float().softmax(dim=1).cpu()
+
+    return run
 
 
 def layout_cost(columns: tuple[Tensor, Tensor], distances: Tensor) -> float:
@@ -195,14 +206,6 @@ def layout_cost(columns: tuple[Tensor, Tensor], distances: Tensor) -> float:
     first, second = (weights * side.double() for side in columns)
     distance = 1 - F.cosine_similarity(first, second, dim=0)
     return float(distance.clamp(min=0) / weights.norm() / count)
-
-
-def class_sums(features: Tensor, labels: Tensor, classes: Tensor) -> tuple[Tensor, Tensor]:
-    """The parts of the mean features of classes ``(S,)`` int64, channel numbers: sums ``(S, D)`` of
-    the features ``(D, P)`` float of each class, and numbers of places ``(S, 1)``, by labels
-    ``(P,)`` int64."""
-    members = (labels == classes[:, None]).to(features.dtype)
-    return members @ features.mT, members.sum(dim=1, keepdim=True)
 
 
 def lost_descriptor(features: Tensor, probabilities: Tensor, means: Tensor) -> Tensor:

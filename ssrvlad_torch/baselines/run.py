@@ -47,13 +47,11 @@ def run(
     """Encodes the references, in the order of each sequence, then the queries one by one. Frames
     are not stored. The first query is encoded twice and timed the second time, without what a
     process does only once. ``progress`` is called with 1 for every frame. No references or queries,
-    a ``top`` below 1, and a frame that the method refuses are a ValueError.
+    and a frame that the method refuses, are a ValueError.
 
     With steps of `recognition`, whose costs are not measured, there is a second result: vectors are
     standardised and followed; of other encodings, the scores are followed. The sweep needs signs,
     or a method with ``encode_sweep``."""
-    if top < 1:
-        raise ValueError(f"expected a top of 1 or more, got {top}")
     map_drives, drives = list[str](), list[str]()
     encoded = method.encode_reference(noting(references, map_drives, progress))
     if not map_drives:

@@ -4,7 +4,7 @@
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from pathlib import Path, PurePath
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from torch import Tensor
 
 from ..channels.channel import View
 from ..datasets.dataset import shortened
+from ..datasets.names import path_ends
 from ..files import check_regular, one_line, requiring
 from .vectors import VectorMethod
 
@@ -56,7 +57,8 @@ class StoredDescriptors(VectorMethod):
         """
         group_of: dict[str, str] = {}
         for frame, path in frames.items():
-            names = [frame, *_ends(path), *_ends(path and path.with_suffix(""))]
+            paths = [str(path), str(path.with_suffix(""))] if path else []
+            names = [frame, *(end for each in paths for end in path_ends(each))]
             if group := max(self._groups.intersection(names), key=len, default=None):
                 group_of[frame] = group
         if lacking := [frame for frame in frames if frame not in group_of]:
@@ -93,8 +95,3 @@ class StoredDescriptors(VectorMethod):
                 yield stored
         except (OSError, RuntimeError, TypeError) as error:
             raise ValueError(f"{self.name} is no whole HDF5 file: {one_line(error)}") from error
-
-
-def _ends(path: PurePath | None) -> list[str]:
-    parts = path.parts if path else ()
-    return ["/".join(parts[place:]) for place in range(len(parts))]

@@ -15,7 +15,7 @@ from ..channels.channel import View, batches
 from ..channels.gray import grays
 from .protocol import Columns, noting
 
-PATCH = 8
+WIDTH, HEIGHT, PATCH = 64, 32, 8
 
 _BATCH = 16
 _SCORES_AT_ONCE = 1 << 20
@@ -26,7 +26,7 @@ _LEAST_Z = -80.0
 
 @dataclass(frozen=True)
 class Drive(Columns):
-    """Encoded references: pictures ``(R, height * width)`` float32, and the number of each frame's
+    """Encoded references: pictures ``(R, HEIGHT * WIDTH)`` float32, and the number of each frame's
     sequence, ``(R,)`` int64."""
 
     pictures: Tensor
@@ -41,31 +41,23 @@ class Drive(Columns):
 class TinyImage:
     """Mean absolute difference of tiny pictures, in deviations from the drive around it.
 
-    A picture is gray, reduced to ``width x height``, multiples of 8 (others are a ValueError), by
-    the mean of the area, and each patch of 8 x 8 pixels then has its mean subtracted and is divided
-    by its standard deviation (zero where it has none). D is the mean absolute difference of a query
-    and a reference. With the mean m and the standard deviation s of D over the references of a
-    sequence, the score of its frames is 1 - exp(-(m - D) / s), or 0 where all are alike, as in a
-    sequence of one frame. SeqSLAM scores by (m - D) / s itself. This form keeps its order, is at
-    most 1, and `recognition.motion.nearness` turns it back; from 16 deviations on float32 rounds it
-    to 1.
+    A picture is gray, reduced to 64 x 32 by the mean of the area, and each patch of 8 x 8 pixels
+    then has its mean subtracted and is divided by its standard deviation (zero where it has none).
+    D is the mean absolute difference of a query and a reference. With the mean m and the standard
+    deviation s of D over the references of a sequence, the score of its frames is 1 - exp(-(m - D)
+    / s), or 0 where all are alike, as in a sequence of one frame. SeqSLAM scores by (m - D) / s
+    itself. This form keeps its order, is at most 1, and `recognition.motion.nearness` turns it
+    back; from 16 deviations on float32 rounds it to 1.
     """
 
     name = "tiny-image"
     needs = frozenset({"images"})
 
-    def __init__(self, width: int = 64, height: int = 32) -> None:
-        if min(width, height) < PATCH or width % PATCH or height % PATCH:
-            raise ValueError(
-                f"method tiny-image: sides must be multiples of 8, got {width} x {height}"
-            )
-        self.width, self.height = width, height
-
     @torch.no_grad()
     def encode_query(self, frames: Iterable[View]) -> Tensor:
-        """``(Q, height * width)`` float32."""
+        """``(Q, HEIGHT * WIDTH)`` float32."""
         pictures = map(self._describe, batches(frames, _BATCH))
-        return torch.cat([torch.zeros(0, self.height * self.width), *pictures])
+        return torch.cat([torch.zeros(0, HEIGHT * WIDTH), *pictures])
 
     def encode_reference(self, frames: Iterable[View]) -> Drive:
         """The pictures, and the sequence of each."""
@@ -87,7 +79,7 @@ class TinyImage:
 
     def _describe(self, frames: Sequence[View]) -> Tensor:
         pictures = grays(frames, self.name)[:, None].float()
-        tiny = F.interpolate(pictures, (self.height, self.width), mode="area")
+        tiny = F.interpolate(pictures, (HEIGHT, WIDTH), mode="area")
         return normalise_patches(tiny[:, 0]).flatten(1)
 
 

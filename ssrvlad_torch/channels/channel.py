@@ -1,25 +1,21 @@
 """A channel, the views that it describes, and the channels of a database or of new frames."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from itertools import groupby, islice
-from typing import TYPE_CHECKING, Any, Literal, Protocol, Self
+from typing import Any, Literal, Protocol, Self
 
 import numpy as np
 import numpy.typing as npt
 from torch import Tensor
 
 from ..datasets.names import sequence_of
+from ..descriptor import SSRVLAD
 from ..recognition.comparison import ReferenceRows
 from ..taxonomy import LabelSpace
 from . import CHANNELS, LABEL_SHAPES, Column
-
-if TYPE_CHECKING:
-    from ..descriptor import SSRVLAD
 
 LABELS, PICTURE, FEATURES = "labels", "images", "features"
 """What a channel may need of a view."""

@@ -6,8 +6,6 @@ Scores are near those of the channel; the best of them are candidates, which are
 exactly. Not in the paper.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import Protocol, Self

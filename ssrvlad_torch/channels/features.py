@@ -1,20 +1,16 @@
 """Features: what the encoder of the network sees in a picture, as signs; see `stages.features`."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from ..descriptor import SSRVLAD
 from ..stages.features import SHAPE
 from . import Column
 from .channel import FEATURES, Channel, Network, View
-
-if TYPE_CHECKING:
-    from ..descriptor import SSRVLAD
 
 
 class Features(Channel):

@@ -12,24 +12,20 @@ from .gray import grays, resize
 CELL = 16
 """Side of a cell in pixels, after the picture has become ``CELL`` times the grid."""
 
-ORIENTATIONS = 8
+ROWS, COLUMNS, ORIENTATIONS = 6, 10, 8
+"""Of the grid of cells, and directions of a histogram."""
 
 
 class HOG(VectorChannel):
-    """One histogram of gradient directions for each cell of a grid.
+    """One histogram of gradient directions for each of 6 x 10 cells.
 
     The gray picture is resized to 16 pixels a cell; histograms are those of ``skimage.feature.hog``
     with one cell a block and ``block_norm="L2"``. The whole descriptor has length 1.
     """
 
-    name = "hog"
+    name, length = "hog", ORIENTATIONS * ROWS * COLUMNS
+    fingerprint = f"{ROWS} x {COLUMNS} cells, {ORIENTATIONS} directions"
     trust = 2.0
-
-    def __init__(self, rows: int = 6, columns: int = 10) -> None:
-        if rows < 1 or columns < 1:
-            raise ValueError(f"hog: the grid must be 1 x 1 or more, got {rows} x {columns}")
-        self.rows, self.columns, self.length = rows, columns, ORIENTATIONS * rows * columns
-        self.fingerprint = f"{rows} x {columns} cells, {ORIENTATIONS} directions"
 
     def describe(self, views: Sequence[View], _columns: Sequence[int] = ()) -> Tensor:
         """See `Channel`."""
@@ -37,7 +33,7 @@ class HOG(VectorChannel):
 
     def histograms(self, pictures: Tensor) -> Tensor:
         """``(B, length)`` float32 of gray pictures ``(B, H, W)`` uint8."""
-        small = resize(pictures, CELL * self.rows, CELL * self.columns).float()
+        small = resize(pictures, CELL * ROWS, CELL * COLUMNS).float()
         along_x = F.pad(small[:, :, 2:] - small[:, :, :-2], (1, 1))
         along_y = F.pad(small[:, 2:] - small[:, :-2], (0, 0, 1, 1))
         votes = (along_x.square() + along_y.square()).sqrt()

@@ -1,7 +1,5 @@
 """Label shapes: the descriptor of a label map, SSR-VLAD's or ours."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from typing import Self

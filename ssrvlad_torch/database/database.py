@@ -319,13 +319,12 @@ class Database:
         channels = {name: torch.from_numpy(values) for name, values in arrays.items()}
         return dataclasses.replace(frames, channels=channels)
 
-    def damage(self, progress: Callable[[int], object] | None = None) -> list[Damage]:
+    def damage(self, progress: Callable[[int], object] = lambda _: None) -> list[Damage]:
         """Reads everything and reports all damage. ``progress`` is called with the number of frames
         done since the last call."""
         damages: list[Damage] = []
         for batch in read_rows(self.table(), damages):
-            if progress:
-                progress(len(batch))
+            progress(len(batch))
         return damages
 
     def table(self) -> LanceDataset:

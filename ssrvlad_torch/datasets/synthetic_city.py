@@ -139,15 +139,6 @@ class SyntheticCity:
             yield CityFrame(ids[labels], pose, f"{index:06d}")
 
 
-class CityFiles(NamedTuple):
-    """Paths that `write_city` wrote: two folders of label PNGs, a CSV and a JSON file."""
-
-    reference: Path
-    query: Path
-    poses: Path
-    ground_truth: Path
-
-
 def write_city(
     out: str | Path,
     frames: int,
@@ -155,12 +146,14 @@ def write_city(
     size: tuple[int, int] = (240, 320),
     query: Conditions = QUERY,
     labels_as: str = "cityscapes-trainids",
-    progress: Callable[[int], None] | None = None,
-) -> CityFiles:
+    progress: Callable[[int], object] = lambda _: None,
+) -> Path:
     """Write two traverses of one city, of ``frames`` frames each, their poses and their true
-    matches into a new or empty folder; another folder, and a value out of range, are a ValueError.
+    matches into a new or empty folder, which it returns; another folder, and a value out of range,
+    are a ValueError.
 
-    The label maps are 8-bit palette PNGs of ids, in the colours of the label space. ``poses.csv``
+    The label maps in ``reference`` and ``query`` are 8-bit palette PNGs of ids, in the colours of
+    the label space. ``poses.csv``
     has a line ``frame,x,y,heading`` for each frame, named ``<sequence>/<name>``.
     ``ground_truth.json`` maps every query frame to the reference frames within `RADIUS` metres
     whose headings differ by less than 45 degrees. Each file is written whole or not at all. The
@@ -170,23 +163,20 @@ def write_city(
     """
     require(frames >= 1, "frames", frames, "at least 1")
     city, out = SyntheticCity(seed), empty_folder(Path(out))
-    files = CityFiles(
-        out / "reference", out / "query", out / "poses.csv", out / "ground_truth.json"
-    )
     colours, poses = palette(labels_as), dict[str, dict[str, Pose]]()
-    for folder, conditions in ((files.reference, REFERENCE), (files.query, query)):
+    for name, conditions in (("reference", REFERENCE), ("query", query)):
         traverse = city.traverse(frames, conditions, size, labels_as)
-        poses[folder.name] = _write_frames(folder, traverse, colours, progress)
+        poses[name] = _write_frames(out / name, traverse, colours, progress)
     names, references = list(poses["reference"]), np.array(list(poses["reference"].values()))
     matches = {}
     for name, pose in poses["query"].items():
         x, y, heading = (references - pose).T
         same = (np.hypot(x, y) <= RADIUS) & (np.cos(heading) > math.cos(math.pi / 4))
         matches[name] = [names[index] for index in np.flatnonzero(same)]
-    write_poses(files.poses, poses["reference"] | poses["query"])
-    with replacing(files.ground_truth) as temporary:
+    write_poses(out / "poses.csv", poses["reference"] | poses["query"])
+    with replacing(out / "ground_truth.json") as temporary:
         temporary.write_text(json.dumps(matches, indent=1), encoding="utf-8")
-    return files
+    return out
 
 
 def write_tour(
@@ -194,7 +184,7 @@ def write_tour(
     frames: int | None = None,
     seed: int = 0,
     size: tuple[int, int] = (240, 320),
-    progress: Callable[[int], None] | None = None,
+    progress: Callable[[int], object] = lambda _: None,
 ) -> Path:
     """Write one drive along `TOUR`, which closes loops, into a new or empty folder: ``poses.csv``,
     and label PNGs in the folder ``tour``, which it returns. At most ``frames`` are written, without
@@ -212,7 +202,7 @@ def _write_frames(
     folder: Path,
     frames: Iterable[CityFrame],
     colours: NDArray[np.uint8],
-    progress: Callable[[int], None] | None,
+    progress: Callable[[int], object],
 ) -> dict[str, Pose]:
     """Writes frames as label PNGs and returns their poses by id."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -223,6 +213,5 @@ def _write_frames(
         with replacing(folder / f"{frame.name}.png") as temporary:
             image.save(temporary, format="PNG")
         poses[f"{folder.name}/{frame.name}"] = frame.pose
-        if progress:
-            progress(1)
+        progress(1)
     return poses

@@ -144,7 +144,7 @@ class _Video:
         for start in (first, self._keys[max(place - 1, 0)]):
             if frame is None:
                 run = self._runs.pop((start, first), None)
-                if run is None or run.has_dropped(number):
+                if run is None or self._ranks[number] in run.dropped:
                     run = _Run(self._source, self._ranks, start, first, self._stop_of(first))
                 frame = run.frame(number, self._latest[number])
                 self._runs = dict([*self._runs.items()][-1:]) | {(start, first): run}
@@ -189,7 +189,8 @@ class _Video:
 
 class _Run:
     """One run of a decoder through the packets from number ``start`` up to ``stop``, for the frames
-    from the key frame ``first`` on, as far as was asked. The last `_BUFFERED` stay in memory.
+    from the key frame ``first`` on, as far as was asked. The last `_BUFFERED` stay in memory; the
+    ranks of those before are ``dropped``.
 
     A decoder conceals damage, and frames that depend on a concealed one decode without an error:
     with a damaged packet, all later ones fail.
@@ -199,12 +200,8 @@ class _Run:
         self, source: VideoPackets, ranks: Mapping[int, int], start: int, first: int, stop: int
     ) -> None:
         self._ranks, self._outputs, self._first = ranks, source.decoded(start, stop), first
-        self._buffer, self._dropped = dict[int, Any](), set[int]()
+        self._buffer, self.dropped = dict[int, Any](), set[int]()
         self._reached, self._failed = -1, math.inf
-
-    def has_dropped(self, number: int) -> bool:
-        """Whether the frame of a packet was in memory."""
-        return self._ranks[number] in self._dropped
 
     def frame(self, number: int, latest: int) -> Any:
         """The frame of a packet; ``None`` if it or one before it is damaged, or it has none.
@@ -227,7 +224,7 @@ class _Run:
         self._reached = max(self._reached, int(rank))
         self._buffer[int(rank)] = frame
         if len(self._buffer) > _BUFFERED:
-            self._dropped.add(min(self._buffer))
+            self.dropped.add(min(self._buffer))
             del self._buffer[min(self._buffer)]
 
 

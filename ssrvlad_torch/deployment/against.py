@@ -4,10 +4,7 @@ A graph that is right at the size at which it was traced can be wrong at others:
 computes of a size while it is traced becomes a constant. Comparing files with files misses that.
 """
 
-from __future__ import annotations
-
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -16,7 +13,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..files import one_line, parse_json
+from ..encoding.results import Progress, do_nothing
+from ..files import naming, one_line, parse_json
+from ..segmentation.features import probed
 from ..segmentation.label_network import LabelNetwork
 from ..segmentation.network_outputs import tensors_of
 from ..segmentation.networks import AUTO, NamedNetwork, open_network
@@ -55,7 +54,7 @@ class SizeCheck(NamedTuple):
 
 @torch.inference_mode()
 def verify_against(
-    file: str | Path, network: str, progress: Callable[[int], None] | None = None
+    file: str | Path, network: str, progress: Progress = do_nothing
 ) -> list[SizeCheck]:
     """Compares the label maps of an ONNX file with those of the network that it was made of, on a
     drawn picture of each of `SIZES`.
@@ -81,8 +80,7 @@ def verify_against(
     checks = []
     for size in SIZES:
         checks.append(_check(exported, original, size))
-        if progress:
-            progress(1)
+        progress(1)
     if not any(check.compared for check in checks):
         raise ValueError(f"{network} takes none of the sizes: {checks[-1].problem}")
     return checks
@@ -93,7 +91,8 @@ def _prepared(graph: NamedNetwork, module: NamedNetwork) -> tuple[LabelNetwork, 
     of the network in it."""
     assert isinstance(graph.network, OnnxNetwork)
     own = module.config if module.config != SegmenterConfig() else None
-    given, fused = graph.config, _fused_settings(graph.network)
+    given, text = graph.config, graph.network.metadata.get(NETWORK)
+    fused = SegmenterConfig.of(parse_json(text, NETWORK)["settings"]) if text else None
     if fused:
         given = _BYTES
     elif given == SegmenterConfig() and own:
@@ -123,12 +122,6 @@ def _picture(height: int, width: int) -> Tensor:
     return torch.from_numpy(photograph(np.random.default_rng(0), height, width))[None]
 
 
-def _fused_settings(graph: OnnxNetwork) -> SegmenterConfig | None:
-    """The settings of the network in a file of ``ssrvlad fuse``; ``None`` of another file."""
-    text = graph.metadata.get(NETWORK)
-    return SegmenterConfig.of(parse_json(text, NETWORK)["settings"]) if text else None
-
-
 def _without_names(config: SegmenterConfig) -> SegmenterConfig:
     """Settings for another form of the network, whose outputs have other names."""
     return replace(config, output=None, features=None)
@@ -149,14 +142,8 @@ def _space(graph: NamedNetwork, module: NamedNetwork, config: SegmenterConfig) -
 def _channels(module: NamedNetwork, config: SegmenterConfig) -> int:
     """The channels of the class scores of a network, as many as ids of bytes if it gives ids."""
     prepared = LabelNetwork(module.network, label_space("cityscapes-trainids"), config)
-    for size in SIZES:
-        try:
-            result = module.network(prepared.numbers(_picture(*size)))
-        except Exception as error:  # networks raise many kinds of errors
-            reason = one_line(error)
-            continue
-        tensors = tensors_of(result)
-        names = (str(config.output), "out", "logits", *tensors)
-        scores = [tensors[n] for n in names if n in tensors and tensors[n].ndim == 4]
-        return scores[0].shape[1] if scores and scores[0].is_floating_point() else _IDS
-    raise ValueError(f"{module.name} fails: {reason}")
+    with naming(module.name):
+        tensors = tensors_of(module.network(probed(prepared)[0]))
+    names = (str(config.output), "out", "logits", *tensors)
+    scores = [tensors[n] for n in names if n in tensors and tensors[n].ndim == 4]
+    return scores[0].shape[1] if scores and scores[0].is_floating_point() else _IDS

@@ -15,6 +15,7 @@ from ..config import SSRVLADConfig, package_version
 from ..datasets.frame_file import FrameFile, Skipped
 from ..datasets.label_files import LabelMap, read_label_map
 from ..descriptor import SSRVLAD
+from ..encoding.results import Progress, do_nothing
 from ..files import one_line, parse_json
 from ..segmentation.onnx_files import CPU, load_model
 from ..segmentation.openvino_session import SINGLE
@@ -100,7 +101,7 @@ def verify(
     path: str | Path,
     labels: Sequence[FrameFile] = (),
     provider: str = CPU,
-    progress: Callable[[int], None] | None = None,
+    progress: Progress = do_nothing,
 ) -> Verification:
     """Compares a file of `export_head` or `fuse` on a runtime with the module.
 
@@ -139,7 +140,7 @@ def _verify(
     model: onnx.ModelProto,
     labels: Sequence[FrameFile],
     runtime: Runtime,
-    progress: Callable[[int], None] | None,
+    progress: Progress,
 ) -> Verification:
     properties = {entry.key: entry.value for entry in model.metadata_props}
     metadata = Metadata.from_properties(properties)
@@ -174,8 +175,7 @@ def _verify(
         result.add(head.check("golden pair", given, judge_pair))
     for frame in labels:
         _check_frame(result, head, value, module, frame)
-        if progress:
-            progress(1)
+        progress(1)
     return result
 
 

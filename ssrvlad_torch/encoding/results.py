@@ -1,21 +1,17 @@
 """The results of encoding: encoded and skipped frames, options and the summary."""
 
-from __future__ import annotations
-
 import os
 import sys
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from ..database.frames import FrameRecord
 from ..datasets.frame_file import Skipped as Skipped  # noqa: PLC0414 - others take it from here
-
-if TYPE_CHECKING:
-    from ..database.frames import FrameRecord
 
 Note = Callable[[str], object]
 """Called with what the user should know."""

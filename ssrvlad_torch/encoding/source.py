@@ -11,7 +11,7 @@ import numpy as np
 
 from ..database.database import Database
 from ..database.metadata import Origin
-from ..datasets.dataset import Dataset, GroundTruth
+from ..datasets.dataset import Dataset
 from ..datasets.frame_files import FrameFile, found_by
 from ..datasets.image_files import find_image_files, read_image
 from ..datasets.label_files import find_label_files, read_label_map
@@ -81,11 +81,6 @@ class Source:
     dataset: Dataset | None = None
     known: KnownFolders = ()
 
-    @property
-    def truth(self) -> GroundTruth | None:
-        """The ground truth of the data set, if it declares one."""
-        return self.dataset.truth if self.dataset else None
-
 
 def open_source(
     wanted: Wanted,
@@ -113,10 +108,31 @@ def open_source(
         ValueError: settings do not go together, there are no frames or no label space, or the
             network of the database cannot be opened or has changed.
     """
-    source = _opened(wanted, database, compared, images, opened, note)
-    if source.database or live:
+    paths, dataset = wanted.paths, _open_dataset(wanted, note)
+    source = Source(wanted, dataset=dataset, known=database.folders() if database else ())
+    network: str | Segmenter | NamedNetwork | None = wanted.segmenter
+    labels_as = wanted.labels_as
+    if network and labels_as in (None, AUTO):
+        network = open_network(network) if isinstance(network, str) else network
+        labels_as = _space_of_network(network, labels_as, wanted.classes)
+    labels_as = labels_as or (dataset.labels_as if dataset else None)
+    if compared and len(paths) == 1 and Database.exists(paths[0]):
+        if unused := [f"--{name.replace('_', '-')}" for name in wanted.given(*_OF_FILES)]:
+            raise ValueError(f"{paths[0]} is a database: expected no {', '.join(unused)}")
+        space = _space(labels_as, database, compared, images)
+        return replace(source, labels_as=space, database=Database.open(paths[0]))
+    if database and not network and (images or not labels_as):
+        network, labels_as = _network_of_database(source, database, labels_as, images)
+        if network and not wanted.given("segmenter_cache", "classes"):
+            network = opened or network
+    space = _space(labels_as, database, compared, images)
+    segmenter = _segmenter(network, wanted, space, note) if space else None
+    if segmenter and database and not wanted.segmenter:
+        require_network(database, segmenter)
+        note(f"{segmenter.name}, the network of {database.path}, labels the pictures")
+    source = replace(source, labels_as=space, segmenter=segmenter)
+    if live:
         return source
-    paths, dataset = wanted.paths, source.dataset
     find = find_image_files if images or source.segmenter else find_label_files
     try:
         return replace(source, files=_find(wanted, dataset, source.known, find))
@@ -132,40 +148,6 @@ def open_source(
                 "labels them with --segmenter"
             ) from None
         raise
-
-
-def _opened(
-    wanted: Wanted,
-    database: Database | None,
-    compared: bool,
-    images: bool,
-    opened: Segmenter | None,
-    note: Note,
-) -> Source:
-    """The source without its files: the data set, the label space and the network."""
-    dataset = _open_dataset(wanted, note)
-    source = Source(wanted, dataset=dataset, known=database.folders() if database else ())
-    network: str | Segmenter | NamedNetwork | None = wanted.segmenter
-    labels_as = wanted.labels_as
-    if network and labels_as in (None, AUTO):
-        network = open_network(network) if isinstance(network, str) else network
-        labels_as = _space_of_network(network, labels_as, wanted.classes)
-    labels_as = labels_as or (dataset.labels_as if dataset else None)
-    if compared and len(wanted.paths) == 1 and Database.exists(wanted.paths[0]):
-        if unused := [f"--{name.replace('_', '-')}" for name in wanted.given(*_OF_FILES)]:
-            raise ValueError(f"{wanted.paths[0]} is a database: expected no {', '.join(unused)}")
-        space = _space(labels_as, database, compared, images)
-        return replace(source, labels_as=space, database=Database.open(wanted.paths[0]))
-    if database and not network and (images or not labels_as):
-        network, labels_as = _network_of_database(source, database, labels_as, images)
-        if network and not wanted.given("segmenter_cache", "classes"):
-            network = opened or network
-    space = _space(labels_as, database, compared, images)
-    segmenter = _segmenter(network, wanted, space, note) if space else None
-    if segmenter and database and not wanted.segmenter:
-        require_network(database, segmenter)
-        note(f"{segmenter.name}, the network of {database.path}, labels the pictures")
-    return replace(source, labels_as=space, segmenter=segmenter)
 
 
 def cache_folder() -> Path:

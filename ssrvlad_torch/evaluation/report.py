@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import io
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -15,7 +13,8 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-from ..files import replacing, requiring
+from ..datasets.image_files import Pixels
+from ..files import new_figure, png_address, replacing, requiring
 from .curves import PrecisionRecall
 from .metrics import figure_rows, fraction, precision_recall_curve
 from .outcomes import Bools, Floats, Outcomes, Rows, Truth
@@ -24,8 +23,6 @@ from .true_matches import Viewpoints
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-Pixels = npt.NDArray[np.uint8]
 
 WRONG_MATCHES, RIGHT_MATCHES = 8, 4
 MOST_CELLS = (400, 800)
@@ -154,11 +151,9 @@ def reduced_cosines(
 
 def _drawn(draw: Callable[[Axes, Report], None], report: Report) -> str:
     """A figure as the address of a PNG."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(6, 4.2), layout="constrained")
+    figure = new_figure(6, 4.2)
     draw(figure.add_subplot(), report)
-    return _address(partial(figure.savefig, format="png", dpi=150))
+    return png_address(partial(figure.savefig, format="png", dpi=150))
 
 
 def _precision_recall(axes: Axes, report: Report) -> None:
@@ -250,10 +245,4 @@ def _picture(pixels: Pixels) -> str:
     if image.width > _WIDTH:
         height = max(1, round(image.height * _WIDTH / image.width))
         image = image.resize((_WIDTH, height), Image.Resampling.BOX)
-    return _address(partial(image.save, format="png", optimize=True))
-
-
-def _address(save: Callable[[io.BytesIO], object]) -> str:
-    content = io.BytesIO()
-    save(content)
-    return f"data:image/png;base64,{base64.b64encode(content.getvalue()).decode()}"
+    return png_address(partial(image.save, format="png", optimize=True))

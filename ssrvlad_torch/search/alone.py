@@ -98,9 +98,22 @@ class LargeMap:
             name: self.index.scan(name, [descriptors[name]], sweep)[0]
             for name in (channel.column.name for channel in self.channels)
         }
-        own = self.natural[self._best(coarse, where, descriptors, sweep)].sort().values
+        rows = self.natural[self._best(coarse, where, descriptors, sweep)].sort().values
+        most, *others = self.channels
+        compared = {most.column.name: self._compared(most, descriptors, coarse, rows, sweep)}
+        if others:
+            chosen = self._finer(compared, coarse, rows, max(top, EXACT))
+            kept = torch.cat((torch.arange(self._size), self._size + chosen))
+            compared = {n: c._replace(scores=c.scores[kept]) for n, c in compared.items()}
+            rows = rows[chosen]
+        for channel in others:
+            found = self._compared(channel, descriptors, coarse, rows, sweep)
+            compared[channel.column.name] = found
+        scores = self._fused({name: each.scores for name, each in compared.items()})
         matching = len(self.frames) if allowed is None else int(allowed.sum())
-        return self._judged(descriptors, coarse, own, sweep, top, matching)
+        chance = chance_of(nearness(scores), rows, matching)
+        width = max(each.width for each in compared.values())
+        return Judged(best_of(scores, top, rows), chance, width)
 
     def _best(
         self,
@@ -112,7 +125,9 @@ class LargeMap:
         """The `COARSE` best stored rows by the fused coarse scores ``(R,)``, best first. Rows are
         chosen by z-scores of cosines before those of nearness, and before all layers of codes,
         which take longer."""
-        linear = self.linear(coarse)
+        linear = torch.zeros(len(self.frames))  # the weighted z-scores, but for a constant
+        for name, scores in coarse.items():
+            linear.add_(scores, alpha=self.factor(name, scores))
         if where is not None:
             linear.masked_fill_(~where, -torch.inf)
         some, least = linear[::_STRIDE], -torch.inf
@@ -128,13 +143,6 @@ class LargeMap:
         near = self._fused(dict(zip(coarse, parts, strict=True)))
         return rows[near.topk(min(COARSE, len(rows))).indices]
 
-    def linear(self, coarse: Mapping[str, Tensor]) -> Tensor:
-        """The weighted z-score of coarse scores ``(R,)`` by each channel, but for a constant."""
-        linear = torch.zeros(len(self.frames))
-        for name, scores in coarse.items():
-            linear.add_(scores, alpha=self.factor(name, scores))
-        return linear
-
     def factor(self, name: str, scores: Tensor) -> float:
         """What the coarse scores ``(R,)`` of a query by a channel count in a weighted z-score."""
         deviation = float(self._every(scores).std(correction=0))
@@ -143,32 +151,6 @@ class LargeMap:
     def _every(self, coarse: Tensor) -> Tensor:
         """Coarse scores ``(R,)`` of as many rows as the sample has, all over the map."""
         return coarse[self._some]
-
-    def _judged(
-        self,
-        descriptors: Mapping[str, Tensor],
-        coarse: Mapping[str, Tensor],
-        rows: Tensor,
-        sweep: bool,
-        top: int,
-        matching: int,
-    ) -> Judged:
-        """The decision by the exact scores of candidates, rising rows of the map, of which so many
-        could match."""
-        most, *others = self.channels
-        compared = {most.column.name: self._compared(most, descriptors, coarse, rows, sweep)}
-        if others:
-            chosen = self._finer(compared, coarse, rows, max(top, EXACT))
-            kept = torch.cat((torch.arange(self._size), self._size + chosen))
-            compared = {name: each.only(kept) for name, each in compared.items()}
-            rows = rows[chosen]
-        for channel in others:
-            found = self._compared(channel, descriptors, coarse, rows, sweep)
-            compared[channel.column.name] = found
-        scores = self._fused({name: each.scores for name, each in compared.items()})
-        chance = chance_of(nearness(scores), rows, matching)
-        width = max(each.width for each in compared.values())
-        return Judged(best_of(scores, top, rows), chance, width)
 
     def _finer(
         self,
@@ -208,20 +190,15 @@ class LargeMap:
         places = torch.arange(len(unique))
         if swept and len(unique):  # as far apart as in the map
             places[1:] += (unique.diff().clamp(max=ELSEWHERE + 1) - 1).cumsum(0)
-        sample, found = self.index.sample[name], self._taken(channel, unique)
+        sample, stored = self.index.sample[name], self.stored[unique.numpy()]
         between = torch.arange(int(places[-1]) + 1 if len(places) else 0) % self._size
         known = torch.cat((sample, sample[between]))
-        known[self._size + places] = found
+        known[self._size + places] = taken(self.database, stored, [channel.column])[name]
         references = channel.references(known, [""] * len(known))
         each = references.compare(query[None], False, sweep, None)
         at = self._size + places[torch.searchsorted(unique, rows)]
         wanted = torch.cat((torch.arange(self._size), at))
         return _Compared(each[0][wanted], each.width)
-
-    def _taken(self, channel: Channel, rows: Tensor) -> Tensor:
-        """The descriptors of rows of the map by one channel."""
-        stored = self.stored[rows.numpy()]
-        return taken(self.database, stored, [channel.column])[channel.column.name]
 
     def _fused(self, parts: Mapping[str, Tensor]) -> Tensor:
         """The fused scores of some rows by those of each channel, after those of the sample."""
@@ -269,7 +246,3 @@ class _Compared(NamedTuple):
 
     scores: Tensor
     width: int
-
-    def only(self, kept: Tensor) -> _Compared:
-        """Of some rows."""
-        return self._replace(scores=self.scores[kept])

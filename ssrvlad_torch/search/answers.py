@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import torch
@@ -50,38 +50,37 @@ class Answers:
     Attributes:
         queries, references: the frames of the source and of the map.
         recognised: all candidates, also those that are not accepted, and the steps as taken.
-        matches: the candidates of the accepted queries.
-        estimate: how many of these are wrong, without ground truth.
         temporal: t of Eq. 3.
         skipped: frames that could not be encoded.
         folders: of the sequences of the queries.
+        min_confidence, max_wrong: which queries are accepted, see `accepted`; by default all.
+        matches: the candidates of the accepted queries. Scores that are rounded above 1 are 1.
+        estimate: how many of these are wrong, without ground truth.
     """
 
     queries: FrameSet
     references: FrameSet
     recognised: Recognised
-    matches: Matches
-    estimate: Estimate
     temporal: int = 0
     skipped: tuple[Skipped, ...] = ()
     folders: KnownFolders = ()
+    min_confidence: float = 0.0
+    max_wrong: float | None = None
+    matches: Matches = field(init=False)
+    estimate: Estimate = field(init=False)
 
-    @classmethod
-    def of(
-        cls,
-        queries: FrameSet,
-        references: FrameSet,
-        recognised: Recognised,
-        temporal: int = 0,
-        skipped: tuple[Skipped, ...] = (),
-        folders: KnownFolders = (),
-    ) -> Answers:
-        """The answers to all queries, of which none is refused; see `accepted`."""
-        every = cls(
-            queries, references, recognised, recognised.matches, estimate(recognised.sure),
-            temporal, skipped, folders,
-        )  # fmt: skip
-        return every.accepted()
+    def __post_init__(self) -> None:
+        sure, least = self.recognised.sure, self.min_confidence
+        if self.max_wrong is None:
+            found = estimate(sure, least)
+        else:
+            found = accept(sure, self.max_wrong)
+            least = found.confidence
+        unsure = self.recognised.confidence < least
+        scores, indices = self.recognised.matches
+        scores = scores.clamp(max=1).masked_fill(unsure[:, None], -torch.inf)
+        matches = Matches(scores, indices.masked_fill(unsure[:, None], -1))
+        vars(self).update(matches=matches, estimate=found)
 
     def __len__(self) -> int:
         return len(self.queries)
@@ -107,15 +106,7 @@ class Answers:
 
     def accepted(self, min_confidence: float = 0.0, max_wrong: float | None = None) -> Answers:
         """The answers with a confidence of at least ``min_confidence``, or, if ``max_wrong`` is
-        given, as many as this fraction of wrong answers permits; the others have no candidate.
-        Scores that are rounded above 1 are 1."""
+        given, as many as this fraction of wrong answers permits; the others have no candidate."""
         if max_wrong is not None and min_confidence:
             raise ValueError("max_wrong chooses the least confidence; expected no min_confidence")
-        sure = self.recognised.sure
-        found = estimate(sure, min_confidence) if max_wrong is None else accept(sure, max_wrong)
-        least = min_confidence if max_wrong is None else found.confidence
-        unsure = self.recognised.confidence < least
-        scores, indices = self.recognised.matches
-        scores = scores.clamp(max=1).masked_fill(unsure[:, None], -torch.inf)
-        matches = Matches(scores, indices.masked_fill(unsure[:, None], -1))
-        return replace(self, matches=matches, estimate=found)
+        return replace(self, min_confidence=min_confidence, max_wrong=max_wrong)

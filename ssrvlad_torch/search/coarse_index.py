@@ -30,7 +30,7 @@ from ..channels.coarse import Coarse, Codes
 from ..database.reading import Damage, read_intact
 from ..database.rows import intact, matrix
 from ..files import is_uri, read_json, read_npz, replacing
-from .sums import Sums, SumsWriter, mean_of, refuse_many_files, sums
+from .sums import Sums, mean_of, refuse_many_files, sums, writing_sums
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -140,9 +140,6 @@ class CoarseIndex:
                 f"the index of {path} lacks {lacking} of {self._rows} frames; ssrvlad db index "
                 "adds them"
             )
-
-    def __len__(self) -> int:
-        return self._rows
 
     def scan(self, name: str, queries: Sequence[Tensor], sweep: bool = True) -> Tensor:
         """``(Q, R)`` float32 coarse scores of descriptors by one channel to all rows."""
@@ -343,7 +340,7 @@ def _write(
     offsets = (stored["_rowaddr"].to_numpy() & _OFFSET).astype(np.int64)
     names[offsets] = stored["sequence"].to_pylist()
     with ExitStack() as stack:
-        total = stack.enter_context(SumsWriter(folder / _stem(fragment), columns, names.tolist()))
+        add = stack.enter_context(writing_sums(folder / _stem(fragment), columns, names.tolist()))
         streams = {}
         for column, layer in _layers(forms, columns):
             part = stack.enter_context(replacing(_file(folder, fragment, column.name, layer)))
@@ -352,7 +349,7 @@ def _write(
             about = {"shape": shape, "fortran_order": False, "descr": dtype.str}
             npy.write_array_header_1_0(stream, about)
         for batch in _whole_blocks(fragment, columns):
-            total.add(batch)
+            add(batch)
             for (column, layer), stream in streams.items():
                 stream.write(forms[column.name].codes(batch[column.name], layer).tobytes())
 

@@ -5,10 +5,8 @@ and the width of the sweep, which are known by a sample of the map and of the qu
 may be missed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -22,12 +20,10 @@ from ..recognition.motion import ELSEWHERE
 from ..recognition.recognise import Recognised, Steps, recognise_by_search
 from ..recognition.standardise import MIN_FRAMES
 from ..recognition.sweep import COLUMNS
+from .alone import LargeMap
 from .map_rows import MapRows
 from .selection import neighbours
 from .sums import sums
-
-if TYPE_CHECKING:
-    from .alone import LargeMap
 
 CANDIDATES, BEST, EVERY = 40, 8, 4
 """Rows by the fused coarse scores of a query, whatever it follows. Of a long drive that is

@@ -88,7 +88,7 @@ def search(
         recognised.used["near"] = f"{near}: {where.sum()} frames"
     if large:
         recognised.used["index"] = large if isinstance(large, str) else "candidates of the index"
-    return Answers.of(queries, references, recognised, temporal, tuple(skipped), folders)
+    return Answers(queries, references, recognised, temporal, tuple(skipped), folders)
 
 
 def _sum_over_time(references: FrameSet, channels: Sequence[Channel], temporal: int) -> None:
@@ -153,7 +153,7 @@ def locate_view(
     else:
         recognised = recognise_in_large(references, queries, _ALONE, top, where)
         references = references.frames
-    [answer] = Answers.of(queries, references, recognised)
+    [answer] = Answers(queries, references, recognised)
     return answer
 
 

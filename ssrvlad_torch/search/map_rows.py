@@ -1,22 +1,16 @@
 """Rows of a large map, read from disk when they are needed, with what their sequences lose."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 import numpy as np
 import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from ..channels.channel import Channel
 from ..recognition.comparison import ReferenceRows
 from ..recognition.sequences import runs
 from ..recognition.standardise import sharing
+from .alone import LargeMap
 from .coarse_index import taken
-
-if TYPE_CHECKING:
-    from ..channels.channel import Channel
-    from .alone import LargeMap
 
 SAMPLE = 1000
 """Rows that represent all rows."""

@@ -7,9 +7,9 @@ from functools import cache
 from ..database.database import Database
 from ..datasets.dataset import Dataset
 from ..datasets.frame_files import FrameFile, found_by
-from ..datasets.image_files import find_image_files, read_image
+from ..datasets.image_files import Pixels, find_image_files, read_image
 from ..datasets.label_files import find_label_files, read_label_map
-from ..evaluation.report import Pictures, Pixels
+from ..evaluation.report import Pictures
 from ..segmentation.segmenter import Segmenter
 from ..taxonomy import LabelSpace, colourise, label_space
 

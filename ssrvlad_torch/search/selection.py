@@ -1,20 +1,16 @@
 """Selection: which frames of a map are candidates."""
 
-from __future__ import annotations
-
 from bisect import bisect_left
 from collections.abc import Collection, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
+import torch
+from torch import Tensor
 
 from ..database.frames import FrameSet
 from ..datasets.names import name_of, split_id
 from ..files import natural_key
-
-if TYPE_CHECKING:
-    from torch import Tensor
 
 
 def select(frames: FrameSet, sequences: Collection[str] | None = None) -> npt.NDArray[np.bool_]:
@@ -66,8 +62,6 @@ def excluded_pairs(
     """``(Q, R)`` bool, the references that are no candidates of a query: those not in ``where``
     ``(R,)`` bool, and its `neighbours` within a reach, if any; ``None`` if all
     are."""
-    import torch
-
     if where.all() and reach is None:
         return None
     excluded = np.repeat(~where[None], len(queries), axis=0)

@@ -5,14 +5,11 @@ Each data file of the table has its own, of the rows that it held when it was in
 were removed since, the sums are made again from the others.
 """
 
-from __future__ import annotations
-
 import errno
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from types import TracebackType
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -91,59 +88,44 @@ def refuse_many_files(error: Exception) -> None:
         ) from error
 
 
-class SumsWriter:
-    """Writes the sums of a data file of which all rows are in some sequences, "" for removed rows;
-    a context, in which rows are added in their order."""
+@contextmanager
+def writing_sums(
+    stem: Path, columns: Sequence[Column], sequences: Sequence[str]
+) -> Iterator[Callable[[Mapping[str, Tensor]], None]]:
+    """Writes the sums of a data file of which all rows are in some sequences, "" for removed rows.
+    The function that it gives adds the next rows by channel."""
+    names, of = np.unique(np.array(sequences, dtype=str), return_inverse=True)
+    totals: dict[str, np.memmap[Any, Any]] = {}
+    frames = {column.name: np.zeros(len(names), np.int64) for column in columns}
+    done = 0
 
-    def __init__(self, stem: Path, columns: Sequence[Column], sequences: Sequence[str]) -> None:
-        self._stem, self._columns, self._row = stem, columns, 0
-        self._names, self._of = np.unique(np.array(sequences, dtype=str), return_inverse=True)
-        self._counted = {c.name: np.zeros(len(self._names), np.int64) for c in columns}
-        self._totals: dict[str, np.memmap[Any, Any]] = {}
-
-    def __enter__(self) -> Self:
-        with ExitStack() as stack:
-            for column in self._columns:
-                part = stack.enter_context(replacing(_file(self._stem, column)))
-                shape = len(self._names), *_shape(column)
-                about = {"shape": shape, "fortran_order": False, "descr": "<f4"}
-                with part.open("wb") as stream:
-                    npy.write_array_header_1_0(stream, about)
-                    for _ in self._names:
-                        stream.write(bytes(4 * math.prod(shape[1:])))
-                flush(part)  # a full disk is an error here, and none where the file is mapped
-                self._totals[column.name] = np.load(part, mmap_mode="r+")
-            self._stack = stack.pop_all()
-        return self
-
-    def add(self, rows: Mapping[str, Tensor]) -> None:
-        """Adds the next rows by channel."""
-        count = len(next(iter(rows.values())))
-        of, self._row = self._of[self._row : self._row + count], self._row + count
-        for number in np.unique(of):
+    def add(rows: Mapping[str, Tensor]) -> None:
+        nonlocal done
+        here = of[done : done + len(next(iter(rows.values())))]
+        done += len(here)
+        for number in np.unique(here):
             for name, values in rows.items():
-                total, counted = sums(values[torch.from_numpy(of == number)])
-                self._totals[name][number] += total
-                self._counted[name][number] += counted
+                total, counted = sums(values[torch.from_numpy(here == number)])
+                totals[name][number] += total
+                frames[name][number] += counted
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        raised: BaseException | None,
-        where: TracebackType | None,
-    ) -> None:
-        for total in self._totals.values():
-            total.flush()
-        self._stack.__exit__(kind, raised, where)
-        if raised is not None:
-            return
-        frames = np.bincount(self._of, minlength=len(self._names))
-        with (
-            replacing(self._stem.with_name(f"{self._stem.name}.sums.npz")) as part,
-            part.open("wb") as stream,
-        ):
-            arrays: dict[str, Any] = {"sequences": self._names, "frames": frames, **self._counted}
-            np.savez(stream, **arrays)
+    with ExitStack() as stack:
+        for column in columns:
+            part = stack.enter_context(replacing(_file(stem, column)))
+            shape = len(names), *_shape(column)
+            with part.open("wb") as stream:
+                about = {"shape": shape, "fortran_order": False, "descr": "<f4"}
+                npy.write_array_header_1_0(stream, about)
+                for _ in names:
+                    stream.write(bytes(4 * math.prod(shape[1:])))
+            flush(part)  # a full disk is an error here, and none where the file is mapped
+            totals[column.name] = np.load(part, mmap_mode="r+")
+        yield add
+        for each in totals.values():
+            each.flush()
+    arrays: dict[str, Any] = {"sequences": names, "frames": np.bincount(of), **frames}
+    with replacing(stem.with_name(f"{stem.name}.sums.npz")) as part, part.open("wb") as stream:
+        np.savez(stream, **arrays)
 
 
 def mean_of(parts: Iterable[tuple[Array, int]], column: Column) -> Tensor:

@@ -1,7 +1,5 @@
 """OpenVINO on the CPU in the place of a session of ONNX Runtime. Needs the extra ``openvino``."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -43,7 +41,7 @@ class OpenVinoSession:
     ) -> None:
         with requiring("openvino", "OpenVINO needs"):
             import openvino
-        core, self._name = openvino.Core(), name
+        core = openvino.Core()
         limits = {"INFERENCE_NUM_THREADS": threads} if threads else {}
         with naming(f"{name} cannot run in OpenVINO"):
             model = core.read_model(source)

@@ -45,11 +45,6 @@ class Runs(NamedTuple):
         return self.last - self.first + 1
 
 
-def pack(layers: Tensor) -> Tensor:
-    """``(B, 8, H, W)`` bool layers -> ``(B, H, W)`` uint8 bit-planes."""
-    return (layers * _bits(layers).view(LAYERS, 1, 1)).sum(1, dtype=torch.uint8)
-
-
 def unpack(planes: Tensor) -> Tensor:
     """``(B, H, W)`` uint8 bit-planes -> ``(B, 8, H, W)`` bool layers."""
     return (planes[:, None] & _bits(planes).view(LAYERS, 1, 1)).bool()

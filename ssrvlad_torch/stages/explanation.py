@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import base64
-import io
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -13,7 +12,7 @@ import torch
 from torch import Tensor
 
 from ..config import AREA_LAYERS, SSRVLADConfig
-from ..files import new_figure
+from ..files import new_figure, png_address
 from ..taxonomy import CATEGORIES, NO_LAYER, LabelSpace, colourise
 from .bitplanes import unpack
 from .boundaries import DIRECTIONS, boundaries
@@ -140,12 +139,10 @@ class Explanation:
             figure = self.show()
         except ImportError as error:
             return f"{self!r}. {error}"
-        content = io.BytesIO()
-        figure.savefig(content, dpi=80, format="png")
-        picture = base64.b64encode(content.getvalue()).decode()
+        address = png_address(partial(figure.savefig, dpi=80, format="png"))
         others = len(self.labels) - 1
         more = f"<p>{others} more: <code>.show(image=1)</code></p>" if others else ""
-        return f'<img alt="{self!r}" src="data:image/png;base64,{picture}">{more}'
+        return f'<img alt="{self!r}" src="{address}">{more}'
 
 
 def explain(

@@ -1,16 +1,11 @@
 """``ssrvlad encode``."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from ..options import Json, MaybePreset, SourceOptions, StoredChannels, option, switch
 from ..output import encoding_bar, finish, note, print_json, say
-
-if TYPE_CHECKING:
-    from ...encoding.source import Wanted
 
 Engine = Literal["local", "ray"]
 
@@ -46,10 +41,13 @@ def encode(
     """
     from ...database.database import Database
     from ...encoding.results import EncodeOptions
+    from ...files import is_uri
     from ...map import Map
 
     wanted = source.wanted()
-    complete = _is_complete(wanted)
+    folders = all(is_uri(path) or Path(path).is_dir() for path in wanted.paths)
+    # all frames of the folders are used, so that one without a file is gone
+    complete = folders and not wanted.given("fps", "every", "start", "layout")
     if prune and not complete:
         raise ValueError(f"--prune needs {_COMPLETE}")
     if gpus and engine != "ray":
@@ -69,11 +67,3 @@ def encode(
     for frame in summary.gone:
         note(f"{frame} is in {output}, but its file is gone; --prune removes it")
     finish(summary.skipped, summary.encoded + summary.anew.total() + summary.already_there)
-
-
-def _is_complete(wanted: Wanted) -> bool:
-    """Whether all frames of the folders are used, so that a frame without a file is gone."""
-    from ...files import is_uri
-
-    folders = all(is_uri(path) or Path(path).is_dir() for path in wanted.paths)
-    return folders and not wanted.given("fps", "every", "start", "layout")

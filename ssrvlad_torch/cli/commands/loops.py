@@ -19,7 +19,7 @@ from ..output import finish, note, print_json, say, weights_in_words
 if TYPE_CHECKING:
     from ...database.database import Database
     from ...encoding.results import Encoded, Skipped
-    from ...encoding.source import Source, Wanted
+    from ...encoding.source import Source
     from ...loops.detector import LoopDetector
     from ...loops.result import LoopResult
 
@@ -61,8 +61,11 @@ def loops(
     from ...loops import stream
 
     live, wanted = STDIN in source.paths, source.wanted()
-    if live:
-        _check_stdin(wanted)
+    if live and (len(wanted.paths) > 1 or wanted.given(*LEFT_OUT)):
+        raise ValueError(
+            f"SOURCE {STDIN} takes no other SOURCE, no --layout, --poses, --largest-gap, --topic, "
+            "--fps, --every and --start"
+        )
     config = LoopConfig(exclude, threshold, sweep)
     stored = Database.open(memory) if memory and Database.exists(memory) else None
     if picture:
@@ -81,14 +84,6 @@ def loops(
     if picture:
         _draw(picture, detector, results, tolerance_metres)
     finish(skipped, len(results))
-
-
-def _check_stdin(wanted: Wanted) -> None:
-    if len(wanted.paths) > 1 or wanted.given(*LEFT_OUT):
-        raise ValueError(
-            f"SOURCE {STDIN} takes no other SOURCE, no --layout, --poses, --largest-gap, --topic, "
-            "--fps, --every and --start"
-        )
 
 
 def _described(
@@ -119,9 +114,13 @@ def _printed(
         for result in outcomes:
             if isinstance(result, Skipped):
                 skipped.append(result)
-            else:
-                results.append(result)
-                _print_result(result, as_json)
+                continue
+            results.append(result)
+            if as_json:
+                print_json(result.as_json())
+            elif result.accepted:
+                ahead = "" if result.ahead is None else f" {result.ahead:+.1f} m"
+                say(f"{result.frame}: {result.candidate} {result.probability:.4f}{ahead}")
     return results, skipped
 
 
@@ -139,14 +138,6 @@ def _draw(
     title = ", ".join(dict.fromkeys(drives))
     figure = draw_loops(pairs, detector.poses, title, metres, drives, candidates)
     write_picture(figure, picture)
-
-
-def _print_result(result: LoopResult, as_json: bool) -> None:
-    if as_json:
-        print_json(result.as_json())
-    elif result.accepted:
-        ahead = "" if result.ahead is None else f" {result.ahead:+.1f} m"
-        say(f"{result.frame}: {result.candidate} {result.probability:.4f}{ahead}")
 
 
 def _print_likeliest(results: Sequence[LoopResult], config: LoopConfig) -> None:
