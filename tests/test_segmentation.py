@@ -9,11 +9,11 @@ import pytest
 import torch
 import yaml
 from drawings import SIGN, SKY, SPACE
-from helpers import refuses, street
+from helpers import refuses, street, write_image
 from kornia.enhance import Denormalize, Normalize
 from kornia.geometry import Resize
 from networks import PLAIN, Then, colour_network, photo, write_graph, write_street
-from segmenting import LABELS, PHOTOS, assert_right, write_image, write_photos
+from segmenting import LABELS, PHOTOS, assert_right, write_photos
 from torch import nn
 
 from ssrvlad_torch import SSRVLAD
