@@ -32,6 +32,15 @@ def edit_golden(source: Path, target: Path, change: Callable[[dict[str, Any]], o
     return target
 
 
+def without_property(source: Path, target: Path, name: str) -> Path:
+    """A copy of an exported file without one of its properties ``ssrvlad.*``."""
+    model = onnx.load(source)
+    (entry,) = (prop for prop in model.metadata_props if prop.key == f"ssrvlad.{name}")
+    model.metadata_props.remove(entry)
+    onnx.save(model, target)
+    return target
+
+
 def turned(name: str) -> Callable[[dict[str, Any]], None]:
     """For `edit_golden`: reverses the bytes of an array, so that a correct runtime looks wrong."""
 

@@ -1,5 +1,6 @@
 """Label maps on disk, and records of frames that were never seen; shared by the tests."""
 
+import os
 import struct
 import subprocess
 import sys
@@ -56,11 +57,16 @@ def write_palette(path: Path, pixels: Sequence[int], colours: dict[int, tuple[in
     return path
 
 
+def write_image(path: Path, pixels: npt.NDArray[Any]) -> Path:
+    """An image of the format that its name says; the folder is made."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(pixels).save(path)
+    return path
+
+
 def write_street(path: Path, seed: int, height: int = 24, width: int = 32) -> Path:
     """A small random label map as an image; the folder is made."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(street(seed, height, width)).save(path)
-    return path
+    return write_image(path, street(seed, height, width))
 
 
 def write_png(path: Path, pixels: npt.NDArray[np.integer], colour_type: int, bits: int) -> Path:
@@ -154,6 +160,24 @@ def outcome(*command: object, **options: Any) -> tuple[int, list[str], list[str]
     words = [*map(str, command)]
     done = subprocess.run(words, capture_output=True, text=True, check=False, **options)
     return done.returncode, done.stdout.splitlines(), done.stderr.splitlines()
+
+
+def assert_no_reader_is_no_error(*command: object) -> None:
+    """What ``... | head -1`` does, with a pipe that nobody reads."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = subprocess.run([*map(str, command)], stdout=writer, stderr=subprocess.PIPE, check=False)
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (0, b"")
+
+
+def assert_each_is_one_line(program: Any, table: Sequence[tuple[Any, str]], silent=True) -> None:
+    """Asserts that a program refuses each arguments of a table in one line that has a text, and
+    prints no result before."""
+    for arguments, message in table:
+        code, out, errors = program(*arguments)
+        assert (code, len(errors)) == (2, 1), (arguments, errors)
+        assert message in errors[0] and not (silent and out)
 
 
 @contextmanager

@@ -2,7 +2,6 @@
 
 import torch
 from helpers import street, write_street
-from PIL import Image
 
 from ssrvlad_torch import SSRVLAD
 from ssrvlad_torch.database.database import Database
@@ -20,11 +19,6 @@ class Maps:
     def add(self, sequence, numbers, height=24, width=32):
         for number in numbers:
             write_street(self.folder / sequence / f"{number}.png", number, height, width)
-
-    def write(self, frame, labels):
-        path = self.folder / f"{frame}.png"
-        path.parent.mkdir(exist_ok=True)
-        Image.fromarray(labels).save(path)
 
     def files(self, *folders, **options):
         folders = [str(self.folder / folder) for folder in folders or ("[ab]",)]

@@ -7,10 +7,9 @@ import numpy as np
 import onnx
 import torch
 from drawings import SPACE
-from helpers import street
+from helpers import street, write_image
 from networks import photo, write_graph
 from networks import write_street as write_network
-from PIL import Image
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig
 from ssrvlad_torch.channels.channel import new_channels
@@ -31,11 +30,6 @@ def assert_right(segmenter, photos=PHOTOS, expected=LABELS):
     for labels, right in zip(segmenter(photos), expected, strict=True):
         np.testing.assert_array_equal(labels, right)
         assert labels.dtype == np.uint8
-
-
-def write_image(path, pixels):
-    path.parent.mkdir(parents=True, exist_ok=True)
-    Image.fromarray(pixels).save(path)
 
 
 def write_photos(folder, seeds=range(5), size=(24, 32)):

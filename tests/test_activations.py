@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 from cases import REAL, needs_real
-from helpers import refused
+from helpers import refuses
 from networks import (
     Street,
     colour_network,
@@ -180,8 +180,7 @@ FLAT = nn.Sequential(nn.Conv2d(3, 8, 8, 8), nn.Flatten(), nn.Hardtanh())
     ],
 )
 def test_what_cannot_be_features_is_refused(network, names, message):
-    with refused(message):
-        find_activations(network, NUMBERS, names)
+    refuses(message, find_activations, network, NUMBERS, names)
 
 
 def test_a_graph_with_external_weights(tmp_path):

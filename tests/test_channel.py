@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from helpers import refuses
 
 from ssrvlad_torch.channels.channel import View, batches, labels_of, picture_of
 
@@ -21,8 +22,7 @@ def test_the_sequence_is_the_part_before_the_last_slash():
     ],
 )
 def test_a_wrong_picture_is_named(picture, message):
-    with pytest.raises(ValueError, match=message):
-        picture_of(View("a/1", picture=picture), "hog")
+    refuses(message, picture_of, View("a/1", picture=picture), "hog")
 
 
 @pytest.mark.parametrize(
@@ -35,8 +35,7 @@ def test_a_wrong_picture_is_named(picture, message):
     ],
 )
 def test_a_wrong_label_map_is_named(view, message):
-    with pytest.raises(ValueError, match=message):
-        labels_of(view, "label-grid")
+    refuses(message, labels_of, view, "label-grid")
 
 
 def views(*sizes, labels_as="camvid-11", dtype=np.uint8):

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from drawings import SPACE
 from drives import write_maps, write_photos
-from helpers import outcome
+from helpers import assert_no_reader_is_no_error, outcome
 from networks import photo
 from PIL import Image
 from segmenting import write_photos as write_streets
@@ -56,11 +56,9 @@ for line in sys.argv[1:]:
 
 def test_help_and_db_info_need_no_torch(database):
     lines = ["--help", "encode --help", "db info --help", f"db info {database}"]
-    command = [sys.executable, "-c", NO_TORCH, *lines]
-    done = subprocess.run(command, check=False, capture_output=True, text=True)
-    assert (done.returncode, done.stderr) == (0, "")
-    assert done.stdout.count("Usage: ") == 3
-    assert "camvid-11" in done.stdout
+    code, out, err = outcome(sys.executable, "-c", NO_TORCH, *lines)
+    assert (code, err) == (0, [])
+    assert "\n".join(out).count("Usage: ") == 3 and "camvid-11" in "\n".join(out)
 
 
 def test_debug_shows_the_traceback(ssrvlad):
@@ -71,13 +69,7 @@ def test_debug_shows_the_traceback(ssrvlad):
 
 
 def test_a_closed_pipe_is_no_error(database, maps):
-    """What `ssrvlad query ... | head -1` does, with a pipe that nobody reads."""
-    reader, writer = os.pipe()
-    os.close(reader)
-    command = [sys.executable, "-m", "ssrvlad_torch", "query", database, maps]
-    done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, check=False)
-    os.close(writer)
-    assert (done.returncode, done.stderr) == (0, b"")
+    assert_no_reader_is_no_error(sys.executable, "-m", "ssrvlad_torch", "query", database, maps)
 
 
 @pytest.mark.parametrize(
@@ -98,10 +90,10 @@ def test_a_closed_stream_is_the_null_device(database, maps, tmp_path, closed):
 
 
 def test_too_few_open_files_are_one_line(database, maps):
-    line = f"ulimit -n 8; {sys.executable} -m ssrvlad_torch query {database} {maps}"
-    done = subprocess.run(line, shell=True, check=False, capture_output=True, text=True)
-    assert (done.returncode, done.stdout, len(done.stderr.splitlines())) == (2, "", 1)
-    assert "a database needs 64 open files, the limit is 8 (ulimit -n)" in done.stderr
+    command = f"ulimit -n 8; {sys.executable} -m ssrvlad_torch query {database} {maps}"
+    code, out, (line,) = outcome("sh", "-c", command)
+    assert (code, out) == (2, [])
+    assert "a database needs 64 open files, the limit is 8 (ulimit -n)" in line
 
 
 def test_a_panic_of_a_library_is_one_line(ssrvlad, monkeypatch, database, maps):
@@ -192,9 +184,9 @@ def test_ctrl_c_during_an_import_is_exit_code_130(module):
         f"        if name == {module!r}: os.kill(os.getpid(), signal.SIGINT)\n"
         "sys.meta_path.insert(0, Interrupts)\n"
     )
-    command = [sys.executable, "-c", program + TERMINAL, "export", "-o", "none/head.onnx"]
-    done = subprocess.run([*command, *CAMVID.split()], capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (130, "ssrvlad: interrupted\n")
+    command = sys.executable, "-c", program + TERMINAL, "export", "-o", "none/head.onnx"
+    code, _, err = outcome(*command, *CAMVID.split())
+    assert (code, err) == (130, ["ssrvlad: interrupted"])
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import pytest
 import torch
 from drawings import SPACE
 from drives import write_maps
-from helpers import descriptors, spoil
+from helpers import descriptors, refuses, spoil
 from large_maps import CONFIG
 
 from ssrvlad_torch import Database, Map
@@ -58,8 +58,7 @@ def test_every_row_is_scanned_also_after_changes_of_the_map(town):
     assert (report.new, report.frames) == (100, 100) and report.bytes > 100 * 64
     assert_own_row_is_first(town, "a/0000", rows(0, 1))
     add(town, 100, 70)
-    with pytest.raises(ValueError, match="lacks 70 of 170 frames; ssrvlad db index adds them"):
-        CoarseIndex(town)
+    refuses("lacks 70 of 170 frames; ssrvlad db index adds them", CoarseIndex, town)
     assert build(town).new == 70
     assert_own_row_is_first(town, "a/0100", rows(100, 1))
     town.remove(["a/0003", "a/0100"])
@@ -100,8 +99,7 @@ def test_means_are_of_the_rows_that_are_there_now(town):
     town.remove(["a/0003", "a/0120", "b/2"])
     assert_equal_means()
     next(Path(town.path, "_coarse").glob("*/*.sums.npz")).unlink()
-    with pytest.raises(ValueError, match="lacks"):
-        CoarseIndex(town)
+    refuses("lacks", CoarseIndex, town)
     build(town)
     assert_equal_means()
 
@@ -141,39 +139,32 @@ def test_too_many_files_are_said_so(town, monkeypatch):
         raise OSError(errno.EMFILE, "too many open files")
 
     monkeypatch.setattr(np, "load", load)
-    with pytest.raises(ValueError, match=r"more files than this process may open \(ulimit -n\)"):
-        CoarseIndex(town)
+    refuses(r"more files than this process may open \(ulimit -n\)", CoarseIndex, town)
 
 
 def test_what_cannot_be_opened_or_built_is_refused_in_one_line(town, tmp_path):
-    with pytest.raises(ValueError, match="has no index; ssrvlad db index builds one"):
-        CoarseIndex(town)
+    refuses("has no index; ssrvlad db index builds one", CoarseIndex, town)
     build(town)
     about = Path(town.path, "_coarse", "index.json")
     other = json.loads(about.read_text())
     other["columns"][1][1] = "many"
     about.write_text(json.dumps(other))
-    with pytest.raises(ValueError, match="is of other channels; ssrvlad db index builds it anew"):
-        CoarseIndex(town)
+    refuses("is of other channels; ssrvlad db index builds it anew", CoarseIndex, town)
     assert build(town).new == 100
-    with pytest.raises(ValueError, match="holds no frames yet"):
-        build(Database.create(tmp_path / "empty", CONFIG))
+    refuses("holds no frames yet", build, Database.create(tmp_path / "empty", CONFIG))
     about.write_text("{")
-    with pytest.raises(ValueError, match="is damaged, or of another version; ssrvlad db index"):
-        CoarseIndex(town)
+    refuses("is damaged, or of another version; ssrvlad db index", CoarseIndex, town)
     assert build(town).new == 100
     codes = next(Path(town.path, "_coarse").glob("*/*.1.signs.npy"))
     codes.write_bytes(codes.read_bytes()[:-1])
-    with pytest.raises(ValueError, match="lacks 100 of 100 frames"):
-        CoarseIndex(town)
+    refuses("lacks 100 of 100 frames", CoarseIndex, town)
     assert build(town).new == 100
     assert_own_row_is_first(town, "a/0000", rows(0, 1))
     spoil(Path(town.path), rows(0, 3)["ssr-vlad"][2])
     add(town, 100, 1)
     assert build(Database.open(town.path)).new == 1, "what is indexed is not read again"
     about.unlink()
-    with pytest.raises(ValueError, match="is damaged"):
-        build(Database.open(town.path))
+    refuses("is damaged", build, Database.open(town.path))
 
 
 def test_a_map_keeps_its_index_complete(tmp_path):

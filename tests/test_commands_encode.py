@@ -12,9 +12,10 @@ import pytest
 import torch
 from drawings import VOID
 from drives import write_maps
+from helpers import write_image
 from networks import photo
 from PIL import Image
-from segmenting import write_image, write_settings
+from segmenting import write_settings
 
 from ssrvlad_torch.cli import output
 from ssrvlad_torch.database import engine

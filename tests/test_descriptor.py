@@ -10,7 +10,7 @@ import pytest
 import torch
 from cases import assert_equals_reference, camvid_labels, degenerate, hand_drawn, needs_camvid
 from drawings import CAR, ROAD, SPACE, TREE, VOID, blobs
-from helpers import refused
+from helpers import refused, refuses
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from PIL import Image
@@ -154,8 +154,7 @@ def test_an_empty_image_is_zero_and_flagged():
 
 
 def test_the_head_has_no_weights_and_no_state():
-    with pytest.raises(ValueError, match="SSRVLADConfig, got 'paper'; see"):
-        SSRVLAD("paper")
+    refuses("SSRVLADConfig, got 'paper'; see", SSRVLAD, "paper")
     head = SSRVLAD(DEFAULT)
     assert not list(head.parameters())
     assert not head.state_dict()
@@ -186,8 +185,7 @@ def test_the_head_has_no_weights_and_no_state():
     ],
 )
 def test_bad_input_is_refused_by_shape_and_type(labels, message):
-    with refused(message):
-        SSRVLAD(DEFAULT)(labels)
+    refuses(message, SSRVLAD(DEFAULT), labels)
 
 
 OPERATOR = "ssrvlad.describe.default"
@@ -236,8 +234,7 @@ def test_a_network_with_the_head_is_compiled_and_exported(core):
         for strict in (False, True):
             program = torch.export.export(whole, (images,), strict=strict)
             torch.testing.assert_close(program.module()(other), expected, rtol=0, atol=1e-6)
-        with pytest.raises(ValueError, match="NaN"):
-            compiled(other * torch.nan)
+        refuses("NaN", compiled, other * torch.nan)
 
 
 @pytest.mark.parametrize("head", [SSRVLAD(DEFAULT), SSRVLAD(PAPER), SSRVLAD(DEFAULT, [0])])
@@ -356,5 +353,4 @@ def test_an_anchor_is_a_column_from_the_usual_one(city):
 
 @pytest.mark.parametrize("columns", [[], [2**62], [0.5], ["a"]])
 def test_anchors_that_are_no_integers_are_refused(city, columns):
-    with pytest.raises(ValueError, match="columns: expected one or more integers"):
-        SSRVLAD(IN_CITY).sweep(city, columns)
+    refuses("columns: expected one or more integers", SSRVLAD(IN_CITY).sweep, city, columns)

@@ -5,9 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from helpers import street, touch
+from helpers import street, touch, write_image
 from maps import HEAD, alone, assert_streets, counts
-from PIL import Image
 
 from ssrvlad_torch.channels.label_shapes import LabelShapes
 from ssrvlad_torch.datasets.frame_file import FrameFile
@@ -71,7 +70,7 @@ def test_a_frame_that_cannot_be_read_or_encoded_is_skipped_and_the_others_are_en
     (town.folder / "a" / "4.png").write_text("no image")
     unknown = street(7)
     unknown[2:4, 5:8] = 99
-    town.write("a/7", unknown)
+    write_image(town.folder / "a" / "7.png", unknown)
     reported = []
     summary = town.encode(skipped=reported.append)
     assert counts(summary) == (10, 0, 2)
@@ -93,8 +92,8 @@ def test_frames_may_differ_in_size_and_format(town):
     for number in range(10):
         town.add("a", [number], *sizes[number % len(sizes)])
     labels = street(0)
-    town.write("a/10", labels.astype(np.uint16))
-    Image.fromarray(labels.astype(np.int32)).save(town.folder / "a" / "11.tif")
+    write_image(town.folder / "a" / "10.png", labels.astype(np.uint16))
+    write_image(town.folder / "a" / "11.tif", labels.astype(np.int32))
     np.save(town.folder / "a" / "12.npy", labels.astype(">u4"))
     assert counts(town.encode()) == (13, 0, 0)
     frames = town.database().load()

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from cases import camvid_labels, degenerate, hand_drawn
 from exported import hundreds_of_label_maps, noise
-from helpers import outcome, street
+from helpers import assert_each_is_one_line, outcome, street
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, reference
 from ssrvlad_torch.config import PRESETS
@@ -143,17 +143,15 @@ def test_wrong_use_is_one_line(describe, inputs, tmp_path):
     categories, labels = inputs
     np.save(tmp_path / "strange.npy", np.full((4, 5), 77, np.uint8))
     np.save(tmp_path / "real.npy", np.zeros((4, 5)))
-    for arguments, message in [
+    table = [
         (("default", categories), "usage"),
         (("best", categories, labels), "expected the preset default or paper, got best"),
         (("default", labels, labels), "expected (256,) uint8, got 2 axes"),
         (("default", categories, tmp_path / "none.npy"), "cannot be read"),
         (("default", categories, tmp_path / "strange.npy"), "20 pixels have an id without"),
         (("default", categories, tmp_path / "real.npy"), "got 2 axes of <f8"),
-    ]:
-        code, _, errors = describe(*arguments)
-        assert (code, len(errors)) == (2, 1), (arguments, errors)
-        assert message in errors[0]
+    ]
+    assert_each_is_one_line(describe, table)
 
 
 @pytest.mark.skipif(shutil.which("cmake") is None, reason="CMake is not installed")

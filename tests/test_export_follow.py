@@ -7,10 +7,10 @@ from pathlib import Path
 
 import follow_onnx as program
 import numpy as np
-import onnx
 import pytest
 import run_onnx
 from cases import REAL, needs_real
+from graphs import without_property
 from helpers import outcome, without
 from loop_streams import objects
 from segmenting import write_drives, write_map, write_moved_drives, write_town
@@ -112,21 +112,12 @@ def test_pictures_are_found_by_all_channels_as_by_query(follow, ssrvlad, tmp_pat
     assert (code, lines, errors) == (0, out.splitlines(), [])
 
 
-def forget_hog(path):
-    """Makes a fused file one of an older `fuse`, which gives no HOG."""
-    model = onnx.load(path)
-    named = {each.key: each.value for each in model.metadata_props if each.key != "ssrvlad.hog"}
-    model.ClearField("metadata_props")
-    onnx.helper.set_model_props(model, named)
-    onnx.save(model, path)
-
-
 def test_a_file_without_hog_says_so_once(follow, tmp_path):
-    """For a database that has it."""
+    """The file is of an older `fuse`, which gave no HOG; the database has it."""
     write_drives(tmp_path, range(36), range(2, 35), (96, 128))
     write_town(tmp_path, tmp_path / "town.npy")
-    forget_hog(tmp_path / "place.onnx")
-    given = (tmp_path / "place.onnx", tmp_path / "today", "--database", tmp_path / "town.npy")
+    plain = without_property(tmp_path / "place.onnx", tmp_path / "plain.onnx", "hog")
+    given = (plain, tmp_path / "today", "--database", tmp_path / "town.npy")
     code, out, (line,) = follow(*given, "--json")
     assert (code, out.count("\n")) == (0, 33)
     town = tmp_path / "town.npy"

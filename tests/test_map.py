@@ -9,10 +9,10 @@ import pytest
 import torch
 from drawings import SPACE
 from drives import write_maps
-from helpers import refuses, street
+from helpers import refuses, street, write_image
 from networks import PLAIN, Street, Strided, photo
 from PIL import Image
-from segmenting import counted, write_image, write_photos, write_settings
+from segmenting import counted, write_photos, write_settings
 from torch import nn
 
 from ssrvlad_torch import Database, Map, Segmenter

@@ -1,7 +1,7 @@
 """Names of sequences: short, and never two alike."""
 
 import pytest
-from helpers import refuses
+from helpers import refuses, touch
 
 from ssrvlad_torch.datasets.label_files import find_label_files
 from ssrvlad_torch.datasets.names import (
@@ -74,9 +74,7 @@ def test_sequences_of_two_databases_are_one_where_a_folder_is():
 
 def test_sources_stay_in_the_order_in_which_they_are_given(tmp_path):
     """It is the order of time; a glob is sorted as a person would."""
-    for folder in ("morning", "evening", "day10", "day9"):
-        (tmp_path / folder).mkdir()
-        (tmp_path / folder / "1.png").touch()
+    touch(*(tmp_path / folder / "1.png" for folder in ("morning", "evening", "day10", "day9")))
     sources = [str(tmp_path / name) for name in ("morning", "evening", "day*")]
     found = [file.sequence for file in find_label_files(sources)]
     assert found == ["morning", "evening", "day9", "day10"]

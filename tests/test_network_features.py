@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 from drawings import SPACE
-from helpers import refused
+from helpers import refuses
 from networks import PLAIN, Street, colour_network, write_street
 from segmenting import PHOTOS, counted, write_photos
 from torch import nn
@@ -144,5 +144,4 @@ def same_everywhere(value):
 def test_a_network_without_features_is_refused_in_one_line(network, message):
     segmenter = Segmenter(network, SPACE, PLAIN)
     assert segmenter.problem_of_features.startswith(f"the network: {message}")
-    with refused(f"^the network: {message}"):
-        segmenter.segment(PHOTOS[:1], features=True)
+    refuses(f"^the network: {message}", segmenter.segment, PHOTOS[:1], features=True)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 from drawings import SPACE
-from helpers import refused, street
+from helpers import refuses, street
 from networks import CLASSES, PLAIN, Strided, Then, photo
 from segmenting import NOISE, PHOTOS, assert_right, write_photos
 
@@ -66,8 +66,7 @@ def test_the_axis_of_the_classes_does_not_follow_the_size_of_a_picture(form, siz
     ],
 )
 def test_an_output_that_cannot_be_recognised_is_an_error_that_has_it(give, message):
-    with refused(message):
-        Segmenter(Then(give), SPACE, PLAIN)(PHOTOS[:1])
+    refuses(message, Segmenter(Then(give), SPACE, PLAIN), PHOTOS[:1])
 
 
 def test_the_output_and_the_channels_may_be_named():

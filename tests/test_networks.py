@@ -5,7 +5,7 @@ import sys
 import pytest
 import torch
 from drawings import SPACE
-from helpers import refused
+from helpers import refused, refuses
 from networks import NAMES, PLAIN, colour_network, write_graph, write_published
 from segmenting import NOISE, PHOTOS, assert_right
 
@@ -47,8 +47,7 @@ def test_a_settings_file_names_a_network_beside_it(tmp_path, monkeypatch):
 def test_a_bad_settings_file_is_an_error_in_one_line(tmp_path, text, message):
     if text is not None:
         (tmp_path / "net.yaml").write_text(text)
-    with refused(message):
-        Segmenter.load(tmp_path / "net.yaml", SPACE)
+    refuses(message, Segmenter.load, tmp_path / "net.yaml", SPACE)
 
 
 def test_a_function_or_torch_hub_makes_the_network(tmp_path, monkeypatch):
@@ -61,13 +60,10 @@ def test_a_function_or_torch_hub_makes_the_network(tmp_path, monkeypatch):
     )
     assert_right(Segmenter(open_network("mynets:mine").network, SPACE, PLAIN))
     assert_right(Segmenter.load("net.yaml", SPACE))
-    with pytest.raises(ValueError, match="does not name its classes; give --labels-as"):
-        Segmenter.load("mynets:mine")
+    refuses("does not name its classes; give --labels-as", Segmenter.load, "mynets:mine")
     for name in ("mynets:none", "nothing:mine", "torchhub:strided"):
-        with pytest.raises(ValueError, match=name):
-            open_network(name)
-    with pytest.raises(ValueError, match="gives a list; expected an nn"):
-        open_network("builtins:list")
+        refuses(name, open_network, name)
+    refuses("gives a list; expected an nn", open_network, "builtins:list")
 
 
 def test_a_module_and_its_weights_are_found_beside_the_settings(tmp_path, monkeypatch):
@@ -92,8 +88,7 @@ def test_a_module_and_its_weights_are_found_beside_the_settings(tmp_path, monkey
         open_network(elsewhere / "net.yaml")
     (nets / "net.yaml").write_text(settings.replace("best", "none"))
     message = r"^beside_yaml:mine\(weights: none\.pth\) fails: none\.pth: No such file"
-    with pytest.raises(ValueError, match=message):
-        open_network("nets/net.yaml")
+    refuses(message, open_network, "nets/net.yaml")
     (tmp_path / "hubconf.py").write_text("def mine(weights): return open(weights)\n")
     (tmp_path / "hub.yaml").write_text(
         f"network: torchhub:{tmp_path}/mine\narguments: {{weights: none.pth}}\n"
@@ -163,8 +158,7 @@ def test_a_model_that_is_not_there_is_an_error_in_one_line(tmp_path, monkeypatch
     with refused(r"^hf:nobody/nothing@1 cannot be loaded: ", by=OSError):
         open_network("hf:nobody/nothing@1")
     (tmp_path / "empty").mkdir()
-    with pytest.raises(ValueError, match="empty cannot be used: Unrecognized model"):
-        open_network(tmp_path / "empty")
+    refuses("empty cannot be used: Unrecognized model", open_network, tmp_path / "empty")
     assert capfd.readouterr() == ("", "")
 
 

@@ -5,7 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 from drawings import SPACE
-from helpers import refused, street
+from helpers import refuses, street
 from networks import PLAIN, photo, write_graph
 from segmenting import assert_right, write_settings
 from test_segmentation import GRAPHS
@@ -52,16 +52,13 @@ def test_a_runtime_that_cannot_be_taken_is_named(tmp_path, monkeypatch, text, me
     write_graph(tmp_path / "net.onnx")
     (tmp_path / "net.yaml").write_text("network: net.onnx")
     (tmp_path / "fast.yaml").write_text(f"network: {text}")
-    with refused(rf"^fast\.yaml: runtime.*{message}"):
-        open_network("fast.yaml")
+    refuses(rf"^fast\.yaml: runtime.*{message}", open_network, "fast.yaml")
 
 
 def test_what_openvino_cannot_run_is_named(tmp_path):
     path = write_graph(tmp_path / "net.onnx")
-    with refused(r"^net cannot run in OpenVINO: .*no_such"):
-        OpenVinoSession(path, "net", ["no_such"])
-    with pytest.raises(ValueError, match=r"^net cannot run in OpenVINO: "):
-        OpenVinoSession(b"no graph", "net")
+    refuses(r"^net cannot run in OpenVINO: .*no_such", OpenVinoSession, path, "net", ["no_such"])
+    refuses(r"^net cannot run in OpenVINO: ", OpenVinoSession, b"no graph", "net")
 
 
 def test_threads_run_one_graph_at_the_same_time(tmp_path):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from helpers import refuses, touch
 from PIL import Image
 from ssrvlad_place.frames import find_frames, read_labels, read_photograph
 from ssrvlad_place.model import Model
@@ -16,19 +17,15 @@ from ssrvlad_torch.taxonomy import label_space
 def test_frames_of_a_folder_are_in_natural_order_however_they_are_named(tmp_path):
     """A shell gives 10 before 9. Two folders of one name would be one drive."""
     files = [tmp_path / day / "maps" / f"{n}.png" for day in ("a", "b") for n in (10, 8, 9)]
-    for file in files:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.touch()
+    touch(*files)
     for sources in (files[:3], [files[0].parent], [files[0], files[0].parent / ".." / "maps"]):
         frames = [frame for frame, _ in find_frames(sources)]
         assert list(dict.fromkeys(frames)) == ["maps/8", "maps/9", "maps/10"]
-    with pytest.raises(ValueError, match=r"a.maps and .*b.maps have one name"):
-        list(find_frames(files))
+    refuses(r"a.maps and .*b.maps have one name", list, find_frames(files))
     drive = tmp_path / "drive"
-    drive.mkdir()
     unusual = ["b\u00b2", "b1\u00b2", "c\u0663", "\u00bd"]
-    for name in ["b2", "b10", "12.5", "12.25", "9", "c2", "_", *unusual]:
-        (drive / f"{name}.png").touch()
+    names = ["b2", "b10", "12.5", "12.25", "9", "c2", "_", *unusual]
+    touch(*(drive / f"{name}.png" for name in names))
     expected = [file.frame for file in find_image_files([str(drive)])]
     assert [frame for frame, _ in find_frames([drive])] == expected
 
@@ -36,8 +33,7 @@ def test_frames_of_a_folder_are_in_natural_order_however_they_are_named(tmp_path
 def test_frames_have_the_suffixes_that_encode_takes(head, drives, tmp_path):
     assert Model(head).suffixes == SUFFIXES_OF_MAPS
     assert Model(drives / "place.onnx").suffixes == SUFFIXES
-    for suffix in SUFFIXES:
-        (tmp_path / f"a{suffix}").touch()
+    touch(*(tmp_path / f"a{suffix}" for suffix in SUFFIXES))
     found = [path.suffix for _, path in find_frames([tmp_path], SUFFIXES_OF_MAPS)]
     assert sorted(found) == sorted(SUFFIXES_OF_MAPS)
 
@@ -75,8 +71,7 @@ def test_photographs_are_read_as_by_encode(tmp_path, pixels, form, options):
     try:
         expected = decode_image(path.read_bytes())
     except ValueError:
-        with pytest.raises(ValueError, match=r"^(expected|cannot identify the image; expected) "):
-            read_photograph(path)
+        refuses(r"^(expected|cannot identify the image; expected) ", read_photograph, path)
     else:
         np.testing.assert_array_equal(read_photograph(path), expected)
 

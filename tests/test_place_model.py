@@ -8,7 +8,7 @@ import pytest
 import run_onnx
 import torch
 from exported import COLUMNS
-from graphs import edit_golden, turned
+from graphs import edit_golden, turned, without_property
 from helpers import street
 from networks import PLAIN, Then, photo, write_graph
 from onnx import TensorProto
@@ -73,11 +73,7 @@ def test_the_golden_pair_holds_and_a_file_edited_does_not(head, tmp_path, run):
 
 
 def test_a_file_of_another_format_is_refused(head, maps, tmp_path, run, ssrvlad):
-    model = onnx.load(head)
-    (written,) = (entry for entry in model.metadata_props if entry.key == "ssrvlad.format")
-    model.metadata_props.remove(written)
-    onnx.save(model, tmp_path / "old.onnx")
-    old = tmp_path / "old.onnx"
+    old = without_property(head, tmp_path / "old.onnx", "format")
     for code, _, (line,) in (run(old, maps), ssrvlad("verify", old)):
         assert code == 2
         assert "old.onnx: a file of format 1; expected 2: export it again" in line

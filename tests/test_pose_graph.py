@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pose_graph
 import pytest
-from helpers import outcome
+from helpers import outcome, refuses
 from PIL import Image
 from pose_graph import Loop, correct, in_front, moved, read_loops, relative, tum_line
 
@@ -111,8 +111,7 @@ def test_tum_poses_are_read_as_they_were_written(tmp_path):
 )
 def test_lines_of_another_form_are_refused(lines, message):
     texts = [line if isinstance(line, str) else json.dumps(line) for line in lines]
-    with pytest.raises(ValueError, match=message):
-        read_loops(texts)
+    refuses(message, read_loops, texts)
 
 
 @pytest.fixture

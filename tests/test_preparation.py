@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 from drawings import SPACE
-from helpers import street
+from helpers import refuses, street
 from networks import PLAIN, Coloured, Street, Then, colour_network, photo
 from PIL import Image
 from segmenting import LABELS, NOISE, assert_right, write_photos
@@ -114,8 +114,7 @@ def test_arrays_that_are_no_images_are_refused(image):
     ],
 )
 def test_settings_out_of_range_are_refused(settings, message):
-    with pytest.raises(ValueError, match=message):
-        SegmenterConfig(**settings)
+    refuses(message, SegmenterConfig, **settings)
 
 
 def test_a_failing_network_is_reported_with_the_size_it_was_fed():
@@ -129,5 +128,4 @@ def test_a_failing_network_is_reported_with_the_size_it_was_fed():
         Segmenter(Street(), SPACE, PLAIN, size=(90, 120))(picture)
     assert Segmenter(Street(), SPACE, PLAIN, size=90, multiple=16)(picture)
     broken = Then(lambda scores: int("x"))
-    with pytest.raises(ValueError, match=r"fails at 30x40: invalid literal [^;]*$"):
-        Segmenter(broken, SPACE, PLAIN)(picture)
+    refuses(r"fails at 30x40: invalid literal [^;]*$", Segmenter(broken, SPACE, PLAIN), picture)

@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 from drawings import MASKS, ROAD, SPACE, VOID, blobs, mask
+from helpers import refuses
 from skimage.morphology import skeletonize, thin
 
 from ssrvlad_torch import SSRVLADConfig, reference
@@ -157,8 +158,7 @@ def test_a_cross_describes_itself_by_hand():
     ],
 )
 def test_other_arrays_and_unknown_ids_are_refused(labels, message):
-    with pytest.raises(ValueError, match=message):
-        reference.describe(labels, PLAIN)
+    refuses(message, reference.describe, labels, PLAIN)
 
 
 def test_an_image_without_category_is_zero():

@@ -13,13 +13,12 @@ from types import ModuleType, SimpleNamespace
 from xml.etree import ElementTree
 
 import numpy as np
-import onnx
 import pytest
-from helpers import refused, street
+from graphs import without_property
+from helpers import refused, street, write_image
 from loop_streams import SEEDS, assert_same_answers, objects
 from networks import photo
 from ros_images import CAMVID, CONFIG, picture, seen
-from segmenting import write_image
 from ssrvlad_ros import live_loops
 
 from ssrvlad_torch import SSRVLAD, Database, LoopDetector
@@ -375,10 +374,7 @@ def test_a_memory_that_was_made_elsewhere_is_gone_on_from(node_with, ssrvlad, dr
 def test_a_model_without_hog_goes_without_and_opens_no_memory_with_it(
     node, node_with, drives, tmp_path
 ):
-    model, plain = onnx.load(drives / "place.onnx"), tmp_path / "plain.onnx"
-    (hog,) = (each for each in model.metadata_props if each.key == "ssrvlad.hog")
-    model.metadata_props.remove(hog)
-    onnx.save(model, plain)
+    plain = without_property(drives / "place.onnx", tmp_path / "plain.onnx", "hog")
     with_hog, without = tmp_path / "with", tmp_path / "without"
     node_with([0], memory=str(with_hog)).close()
     node_with([0], memory=str(without), model=str(plain)).close()

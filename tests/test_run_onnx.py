@@ -1,8 +1,6 @@
 """The script without torch against the command line."""
 
-import os
 import shutil
-import subprocess
 import sys
 from functools import partial
 from pathlib import Path
@@ -13,7 +11,18 @@ import numpy as np
 import pytest
 import run_onnx
 from drives import write_maps
-from helpers import COLOUR, GRAY, PALETTES, flip_byte, outcome, without, write_palette, write_png
+from helpers import (
+    COLOUR,
+    GRAY,
+    PALETTES,
+    assert_each_is_one_line,
+    assert_no_reader_is_no_error,
+    flip_byte,
+    outcome,
+    without,
+    write_palette,
+    write_png,
+)
 from loop_streams import objects
 from networks import write_graph
 from PIL import Image
@@ -275,7 +284,7 @@ def test_wrong_use_is_one_line(head, maps, town, tmp_path, run):
     lonely.write_bytes(town.read_bytes())
     Path(f"{lonely}.fingerprint.txt").write_text(f"{CONFIG.fingerprint}\n")
     (tmp_path / "empty").mkdir()
-    for arguments, message in [
+    table = [
         ((tmp_path / "none.onnx", maps), "none.onnx does not exist"),
         ((tmp_path / "none.onnx",), "none.onnx does not exist"),
         ((other, maps), "no metadata ssrvlad.*"),
@@ -289,11 +298,8 @@ def test_wrong_use_is_one_line(head, maps, town, tmp_path, run):
         ((head, *sorted(maps.iterdir()), maps), "is a second frame monday/"),
         ((head, maps, "--save-descriptors", tmp_path / "none" / "o.npy"), "none is no folder"),
         ((head, maps, "--provider", "Abacus"), "no provider Abacus; expected one of "),
-    ]:
-        code, out, errors = run(*arguments)
-        assert (code, out) == (2, ""), arguments
-        assert len(errors) == 1, errors
-        assert message in errors[0]
+    ]
+    assert_each_is_one_line(run, table)
     Path(f"{town}.frames.txt").write_text("a/1\n")
     assert run(head, maps, "--database", town)[2][0].endswith("for 1 frames")
     assert run(head)[0] == run(head, maps, "--check")[0] == run(head, maps, "--top", 0)[0] == 2
@@ -301,11 +307,5 @@ def test_wrong_use_is_one_line(head, maps, town, tmp_path, run):
 
 @pytest.mark.parametrize("program", [run_onnx, loops_onnx, follow_onnx])
 def test_a_reader_that_has_enough_is_no_error(head, maps, town, program):
-    """What `... | head -1` does, with a pipe that nobody reads."""
-    reader, writer = os.pipe()
-    os.close(reader)
     given = () if program is loops_onnx else ("--database", town)
-    command = [sys.executable, program.__file__, head, maps, *given]
-    done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, check=False)
-    os.close(writer)
-    assert (done.returncode, done.stderr) == (0, b"")
+    assert_no_reader_is_no_error(sys.executable, program.__file__, head, maps, *given)

@@ -9,11 +9,11 @@ import pytest
 import torch
 import yaml
 from drawings import SIGN, SKY, SPACE
-from helpers import refused, street
+from helpers import refuses, street, write_image
 from kornia.enhance import Denormalize, Normalize
 from kornia.geometry import Resize
 from networks import PLAIN, Then, colour_network, photo, write_graph, write_street
-from segmenting import LABELS, PHOTOS, assert_right, write_image, write_photos
+from segmenting import LABELS, PHOTOS, assert_right, write_photos
 from torch import nn
 
 from ssrvlad_torch import SSRVLAD
@@ -124,8 +124,7 @@ def test_a_fixed_size_is_the_size_of_the_settings(tmp_path):
 )
 def test_a_graph_that_does_not_fit_is_refused(tmp_path, graph, settings, message):
     network = OnnxNetwork(write_graph(tmp_path / "net.onnx", **graph))
-    with refused(rf"net\.onnx: {message}"):
-        Segmenter(network, **{"labels_as": SPACE, **settings})
+    refuses(rf"net\.onnx: {message}", Segmenter, network, **{"labels_as": SPACE, **settings})
 
 
 def test_the_network_is_in_evaluation_mode_and_takes_no_gradients():
@@ -150,8 +149,7 @@ def test_a_damaged_graph_is_an_error_in_one_line(tmp_path, damage, capfd):
         (tmp_path / "net.data").unlink()
     else:
         path.write_bytes({"text": b"hello", "truncated": whole[:-40]}[damage])
-    with refused(r"net\.onnx (does not exist|cannot run)"):
-        OnnxNetwork(path)
+    refuses(r"net\.onnx (does not exist|cannot run)", OnnxNetwork, path)
     assert capfd.readouterr() == ("", ""), "the runtime keeps its log to itself"
 
 
@@ -209,11 +207,9 @@ def test_a_file_that_has_changed_since_is_not_taken_for_the_graph(tmp_path):
     segmenter, message = Segmenter(OnnxNetwork(path), SPACE, PLAIN), r"net\.onnx has changed or is"
     write_street(path)
     for use in (segmenter.key, lambda: segmenter.features):
-        with pytest.raises(ValueError, match=message):
-            use()
+        refuses(message, use)
     path.unlink()
-    with pytest.raises(ValueError, match=message):
-        segmenter.key()
+    refuses(message, segmenter.key)
     assert "is gone" in Segmenter(segmenter.network, SPACE, PLAIN).problem_of_features
 
 
@@ -225,8 +221,7 @@ def test_a_file_that_is_replaced_while_it_is_opened_is_refused(tmp_path, monkeyp
 
     path = write_graph(tmp_path / "net.onnx")
     monkeypatch.setattr(onnx_network, "open_session", opened)
-    with pytest.raises(ValueError, match=r"net\.onnx has changed"):
-        OnnxNetwork(path)
+    refuses(r"net\.onnx has changed", OnnxNetwork, path)
 
 
 @pytest.mark.parametrize("options", [{"channels_last": True}, {"scores_last": True}, {}])
@@ -243,8 +238,7 @@ def test_classes_that_are_as_many_as_rows_or_columns_are_told_apart(tmp_path, op
 def test_an_ambiguous_axis_of_classes_is_refused(tmp_path):
     path = write_graph(tmp_path / "net.onnx", (1, 3, 12, 12), scores_last=True)
     expected = r"output \(1, 12, 12, 12\) float32 for images of 12x12 can be \(B, C, h, w\) or "
-    with pytest.raises(ValueError, match=expected):
-        Segmenter(OnnxNetwork(path), SPACE, PLAIN)([photo(street(0, 12, 12))])
+    refuses(expected, Segmenter(OnnxNetwork(path), SPACE, PLAIN), [photo(street(0, 12, 12))])
 
 
 def graph_of(inputs, path):
@@ -274,8 +268,7 @@ def value(name, shape, dtype=onnx.TensorProto.FLOAT):
     ],
 )
 def test_a_graph_that_takes_no_image_is_refused(tmp_path, inputs, message):
-    with pytest.raises(ValueError, match=message):
-        OnnxNetwork(graph_of(inputs, tmp_path / "net.onnx"))
+    refuses(message, OnnxNetwork, graph_of(inputs, tmp_path / "net.onnx"))
 
 
 BY_CHOICE = {"Bridge", "Tunnel", "license plate"}

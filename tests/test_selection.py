@@ -3,8 +3,8 @@
 from itertools import compress
 
 import numpy as np
-import pytest
 import torch
+from helpers import refuses
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -38,8 +38,7 @@ def test_sequences_are_selected_by_name():
         ([], ()),
     ):
         assert tuple(compress(FRAMES.frames, select(FRAMES, sequences))) == expected
-    with pytest.raises(ValueError, match="there is no sequence 'dusk' in the database"):
-        select(FRAMES, ["night", "dusk"])
+    refuses("there is no sequence 'dusk' in the database", select, FRAMES, ["night", "dusk"])
 
 
 @given(st.sets(st.integers(0, 30)), st.integers(0, 40), st.integers(0, 5))
@@ -55,8 +54,7 @@ def test_neighbours_are_the_frames_around_the_position_of_a_query(numbers, query
 
 def test_a_query_of_another_sequence_has_no_neighbours():
     assert neighbours(["dusk/1"], FRAMES, 3).tolist() == [[0, 0]]
-    with pytest.raises(ValueError, match="0 or more frames, got -1"):
-        neighbours([], FRAMES, -1)
+    refuses("0 or more frames, got -1", neighbours, [], FRAMES, -1)
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 6))

@@ -5,9 +5,8 @@ import json
 import numpy as np
 import pytest
 from drawings import SPACE
-from helpers import street
+from helpers import street, write_image
 from networks import photo
-from segmenting import write_image
 
 from ssrvlad_torch import Database, LabelSpace
 from ssrvlad_torch.datasets.synthetic_city import write_city

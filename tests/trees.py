@@ -4,6 +4,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
+from helpers import write_image
 from PIL import ExifTags, Image
 
 from ssrvlad_torch.datasets.dataset import Dataset
@@ -12,9 +13,7 @@ from ssrvlad_torch.datasets.dataset import Dataset
 def plant(root: Path, *names: str) -> Path:
     """Tiny images of the formats that their names say; the folders are made."""
     for name in names:
-        path = root / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        Image.fromarray(np.zeros((4, 6, 3), np.uint8)).save(path)
+        write_image(root / name, np.zeros((4, 6, 3), np.uint8))
     return root
 
 

@@ -1,15 +1,14 @@
-"""Costs of methods: encoding and matching frame by frame, all methods in turn, one thread."""
+"""Costs of a method: encoding and matching frame by frame."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from itertools import cycle, islice
 from typing import Any
 from unittest.mock import patch
 
-from _timing import threads
 from torch import Tensor
 
 from ssrvlad_torch import baselines
@@ -60,27 +59,6 @@ class Cost:
             self.extract.append(1e3 * (encoded - begin - within))
             self.aggregate.append(1e3 * within)
             self.match.append(1e3 * (matched - encoded))
-
-
-def measure(
-    methods: Mapping[str, Callable[[], baselines.Method]],
-    frames: Sequence[View],
-    references: int,
-    rounds: Mapping[str, int],
-) -> dict[str, Cost]:
-    """Encodes and matches one frame by every method, then the next frame by every method, and
-    after the last the first again, in so many rounds for each method; one more before them is not
-    counted. `ENCODED` references are encoded; if an encoding is one tensor, it is repeated up to
-    ``references``."""
-    with threads(1):
-        costs = {name: Cost(make(), frames, references) for name, make in methods.items()}
-        last = max(rounds.values())
-        for number in range(-1, last):
-            for name, cost in costs.items():
-                if number < rounds[name]:
-                    cost.work(number)
-            print(f"[round {number + 2} of {last + 1}]", flush=True)
-    return costs
 
 
 def _repeated(encoded: Any, count: int) -> Any:

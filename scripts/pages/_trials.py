@@ -14,9 +14,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from _costs import Cost, measure
+from _costs import Cost
 from _decide import Decisions, decide
 from _described import IMAGES, LABELS, OF_NETWORKS, OF_PICTURES, TRAINED, Condition, Described
+from _timing import threads
 from conditions import Search, camvid, every_other, labelled, pictured
 
 from ssrvlad_torch.channels.channel import View
@@ -87,15 +88,21 @@ def costs(
     references: int,
     rounds: tuple[int, int],
 ) -> dict[str, Cost]:
-    """Costs of methods by their names, in so many rounds, and rounds of trained networks; without
-    weights these have random ones; features and LoST-X need a network."""
+    """Costs of methods by their names, on one thread. One frame is encoded and matched by every
+    method, then the next frame by every method, and after the last the first again, in so many
+    rounds, and rounds of trained networks; one more before them is not counted. Without weights
+    these have random ones; features and LoST-X need a network. `_costs.ENCODED` references are
+    encoded; if an encoding is one tensor, it is repeated up to ``references``."""
     able = [name for name in methods if name not in OF_NETWORKS or described.network]
-    return measure(
-        {name: partial(described.make, name, random_weights=True) for name in able},
-        frames,
-        references,
-        {name: rounds[name in TRAINED] for name in able},
-    )
+    with threads(1):
+        made = {name: described.make(name, random_weights=True) for name in able}
+        found = {name: Cost(method, frames, references) for name, method in made.items()}
+        for number in range(-1, max(rounds)):
+            for name, cost in found.items():
+                if number < rounds[name in TRAINED]:
+                    cost.work(number)
+            print(f"[round {number + 2} of {max(rounds) + 1}]", flush=True)
+    return found
 
 
 def shown(name: str, cost: Cost) -> str:

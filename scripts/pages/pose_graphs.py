@@ -21,6 +21,7 @@ import numpy as np
 from _markdown import ROOT, Page, head_row, parser, row, save
 from _timing import threads
 from _tours import Tour, all_tours, head
+from conditions import ROUTES
 from PIL import Image
 
 from ssrvlad_torch import LoopDetector
@@ -36,11 +37,7 @@ DRIFTS = {"usual": 1.0, "strong": 4.0}
 """Factors of the errors below."""
 SCALE, BIAS, STEP, TURN = 0.01, math.radians(0.002), 0.02, math.radians(0.15)
 """Of a drive: its scale, and radians a metre. Of a step: metres after a metre, and radians."""
-PAIRS = {
-    "evening -> day": ("uofa/evening", "uofa/day"),
-    "right -> left": ("gardens_walk/day_right", "gardens_walk/day_left"),
-    "night -> right": ("gardens_walk/night_right", "gardens_walk/day_right"),
-}
+PAIRS = ("evening -> day", "right -> left", "night -> right")
 EVERY, ELSEWHERE = 5, 40
 
 
@@ -163,7 +160,7 @@ def errors_table(tours: dict[str, list[Tour]]) -> Iterator[str]:
         rows = [(tour, loop) for tour in drives for loop in loops_of(tour)]
         seen = np.stack([relative(t.poses[x.candidate], t.poses[x.frame]) for t, x in rows])
         ahead = np.array([x.ahead for _, x in rows], float)
-        frames, cities = (np.array([v(*each) for each in rows]) for v in (_frame, _city))
+        frames, cities = np.array([(x.frame, tour.city) for tour, x in rows]).T
         kinds = {
             "along, m": seen[:, 0],
             "along, with `ahead`, m": seen[:, 0] - ahead,
@@ -174,14 +171,6 @@ def errors_table(tours: dict[str, list[Tour]]) -> Iterator[str]:
             low, high = np.quantile(error, (0.05, 0.95))
             cells = (error.mean(), error.std(), low, high, alike(error, frames, cities))
             yield row(condition, name, *(f"{value:.2f}" for value in cells))
-
-
-def _frame(_: Tour, loop: Loop) -> int:
-    return loop.frame
-
-
-def _city(tour: Tour, _: Loop) -> int:
-    return tour.city
 
 
 def alike(error: np.ndarray, frames: np.ndarray, cities: np.ndarray) -> float:
@@ -197,8 +186,8 @@ def alike(error: np.ndarray, frames: np.ndarray, cities: np.ndarray) -> float:
 def verified_table(data: Path) -> Iterator[str]:
     """Pairs of pictures whose turn local features measure: of one place, and of two."""
     yield from head_row("pictures", "of one place", "verified", "of two places", "verified")
-    for name, (here, there) in PAIRS.items():
-        pictures = [sorted((data / folder / "images").iterdir()) for folder in (here, there)]
+    for name in PAIRS:
+        pictures = [sorted((data / folder / "images").iterdir()) for folder in ROUTES[name][:2]]
         counts = list[str]()
         for apart in (0, ELSEWHERE):
             both = [*zip(pictures[1][apart:], pictures[0], strict=False)][::EVERY]
