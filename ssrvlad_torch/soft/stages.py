@@ -9,7 +9,6 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ..stages.boundaries import PATTERNS
 from ..stages.vanishing_column import OPEN_LAYERS, POWER, PULL
 from ..taxonomy import CATEGORIES, LabelSpace
 
@@ -18,6 +17,14 @@ TINY = 1e-6
 
 TOLERANCE = 0.01
 """How far probabilities may be below 0, and their sum away from 1: bfloat16 has three digits."""
+
+PATTERNS = (
+    ("1010", "0101"),
+    ("1100", "0011"),
+    ("1000", "0001", "0111", "1110"),
+    ("0100", "0010", "1011", "1101"),
+)
+"""Of each direction of a boundary: which of the corners NW, NE, SW, SE lie in the layer."""
 
 FAINT = 1e-3
 """Fraction of a bin below which a root is nearly a straight line."""
@@ -129,7 +136,7 @@ def soft_boundaries(layers: Tensor) -> Tensor:
         pairs = zip(pattern, corners, strict=True)
         return reduce(mul, (corner if inside == "1" else 1 - corner for inside, corner in pairs))
 
-    by_layer = [reduce(add, map(weight, patterns)) for patterns in PATTERNS.values()]
+    by_layer = [reduce(add, map(weight, patterns)) for patterns in PATTERNS]
     of_any = [1 - (1 - direction).prod(1) for direction in by_layer]
     return F.pad(torch.stack(of_any, 1), (1, 1, 1, 1))
 

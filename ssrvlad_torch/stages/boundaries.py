@@ -15,16 +15,8 @@ from torch import Tensor
 
 from ..config import AREA_LAYERS
 
-PATTERNS = {
-    "upright": ("1010", "0101"),
-    "level": ("1100", "0011"),
-    "rising": ("1000", "0001", "0111", "1110"),
-    "falling": ("0100", "0010", "1011", "1101"),
-}
-"""Of each direction of a boundary: which of the corners NW, NE, SW, SE lie in the layer. A rising
-boundary goes up to the right."""
-
-DIRECTIONS = tuple(PATTERNS)
+DIRECTIONS = ("upright", "level", "rising", "falling")
+"""A rising boundary goes up to the right."""
 
 WIDTH = 2
 """Width of a straight boundary, in pixels."""
@@ -50,12 +42,15 @@ def boundaries(numbers: Tensor) -> Tensor:
 def _table() -> npt.NDArray[np.bool_]:
     """``(8 ** 4, 4)``, whether the boundary of any layer has the direction, for the layers NW, NE,
     SW and SE, of which NW changes fastest."""
-    code = np.arange(_NUMBERS**4)[:, None, None]
-    corners = code // _NUMBERS ** np.arange(4) % _NUMBERS
-    inside = (corners != _OUTSIDE).all((1, 2))
-    in_layer = corners == np.arange(AREA_LAYERS)[:, None]
-    directions = []
-    for patterns in PATTERNS.values():
-        expected = np.array([[corner == "1" for corner in pattern] for pattern in patterns])
-        directions.append(inside & (in_layer[:, :, None] == expected).all(3).any((1, 2)))
-    return np.stack(directions, 1)
+    code = np.arange(_NUMBERS**4)[:, None]
+    corners = [code // _NUMBERS**place % _NUMBERS for place in range(4)]
+    inside = np.all([corner != _OUTSIDE for corner in corners], 0)
+    nw, ne, sw, se = (inside & (corner == np.arange(AREA_LAYERS)) for corner in corners)
+    north, south, west, east = nw ^ ne, sw ^ se, nw ^ sw, ne ^ se
+    directions = (
+        north & south & ~(west | east),
+        west & east & ~(north | south),
+        (north & west & ~(south | east)) | (south & east & ~(north | west)),
+        (north & east & ~(south | west)) | (south & west & ~(north | east)),
+    )
+    return np.stack([layers.any(1) for layers in directions], 1)
