@@ -8,10 +8,11 @@ import pyarrow as pa
 import pytest
 import torch
 from drawings import SPACE
-from helpers import descriptors, refuses, street
+from helpers import descriptors, street
 from networks import photo
+from segmenting import write_settings
 
-from ssrvlad_torch import Database, LoopDetector, SSRVLADConfig
+from ssrvlad_torch import Database, LoopDetector, Map, SSRVLADConfig
 from ssrvlad_torch.channels import Column
 from ssrvlad_torch.channels.channel import View
 from ssrvlad_torch.channels.hog import HOG
@@ -59,7 +60,8 @@ def test_every_frame_has_all_descriptors(made):
         (number, "holds ssr-vlad, own of every frame, got ssr-vlad$"),
         (wider, r"own: expected \(1, 7\) for 1 frames, got \(1, 8\)"),
     ):
-        refuses(message, made.append, ["day/3"], given)
+        with pytest.raises(ValueError, match=message):
+            made.append(["day/3"], given)
     with pytest.raises(ValueError, match="has no descriptors by own, eight numbers"):
         made.require(CONFIG, [OWN._replace(fingerprint="eight numbers")])
     made.require(CONFIG, [OWN])
@@ -84,7 +86,8 @@ def test_signs_are_bytes_on_a_grid(tmp_path):
         (number, sign[:, 1:], r"features: expected \(1, 4, 6, 2\) .*, got \(1, 3, 6, 2\)"),
         (number.byte(), sign, "ssr-vlad: expected float32, got uint8"),
     ):
-        refuses(message, database.append, ["day/x"], {"ssr-vlad": numbers, "features": wrong})
+        with pytest.raises(ValueError, match=message):
+            database.append(["day/x"], {"ssr-vlad": numbers, "features": wrong})
     export_database(opened, "npy", tmp_path / "out.npy")
     np.testing.assert_array_equal(np.load(tmp_path / "out.npy.features.npy"), signs.flip(0))
 
@@ -121,6 +124,17 @@ def test_exports_hold_all_channels(made, tmp_path):
     export_database(made, "hloc", tmp_path / "out.h5")
     with h5py.File(tmp_path / "out.h5", "r") as stored:
         np.testing.assert_array_equal(stored["day/2"]["own"], own[0])
+
+
+def test_descriptors_of_another_version_are_refused(tmp_path):
+    changed = HOG_STORED._replace(fingerprint="7 x 7 cells")
+    database = Database.create(tmp_path / "town", CONFIG, columns=[changed])
+    settings = write_settings(tmp_path, f"labels_as: {SPACE}\n")
+    numbers = {"ssr-vlad": descriptors(0, 1), "hog": descriptors(0, 1, 480)}
+    database.append(FRAMES[:1], numbers)
+    town = Map.open(database.path, settings)
+    with pytest.raises(ValueError, match="by hog are of 7 x 7 cells, this version makes 6 x"):
+        town.locate(photo(street(0, 60, 80)))
 
 
 # ---- loops

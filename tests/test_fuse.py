@@ -260,6 +260,8 @@ def test_a_file_without_features_and_networks_that_have_none(tmp_path):
     target.write_text("before")
     with pytest.raises(ValueError, match=r"plain\.onnx: .* no activation at a stride from 4 to 32"):
         fuse(plain, CONFIG, target, features=True)
+    unknown = Segmenter(OnnxNetwork(street), SPACE, PLAIN, features=["nothing"])
+    refuses(r"features: no activation 'nothing'; the nearest are", fuse, unknown, CONFIG, target)
     assert target.read_text() == "before"
 
 

@@ -10,6 +10,7 @@ from drives import write_maps
 from helpers import refuses
 
 from ssrvlad_torch import Map
+from ssrvlad_torch.recognition.recognise import AS_PAPER
 from ssrvlad_torch.search.near import Near
 
 POSES = np.array([[0, 0, 0], [3, 4, math.nan], [6, 8, 1], [math.nan] * 3])
@@ -51,15 +52,25 @@ def test_an_empty_circle_is_refused():
     refuses(nearest, Near.of((3, 0, 2)).rows, POSES, "town")
 
 
-def test_only_frames_inside_are_candidates_and_commands_say_where(ssrvlad, posed, tmp_path):
+def test_only_frames_inside_are_candidates(posed, tmp_path):
+    today = write_maps(tmp_path / "today", range(6))
+    for answer in posed.query(today, AS_PAPER, near=(20, 0, 10)):
+        assert {each.frame for each in answer.candidates} == {f"monday/00{n}" for n in (1, 2, 3)}
+    answers = posed.query(today, AS_PAPER, near="20,0,10", sequences=["monday"], top=1)
+    assert [answer.candidates[0].frame for answer in answers][1:4] == [
+        f"monday/00{n}" for n in (1, 2, 3)
+    ]
+    assert answers.recognised.used["near"] == "within 10 m of 20, 0: 3 frames"
+
+
+def test_commands_say_where_candidates_are(ssrvlad, posed, tmp_path):
     today, town = write_maps(tmp_path / "today", range(6)), posed.path
     near = ("--near", "20,0,10", "--follow", "no")
-    for options in ((), ("--from-sequence", "monday")):
-        code, out, _ = ssrvlad("query", town, today, *near, *options, "--json")
-        assert code == 0
-        for line in map(json.loads, out.splitlines()):
-            inside = {each["frame"] for each in line["candidates"]}
-            assert inside == {f"monday/00{n}" for n in (1, 2, 3)}
+    code, out, _ = ssrvlad("query", town, today, *near, "--json")
+    assert code == 0
+    for line in map(json.loads, out.splitlines()):
+        inside = {each["frame"] for each in line["candidates"]}
+        assert inside == {f"monday/00{n}" for n in (1, 2, 3)}
     *_, steps = ssrvlad("query", town, today, *near)[2]
     assert "candidates within 10 m of 20, 0: 3 frames" in steps
     truth = ("--tolerance-frames", 1, "--json")

@@ -168,6 +168,16 @@ def test_thinning_visits_only_pixels_that_may_still_change():
     assert work[-3] < work[4]
 
 
+@given(seed=st.integers(0, 10_000), height=st.integers(1, 20), width=st.integers(1, 20))
+def test_centres_equal_the_reference(seed, height, width):
+    some = random_planes(seed, (2, height, width)) & random_planes(seed + 3, (2, height, width))
+    expected = [
+        [reference.centroid(layer) or (-1, -1) for layer in layers]
+        for layers in unpack(some).numpy()
+    ]
+    assert centre_table(centroids(some), 2).tolist() == np.array(expected).tolist()
+
+
 def test_a_centre_is_exact_where_float32_is_not():
     wide = torch.zeros(1, 2, 9001, dtype=torch.uint8)
     wide[0, 0, 4000:] = 1
@@ -175,11 +185,31 @@ def test_a_centre_is_exact_where_float32_is_not():
     assert np.float32(4000 + 9000) / 2 == 6500
 
 
-def by_direction(drawing: np.ndarray) -> dict[str, int]:
-    masks = boundaries(torch.from_numpy(np.where(drawing, 3, AREA_LAYERS))[None])
-    assert masks.shape == (1, len(DIRECTIONS), *drawing.shape)
+def directions_of(numbers: torch.Tensor) -> torch.Tensor:
+    """``(B, 4, H, W)`` bool of ``(B, H, W)`` numbers of layers."""
+    masks = boundaries(numbers)
+    assert masks.shape == (len(numbers), len(DIRECTIONS), *numbers.shape[1:])
     assert ((masks == 0) | (masks == 1)).all()
-    return dict(zip(DIRECTIONS, masks.sum((0, 2, 3)).tolist(), strict=True))
+    return masks.bool()
+
+
+@given(
+    seed=st.integers(0, 1000),
+    height=st.integers(1, 20),
+    width=st.integers(1, 40),
+    kinds=st.integers(1, AREA_LAYERS + 1),
+)
+def test_boundaries_equal_the_reference(seed, height, width, kinds):
+    numbers = AREA_LAYERS - np.random.default_rng(seed).integers(0, kinds, (2, height, width))
+    expected = [reference.boundaries([image == k for k in range(AREA_LAYERS)]) for image in numbers]
+    np.testing.assert_array_equal(
+        directions_of(torch.from_numpy(numbers)).numpy(), np.array(expected)
+    )
+
+
+def by_direction(drawing: np.ndarray) -> dict[str, int]:
+    numbers = torch.from_numpy(np.where(drawing, 3, AREA_LAYERS))[None]
+    return dict(zip(DIRECTIONS, directions_of(numbers).sum((0, 2, 3)).tolist(), strict=True))
 
 
 def test_a_straight_boundary_is_two_pixels_wide():
@@ -322,6 +352,19 @@ def test_the_vanishing_column_lies_where_the_street_narrows():
     assert found[0] < -9
     assert abs(found[1]) <= 1
     assert found[2] > 9
+
+
+@given(st.integers(0, 10_000), st.integers(1, 40), st.integers(1, 50), st.floats(0, 1))
+def test_vanishing_columns_equal_the_reference(seed, height, width, density):
+    """Also in float32, which is what exported files compute in."""
+    rng = np.random.default_rng(seed)
+    numbers = rng.integers(0, AREA_LAYERS + 1, (2, height, width))
+    numbers[rng.random(numbers.shape) < density] = SKY
+    found = vanishing_columns(torch.from_numpy(numbers))
+    assert found.dtype == torch.int64
+    layers = [[image == k for k in range(AREA_LAYERS)] for image in numbers]
+    assert found.tolist() == [reference.vanishing_column(each) for each in layers]
+    assert (2 * found.abs() <= width).all()
 
 
 def test_large_images_do_not_overflow():
