@@ -332,6 +332,15 @@ class Broken(Best):
         raise KeyError("the disk is gone")
 
 
+def test_a_sample_of_other_rows_for_some_queries_is_refused():
+    scores = noisy([*range(20, 60)], 100, strength=0.5).numpy()
+    search = Best(scores, 20)
+    whole = search.sample
+    search.sample = lambda query: [each[: 100 - query] for each in whole(query)]
+    with pytest.raises(ValueError, match="the same sample of rows for each query, not for 1"):
+        decide(search, [0], 100)
+
+
 @pytest.mark.parametrize("name", ["candidates", "scores", "spread", "sample"])
 def test_what_a_search_raises_is_raised(name):
     assert isinstance(Broken(name), Search)

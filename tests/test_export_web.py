@@ -522,17 +522,17 @@ def test_what_is_no_drive_or_no_map_is_one_line(page, site, tmp_path):
     core.rename(site / "ssrvlad.wasm")
 
 
-@pytest.mark.parametrize(("function", "got"), [("ssrvlad_interface", 2), ("older", "none")])
+@pytest.mark.parametrize(("function", "got"), [("ssrvlad_interface", 3), ("older", "none")])
 def test_a_core_of_another_interface_is_refused(page, site, function, got):
     folder = site / function
     folder.mkdir()
     shutil.copy(site / "core.js", folder)
-    (folder / "core.c").write_text(f"int {function}(void) {{ return 2; }}")
+    (folder / "core.c").write_text(f"int {function}(void) {{ return 3; }}")
     target = ["-target", "wasm32-wasi", "-mexec-model=reactor", f"-Wl,--export={function}"]
     build = [sys.executable, "-m", "ziglang", "cc", *target, "core.c", "-o", "ssrvlad.wasm"]
     subprocess.run(build, cwd=folder, check=True)
     open_page(page)
-    expected = f'ssrvlad.wasm: expected interface 1, got {got}; "npm run build" makes it again'
+    expected = f'ssrvlad.wasm: expected interface 2, got {got}; "npm run build" makes it again'
     with pytest.raises(AssertionError, match=re.escape(expected)):
         page.run(f"import('./{function}/core.js').then(({{ Core }}) => Core.load())")
 

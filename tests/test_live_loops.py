@@ -164,15 +164,34 @@ def test_images_of_another_form_are_refused(image, changes, message):
 PLACES = (*range(20), *range(4, 16))
 
 
+def photos():
+    return [photo(street(seed, 96, 128)) for seed in PLACES]
+
+
 def live(model, start=0, end=None, **given):
     """A core with a model, and what it says of the photos of `PLACES`."""
     core = live_loops.LiveLoops(LoopConfig(exclude=5), model=model, **given)
-    sent = [picture(photo(street(seed, 96, 128))[..., ::-1], "bgr8") for seed in PLACES]
     results = [
-        core.update(image, number * SECOND).result
-        for number, image in list(enumerate(sent))[start:end]
+        core.update(picture(pixels[..., ::-1], "bgr8"), number * SECOND).result
+        for number, pixels in list(enumerate(photos()))[start:end]
     ]
     return core, results
+
+
+@pytest.mark.parametrize("file", ["place.onnx", "net.onnx"])
+def test_with_a_model_it_finds_what_the_detector_finds(drives, file):
+    """By all channels, of one file or of the network's file."""
+    detector = LoopDetector.from_pretrained(drives / "net.yaml", config=LoopConfig(exclude=5))
+    expected = [
+        detector.update(pixels, f"drive/{number * SECOND:019d}", number)
+        for number, pixels in enumerate(photos())
+    ]
+    assert sum(result.accepted for result in expected) > 5
+    core, results = live(PlaceModel(drives / file))
+    assert [each.column for each in core._detector.channels] == [
+        each.column for each in detector.channels
+    ]
+    assert results == expected
 
 
 def test_frames_of_a_model_are_kept_and_gone_on_from(drives, tmp_path):

@@ -97,7 +97,7 @@ def outcome(described: Described, case: Case) -> list[Outcome]:
         rows = one.matches.indices[:, 0].numpy()
         away = np.array(
             [
-                min(abs(true - case.rows[row]), default=np.inf)
+                min(abs(true - case.rows[row]), default=np.inf) if row >= 0 else np.inf
                 for row, true in zip(rows, case.truth, strict=True)
             ]
         )

@@ -653,12 +653,15 @@ class CallersSearch : public places::Search {
         static_cast<std::size_t>(passed(given_.sample(given_.context, query, nullptr, nullptr))));
     std::vector<float> scores(rows.size());
     if (!rows.empty()) passed(given_.sample(given_.context, query, rows.data(), scores.data()));
+    if (!sampled_) sampled_ = std::make_unique<std::vector<Size>>(rows);
+    require(rows == *sampled_);
     return {rows, scores};
   }
 
  private:
   const ssrvlad_evidence given_;
   Size rows_;
+  mutable std::unique_ptr<const std::vector<Size>> sampled_;
 };
 
 // The rows of a map and the queries of a drive, checked.

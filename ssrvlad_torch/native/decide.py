@@ -390,6 +390,7 @@ class _Caller:
 
 def _of_search(search: Search, count: int) -> dict[str, Callable[..., int]]:
     """The functions of a search as the core calls them."""
+    sampled: dict[str, Any] = {}
 
     def candidates(query: int, target: int | None) -> int:
         found = np.ascontiguousarray(search.candidates(query), np.int64)
@@ -408,6 +409,8 @@ def _of_search(search: Search, count: int) -> dict[str, Callable[..., int]]:
 
     def sample(query: int, rows: int | None, scores: int | None) -> int:
         found, told = search.sample(query)
+        if not np.array_equal(found, sampled.setdefault("rows", found)):
+            raise ValueError(f"expected the same sample of rows for each query, not for {query}")
         _fill(rows, np.ascontiguousarray(found, np.int64))
         return _fill(scores, np.ascontiguousarray(told, np.float32)) or len(found)
 

@@ -63,7 +63,7 @@ typedef struct ssrvlad_head ssrvlad_head;
 
 /* The number of the interface of these headers. It rises with each change that programs must be compiled
  * again for; the function returns that of the library. */
-#define SSRVLAD_INTERFACE 1
+#define SSRVLAD_INTERFACE 2
 SSRVLAD_API int ssrvlad_interface(void);
 
 /* SHA-256 of the C++ files, in the order of their names, from which the library was built; empty if
