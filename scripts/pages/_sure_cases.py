@@ -60,9 +60,9 @@ METHODS = {
 }
 MOST = 16
 """Cases of a row of the table."""
-LOOKED_AT, CITIES = 5, range(20)
+LOOKED_AT, CITIES, FRESH = 5, range(20), range(60, 68)
 """One real case of so many, and the first cities up to this one, were looked at when the form was
-chosen; the table is of the others."""
+chosen; the table is of the others. Cities that nobody looked at have a table of their own."""
 _NONE = np.zeros(0, int)
 _BACK = Conditions(spacing=2.7, lateral_offset=0.7, seed=3, heading_offset=180.0)
 
@@ -244,9 +244,9 @@ def harder(one: partial[Case], here: Frames, there: Frames, truth: Truth) -> Ite
         yield one("maps of 5 to 60 rows", queries, there, true, rows=rows)
 
 
-def city_cases(described: Described) -> Iterator[Case]:
-    """Those of the cities that nobody looked at."""
-    for seed in CITIES[6:]:
+def city_cases(described: Described, seeds: Iterable[int] = CITIES[6:]) -> Iterator[Case]:
+    """Those of cities by their seeds."""
+    for seed in seeds:
         described.added[f"city {seed} back"] = partial(way_back, seed)
         others = [all_of(described, f"city {(seed + n) % 20} reference") for n in range(1, 6)]
         yield from in_city(described, seed, others)
@@ -266,6 +266,8 @@ def in_city(described: Described, seed: int, others: Sequence[Frames]) -> Iterat
         yield one("city, foreign", here, others[0], [_NONE] * len(here))
         yield one("city, foreign, 30", here[:30], others[0], [_NONE] * 30)
         yield one("city, half of the map", here, there, truth, rows=range(len(there) // 2))
+        kept = [row for row in range(len(there)) if row // 15 % 2 == 0]
+        yield one("city, holes of 15 rows", here, there, truth, rows=kept)
         yield one("city, map of 600", here, known, truth, sequences=names)
         for some in (1, 3, 10, 30):
             order = random.Random(seed).sample(range(len(here)), some)

@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from _described import Described
 from _markdown import Page, head_row, parser, row, save
-from _sure_cases import Case, cases
+from _sure_cases import FRESH, Case, cases, city_cases
 from matplotlib.figure import Figure
 
 from ssrvlad_torch.recognition.confidence import Estimate, accept, estimate
@@ -85,6 +85,7 @@ def main() -> None:
     draw(outcomes, options.output.parent / "figures" / "how-sure.png")
     page = Page("how-sure.md", options.output)
     page.table("## Beside the truth\n", table(outcomes, list(rows)))
+    page.table("## Cities that nobody looked at\n", fresh(described))
     page.table("## By method and network\n", by_method(outcomes))
     page.table("## Is confidence calibrated?\n", calibrated(outcomes))
 
@@ -116,6 +117,18 @@ def table(outcomes: Outcomes, rows: Sequence[str]) -> Iterator[str]:
             some = [number for number, each in enumerate(found) if name in ("", each.row)]
             alone = [outcomes["alone"][number] for number in some]
             yield row(name or "all", steps, *figures([found[n] for n in some], alone))
+
+
+def fresh(described: Described) -> Iterator[str]:
+    """A line for each of the steps, of all cases of the cities `FRESH`."""
+    found = described.kept(
+        "outcomes fresh",
+        lambda: [outcome(described, case) for case in city_cases(described, FRESH)],
+    )
+    alone, *_ = zip(*found, strict=True)
+    yield from head_row("row", *COLUMNS[1:])
+    for steps, some in zip(STEPS, zip(*found, strict=True), strict=True):
+        yield row("all", steps, *figures(some, alone))
 
 
 def by_method(outcomes: Outcomes) -> Iterator[str]:
