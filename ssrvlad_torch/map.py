@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple, overload
 
 import numpy as np
-import numpy.typing as npt
 
 from .channels import LABEL_SHAPES
 from .channels.channel import Channel, View
@@ -34,7 +33,6 @@ from .encoding.source import Source, Wanted, cache_folder, open_source, origin_o
 from .evaluation.ground_truth_files import PartialTruth
 from .evaluation.measure import TOP, Recognition, measure, needs_similarity
 from .evaluation.metrics import Convention
-from .evaluation.outcomes import Rows
 from .evaluation.thresholds import SURE_PRECISION
 from .evaluation.true_matches import Viewpoints, true_matches
 from .recognition.confidence import accept
@@ -42,10 +40,10 @@ from .recognition.matching import checked_number
 from .recognition.recognise import AS_PAPER, Steps
 from .search.alone import LargeMap, opened_large
 from .search.answers import Answer, Answers
-from .search.coarse_index import grow, taken
+from .search.coarse_index import grow
 from .search.exact import chosen_channels, locate_view, search
+from .search.material import Material
 from .search.near import Near
-from .search.pictures import pictures_of_queries, pictures_of_references
 from .segmentation.segmenter import Segmenter
 from .taxonomy import VOID, LabelSpace
 
@@ -434,23 +432,12 @@ class Map:
 
     def _recognition(self, answers: Answers, source: Source, pairs: bool) -> Recognition:
         """The candidates of every query, for the metrics and the report."""
-        queries, dataset, segmenter = answers.queries, source.dataset, source.segmenter
-        references, recognised = answers.references, answers.recognised
-        config, skipped = self.database.config, answers.skipped
+        queries, recognised = answers.queries, answers.recognised
+        references, skipped = answers.references, answers.skipped
+        config, dataset = self.database.config, source.dataset
         [channel] = chosen_channels(self.database, [next(iter(queries.channels))])
-
-        def cosines(rows: Rows, columns: Rows) -> npt.NDArray[np.float32]:
-            places = [references.sequences[row] for row in columns]
-            if references.channels:
-                stored = references.channels[channel.column.name][columns]
-            else:
-                order = self.database.placed()[1][columns]
-                stored = taken(self.database, order, [channel.column])[channel.column.name]
-            known = channel.references(stored, places)
-            compared = known.compare(queries.descriptors[rows], False, False).whole()
-            pairs: npt.NDArray[np.float32] = compared.numpy()
-            return pairs
-
+        material = Material(self.database, channel, references, queries.descriptors, source)
+        everything = map(np.arange, (len(queries), len(references)))
         return Recognition(
             references=Viewpoints.of_set(references, dataset, source.known),
             queries=Viewpoints.of_set(
@@ -462,12 +449,8 @@ class Map:
                 "accepted": answers.estimate,
                 "suggested_without_truth": accept(recognised.sure, 1 - SURE_PRECISION),
             },
-            similarity=cosines(*map(np.arange, (len(queries), len(references)))) if pairs else None,
-            cosines=cosines,
-            pictures=(
-                pictures_of_queries(source.files, dataset, source.labels_as, segmenter),
-                pictures_of_references(self.database, dataset, segmenter),
-            ),
+            similarity=material.cosines(*everything) if pairs else None,
+            material=material,
             skipped=skipped,
             details={
                 "preset": config.preset,

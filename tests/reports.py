@@ -1,13 +1,16 @@
 """Evaluations to report, and the page that comes of them, taken apart; shared by the tests."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from html.parser import HTMLParser
+from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 import torch
 from helpers import descriptors
 
 from ssrvlad_torch.database.frames import FrameSet
+from ssrvlad_torch.datasets.image_files import Pixels
 from ssrvlad_torch.evaluation.metrics import Convention, evaluate, precision_recall_curve
 from ssrvlad_torch.evaluation.outcomes import judge
 from ssrvlad_torch.evaluation.report import Report
@@ -41,12 +44,26 @@ def noisy(queries: int, references: int, noise: float = 2.0, seed: int = 0, leng
     return frame_set(here + amount * wander, "query"), frame_set(there, "reference")
 
 
+class Drawn(NamedTuple):
+    """The material of a report: the cosines of all pairs, and pictures of any frame."""
+
+    pairs: npt.NDArray[np.float32]
+    query: Callable[[str], Mapping[str, Pixels]] = lambda _: {}
+
+    def cosines(self, queries, references):
+        return self.pairs[np.ix_(queries, references)]
+
+    def reference(self, frame):
+        return self.query(frame)
+
+
 def report_of(
     queries: FrameSet,
     references: FrameSet,
     truth: Sequence[Sequence[int]],
     convention: Convention = "exact",
     top: int = 10,
+    pictures: Callable[[str], Mapping[str, Pixels]] = lambda _: {},
     **fields: object,
 ) -> Report:
     """The report of matching by cosine, as the command line makes it."""
@@ -66,10 +83,7 @@ def report_of(
         outcomes=outcomes,
         truth=truth,
         curve=precision_recall_curve(outcomes, truth, convention, pairs),
-        cosines=lambda rows, columns: score(
-            queries.descriptors[torch.from_numpy(rows)],
-            references.descriptors[torch.from_numpy(columns)],
-        ).numpy(),
+        material=Drawn(score(queries.descriptors, references.descriptors).numpy(), pictures),
         **{**plain, **fields},  # type: ignore[arg-type]
     )
 

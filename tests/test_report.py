@@ -9,7 +9,7 @@ import pytest
 import torch
 from helpers import street
 from matplotlib.figure import Figure
-from reports import Page, frame_set, noisy, report_of
+from reports import Drawn, Page, frame_set, noisy, report_of
 
 from ssrvlad_torch.evaluation import report as evaluation_report
 from ssrvlad_torch.evaluation.metrics import CONVENTIONS, figure_rows, fraction
@@ -42,7 +42,7 @@ def report():
     queries, references = noisy(40, 50, 4.0)
     truth = [[row, row + 1] if row % 8 < 7 else [] for row in range(40)]
     notes = ["2 of 42 are left out"]
-    return report_of(queries, references, truth, notes=notes, pictures=(pictures, pictures))
+    return report_of(queries, references, truth, notes=notes, pictures=pictures)
 
 
 @pytest.fixture(scope="module")
@@ -144,10 +144,6 @@ SIMILARITY = np.array(
 TRUTH = [np.array(rows, np.int64) for rows in ([0, 3], [2, 1], [2], [], [1], [0], [2])]
 
 
-def cosines(rows, columns):
-    return SIMILARITY[np.ix_(rows, columns)]
-
-
 @pytest.fixture
 def outcomes():
     order = np.argsort(-SIMILARITY, axis=1, kind="stable")
@@ -156,13 +152,13 @@ def outcomes():
 
 
 def test_the_surest_matches_come_first(outcomes):
-    wrong, right = chosen_matches(outcomes, TRUTH, cosines)
+    wrong, right = chosen_matches(outcomes, TRUTH, Drawn(SIMILARITY))
     assert wrong == [Match(3, 3, -1), Match(1, 0, 1), Match(2, 0, 2), Match(6, 0, 2)]
     assert right == [Match(4, 1, 1), Match(0, 0, 0)]
     many = dataclasses.replace(outcomes, **{
         f.name: np.tile(getattr(outcomes, f.name), 9) for f in dataclasses.fields(outcomes)
     })  # fmt: skip
-    kinds = chosen_matches(many, TRUTH * 9, lambda rows, columns: cosines(rows % 7, columns))
+    kinds = chosen_matches(many, TRUTH * 9, Drawn(np.tile(SIMILARITY, (9, 1))))
     assert [len(kind) for kind in kinds] == [WRONG_MATCHES, RIGHT_MATCHES]
 
 
@@ -177,7 +173,7 @@ def test_scores_are_grouped_by_what_became_of_the_query(outcomes):
 
 @pytest.mark.parametrize("most", [(1, 1), (2, 3), (5, 2), (9, 9)])
 def test_a_cell_of_the_matrix_is_its_highest_cosine(most):
-    cells = reduced_cosines(cosines, 7, 4, most)
+    cells = reduced_cosines(Drawn(SIMILARITY), 7, 4, most)
     counts = zip((7, 4), most, strict=True)
     rows, columns = (np.linspace(0, n, min(n, m) + 1).astype(int) for n, m in counts)
     expected = [

@@ -26,8 +26,7 @@ def write_page(path: Path, evaluation: Evaluation, database: str, sources: Seque
     scores, rows = (column.numpy()[known] for column in recognition.matches)
     outcomes = judge(scores, rows, true_rows)
     pairs = None if recognition.similarity is None else recognition.similarity[known]
-    assert recognition.cosines
-    of, all_known = recognition.cosines, np.array(known, np.int64)
+    assert recognition.material
     names = shortened(["/".join(Path(source).parts[-2:]) or source for source in sources])
     report = Report(
         title=f"{names} against {Path(database).name or database}",
@@ -41,9 +40,8 @@ def write_page(path: Path, evaluation: Evaluation, database: str, sources: Seque
         outcomes=outcomes,
         truth=true_rows,
         curve=precision_recall_curve(outcomes, true_rows, metrics["convention"], pairs),
-        cosines=lambda rows, columns: of(all_known[rows], columns),
+        material=recognition.material.part(np.array(known, np.int64)),
         score=metrics["score_is"] or "score",
-        pictures=recognition.pictures,
         settings=_settings(recognition.details, database, sources, evaluation.true_matches),
         notes=[
             *_notes(recognition, evaluation.truth),

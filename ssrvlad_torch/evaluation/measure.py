@@ -1,6 +1,6 @@
 """Metrics of the candidates of queries."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,8 +13,8 @@ from ..recognition.matching import Matches
 from ..recognition.recognise import Recognised
 from .ground_truth_files import PartialTruth, known_matches
 from .metrics import Convention, evaluate, precision_recall_curve
-from .outcomes import Rows, judge
-from .report import Pictures
+from .outcomes import judge
+from .report import Material
 from .thresholds import operating_points
 from .true_matches import Viewpoints
 
@@ -31,9 +31,7 @@ class Recognition:
     Attributes:
         matches: candidates of each query, at least `TOP`.
         similarity: ``(Q, R)`` scores of all pairs, if they are needed.
-        cosines: ``(q, r)`` of some queries and references, single frames, by their rows, for the
-            report.
-        pictures: of the queries and of the references, by their ids, for the report.
+        material: what the report shows of the frames.
         skipped: queries that could not be encoded.
         recognised: all candidates and how sure they are, if they are from a database.
         estimates: how many of some of them are wrong, without ground truth, by names.
@@ -44,8 +42,7 @@ class Recognition:
     queries: Viewpoints
     matches: Matches
     similarity: npt.NDArray[np.float32] | None = None
-    cosines: Callable[[Rows, Rows], npt.NDArray[np.float32]] | None = None
-    pictures: tuple[Pictures, Pictures] = (lambda _: {}, lambda _: {})
+    material: Material | None = None
     skipped: Sequence[Skipped] = ()
     recognised: Recognised | None = None
     estimates: Mapping[str, Estimate] = field(default_factory=dict)

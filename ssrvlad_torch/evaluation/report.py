@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -32,13 +32,22 @@ _SCORES_AT_ONCE = 1 << 24
 _WIDTH = 400
 _RIGHT, _WRONG, _UNKNOWN, _TRUE = "#1a73c7", "#d4501e", "#8a3a6a", "#26c281"
 
-Pictures = Callable[[str], Mapping[str, Pixels]]
-"""A function from a frame's id to its pictures ``(H, W, 3)`` RGB by what they are, such as
-``photo``; it reads files only when it is called."""
 
-PairScores = Callable[[Rows, Rows], npt.NDArray[np.floating[Any]]]
-"""A function from rows of n queries and m references to the scores ``(n, m)`` of their pairs, -inf
-for pairs that cannot match."""
+class Material(Protocol):
+    """What a report shows of queries and references; files are read only when it asks."""
+
+    def part(self, queries: Rows) -> Material:
+        """The same of the queries of these rows."""
+
+    def cosines(self, queries: Rows, references: Rows) -> npt.NDArray[np.floating[Any]]:
+        """``(n, m)`` of n queries and m references, single frames, by their rows; -inf for pairs
+        that cannot match."""
+
+    def query(self, frame: str) -> Mapping[str, Pixels]:
+        """The pictures ``(H, W, 3)`` RGB of a query, by what they are, such as ``photo``."""
+
+    def reference(self, frame: str) -> Mapping[str, Pixels]:
+        """The same of a reference."""
 
 
 @dataclass(frozen=True)
@@ -49,9 +58,8 @@ class Report:
         metrics: what ``evaluate --json`` prints: the result of `metrics.evaluate` with intervals,
             ``thresholds`` from `operating_points`, and ``references``.
         curve: precision and recall by the convention of the metrics.
-        cosines: of single frames, for the similarity matrix.
+        material: of the queries and the references.
         score: what the score of a candidate is, such as ``probability``.
-        pictures: of a query, and of a reference.
         settings: names and values of the settings of the evaluation.
         notes: sentences on top, such as warnings.
     """
@@ -63,9 +71,8 @@ class Report:
     outcomes: Outcomes
     truth: Truth
     curve: PrecisionRecall
-    cosines: PairScores
+    material: Material
     score: str = "score"
-    pictures: tuple[Pictures, Pictures] = (lambda _: {}, lambda _: {})
     settings: Mapping[str, str] = field(default_factory=dict)
     notes: Sequence[str] = ()
 
@@ -95,7 +102,7 @@ def render(report: Report) -> str:
         loader=PackageLoader(__package__), autoescape=True, trim_blocks=True, lstrip_blocks=True
     )
     environment.globals["fraction"] = fraction
-    matches = chosen_matches(report.outcomes, report.truth, report.cosines)
+    matches = chosen_matches(report.outcomes, report.truth, report.material)
     return environment.get_template("report.html").render(
         report=report,
         metrics=report.metrics,
@@ -112,7 +119,7 @@ def render(report: Report) -> str:
 
 
 def chosen_matches(
-    outcomes: Outcomes, truth: Truth, cosines: PairScores
+    outcomes: Outcomes, truth: Truth, material: Material
 ) -> tuple[list[Match], list[Match]]:
     """The wrong and the right best candidates with the highest scores, at most `WRONG_MATCHES` and
     `RIGHT_MATCHES`; in a tie, the earlier query comes first."""
@@ -124,13 +131,13 @@ def chosen_matches(
 
     def true_match(query: int) -> int:
         rows = truth[query]
-        return int(rows[cosines(np.array([query]), rows)[0].argmax()]) if len(rows) else -1
+        return int(rows[material.cosines(np.array([query]), rows)[0].argmax()]) if len(rows) else -1
 
     return highest(outcomes.wrong, WRONG_MATCHES), highest(outcomes.correct, RIGHT_MATCHES)
 
 
 def reduced_cosines(
-    cosines: PairScores, queries: int, references: int, most: tuple[int, int] = MOST_CELLS
+    material: Material, queries: int, references: int, most: tuple[int, int] = MOST_CELLS
 ) -> npt.NDArray[np.float32]:
     """The similarity matrix with at most ``most`` rows and columns of cells; a cell is the highest
     cosine of its pairs, -inf where no pair can match."""
@@ -144,7 +151,7 @@ def reduced_cosines(
     step, every = max(1, _SCORES_AT_ONCE // references), np.arange(references)
     for first in range(0, queries, step):
         chunk = np.arange(first, min(first + step, queries))
-        lines = np.maximum.reduceat(cosines(chunk, every), columns[:-1], axis=1)
+        lines = np.maximum.reduceat(material.cosines(chunk, every), columns[:-1], axis=1)
         np.maximum.at(cells, np.searchsorted(rows, chunk, side="right") - 1, lines)
     return cells
 
@@ -196,7 +203,7 @@ def _scores(axes: Axes, report: Report) -> None:
 
 def _matrix(axes: Axes, report: Report) -> None:
     queries, references = len(report.queries.frames), len(report.references.frames)
-    cells = reduced_cosines(report.cosines, queries, references)
+    cells = reduced_cosines(report.material, queries, references)
     if not np.isfinite(cells).any():
         axes.text(0.5, 0.5, "no pairs", ha="center", va="center")
         axes.set_axis_off()
@@ -221,7 +228,7 @@ def _matrix(axes: Axes, report: Report) -> None:
 def _row(report: Report, match: Match) -> dict[str, Any]:
     outcomes, query = report.outcomes, report.queries.frames[match.query]
     rank, score = int(outcomes.rank[match.query]), outcomes.score[match.query]
-    frames = [("query", query, "", report.pictures[0](query))]
+    frames = [("query", query, "", report.material.query(query))]
     for role, row, text in (
         ("best candidate", match.candidate, f"{report.score} {score:.4f}"),
         ("true match", match.true_match, f"rank {rank}" if rank else "not among the candidates"),
@@ -231,7 +238,7 @@ def _row(report: Report, match: Match) -> dict[str, Any]:
         frame = report.references.frames[row]
         metres = math.dist(report.queries.poses[match.query, :2], report.references.poses[row, :2])
         away = "" if math.isnan(metres) else f", {metres:.1f}\N{NO-BREAK SPACE}m away"
-        frames.append((role, frame, text + away, report.pictures[1](frame)))
+        frames.append((role, frame, text + away, report.material.reference(frame)))
     addresses = [
         (role, frame, text, [(_picture(pixels), kind) for kind, pixels in pictures.items()])
         for role, frame, text, pictures in frames

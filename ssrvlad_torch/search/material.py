@@ -1,0 +1,134 @@
+"""Material: what the report of an evaluation shows of frames, read when it asks."""
+
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Self
+
+import numpy as np
+import numpy.typing as npt
+from torch import Tensor
+
+from ..channels.channel import Channel
+from ..database.database import Database
+from ..database.frames import FrameRecord, FrameSet
+from ..datasets.frame_files import FrameFile, found_by
+from ..datasets.image_files import Pixels, find_image_files, read_image
+from ..datasets.label_files import find_label_files, read_label_map
+from ..encoding.source import Source
+from ..evaluation.outcomes import Rows
+from ..segmentation.segmenter import Segmenter
+from ..taxonomy import LabelSpace, colourise, label_space
+from .coarse_index import taken
+
+PHOTO, LABELS = "photo", "label map"
+
+
+@dataclass(frozen=True)
+class Material:
+    """The cosines of queries and of the frames of a map, and their photos and coloured label maps.
+
+    Attributes:
+        database: the map.
+        channel: that compares.
+        references: the frames of the map, without descriptors if it is large.
+        queries: ``(Q, *shape)`` descriptors.
+        source: of the queries.
+    """
+
+    database: Database
+    channel: Channel
+    references: FrameSet
+    queries: Tensor
+    source: Source
+
+    def part(self, queries: Rows) -> Self:
+        """The same of the queries of these rows."""
+        return replace(self, queries=self.queries[queries])
+
+    def cosines(self, queries: Rows, references: Rows) -> npt.NDArray[np.float32]:
+        """``(n, m)`` of n queries and m references, single frames, by their rows."""
+        name = self.channel.column.name
+        if self.references.channels:
+            stored = self.references.channels[name][references]
+        else:
+            order = self.database.placed()[1][references]
+            stored = taken(self.database, order, [self.channel.column])[name]
+        known = self.channel.references(stored, [self.references.sequences[r] for r in references])
+        cosines: npt.NDArray[np.float32] = (
+            known.compare(self.queries[queries], False, False).whole().numpy()
+        )
+        return cosines
+
+    def query(self, frame: str) -> Mapping[str, Pixels]:
+        """The pictures ``(H, W, 3)`` RGB of a query by what they are; the network labels photos."""
+        file, source = self._files.get(frame), self.source
+        if file is None:
+            return {}
+        space = label_space(source.labels_as)
+        return dict(_pictures(file, space, source.segmenter, self._photos.get(frame)))
+
+    def reference(self, frame: str) -> Mapping[str, Pixels]:
+        """The pictures of a frame of the map, from the file that it was encoded from; none of a
+        file that has changed or is gone."""
+        record = self._stored[frame]
+        file = self._files_in(record.folder).get(record.signature + record.name)
+        origin = self.database.origins.get(record.origin)
+        if file is None or origin is None or origin.label_space is None:
+            return {}
+        network = self.source.segmenter if origin.segmenter else None
+        if origin.segmenter and (network is None or network.label_space != origin.label_space):
+            return dict(_photo(file))
+        return dict(_pictures(file, origin.label_space, network, self._photos.get(frame)))
+
+    @cached_property
+    def _files(self) -> dict[str, FrameFile]:
+        return {file.frame: file for file in self.source.files}
+
+    @cached_property
+    def _stored(self) -> Mapping[str, FrameRecord]:
+        return self.database.known()
+
+    @cached_property
+    def _photos(self) -> dict[str, FrameFile]:
+        """The images of the data set by id, without files that may be label maps."""
+        return {
+            frame.frame: FrameFile(frame.sequence, frame.name, frame.image)
+            for frame in (self.source.dataset.frames if self.source.dataset else ())
+            if frame.image and frame.image != frame.label
+        }
+
+    @cached_property
+    def _folders(self) -> dict[str, dict[str, FrameFile]]:
+        return {}
+
+    def _files_in(self, folder: str) -> dict[str, FrameFile]:
+        if folder not in self._folders:
+            found = [
+                f for find in (find_image_files, find_label_files) for f in found_by(find, [folder])
+            ]
+            self._folders[folder] = {file.signature() + file.name: file for file in found}
+        return self._folders[folder]
+
+
+def _pictures(
+    file: FrameFile, space: LabelSpace, segmenter: Segmenter | None, photo: FrameFile | None
+) -> Iterator[tuple[str, Pixels]]:
+    """The pictures of a label map and its photo, or, with a segmenter, of a photo and its label
+    map; without those that cannot be read."""
+    if segmenter is None:
+        if photo:
+            yield from _photo(photo)
+        with suppress(ValueError):
+            yield LABELS, colourise(read_label_map(file, space), space)
+        return
+    yield from _photo(file)
+    for _, labels in segmenter.label_maps([file]):
+        if not isinstance(labels, ValueError):
+            yield LABELS, colourise(labels, space)
+
+
+def _photo(file: FrameFile) -> Iterator[tuple[str, Pixels]]:
+    with suppress(ValueError):
+        yield PHOTO, read_image(file)
