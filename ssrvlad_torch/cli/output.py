@@ -7,14 +7,16 @@ import json
 import os
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, redirect_stdout
 from datetime import timedelta
-from typing import TYPE_CHECKING, Any, NamedTuple, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 import typer
 
 if TYPE_CHECKING:
+    import rich.progress
+
     from ..datasets.frame_file import FrameFile
     from ..encoding.results import Skipped
 
@@ -72,13 +74,6 @@ def _results() -> TextIO:
     return getattr(sys.stdout, "results", sys.stdout)
 
 
-class Progress(NamedTuple):
-    """Updates of a progress bar: the number of steps that were done, and a skipped frame."""
-
-    advance: Callable[[int], None]
-    skip: Callable[[object], None]
-
-
 def note(message: str) -> None:
     """Prints one line on stderr."""
     say(f"ssrvlad: {' '.join(message.split())}", sys.stderr)
@@ -91,10 +86,58 @@ def say(text: object, file: TextIO | None = None) -> None:
     print(line, file=file or _results(), flush=True)
 
 
+class Bar:
+    """A progress bar on stderr, see `progress_bar`."""
+
+    def __init__(
+        self,
+        bar: rich.progress.Progress,
+        what: str,
+        total: int,
+        played: Sequence[float],
+        then: str,
+    ) -> None:
+        self._what, self._total, self._bar = what, total, bar
+        self._played, self._then = played, then
+        self._task = bar.add_task(what, total=total, rate="")
+        self._done = self._skipped = 0
+        self._start = self._shown = time.monotonic()
+        self._pause = 0.0 if bar.console.is_terminal else _LINE_SECONDS  # the first update at once
+
+    def advance(self, steps: int) -> None:
+        """So many more steps are done."""
+        self._done += steps
+        if time.monotonic() > self._shown + self._pause:
+            self.show()
+        if self._done == self._total and self._then:
+            self._bar.update(self._task, description=self._then)
+
+    def skip(self, _frame: object) -> None:
+        """A frame was skipped."""
+        self._skipped += 1
+
+    def show(self) -> None:
+        """Shows what was done."""
+        self._shown = time.monotonic()
+        also = f", {self._skipped} skipped" if self._skipped else ""
+        if played := self._played:
+            times = (played[min(max(self._done, 1), len(played)) - 1], played[-1])
+            passed, whole = (str(timedelta(seconds=round(t))) for t in times)
+            also += f", {passed} of {whole} of video"
+        if self._bar.console.is_terminal:
+            self._pause = _SECONDS
+            rate = self._bar.tasks[self._task].speed
+            text = (f"{rate:.0f}/s" if rate else "") + also
+            self._bar.update(self._task, completed=self._done, rate=text)
+        else:
+            after = self._shown - self._start
+            note(f"{self._what}: {self._done} of {self._total} after {after:.0f} s{also}")
+
+
 @contextmanager
 def progress_bar(
     what: str, total: int, played: Sequence[float] = (), then: str = ""
-) -> Iterator[Progress]:
+) -> Iterator[Bar]:
     """Shows a progress bar on stderr, with the rate and, if any are skipped, their number. With
     ``played``, the seconds of video up to each step, it also shows the time in the video; with
     ``then``, what follows the last step. Where stderr is no terminal, a line appears every
@@ -109,47 +152,16 @@ def progress_bar(
         *(progress.TimeElapsedColumn(), progress.TimeRemainingColumn()),
     )
     console = Console(stderr=True)
-    with progress.Progress(*columns, console=console, disable=not console.is_terminal) as bar:
-        task = bar.add_task(what, total=total, rate="")
-        done = skipped = 0
-        start = time.monotonic()
-        pause = _SECONDS if console.is_terminal else _LINE_SECONDS
-        due = 0.0 if console.is_terminal else start + pause
-
-        def show() -> None:
-            nonlocal due
-            due = time.monotonic() + pause
-            also = f", {skipped} skipped" if skipped else ""
-            if played:
-                times = (played[min(max(done, 1), len(played)) - 1], played[-1])
-                passed, whole = (str(timedelta(seconds=round(t))) for t in times)
-                also += f", {passed} of {whole} of video"
-            if console.is_terminal:
-                rate = bar.tasks[task].speed
-                bar.update(task, completed=done, rate=(f"{rate:.0f}/s" if rate else "") + also)
-            else:
-                note(f"{what}: {done} of {total} after {time.monotonic() - start:.0f} s{also}")
-
-        def advance(steps: int) -> None:
-            nonlocal done
-            done += steps
-            if time.monotonic() > due:
-                show()
-            if done == total and then:
-                bar.update(task, description=then)
-
-        def skip(_frame: object) -> None:
-            nonlocal skipped
-            skipped += 1
-
+    with progress.Progress(*columns, console=console, disable=not console.is_terminal) as drawn:
+        bar = Bar(drawn, what, total, played, then)
         try:
-            yield Progress(advance, skip)
+            yield bar
         finally:
             if console.is_terminal:
-                show()
+                bar.show()
 
 
-def encoding_bar(files: Sequence[FrameFile], then: str = "") -> AbstractContextManager[Progress]:
+def encoding_bar(files: Sequence[FrameFile], then: str = "") -> AbstractContextManager[Bar]:
     """The progress bar of encoding files."""
     from ..datasets.videos import played
 
