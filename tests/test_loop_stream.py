@@ -91,7 +91,7 @@ def test_precision_and_recall_by_poses(loops, drive):
     *frames, told = objects(out)
     assert len(frames) == 54
     assert (told["frames"], told["reasons"]["accepted"], told["precision"]) == (54, 12, 1)
-    assert (told["revisits"], told["recognised"], told["steps"]["sweep"]) == (14, 12, [])
+    assert (told["revisits"], told["right"], told["steps"]["sweep"]) == (14, 12, [])
     assert told["recall"] == pytest.approx(12 / 14)
     assert told["suggested"]["accepted"] >= 12
     lowest = min(line["probability"] for line in frames if line["reason"] == "accepted")

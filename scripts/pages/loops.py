@@ -136,9 +136,9 @@ def scores(outcomes: Sequence[Outcome]) -> list[str]:
     counts = np.array([outcome.score for outcome in outcomes], float)
 
     def fractions(drawn: np.ndarray) -> dict[str, np.ndarray]:
-        accepted, right, revisits, recognised = (drawn @ counts).T
+        accepted, right, revisits = (drawn @ counts).T
         with np.errstate(invalid="ignore"):
-            return {"precision": right / accepted, "recall": recognised / revisits}
+            return {"precision": right / accepted, "recall": right / revisits}
 
     ends = bootstrap(fractions, len(outcomes), RESAMPLES)
     score = LoopScore(*counts.sum(axis=0).astype(int).tolist())
@@ -199,7 +199,9 @@ def curve(outcomes: Sequence[Outcome]) -> PrecisionRecall:
     errors = [loop_errors(outcome.candidates, outcome.tour.poses) for outcome in outcomes]
     probabilities = [r.probability for o in outcomes for r in o.results if r.candidate is not None]
     right = np.concatenate(errors) <= METRES
-    revisits = sum(outcome.score.revisits for outcome in outcomes)
+    exclude = LoopConfig.exclude
+    found = [score_loops(o.candidates, o.tour.poses, exclude, METRES) for o in outcomes]
+    revisits = sum(score.revisits for score in found)
     return loop_curve(np.array(probabilities), right, revisits)
 
 

@@ -17,14 +17,12 @@ EVEN = 0.5
 
 
 class LoopScore(NamedTuple):
-    """Counts of frames: those that close a loop, and of them those whose candidate is near; those
-    with an earlier frame that is near and looks the same way, and of them those that are right.
-    Precision is right / accepted, recall recognised / revisits, NaN where that is 0 / 0."""
+    """Counts of frames: those that close a loop, of them those that are right, and the revisits.
+    Precision is right / accepted, recall right / revisits, NaN where that is 0 / 0."""
 
     accepted: int
     right: int
     revisits: int
-    recognised: int
 
     @property
     def precision(self) -> float:
@@ -34,7 +32,7 @@ class LoopScore(NamedTuple):
     @property
     def recall(self) -> float:
         """Of the revisits."""
-        return self.recognised / self.revisits if self.revisits else math.nan
+        return self.right / self.revisits if self.revisits else math.nan
 
 
 def score_loops(
@@ -45,9 +43,10 @@ def score_loops(
     Frames from the row ``first`` on are counted.
 
     A loop is right if its two frames are near each other, at most ``metres``, whatever their
-    headings. A frame is a revisit if an earlier frame, not among the ``exclude`` most recent ones,
-    is near and looks the same way; an unknown heading matches any. Frames without a position are
-    left out; if all are, or the distance is negative or infinite, it is a ValueError.
+    headings. A frame is a revisit if its loop is right, or if an earlier frame, not among the
+    ``exclude`` most recent ones, is near and looks the same way; an unknown heading matches any.
+    Frames without a position are left out; if all are, or the distance is negative or infinite, it
+    is a ValueError.
     """
     if not 0 <= metres < math.inf:
         raise ValueError(f"the tolerance must be 0 metres or more and finite, got {metres}")
@@ -56,7 +55,7 @@ def score_loops(
             f"none of {len(poses)} frames has a pose; a tolerance in metres requires a poses.csv "
             "(frame,x,y,heading) in or beside their folder"
         )
-    counts = np.zeros(4, np.int64)
+    counts = np.zeros(3, np.int64)
     for row in range(first, len(poses)):
         if np.isnan(poses[row, :2]).any():
             continue
@@ -65,8 +64,8 @@ def score_loops(
         candidate = candidates[row]
         accepted = candidate >= 0 and not np.isnan(poses[candidate, :2]).any()
         right = accepted and math.dist(poses[row, :2], poses[candidate, :2]) <= metres
-        revisit = bool(((np.hypot(x, y) <= metres) & facing).any())
-        counts += (accepted, right, revisit, right and revisit)
+        revisit = right or bool(((np.hypot(x, y) <= metres) & facing).any())
+        counts += (accepted, right, revisit)
     return LoopScore(*counts.tolist())
 
 
@@ -80,7 +79,8 @@ def loop_errors(candidates: Rows, poses: Floats) -> Floats:
 
 def loop_curve(probabilities: Floats, right: Bools, revisits: int) -> PrecisionRecall:
     """Precision and recall over thresholds, by the probabilities ``(L,)`` of the loops that a
-    detector with a low threshold found, by which are right ``(L,)``, and by the number of revisits.
+    detector with a low threshold found, by which are right ``(L,)``, and by the number of revisits,
+    all these loops accepted.
     It is approximate: loops that a higher threshold rejects may change later probabilities."""
     return rank(probabilities, right).curve(np.ones(len(right)), np.array(float(revisits)))
 

@@ -169,10 +169,12 @@ def report(
         score = score_loops(loops, detector.poses, exclude, metres, first)
         summary |= {**score._asdict(), "precision": score.precision, "recall": score.recall}
         judged = [result for result in results if result.probability is not None]
-        errors = loop_errors(candidates_of(detector, judged), detector.poses)
+        candidates = candidates_of(detector, judged)
+        errors = loop_errors(candidates, detector.poses)
         known = np.isfinite(errors)
         probabilities = np.array([result.probability for result in judged], float)
         right = errors[known] <= metres
-        point = surest_point(loop_curve(probabilities[known], right, score.revisits))
+        revisits = score_loops(candidates, detector.poses, exclude, metres, first).revisits
+        point = surest_point(loop_curve(probabilities[known], right, revisits))
         summary["suggested"] = point and point._asdict()
     return summary

@@ -178,7 +178,7 @@ def _print_report(
     say(
         f"precision {fraction(summary['precision'])} ({summary['right']} of "
         f"{summary['accepted']} loops are right), recall {fraction(summary['recall'])} "
-        f"({summary['recognised']} of {summary['revisits']} revisits)"
+        f"({summary['right']} of {summary['revisits']} revisits)"
     )
     if not summary["suggested"]:
         say("no threshold to suggest: no candidate is right; a drive with revisits is needed")
