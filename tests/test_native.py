@@ -19,6 +19,7 @@ from torch import Tensor
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, native
 from ssrvlad_torch.config import CHOICES, PRESETS
+from ssrvlad_torch.native.headers import struct
 from ssrvlad_torch.native.operator import operator
 from ssrvlad_torch.stages.components import drop_regions, fill_holes
 from ssrvlad_torch.stages.keypoints import end_points, intersections
@@ -213,10 +214,10 @@ def test_the_operator_passes_opcheck():
 
 @pytest.mark.parametrize("preset", PRESETS)
 def test_the_library_has_the_presets_and_refuses_wrong_settings(preset, core):
-    own, library = native.Settings(), core.library
+    own, library = struct("settings")(), core.library
     assert library.ssrvlad_preset(preset.encode(), ctypes.byref(own)) == 0
     config = SSRVLADConfig.from_preset(preset)
-    for name, _ in native.Settings._fields_:
+    for name, _ in own._fields_:
         value = getattr(config, name)
         if isinstance(value, (float, int)):
             assert getattr(own, name) == value

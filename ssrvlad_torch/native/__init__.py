@@ -9,43 +9,11 @@ import hashlib
 import sys
 import warnings
 from functools import cache
-from pathlib import Path
 from typing import NamedTuple
 
-FOLDER = Path(__file__).parent
+from .headers import FOLDER, typed
+
 LIBRARY = "libssrvlad" + {"darwin": ".dylib", "win32": ".dll"}.get(sys.platform, ".so")
-
-_SIZE, _POINTER = ctypes.c_int64, ctypes.c_void_p
-
-
-class Settings(ctypes.Structure):
-    """``ssrvlad_settings`` of ssrvlad.h."""
-
-    _fields_ = tuple(
-        (name, kind)
-        for kind, names in (
-            (ctypes.c_double, "opening closing hole_area region_area radius inner_radius"),
-            (ctypes.c_double, "spectral_weight power"),
-            (ctypes.c_int32, "working_size rings sectors harmonics boundary_harmonics"),
-            (ctypes.c_int32, "thinning context aggregation anchor"),
-        )
-        for name in names.split()
-    )
-
-
-class Table(ctypes.Structure):
-    """``ssrvlad_table`` of ssrvlad.h."""
-
-    _fields_ = (("categories", _POINTER), ("entries", _SIZE), ("origin", _SIZE))
-
-
-class Labels(ctypes.Structure):
-    """``ssrvlad_labels`` of ssrvlad.h."""
-
-    _fields_ = (
-        *(("ids", _POINTER), ("bytes", ctypes.c_int32)),
-        *(("images", _SIZE), ("height", _SIZE), ("width", _SIZE)),
-    )
 
 
 class Core(NamedTuple):
@@ -90,23 +58,4 @@ def core() -> Core:
         library = ctypes.CDLL(str(path))
     except OSError as error:
         return Core(None, f"torch, for the native core cannot be loaded: {error}")
-    size, pointer, planes = _SIZE, _POINTER, (_POINTER, _SIZE, _SIZE, _SIZE)
-    maps = (ctypes.POINTER(Labels), ctypes.POINTER(Table))
-    library.ssrvlad_new.restype = pointer
-    library.ssrvlad_describe.restype = library.ssrvlad_vote.restype = size
-    library.ssrvlad_new.argtypes = [ctypes.POINTER(Settings)]
-    library.ssrvlad_free.argtypes = [pointer]
-    library.ssrvlad_describe.argtypes = [pointer, *maps, ctypes.c_int, pointer]
-    library.ssrvlad_vote.argtypes = [*maps, size, size, pointer]
-    library.ssrvlad_scan_signs.argtypes = [
-        *(pointer, size, pointer, size, size, size, size, size, ctypes.c_int, pointer)
-    ]
-    library.ssrvlad_scan_vectors.argtypes = [
-        *(pointer, pointer, size, size, pointer, size, size, ctypes.c_int, pointer)
-    ]
-    library.ssrvlad_open_and_close.argtypes = [*planes, size, size, pointer]
-    library.ssrvlad_fill_holes.argtypes = [*planes, size, pointer]
-    library.ssrvlad_drop_regions.argtypes = [*planes, size, pointer]
-    library.ssrvlad_thin.argtypes = [*planes, ctypes.c_int, pointer]
-    library.ssrvlad_keypoints.argtypes = [*planes, pointer, pointer]
-    return Core(library, "the native core")
+    return Core(typed(library), "the native core")

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable, Sequence
-from functools import cache
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
 
 from . import required
+from .headers import struct
 
 Floats = npt.NDArray[np.floating[Any]]
 Rows = npt.NDArray[np.int64]
@@ -23,8 +23,6 @@ MODES = {None: 0, "online": 1, "offline": 2}
 HIGHEST = 1.001
 """The highest cosine that rounding can give."""
 
-_SIZE, _POINTER, _NUMBER, _INT = ctypes.c_int64, ctypes.c_void_p, ctypes.c_double, ctypes.c_int
-_NUMBERS = ctypes.POINTER(_NUMBER)
 _WRONG_ARGUMENT, _RAISED = -2, -100
 
 
@@ -149,7 +147,7 @@ def follow(
 ) -> Places:
     """The places of a drive that is followed, as for `decide`, in a way, 1 for forwards or -1, and
     by a motion: the seven numbers of ``ssrvlad_motion``, by default its own."""
-    caller, found = _Caller(evidence, queries, starts, rows), _Places()
+    caller, found = _Caller(evidence, queries, starts, rows), struct("places")()
     near, unmapped = np.empty((2, caller.count), np.float32)
     matches = _matches(caller.count, top)
     places = Places(*matches, near, unmapped, np.empty(caller.count))
@@ -169,7 +167,7 @@ def gain(
 ) -> float:
     """How much likelier the queries are as a drive that runs the map in a way than each alone, as a
     natural logarithm; arguments as for `follow`."""
-    found, caller = _NUMBER(), _Caller(evidence, None, starts, rows)
+    found, caller = ctypes.c_double(), _Caller(evidence, None, starts, rows)
     caller.call("ssrvlad_gain", _motion(motion), way, ctypes.byref(found))
     return found.value
 
@@ -181,9 +179,13 @@ def chance(
     ``(N,)`` is, -inf where there is none, and the row of the best rival, -1 without one. ``rows``
     ``(N,)`` are those of the map, rising, by default the first ones; ``matching`` is the number of
     rows that could match, by default of those with a value."""
-    numbers, found, rival = np.ascontiguousarray(values, np.float64), _NUMBER(), _SIZE()
+    numbers, found, rival = (
+        np.ascontiguousarray(values, np.float64),
+        ctypes.c_double(),
+        ctypes.c_int64(),
+    )
     some = None if rows is None else np.ascontiguousarray(rows, np.int64)
-    status = library().ssrvlad_chance(
+    status = required().ssrvlad_chance(
         numbers.ctypes.data,
         None if some is None else some.ctypes.data,
         numbers.size,
@@ -203,7 +205,7 @@ def mapped(chances: npt.ArrayLike, together: float, best: float = 1.0) -> npt.ND
     its query, always if it was judged alone; if not, the chance is 1 where it is not the best."""
     numbers = np.ascontiguousarray(chances, np.float64)
     found = np.empty_like(numbers)
-    status = library().ssrvlad_mapped(
+    status = required().ssrvlad_mapped(
         numbers.ctypes.data, numbers.size, together, best, found.ctypes.data
     )
     if status:
@@ -222,7 +224,7 @@ def confidence(
     if numbers.shape != places.shape:
         raise ValueError(f"chances and mapped differ in shape: {numbers.shape} and {places.shape}")
     right, spread = np.empty((2, numbers.size), np.float32)
-    status = library().ssrvlad_confidence(
+    status = required().ssrvlad_confidence(
         numbers.ctypes.data,
         places.ctypes.data,
         numbers.size,
@@ -243,47 +245,13 @@ def answers_together(rivals: npt.ArrayLike) -> float:
     """How many neighbouring queries of a drive have one answer, by the best rivals ``(Q,)`` of
     their answers."""
     rows = np.ascontiguousarray(rivals, np.int64)
-    found = float(library().ssrvlad_together(rows.ctypes.data, rows.size))
+    found = float(required().ssrvlad_together(rows.ctypes.data, rows.size))
     if found < 0:
         raise problem(-1, "")
     return found
 
 
-class Drives(ctypes.Structure):
-    """``ssrvlad_drives`` of ssrvlad_decide.h."""
-
-    _fields_ = (("starts", _POINTER), ("count", _SIZE), ("rows", _SIZE))
-
-
-_FUNCTIONS: dict[str, Any] = {
-    "scores": ctypes.CFUNCTYPE(_INT, _POINTER, _SIZE, _POINTER),
-    "candidates": ctypes.CFUNCTYPE(_SIZE, _POINTER, _SIZE, _POINTER),
-    "some": ctypes.CFUNCTYPE(_INT, _POINTER, _SIZE, _POINTER, _SIZE, _POINTER),
-    "spread": ctypes.CFUNCTYPE(_INT, _POINTER, _SIZE, _NUMBERS, _NUMBERS),
-    "sample": ctypes.CFUNCTYPE(_SIZE, _POINTER, _SIZE, _POINTER, _POINTER),
-}
-
-
-class _Evidence(ctypes.Structure):
-    """``ssrvlad_evidence``."""
-
-    _fields_ = (
-        *(("queries", _SIZE), ("matrix", _POINTER), ("context", _POINTER)),
-        *_FUNCTIONS.items(),
-    )
-
-
 _ARRAYS = "scores", "rows", "right", "spread", "together"
-
-
-class _Decision(ctypes.Structure):
-    """``ssrvlad_decision``."""
-
-    _fields_ = (
-        *((name, _POINTER) for name in _ARRAYS),
-        *(("followed", ctypes.c_int32), ("way", ctypes.c_int32), ("streams", _SIZE)),
-        *(("rate", _NUMBER), ("gain", _NUMBER)),
-    )
 
 
 class Room:
@@ -291,7 +259,7 @@ class Room:
 
     def __init__(self, queries: int, top: int) -> None:
         self._matches, self._sure = _matches(queries, top), np.empty((3, queries), np.float32)
-        self._found = _Decision()
+        self._found = struct("decision")()
         for name, array in zip(_ARRAYS, (*self._matches, *self._sure), strict=True):
             setattr(self._found, name, array.ctypes.data)
         self.pointer = ctypes.byref(self._found)
@@ -311,21 +279,6 @@ def _matches(queries: int, top: int) -> tuple[Floats, Rows]:
 _WHERE = "scores", "rows", "around", "unmapped", "chance"
 
 
-class _Places(ctypes.Structure):
-    """``ssrvlad_places``."""
-
-    _fields_ = tuple((name, _POINTER) for name in _WHERE)
-
-
-class _Motion(ctypes.Structure):
-    """``ssrvlad_motion``."""
-
-    _fields_ = tuple(
-        (name, _NUMBER)
-        for name in ("change", "jump", "unmapped", "stay", "weight", "level", "rate")
-    )
-
-
 class _Caller:
     """Evidence and a map as the core takes them. What a function of the evidence raises is kept for
     after the call."""
@@ -337,8 +290,8 @@ class _Caller:
         self._queries = range(len(evidence)) if queries is None else queries
         self.count = len(self._queries)
         self._starts = np.ascontiguousarray(starts, np.int64)
-        self._drives = Drives(self._starts.ctypes.data, self._starts.size, rows)
-        self._given = _Evidence(self.count)
+        self._drives = struct("drives")(self._starts.ctypes.data, self._starts.size, rows)
+        self._given = struct("evidence")(self.count)
         if isinstance(evidence, np.ndarray):
             part = slice(self._queries.start, self._queries.stop, self._queries.step)
             self._matrix = np.ascontiguousarray(evidence[part], np.float32)
@@ -349,11 +302,12 @@ class _Caller:
         if isinstance(evidence, Search):
             functions = _of_search(evidence, rows)
         for name, function in functions.items():
-            setattr(self._given, name, _FUNCTIONS[name](self._guarded(function)))
+            kind = dict(self._given._fields_)[name]
+            setattr(self._given, name, kind(self._guarded(function)))
 
     def call(self, name: str, *arguments: Any) -> None:
         """Calls a function of the core."""
-        function = getattr(library(), name)
+        function = getattr(required(), name)
         status = function(ctypes.byref(self._drives), ctypes.byref(self._given), *arguments)
         for error in self._raised:
             raise error
@@ -403,8 +357,9 @@ def _of_search(search: Search, count: int) -> dict[str, Callable[..., int]]:
         ctypes.memmove(given.ctypes.data, rows, given.nbytes)
         return _fill(target, np.ascontiguousarray(search.scores(query, given), np.float32))
 
-    def spread(query: int, mean: Any, deviation: Any) -> int:
-        mean[0], deviation[0] = search.spread(query)
+    def spread(query: int, mean: int, deviation: int) -> int:
+        for target, value in zip((mean, deviation), search.spread(query), strict=True):
+            _fill(target, np.array(value, np.float64))
         return 0
 
     def sample(query: int, rows: int | None, scores: int | None) -> int:
@@ -431,29 +386,4 @@ def problem(status: int, expected: str) -> Exception:
 
 
 def _motion(motion: Sequence[float] | None) -> Any:
-    return None if motion is None else ctypes.byref(_Motion(*motion))
-
-
-@cache
-def library() -> ctypes.CDLL:
-    """The core, with the types of its functions."""
-    found = required()
-    map_and_evidence = ctypes.POINTER(Drives), ctypes.POINTER(_Evidence)
-    motion, size = ctypes.POINTER(_Motion), _SIZE
-    found.ssrvlad_decide.argtypes = [
-        *(*map_and_evidence, _INT, size, size, ctypes.POINTER(_Decision))
-    ]
-    found.ssrvlad_follow.argtypes = [
-        *(*map_and_evidence, motion, _INT, _INT, size, size, ctypes.POINTER(_Places))
-    ]
-    found.ssrvlad_gain.argtypes = [*map_and_evidence, motion, _INT, _NUMBERS]
-    sizes = ctypes.POINTER(size)
-    found.ssrvlad_chance.argtypes = [_POINTER, _POINTER, size, size, _NUMBERS, sizes]
-    found.ssrvlad_mapped.argtypes = [_POINTER, size, _NUMBER, _NUMBER, _POINTER]
-    found.ssrvlad_confidence.argtypes = [
-        *(_POINTER, _POINTER, size, _NUMBER, _INT),
-        *(_POINTER, _POINTER),
-    ]
-    found.ssrvlad_together.argtypes = [_POINTER, size]
-    found.ssrvlad_together.restype = _NUMBER
-    return found
+    return None if motion is None else ctypes.byref(struct("motion")(*motion))

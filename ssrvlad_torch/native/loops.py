@@ -9,13 +9,13 @@ import ctypes
 import math
 import weakref
 from collections.abc import Mapping, Sequence
-from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from . import required
+from .headers import struct
 
 Array = npt.NDArray[Any]
 
@@ -92,11 +92,12 @@ class Loops:
         threshold: float = 0.8,
         scan_above: int = SCAN_ABOVE,
     ) -> None:
-        self._library, self.channels = _library(), tuple(channels)
+        self._library, self.channels = required(), tuple(channels)
         made = [_of(each) for each in channels]
+        given = (struct("loops_channel") * len(made))(*made)
         # more frames than fit are excluded by the largest number that fits
-        settings = _Settings(min(exclude, 2**63 - 1), threshold, scan_above)
-        handle = self._library.ssrvlad_loops_new(settings, (_Channel * len(made))(*made), len(made))
+        settings = struct("loops_settings")(min(exclude, 2**63 - 1), threshold, scan_above)
+        handle = self._library.ssrvlad_loops_new(settings, given, len(made))
         if not handle:
             raise RuntimeError(
                 "the native core refuses the settings or channels, or memory is short"
@@ -133,7 +134,7 @@ class Loops:
         Raises:
             ValueError: a descriptor has another shape, or cannot be one.
         """
-        result = _Loop()
+        result = struct("loop")()
         given = self._given(descriptors)
         anchors = [
             each.size // math.prod(c.shape) for c, each in zip(self.channels, given, strict=True)
@@ -144,7 +145,7 @@ class Loops:
                 self._handle, _pointers(given), counts, stamp, bool(starts), threads, result
             )
         )
-        return result.found()
+        return _found(result)
 
     def extend(self, descriptors: Mapping[str, Array], stamps: Array | None, starts: Array) -> None:
         """Stores frames that are known as if they had come, without results.
@@ -195,44 +196,20 @@ class Loops:
         return given
 
 
-class _Settings(ctypes.Structure):
-    _fields_ = (
-        *(("exclude", ctypes.c_int64), ("threshold", ctypes.c_double)),
-        ("scan_above", ctypes.c_int64),
-    )
+def _found(loop: Any) -> Found:
+    reason = REASONS[loop.reason]
+    if loop.candidate < 0:
+        return Found(reason)
+    places = tuple((each.row, each.probability) for each in loop.best[: loop.places])
+    near = tuple(loop.probabilities[: loop.rows])
+    return Found(reason, loop.candidate, loop.score, loop.probability, places, loop.first, near)
 
 
-class _Channel(ctypes.Structure):
-    _fields_ = (
-        *(("kind", ctypes.c_int32), ("shape", ctypes.c_int64 * 3)),
-        ("trust", ctypes.c_double),
-    )
-
-
-class _Place(ctypes.Structure):
-    _fields_ = (("row", ctypes.c_int64), ("probability", ctypes.c_double))
-
-
-class _Loop(ctypes.Structure):
-    _fields_ = (
-        *(("reason", ctypes.c_int32), ("places", ctypes.c_int32), ("best", _Place * PLACES)),
-        *(("candidate", ctypes.c_int64), ("score", ctypes.c_double)),
-        *(("probability", ctypes.c_double), ("first", ctypes.c_int64), ("rows", ctypes.c_int32)),
-        ("probabilities", ctypes.c_double * (2 * NEAR + 1)),
-    )
-
-    def found(self) -> Found:
-        reason = REASONS[self.reason]
-        if self.candidate < 0:
-            return Found(reason)
-        places = tuple((each.row, each.probability) for each in self.best[: self.places])
-        near = tuple(self.probabilities[: self.rows])
-        return Found(reason, self.candidate, self.score, self.probability, places, self.first, near)
-
-
-def _of(channel: Channel) -> _Channel:
+def _of(channel: Channel) -> Any:
     shape = (*channel.shape, 1, 1)[:3]
-    return _Channel(channel.dtype == "uint8", (ctypes.c_int64 * 3)(*shape), channel.trust)
+    return struct("loops_channel")(
+        channel.dtype == "uint8", (ctypes.c_int64 * 3)(*shape), channel.trust
+    )
 
 
 def _pointers(arrays: Sequence[Array]) -> Any:
@@ -244,22 +221,3 @@ def _require(status: int) -> None:
         raise MemoryError("not enough memory for the frames of the stream")
     if status:
         raise ValueError("expected descriptors of length 1 or zero, and an odd number of anchors")
-
-
-@cache
-def _library() -> ctypes.CDLL:
-    library = required()
-    size, pointer, integer = ctypes.c_int64, ctypes.c_void_p, ctypes.c_int
-    library.ssrvlad_loops_new.restype = pointer
-    library.ssrvlad_loops_new.argtypes = [ctypes.POINTER(_Settings), pointer, integer]
-    library.ssrvlad_loops_free.argtypes = [pointer]
-    library.ssrvlad_loops_rows.restype = size
-    library.ssrvlad_loops_rows.argtypes = [pointer]
-    library.ssrvlad_loops_update.argtypes = [
-        *(pointer, pointer, pointer, ctypes.c_double, integer, integer, ctypes.POINTER(_Loop))
-    ]
-    library.ssrvlad_loops_extend.argtypes = [pointer, pointer, pointer, pointer, size]
-    library.ssrvlad_loops_descriptors.argtypes = [pointer, integer, size, size, pointer]
-    library.ssrvlad_loops_weights.argtypes = [pointer, pointer]
-    library.ssrvlad_loops_weights.restype = None
-    return library

@@ -11,20 +11,19 @@ import ctypes
 import math
 import weakref
 from collections.abc import Mapping, Sequence
-from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from .decide import MODES, Decision, Drives, Floats, Room, library, problem
+from . import required
+from .decide import MODES, Decision, Floats, Room, problem
+from .headers import struct
 
 Array = npt.NDArray[Any]
 
 MIN_FRAMES = 30
 """Of a drive that has a mean of its own, and of a map for it."""
-
-_SIZE, _POINTER, _INT = ctypes.c_int64, ctypes.c_void_p, ctypes.c_int
 
 
 class Found(NamedTuple):
@@ -62,9 +61,9 @@ class Map:
     """
 
     def __init__(self, frames: Sequence[int]) -> None:
-        core = _library()
+        core = required()
         starts = np.cumsum([0, *frames], dtype=np.int64)
-        drives = Drives(starts.ctypes.data, len(frames), int(starts[-1]))
+        drives = struct("drives")(starts.ctypes.data, len(frames), int(starts[-1]))
         self._map = core.ssrvlad_map_new(ctypes.byref(drives))
         if not self._map:
             raise ValueError(f"expected drives of at least 1 frame, got {list(frames)}")
@@ -102,8 +101,8 @@ class Map:
             raise ValueError(f"{name}: expected vectors (R, D), got {kept.shape}")
         columns, size = 1 if kind == 0 else kept.shape[1], int(np.prod(kept.shape[1 + kind :]))
         of_drives = self._means(name, means, (self._drives, columns * size * (8 if kind else 1)))
-        given = _Channel(kept.ctypes.data, kind, columns, size, trust, _address(of_drives))
-        status = _library().ssrvlad_map_add_channel(self._map, ctypes.byref(given))
+        given = struct("channel")(kept.ctypes.data, kind, columns, size, trust, _address(of_drives))
+        status = required().ssrvlad_map_add_channel(self._map, ctypes.byref(given))
         if status:
             got = f"{kept.shape}, trust {trust}"
             raise problem(status, f"{name} as finite rows and a trust above 0, got {got}")
@@ -144,12 +143,14 @@ class Map:
         if len(set(counts.values())) != 1:
             raise ValueError(f"expected one number of queries by all channels, got {counts}")
         count = next(iter(counts.values()))
-        given = (_Queries * len(kept))(*(self._given(name, each) for name, each in kept.items()))
+        given = (struct("queries") * len(kept))(
+            *(self._given(name, each) for name, each in kept.items())
+        )
         room = Room(count, top)
-        steps = _Steps(standardise, sweep, MODES[follow], delay, top)
+        steps = struct("steps")(standardise, sweep, MODES[follow], delay, top)
         weights = (ctypes.c_double * len(kept))()
-        taken = _Taken(weights=ctypes.addressof(weights))
-        status = _library().ssrvlad_map_query(
+        taken = struct("taken")(weights=ctypes.addressof(weights))
+        status = required().ssrvlad_map_query(
             self._map, given, count, ctypes.byref(steps), threads, room.pointer,
             ctypes.byref(taken),
         )  # fmt: skip
@@ -180,10 +181,10 @@ class Map:
         kept, rows = self._of_queries(name, queries), self._rows[name]
         bits = 1 if rows.dtype == np.float32 else 8
         of_drive = self._means(name, mean, (bits * math.prod(rows.shape[1:]),))
-        given, width = self._given(name, kept), _SIZE()
+        given, width = self._given(name, kept), ctypes.c_int64()
         given.mean = _address(of_drive)
         number = [*self._rows].index(name)
-        comparison = _library().ssrvlad_map_compare(
+        comparison = required().ssrvlad_map_compare(
             self._map, number, ctypes.byref(given), len(kept), standardised, sweep, threads,
             ctypes.byref(width),
         )  # fmt: skip
@@ -214,9 +215,9 @@ class Map:
             raise ValueError(f"{name}: expected means of {shape} numbers, got {kept.shape}")
         return kept
 
-    def _given(self, name: str, queries: Array) -> _Queries:
+    def _given(self, name: str, queries: Array) -> Any:
         anchors = queries.shape[1] if queries.ndim > self._rows[name].ndim else 1
-        return _Queries(queries.ctypes.data, anchors)
+        return struct("queries")(queries.ctypes.data, anchors)
 
 
 class Comparison:
@@ -228,7 +229,7 @@ class Comparison:
 
     def __init__(self, handle: int, of: Map, queries: int, width: int) -> None:
         self.width, self._handle, self._map, self._queries = width, handle, of, queries
-        weakref.finalize(self, _library().ssrvlad_comparison_free, ctypes.c_void_p(handle))
+        weakref.finalize(self, required().ssrvlad_comparison_free, ctypes.c_void_p(handle))
 
     def __len__(self) -> int:
         return self._queries
@@ -236,7 +237,7 @@ class Comparison:
     def __getitem__(self, query: int, /) -> Floats:
         """``(R,)`` float32, -inf where there can be no match."""
         scores = np.empty(len(self._map), np.float32)
-        status = _library().ssrvlad_comparison_scores(self._handle, query, scores.ctypes.data)
+        status = required().ssrvlad_comparison_scores(self._handle, query, scores.ctypes.data)
         if status:
             raise problem(status, f"a query below {self._queries}, got {query}")
         return scores
@@ -267,54 +268,15 @@ def match(
         ValueError: D or top is 0.
     """
     vectors, lengths = rows
-    given = _Rows(
+    given = struct("rows")(
         vectors.ctypes.data, lengths.ctypes.data, _address(excluded), *vectors.shape, first
     )
-    status = _library().ssrvlad_match(
+    status = required().ssrvlad_match(
         ctypes.byref(given), queries.ctypes.data, len(queries), best[0].shape[1], threads,
         *(each.ctypes.data for each in best),
     )  # fmt: skip
     if status:
         raise problem(status, f"vectors of at least 1 number, got {vectors.shape}")
-
-
-class _Rows(ctypes.Structure):
-    """``ssrvlad_rows`` of ssrvlad_map.h."""
-
-    _fields_ = (
-        *((name, _POINTER) for name in ("vectors", "lengths", "excluded")),
-        *((name, _SIZE) for name in ("count", "length", "first")),
-    )
-
-
-class _Channel(ctypes.Structure):
-    """``ssrvlad_channel`` of ssrvlad_map.h."""
-
-    _fields_ = (
-        *(("rows", _POINTER), ("kind", ctypes.c_int32)),
-        *(("columns", _SIZE), ("size", _SIZE), ("trust", ctypes.c_double), ("means", _POINTER)),
-    )
-
-
-class _Queries(ctypes.Structure):
-    """``ssrvlad_queries``."""
-
-    _fields_ = (("descriptors", _POINTER), ("anchors", _SIZE), ("mean", _POINTER))
-
-
-class _Steps(ctypes.Structure):
-    """``ssrvlad_steps``."""
-
-    _fields_ = (
-        *((name, ctypes.c_int32) for name in ("standardise", "sweep", "follow")),
-        *(("delay", _SIZE), ("top", _SIZE)),
-    )
-
-
-class _Taken(ctypes.Structure):
-    """``ssrvlad_taken``."""
-
-    _fields_ = (("standardised", ctypes.c_int32), ("width", _SIZE), ("weights", _POINTER))
 
 
 def _address(array: Array | None) -> int | None:
@@ -331,26 +293,3 @@ def _checked(array: Array, name: str) -> Array:
             f"{kept.shape} {kept.dtype}"
         )
     return kept
-
-
-@cache
-def _library() -> ctypes.CDLL:
-    """The core, with the types of its functions."""
-    core, map_of = library(), _POINTER
-    core.ssrvlad_map_new.restype = core.ssrvlad_map_compare.restype = _POINTER
-    core.ssrvlad_map_new.argtypes = [ctypes.POINTER(Drives)]
-    core.ssrvlad_map_free.argtypes = core.ssrvlad_comparison_free.argtypes = [_POINTER]
-    core.ssrvlad_map_add_channel.argtypes = [map_of, ctypes.POINTER(_Channel)]
-    queries = ctypes.POINTER(_Queries)
-    core.ssrvlad_map_query.argtypes = [
-        *(map_of, queries, _SIZE, ctypes.POINTER(_Steps), _INT),
-        *(_POINTER, ctypes.POINTER(_Taken)),
-    ]
-    core.ssrvlad_map_compare.argtypes = [
-        *(map_of, _SIZE, queries, _SIZE, _INT, _INT, _INT, ctypes.POINTER(_SIZE))
-    ]
-    core.ssrvlad_match.argtypes = [
-        *(ctypes.POINTER(_Rows), _POINTER, _SIZE, _SIZE, _INT, _POINTER, _POINTER)
-    ]
-    core.ssrvlad_comparison_scores.argtypes = [_POINTER, _SIZE, _POINTER]
-    return core

@@ -13,7 +13,8 @@ import torch
 from torch import Tensor
 
 from ..config import CHOICES, SSRVLADConfig
-from . import Labels, Settings, Table, core
+from . import core
+from .headers import struct
 
 _NATIVE_DTYPES = (torch.uint8, torch.int16, torch.int32, torch.int64)
 
@@ -38,8 +39,8 @@ def describe(labels: Tensor, table: Tensor, origin: int, settings: str) -> Tenso
     descriptors = torch.empty((len(labels), head.length))
     status = head.library.ssrvlad_describe(
         head.handle,
-        Labels(labels.data_ptr(), labels.element_size(), *labels.shape),
-        Table(table.data_ptr(), len(table), origin),
+        struct("labels")(labels.data_ptr(), labels.element_size(), *labels.shape),
+        struct("table")(table.data_ptr(), len(table), origin),
         torch.get_num_threads(),
         descriptors.data_ptr(),
     )
@@ -75,11 +76,11 @@ class _Head:
         if library is None:
             raise RuntimeError("the native core was not built")
         self.library, self.length = library, config.length
-        values = {name: getattr(config, name) for name, *_ in Settings._fields_}
+        made = struct("settings")
+        values = {name: getattr(config, name) for name, *_ in made._fields_}
         values.update({name: choices.index(values[name]) for name, choices in CHOICES.items()})
-        self.handle = library.ssrvlad_new(
-            Settings(**{**values, "working_size": config.working_size or 0})
-        )
+        given = made(**{**values, "working_size": config.working_size or 0})
+        self.handle = library.ssrvlad_new(given)
         if not self.handle:
             raise RuntimeError("the native core refuses the settings, or memory is short")
         weakref.finalize(self, library.ssrvlad_free, ctypes.c_void_p(self.handle))
