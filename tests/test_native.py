@@ -115,8 +115,8 @@ def test_votes_equal_the_torch_stage(seed, height, width, data, dtype):
     table, origin = category_table(label_space(SPACE))
     got = torch.empty((2, *grid), dtype=torch.uint8)
     found = native.core().library.ssrvlad_vote(
-        native.Labels(labels.data_ptr(), labels.element_size(), *labels.shape),
-        native.Table(table.data_ptr(), len(table), origin),
+        struct("labels")(labels.data_ptr(), labels.element_size(), *labels.shape),
+        struct("table")(table.data_ptr(), len(table), origin),
         *grid,
         got.data_ptr(),
     )
