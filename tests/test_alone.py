@@ -15,8 +15,9 @@ from large_maps import ALL, CONFIG, ROWS, channels, large_town, queries_at
 from ssrvlad_torch import Database, Map
 from ssrvlad_torch.recognition.recognise import Steps
 from ssrvlad_torch.search import alone
-from ssrvlad_torch.search.alone import LargeMap, opened_large, recognise_in_large
+from ssrvlad_torch.search.alone import LargeMap, opened_large
 from ssrvlad_torch.search.coarse_index import build
+from ssrvlad_torch.search.drive import recognise_in_large
 from ssrvlad_torch.search.exact import recognise_in
 from ssrvlad_torch.search.selection import excluded_pairs
 

@@ -15,7 +15,7 @@ from ssrvlad_torch.recognition.recognise import Steps
 from ssrvlad_torch.search import alone, drive
 from ssrvlad_torch.search.alone import LargeMap
 from ssrvlad_torch.search.coarse_index import build
-from ssrvlad_torch.search.drive import DriveSearch, recognise_drives
+from ssrvlad_torch.search.drive import DriveSearch, recognise_in_large
 from ssrvlad_torch.search.exact import recognise_in
 from ssrvlad_torch.search.map_rows import MapRows
 from ssrvlad_torch.search.selection import excluded_pairs, select
@@ -43,7 +43,7 @@ def found_in(town, queries, steps, names=ALL):
     """What is recognised by the index, and by exact search."""
     used, where = channels(town, names), np.ones(len(town), bool)
     exact = recognise_in(town.load(), queries, used, steps, 3)
-    return recognise_drives(LargeMap(town, used), queries, steps, 3, where), exact
+    return recognise_in_large(LargeMap(town, used), queries, steps, 3, where), exact
 
 
 @pytest.mark.parametrize("names", [ALL, ("ssr-vlad",), ("features", "hog")])
@@ -91,10 +91,10 @@ def test_only_some_queries_of_a_followed_drive_are_compared_with_all_rows(
     monkeypatch.setattr(drive.DriveSearch, "_scanned", note)
     used, queries = channels(town, ALL), queries_at([*range(100, 100 + count)])
     large = LargeMap(town, used)
-    recognise_drives(large, queries, Steps(), 3, EVERYWHERE)
+    recognise_in_large(large, queries, Steps(), 3, EVERYWHERE)
     assert len(compared) == len({*compared}) <= most
     compared.clear()
-    recognise_drives(large, queries, Steps(follow=None), 3, EVERYWHERE)
+    recognise_in_large(large, queries, Steps(follow=None), 3, EVERYWHERE)
     assert sorted(compared) == [*range(count)]
 
 
@@ -104,7 +104,7 @@ def test_rows_that_may_not_match_are_no_candidates_and_have_no_score(town):
     where, queries = select(frames, ["a"]), queries_at([*range(100, 140)])
     ids = tuple(f"a/{row:03d}" for row in range(100, 140))
     again = dataclasses.replace(queries, frames=ids, sequences=("a",) * 40)
-    got = recognise_drives(LargeMap(town, used), again, Steps(), 3, where, exclude=4)
+    got = recognise_in_large(LargeMap(town, used), again, Steps(), 3, where, exclude=4)
     without = excluded_pairs(again, frames, where, 4)
     expected = recognise_in(frames, again, used, Steps(), 3, without)
     assert torch.equal(got.matches.indices, expected.matches.indices)
@@ -124,7 +124,7 @@ def test_few_rows_that_may_match_are_found(town, allowed, names):
     where[[*allowed]] = True
     used, frames = channels(town, names), town.load()
     queries = queries_at([*range(100, 140)], names)
-    got = recognise_drives(LargeMap(town, used), queries, Steps(follow=None), 3, where)
+    got = recognise_in_large(LargeMap(town, used), queries, Steps(follow=None), 3, where)
     without = excluded_pairs(queries, frames, where, None)
     expected = recognise_in(frames, queries, used, Steps(follow=None), 3, without)
     assert (got.matches.indices[:, 0] == expected.matches.indices[:, 0]).float().mean() > 0.9
@@ -133,7 +133,7 @@ def test_few_rows_that_may_match_are_found(town, allowed, names):
 
 def test_as_many_candidates_as_are_wanted(town):
     used, queries = channels(town, ALL), queries_at([*range(100, 140)])
-    got = recognise_drives(LargeMap(town, used), queries, Steps(follow=None), 100, EVERYWHERE)
+    got = recognise_in_large(LargeMap(town, used), queries, Steps(follow=None), 100, EVERYWHERE)
     assert bool((got.matches.indices >= 0).all())
 
 
@@ -155,13 +155,13 @@ def test_damaged_rows_are_refused(tmp_path):
     again = Database.open(tmp_path / "town.ssrdb")
     large, queries = LargeMap(again, channels(again, ALL)), queries_at([*range(100, 140)])
     with pytest.raises(ValueError, match=r"is damaged; ssrvlad db verify shows where"):
-        recognise_drives(large, queries, Steps(), 3, EVERYWHERE)
+        recognise_in_large(large, queries, Steps(), 3, EVERYWHERE)
 
 
 def test_empty_queries_and_few_of_them_have_an_answer_or_none(town):
     used, queries = channels(town, ("ssr-vlad",)), queries_at([5, 6, 7], ("ssr-vlad",))
     queries.channels["ssr-vlad"][1] = 0
-    got = recognise_drives(LargeMap(town, used), queries, Steps(follow=None), 3, EVERYWHERE)
+    got = recognise_in_large(LargeMap(town, used), queries, Steps(follow=None), 3, EVERYWHERE)
     assert got.matches.indices[:, 0].tolist() == [5, -1, 7]
     assert got.used["follow"] == {"today": "no"} and got.used["standardise"] == {"today": False}
 

@@ -29,7 +29,7 @@ from ssrvlad_torch.recognition.sweep import COLUMNS
 from ssrvlad_torch.search.alone import LargeMap
 from ssrvlad_torch.search.coarse_index import build, taken
 from ssrvlad_torch.search.drive import EVERY as EVERY_OF_A_DRIVE
-from ssrvlad_torch.search.drive import recognise_drives
+from ssrvlad_torch.search.drive import recognise_in_large
 from ssrvlad_torch.search.exact import chosen_channels, recognise_in
 
 DATA, NETWORK = ROOT.parent / "shared" / "data", "espnetv2"
@@ -200,7 +200,7 @@ def followed(frames: int, folder: Path) -> Report:
         queries = drive_of(folder, name)
         for _ in range(2):
             began = time.process_time()
-            found = recognise_drives(large, queries, Steps(), TOP, everywhere)
+            found = recognise_in_large(large, queries, Steps(), TOP, everywhere)
             report[name] = told(found, time.process_time() - began)
     return report
 

@@ -20,8 +20,6 @@ import torch
 from torch import Tensor
 from torch.nn.functional import logsigmoid
 
-from . import deciding
-
 _NOTHING = 0.9
 """An interval of this width says nothing."""
 
@@ -39,14 +37,6 @@ class Confidence(NamedTuple):
     right: Tensor
     spread: Tensor
     together: Tensor
-
-    @classmethod
-    def of_chances(cls, chances: Tensor, together: float) -> Confidence:
-        """Of one traverse by the chances ``(Q,)`` of `rivals`, NaN where there is no candidate;
-        so many neighbouring queries err together."""
-        found = deciding.confidence(chances, together)
-        right, spread = (torch.from_numpy(each).float() for each in found)
-        return cls(right, spread, torch.full((len(chances),), float(together)))
 
 
 class Estimate(NamedTuple):

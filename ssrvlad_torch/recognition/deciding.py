@@ -4,7 +4,6 @@ Both give the same decisions; see `native.decide` and `reference`.
 """
 
 from collections.abc import Sequence
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -30,7 +29,7 @@ def decide(
 ) -> Decision:
     """The decision about the queries of one drive, see `native.decide.decide`; ``sequences`` are
     those of the rows of the map, which stand together and in order if the drive is followed."""
-    if _form() is reference:
+    if not has_core():
         scores = _whole(evidence, queries, len(sequences))
         return reference.decide(scores, sequences, mode, delay, top)
     starts = _starts(sequences) if mode else [0][: len(sequences)]
@@ -38,36 +37,9 @@ def decide(
     return by_core.decide(_array(evidence), starts, len(sequences), *given)
 
 
-def chance(
-    values: Tensor, rows: Tensor | None = None, matching: int | None = None
-) -> tuple[float, int]:
-    """See `reference.chance`."""
-    some = None if rows is None else rows.numpy()
-    found: tuple[float, int] = _form().chance(values.detach().numpy(), some, matching)
-    return found
-
-
-def confidence(chances: Tensor, together: float) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-    """Of answers that were judged alone: see `reference.mapped` and `reference.confidence`."""
-    numbers, form = chances.double().numpy(), _form()
-    found: tuple[npt.NDArray[Any], npt.NDArray[Any]]
-    found = form.confidence(numbers, form.mapped(numbers, together), together)
-    return found
-
-
-def answers_together(rivals: Tensor) -> float:
-    """See `reference.answers_together`."""
-    return float(_form().answers_together(rivals.numpy()))
-
-
 def has_core() -> bool:
     """Whether the native core compares and decides; says once why not."""
     return native.if_built("decides") is not None
-
-
-def _form() -> ModuleType:
-    """The form that decides."""
-    return by_core if has_core() else reference
 
 
 def _starts(sequences: Sequence[str]) -> list[int]:

@@ -17,7 +17,6 @@ from .display import candidates_table
 from .fusion import fused_scores
 from .matching import Matches, checked_excluded, checked_number
 from .motion import Course
-from .rivals import Chance
 from .sequences import runs
 from .standardise import MIN_FRAMES
 
@@ -201,24 +200,6 @@ def recognise_by_search(
     return _joined(decisions, len(reference_sequences), steps, top)
 
 
-def recognise_alone(
-    judged: Mapping[str, Sequence[tuple[Matches, Chance]]],
-    widths: Mapping[str, int],
-    weights: dict[str, float],
-    references: int,
-    steps: Steps,
-    top: int,
-) -> Recognised:
-    """As `recognise`, for sequences of queries whose candidates are known, how the first compares
-    with its rivals, and the width of their sweep; ``weights`` are of fused channels."""
-    follow = SURE_ALONE if steps.follow else "no"
-    decisions = {
-        name: _Decided(*_judged(each), follow, sweep=widths[name], weights=weights)
-        for name, each in judged.items()
-    }
-    return _joined(decisions, references, steps, top)
-
-
 def judged_alone(query_sequences: Sequence[str], steps: Steps) -> bool:
     """Whether queries are judged alone, not standardised, and their channels weighed by trust,
     whatever the map."""
@@ -243,7 +224,8 @@ def _decided(
 ) -> _Decided:
     """Judges each query of a sequence alone, and follows the sequence if that is asked for, it has
     a course, and its answers are not less sure for it."""
-    found = deciding.decide(evidence, queries, sequences, steps.follow, steps.delay, top)
+    mode = steps.follow if len(queries) > 1 else None
+    found = deciding.decide(evidence, queries, sequences, mode, steps.delay, top)
     scores, rows, *sure = (torch.from_numpy(each) for each in found[:5])
     matches = Matches(scores.float(), rows)
     return _Decided(matches, Confidence(*(each.float() for each in sure)), _told(found, steps))
@@ -255,14 +237,6 @@ def _told(found: Decision, steps: Steps) -> str:
         return "no"
     course = str(Course(found.way, found.rate, found.streams))
     return ", ".join(filter(None, (steps.follow, course))) if found.followed else SURE_ALONE
-
-
-def _judged(judged: Sequence[tuple[Matches, Chance]]) -> tuple[Matches, Confidence]:
-    matches = Matches(*map(torch.stack, zip(*(found for found, _ in judged), strict=True)))
-    chances, rivals = (torch.tensor(each) for each in zip(*(c for _, c in judged), strict=True))
-    chances = chances.double().masked_fill(matches.indices[:, 0] < 0, torch.nan)
-    together = deciding.answers_together(rivals[~chances.isnan()])
-    return matches, Confidence.of_chances(chances, together)
 
 
 def _joined(

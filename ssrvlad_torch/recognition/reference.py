@@ -368,7 +368,18 @@ def chance(
     """The probability that a wrong answer is as far ahead of its rivals as the best of values
     ``(N,)`` is, -inf where there is none; and the row of the best rival, -1 without one. ``rows``
     are those of the map, by default the first ones; ``matching`` is how many of them could match,
-    by default those with a value. See `rivals`."""
+    by default those with a value.
+
+    The rivals of an answer are the best places elsewhere. If the answer is wrong, it is a
+    chance place among chance places. Of n independent normal values the steps from each to the next lower one,
+    divided by what they are on average, are nearly exponential with one scale (Renyi, 1953): if
+    ``s`` is that of the answer over its best rival, and ``rest`` the sum of the m steps below, then ::
+
+        chance = (1 + s / rest) ** -m
+
+    is uniform from 0 to 1, whatever mean and deviation the values have. The means of the steps are
+    those of normal order statistics (Blom, 1958). Nothing but `ROWS_A_PLACE` is measured.
+    """
     at = np.arange(len(values)) if rows is None else np.asarray(rows)
     near = dict(zip(at.tolist(), values.astype(np.float64), strict=True))
     peaks = [

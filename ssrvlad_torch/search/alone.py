@@ -18,15 +18,9 @@ from torch import Tensor
 
 from ..channels.channel import Channel
 from ..database.database import Database
-from ..database.frames import FrameSet
-from ..recognition.fusion import Scale, fused, nearness, weights_of
-from ..recognition.matching import Matches, best_of
+from ..recognition.fusion import Scale, fused, weights_of
 from ..recognition.motion import ELSEWHERE, MIN_SPREAD
-from ..recognition.recognise import Recognised, Steps, recognise_alone
-from ..recognition.rivals import Chance, chance_of
-from ..recognition.sequences import runs
 from .coarse_index import LEAST_ROWS, CoarseIndex, is_indexed, taken
-from .selection import neighbours
 
 COARSE, EXACT = 1000, 50
 """Rows by the fused coarse scores, of which the most trusted channel is scored exactly; and rows of
@@ -36,15 +30,6 @@ LEADS = 300
 """Rows by the coarse scores of a channel that show the width of its sweep."""
 
 _PRESELECTED, _STRIDE = 20_000, 61
-
-
-class Judged(NamedTuple):
-    """The candidates of a query that is judged alone, how the first compares with its rivals, and
-    the width of the sweep."""
-
-    matches: Matches
-    chance: Chance
-    width: int
 
 
 def opened_large(database: Database, channels: Sequence[Channel]) -> LargeMap | str:
@@ -84,21 +69,17 @@ class LargeMap:
         self.weights = self.share if len(trust) > 1 else {}
 
     @torch.no_grad()
-    def judge(
-        self,
-        descriptors: Mapping[str, Tensor],
-        sweep: bool,
-        top: int,
-        allowed: npt.NDArray[np.bool_] | None = None,
-    ) -> Judged:
+    def found(
+        self, descriptors: Mapping[str, Tensor], sweep: bool, top: int, where: Tensor | None = None
+    ) -> Found:
         """The candidates of one query by its descriptors ``(*shape)``, or ``(S, *shape)`` from all
-        anchors. ``allowed`` ``(R,)`` bool are the rows that may be candidates, by default all."""
-        where = None if allowed is None else torch.from_numpy(allowed)[self.natural]
+        anchors, among all rows or ``where`` ``(R,)`` bool."""
         coarse = {
             name: self.index.scan(name, [descriptors[name]], sweep)[0]
             for name in (channel.column.name for channel in self.channels)
         }
-        rows = self.natural[self._best(coarse, where, descriptors, sweep)].sort().values
+        stored = None if where is None else where[self.natural]
+        rows = self.natural[self._best(coarse, stored, descriptors, sweep)].sort().values
         most, *others = self.channels
         compared = {most.column.name: self._compared(most, descriptors, coarse, rows, sweep)}
         if others:
@@ -110,10 +91,7 @@ class LargeMap:
             found = self._compared(channel, descriptors, coarse, rows, sweep)
             compared[channel.column.name] = found
         scores = self._fused({name: each.scores for name, each in compared.items()})
-        matching = len(self.frames) if allowed is None else int(allowed.sum())
-        chance = chance_of(nearness(scores), rows, matching)
-        width = max(each.width for each in compared.values())
-        return Judged(best_of(scores, top, rows), chance, width)
+        return Found(rows, scores, max(each.width for each in compared.values()))
 
     def _best(
         self,
@@ -209,35 +187,66 @@ class LargeMap:
         return fused(others, [self.share[name] for name in parts], scales)
 
 
-def recognise_in_large(
-    large: LargeMap,
-    queries: FrameSet,
-    steps: Steps,
-    top: int,
-    where: npt.NDArray[np.bool_],
-    exclude: int | None = None,
-) -> Recognised:
-    """The candidates of queries, each judged alone and swept as wide as suits it, among the rows
-    ``where`` ``(R,)`` bool of a large map; ``exclude`` as for `exact.search`."""
-    own, everywhere = neighbours(queries.frames, large.frames, exclude), bool(where.all())
-    judged = list[Judged]()
-    for query, (first, last) in enumerate(own.tolist()):
-        allowed = where
-        if last > first:
-            allowed = where.copy()
-            allowed[first:last] = False
-        descriptors = {name: values[query] for name, values in queries.channels.items()}
-        some = None if everywhere and last <= first else allowed
-        judged.append(large.judge(descriptors, steps.sweep, top, some))
-    parts = {queries.sequences[run.start]: run for run in runs(queries.sequences)}
-    return recognise_alone(
-        {name: [judged[query][:2] for query in run] for name, run in parts.items()},
-        {name: max(judged[query].width for query in run) for name, run in parts.items()},
-        large.weights,
-        len(large.frames),
-        steps,
-        top,
-    )
+class AloneSearch:
+    """Candidates of queries, each judged alone and swept as wide as suits it; a
+    `native.decide.Search`.
+
+    Args:
+        descriptors: of the queries by channel, from all anchors if they are swept.
+        may: ``(Q, R)`` bool, the rows that may be candidates; ``None`` if all may.
+    """
+
+    def __init__(
+        self,
+        large: LargeMap,
+        descriptors: Mapping[str, Tensor],
+        sweep: bool,
+        top: int,
+        may: Tensor | None,
+    ) -> None:
+        self.width, self.weights, self._found = 0, large.weights, dict[int, Found]()
+        self._large, self._queries, self._may = large, descriptors, may
+        self._sweep, self._top = sweep, top
+
+    def __len__(self) -> int:
+        return len(next(iter(self._queries.values())))
+
+    def _of(self, query: int) -> Found:
+        if query not in self._found:
+            given = {name: each[query] for name, each in self._queries.items()}
+            where = None if self._may is None else self._may[query]
+            self._found = {query: self._large.found(given, self._sweep, self._top, where)}
+            self.width = max(self.width, self._found[query].width)
+        return self._found[query]
+
+    def candidates(self, query: int) -> Tensor:
+        """See `native.decide.Search`."""
+        return self._of(query).rows
+
+    def scores(self, query: int, rows: npt.NDArray[np.int64], /) -> Tensor:
+        """See `native.decide.Search`."""
+        found = torch.full((len(self._large.frames),), -torch.inf)
+        found[self._of(query).rows] = self._of(query).scores
+        return found[torch.as_tensor(rows)]
+
+    def spread(self, query: int) -> tuple[float, float]:
+        """See `native.decide.Search`; queries that are judged alone need none."""
+        raise NotImplementedError
+
+    def sample(self, query: int) -> tuple[Tensor, Tensor]:
+        """See `native.decide.Search`; all rows, of which so many may match."""
+        if self._may is None:
+            return torch.zeros(1, dtype=torch.int64), torch.zeros(1)
+        may = self._may[query]
+        return torch.arange(len(may)), torch.zeros(len(may)).masked_fill(~may, -torch.inf)
+
+
+class Found(NamedTuple):
+    """The candidates of a query, rising, their scores, and the width of the sweep."""
+
+    rows: Tensor
+    scores: Tensor
+    width: int
 
 
 class _Compared(NamedTuple):

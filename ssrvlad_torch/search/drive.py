@@ -17,12 +17,12 @@ from ..database.frames import FrameSet
 from ..recognition.comparison import ReferenceRows
 from ..recognition.fusion import Scale, fused, lead, moments, weights_of
 from ..recognition.motion import ELSEWHERE
-from ..recognition.recognise import Recognised, Steps, recognise_by_search
+from ..recognition.recognise import Recognised, Steps, judged_alone, recognise_by_search
 from ..recognition.standardise import MIN_FRAMES
 from ..recognition.sweep import COLUMNS
-from .alone import LargeMap
+from .alone import AloneSearch, LargeMap
 from .map_rows import MapRows
-from .selection import neighbours
+from .selection import excluded_pairs, neighbours
 from .sums import sums
 
 CANDIDATES, BEST, EVERY = 40, 8, 4
@@ -267,7 +267,7 @@ class DriveSearch:
         return torch.from_numpy(near[(near >= 0) & (near < len(self._where))])
 
 
-def recognise_drives(
+def recognise_in_large(
     large: LargeMap,
     queries: FrameSet,
     steps: Steps,
@@ -275,13 +275,19 @@ def recognise_drives(
     where: npt.NDArray[np.bool_],
     exclude: int | None = None,
 ) -> Recognised:
-    """The candidates of drives of queries among the rows ``where`` ``(R,)`` bool of a large map;
-    ``exclude`` as for `exact.search`."""
+    """The candidates of queries among the rows ``where`` ``(R,)`` bool of a large map; ``exclude``
+    as for `exact.search`."""
     own, rows = neighbours(queries.frames, large.frames, exclude), MapRows(large)
+    alone = judged_alone(queries.sequences, steps)
+    without = excluded_pairs(queries, large.frames, where, exclude) if alone else None
+    may = None if without is None else ~without
 
-    def search(run: range, standardised: bool) -> DriveSearch:
+    def search(run: range, standardised: bool) -> AloneSearch | DriveSearch:
         part = slice(run.start, run.stop)
         descriptors = {name: values[part] for name, values in queries.channels.items()}
+        if alone:
+            some = None if may is None else may[part]
+            return AloneSearch(large, descriptors, steps.sweep, top, some)
         given = descriptors, standardised, steps.sweep, bool(steps.follow), top, where, own[part]
         return DriveSearch(large, rows, *given)
 

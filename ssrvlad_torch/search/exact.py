@@ -17,14 +17,14 @@ from ..encoding.encoder import check_segmenter, encode_to_memory
 from ..encoding.results import Progress, Skipped, do_nothing
 from ..encoding.source import Source
 from ..recognition.comparison import Member
-from ..recognition.recognise import Recognised, Steps, judged_alone, recognise
+from ..recognition.recognise import Recognised, Steps, recognise
 from ..recognition.sequences import runs
 from ..recognition.sweep import COLUMNS
 from ..recognition.temporal import temporal_sum
 from ..taxonomy import label_space
-from .alone import LargeMap, opened_large, recognise_in_large
+from .alone import LargeMap, opened_large
 from .answers import Answer, Answers
-from .drive import recognise_drives
+from .drive import recognise_in_large
 from .near import Near
 from .selection import excluded_pairs, select
 
@@ -81,9 +81,7 @@ def search(
         without = excluded_pairs(queries, references, where, exclude)
         recognised = recognise_in(references, queries, used, steps, top, without)
     else:
-        alone = judged_alone(queries.sequences, steps)
-        recognise_large = recognise_in_large if alone else recognise_drives
-        recognised = recognise_large(large, queries, steps, top, where, exclude)
+        recognised = recognise_in_large(large, queries, steps, top, where, exclude)
     if near:
         recognised.used["near"] = f"{near}: {where.sum()} frames"
     if large:
