@@ -3,11 +3,11 @@ import math
 import numpy as np
 import pytest
 import torch
+from core import answers_together, of_chances
 from scipy.stats import beta
 
-from ssrvlad_torch.recognition import deciding, reference
+from ssrvlad_torch.recognition import reference
 from ssrvlad_torch.recognition.confidence import (
-    Confidence,
     _beta,
     accept,
     answered,
@@ -26,7 +26,7 @@ def traverse(queries: int, right: float, seed: int = 0, ahead: float = 6.0):
 @pytest.mark.parametrize("right", [0.2, 0.6, 0.95])
 def test_confidence_learns_how_often_answers_are_right(right):
     chances, truth = traverse(4000, right)
-    sure = Confidence.of_chances(chances, 1.0)
+    sure = of_chances(chances, 1.0)
     for part in (sure.right >= 0.5, sure.right < 0.5):
         assert abs(float(sure.right[part].mean()) - truth[part.numpy()].mean()) < 0.1
     assert abs(float(sure.right.mean()) - truth.mean()) < 0.1
@@ -38,7 +38,7 @@ def test_confidence_falls_with_the_chance():
     found = []
     for chance in torch.logspace(-8, -0.01, 25, dtype=torch.double):
         others[50] = chance
-        sure = Confidence.of_chances(others, 2.0)
+        sure = of_chances(others, 2.0)
         found.append(sure.right[50])
         assert (sure.together == 2).all()
         assert ((sure.spread > 0) & (sure.spread < 0.5)).all()
@@ -50,10 +50,10 @@ def test_answers_are_less_sure_where_those_around_look_wrong():
     random = np.random.default_rng(1)
     mapped, unmapped = random.gamma(2, 3, 60), random.exponential(1, 60)
     unmapped[30] = 5
-    here = Confidence.of_chances(torch.from_numpy(np.exp(-np.r_[mapped, unmapped])), 1.0)
+    here = of_chances(torch.from_numpy(np.exp(-np.r_[mapped, unmapped])), 1.0)
     assert here.right[:50].mean() > 0.9 and here.right[70:].mean() < 0.1
     mixed = np.r_[mapped, unmapped][order := random.permutation(120)]
-    there = Confidence.of_chances(torch.from_numpy(np.exp(-mixed)), 1.0)
+    there = of_chances(torch.from_numpy(np.exp(-mixed)), 1.0)
     assert here.right[90] < 0.5 < there.right[(order == 90).nonzero()[0]]
 
 
@@ -77,16 +77,16 @@ def test_a_track_that_no_query_shows_does_not_speak_for_the_map(queries):
 
 def test_a_query_without_a_candidate_is_no_answer():
     chances, _ = traverse(50, 0.5)
-    sure = Confidence.of_chances(chances, 1.0)
-    more = Confidence.of_chances(torch.cat((chances, torch.tensor([torch.nan]))), 1.0)
+    sure = of_chances(chances, 1.0)
+    more = of_chances(torch.cat((chances, torch.tensor([torch.nan]))), 1.0)
     torch.testing.assert_close(more.right, torch.cat((sure.right, torch.zeros(1))))
     assert estimate(more).accepted == 50 and not answered(more)[-1]
-    assert estimate(Confidence.of_chances(torch.full((3,), torch.nan), 1.0)).accepted == 0
+    assert estimate(of_chances(torch.full((3,), torch.nan), 1.0)).accepted == 0
 
 
 @pytest.mark.parametrize("max_wrong", [0.02, 0.1, 0.5])
 def test_accepts_as_many_as_the_estimate_permits(max_wrong):
-    sure = Confidence.of_chances(traverse(300, 0.6)[0], 1.0)
+    sure = of_chances(traverse(300, 0.6)[0], 1.0)
     found = accept(sure, max_wrong)
     each = [estimate(sure, float(least)) for least in sure.right.unique()]
     assert found.accepted == max(one.accepted for one in each if one.wrong <= max_wrong)
@@ -94,7 +94,7 @@ def test_accepts_as_many_as_the_estimate_permits(max_wrong):
 
 
 def test_the_estimate_is_the_mean_doubt():
-    sure = Confidence.of_chances(traverse(300, 0.6)[0], 1.0)
+    sure = of_chances(traverse(300, 0.6)[0], 1.0)
     for found in (estimate(sure), estimate(sure, 0.7), accept(sure, 0.05)):
         taken = sure.right[sure.right >= found.confidence]
         assert len(taken) == found.accepted
@@ -107,7 +107,7 @@ def test_the_interval_holds(level):
     inside = []
     for seed in range(120):
         chances, truth = traverse(200, (0.3, 0.6, 0.9)[seed % 3], seed)
-        sure = Confidence.of_chances(chances, 1.0)
+        sure = of_chances(chances, 1.0)
         found = estimate(sure) if level is None else accept(sure, level)
         if found.accepted and found.low is not None:
             wrong = 1 - truth[(sure.right >= found.confidence).numpy()].mean()
@@ -116,18 +116,18 @@ def test_the_interval_holds(level):
 
 
 def test_nothing_is_accepted_by_chance():
-    sure = [Confidence.of_chances(traverse(200, 0.0, seed)[0], 1.0) for seed in range(50)]
+    sure = [of_chances(traverse(200, 0.0, seed)[0], 1.0) for seed in range(50)]
     assert sum(accept(each, 0.05).accepted > 0 for each in sure) <= 2
     assert np.mean([estimate(each).wrong for each in sure]) > 0.95
 
 
 def test_ties_count_against_the_map():
-    sure = Confidence.of_chances(torch.ones(150), 1.0)
+    sure = of_chances(torch.ones(150), 1.0)
     assert accept(sure, 0.2).accepted == 0 and estimate(sure).wrong > 0.95
 
 
 def test_a_picture_is_judged_by_the_prior():
-    clear, unclear = (Confidence.of_chances(torch.tensor([each]), 1.0) for each in (1e-8, 0.3))
+    clear, unclear = (of_chances(torch.tensor([each]), 1.0) for each in (1e-8, 0.3))
     assert clear.right > 0.95 and unclear.right < 0.5
     assert accept(clear, 0.05).accepted == 1 and accept(unclear, 0.05).accepted == 0
     found = estimate(unclear)
@@ -137,7 +137,7 @@ def test_a_picture_is_judged_by_the_prior():
 
 def test_answers_that_err_together_widen_the_interval():
     chances, _ = traverse(300, 0.6)
-    one = Confidence.of_chances(chances, 1.0)
+    one = of_chances(chances, 1.0)
     many = estimate(one._replace(together=torch.full((300,), 5.0)))
     one = estimate(one)
     assert one.wrong == many.wrong and many.low < one.low and many.high > one.high
@@ -150,7 +150,7 @@ def test_runs_of_one_answer():
         ([0] * 7, 7),
         ([], 1),
     ):
-        assert deciding.answers_together(torch.tensor(rows, dtype=torch.int64)) == expected
+        assert answers_together(torch.tensor(rows, dtype=torch.int64)) == expected
 
 
 @pytest.mark.parametrize("mean", [0.02, 0.3, 0.9])

@@ -2,6 +2,7 @@
 
 from dataclasses import astuple
 
+import core
 import numpy as np
 import pytest
 import torch
@@ -9,12 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_native_map import fused
 
-from ssrvlad_torch.native import decide as core
 from ssrvlad_torch.recognition import reference
-from ssrvlad_torch.recognition.confidence import Confidence
 from ssrvlad_torch.recognition.fusion import FusedScores
 from ssrvlad_torch.recognition.motion import BACKWARDS, FORWARDS, Motion
-from ssrvlad_torch.recognition.rivals import chance_of
 
 TRUST = {"ssr-vlad": 1.0, "features": 6.0}
 LENGTHS = st.lists(st.integers(1, 12), min_size=1, max_size=3)
@@ -85,7 +83,7 @@ def test_an_answer_beside_its_rivals(seed, rows, steps):
     """Also of equal values."""
     values = drawn(seed, 1, rows, 0.2)[0]
     values = np.round(values * steps) / steps if steps else values
-    fast = chance_of(torch.from_numpy(values))
+    fast = core.chance_of(torch.from_numpy(values))
     expected, rival = reference.chance(values)
     assert fast.chance == pytest.approx(expected, abs=1e-9)
     if steps == 0:
@@ -109,23 +107,9 @@ def test_doubts_of_a_traverse(seed, queries, right):
     alone = np.where(rng.random(queries) < 0.3, 1, chances)
     got, expected = (each.mapped(alone, together, 0.3) for each in (core, reference))
     np.testing.assert_allclose(got, expected, atol=1e-9)
-    sure = Confidence.of_chances(torch.from_numpy(chances), together)
+    sure = core.of_chances(chances, together)
     right, spread = reference.confidence(chances, has, together)
     np.testing.assert_allclose(sure.right, right, atol=1e-6)
     np.testing.assert_allclose(sure.spread, spread, atol=1e-6)
     got, expected = (each.confidence(chances, has, together, True) for each in (core, reference))
     np.testing.assert_allclose(got, expected, atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("ask", "said"),
-    [
-        (lambda: core.mapped([0.1], 0.5), "from 1 that err together, got 0.5"),
-        (lambda: core.mapped([0.1], 1.0, 1.5), "best above 0 to 1, got 1.5"),
-        (lambda: core.confidence([0.1], [1.0], 0.0), "from 1 that err together, got 0.0"),
-        (lambda: core.confidence([0.1, 0.2], [1.0], 1.0), r"shape: \(2,\) and \(1,\)"),
-    ],
-)
-def test_wrong_numbers_are_named(ask, said):
-    with pytest.raises(ValueError, match=said):
-        ask()

@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
 import torch
+from core import chance_of
 
 from ssrvlad_torch.recognition.motion import ELSEWHERE
-from ssrvlad_torch.recognition.rivals import chance_of
 
 NONE = torch.full((60,), -torch.inf)
 

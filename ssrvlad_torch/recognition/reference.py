@@ -370,10 +370,11 @@ def chance(
     are those of the map, by default the first ones; ``matching`` is how many of them could match,
     by default those with a value.
 
-    The rivals of an answer are the best places elsewhere. If the answer is wrong, it is a
-    chance place among chance places. Of n independent normal values the steps from each to the next lower one,
-    divided by what they are on average, are nearly exponential with one scale (Renyi, 1953): if
-    ``s`` is that of the answer over its best rival, and ``rest`` the sum of the m steps below, then ::
+    The rivals of an answer are the best places elsewhere. If the answer is wrong, it is a chance
+    place among chance places. Of n independent normal values the steps from each to the next lower
+    one, divided by what they are on average, are nearly exponential with one scale (Renyi, 1953):
+    if ``s`` is that of the answer over its best rival, and ``rest`` the sum of the m steps below,
+    then ::
 
         chance = (1 + s / rest) ** -m
 
