@@ -2,7 +2,7 @@
 
 from dataclasses import astuple
 
-import core
+import core as single
 import numpy as np
 import pytest
 import torch
@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_native_map import fused
 
+from ssrvlad_torch.native import decide as core
 from ssrvlad_torch.recognition import reference
 from ssrvlad_torch.recognition.fusion import FusedScores
 from ssrvlad_torch.recognition.motion import BACKWARDS, FORWARDS, Motion
@@ -83,7 +84,7 @@ def test_an_answer_beside_its_rivals(seed, rows, steps):
     """Also of equal values."""
     values = drawn(seed, 1, rows, 0.2)[0]
     values = np.round(values * steps) / steps if steps else values
-    fast = core.chance_of(torch.from_numpy(values))
+    fast = single.chance_of(torch.from_numpy(values))
     expected, rival = reference.chance(values)
     assert fast.chance == pytest.approx(expected, abs=1e-9)
     if steps == 0:
@@ -99,17 +100,17 @@ def test_doubts_of_a_traverse(seed, queries, right):
     rng = np.random.default_rng(seed)
     chances = np.where(rng.random(queries) < right, rng.random(queries) ** 6, rng.random(queries))
     rows = np.sort(rng.integers(0, 100, queries))
-    together = core.answers_together(rows)
+    together = single.answers_together(rows)
     assert together == reference.answers_together(rows)
     chances[rng.random(queries) < 0.1] = np.nan
     has = reference.mapped(chances, together)
-    np.testing.assert_allclose(core.mapped(chances, together), has, atol=1e-9)
+    np.testing.assert_allclose(single.mapped(chances, together), has, atol=1e-9)
     alone = np.where(rng.random(queries) < 0.3, 1, chances)
-    got, expected = (each.mapped(alone, together, 0.3) for each in (core, reference))
+    got, expected = (each.mapped(alone, together, 0.3) for each in (single, reference))
     np.testing.assert_allclose(got, expected, atol=1e-9)
-    sure = core.of_chances(chances, together)
+    sure = single.of_chances(chances, together)
     right, spread = reference.confidence(chances, has, together)
     np.testing.assert_allclose(sure.right, right, atol=1e-6)
     np.testing.assert_allclose(sure.spread, spread, atol=1e-6)
-    got, expected = (each.confidence(chances, has, together, True) for each in (core, reference))
+    got, expected = (each.confidence(chances, has, together, True) for each in (single, reference))
     np.testing.assert_allclose(got, expected, atol=1e-6)
