@@ -18,15 +18,15 @@ class Chance(NamedTuple):
 
 
 def chance_of(values, rows=None, count=-1):
-    numbers, found, rival = np.array(values, np.float64), ctypes.c_double(), ctypes.c_int64()
-    some = None if rows is None else np.array(rows, np.int64).ctypes
+    numbers, found, rival = np.ascontiguousarray(values, np.float64), ctypes.c_double(), ctypes.c_int64()
+    some = None if rows is None else np.ascontiguousarray(rows, np.int64).ctypes
     given = numbers.ctypes, some, numbers.size, count, ctypes.byref(found), ctypes.byref(rival)
     assert required().ssrvlad_chance(*given) == 0
     return Chance(found.value, rival.value)
 
 
 def mapped(chances, together, best=1.0):
-    numbers, found = np.array(chances, np.float64), np.empty(len(chances))
+    numbers, found = np.ascontiguousarray(chances, np.float64), np.empty(len(chances))
     given = numbers.ctypes, numbers.size, together, best, found.ctypes
     assert required().ssrvlad_mapped(*given) == 0
     return found
@@ -47,5 +47,5 @@ def of_chances(chances, together):
 
 
 def answers_together(rivals):
-    rows = np.array(rivals, np.int64)
+    rows = np.ascontiguousarray(rivals, np.int64)
     return required().ssrvlad_together(rows.ctypes, rows.size)

@@ -47,8 +47,8 @@ def interface() -> Interface:
         for each in names.split(","):
             name, _, size = each.strip(" ]").partition("[")
             own = ctypes.c_void_p if "*" in name else kind(base)
-            if size:  # a number, or 2 * SSRVLAD_NEAR + 1
-                own *= eval(re.sub(r"SSRVLAD_\w+", lambda found: numbers[found[0]], size))
+            if size:
+                own *= int(numbers.get(size, size))
             found.append((name.lstrip("*"), own))
         return found
 

@@ -54,6 +54,7 @@ enum {
 enum {
   SSRVLAD_PLACES = 5,        /* places in a result, at most */
   SSRVLAD_NEAR = 5,          /* rows on each side of a row that show the same place */
+  SSRVLAD_ROWS = 11,         /* all of these, with the row */
   SSRVLAD_CHANNELS = 16,     /* channels of a stream, at most */
   SSRVLAD_SCAN_ABOVE = 50000 /* old frames above which not all are compared by all channels */
 };
@@ -75,7 +76,7 @@ typedef struct ssrvlad_loop {
   double probability; /* that the place is near the candidate */
   int64_t first;      /* of the rows near the candidate, in its stretch */
   int32_t rows;       /* their number */
-  double probabilities[2 * SSRVLAD_NEAR + 1]; /* of each of them */
+  double probabilities[SSRVLAD_ROWS]; /* of each of them */
 } ssrvlad_loop;
 
 typedef struct ssrvlad_loops ssrvlad_loops;

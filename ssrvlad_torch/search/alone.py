@@ -193,7 +193,9 @@ class AloneSearch:
 
     Args:
         descriptors: of the queries by channel, from all anchors if they are swept.
-        may: ``(Q, R)`` bool, the rows that may be candidates; ``None`` if all may.
+        where: ``(R,)`` bool, the rows that may be candidates.
+        own: ``(Q, 2)``, for each query the first of some rows that may not, and the one after the
+            last.
     """
 
     def __init__(
@@ -202,11 +204,13 @@ class AloneSearch:
         descriptors: Mapping[str, Tensor],
         sweep: bool,
         top: int,
-        may: Tensor | None,
+        where: npt.NDArray[np.bool_],
+        own: npt.NDArray[np.int64],
     ) -> None:
         self.width, self.weights, self._found = 0, large.weights, dict[int, Found]()
-        self._large, self._queries, self._may = large, descriptors, may
-        self._sweep, self._top = sweep, top
+        self._large, self._queries, self._sweep, self._top = large, descriptors, sweep, top
+        self._where, self._own = torch.from_numpy(where), own
+        self._everywhere = bool(where.all()) and bool((own[:, 0] >= own[:, 1]).all())
 
     def __len__(self) -> int:
         return len(next(iter(self._queries.values())))
@@ -214,7 +218,7 @@ class AloneSearch:
     def _of(self, query: int) -> Found:
         if query not in self._found:
             given = {name: each[query] for name, each in self._queries.items()}
-            where = None if self._may is None else self._may[query]
+            where = None if self._everywhere else self._may(query)
             self._found = {query: self._large.found(given, self._sweep, self._top, where)}
             self.width = max(self.width, self._found[query].width)
         return self._found[query]
@@ -235,10 +239,15 @@ class AloneSearch:
 
     def sample(self, query: int) -> tuple[Tensor, Tensor]:
         """See `native.decide.Search`; all rows, of which so many may match."""
-        if self._may is None:
+        if self._everywhere:
             return torch.zeros(1, dtype=torch.int64), torch.zeros(1)
-        may = self._may[query]
+        may = self._may(query)
         return torch.arange(len(may)), torch.zeros(len(may)).masked_fill(~may, -torch.inf)
+
+    def _may(self, query: int) -> Tensor:
+        may, (first, last) = self._where.clone(), self._own[query]
+        may[first:last] = False
+        return may
 
 
 class Found(NamedTuple):

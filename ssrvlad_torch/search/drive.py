@@ -22,7 +22,7 @@ from ..recognition.standardise import MIN_FRAMES
 from ..recognition.sweep import COLUMNS
 from .alone import AloneSearch, LargeMap
 from .map_rows import MapRows
-from .selection import excluded_pairs, neighbours
+from .selection import neighbours
 from .sums import sums
 
 CANDIDATES, BEST, EVERY = 40, 8, 4
@@ -279,15 +279,12 @@ def recognise_in_large(
     as for `exact.search`."""
     own, rows = neighbours(queries.frames, large.frames, exclude), MapRows(large)
     alone = judged_alone(queries.sequences, steps)
-    without = excluded_pairs(queries, large.frames, where, exclude) if alone else None
-    may = None if without is None else ~without
 
     def search(run: range, standardised: bool) -> AloneSearch | DriveSearch:
         part = slice(run.start, run.stop)
         descriptors = {name: values[part] for name, values in queries.channels.items()}
         if alone:
-            some = None if may is None else may[part]
-            return AloneSearch(large, descriptors, steps.sweep, top, some)
+            return AloneSearch(large, descriptors, steps.sweep, top, where, own[part])
         given = descriptors, standardised, steps.sweep, bool(steps.follow), top, where, own[part]
         return DriveSearch(large, rows, *given)
 
