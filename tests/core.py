@@ -18,7 +18,11 @@ class Chance(NamedTuple):
 
 
 def chance_of(values, rows=None, count=-1):
-    numbers, found, rival = np.ascontiguousarray(values, np.float64), ctypes.c_double(), ctypes.c_int64()
+    numbers, found, rival = (
+        np.ascontiguousarray(values, np.float64),
+        ctypes.c_double(),
+        ctypes.c_int64(),
+    )
     some = None if rows is None else np.ascontiguousarray(rows, np.int64).ctypes
     given = numbers.ctypes, some, numbers.size, count, ctypes.byref(found), ctypes.byref(rival)
     assert required().ssrvlad_chance(*given) == 0
@@ -33,7 +37,7 @@ def mapped(chances, together, best=1.0):
 
 
 def confidence(chances, mapped, together, followed=False):
-    numbers, places = (np.array(each, np.float64) for each in (chances, mapped))
+    numbers, places = (np.ascontiguousarray(each, np.float64) for each in (chances, mapped))
     found = np.empty((2, numbers.size), np.float32)
     given = numbers.ctypes, places.ctypes, numbers.size, together, followed
     assert required().ssrvlad_confidence(*given, *(each.ctypes for each in found)) == 0
