@@ -330,6 +330,11 @@ WEIGHT, LEVEL = 0.25, 0.5
 """The likelihood of a row of another stretch with the z-score z is exp(WEIGHT * (z - level)),
 against that of a new place. The level is at least LEVEL, and what `Tracks` explain by chance."""
 
+FITS, LEAST_FITS, FIT, FIT_WEIGHT = 20, 5, 0.5, 2
+"""Once so many of the last loops of a stretch show how well the right rows fit, by their z-score, a
+row that fits half as well is as likely as a new place, and a z-score counts twice: the stream has
+left the old drive where it no longer fits. Label maps alone fit too unevenly."""
+
 EVIDENCE, LEVEL_FRACTION = 3.0, 0.9
 """For frames of the same stretch, which share light and network. The level is a fraction of the
 z-score that three quarters of the last `NEIGHBOURS` frames have with their previous frame, and at
@@ -494,7 +499,7 @@ class Loops:
                 self._explained.append(self._tracks.explained)
                 self._tracks = Tracks(self._exclude, len(self.channels) == 1)
             self._starts.append(len(self))
-            self._neighbours = list[float]()
+            self._neighbours, self._fits = list[float](), list[float]()
             self._repeats = Repeats(self._exclude)
             self._filter.restart()
         last = max(0, len(self) - min(RECENT, self._exclude))
@@ -531,8 +536,14 @@ class Loops:
         self._repeats.after(near[self._starts[-1] :])
         if too_few:
             return Found("too_recent")
-        rows = self._filter.step(self._likelihood(near, old)[: self._filter.rows])
-        return self._found(rows, scores, old)
+        mean, deviation = self._spread(near, old)
+        told = self._likelihood(near, mean, deviation, old) if deviation else np.ones(len(near))
+        rows = self._filter.step(told[: self._filter.rows])
+        found = self._found(rows, scores, old)
+        if found.reason == "accepted" and deviation:
+            fit = (near[found.candidate] - mean) / deviation
+            self._fits = [*self._fits, float(fit)][-FITS:]
+        return found
 
     def _scores(self, swept: Mapping[str, Array], old: int) -> Floats:
         """``(N,)`` scores of a frame by all channels, scaled by those of the old frames, if any."""
@@ -560,15 +571,18 @@ class Loops:
             return next(iter(scores.values()))
         return fused(scores, self.weights, usual)
 
-    def _likelihood(self, near: Floats, old: int) -> Floats:
+    def _spread(self, near: Floats, old: int) -> tuple[float, float]:
+        """The mean of the nearness of old rows, and its deviation, 0 if they are equally near."""
+        known = near[self._usual(old)]
+        known = known[np.isfinite(known)]
+        deviation = float(known.std())
+        equal = deviation <= MIN_SPREAD or np.ptp(known) <= MIN_SPREAD
+        return float(known.mean()), 0.0 if equal else deviation
+
+    def _likelihood(self, near: Floats, mean: float, deviation: float, old: int) -> Floats:
         """``(N,)``, how much likelier a frame is at each row than at a new place, by its nearness.
         The level of frames of the same stretch is the higher, the more alike neighbouring frames
         are and the more their street repeats."""
-        known = near[self._usual(old)]
-        known = known[np.isfinite(known)]
-        mean, deviation = known.mean(), known.std()
-        if deviation <= MIN_SPREAD or np.ptp(known) <= MIN_SPREAD:
-            return np.ones(len(near))
         start, z = self._starts[-1], (near - mean) / deviation
         own, candidates = z[start:], max(0, len(z) - start - self._exclude)
         previous = len(own) - max(1, self._exclude // STRIDE)
@@ -579,15 +593,22 @@ class Loops:
         level = max(LEVEL, LEVEL_FRACTION * usual, by_chance)
         self._tracks.after(near[start:], candidates)
         explained = np.repeat(np.array(self._explained), np.diff(self._starts)) / deviation
-        levels = np.maximum(LEVEL, explained)
-        others = np.exp(np.minimum(WEIGHT * (z[:start] - levels), MAX_LOG))
+        weight, usually = self._fit()
+        levels = np.maximum(usually, explained)
+        others = np.exp(np.minimum(weight * (z[:start] - levels), MAX_LOG))
         same = np.exp(np.minimum(EVIDENCE / level * (own - level), MAX_LOG))
         repeats = (self._repeats.highest[: len(own)] - mean) * MARGIN / deviation - level
         same[:candidates] *= np.exp(-EVIDENCE / level * np.maximum(0, repeats))[:candidates]
         if self._tracks.returning:
-            returned = np.exp(np.minimum(WEIGHT * (own - LEVEL), MAX_LOG))
+            returned = np.exp(np.minimum(weight * (own - usually), MAX_LOG))
             same[:candidates] = np.maximum(same, returned)[:candidates]
         return np.concatenate((others, same))
+
+    def _fit(self) -> tuple[float, float]:
+        """The weight and the level of rows in another light, see `FIT`."""
+        known = len(self.channels) > 1 and len(self._fits) >= LEAST_FITS
+        level = FIT * float(np.median(self._fits)) if known else 0.0
+        return (FIT_WEIGHT * WEIGHT, level) if level > LEVEL else (WEIGHT, LEVEL)
 
     def _found(self, rows: Floats, scores: Floats, old: int) -> Found:
         """The result, by the probabilities of the rows."""

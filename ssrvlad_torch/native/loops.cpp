@@ -18,6 +18,9 @@ constexpr std::size_t NEIGHBOURS = 1000;
 constexpr double EVIDENCE = 3, LEVEL_FRACTION = 0.9;
 constexpr double LEAST = 0.01;
 
+constexpr std::size_t FITS = 20, LEAST_FITS = 5;  // how well loops fit
+constexpr double FIT = 0.5, FIT_WEIGHT = 2;
+
 constexpr double MARGIN = 1.2;  // repeats
 constexpr Size DISTANT = 5;
 constexpr std::size_t TRACK = 15;
@@ -310,6 +313,7 @@ void Stream::start_stretch() {
   starts_.push_back(rows());
   stamps_.clear();
   neighbours_.clear();
+  fits_.clear();
   repeats_ = Repeats(exclude_);
   tracks_ = Tracks(exclude_, channels_.size() == 1);
   belief_ = filter_.start(drives_.all());
@@ -388,8 +392,12 @@ ssrvlad_loop Stream::step(const void *const *swept, const void *const *centres, 
   repeats_.after(near.data() + starts_.back(), rows() - starts_.back());
   if (too_few) return none;
   const std::vector<float> known = usual(near, old_);
-  filter(likelihood(near, Spread::of(known.data(), static_cast<Size>(known.size()))));
-  return result(scored);
+  const Spread spread = Spread::of(known.data(), static_cast<Size>(known.size()));
+  filter(likelihood(near, spread));
+  const ssrvlad_loop found = result(scored);
+  if (found.reason == SSRVLAD_ACCEPTED && spread.deviation > MIN_SPREAD)
+    keep(fits_, spread.z(near[place(found.candidate)]), FITS);
+  return found;
 }
 
 // Scores of a frame by all channels, scaled by those of the old frames, if there are any.
@@ -469,6 +477,15 @@ void Stream::choose(const std::vector<float> &rough, Size old, Chosen &chosen) c
       mark(static_cast<Size>(row) - SSRVLAD_NEAR, static_cast<Size>(row) + SSRVLAD_NEAR + 1);
 }
 
+// How likely a frame of another stretch is: once some loops show how well the right rows fit, a row that
+// fits half as well is as likely as a new place. Label maps alone fit too unevenly.
+Stream::Fit Stream::fit() const {
+  const bool known = channels_.size() > 1 && fits_.size() >= LEAST_FITS;
+  const double level = known ? FIT * median(std::vector<double>(fits_.begin(), fits_.end())) : 0;
+  if (level <= MOTION.level) return {MOTION.weight, MOTION.level};
+  return {FIT_WEIGHT * MOTION.weight, level};
+}
+
 // How much likelier a frame is at each row than at a new place. The level of rows of the same stretch is
 // the higher, the more alike neighbouring frames are and the more their street repeats.
 std::vector<float> Stream::likelihood(const std::vector<float> &near, const Spread &spread) {
@@ -478,21 +495,20 @@ std::vector<float> Stream::likelihood(const std::vector<float> &near, const Spre
              candidates = std::max<Size>(0, own - exclude_);
   const Size previous = own - std::max<Size>(1, exclude_ / STRIDE);
   if (previous >= 0 && near[place(start + previous)] != NONE)
-    keep(neighbours_,
-         (static_cast<double>(near[place(start + previous)]) - spread.mean) / spread.deviation,
-         NEIGHBOURS);
+    keep(neighbours_, spread.z(near[place(start + previous)]), NEIGHBOURS);
   const double usual =
       neighbours_.empty() ? 0.0 : quantile({neighbours_.begin(), neighbours_.end()}, 0.25);
   const double by_chance = std::sqrt(2 * log_of(static_cast<double>(std::max<Size>(2, rows()))));
   const double level = std::max({MOTION.level, LEVEL_FRACTION * usual, by_chance});
   const double weight = EVIDENCE / level;
   tracks_.after(near.data() + start, own, candidates);
+  const Fit fits = fit();
   for (std::size_t stretch = 0; stretch < explained_.size(); ++stretch) {
-    const double explained = std::max(MOTION.level, explained_[stretch] / spread.deviation);
+    const double explained = std::max(fits.level, explained_[stretch] / spread.deviation);
     const Size first = starts_[stretch], count = starts_[stretch + 1] - first;
-    likelihoods(near.data() + first, count, MOTION.weight, explained, spread, told.data() + first);
+    likelihoods(near.data() + first, count, fits.weight, explained, spread, told.data() + first);
   }
-  likelihoods(near.data() + start, candidates, MOTION.weight, MOTION.level, spread, told.data() + start);
+  likelihoods(near.data() + start, candidates, fits.weight, fits.level, spread, told.data() + start);
   const bool is_returning = tracks_.returning();
   std::vector<float> same(place(own));
   likelihoods(near.data() + start, own, weight, level, spread, same.data());

@@ -81,6 +81,10 @@ class Stream {
   Size stride(Size old) const;  // between old rows that show what is usual
   std::vector<float> usual(const std::vector<float> &near, Size old) const;  // the nearness of these
   void choose(const std::vector<float> &rough, Size old, Chosen &chosen) const;
+  struct Fit {
+    double weight, level;
+  };
+  Fit fit() const;
   std::vector<float> likelihood(const std::vector<float> &near, const Spread &spread);
   void filter(std::vector<float> likelihood);
   ssrvlad_loop result(const std::vector<float> &scores);
@@ -100,7 +104,7 @@ class Stream {
   Belief belief_;
   std::vector<float> probable_;  // how probable rows are by it
   bool starting_ = true;
-  std::deque<double> neighbours_;
+  std::deque<double> neighbours_, fits_;
   Repeats repeats_;
   Tracks tracks_;
   std::vector<double> explained_;  // by the tracks of each stretch but the present one

@@ -100,6 +100,7 @@ struct Spread {
   double mean = 0, deviation = MIN_SPREAD;
   // Of equal values the deviation is MIN_SPREAD.
   static Spread of(const float *near, Size count);
+  double z(float value) const { return (static_cast<double>(value) - mean) / deviation; }
 };
 
 }  // namespace places
