@@ -301,6 +301,30 @@ def test_answers_of_a_drive_that_stands_linger_rightly(mode):
     assert found.followed and found.right[42:68].mean() > 0.9
 
 
+@pytest.mark.parametrize("mode", ["online", "offline"])
+def test_answers_of_a_drive_denser_than_the_map_do_not_linger(mode):
+    """Ten frames a row, along places of which the map has every tenth."""
+    rng = np.random.default_rng(1)
+    street = rng.normal(size=(1400, 64))
+    street = sum(np.roll(street, place, 0) for place in range(50)) / 7
+    here = torch.from_numpy(street[300:900] + 0.5 * rng.normal(size=(600, 64)))
+    there = torch.from_numpy(street[::10] + 0.5 * rng.normal(size=(140, 64)))
+    scores = torch.cosine_similarity(here[:, None], there, 2).float().numpy()
+    found = decide(scores, [0], 140, mode)
+    assert found.followed and found.right[20:].mean() > 0.9
+
+
+def test_queries_that_are_equal_are_at_one_place():
+    """More than half of a drive stands; rounding must not tell how far its frames are apart."""
+    stops = np.array([*[20] * 80, *range(20, 60), *[60] * 80, *range(60, 100)])
+    scores = seen_in_a_street(np.arange(150), np.arange(150))[stops]
+    found = decide(scores, [0], 150, "offline")
+    wanted = reference.decide(scores, ["a"] * 150, "offline", 0, 5)
+    assert found.followed == wanted.followed
+    np.testing.assert_allclose(found.right, wanted.right, atol=1e-3)
+    assert found.right[5:75].mean() > 0.9
+
+
 def test_a_long_drive_computes_beliefs_again_with_the_same_places():
     """Of a map whose beliefs are too many to be kept."""
     scores = noisy([*range(5000, 5050)], 60_000, strength=0.4).numpy()

@@ -37,6 +37,8 @@ LATER = 3600.0
 COUNTS = ("wrong", "elsewhere")
 BLOCK, RESAMPLES, NEAR = 10, 2000, 3
 STREETS, CUT = range(300, 308), 10
+HOLES = ((0.2, 0.4), (0.4, 0.6), (0.6, 0.8))
+"""Parts of the first drive that are missing, one at a time."""
 
 
 class Drive(NamedTuple):
@@ -72,6 +74,7 @@ def real_drives(page: Page, data: Path, cached: Path) -> None:
     page.table("The same pairs in the other order", one_stream(checks))
     page.table("## Real second drives\n", table(chosen))
     page.table("Pairs that nothing was chosen on", table(checks))
+    page.table("## Leaving a known drive\n", left([*chosen, *checks]))
     page.table("## Nothing to find\n", nowhere(described, chosen))
 
 
@@ -122,6 +125,33 @@ def table(pairs: Sequence[Pair]) -> Iterator[str]:
         yield row(pair.name, *cells)
         print(pair.name, *cells, flush=True)
     yield row("mean, sums", *(cell for some in found.values() for cell in counted(some)))
+
+
+def left(pairs: Sequence[Pair]) -> Iterator[str]:
+    """Rows on drives that leave the first one, where a part of it is missing, and come back."""
+    yield from head_row("stream", "streams", "frames", "recall", "loops", *COUNTS)
+    for (name, names), way in product(ONE_STREAM.items(), (ONE_NAME, TWO_NAMES)):
+        real = [pair for pair in pairs if set(WITH_HOG) <= set(pair.first.beside)]
+        cut = [without(pair, *hole) for pair, hole in product(real, HOLES)]
+        found = [detect(pair, names, way) for pair in cut]
+        places = sum(len(rows) > 0 for pair in cut for rows in pair.truth)
+        right, wrong = (sum(int(np.sum(each[of])) for each in found) for of in (0, 1))
+        elsewhere = sum(each.elsewhere for each in found)
+        counts = str(right + wrong), str(wrong), str(elsewhere)
+        yield row(f"{name}: {way}", str(len(cut)), str(places), f"{right / places:.2f}", *counts)
+        print(name, way, *counts, flush=True)
+
+
+def without(pair: Pair, begin: float, end: float) -> Pair:
+    """A pair without a part of the first drive."""
+    count = len(pair.first.vectors)
+    kept = np.r_[: int(begin * count), int(end * count) : count]
+    new = np.full(count, -1)
+    new[kept] = np.arange(len(kept))
+    beside = {name: each[kept] for name, each in pair.first.beside.items()}
+    inside = (rows[(rows >= 0) & (rows < count)] for rows in map(np.asarray, pair.truth))
+    truth = [new[rows][new[rows] >= 0] for rows in inside]
+    return pair._replace(first=Drive(pair.first.vectors[kept], beside), truth=truth)
 
 
 def counted(found: Sequence[Outcome]) -> list[str]:

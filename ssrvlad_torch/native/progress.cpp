@@ -11,6 +11,7 @@ namespace places {
 
 namespace {
 constexpr Size ELSEWHERE = 5, AROUND = Likeness::AROUND;
+constexpr double ALIKE = 1e-9;  // likeness that rounding makes
 
 double median(std::vector<double> values) {
   if (values.empty()) return 0;
@@ -41,13 +42,11 @@ std::vector<double> profile(const std::vector<float> &scores) {
 
 // How many queries apart frames of a likeness are: as many as those for which it is usual.
 double apart(double likeness, const std::vector<double> &usual) {
-  const auto below = std::upper_bound(usual.begin(), usual.end(), likeness,
-                                      [](double like, double each) { return like > each; });
-  if (below == usual.begin()) return 0;
-  const auto lag = below - usual.begin();
-  if (below == usual.end()) return static_cast<double>(lag - 1);
-  const double last = *(below - 1);
-  return (last - likeness) / (last - *below) + static_cast<double>(lag - 1);
+  const auto first = std::find_if(usual.begin(), usual.end(),
+                                  [&](double each) { return each <= likeness + ALIKE; });
+  if (first == usual.begin()) return 0;
+  const double lag = static_cast<double>(first - usual.begin()) - 1, last = *(first - 1);
+  return first == usual.end() ? lag : lag + std::min(1.0, (last - likeness) / (last - *first));
 }
 }  // namespace
 
@@ -86,7 +85,8 @@ std::vector<bool> lingering(const Likeness &likeness, const std::vector<Size> &q
   const double pace = median(std::move(paces));
   std::vector<Size> still(queries.size()), neighbours(queries.size());
   for (const auto &[query, before, far, moved] : pairs) {
-    const bool stands = far >= 1 && moved <= ELSEWHERE && moved < pace * far / 2;
+    const double usually = pace * far;
+    const bool stands = far >= 1 && usually >= 1 && moved <= ELSEWHERE && moved < usually / 2;
     ++neighbours[query], still[query] += stands;
     if (query - before <= later) ++neighbours[before], still[before] += stands;
   }

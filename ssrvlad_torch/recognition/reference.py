@@ -553,6 +553,8 @@ BEST = 1 / 3
 """How often a wrong answer of a followed sequence is the best of its query alone."""
 COMPARED = 512
 """Rows at most by whose scores queries are compared with one another."""
+ALIKE = 1e-9
+"""Likeness that rounding makes."""
 
 
 def course(scores: Array, sequences: Sequence[str]) -> tuple[Course, float]:
@@ -739,7 +741,8 @@ def lingering(scores: Array, rows: Array, later: int) -> npt.NDArray[np.bool_]:
     """Which answers of a stream, their rows ``(Q,)``, linger at one place while the frames go on
     to others, as where the map ends or has a hole: to more than half of the neighbours, `AROUND`
     earlier queries and so many later ones, at most as many, the row moves less than half as far
-    as is usual for frames so far `apart`, and at most `ELSEWHERE`."""
+    as is usual for frames so far `apart`, and at most `ELSEWHERE`. Where less than one row is
+    usual, none can be seen to linger."""
     lags, pairs = queries_apart(profiles(scores)), []
     for lag, query in itertools.product(range(1, AROUND + 1), range(len(rows))):
         if query >= lag and rows[query] >= 0 and rows[query - lag] >= 0:
@@ -748,7 +751,8 @@ def lingering(scores: Array, rows: Array, later: int) -> npt.NDArray[np.bool_]:
     pace = np.median([moved / apart for _, _, apart, moved in pairs if apart >= 1] or [0.0])
     still, neighbours = np.zeros(len(rows)), np.zeros(len(rows))
     for query, before, apart, moved in pairs:
-        stands = apart >= 1 and moved <= ELSEWHERE and moved < pace * apart / 2
+        stands = apart >= 1 and pace * apart >= 1
+        stands = stands and moved <= ELSEWHERE and moved < pace * apart / 2
         neighbours[query] += 1
         still[query] += stands
         if query - before <= later:
@@ -777,5 +781,9 @@ def queries_apart(seen: Floats) -> Floats:
     for lag in range(1, min(AROUND, len(seen) - 1) + 1):
         likeness = (seen[lag:] * seen[:-lag]).sum(1)
         usual.append(min(usual[-1], float(np.median(likeness))))
-        apart[lag:, lag] = np.interp(-likeness, -np.array(usual), range(lag + 1))
+        levels = np.array(usual)
+        first = np.minimum(np.searchsorted(-levels, -(likeness + ALIKE)), lag)
+        before = levels[np.maximum(first - 1, 0)]
+        part = (before - likeness) / np.maximum(before - levels[first], ALIKE**2)
+        apart[lag:, lag] = np.where(first > 0, first - 1 + np.clip(part, 0, 1), 0)
     return apart
