@@ -65,6 +65,8 @@ LOOKED_AT, CITIES, FRESH = 5, range(20), range(60, 68)
 chosen; the table is of the others. Cities that nobody looked at have a table of their own."""
 _NONE = np.zeros(0, int)
 _BACK = Conditions(spacing=2.7, lateral_offset=0.7, seed=3, heading_offset=180.0)
+_DENSE, _DENSE_FRAMES, _DENSE_CITIES = Conditions(spacing=0.3, lateral_offset=0.7, seed=4), 800, 10
+"""A drive with ten frames to one of the map, of the cities up to this one."""
 
 Frames = list[tuple[str, int]]
 """Frames by their drives and their rows in them."""
@@ -228,6 +230,10 @@ def harder(one: partial[Case], here: Frames, there: Frames, truth: Truth) -> Ite
         row = "two streams in turn" if streams == 2 else "3, 4, 6 streams in turn"
         yield asked(row, in_turn(count, streams))
     yield asked("stops", stops(count, (20, 80), 30))
+    yield asked("queue", in_queue(count, 1, chance))
+    for place, order in ((1, (0, count)), (count - 2, (count, 0))):
+        parked = [chance.randrange(place - 1, place + 2) for _ in range(60)]
+        yield asked("parked at an end", [*range(order[0]), *parked, *range(order[1])])
     yield asked("backwards", reversed(range(count)))
     for step in (2, 3):
         yield asked("every 2nd, 3rd query", range(0, count, step))
@@ -248,8 +254,11 @@ def city_cases(described: Described, seeds: Iterable[int] = CITIES[6:]) -> Itera
     """Those of cities by their seeds."""
     for seed in seeds:
         described.added[f"city {seed} back"] = partial(way_back, seed)
+        described.added[f"city {seed} dense"] = partial(city, seed, _DENSE, _DENSE_FRAMES)
         others = [all_of(described, f"city {(seed + n) % 20} reference") for n in range(1, 6)]
         yield from in_city(described, seed, others)
+        if seed < _DENSE_CITIES:
+            yield from dense(described, seed)
 
 
 def in_city(described: Described, seed: int, others: Sequence[Frames]) -> Iterator[Case]:
@@ -289,6 +298,15 @@ def in_city(described: Described, seed: int, others: Sequence[Frames]) -> Iterat
     yield one("city, half of the map and way back", easy, both, true, sequences=names, rows=rows)
 
 
+def dense(described: Described, seed: int) -> Iterator[Case]:
+    """A drive with ten frames to one of the map, and one whose speed falls to a tenth."""
+    here, there = (all_of(described, f"city {seed} {drive}") for drive in ("dense", "reference"))
+    one = partial(case_of, name=f"city {seed}", method="label maps")
+    row = "city, ten times denser, or a queue"
+    for some in (here, [here[n] for n in in_queue(len(here), 9, random.Random(seed))]):
+        yield one(row, some, there, facing(described, some, there))
+
+
 def in_turn(count: int, streams: int) -> list[int]:
     """The parts of a drive, a frame of each in turn."""
     length = count // streams
@@ -298,6 +316,13 @@ def in_turn(count: int, streams: int) -> list[int]:
 def stops(count: int, at: Sequence[int], frames: int) -> list[int]:
     """A drive that stands for some frames."""
     return sorted([*range(count), *(min(stop, count - 1) for stop in at for _ in range(frames))])
+
+
+def in_queue(count: int, step: int, chance: random.Random) -> list[int]:
+    """Every so many frames of a drive; for 80 of them it hardly moves."""
+    at = count // 3 // step * step
+    slow = [at := at + max(1, step // 3) * (chance.random() < 0.25) for _ in range(80)]
+    return [*range(0, slow[0], step), *slow, *range(slow[-1], count, step)]
 
 
 def facing(described: Described, here: Frames, there: Frames) -> list[np.ndarray]:
