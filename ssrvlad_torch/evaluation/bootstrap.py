@@ -15,27 +15,32 @@ Figures = Callable[[Floats], dict[str, Floats]]
 ``(B,)`` by name."""
 
 
-def bootstrap(figures: Figures, queries: int, resamples: int, seed: int = 0) -> dict[str, Interval]:
+def bootstrap(
+    figures: Figures, queries: int, resamples: int, seed: int = 0, block: int = 1
+) -> dict[str, Interval]:
     """Percentile intervals of figures, at the confidence `LEVEL`, by name, from a number of
     resamples from 1 on; equal seeds give equal ones.
 
-    A resample draws Q queries with replacement (Efron, Annals of Statistics 1979). Those in which a
-    figure is NaN are left out; the interval is NaN if all are. It shows how a figure varies with
-    the choice of queries, not with the map. Queries of one drive are not independent, so the
-    intervals are slightly too narrow.
+    A resample draws Q queries in blocks of ``block`` neighbours, with replacement; the last query
+    is a neighbour of the first, and the last block is cut short (Kuensch, Annals of Statistics 1989;
+    Politis and Romano 1992). Blocks of 1 are single queries. Resamples in which a figure is NaN are
+    left out; the interval is NaN if all are. It shows how a figure varies with the choice of
+    queries, not with the map, and is too narrow where more than ``block`` neighbours are alike.
     """
     rng = np.random.default_rng(seed)
-    block = max(1, _CELLS // max(1, queries))
-    blocks = []
-    for start in range(0, resamples, block):
-        rows = min(block, resamples - start)
-        drawn = rng.integers(0, queries, (rows, queries)) + queries * np.arange(rows)[:, None]
+    at_once = max(1, _CELLS // max(1, queries))
+    found = []
+    for start in range(0, resamples, at_once):
+        rows = min(at_once, resamples - start)
+        begins = rng.integers(0, queries, (rows, -(-queries // block), 1))
+        drawn = (begins + np.arange(block)).reshape(rows, -1)[:, :queries] % max(1, queries)
+        drawn += queries * np.arange(rows)[:, None]
         counts = np.bincount(drawn.ravel(), minlength=rows * queries)
-        blocks.append(figures(counts.reshape(rows, queries).astype(np.float64)))
+        found.append(figures(counts.reshape(rows, queries).astype(np.float64)))
     tail = 50 * (1 - LEVEL)
     intervals = dict[str, Interval]()
-    for name in blocks[0]:
-        values = np.concatenate([block[name] for block in blocks])
+    for name in found[0]:
+        values = np.concatenate([each[name] for each in found])
         defined = values[~np.isnan(values)]
         ends = np.percentile(defined, (tail, 100 - tail)) if len(defined) else (np.nan, np.nan)
         intervals[name] = float(ends[0]), float(ends[1])

@@ -44,6 +44,9 @@ FIGURES = {
 }
 """Keys and names of the figures besides RecallRate@N."""
 
+BLOCK = 10
+"""Neighbouring queries that the bootstrap draws together; a tenth of fewer than 100."""
+
 
 def precision_recall_curve(
     outcomes: Outcomes,
@@ -86,6 +89,9 @@ def evaluate(
     Raises:
         ValueError: the shapes do not fit, a score is NaN, the convention is unknown, or the
             similarity is missing.
+
+    Neighbouring queries of a drive are alike: the bootstrap draws blocks of `BLOCK` of them, in
+    their order.
     """
     outcomes, at = judge(scores, indices, truth), list(at)
     for n in at:
@@ -101,7 +107,8 @@ def evaluate(
         "queries_with_match": int(outcomes.has_match.sum()),
     }
     if resamples:
-        intervals = bootstrap(figures, len(outcomes), resamples, seed)
+        block = max(1, min(BLOCK, len(outcomes) // 10))
+        intervals = bootstrap(figures, len(outcomes), resamples, seed, block)
         result["intervals"] = _nested({name: list(i) for name, i in intervals.items()}, at)
     return result
 
