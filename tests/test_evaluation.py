@@ -483,12 +483,33 @@ def test_the_interval_of_a_mean_is_that_of_the_normal_approximation(alike):
     np.testing.assert_allclose(found, (values.mean() - spread, values.mean() + spread), atol=0.004)
 
 
+@pytest.mark.parametrize(("queries", "alone"), [(7, 7), (90, 10), (400, 40)])
+def test_fractions_that_all_resamples_agree_on_have_the_interval_of_wilson(queries, alone):
+    """By the rule of three, as many independent queries as there are blocks show that little."""
+    scores, truth = np.ones((queries, 1)), [np.array([0])] * queries
+    for row, convention in product((0, 1), ("exact", "vpr-bench")):
+        found = evaluate(scores, np.full((queries, 1), row), truth, (1,), convention, resamples=20)
+        ends, z2 = found["intervals"], 1.959964**2
+        expected = (alone / (alone + z2), 1) if row == 0 else (0, z2 / (alone + z2))
+        np.testing.assert_allclose(ends["recall_at"]["1"], expected, rtol=1e-6)
+        if row == 0:
+            np.testing.assert_allclose(ends["recall_at_100_precision"], expected, rtol=1e-6)
+            assert ends["auc_pr"] == [1.0, 1.0]
+
+
+def test_right_and_wrong_in_turn_are_no_certain_half():
+    """Each block of two has one right query."""
+    indices, truth = np.arange(20)[:, None] % 2, [np.array([0])] * 20
+    found = evaluate(np.ones((20, 1)), indices, truth, (1,), resamples=20)["intervals"]
+    assert found["recall_at"]["1"] == pytest.approx([0.2366, 0.7634], abs=1e-4)
+
+
 def test_resamples_without_a_figure_are_passed_over():
     """One query in three has a true match; a resample without it has no recall."""
     scores, indices = np.ones((3, 1)), np.zeros((3, 1), np.int64)
     truth = [np.array([0]), np.array([], np.int64), np.array([], np.int64)]
     intervals = evaluate(scores, indices, truth, (1,), resamples=200)["intervals"]
-    assert intervals["recall_at"]["1"] == [1.0, 1.0]
+    assert intervals["recall_at"]["1"] == pytest.approx([0.2065, 1.0], abs=1e-4)
     assert 0 < intervals["auc_pr"][0] < intervals["auc_pr"][1] <= 1
     none = bootstrap(lambda w: {"x": np.full(len(w), np.nan)}, 0, 10)["x"]
     assert all(map(math.isnan, none)), "of no queries"

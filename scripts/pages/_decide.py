@@ -36,7 +36,7 @@ class Decisions(NamedTuple):
         return np.array([row in set(t) for row, t in zip(self.rows[:, 0], self.truth, strict=True)])
 
     def figures(self, convention: Convention = "exact") -> dict[str, tuple[float, float, float]]:
-        """Each of `FIGURES` with the ends of its 95 % bootstrap interval over the queries."""
+        """Each of `FIGURES` with the ends of its 95 % bootstrap interval."""
         found = evaluate(*self, at=(1, 5), convention=convention, resamples=RESAMPLES)
         ends = found["intervals"]
         rates = {f"RecallRate@{n}": (found["recall_at"][n], ends["recall_at"][n]) for n in "15"}

@@ -22,10 +22,10 @@ def bootstrap(
     resamples from 1 on; equal seeds give equal ones.
 
     A resample draws Q queries in blocks of ``block`` neighbours, with replacement; the last query
-    is a neighbour of the first, and the last block is cut short (Kuensch, Annals of Statistics 1989;
-    Politis and Romano 1992). Blocks of 1 are single queries. Resamples in which a figure is NaN are
-    left out; the interval is NaN if all are. It shows how a figure varies with the choice of
-    queries, not with the map, and is too narrow where more than ``block`` neighbours are alike.
+    is a neighbour of the first, and the last block is cut short (Kuensch, Annals of Statistics
+    1989; Politis and Romano 1992). Blocks of 1 are single queries. Resamples in which a figure is
+    NaN are left out; the interval is NaN if all are. It shows how a figure varies with the choice
+    of queries, not with the map, and is too narrow where more than ``block`` neighbours are alike.
     """
     rng = np.random.default_rng(seed)
     at_once = max(1, _CELLS // max(1, queries))

@@ -30,6 +30,7 @@ import numpy as np
 from .bootstrap import bootstrap
 from .curves import PrecisionRecall, rank, roc_auc
 from .outcomes import Floats, Indices, Outcomes, Scores, Truth, as_array, judge
+from .thresholds import wilson
 from .tutorial import count_pairs
 
 Convention = Literal["exact", "vpr-bench", "vpr-tutorial", "vpr-tutorial-single"]
@@ -91,7 +92,10 @@ def evaluate(
             similarity is missing.
 
     Neighbouring queries of a drive are alike: the bootstrap draws blocks of `BLOCK` of them, in
-    their order.
+    their order. Where all resamples agree, as where all queries are right, RecallRate@N, and
+    Recall@100%Precision of 1, have Wilson's interval of queries / block independent ones. Other
+    figures, such as AUC-PR, have both ends at one value there, which does not mean that they are
+    certain.
     """
     outcomes, at = judge(scores, indices, truth), list(at)
     for n in at:
@@ -109,6 +113,10 @@ def evaluate(
     if resamples:
         block = max(1, min(BLOCK, len(outcomes) // 10))
         intervals = bootstrap(figures, len(outcomes), resamples, seed, block)
+        for name, whole in _wholes(outcomes, convention, at, values).items():
+            low, high = intervals[name]
+            if low == high:
+                intervals[name] = wilson(values[name], whole / block)
         result["intervals"] = _nested({name: list(i) for name, i in intervals.items()}, at)
     return result
 
@@ -153,6 +161,17 @@ def _figures(
         undefined = ("average_precision", "extended_precision", "roc_auc")
         summaries |= dict.fromkeys(undefined, np.full(len(weights), np.nan))
     return rates | summaries
+
+
+def _wholes(
+    outcomes: Outcomes, convention: Convention, at: Sequence[int], values: Mapping[str, float]
+) -> dict[str, int]:
+    """The number of queries of which a figure is a fraction, by the names of such figures."""
+    there, bench = int(outcomes.has_match.sum()), convention == "vpr-bench"
+    wholes = dict.fromkeys(map(str, at), len(outcomes) if bench else there)
+    if values["recall_at_100_precision"] == 1 and convention != "vpr-tutorial":
+        wholes["recall_at_100_precision"] = int(outcomes.correct.sum()) if bench else there
+    return wholes
 
 
 def _curves(

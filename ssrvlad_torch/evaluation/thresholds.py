@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .bootstrap import LEVEL
+from .bootstrap import LEVEL, Interval
 from .curves import PrecisionRecall
 from .outcomes import Floats
 
@@ -97,9 +97,21 @@ def wilson_low(right: Floats, accepted: Floats) -> Floats:
     """Lower end of Wilson's interval of ``right / accepted`` at the confidence `LEVEL` (Wilson,
     JASA 1927); 0 where ``accepted`` is 0."""
     n = np.maximum(accepted, 1)
-    fraction = right / n
+    middle, spread = _wilson(right / n, n)
+    return np.maximum(middle - spread, 0.0)
+
+
+def wilson(fraction: float, count: float) -> Interval:
+    """Both ends of Wilson's interval of a fraction of ``count``, above 0, at the confidence
+    `LEVEL`."""
+    middle, spread = (float(x) for x in _wilson(np.array(fraction), np.array(count)))
+    return max(middle - spread, 0.0), min(middle + spread, 1.0)
+
+
+def _wilson(fraction: Floats, n: Floats) -> tuple[Floats, Floats]:
+    """The middle of Wilson's intervals, and half their widths."""
     spread = np.sqrt(_Z2 * fraction * (1 - fraction) / n + (_Z2 / n / 2) ** 2)
-    return np.maximum((fraction + _Z2 / n / 2 - spread) / (1 + _Z2 / n), 0.0)
+    return (fraction + _Z2 / n / 2) / (1 + _Z2 / n), spread / (1 + _Z2 / n)
 
 
 def _point(curve: PrecisionRecall, index: int) -> OperatingPoint:

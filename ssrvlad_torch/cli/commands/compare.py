@@ -40,11 +40,12 @@ def compare(
     workers: int = option("Threads that read ahead.", default=2, min=1),
     as_json: Json = False,
 ) -> None:
-    """Compare methods on one data set: metrics with 95 % bootstrap intervals, and costs. Each
-    method is measured twice: by the scores of single frames, and with the steps below.
-    --standardise needs descriptors that are vectors or signs, --sweep needs ssr-vlad or features.
-    Methods without their images, label maps or weights are left out. The others are compared on
-    the frames that all of them can use. --fuse adds the scores of methods, weighted as in query.
+    """Compare methods on one data set: metrics with 95 % bootstrap intervals over blocks of
+    neighbouring queries, and costs. Each method is measured twice: by the scores of single
+    frames, and with the steps below. --standardise needs descriptors that are vectors or signs,
+    --sweep needs ssr-vlad or features. Methods without their images, label maps or weights are
+    left out. The others are compared on the frames that all of them can use. --fuse adds the
+    scores of methods, weighted as in query.
 
     Example: ssrvlad compare town --method ssr-vlad,cohog --labels-as camvid-11
 

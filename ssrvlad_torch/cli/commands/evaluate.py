@@ -28,9 +28,9 @@ def evaluate(
     ),
 ) -> None:
     """Measure place recognition: RecallRate@N, AUC-PR, Recall@100%Precision and more, with 95 %
-    bootstrap intervals. A table shows precision and recall at several thresholds. The suggested
-    threshold is the lowest whose precision has a 95 % interval that begins at 0.95 or higher; if
-    there is none, the one whose interval begins highest.
+    bootstrap intervals over blocks of neighbouring queries. A table shows precision and recall at
+    several thresholds. The suggested threshold is the lowest whose precision has a 95 % interval
+    that begins at 0.95 or higher; if there is none, the one whose interval begins highest.
     ssrvlad compare measures other methods.
 
     Example: ssrvlad evaluate town.ssrdb maps/today --tolerance-metres 5
