@@ -47,7 +47,8 @@ def confidence(chances, mapped, together, followed=False):
 def of_chances(chances, together):
     """What the core says of queries that are judged alone."""
     sure = confidence(chances, mapped(chances, together), together)
-    return Confidence(*map(torch.from_numpy, sure), torch.full((len(chances),), float(together)))
+    err = torch.where(torch.as_tensor(chances).isnan(), 0.0, float(together)).float()
+    return Confidence(*map(torch.from_numpy, sure), err)
 
 
 def answers_together(rivals):

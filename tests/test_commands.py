@@ -30,6 +30,10 @@ def test_the_steps_are_taken_and_reported(ssrvlad, database, maps):
     sure = json.loads(ssrvlad("query", database, maps, "--json")[1].splitlines()[0])
     assert sure["confidence"] == 0 and sure["steps"]["standardise"] == {"monday": False}
     assert "6 references are too few" in err[-1]
+    words = "; 6 answers; too few references to say how many are wrong"
+    assert err[-1].endswith(words) and sure["estimate"]["accepted"] == 6
+    lines = ssrvlad("evaluate", database, maps, "--tolerance-frames", 0)[1]
+    assert f"without ground truth{words.replace(';', ':', 1)}; in truth 0.0%" in lines
     _, followed, err = ssrvlad("query", database, maps)
     assert "followed: no, following is no surer" in err[-1] and "(cosine, confidence" in followed
     assert sure["score_is"] == "cosine"

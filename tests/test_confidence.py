@@ -13,6 +13,7 @@ from ssrvlad_torch.recognition.confidence import (
     answered,
     estimate,
 )
+from ssrvlad_torch.recognition.recognise import recognise_by_scores
 
 
 def traverse(queries: int, right: float, seed: int = 0, ahead: float = 6.0):
@@ -133,6 +134,17 @@ def test_a_picture_is_judged_by_the_prior():
     found = estimate(unclear)
     assert (found.accepted, found.low, found.high) == (1, None, None)
     assert accept(unclear, 0.001) == estimate(unclear, 2.0) == (math.inf, 0, 0, 0, 0)
+
+
+def test_what_has_a_candidate_is_an_answer():
+    """Also in a map of too few references, where its confidence is 0."""
+    for rows in (5, 40):
+        scores = torch.from_numpy(np.random.default_rng(rows).random((40, rows)))
+        scores[3] = -torch.inf
+        sure = recognise_by_scores(scores, ["a"] * 40, ["b"] * rows).sure
+        assert answered(sure).tolist() == [query != 3 for query in range(40)]
+        assert sure.right.any() == (rows >= 30)
+        assert estimate(sure).accepted == 39
 
 
 def test_answers_that_err_together_widen_the_interval():

@@ -115,12 +115,21 @@ def test_a_drive_is_found_from_a_folder_files_or_a_database(drawn, tmp_path):
             f"monday/{n:03d}" for n in range(2, 6)
         ]
         assert {len(answer.candidates) for answer in answers} == {2}
-        assert repr(answers) == "<Answers: 4 queries, 0 accepted>"
+        assert repr(answers) == "<Answers: 4 queries, 4 accepted>"
         assert answers._repr_html_().count("<tr>") >= 4
     [first, *_] = drawn.query(today, AS_PAPER, top=1, temporal=1)
     assert first.score_is == "cosine"
     [none, *_] = drawn.query(today, min_confidence=0.5)
     assert none.candidates == [] and none.confidence == 0
+
+
+def test_too_few_references_say_nothing_of_their_answers(drawn, tmp_path):
+    """Not that none is accepted, unless a confidence is asked for."""
+    answers = drawn.query(write_maps(tmp_path / "today", range(2, 6)))
+    assert answers.estimate == (0, 4, 1, None, None)
+    assert (answers.matches.indices[:, 0] >= 0).all()
+    for none in (answers.accepted(0.01), answers.accepted(max_wrong=1)):
+        assert none.estimate == (torch.inf, 0, 0, 0, 0) and (none.matches.indices < 0).all()
 
 
 def test_evaluate_measures_recall_by_a_tolerance(drawn, tmp_path):

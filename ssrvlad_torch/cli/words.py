@@ -71,7 +71,8 @@ def estimate_in_words(found: Estimate) -> str:
     if found.confidence:
         answers = f"accepted {answers} of confidence {found.confidence:.2f} and more"
     if found.low is None:
-        return f"{answers}; they are too few, or too unclear, to say how many are wrong"
+        few = "they are too few, or too unclear," if found.wrong < 1 else "too few references"
+        return f"{answers}; {few} to say how many are wrong"
     wrong = f"{found.wrong:.1%} estimated to be wrong (95 % interval {found.low:.1%} to"
     return f"{answers}; {wrong} {found.high:.1%})"
 

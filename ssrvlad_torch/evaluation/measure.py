@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..datasets.frame_file import Skipped
-from ..recognition.confidence import Estimate
+from ..recognition.confidence import Estimate, answered
 from ..recognition.matching import Matches
 from ..recognition.recognise import Recognised
 from .ground_truth_files import PartialTruth, known_matches
@@ -71,6 +71,7 @@ def measure(
     metrics["references"] = len(recognition.references.frames)
     if recognition.recognised:
         sure = recognition.recognised.confidence.numpy()[known]
+        there = answered(recognition.recognised.sure).numpy()[known]
         answers = recognition.recognised.matches.indices[:, 0].numpy()[known]
         right = np.array([row in true for row, true in zip(answers, true_rows, strict=True)], bool)
         metrics["mean_confidence"] = float(sure.mean())
@@ -81,7 +82,7 @@ def measure(
                 "truly_wrong": float(1 - right[accepted].mean()) if accepted.any() else None,
             }
             for name, estimate in recognition.estimates.items()
-            for accepted in [(sure >= estimate.confidence) & (sure > 0)]
+            for accepted in [(sure >= estimate.confidence) & there]
         }
     return {**metrics, **recognition.details}
 

@@ -28,10 +28,12 @@ class Confidence(NamedTuple):
     """How sure the answers to queries are.
 
     Attributes:
-        right: ``(Q,)`` float32, the probability that the first candidate is right; 0 without one.
+        right: ``(Q,)`` float32, the probability that the first candidate is right; 0 without one,
+            and where the map has too few references to say.
         spread: ``(Q,)`` float32, standard deviation of ``right``, as far as the traverse does not
             show how often such answers are right.
-        together: ``(Q,)`` float32, how many neighbouring queries err together.
+        together: ``(Q,)`` float32, how many neighbouring queries err together; 0 without a
+            candidate, and only there.
     """
 
     right: Tensor
@@ -46,7 +48,7 @@ class Estimate(NamedTuple):
         confidence: the least of an accepted answer; infinite if none is accepted.
         accepted: number of answers.
         wrong: estimated fraction of them that is wrong, 0 to 1, the mean of their doubts; 0 if none
-            is accepted.
+            is accepted, 1 where the map has too few references to say.
         low, high: ends of its 95 % interval; ``None`` where it would say nothing.
     """
 
@@ -68,6 +70,8 @@ def estimate(sure: Confidence, least: float = 0.0) -> Estimate:
     count = int(accepted.sum())
     if not count:
         return Estimate(torch.inf, 0, 0.0, 0.0, 0.0)
+    if not sure.right.any():
+        return Estimate(float(least), count, 1.0, None, None)
     doubts = 1 - sure.right[accepted].double()
     wrong = float(doubts.mean())
     by_chance = doubts * (1 - doubts) * sure.together[accepted] / count
@@ -91,7 +95,7 @@ def accept(sure: Confidence, max_wrong: float) -> Estimate:
 
 def answered(sure: Confidence) -> Tensor:
     """``(Q,)`` bool, whether a query has a candidate."""
-    return sure.right > 0
+    return sure.together > 0
 
 
 def _beta(mean: float, variance: float) -> tuple[float, float]:

@@ -226,9 +226,10 @@ def _decided(
     a course, and its answers are not less sure for it."""
     mode = steps.follow if len(queries) > 1 else None
     found = deciding.decide(evidence, queries, sequences, mode, steps.delay, top)
-    scores, rows, *sure = (torch.from_numpy(each) for each in found[:5])
-    matches = Matches(scores.float(), rows)
-    return _Decided(matches, Confidence(*(each.float() for each in sure)), _told(found, steps))
+    scores, rows, right, spread, together = (torch.from_numpy(each) for each in found[:5])
+    together = together.float().masked_fill(rows[:, 0] < 0, 0)
+    sure = Confidence(right.float(), spread.float(), together)
+    return _Decided(Matches(scores.float(), rows), sure, _told(found, steps))
 
 
 def _told(found: Decision, steps: Steps) -> str:
