@@ -230,9 +230,13 @@ def equal_sure(got, expected):
     np.testing.assert_allclose(got, expected, atol=2e-5, rtol=0)
 
 
-@given(seed=SEEDS, names=st.sampled_from((("shapes", "hog"), [*TRUST])))
-def test_scores_of_channels_are_fused_as_by_the_reference(seed, names):
-    there, here = channels(np.random.default_rng(seed), [40, 33], 35)
+@given(
+    seed=SEEDS,
+    names=st.sampled_from((("shapes", "hog"), [*TRUST])),
+    queries=st.sampled_from((35, 401)),
+)
+def test_scores_of_channels_are_fused_as_by_the_reference(seed, names, queries):
+    there, here = channels(np.random.default_rng(seed), [40, 33], queries)
     town = Map([40, 33])
     for name in names:
         town.add(name, there[name], TRUST[name])

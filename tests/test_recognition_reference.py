@@ -31,7 +31,11 @@ def drawn(seed, queries, rows, holes=0.0):
     return scores
 
 
-@given(seed=st.integers(0, 1000), queries=st.sampled_from((3, 35)), holes=st.sampled_from((0, 0.3)))
+@given(
+    seed=st.integers(0, 1000),
+    queries=st.sampled_from((3, 35, 401)),
+    holes=st.sampled_from((0, 0.3)),
+)
 @settings(max_examples=20)
 def test_channels_as_one(seed, queries, holes):
     channels = {name: drawn(seed + n, queries, 40, holes) for n, name in enumerate(TRUST)}

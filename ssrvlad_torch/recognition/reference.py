@@ -133,7 +133,7 @@ def mean_lead(scores: Array) -> float:
     if len(rows) <= 2 * ELSEWHERE + 1:
         return 0.0
     leads = []
-    for each in scores[:: max(1, len(scores) // SAMPLE)]:
+    for each in sampled(scores):
         elsewhere = np.abs(rows - each.argmax()) > ELSEWHERE
         near = nearness(np.array([each.max(), each[elsewhere].max()]))
         leads.append(near[0] - near[1] if np.isfinite(near).all() else np.nan)
@@ -200,12 +200,17 @@ def lead(scores: Array, of: slice = EVERY) -> float:
     return float(z.max() - z[elsewhere].max())
 
 
+def sampled(queries: Array) -> Array:
+    """The queries that show what leads, see `SAMPLE`."""
+    return queries[:: max(1, len(queries) // SAMPLE)]
+
+
 def weights_of(channels: Mapping[str, Array], trust: Mapping[str, float]) -> dict[str, float]:
     """The weight of each channel by its scores ``(Q, R)`` of a drive: its trust, times the mean
-    lead of its first candidates if there are `MIN_FRAMES` queries and one leads."""
+    lead of its first candidates, for `SAMPLE` queries, if there are `MIN_FRAMES` and one leads."""
     known = {name: trust.get(name, 1.0) for name in channels}
     leads = {
-        name: max(0.0, float(np.mean([lead(row) for row in scores])))
+        name: max(0.0, float(np.mean([lead(row) for row in sampled(scores)])))
         for name, scores in channels.items()
         if len(scores) >= MIN_FRAMES
     }
