@@ -84,9 +84,10 @@ def test_precision_and_recall_by_poses(loops, drive):
     precision, suggestion = out.splitlines()[-2:]
     right = "precision 1.000 (12 of 12 loops are right), recall 0.857 (12 of 14 revisits)"
     assert precision == right
-    assert re.match(r"surest threshold 0\.\d+: precision 1\.000, by its 95 % ", suggestion)
-    proof = "; a proof of precision 0.95 needs at least 73 loops without a mistake"
-    assert suggestion.endswith(proof)
+    assert re.match(r"surest threshold 0\.\d+: precision 1\.000, recall ", suggestion)
+    assert "; lower bound of the precision 0.7" in suggestion
+    needed = "; a lower bound of 0.95 needs at least 73 loops without a mistake"
+    assert suggestion.endswith(needed)
     _, out, _ = loops(drive, "--tolerance-metres", 5, "--json")
     *frames, told = objects(out)
     assert len(frames) == 54

@@ -15,7 +15,7 @@ from ..evaluation.metrics import precision_recall_curve
 from ..evaluation.outcomes import judge
 from ..evaluation.report import Report, write_report
 from ..map import Evaluation
-from .words import proof, steps_in_words, without_truth
+from .words import lower_bound, steps_in_words, without_truth
 
 
 def write_page(path: Path, evaluation: Evaluation, database: str, sources: Sequence[str]) -> None:
@@ -45,7 +45,7 @@ def write_page(path: Path, evaluation: Evaluation, database: str, sources: Seque
         settings=_settings(recognition.details, database, sources, evaluation.true_matches),
         notes=[
             *_notes(recognition, evaluation.truth),
-            proof(metrics["thresholds"]["suggested"]),
+            lower_bound(metrics["thresholds"]["suggested"]),
             *without_truth(metrics),
         ],
     )

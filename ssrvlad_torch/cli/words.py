@@ -16,7 +16,7 @@ def print_metrics(metrics: Mapping[str, Any]) -> None:
     figures = ((name, fraction(one), fraction(*ends)) for name, one, ends in figure_rows(metrics))
     print_table(("metric", metrics["convention"], "95 % interval"), figures)
     score = metrics["score_is"] or "score"
-    head = ("threshold for", score, "precision", "lower end", "recall", "accepted")
+    head = ("threshold for", score, "precision", "lower bound", "recall", "accepted")
     keys = ("precision", "precision_low", "recall")
     print_table(head, (
         (name, f"{point['score']:.4f}", *(fraction(point[key]) for key in keys), point["accepted"])
@@ -24,7 +24,7 @@ def print_metrics(metrics: Mapping[str, Any]) -> None:
         else (name, "none")
         for name, point in operating_rows(metrics["thresholds"])
     ))  # fmt: skip
-    say(proof(metrics["thresholds"]["suggested"]))
+    say(lower_bound(metrics["thresholds"]["suggested"]))
     for line in without_truth(metrics):
         say(line)
     say(counts(metrics))
@@ -40,16 +40,19 @@ def counts(metrics: Mapping[str, Any]) -> str:
     )
 
 
-def proof(suggested: Mapping[str, Any] | None) -> str:
-    """The precision that is proven at the suggested threshold, and what would prove more."""
-    missing = f"a proof of precision {SURE_PRECISION:g} needs at least {queries_needed()} "
+def lower_bound(suggested: Mapping[str, Any] | None) -> str:
+    """The lower bound of the precision at the suggested threshold, and what a higher one needs."""
+    missing = f"a lower bound of {SURE_PRECISION:g} needs at least {queries_needed()} "
     missing += "accepted queries without a mistake"
     if suggested is None:
         return f"suggested: no threshold, no query was recognised; {missing}"
     low = suggested["precision_low"]
-    proven = f"suggested: {suggested['score']:.4f}, a precision of at least {low:.3f} is proven by "
-    proven += f"{suggested['accepted']} accepted queries, if they are independent"
-    return proven if low >= SURE_PRECISION else f"{proven}; {missing}"
+    bound = f"suggested: {suggested['score']:.4f}, lower bound of the precision {low:.3f} by "
+    bound += (
+        f"{suggested['accepted']} accepted queries, if they were independent and the threshold "
+    )
+    bound += "were fixed before"
+    return bound if low >= SURE_PRECISION else f"{bound}; {missing}"
 
 
 def without_truth(metrics: Mapping[str, Any]) -> Iterator[str]:

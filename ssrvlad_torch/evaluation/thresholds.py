@@ -43,12 +43,13 @@ def at_recall(curve: PrecisionRecall, recall: float) -> OperatingPoint | None:
 def suggested_point(
     curve: PrecisionRecall, precision: float = SURE_PRECISION
 ) -> OperatingPoint | None:
-    """The lowest threshold that is proven to have at least ``precision``, 0 to 1.
+    """The lowest threshold whose precision has a lower bound of at least ``precision``, 0 to 1.
 
-    Proven means that the lower end of Wilson's 95 % interval reaches it: for a precision of 0.95,
-    73 queries must be accepted without a mistake. If no threshold reaches it, the result is the one
-    with the highest lower end, or ``None`` if no accepted query is right. The interval holds for a
-    threshold that was chosen beforehand; for the best of many thresholds it is slightly too high.
+    The lower bound is the lower end of Wilson's 95 % interval: for 0.95, 73 queries must be
+    accepted without a mistake. If no threshold reaches it, the result is the one with the highest
+    lower bound, or ``None`` if no accepted query is right. The bound would hold if queries were
+    independent and the threshold were fixed before; for alike neighbours of a drive, and for the
+    best of many thresholds, it is too high.
 
     The threshold lies halfway to the next lower score, or is the next lower float32 if no score is
     lower: `ssrvlad_torch.match`, which accepts scores above a threshold, accepts the same queries.
@@ -65,7 +66,7 @@ def suggested_point(
 
 
 def queries_needed() -> int:
-    """Number of queries that prove `SURE_PRECISION` if all are accepted and right."""
+    """The least number of accepted queries, all right, with a lower bound of `SURE_PRECISION`."""
     return math.ceil(_Z2 * SURE_PRECISION / (1 - SURE_PRECISION))
 
 

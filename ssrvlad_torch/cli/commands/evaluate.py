@@ -29,8 +29,9 @@ def evaluate(
 ) -> None:
     """Measure place recognition: RecallRate@N, AUC-PR, Recall@100%Precision and more, with 95 %
     bootstrap intervals over blocks of neighbouring queries. A table shows precision and recall at
-    several thresholds. The suggested threshold is the lowest whose precision has a 95 % interval
-    that begins at 0.95 or higher; if there is none, the one whose interval begins highest.
+    several thresholds. The suggested threshold is the lowest whose precision has a lower bound
+    (95 %) of at least 0.95, or, if there is none, the one with the highest. The bound would hold
+    if queries were independent and the threshold were fixed before.
     ssrvlad compare measures other methods.
 
     Example: ssrvlad evaluate town.ssrdb maps/today --tolerance-metres 5

@@ -186,7 +186,8 @@ def _print_report(
     point = summary["suggested"]
     say(
         f"surest threshold {point['score']:.4g}: precision {fraction(point['precision'])}, "
-        f"by its 95 % interval at least {fraction(point['precision_low'])}, recall "
-        f"{fraction(point['recall'])}; a proof of precision {SURE_PRECISION:g} needs at least "
-        f"{queries_needed()} loops without a mistake"
+        f"recall {fraction(point['recall'])}; lower bound of the precision "
+        f"{fraction(point['precision_low'])}, if loops were independent and the threshold were "
+        f"fixed before; a lower bound of {SURE_PRECISION:g} needs at least {queries_needed()} "
+        "loops without a mistake"
     )
