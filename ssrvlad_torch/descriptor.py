@@ -58,8 +58,8 @@ class SSRVLAD(nn.Module):
         - input: ``(B, H, W)`` label ids of any integer dtype, or ``(B, C, H, W)`` floating class
           scores (logits or probabilities; the largest wins, the first of equals), any ``H`` and
           ``W`` from 1. A tensor or a NumPy array.
-        - output: ``(B, 480)`` float32 of length 1, or exact zeros for an empty image, one that
-          shows no category; with S anchors ``(B, S, 480)``.
+        - output: ``(B, D)`` float32 of length 1, ``D = config.length``, 480 by default, or exact
+          zeros for an empty image, one that shows no category; with S anchors ``(B, S, D)``.
 
     Raises:
         ValueError: input on another device than the module, wrong rank or dtype, an empty batch or
@@ -69,6 +69,8 @@ class SSRVLAD(nn.Module):
             record the numbers of one input.
 
     Examples:
+        >>> import torch
+        >>> from ssrvlad_torch import SSRVLAD
         >>> head = SSRVLAD.from_preset("default", labels_as="cityscapes-trainids")
         >>> head(torch.zeros(2, 240, 320, dtype=torch.uint8)).shape
         torch.Size([2, 480])
@@ -191,7 +193,7 @@ class SSRVLAD(nn.Module):
                 one, each from -1,000,000 to 1,000,000.
 
         Returns:
-            ``(B, S, 480)`` float32. Offset 0 gives the descriptor of a call.
+            ``(B, S, D)`` float32. Offset 0 gives the descriptor of a call.
 
         Raises:
             ValueError: the aggregation has no anchor, as in ``paper``, or the columns are not as

@@ -56,8 +56,8 @@ def describe(label_map: npt.NDArray[Any], config: SSRVLADConfig) -> npt.NDArray[
         config: the settings.
 
     Returns:
-        ``(480,)`` float32 of length 1, or zeros for an empty image: for residuals one in which no
-        layer has a keypoint, for harmonics one without layers.
+        ``(D,)`` float32 of length 1, ``D = config.length``, 480 by default, or zeros for an empty
+        image: for residuals one in which no layer has a keypoint, for harmonics one without layers.
 
     Raises:
         ValueError: the input is not a label map, or an id is outside the label space.

@@ -29,7 +29,8 @@ class SSRVLADMethod(VectorMethod, LabelShapes):
 
     @torch.no_grad()
     def encode_sweep(self, frames: Iterable[View]) -> Tensor:
-        """``(Q, S, 480)`` float32; for residuals, which have no anchor, ``(Q, 480)``."""
+        """``(Q, S, D)`` float32, ``D = config.length``, 480 by default; for residuals, which have
+        no anchor, ``(Q, D)``."""
         if self.config.aggregation != "harmonics":
             return self.encode_query(frames)
         grouped = batches(frames, self._batch)
@@ -37,6 +38,6 @@ class SSRVLADMethod(VectorMethod, LabelShapes):
         return torch.cat([torch.zeros(0, len(COLUMNS), self.length), *descriptors])
 
     def encode_reference(self, frames: Iterable[View]) -> Tensor:
-        """``(R, 480)`` float32, after Eq. 3."""
+        """``(R, D)`` float32, after Eq. 3."""
         sequences: list[str] = []
         return temporal_sum(self.encode_query(noting(frames, sequences)), sequences, self.temporal)

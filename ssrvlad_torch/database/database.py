@@ -95,6 +95,8 @@ class Database:
         origins: of label maps by key, see `FrameRecord.origin`.
 
     Examples:
+        >>> import torch
+        >>> from ssrvlad_torch.database.database import Database
         >>> database = Database.create("town.ssrdb", width=3)
         >>> database.append(["morning/000001"], torch.eye(3)[:1])
         >>> len(database)

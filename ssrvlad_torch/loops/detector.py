@@ -61,6 +61,8 @@ class LoopDetector:
             fused; a channel weighs by the lead of its first candidates so far.
 
     Examples:
+        >>> import torch
+        >>> from ssrvlad_torch import SSRVLAD, LoopDetector
         >>> detector = LoopDetector(head=SSRVLAD())
         >>> detector.update(torch.full((60, 80), 7), "drive/000000").reason.value
         'no_candidate'

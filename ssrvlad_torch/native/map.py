@@ -53,6 +53,8 @@ class Map:
         RuntimeError: the core is not there, or memory is short.
 
     Examples:
+        >>> import numpy as np
+        >>> from ssrvlad_torch.native.map import Map
         >>> frames = np.eye(40, dtype=np.float32)
         >>> town = Map([40])
         >>> town.add("shapes", frames)

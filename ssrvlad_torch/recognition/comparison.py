@@ -63,6 +63,8 @@ class ReferenceRows:
         ValueError: the rows are no such array.
 
     Examples:
+        >>> import torch
+        >>> from ssrvlad_torch.recognition.comparison import ReferenceRows
         >>> rows = ReferenceRows(torch.eye(3), ["a"] * 3)
         >>> rows.compare(torch.eye(3)[1:2], False, False)[0]
         tensor([0., 1., 0.])

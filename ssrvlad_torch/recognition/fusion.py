@@ -41,6 +41,8 @@ class FusedScores(Scores):
         ValueError: there is no method, or the shapes differ.
 
     Examples:
+        >>> import torch
+        >>> from ssrvlad_torch.recognition.fusion import FusedScores
         >>> here, there = torch.eye(20), torch.eye(20).roll(1, 0)
         >>> fused = FusedScores({"hog": here, "ssr-vlad": there}, {"hog": 2})
         >>> fused.whole().argmax(1).equal(torch.arange(20))

@@ -69,6 +69,8 @@ def match(
             another shape.
 
     Examples:
+        >>> import torch
+        >>> from ssrvlad_torch import match
         >>> match(torch.eye(3)[:1], torch.eye(3), top=1).indices
         tensor([[0]])
     """

@@ -133,6 +133,9 @@ def recognise(
         ValueError: shapes do not fit.
 
     Examples:
+        >>> import torch
+        >>> from ssrvlad_torch.recognition.comparison import Member, ReferenceRows
+        >>> from ssrvlad_torch.recognition.recognise import recognise
         >>> frames = torch.eye(20)
         >>> member = Member(frames[5:9], ReferenceRows(frames, ["b"] * 20))
         >>> recognise({"x": member}, ["a"] * 4, ["b"] * 20).matches.indices[:, 0].tolist()

@@ -143,6 +143,9 @@ class Preparation(nn.Module):
         - output: ``(B, 3, h, w)`` float32, or another form.
 
     Examples:
+        >>> import torch
+        >>> from ssrvlad_torch.segmentation.preparation import Preparation
+        >>> from ssrvlad_torch.segmentation.segmenter import SegmenterConfig
         >>> Preparation(SegmenterConfig(size=(64, 128)))(torch.zeros(1, 9, 9, 3)).shape
         torch.Size([1, 3, 64, 128])
     """

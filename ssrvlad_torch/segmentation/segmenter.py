@@ -87,6 +87,9 @@ class Segmenter:
         ImportError: an extra is not installed.
 
     Examples:
+        >>> import numpy as np
+        >>> from torch import nn
+        >>> from ssrvlad_torch import Segmenter
         >>> network = nn.Conv2d(3, 19, 1)
         >>> segmenter = Segmenter(network, "cityscapes-trainids", size=512, colour_order="bgr")
         >>> (labels,) = segmenter([np.zeros((240, 320, 3), np.uint8)])

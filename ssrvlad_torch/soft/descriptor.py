@@ -36,14 +36,17 @@ class SoftSSRVLAD(nn.Module):
     Shape:
         - input: ``(B, C, H, W)`` floating class scores: logits, or probabilities, which are
           recognised by their sums (see `are_probabilities`); any ``H`` and ``W`` from 1.
-        - output: ``(B, 480)`` float32, float64 for float64 input, of length 1; shorter if the image
-          shows almost no category, exact zeros if it shows none. Autocast does not change it.
+        - output: ``(B, D)`` float32, float64 for float64 input, of length 1,
+          ``D = config.length``, 480 by default; shorter if the image shows almost no category,
+          exact zeros if it shows none. Autocast does not change it.
 
     Raises:
         ValueError: the aggregation is another; the temperature is not above 0; `SSRVLAD` refuses
             the input; the input is a label map, or the largest score of a pixel is infinite.
 
     Examples:
+        >>> import torch
+        >>> from ssrvlad_torch.soft.descriptor import SoftSSRVLAD
         >>> scores = torch.randn(2, 19, 60, 80, requires_grad=True)
         >>> SoftSSRVLAD()(scores)[0].sum().backward()
     """

@@ -17,7 +17,7 @@ class SurrogateSSRVLAD(nn.Module):
     Shape:
         - input: ``(B, C, H, W)`` floating class scores; without a gradient, whatever `SSRVLAD`
           takes.
-        - output: ``(B, 480)`` float32, the descriptors of `SSRVLAD`.
+        - output: ``(B, D)`` float32, the descriptors of `SSRVLAD`.
 
     Raises:
         ValueError: as `SoftSSRVLAD` and `SSRVLAD`.

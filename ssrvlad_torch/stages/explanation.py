@@ -58,7 +58,7 @@ class Explanation:
         centres: ``(B, 8, 2)`` int64, row and column of each layer's centre (Eq. 1), -1 for a layer
             without pixels.
         histograms: of the aggregation: `ResidualHistograms` or `HarmonicHistograms`.
-        descriptor: ``(B, 480)`` float32.
+        descriptor: ``(B, D)`` float32, see `SSRVLAD`.
     """
 
     labels: Tensor

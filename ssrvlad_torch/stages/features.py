@@ -50,6 +50,8 @@ class Features(nn.Module):
             no other picture has.
 
     Examples:
+        >>> import torch
+        >>> from ssrvlad_torch.stages.features import Features
         >>> Features(torch.rand(2, 3, 24, 32))(torch.rand(1, 3, 24, 32)).shape
         torch.Size([1, 16, 16, 16])
     """
