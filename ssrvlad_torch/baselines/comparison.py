@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import torch
 
 from ..channels.channel import View
-from ..datasets.dataset import Dataset, DatasetFrame, GroundTruth, LabelsAs
+from ..datasets.dataset import Dataset, GroundTruth, LabelsAs
 from ..datasets.drives import KINDS, Drives
 from ..datasets.frame_files import FrameFile, read_ahead
 from ..datasets.image_files import read_image
@@ -116,13 +116,12 @@ def _recognised(
         frames = [*drives.references.frames, *drives.queries.frames]
         method.read({frame.frame: frame.image or frame.label for frame in frames})
     labels_as = drives.whole.labels_as
-    references, encoded = _given(method, drives.references, labels_as, protocol.workers)
-    queries, asked = _given(method, drives.queries, labels_as, protocol.workers)
-    with protocol.progress(method.name, len(references) + len(queries)) as bar:
+    references, queries = map(Viewpoints.of, (drives.references.frames, drives.queries.frames))
+    with protocol.progress(method.name, len(references.frames) + len(queries.frames)) as bar:
         retrieval = run(
             method,
-            asked,
-            encoded,
+            _views(method, drives.queries, labels_as, protocol.workers),
+            _views(method, drives.references, labels_as, protocol.workers),
             top=TOP,
             progress=bar.advance,
             steps=steps,
@@ -130,8 +129,8 @@ def _recognised(
         )
     pairs = retrieval.similarity
     single = Recognition(
-        references=Viewpoints.of(references),
-        queries=Viewpoints.of(queries),
+        references=references,
+        queries=queries,
         matches=retrieval.matches,
         similarity=None if pairs is None else pairs.cpu().numpy(),
         details={
@@ -198,28 +197,20 @@ def _by_scores(recognition: Recognition, steps: Steps) -> Recognition:
     return replace(recognition, matches=recognised.matches, details=details)
 
 
-def _given(
-    method: Method, side: Dataset, labels_as: LabelsAs, workers: int
-) -> tuple[Sequence[DatasetFrame | FrameFile], Iterator[View]]:
-    """References or queries on disk, and as the method needs them."""
+def _views(method: Method, side: Dataset, labels_as: LabelsAs, workers: int) -> Iterator[View]:
+    """References or queries as the method needs them: with label maps, images, or neither."""
     if not method.needs:
-        frames = [*side.frames]
-        return frames, (View(frame.frame) for frame in frames)
-    labels_as = labels_as if "labels" in method.needs else None
-    files = side.label_files() if labels_as else side.image_files()
-    return files, _frames(files, labels_as, workers)
-
-
-def _frames(files: Sequence[FrameFile], labels_as: LabelsAs, workers: int) -> Iterator[View]:
-    """Frames with their label maps, or, without a label space, with their images."""
-    space = label_space(labels_as) if labels_as else None
+        yield from (View(frame.frame) for frame in side.frames)
+        return
+    space = label_space(labels_as) if labels_as and "labels" in method.needs else None
 
     def load(file: FrameFile) -> View:
         if space:
             return View(file.frame, read_label_map(file, space), labels_as)
         return View(file.frame, picture=read_image(file))
 
-    for file, frame in read_ahead(load, files, workers, _AHEAD):
-        if isinstance(frame, ValueError):
-            raise ValueError(f"{file.path}: {frame}") from frame
-        yield frame
+    files = side.label_files() if space else side.image_files()
+    for file, view in read_ahead(load, files, workers, _AHEAD):
+        if isinstance(view, ValueError):
+            raise ValueError(f"{file.path}: {view}") from view
+        yield view
