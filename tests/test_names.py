@@ -6,6 +6,7 @@ from helpers import refuses, touch
 from ssrvlad_torch.datasets.label_files import find_label_files
 from ssrvlad_torch.datasets.names import (
     check_sequences,
+    id_of,
     name_of,
     sequence_names,
     sequence_of,
@@ -85,5 +86,5 @@ def test_sources_stay_in_the_order_in_which_they_are_given(tmp_path):
     [("monday/7", "monday", "7"), ("town/monday/7", "town/monday", "7"), ("7", "", "7")],
 )
 def test_an_id_is_cut_at_its_last_slash(frame, sequence, name):
-    assert split_id(frame) == (sequence, name)
+    assert (split_id(frame), id_of(sequence, name)) == ((sequence, name), frame)
     assert (sequence_of(frame), name_of(frame)) == (sequence, name)

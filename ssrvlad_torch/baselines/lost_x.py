@@ -17,7 +17,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ..channels.channel import Picture, View, picture_of
+from ..channels.channel import View, picture_of
+from ..datasets.image_files import Pixels
 from ..recognition.sweep import score
 from ..segmentation.networks import AUTO
 from ..segmentation.segmenter import Segmenter
@@ -160,7 +161,7 @@ class LoSTX:
         )
 
     @torch.no_grad()
-    def _view(self, image: Picture) -> _View:
+    def _view(self, image: Pixels) -> _View:
         features, scores = self._network(torch.tensor(image)[None])
         scores = F.interpolate(scores, features.shape[2:], mode="nearest-exact")[0].flatten(1)
         labels, flat = scores.argmax(dim=0), features[0].flatten(1)

@@ -5,12 +5,14 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from itertools import groupby, islice
-from typing import Any, Literal, Protocol, Self
+from typing import Literal, Protocol, Self
 
 import numpy as np
 import numpy.typing as npt
 from torch import Tensor
 
+from ..datasets.image_files import Pixels
+from ..datasets.label_files import LabelMap
 from ..datasets.names import sequence_of
 from ..descriptor import SSRVLAD
 from ..recognition.comparison import ReferenceRows
@@ -19,9 +21,6 @@ from . import CHANNELS, LABEL_SHAPES, Column
 
 LABELS, PICTURE, FEATURES = "labels", "images", "features"
 """What a channel may need of a view."""
-
-LabelMap = npt.NDArray[np.integer[Any]]
-Picture = npt.NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
@@ -38,7 +37,7 @@ class View:
     frame: str
     labels: LabelMap | None = None
     labels_as: str | LabelSpace | None = None
-    picture: Picture | None = None
+    picture: Pixels | None = None
     features: npt.NDArray[np.uint8] | None = None
 
     @property
@@ -53,7 +52,7 @@ class View:
         return labels, self.labels_as, None if self.picture is None else self.picture.shape
 
 
-def picture_of(view: View, channel: str) -> Picture:
+def picture_of(view: View, channel: str) -> Pixels:
     """The picture of a view. A missing one, or one that is not ``(H, W, 3)`` uint8, is a
     ValueError that names the channel."""
     if view.picture is None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ..datasets.names import split_id
+from ..datasets.names import id_of, split_id
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -49,7 +49,7 @@ class FrameRecord(NamedTuple):
     @property
     def frame(self) -> str:
         """The frame's id."""
-        return f"{self.sequence}/{self.name}" if self.sequence else self.name
+        return id_of(self.sequence, self.name)
 
     @property
     def folder(self) -> str:

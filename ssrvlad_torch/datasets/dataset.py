@@ -18,6 +18,7 @@ from ..taxonomy import LabelSpace, label_space
 from .frame_files import FrameFile, every_nth
 from .image_files import SUFFIXES as IMAGE_SUFFIXES
 from .label_files import SUFFIXES as LABEL_SUFFIXES
+from .names import id_of
 from .poses import UNKNOWN, Pose
 
 LabelsAs = str | LabelSpace | None
@@ -40,7 +41,7 @@ class DatasetFrame:
     @property
     def frame(self) -> str:
         """The frame's id."""
-        return f"{self.sequence}/{self.name}"
+        return id_of(self.sequence, self.name)
 
     @property
     def has_pose(self) -> bool:

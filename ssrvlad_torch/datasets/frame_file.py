@@ -11,7 +11,7 @@ from typing import Any, BinaryIO, ClassVar, NamedTuple
 from numpy.lib.format import open_memmap
 
 from ..files import check_regular, check_size, npy_bytes, one_line, read_bytes
-from .names import absolute
+from .names import absolute, id_of
 from .poses import UNKNOWN, Pose
 
 
@@ -58,7 +58,7 @@ class FrameFile:
     @property
     def frame(self) -> str:
         """The frame's id."""
-        return f"{self.sequence}/{self.name}"
+        return id_of(self.sequence, self.name)
 
     @property
     def location(self) -> str:

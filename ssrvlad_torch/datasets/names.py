@@ -129,6 +129,11 @@ def absolute_folder(folder: Path) -> Path:
     return path.resolve() if path.name == ".." else path
 
 
+def id_of(sequence: str, name: str) -> str:
+    """A frame's id, ``<sequence>/<name>``, or the name if there is no sequence."""
+    return f"{sequence}/{name}" if sequence else name
+
+
 def split_id(frame: str) -> tuple[str, str]:
     """The sequence, empty if there is none, and the name of a frame."""
     sequence, _, name = frame.rpartition("/")
