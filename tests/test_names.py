@@ -10,7 +10,6 @@ from ssrvlad_torch.datasets.names import (
     name_of,
     sequence_names,
     sequence_of,
-    split_id,
 )
 
 
@@ -86,5 +85,4 @@ def test_sources_stay_in_the_order_in_which_they_are_given(tmp_path):
     [("monday/7", "monday", "7"), ("town/monday/7", "town/monday", "7"), ("7", "", "7")],
 )
 def test_an_id_is_cut_at_its_last_slash(frame, sequence, name):
-    assert (split_id(frame), id_of(sequence, name)) == ((sequence, name), frame)
-    assert (sequence_of(frame), name_of(frame)) == (sequence, name)
+    assert (sequence_of(frame), name_of(frame), id_of(sequence, name)) == (sequence, name, frame)
