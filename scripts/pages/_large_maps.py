@@ -23,7 +23,7 @@ from ssrvlad_torch.channels.hog import HOG
 from ssrvlad_torch.database.frames import FrameRecord, FrameSet
 from ssrvlad_torch.recognition.comparison import ReferenceRows
 from ssrvlad_torch.recognition.fusion import fused, lead, nearness, weights_of
-from ssrvlad_torch.recognition.matching import Rows, unit_queries
+from ssrvlad_torch.recognition.matching import Rows, best_of, unit_queries
 from ssrvlad_torch.recognition.recognise import Recognised, Steps
 from ssrvlad_torch.recognition.sweep import COLUMNS
 from ssrvlad_torch.search.alone import LargeMap
@@ -133,9 +133,9 @@ def alone(frames: int, folder: Path) -> Report:
         for number in range(len(queries["hog"])):
             one = {name: values[number] for name, values in queries.items()}
             began = time.process_time()
-            matches = large.judge(one, True, TOP).matches
+            found = large.found(one, True, TOP)
             times.append(time.process_time() - began)
-            first.append(int(matches.indices[0]))
+            first.append(int(best_of(found.scores, 1, found.rows).indices[0]))
     return {"opening": opening, "one": float(np.median(times)), "first": first}
 
 
