@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, overload
+from typing import Any, Literal, overload
 
 import numpy as np
 
@@ -30,12 +30,9 @@ from .encoding.encoder import (
 from .encoding.ray_engine import encode_with_ray
 from .encoding.results import EncodeOptions, Note, Progress, Summary, do_nothing
 from .encoding.source import Source, Wanted, cache_folder, open_source, origin_of, require_network
-from .evaluation.ground_truth_files import PartialTruth
-from .evaluation.measure import TOP, Recognition, measure, needs_similarity
+from .evaluation.measure import TOP, Evaluation, Recognition, measure, needs_similarity
 from .evaluation.metrics import Convention
-from .evaluation.thresholds import SURE_PRECISION
 from .evaluation.true_matches import Viewpoints, true_matches
-from .recognition.confidence import accept
 from .recognition.matching import checked_number
 from .recognition.recognise import AS_PAPER, Steps
 from .search.alone import LargeMap, opened_large
@@ -56,16 +53,6 @@ Circle = str | Sequence[float]
 Engine = Literal["local", "ray"]
 
 _MUCH_VOID = 0.5
-
-
-class Evaluation(NamedTuple):
-    """What `Map.evaluate` measures: the metrics, ready for JSON; the candidates; the rows of the
-    references that are true matches of each query; and how these are defined, in words."""
-
-    metrics: dict[str, Any]
-    recognition: Recognition
-    truth: PartialTruth
-    true_matches: str
 
 
 @dataclass(repr=False, eq=False)
@@ -350,11 +337,33 @@ class Map:
             )
         if pairs:
             steps, settings["channels"] = AS_PAPER, [LABEL_SHAPES]
-        answers = self.query(source, steps, TOP, **settings)
-        recognition = self._recognition(answers, source, pairs)
-        truth = true_matches(definition, recognition.references, recognition.queries, note)
-        metrics = measure(recognition, truth, convention)
-        return Evaluation(metrics, recognition, truth, definition.words)
+        answers, config = self.query(source, steps, TOP, **settings), self.database.config
+        dataset, skipped = source.dataset, [frame.frame for frame in answers.skipped]
+        references = Viewpoints.of_set(answers.references, dataset, source.known)
+        queries = Viewpoints.of_set(answers.queries, dataset, answers.folders, skipped)
+        truth = true_matches(definition, references, queries, note)
+        [channel] = chosen_channels(self.database, [next(iter(answers.queries.channels))])
+        given = answers.references, answers.queries.descriptors, source
+        material = Material(self.database, channel, *given)
+        everything = map(np.arange, (len(answers), len(answers.references)))
+        details = {
+            **answers.judged(truth),
+            "preset": config.preset,
+            "fingerprint": config.fingerprint,
+            "temporal": answers.temporal,
+            "steps": answers.recognised.used,
+            "score_is": answers.recognised.score_is(),
+        }
+        recognition = Recognition(
+            references,
+            queries,
+            answers.matches,
+            material.cosines(*everything) if pairs else None,
+            material,
+            answers.skipped,
+            details,
+        )
+        return replace(measure(recognition, truth, convention), true_matches=definition.words)
 
     def _source(self, frames: Frames | Source) -> Source:
         """The frames to be compared with the map, which must exist."""
@@ -429,34 +438,3 @@ class Map:
             check_segmenter(segmenter, SSRVLAD(config), channels)
             self._located = version, frames, channels
         return self._located[1:]
-
-    def _recognition(self, answers: Answers, source: Source, pairs: bool) -> Recognition:
-        """The candidates of every query, for the metrics and the report."""
-        queries, recognised = answers.queries, answers.recognised
-        references, skipped = answers.references, answers.skipped
-        config, dataset = self.database.config, source.dataset
-        [channel] = chosen_channels(self.database, [next(iter(queries.channels))])
-        material = Material(self.database, channel, references, queries.descriptors, source)
-        everything = map(np.arange, (len(queries), len(references)))
-        return Recognition(
-            references=Viewpoints.of_set(references, dataset, source.known),
-            queries=Viewpoints.of_set(
-                queries, dataset, answers.folders, [frame.frame for frame in skipped]
-            ),
-            matches=answers.matches,
-            recognised=recognised,
-            estimates={
-                "accepted": answers.estimate,
-                "suggested_without_truth": accept(recognised.sure, 1 - SURE_PRECISION),
-            },
-            similarity=material.cosines(*everything) if pairs else None,
-            material=material,
-            skipped=skipped,
-            details={
-                "preset": config.preset,
-                "fingerprint": config.fingerprint,
-                "temporal": answers.temporal,
-                "steps": recognised.used,
-                "score_is": recognised.score_is(),
-            },
-        )

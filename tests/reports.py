@@ -11,10 +11,9 @@ from helpers import descriptors
 
 from ssrvlad_torch.database.frames import FrameSet
 from ssrvlad_torch.datasets.image_files import Pixels
-from ssrvlad_torch.evaluation.metrics import Convention, evaluate, precision_recall_curve
-from ssrvlad_torch.evaluation.outcomes import judge
-from ssrvlad_torch.evaluation.report import Report
-from ssrvlad_torch.evaluation.thresholds import operating_points
+from ssrvlad_torch.evaluation.measure import Evaluation, Recognition, measure
+from ssrvlad_torch.evaluation.metrics import Convention
+from ssrvlad_torch.evaluation.report import render
 from ssrvlad_torch.recognition.matching import match
 from ssrvlad_torch.recognition.sweep import score
 
@@ -50,6 +49,9 @@ class Drawn(NamedTuple):
     pairs: npt.NDArray[np.float32]
     query: Callable[[str], Mapping[str, Pixels]] = lambda _: {}
 
+    def part(self, queries):
+        return self._replace(pairs=self.pairs[queries])
+
     def cosines(self, queries, references):
         return self.pairs[np.ix_(queries, references)]
 
@@ -57,35 +59,18 @@ class Drawn(NamedTuple):
         return self.query(frame)
 
 
-def report_of(
+def evaluation_of(
     queries: FrameSet,
     references: FrameSet,
     truth: Sequence[Sequence[int]],
     convention: Convention = "exact",
-    top: int = 10,
     pictures: Callable[[str], Mapping[str, Pixels]] = lambda _: {},
-    **fields: object,
-) -> Report:
-    """The report of matching by cosine, as the command line makes it."""
+) -> Evaluation:
+    """Matching by cosine, measured."""
+    pairs = score(queries.descriptors, references.descriptors).numpy()
+    given = match(queries.descriptors, references.descriptors, 10), pairs, Drawn(pairs, pictures)
     truth = [np.array(rows, np.int64) for rows in truth]
-    found = match(queries.descriptors, references.descriptors, top)
-    scores, rows = (best.numpy() for best in found)
-    pairs = (queries.descriptors @ references.descriptors.T).numpy()
-    metrics = evaluate(scores, rows, truth, convention=convention, similarity=pairs, resamples=50)
-    outcomes = judge(scores, rows, truth)
-    metrics["thresholds"] = operating_points(precision_recall_curve(outcomes, truth))
-    metrics["references"] = len(references.frames)
-    plain = {"title": "town.ssrdb", "settings": {"preset": "default"}}
-    return Report(
-        metrics=metrics,
-        queries=queries,
-        references=references,
-        outcomes=outcomes,
-        truth=truth,
-        curve=precision_recall_curve(outcomes, truth, convention, pairs),
-        material=Drawn(score(queries.descriptors, references.descriptors).numpy(), pictures),
-        **{**plain, **fields},  # type: ignore[arg-type]
-    )
+    return measure(Recognition(references, queries, *given), truth, convention)
 
 
 class Page(HTMLParser):
@@ -130,3 +115,8 @@ class Page(HTMLParser):
         """All that is read, in order."""
         shown = (text for around, text in self.texts if not {"style", "script"} & {*around})
         return " ".join(" ".join(shown).split())
+
+
+def page_of(evaluation: Evaluation, title="town", settings=None, notes=()) -> Page:
+    """The page of an evaluation."""
+    return Page(render(evaluation, title, settings or {}, notes))

@@ -142,7 +142,7 @@ def test_a_map_uses_features(photos, maps, runs, ssrvlad):
     for channel in ("features", "hog"):
         found = town.evaluate(photos / "today", tolerance_frames=0, channels=[channel])
         assert found.metrics["recall_at"]["1"] == 1
-        alike = found.recognition.cosines(np.arange(32), np.arange(32))
+        alike = found.recognition.material.cosines(np.arange(32), np.arange(32))
         assert alike.argmax(1).tolist() == [*range(32)]
 
 

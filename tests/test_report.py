@@ -9,7 +9,7 @@ import pytest
 import torch
 from helpers import street
 from matplotlib.figure import Figure
-from reports import Drawn, Page, frame_set, noisy, report_of
+from reports import Drawn, Page, evaluation_of, frame_set, noisy, page_of
 
 from ssrvlad_torch.evaluation import report as evaluation_report
 from ssrvlad_torch.evaluation.metrics import CONVENTIONS, figure_rows, fraction
@@ -41,13 +41,12 @@ def report():
     """Forty queries, the first right, the last wrong, some of places that are not there."""
     queries, references = noisy(40, 50, 4.0)
     truth = [[row, row + 1] if row % 8 < 7 else [] for row in range(40)]
-    notes = ["2 of 42 are left out"]
-    return report_of(queries, references, truth, notes=notes, pictures=pictures)
+    return evaluation_of(queries, references, truth, pictures=pictures)
 
 
 @pytest.fixture(scope="module")
 def html(report):
-    return render(report)
+    return render(report, "town", {"preset": "default"}, ["2 of 42 are left out"])
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +105,8 @@ def test_the_page_has_every_figure_and_threshold(report, page):
 
 
 def test_scores_have_the_name_of_what_they_are(report):
-    page = Page(render(dataclasses.replace(report, score="probability")))
+    metrics = {**report.metrics, "score_is": "probability"}
+    page = page_of(dataclasses.replace(report, metrics=metrics))
     assert "best candidates whose probability is at least the threshold" in page.words
     assert re.search(r"best candidate reference/\d+ probability \d\.\d{4}", page.words)
 
@@ -115,7 +115,7 @@ def test_matches_come_with_their_pictures(report, page):
     alts = [a["alt"] for a in page.all("img") if " of " in a["alt"] and "/" in a["alt"]]
     wrong = ~report.outcomes.correct
     worst = np.flatnonzero(wrong)[report.outcomes.score[wrong].argmax()]
-    candidate = report.references.frames[report.outcomes.candidate[worst]]
+    candidate = report.recognition.references.frames[report.outcomes.candidate[worst]]
     assert alts[:4] == [
         f"photo of query/{worst:04d}",
         f"label map of query/{worst:04d}",
@@ -183,12 +183,12 @@ def test_a_cell_of_the_matrix_is_its_highest_cosine(most):
 
 
 def test_a_place_that_is_not_there_has_no_true_match_and_an_empty_frame_no_candidate():
-    page = Page(render(report_of(*noisy(4, 4), [[]] * 4)))
+    page = page_of(evaluation_of(*noisy(4, 4), [[]] * 4))
     assert page.words.count("No reference shows this place") == 4
     assert "true match reference/" not in page.words
     assert "No best candidate is right." in page.words
     empty = frame_set(torch.zeros(3, 24))
-    page = Page(render(report_of(empty, empty, [[0]] * 3)))
+    page = page_of(evaluation_of(empty, empty, [[0]] * 3))
     assert "3 queries have no candidate" in page.words
 
 
@@ -200,30 +200,26 @@ def test_texts_are_shown_as_they_are(report, page, tmp_path):
         names = tuple(f"{NASTY}/{frame}" for frame in frames.frames)
         return dataclasses.replace(frames, frames=names)
 
+    sides = {name: renamed(getattr(report.recognition, name)) for name in ("queries", "references")}
     nasty = dataclasses.replace(
-        report,
-        title=NASTY,
-        queries=renamed(report.queries),
-        references=renamed(report.references),
-        settings={NASTY: NASTY},
-        notes=[NASTY],
+        report, recognition=dataclasses.replace(report.recognition, **sides)
     )
-    shown = Page(render(nasty))
+    shown = page_of(nasty, NASTY, {NASTY: NASTY}, [NASTY])
     assert [tag for tag, _ in shown.tags] == [tag for tag, _ in page.tags]
     assert not any("onerror" in attributes for _, attributes in shown.tags)
     assert shown.texts.count((("html", "body", "h1"), NASTY)) == 1
     assert any(NASTY in a["alt"] for a in shown.all("img"))
     for around in ("dt", "dd", "li", "td"):
         assert any(NASTY in text for names, text in shown.texts if names[-1] == around)
-    write_report(tmp_path / "out.html", dataclasses.replace(report, title="bad \udcff name"))
+    write_report(tmp_path / "out.html", "bad \udcff name")
     assert "bad ? name" in (tmp_path / "out.html").read_text("utf-8")
 
 
 @pytest.mark.parametrize("convention", CONVENTIONS)
 def test_every_convention_makes_a_page(convention):
     queries, references = noisy(12, 14)
-    report = report_of(queries, references, [[row] for row in range(12)], convention)
-    assert f"Convention {convention} . " in Page(render(report)).words
+    found = evaluation_of(queries, references, [[row] for row in range(12)], convention)
+    assert f"Convention {convention} . " in page_of(found).words
 
 
 @pytest.mark.parametrize(
@@ -239,6 +235,7 @@ def test_every_convention_makes_a_page(convention):
 )
 def test_a_page_of_few_frames_is_written(queries, references, truth):
     here, there = noisy(queries, references, 1.0)
-    html = without_images(render(report_of(here, there, [truth(row) for row in range(queries)])))
+    found = evaluation_of(here, there, [truth(row) for row in range(queries)])
+    html = without_images(render(found, "town", {}))
     assert f"{queries} queries" in Page(html).words
     assert not re.search(r"\bnan\b|\binf\b|NaN|Infinity", html)

@@ -96,11 +96,11 @@ def _measured(
         if fused:
             members[name] = results[-1]
             results[1:] = [_by_scores(result, protocol.steps) for result in results[1:]]
-        rows[name] = [measure(result, truth, protocol.convention) for result in results]
+        rows[name] = [measure(result, truth, protocol.convention).metrics for result in results]
     if protocol.fused and set(protocol.fused) <= set(members):
         trust = {method.name: getattr(method, "trust", 1.0) for method in methods.values()}
         results = _fused([members[name] for name in protocol.fused], trust, steps or no_following)
-        rows[_FUSED] = [measure(result, truth, protocol.convention) for result in results]
+        rows[_FUSED] = [measure(result, truth, protocol.convention).metrics for result in results]
     return rows
 
 

@@ -7,7 +7,6 @@ from typing import Any
 from ..datasets.label_files import find_label_files, read_label_map
 from ..datasets.synthetic_city import write_city
 from ..encoding.results import EncodeOptions
-from ..evaluation.ground_truth_files import known_matches
 from ..files import empty_folder, replacing
 from ..map import Map
 from ..recognition.recognise import Steps
@@ -40,9 +39,7 @@ def run_demo(
 
     scores, rows = found.recognition.matches
     best, space = rows[:, 0].tolist(), label_space(LABELS_AS)
-    right = [
-        row in matches for row, matches in zip(best, known_matches(found.truth)[1], strict=True)
-    ]
+    right = found.outcomes.correct.tolist()
     queries, references = (find_label_files([str(city / role)]) for role in ("query", "reference"))
     pairs = [
         Pair(

@@ -1,20 +1,20 @@
 """Metrics of the candidates of queries."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from ..datasets.frame_file import Skipped
-from ..recognition.confidence import Estimate, answered
+from ..datasets.image_files import Pixels
 from ..recognition.matching import Matches
-from ..recognition.recognise import Recognised
 from .ground_truth_files import PartialTruth, known_matches
 from .metrics import Convention, evaluate, precision_recall_curve
-from .outcomes import judge
-from .report import Material
+from .outcomes import Outcomes, Rows, Truth, judge
 from .thresholds import operating_points
 from .true_matches import Viewpoints
 
@@ -22,6 +22,23 @@ TOP = 10
 """Candidates of each query that the metrics need."""
 
 RESAMPLES = 1000
+
+
+class Material(Protocol):
+    """What a report shows of queries and references; files are read only when it asks."""
+
+    def part(self, queries: Rows) -> Material:
+        """The same of the queries of these rows."""
+
+    def cosines(self, queries: Rows, references: Rows) -> npt.NDArray[np.floating[Any]]:
+        """``(n, m)`` of n queries and m references, single frames, by their rows; -inf for pairs
+        that cannot match."""
+
+    def query(self, frame: str) -> Mapping[str, Pixels]:
+        """The pictures ``(H, W, 3)`` RGB of a query, by what they are, such as ``photo``."""
+
+    def reference(self, frame: str) -> Mapping[str, Pixels]:
+        """The same of a reference."""
 
 
 @dataclass(frozen=True)
@@ -33,8 +50,6 @@ class Recognition:
         similarity: ``(Q, R)`` scores of all pairs, if they are needed.
         material: what the report shows of the frames.
         skipped: queries that could not be encoded.
-        recognised: all candidates and how sure they are, if they are from a database.
-        estimates: how many of some of them are wrong, without ground truth, by names.
         details: the method, its steps and its costs, for the report.
     """
 
@@ -44,9 +59,51 @@ class Recognition:
     similarity: npt.NDArray[np.float32] | None = None
     material: Material | None = None
     skipped: Sequence[Skipped] = ()
-    recognised: Recognised | None = None
-    estimates: Mapping[str, Estimate] = field(default_factory=dict)
     details: Mapping[str, Any] = field(default_factory=dict)
+
+    def part(self, rows: Rows) -> Recognition:
+        """The same of the queries of these rows."""
+        frames = tuple(self.queries.frames[row] for row in rows)
+        return replace(
+            self,
+            queries=replace(self.queries, frames=frames, poses=self.queries.poses[rows]),
+            matches=Matches(*(column[rows] for column in self.matches)),
+            similarity=None if self.similarity is None else self.similarity[rows],
+            material=self.material and self.material.part(rows),
+        )
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Measured candidates of the queries whose true matches are known.
+
+    Attributes:
+        metrics: the result of `metrics.evaluate` with 95 % intervals, ``thresholds`` to choose from
+            (`operating_points`), ``references``, and the details of the recognition; for JSON.
+        recognition: of these queries.
+        truth: the rows of the references that are true matches of each.
+        outcomes: what became of each.
+        left_out: number of other queries.
+        true_matches: how they are defined, in words.
+    """
+
+    metrics: dict[str, Any]
+    recognition: Recognition
+    truth: Truth
+    outcomes: Outcomes
+    left_out: int = 0
+    true_matches: str = ""
+
+    @property
+    def score(self) -> str:
+        """What the score of a candidate is, such as ``probability``."""
+        return self.metrics.get("score_is") or "score"
+
+    @property
+    def material(self) -> Material:
+        """What the report shows of the frames."""
+        assert self.recognition.material
+        return self.recognition.material
 
 
 def needs_similarity(convention: Convention) -> bool:
@@ -54,39 +111,21 @@ def needs_similarity(convention: Convention) -> bool:
     return convention.startswith("vpr-tutorial")
 
 
-def measure(
-    recognition: Recognition, truth: PartialTruth, convention: Convention
-) -> dict[str, Any]:
-    """All metrics with 95 % intervals, thresholds to choose from, and the details of the
-    recognition. Queries whose true matches are not known are left out."""
+def measure(recognition: Recognition, truth: PartialTruth, convention: Convention) -> Evaluation:
+    """Measures the queries whose true matches are known."""
     known, true_rows = known_matches(truth)
-    scores, rows = (column.numpy()[known] for column in recognition.matches)
-    pairs = recognition.similarity
-    similarity = None if pairs is None else pairs[known]
+    part = recognition.part(np.array(known, np.int64))
+    scores, rows = (column.numpy() for column in part.matches)
     metrics = evaluate(
-        scores, rows, true_rows, convention=convention, similarity=similarity, resamples=RESAMPLES
+        scores,
+        rows,
+        true_rows,
+        convention=convention,
+        similarity=part.similarity,
+        resamples=RESAMPLES,
     )
-    curve = precision_recall_curve(judge(scores, rows, true_rows), true_rows)
-    metrics["thresholds"] = operating_points(curve)
-    metrics["references"] = len(recognition.references.frames)
-    if recognition.recognised:
-        sure = recognition.recognised.confidence.numpy()[known]
-        there = answered(recognition.recognised.sure).numpy()[known]
-        answers = recognition.recognised.matches.indices[:, 0].numpy()[known]
-        right = np.array([row in true for row, true in zip(answers, true_rows, strict=True)], bool)
-        metrics["mean_confidence"] = float(sure.mean())
-        metrics["estimates"] = {
-            name: {
-                **estimate_in_json(estimate),
-                "of_known_truth": int(accepted.sum()),
-                "truly_wrong": float(1 - right[accepted].mean()) if accepted.any() else None,
-            }
-            for name, estimate in recognition.estimates.items()
-            for accepted in [(sure >= estimate.confidence) & there]
-        }
-    return {**metrics, **recognition.details}
-
-
-def estimate_in_json(estimate: Estimate) -> dict[str, Any]:
-    """The estimate as a mapping; its confidence is ``None`` where no answer is accepted."""
-    return {**estimate._asdict(), "confidence": estimate.confidence if estimate.accepted else None}
+    outcomes = judge(scores, rows, true_rows)
+    metrics["thresholds"] = operating_points(precision_recall_curve(outcomes, true_rows))
+    metrics["references"] = len(part.references.frames)
+    metrics |= part.details
+    return Evaluation(metrics, part, true_rows, outcomes, len(truth) - len(known))

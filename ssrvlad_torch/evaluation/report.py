@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -15,11 +14,10 @@ from PIL import Image
 
 from ..datasets.image_files import Pixels
 from ..files import new_figure, png_address, replacing, requiring
-from .curves import PrecisionRecall
+from .measure import Evaluation, Material
 from .metrics import figure_rows, fraction, precision_recall_curve
-from .outcomes import Bools, Floats, Outcomes, Rows, Truth
+from .outcomes import Bools, Floats, Outcomes, Truth
 from .thresholds import operating_rows
-from .true_matches import Viewpoints
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -33,50 +31,6 @@ _WIDTH = 400
 _RIGHT, _WRONG, _UNKNOWN, _TRUE = "#1a73c7", "#d4501e", "#8a3a6a", "#26c281"
 
 
-class Material(Protocol):
-    """What a report shows of queries and references; files are read only when it asks."""
-
-    def part(self, queries: Rows) -> Material:
-        """The same of the queries of these rows."""
-
-    def cosines(self, queries: Rows, references: Rows) -> npt.NDArray[np.floating[Any]]:
-        """``(n, m)`` of n queries and m references, single frames, by their rows; -inf for pairs
-        that cannot match."""
-
-    def query(self, frame: str) -> Mapping[str, Pixels]:
-        """The pictures ``(H, W, 3)`` RGB of a query, by what they are, such as ``photo``."""
-
-    def reference(self, frame: str) -> Mapping[str, Pixels]:
-        """The same of a reference."""
-
-
-@dataclass(frozen=True)
-class Report:
-    """An evaluation. Texts may hold any characters; the page escapes them.
-
-    Attributes:
-        metrics: what ``evaluate --json`` prints: the result of `metrics.evaluate` with intervals,
-            ``thresholds`` from `operating_points`, and ``references``.
-        curve: precision and recall by the convention of the metrics.
-        material: of the queries and the references.
-        score: what the score of a candidate is, such as ``probability``.
-        settings: names and values of the settings of the evaluation.
-        notes: sentences on top, such as warnings.
-    """
-
-    title: str
-    metrics: Mapping[str, Any]
-    queries: Viewpoints
-    references: Viewpoints
-    outcomes: Outcomes
-    truth: Truth
-    curve: PrecisionRecall
-    material: Material
-    score: str = "score"
-    settings: Mapping[str, str] = field(default_factory=dict)
-    notes: Sequence[str] = ()
-
-
 class Match(NamedTuple):
     """Rows of a query, its best candidate, and its true match of the highest cosine, or -1."""
 
@@ -85,16 +39,19 @@ class Match(NamedTuple):
     true_match: int
 
 
-def write_report(path: Path, report: Report) -> None:
-    """Writes the page, whole or not at all; it needs the extra ``eval`` (Jinja2, matplotlib). Its
-    size is bounded for any number of queries and references."""
-    page = render(report).encode("utf-8", "replace")
+def write_report(path: Path, page: str) -> None:
+    """Writes the page of `render`, whole or not at all."""
     with replacing(path) as temporary:
-        temporary.write_bytes(page)
+        temporary.write_bytes(page.encode("utf-8", "replace"))
 
 
-def render(report: Report) -> str:
-    """The page of `write_report` as HTML text, from ``templates/report.html``."""
+def render(
+    evaluation: Evaluation, title: str, settings: Mapping[str, str], notes: Sequence[str] = ()
+) -> str:
+    """The page as HTML text, from ``templates/report.html``; it needs the extra ``eval`` (Jinja2,
+    matplotlib). Its size is bounded for any number of queries and references. ``settings`` are
+    names and values, ``notes`` sentences on top, such as warnings; texts may hold any characters.
+    """
     with requiring("eval", "a report needs"):
         import matplotlib  # noqa: F401
         from jinja2 import Environment, PackageLoader
@@ -102,19 +59,22 @@ def render(report: Report) -> str:
         loader=PackageLoader(__package__), autoescape=True, trim_blocks=True, lstrip_blocks=True
     )
     environment.globals["fraction"] = fraction
-    matches = chosen_matches(report.outcomes, report.truth, report.material)
+    matches = chosen_matches(evaluation.outcomes, evaluation.truth, evaluation.material)
     return environment.get_template("report.html").render(
-        report=report,
-        metrics=report.metrics,
-        figures=figure_rows(report.metrics),
-        operating=operating_rows(report.metrics["thresholds"]),
-        empty=int((report.outcomes.candidate < 0).sum()),
+        title=title,
+        settings=settings,
+        notes=notes,
+        score=evaluation.score,
+        metrics=evaluation.metrics,
+        figures=figure_rows(evaluation.metrics),
+        operating=operating_rows(evaluation.metrics["thresholds"]),
+        empty=int((evaluation.outcomes.candidate < 0).sum()),
         drawings=[
-            (_drawn(_precision_recall, report), "Precision against recall"),
-            (_drawn(_scores, report), f"The {report.score} of the best candidates"),
-            (_drawn(_matrix, report), "Cosines of single frames"),
+            (_drawn(_precision_recall, evaluation), "Precision against recall"),
+            (_drawn(_scores, evaluation), f"The {evaluation.score} of the best candidates"),
+            (_drawn(_matrix, evaluation), "Cosines of single frames"),
         ],
-        matches=[[_row(report, match) for match in kind] for kind in matches],
+        matches=[[_row(evaluation, match) for match in kind] for kind in matches],
     )
 
 
@@ -156,23 +116,23 @@ def reduced_cosines(
     return cells
 
 
-def _drawn(draw: Callable[[Axes, Report], None], report: Report) -> str:
+def _drawn(draw: Callable[[Axes, Evaluation], None], evaluation: Evaluation) -> str:
     """A figure as the address of a PNG."""
     figure = new_figure(6, 4.2)
-    draw(figure.add_subplot(), report)
+    draw(figure.add_subplot(), evaluation)
     return png_address(partial(figure.savefig, format="png", dpi=150))
 
 
-def _precision_recall(axes: Axes, report: Report) -> None:
+def _precision_recall(axes: Axes, evaluation: Evaluation) -> None:
     """The curves by the convention and by ``exact``, of which the operating points are."""
-    exact = precision_recall_curve(report.outcomes, report.truth)
-    convention = report.metrics["convention"]
-    for name, curve in {"exact": exact, convention: report.curve}.items():
+    pairs, convention = evaluation.recognition.similarity, evaluation.metrics["convention"]
+    for name in dict.fromkeys(("exact", convention)):
+        curve = precision_recall_curve(evaluation.outcomes, evaluation.truth, name, pairs)
         if curve.positives and len(curve.thresholds):
             first = curve.precision[0] if curve.start is None else curve.start
             recall, precision = np.insert(curve.recall, 0, 0), np.insert(curve.precision, 0, first)
             axes.plot(recall, precision, label=name, ls="-" if name == convention else "--")
-    for name, point in operating_rows(report.metrics["thresholds"]):
+    for name, point in operating_rows(evaluation.metrics["thresholds"]):
         if point:
             axes.plot(point["recall"], point["precision"], "o", label=name, clip_on=False)
     axes.set(xlabel="recall", ylabel="precision", xlim=(0, 1), ylim=(0, 1.02))
@@ -190,20 +150,23 @@ def score_groups(outcomes: Outcomes) -> dict[str, Floats]:
     return {name: outcomes.score[queries] for name, queries in groups.items()}
 
 
-def _scores(axes: Axes, report: Report) -> None:
-    groups = score_groups(report.outcomes)
+def _scores(axes: Axes, evaluation: Evaluation) -> None:
+    groups = score_groups(evaluation.outcomes)
     labels = [f"{name} ({len(scores)})" for name, scores in groups.items()]
     colours = (_RIGHT, _WRONG, _UNKNOWN)
     axes.hist([*groups.values()], bins=40, stacked=True, label=labels, color=colours)
-    if suggested := report.metrics["thresholds"]["suggested"]:
+    if suggested := evaluation.metrics["thresholds"]["suggested"]:
         axes.axvline(suggested["score"], color="black", ls="--", label="suggested threshold")
-    axes.set(xlabel=f"{report.score} of the best candidate", ylabel="queries")
+    axes.set(xlabel=f"{evaluation.score} of the best candidate", ylabel="queries")
     axes.figure.legend(loc="outside upper center", ncols=2)
 
 
-def _matrix(axes: Axes, report: Report) -> None:
-    queries, references = len(report.queries.frames), len(report.references.frames)
-    cells = reduced_cosines(report.material, queries, references)
+def _matrix(axes: Axes, evaluation: Evaluation) -> None:
+    queries, references = (
+        len(evaluation.recognition.queries.frames),
+        len(evaluation.recognition.references.frames),
+    )
+    cells = reduced_cosines(evaluation.material, queries, references)
     if not np.isfinite(cells).any():
         axes.text(0.5, 0.5, "no pairs", ha="center", va="center")
         axes.set_axis_off()
@@ -212,9 +175,9 @@ def _matrix(axes: Axes, report: Report) -> None:
     extent = (-0.5, references - 0.5, queries - 0.5, -0.5)
     image = axes.imshow(shown, "gray", aspect="auto", extent=extent, interpolation="nearest")
     axes.figure.colorbar(image, label="cosine, the highest of each cell")
-    outcomes, query = report.outcomes, np.arange(queries)
-    counts = [len(rows) for rows in report.truth]
-    true = np.concatenate((np.zeros(0, np.int64), *report.truth))
+    outcomes, query = evaluation.outcomes, np.arange(queries)
+    counts = [len(rows) for rows in evaluation.truth]
+    true = np.concatenate((np.zeros(0, np.int64), *evaluation.truth))
     for name, colour, down, across in (
         ("true match", _TRUE, np.repeat(query, counts), true),
         ("right", _RIGHT, query[outcomes.correct], outcomes.candidate[outcomes.correct]),
@@ -225,20 +188,23 @@ def _matrix(axes: Axes, report: Report) -> None:
     axes.figure.legend(loc="outside upper center", ncols=3, markerscale=4)
 
 
-def _row(report: Report, match: Match) -> dict[str, Any]:
-    outcomes, query = report.outcomes, report.queries.frames[match.query]
+def _row(evaluation: Evaluation, match: Match) -> dict[str, Any]:
+    outcomes, query = evaluation.outcomes, evaluation.recognition.queries.frames[match.query]
     rank, score = int(outcomes.rank[match.query]), outcomes.score[match.query]
-    frames = [("query", query, "", report.material.query(query))]
+    frames = [("query", query, "", evaluation.material.query(query))]
     for role, row, text in (
-        ("best candidate", match.candidate, f"{report.score} {score:.4f}"),
+        ("best candidate", match.candidate, f"{evaluation.score} {score:.4f}"),
         ("true match", match.true_match, f"rank {rank}" if rank else "not among the candidates"),
     ):
         if row < 0 or (role == "true match" and outcomes.correct[match.query]):
             continue
-        frame = report.references.frames[row]
-        metres = math.dist(report.queries.poses[match.query, :2], report.references.poses[row, :2])
+        frame = evaluation.recognition.references.frames[row]
+        metres = math.dist(
+            evaluation.recognition.queries.poses[match.query, :2],
+            evaluation.recognition.references.poses[row, :2],
+        )
         away = "" if math.isnan(metres) else f", {metres:.1f}\N{NO-BREAK SPACE}m away"
-        frames.append((role, frame, text + away, report.material.reference(frame)))
+        frames.append((role, frame, text + away, evaluation.material.reference(frame)))
     addresses = [
         (role, frame, text, [(_picture(pixels), kind) for kind, pixels in pictures.items()])
         for role, frame, text, pictures in frames

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 
 from ..database.frames import FrameSet
 from ..datasets.frame_file import Skipped
 from ..datasets.names import KnownFolders
 from ..datasets.poses import Pose
-from ..recognition.confidence import Estimate, accept, estimate
+from ..evaluation.ground_truth_files import PartialTruth, known_matches
+from ..evaluation.thresholds import SURE_PRECISION
+from ..recognition.confidence import Estimate, accept, answered, estimate
 from ..recognition.display import candidates_table
 from ..recognition.matching import Matches
 from ..recognition.recognise import Recognised
@@ -110,3 +113,32 @@ class Answers:
         if max_wrong is not None and min_confidence:
             raise ValueError("max_wrong chooses the least confidence; expected no min_confidence")
         return replace(self, min_confidence=min_confidence, max_wrong=max_wrong)
+
+    def judged(self, truth: PartialTruth) -> dict[str, Any]:
+        """What is expected without ground truth, beside the true matches of each query, ready for
+        JSON: the mean confidence, and how many answers are wrong of the accepted ones, and of those
+        that have a precision of `SURE_PRECISION`."""
+        known, true_rows = known_matches(truth)
+        sure = self.recognised.confidence.numpy()[known]
+        there = answered(self.recognised.sure).numpy()[known]
+        answers = self.recognised.matches.indices[:, 0].numpy()[known]
+        right = np.array([row in true for row, true in zip(answers, true_rows, strict=True)], bool)
+        suggested = accept(self.recognised.sure, 1 - SURE_PRECISION)
+        estimates = {
+            name: {
+                **estimate_in_json(found),
+                "of_known_truth": int(accepted.sum()),
+                "truly_wrong": float(1 - right[accepted].mean()) if accepted.any() else None,
+            }
+            for name, found in (
+                ("accepted", self.estimate),
+                ("suggested_without_truth", suggested),
+            )
+            for accepted in [(sure >= found.confidence) & there]
+        }
+        return {"mean_confidence": float(sure.mean()), "estimates": estimates}
+
+
+def estimate_in_json(found: Estimate) -> dict[str, Any]:
+    """The estimate as a mapping; its confidence is ``None`` where no answer is accepted."""
+    return {**found._asdict(), "confidence": found.confidence if found.accepted else None}

@@ -63,4 +63,4 @@ def evaluate(
         write_page(report, evaluation, database, source.paths)
         if not as_json:
             say(f"report: {report}")
-    finish(evaluation.recognition.skipped, len(evaluation.recognition.queries.frames))
+    finish(evaluation.recognition.skipped, len(evaluation.truth) + evaluation.left_out)

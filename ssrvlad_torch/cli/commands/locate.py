@@ -20,8 +20,8 @@ def locate(
     Example: ssrvlad locate photos/today/000002.png --in photos.ssrdb --near 12.5,-3,50
     """
     from ...datasets.poses import UNKNOWN
-    from ...evaluation.measure import estimate_in_json
     from ...map import Map
+    from ...search.answers import estimate_in_json
     from ..words import steps_in_words
 
     town = Map.open(database)

@@ -55,7 +55,7 @@ def query(
 
 def _print(answers: Answers, threshold: float | None, as_json: bool) -> None:
     """Prints the candidates of each query whose score is above a threshold, and the steps."""
-    from ...evaluation.measure import estimate_in_json
+    from ...search.answers import estimate_in_json
     from ..words import steps_in_words
 
     least = -math.inf if threshold is None else threshold
