@@ -8,7 +8,7 @@ from helpers import refuses
 
 from ssrvlad_torch.recognition.comparison import Member, ReferenceRows
 from ssrvlad_torch.recognition.confidence import accept, estimate
-from ssrvlad_torch.recognition.recognise import AS_PAPER, SURE_ALONE, Steps, judged_alone, recognise
+from ssrvlad_torch.recognition.recognise import AS_PAPER, Steps, judged_alone, recognise
 from ssrvlad_torch.recognition.sweep import COLUMNS
 
 
@@ -89,7 +89,7 @@ def test_queries_that_are_no_sequence_are_judged_one_by_one(order, names, likene
         by_vectors(queries[order], references, ["q"] * 80, names, Steps(follow=each))
         for each in (mode, None)
     )
-    assert found.used["follow"] == {"q": SURE_ALONE}
+    assert found.used["follow"] == {"q": "no, following is no surer"}
     assert torch.equal(found.matches.indices, alone.matches.indices)
     assert right(found, order) > 0.6
 
@@ -114,7 +114,7 @@ def test_a_single_query_is_never_followed():
     queries, references = two_traverses(80, 0.8)
     for query in queries:
         found = whole(query[None], references)
-        assert found.used["follow"] == {"q": SURE_ALONE}
+        assert found.courses == {"q": None}
         best = float((references @ query).max())
         assert found.matches.scores[0, 0] == pytest.approx(best, abs=1e-6)
 

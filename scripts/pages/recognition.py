@@ -18,7 +18,7 @@ from _decide import decide
 from _described import FEATURES, OURS, TOGETHER, Condition, Described, all_conditions
 from _markdown import Page, head_row, interval, parser, row
 
-from ssrvlad_torch.recognition.recognise import AS_PAPER, SURE_ALONE, Steps, recognise
+from ssrvlad_torch.recognition.recognise import AS_PAPER, Steps, recognise
 
 DELAY = 10
 STEPS = {
@@ -94,7 +94,7 @@ def _draw(
             np.mean([best in true for best, true in zip(first, truth, strict=True)])
             for first in (each.matches.indices[:, 0].numpy() for each in (alone, default))
         ]
-        results.append((default.used["follow"]["drawn"] != SURE_ALONE, *rates))
+        results.append((default.courses["drawn"] is not None, *rates))
     return np.array(results, float)
 
 

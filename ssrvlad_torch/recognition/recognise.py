@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple, Protocol
 import torch
 from torch import Tensor
 
-from ..native.decide import Decision, Scores, Search
+from ..native.decide import Scores, Search
 from . import deciding
 from .comparison import Member
 from .confidence import Confidence
@@ -19,9 +19,6 @@ from .matching import Matches, checked_excluded, checked_number
 from .motion import Course
 from .sequences import runs
 from .standardise import MIN_FRAMES
-
-SURE_ALONE = "no, following is no surer"
-"""Reported as the way of following where following makes the answers no surer."""
 
 
 @dataclass(frozen=True)
@@ -74,13 +71,15 @@ class Recognised(NamedTuple):
         sure: how sure the first candidates are; all 0 with fewer than `standardise.MIN_FRAMES`
             references.
         used: the steps as a report: `Steps` and the number of references, and by sequence whether
-            it was standardised, the width of its sweep, how it was followed (the mode and the
-            `Course`, ``no``, or `SURE_ALONE`), and the weights of fused channels.
+            it was standardised, the width of its sweep, in words how it was followed, and the
+            weights of fused channels.
+        courses: by sequence, how it runs the map if it was followed.
     """
 
     matches: Matches
     sure: Confidence
     used: dict[str, Any]
+    courses: dict[str, Course | None]
 
     @property
     def confidence(self) -> Tensor:
@@ -92,10 +91,8 @@ class Recognised(NamedTuple):
         queries that were judged alone, fused scores if several channels judged them, probabilities
         of queries that were followed."""
         alone = "fused score" if any(self.used["weights"].values()) else "cosine"
-        followed = self.used["follow"]
-        modes = followed.values() if sequence is None else [followed[sequence]]
-        names = {alone if mode in ("no", SURE_ALONE) else "probability" for mode in modes}
-        return " or ".join(sorted(names))
+        courses = self.courses.values() if sequence is None else [self.courses[sequence]]
+        return " or ".join(sorted({"probability" if course else alone for course in courses}))
 
     def _repr_html_(self) -> str:
         return candidates_table(*self.matches, confidence=self.confidence)
@@ -216,7 +213,7 @@ class _Decided:
 
     matches: Matches
     sure: Confidence
-    follow: str
+    course: Course | None
     standardise: bool = False
     sweep: int = 0
     weights: dict[str, float] = field(default_factory=dict)
@@ -232,15 +229,15 @@ def _decided(
     scores, rows, right, spread, together = (torch.from_numpy(each) for each in found[:5])
     together = together.float().masked_fill(rows[:, 0] < 0, 0)
     sure = Confidence(right.float(), spread.float(), together)
-    return _Decided(Matches(scores.float(), rows), sure, _told(found, steps))
+    course = Course(found.way, found.rate, found.streams) if found.followed else None
+    return _Decided(Matches(scores.float(), rows), sure, course)
 
 
-def _told(found: Decision, steps: Steps) -> str:
+def _told(course: Course | None, steps: Steps) -> str:
     """How a sequence was followed, in words."""
-    if not steps.follow:
-        return "no"
-    course = str(Course(found.way, found.rate, found.streams))
-    return ", ".join(filter(None, (steps.follow, course))) if found.followed else SURE_ALONE
+    if course is None:
+        return "no, following is no surer" if steps.follow else "no"
+    return ", ".join(filter(None, (steps.follow, str(course))))
 
 
 def _joined(
@@ -248,7 +245,9 @@ def _joined(
 ) -> Recognised:
     """The decisions about all sequences of queries, by their names, as one."""
     used: dict[str, Any] = {**asdict(steps), "references": references}
-    for step in ("standardise", "sweep", "follow", "weights"):
+    courses = {name: decision.course for name, decision in decisions.items()}
+    used["follow"] = {name: _told(course, steps) for name, course in courses.items()}
+    for step in ("standardise", "sweep", "weights"):
         used[step] = {name: getattr(decision, step) for name, decision in decisions.items()}
     none = torch.zeros(0, top)
     matches = [decision.matches for decision in decisions.values()]
@@ -256,7 +255,7 @@ def _joined(
     indices = torch.cat([none.long(), *(each.indices for each in matches)])
     sures = [Confidence(*[none.sum(1)] * 3), *(each.sure for each in decisions.values())]
     sure = Confidence(*map(torch.cat, zip(*sures, strict=True)))
-    return Recognised(Matches(scores, indices), sure, used)
+    return Recognised(Matches(scores, indices), sure, used, courses)
 
 
 def _are_enough(queries: range, references: Sequence[str]) -> bool:
