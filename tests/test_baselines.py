@@ -137,7 +137,7 @@ def test_candidates_are_ranked_and_ties_keep_the_order():
     inf = torch.inf
     assert scores.tolist() == [[-2, -2, -4], [-1, -1, -3], [-inf] * 3, [-22, -24, -26]]
     assert (scores.dtype, indices.dtype) == (torch.float32, torch.int64)
-    assert found.bytes_a_reference == 4
+    assert found.costs["bytes_a_reference"] == 4
 
 
 def test_the_first_query_is_done_twice_references_once_and_progress_counts_each():
@@ -151,8 +151,8 @@ def test_costs_are_milliseconds_a_query(monkeypatch):
     ticks = iter([0.0, 0.004, 0.006, 1.0, 1.002, 1.003])
     monkeypatch.setattr("ssrvlad_torch.baselines.run.time.perf_counter", lambda: next(ticks))
     found = run(Numbers(), numbered("q", 1, 2), numbered("r", 5))
-    assert found.encode == pytest.approx({"average": 3, "min": 2, "max": 4})
-    assert found.match == pytest.approx({"average": 1.5, "min": 1, "max": 2})
+    assert found.costs["encode_ms"] == pytest.approx({"average": 3, "min": 2, "max": 4})
+    assert found.costs["match_ms"] == pytest.approx({"average": 1.5, "min": 1, "max": 2})
 
 
 @pytest.mark.parametrize(

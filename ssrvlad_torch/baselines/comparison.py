@@ -137,9 +137,7 @@ def _recognised(
             "method": method.name,
             "temporal": getattr(method, "temporal", None),
             "steps": None,
-            "encode_ms": retrieval.encode,
-            "match_ms": retrieval.match,
-            "bytes_a_reference": retrieval.bytes_a_reference,
+            **retrieval.costs,
         },
     )
     stepped = retrieval.stepped

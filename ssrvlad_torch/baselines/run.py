@@ -15,22 +15,19 @@ from .protocol import Method, noting
 
 
 class Retrieval(NamedTuple):
-    """Candidates of every query, and the costs: milliseconds of a query as ``average``, ``min`` and
-    ``max``.
+    """Candidates of every query, and the costs.
 
     Attributes:
         matches: ``(Q, top)``; if references have equal scores, the earlier comes first.
-        encode: of encoding a query, without reading it from disk.
-        match: of scoring a query against all references, without ranking them.
-        bytes_a_reference: size of an encoded reference.
+        costs: milliseconds of a query as ``average``, ``min`` and ``max``, ``encode_ms`` without
+            reading it from disk, ``match_ms`` of all scores, without ranking them; and
+            ``bytes_a_reference``, encoded.
         similarity: ``(Q, R)`` float32, the scores of all pairs, if they were asked for.
         stepped: the result of the steps of `recognition`, if there are steps.
     """
 
     matches: Matches
-    encode: dict[str, float]
-    match: dict[str, float]
-    bytes_a_reference: float
+    costs: dict[str, Any]
     similarity: Tensor | None
     stepped: Recognised | None
 
@@ -85,9 +82,11 @@ def run(
         stepped = recognise_by_scores(torch.cat(inputs), drives, map_drives, steps, top)
     return Retrieval(
         matches=Matches(*map(torch.stack, zip(*matches, strict=True))),
-        encode=_cost(encode_ms),
-        match=_cost(match_ms),
-        bytes_a_reference=encoded.nbytes / len(map_drives),
+        costs={
+            "encode_ms": _cost(encode_ms),
+            "match_ms": _cost(match_ms),
+            "bytes_a_reference": encoded.nbytes / len(map_drives),
+        },
         similarity=torch.cat(kept) if all_pairs else None,
         stepped=stepped,
     )
