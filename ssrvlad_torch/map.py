@@ -343,8 +343,8 @@ class Map:
         queries = Viewpoints.of_set(answers.queries, dataset, answers.folders, skipped)
         truth = true_matches(definition, references, queries, note)
         [channel] = chosen_channels(self.database, [next(iter(answers.queries.channels))])
-        given = answers.references, answers.queries.descriptors, source
-        material = Material(self.database, channel, *given)
+        sides = answers.references, answers.queries.descriptors
+        material = Material(self.database, channel, *sides, source)
         everything = map(np.arange, (len(answers), len(answers.references)))
         details = {
             **answers.judged(truth),
@@ -354,15 +354,9 @@ class Map:
             "steps": answers.recognised.used,
             "score_is": answers.recognised.score_is(),
         }
-        recognition = Recognition(
-            references,
-            queries,
-            answers.matches,
-            material.cosines(*everything) if pairs else None,
-            material,
-            answers.skipped,
-            details,
-        )
+        similarity = material.cosines(*everything) if pairs else None
+        given = similarity, material, answers.skipped, details
+        recognition = Recognition(references, queries, answers.matches, *given)
         return replace(measure(recognition, truth, convention), true_matches=definition.words)
 
     def _source(self, frames: Frames | Source) -> Source:

@@ -113,19 +113,14 @@ def needs_similarity(convention: Convention) -> bool:
 
 def measure(recognition: Recognition, truth: PartialTruth, convention: Convention) -> Evaluation:
     """Measures the queries whose true matches are known."""
-    known, true_rows = known_matches(truth)
+    known, true = known_matches(truth)
     part = recognition.part(np.array(known, np.int64))
     scores, rows = (column.numpy() for column in part.matches)
     metrics = evaluate(
-        scores,
-        rows,
-        true_rows,
-        convention=convention,
-        similarity=part.similarity,
-        resamples=RESAMPLES,
+        scores, rows, true, convention=convention, similarity=part.similarity, resamples=RESAMPLES
     )
-    outcomes = judge(scores, rows, true_rows)
-    metrics["thresholds"] = operating_points(precision_recall_curve(outcomes, true_rows))
+    outcomes = judge(scores, rows, true)
+    metrics["thresholds"] = operating_points(precision_recall_curve(outcomes, true))
     metrics["references"] = len(part.references.frames)
     metrics |= part.details
-    return Evaluation(metrics, part, true_rows, outcomes, len(truth) - len(known))
+    return Evaluation(metrics, part, true, outcomes, len(truth) - len(known))

@@ -124,16 +124,14 @@ class Answers:
         answers = self.recognised.matches.indices[:, 0].numpy()[known]
         right = np.array([row in true for row, true in zip(answers, true_rows, strict=True)], bool)
         suggested = accept(self.recognised.sure, 1 - SURE_PRECISION)
+        expected = {"accepted": self.estimate, "suggested_without_truth": suggested}
         estimates = {
             name: {
                 **estimate_in_json(found),
                 "of_known_truth": int(accepted.sum()),
                 "truly_wrong": float(1 - right[accepted].mean()) if accepted.any() else None,
             }
-            for name, found in (
-                ("accepted", self.estimate),
-                ("suggested_without_truth", suggested),
-            )
+            for name, found in expected.items()
             for accepted in [(sure >= found.confidence) & there]
         }
         return {"mean_confidence": float(sure.mean()), "estimates": estimates}
