@@ -50,7 +50,7 @@ class Recognition:
         similarity: ``(Q, R)`` scores of all pairs, if they are needed.
         material: what the report shows of the frames.
         skipped: queries that could not be encoded.
-        details: the method, its steps and its costs, for the report.
+        details: the method, its steps and its costs, which join the metrics.
     """
 
     references: Viewpoints

@@ -162,10 +162,8 @@ def _scores(axes: Axes, evaluation: Evaluation) -> None:
 
 
 def _matrix(axes: Axes, evaluation: Evaluation) -> None:
-    queries, references = (
-        len(evaluation.recognition.queries.frames),
-        len(evaluation.recognition.references.frames),
-    )
+    found = evaluation.recognition
+    queries, references = len(found.queries.frames), len(found.references.frames)
     cells = reduced_cosines(evaluation.material, queries, references)
     if not np.isfinite(cells).any():
         axes.text(0.5, 0.5, "no pairs", ha="center", va="center")
@@ -189,7 +187,8 @@ def _matrix(axes: Axes, evaluation: Evaluation) -> None:
 
 
 def _row(evaluation: Evaluation, match: Match) -> dict[str, Any]:
-    outcomes, query = evaluation.outcomes, evaluation.recognition.queries.frames[match.query]
+    queries, references = evaluation.recognition.queries, evaluation.recognition.references
+    outcomes, query = evaluation.outcomes, queries.frames[match.query]
     rank, score = int(outcomes.rank[match.query]), outcomes.score[match.query]
     frames = [("query", query, "", evaluation.material.query(query))]
     for role, row, text in (
@@ -198,11 +197,8 @@ def _row(evaluation: Evaluation, match: Match) -> dict[str, Any]:
     ):
         if row < 0 or (role == "true match" and outcomes.correct[match.query]):
             continue
-        frame = evaluation.recognition.references.frames[row]
-        metres = math.dist(
-            evaluation.recognition.queries.poses[match.query, :2],
-            evaluation.recognition.references.poses[row, :2],
-        )
+        frame = references.frames[row]
+        metres = math.dist(queries.poses[match.query, :2], references.poses[row, :2])
         away = "" if math.isnan(metres) else f", {metres:.1f}\N{NO-BREAK SPACE}m away"
         frames.append((role, frame, text + away, evaluation.material.reference(frame)))
     addresses = [
