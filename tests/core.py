@@ -23,8 +23,16 @@ def chance_of(values, rows=None, count=-1):
         ctypes.c_double(),
         ctypes.c_int64(),
     )
-    some = None if rows is None else np.ascontiguousarray(rows, np.int64).ctypes
-    given = numbers.ctypes, some, numbers.size, count, ctypes.byref(found), ctypes.byref(rival)
+    some = None if rows is None else np.ascontiguousarray(rows, np.int64)
+    assert some is None or some.shape == numbers.shape, "a row for each value"
+    given = (
+        numbers.ctypes,
+        None if some is None else some.ctypes,
+        numbers.size,
+        count,
+        ctypes.byref(found),
+        ctypes.byref(rival),
+    )
     assert required().ssrvlad_chance(*given) == 0
     return Chance(found.value, rival.value)
 

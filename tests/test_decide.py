@@ -10,6 +10,7 @@ from helpers import outcome
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ssrvlad_torch.native import decide as by_core
 from ssrvlad_torch.native.decide import Search, decide, follow, gain
 from ssrvlad_torch.recognition import reference
 from ssrvlad_torch.recognition.fusion import moments
@@ -214,7 +215,7 @@ def test_few_candidates_find_what_the_whole_map_finds(mode):
 
 
 def test_the_track_goes_on_where_no_candidate_is_found():
-    scores = noisy([*range(1000, 1060)], 3000, strength=0.6).numpy()
+    scores = noisy([*range(1000, 1060)], 3000, strength=0.5).numpy()
     search = Best(scores, 20, 10)
     best = search.candidates
     search.candidates = lambda query: np.arange(20) if 30 <= query < 36 else best(query)
@@ -365,6 +366,62 @@ def test_a_sample_of_other_rows_for_some_queries_is_refused():
         decide(search, [0], 100)
 
 
+SAMPLE = np.arange(0, 40, 4)
+
+
+@pytest.mark.parametrize(
+    ("name", "found", "said"),
+    [
+        ("scores", np.zeros(40), r"scores: expected shape \(3,\), got \(40,\)"),
+        ("scores", np.zeros(2), r"scores: expected shape \(3,\), got \(2,\)"),
+        ("scores", [0, np.nan, 0], "scores: expected scores of at most 1, as cosines are, got nan"),
+        ("candidates", np.zeros((3, 2)), r"candidates: expected shape \(6,\), got \(3, 2\)"),
+        ("sample", (SAMPLE, np.zeros(40)), r"sample: expected shape \(10,\), got \(40,\)"),
+        ("sample", (SAMPLE, np.full(10, 5)), "sample: expected scores of at most 1"),
+        ("spread", (0.3, 0.2, 0.1), r"spread: expected shape \(2,\), got \(3,\)"),
+        ("spread", (np.nan, 0.2), r"spread: expected a finite mean .* got \[nan, 0.2\]"),
+    ],
+)
+def test_what_a_search_returns_is_checked(name, found, said):
+    search = Best(np.zeros((4, 40), np.float32), 3)
+    setattr(search, name, lambda *_: found)
+    with pytest.raises(ValueError, match=said):
+        decide(search, [0], 40)
+
+
+def test_a_search_may_return_other_candidates_each_time():
+    search, asked = Best(noisy([*range(20, 60)], 100, strength=0.5).numpy(), 3), []
+    search.candidates = lambda query: asked.append(query) or np.arange(len(asked) % 90)
+    assert decide(search, [0], 100).rows.max() < 90
+
+
+@pytest.mark.parametrize("score", [np.nan, np.inf, 5.0])
+@pytest.mark.parametrize("mode", [None, "online", "offline"])
+@pytest.mark.parametrize("form", [np.asarray, lambda scores: Best(scores, 40)])
+def test_one_score_that_is_none_is_refused_by_the_core_too(score, mode, form, monkeypatch):
+    one = np.zeros((1, 40), np.float32)
+    one[0, 3] = score
+    with pytest.raises(ValueError, match="scores: expected scores of at most 1"):
+        decide(form(one), [0], 40, mode)
+    monkeypatch.setattr(by_core, "_array", lambda _, some, kind, *__: np.asarray(some, kind))
+    with pytest.raises(ValueError, match="expected rising starts"):
+        decide(form(one), [0], 40, mode)
+
+
+@pytest.mark.parametrize(
+    ("argument", "said"),
+    [
+        ({"mode": "on"}, "mode: expected None, online, offline, got 'on'"),
+        ({"delay": -1}, "delay: expected at least 0, got -1"),
+        ({"top": 0}, "top: expected at least 1, got 0"),
+        ({"way": 0}, "way: expected 1 or -1, got 0"),
+    ],
+)
+def test_a_wrong_argument_is_named(argument, said):
+    with pytest.raises(ValueError, match=said):
+        (follow if "way" in argument else decide)(np.zeros((3, 5)), [0], 5, **argument)
+
+
 @pytest.mark.parametrize("name", ["candidates", "scores", "spread", "sample"])
 def test_what_a_search_raises_is_raised(name):
     assert isinstance(Broken(name), Search)
@@ -377,7 +434,7 @@ def test_what_a_search_raises_is_raised(name):
     [
         (np.full((3, 5), 2.0), [0], 5, "scores of at most 1, as cosines are, got 2"),
         (np.full((3, 5), np.nan), [0], 5, "scores of at most 1, as cosines are, got nan"),
-        (np.zeros((3, 5)), [0], 4, r"a score for each of 4 rows, got \(3, 5\)"),
+        (np.zeros((3, 5)), [0], 4, r"scores: expected shape \(3, 4\), got \(3, 5\)"),
         (np.zeros((3, 5)), [0, 5], 5, "starts of drives among 5 rows, from 0, got 0, 5"),
         (np.zeros((3, 5)), [1], 5, "starts of drives among 5 rows, from 0, got 1"),
         (np.zeros((3, 5)), [0, 3, 3], 5, "starts of drives among 5 rows, from 0, got 0, 3, 3"),

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from loop_streams import unit
 
 from ssrvlad_torch.native.decide import decide
-from ssrvlad_torch.native.map import MIN_FRAMES, Map
+from ssrvlad_torch.native.map import MIN_FRAMES, Map, match
 from ssrvlad_torch.recognition import reference
 from ssrvlad_torch.search.sums import sums
 
@@ -335,8 +335,11 @@ def test_the_map_needs_no_torch():
         (lambda town, rows: town.query({"shapes": rows[:, :9]}), "(Q, 40) float32, of vectors"),
         (lambda town, rows: town.query({"shapes": rows[:, None].repeat(2, 1)}), "with an odd S"),
         (lambda town, rows: town.query({"shapes": rows / 0.0}), "finite queries"),
-        (lambda town, rows: town.query({"shapes": rows}, top=0), "a top from 1, got 0 and 0"),
-        (lambda town, rows: town.query({"shapes": rows}, follow="on"), "online, offline or None"),
+        (lambda town, rows: town.query({"shapes": rows}, top=0), "top: expected at least 1, got 0"),
+        (
+            lambda town, rows: town.query({"shapes": rows}, follow="on"),
+            "follow: expected None, online",
+        ),
         (lambda town, rows: town.compare("shapes", rows / 0.0, True, True), "finite queries"),
         (
             lambda town, rows: (
@@ -352,6 +355,13 @@ def test_wrong_use_is_one_line(use, message):
     rows, town = np.eye(40, dtype=np.float32), Map([40])
     town.add("shapes", rows)
     refuses(re.escape(message), use, town, rows)
+
+
+def test_a_row_of_length_zero_matches_nothing():
+    rows = np.eye(4, dtype=np.float32)
+    best = np.full((1, 4), -np.inf, np.float32), np.full((1, 4), -1)
+    match(rows[:1], (rows, np.float32([0, 1, 1, 1])), 0, None, 1, best)
+    assert best[1].tolist() == [[1, 2, 3, -1]] and not best[0][0, :3].any()
 
 
 def test_sums_of_products_are_rounded_once(tmp_path):

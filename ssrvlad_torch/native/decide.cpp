@@ -401,11 +401,18 @@ void doubt_lingering(const Decision &decision, Size later, Judged &judged) {
 // ------------------------------------------------------------------------------------------ evidence
 
 namespace {
+void check(const std::vector<float> &scores) {
+  const auto count = static_cast<Size>(scores.size());
+  if (std::isnan(sum(scores.data(), count)) || highest(scores.data(), count) > HIGHEST_SCORE)
+    throw WrongScores();
+}
+
 std::shared_ptr<Sight> sight_of(const Scores &scores, const Drives &drives, Size query) {
   auto sight = std::make_shared<Sight>();
   sight->rows = drives.all();
   sight->scores.resize(static_cast<std::size_t>(drives.rows));
   scores.of(query, sight->scores.data());
+  check(sight->scores);
   return sight;
 }
 
@@ -442,7 +449,6 @@ std::shared_ptr<const Sight> AllRows::after(const Filter &filter, const Belief *
   std::vector<float> near(static_cast<std::size_t>(count));
   nearness(scores, count, near.data());
   const Spread spread = Spread::of(near.data(), count);
-  if (std::isnan(sum(scores, count)) || highest(scores, count) > HIGHEST_SCORE) throw WrongScores();
   sight->likelihood.rows = likelihoods(scores, count, motion, spread);
   query_ = query, weight_ = motion.weight, level_ = motion.level;
   return last_ = sight;
@@ -468,6 +474,8 @@ std::shared_ptr<Sight> sight_of(const Search &search, const Drives &drives, Size
   search.of(query, rows, sight->scores.data());
   // Of all rows as many could match as of the sample.
   const std::vector<float> sampled = search.sample(query).second;
+  check(sight->scores);
+  check(sampled);
   const auto matching = [](const std::vector<float> &scores) {
     const auto none = std::count(scores.begin(), scores.end(), NONE);
     return static_cast<Size>(scores.size()) - static_cast<Size>(none);
@@ -598,7 +606,7 @@ Decision decide(const Drives &drives, const Evidence &evidence, Mode mode, Size 
 namespace {
 using places::Size;
 
-using places::Failed, places::give, places::guarded, places::require;
+using places::Failed, places::give, places::guarded, places::may_be, places::require;
 
 // The return code of a function of the caller.
 int64_t passed(int64_t code) {
@@ -645,6 +653,7 @@ class CallersSearch : public places::Search {
   places::Spread spread(Size query) const override {
     places::Spread spread;
     passed(given_.spread(given_.context, query, &spread.mean, &spread.deviation));
+    require(std::isfinite(spread.mean) && std::isfinite(spread.deviation) && spread.deviation >= 0);
     return spread;
   }
 
@@ -685,6 +694,14 @@ struct Given {
     }
   }
 };
+
+// Checks probabilities of queries that err so many together; NaN where there may be none.
+void check(const double *chances, int64_t queries, double together, bool without) {
+  require(may_be({queries}) && (chances || !queries) && together >= 1 && std::isfinite(together));
+  require(std::all_of(chances, chances + queries, [&](double each) {
+    return (each >= 0 && each <= 1) || (without && std::isnan(each));
+  }));
+}
 
 places::Motion motion_of(const ssrvlad_motion *given) {
   if (!given) return {};
@@ -741,7 +758,10 @@ int ssrvlad_gain(const ssrvlad_drives *map, const ssrvlad_evidence *evidence,
 int ssrvlad_chance(const double *values, const int64_t *rows, int64_t count, int64_t matching,
                    double *chance, int64_t *rival) {
   return guarded([&] {
-    require(count >= 0 && chance && rival);
+    require(may_be({count}) && (values || !count) && chance && rival);
+    require(std::all_of(values, values + count, [](double each) {
+      return each <= std::numeric_limits<double>::max();
+    }));
     places::Drives drives{{0}, count};
     for (Size place = 0; rows && place < count; ++place)
       require(rows[place] >= 0 && (!place || rows[place] > rows[place - 1]));
@@ -756,7 +776,8 @@ int ssrvlad_chance(const double *values, const int64_t *rows, int64_t count, int
 int ssrvlad_mapped(const double *chances, int64_t queries, double together, double best,
                    double *mapped) {
   return guarded([&] {
-    require(queries >= 0 && together >= 1 && best > 0 && best <= 1);
+    check(chances, queries, together, true);
+    require(best > 0 && best <= 1);
     give(places::mapped({chances, chances + queries}, together, best), mapped);
   });
 }
@@ -764,7 +785,8 @@ int ssrvlad_mapped(const double *chances, int64_t queries, double together, doub
 int ssrvlad_confidence(const double *chances, const double *mapped, int64_t queries,
                        double together, int followed, float *right, float *spread) {
   return guarded([&] {
-    require(queries >= 0 && together >= 1);
+    check(chances, queries, together, true);
+    check(mapped, queries, together, false);
     const places::Confidence found = places::Confidence::of(
         {chances, chances + queries}, {mapped, mapped + queries}, together, followed != 0);
     give(found.right, right);
@@ -774,7 +796,10 @@ int ssrvlad_confidence(const double *chances, const double *mapped, int64_t quer
 
 double ssrvlad_together(const int64_t *rivals, int64_t queries) {
   double together = -1;
-  guarded([&] { together = places::answers_together({rivals, rivals + queries}); });
+  guarded([&] {
+    require(may_be({queries}) && (rivals || !queries));
+    together = places::answers_together({rivals, rivals + queries});
+  });
   return together;
 }
 

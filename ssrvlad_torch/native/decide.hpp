@@ -24,7 +24,7 @@ namespace places {
 
 constexpr double HIGHEST_SCORE = 1.001;  // that rounding can give
 
-// A drive is followed by scores that are NaN or higher than HIGHEST_SCORE.
+// Scores are NaN or higher than HIGHEST_SCORE.
 struct WrongScores {};
 
 // Each query alone; by the queries before it, and `delay` later ones; by all queries.

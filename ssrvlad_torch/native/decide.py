@@ -128,9 +128,9 @@ def decide(
         RuntimeError: the core is not there.
         MemoryError: memory is short.
     """
-    caller = _Caller(evidence, queries, starts, rows)
+    given, caller = steps_of(mode, delay, top), _Caller(evidence, queries, starts, rows)
     room = Room(caller.count, top)
-    caller.call("ssrvlad_decide", MODES[mode], delay, top, room.pointer)
+    caller.call("ssrvlad_decide", *given, room.pointer)
     return room.decision()
 
 
@@ -147,13 +147,13 @@ def follow(
 ) -> Places:
     """The places of a drive that is followed, as for `decide`, in a way, 1 for forwards or -1, and
     by a motion: the seven numbers of ``ssrvlad_motion``, by default its own."""
+    given = _motion(motion), _way(way), *steps_of(mode, delay, top, modes=("online", "offline"))
     caller, found = _Caller(evidence, queries, starts, rows), struct("places")()
     near, unmapped = np.empty((2, caller.count), np.float32)
     matches = _matches(caller.count, top)
     places = Places(*matches, near, unmapped, np.empty(caller.count))
     for name, array in zip(_WHERE, places, strict=True):
         setattr(found, name, array.ctypes.data)
-    given = _motion(motion), way, MODES[mode], delay, top
     caller.call("ssrvlad_follow", *given, ctypes.byref(found))
     return places
 
@@ -168,7 +168,7 @@ def gain(
     """How much likelier the queries are as a drive that runs the map in a way than each alone, as a
     natural logarithm; arguments as for `follow`."""
     found, caller = ctypes.c_double(), _Caller(evidence, None, starts, rows)
-    caller.call("ssrvlad_gain", _motion(motion), way, ctypes.byref(found))
+    caller.call("ssrvlad_gain", _motion(motion), _way(way), ctypes.byref(found))
     return found.value
 
 
@@ -215,8 +215,7 @@ class _Caller:
         self._given = struct("evidence")(self.count)
         if isinstance(evidence, np.ndarray):
             part = slice(self._queries.start, self._queries.stop, self._queries.step)
-            self._matrix = np.ascontiguousarray(evidence[part], np.float32)
-            self._expect(self._matrix, (self.count, rows))
+            self._matrix = _array("scores", evidence[part], np.float32, (self.count, rows))
             self._given.matrix = self._matrix.ctypes.data
             return
         functions = {"scores": self._score}
@@ -232,11 +231,6 @@ class _Caller:
         status = function(ctypes.byref(self._drives), ctypes.byref(self._given), *arguments)
         for error in self._raised:
             raise error
-        if status == _WRONG_ARGUMENT and not isinstance(self._evidence, Search):
-            for query in self._queries:
-                scores = np.asarray(self._evidence[query], np.float32)
-                if scores.size and not (most := float(scores.max())) <= HIGHEST:
-                    raise ValueError(f"expected scores of at most 1, as cosines are, got {most:g}")
         if status:
             got = ", ".join(map(str, self._starts[:9])) or "none"
             drives = f"rising starts of drives among {self._rows} rows, from 0, got {got}"
@@ -254,49 +248,83 @@ class _Caller:
 
     def _score(self, query: int, target: int) -> int:
         assert isinstance(self._evidence, Scores)
-        found = np.ascontiguousarray(self._evidence[query], np.float32)
-        self._expect(found, (self._rows,))
-        return _fill(target, found)
-
-    def _expect(self, scores: npt.NDArray[Any], shape: tuple[int, ...]) -> None:
-        if scores.shape != shape:
-            raise ValueError(f"expected a score for each of {self._rows} rows, got {scores.shape}")
+        return _fill(target, _array("scores", self._evidence[query], np.float32, (self._rows,)))
 
 
 def _of_search(search: Search, count: int) -> dict[str, Callable[..., int]]:
     """The functions of a search as the core calls them."""
-    sampled: dict[str, Any] = {}
+    told: dict[str, npt.NDArray[Any]] = {}  # since the core asked for the number of rows
 
     def candidates(query: int, target: int | None) -> int:
-        found = np.ascontiguousarray(search.candidates(query), np.int64)
-        if bad := found[(found < 0) | (found >= count)].tolist():
-            raise ValueError(f"expected candidates among {count} rows, got row {bad[0]}")
-        return _fill(target, found) or len(found)
+        if target is None:
+            found = told["found"] = _array("candidates", search.candidates(query), np.int64)
+            if bad := found[(found < 0) | (found >= count)].tolist():
+                raise ValueError(f"expected candidates among {count} rows, got row {bad[0]}")
+        return _fill(target, told["found"]) or len(told["found"])
 
     def some(query: int, rows: int, count: int, target: int) -> int:
         given = np.empty(count, np.int64)
         ctypes.memmove(given.ctypes.data, rows, given.nbytes)
-        return _fill(target, np.ascontiguousarray(search.scores(query, given), np.float32))
+        found = search.scores(query, given)
+        return _fill(target, _array("scores", found, np.float32, (count,)))
 
     def spread(query: int, mean: int, deviation: int) -> int:
-        for target, value in zip((mean, deviation), search.spread(query), strict=True):
-            _fill(target, np.array(value, np.float64))
-        return 0
+        found = _array("spread", search.spread(query), np.float64, (2,))
+        fits = bool(np.isfinite(found).all() and found[1] >= 0)
+        expect("spread", found.tolist(), fits, "a finite mean and a deviation of at least 0")
+        return _fill(mean, found[:1]) or _fill(deviation, found[1:])
 
     def sample(query: int, rows: int | None, scores: int | None) -> int:
-        found, told = search.sample(query)
-        if not np.array_equal(found, sampled.setdefault("rows", found)):
-            raise ValueError(f"expected the same sample of rows for each query, not for {query}")
-        _fill(rows, np.ascontiguousarray(found, np.int64))
-        return _fill(scores, np.ascontiguousarray(told, np.float32)) or len(found)
+        if rows is None:
+            some, found = search.sample(query)
+            same = _array("sample", some, np.int64)
+            if not np.array_equal(same, told.setdefault("rows", same)):
+                raise ValueError(
+                    f"expected the same sample of rows for each query, not for {query}"
+                )
+            told["scores"] = _array("sample", found, np.float32, same.shape)
+        return _fill(rows, told["rows"]) or _fill(scores, told["scores"]) or len(told["rows"])
 
     return {"candidates": candidates, "some": some, "spread": spread, "sample": sample}
+
+
+def _array(
+    name: str, values: Any, kind: type[np.generic], shape: tuple[int, ...] | None = None
+) -> npt.NDArray[Any]:
+    """Evidence as the core reads it, of a shape, by default ``(N,)``; scores are at most 1."""
+    found = np.ascontiguousarray(values, kind)
+    wanted = (found.size,) if shape is None else shape
+    expect(name, found.shape, found.shape == wanted, f"shape {wanted}")
+    most = float(found.max(initial=-np.inf)) if kind is np.float32 else 0.0
+    expect(name, most, most <= HIGHEST, "scores of at most 1, as cosines are")
+    return found
 
 
 def _fill(target: int | None, values: npt.NDArray[Any]) -> int:
     if target:
         ctypes.memmove(target, values.ctypes.data, values.nbytes)
     return 0
+
+
+def steps_of(
+    mode: str | None, delay: int, top: int, name: str = "mode", modes: Sequence[Any] = (*MODES,)
+) -> tuple[int, int, int]:
+    """The steps of a decision as the core takes them, checked; ``name`` is that of the mode."""
+    expect(name, mode, mode in modes, ", ".join(map(str, modes)))
+    expect("delay", delay, delay >= 0, "at least 0")
+    expect("top", top, top >= 1, "at least 1")
+    return MODES[mode], delay, top
+
+
+def expect(name: str, got: object, fits: bool, wanted: str) -> None:
+    """Raises a ValueError in one line unless an argument fits."""
+    if not fits:
+        raise ValueError(f"{name}: expected {wanted}, got {got!r}")
+
+
+def _way(way: int) -> int:
+    expect("way", way, way in (1, -1), "1 or -1")
+    return way
 
 
 def problem(status: int, expected: str) -> Exception:

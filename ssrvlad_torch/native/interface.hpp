@@ -4,6 +4,7 @@
 #define SSRVLAD_INTERFACE_HPP
 
 #include <exception>
+#include <initializer_list>
 
 #include "decide.hpp"
 #include "ssrvlad_decide.h"
@@ -17,6 +18,14 @@ struct Failed {
 
 inline void require(bool holds) {
   if (!holds) throw Failed{SSRVLAD_WRONG_ARGUMENT};
+}
+
+// Whether an array of these sizes may be in memory, so that the product and its bytes do not overflow.
+inline bool may_be(std::initializer_list<Size> sizes) {
+  Size most = Size{1} << 58;
+  return std::all_of(sizes.begin(), sizes.end(), [&](Size size) {
+    return size >= 0 && (most /= std::max<Size>(1, size)) > 0;
+  });
 }
 
 // Runs a function of the interface; what it throws becomes a return code.
@@ -35,7 +44,8 @@ int guarded(Function function) {
 }
 
 inline Drives drives_of(const ssrvlad_drives *map) {
-  require(map && map->count >= 0 && map->rows >= 0 && (map->count > 0) == (map->rows > 0));
+  require(map && map->count >= 0 && map->rows >= 0 && (map->count > 0) == (map->rows > 0) &&
+          (map->starts || !map->count));
   Drives drives;
   drives.rows = map->rows;
   drives.starts.assign(map->starts, map->starts + map->count);
@@ -47,6 +57,7 @@ inline Drives drives_of(const ssrvlad_drives *map) {
 
 template <typename Number, typename Other>
 void give(const std::vector<Number> &values, Other *target) {
+  require(target || values.empty());
   std::copy(values.begin(), values.end(), target);
 }
 

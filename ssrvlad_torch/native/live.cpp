@@ -140,6 +140,7 @@ bool LiveVectors::empty(const void *descriptor) const {
 }
 
 bool LiveVectors::fits(const void *swept, Size anchors) const {
+  if (anchors > MOST_NUMBERS / length_) return false;
   const auto *vector = static_cast<const float *>(swept);
   for (Size anchor = 0; anchor < anchors; ++anchor, vector += length_) {
     const double length = std::sqrt(dot(vector, vector, length_));

@@ -158,8 +158,12 @@ class Loops:
         Raises:
             ValueError: as for `update`.
         """
-        given, first = self._given(descriptors), np.ascontiguousarray(starts, np.uint8)
+        first = np.ascontiguousarray(starts, np.uint8)
         times = None if stamps is None else np.ascontiguousarray(stamps, np.float64)
+        for name, each in (("starts", first), ("stamps", times)):
+            if each is not None and each.shape != (len(first),):
+                raise ValueError(f"{name}: expected shape ({len(first)},), got {each.shape}")
+        given = self._given(descriptors, len(first))
         _require(
             self._library.ssrvlad_loops_extend(
                 self._handle,
@@ -182,14 +186,16 @@ class Loops:
         )
         return rows
 
-    def _given(self, descriptors: Mapping[str, Array]) -> list[Array]:
-        """The arrays of the channels as the core reads them."""
-        given = []
+    def _given(self, descriptors: Mapping[str, Array], frames: int | None = None) -> list[Array]:
+        """The arrays of the channels as the core reads them: of one frame, or of so many."""
+        given, of = [], "" if frames is None else f" of {frames} frames"
         for channel in self.channels:
             array = np.ascontiguousarray(descriptors[channel.name])
-            if array.dtype != channel.dtype or array.shape[-len(channel.shape) :] != channel.shape:
+            shape = array.shape[-len(channel.shape) :]
+            fits = frames is None or array.shape == (frames, *shape)
+            if array.dtype != channel.dtype or shape != channel.shape or not fits:
                 raise ValueError(
-                    f"{channel.name}: expected descriptors {channel.shape} {channel.dtype}, "
+                    f"{channel.name}: expected descriptors {channel.shape} {channel.dtype}{of}, "
                     f"got {array.shape} {array.dtype}"
                 )
             given.append(array)

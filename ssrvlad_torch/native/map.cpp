@@ -37,7 +37,8 @@ struct ssrvlad_map {
   std::unique_ptr<Comparison> compare(std::size_t number, const ssrvlad_queries &queries, Size count,
                                       bool standardised, bool swept, int threads) const {
     const Member &member = members[number];
-    require((queries.descriptors || !count) && queries.anchors >= 1 && queries.anchors % 2 == 1);
+    require((queries.descriptors || !count) && queries.anchors >= 1 && queries.anchors % 2 == 1 &&
+            may_be({count, queries.anchors, member.of_mean}));
     const auto *vectors = static_cast<const float *>(queries.descriptors);
     require(member.length ? are_finite(vectors, count * queries.anchors * member.length) : queries.anchors == 1);
     require(!queries.mean || are_finite(queries.mean, member.of_mean));
@@ -63,8 +64,10 @@ int ssrvlad_map_add_channel(ssrvlad_map *map, const ssrvlad_channel *channel) {
     require(map && channel && (channel->rows || !map->drives.rows) && channel->trust > 0 &&
             std::isfinite(channel->trust) && channel->columns >= 1 && channel->size >= 1);
     const bool are_signs = channel->kind == SSRVLAD_SIGNS;
+    require(may_be({map->drives.rows, channel->columns, channel->size}));
     Member member{nullptr, 0, channel->columns * channel->size * (are_signs ? 8 : 1), channel->trust};
     const auto drives = static_cast<Size>(map->drives.starts.size());
+    require(member.of_mean <= MOST_NUMBERS);
     require(!channel->means || are_finite(channel->means, drives * member.of_mean));
     if (are_signs) {
       member.channel = channel_of_signs(static_cast<const std::uint8_t *>(channel->rows),

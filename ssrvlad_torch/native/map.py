@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from . import required
-from .decide import MODES, Decision, Floats, Room, problem
+from .decide import Decision, Floats, Room, problem, steps_of
 from .headers import struct
 
 Array = npt.NDArray[Any]
@@ -138,8 +138,7 @@ class Map:
         if [*queries] != [*self._rows] or not queries:
             wanted, got = (", ".join(names) or "none" for names in (self._rows, queries))
             raise ValueError(f"expected queries by {wanted}, got {got}")
-        if follow not in MODES:
-            raise ValueError(f"follow: expected online, offline or None, got {follow!r}")
+        chosen = steps_of(follow, delay, top, "follow")
         kept = {name: self._of_queries(name, each) for name, each in queries.items()}
         counts = {name: len(each) for name, each in kept.items()}
         if len(set(counts.values())) != 1:
@@ -149,7 +148,7 @@ class Map:
             *(self._given(name, each) for name, each in kept.items())
         )
         room = Room(count, top)
-        steps = struct("steps")(standardise, sweep, MODES[follow], delay, top)
+        steps = struct("steps")(standardise, sweep, *chosen)
         weights = (ctypes.c_double * len(kept))()
         taken = struct("taken")(weights=ctypes.addressof(weights))
         status = required().ssrvlad_map_query(
@@ -157,9 +156,7 @@ class Map:
             ctypes.byref(taken),
         )  # fmt: skip
         if status:
-            raise problem(
-                status, f"finite queries, a delay from 0 and a top from 1, got {delay} and {top}"
-            )
+            raise problem(status, "finite queries, whose scores are at most 1")
         return Found(
             room.decision(),
             bool(taken.standardised),

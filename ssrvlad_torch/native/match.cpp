@@ -14,11 +14,11 @@ namespace {
 
 constexpr Size ROWS = 96, QUERIES = 1024;  // that are multiplied at once, at most
 
-// Divides products by the lengths of their rows, and returns the highest score.
+// Divides products by the lengths of their rows, NONE for length 0, and returns the highest score.
 SSRVLAD_CLONES float divide(float *products, const float *lengths, Size count) {
   float highest = NONE;
   for (Size row = 0; row < count; ++row) {
-    products[row] /= lengths[row];
+    products[row] = lengths[row] > 0 ? products[row] / lengths[row] : NONE;
     highest = products[row] > highest ? products[row] : highest;
   }
   return highest;
@@ -61,7 +61,8 @@ int ssrvlad_match(const ssrvlad_rows *given, const float *queries, int64_t count
   using namespace places;
   return guarded([&] {
     require(given && queries && scores && rows && count >= 0 && top >= 1 && given->count >= 0 &&
-            given->length >= 1 && (!given->count || (given->vectors && given->lengths)));
+            given->length >= 1 && may_be({given->count, given->length}) &&
+            may_be({count, given->length}) && may_be({count, top}) && (!given->count || (given->vectors && given->lengths)));
     const Size share = (count + threads - 1) / std::max(1, threads);
     over_blocks(count, std::clamp<Size>(share, 1, QUERIES), threads, [&](Size first, Size last) {
       match(*given, queries, first, last, top, scores, rows);

@@ -29,6 +29,7 @@ namespace places {
 using Size = std::int64_t;
 
 constexpr float NONE = -std::numeric_limits<float>::infinity();  // the score of what is no match
+constexpr Size MOST_NUMBERS = Size{1} << 31;  // of a descriptor from all anchors, and its signs
 constexpr double ROUNDING = 1e-6;    // of a cosine of 480 float32 products
 constexpr double MIN_SPREAD = 1e-6;
 constexpr double MAX_LOG = 50;       // frames that equal their rows must not overflow

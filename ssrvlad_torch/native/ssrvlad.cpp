@@ -49,7 +49,7 @@ constexpr int LAYERS = SSRVLAD_LAYERS;
 constexpr int KINDS = LAYERS + 1;  // the categories and no layer
 constexpr Word ALL = ~Word{0};
 constexpr Word LEFT = 0x0101010101010101, RIGHT = LEFT << 7, TOP = 0xff, BOTTOM = TOP << 56;
-constexpr Size MOST_PIXELS = Size{1} << 31;
+constexpr Size MOST_PIXELS = Size{1} << 31, MOST_BYTES = Size{1} << 58;
 constexpr double PI = 3.14159265358979323846;
 
 constexpr int CELL_ROWS = 24, CELL_COLUMNS = 32, CELLS = CELL_ROWS * CELL_COLUMNS;
@@ -1153,7 +1153,8 @@ bool valid(const ssrvlad_settings &s) {
 bool valid(const ssrvlad_labels &labels) {
   const Size h = labels.height, w = labels.width;
   const bool type = labels.bytes == 1 || labels.bytes == 2 || labels.bytes == 4 || labels.bytes == 8;
-  return labels.ids && type && labels.images > 0 && h > 0 && w > 0 && h < MOST_PIXELS / w;
+  return labels.ids && type && labels.images > 0 && h > 0 && w > 0 && h < MOST_PIXELS / w &&
+         labels.images <= MOST_BYTES / 8 / h / w;
 }
 
 bool valid(const ssrvlad_table &table) {
@@ -1393,7 +1394,8 @@ bool read_layers(Scratch &s, const Id *ids, const ssrvlad_labels &labels, const 
 // Runs a stage on every plane of every image.
 template <class Stage>
 int on_planes(const std::uint8_t *planes, Size images, Size height, Size width, Stage stage) {
-  if (!planes || images < 1 || height < 1 || width < 1 || height >= MOST_PIXELS / width)
+  if (!planes || images < 1 || height < 1 || width < 1 || height >= MOST_PIXELS / width ||
+      images > MOST_BYTES / height / width)
     return SSRVLAD_WRONG_ARGUMENT;
   try {
     const Grid grid(height, width);
@@ -1412,6 +1414,7 @@ int on_planes(const std::uint8_t *planes, Size images, Size height, Size width, 
 template <class Stage>
 int on_each_plane(const std::uint8_t *planes, Size images, Size height, Size width,
                   std::uint8_t *target, Stage stage) {
+  if (!target) return SSRVLAD_WRONG_ARGUMENT;
   return on_planes(planes, images, height, width, [&](const Grid &grid, Words &bits, Size offset) {
     for (int k = 0; k < LAYERS; ++k) stage(bits.data() + k * grid.words(), grid);
     pack(bits.data(), grid, target + offset);
@@ -1430,7 +1433,7 @@ int ssrvlad_interface(void) { return SSRVLAD_INTERFACE; }
 
 int ssrvlad_preset(const char *name, ssrvlad_settings *settings) {
   const bool paper = name && !std::strcmp(name, "paper");
-  if (!paper && (!name || std::strcmp(name, "default"))) return SSRVLAD_WRONG_ARGUMENT;
+  if (!settings || (!paper && (!name || std::strcmp(name, "default")))) return SSRVLAD_WRONG_ARGUMENT;
   ssrvlad_settings s{};
   s.opening = 0.0, s.closing = 0.01, s.hole_area = 0.002, s.region_area = 0.0005;
   s.radius = 0.5, s.inner_radius = paper ? 1.0 / 16 : 1.0 / 6;
@@ -1456,7 +1459,9 @@ ssrvlad_head *ssrvlad_new(const ssrvlad_settings *settings) {
 
 void ssrvlad_free(ssrvlad_head *head) { delete head; }
 
-int64_t ssrvlad_length(const ssrvlad_head *head) { return head->length(); }
+int64_t ssrvlad_length(const ssrvlad_head *head) {
+  return head ? head->length() : Size{SSRVLAD_WRONG_ARGUMENT};
+}
 
 int64_t ssrvlad_describe(ssrvlad_head *head, const ssrvlad_labels *labels,
                          const ssrvlad_table *table, int threads, float *descriptors) {
@@ -1544,6 +1549,7 @@ int ssrvlad_thin(const uint8_t *planes, int64_t images, int64_t height, int64_t 
 
 int ssrvlad_keypoints(const uint8_t *skeletons, int64_t images, int64_t height, int64_t width,
                       uint8_t *end_points, uint8_t *intersections) {
+  if (!end_points || !intersections) return SSRVLAD_WRONG_ARGUMENT;
   Tiles tiles, ends, crossings, buffer;
   return on_planes(skeletons, images, height, width, [&](const Grid &grid, Words &bits, Size offset) {
     Words other = bits;

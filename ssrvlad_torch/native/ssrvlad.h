@@ -78,7 +78,7 @@ SSRVLAD_API int ssrvlad_preset(const char *name, ssrvlad_settings *settings);
 SSRVLAD_API ssrvlad_head *ssrvlad_new(const ssrvlad_settings *settings);
 SSRVLAD_API void ssrvlad_free(ssrvlad_head *head);
 
-/* The length of a descriptor. */
+/* The length of a descriptor; SSRVLAD_WRONG_ARGUMENT without a head. */
 SSRVLAD_API int64_t ssrvlad_length(const ssrvlad_head *head);
 
 /* Computes the descriptors of a batch, each with norm 1, or zeros for an empty image; `threads`

@@ -63,8 +63,7 @@ typedef struct ssrvlad_decision {
 } ssrvlad_decision;
 
 /* Decides about a drive: each query alone, or followed, online by the queries before it and `delay` later
- * ones, offline by all. Scores that are NaN or above 1.001 are a SSRVLAD_WRONG_ARGUMENT if the drive is to
- * be followed. */
+ * ones, offline by all. Scores that are NaN or above 1.001 are a SSRVLAD_WRONG_ARGUMENT. */
 SSRVLAD_API int ssrvlad_decide(const ssrvlad_drives *map, const ssrvlad_evidence *evidence, int mode,
                                int64_t delay, int64_t top, ssrvlad_decision *decision);
 
@@ -116,7 +115,7 @@ SSRVLAD_API int ssrvlad_confidence(const double *chances, const double *mapped, 
                                    double together, int followed, float *right, float *spread);
 
 /* How many neighbouring queries of a drive have one answer, by the best rivals of their answers; -1 if
- * memory is short. */
+ * memory is short, or there are no such rivals. */
 SSRVLAD_API double ssrvlad_together(const int64_t *rivals, int64_t queries);
 
 #ifdef __cplusplus

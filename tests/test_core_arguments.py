@@ -1,0 +1,127 @@
+"""The C functions of the core on wrong arguments: a status, and no crash."""
+
+import ctypes
+
+import numpy as np
+import pytest
+
+from ssrvlad_torch.native.headers import struct
+
+FOUND, NUMBERS, PLANES = np.empty(8), np.full(4, 0.5), np.zeros((16, 16), np.uint8)
+FRAMES, START, MANY = np.eye(4, 8, dtype=np.float32), np.zeros(1, np.int64), 1 << 62
+
+
+def of(array):
+    return array.ctypes.data
+
+
+def stage(name, images, *given):
+    return lambda core: getattr(core, f"ssrvlad_{name}")(of(PLANES), images, 16, 16, *given)
+
+
+def chance(value):
+    values = np.array([0.1, value, 0.2])
+    return lambda core: core.ssrvlad_chance(of(values), None, 3, -1, of(FOUND), of(FOUND[1:]))
+
+
+def mapped(chances, together=1.0):
+    values = np.array(chances)
+    return lambda core: core.ssrvlad_mapped(of(values), len(values), together, 1.0, of(FOUND))
+
+
+def confidence(chances, has):
+    given = np.array([[chances], [has]])
+    return lambda core: core.ssrvlad_confidence(
+        of(given[0]), of(given[1]), 1, 1.0, 0, of(FOUND), of(FOUND[4:])
+    )
+
+
+def decided(starts, scores):
+    def call(core):
+        drives = struct("drives")(starts, 1, 4)
+        evidence = struct("evidence")(1, of(FRAMES))
+        return core.ssrvlad_decide(drives, evidence, 2, 0, 1, struct("decision")(scores))
+
+    return call
+
+
+def with_map(use):
+    def call(core):
+        drives = struct("drives")(of(START), 1, 4)
+        handle = ctypes.c_void_p(core.ssrvlad_map_new(drives))
+        try:
+            return use(core, handle)
+        finally:
+            core.ssrvlad_map_free(handle)
+
+    return call
+
+
+def channel(kind, columns, size):
+    given = struct("channel")(of(FRAMES), kind, columns, size, 1.0)
+    return with_map(lambda core, town: core.ssrvlad_map_add_channel(town, given))
+
+
+def queries(count, anchors):
+    def ask(core, town):
+        assert core.ssrvlad_map_add_channel(town, struct("channel")(of(FRAMES), 0, 1, 8, 1.0)) == 0
+        given = struct("queries")(of(FRAMES), anchors)
+        steps, taken = struct("steps")(0, 0, 0, 0, 1), struct("taken")()
+        return core.ssrvlad_map_query(town, given, count, steps, 1, struct("decision")(), taken)
+
+    return with_map(ask)
+
+
+def matched(count, length):
+    given = struct("rows")(of(FRAMES), of(NUMBERS), None, count, length, 0)
+    return lambda core: core.ssrvlad_match(given, of(FRAMES), 1, 1, 1, of(FOUND), of(FOUND))
+
+
+def described(core):
+    labels, settings = struct("labels")(of(PLANES), 1, MANY, 16, 16), struct("settings")()
+    table = struct("table")(of(PLANES), 9, 0)
+    core.ssrvlad_preset(b"default", ctypes.byref(settings))
+    head = ctypes.c_void_p(core.ssrvlad_new(settings))
+    status = core.ssrvlad_describe(head, labels, table, 1, of(FOUND))
+    core.ssrvlad_free(head)
+    return status
+
+
+CALLS = {
+    "a preset without memory": lambda core: core.ssrvlad_preset(b"default", None),
+    "the length of no head": lambda core: core.ssrvlad_length(None),
+    "too many label maps": described,
+    "a stage without memory": stage("thin", 1, 0, None),
+    "keypoints without memory": stage("keypoints", 1, of(PLANES), None),
+    "a stage of too many images": stage("thin", MANY, 0, of(PLANES)),
+    "chance of NaN": chance(np.nan),
+    "chance of what is infinite": chance(np.inf),
+    "mapped by what is above 1": mapped([0.5, 2.0]),
+    "mapped by what is below 0": mapped([-1.0]),
+    "mapped by infinitely many together": mapped([0.5], np.inf),
+    "confidence by chances above 1": confidence(2.0, 0.5),
+    "confidence by no place": confidence(0.5, np.nan),
+    "confidence by places above 1": confidence(0.5, 5.0),
+    "drives without starts": decided(None, of(FOUND)),
+    "a decision without memory": decided(of(START), None),
+    "a channel of too long vectors": channel(0, 1, 1 << 61),
+    "a channel of too many signs": channel(1, 1 << 32, 1 << 31),
+    "a channel of more signs than are counted": channel(1, 1 << 16, 1 << 15),
+    "too many queries": queries(MANY, 1),
+    "too many anchors": queries(1, MANY + 1),
+    "too many rows": matched(MANY, 8),
+    "too long rows": matched(4, MANY),
+}
+
+
+@pytest.mark.parametrize("name", CALLS)
+def test_a_wrong_argument_is_a_status(name, core):
+    assert CALLS[name](core.library) == -2
+
+
+def test_rivals_that_are_not_there_are_minus_one(core):
+    assert core.library.ssrvlad_together(None, 5) == -1
+
+
+def test_queries_without_an_answer_have_no_chance(core):
+    assert mapped([np.nan, 0.5])(core.library) == confidence(np.nan, 0.0)(core.library) == 0
