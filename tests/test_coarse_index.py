@@ -15,7 +15,7 @@ from large_maps import CONFIG
 from ssrvlad_torch import Database, Map
 from ssrvlad_torch.channels import Column
 from ssrvlad_torch.search import coarse_index
-from ssrvlad_torch.search.coarse_index import CoarseIndex, build
+from ssrvlad_torch.search.coarse_index import CoarseIndex, build, damaged
 from ssrvlad_torch.search.sums import sums
 
 SIGNS = Column("signs", "few", (4, 2, 4), "uint8")
@@ -165,6 +165,25 @@ def test_what_cannot_be_opened_or_built_is_refused_in_one_line(town, tmp_path):
     assert build(Database.open(town.path)).new == 1, "what is indexed is not read again"
     about.unlink()
     refuses("is damaged", build, Database.open(town.path))
+
+
+def test_every_file_of_the_index_is_checked_and_mended(town):
+    build(town)
+    assert damaged(town) == [] and build(town).new == 0
+    arrays = "*.0.ssr-vlad.npy", "*.1.signs.npy", "*.sums.signs.npy"
+    for name in (*arrays, "*.sums.npz", "*.checksums.json", "learnt.npz", "sample.npz"):
+        for keep in (None, 20, 9):
+            [file] = Path(town.path, "_coarse").glob(f"*/{name}")
+            content = file.read_bytes()
+            turned = content[:-20] + bytes(255 - each for each in content[-20:])
+            file.write_bytes(content[:keep] if keep else turned)
+            assert len(damaged(town)) == 1, name
+            build(town)
+            assert damaged(town) == [], name
+    about = Path(town.path, "_coarse", "index.json")
+    about.write_text(about.read_text().replace('"format": 4', '"format": 3'))
+    assert damaged(town) == ["_coarse/index.json"]
+    refuses("is damaged, or of another version; ssrvlad db index builds it anew", CoarseIndex, town)
 
 
 def test_a_map_keeps_its_index_complete(tmp_path):

@@ -48,7 +48,7 @@ def test_verify_names_the_file_and_can_drop_what_is_damaged(
 ):
     assert ssrvlad("db", "verify", database) == (0, f"{database}: 6 frames, 0 damaged\n", [])
     code, out, _ = ssrvlad("db", "verify", database, "--json")
-    assert (code, json.loads(out)) == (0, {"frames": 6, "damage": []})
+    assert (code, json.loads(out)) == (0, {"frames": 6, "damage": [], "index": []})
 
     file = spoil(database, Database.open(database).load().descriptors[2])
     code, _, (line,) = ssrvlad("db", "verify", database)
@@ -62,6 +62,20 @@ def test_verify_names_the_file_and_can_drop_what_is_damaged(
     assert code == 3 and "now holds the 5 undamaged frames" in err[-1]
     assert ssrvlad("db", "verify", database)[0] == 0
     assert "1 frames encoded" in encode(maps, "-o", database)[1]
+
+
+def test_verify_names_damaged_files_of_the_index_and_index_mends_them(ssrvlad, database):
+    assert ssrvlad("db", "index", database)[0] == 0
+    assert ssrvlad("db", "verify", database)[0] == 0
+    codes = next(database.glob("_coarse/*/*.0.*.npy"))
+    before = codes.read_bytes()
+    codes.write_bytes(before[:128] + bytes(len(before) - 128))
+    code, out, (line,) = ssrvlad("db", "verify", database)
+    assert code == 3 and "6 frames, 0 damaged" in out
+    assert f"{codes.name} is damaged, or of another version; ssrvlad db index writes" in line
+    assert ssrvlad("db", "index", database)[0] == 0
+    assert codes.read_bytes() == before
+    assert ssrvlad("db", "verify", database)[0] == 0
 
 
 def test_labels_are_read_by_the_stored_label_space_from_any_folder(

@@ -12,9 +12,10 @@ import math
 import secrets
 import shutil
 import time
+import zlib
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -42,7 +43,7 @@ FOLDER, _ABOUT, _LEARNT, _SAMPLED = "_coarse", "index.json", "learnt.npz", "samp
 LEAST_ROWS = 20_000
 """Maps of fewer frames are loaded and searched in memory, see docs/scale.md."""
 
-_FORMAT = 3
+_FORMAT = 4
 _SAMPLE, _SAMPLE_BYTES, _GROWTH = 4096, 1 << 27, 4
 """Rows and bytes of the sample, at most; a map that has grown so many times is learnt anew."""
 _BLOCK, _OFFSET = 1 << 12, np.uint64((1 << 32) - 1)
@@ -58,9 +59,10 @@ class Report(NamedTuple):
 
 
 def build(database: Database) -> Report:
-    """Indexes the frames of a database that its coarse index lacks; all if there is none, if it is
-    of other channels, or if the map has grown much since. A database that is damaged, in an object
-    store, or without frames is a ValueError, an index that cannot be written an OSError."""
+    """Indexes the frames of a database that its coarse index lacks, or has in damaged files; all if
+    there is none, if it is of other channels, or if the map has grown much since. A database that
+    is damaged, in an object store, or without frames is a ValueError, an index that cannot be
+    written an OSError."""
     if is_uri(database.path):
         raise ValueError(f"an index needs a folder on this machine, {database.path} is a URI")
     rows, began = len(database), time.perf_counter()
@@ -72,13 +74,14 @@ def build(database: Database) -> Report:
         _remove_others(learnt.folder)
     fragments, new, columns = database.table().get_fragments(), 0, database.columns
     for fragment in fragments:
-        if _part(fragment, learnt.forms, columns, learnt.folder) is None:
+        part = _part(fragment, learnt.forms, columns, learnt.folder)
+        if part is None or _damaged(learnt.folder / _stem(fragment)) != []:
             _write(fragment, learnt.forms, columns, learnt.folder)
             new += fragment.count_rows()
     stored = {_stem(fragment) for fragment in fragments}
     kept = {path.stem for path in Path(database.path, "data").glob("*.lance")} | stored
     kept |= {Path(name).stem for name in (_LEARNT, _SAMPLED)}
-    files = [*learnt.folder.glob("*.np[yz]")]
+    files = [*learnt.folder.glob("[!.]*.*")]
     for file in files:
         if file.name.split(".")[0] not in kept:
             file.unlink(missing_ok=True)
@@ -95,6 +98,19 @@ def grow(database: Database) -> None:
 def is_indexed(database: Database) -> bool:
     """Whether a database has a coarse index, in whatever state."""
     return not is_uri(database.path) and (_folder(database) / _ABOUT).exists()
+
+
+def damaged(database: Database) -> list[str]:
+    """The files of the coarse index that are not as they were written, below the database's folder;
+    none without an index. Opening an index does not read them."""
+    if not is_indexed(database):
+        return []
+    learnt = _learnt(database)
+    if learnt is None:
+        return [f"{FOLDER}/{_ABOUT}"]
+    stems = (learnt.folder / _stem(fragment) for fragment in database.table().get_fragments())
+    files = [file for stem in stems for file in _damaged(stem) or ()]
+    return [file.relative_to(database.path).as_posix() for file in files]
 
 
 class CoarseIndex:
@@ -319,6 +335,30 @@ def _part(
     return None if known is None else _Part(codes, known, fragment.physical_rows)
 
 
+def _checksums(stem: Path) -> Path:
+    """Holds the CRC-32 of the files of a data file."""
+    return stem.with_name(f"{stem.name}.checksums.json")
+
+
+def _damaged(stem: Path) -> list[Path] | None:
+    """The files of a data file that are not as they were written; ``None`` if they were not."""
+    try:
+        told = read_json(_checksums(stem))
+        return [path for name in told if _crc(path := stem.with_name(name)) != told[name]]
+    except FileNotFoundError:
+        return None
+    except (ValueError, TypeError):
+        return [_checksums(stem)]
+
+
+def _crc(path: Path) -> int:
+    value = 0
+    with suppress(FileNotFoundError), path.open("rb") as file:
+        while block := file.read(_BLOCK << 8):
+            value = zlib.crc32(block, value)
+    return value
+
+
 def _layers(forms: Mapping[str, Coarse], columns: Sequence[Column]) -> list[tuple[Column, int]]:
     return [(column, layer) for column in columns for layer in range(forms[column.name].layers)]
 
@@ -352,6 +392,10 @@ def _write(
             add(batch)
             for (column, layer), stream in streams.items():
                 stream.write(forms[column.name].codes(batch[column.name], layer).tobytes())
+    stem = folder / _stem(fragment)
+    written = {file.name: _crc(file) for file in folder.glob(f"{stem.name}.*.np[yz]")}
+    with replacing(_checksums(stem)) as part:
+        part.write_text(json.dumps(written))
 
 
 def _whole_blocks(

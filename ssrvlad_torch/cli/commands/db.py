@@ -112,27 +112,34 @@ def verify(
     ),
     as_json: Json = False,
 ) -> None:
-    """Check that every byte of a database is as it was written. The exit code is 3 if a byte has
-    changed.
+    """Check that every byte of a database and its index is as it was written. The exit code is 3 if
+    a byte has changed.
 
     Example: ssrvlad db verify town.ssrdb
     """
     from ...database.database import Database
+    from ...search.coarse_index import damaged
 
     opened = Database.open(database)
-    frames = len(opened)
+    frames, files = len(opened), damaged(opened)
     with progress_bar("verifying", frames) as bar:
         damage = opened.damage(bar.advance)
     if as_json:
-        print_json({"frames": frames, "damage": [entry._asdict() for entry in damage]})
+        print_json(
+            {"frames": frames, "damage": [entry._asdict() for entry in damage], "index": files}
+        )
     else:
         say(f"{database}: {frames} frames, {sum(entry.rows for entry in damage)} damaged")
     for entry in damage:
         note(f"{database}/{entry.file}: {entry.rows} frames lost: {entry.reason}")
+    for file in files:
+        note(
+            f"{database}/{file} is damaged, or of another version; ssrvlad db index writes it anew"
+        )
     if damage and drop_damaged:
         opened.drop_damaged()
         note(f"{database} now holds the {len(opened)} undamaged frames")
-    if damage:
+    if damage or files:
         raise typer.Exit(SOME_SKIPPED)
 
 
