@@ -91,7 +91,7 @@ def fuse(
     run on a golden image before it is saved, and must agree with both.
 
     Shape:
-        - input: ``image (B, H, W, 3)`` uint8 in RGB, of any size.
+        - input: ``image (B, H, W, 3)`` uint8 in RGB, of any size, B at least 1.
         - outputs: those of `export_head`, and ``labels (B, H, W)`` uint8, or int64 for wider ids.
           With features also ``features (B, 16, 16, 16)`` uint8, the signs that `Segmenter.segment`
           gives; all 0 for activations that are not finite or the same everywhere. ``hog (B, 480)``
