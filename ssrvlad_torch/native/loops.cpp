@@ -626,7 +626,7 @@ ssrvlad_loops *ssrvlad_loops_new(const ssrvlad_loops_settings *settings,
 
 void ssrvlad_loops_free(ssrvlad_loops *loops) { delete loops; }
 
-int64_t ssrvlad_loops_rows(const ssrvlad_loops *loops) { return loops->stream.rows(); }
+int64_t ssrvlad_loops_rows(const ssrvlad_loops *loops) { return loops ? loops->stream.rows() : 0; }
 
 int ssrvlad_loops_update(ssrvlad_loops *loops, const void *const *descriptors, const int64_t *anchors,
                          double stamp, int starts, int threads, ssrvlad_loop *result) {
@@ -668,5 +668,6 @@ int ssrvlad_loops_descriptors(const ssrvlad_loops *loops, int channel, int64_t f
 }
 
 void ssrvlad_loops_weights(const ssrvlad_loops *loops, double *weights) {
+  if (!loops || !weights) return;
   for (const double weight : loops->stream.weights()) *weights++ = weight;
 }

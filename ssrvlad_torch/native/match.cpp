@@ -62,7 +62,8 @@ int ssrvlad_match(const ssrvlad_rows *given, const float *queries, int64_t count
   return guarded([&] {
     require(given && queries && scores && rows && count >= 0 && top >= 1 && given->count >= 0 &&
             given->length >= 1 && may_be({given->count, given->length}) &&
-            may_be({count, given->length}) && may_be({count, top}) && (!given->count || (given->vectors && given->lengths)));
+            may_be({count, given->length}) && may_be({count, top}) &&
+            (!given->count || (given->vectors && given->lengths)));
     const Size share = (count + threads - 1) / std::max(1, threads);
     over_blocks(count, std::clamp<Size>(share, 1, QUERIES), threads, [&](Size first, Size last) {
       match(*given, queries, first, last, top, scores, rows);

@@ -87,7 +87,7 @@ SSRVLAD_API ssrvlad_loops *ssrvlad_loops_new(const ssrvlad_loops_settings *setti
                                              const ssrvlad_loops_channel *channels, int count);
 SSRVLAD_API void ssrvlad_loops_free(ssrvlad_loops *loops);
 
-/* The number of frames. */
+/* The number of frames; 0 without a stream. */
 SSRVLAD_API int64_t ssrvlad_loops_rows(const ssrvlad_loops *loops);
 
 /* Looks for the place of the next frame among the earlier ones, then stores it. Returns SSRVLAD_OK, or
