@@ -14,6 +14,7 @@ import numpy as np
 
 from .channels import LABEL_SHAPES
 from .channels.channel import Channel, View
+from .config import SSRVLADConfig
 from .database.database import Database
 from .database.engine import discard_empty
 from .database.frames import FrameSet
@@ -91,6 +92,11 @@ class Map:
         self._located: tuple[int, FrameSet | LargeMap, list[Channel]] | None = None
         exists = self.version is not None or Database.exists(self.path)
         self._database = Database.open(self.path, self.version) if exists else None
+        if self._database and self.preset is not None:
+            space = self._database.config.labels_as
+            self._database.require(SSRVLADConfig.from_preset(self.preset, labels_as=space))
+        if self._database and self.channels is not None:
+            chosen_channels(self._database, self.channels)
 
     @classmethod
     def open(
@@ -107,13 +113,16 @@ class Map:
         Args:
             path: a folder or a URI.
             network, labels_as: see `Map`.
-            preset: of a new map, ``"default"`` or ``"paper"``; by default ``"default"``.
+            preset: of a new map, ``"default"`` or ``"paper"``; by default ``"default"``. One that
+                exists must have it.
             channels: what a new map stores of pictures beside the descriptor of label maps, of
-                `channels.CHANNELS`; by default all that the network gives.
+                `channels.CHANNELS`; by default all that the network gives. One that exists must
+                have them.
             version: of the database, opened read-only; by default the newest.
 
         Raises:
-            ValueError: the database is damaged, or was made by another version of the method.
+            ValueError: the database is damaged, was made by another version of the method, or has
+                another preset or other channels.
         """
         if not isinstance(path, str | os.PathLike):
             raise ValueError(f"expected the folder or URI of a map, got {path!r}")

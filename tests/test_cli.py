@@ -121,6 +121,7 @@ WRONG_USES = [
     (f"encode '' {NONE}", "the argument after encode is empty; expected a text"),
     (f"encode monday {NONE} --sequence=", "--sequence is empty; expected a text"),
     ("db compact town.ssrdb --keep-days inf", "--keep-days': Input should be less than or"),
+    ("fuse none.onnx -o none/p.onnx --labels-as camvid-11", "there is no folder"),
     ("encode monday -o none", "expected the label space of the label maps, --labels-as"),
     ("query town.ssrdb monday --topp 3", "No such option"),
     ("query town.ssrdb monday --top 0", "'--top': Input should be greater than or equal to 1"),

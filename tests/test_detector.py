@@ -54,6 +54,12 @@ def test_what_is_no_picture_is_refused_and_leaves_no_trace(drives):
         LoopDetector.from_pretrained(torch.nn.Identity())
 
 
+def test_a_path_is_no_database():
+    for call in (LoopDetector().save, LoopDetector.load):
+        with pytest.raises(ValueError, match=r"such as Database\.open\(path\), got 'mem\.ssrdb'"):
+            call("mem.ssrdb")
+
+
 def test_without_a_network_a_picture_is_no_label_map():
     with pytest.raises(ValueError, match="class scores must be floating point"):
         LoopDetector().update(photo(street(0, 96, 128)), "drive/000")

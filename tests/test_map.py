@@ -277,6 +277,13 @@ def test_an_older_version_is_read_only(drawn, maps, tmp_path):
     refuses("read-only", older.add, write_maps(tmp_path / "wednesday", range(6)))
 
 
+def test_a_map_that_exists_has_the_preset_and_the_channels_that_are_named(drawn):
+    assert len(Map.open(drawn.path, preset="default", channels=["ssr-vlad"])) == len(drawn)
+    refuses("has fingerprint .*these settings", Map.open, drawn.path, preset="paper")
+    refuses("bogus", Map.open, drawn.path, preset="bogus")
+    refuses("holds ssr-vlad of every frame, not hog", Map.open, drawn.path, channels=["hog"])
+
+
 def test_another_network_is_refused_and_label_maps_are_not(town, drawn, photos, tmp_path):
     town.add(photos)
     other = Segmenter(Strided(2), SPACE, PLAIN)

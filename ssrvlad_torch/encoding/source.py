@@ -125,6 +125,9 @@ def open_source(
         network, labels_as = _network_of_database(source, database, labels_as, images)
         if network and not wanted.given("segmenter_cache", "classes"):
             network = opened or network
+    if network and not labels_as and not database:
+        name = network if isinstance(network, str) else network.name
+        raise ValueError(f"{name} does not name its classes; give --labels-as")
     space = _space(labels_as, database, compared, images)
     segmenter = _segmenter(network, wanted, space, note) if space else None
     if segmenter and database and not wanted.segmenter:
@@ -161,7 +164,10 @@ def origin_of(database: Database) -> Origin:
     are a ValueError."""
     origins = [origin for origin in database.origins.values() if origin.segmenter]
     if not origins:
-        raise ValueError(f"{database.path} was not made from pictures; name a --segmenter")
+        raise ValueError(
+            f"{database.path} was not made from pictures; name a --segmenter, or query "
+            "with label maps"
+        )
     names = dict.fromkeys(origin.network or "a network without a name" for origin in origins)
     if len(origins) > 1 or not origins[0].network:
         raise ValueError(f"{database.path} was made by {', '.join(names)}; name the --segmenter")
@@ -179,7 +185,8 @@ def require_network(database: Database, segmenter: Segmenter) -> None:
         expected = ", ".join(name or "a network without a name" for name in others.values())
         raise ValueError(
             f"{database.path} was made by {expected} as it was then; {got} gives other label maps "
-            "(a module and its ONNX file are two networks: encode with the file to be deployed)"
+            "(with another label space or other settings it is another network, and so is the ONNX "
+            "file of a module: encode with the file to be deployed)"
         )
 
 

@@ -302,9 +302,11 @@ class LoopDetector:
             database: the one that was loaded or saved to before; for the first save an empty one.
 
         Raises:
-            ValueError: the database has another fingerprint, or other frames than those saved.
+            ValueError: it is no database, or has another fingerprint or other frames than those
+                saved.
             OSError: writing failed; the database is unchanged.
         """
+        _require_database(database)
         with self._saving:
             columns = [channel.column for channel in self.channels[1:]]
             database.require(self.head.config, columns)
@@ -343,8 +345,10 @@ class LoopDetector:
             head: with the fingerprint of the database; without, a head of the database's settings.
 
         Raises:
-            ValueError: the fingerprints differ, or a file is damaged; the message names the file.
+            ValueError: it is no database, fingerprints differ, or a file is damaged; the message
+                names the file.
         """
+        _require_database(database)
         head = head or SSRVLAD(database.config)
         database.require(head.config)
         detector = cls(config, head, channels_of(database.columns[1:], head))
@@ -392,3 +396,8 @@ class LoopDetector:
         self._sequence = records[-1].sequence
         if not np.isnan(stamps).all():
             self._stamps[self._sequence] = float(np.nanmax(stamps))
+
+
+def _require_database(given: object) -> None:
+    if not isinstance(given, Database):
+        raise ValueError(f"expected a database, such as Database.open(path), got {given!r}")

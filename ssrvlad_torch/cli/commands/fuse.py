@@ -32,9 +32,12 @@ def fuse(
     """
     from ...config import SSRVLADConfig
     from ...deployment.fuse import fuse as join
+    from ...files import check_output
     from ...segmentation.preparation import channels
     from ...segmentation.segmenter import Segmenter
 
+    for file in filter(None, (output, split)):
+        check_output(file)
     segmenter = Segmenter.load(network, labels_as, classes=channels(classes))
     space = segmenter.label_space if labels_as == "auto" else labels_as
     config = SSRVLADConfig.from_preset(preset, labels_as=space)
