@@ -201,7 +201,7 @@ def test_wrong_use_of_channels(town, photos, maps, ssrvlad, refusal):
     notes = ["".join(ssrvlad(*maps_first, photos / "today", *network)[2]) for _ in range(2)]
     assert ["is of label maps alone" in each for each in notes] == [True, False]
     message = refusal("encode", photos / "today", "-o", plain, *network, "--channel", "hog")
-    assert "has no descriptors by hog" in message
+    assert "holds ssr-vlad of every frame, not hog; encode a new database" in message
     features = ("--channel", "features")
     message = refusal("query", plain, photos / "today", *network, *features)
     assert "holds ssr-vlad of every frame, not features; encode a new database with" in message
