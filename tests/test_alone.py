@@ -55,6 +55,19 @@ def test_answers_are_those_of_exact_search(town, monkeypatch, names, sweep):
     assert got.used["references"] == ROWS and got.used["follow"] == {"today": "no"}
 
 
+def test_without_the_core_confidence_is_the_same(town, core, monkeypatch):
+    """Only candidates have scores, but every row is a place that could match."""
+    where = np.arange(ROWS) % 2 == 0
+    large, queries = LargeMap(town, channels(town, ALL)), queries_at([4, 78, 200, 390], ALL)
+    fast = [recognise_in_large(large, queries, STEPS, 5, each) for each in (where, where | True)]
+    monkeypatch.setattr("ssrvlad_torch.recognition.deciding.has_core", lambda: False)
+    plain = [recognise_in_large(large, queries, STEPS, 5, each) for each in (where, where | True)]
+    for ours, theirs in zip(plain, fast, strict=True):
+        assert torch.equal(ours.matches.indices, theirs.matches.indices)
+        assert theirs.confidence.max() > 0.5
+        torch.testing.assert_close(ours.confidence, theirs.confidence, atol=1e-4, rtol=0)
+
+
 def recognise_in_each(frames, queries, used, steps, number):
     """Exact search of one query alone."""
     some = {name: values[number : number + 1] for name, values in queries.channels.items()}

@@ -31,7 +31,8 @@ def decide(
     those of the rows of the map, which stand together and in order if the drive is followed."""
     if not has_core():
         scores = _whole(evidence, queries, len(sequences))
-        return reference.decide(scores, sequences, mode, delay, top)
+        matching = [_matching(evidence, *each) for each in zip(queries, scores, strict=True)]
+        return reference.decide(scores, sequences, mode, delay, top, matching)
     starts = _starts(sequences) if mode else [0][: len(sequences)]
     given = mode, delay, top, queries
     return by_core.decide(_array(evidence), starts, len(sequences), *given)
@@ -59,3 +60,12 @@ def _whole(evidence: Evidence, queries: range, rows: int) -> npt.NDArray[Any]:
         for query in queries
     ]
     return np.reshape([np.asarray(each) for each in scores], (len(queries), rows))
+
+
+def _matching(evidence: Evidence, query: int, scores: npt.NDArray[Any]) -> int:
+    """How many rows could match a query: those with a score, and of all as many as of a sample."""
+    known = int(np.isfinite(scores).sum())
+    if not isinstance(evidence, Search):
+        return known
+    sampled = np.isfinite(np.asarray(evidence.sample(query)[1]))
+    return max(known, len(scores) * int(sampled.sum()) // max(1, len(sampled)))

@@ -383,8 +383,9 @@ def chance(
 
         chance = (1 + s / rest) ** -m
 
-    is uniform from 0 to 1, whatever mean and deviation the values have. The means of the steps are
-    those of normal order statistics (Blom, 1958). Nothing but `ROWS_A_PLACE` is measured.
+    is uniform from 0 to 1, whatever mean and deviation the values have, and nearly so of values
+    that are nearly normal. The means of the steps are those of normal order statistics (Blom,
+    1958). Nothing but `ROWS_A_PLACE` is measured.
     """
     at = np.arange(len(values)) if rows is None else np.asarray(rows)
     near = dict(zip(at.tolist(), values.astype(np.float64), strict=True))
@@ -642,11 +643,17 @@ LEAST_BELIEF = 1e-38
 
 
 def decide(
-    scores: Array, sequences: Sequence[str], mode: str | None, delay: int, top: int
+    scores: Array,
+    sequences: Sequence[str],
+    mode: str | None,
+    delay: int,
+    top: int,
+    matching: Sequence[int] | None = None,
 ) -> Decision:
     """The decision about the queries ``(Q, R)`` of one drive: each is judged alone, and the drive
     is followed online or offline if that is asked for, it has a course, and its answers are not
-    less sure for it. An empty query has no candidate."""
+    less sure for it. An empty query has no candidate. ``matching`` is how many rows could match
+    each query, by default those with a score."""
     shape = len(scores), top
     best = [best_of(row, top) for row in scores]
     values = np.reshape([each for each, _ in best], shape)
@@ -654,7 +661,8 @@ def decide(
     answered = rows[:, 0] >= 0
     taken, gained = course(scores, sequences) if mode else (Course(), 0.0)
     later = delay if mode == "online" else len(scores)
-    judged = [chance(nearness(row)) for row in scores]
+    counts: Sequence[int | None] = matching or [None] * len(scores)
+    judged = [chance(nearness(row), None, each) for row, each in zip(scores, counts, strict=True)]
     rivals = np.array([rival for _, rival in judged])
     together = answers_together(rivals[answered])
     chances = np.where(answered, [each for each, _ in judged], np.nan)
