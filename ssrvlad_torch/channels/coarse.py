@@ -17,6 +17,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ..native import core
+from ..native.addresses import address
 from . import Column
 from .signs import REACH, moved, numbers
 
@@ -99,7 +100,7 @@ class CoarseSigns:
             layers, bits = [*layers, self.codes(stacked, 1)], bits + self._more
         own = np.concatenate(layers, 2)
         reach = self._reach if sweep else 0
-        scores, library = torch.empty(len(own), rows), core().library
+        scores, library = torch.empty(len(own), rows, dtype=torch.float32), core().library
         if library is None:
             for first in range(0, rows, _ROWS_AT_ONCE):
                 part = torch.from_numpy(np.array(codes[first : first + _ROWS_AT_ONCE]))
@@ -107,10 +108,12 @@ class CoarseSigns:
                     torch.from_numpy(own), part, reach, bits
                 )
             return scores
+        size = self._columns, codes.shape[2]
         library.ssrvlad_scan_signs(
-            own.ctypes.data, len(own), codes.ctypes.data, rows, self._columns,
+            address(own, (len(own), *size), "uint8"), len(own),
+            address(codes, (rows, *size), "uint8"), rows, self._columns,
             codes.shape[2] // _WORD, bits, reach, torch.get_num_threads(),
-            scores.data_ptr(),
+            address(scores, (len(own), rows), "float32"),
         )  # fmt: skip
         return scores
 
@@ -143,7 +146,7 @@ class CoarseVectors:
         _, directions = torch.linalg.eigh((vectors - mean).T @ (vectors - mean))
         chosen = directions.flip(1)[:, :LENGTH]
         step = _DEVIATIONS * ((vectors - mean) @ chosen).square().mean(0).sqrt() / _MOST
-        basis = torch.zeros(LENGTH, sample.shape[1])
+        basis = torch.zeros(LENGTH, sample.shape[1], dtype=torch.float32)
         basis[: chosen.shape[1]] = (chosen * step.clamp(min=1e-9)).T.float()
         return cls({"mean": mean.float().numpy(), "basis": basis.numpy()})
 
@@ -167,14 +170,17 @@ class CoarseVectors:
         swept = swept if sweep else swept[:, middle : middle + 1]
         units = F.normalize(swept.float(), dim=2)
         weights, offsets = (units @ self._basis.T).contiguous(), (units @ self._mean).contiguous()
-        scores, library = torch.empty(len(swept), len(codes), LANES), core().library
+        shape, library = (len(swept), len(codes), LANES), core().library
+        scores = torch.empty(shape, dtype=torch.float32)
         if library is None:
             for block, code in enumerate(codes):
                 sums = weights @ torch.from_numpy(code.astype(np.float32)) + offsets[..., None]
                 scores[:, block] = sums.amax(1)
         else:
             library.ssrvlad_scan_vectors(
-                weights.data_ptr(), offsets.data_ptr(), len(swept), swept.shape[1],
-                codes.ctypes.data, len(codes), LENGTH, torch.get_num_threads(), scores.data_ptr(),
+                address(weights, (*swept.shape[:2], LENGTH), "float32"),
+                address(offsets, swept.shape[:2], "float32"), len(swept), swept.shape[1],
+                address(codes, (len(codes), LENGTH, LANES), "int8"), len(codes), LENGTH,
+                torch.get_num_threads(), address(scores, shape, "float32"),
             )  # fmt: skip
         return scores.flatten(1)[:, :rows]

@@ -14,9 +14,11 @@ from torch import Tensor
 
 from ..config import CHOICES, SSRVLADConfig
 from . import core
+from .addresses import address
 from .headers import struct
 
 _NATIVE_DTYPES = (torch.uint8, torch.int16, torch.int32, torch.int64)
+_LABELS = tuple(str(dtype).removeprefix("torch.") for dtype in _NATIVE_DTYPES)
 
 
 class UnknownIdError(ValueError):
@@ -36,13 +38,16 @@ def describe(labels: Tensor, table: Tensor, origin: int, settings: str) -> Tenso
     elif labels.dtype not in _NATIVE_DTYPES:
         labels = labels.to(torch.int64)
     labels, table = labels.contiguous(), table.contiguous()
-    descriptors = torch.empty((len(labels), head.length))
+    # whatever torch's default dtype and device are
+    descriptors = torch.empty((len(labels), head.length), dtype=torch.float32, device="cpu")
     status = head.library.ssrvlad_describe(
         head.handle,
-        struct("labels")(labels.data_ptr(), labels.element_size(), *labels.shape),
-        struct("table")(table.data_ptr(), len(table), origin),
+        struct("labels")(
+            address(labels, labels.shape, *_LABELS), labels.element_size(), *labels.shape
+        ),
+        struct("table")(address(table, (len(table),), "uint8"), len(table), origin),
         torch.get_num_threads(),
-        descriptors.data_ptr(),
+        address(descriptors, (len(labels), head.length), "float32"),
     )
     if status > 0:
         known = (table != table[-1]).nonzero()[:, 0] - origin

@@ -159,7 +159,8 @@ class CoarseIndex:
 
     def scan(self, name: str, queries: Sequence[Tensor], sweep: bool = True) -> Tensor:
         """``(Q, R)`` float32 coarse scores of descriptors by one channel to all rows."""
-        scores, first, form = torch.empty(len(queries), self._rows), 0, self._forms[name]
+        first, form = 0, self._forms[name]
+        scores = torch.empty(len(queries), self._rows, dtype=torch.float32)
         for part in self._parts:
             found = form.scan(queries, part.codes[name][0], part.rows, sweep)
             found = found if part.live is None else found[:, torch.from_numpy(part.live)]
@@ -170,7 +171,7 @@ class CoarseIndex:
     def rescan(self, name: str, query: Tensor, rows: Tensor, sweep: bool) -> Tensor | None:
         """``(N,)`` float32 scores of a descriptor to some rows by all layers of the codes of one
         channel; ``None`` if there is one layer."""
-        form, first, found = self._forms[name], 0, torch.empty(len(rows))
+        form, first, found = self._forms[name], 0, torch.empty(len(rows), dtype=torch.float32)
         if form.layers == 1:
             return None
         for part in self._parts:

@@ -1,0 +1,37 @@
+"""Where an array is in memory: the one way by which the core gets one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+
+def address(array: Any, shape: Sequence[int], *dtypes: str) -> int:
+    """The address of an array of NumPy or a tensor of torch, which the core reads or fills.
+
+    Args:
+        array: in the memory of the CPU, C-contiguous.
+        shape: the shape that the core takes it for.
+        dtypes: names of those that the core takes it for, such as ``"float32"``.
+
+    Raises:
+        ValueError: the array is of another kind.
+
+    Examples:
+        >>> import numpy as np
+        >>> from ssrvlad_torch.native.addresses import address
+        >>> rows = np.zeros((2, 3), np.float32)
+        >>> address(rows, (2, 3), "float32") == rows.ctypes.data
+        True
+    """
+    of_torch = hasattr(array, "data_ptr")
+    contiguous = array.is_contiguous() if of_torch else array.flags.c_contiguous
+    dtype, device = str(array.dtype).removeprefix("torch."), str(getattr(array, "device", "cpu"))
+    size = tuple(array.shape)
+    if dtype not in dtypes or size != tuple(shape) or device != "cpu" or not contiguous:
+        order = "" if contiguous else ", not contiguous"
+        raise ValueError(
+            f"the native core: expected an array {tuple(shape)} of {' or '.join(dtypes)} on cpu, "
+            f"got {size} of {dtype} on {device}{order}"
+        )
+    return int(array.data_ptr() if of_torch else array.ctypes.data)
