@@ -2,13 +2,17 @@
 
 #include "decide.hpp"
 
-#include "interface.hpp"
-
 #include <deque>
 #include <numeric>
 #include <random>
 
 namespace places {
+
+std::vector<Size> in_order(Size count) {
+  std::vector<Size> order(count);
+  std::iota(order.begin(), order.end(), 0);
+  return order;
+}
 
 namespace {
 constexpr Size AROUND = Likeness::AROUND;
@@ -167,12 +171,6 @@ std::vector<std::vector<Size>> streams_of(const Course &course, const std::vecto
   for (std::size_t place = 0; place < order.size(); ++place)
     streams[place % streams.size()].push_back(order[place]);
   return streams;
-}
-
-std::vector<Size> in_order(Size count) {
-  std::vector<Size> order(count);
-  std::iota(order.begin(), order.end(), 0);
-  return order;
 }
 
 // As torch.randperm with the seed 0.
@@ -600,207 +598,3 @@ Decision decide(const Drives &drives, const Evidence &evidence, Mode mode, Size 
 }
 
 }  // namespace places
-
-// ------------------------------------------------------------------------------------- the interface
-
-namespace {
-using places::Size;
-
-using places::Failed, places::give, places::guarded, places::may_be, places::require;
-
-// The return code of a function of the caller.
-int64_t passed(int64_t code) {
-  if (code < 0) throw Failed{code};
-  return code;
-}
-
-class CallersScores : public places::Scores {
- public:
-  CallersScores(const ssrvlad_evidence &given, Size rows) : given_(given), rows_(rows) {}
-  Size queries() const override { return given_.queries; }
-  Size rows() const override { return rows_; }
-  void of(Size query, float *scores) const override {
-    if (given_.scores)
-      passed(given_.scores(given_.context, query, scores));
-    else
-      std::copy_n(given_.matrix + query * rows_, rows_, scores);
-  }
-
- private:
-  const ssrvlad_evidence given_;
-  Size rows_;
-};
-
-class CallersSearch : public places::Search {
- public:
-  CallersSearch(const ssrvlad_evidence &given, Size rows) : given_(given), rows_(rows) {}
-  Size queries() const override { return given_.queries; }
-
-  std::vector<Size> candidates(Size query) const override {
-    std::vector<Size> rows(
-        static_cast<std::size_t>(passed(given_.candidates(given_.context, query, nullptr))));
-    if (!rows.empty()) passed(given_.candidates(given_.context, query, rows.data()));
-    for (const Size row : rows) require(row >= 0 && row < rows_);
-    return rows;
-  }
-
-  void of(Size query, const std::vector<Size> &rows, float *scores) const override {
-    if (!rows.empty())
-      passed(
-          given_.some(given_.context, query, rows.data(), static_cast<Size>(rows.size()), scores));
-  }
-
-  places::Spread spread(Size query) const override {
-    places::Spread spread;
-    passed(given_.spread(given_.context, query, &spread.mean, &spread.deviation));
-    require(std::isfinite(spread.mean) && std::isfinite(spread.deviation) && spread.deviation >= 0);
-    return spread;
-  }
-
-  std::pair<std::vector<Size>, std::vector<float>> sample(Size query) const override {
-    std::vector<Size> rows(
-        static_cast<std::size_t>(passed(given_.sample(given_.context, query, nullptr, nullptr))));
-    std::vector<float> scores(rows.size());
-    if (!rows.empty()) passed(given_.sample(given_.context, query, rows.data(), scores.data()));
-    if (!sampled_) sampled_ = std::make_unique<std::vector<Size>>(rows);
-    require(rows == *sampled_);
-    return {rows, scores};
-  }
-
- private:
-  const ssrvlad_evidence given_;
-  Size rows_;
-  mutable std::unique_ptr<const std::vector<Size>> sampled_;
-};
-
-// The rows of a map and the queries of a drive, checked.
-struct Given {
-  places::Drives drives;
-  std::unique_ptr<places::Scores> scores;
-  std::unique_ptr<places::Search> search;
-  std::unique_ptr<places::Evidence> evidence;
-
-  Given(const ssrvlad_drives *map, const ssrvlad_evidence *of) {
-    require(of && of->queries >= 0);
-    drives = places::drives_of(map);
-    const bool searched = of->candidates && of->some && of->spread && of->sample;
-    require(of->matrix || of->scores || searched || !of->queries || !drives.rows);
-    if (searched) {
-      search = std::make_unique<CallersSearch>(*of, drives.rows);
-      evidence = std::make_unique<places::Candidates>(*search);
-    } else {
-      scores = std::make_unique<CallersScores>(*of, drives.rows);
-      evidence = std::make_unique<places::AllRows>(*scores);
-    }
-  }
-};
-
-// Checks probabilities of queries that err so many together; NaN where there may be none.
-void check(const double *chances, int64_t queries, double together, bool without) {
-  require(may_be({queries}) && (chances || !queries) && together >= 1 && std::isfinite(together));
-  require(std::all_of(chances, chances + queries, [&](double each) {
-    return (each >= 0 && each <= 1) || (without && std::isnan(each));
-  }));
-}
-
-places::Motion motion_of(const ssrvlad_motion *given) {
-  if (!given) return {};
-  const auto &[change, jump, unmapped, stay, weight, level, rate] = *given;
-  for (const double chance : {change, jump, unmapped, stay}) require(chance >= 0 && chance <= 1);
-  require(weight > 0 && std::isfinite(weight) && std::isfinite(level) && rate > 0 &&
-          rate <= places::MOST_RATE);
-  return {change, jump, unmapped, stay, weight, level, rate};
-}
-}  // namespace
-
-extern "C" {
-
-int ssrvlad_decide(const ssrvlad_drives *map, const ssrvlad_evidence *evidence, int mode,
-                   int64_t delay, int64_t top, ssrvlad_decision *decision) {
-  return guarded([&] {
-    require(mode >= SSRVLAD_ALONE && mode <= SSRVLAD_OFFLINE && delay >= 0 && top >= 1 && decision);
-    const Given given(map, evidence);
-    const places::Decision found =
-        places::decide(given.drives, *given.evidence, static_cast<places::Mode>(mode), delay, top);
-    give(found, *decision);
-  });
-}
-
-int ssrvlad_follow(const ssrvlad_drives *map, const ssrvlad_evidence *evidence,
-                   const ssrvlad_motion *motion, int way, int mode, int64_t delay, int64_t top,
-                   ssrvlad_places *found) {
-  return guarded([&] {
-    require(way == places::FORWARDS || way == places::BACKWARDS);
-    require((mode == SSRVLAD_ONLINE || mode == SSRVLAD_OFFLINE) && delay >= 0 && top >= 1 && found);
-    const Given given(map, evidence);
-    const places::Filter filter(given.drives, motion_of(motion), {way});
-    const places::Places where =
-        places::follow(filter, *given.evidence, places::in_order(given.evidence->queries()),
-                       static_cast<places::Mode>(mode), delay, top);
-    give(where.scores, found->scores);
-    give(where.rows, found->rows);
-    give(where.near, found->around);
-    give(where.unmapped, found->unmapped);
-    give(where.chance, found->chance);
-  });
-}
-
-int ssrvlad_gain(const ssrvlad_drives *map, const ssrvlad_evidence *evidence,
-                 const ssrvlad_motion *motion, int way, double *gain) {
-  return guarded([&] {
-    require((way == places::FORWARDS || way == places::BACKWARDS) && gain);
-    const Given given(map, evidence);
-    const places::Filter filter(given.drives, motion_of(motion), {way});
-    *gain = places::gain(filter, *given.evidence, places::in_order(given.evidence->queries()));
-  });
-}
-
-int ssrvlad_chance(const double *values, const int64_t *rows, int64_t count, int64_t matching,
-                   double *chance, int64_t *rival) {
-  return guarded([&] {
-    require(may_be({count}) && (values || !count) && chance && rival);
-    require(std::all_of(values, values + count, [](double each) {
-      return each <= std::numeric_limits<double>::max();
-    }));
-    places::Drives drives{{0}, count};
-    for (Size place = 0; rows && place < count; ++place)
-      require(rows[place] >= 0 && (!place || rows[place] > rows[place - 1]));
-    if (rows && count) drives.rows = rows[count - 1] + 1;
-    const places::Chance found =
-        places::chance_of(values, rows ? drives.some(rows, count) : drives.all(), matching);
-    *chance = found.chance;
-    *rival = found.rival;
-  });
-}
-
-int ssrvlad_mapped(const double *chances, int64_t queries, double together, double best,
-                   double *mapped) {
-  return guarded([&] {
-    check(chances, queries, together, true);
-    require(best > 0 && best <= 1);
-    give(places::mapped({chances, chances + queries}, together, best), mapped);
-  });
-}
-
-int ssrvlad_confidence(const double *chances, const double *mapped, int64_t queries,
-                       double together, int followed, float *right, float *spread) {
-  return guarded([&] {
-    check(chances, queries, together, true);
-    check(mapped, queries, together, false);
-    const places::Confidence found = places::Confidence::of(
-        {chances, chances + queries}, {mapped, mapped + queries}, together, followed != 0);
-    give(found.right, right);
-    give(found.spread, spread);
-  });
-}
-
-double ssrvlad_together(const int64_t *rivals, int64_t queries) {
-  double together = -1;
-  guarded([&] {
-    require(may_be({queries}) && (rivals || !queries));
-    together = places::answers_together({rivals, rivals + queries});
-  });
-  return together;
-}
-
-}  // extern "C"

@@ -142,6 +142,9 @@ struct Decision : Matches {
   using Matches::Matches;
 };
 
+// The numbers of queries that follow one another: 0, 1, ...
+std::vector<Size> in_order(Size count);
+
 // A motion, way, mode, delay or top out of range is not looked for. An `Evidence` may throw.
 Decision decide(const Drives &drives, const Evidence &evidence, Mode mode, Size delay, Size top);
 

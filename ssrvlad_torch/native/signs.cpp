@@ -1,4 +1,4 @@
-// The signs of signs.hpp, and their functions of ssrvlad.h.
+// The signs of signs.hpp.
 
 #include "signs.hpp"
 
@@ -7,7 +7,6 @@
 #endif
 
 #include "parallel.hpp"
-#include "ssrvlad.h"
 
 namespace places {
 
@@ -141,6 +140,16 @@ void count_moves(const Word *query, const Word *rows, Size count, const SignGrid
   counter.moves(query, rows, count, grid, differing);
 }
 
+void scan_signs(const Word *queries, Size count, const Word *rows, Size references,
+                const SignGrid &grid, Size bits, int threads, float *scores) {
+  const BitCounters counter = counters();
+  over_blocks(references, SCANNED_ROWS, threads, [&](Size first, Size last) {
+    for (Size query = 0; query < count; ++query)
+      counter.best(queries + query * grid.size(), rows + first * grid.size(), last - first, grid, bits,
+                   scores + query * references + first);
+  });
+}
+
 void weigh(const std::uint8_t *row, Size bytes, Size groups, const float *weights, float *sums) {
   for (Size group = 0; group < groups; ++group) {
     float low = 0, high = 0;
@@ -153,25 +162,3 @@ void weigh(const std::uint8_t *row, Size bytes, Size groups, const float *weight
 }
 
 }  // namespace places
-
-using namespace places;
-
-int ssrvlad_scan_signs(const uint64_t *queries, int64_t count, const uint64_t *rows,
-                       int64_t references, int64_t columns, int64_t words, int64_t bits,
-                       int64_t reach, int threads, float *scores) {
-  if (!queries || !rows || !scores || count < 0 || references < 0 || words < 1 || bits < 1 ||
-      reach < 0 || reach >= columns)
-    return SSRVLAD_WRONG_ARGUMENT;
-  try {
-    const SignGrid grid{columns, words, reach};
-    const BitCounters counter = counters();
-    over_blocks(references, SCANNED_ROWS, threads, [&](Size first, Size last) {
-      for (Size query = 0; query < count; ++query)
-        counter.best(queries + query * grid.size(), rows + first * grid.size(), last - first, grid, bits,
-                     scores + query * references + first);
-    });
-    return SSRVLAD_OK;
-  } catch (const std::bad_alloc &) {
-    return SSRVLAD_NO_MEMORY;
-  }
-}

@@ -1,4 +1,4 @@
-// The method in plain C++17; ssrvlad.h is its interface.
+// The method of describe.hpp in plain C++17.
 //
 // A layer is a plane of bits, stored by rows of 64-bit words, with the leftmost pixel in the lowest
 // bit. Every row ends with at least one background bit, so the bit before a row's first pixel, the
@@ -8,7 +8,7 @@
 // Compile it with -ffp-contract=off: where multiplication and addition are fused, sums are rounded
 // differently.
 
-#include "ssrvlad.h"
+#include "describe.hpp"
 
 #include <algorithm>
 #include <array>
@@ -49,7 +49,6 @@ constexpr int LAYERS = SSRVLAD_LAYERS;
 constexpr int KINDS = LAYERS + 1;  // the categories and no layer
 constexpr Word ALL = ~Word{0};
 constexpr Word LEFT = 0x0101010101010101, RIGHT = LEFT << 7, TOP = 0xff, BOTTOM = TOP << 56;
-constexpr Size MOST_PIXELS = Size{1} << 31, MOST_BYTES = Size{1} << 58;
 constexpr double PI = 3.14159265358979323846;
 
 constexpr int CELL_ROWS = 24, CELL_COLUMNS = 32, CELLS = CELL_ROWS * CELL_COLUMNS;
@@ -1129,38 +1128,6 @@ struct Scratch {
   std::vector<double> values, histogram;
 };
 
-bool in_range(double value, double lowest, double highest) {
-  return value >= lowest && value <= highest;
-}
-
-bool valid(const ssrvlad_settings &s) {
-  const bool fractions =
-      in_range(s.opening, 0, 0.5) && in_range(s.closing, 0, 0.5) && in_range(s.hole_area, 0, 1) &&
-      in_range(s.region_area, 0, 1) && in_range(s.radius, 1e-300, 1) &&
-      in_range(s.inner_radius, 1e-300, 1) && in_range(s.spectral_weight, 0, 4) &&
-      in_range(s.power, 0.5, 1);
-  const bool counts = in_range(s.working_size, 0, 1 << 14) && in_range(s.rings, 1, 64) &&
-                      in_range(s.sectors, 1, 360) && in_range(s.harmonics, 1, 1 << 12) &&
-                      in_range(s.boundary_harmonics, 1, 1 << 12);
-  const bool choices = in_range(s.thinning, 0, 1) && in_range(s.context, 0, 1) &&
-                       in_range(s.aggregation, 0, 1) && in_range(s.anchor, 0, 1);
-  const int most = s.rings * (2 * ((s.sectors + 1) / 2) - 1);
-  return fractions && counts && choices &&
-         (s.aggregation == SSRVLAD_RESIDUALS ||
-          std::max(s.harmonics, s.boundary_harmonics) <= most);
-}
-
-bool valid(const ssrvlad_labels &labels) {
-  const Size h = labels.height, w = labels.width;
-  const bool type = labels.bytes == 1 || labels.bytes == 2 || labels.bytes == 4 || labels.bytes == 8;
-  return labels.ids && type && labels.images > 0 && h > 0 && w > 0 && h < MOST_PIXELS / w &&
-         labels.images <= MOST_BYTES / 8 / h / w;
-}
-
-bool valid(const ssrvlad_table &table) {
-  return table.categories && table.entries > 0 && table.origin >= 0 && table.origin < table.entries;
-}
-
 // Calls `visit` with the ids of the batch as a pointer of their type.
 template <class Visit>
 auto with_ids(const ssrvlad_labels &labels, Visit visit) {
@@ -1183,28 +1150,10 @@ Size count_unknown(const ssrvlad_labels &labels, const ssrvlad_table &table) {
   });
 }
 
-constexpr Size LANES = SSRVLAD_LANES;
-
-// The score of each of LANES rows by the best of several vectors of weights. Number n of `length` of
-// row r is numbers[n * LANES + r].
-SSRVLAD_CLONES void best_anchors(const float *weights, const float *offsets, Size anchors,
-                                 const float *numbers, Size length, float *scores) {
-  for (Size lane = 0; lane < LANES; ++lane) scores[lane] = -std::numeric_limits<float>::infinity();
-  for (Size anchor = 0; anchor < anchors; ++anchor) {
-    float sums[LANES];
-    for (Size lane = 0; lane < LANES; ++lane) sums[lane] = offsets[anchor];
-    for (Size n = 0; n < length; ++n) {
-      const float weight = weights[anchor * length + n], *number = numbers + n * LANES;
-      for (Size lane = 0; lane < LANES; ++lane) sums[lane] += weight * number[lane];
-    }
-    for (Size lane = 0; lane < LANES; ++lane) scores[lane] = std::max(scores[lane], sums[lane]);
-  }
-}
-
 }  // namespace
 
-struct ssrvlad_head {
-  explicit ssrvlad_head(const ssrvlad_settings &settings) : settings(settings) {
+struct places::Head::State {
+  explicit State(const ssrvlad_settings &settings) : settings(settings) {
     if (settings.aggregation == SSRVLAD_RESIDUALS) return;
     soft_bins = std::make_unique<SoftBins>(settings);
     basis = harmonic_basis(settings);
@@ -1393,29 +1342,19 @@ bool read_layers(Scratch &s, const Id *ids, const ssrvlad_labels &labels, const 
 
 // Runs a stage on every plane of every image.
 template <class Stage>
-int on_planes(const std::uint8_t *planes, Size images, Size height, Size width, Stage stage) {
-  if (!planes || images < 1 || height < 1 || width < 1 || height >= MOST_PIXELS / width ||
-      images > MOST_BYTES / height / width)
-    return SSRVLAD_WRONG_ARGUMENT;
-  try {
-    const Grid grid(height, width);
-    Words bits(static_cast<std::size_t>(LAYERS * grid.words()));
-    for (Size image = 0; image < images; ++image) {
-      const Size offset = image * height * width;
-      unpack(planes + offset, grid, bits.data());
-      stage(grid, bits, offset);
-    }
-  } catch (const std::bad_alloc &) {
-    return SSRVLAD_NO_MEMORY;
+void on_planes(const places::Planes &planes, Stage stage) {
+  const Grid grid(planes.height, planes.width);
+  Words bits(static_cast<std::size_t>(LAYERS * grid.words()));
+  for (Size image = 0; image < planes.images; ++image) {
+    const Size offset = image * planes.height * planes.width;
+    unpack(planes.bytes + offset, grid, bits.data());
+    stage(grid, bits, offset);
   }
-  return SSRVLAD_OK;
 }
 
 template <class Stage>
-int on_each_plane(const std::uint8_t *planes, Size images, Size height, Size width,
-                  std::uint8_t *target, Stage stage) {
-  if (!target) return SSRVLAD_WRONG_ARGUMENT;
-  return on_planes(planes, images, height, width, [&](const Grid &grid, Words &bits, Size offset) {
+void on_each_plane(const places::Planes &planes, std::uint8_t *target, Stage stage) {
+  on_planes(planes, [&](const Grid &grid, Words &bits, Size offset) {
     for (int k = 0; k < LAYERS; ++k) stage(bits.data() + k * grid.words(), grid);
     pack(bits.data(), grid, target + offset);
   });
@@ -1423,140 +1362,88 @@ int on_each_plane(const std::uint8_t *planes, Size images, Size height, Size wid
 
 }  // namespace
 
-#ifndef SSRVLAD_SOURCE
-#define SSRVLAD_SOURCE ""
-#endif
+namespace places {
 
-const char *ssrvlad_source(void) { return SSRVLAD_SOURCE; }
+Head::Head(const ssrvlad_settings &settings) : state_(std::make_unique<State>(settings)) {}
 
-int ssrvlad_interface(void) { return SSRVLAD_INTERFACE; }
+Head::~Head() = default;
 
-int ssrvlad_preset(const char *name, ssrvlad_settings *settings) {
-  const bool paper = name && !std::strcmp(name, "paper");
-  if (!settings || (!paper && (!name || std::strcmp(name, "default")))) return SSRVLAD_WRONG_ARGUMENT;
-  ssrvlad_settings s{};
-  s.opening = 0.0, s.closing = 0.01, s.hole_area = 0.002, s.region_area = 0.0005;
-  s.radius = 0.5, s.inner_radius = paper ? 1.0 / 16 : 1.0 / 6;
-  s.spectral_weight = 1.0, s.power = 0.75;
-  s.working_size = paper ? 0 : 120;
-  s.rings = paper ? 5 : 6, s.sectors = paper ? 12 : 20;
-  s.harmonics = 64, s.boundary_harmonics = 24;
-  s.thinning = SSRVLAD_ZHANG_SUEN, s.context = SSRVLAD_SKELETON;
-  s.aggregation = paper ? SSRVLAD_RESIDUALS : SSRVLAD_HARMONICS;
-  s.anchor = SSRVLAD_VANISHING_COLUMN;
-  *settings = s;
-  return SSRVLAD_OK;
-}
+Size Head::length() const { return state_->length(); }
 
-ssrvlad_head *ssrvlad_new(const ssrvlad_settings *settings) {
-  if (!settings || !valid(*settings)) return nullptr;
-  try {
-    return new ssrvlad_head(*settings);
-  } catch (const std::bad_alloc &) {
-    return nullptr;
-  }
-}
-
-void ssrvlad_free(ssrvlad_head *head) { delete head; }
-
-int64_t ssrvlad_length(const ssrvlad_head *head) {
-  return head ? head->length() : Size{SSRVLAD_WRONG_ARGUMENT};
-}
-
-int64_t ssrvlad_describe(ssrvlad_head *head, const ssrvlad_labels *labels,
-                         const ssrvlad_table *table, int threads, float *descriptors) {
-  if (!head || !labels || !table || !descriptors || !valid(*labels) || !valid(*table))
-    return SSRVLAD_WRONG_ARGUMENT;
-  try {
-    const Lookup<Word> ballots(*table, ballot_of);
-    const Lookup<std::uint16_t> layers(*table, layer_of);
-    const Grid grid = head->grid(labels->height, labels->width);
-    std::atomic<bool> known{true};
-    const bool done = in_parallel(labels->images, threads, [&](std::atomic<Size> &next) {
-      auto scratch = head->take_scratch();
-      with_ids(*labels, [&](const auto *ids) {
-        for (Size i; known && (i = next++) < labels->images;) {
-          const auto *image = ids + i * labels->height * labels->width;
-          if (read_layers(*scratch, image, *labels, grid, ballots, layers))
-            head->describe(*scratch, grid, descriptors + i * head->length());
-          else known = false;
-        }
-      });
-      head->give_back(std::move(scratch));
+Size Head::describe(const ssrvlad_labels &labels, const ssrvlad_table &table, int threads,
+                    float *descriptors) {
+  const Lookup<Word> ballots(table, ballot_of);
+  const Lookup<std::uint16_t> layers(table, layer_of);
+  const Grid grid = state_->grid(labels.height, labels.width);
+  std::atomic<bool> known{true};
+  const bool done = in_parallel(labels.images, threads, [&](std::atomic<Size> &next) {
+    auto scratch = state_->take_scratch();
+    with_ids(labels, [&](const auto *ids) {
+      for (Size i; known && (i = next++) < labels.images;) {
+        const auto *image = ids + i * labels.height * labels.width;
+        if (read_layers(*scratch, image, labels, grid, ballots, layers))
+          state_->describe(*scratch, grid, descriptors + i * length());
+        else known = false;
+      }
     });
-    if (!done) return SSRVLAD_NO_MEMORY;
-    return known ? Size{SSRVLAD_OK} : count_unknown(*labels, *table);
-  } catch (const std::bad_alloc &) {
-    return SSRVLAD_NO_MEMORY;
-  }
+    state_->give_back(std::move(scratch));
+  });
+  if (!done) throw std::bad_alloc();
+  return known ? 0 : count_unknown(labels, table);
 }
 
-int64_t ssrvlad_vote(const ssrvlad_labels *labels, const ssrvlad_table *table, int64_t rows,
-                     int64_t columns, uint8_t *categories) {
-  const bool fits = labels && table && categories && valid(*labels) && valid(*table);
-  if (!fits || rows < 1 || columns < 1 || rows > labels->height || columns > labels->width)
-    return SSRVLAD_WRONG_ARGUMENT;
-  try {
-    const Lookup<Word> ballots(*table, ballot_of);
-    const bool known = with_ids(*labels, [&](const auto *ids) {
-      bool every = true;
-      for (Size i = 0; i < labels->images; ++i)
-        every &= vote(ids + i * labels->height * labels->width, labels->height, labels->width,
-                      ballots, rows, columns, categories + i * rows * columns);
-      return every;
-    });
-    return known ? Size{SSRVLAD_OK} : count_unknown(*labels, *table);
-  } catch (const std::bad_alloc &) {
-    return SSRVLAD_NO_MEMORY;
-  }
+Size vote(const ssrvlad_labels &labels, const ssrvlad_table &table, Size rows, Size columns,
+          std::uint8_t *categories) {
+  const Lookup<Word> ballots(table, ballot_of);
+  const bool known = with_ids(labels, [&](const auto *ids) {
+    bool every = true;
+    for (Size i = 0; i < labels.images; ++i)
+      every &= ::vote(ids + i * labels.height * labels.width, labels.height, labels.width, ballots,
+                      rows, columns, categories + i * rows * columns);
+    return every;
+  });
+  return known ? 0 : count_unknown(labels, table);
 }
 
-int ssrvlad_open_and_close(const uint8_t *planes, int64_t images, int64_t height, int64_t width,
-                           int64_t opening, int64_t closing, uint8_t *target) {
+void open_and_close(const Planes &planes, Size opening, Size closing, std::uint8_t *target) {
   Words buffer;
-  return on_each_plane(planes, images, height, width, target, [&](Word *plane, const Grid &grid) {
-    open_and_close(plane, grid, opening, closing, buffer);
+  on_each_plane(planes, target, [&](Word *plane, const Grid &grid) {
+    ::open_and_close(plane, grid, opening, closing, buffer);
   });
 }
 
-int ssrvlad_fill_holes(const uint8_t *planes, int64_t images, int64_t height, int64_t width,
-                       int64_t area, uint8_t *target) {
+void fill_holes(const Planes &planes, Size area, std::uint8_t *target) {
   Regions regions;
-  return on_each_plane(planes, images, height, width, target, [&](Word *plane, const Grid &grid) {
-    fill_holes(plane, grid, area, regions);
+  on_each_plane(planes, target, [&](Word *plane, const Grid &grid) {
+    ::fill_holes(plane, grid, area, regions);
   });
 }
 
-int ssrvlad_drop_regions(const uint8_t *planes, int64_t images, int64_t height, int64_t width,
-                         int64_t area, uint8_t *target) {
+void drop_regions(const Planes &planes, Size area, std::uint8_t *target) {
   Regions regions;
-  return on_each_plane(planes, images, height, width, target, [&](Word *plane, const Grid &grid) {
-    drop_regions(plane, grid, area, regions);
+  on_each_plane(planes, target, [&](Word *plane, const Grid &grid) {
+    ::drop_regions(plane, grid, area, regions);
   });
 }
 
-int ssrvlad_thin(const uint8_t *planes, int64_t images, int64_t height, int64_t width,
-                 int thinning, uint8_t *target) {
-  if (!in_range(thinning, 0, 1)) return SSRVLAD_WRONG_ARGUMENT;
+void thin(const Planes &planes, int thinning, std::uint8_t *target) {
   Tiles tiles;
   Thinning state;
-  return on_each_plane(planes, images, height, width, target, [&](Word *plane, const Grid &grid) {
+  on_each_plane(planes, target, [&](Word *plane, const Grid &grid) {
     to_tiles(plane, grid, tiles);
     state.thin(tiles, thinning);
     from_tiles(tiles, grid, plane);
   });
 }
 
-int ssrvlad_keypoints(const uint8_t *skeletons, int64_t images, int64_t height, int64_t width,
-                      uint8_t *end_points, uint8_t *intersections) {
-  if (!end_points || !intersections) return SSRVLAD_WRONG_ARGUMENT;
+void keypoints(const Planes &skeletons, std::uint8_t *end_points, std::uint8_t *intersections) {
   Tiles tiles, ends, crossings, buffer;
-  return on_planes(skeletons, images, height, width, [&](const Grid &grid, Words &bits, Size offset) {
+  on_planes(skeletons, [&](const Grid &grid, Words &bits, Size offset) {
     Words other = bits;
     for (int k = 0; k < LAYERS; ++k) {
       Word *plane = bits.data() + k * grid.words();
       to_tiles(plane, grid, tiles);
-      keypoints(tiles, ends, crossings, buffer);
+      ::keypoints(tiles, ends, crossings, buffer);
       from_tiles(ends, grid, plane);
       from_tiles(crossings, grid, other.data() + k * grid.words());
     }
@@ -1565,21 +1452,4 @@ int ssrvlad_keypoints(const uint8_t *skeletons, int64_t images, int64_t height, 
   });
 }
 
-int ssrvlad_scan_vectors(const float *weights, const float *offsets, int64_t count, int64_t anchors,
-                         const int8_t *codes, int64_t blocks, int64_t length, int threads,
-                         float *scores) {
-  if (!weights || !offsets || !codes || !scores || count < 0 || anchors < 1 || blocks < 0 ||
-      length < 1)
-    return SSRVLAD_WRONG_ARGUMENT;
-  const bool done = in_parallel(blocks, threads, [&](std::atomic<Size> &next) {
-    std::vector<float> numbers(static_cast<std::size_t>(length * LANES));
-    for (Size block; (block = next++) < blocks;) {
-      const std::int8_t *code = codes + block * length * LANES;
-      for (Size i = 0; i < length * LANES; ++i) numbers[static_cast<std::size_t>(i)] = code[i];
-      for (Size query = 0; query < count; ++query)
-        best_anchors(weights + query * anchors * length, offsets + query * anchors, anchors,
-                     numbers.data(), length, scores + (query * blocks + block) * LANES);
-    }
-  });
-  return done ? SSRVLAD_OK : SSRVLAD_NO_MEMORY;
-}
+}  // namespace places

@@ -1,0 +1,600 @@
+// The functions of the C headers: they check arguments, and what is thrown becomes a return code.
+
+#include <cstring>
+#include <exception>
+
+#include "describe.hpp"
+#include "interface.hpp"
+#include "loops.hpp"
+#include "map.hpp"
+#include "search.hpp"
+#include "signs.hpp"
+#include "ssrvlad_decide.h"
+#include "ssrvlad_loops.h"
+#include "ssrvlad_map.h"
+
+using namespace places;
+
+struct ssrvlad_head : Head {
+  using Head::Head;
+};
+
+struct ssrvlad_map : Map {
+  using Map::Map;
+};
+
+struct ssrvlad_comparison {
+  std::unique_ptr<Comparison> scores;
+};
+
+struct ssrvlad_loops {
+  Stream stream;
+};
+
+namespace {
+
+// Runs a function of the interface; what it throws becomes a return code.
+template <typename Function>
+int guarded(Function function) {
+  try {
+    function();
+    return SSRVLAD_OK;
+  } catch (const Failed &failed) {
+    return static_cast<int>(failed.code);
+  } catch (const WrongScores &) {
+    return SSRVLAD_WRONG_ARGUMENT;
+  } catch (const std::exception &) {  // bad_alloc, or length_error of sizes beyond memory
+    return SSRVLAD_NO_MEMORY;
+  }
+}
+
+template <typename Number, typename Other>
+void give(const std::vector<Number> &values, Other *target) {
+  require(target || values.empty());
+  std::copy(values.begin(), values.end(), target);
+}
+
+void give(const Decision &found, ssrvlad_decision &decision) {
+  give(found.scores, decision.scores);
+  give(found.rows, decision.rows);
+  give(found.right, decision.right);
+  give(found.spread, decision.spread);
+  give(found.together, decision.together);
+  decision.followed = found.followed;
+  decision.way = found.course.way;
+  decision.rate = found.course.rate;
+  decision.streams = found.course.streams;
+  decision.gain = found.gain;
+}
+
+}  // namespace
+
+// -------------------------------------------------------------------------------------- ssrvlad.h
+
+namespace {
+
+constexpr Size MOST_PIXELS = Size{1} << 31, MOST_BYTES = Size{1} << 58;
+
+bool in_range(double value, double lowest, double highest) {
+  return value >= lowest && value <= highest;
+}
+
+bool valid(const ssrvlad_settings &s) {
+  const bool fractions =
+      in_range(s.opening, 0, 0.5) && in_range(s.closing, 0, 0.5) && in_range(s.hole_area, 0, 1) &&
+      in_range(s.region_area, 0, 1) && in_range(s.radius, 1e-300, 1) &&
+      in_range(s.inner_radius, 1e-300, 1) && in_range(s.spectral_weight, 0, 4) &&
+      in_range(s.power, 0.5, 1);
+  const bool counts = in_range(s.working_size, 0, 1 << 14) && in_range(s.rings, 1, 64) &&
+                      in_range(s.sectors, 1, 360) && in_range(s.harmonics, 1, 1 << 12) &&
+                      in_range(s.boundary_harmonics, 1, 1 << 12);
+  const bool choices = in_range(s.thinning, 0, 1) && in_range(s.context, 0, 1) &&
+                       in_range(s.aggregation, 0, 1) && in_range(s.anchor, 0, 1);
+  const int most = s.rings * (2 * ((s.sectors + 1) / 2) - 1);
+  return fractions && counts && choices &&
+         (s.aggregation == SSRVLAD_RESIDUALS ||
+          std::max(s.harmonics, s.boundary_harmonics) <= most);
+}
+
+bool valid(const ssrvlad_labels &labels) {
+  const Size h = labels.height, w = labels.width;
+  const bool type = labels.bytes == 1 || labels.bytes == 2 || labels.bytes == 4 || labels.bytes == 8;
+  return labels.ids && type && labels.images > 0 && h > 0 && w > 0 && h < MOST_PIXELS / w &&
+         labels.images <= MOST_BYTES / 8 / h / w;
+}
+
+bool valid(const ssrvlad_table &table) {
+  return table.categories && table.entries > 0 && table.origin >= 0 && table.origin < table.entries;
+}
+
+bool valid(const Planes &planes) {
+  const auto [bytes, images, height, width] = planes;
+  return bytes && images >= 1 && height >= 1 && width >= 1 && height < MOST_PIXELS / width &&
+         images <= MOST_BYTES / height / width;
+}
+
+// Runs a stage on planes.
+template <typename Stage, typename... Settings>
+int on_planes(Stage stage, const Planes &planes, std::uint8_t *target, Settings... settings) {
+  return guarded([&] {
+    require(target && valid(planes));
+    stage(planes, settings..., target);
+  });
+}
+
+}  // namespace
+
+#ifndef SSRVLAD_SOURCE
+#define SSRVLAD_SOURCE ""
+#endif
+
+const char *ssrvlad_source(void) { return SSRVLAD_SOURCE; }
+
+int ssrvlad_interface(void) { return SSRVLAD_INTERFACE; }
+
+int ssrvlad_preset(const char *name, ssrvlad_settings *settings) {
+  const bool paper = name && !std::strcmp(name, "paper");
+  if (!settings || (!paper && (!name || std::strcmp(name, "default")))) return SSRVLAD_WRONG_ARGUMENT;
+  ssrvlad_settings s{};
+  s.opening = 0.0, s.closing = 0.01, s.hole_area = 0.002, s.region_area = 0.0005;
+  s.radius = 0.5, s.inner_radius = paper ? 1.0 / 16 : 1.0 / 6;
+  s.spectral_weight = 1.0, s.power = 0.75;
+  s.working_size = paper ? 0 : 120;
+  s.rings = paper ? 5 : 6, s.sectors = paper ? 12 : 20;
+  s.harmonics = 64, s.boundary_harmonics = 24;
+  s.thinning = SSRVLAD_ZHANG_SUEN, s.context = SSRVLAD_SKELETON;
+  s.aggregation = paper ? SSRVLAD_RESIDUALS : SSRVLAD_HARMONICS;
+  s.anchor = SSRVLAD_VANISHING_COLUMN;
+  *settings = s;
+  return SSRVLAD_OK;
+}
+
+ssrvlad_head *ssrvlad_new(const ssrvlad_settings *settings) {
+  ssrvlad_head *head = nullptr;
+  guarded([&] {
+    require(settings && valid(*settings));
+    head = new ssrvlad_head(*settings);
+  });
+  return head;
+}
+
+void ssrvlad_free(ssrvlad_head *head) { delete head; }
+
+int64_t ssrvlad_length(const ssrvlad_head *head) {
+  return head ? head->length() : Size{SSRVLAD_WRONG_ARGUMENT};
+}
+
+int64_t ssrvlad_describe(ssrvlad_head *head, const ssrvlad_labels *labels,
+                         const ssrvlad_table *table, int threads, float *descriptors) {
+  int64_t unknown = 0;
+  const int code = guarded([&] {
+    require(head && labels && table && descriptors && valid(*labels) && valid(*table));
+    unknown = head->describe(*labels, *table, threads, descriptors);
+  });
+  return code ? code : unknown;
+}
+
+int64_t ssrvlad_vote(const ssrvlad_labels *labels, const ssrvlad_table *table, int64_t rows,
+                     int64_t columns, uint8_t *categories) {
+  int64_t unknown = 0;
+  const int code = guarded([&] {
+    require(labels && table && categories && valid(*labels) && valid(*table));
+    require(rows >= 1 && columns >= 1 && rows <= labels->height && columns <= labels->width);
+    unknown = vote(*labels, *table, rows, columns, categories);
+  });
+  return code ? code : unknown;
+}
+
+int ssrvlad_open_and_close(const uint8_t *planes, int64_t images, int64_t height, int64_t width,
+                           int64_t opening, int64_t closing, uint8_t *target) {
+  return on_planes(open_and_close, {planes, images, height, width}, target, opening, closing);
+}
+
+int ssrvlad_fill_holes(const uint8_t *planes, int64_t images, int64_t height, int64_t width,
+                       int64_t area, uint8_t *target) {
+  return on_planes(fill_holes, {planes, images, height, width}, target, area);
+}
+
+int ssrvlad_drop_regions(const uint8_t *planes, int64_t images, int64_t height, int64_t width,
+                         int64_t area, uint8_t *target) {
+  return on_planes(drop_regions, {planes, images, height, width}, target, area);
+}
+
+int ssrvlad_thin(const uint8_t *planes, int64_t images, int64_t height, int64_t width,
+                 int thinning, uint8_t *target) {
+  if (!in_range(thinning, 0, 1)) return SSRVLAD_WRONG_ARGUMENT;
+  return on_planes(thin, {planes, images, height, width}, target, thinning);
+}
+
+int ssrvlad_keypoints(const uint8_t *skeletons, int64_t images, int64_t height, int64_t width,
+                      uint8_t *end_points, uint8_t *intersections) {
+  if (!end_points) return SSRVLAD_WRONG_ARGUMENT;
+  return on_planes(keypoints, {skeletons, images, height, width}, intersections, end_points);
+}
+
+int ssrvlad_scan_signs(const uint64_t *queries, int64_t count, const uint64_t *rows,
+                       int64_t references, int64_t columns, int64_t words, int64_t bits,
+                       int64_t reach, int threads, float *scores) {
+  return guarded([&] {
+    require(queries && rows && scores && count >= 0 && references >= 0 && words >= 1 && bits >= 1 &&
+            reach >= 0 && reach < columns);
+    scan_signs(queries, count, rows, references, {columns, words, reach}, bits, threads, scores);
+  });
+}
+
+int ssrvlad_scan_vectors(const float *weights, const float *offsets, int64_t count, int64_t anchors,
+                         const int8_t *codes, int64_t blocks, int64_t length, int threads,
+                         float *scores) {
+  return guarded([&] {
+    require(weights && offsets && codes && scores && count >= 0 && anchors >= 1 && blocks >= 0 &&
+            length >= 1);
+    scan_vectors(weights, offsets, count, anchors, codes, blocks, length, threads, scores);
+  });
+}
+
+// ------------------------------------------------------------------------------- ssrvlad_decide.h
+
+namespace {
+
+Drives drives_of(const ssrvlad_drives *map) {
+  require(map && map->count >= 0 && map->rows >= 0 && (map->count > 0) == (map->rows > 0) &&
+          (map->starts || !map->count));
+  Drives drives;
+  drives.rows = map->rows;
+  drives.starts.assign(map->starts, map->starts + map->count);
+  for (Size drive = 0; drive < map->count; ++drive)
+    require(drive ? drives.starts[drive] > drives.starts[drive - 1] : !drives.starts[drive]);
+  require(!map->count || drives.starts.back() < drives.rows);
+  return drives;
+}
+
+// The return code of a function of the caller.
+int64_t passed(int64_t code) {
+  if (code < 0) throw Failed{code};
+  return code;
+}
+
+class CallersScores : public Scores {
+ public:
+  CallersScores(const ssrvlad_evidence &given, Size rows) : given_(given), rows_(rows) {}
+  Size queries() const override { return given_.queries; }
+  Size rows() const override { return rows_; }
+  void of(Size query, float *scores) const override {
+    if (given_.scores)
+      passed(given_.scores(given_.context, query, scores));
+    else
+      std::copy_n(given_.matrix + query * rows_, rows_, scores);
+  }
+
+ private:
+  const ssrvlad_evidence given_;
+  Size rows_;
+};
+
+class CallersSearch : public Search {
+ public:
+  CallersSearch(const ssrvlad_evidence &given, Size rows) : given_(given), rows_(rows) {}
+  Size queries() const override { return given_.queries; }
+
+  std::vector<Size> candidates(Size query) const override {
+    std::vector<Size> rows(
+        static_cast<std::size_t>(passed(given_.candidates(given_.context, query, nullptr))));
+    if (!rows.empty()) passed(given_.candidates(given_.context, query, rows.data()));
+    for (const Size row : rows) require(row >= 0 && row < rows_);
+    return rows;
+  }
+
+  void of(Size query, const std::vector<Size> &rows, float *scores) const override {
+    if (!rows.empty())
+      passed(
+          given_.some(given_.context, query, rows.data(), static_cast<Size>(rows.size()), scores));
+  }
+
+  Spread spread(Size query) const override {
+    Spread spread;
+    passed(given_.spread(given_.context, query, &spread.mean, &spread.deviation));
+    require(std::isfinite(spread.mean) && std::isfinite(spread.deviation) && spread.deviation >= 0);
+    return spread;
+  }
+
+  std::pair<std::vector<Size>, std::vector<float>> sample(Size query) const override {
+    std::vector<Size> rows(
+        static_cast<std::size_t>(passed(given_.sample(given_.context, query, nullptr, nullptr))));
+    std::vector<float> scores(rows.size());
+    if (!rows.empty()) passed(given_.sample(given_.context, query, rows.data(), scores.data()));
+    if (!sampled_) sampled_ = std::make_unique<std::vector<Size>>(rows);
+    require(rows == *sampled_);
+    return {rows, scores};
+  }
+
+ private:
+  const ssrvlad_evidence given_;
+  Size rows_;
+  mutable std::unique_ptr<const std::vector<Size>> sampled_;
+};
+
+// The rows of a map and the queries of a drive, checked.
+struct Given {
+  Drives drives;
+  std::unique_ptr<Scores> scores;
+  std::unique_ptr<Search> search;
+  std::unique_ptr<Evidence> evidence;
+
+  Given(const ssrvlad_drives *map, const ssrvlad_evidence *of) {
+    require(of && of->queries >= 0);
+    drives = drives_of(map);
+    const bool searched = of->candidates && of->some && of->spread && of->sample;
+    require(of->matrix || of->scores || searched || !of->queries || !drives.rows);
+    if (searched) {
+      search = std::make_unique<CallersSearch>(*of, drives.rows);
+      evidence = std::make_unique<Candidates>(*search);
+    } else {
+      scores = std::make_unique<CallersScores>(*of, drives.rows);
+      evidence = std::make_unique<AllRows>(*scores);
+    }
+  }
+};
+
+// Checks probabilities of queries that err so many together; NaN where there may be none.
+void check(const double *chances, int64_t queries, double together, bool without) {
+  require(may_be({queries}) && (chances || !queries) && together >= 1 && std::isfinite(together));
+  require(std::all_of(chances, chances + queries, [&](double each) {
+    return (each >= 0 && each <= 1) || (without && std::isnan(each));
+  }));
+}
+
+Motion motion_of(const ssrvlad_motion *given) {
+  if (!given) return {};
+  const auto &[change, jump, unmapped, stay, weight, level, rate] = *given;
+  for (const double chance : {change, jump, unmapped, stay}) require(chance >= 0 && chance <= 1);
+  require(weight > 0 && std::isfinite(weight) && std::isfinite(level) && rate > 0 &&
+          rate <= MOST_RATE);
+  return {change, jump, unmapped, stay, weight, level, rate};
+}
+
+}  // namespace
+
+int ssrvlad_decide(const ssrvlad_drives *map, const ssrvlad_evidence *evidence, int mode,
+                   int64_t delay, int64_t top, ssrvlad_decision *decision) {
+  return guarded([&] {
+    require(mode >= SSRVLAD_ALONE && mode <= SSRVLAD_OFFLINE && delay >= 0 && top >= 1 && decision);
+    const Given given(map, evidence);
+    const Decision found =
+        places::decide(given.drives, *given.evidence, static_cast<Mode>(mode), delay, top);
+    give(found, *decision);
+  });
+}
+
+int ssrvlad_follow(const ssrvlad_drives *map, const ssrvlad_evidence *evidence,
+                   const ssrvlad_motion *motion, int way, int mode, int64_t delay, int64_t top,
+                   ssrvlad_places *found) {
+  return guarded([&] {
+    require(way == FORWARDS || way == BACKWARDS);
+    require((mode == SSRVLAD_ONLINE || mode == SSRVLAD_OFFLINE) && delay >= 0 && top >= 1 && found);
+    const Given given(map, evidence);
+    const Filter filter(given.drives, motion_of(motion), {way});
+    const Places where =
+        places::follow(filter, *given.evidence, in_order(given.evidence->queries()),
+                       static_cast<Mode>(mode), delay, top);
+    give(where.scores, found->scores);
+    give(where.rows, found->rows);
+    give(where.near, found->around);
+    give(where.unmapped, found->unmapped);
+    give(where.chance, found->chance);
+  });
+}
+
+int ssrvlad_gain(const ssrvlad_drives *map, const ssrvlad_evidence *evidence,
+                 const ssrvlad_motion *motion, int way, double *gain) {
+  return guarded([&] {
+    require((way == FORWARDS || way == BACKWARDS) && gain);
+    const Given given(map, evidence);
+    const Filter filter(given.drives, motion_of(motion), {way});
+    *gain = places::gain(filter, *given.evidence, in_order(given.evidence->queries()));
+  });
+}
+
+int ssrvlad_chance(const double *values, const int64_t *rows, int64_t count, int64_t matching,
+                   double *chance, int64_t *rival) {
+  return guarded([&] {
+    require(may_be({count}) && (values || !count) && chance && rival);
+    require(std::all_of(values, values + count, [](double each) {
+      return each <= std::numeric_limits<double>::max();
+    }));
+    Drives drives{{0}, count};
+    for (Size place = 0; rows && place < count; ++place)
+      require(rows[place] >= 0 && (!place || rows[place] > rows[place - 1]));
+    if (rows && count) drives.rows = rows[count - 1] + 1;
+    const Chance found =
+        chance_of(values, rows ? drives.some(rows, count) : drives.all(), matching);
+    *chance = found.chance;
+    *rival = found.rival;
+  });
+}
+
+int ssrvlad_mapped(const double *chances, int64_t queries, double together, double best,
+                   double *mapped) {
+  return guarded([&] {
+    check(chances, queries, together, true);
+    require(best > 0 && best <= 1);
+    give(places::mapped({chances, chances + queries}, together, best), mapped);
+  });
+}
+
+int ssrvlad_confidence(const double *chances, const double *mapped, int64_t queries,
+                       double together, int followed, float *right, float *spread) {
+  return guarded([&] {
+    check(chances, queries, together, true);
+    check(mapped, queries, together, false);
+    const Confidence found = Confidence::of(
+        {chances, chances + queries}, {mapped, mapped + queries}, together, followed != 0);
+    give(found.right, right);
+    give(found.spread, spread);
+  });
+}
+
+double ssrvlad_together(const int64_t *rivals, int64_t queries) {
+  double together = -1;
+  guarded([&] {
+    require(may_be({queries}) && (rivals || !queries));
+    together = places::answers_together({rivals, rivals + queries});
+  });
+  return together;
+}
+
+// ---------------------------------------------------------------------------------- ssrvlad_map.h
+
+ssrvlad_map *ssrvlad_map_new(const ssrvlad_drives *drives) {
+  ssrvlad_map *map = nullptr;
+  guarded([&] { map = new ssrvlad_map(drives_of(drives)); });
+  return map;
+}
+
+void ssrvlad_map_free(ssrvlad_map *map) { delete map; }
+
+int ssrvlad_map_add_channel(ssrvlad_map *map, const ssrvlad_channel *channel) {
+  return guarded([&] {
+    require(map && channel);
+    map->add(*channel);
+  });
+}
+
+int ssrvlad_map_query(const ssrvlad_map *map, const ssrvlad_queries *queries, int64_t count,
+                      const ssrvlad_steps *steps, int threads, ssrvlad_decision *decision,
+                      ssrvlad_taken *taken) {
+  return guarded([&] {
+    require(map && queries && steps && decision && taken && map->channels() && count >= 0);
+    require(steps->follow >= SSRVLAD_ALONE && steps->follow <= SSRVLAD_OFFLINE && steps->delay >= 0 &&
+            steps->top >= 1);
+    give(map->query(queries, count, *steps, threads, *taken), *decision);
+  });
+}
+
+ssrvlad_comparison *ssrvlad_map_compare(const ssrvlad_map *map, int64_t channel,
+                                        const ssrvlad_queries *queries, int64_t count, int standardised,
+                                        int sweep, int threads, int64_t *width) {
+  ssrvlad_comparison *comparison = nullptr;
+  guarded([&] {
+    require(map && queries && width && count >= 0 && channel >= 0 && channel < map->channels());
+    auto scores = map->compare(channel, *queries, count, standardised, sweep, threads);
+    *width = scores->width;
+    comparison = new ssrvlad_comparison{std::move(scores)};
+  });
+  return comparison;
+}
+
+void ssrvlad_comparison_free(ssrvlad_comparison *comparison) { delete comparison; }
+
+int ssrvlad_comparison_scores(const ssrvlad_comparison *comparison, int64_t query, float *scores) {
+  return guarded([&] {
+    require(comparison && scores && query >= 0 && query < comparison->scores->queries());
+    comparison->scores->of(query, scores);
+  });
+}
+
+int ssrvlad_match(const ssrvlad_rows *given, const float *queries, int64_t count, int64_t top,
+                  int threads, float *scores, int64_t *rows) {
+  return guarded([&] {
+    require(given && queries && scores && rows && count >= 0 && top >= 1 && given->count >= 0 &&
+            given->length >= 1 && may_be({given->count, given->length}) &&
+            may_be({count, given->length}) && may_be({count, top}) &&
+            (!given->count || (given->vectors && given->lengths)));
+    match(*given, queries, count, top, threads, scores, rows);
+  });
+}
+
+// -------------------------------------------------------------------------------- ssrvlad_loops.h
+
+namespace {
+
+constexpr int64_t MOST_EXCLUDED = int64_t{1} << 62;
+constexpr int64_t MOST = int64_t{1} << 31;  // numbers of a descriptor, and signs
+
+bool valid(const ssrvlad_loops_settings &settings) {
+  return settings.exclude >= 0 && settings.threshold >= 0 && settings.threshold <= 1 &&
+         settings.scan_above > 0;
+}
+
+bool valid(const ssrvlad_loops_channel &channel) {
+  int64_t size = 1;
+  for (const int64_t axis : channel.shape) {
+    if (axis < 1 || axis > MOST / size) return false;
+    size *= axis;
+  }
+  const bool vectors = channel.kind == SSRVLAD_VECTORS && channel.shape[0] == size;
+  return channel.trust > 0 && channel.trust < 1e300 && (vectors || channel.kind == SSRVLAD_SIGNS);
+}
+
+// Whether there are descriptors of one frame that can be such.
+bool fits(const Stream &stream, const void *const *descriptors, const int64_t *anchors) {
+  for (std::size_t number = 0; descriptors && number < stream.channels().size(); ++number)
+    if (!descriptors[number] ||
+        !stream.channels()[number]->fits(descriptors[number], anchors ? anchors[number] : 1))
+      return false;
+  return descriptors;
+}
+
+}  // namespace
+
+ssrvlad_loops *ssrvlad_loops_new(const ssrvlad_loops_settings *settings,
+                                 const ssrvlad_loops_channel *channels, int count) {
+  if (!settings || !channels || !valid(*settings) || count < 1 || count > SSRVLAD_CHANNELS)
+    return nullptr;
+  for (int number = 0; number < count; ++number)
+    if (!valid(channels[number])) return nullptr;
+  try {
+    auto own = *settings;
+    own.exclude = std::min(own.exclude, MOST_EXCLUDED);
+    return new ssrvlad_loops{Stream(own, channels, count)};
+  } catch (const std::bad_alloc &) {
+    return nullptr;
+  }
+}
+
+void ssrvlad_loops_free(ssrvlad_loops *loops) { delete loops; }
+
+int64_t ssrvlad_loops_rows(const ssrvlad_loops *loops) { return loops ? loops->stream.rows() : 0; }
+
+int ssrvlad_loops_update(ssrvlad_loops *loops, const void *const *descriptors, const int64_t *anchors,
+                         double stamp, int starts, int threads, ssrvlad_loop *result) {
+  return guarded([&] {
+    require(loops && result && fits(loops->stream, descriptors, anchors));
+    *result = loops->stream.update(descriptors, anchors, stamp, starts != 0, threads);
+  });
+}
+
+int ssrvlad_loops_extend(ssrvlad_loops *loops, const void *const *descriptors, const double *stamps,
+                         const uint8_t *starts, int64_t frames) {
+  return guarded([&] {
+    require(loops && descriptors && starts && frames >= 0);
+    const auto &channels = loops->stream.channels();
+    const auto frame = [&](int64_t row) {
+      std::vector<const void *> found;
+      for (std::size_t number = 0; number < channels.size(); ++number)
+        found.push_back(static_cast<const std::uint8_t *>(descriptors[number]) +
+                        row * channels[number]->bytes());
+      return found;
+    };
+    for (int64_t row = 0; row < frames; ++row)
+      require(fits(loops->stream, frame(row).data(), nullptr));
+    for (int64_t row = 0; row < frames; ++row) {
+      const double stamp = stamps ? stamps[row] : std::numeric_limits<double>::quiet_NaN();
+      loops->stream.extend(frame(row).data(), stamp, starts[row] != 0);
+    }
+  });
+}
+
+int ssrvlad_loops_descriptors(const ssrvlad_loops *loops, int channel, int64_t first, int64_t last,
+                              void *descriptors) {
+  if (!loops || !descriptors || channel < 0 || first < 0 || last < first ||
+      last > loops->stream.rows() ||
+      static_cast<std::size_t>(channel) >= loops->stream.channels().size())
+    return SSRVLAD_WRONG_ARGUMENT;
+  loops->stream.channels()[static_cast<std::size_t>(channel)]->copy(first, last, descriptors);
+  return SSRVLAD_OK;
+}
+
+void ssrvlad_loops_weights(const ssrvlad_loops *loops, double *weights) {
+  if (!loops || !weights) return;
+  for (const double weight : loops->stream.weights()) *weights++ = weight;
+}
