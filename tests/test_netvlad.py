@@ -16,7 +16,6 @@ from ssrvlad_torch.baselines.netvlad import (
     NetVLADLayer,
     NetVLADNetwork,
     read_netvlad,
-    vgg16,
 )
 from ssrvlad_torch.channels.channel import View
 
@@ -24,20 +23,20 @@ WIDTHS = (2, 2, 2, 2, 3)
 CLUSTERS, OUTPUTS = 4, 6
 
 
-def test_the_layers_have_the_published_sizes():
+def test_the_trunk_has_the_published_size():
     with torch.device("meta"):
-        network = NetVLADNetwork()
-    assert network.whiten.weight.shape == (4096, 32768)
-    sizes = {name: p.numel() for name, p in network.named_parameters() if "encoder" not in name}
-    assert sizes["pool.centroids"] == sizes["pool.conv.weight"] == 64 * 512
-    assert (network.size, NetVLADNetwork(WIDTHS, 4, None).size) == (4096, 12)
-    network = network.encoder
-    assert sum(p.numel() for p in network.parameters()) == 14_714_688
-    shapes = {n: tuple(m.weight.shape) for n, m in enumerate(network) if isinstance(m, nn.Conv2d)}
-    assert [*shapes] == [0, 2, 5, 7, 10, 12, 14, 17, 19, 21, 24, 26, 28]
-    assert (shapes[0], shapes[28]) == ((64, 3, 3, 3), (512, 512, 3, 3))
-    assert len(network) == 29
-    assert network(torch.zeros(1, 3, 64, 70, device="meta")).shape == (1, 512, 4, 4)
+        trunk = NetVLADNetwork().encoder
+    assert sum(p.numel() for p in trunk.parameters()) == 14_714_688
+    numbers = [n for n, layer in enumerate(trunk) if isinstance(layer, nn.Conv2d)]
+    assert numbers == [0, 2, 5, 7, 10, 12, 14, 17, 19, 21, 24, 26, 28]
+
+
+@pytest.mark.parametrize(("outputs", "length"), [(4096, 4096), (None, 32768)])
+def test_a_descriptor_has_the_published_length(outputs, length):
+    with torch.device("meta"):
+        network = NetVLADNetwork(outputs=outputs)
+    assert network(torch.zeros(1, 3, 64, 70, device="meta")).shape == (1, length)
+    assert network.length == length
 
 
 @torch.no_grad()
@@ -48,11 +47,11 @@ def test_netvlad_is_scaling_trunk_layer_and_whitening(outputs):
     image = torch.randint(0, 256, (3, 33, 47), dtype=torch.uint8)
     mean, std = np.array([0.485, 0.456, 0.406]), np.array([0.229, 0.224, 0.225])
     scaled = (image.numpy() / 255 - mean[:, None, None]) / std[:, None, None]
-    vlad = network.pool(network.encoder(torch.from_numpy(scaled)[None]))[0].numpy()
+    expected = network.pool(network.encoder(torch.from_numpy(scaled)[None]))[0].numpy()
     if outputs:
-        matrix, bias = network.whiten.weight.numpy(), network.whiten.bias.numpy()
-        vlad = unit(np.array([sum(row * vlad) for row in matrix]) + bias)
-    np.testing.assert_allclose(network(image[None])[0].numpy(), vlad, rtol=1e-5)
+        matrix, bias = (p.numpy() for p in network.WPCA.parameters())
+        expected = unit(matrix[:, :, 0, 0] @ expected + bias)
+    np.testing.assert_allclose(network(image[None])[0].numpy(), expected, rtol=1e-5)
 
 
 def described(maps: Array, w: Array, b: Array, c: Array) -> Array:
@@ -81,7 +80,7 @@ def test_the_layer_is_equation_4(seed):
 @torch.no_grad()
 def test_the_trunk_is_thirteen_convolutions_and_four_poolings():
     torch.manual_seed(0)
-    network = vgg16((2, 3, 2, 3, 2)).double()
+    network = NetVLADNetwork((2, 3, 2, 3, 2), 1, None).encoder.double()
     image = torch.rand(3, 17, 19, dtype=torch.float64)
     weights = [m for m in network if isinstance(m, nn.Conv2d)]
     maps = image.numpy()
@@ -106,9 +105,8 @@ def write_port(path: Path, source: NetVLADNetwork, parallel: bool, bias: bool) -
     state[f"pool.{between}conv.weight"] = source.pool.conv.weight.detach()
     if bias:
         state[f"pool.{between}conv.bias"] = source.pool.conv.bias.detach()
-    if source.whiten is not None:
-        state["WPCA.0.weight"] = source.whiten.weight.detach()[:, :, None, None]
-        state["WPCA.0.bias"] = source.whiten.bias.detach()
+    if source.WPCA is not None:
+        state |= {f"WPCA.{name}": tensor for name, tensor in source.WPCA.state_dict().items()}
     optimizer = torch.optim.SGD(source.parameters(), 1e-4, momentum=0.9)
     content = {
         "epoch": 30,
@@ -132,7 +130,6 @@ def test_a_checkpoint_of_the_port_is_the_network(parallel, outputs, bias, tmp_pa
     path = tmp_path / "checkpoint.pth.tar"
     write_port(path, source, parallel, bias)
     network = read_netvlad(path, WIDTHS)
-    assert network.size == source.size
     torch.testing.assert_close(network.state_dict(), source.state_dict(), rtol=0, atol=0)
     image = torch.randint(0, 256, (1, 3, 32, 32), dtype=torch.uint8)
     assert torch.equal(network(image), source(image))
@@ -140,46 +137,35 @@ def test_a_checkpoint_of_the_port_is_the_network(parallel, outputs, bias, tmp_pa
 
 @pytest.fixture(scope="module")
 def checkpoint(tmp_path_factory):
-    """A folder with the port's unzipped checkpoint, of full size, and the network in it."""
+    """A folder with the port's unzipped checkpoint, of full size."""
     torch.manual_seed(0)
     network = NetVLADNetwork(outputs=None).eval()
-    torch.nn.init.zeros_(network.pool.conv.bias)
     folder = tmp_path_factory.mktemp("weights")
     path = folder / "vgg16_netvlad_checkpoint" / "checkpoints" / "checkpoint.pth.tar"
     path.parent.mkdir(parents=True)
-    write_port(path, network, parallel=False, bias=False)
+    write_port(path, network, parallel=False, bias=True)
     return folder, network
 
 
-def test_an_encoding_is_the_network_on_each_frame(checkpoint):
+def test_an_encoding_is_the_network_on_each_picture(checkpoint):
     folder, network = checkpoint
-    method = NetVLAD(folder)
-    assert (method.name, method.needs) == ("netvlad", {"images", "weights"})
-    drive = frames([noise(0), noise(1, 40, 64), noise(0)])
-    found = method.encode_query(drive)
-    assert found.shape == (3, 32768)
+    sequence = frames([noise(0), noise(1, 40, 64)])
     with torch.no_grad():
-        expected = [network(torch.tensor(f.picture).permute(2, 0, 1)[None])[0] for f in drive]
-    torch.testing.assert_close(found, torch.stack(expected))
-    assert torch.equal(method.encode_reference(drive), found)
-    scores = method.scores(found, found[:2])
-    torch.testing.assert_close(scores, found @ found[:2].T)
-    torch.testing.assert_close(scores[[0, 1, 2], [0, 1, 0]], torch.ones(3))
-    assert method.encode_query([]).shape == (0, 32768)
-    refuses("netvlad needs pictures, but frame drive/1", method.encode_query, [View("drive/1")])
+        expected = [network(torch.tensor(f.picture).permute(2, 0, 1)[None])[0] for f in sequence]
+    torch.testing.assert_close(NetVLAD(folder).encode_query(sequence), torch.stack(expected))
+
+
+def test_scores_are_cosines(checkpoint):
+    method = NetVLAD(checkpoint[0])
+    encoded = method.encode_reference(frames([noise(0), noise(1)]))
+    torch.testing.assert_close(method.scores(encoded, encoded), encoded @ encoded.T)
+
+
+def test_a_picture_below_16_pixels_is_refused(checkpoint):
+    method = NetVLAD(checkpoint[0])
     refuses("at least 16 x 16 pixels, got 15 x 40", method.encode_query, frames([noise(0, 15, 40)]))
 
 
-def test_random_weights_have_the_published_size_and_say_what_they_are(monkeypatch):
-    made = []
-
-    def small(make):
-        made.append(make)
-        return NetVLADNetwork((2, 2, 2, 2, 2), 2, 3)
-
-    monkeypatch.setattr("ssrvlad_torch.baselines.netvlad.random_network", small)
-    method = NetVLAD(random_weights=True)
-    assert method.name == "netvlad (random weights)"
-    with torch.device("meta"):
-        assert made[0]().size == 4096
-    assert method.encode_query(frames([noise(0)])).shape == (1, 3)
+def test_a_frame_without_a_picture_is_refused(checkpoint):
+    method = NetVLAD(checkpoint[0])
+    refuses("netvlad needs pictures, but frame a/1", method.encode_query, [View("a/1")])

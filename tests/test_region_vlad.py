@@ -1,7 +1,6 @@
 """Region-VLAD: network, regions and VLAD against loops, the vocabulary, and the method."""
 
 import pickle
-import re
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -15,13 +14,8 @@ from plain_layers import Array, convolve, local_response_norm, max_pool, relu, u
 from skimage.measure import label, regionprops
 
 from ssrvlad_torch.baselines import make
-from ssrvlad_torch.baselines.region_vlad import (
-    AlexNetPlaces365,
-    RegionVLAD,
-    read_vocabulary,
-    region_descriptors,
-    vlad,
-)
+from ssrvlad_torch.baselines.region_vlad import AlexNetPlaces365, RegionVLAD, regions_of, vlad
+from ssrvlad_torch.baselines.weights import read_vocabulary
 from ssrvlad_torch.channels.channel import View
 
 WORDS = np.random.default_rng(0).random((4, 384))
@@ -34,7 +28,7 @@ def images(count: int = 2) -> list[np.ndarray]:
 def test_the_network_has_the_published_sizes():
     network = AlexNetPlaces365()
     counts = {n: sum(p.numel() for p in m.parameters()) for n, m in network.named_children()}
-    assert counts == {"conv1": 34_944, "conv2": 307_456, "conv3": 885_120, "pool": 0, "norm": 0}
+    assert counts == {"conv1": 34_944, "conv2": 307_456, "conv3": 885_120, "pool": 0}
     kernels = {"conv1": (96, 3, 11, 11), "conv2": (256, 48, 5, 5), "conv3": (384, 256, 3, 3)}
     assert {n: tuple(t.shape) for n, t in network.state_dict().items()} == {
         **{f"{name}.weight": shape for name, shape in kernels.items()},
@@ -98,7 +92,7 @@ def authors_way(maps: np.ndarray, count: int) -> np.ndarray:
 def test_regions_are_those_of_the_authors_code(seed, scale):
     rng = np.random.default_rng(seed)
     maps = np.maximum(rng.normal(0, scale, (7, 13, 11)), 0).astype(np.float32)
-    got = region_descriptors(torch.from_numpy(maps), 60)
+    got = regions_of(torch.from_numpy(maps), 60)
     np.testing.assert_allclose(got.numpy(), authors_way(maps, 60), rtol=1e-5)
 
 
@@ -106,7 +100,7 @@ def test_equal_energies_come_in_the_order_of_maps_rows_and_columns():
     maps = torch.zeros(40, 9, 9)
     maps[:, ::2, ::2] = 2
     marks = maps[:1] * torch.arange(81.0).reshape(1, 9, 9) / 2  # a map that tells the places
-    found = region_descriptors(torch.cat([maps, marks / 100]), 300)
+    found = regions_of(torch.cat([maps, marks / 100]), 300)
     place = (100 * found[:, -1]).round().long()
     expected = (maps > 0)[:12].nonzero()
     assert torch.equal(place, expected[:, 1] * 9 + expected[:, 2])
@@ -133,116 +127,136 @@ def test_vlad_is_the_sum_of_residuals(seed):
     assert not vlad(words[:0], words).any() and not vlad(words, words).any()
 
 
-def write(path: Path, network: AlexNetPlaces365) -> None:
-    """As a conversion of all of Caffe's layers leaves it."""
-    state = {**network.state_dict(), "fc8.weight": torch.ones(365, 4), "fc8.bias": torch.ones(365)}
-    torch.save(state, path)
+def write_caffe(path: Path, network: AlexNetPlaces365) -> None:
+    """As Caffe stores a trained net: the wire format of protobuf, with layers that are not read."""
+
+    def field(number: int, content: bytes) -> bytes:
+        return _varint(number << 3 | 2) + _varint(len(content)) + content
+
+    def blob(values: torch.Tensor) -> bytes:
+        sizes = field(1, b"".join(map(_varint, values.shape)))
+        return field(7, field(5, values.detach().numpy().tobytes()) + field(7, sizes))
+
+    layers = [field(100, field(1, b"data") + field(2, b"Input"))]
+    for name, conv in [*network.named_children()][:3]:
+        layers.append(field(100, field(1, name.encode()) + blob(conv.weight) + blob(conv.bias)))
+    path.write_bytes(field(1, b"AlexNet") + b"".join(layers))
+
+
+def _varint(number: int) -> bytes:
+    low, high = number & 127, number >> 7
+    return bytes([low | 128]) + _varint(high) if high else bytes([low])
+
+
+def write_vocabulary(path: Path, words: Array, protocol: int = 2) -> None:
+    """As the authors' Python 2 wrote it, with a scikit-learn whose modules are gone."""
+    gone = ModuleType("sklearn.cluster.k_means_")
+    gone.KMeans = type("KMeans", (), {"__module__": gone.__name__})
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("sklearn", "sklearn.cluster"):
+            patch.setitem(sys.modules, name, ModuleType(name))
+        patch.setitem(sys.modules, gone.__name__, gone)
+        fitted = gone.KMeans()
+        fitted.cluster_centers_, fitted.random_state = words, np.random.RandomState(0)
+        path.write_bytes(pickle.dumps({"400": {256: {"conv3": fitted}}}, protocol))
 
 
 @pytest.fixture
 def folder(tmp_path):
     torch.manual_seed(1)
-    write(tmp_path / "alexnet_places365.caffemodel.pt", AlexNetPlaces365())
-    words = 300 * np.random.default_rng(0).random((256, 384))
-    np.save(tmp_path / "region_vlad_vocabulary.npy", words)
+    write_caffe(tmp_path / "alexnet_places365.caffemodel", AlexNetPlaces365())
+    write_vocabulary(
+        tmp_path / "Vocabulary_400.pkl", 300 * np.random.default_rng(0).random((256, 384))
+    )
     return tmp_path
 
 
 @torch.no_grad()
-def test_the_descriptor_is_vlad_of_the_regions(folder):
-    method = RegionVLAD(folder, folder)
-    assert (method.name, method.needs) == ("region-vlad", {"images", "weights"})
-    found = method.encode_query(frames(images()))
-    words = np.load(folder / "region_vlad_vocabulary.npy")
+def test_the_descriptor_is_vlad_of_the_regions_by_the_published_files(folder):
+    encoded = RegionVLAD(folder, folder).encode_query(frames(images()))
+    words = 300 * np.random.default_rng(0).random((256, 384))
     torch.manual_seed(1)
     network = AlexNetPlaces365()
-    for row, image in zip(found, images(), strict=True):
-        maps = network(torch.tensor(image).permute(2, 0, 1)[None])[0]
-        regions = region_descriptors(maps, 400)
-        assert regions.shape == (400, 384)
+    for row, image in zip(encoded, images(), strict=True):
+        regions = regions_of(network(torch.tensor(image).permute(2, 0, 1)[None])[0], 400)
         expected = described(regions.double().numpy(), words)
         np.testing.assert_allclose(row.numpy(), expected, atol=1e-5)
-    assert torch.equal(method.encode_reference(frames(images())), found)
-    torch.testing.assert_close(method.scores(found, found).diagonal(), torch.ones(2))
-    assert method.encode_query([]).shape == (0, 256 * 384)
 
 
+@torch.no_grad()
 def test_a_black_picture_matches_nothing(folder):
-    path = folder / "alexnet_places365.caffemodel.pt"
     network = AlexNetPlaces365()
     for parameter in network.parameters():
         torch.nn.init.zeros_(parameter)
-    write(path, network)
+    write_caffe(folder / "alexnet_places365.caffemodel", network)
     method = RegionVLAD(folder, folder)
     black = method.encode_query(frames(images(1)))
-    assert not black.any()
     assert method.scores(black, black).item() == -torch.inf
 
 
-def test_missing_files_are_one_line_each(folder, monkeypatch):
-    monkeypatch.setattr(Path, "home", lambda: folder / "nobody")
-    for settings, part in (
-        ({}, r"alexnet_places365\.caffemodel\.pt, .*Places365 .* as docs/methods\.md says"),
-        ({"weights": folder}, r"region_vlad_vocabulary\.npy, .*the authors .* docs/methods\.md"),
-    ):
-        with refused(part, by=FileNotFoundError):
-            make("region-vlad", **settings)
+@pytest.mark.parametrize(
+    ("file", "message"),
+    [
+        ("alexnet_places365.caffemodel", r"alexnet_places365\.caffemodel, .*Places365 project"),
+        ("Vocabulary_400.pkl", r"Vocabulary_400\.pkl, .*Ahmedest61/CNN-Region-VLAD-VPR"),
+    ],
+)
+def test_a_missing_file_is_named_with_its_origin(file, message, folder):
+    (folder / file).unlink()
+    with refused(message, by=FileNotFoundError):
+        make("region-vlad", weights=folder, vocabulary=folder)
 
 
 def test_random_weights_say_what_they_are():
     method = RegionVLAD(random_weights=True)
     assert method.name == "region-vlad (random weights)"
     assert method.encode_query(frames(images(1))).shape == (1, 256 * 384)
+
+
+def test_a_frame_without_a_picture_is_refused():
+    method = RegionVLAD(random_weights=True)
     refuses(r"region-vlad .* needs pictures, but frame a/b", method.encode_query, [View("a/b")])
 
 
-def test_torchvisions_alexnet_is_refused(tmp_path):
-    """The PyTorch file of Places365 holds another network under the same name."""
-    path = tmp_path / "alexnet_places365.pth.tar"
-    torch.save({"state_dict": {"features.module.0.weight": torch.ones(64, 3, 11, 11)}}, path)
-    refuses(r"lacks conv1\.weight \(96, 3, 11, 11\); it has features", RegionVLAD, path)
+@pytest.mark.parametrize("size", [10, 100_000])
+def test_a_caffemodel_that_is_cut_off_is_refused(size, folder):
+    path = folder / "alexnet_places365.caffemodel"
+    path.write_bytes(path.read_bytes()[:size])
+    refuses(r"alexnet_places365\.caffemodel is no whole \.caffemodel", RegionVLAD, folder, folder)
 
 
-OTHER_WORDS = [WORDS[:3], WORDS[:, :9], WORDS[0], WORDS * np.nan, WORDS > 0]
-OBJECTS = np.array([Path("x")], object)
-NUMBERS = r"must hold a vocabulary \(4, 384\) of finite numbers, got "
-FILE = r"words\.npy: expected a vocabulary in a \.npy file, see docs/methods\.md: "
-
-
-@pytest.mark.parametrize(
-    ("array", "keep", "message"),
-    [
-        *((array, None, NUMBERS) for array in OTHER_WORDS),
-        *((WORDS, keep, FILE) for keep in (0, 3, 50, 2000)),
-        (OBJECTS, None, f"{FILE}holds Python objects"),
-    ],
-)
-def test_another_vocabulary_is_refused(array, keep, message, tmp_path):
-    """Of other shape, no numbers, cut off, or with objects, of which none is unpickled."""
-    path = tmp_path / "words.npy"
-    np.save(path, array, allow_pickle=True)
-    path.write_bytes(path.read_bytes()[:keep])
-    with refused(message, path):
-        read_vocabulary(path, 4)
+def test_another_network_is_refused(folder):
+    path = folder / "alexnet_places365.caffemodel"
+    path.write_bytes(b"")
+    refuses(r"lacks conv1\.weight \(96, 3, 11, 11\)", RegionVLAD, folder, folder)
 
 
 @pytest.mark.parametrize("protocol", [0, 2, 4])
-def test_the_authors_pickle_is_converted_as_the_page_says(protocol, tmp_path, monkeypatch):
-    """By regions, words and layer; scikit-learn no longer has the module that it names."""
-    gone = ModuleType("sklearn.cluster.k_means_")
-    gone.KMeans = type("KMeans", (), {"__module__": gone.__name__})
-    with monkeypatch.context() as patch:
-        for name in ("sklearn", "sklearn.cluster"):
-            patch.setitem(sys.modules, name, ModuleType(name))
-        patch.setitem(sys.modules, gone.__name__, gone)
-        fitted = gone.KMeans()
-        words = np.random.default_rng(0).random((256, 384))
-        fitted.cluster_centers_, fitted.random_state = words, np.random.RandomState(0)
-        content = pickle.dumps({400: {256: {"conv3": fitted}}}, protocol)
-    (tmp_path / "Vocabulary_400.pkl").write_bytes(content)
-    monkeypatch.chdir(tmp_path)
-    page = (Path(__file__).parents[1] / "docs" / "methods.md").read_text("utf-8")
-    [snippet] = re.findall(r"```python\n(import pickle.*?)```", page, re.S)
-    exec(snippet, {})
-    found = read_vocabulary(tmp_path / "region_vlad_vocabulary.npy", 256)
-    np.testing.assert_array_equal(found.numpy(), words.astype(np.float32))
+def test_the_authors_pickle_is_read(protocol, tmp_path):
+    words = np.random.default_rng(0).random((256, 384))
+    write_vocabulary(tmp_path / "words.pkl", words, protocol)
+    read = read_vocabulary(tmp_path / "words.pkl", ("400", "256", "conv3"), (256, 384))
+    np.testing.assert_array_equal(read.numpy(), words.astype(np.float32))
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (WORDS[:3], r"expected \(4, 384\) finite numbers, got \(3, 384\)"),
+        (WORDS * np.nan, r"expected \(4, 384\) finite numbers"),
+        (np.array([Path("x")], object), r"it holds pathlib\.PosixPath"),
+    ],
+)
+def test_another_vocabulary_is_refused(words, message, tmp_path):
+    write_vocabulary(tmp_path / "words.pkl", words)
+    with refused(rf"words\.pkl is no vocabulary: {message}"):
+        read_vocabulary(tmp_path / "words.pkl", ("400", "256", "conv3"), (4, 384))
+
+
+@pytest.mark.parametrize(
+    "command", [b"cos\nsystem\n(S'touch ran'\ntR.", b"cbuiltins\neval\n(S'1'\ntR."]
+)
+def test_a_pickle_with_code_is_refused(command, tmp_path):
+    (tmp_path / "words.pkl").write_bytes(command)
+    with refused(r"words\.pkl is no vocabulary: it holds (os\.system|builtins\.eval)"):
+        read_vocabulary(tmp_path / "words.pkl", ("400", "256", "conv3"), (4, 384))

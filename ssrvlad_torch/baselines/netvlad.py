@@ -1,40 +1,27 @@
-"""NetVLAD (Arandjelovic, Gronat, Torii, Pajdla, Sivic, CVPR 2016): the network and the method.
-
-VGG-16 is configuration D of Simonyan and Zisserman, ICLR 2015; the layer is that of Section 3.1.
-Weights are those of the PyTorch port, github.com/Nanne/pytorch-NetVlad.
-"""
+"""NetVLAD (Arandjelovic, Gronat, Torii, Pajdla, Sivic, CVPR 2016) on VGG-16 (Simonyan and
+Zisserman, ICLR 2015), with the weights that the PyTorch port publishes."""
 
 from collections.abc import Sequence
 from pathlib import Path
 
 import torch
 import torch.nn.functional as F
+from kornia.enhance import normalize
 from torch import Tensor, nn
 
 from ..channels.channel import View, picture_of
 from .vectors import VectorMethod
 from .weights import fill, find_weights, random_network, read_checkpoint
 
-WIDTHS = (64, 128, 256, 512, 512)
-"""Channels of each of the five blocks of VGG-16."""
-
-_DEPTHS = (2, 2, 3, 3, 3)
-_FILES = (
-    "vgg16_netvlad_checkpoint/checkpoints/model_best.pth.tar",
-    "vgg16_netvlad_checkpoint/checkpoints/checkpoint.pth.tar",
-)
-_ORIGIN = "github.com/Nanne/pytorch-NetVlad"
-_SMALLEST = 16
+_WIDTHS, _DEPTHS = (64, 128, 256, 512, 512), (2, 2, 3, 3, 3)
+_MEAN, _STD = torch.tensor((0.485, 0.456, 0.406)), torch.tensor((0.229, 0.224, 0.225))
+_FILES = [f"vgg16_netvlad_checkpoint/checkpoints/{n}.pth.tar" for n in ("model_best", "checkpoint")]
 
 
 class NetVLAD(VectorMethod):
-    """Descriptors of a trained network, compared by their cosine.
-
-    Images keep their own size, as in the authors' programs. A descriptor has 32768 numbers; with
-    the whitening ``WPCA.0`` of Patch-NetVLAD's checkpoints 4096. Weights are a file of the PyTorch
-    port, see `read_netvlad`, found by `find_weights`. Random ones, which the name then tells, are
-    for the cost of the method, with whitening.
-    """
+    """Descriptors of a trained network, compared by their cosine; 32768 numbers, or 4096 by a
+    checkpoint with the whitening ``WPCA.0`` of Patch-NetVLAD. Pictures keep their size, as in the
+    authors' programs. Random weights, which the name tells, are for the cost of the method."""
 
     needs = frozenset({"images", "weights"})
     _batch = 1
@@ -42,56 +29,51 @@ class NetVLAD(VectorMethod):
     def __init__(self, weights: str | Path | None = None, random_weights: bool = False) -> None:
         self.name = "netvlad (random weights)" if random_weights else "netvlad"
         if random_weights:
-            network = random_network(NetVLADNetwork)
+            self._network = random_network(NetVLADNetwork)
         else:
-            network = read_netvlad(find_weights(weights, _FILES, _ORIGIN))
-        self._network, self.length = network, network.size
+            file = find_weights(weights, _FILES, "github.com/Nanne/pytorch-NetVlad")
+            self._network = read_netvlad(file)
+        self.length = self._network.length
 
     def describe(self, views: Sequence[View], _columns: Sequence[int] = ()) -> Tensor:
         """See `Channel`."""
         [view] = views
-        image = picture_of(view, self.name)
-        if min(image.shape[:2]) < _SMALLEST:
-            raise ValueError(
-                f"method {self.name} needs images of at least {_SMALLEST} x {_SMALLEST} pixels, "
-                f"got {image.shape[0]} x {image.shape[1]}"
-            )
-        descriptor: Tensor = self._network(torch.tensor(image).permute(2, 0, 1)[None])
+        picture = torch.tensor(picture_of(view, self.name)).permute(2, 0, 1)
+        if min(picture.shape[1:]) < 16:
+            size = "at least 16 x 16 pixels, got {} x {}".format(*picture.shape[1:])
+            raise ValueError(f"method {self.name} needs images of {size}")
+        descriptor: Tensor = self._network(picture[None])
         return descriptor
 
 
 class NetVLADNetwork(nn.Module):
-    """VGG-16 up to conv5_3, the NetVLAD layer with K ``clusters``, and PCA whitening to ``outputs``
-    numbers, if not None. ``(B, 3, H, W)`` RGB from 0 to 255, uint8 or float, sides of at least 16,
-    give ``(B, size)`` of length 1; ``size`` is ``outputs``, or ``clusters * widths[-1]``. Input is
-    scaled as torchvision does."""
-
-    mean: Tensor
-    std: Tensor
+    """VGG-16 up to conv5_3, without its ReLU; the NetVLAD layer; whitening to ``outputs`` numbers,
+    if not None. ``(B, 3, H, W)`` RGB from 0 to 255, sides of at least 16, give ``(B, length)`` of
+    length 1. Parameters are named as in the port."""
 
     def __init__(
-        self, widths: Sequence[int] = WIDTHS, clusters: int = 64, outputs: int | None = 4096
+        self, widths: Sequence[int] = _WIDTHS, clusters: int = 64, outputs: int | None = 4096
     ) -> None:
         super().__init__()
-        for name, values in (("mean", (0.485, 0.456, 0.406)), ("std", (0.229, 0.224, 0.225))):
-            scale = 255 * torch.tensor(values, device="cpu")
-            self.register_buffer(name, scale[:, None, None], persistent=False)
-        self.encoder = vgg16(widths)
+        layers: list[nn.Module] = []
+        for before, width, depth in zip((3, *widths[:-1]), widths, _DEPTHS, strict=True):
+            for channels in (before, *[width] * (depth - 1)):
+                layers += [nn.Conv2d(channels, width, 3, padding=1), nn.ReLU(inplace=True)]
+            layers.append(nn.MaxPool2d(2))
+        self.encoder = nn.Sequential(*layers[:-2])
         self.pool = NetVLADLayer(clusters, widths[-1])
-        size = clusters * widths[-1]
-        self.whiten = None if outputs is None else nn.Linear(size, outputs)
-        self.size = outputs or size
+        self.length = outputs or clusters * widths[-1]
+        self.WPCA = nn.Sequential(nn.Conv2d(clusters * widths[-1], outputs, 1)) if outputs else None
 
     def forward(self, images: Tensor) -> Tensor:
         """The descriptor of each image."""
-        vlad: Tensor = self.pool(self.encoder((images - self.mean) / self.std))
-        return vlad if self.whiten is None else F.normalize(self.whiten(vlad), dim=1)
+        scaled = normalize(images.to(self.pool.centroids) / 255, _MEAN, _STD)
+        vlad: Tensor = self.pool(self.encoder(scaled))
+        return F.normalize(self.WPCA(vlad[..., None, None]).flatten(1)) if self.WPCA else vlad
 
 
 class NetVLADLayer(nn.Module):
-    """Residuals to learnt centres, summed with soft assignment: ``(B, D, H, W)`` float give ``(B,
-    K * D)`` of length 1, centre by centre. Parameters are named as in the port: ``conv`` holds w_k
-    and b_k of Eq. 3, ``centroids`` c_k."""
+    """``(B, D, H, W)`` float give ``(B, K * D)`` of length 1, centre by centre (Section 3.1)."""
 
     def __init__(self, clusters: int, channels: int) -> None:
         super().__init__()
@@ -99,43 +81,21 @@ class NetVLADLayer(nn.Module):
         self.centroids = nn.Parameter(torch.rand(clusters, channels))
 
     def forward(self, maps: Tensor) -> Tensor:
-        """The normalised vector of each image."""
+        """See the class."""
         x = F.normalize(maps, dim=1)
         assignment = self.conv(x).flatten(2).softmax(dim=1)  # Eq. 3
-        total = assignment.sum(dim=2)[..., None]
-        residuals = assignment @ x.flatten(2).mT - total * self.centroids  # Eq. 4
+        residuals = assignment @ x.flatten(2).mT  # Eq. 4
+        residuals -= assignment.sum(dim=2)[..., None] * self.centroids
         return F.normalize(F.normalize(residuals, dim=2).flatten(1), dim=1)
 
 
-def vgg16(widths: Sequence[int] = WIDTHS) -> nn.Sequential:
-    """The thirteen convolutions up to conv5_3, without its ReLU and without the last pooling, as in
-    the authors' network and its port; layers have the numbers of torchvision's
-    ``vgg16().features``. ``(B, 3, H, W)`` float, sides of at least 16, give ``(B, widths[-1],
-    H // 16, W // 16)``."""
-    layers: list[nn.Module] = []
-    channels = 3
-    for width, depth in zip(widths, _DEPTHS, strict=True):
-        for _ in range(depth):
-            layers += [nn.Conv2d(channels, width, 3, padding=1), nn.ReLU(inplace=True)]
-            channels = width
-        layers.append(nn.MaxPool2d(2))
-    return nn.Sequential(*layers[:-2])
-
-
-def read_netvlad(path: Path, widths: Sequence[int] = WIDTHS) -> NetVLADNetwork:
-    """The network of a checkpoint of the port: ``encoder.N``, ``pool.conv``, ``pool.centroids``,
-    and ``WPCA.0`` if it is whitened. Another or a damaged file is a ValueError."""
+def read_netvlad(path: Path, widths: Sequence[int] = _WIDTHS) -> NetVLADNetwork:
+    """The network of a checkpoint of the port; another or a damaged file is a ValueError."""
     state = read_checkpoint(path)
     clusters = len(state.get("pool.centroids", torch.empty(64)))
-    # VLAD version 1 of the port has no biases b_k: they are 0
-    state.setdefault("pool.conv.bias", torch.zeros(clusters))
-    outputs = None
-    if "WPCA.0.weight" in state:
-        state["whiten.weight"] = state["WPCA.0.weight"].flatten(1)
-        outputs = len(state["whiten.weight"])
-    if "WPCA.0.bias" in state:
-        state["whiten.bias"] = state["WPCA.0.bias"]
+    state.setdefault("pool.conv.bias", torch.zeros(clusters))  # VLAD version 1 of the port has none
+    whitening = state.get("WPCA.0.weight")
     with torch.device("meta"):
-        network = NetVLADNetwork(widths, clusters, outputs).eval()
+        network = NetVLADNetwork(widths, clusters, None if whitening is None else len(whitening))
     fill(network, state, path)
-    return network
+    return network.eval()
