@@ -12,7 +12,6 @@ from typing import Any, Literal, overload
 
 import numpy as np
 
-from .channels import LABEL_SHAPES
 from .channels.channel import Channel, View
 from .config import SSRVLADConfig
 from .database.database import Database
@@ -31,11 +30,11 @@ from .encoding.encoder import (
 from .encoding.ray_engine import encode_with_ray
 from .encoding.results import EncodeOptions, Note, Progress, Summary, do_nothing
 from .encoding.source import Source, Wanted, cache_folder, open_source, origin_of, require_network
-from .evaluation.measure import TOP, Evaluation, Recognition, measure, needs_similarity
+from .evaluation.measure import TOP, Evaluation, Recognition, measure
 from .evaluation.metrics import Convention
 from .evaluation.true_matches import Viewpoints, true_matches
 from .recognition.matching import checked_number
-from .recognition.recognise import AS_PAPER, Steps
+from .recognition.recognise import Steps
 from .search.alone import LargeMap, opened_large
 from .search.answers import Answer, Answers
 from .search.coarse_index import grow
@@ -327,8 +326,7 @@ class Map:
                 of the data set.
             tolerance_metres, tolerance_degrees, tolerance_frames: instead of it, the largest
                 distance of a true match, by the poses or in frames.
-            convention: of the metrics; one that needs the scores of all pairs measures cosines of
-                label maps, without any step.
+            convention: of the metrics.
             note: gets what is left out.
 
         Raises:
@@ -339,13 +337,6 @@ class Map:
         definition = GroundTruth.chosen(
             declared, ground_truth, tolerance_metres, tolerance_degrees, tolerance_frames
         )
-        pairs = needs_similarity(convention)
-        if pairs and settings.get("near") is not None:
-            raise ValueError(
-                f"near: expected no convention that measures all pairs, got {convention}"
-            )
-        if pairs:
-            steps, settings["channels"] = AS_PAPER, [LABEL_SHAPES]
         answers, config = self.query(source, steps, TOP, **settings), self.database.config
         dataset, skipped = source.dataset, [frame.frame for frame in answers.skipped]
         references = Viewpoints.of_set(answers.references, dataset, source.known)
@@ -354,7 +345,6 @@ class Map:
         [channel] = chosen_channels(self.database, [next(iter(answers.queries.channels))])
         sides = answers.references, answers.queries.descriptors
         material = Material(self.database, channel, *sides, source)
-        everything = map(np.arange, (len(answers), len(answers.references)))
         details = {
             **answers.judged(truth),
             "preset": config.preset,
@@ -363,9 +353,9 @@ class Map:
             "steps": answers.recognised.used,
             "score_is": answers.recognised.score_is(),
         }
-        similarity = material.cosines(*everything) if pairs else None
-        given = similarity, material, answers.skipped, details
-        recognition = Recognition(references, queries, answers.matches, *given)
+        recognition = Recognition(
+            references, queries, answers.matches, material, answers.skipped, details
+        )
         return replace(measure(recognition, truth, convention), true_matches=definition.words)
 
     def _source(self, frames: Frames | Source) -> Source:

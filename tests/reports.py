@@ -68,9 +68,10 @@ def evaluation_of(
 ) -> Evaluation:
     """Matching by cosine, measured."""
     pairs = score(queries.descriptors, references.descriptors).numpy()
-    given = match(queries.descriptors, references.descriptors, 10), pairs, Drawn(pairs, pictures)
+    matches = match(queries.descriptors, references.descriptors, 10)
     truth = [np.array(rows, np.int64) for rows in truth]
-    return measure(Recognition(references, queries, *given), truth, convention)
+    recognition = Recognition(references, queries, matches, Drawn(pairs, pictures))
+    return measure(recognition, truth, convention)
 
 
 class Page(HTMLParser):

@@ -10,7 +10,6 @@ import torch
 from helpers import refuses
 from hypothesis import example, given
 from hypothesis import strategies as st
-from hypothesis.extra import numpy as hnp
 from scipy.stats import binomtest
 from vpr_bench import frozen_corridor, needs_vpr_bench, stored_results
 
@@ -18,7 +17,7 @@ from ssrvlad_torch import match
 from ssrvlad_torch.evaluation import bootstrap as bootstrapping
 from ssrvlad_torch.evaluation.bootstrap import bootstrap
 from ssrvlad_torch.evaluation.curves import rank, roc_auc
-from ssrvlad_torch.evaluation.metrics import CONVENTIONS, FIGURES, evaluate, precision_recall_curve
+from ssrvlad_torch.evaluation.metrics import FIGURES, evaluate, precision_recall_curve
 from ssrvlad_torch.evaluation.outcomes import judge
 from ssrvlad_torch.evaluation.thresholds import (
     at_precision,
@@ -28,7 +27,6 @@ from ssrvlad_torch.evaluation.thresholds import (
     suggested_point,
     wilson_low,
 )
-from ssrvlad_torch.evaluation.tutorial import STEPS, count_pairs
 
 INF = math.inf
 
@@ -96,17 +94,12 @@ def test_evaluate_takes_what_match_gives():
     truth = rows([0], [1], [5])
     arrays = evaluate(scores.numpy(), indices.numpy(), truth)
     assert evaluate(scores, indices, truth) == arrays
-    similarity, pairs = torch.eye(12)[:3], {"convention": "vpr-tutorial"}
-    of_tensors = evaluate(scores, indices, truth, similarity=similarity, **pairs)
-    of_arrays = evaluate(scores, indices, truth, similarity=similarity.numpy(), **pairs)
-    np.testing.assert_equal(of_tensors, of_arrays)
 
 
 def test_evaluate_refuses_what_it_cannot_compute():
     given = np.ones((2, 4)), np.zeros((2, 4), np.int64), rows([0], [1])
     for message, settings in (
         (r"convention must be one of .*, got 'sklearn'", {"convention": "sklearn"}),
-        ("convention vpr-tutorial requires the similarity", {"convention": "vpr-tutorial"}),
         ("RecallRate@5: expected N from 1 to 4 candidates", {"at": (1, 5)}),
         ("RecallRate@0: expected N from 1 to 4 candidates", {"at": (1, 0)}),
     ):
@@ -159,34 +152,32 @@ def test_the_metrics_of_each_convention_equal_those_by_hand(convention, counted,
     }
     assert {name: metrics[name] for name in expected} == pytest.approx(expected)
     outcomes = judge(HANDMADE["scores"], HANDMADE["indices"], HANDMADE["truth"])
-    curve = precision_recall_curve(outcomes, HANDMADE["truth"], convention)
+    curve = precision_recall_curve(outcomes, convention)
     assert curve.precision.tolist() == [0, 1 / 2, 2 / 3, 2 / 4]
     assert curve.recall.tolist() == [0, step, 2 * step, 2 * step]
 
 
-@pytest.mark.parametrize("convention", CONVENTIONS)
 @pytest.mark.parametrize("resamples", [0, 20])
-def test_every_convention_takes_degenerate_results(convention, resamples):
-    """No queries, no positives, no candidates, and scores that are all equal."""
-    cases = [
-        (np.zeros((0, 1)), np.zeros((0, 1), np.int64), rows(), np.zeros((0, 3))),
-        (np.ones((2, 1)), np.zeros((2, 1), np.int64), rows([], []), np.ones((2, 3))),
-        (np.full((2, 1), -INF), np.full((2, 1), -1), rows([0], [1]), np.full((2, 3), -INF)),
-        (np.ones((2, 1)), np.zeros((2, 1), np.int64), rows([0], [1]), np.ones((2, 3))),
-    ]
-    results = [
-        evaluate(*case[:3], (1,), convention, case[3], resamples=resamples) for case in cases
-    ]
-    assert math.isnan(results[0]["auc_pr"])
-    assert math.isnan(results[1]["auc_pr"])
-    assert results[3]["recall_at"] == {"1": 1 / 2}
-    for result in results:
-        assert ("intervals" in result) == bool(resamples)
-    no_candidate = math.nan if convention == "vpr-bench" else 0.0
-    assert results[2]["auc_pr"] == pytest.approx(no_candidate, nan_ok=True)
-    equal = {"exact": 1 / 4, "vpr-bench": 3 / 4, "vpr-tutorial": 2 / 3}
-    expected = equal.get(convention, (1 + 1 / 2) / 2 * (1 / 2))
-    assert results[3]["auc_pr"] == pytest.approx(expected)
+@pytest.mark.parametrize(
+    ("convention", "scores", "truth", "area"),
+    [
+        ("exact", np.zeros((0, 1)), rows(), math.nan),
+        ("vpr-bench", np.zeros((0, 1)), rows(), math.nan),
+        ("exact", np.ones((2, 1)), rows([], []), math.nan),
+        ("vpr-bench", np.ones((2, 1)), rows([], []), math.nan),
+        ("exact", np.full((2, 1), -INF), rows([0], [1]), 0),
+        ("vpr-bench", np.full((2, 1), -INF), rows([0], [1]), math.nan),
+        ("exact", np.ones((2, 1)), rows([0], [1]), 1 / 4),
+        ("vpr-bench", np.ones((2, 1)), rows([0], [1]), 3 / 4),
+    ],
+)
+def test_no_queries_positives_or_candidates_and_ties_have_an_area(
+    convention, scores, truth, area, resamples
+):
+    indices = np.where(scores > -INF, 0, -1)
+    result = evaluate(scores, indices, truth, (1,), convention, resamples=resamples)
+    assert result["auc_pr"] == pytest.approx(area, nan_ok=True)
+    assert ("intervals" in result) == bool(resamples)
 
 
 def curve_of(scores, correct, positives, start=None):
@@ -344,92 +335,6 @@ def test_all_points_as_a_mapping():
     assert points["at_recall"]["0.5"]["precision"] == 0.75
     assert points["suggested"]["accepted"] == 5 and points["suggested"]["precision_low"] < 0.95
     assert operating_points(curve_of([0.9], [0], 1))["suggested"] is None
-
-
-def rows_of(matrix):
-    return [np.flatnonzero(row) for row in matrix]
-
-
-def curve_of_pairs(counts):
-    return counts.curve(np.ones(len(counts.positives)))
-
-
-def plain_curve(similarity, hard, single):
-    """Points from (recall 0, precision 1) on; every threshold looks at every pair anew."""
-    positives = hard.sum()
-    if single:
-        positives = sum(any(row) for row in hard)
-        best = [int(row.argmax()) for row in similarity]
-        hard = np.array([[row[b]] for row, b in zip(hard, best, strict=True)])
-        similarity = np.array([[row[b]] for row, b in zip(similarity, best, strict=True)])
-    points = [(0.0, 1.0)]
-    for threshold in np.linspace(similarity.max(), similarity.min(), 100):
-        accepted = similarity >= threshold
-        right = (accepted & hard).sum()
-        points.append((right / positives, right / accepted.sum()))
-    return np.array(points).T
-
-
-@st.composite
-def tables(draw):
-    shape = draw(st.tuples(st.integers(1, 8), st.integers(1, 8)))
-    values = st.sampled_from([-0.75, -0.5, 0.0, 0.125, 0.3, 0.30000001, 0.9])
-    similarity = draw(hnp.arrays(np.float64, shape, elements=values))
-    hard = draw(hnp.arrays(bool, shape))
-    hard[0, draw(st.integers(0, shape[1] - 1))] = True
-    return similarity, hard
-
-
-@given(tables(), st.booleans())
-def test_equals_a_plain_loop(table, single):
-    similarity, hard = table
-    recall, precision = plain_curve(similarity, hard, single)
-    curve = curve_of_pairs(count_pairs(similarity, rows_of(hard), single))
-    assert len(curve.thresholds) == STEPS == 100
-    np.testing.assert_allclose(curve.precision, precision[1:], rtol=1e-12)
-    np.testing.assert_allclose(curve.recall, recall[1:], rtol=1e-12)
-    area = sum(np.diff(recall) * (precision[1:] + precision[:-1]) / 2)
-    assert curve.auc == pytest.approx(area)
-    assert curve.recall_at_full_precision == pytest.approx(recall[precision == 1].max())
-
-
-def test_minus_infinity_is_the_least_similar_and_float32_stays():
-    similarity = np.array([[0.9, -INF], [0.3, 0.1]])
-    filled = np.array([[0.9, 0.1], [0.3, 0.1]])
-    noise = np.random.default_rng(0).random((2, 3)).astype(np.float32)
-    for single, (one, other) in product(
-        (False, True), ((similarity, filled), (noise, noise.astype(float)))
-    ):
-        found, expected = (
-            curve_of_pairs(count_pairs(matrix, rows([0], [1]), single)) for matrix in (one, other)
-        )
-        np.testing.assert_array_equal(found.precision, expected.precision)
-        np.testing.assert_array_equal(found.thresholds, expected.thresholds)
-
-
-def test_weights_are_copies_of_queries():
-    """On the thresholds of all queries."""
-    rng = np.random.default_rng(1)
-    similarity, hard = rng.random((6, 9)), rng.random((6, 9)) < 0.3
-    weights = np.array([2, 0, 1, 3, 0, 1])
-    for single in (False, True):
-        counts = count_pairs(similarity, rows_of(hard), single)
-        copies = np.repeat(np.arange(6), weights)
-        weighted = counts.curve(weights.astype(float))
-        np.testing.assert_array_equal(weighted.accepted, counts.accepted[copies].sum(axis=0))
-        np.testing.assert_array_equal(weighted.positives, counts.positives[copies].sum())
-
-
-@pytest.mark.parametrize(
-    ("similarity", "message"),
-    [
-        (np.ones((1, 3)), r"for 2 queries, got \(1, 3\)"),
-        (np.ones(2), r"got \(2,\)"),
-        (np.array([[1, math.nan], [1, 1]]), "1 of 2 queries have similarities .* NaN"),
-    ],
-)
-def test_a_similarity_of_another_shape_or_nan_is_refused(similarity, message):
-    refuses(message, count_pairs, similarity, rows([0], [1]))
 
 
 def with_heavy_ties(queries, seed=0):

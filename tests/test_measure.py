@@ -10,17 +10,13 @@ from helpers import write_street
 from PIL import Image
 
 
-def test_every_convention_with_an_empty_frame(evaluate, tmp_path):
+@pytest.mark.parametrize("convention", ["exact", "vpr-bench"])
+def test_an_empty_frame_is_a_query_without_candidate(convention, evaluate, tmp_path):
     Image.fromarray(np.full((24, 32), VOID, np.uint8)).save(tmp_path / "tuesday" / "003.png")
-    for convention in ("exact", "vpr-bench", "vpr-tutorial", "vpr-tutorial-single"):
-        arguments = ("--tolerance-frames", 0, "--convention", convention)
-        metrics = json.loads(evaluate(*arguments, "--json")[1])
-        assert metrics["convention"] == convention
-        assert metrics["recall_at"]["1"] == pytest.approx(5 / 6)
-        assert 0.1 < metrics["auc_pr"] <= 1
-        assert metrics["score_is"] == "cosine"
-        assert (metrics["average_precision"] is None) == convention.startswith("vpr-tutorial")
-    assert convention in evaluate(*arguments)[1]
+    arguments = ("--tolerance-frames", 0, "--convention", convention, "--json")
+    metrics = json.loads(evaluate(*arguments)[1])
+    assert metrics["convention"] == convention
+    assert metrics["recall_at"]["1"] == pytest.approx(5 / 6)
 
 
 def test_queries_without_ground_truth_are_left_out_and_counted(evaluate, tmp_path):

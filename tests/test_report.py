@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from reports import Drawn, Page, evaluation_of, frame_set, noisy, page_of
 
 from ssrvlad_torch.evaluation import report as evaluation_report
-from ssrvlad_torch.evaluation.metrics import CONVENTIONS, figure_rows, fraction
+from ssrvlad_torch.evaluation.metrics import figure_rows, fraction
 from ssrvlad_torch.evaluation.outcomes import judge
 from ssrvlad_torch.evaluation.report import (
     RIGHT_MATCHES,
@@ -215,7 +215,7 @@ def test_texts_are_shown_as_they_are(report, page, tmp_path):
     assert "bad ? name" in (tmp_path / "out.html").read_text("utf-8")
 
 
-@pytest.mark.parametrize("convention", CONVENTIONS)
+@pytest.mark.parametrize("convention", ["exact", "vpr-bench"])
 def test_every_convention_makes_a_page(convention):
     queries, references = noisy(12, 14)
     found = evaluation_of(queries, references, [[row] for row in range(12)], convention)

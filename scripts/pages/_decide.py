@@ -46,7 +46,7 @@ class Decisions(NamedTuple):
 
     def curve(self, convention: Convention) -> PrecisionRecall:
         """Precision and recall."""
-        return precision_recall_curve(judge(*self), self.truth, convention)
+        return precision_recall_curve(judge(*self), convention)
 
 
 def decide(

@@ -5,8 +5,6 @@ from contextlib import AbstractContextManager
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-import torch
-
 from ..channels.channel import View
 from ..datasets.dataset import Dataset, GroundTruth, LabelsAs
 from ..datasets.drives import KINDS, Drives
@@ -14,15 +12,14 @@ from ..datasets.frame_files import FrameFile, read_ahead
 from ..datasets.image_files import read_image
 from ..datasets.label_files import read_label_map
 from ..datasets.names import sequence_of
-from ..evaluation.measure import TOP, Recognition, measure, needs_similarity
+from ..evaluation.measure import TOP, Recognition, measure
 from ..evaluation.metrics import Convention
 from ..evaluation.true_matches import Viewpoints, true_matches
-from ..recognition.fusion import FusedScores
-from ..recognition.recognise import AS_PAPER, Steps, recognise_by_scores
-from ..recognition.sequences import runs
+from ..recognition.matching import Matches
+from ..recognition.recognise import AS_PAPER, Recognised, Steps, recognise
 from ..taxonomy import label_space
 from .protocol import Method
-from .run import run
+from .run import Retrieval, run
 from .stored_descriptors import StoredDescriptors
 
 Row = dict[str, Any]
@@ -80,27 +77,33 @@ def _measured(
         Viewpoints.of(side.frames, drives.whole) for side in (drives.references, drives.queries)
     )
     truth = true_matches(protocol.true, references, queries, note)
-    all_pairs = needs_similarity(protocol.convention)
-    steps = None if all_pairs or protocol.steps == AS_PAPER else protocol.steps
-    no_following = replace(protocol.steps, follow=None, delay=0)
-    members: dict[str, Recognition] = {}
+
+    def row(matches: Matches, details: Row) -> Row:
+        recognition = Recognition(references, queries, matches, details=details)
+        return measure(recognition, truth, protocol.convention).metrics
+
     rows: dict[str, list[Row]] = {}
+    retrievals: dict[str, Retrieval] = {}
     for name, method in methods.items():
-        fused = name in protocol.fused
-        taken = no_following if steps and fused else steps
         try:
-            results = _recognised(method, drives, protocol, taken, all_pairs or fused)
+            retrieval = _retrieval(method, drives, protocol)
         except ValueError as error:
             rows[name] = [_not_run(method.name, str(error))]
             continue
-        if fused:
-            members[name] = results[-1]
-            results[1:] = [_by_scores(result, protocol.steps) for result in results[1:]]
-        rows[name] = [measure(result, truth, protocol.convention).metrics for result in results]
-    if protocol.fused and set(protocol.fused) <= set(members):
-        trust = {method.name: getattr(method, "trust", 1.0) for method in methods.values()}
-        results = _fused([members[name] for name in protocol.fused], trust, steps or no_following)
-        rows[_FUSED] = [measure(result, truth, protocol.convention).metrics for result in results]
+        temporal = getattr(method, "temporal", None)
+        details = {"method": method.name, "temporal": temporal, "steps": None, **retrieval.costs}
+        rows[name] = [row(retrieval.matches, details)]
+        if stepped := retrieval.stepped:
+            rows[name].append(row(stepped.matches, {**details, "steps": stepped.used}))
+        retrievals[name] = retrieval
+    if protocol.fused and set(protocol.fused) <= set(retrievals):
+        try:
+            rows[_FUSED] = [
+                row(recognised.matches, details)
+                for recognised, details in _fused(retrievals, queries, references, protocol)
+            ]
+        except ValueError as error:
+            rows[_FUSED] = [_not_run(" + ".join(protocol.fused), str(error))]
     return rows
 
 
@@ -108,91 +111,54 @@ def _not_run(method: str, reason: str) -> Row:
     return {"method": method, "reason": reason}
 
 
-def _recognised(
-    method: Method, drives: Drives, protocol: Protocol, steps: Steps | None, all_pairs: bool
-) -> list[Recognition]:
-    """The candidates of every query: of single frames, and, if steps are given, after the steps."""
+def _retrieval(method: Method, drives: Drives, protocol: Protocol) -> Retrieval:
+    """A method run on the files of both sides."""
+    references, queries = drives.references, drives.queries
     if isinstance(method, StoredDescriptors):
-        frames = [*drives.references.frames, *drives.queries.frames]
+        frames = [*references.frames, *queries.frames]
         method.read({frame.frame: frame.image or frame.label for frame in frames})
-    labels_as = drives.whole.labels_as
-    references, queries = map(Viewpoints.of, (drives.references.frames, drives.queries.frames))
-    with protocol.progress(method.name, len(references.frames) + len(queries.frames)) as bar:
-        retrieval = run(
+    as_paper = protocol.steps == AS_PAPER and method.name not in protocol.fused
+    with protocol.progress(method.name, len([*references.frames, *queries.frames])) as bar:
+        return run(
             method,
-            _views(method, drives.queries, labels_as, protocol.workers),
-            _views(method, drives.references, labels_as, protocol.workers),
+            _views(method, queries, drives.whole.labels_as, protocol.workers),
+            _views(method, references, drives.whole.labels_as, protocol.workers),
             top=TOP,
             progress=bar.advance,
-            steps=steps,
-            all_pairs=all_pairs,
+            steps=None if as_paper else protocol.steps,
         )
-    pairs = retrieval.similarity
-    single = Recognition(
-        references=references,
-        queries=queries,
-        matches=retrieval.matches,
-        similarity=None if pairs is None else pairs.cpu().numpy(),
-        details={
-            "method": method.name,
-            "temporal": getattr(method, "temporal", None),
-            "steps": None,
-            **retrieval.costs,
-        },
-    )
-    stepped = retrieval.stepped
-    if stepped is None:
-        return [single]
-    details = {**single.details, "steps": stepped.used}
-    return [single, replace(single, matches=stepped.matches, details=details)]
 
 
 def _fused(
-    members: Sequence[Recognition], trust: Mapping[str, float], steps: Steps
-) -> list[Recognition]:
-    """The fused recognition of single frames, and the followed one if ``steps.follow``. Members are
-    recognitions of single frames by each method, with scores of all pairs."""
-    details = [member.details for member in members]
-    sequences = [*map(sequence_of, members[0].queries.frames)]
-    scores = {m.details["method"]: torch.from_numpy(m.similarity) for m in members}
-    fused = {
-        sequences[run.start]: FusedScores(
-            {name: pairs[run.start : run.stop] for name, pairs in scores.items()}, trust
-        )
-        for run in runs(sequences)
-    }
-    single = replace(
-        members[0],
-        similarity=torch.cat([scored.whole() for scored in fused.values()]).numpy(),
-        details={
-            **details[0],
-            "method": " + ".join(scores),
-            "temporal": None,
-            "weights": {sequence: scored.weights for sequence, scored in fused.items()},
-            "bytes_a_reference": sum(detail["bytes_a_reference"] for detail in details),
-            **{
-                cost: {
-                    key: sum(detail[cost][key] for detail in details) for key in details[0][cost]
-                }
-                for cost in ("encode_ms", "match_ms")
-            },
+    retrievals: Mapping[str, Retrieval],
+    queries: Viewpoints,
+    references: Viewpoints,
+    protocol: Protocol,
+) -> Iterator[tuple[Recognised, Row]]:
+    """The recognition by several methods together, of single frames, and followed if that is a
+    step, each with its details. A method without vectors is a ValueError."""
+    members = {}
+    for name in protocol.fused:
+        member = retrievals[name].member
+        if member is None:
+            raise ValueError(f"{name} makes no vectors or signs, expected such for --fuse")
+        members[name] = member
+    sequences, of_map = ([*map(sequence_of, side.frames)] for side in (queries, references))
+    costs = [retrievals[name].costs for name in protocol.fused]
+    details = {
+        "method": " + ".join(protocol.fused),
+        "temporal": None,
+        "bytes_a_reference": sum(cost["bytes_a_reference"] for cost in costs),
+        **{
+            name: {key: sum(cost[name][key] for cost in costs) for key in costs[0][name]}
+            for name in ("encode_ms", "match_ms")
         },
-    )
-    alone = _by_scores(single, replace(steps, follow=None, delay=0))
-    return [alone, _by_scores(single, steps)] if steps.follow else [alone]
-
-
-def _by_scores(recognition: Recognition, steps: Steps) -> Recognition:
-    """The recognition decided anew by its scores of all pairs."""
-    scores = torch.from_numpy(recognition.similarity)
-    queries = [*map(sequence_of, recognition.queries.frames)]
-    references = [*map(sequence_of, recognition.references.frames)]
-    recognised = recognise_by_scores(scores, queries, references, steps, TOP)
-    used, before = recognised.used, recognition.details["steps"]
-    if before:
-        used |= {"standardise": before["standardise"], "sweep": before["sweep"]}
-    details = {**recognition.details, "steps": used}
-    return replace(recognition, matches=recognised.matches, details=details)
+    }
+    alone = replace(protocol.steps, follow=None, delay=0)
+    for steps in dict.fromkeys((alone, protocol.steps)):
+        recognised = recognise(members, sequences, of_map, steps, TOP)
+        used = recognised.used
+        yield recognised, {**details, "steps": used, "weights": used["weights"]}
 
 
 def _views(method: Method, side: Dataset, labels_as: LabelsAs, workers: int) -> Iterator[View]:

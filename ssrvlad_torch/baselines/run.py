@@ -22,14 +22,14 @@ class Retrieval(NamedTuple):
         costs: milliseconds of a query as ``average``, ``min`` and ``max``, ``encode_ms`` without
             reading it from disk, ``match_ms`` of all scores, without ranking them; and
             ``bytes_a_reference``, encoded.
-        similarity: ``(Q, R)`` float32, the scores of all pairs, if they were asked for.
         stepped: the result of the steps of `recognition`, if there are steps.
+        member: the vectors or signs of both sides, if the method makes such and there are steps.
     """
 
     matches: Matches
     costs: dict[str, Any]
-    similarity: Tensor | None
     stepped: Recognised | None
+    member: Member | None
 
 
 def run(
@@ -39,7 +39,6 @@ def run(
     top: int = 10,
     progress: Callable[[int], None] = lambda _: None,
     steps: Steps | None = None,
-    all_pairs: bool = False,
 ) -> Retrieval:
     """Encodes the references, in the order of each sequence, then the queries one by one. Frames
     are not stored. The first query is encoded twice and timed the second time, without what a
@@ -55,7 +54,7 @@ def run(
         raise ValueError(f"method {method.name} got no references")
     compared = _references(method, encoded, map_drives)
     sweep = getattr(method, "encode_sweep", None) if steps and steps.sweep and compared else None
-    matches, inputs, kept = list[Matches](), list[Tensor](), list[Tensor]()
+    matches, inputs = list[Matches](), list[Tensor]()
     encode_ms, match_ms = list[float](), list[float]()
     for frame in noting(queries, drives, progress):
         if not matches:
@@ -67,16 +66,15 @@ def run(
         match_ms.append(1e3 * (time.perf_counter() - between))
         encode_ms.append(1e3 * (between - begin))
         matches += [best_of(row, top) for row in scores]
-        kept += [scores.float()] if all_pairs else []
         if steps and compared:
             inputs.append(sweep([frame]) if sweep else encodings)
         elif steps:
             inputs.append(scores)
     if not matches:
         raise ValueError(f"method {method.name} got no queries")
-    stepped = None
+    stepped, member = None, None
     if steps and compared:
-        member = Member(torch.cat(inputs), compared)
+        member = Member(torch.cat(inputs), compared, getattr(method, "trust", 1.0))
         stepped = recognise({method.name: member}, drives, map_drives, steps, top)
     elif steps:
         stepped = recognise_by_scores(torch.cat(inputs), drives, map_drives, steps, top)
@@ -87,8 +85,8 @@ def run(
             "match_ms": _cost(match_ms),
             "bytes_a_reference": encoded.nbytes / len(map_drives),
         },
-        similarity=torch.cat(kept) if all_pairs else None,
         stepped=stepped,
+        member=member,
     )
 
 

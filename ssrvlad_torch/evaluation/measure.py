@@ -47,7 +47,6 @@ class Recognition:
 
     Attributes:
         matches: candidates of each query, at least `TOP`.
-        similarity: ``(Q, R)`` scores of all pairs, if they are needed.
         material: what the report shows of the frames.
         skipped: queries that could not be encoded.
         details: the method, its steps and its costs, which join the metrics.
@@ -56,7 +55,6 @@ class Recognition:
     references: Viewpoints
     queries: Viewpoints
     matches: Matches
-    similarity: npt.NDArray[np.float32] | None = None
     material: Material | None = None
     skipped: Sequence[Skipped] = ()
     details: Mapping[str, Any] = field(default_factory=dict)
@@ -68,7 +66,6 @@ class Recognition:
             self,
             queries=replace(self.queries, frames=frames, poses=self.queries.poses[rows]),
             matches=Matches(*(column[rows] for column in self.matches)),
-            similarity=None if self.similarity is None else self.similarity[rows],
             material=self.material and self.material.part(rows),
         )
 
@@ -106,21 +103,14 @@ class Evaluation:
         return self.recognition.material
 
 
-def needs_similarity(convention: Convention) -> bool:
-    """Whether a convention needs the scores of all pairs."""
-    return convention.startswith("vpr-tutorial")
-
-
 def measure(recognition: Recognition, truth: PartialTruth, convention: Convention) -> Evaluation:
     """Measures the queries whose true matches are known."""
     known, true = known_matches(truth)
     part = recognition.part(np.array(known, np.int64))
     scores, rows = (column.numpy() for column in part.matches)
-    metrics = evaluate(
-        scores, rows, true, convention=convention, similarity=part.similarity, resamples=RESAMPLES
-    )
+    metrics = evaluate(scores, rows, true, convention=convention, resamples=RESAMPLES)
     outcomes = judge(scores, rows, true)
-    metrics["thresholds"] = operating_points(precision_recall_curve(outcomes, true))
+    metrics["thresholds"] = operating_points(precision_recall_curve(outcomes))
     metrics["references"] = len(part.references.frames)
     metrics |= part.details
     return Evaluation(metrics, part, true, outcomes, len(truth) - len(known))

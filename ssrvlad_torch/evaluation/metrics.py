@@ -1,21 +1,19 @@
-"""Metrics of place recognition by four conventions.
+"""Metrics of place recognition by two conventions.
 
-Published figures differ because tools compute them differently. All conventions accept scores of at
-least a threshold; they differ in what they count:
+Published figures differ because tools compute them differently. Both conventions accept the best
+candidates of queries whose scores reach a threshold, which takes every distinct score; they differ
+in what they count:
 
-| | ``exact`` | ``vpr-bench`` | ``vpr-tutorial``, ``vpr-tutorial-single`` |
-|---|---|---|---|
-| accepted | a query's best candidate | a query's best candidate | any pair; a query's best pair |
-| positives | queries with a true match | right best candidates | true pairs; as ``exact`` |
-| thresholds | every distinct score | every distinct score | 100, linearly spaced |
-| precision at recall 0 | that of the highest threshold | 1 | 1 |
-| RecallRate@N is a fraction of | queries with a true match | all queries | as ``exact`` |
+| | ``exact`` | ``vpr-bench`` |
+|---|---|---|
+| positives | queries with a true match | right best candidates |
+| precision at recall 0 | that of the highest threshold | 1 |
+| RecallRate@N is a fraction of | queries with a true match | all queries |
 
 In ``exact``, a query without a true match is a true negative if it is rejected and a false positive
 if it is accepted: it can only lower the precision. ``vpr-bench`` gives the figures that VPR-Bench
 prints (Zaffar et al., IJCV 2021); its recall is a fraction of the right candidates and always ends
-at 1. ``vpr-tutorial`` is the code of Schubert et al., see `tutorial`; it does not define average
-precision, extended precision and ROC-AUC, so these are NaN.
+at 1.
 """
 
 from __future__ import annotations
@@ -23,18 +21,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 
 from .bootstrap import bootstrap
 from .curves import PrecisionRecall, rank, roc_auc
-from .outcomes import Floats, Indices, Outcomes, Scores, Truth, as_array, judge
+from .outcomes import Floats, Indices, Outcomes, Scores, Truth, judge
 from .thresholds import wilson
-from .tutorial import count_pairs
 
-Convention = Literal["exact", "vpr-bench", "vpr-tutorial", "vpr-tutorial-single"]
-CONVENTIONS: tuple[Convention, ...] = get_args(Convention)
+Convention = Literal["exact", "vpr-bench"]
 
 FIGURES = {
     "auc_pr": "AUC-PR",
@@ -49,15 +45,10 @@ BLOCK = 10
 """Neighbouring queries that the bootstrap draws together; a tenth of fewer than 100."""
 
 
-def precision_recall_curve(
-    outcomes: Outcomes,
-    truth: Truth,
-    convention: Convention = "exact",
-    similarity: Scores | None = None,
-) -> PrecisionRecall:
-    """Precision and recall by a convention. ``outcomes`` come from `judge` with the same
-    ``truth``; other arguments and errors as for `evaluate`."""
-    return _curves(outcomes, truth, convention, similarity)(np.ones(len(outcomes)))
+def precision_recall_curve(outcomes: Outcomes, convention: Convention = "exact") -> PrecisionRecall:
+    """Precision and recall of the outcomes of queries by a convention; an unknown one is a
+    ValueError."""
+    return _curves(outcomes, convention)(np.ones(len(outcomes)))
 
 
 def evaluate(
@@ -66,7 +57,6 @@ def evaluate(
     truth: Truth,
     at: Iterable[int] = (1, 5, 10),
     convention: Convention = "exact",
-    similarity: Scores | None = None,
     resamples: int = 0,
     seed: int = 0,
 ) -> dict[str, Any]:
@@ -76,20 +66,17 @@ def evaluate(
         scores, indices: ``(Q, top)`` from `ssrvlad_torch.match`, tensors or arrays; see `judge`.
         truth: rows of the true matches of each query.
         at: the N of RecallRate@N, at most ``top``.
-        convention: one of `CONVENTIONS`.
-        similarity: ``(Q, R)`` scores of all pairs, -inf for pairs that cannot match; only for the
-            conventions of the tutorial.
+        convention: ``exact`` or ``vpr-bench``.
         resamples, seed: of the `bootstrap`; 0 resamples for no intervals.
 
     Returns:
         ``convention``, ``recall_at`` by N as text, the keys of `FIGURES`, ``queries``,
-        ``queries_with_match``, and with resamples ``intervals``: ``[low, high]`` of each figure;
-        the tutorial's thresholds are the same in all resamples. A figure without positives is NaN.
+        ``queries_with_match``, and with resamples ``intervals``: ``[low, high]`` of each figure.
+        A figure without positives is NaN.
         The ROC-AUC is NaN if every candidate is right; VPR-Bench prints -1.
 
     Raises:
-        ValueError: the shapes do not fit, a score is NaN, the convention is unknown, or the
-            similarity is missing.
+        ValueError: the shapes do not fit, a score is NaN, or the convention is unknown.
 
     Neighbouring queries of a drive are alike: the bootstrap draws blocks of `BLOCK` of them, in
     their order. Where all resamples agree, as where all queries are right, RecallRate@N, and
@@ -101,7 +88,7 @@ def evaluate(
     for n in at:
         if not 1 <= n <= indices.shape[1]:
             raise ValueError(f"RecallRate@{n}: expected N from 1 to {indices.shape[1]} candidates")
-    curves = _curves(outcomes, truth, convention, similarity)
+    curves = _curves(outcomes, convention)
     figures = partial(_figures, outcomes, convention, curves, at)
     values = {name: float(value[0]) for name, value in figures(np.ones((1, len(truth)))).items()}
     result = {
@@ -157,9 +144,6 @@ def _figures(
         "extended_precision": curve.extended_precision,
         "roc_auc": roc_auc(curve, right, weights.sum(axis=1) - right),
     }
-    if convention.startswith("vpr-tutorial"):
-        undefined = ("average_precision", "extended_precision", "roc_auc")
-        summaries |= dict.fromkeys(undefined, np.full(len(weights), np.nan))
     return rates | summaries
 
 
@@ -169,21 +153,15 @@ def _wholes(
     """The number of queries of which a figure is a fraction, by the names of such figures."""
     there, bench = int(outcomes.has_match.sum()), convention == "vpr-bench"
     wholes = dict.fromkeys(map(str, at), len(outcomes) if bench else there)
-    if values["recall_at_100_precision"] == 1 and convention != "vpr-tutorial":
+    if values["recall_at_100_precision"] == 1:
         wholes["recall_at_100_precision"] = int(outcomes.correct.sum()) if bench else there
     return wholes
 
 
-def _curves(
-    outcomes: Outcomes, truth: Truth, convention: Convention, similarity: Scores | None
-) -> Callable[[Floats], PrecisionRecall]:
+def _curves(outcomes: Outcomes, convention: Convention) -> Callable[[Floats], PrecisionRecall]:
     """A function from weights ``(..., Q)`` float64, the count of each query, to the curve."""
-    if convention not in CONVENTIONS:
-        raise ValueError(f"convention must be one of {', '.join(CONVENTIONS)}, got {convention!r}")
-    if convention.startswith("vpr-tutorial"):
-        if similarity is None:
-            raise ValueError(f"the convention {convention} requires the similarity of all pairs")
-        return count_pairs(as_array(similarity), truth, single=convention.endswith("single")).curve
+    if convention not in ("exact", "vpr-bench"):
+        raise ValueError(f"convention must be one of exact, vpr-bench, got {convention!r}")
     ranking = rank(outcomes.score, outcomes.correct)
     if convention == "vpr-bench":
         return lambda weights: ranking.curve(weights, weights @ outcomes.correct, start=1.0)

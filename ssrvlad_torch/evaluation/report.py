@@ -125,9 +125,9 @@ def _drawn(draw: Callable[[Axes, Evaluation], None], evaluation: Evaluation) -> 
 
 def _precision_recall(axes: Axes, evaluation: Evaluation) -> None:
     """The curves by the convention and by ``exact``, of which the operating points are."""
-    pairs, convention = evaluation.recognition.similarity, evaluation.metrics["convention"]
+    convention = evaluation.metrics["convention"]
     for name in dict.fromkeys(("exact", convention)):
-        curve = precision_recall_curve(evaluation.outcomes, evaluation.truth, name, pairs)
+        curve = precision_recall_curve(evaluation.outcomes, name)
         if curve.positives and len(curve.thresholds):
             first = curve.precision[0] if curve.start is None else curve.start
             recall, precision = np.insert(curve.recall, 0, 0), np.insert(curve.precision, 0, first)
