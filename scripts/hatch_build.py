@@ -86,10 +86,6 @@ class NativeCore(BuildHookInterface):
         with_zig = [*ZIG, "-target", platform.target, "-s", *SHARED]
         self._built = tempfile.TemporaryDirectory()
         library = Path(self._built.name) / platform.library
-        if platform.library.endswith(".so"):  # else operators of the C++ library are exported too
-            exports = library.with_suffix(".map")
-            exports.write_text("{ global: ssrvlad_*; local: *; };")
-            with_zig.append(f"-Wl,--version-script={exports}")
         problem = compile_core(Path(self.root) / FOLDER, with_zig, library)
         if problem:
             raise RuntimeError(problem)
@@ -129,6 +125,8 @@ def compile_core(folder: Path, compiler: Sequence[str], library: Path) -> str:
     digest = f'-DSSRVLAD_SOURCE="{hashlib.sha256(source).hexdigest()}"'
     compiled = [file for file in sources if file.suffix == ".cpp"]
     command = [*compiler, *FLAGS, digest, *compiled, "-o", library]
+    if ".so" in library.name:  # else operators of the C++ library are exported too
+        command.append(f"-Wl,--version-script={folder / 'exports.map'}")
     try:
         done = subprocess.run(command, check=False, capture_output=True, text=True)
     except OSError as error:

@@ -1,10 +1,13 @@
-"""The C functions of the core on wrong arguments: a status, and no crash."""
+"""The C functions of the core on wrong arguments: a status and a reason, and no crash."""
 
 import ctypes
 
 import numpy as np
 import pytest
+from helpers import outcome
 
+from ssrvlad_torch.config import CHOICES, PRESETS, SSRVLADConfig
+from ssrvlad_torch.native import FOLDER, LIBRARY, last_error
 from ssrvlad_torch.native.headers import struct
 
 FOUND, NUMBERS, PLANES = np.empty(8), np.full(4, 0.5), np.zeros((16, 16), np.uint8)
@@ -125,3 +128,67 @@ def test_rivals_that_are_not_there_are_minus_one(core):
 
 def test_queries_without_an_answer_have_no_chance(core):
     assert mapped([np.nan, 0.5])(core.library) == confidence(np.nan, 0.0)(core.library) == 0
+
+
+def settings_of(config):
+    values = {name: getattr(config, name) for name, *_ in struct("settings")._fields_}
+    values.update({name: names.index(values[name]) for name, names in CHOICES.items()})
+    return struct("settings")(**{**values, "working_size": config.working_size or 0})
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "reason"),
+    [
+        ("rings", 0, "rings: expected 1 to 64, got 0"),
+        ("power", np.nan, "power: expected 0.5 to 1, got nan"),
+        ("anchor", 2, "anchor: expected 0 to 1, got 2"),
+        ("harmonics", 115, "harmonics: expected 1 to 114, got 115"),
+    ],
+)
+def test_a_refused_setting_is_named(name, value, reason, core):
+    settings = settings_of(SSRVLADConfig())
+    setattr(settings, name, value)
+    assert core.library.ssrvlad_new(settings) is None
+    assert last_error() == reason
+
+
+def random_setting(rng, lowest, highest):
+    """The bounds, powers of two, short decimals and others, down to 1e-12."""
+    value = rng.choice(
+        [
+            *(lowest, highest, 2.0 ** -rng.integers(0, 60), rng.uniform(lowest, highest)),
+            *(round(rng.uniform(), rng.integers(1, 6)), rng.uniform() * 10.0 ** -rng.integers(12)),
+        ]
+    )
+    return float(np.clip(value, lowest, highest))
+
+
+def random_config(seed):
+    rng = np.random.default_rng(seed)
+    fractions = {"opening": 0.5, "closing": 0.5, "hole_area": 1, "region_area": 1}
+    return SSRVLADConfig(
+        **{name: random_setting(rng, 0, highest) for name, highest in fractions.items()},
+        **{name: random_setting(rng, 1e-12, 1) for name in ("radius", "inner_radius")},
+        **{name: str(rng.choice(names)) for name, names in CHOICES.items()},
+        spectral_weight=random_setting(rng, 0, 4),
+        power=random_setting(rng, 0.5, 1),
+        working_size=None if rng.integers(4) == 0 else int(rng.integers(1, 500)),
+        **{name: int(rng.integers(8, 64)) for name in ("rings", "sectors", "harmonics")},
+    )
+
+
+def test_the_fingerprint_of_a_head_is_that_of_its_config(core):
+    presets = [SSRVLADConfig.from_preset(preset) for preset in PRESETS]
+    for config in (*presets, *map(random_config, range(60))):
+        head = ctypes.c_void_p(core.library.ssrvlad_new(settings_of(config)))
+        fingerprint = ctypes.string_at(core.library.ssrvlad_fingerprint(head)).decode()
+        core.library.ssrvlad_free(head)
+        assert fingerprint == config.fingerprint, config
+
+
+def test_the_library_has_no_other_names_than_its_own(core):
+    """It would lend others its copy of the C++ library."""
+    code, lines, errors = outcome("nm", "-D", "--defined-only", FOLDER / LIBRARY)
+    assert code == 0, errors
+    names = [line.split()[-1] for line in lines]
+    assert names and not [name for name in names if not name.startswith("ssrvlad_")]

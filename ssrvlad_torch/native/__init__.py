@@ -31,6 +31,12 @@ def required() -> ctypes.CDLL:
     return library
 
 
+def last_error() -> str:
+    """Why the last call of this thread failed that did."""
+    address: int = required().ssrvlad_last_error()
+    return ctypes.string_at(address).decode()
+
+
 def if_built(task: str) -> ctypes.CDLL | None:
     """The library; without it ``None``, and a UserWarning says once that NumPy does a task."""
     library, status = core()

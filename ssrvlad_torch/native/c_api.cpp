@@ -1,5 +1,7 @@
 // The functions of the C headers: they check arguments, and what is thrown becomes a return code.
 
+#include <cstdarg>
+#include <cstdio>
 #include <cstring>
 #include <exception>
 
@@ -16,7 +18,9 @@
 using namespace places;
 
 struct ssrvlad_head : Head {
-  using Head::Head;
+  explicit ssrvlad_head(const ssrvlad_settings &settings)
+      : Head(settings), fingerprint(fingerprint_of(settings)) {}
+  const std::string fingerprint;
 };
 
 struct ssrvlad_map : Map {
@@ -33,6 +37,10 @@ struct ssrvlad_loops {
 
 namespace {
 
+thread_local char last_error[256];
+
+void say(const char *reason) { std::snprintf(last_error, sizeof last_error, "%s", reason); }
+
 // Runs a function of the interface; what it throws becomes a return code.
 template <typename Function>
 int guarded(Function function) {
@@ -40,12 +48,22 @@ int guarded(Function function) {
     function();
     return SSRVLAD_OK;
   } catch (const Failed &failed) {
-    return static_cast<int>(failed.code);
+    return static_cast<int>(std::max<int64_t>(failed.code, std::numeric_limits<int>::min()));
   } catch (const WrongScores &) {
+    say("expected scores of at most 1.001, got a higher one or NaN");
     return SSRVLAD_WRONG_ARGUMENT;
   } catch (const std::exception &) {  // bad_alloc, or length_error of sizes beyond memory
+    say("not enough memory");
     return SSRVLAD_NO_MEMORY;
   }
+}
+
+// What a function makes, or NULL.
+template <typename Function>
+auto made(Function function) -> decltype(function()) {
+  decltype(function()) result = nullptr;
+  guarded([&] { result = function(); });
+  return result;
 }
 
 template <typename Number, typename Other>
@@ -69,55 +87,69 @@ void give(const Decision &found, ssrvlad_decision &decision) {
 
 }  // namespace
 
+void places::refuse(const char *reason, ...) {
+  std::va_list values;
+  va_start(values, reason);
+  std::vsnprintf(last_error, sizeof last_error, reason, values);
+  va_end(values);
+  throw Failed{SSRVLAD_WRONG_ARGUMENT};
+}
+
 // -------------------------------------------------------------------------------------- ssrvlad.h
 
 namespace {
 
 constexpr Size MOST_PIXELS = Size{1} << 31, MOST_BYTES = Size{1} << 58;
 
-bool in_range(double value, double lowest, double highest) {
-  return value >= lowest && value <= highest;
+void check(const ssrvlad_settings *settings) {
+  require(settings, "settings");
+  const ssrvlad_settings &s = *settings;
+  require_range("opening", s.opening, 0, 0.5);
+  require_range("closing", s.closing, 0, 0.5);
+  require_range("hole_area", s.hole_area, 0, 1);
+  require_range("region_area", s.region_area, 0, 1);
+  require_range("radius", s.radius, 1e-300, 1);
+  require_range("inner_radius", s.inner_radius, 1e-300, 1);
+  require_range("spectral_weight", s.spectral_weight, 0, 4);
+  require_range("power", s.power, 0.5, 1);
+  require_range("working_size", s.working_size, 0, 1 << 14);
+  require_range("rings", s.rings, 1, 64);
+  require_range("sectors", s.sectors, 1, 360);
+  require_range("thinning", s.thinning, SSRVLAD_ZHANG_SUEN, SSRVLAD_GUO_HALL);
+  require_range("context", s.context, SSRVLAD_SKELETON, SSRVLAD_KEYPOINTS);
+  require_range("aggregation", s.aggregation, SSRVLAD_RESIDUALS, SSRVLAD_HARMONICS);
+  require_range("anchor", s.anchor, SSRVLAD_VANISHING_COLUMN, SSRVLAD_MIDDLE);
+  const bool unused = s.aggregation == SSRVLAD_RESIDUALS;
+  const int most = unused ? 1 << 12 : s.rings * (2 * ((s.sectors + 1) / 2) - 1);
+  require_range("harmonics", s.harmonics, 1, std::min(most, 1 << 12));
+  require_range("boundary_harmonics", s.boundary_harmonics, 1, std::min(most, 1 << 12));
 }
 
-bool valid(const ssrvlad_settings &s) {
-  const bool fractions =
-      in_range(s.opening, 0, 0.5) && in_range(s.closing, 0, 0.5) && in_range(s.hole_area, 0, 1) &&
-      in_range(s.region_area, 0, 1) && in_range(s.radius, 1e-300, 1) &&
-      in_range(s.inner_radius, 1e-300, 1) && in_range(s.spectral_weight, 0, 4) &&
-      in_range(s.power, 0.5, 1);
-  const bool counts = in_range(s.working_size, 0, 1 << 14) && in_range(s.rings, 1, 64) &&
-                      in_range(s.sectors, 1, 360) && in_range(s.harmonics, 1, 1 << 12) &&
-                      in_range(s.boundary_harmonics, 1, 1 << 12);
-  const bool choices = in_range(s.thinning, 0, 1) && in_range(s.context, 0, 1) &&
-                       in_range(s.aggregation, 0, 1) && in_range(s.anchor, 0, 1);
-  const int most = s.rings * (2 * ((s.sectors + 1) / 2) - 1);
-  return fractions && counts && choices &&
-         (s.aggregation == SSRVLAD_RESIDUALS ||
-          std::max(s.harmonics, s.boundary_harmonics) <= most);
+// Checks images of numbers of 8 bytes, or planes of bytes.
+void check_images(const void *pixels, Size images, Size height, Size width, Size bytes) {
+  require(pixels, "images");
+  if (images < 1 || height < 1 || width < 1 || height >= MOST_PIXELS / width ||
+      images > MOST_BYTES / bytes / height / width)
+    refuse("expected images of up to 2^31 pixels, got %lld of %lld x %lld", static_cast<long long>(images),
+           static_cast<long long>(height), static_cast<long long>(width));
 }
 
-bool valid(const ssrvlad_labels &labels) {
-  const Size h = labels.height, w = labels.width;
-  const bool type = labels.bytes == 1 || labels.bytes == 2 || labels.bytes == 4 || labels.bytes == 8;
-  return labels.ids && type && labels.images > 0 && h > 0 && w > 0 && h < MOST_PIXELS / w &&
-         labels.images <= MOST_BYTES / 8 / h / w;
-}
-
-bool valid(const ssrvlad_table &table) {
-  return table.categories && table.entries > 0 && table.origin >= 0 && table.origin < table.entries;
-}
-
-bool valid(const Planes &planes) {
-  const auto [bytes, images, height, width] = planes;
-  return bytes && images >= 1 && height >= 1 && width >= 1 && height < MOST_PIXELS / width &&
-         images <= MOST_BYTES / height / width;
+void check(const ssrvlad_labels *labels, const ssrvlad_table *table) {
+  require(labels && table, "label maps and a table");
+  const auto [ids, bytes, images, height, width] = *labels;
+  check_images(ids, images, height, width, 8);
+  if (bytes != 1 && bytes != 2 && bytes != 4 && bytes != 8)
+    refuse("expected ids of 1, 2, 4 or 8 bytes, got %d", bytes);
+  require(table->categories && table->entries > 0 && table->origin >= 0 && table->origin < table->entries,
+          "a table of categories with its origin among its entries");
 }
 
 // Runs a stage on planes.
 template <typename Stage, typename... Settings>
 int on_planes(Stage stage, const Planes &planes, std::uint8_t *target, Settings... settings) {
   return guarded([&] {
-    require(target && valid(planes));
+    check_images(planes.bytes, planes.images, planes.height, planes.width, 1);
+    require(target, "memory for the result");
     stage(planes, settings..., target);
   });
 }
@@ -128,34 +160,36 @@ int on_planes(Stage stage, const Planes &planes, std::uint8_t *target, Settings.
 #define SSRVLAD_SOURCE ""
 #endif
 
+const char *ssrvlad_last_error(void) { return last_error; }
+
 const char *ssrvlad_source(void) { return SSRVLAD_SOURCE; }
 
 int ssrvlad_interface(void) { return SSRVLAD_INTERFACE; }
 
 int ssrvlad_preset(const char *name, ssrvlad_settings *settings) {
-  const bool paper = name && !std::strcmp(name, "paper");
-  if (!settings || (!paper && (!name || std::strcmp(name, "default")))) return SSRVLAD_WRONG_ARGUMENT;
-  ssrvlad_settings s{};
-  s.opening = 0.0, s.closing = 0.01, s.hole_area = 0.002, s.region_area = 0.0005;
-  s.radius = 0.5, s.inner_radius = paper ? 1.0 / 16 : 1.0 / 6;
-  s.spectral_weight = 1.0, s.power = 0.75;
-  s.working_size = paper ? 0 : 120;
-  s.rings = paper ? 5 : 6, s.sectors = paper ? 12 : 20;
-  s.harmonics = 64, s.boundary_harmonics = 24;
-  s.thinning = SSRVLAD_ZHANG_SUEN, s.context = SSRVLAD_SKELETON;
-  s.aggregation = paper ? SSRVLAD_RESIDUALS : SSRVLAD_HARMONICS;
-  s.anchor = SSRVLAD_VANISHING_COLUMN;
-  *settings = s;
-  return SSRVLAD_OK;
+  return guarded([&] {
+    require(name && settings, "the name of a preset and settings");
+    const bool paper = !std::strcmp(name, "paper");
+    if (!paper && std::strcmp(name, "default")) refuse("expected the preset default or paper, got %s", name);
+    ssrvlad_settings s{};
+    s.opening = 0.0, s.closing = 0.01, s.hole_area = 0.002, s.region_area = 0.0005;
+    s.radius = 0.5, s.inner_radius = paper ? 1.0 / 16 : 1.0 / 6;
+    s.spectral_weight = 1.0, s.power = 0.75;
+    s.working_size = paper ? 0 : 120;
+    s.rings = paper ? 5 : 6, s.sectors = paper ? 12 : 20;
+    s.harmonics = 64, s.boundary_harmonics = 24;
+    s.thinning = SSRVLAD_ZHANG_SUEN, s.context = SSRVLAD_SKELETON;
+    s.aggregation = paper ? SSRVLAD_RESIDUALS : SSRVLAD_HARMONICS;
+    s.anchor = SSRVLAD_VANISHING_COLUMN;
+    *settings = s;
+  });
 }
 
 ssrvlad_head *ssrvlad_new(const ssrvlad_settings *settings) {
-  ssrvlad_head *head = nullptr;
-  guarded([&] {
-    require(settings && valid(*settings));
-    head = new ssrvlad_head(*settings);
+  return made([&] {
+    check(settings);
+    return new ssrvlad_head(*settings);
   });
-  return head;
 }
 
 void ssrvlad_free(ssrvlad_head *head) { delete head; }
@@ -164,11 +198,14 @@ int64_t ssrvlad_length(const ssrvlad_head *head) {
   return head ? head->length() : Size{SSRVLAD_WRONG_ARGUMENT};
 }
 
+const char *ssrvlad_fingerprint(const ssrvlad_head *head) { return head ? head->fingerprint.c_str() : ""; }
+
 int64_t ssrvlad_describe(ssrvlad_head *head, const ssrvlad_labels *labels,
                          const ssrvlad_table *table, int threads, float *descriptors) {
   int64_t unknown = 0;
   const int code = guarded([&] {
-    require(head && labels && table && descriptors && valid(*labels) && valid(*table));
+    require(head && descriptors, "a head and memory for descriptors");
+    check(labels, table);
     unknown = head->describe(*labels, *table, threads, descriptors);
   });
   return code ? code : unknown;
@@ -178,8 +215,10 @@ int64_t ssrvlad_vote(const ssrvlad_labels *labels, const ssrvlad_table *table, i
                      int64_t columns, uint8_t *categories) {
   int64_t unknown = 0;
   const int code = guarded([&] {
-    require(labels && table && categories && valid(*labels) && valid(*table));
-    require(rows >= 1 && columns >= 1 && rows <= labels->height && columns <= labels->width);
+    check(labels, table);
+    require(categories, "memory for categories");
+    require_range("rows", static_cast<double>(rows), 1, static_cast<double>(labels->height));
+    require_range("columns", static_cast<double>(columns), 1, static_cast<double>(labels->width));
     unknown = vote(*labels, *table, rows, columns, categories);
   });
   return code ? code : unknown;
@@ -202,13 +241,13 @@ int ssrvlad_drop_regions(const uint8_t *planes, int64_t images, int64_t height, 
 
 int ssrvlad_thin(const uint8_t *planes, int64_t images, int64_t height, int64_t width,
                  int thinning, uint8_t *target) {
-  if (!in_range(thinning, 0, 1)) return SSRVLAD_WRONG_ARGUMENT;
+  if (const int code = guarded([&] { require_range("thinning", thinning, 0, 1); })) return code;
   return on_planes(thin, {planes, images, height, width}, target, thinning);
 }
 
 int ssrvlad_keypoints(const uint8_t *skeletons, int64_t images, int64_t height, int64_t width,
                       uint8_t *end_points, uint8_t *intersections) {
-  if (!end_points) return SSRVLAD_WRONG_ARGUMENT;
+  if (const int code = guarded([&] { require(end_points, "memory for end points"); })) return code;
   return on_planes(keypoints, {skeletons, images, height, width}, intersections, end_points);
 }
 
@@ -445,9 +484,7 @@ double ssrvlad_together(const int64_t *rivals, int64_t queries) {
 // ---------------------------------------------------------------------------------- ssrvlad_map.h
 
 ssrvlad_map *ssrvlad_map_new(const ssrvlad_drives *drives) {
-  ssrvlad_map *map = nullptr;
-  guarded([&] { map = new ssrvlad_map(drives_of(drives)); });
-  return map;
+  return made([&] { return new ssrvlad_map(drives_of(drives)); });
 }
 
 void ssrvlad_map_free(ssrvlad_map *map) { delete map; }
@@ -473,14 +510,12 @@ int ssrvlad_map_query(const ssrvlad_map *map, const ssrvlad_queries *queries, in
 ssrvlad_comparison *ssrvlad_map_compare(const ssrvlad_map *map, int64_t channel,
                                         const ssrvlad_queries *queries, int64_t count, int standardised,
                                         int sweep, int threads, int64_t *width) {
-  ssrvlad_comparison *comparison = nullptr;
-  guarded([&] {
+  return made([&] {
     require(map && queries && width && count >= 0 && channel >= 0 && channel < map->channels());
     auto scores = map->compare(channel, *queries, count, standardised, sweep, threads);
     *width = scores->width;
-    comparison = new ssrvlad_comparison{std::move(scores)};
+    return new ssrvlad_comparison{std::move(scores)};
   });
-  return comparison;
 }
 
 void ssrvlad_comparison_free(ssrvlad_comparison *comparison) { delete comparison; }
@@ -510,19 +545,15 @@ namespace {
 constexpr int64_t MOST_EXCLUDED = int64_t{1} << 62;
 constexpr int64_t MOST = int64_t{1} << 31;  // numbers of a descriptor, and signs
 
-bool valid(const ssrvlad_loops_settings &settings) {
-  return settings.exclude >= 0 && settings.threshold >= 0 && settings.threshold <= 1 &&
-         settings.scan_above > 0;
-}
-
-bool valid(const ssrvlad_loops_channel &channel) {
+void check(const ssrvlad_loops_channel &channel) {
+  require_range("kind", channel.kind, SSRVLAD_VECTORS, SSRVLAD_SIGNS);
+  require(channel.trust > 0 && channel.trust < 1e300, "a trust above 0");
   int64_t size = 1;
   for (const int64_t axis : channel.shape) {
-    if (axis < 1 || axis > MOST / size) return false;
+    require(axis >= 1 && axis <= MOST / size, "shapes of up to 2^31 numbers");
     size *= axis;
   }
-  const bool vectors = channel.kind == SSRVLAD_VECTORS && channel.shape[0] == size;
-  return channel.trust > 0 && channel.trust < 1e300 && (vectors || channel.kind == SSRVLAD_SIGNS);
+  require(channel.kind == SSRVLAD_SIGNS || channel.shape[0] == size, "the shape of vectors: their length, 1, 1");
 }
 
 // Whether there are descriptors of one frame that can be such.
@@ -538,17 +569,17 @@ bool fits(const Stream &stream, const void *const *descriptors, const int64_t *a
 
 ssrvlad_loops *ssrvlad_loops_new(const ssrvlad_loops_settings *settings,
                                  const ssrvlad_loops_channel *channels, int count) {
-  if (!settings || !channels || !valid(*settings) || count < 1 || count > SSRVLAD_CHANNELS)
-    return nullptr;
-  for (int number = 0; number < count; ++number)
-    if (!valid(channels[number])) return nullptr;
-  try {
+  return made([&] {
+    require(settings && channels, "settings and channels");
+    require_range("channels", count, 1, SSRVLAD_CHANNELS);
+    require(settings->exclude >= 0, "frames to exclude, or 0");
+    require_range("threshold", settings->threshold, 0, 1);
+    require(settings->scan_above > 0, "scan_above of 1 frame or more");
+    std::for_each(channels, channels + count, [](const auto &channel) { check(channel); });
     auto own = *settings;
     own.exclude = std::min(own.exclude, MOST_EXCLUDED);
     return new ssrvlad_loops{Stream(own, channels, count)};
-  } catch (const std::bad_alloc &) {
-    return nullptr;
-  }
+  });
 }
 
 void ssrvlad_loops_free(ssrvlad_loops *loops) { delete loops; }
@@ -558,7 +589,9 @@ int64_t ssrvlad_loops_rows(const ssrvlad_loops *loops) { return loops ? loops->s
 int ssrvlad_loops_update(ssrvlad_loops *loops, const void *const *descriptors, const int64_t *anchors,
                          double stamp, int starts, int threads, ssrvlad_loop *result) {
   return guarded([&] {
-    require(loops && result && fits(loops->stream, descriptors, anchors));
+    require(loops && result, "a stream and memory for the result");
+    require(fits(loops->stream, descriptors, anchors),
+            "finite vectors of length 1 or 0, from an odd number of anchors, and signs from 1");
     *result = loops->stream.update(descriptors, anchors, stamp, starts != 0, threads);
   });
 }
@@ -566,7 +599,7 @@ int ssrvlad_loops_update(ssrvlad_loops *loops, const void *const *descriptors, c
 int ssrvlad_loops_extend(ssrvlad_loops *loops, const void *const *descriptors, const double *stamps,
                          const uint8_t *starts, int64_t frames) {
   return guarded([&] {
-    require(loops && descriptors && starts && frames >= 0);
+    require(loops && descriptors && starts && frames >= 0, "a stream, descriptors and starts");
     const auto &channels = loops->stream.channels();
     const auto frame = [&](int64_t row) {
       std::vector<const void *> found;
@@ -576,7 +609,7 @@ int ssrvlad_loops_extend(ssrvlad_loops *loops, const void *const *descriptors, c
       return found;
     };
     for (int64_t row = 0; row < frames; ++row)
-      require(fits(loops->stream, frame(row).data(), nullptr));
+      require(fits(loops->stream, frame(row).data(), nullptr), "finite vectors of length 1 or 0");
     for (int64_t row = 0; row < frames; ++row) {
       const double stamp = stamps ? stamps[row] : std::numeric_limits<double>::quiet_NaN();
       loops->stream.extend(frame(row).data(), stamp, starts[row] != 0);
@@ -586,12 +619,12 @@ int ssrvlad_loops_extend(ssrvlad_loops *loops, const void *const *descriptors, c
 
 int ssrvlad_loops_descriptors(const ssrvlad_loops *loops, int channel, int64_t first, int64_t last,
                               void *descriptors) {
-  if (!loops || !descriptors || channel < 0 || first < 0 || last < first ||
-      last > loops->stream.rows() ||
-      static_cast<std::size_t>(channel) >= loops->stream.channels().size())
-    return SSRVLAD_WRONG_ARGUMENT;
-  loops->stream.channels()[static_cast<std::size_t>(channel)]->copy(first, last, descriptors);
-  return SSRVLAD_OK;
+  return guarded([&] {
+    require(loops && descriptors && channel >= 0 && first >= 0 && last >= first && last <= loops->stream.rows() &&
+                static_cast<std::size_t>(channel) < loops->stream.channels().size(),
+            "a channel and rows of the stream");
+    loops->stream.channels()[static_cast<std::size_t>(channel)]->copy(first, last, descriptors);
+  });
 }
 
 void ssrvlad_loops_weights(const ssrvlad_loops *loops, double *weights) {

@@ -5,6 +5,7 @@
 
 #include <cstdint>
 #include <memory>
+#include <string>
 
 #include "ssrvlad.h"
 
@@ -24,6 +25,9 @@ class Head {
   struct State;
   std::unique_ptr<State> state_;
 };
+
+// That of `SSRVLADConfig.fingerprint`, 16 hexadecimal digits.
+std::string fingerprint_of(const ssrvlad_settings &settings);
 
 std::int64_t vote(const ssrvlad_labels &labels, const ssrvlad_table &table, std::int64_t rows,
                   std::int64_t columns, std::uint8_t *categories);

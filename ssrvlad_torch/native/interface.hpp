@@ -11,13 +11,24 @@
 
 namespace places {
 
-// An argument is out of range, or a function of the caller refused.
+// An argument is out of range, or a function of the caller refused; `ssrvlad_last_error` says why.
 struct Failed {
   std::int64_t code;
 };
 
-inline void require(bool holds) {
-  if (!holds) throw Failed{SSRVLAD_WRONG_ARGUMENT};
+// Refuses an argument, with a reason as of printf.
+#if defined(__GNUC__)
+__attribute__((format(printf, 1, 2)))
+#endif
+[[noreturn]] void refuse(const char *reason, ...);
+
+inline void require(bool holds, const char *expected = "arguments in range") {
+  if (!holds) refuse("expected %s", expected);
+}
+
+inline void require_range(const char *name, double value, double lowest, double highest) {
+  if (!(value >= lowest && value <= highest))
+    refuse("%s: expected %.10g to %.10g, got %.10g", name, lowest, highest, value);
 }
 
 // Whether an array of these sizes may be in memory, so that the product and its bytes do not overflow.

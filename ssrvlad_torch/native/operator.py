@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from ..config import CHOICES, SSRVLADConfig
-from . import core
+from . import core, last_error
 from .addresses import address
 from .headers import struct
 
@@ -56,8 +56,7 @@ def describe(labels: Tensor, table: Tensor, origin: int, settings: str) -> Tenso
             f"label id {first} is not in the label space; {status} pixels have such ids"
         )
     if status < 0:
-        problem = "not enough memory for" if status == -1 else "the native core does not accept"
-        raise RuntimeError(f"{problem} label maps {tuple(labels.shape)}")
+        raise RuntimeError(f"label maps {tuple(labels.shape)}: {last_error()}")
     return descriptors
 
 
@@ -87,5 +86,5 @@ class _Head:
         given = made(**{**values, "working_size": config.working_size or 0})
         self.handle = library.ssrvlad_new(given)
         if not self.handle:
-            raise RuntimeError("the native core refuses the settings, or memory is short")
+            raise RuntimeError(last_error())
         weakref.finalize(self, library.ssrvlad_free, ctypes.c_void_p(self.handle))

@@ -25,6 +25,10 @@ enum {
   SSRVLAD_WRONG_ARGUMENT = -2 /* a size, a setting or a label type out of range */
 };
 
+/* Why the last call of this thread failed that did, in a line: "rings: expected 1 to 64, got 0", or "not
+ * enough memory". Functions that create something return NULL for either. */
+SSRVLAD_API const char *ssrvlad_last_error(void);
+
 enum { SSRVLAD_LAYERS = 8, SSRVLAD_NO_LAYER = 8, SSRVLAD_UNKNOWN = 255 };
 enum { SSRVLAD_ZHANG_SUEN = 0, SSRVLAD_GUO_HALL = 1 };
 enum { SSRVLAD_SKELETON = 0, SSRVLAD_KEYPOINTS = 1 };
@@ -80,6 +84,10 @@ SSRVLAD_API void ssrvlad_free(ssrvlad_head *head);
 
 /* The length of a descriptor; SSRVLAD_WRONG_ARGUMENT without a head. */
 SSRVLAD_API int64_t ssrvlad_length(const ssrvlad_head *head);
+
+/* The fingerprint of the settings, that of `SSRVLADConfig` and of databases: descriptors can be compared
+ * only if theirs are equal. 16 characters that belong to the head; none without a head. */
+SSRVLAD_API const char *ssrvlad_fingerprint(const ssrvlad_head *head);
 
 /* Computes the descriptors of a batch, each with norm 1, or zeros for an empty image; `threads`
  * threads share the images. Returns SSRVLAD_OK, or the number of pixels with an unknown id, or a
