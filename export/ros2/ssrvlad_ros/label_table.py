@@ -19,8 +19,8 @@ _UNKNOWN = 255
 class LabelTable:
     """Turns a network's ids into those of `LABELS_AS` that belong to the same categories.
 
-    The category of a class is that of its name in the label spaces of the package, `LABELS_AS`
-    before the others; only letters and digits count, in any case. The largest id of an image's
+    The category of a class is that of its name in the label spaces of the package, first of that
+    which has most of the names; only letters and digits count, in any case. The largest id of an image's
     dtype, 255 or 65535, is unlabelled unless the table has it, as in ``vision_msgs/LabelInfo``.
 
     Args:
@@ -35,12 +35,13 @@ class LabelTable:
     def __init__(
         self, class_map: Iterable[tuple[int, str]], meanings: Mapping[str, str] | None = None
     ) -> None:
-        known = _meanings() | {_plain(name): _category(c) for name, c in (meanings or {}).items()}
         names: dict[int, str] = {}
         for identity, name in class_map:
             if identity in names or not 0 <= identity <= 65535:
                 raise ValueError(f"id {identity} of {name!r} stands twice or is not 0 to 65535")
             names[identity] = name
+        known = _meanings(names.values())
+        known |= {_plain(name): _category(c) for name, c in (meanings or {}).items()}
         strange = [repr(name) for name in names.values() if _plain(name) not in known]
         if strange or not names:
             raise ValueError(
@@ -70,11 +71,17 @@ class LabelTable:
         return mapped
 
 
-def _meanings() -> dict[str, str]:
-    """Categories by the names of all classes of all label spaces."""
-    spaces = [LABELS_AS, *(name for name in label_space_names() if name != LABELS_AS)]
-    classes = [each for name in spaces for each in label_space(name).classes]
-    return {_plain(each.name): each.category for each in reversed(classes)}
+def _meanings(names: Iterable[str]) -> dict[str, str]:
+    """Categories by the names of all classes of all label spaces; where spaces differ, as on a lamp,
+    by that which has most of these names, `LABELS_AS` before the others."""
+    wanted = set(map(_plain, names))
+    spaces = [{_plain(c.name): c.category for c in label_space(LABELS_AS).classes}]
+    spaces += [
+        {_plain(c.name): c.category for c in label_space(name).classes}
+        for name in label_space_names()
+    ]
+    spaces.sort(key=lambda categories: -len(wanted & categories.keys()))
+    return {name: category for space in reversed(spaces) for name, category in space.items()}
 
 
 def _ids() -> dict[str, int]:
