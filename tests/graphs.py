@@ -9,6 +9,7 @@ from typing import Any
 
 import onnx
 import onnxruntime
+import pytest
 
 
 def session(content: bytes, **options: Any) -> onnxruntime.InferenceSession:
@@ -19,6 +20,26 @@ def session(content: bytes, **options: Any) -> onnxruntime.InferenceSession:
     for name, value in options.items():
         setattr(settings, name, value)
     return onnxruntime.InferenceSession(content, settings, ["CPUExecutionProvider"])
+
+
+def in_onnxruntime(model: onnx.ModelProto) -> Callable[..., list[Any]]:
+    """A model as a function of its inputs in order."""
+    runner = session(model.SerializeToString())
+    names = [value.name for value in runner.get_inputs()]
+    return lambda *inputs: runner.run(None, dict(zip(names, inputs, strict=True)))
+
+
+def in_openvino(model: onnx.ModelProto) -> Callable[..., list[Any]]:
+    """The same in OpenVINO, in single precision."""
+    openvino = pytest.importorskip("openvino", reason="the extra openvino is not installed")
+    core = openvino.Core()
+    read = core.read_model(model.SerializeToString())
+    compiled = core.compile_model(read, "CPU", {"INFERENCE_PRECISION_HINT": "f32"})
+    names = [value.name for value in model.graph.input]
+    return lambda *inputs: list(compiled(dict(zip(names, inputs, strict=True))).values())
+
+
+by_runtime = pytest.mark.parametrize("runtime", [in_onnxruntime, in_openvino])
 
 
 def edit_golden(source: Path, target: Path, change: Callable[[dict[str, Any]], object]) -> Path:

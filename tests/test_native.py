@@ -23,9 +23,9 @@ from ssrvlad_torch.native.headers import struct
 from ssrvlad_torch.native.operator import operator
 from ssrvlad_torch.stages.components import drop_regions, fill_holes
 from ssrvlad_torch.stages.keypoints import end_points, intersections
-from ssrvlad_torch.stages.layers import category_table, entries_of
+from ssrvlad_torch.stages.layers import categorise, category_table
 from ssrvlad_torch.stages.morphology import open_and_close
-from ssrvlad_torch.stages.reduction import ballots, reduce_by_majority
+from ssrvlad_torch.stages.reduction import reduce_by_majority
 from ssrvlad_torch.stages.skeleton import RULES, thin
 from ssrvlad_torch.taxonomy import label_space
 
@@ -121,8 +121,7 @@ def test_votes_equal_the_torch_stage(seed, height, width, data, dtype):
         got.data_ptr(),
     )
     assert found == 0
-    entries, first = entries_of(labels, table, origin)
-    assert torch.equal(got, reduce_by_majority(entries, *ballots(table[first:]), grid)[0])
+    assert torch.equal(got, reduce_by_majority(categorise(labels, table, origin).int(), grid))
 
 
 def arguments_of(labels: Tensor, config: SSRVLADConfig) -> tuple[Tensor, Tensor, int, str]:

@@ -23,8 +23,8 @@ from ssrvlad_torch.stages.bitplanes import unpack
 from ssrvlad_torch.stages.boundaries import boundaries
 from ssrvlad_torch.stages.grid_pooling import pool
 from ssrvlad_torch.stages.harmonics import Harmonics
-from ssrvlad_torch.stages.layers import categorise, category_table, entries_of, merge, split
-from ssrvlad_torch.stages.reduction import ballots, reduce_by_majority
+from ssrvlad_torch.stages.layers import categorise, category_table, merge, split
+from ssrvlad_torch.stages.reduction import reduce_by_majority
 from ssrvlad_torch.stages.vanishing_column import vanishing_columns
 from ssrvlad_torch.taxonomy import NO_LAYER, label_space
 
@@ -87,9 +87,8 @@ def test_mean_fractions_become_the_majority():
     plain = np.zeros((8, 9, 12))
     np.add.at(plain, (slice(None), rows[:, None], columns[None]), soft[0].numpy() / 9)
     np.testing.assert_allclose(soft_majority(soft, (9, 12), 1.0)[0], plain, atol=1e-5)
-    table, origin = category_table(label_space(SPACE))
-    entries, first = entries_of(torch.from_numpy(labels)[None], table, origin)
-    voted, _ = reduce_by_majority(entries, *ballots(table[first:]), (9, 12))
+    categories = categorise(torch.from_numpy(labels)[None], *category_table(label_space(SPACE)))
+    voted = reduce_by_majority(categories.int(), (9, 12))
     counts = torch.from_numpy(np.concatenate([plain, 1 - plain.sum(0, keepdims=True)]))
     best = counts.topk(2, dim=0).values
     clear = best[0] - best[1] > 0.05

@@ -80,8 +80,7 @@ def steps_around(ring: Sequence[Tensor]) -> list[Tensor]:
     """The 0 -> 1 steps around every pixel, from its eight `neighbours`, in four planes; their sum
     is the crossing number.
 
-    There is at most one step from N over NE to E, and in each of the other quarters. Each
-    exclusive or removes a subset of bits: old runtimes do not subtract bytes.
+    There is at most one step from N over NE to E, and in each of the other quarters.
     """
     n, ne, e, se, s, sw, w, nw = ring
     return [

@@ -21,7 +21,7 @@ def centroids(planes: Tensor) -> Points:
         sums = sums_of_groups(weighted.to(real()), segments.group, images)
         estimate = sums.index_select(0, group) / area
         total = sums_of_groups(weighted, segments.group, images).index_select(0, group) + area
-        return divided(total, (estimate + 1) / 2, 2 * area)[0]
+        return divided(total, 2 * area, (estimate + 1) / 2)[0]
 
     return Points(group, mean(2 * segments.y), mean(segments.first + segments.last))
 

@@ -9,8 +9,8 @@ from torch import Tensor, nn
 
 from ..config import SSRVLADConfig
 from ..taxonomy import NO_LAYER, LabelSpace, label_space
-from .layers import UNKNOWN, best_class, categorise, category_table, entries_of, refuse_unknown
-from .reduction import ballots, reduce_by_majority
+from .layers import UNKNOWN, best_class, categorise, category_table, refuse_unknown
+from .reduction import reduce_by_majority
 from .tracing import length
 
 PIXELS_AT_ONCE = 1 << 20
@@ -30,11 +30,8 @@ class FrontEnd(nn.Module):
         self.config = config
         self.label_space = label_space(config.labels_as)
         self.table: Tensor
-        self.votes: Tensor
-        self.kinds: Tensor
         table, self.origin = category_table(self.label_space)
-        for name, tensor in zip(("table", "votes", "kinds"), (table, *ballots(table)), strict=True):
-            self.register_buffer(name, tensor, persistent=False)
+        self.register_buffer("table", table, persistent=False)
 
     def forward(self, labels: Tensor) -> Tensor:
         """The layers of a batch, a few images at a time so that memory stays bounded."""
@@ -51,20 +48,18 @@ class FrontEnd(nn.Module):
         """Layers of a label map, and the number of pixels of each image that have an unknown id and
         no layer."""
         size = self.config.working_size
+        categories = categorise(labels, self.table, self.origin).int()  # Table II
+        unknown = (categories == UNKNOWN).sum((1, 2))
+        layers = categories.clamp(max=NO_LAYER)
         if size is None:
-            categories = categorise(labels, self.table, self.origin)  # Table II
-            if torch.compiler.is_exporting():
-                categories = categories.int()  # old runtimes do not compare bytes
-            unknown = (categories == UNKNOWN).sum((1, 2))
-            return categories.clamp(max=NO_LAYER).to(torch.uint8), unknown
+            return layers.to(torch.uint8), unknown
         _, height, width = labels.shape
         shorter = torch.sym_min(height, width)
         size = torch.sym_min(shorter, size)
         rows, columns = (
             length((2 * side * size + shorter) // (2 * shorter)) for side in (height, width)
         )
-        entries, first = entries_of(labels, self.table, self.origin)
-        return reduce_by_majority(entries, self.votes[:, first:], self.kinds, (rows, columns))
+        return reduce_by_majority(layers, (rows, columns)), unknown
 
 
 def label_map(labels: Tensor, space: LabelSpace) -> Tensor:

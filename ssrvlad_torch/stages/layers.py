@@ -52,22 +52,17 @@ def category_table(space: LabelSpace) -> tuple[Tensor, int]:
     return table, origin
 
 
-def entries_of(labels: Tensor, table: Tensor, origin: int) -> tuple[Tensor, int]:
-    """The entry ``(B, H, W)`` int64 of every pixel of a label map in a `category_table`, and the
-    number of entries to leave out at the beginning of the table, which depends on the dtype."""
-    wide = labels.to(torch.int64)
-    if labels.dtype == torch.uint8:
-        return wide, origin
-    if labels.dtype == torch.uint64:
-        wide = torch.where(wide < 0, len(table), wide)  # beyond int64: in no label space
-    return wide.clamp(-origin, len(table) - 1 - origin) + origin, 0
-
-
 def categorise(labels: Tensor, table: Tensor, origin: int) -> Tensor:
     """The category ``(B, H, W)`` uint8, 0 to 7, `NO_LAYER` or `UNKNOWN`, of every pixel of a label
     map of any integer dtype, by a `category_table`."""
-    entries, first = entries_of(labels, table, origin)
-    return table[first:].index_select(0, entries.flatten()).view(labels.shape)
+    entries = labels.to(torch.int64)
+    if labels.dtype == torch.uint8:  # the table has all of them
+        table = table[origin:]
+    else:
+        if labels.dtype == torch.uint64:  # beyond int64: in no label space
+            entries = torch.where(entries < 0, len(table), entries)
+        entries = entries.clamp(-origin, len(table) - 1 - origin) + origin
+    return looked_up(table, entries.flatten()).view(labels.shape)
 
 
 def refuse_unknown(labels: Tensor, space: LabelSpace) -> None:

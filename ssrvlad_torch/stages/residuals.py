@@ -58,8 +58,8 @@ class Residuals:
         bins = log_polar_bins(height, width, limits, config.sectors, layers.device)
         shape = (images, -1, config.rings, config.sectors)
         around_points, around_centre = (
-            sums.reshape(shape)
-            for sums in shape_contexts((keypoints, centres), context, bins, images)
+            shape_contexts(references, context, bins, images).reshape(shape)
+            for references in (keypoints, centres)
         )
         counts = by_image(count_groups(keypoints, images), images)
         return ResidualHistograms(around_points, around_centre, counts, skeleton)

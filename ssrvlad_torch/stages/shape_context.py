@@ -7,16 +7,13 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from .bitplanes import LAYERS, Points, by_image, count_groups
+from .bitplanes import LAYERS, Points, by_image, count_groups, repeated
 from .lengths import Length
 from .tracing import MOST, number_in, repeat_while
 
 PAIRS_AT_ONCE = 1 << 16
 """Most pairs of points in memory at a time, without those of the last reference point: a few
 megabytes for any number of points."""
-
-MOST_PAIRS = 4
-"""Pairs of points for each offset of the table, up to which a list is faster than a correlation."""
 
 _BASE = 512
 _DIGITS = 5
@@ -37,32 +34,13 @@ class Bins(NamedTuple):
     total: int
 
 
-def shape_contexts(
-    references: Sequence[Points], context: Points, bins: Bins, images: int
-) -> list[Tensor]:
-    """Sums of the shape contexts around each layer's reference points, ``(B, 8, N * M)`` int64 for
-    each entry of the references. Under export -1 for a layer of 2 ** 31 pairs or more.
+def shape_contexts(references: Points, context: Points, bins: Bins, images: int) -> Tensor:
+    """Sums of the shape contexts around each layer's reference points, ``(B, 8, N * M)`` int64.
+    Under export -1 for a layer of 2 ** 31 pairs or more.
 
     Around every reference point the context points of the same layer are counted by ring and
-    sector; the reference point itself is not counted. Pairs are listed chunk by chunk. A layer with
-    so many pairs that the list would take long is correlated with its reference points by Fourier
-    transforms, at about 130 bytes of memory for each pixel.
+    sector; the reference point itself is not counted. Pairs are listed chunk by chunk.
     """
-    sums = len(references)
-    around, among = (_joined(lists, LAYERS * images) for lists in (references, [context] * sums))
-    counts = _counts(around, among, bins, images * sums)
-    return [by_image(count, images) for count in counts.unflatten(0, (sums, -1)).unbind()]
-
-
-def _joined(lists: Sequence[Points], groups: int) -> Points:
-    """One list, with groups of their own for every list."""
-    group = torch.cat([points.group + groups * number for number, points in enumerate(lists)])
-    y, x = (torch.cat(places) for places in zip(*(points[1:] for points in lists), strict=True))
-    return Points(group, y, x)
-
-
-def _counts(references: Points, context: Points, bins: Bins, images: int) -> Tensor:
-    """``(8 * B, N * M)`` int64, the sums of `shape_contexts` for each group."""
     pitch = bins.table.shape[1]
     groups, stride = LAYERS * images, bins.total + 1
     context_position = context.y * pitch + context.x
@@ -73,28 +51,24 @@ def _counts(references: Points, context: Points, bins: Bins, images: int) -> Ten
         positions = context_position, reference_position
         counts = _one_by_one(*positions, references.group, group_start, population, bins)
         too_many = population.float() * members.float() >= MOST  # some count in int32
-        return torch.where(too_many[:, None], -1, counts.view(groups, stride)[:, : bins.total])
+        counts = torch.where(too_many[:, None], -1, counts.view(groups, stride))
+        return by_image(counts[:, : bins.total], images)
     counts = torch.zeros(groups * stride, dtype=torch.int64, device=bins.table.device)
-    dense = population * members > MOST_PAIRS * bins.table.numel()
-    for group in dense.nonzero()[:, 0].tolist():
-        around, among = (_chosen(points, points.group == group) for points in (references, context))
-        counts[group * stride : (group + 1) * stride] = _correlated(around, among, bins)
-    listed = ~dense[references.group]
-    references, reference_position = _chosen(references, listed), reference_position[listed]
     pairs = population[references.group]
     chunk = (pairs.cumsum(0) - pairs) // PAIRS_AT_ONCE
     for rows in torch.arange(len(pairs), device=pairs.device).split(torch.bincount(chunk).tolist()):
+        # pairs have consecutive numbers: from that of the first of a reference point, its place in
+        # the list of context points follows
         group, count = references.group[rows], pairs[rows]
-        pair_count = int(count.sum())
-        owner = torch.repeat_interleave(count, output_size=pair_count)
-        first = group_start[group] - (count.cumsum(0) - count)
-        entry = first.index_select(0, owner) + torch.arange(pair_count, device=owner.device)
-        offset = context_position.index_select(0, entry)
+        owner, number = repeated(count)
+        offset = context_position.index_select(
+            0, group_start[group].index_select(0, owner) + number
+        )
         offset -= reference_position[rows].index_select(0, owner)
         bin_index = (group * stride).index_select(0, owner)
         bin_index += bins.table.flatten().index_select(0, offset)
         counts += torch.bincount(bin_index, minlength=groups * stride)
-    return counts.view(groups, stride)[:, : bins.total]
+    return by_image(counts.view(groups, stride)[:, : bins.total], images)
 
 
 def _one_by_one(
@@ -115,28 +89,6 @@ def _one_by_one(
     zeros = torch.zeros(start.shape[0] * stride, dtype=torch.int64)
     some = torch.full((), references.shape[0]) > 0
     return repeat_while(some, count, torch.zeros(1, dtype=torch.int64), zeros)[1]
-
-
-def _correlated(references: Points, context: Points, bins: Bins) -> Tensor:
-    """``(N * M + 1,)`` int64, the number of pairs of points of one layer in each bin.
-
-    The number of pairs of each offset is a correlation. In float64 its rounding error is far below
-    one half for images of up to 2 ** 28 pixels, so the rounded numbers are exact.
-    """
-    height, width = ((length + 1) // 2 for length in bins.table.shape)
-    spectra = []
-    for points in (references, context):
-        image = torch.zeros(height, width, dtype=torch.float64, device=bins.table.device)
-        image[points.y, points.x] = 1
-        spectra.append(torch.fft.rfft2(image, (2 * height, 2 * width)))
-    pairs = torch.fft.irfft2(spectra[1] * spectra[0].conj(), (2 * height, 2 * width))
-    pairs = pairs.roll((height - 1, width - 1), (0, 1))[: 2 * height - 1, : 2 * width - 1]
-    counts = torch.zeros(bins.total + 1, dtype=torch.int64, device=pairs.device)
-    return counts.index_add_(0, bins.table.flatten().long(), pairs.round().long().flatten())
-
-
-def _chosen(points: Points, which: Tensor) -> Points:
-    return Points(*(column[which] for column in points))
 
 
 def log_polar_bins(

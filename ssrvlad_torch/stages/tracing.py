@@ -65,17 +65,23 @@ def repeat_while(
     return carried
 
 
-def divided(number: Tensor, estimate: Tensor, divisor: Tensor | int) -> tuple[Tensor, Tensor]:
-    """Quotient, rounded down, and remainder of a number that its dtype may not hold, as some
-    runtimes cut int64 to 32 bits. The remainder of a guess is small, so it is exact in spite of the
-    overflow, and corrects the guess.
+def sum_of_integers(numbers: Tensor) -> Tensor:
+    """The sum over the last axis, modulo 2 ** 32 where int64 is cut: OpenVINO adds integers up in
+    float32, but not in cumsum."""
+    return numbers.cumsum(-1)[..., -1]
+
+
+def divided(number: Tensor, divisor: Tensor | int, estimate: Tensor) -> tuple[Tensor, Tensor]:
+    """Quotient, rounded down, and remainder of integers that are too large for a runtime: OpenVINO
+    cuts int64 to 32 bits and divides integers in float32. The distance from the nearest multiple
+    of the divisor is at most about half of it, so it is right in spite of the overflow.
 
     Args:
         number: ``(n,)`` integers, modulo 2 ** 32.
-        estimate: ``(n,)`` the quotient; rounded down it is off by at most 1.
-        divisor: above 0, at most a billion.
+        divisor: above 0, below 2 ** 31.
+        estimate: ``(n,)`` float, the quotient within 0.4.
     """
-    guess = estimate.floor().to(number.dtype)
-    rest = number - guess * divisor
-    more, less = (rest >= divisor).to(number.dtype), (rest < 0).to(number.dtype)
-    return guess + more - less, rest - (more - less) * divisor
+    nearest = estimate.round().to(number.dtype)
+    rest = number - nearest * divisor
+    below = (rest < 0).to(number.dtype)
+    return nearest - below, rest + below * divisor

@@ -9,10 +9,9 @@ from functools import reduce
 from operator import or_
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
-from .tracing import real
+from .tracing import divided, looked_up, real, sum_of_integers
 
 OPEN_LAYERS = (0, 1, 5)
 """Ground, sidewalk and sky: where one can drive, walk, or see far."""
@@ -28,13 +27,8 @@ columns, fully open: without open pixels it is the vanishing column."""
 SHIFT = (LEVELS.bit_length() - 1) * POWER - (ONE.bit_length() - 1)
 
 MAX_WIDTH = 960
-"""Columns of the widest grid whose sums are exact in float32: a digit of them is below
-``14 * MAX_WIDTH ** 2``, of all weights and of the middle, times twice the distance of two
-columns."""
-
-_RADIX, _DIGITS = 8, 7
-"""Digits of a weight, which is at most ``ONE``: sums of weights have up to forty bits, too many for
-float32."""
+"""Columns of the widest grid in an exported file: a weight times twice its distance from the middle
+stays below ``2 ** 31``, and so does twice the sum of all weights."""
 
 
 def vanishing_columns(numbers: Tensor) -> Tensor:
@@ -45,29 +39,11 @@ def vanishing_columns(numbers: Tensor) -> Tensor:
     """
     height, width = numbers.shape[1:]
     is_open = reduce(or_, [numbers == layer for layer in OPEN_LAYERS])
-    open_pixels = is_open.to(real(height)).sum(1)
-    level = torch.floor((open_pixels * LEVELS + 0.5) / height).to(torch.int64)
-    table = _digits([level**POWER >> SHIFT for level in range(LEVELS + 1)], numbers.device)
-    weight = F.embedding(level, table)  # (B, W, digits)
-    twice_from_middle = (2 * torch.arange(width, device=numbers.device) - (width - 1)).to(real())
-    moment = (weight * twice_from_middle[:, None]).sum(1)
-    whole, rest = divmod(ONE, PULL)
-    pull = _digits([whole, 1], numbers.device)
-    total = weight.sum(1) + pull[0] * width + pull[1] * (width * rest // PULL)
-
-    powers = _RADIX ** torch.arange(_DIGITS, device=numbers.device).to(real())
-    sums, totals = moment @ powers, total @ powers
-    estimate = torch.floor((sums + totals) / (totals * 2))  # it may be off by one
-    column = estimate[:, None] + torch.arange(-1, 2, device=numbers.device)
-    left = (moment + total)[:, None] - column[..., None] * (total * 2)[:, None]
-    carried, *higher = left.unbind(2)
-    for digit in higher:
-        carried = digit + torch.floor(carried * (1 / _RADIX))
-    result: Tensor = estimate - 2 + (carried >= 0).to(real()).sum(1)
-    return result.to(torch.int64)
-
-
-def _digits(numbers: list[int], device: torch.device) -> Tensor:
-    """``(n, digits)``, lowest first."""
-    rows = [[number // _RADIX**place % _RADIX for place in range(_DIGITS)] for number in numbers]
-    return torch.tensor(rows, dtype=real(), device=device)
+    level = torch.floor((is_open.sum(1).float() * LEVELS + 0.5) / height).to(torch.int64)
+    table = torch.tensor([level**POWER >> SHIFT for level in range(LEVELS + 1)])
+    weight = looked_up(table.to(level.device), level.flatten()).view(level.shape)
+    moments = weight * (2 * torch.arange(width, device=level.device) - (width - 1))
+    pull = ONE // PULL * width + ONE % PULL * width // PULL
+    total = sum_of_integers(weight) + pull
+    mean = moments.to(real()).sum(1) / total  # from the middle, in halves of a column
+    return divided(sum_of_integers(moments) + total, 2 * total, (mean + 1) / 2)[0]
