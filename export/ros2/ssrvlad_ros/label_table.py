@@ -20,8 +20,8 @@ class LabelTable:
     """Turns a network's ids into those of `LABELS_AS` that belong to the same categories.
 
     The category of a class is that of its name in the label spaces of the package, first of that
-    which has most of the names; only letters and digits count, in any case. The largest id of an image's
-    dtype, 255 or 65535, is unlabelled unless the table has it, as in ``vision_msgs/LabelInfo``.
+    which has most of the names; only letters and digits count, in any case. The largest id of an
+    image's dtype, 255 or 65535, is unlabelled unless the table has it, as in ``vision_msgs/LabelInfo``.
 
     Args:
         class_map: ids from 0 to 65535 and names of the classes.
@@ -72,8 +72,8 @@ class LabelTable:
 
 
 def _meanings(names: Iterable[str]) -> dict[str, str]:
-    """Categories by the names of all classes of all label spaces; where spaces differ, as on a lamp,
-    by that which has most of these names, `LABELS_AS` before the others."""
+    """Categories by the names of all classes of all label spaces; where these differ, as on a lamp,
+    by that which has most of the given names, `LABELS_AS` before the others."""
     wanted = set(map(_plain, names))
     spaces = [{_plain(c.name): c.category for c in label_space(LABELS_AS).classes}]
     spaces += [
