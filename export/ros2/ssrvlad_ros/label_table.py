@@ -21,7 +21,8 @@ class LabelTable:
 
     The category of a class is that of its name in the label spaces of the package, first of that
     which has most of the names; only letters and digits count, in any case. The largest id of an
-    image's dtype, 255 or 65535, is unlabelled unless the table has it, as in ``vision_msgs/LabelInfo``.
+    image's dtype, 255 or 65535, is unlabelled unless the table has it, as in
+    ``vision_msgs/LabelInfo``.
 
     Args:
         class_map: ids from 0 to 65535 and names of the classes.
