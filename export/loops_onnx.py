@@ -30,8 +30,7 @@ from ssrvlad_place.output import finished, note, one_line, run_program
 
 try:
     from ssrvlad_torch.loops.config import LoopConfig
-    from ssrvlad_torch.loops.live import Live, live
-    from ssrvlad_torch.native.loops import Channel, Found
+    from ssrvlad_torch.native.loops import Channel, Loops, LoopStep
 except ImportError:
     sys.exit("loops_onnx: loops need: pip install --no-deps ssrvlad-torch")
 
@@ -53,27 +52,27 @@ def frames_of(sources: list[Path], suffixes: tuple[str, ...]) -> Iterator[tuple[
             yield f"{path.absolute().parent.name}/{path.stem}", path
 
 
-def stream_of(seen: Seen, model: Model, config: LoopConfig) -> Live:
+def stream_of(seen: Seen, model: Model, config: LoopConfig) -> Loops:
     """A stream without frames, whose frames have the channels of this one."""
     channels = []
     for name, array in seen.channels.items():
         shape = array.shape[1:] if name == LABEL_SHAPES and model.anchors else array.shape
         channels.append(Channel(name, shape, str(array.dtype), TRUST[name]))
-    return live(channels, config)
+    return Loops(channels, config.exclude, config.threshold)
 
 
-def line_of(frame: str, found: Found, frames: list[str]) -> dict[str, Any]:
+def line_of(frame: str, step: LoopStep, frames: list[str]) -> dict[str, Any]:
     """The result of a frame by the ids of the frames so far; without poses, none is ahead."""
-    candidate = None if found.candidate is None else frames[found.candidate]
-    places = [{"frame": frames[row], "probability": likely} for row, likely in found.places]
-    line = {"frame": frame, "reason": found.reason, "candidate": candidate, "score": found.score}
-    return {**line, "probability": found.probability, "ahead": None, "candidates": places}
+    candidate = None if step.candidate is None else frames[step.candidate]
+    places = [{"frame": frames[row], "probability": likely} for row, likely in step.places]
+    line = {"frame": frame, "reason": step.reason, "candidate": candidate, "score": step.score}
+    return {**line, "probability": step.probability, "ahead": None, "candidates": places}
 
 
 def run(options: argparse.Namespace) -> int:
     """Runs the detector over a stream; the exit code."""
     model, config = open_model(options), LoopConfig(options.exclude, options.threshold)
-    stream: Live | None = None
+    stream: Loops | None = None
     frames, done, skipped = list[str](), set[str](), 0
     for frame, path in frames_of(options.source, model.suffixes):
         try:
@@ -82,15 +81,17 @@ def run(options: argparse.Namespace) -> int:
             seen = model.see(path)
             if stream is None:
                 stream = stream_of(seen, model, config)
-            starts = not frames or frame.rpartition("/")[0] != frames[-1].rpartition("/")[0]
-            found = stream.update(seen.channels, starts=starts)
+            # before the core gets the frame, so that its rows and these ids never part
+            frames[len(stream) :] = [frame]
+            last = frames[-2] if len(frames) > 1 else "/"
+            starts = frame.rpartition("/")[0] != last.rpartition("/")[0]
+            step = stream.update(seen.channels, starts=starts)
         except ValueError as error:
             note(f"{path}: {one_line(error)}")
             skipped += 1
             continue
-        print(json.dumps(line_of(frame, found, frames)), flush=True)
-        frames.append(frame)
         done.add(frame)
+        print(json.dumps(line_of(frame, step, frames)), flush=True)
     return finished(skipped, len(done))
 
 

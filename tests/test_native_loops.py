@@ -1,248 +1,280 @@
-"""The live stream of the native core: held to the oracle on random streams, and its refusals."""
+"""The live stream of the native core: held to the oracle on random streams, what changes nothing,
+and what is refused."""
 
 import math
-from pathlib import Path
+from functools import partial
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from loop_streams import LIGHT, PLACES, hog_of, noisy_stream, signs_of, unit
+from loop_streams import LIGHT, PLACES, hog_of, noisy_stream, signs_of, unit, views
+from oracles import loops as oracle
 
-from ssrvlad_torch.loops import reference
-from ssrvlad_torch.native import loops
-from ssrvlad_torch.native.loops import SCAN_ABOVE, Channel, Loops
+from ssrvlad_torch.native.loops import Channel, Loops, Reason
 
 pytestmark = pytest.mark.usefixtures("core")
 
-CHANNELS = [
-    Channel("ssr-vlad", (480,)),
-    Channel("features", (16, 2, 8), "uint8", 6.0),
-    Channel("hog", (480,), "float32", 2.0),
-]
+SHAPES = Channel("ssr-vlad", (480,))
+SIGNS = Channel("features", (16, 2, 8), "uint8", 6.0)
+VECTORS = Channel("hog", (480,), "float32", 2.0)
 
 
-def both(frames, starts, stamps=None, known=0, **settings):
-    """What the core and the oracle find, of ``(N, ...)`` descriptors by channel, of which the first
-    are known: both streams, and both results of each frame."""
-    channels = [each for each in CHANNELS if each.name in frames]
-    streams = [form(channels, **settings) for form in (Loops, reference.Loops)]
+def described(vectors, *channels):
+    """Descriptors of frames by channels, from those of label maps ``(N, 480)``."""
+    forms = {"features": signs_of, "hog": hog_of, "ssr-vlad": lambda vector: vector}
+    return {channel.name: np.array([*map(forms[channel.name], vectors)]) for channel in channels}
+
+
+def rows_of(frames, rows):
+    return {name: array[rows] for name, array in frames.items()}
+
+
+def run(stream, frames, starts, stamps=None, **settings):
+    """The steps of a stream over frames ``(N, ...)`` by channel."""
     stamps = np.full(len(starts), math.nan) if stamps is None else stamps
-    for stream in streams:
-        centres = {each.name: frames[each.name][:known] for each in channels}
-        centres["ssr-vlad"] = centres["ssr-vlad"][:, frames["ssr-vlad"].shape[1] // 2]
-        stream.extend(centres, stamps[:known], starts[:known])
-    found = []
+    return [
+        stream.update(rows_of(frames, row), stamps[row], starts[row], **settings)
+        for row in range(len(starts))
+    ]
+
+
+def assert_as_the_oracle(frames, starts, channels, stamps=None, known=0, exclude=50, threshold=0.8):
+    """Runs both over frames, of which the first are known; returns the steps of the core. What is
+    decided is equal, but where rounding decides."""
+    core, plain = (form(channels, exclude, threshold) for form in (Loops, oracle.Loops))
+    stamps = np.full(len(starts), math.nan) if stamps is None else stamps
+    anchors = frames["ssr-vlad"].reshape(len(starts), -1, 480)
+    centres = frames | {"ssr-vlad": anchors[:, anchors.shape[1] // 2]}
+    first = rows_of(centres, slice(known))
+    for stream in (core, plain):
+        stream.extend(first, stamps[:known], starts[:known])
+    steps = []
     for row in range(known, len(starts)):
-        one = {name: each[row] for name, each in frames.items()}
-        found.append([stream.update(one, stamps[row], starts[row]) for stream in streams])
-    return streams, found
-
-
-def assert_same(streams, found, threshold):
-    """Scores and probabilities are equal but for rounding, and so are decisions, but for those that
-    rounding decides: at the threshold, and between two rows or reasons that are as probable or of
-    no probability."""
-    ours, theirs = streams
-    assert ours.weights == pytest.approx(theirs.weights, abs=1e-5)
-    for one, other in found:
-        assert (one.candidate is None) == (other.candidate is None)
-        if one.candidate is None:
-            assert one == other
+        frame = rows_of(frames, row)
+        step = core.update(frame, stamps[row], starts[row])
+        steps.append(step)
+        reason, candidate, score, probability, places = plain.update(
+            frame, stamps[row], starts[row]
+        )
+        assert core.weights == pytest.approx(plain.weights, abs=1e-5)
+        if candidate is None:
+            assert (step.reason, step.candidate) == (reason, None)
             continue
-        if abs(other.probability - threshold) > 1e-4:
-            assert (one.reason == "accepted") == (other.reason == "accepted")
-        if one.candidate == other.candidate:
-            assert one.probability == pytest.approx(other.probability, abs=2e-5)
-            assert one.score == pytest.approx(other.score, abs=1e-5)
-            assert one.first == other.first
-            assert one.near == pytest.approx(other.near, abs=2e-5)
-            for place, wanted in zip(one.places, other.places, strict=False):
-                assert place[1] == pytest.approx(wanted[1], abs=2e-5)
-    different = [one for one, other in found if one[:2] != other[:2]]
-    probable = [one for one in different if one.probability > 1e-3]
-    assert len(probable) <= max(1, 0.02 * len(found))
+        likely = plain.filter.mapped[0].sum(0)
+        assert likely[step.candidate] == pytest.approx(likely[candidate], abs=2e-5)
+        if step.candidate == candidate and abs(probability - threshold) > 1e-4:
+            assert (step.reason == "accepted") == (reason == "accepted")
+            assert (step.score, step.probability) == pytest.approx((score, probability), abs=2e-5)
+            top = [chance for _, chance in step.places]
+            assert top == pytest.approx([chance for _, chance in places[: len(top)]], abs=2e-5)
+    return steps
 
 
 @st.composite
 def streams(draw):
-    """Channels of a walk with empty frames, its sequences and stamps with gaps, how many frames are
-    known, and settings."""
+    """A walk with empty frames, in up to three sequences, with gaps; frames that are known."""
     anchors, length = draw(st.sampled_from([1, 3, 5])), draw(st.integers(1, 160))
     seed, places = draw(st.integers(0, 2**31)), draw(st.integers(2, 80))
     changes = draw(st.lists(st.integers(0, 160), max_size=2))
     swept, names = noisy_stream(seed, length, places, changes, anchors)
     light = np.random.default_rng(seed).normal(0, 0.3, (3, 480)).astype(np.float32)
-    drives = np.array([int(name.split()[1]) for name in names])
-    described = swept.any(axis=2)
-    swept[described] = unit((swept + draw(st.booleans()) * light[drives][:, None])[described])
-    usual = swept[:, anchors // 2]
-    frames = {"ssr-vlad": swept}
-    if draw(st.booleans()):
-        frames["features"] = np.array([signs_of(each) for each in usual])
-    if draw(st.booleans()):
-        frames["hog"] = np.array([hog_of(each) for each in usual])
+    sequence = np.array([int(name.split()[1]) for name in names])
+    full = swept.any(axis=2)
+    swept[full] = unit((swept + draw(st.booleans()) * light[sequence][:, None])[full])
+    channels = [SHAPES, *draw(st.lists(st.sampled_from([SIGNS, VECTORS]), unique=True))]
+    frames = described(swept[:, anchors // 2], *channels) | {"ssr-vlad": swept}
     stamps = np.arange(length) / 3
     for row in draw(st.lists(st.integers(20, 160), max_size=2)):
         stamps[row:] += 3600
-    starts = np.diff(drives, prepend=-1) > 0
-    settings = {
-        "exclude": draw(st.integers(0, 60)),
-        "threshold": draw(st.sampled_from([0.3, 0.8])),
-        "scan_above": draw(st.sampled_from([SCAN_ABOVE, 20, 40, 80])),
-    }
-    return frames, starts, stamps, draw(st.integers(0, length)), settings
+    settings = {"known": draw(st.integers(0, length)), "exclude": draw(st.integers(0, 60))}
+    settings["threshold"] = draw(st.sampled_from([0.3, 0.8]))
+    return frames, np.diff(sequence, prepend=-1) > 0, channels, stamps, settings
 
 
 @given(streams())
 def test_the_core_finds_what_the_oracle_finds(stream):
-    frames, starts, stamps, known, settings = stream
-    assert_same(*both(frames, starts, stamps, known, **settings), settings["threshold"])
+    *arguments, settings = stream
+    assert_as_the_oracle(*arguments, **settings)
+
+
+def count(steps, reason=Reason.ACCEPTED):
+    return sum(step.reason == reason for step in steps)
+
+
+STREET = PLACES[:300] + PLACES[1:301]
 
 
 def test_a_return_in_another_light_is_that_of_the_oracle():
     """Without a gap, by all channels: the tracks of the stream tell it."""
-    street = PLACES[:300] + PLACES[1:301]
     drawn = np.random.default_rng(0).normal(0, 0.3 / 22, (230, 480))
-    light = 0.35 * LIGHT
-    vectors = unit(np.concatenate((street[:150], street[40:120] + light)) + drawn)
-    frames = {"ssr-vlad": vectors[:, None]}
-    frames |= {"features": np.array([*map(signs_of, vectors)])}
-    frames |= {"hog": np.array([*map(hog_of, vectors)])}
-    streams, found = both(frames, np.arange(230) == 0)
-    assert_same(streams, found, 0.8)
-    assert sum(one.reason == "accepted" for one, _ in found[150:]) > 30
+    vectors = unit(np.concatenate((STREET[:150], STREET[40:120] + 0.35 * LIGHT)) + drawn)
+    channels = [SHAPES, SIGNS, VECTORS]
+    steps = assert_as_the_oracle(described(vectors, *channels), np.arange(230) == 0, channels)
+    assert count(steps[150:]) > 30
 
 
 def test_an_empty_frame_is_no_place_whatever_other_channels_see():
     """The first 30 frames of a street have no label map; then the whole street comes again."""
-    vectors = unit(PLACES[:120] + PLACES[1:121])[[*range(120), *range(120)]]
-    frames = {"features": np.array([*map(signs_of, vectors)]), "ssr-vlad": vectors[:, None].copy()}
+    channels = [SHAPES, SIGNS]
+    frames = described(unit(STREET[:120])[[*range(120), *range(120)]], *channels)
     frames["ssr-vlad"][:30] = 0
-    streams, found = both(frames, np.arange(240) % 120 == 0)
-    assert_same(streams, found, 0.8)
-    for one, _ in found[120:]:
-        assert one.candidate >= 30
-    assert not any(one.reason == "accepted" for one, _ in found[120:150])
-    assert sum(one.reason == "accepted" for one, _ in found[150:]) > 60
+    steps = assert_as_the_oracle(frames, np.arange(240) % 120 == 0, channels)[120:]
+    assert min(step.candidate for step in steps) >= 30
+    assert count(steps[:30]) == 0 and count(steps[30:]) > 60
 
 
 def test_a_frame_is_empty_where_the_first_channel_is_zero_signs_too():
     signs = np.random.default_rng(0).integers(0, 256, (40, 16, 2, 8), np.uint8)
     signs[[0, 7, 39]] = 0
-    for form in (Loops, reference.Loops):
-        stream = form([CHANNELS[1]], exclude=5)
-        found = [stream.update({"features": each}) for each in signs]
-        empty = [row for row, each in enumerate(found) if each.reason == "empty_frame"]
-        assert empty == [0, 7, 39]
-        assert all(each.candidate not in (0, 7) for each in found)
+    steps = run(Loops([SIGNS], exclude=5), {"features": signs}, np.arange(40) == 0)
+    empty = [row for row, step in enumerate(steps) if step.reason == Reason.EMPTY_FRAME]
+    assert empty == [0, 7, 39]
+    assert not {step.candidate for step in steps} & {0, 7}
 
 
-def test_a_long_stream_passes_the_ends_of_blocks():
-    """More rows than stand together in memory, over a sequence that starts within them."""
-    swept, names = noisy_stream(3, 1110, 110, [600], 3)
+@pytest.mark.parametrize("channels", [[SHAPES, SIGNS], [SHAPES]])
+def test_an_old_sequence_is_left_where_it_fits_no_longer(channels):
+    """Forty frames at old places, then forty at new ones. Label maps alone fit too unevenly."""
+    vectors = views([*range(100), *range(20, 60), *range(200, 240)], 0.02)
+    steps = run(Loops(channels), described(vectors, *channels), np.arange(180) % 100 == 0)
+    assert count(steps[110:140]) == 30
+    assert count(steps[142:]) == 0 or channels == [SHAPES]
+
+
+# ---- what changes nothing
+
+
+def stream_of(length, *channels):
+    """Two passes of a noisy walk by channels, and where they start."""
+    vectors, names = noisy_stream(5, length, 110, [length // 2])
     starts = np.array([a != b for a, b in zip(names, ["", *names], strict=False)])
-    frames = {"ssr-vlad": swept, "features": np.array([signs_of(each[1]) for each in swept])}
-    streams, found = both(frames, starts, known=1100)
-    assert_same(streams, found, 0.8)
-    ours, _ = streams
-    for first, last in ((0, 3), (1020, 1030), (1100, 1110)):
-        rows = ours.descriptors("features", first, last)
-        np.testing.assert_array_equal(rows, frames["features"][first:last])
-        rows = ours.descriptors("ssr-vlad", first, last)
-        np.testing.assert_array_equal(rows, swept[first:last, 1])
+    return described(vectors[:, 0], *channels), starts
 
 
-def test_a_large_memory_finds_what_the_oracle_finds():
-    """Most rows have rough scores alone: of 350 and more, 50 are the last, and a few others. The
-    street has 500 places, and then come its last 100 again, of which 60 are known."""
-    rng = np.random.default_rng(0)
-    rows = [*range(0, 500), *range(400, 500)]
-    signs = rng.integers(0, 256, (500, 16, 2, 8), np.uint8)[rows]
+def test_the_order_of_further_channels_changes_nothing():
+    frames, starts = stream_of(300, SHAPES, SIGNS, VECTORS)
+    one, other = (
+        run(Loops(channels), frames, starts)
+        for channels in ([SHAPES, SIGNS, VECTORS], [SHAPES, VECTORS, SIGNS])
+    )
+    assert [step.reason for step in one] == [step.reason for step in other]
+    for name in ("score", "probability"):
+        numbers = [[getattr(step, name) or 0 for step in steps] for steps in (one, other)]
+        np.testing.assert_allclose(*numbers, atol=1e-6)
+
+
+@pytest.mark.parametrize("scan_above", [50_000, 500])
+def test_the_number_of_threads_changes_no_bit(scan_above):
+    """Also where more rows are compared than one thread takes at once."""
+    frames, starts = stream_of(9000, SHAPES, SIGNS)
+    steps = []
+    for threads in (1, 3):
+        stream = Loops([SHAPES, SIGNS], scan_above=scan_above)
+        stream.extend(rows_of(frames, slice(8990)), None, starts[:8990])
+        last = rows_of(frames, slice(8990, None))
+        steps.append(run(stream, last, starts[8990:], threads=threads))
+    assert steps[0] == steps[1]
+
+
+def test_known_frames_count_as_if_they_had_come():
+    """The scores of the next frames are the same to the bit; weights and chance, of one channel
+    alone, are known of a frame more or less."""
+    frames, starts = stream_of(300, SIGNS)
+    came, known = Loops([SIGNS]), Loops([SIGNS])
+    run(came, rows_of(frames, slice(200)), starts[:200])
+    known.extend(rows_of(frames, slice(200)), None, starts[:200])
+    first, second = (
+        run(stream, rows_of(frames, slice(200, None)), np.arange(100) == 0)
+        for stream in (came, known)
+    )
+    same = [
+        (a.candidate, a.score) == (b.candidate, b.score) for a, b in zip(first, second, strict=True)
+    ]
+    assert np.mean(same) > 0.9
+
+
+def test_descriptors_come_back_as_they_were_given():
+    """Over the ends of blocks of rows."""
+    frames, starts = stream_of(1110, SHAPES, SIGNS)
+    stream = Loops([SHAPES, SIGNS])
+    stream.extend(rows_of(frames, slice(1100)), None, starts[:1100])
+    run(stream, rows_of(frames, slice(1100, None)), starts[1100:])
+    assert len(stream) == 1110
+    for name, array in frames.items():
+        np.testing.assert_array_equal(stream.descriptors(name, 0, 1110), array)
+        np.testing.assert_array_equal(stream.descriptors(name, 1020, 1105), array[1020:1105])
+
+
+@pytest.mark.parametrize("known", [0, 460])
+def test_a_large_memory_closes_most_loops_of_a_small_one(known):
+    """Most rows have rough scores alone. A street of 400 places, of which the last 100 come again,
+    whether its frames came or were known."""
+    rng, rows = np.random.default_rng(0), [*range(400), *range(300, 400)]
+    signs = rng.integers(0, 256, (400, 16, 2, 8), np.uint8)[rows]
     signs ^= np.bitwise_and.reduce(rng.integers(0, 256, (3, *signs.shape), np.uint8))
-    vectors = unit(rng.normal(size=(500, 480)))[rows]
-    vectors = unit(vectors + rng.normal(0, 0.02, vectors.shape))
-    frames = {"ssr-vlad": vectors[:, None], "features": signs, "hog": vectors}
-    streams, found = both(frames, np.arange(600) % 500 == 0, known=560, scan_above=350)
-    assert_same(streams, found, 0.8)
-    accepted = [
-        (one.candidate, row) for row, (one, _) in enumerate(found, 460) if one[0] == "accepted"
-    ]
-    assert len(accepted) > 30
-    assert all(candidate == row for candidate, row in accepted)
+    vectors = unit(unit(rng.normal(size=(400, 480)))[rows] + rng.normal(0, 0.02, (500, 480)))
+    frames = {"ssr-vlad": vectors, "features": signs}
+    loops = []
+    for scan_above in (50_000, 250):
+        stream = Loops([SHAPES, SIGNS], scan_above=scan_above)
+        stream.extend(rows_of(frames, slice(known)), None, np.arange(known) == 0)
+        starts = np.arange(known, 500) % 400 == 0
+        steps = run(stream, rows_of(frames, slice(known, None)), starts)
+        loops.append({r: s.candidate for r, s in enumerate(steps, known) if s.reason == "accepted"})
+    small, large = loops
+    assert len(large) > max(30, 0.8 * len(small))
+    assert {row - candidate for row, candidate in (small | large).items()} == {100}
 
 
-def test_programs_in_c_and_python_have_the_same_size_of_large_memories():
-    header = (Path(loops.__file__).parent / "ssrvlad_loops.h").read_text()
-    assert f"SSRVLAD_SCAN_ABOVE = {SCAN_ABOVE} " in header
+# ---- what is refused
 
 
-def test_a_memory_is_large_alike_whether_frames_came_or_were_known():
-    """It was small first, or was large at once; by signs alone, which weigh alike. What chance does
-    is known of frames that came."""
-    signs = np.random.default_rng(0).integers(0, 256, (240, 16, 2, 8), np.uint8)
-    signs[200:] = signs[50:90] ^ (signs[200:] & signs[100:140] & signs[150:190])
-    ours = [Loops([CHANNELS[1]], scan_above=60) for _ in range(2)]
-    for row, each in enumerate(signs[:200]):
-        ours[0].update({"features": each}, starts=row == 150)
-    ours[1].extend({"features": signs[:200]}, None, np.arange(200) == 150)
-    found = [
-        [stream.update({"features": each}, starts=not row) for row, each in enumerate(signs[200:])]
-        for stream in ours
-    ]
-    assert [one[:3] for one in found[0]] == [one[:3] for one in found[1]]
-    assert sum(one.reason == "accepted" for one in found[0]) > 20
-    np.testing.assert_array_equal(ours[0].descriptors("features", 0, 240), signs)
-
-
-def test_several_threads_find_the_same():
-    swept, names = noisy_stream(5, 9000, 110, [4000])
-    starts = np.array([a != b for a, b in zip(names, ["", *names], strict=False)])
-    results, signs = [], np.array([signs_of(each[0]) for each in swept])
-    for threads, above in ((1, SCAN_ABOVE), (3, SCAN_ABOVE), (1, 5000), (3, 5000)):
-        stream = Loops(CHANNELS[:2], scan_above=above)
-        known = {"ssr-vlad": swept[:8990, 0], "features": signs[:8990]}
-        stream.extend(known, None, starts[:8990])
-        results.append(
-            [
-                stream.update({"ssr-vlad": one, "features": other}, threads=threads)
-                for one, other in zip(swept[8990:], signs[8990:], strict=True)
-            ]
-        )
-    assert results[0] == results[1]
-    assert results[2] == results[3]
-
-
-def test_what_is_no_descriptor_is_refused_and_leaves_no_trace():
-    stream = Loops(CHANNELS[:2])
-    one = {"ssr-vlad": PLACES[0], "features": signs_of(PLACES[0])}
-    for change, message in (
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
         ({"ssr-vlad": 2 * PLACES[0]}, "expected descriptors of length 1 or zero"),
         ({"ssr-vlad": math.nan * PLACES[0]}, "expected descriptors of length 1 or zero"),
         ({"ssr-vlad": PLACES[:2]}, "and an odd number of anchors"),
-        ({"ssr-vlad": PLACES[0, :9]}, r"ssr-vlad: expected descriptors \(480,\) float32"),
-        ({"features": PLACES[0]}, r"features: expected descriptors \(16, 2, 8\) uint8"),
+        ({"ssr-vlad": PLACES[0, :9]}, r"ssr-vlad: expected an array \(1, 480\) of float32"),
+        ({"ssr-vlad": PLACES[0].astype(float)}, r"of float32 on cpu, got \(1, 480\) of float64"),
+        ({"features": PLACES[0]}, r"features: expected an array .* of uint8 on cpu, got"),
         ({"features": np.zeros((3, 16, 2, 8), np.uint8)}, "and an odd number of anchors"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            stream.update(one | change)
-        rows = {name: np.array(each)[None] for name, each in (one | change).items()}
-        if rows["ssr-vlad"].ndim == rows["features"].ndim - 2 == 2:
-            with pytest.raises(ValueError, match=message):
-                stream.extend(rows, None, np.ones(1))
-    two, signs = PLACES[:2], np.zeros((2, 16, 2, 8), np.uint8)
-    for known, stamps, starts, message in (
-        ((two, signs), None, np.zeros(3), r"ssr-vlad: .* of 3 frames, got \(2, 480\)"),
-        ((two, signs[:1]), None, np.zeros(2), "features: .* of 2 frames"),
-        ((two, signs), np.zeros(1), np.zeros(2), r"stamps: expected shape \(2,\), got \(1,\)"),
-        ((two, signs), None, np.zeros((2, 2)), r"starts: expected shape \(2,\), got \(2, 2\)"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            stream.extend(dict(zip(one, known, strict=True)), stamps, starts)
+    ],
+)
+def test_what_is_no_descriptor_is_refused_and_leaves_no_trace(wrong, message):
+    stream = Loops([SHAPES, SIGNS])
+    with pytest.raises(ValueError, match=message):
+        stream.update({"ssr-vlad": PLACES[0], "features": signs_of(PLACES[0])} | wrong)
     assert len(stream) == 0
-    for channels, *settings in (
-        *(([], 50), ([Channel("x", (0,))], 50), (CHANNELS, -1), (CHANNELS, 50, 2.0)),
-        *((CHANNELS, 50, 0.8, -1), (CHANNELS, 50, 0.8, 0)),
-    ):
-        with pytest.raises(RuntimeError, match="the native core refuses the settings or channels"):
-            Loops(channels, *settings)
+
+
+@pytest.mark.parametrize(
+    ("frames", "stamps", "starts", "message"),
+    [
+        (2, None, np.zeros(3), r"ssr-vlad: expected an array \(3, 480\) of .* got \(2, 480\)"),
+        (2, np.zeros(1), np.zeros(2), r"expected an array \(2,\) of float64 on cpu, got \(1,\)"),
+        (2, None, np.zeros((2, 2)), r"expected an array \(2,\) of uint8 on cpu, got \(2, 2\)"),
+    ],
+)
+def test_known_frames_of_unequal_numbers_are_refused(frames, stamps, starts, message):
+    stream = Loops([SHAPES])
+    with pytest.raises(ValueError, match=message):
+        stream.extend({"ssr-vlad": PLACES[:frames]}, stamps, starts)
+    assert len(stream) == 0
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        partial(Loops, []),
+        partial(Loops, [Channel("x", (0,))]),
+        partial(Loops, [SHAPES], -1),
+        partial(Loops, [SHAPES], 50, 2.0),
+        partial(Loops, [SHAPES], 50, 0.8, -1),
+        partial(Loops, [SHAPES], 50, 0.8, 0),
+    ],
+)
+def test_settings_out_of_range_are_refused(wrong):
+    with pytest.raises(RuntimeError, match="the native core refuses the settings or channels"):
+        wrong()

@@ -18,27 +18,28 @@ from ..channels.channel import FEATURES, PICTURE, Channel, View, channels_of, ne
 from ..channels.label_shapes import LabelShapes
 from ..database.database import Database
 from ..database.frames import FrameRecord, checked_pose, is_text, numbers_of
-from ..database.rows import check_records
+from ..database.rows import StoredRecords, check_records
 from ..datasets.label_files import digest
 from ..datasets.names import split_id
 from ..descriptor import SSRVLAD
-from ..native.loops import SCAN_ABOVE, Array, Found
-from ..native.loops import Channel as Described
+from ..native.loops import SCAN_ABOVE, Array, Loops, LoopStep, Reason
+from ..native.loops import Channel as StreamChannel
 from ..recognition.matching import real_tensor
 from ..segmentation.networks import AUTO
-from ..segmentation.segmenter import Segmented, Segmenter
+from ..segmentation.segmenter import Segmenter
 from ..stages.front_end import as_tensor
 from ..taxonomy import LabelSpace
 from .config import LoopConfig
-from .live import checked, live, require_lengths
-from .memory import Memory
-from .result import LoopResult, Place, Reason
+from .frame_log import FrameLog
+from .result import LoopResult, Place
 
 COLUMNS = (-4, 0, 4)
 """Anchors of a frame, see `recognition.sweep`."""
 
 REPLAYED = 100
 """Frames that a loaded detector goes through again, to know where it is: twice what it excludes."""
+
+_LENGTH_TOLERANCE = 1e-3
 
 
 class LoopDetector:
@@ -47,11 +48,11 @@ class LoopDetector:
     A frame is described from several anchors and compared with all earlier frames, each without the
     mean of its own stretch: a sequence, or what is between gaps of it. A Bayes filter follows the
     stream; its states are the earlier frames, the same frames run backwards, which only chance
-    makes probable, and "a new place". Excluded frames are states too, except for the last
-    `reference.RECENT`: where one of them is more probable than the old frames, no loop is closed.
-    All of that is the native core's; `loops.reference` says it plainly.
+    makes probable, and "a new place". Excluded frames are states too, except for the last ten:
+    where one of them is more probable than the old frames, no loop is closed.
 
-    One thread updates; another may `save` at the same time.
+    One thread updates; another may `save` at the same time. An interrupt, such as Ctrl-C, leaves
+    the detector with the frame or without it, see ``frame in detector``; a `save` can be repeated.
 
     Args:
         config: the settings; without, the defaults.
@@ -80,17 +81,15 @@ class LoopDetector:
         self.segmenter: Segmenter | None = None
         self.head = head or SSRVLAD()
         self.channels: tuple[Channel, ...] = (LabelShapes(self.head), *channels)
-        self._described = [
-            Described(name, shape, dtype, each.trust)
-            for each in self.channels
-            for name, _, shape, dtype in [each.column]
+        channels_of_stream = [
+            StreamChannel(name, shape, dtype, channel.trust)
+            for channel in self.channels
+            for name, _, shape, dtype in [channel.column]
         ]
-        self._loops, self._memory = live(self._described, self.config), Memory()
-        self._sequence: str | None = None
-        self._stamps: dict[str, float] = {}
-        self._arrivals = 0
-        self._unsaved: list[FrameRecord] = []
-        self._updating, self._saving = threading.Lock(), threading.Lock()
+        self._stream = Loops(channels_of_stream, self.config.exclude, self.config.threshold)
+        self._log = FrameLog(self._stream)
+        self._saved, self._begun = 0, 0  # rows before these: in a database, and perhaps in it
+        self._updating, self._saving = threading.RLock(), threading.RLock()
 
     @classmethod
     def from_pretrained(
@@ -121,26 +120,30 @@ class LoopDetector:
         return detector
 
     def __len__(self) -> int:
-        return len(self._memory)
+        with self._updating:
+            return len(self._log)
 
     def __repr__(self) -> str:
-        last = f", last {self._memory.frames[-1]}" if len(self) else ""
+        last = f", last {self.frames[-1]}" if len(self) else ""
         return (
             f"LoopDetector({len(self)} frames{last}, {self.config}, {self.head.config.fingerprint})"
         )
 
     def __contains__(self, frame: object) -> bool:
-        return frame in self._memory.rows
+        with self._updating:
+            return frame in self._log
 
     @property
     def frames(self) -> list[str]:
         """Ids of all frames in order."""
-        return self._memory.frames.copy()
+        with self._updating:
+            return [record.frame for record in self._log.since(0)]
 
     @property
     def poses(self) -> npt.NDArray[np.float64]:
         """``(N, 3)`` float64, a copy: x and y in metres, heading in radians, NaN where unknown."""
-        return self._memory.poses
+        with self._updating:
+            return self._log.poses
 
     @property
     def descriptor(self) -> npt.NDArray[np.float32]:
@@ -149,10 +152,12 @@ class LoopDetector:
         Raises:
             IndexError: there is no frame yet.
         """
-        if not len(self):
+        last = len(self)
+        if not last:
             raise IndexError("no frame was seen yet")
-        first, last = self._described[0].name, len(self)
-        descriptor: npt.NDArray[np.float32] = self._loops.descriptors(first, last - 1, last)[0]
+        descriptor: npt.NDArray[np.float32] = self._stream.descriptors(
+            self._stream.channels[0].name, last - 1, last
+        )[0]
         return descriptor
 
     @property
@@ -163,7 +168,7 @@ class LoopDetector:
     @property
     def weights(self) -> dict[str, float]:
         """The present weight of each channel; empty if there is one."""
-        return self._loops.weights if len(self.channels) > 1 else {}
+        return self._stream.weights if len(self.channels) > 1 else {}
 
     def update(
         self,
@@ -200,19 +205,20 @@ class LoopDetector:
             raise ValueError(f"frame {frame_id!r}: expected a stamp in seconds, got {stamp!r}")
         record = FrameRecord(sequence, name, *place, stamps[0])
         if self.segmenter and np.shape(view)[2:] == (3,):
-            picture, (view, features) = np.asarray(view), self._labelled(view)
+            picture = np.asarray(view)
+            [(view, features)] = self.segmenter.segment([picture], self._needs(FEATURES))
         tensor, (first, *others) = as_tensor(view), self.channels
         if features is not None:
             features = real_tensor(features, "features").numpy(force=True)
-        for need, given in ((PICTURE, picture), (FEATURES, features)):
-            if given is not None and not (self.segmenter or self._needs(need)):
+        for need, array in ((PICTURE, picture), (FEATURES, features)):
+            if array is not None and not (self.segmenter or self._needs(need)):
                 raise ValueError(f"got {need}, but the detector has no channel that describes them")
-        seen = View(frame_id, picture=picture, features=features)
-        described = {channel.column.name: channel.describe([seen])[0] for channel in others}
+        views = [View(frame_id, picture=picture, features=features)]
+        described = {channel.column.name: channel.describe(views)[0] for channel in others}
         if tensor.ndim == 1:
             return self.observe(record, {first.column.name: tensor, **described})
-        swept = self.head.sweep(tensor[None], self.columns) if self.columns else None
-        [descriptor] = self.head(tensor[None]) if swept is None else swept
+        batch = tensor[None]
+        [descriptor] = self.head.sweep(batch, self.columns) if self.columns else self.head(batch)
         labels = (tensor.argmax(0) if tensor.ndim == 3 else tensor).cpu().numpy()
         height, width = labels.shape
         record = record._replace(digest=digest(labels), height=height, width=width)
@@ -222,17 +228,11 @@ class LoopDetector:
     def scans(self) -> bool:
         """Whether each frame is compared with all old frames by a part of their features, and by
         all channels with only some; see `native.loops.SCAN_ABOVE`."""
-        signs = any(channel.dtype == "uint8" for channel in self._described)
+        signs = any(channel.dtype == "uint8" for channel in self._stream.channels)
         return signs and len(self) - self.config.exclude > SCAN_ABOVE
 
     def _needs(self, what: str) -> bool:
         return any(what in channel.needs for channel in self.channels)
-
-    def _labelled(self, picture: Any) -> Segmented:
-        """What the network says of a picture."""
-        assert self.segmenter
-        [said] = self.segmenter.segment([picture], self._needs(FEATURES))
-        return said
 
     def observe(
         self, record: FrameRecord, descriptors: Mapping[str, Tensor] | Tensor
@@ -249,10 +249,10 @@ class LoopDetector:
             ValueError: as for `update`.
         """
         check_records([record], [record.origin])
-        swept = self._checked(descriptors, record.frame)
+        arrays = self._checked(descriptors, record.frame)
         with self._updating:
-            last = self._stamps.get(record.sequence, -math.inf)
-            if record.frame in self:
+            log, last = self._log, self._log.last_stamp(record.sequence)
+            if record.frame in log:
                 raise ValueError(f"frame {record.frame!r} was there before")
             if math.isinf(record.stamp):
                 raise ValueError(
@@ -262,38 +262,43 @@ class LoopDetector:
                 raise ValueError(
                     f"frame {record.frame!r}: expected a stamp from {last} on, got {record.stamp}"
                 )
-            starts = record.sequence != self._sequence
-            found = self._loops.update(swept, record.stamp, starts, torch.get_num_threads())
-            result = self._result(record.frame, found)
-            self._memory.append(record)
-            self._unsaved.append(record._replace(arrival=self._arrivals))
-            self._arrivals += 1
-            self._sequence = record.sequence
-            if not math.isnan(record.stamp):
-                self._stamps[record.sequence] = record.stamp
-        return result
+            previous = log[-1] if len(log) else FrameRecord("", "")
+            log.enter([record._replace(arrival=previous.arrival + 1)])
+            starts = record.sequence != previous.sequence
+            try:
+                step = self._stream.update(arrays, record.stamp, starts, torch.get_num_threads())
+            except ValueError as error:
+                raise ValueError(f"frame {record.frame!r}: {error}") from error
+            return self._result(record.frame, step)
 
     def _checked(self, descriptors: Mapping[str, Tensor] | Tensor, frame: str) -> dict[str, Array]:
-        """The descriptors of a frame from its anchors by the names of the channels; others are a
-        ValueError."""
-        given, names = descriptors, [each.name for each in self._described]
-        if isinstance(given, Tensor):
-            given = {names[0]: given}
-        if given.keys() != {*names}:
-            expected, got = (", ".join(each) or "nothing" for each in (names, given))
+        """The descriptors of a frame by the names of the channels; others are a ValueError."""
+        names = [channel.name for channel in self._stream.channels]
+        if isinstance(descriptors, Tensor):
+            descriptors = {names[0]: descriptors}
+        if descriptors.keys() != {*names}:
+            expected, got = (", ".join(keys) or "nothing" for keys in (names, descriptors))
             raise ValueError(f"frame {frame!r}: expected descriptors by {expected}, got {got}")
-        arrays = {name: each.numpy(force=True) for name, each in given.items()}
-        return {each.name: checked(each, arrays[each.name], frame) for each in self._described}
+        arrays = {}
+        for channel in self._stream.channels:
+            array = descriptors[channel.name].numpy(force=True)
+            if channel.dtype == "float32":
+                array = array.astype(np.float32)
+                _require_lengths(array, [frame] * array.size)
+            arrays[channel.name] = array
+        return arrays
 
-    def _result(self, frame: str, found: Found) -> LoopResult:
-        """What was found, by the ids of frames."""
-        reason, frames = Reason(found.reason), self._memory.frames
-        if found.candidate is None:
-            return LoopResult(frame, reason)
-        ahead = self._memory.ahead(found) if reason is Reason.ACCEPTED else None
-        places = tuple(Place(frames[row], likely) for row, likely in found.places)
-        candidate = frames[found.candidate]
-        return LoopResult(frame, reason, candidate, found.score, found.probability, ahead, places)
+    def _result(self, frame: str, step: LoopStep) -> LoopResult:
+        """The result of a frame by the ids of frames."""
+        if step.candidate is None:
+            return LoopResult(frame, step.reason)
+        log = self._log
+        ahead = log.ahead(step) if step.reason is Reason.ACCEPTED else None
+        places = tuple(Place(log[row].frame, likely) for row, likely in step.places)
+        candidate = log[step.candidate].frame
+        return LoopResult(
+            frame, step.reason, candidate, step.score, step.probability, ahead, places
+        )
 
     def save(self, database: Database) -> None:
         """Adds the frames since the last `save` or `load` to a database, as raw descriptors.
@@ -310,21 +315,36 @@ class LoopDetector:
         with self._saving:
             columns = [channel.column for channel in self.channels[1:]]
             database.require(self.head.config, columns)
+            stored = Database.open(database.path).known()  # with what an interrupted save added
             with self._updating:
-                fresh, last = self._unsaved.copy(), len(self)
-                saved = last - len(fresh)
+                self._require_saved(database.path, stored)
+                saved, last = self._saved, len(self._log)
+                fresh = self._log.since(saved)
                 described = {
-                    name: self._loops.descriptors(name, saved, last) for name, *_ in self._described
+                    name: self._stream.descriptors(name, saved, last)
+                    for name, *_ in self._stream.channels
                 }
-            if len(database) != saved:
-                raise ValueError(
-                    f"{database.path} holds {len(database)} frames; {saved} of this stream were "
-                    "saved"
-                )
+            self._begun = last
             if fresh:
                 database.append(fresh, described)
-            with self._updating:
-                del self._unsaved[: len(fresh)]
+            self._saved = last
+
+    def _require_saved(self, path: str, stored: StoredRecords) -> None:
+        """Requires that a database holds what was saved; what a save began that was interrupted is
+        saved if the database holds it."""
+
+        def holds(rows: int) -> bool:
+            record = self._log[rows - 1]
+            return record.frame in stored and stored[record.frame].arrival == record.arrival
+
+        if self._begun > self._saved and holds(self._begun):
+            self._saved = self._begun
+        if not (holds(self._saved) if self._saved else not stored):
+            last = f"frame {self._log[self._saved - 1].frame!r}" if self._saved else "no frame"
+            raise ValueError(
+                f"{path}: expected the database of this stream, with {last}, got one of "
+                f"{len(stored)} frames"
+            )
 
     @classmethod
     def load(
@@ -352,52 +372,53 @@ class LoopDetector:
         head = head or SSRVLAD(database.config)
         database.require(head.config)
         detector = cls(config, head, channels_of(database.columns[1:], head))
-        frames = database.load()
-        known = database.known()
+        frames, known = database.load(), database.known()
         names = dict.fromkeys(known.table["sequence"].to_pylist())
         added = {name: number for number, name in enumerate(names)}
-        arrivals = dict(zip(known, known.table["arrival"].to_pylist(), strict=True))
+        records = [known[frame] for frame in frames.frames]
         order = sorted(
-            range(len(frames)),
-            key=lambda row: (arrivals[frames.frames[row]], added[frames.sequences[row]]),
+            range(len(records)),
+            key=lambda row: (records[row].arrival, added[records[row].sequence]),
         )
-        detector._arrivals = max(arrivals.values(), default=-1) + 1
-        runs = [[*part] for _, part in groupby(order, lambda row: frames.sequences[row])]
-        for rows in runs:
-            records = []
-            for row in rows:
-                x, y, heading = frames.poses[row].tolist()
-                sequence, name = split_id(frames.frames[row])
-                stamp = float(frames.stamps[row])
-                records.append(FrameRecord(sequence, name, x, y, heading, stamp))
-            described = {name: each[rows] for name, each in frames.channels.items()}
-            detector._remember(records, described, REPLAYED if rows is runs[-1] else 0)
+        sequences = [[*rows] for _, rows in groupby(order, lambda row: records[row].sequence)]
+        for rows in sequences:
+            described = {name: each[rows].numpy() for name, each in frames.channels.items()}
+            replayed = REPLAYED if rows is sequences[-1] else 0
+            detector._remember([records[row] for row in rows], described, replayed)
+        detector._saved = detector._begun = len(records)
         return detector
 
     def _remember(
-        self, records: Sequence[FrameRecord], described: Mapping[str, Tensor], replayed: int
+        self, records: Sequence[FrameRecord], described: Mapping[str, Array], replayed: int
     ) -> None:
         """Takes the frames of a sequence, the last ones as if they came now, by their descriptors
         ``(N, *shape)`` in each channel."""
         stamps = np.array([record.stamp for record in records])
-        arrays = {name: each.numpy() for name, each in described.items()}
-        for each in self._described:
-            if each.dtype == "float32":
-                require_lengths(arrays[each.name], [record.frame for record in records])
+        for channel in self._stream.channels:
+            if channel.dtype == "float32":
+                ids = [record.frame for record in records]
+                _require_lengths(described[channel.name], ids)
+        self._log.enter(records)
         now = max(0, len(records) - replayed)
-        known = {name: each[:now] for name, each in arrays.items()}
-        self._loops.extend(known, stamps[:now], np.arange(now) == 0)
+        known = {name: rows[:now] for name, rows in described.items()}
+        self._stream.extend(known, stamps[:now], np.arange(now) == 0)
         for row in range(now, len(records)):
-            self._loops.update(
-                {name: each[row] for name, each in arrays.items()}, stamps[row], not row
-            )
-        for record in records:
-            self._memory.append(record)
-        self._sequence = records[-1].sequence
-        if not np.isnan(stamps).all():
-            self._stamps[self._sequence] = float(np.nanmax(stamps))
+            descriptors = {name: rows[row] for name, rows in described.items()}
+            self._stream.update(descriptors, stamps[row], not row)
 
 
-def _require_database(given: object) -> None:
-    if not isinstance(given, Database):
-        raise ValueError(f"expected a database, such as Database.open(path), got {given!r}")
+def _require_lengths(vectors: npt.NDArray[np.float32], frames: Sequence[str]) -> None:
+    """Vectors ``(N, D)`` of length 1 or zero; others are a ValueError that names their frame."""
+    lengths = np.atleast_1d(np.linalg.norm(vectors, axis=-1)).ravel()
+    wrong = ~((np.abs(lengths - 1) <= _LENGTH_TOLERANCE) | (lengths == 0))
+    if wrong.any():
+        row = int(wrong.argmax())
+        raise ValueError(
+            f"frame {frames[row]!r}: expected a descriptor of length 1 or zero, got "
+            f"{lengths[row]:g}"
+        )
+
+
+def _require_database(database: object) -> None:
+    if not isinstance(database, Database):
+        raise ValueError(f"expected a database, such as Database.open(path), got {database!r}")

@@ -1,22 +1,12 @@
 """The result of a frame of the loop detector."""
 
-from enum import StrEnum
 from typing import Any, NamedTuple
 
-
-class Reason(StrEnum):
-    """Why a frame closes a loop or does not; see `LoopResult`."""
-
-    ACCEPTED = "accepted"
-    EMPTY_FRAME = "empty_frame"
-    NO_CANDIDATE = "no_candidate"
-    TOO_RECENT = "too_recent"
-    AMBIGUOUS = "ambiguous"
-    BELOW_THRESHOLD = "below_threshold"
+from ..native.loops import Reason
 
 
 class Place(NamedTuple):
-    """An old frame, and the probability that the place is within `reference.NEAR` frames of it."""
+    """An old frame, and the probability that the place is within five frames of it."""
 
     frame: str
     probability: float
@@ -39,12 +29,12 @@ class LoopResult(NamedTuple):
             - ``below_threshold``: it is probably at a new place.
         candidate: id of the most probable old frame, or ``None``.
         score: its cosine (Eq. 4), standardised by the mean of all frames so far, or ``None``.
-        probability: that the place is within `reference.NEAR` frames of the candidate, or ``None``.
+        probability: that the place is within five frames of the candidate, or ``None``.
         ahead: distance in metres from the candidate to the frame along the candidate's drive,
             negative behind it: a mean over the frames around the candidate by their poses, weighted
             with their probabilities; ``None`` where a pose is unknown, and unless accepted.
         candidates: the most probable old places, best first, for a back end that verifies them: at
-            most `reference.PLACES`, each of at least `tracker.LEAST`, whatever the reason.
+            most five, each of a probability of at least 0.01, whatever the reason.
     """
 
     frame: str

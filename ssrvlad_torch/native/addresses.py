@@ -31,7 +31,7 @@ def address(array: Any, shape: Sequence[int], *dtypes: str) -> int:
     if dtype not in dtypes or size != tuple(shape) or device != "cpu" or not contiguous:
         order = "" if contiguous else ", not contiguous"
         raise ValueError(
-            f"the native core: expected an array {tuple(shape)} of {' or '.join(dtypes)} on cpu, "
-            f"got {size} of {dtype} on {device}{order}"
+            f"expected an array {tuple(shape)} of {' or '.join(dtypes)} on cpu, got {size} of "
+            f"{dtype} on {device}{order}"
         )
     return int(array.data_ptr() if of_torch else array.ctypes.data)

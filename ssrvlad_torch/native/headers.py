@@ -1,4 +1,7 @@
-"""The headers of the core as ctypes: their structs, and the types of their functions."""
+"""The headers of the core as ctypes: their structs, the types of their functions, their numbers.
+
+The package reads its own headers so that types cannot drift; the grammar is what these files use.
+"""
 
 import ctypes
 import re
@@ -8,58 +11,64 @@ from typing import Any, NamedTuple
 
 FOLDER = Path(__file__).parent
 _FILES = "ssrvlad.h", "ssrvlad_decide.h", "ssrvlad_map.h", "ssrvlad_loops.h"
-_KINDS: dict[str, Any] = {
+_TYPES: dict[str, Any] = {
     **{"void": None, "int": ctypes.c_int, "double": ctypes.c_double},
     **{"int32_t": ctypes.c_int32, "int64_t": ctypes.c_int64},
 }
-_UNREAD = re.compile(r"/\*.*?\*/|^#.*?$|\b(?:SSRVLAD_API|const|struct)\b", re.DOTALL | re.MULTILINE)
+_SKIPPED = re.compile(
+    r"/\*.*?\*/|^#.*?$|\b(?:SSRVLAD_API|const|struct)\b", re.DOTALL | re.MULTILINE
+)
 _STRUCT, _NUMBER = re.compile(r"typedef +\w+ \{(.*?)\} (\w+);", re.DOTALL), r"(SSRVLAD_\w+) = (\d+)"
 _FUNCTION = re.compile(r"^ *(\w+ *\**)\s*(ssrvlad_\w+)\((.*?)\);", re.DOTALL | re.MULTILINE)
 
 
 class Interface(NamedTuple):
-    """What the headers declare, by names: structs, and of functions the types of the result and of
-    the arguments. A pointer to a struct takes one, other pointers take addresses."""
+    """What the headers declare, by names: structs; of functions the types of the result and of the
+    arguments; numbers. A pointer to a struct takes one, other pointers take addresses."""
 
     structs: dict[str, Any]
     functions: dict[str, tuple[Any, list[Any]]]
+    numbers: dict[str, int]
 
 
 @cache
 def interface() -> Interface:
     """The interface, read once."""
-    text = _UNREAD.sub("", "\n".join((FOLDER / name).read_text("utf-8") for name in _FILES))
-    numbers, structs = dict(re.findall(_NUMBER, text)), dict[str, Any]()
+    text = _SKIPPED.sub("", "\n".join((FOLDER / name).read_text("utf-8") for name in _FILES))
+    numbers = {name: int(number) for name, number in re.findall(_NUMBER, text)}
+    structs = dict[str, Any]()
 
-    def kind(declared: str) -> Any:
-        name = declared.split(maxsplit=1)[0].rstrip("*")
-        if "*" in declared:
+    def type_of(declaration: str) -> Any:
+        name = declaration.split(maxsplit=1)[0].rstrip("*")
+        if "*" in declaration:
             return ctypes.POINTER(structs[name]) if name in structs else ctypes.c_void_p
-        return structs.get(name) or _KINDS[name]
+        return structs.get(name) or _TYPES[name]
 
-    def arguments(declared: str) -> list[Any]:
-        return [kind(each) for each in declared.split(",") if each != "void"]
+    def arguments(declaration: str) -> list[Any]:
+        return [type_of(argument) for argument in declaration.split(",") if argument != "void"]
 
     def fields(line: str) -> list[tuple[str, Any]]:
-        if called := re.match(r"(\w+) \(\*(\w+)\)\((.*)\)", line):
-            return [(called[2], ctypes.CFUNCTYPE(_KINDS[called[1]], *arguments(called[3])))]
-        found, (base, names) = [], line.split(maxsplit=1)
-        for each in names.split(","):
-            name, _, size = each.strip(" ]").partition("[")
-            own = ctypes.c_void_p if "*" in name else kind(base)
+        if callback := re.match(r"(\w+) \(\*(\w+)\)\((.*)\)", line):
+            result, name, declaration = callback.groups()
+            return [(name, ctypes.CFUNCTYPE(_TYPES[result], *arguments(declaration)))]
+        members, (base, names) = [], line.split(maxsplit=1)
+        for declarator in names.split(","):
+            name, _, size = declarator.strip(" ]").partition("[")
+            member = ctypes.c_void_p if "*" in name else type_of(base)
             if size:
-                own *= int(numbers.get(size, size))
-            found.append((name.lstrip("*"), own))
-        return found
+                member *= numbers[size] if size in numbers else int(size)
+            members.append((name.lstrip("*"), member))
+        return members
 
     for body, name in _STRUCT.findall(text):
         lines = (" ".join(line.split()) for line in body.split(";") if line.strip())
-        members = {"_fields_": [each for line in lines for each in fields(line)]}
+        members = {"_fields_": [field for line in lines for field in fields(line)]}
         structs[name] = type(name, (ctypes.Structure,), members)
-    return Interface(structs, {
-        name: (ctypes.c_void_p if "*" in result else kind(result), arguments(given))
-        for result, name, given in _FUNCTION.findall(text)
-    })  # fmt: skip
+    functions = {
+        name: (ctypes.c_void_p if "*" in result else type_of(result), arguments(declaration))
+        for result, name, declaration in _FUNCTION.findall(text)
+    }
+    return Interface(structs, functions, numbers)
 
 
 def struct(name: str) -> Any:
@@ -67,9 +76,14 @@ def struct(name: str) -> Any:
     return interface().structs[f"ssrvlad_{name}"]
 
 
+def number(name: str) -> int:
+    """The number ``SSRVLAD_NAME``."""
+    return interface().numbers[f"SSRVLAD_{name}"]
+
+
 def typed(library: ctypes.CDLL) -> ctypes.CDLL:
     """A library, with the types of its functions."""
-    for name, (result, given) in interface().functions.items():
+    for name, (result, arguments) in interface().functions.items():
         function = getattr(library, name)
-        function.restype, function.argtypes = result, given
+        function.restype, function.argtypes = result, arguments
     return library

@@ -9,26 +9,36 @@ import ctypes
 import math
 import weakref
 from collections.abc import Mapping, Sequence
+from enum import StrEnum
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from . import required
-from .headers import struct
+from .addresses import address
+from .headers import number, struct
 
 Array = npt.NDArray[Any]
 
-REASONS = (
-    *("accepted", "empty_frame", "no_candidate", "too_recent", "ambiguous", "below_threshold"),
-)
-"""Why a frame closes a loop or does not; see `ssrvlad_torch.loops.result`."""
-
-PLACES, NEAR = 5, 5
-"""Places of a result, at most; rows on each side of a row that show the same place."""
-
-SCAN_ABOVE = 50_000
+SCAN_ABOVE = number("SCAN_ABOVE")
 """Old frames up to which each is compared by all channels."""
+
+_MAX_INT64 = 2**63 - 1
+
+
+class Reason(StrEnum):
+    """Why a frame closes a loop or does not; see `loops.result.LoopResult`."""
+
+    ACCEPTED = "accepted"
+    EMPTY_FRAME = "empty_frame"
+    NO_CANDIDATE = "no_candidate"
+    TOO_RECENT = "too_recent"
+    AMBIGUOUS = "ambiguous"
+    BELOW_THRESHOLD = "below_threshold"
+
+
+_REASONS = {number(reason.name): reason for reason in Reason}
 
 
 class Channel(NamedTuple):
@@ -49,11 +59,11 @@ class Channel(NamedTuple):
     trust: float = 1.0
 
 
-class Found(NamedTuple):
+class LoopStep(NamedTuple):
     """The result of a frame; rows are earlier frames in the order in which they came.
 
     Attributes:
-        reason: one of `REASONS`.
+        reason: why it closes a loop or does not.
         candidate: the most probable old row, or ``None``; without one the others are empty.
         score: its score.
         probability: that the place is near it.
@@ -62,7 +72,7 @@ class Found(NamedTuple):
         near: probabilities of the rows from there on.
     """
 
-    reason: str
+    reason: Reason
     candidate: int | None = None
     score: float | None = None
     probability: float | None = None
@@ -93,11 +103,9 @@ class Loops:
         scan_above: int = SCAN_ABOVE,
     ) -> None:
         self._library, self.channels = required(), tuple(channels)
-        made = [_of(each) for each in channels]
-        given = (struct("loops_channel") * len(made))(*made)
-        # more frames than fit are excluded by the largest number that fits
-        settings = struct("loops_settings")(min(exclude, 2**63 - 1), threshold, scan_above)
-        handle = self._library.ssrvlad_loops_new(settings, given, len(made))
+        described = (struct("loops_channel") * len(channels))(*map(_described, channels))
+        settings = struct("loops_settings")(min(exclude, _MAX_INT64), threshold, scan_above)
+        handle = self._library.ssrvlad_loops_new(settings, described, len(channels))
         if not handle:
             raise RuntimeError(
                 "the native core refuses the settings or channels, or memory is short"
@@ -113,7 +121,7 @@ class Loops:
         """The present weight of each channel by its name."""
         weights = (ctypes.c_double * len(self.channels))()
         self._library.ssrvlad_loops_weights(self._handle, weights)
-        return dict(zip([each.name for each in self.channels], weights, strict=True))
+        return dict(zip([channel.name for channel in self.channels], weights, strict=True))
 
     def update(
         self,
@@ -121,7 +129,7 @@ class Loops:
         stamp: float = math.nan,
         starts: bool = False,
         threads: int = 1,
-    ) -> Found:
+    ) -> LoopStep:
         """Looks for the place of the next frame among the earlier ones, then stores it.
 
         Args:
@@ -132,20 +140,26 @@ class Loops:
             threads: that share the comparison with many frames.
 
         Raises:
-            ValueError: a descriptor has another shape, or cannot be one.
+            ValueError: a descriptor has another shape, or cannot be one; the stream is unchanged.
         """
+        arrays, anchors = [], []
+        for channel in self.channels:
+            array = np.ascontiguousarray(descriptors[channel.name])
+            anchors.append(max(1, array.size // math.prod(channel.shape)))
+            arrays.append(array.reshape(-1, *array.shape[-len(channel.shape) :]))
         result = struct("loop")()
-        given = self._given(descriptors)
-        anchors = [
-            each.size // math.prod(c.shape) for c, each in zip(self.channels, given, strict=True)
-        ]
-        counts = (ctypes.c_int64 * len(given))(*anchors)
-        _require(
+        self._require(
             self._library.ssrvlad_loops_update(
-                self._handle, _pointers(given), counts, stamp, bool(starts), threads, result
+                self._handle,
+                self._addresses(arrays, anchors),
+                (ctypes.c_int64 * len(anchors))(*anchors),
+                stamp,
+                bool(starts),
+                threads,
+                result,
             )
         )
-        return _found(result)
+        return _step_of(result)
 
     def extend(self, descriptors: Mapping[str, Array], stamps: Array | None, starts: Array) -> None:
         """Stores frames that are known as if they had come, without results.
@@ -160,70 +174,62 @@ class Loops:
         """
         first = np.ascontiguousarray(starts, np.uint8)
         times = None if stamps is None else np.ascontiguousarray(stamps, np.float64)
-        for name, each in (("starts", first), ("stamps", times)):
-            if each is not None and each.shape != (len(first),):
-                raise ValueError(f"{name}: expected shape ({len(first)},), got {each.shape}")
-        given = self._given(descriptors, len(first))
-        _require(
+        frames = len(first)
+        arrays = [np.ascontiguousarray(descriptors[channel.name]) for channel in self.channels]
+        self._require(
             self._library.ssrvlad_loops_extend(
                 self._handle,
-                _pointers(given),
-                None if times is None else times.ctypes.data,
-                first.ctypes.data,
-                len(first),
+                self._addresses(arrays, [frames] * len(arrays)),
+                None if times is None else address(times, (frames,), "float64"),
+                address(first, (frames,), "uint8"),
+                frames,
             )
         )
 
     def descriptors(self, name: str, first: int, last: int) -> Array:
         """``(last - first, *shape)``, a copy, by the channel with a name."""
-        number = [each.name for each in self.channels].index(name)
-        channel = self.channels[number]
-        rows = np.empty((last - first, *channel.shape), channel.dtype)
-        _require(
+        index = [channel.name for channel in self.channels].index(name)
+        channel = self.channels[index]
+        shape = last - first, *channel.shape
+        rows = np.empty(shape, channel.dtype)
+        self._require(
             self._library.ssrvlad_loops_descriptors(
-                self._handle, number, first, last, rows.ctypes.data
+                self._handle, index, first, last, address(rows, shape, channel.dtype)
             )
         )
         return rows
 
-    def _given(self, descriptors: Mapping[str, Array], frames: int | None = None) -> list[Array]:
-        """The arrays of the channels as the core reads them: of one frame, or of so many."""
-        given, of = [], "" if frames is None else f" of {frames} frames"
-        for channel in self.channels:
-            array = np.ascontiguousarray(descriptors[channel.name])
-            shape = array.shape[-len(channel.shape) :]
-            fits = frames is None or array.shape == (frames, *shape)
-            if array.dtype != channel.dtype or shape != channel.shape or not fits:
-                raise ValueError(
-                    f"{channel.name}: expected descriptors {channel.shape} {channel.dtype}{of}, "
-                    f"got {array.shape} {array.dtype}"
-                )
-            given.append(array)
-        return given
+    def _addresses(self, arrays: Sequence[Array], counts: Sequence[int]) -> Any:
+        """The addresses of descriptors by each channel, so many one after another."""
+        found = []
+        for channel, array, count in zip(self.channels, arrays, counts, strict=True):
+            try:
+                found.append(address(array, (count, *channel.shape), channel.dtype))
+            except ValueError as error:
+                raise ValueError(f"{channel.name}: {error}") from error
+        return (ctypes.c_void_p * len(found))(*found)
+
+    @staticmethod
+    def _require(status: int) -> None:
+        if status == -1:
+            raise MemoryError("not enough memory for the frames of the stream")
+        if status:
+            raise ValueError(
+                "expected descriptors of length 1 or zero, and an odd number of anchors"
+            )
 
 
-def _found(loop: Any) -> Found:
-    reason = REASONS[loop.reason]
+def _step_of(loop: Any) -> LoopStep:
+    reason = _REASONS[loop.reason]
     if loop.candidate < 0:
-        return Found(reason)
-    places = tuple((each.row, each.probability) for each in loop.best[: loop.places])
+        return LoopStep(reason)
+    places = tuple((place.row, place.probability) for place in loop.best[: loop.places])
     near = tuple(loop.probabilities[: loop.rows])
-    return Found(reason, loop.candidate, loop.score, loop.probability, places, loop.first, near)
+    return LoopStep(reason, loop.candidate, loop.score, loop.probability, places, loop.first, near)
 
 
-def _of(channel: Channel) -> Any:
+def _described(channel: Channel) -> Any:
     shape = (*channel.shape, 1, 1)[:3]
     return struct("loops_channel")(
         channel.dtype == "uint8", (ctypes.c_int64 * 3)(*shape), channel.trust
     )
-
-
-def _pointers(arrays: Sequence[Array]) -> Any:
-    return (ctypes.c_void_p * len(arrays))(*(array.ctypes.data for array in arrays))
-
-
-def _require(status: int) -> None:
-    if status == -1:
-        raise MemoryError("not enough memory for the frames of the stream")
-    if status:
-        raise ValueError("expected descriptors of length 1 or zero, and an odd number of anchors")

@@ -1,0 +1,83 @@
+"""An interrupt between any two lines leaves a stream whole: what was begun is done, or can be done
+again, and all later answers are those of an undisturbed run."""
+
+from functools import partial
+
+import numpy as np
+import pytest
+from interrupting import Lines
+from loop_streams import views
+
+from ssrvlad_torch import SSRVLAD, Database, LoopDetector
+from ssrvlad_torch.loops.config import LoopConfig
+
+HEAD = SSRVLAD.from_preset("default", labels_as="camvid-11")
+CONFIG = LoopConfig(exclude=5, sweep=False)
+STREAM = ["loops", "native/loops.py", "native/addresses.py"]
+STORE = ["loops", "database/database.py", "database/engine.py"]
+VECTORS = views([*range(40), *range(10, 40)])
+
+
+def show(detector, row):
+    """Shows a frame, unless the detector has it already."""
+    name = f"{'first' if row < 40 else 'again'}/{row}"
+    if name not in detector:
+        return detector.update(VECTORS[row], name, row / 2, (row, 0.0))
+    return None
+
+
+def detector_of(rows):
+    detector = LoopDetector(CONFIG, HEAD)
+    for row in range(rows):
+        show(detector, row)
+    return detector
+
+
+def test_after_an_interrupted_update_the_stream_goes_on_as_if_there_was_none():
+    """The frame is shown again if the detector does not have it."""
+    undisturbed, detector = detector_of(50), detector_of(50)
+    expected = [show(undisturbed, row) for row in range(50, 60)]
+    lines, sizes = Lines(STREAM), set()
+    lines.run(lambda: show(detector, 50))
+    for at in range(1, lines.count + 1):
+        detector = detector_of(50)
+        assert Lines(STREAM, at).run(partial(show, detector, 50))
+        sizes.add(len(detector))
+        assert show(detector, 50) in (None, expected[0])
+        assert [show(detector, row) for row in range(51, 60)] == expected[1:]
+        assert detector.frames == undisturbed.frames
+        np.testing.assert_array_equal(detector.poses, undisturbed.poses)
+    assert sizes == {50, 51}
+    assert any(result.accepted for result in expected[1:])
+
+
+def test_after_an_interrupted_save_the_next_one_goes_on(tmp_path):
+    """Whether its commit was made or not; the stream has gone on meanwhile."""
+    lines, detector = Lines(STORE), detector_of(2)
+    database = Database.create(tmp_path / "first", HEAD.config)
+    lines.run(lambda: detector.save(database))
+    fresh = set()
+    for at in range(1, lines.count + 1):
+        if at % 20 == 1:  # a database of few versions is fast
+            database, detector = Database.create(tmp_path / str(at), HEAD.config), detector_of(0)
+        before = len(detector)
+        show(detector, before)
+        Lines(STORE, at).run(partial(detector.save, database))
+        fresh.add(len(Database.open(database.path)) - before)
+        show(detector, before + 1)
+        detector.save(database)
+        if at % 20 == 0 or at == lines.count:
+            stored = LoopDetector.load(Database.open(database.path), CONFIG, HEAD)
+            assert stored.frames == detector.frames
+            vectors = Database.open(database.path).load()
+            for frame, vector in zip(vectors.frames, vectors.descriptors.numpy(), strict=True):
+                np.testing.assert_array_equal(vector, VECTORS[int(frame.rpartition("/")[2])])
+    assert fresh == {0, 1}
+
+
+def test_frames_of_another_stream_are_not_taken_for_saved_ones(tmp_path):
+    """Though they have the same names."""
+    database = Database.create(tmp_path / "db", HEAD.config)
+    detector_of(3).save(database)
+    with pytest.raises(ValueError, match="expected the database of this stream, with no frame"):
+        detector_of(3).save(database)
