@@ -69,6 +69,13 @@ def write_street(path: Path, seed: int, height: int = 24, width: int = 32) -> Pa
     return write_image(path, street(seed, height, width))
 
 
+def write_pages(path: Path, form: str) -> Path:
+    """A file of four small label maps."""
+    first, *others = (Image.fromarray(street(seed)) for seed in range(4))
+    first.save(path, form, save_all=True, append_images=others)
+    return path
+
+
 def write_png(path: Path, pixels: npt.NDArray[np.integer], colour_type: int, bits: int) -> Path:
     """A PNG of any colour type, ``pixels`` ``(H, W)`` or ``(H, W, C)``; Pillow cannot write all."""
     height, width = pixels.shape[:2]

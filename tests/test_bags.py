@@ -25,6 +25,7 @@ FORMS = {
     "bgra8": lambda p: np.dstack([p[..., ::-1], p[..., :1]]),
     "mono8": lambda p: p[..., 0],
     "mono16": lambda p: p[..., 0].astype("<u2") * 256 + 7,
+    "mono12": lambda p: p[..., 0].astype("<u2") * 16,
     "16UC1": lambda p: p[..., 0].astype("<u2"),
 }
 
@@ -54,7 +55,8 @@ def write_bag(path, topics, kind=1, padding=0, storage=rosbag2.StoragePlugin.SQL
                     lines = FORMS[encoding](pixels).reshape(60, -1).view(np.uint8)
                     lines = np.pad(lines, ((0, 0), (0, padding)))
                     fields = {
-                        "height": 60, "width": 80, "encoding": encoding, "is_bigendian": 0,
+                        "height": 60, "width": 80, "is_bigendian": 0,
+                        "encoding": encoding.replace("mono12", "mono16"),
                         "step": lines.shape[1], "data": lines.reshape(-1),
                     }  # fmt: skip
                 message = types[name](header=header, **fields)
@@ -62,7 +64,7 @@ def write_bag(path, topics, kind=1, padding=0, storage=rosbag2.StoragePlugin.SQL
     return path
 
 
-@pytest.mark.parametrize("encoding", [*(form for form in FORMS if form != "16UC1"), "png"])
+@pytest.mark.parametrize("encoding", ["rgb8", "bgr8", "rgba8", "bgra8", "mono8", "mono16", "png"])
 def test_every_image_encoding_gives_the_picture(encoding, tmp_path):
     bag = write_bag(tmp_path / "drive.bag", {"/camera": encoding}, padding=3)
     files = find_image_files([str(bag)])
@@ -94,6 +96,8 @@ def test_a_topic_is_named_where_there_are_several_and_damage_is_refused(tmp_path
     np.testing.assert_array_equal(read_image(find_image_files([bag], topic="/left")[0]), PHOTOS[0])
     with pytest.raises(ValueError, match="got '16UC1', expected one of rgb8, bgr8"):
         read_image(find_image_files([bag], topic="/depth")[0])
+    dark = write_bag(tmp_path / "dark.bag", {"/camera": "mono12"})
+    refuses("gray of [1-9][0-9]? bits", read_image, find_image_files([str(dark)])[0])
     path.write_bytes(path.read_bytes()[:50])
     refuses(r"drive\.bag is not a readable bag", find_image_files, [bag])
 

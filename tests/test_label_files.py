@@ -14,6 +14,7 @@ from helpers import (
     refuses,
     street,
     tiff_bytes,
+    write_pages,
     write_palette,
     write_png,
 )
@@ -210,6 +211,42 @@ def test_a_stack_holds_a_label_map_a_row(tmp_path, suffix):
     refuses("index 1 is out of bounds", read, tmp_path / "shorter.npy", row=1)
 
 
+def test_an_array_with_an_axis_of_length_one_is_one_label_map(tmp_path):
+    np.save(tmp_path / "a.npy", LABELS[..., None])
+    [file] = find_label_files([tmp_path / "a.npy"])
+    np.testing.assert_array_equal(read_label_map(file, CAMVID), LABELS)
+
+
+ONE_HOT = np.eye(19, dtype=np.uint8)[LABELS]
+
+
+@pytest.mark.parametrize(
+    "array",
+    [
+        np.dstack([LABELS] * 3),
+        np.dstack([LABELS, 0 * LABELS, 0 * LABELS, 0 * LABELS + 255]),
+        ONE_HOT,
+        ONE_HOT.transpose(2, 0, 1) * 255,
+        np.where(LABELS[..., None] == 3, 0, ONE_HOT),
+        ONE_HOT.astype(np.float32),
+        LABELS[:, None],
+    ],
+    ids=["gray", "CARLA", "one-hot", "masks", "with void", "scores", "lines"],
+)
+def test_an_array_that_could_be_one_map_or_a_stack_is_one_frame_and_refused(tmp_path, array):
+    np.save(tmp_path / "a.npy", array)
+    [file] = find_label_files([tmp_path / "a.npy"])
+    refuses(rf"or a stack \(N, H, W\) of them, got \({len(array)}, ", read_label_map, file, CAMVID)
+
+
+def test_two_maps_that_share_no_object_are_a_stack(tmp_path):
+    """Their first rows look like one-hot."""
+    maps = np.stack([street(0), street(1)])
+    maps[0, 0], maps[1, 0] = 0, 1
+    np.save(tmp_path / "a.npy", maps)
+    assert len(find_label_files([tmp_path / "a.npy"])) == 2
+
+
 @pytest.mark.parametrize(
     ("name", "write", "message"),
     [
@@ -221,8 +258,8 @@ def test_a_stack_holds_a_label_map_a_row(tmp_path, suffix):
         ("text.npy", content("hello"), "magic string"),
         ("photo.png", image(LABELS, "JPEG"), "cannot identify"),
         ("zip.npy", zipped, "magic string"),
-        ("float.npy", array(LABELS / 2), r"integer label map, got \(24, 32\) float64"),
-        ("bool.npy", array(LABELS > 3), "integer label map, got .* bool"),
+        ("float.npy", array(LABELS / 2), r"integer label map .*, got \(24, 32\) float64"),
+        ("bool.npy", array(LABELS > 3), "integer label map .*, got .* bool"),
         ("float.png", image(LABELS / 2, "TIFF"), "mode F"),
         ("four.npy", array(np.zeros((2, 3, 4, 5), int)), r"got \(2, 3, 4, 5\)"),
         ("one.npy", array(np.zeros(5, int)), r"got \(5,\)"),
@@ -233,6 +270,8 @@ def test_a_stack_holds_a_label_map_a_row(tmp_path, suffix):
         # Pillow keeps the high bytes of colours only, and all of these would be (0, 0, 0)
         *((f"{order}.tif", wide_tiff(WIDE_GRAYS, order), "would be read scaled") for order in "<>"),
         ("zipped.tif", lambda path: cv2.imwrite(str(path), WIDE_GRAYS), "would be read scaled"),
+        ("pages.tif", lambda p: write_pages(p, "TIFF"), "has 4 pages; expected one"),
+        ("pages.png", lambda p: write_pages(p, "PNG"), "has 4 pages; expected one"),
         (os.fsdecode(b"\xff.png"), image(LABELS, "PNG"), "surrogates not allowed"),
     ],
 )

@@ -1,6 +1,6 @@
 """Frames of videos, which PyAV wrote."""
 
-import re
+import struct
 from fractions import Fraction
 
 import numpy as np
@@ -82,85 +82,18 @@ def write_grainy(path, times, rng, **kind):
     return write_video(path, times, draw=draw, **kind)
 
 
-def assert_same_in_any_order(path):
-    """Asserts that each frame, or why there is none, is the same in order, in reverse, and alone by
-    a reader that is new."""
-
-    def read(video, time):
-        try:
-            return video.pixels(time).tobytes()
-        except ValueError as error:
-            return str(error)
-
-    video = _Video(path)
-    forward = [read(video, time) for time in video.times]
-    backward = [read(video, time) for time in reversed(video.times)][::-1]
-    assert forward == backward == [read(_Video(path), time) for time in video.times]
-
-
 @pytest.mark.parametrize(
     "kind", [{}, H264, OPEN, REFRESH], ids=["mpeg4", "closed", "open", "refresh"]
 )
 @pytest.mark.parametrize("suffix", ["avi", "mkv", "mp4", "ts"])
 def test_a_frame_is_the_same_whatever_was_read_before(tmp_path, suffix, kind):
     """Also in AVI, which has no times of presentation: H.264 gives its frames in another order."""
-    path = write_video(tmp_path / f"a.{suffix}", range(70), rate=25, **kind)
-    assert [file.name for file in video_files(path)] == [f"{40_000 * n:010d}" for n in range(70)]
+    path = write_video(tmp_path / f"a.{suffix}", range(40), rate=25, **kind)
+    assert [file.name for file in video_files(path)] == [f"{40_000 * n:010d}" for n in range(40)]
     video = _Video(path)
-    assert [number_in(video.pixels(time)) for time in video.times] == [n % 10 for n in range(70)]
-    assert_same_in_any_order(path)
-
-
-DAMAGES = [
-    *((suffix, H264, seed) for suffix in ("avi", "mkv", "mp4", "ts") for seed in range(2)),
-    *((suffix, OPEN, 2) for suffix in ("avi", "ts")),
-    *((suffix, {"b_frames": 2}, 3) for suffix in ("avi", "mkv")),
-    ("mkv", REFRESH, 4),
-]
-
-
-MORE_DAMAGES = [
-    pytest.param(suffix, kind, 10 * turn + seed, marks=pytest.mark.slow)
-    for turn in range(1, 9)
-    for suffix, kind, seed in DAMAGES
-]
-
-
-@pytest.mark.parametrize(("suffix", "kind", "seed"), [*DAMAGES, *MORE_DAMAGES])
-def test_a_frame_of_a_damaged_video_is_the_same_whatever_was_read_before(
-    tmp_path, suffix, kind, seed
-):
-    rng = np.random.default_rng(seed)
-    path = write_grainy(tmp_path / f"a.{suffix}", range(40), rng, rate=25, **kind)
-    content = bytearray(path.read_bytes())
-    for place in rng.integers(len(content) // 10, len(content), rng.integers(1, 5)):
-        content[place : place + 3] = rng.bytes(3)
-    path.write_bytes(content)
-    assert_same_in_any_order(path)
-
-
-def test_a_time_that_leaps_is_refused(tmp_path):
-    """One bit of a time in an MPEG transport stream is 47,722 s, another 3 hours; a pause is not
-    told from these there, but where the header of a file says how long it lasts."""
-    path = write_video(tmp_path / "a.ts", range(40), rate=25, **H264)
-    content = bytearray(path.read_bytes())
-    heads = [*re.finditer(rb"\x00\x00\x01\xe0..[\x80-\xbf]\xc0", content, re.S)]
-    assert len(heads) == 40
-    content[heads[20].start() + 9] ^= 8
-    content[heads[30].start() + 9] ^= 2
-    path.write_bytes(content)
-    *files, leaping = find_image_files([str(path)])
-    assert len(files) == 38 and files[-1].stamp - files[0].stamp < 2
-    for file in files:
-        read_image(file)
-    refuses(r"damaged: the times of 2 frames leap, for example to 47", read_image, leaping)
-    assert find_image_files([str(path)], fps=1) == [files[0], files[24], leaping]
-    pause = [*range(0, 1000, 40), *range(60_000, 60_400, 40)]
-    for name in ("a.mp4", "a.mkv"):
-        assert len(video_files(write_video(tmp_path / name, pause, **H264))) == len(pause)
-    *files, leaping = video_files(write_video(tmp_path / "b.ts", pause, **H264))
-    assert len(files) == 25
-    assert leaping.damage == "the times of 10 frames leap, for example to 60.360 s"
+    forward = [video.pixels(time).tobytes() for time in video.times]
+    assert [number_in(video.pixels(time)) for time in video.times] == [n % 10 for n in range(40)]
+    assert [video.pixels(time).tobytes() for time in reversed(video.times)] == forward[::-1]
 
 
 @pytest.mark.parametrize("rotation", [0, 90, 180, -90])
@@ -170,6 +103,38 @@ def test_a_rotated_video_is_turned_upright(tmp_path, rotation):
     expected = np.rot90(picture(0), rotation // 90)
     assert pixels.shape == expected.shape
     assert np.abs(pixels.astype(int) - expected).mean() < 3
+
+
+@pytest.mark.parametrize(
+    ("matrix", "shown"),
+    [
+        ((-1, 0, 0, 1), lambda pixels: pixels[:, ::-1]),
+        ((1, 0, 0, -1), lambda pixels: pixels[::-1]),
+        ((0, 1, 1, 0), lambda pixels: pixels.transpose(1, 0, 2)),
+        ((0, -1, -1, 0), lambda pixels: pixels[::-1, ::-1].transpose(1, 0, 2)),
+    ],
+)
+def test_a_mirrored_video_is_shown_as_its_matrix_says(tmp_path, matrix, shown):
+    path = write_video(tmp_path / "a.mp4", [0, 40])
+    content = bytearray(path.read_bytes())
+    place = content.find(b"tkhd") + 44
+    right_x, right_y, down_x, down_y = (number << 16 for number in matrix)
+    content[place : place + 36] = struct.pack(
+        ">9i", right_x, right_y, 0, down_x, down_y, 0, 0, 0, 1 << 30
+    )
+    path.write_bytes(content)
+    pixels = read_image(video_files(path)[0])
+    expected = shown(picture(0))
+    assert pixels.shape == expected.shape
+    assert np.abs(pixels.astype(int) - expected).mean() < 3
+
+
+@pytest.mark.parametrize("suffix", ["mkv", "mp4", "ts"])
+def test_a_video_may_begin_at_any_time(tmp_path, suffix):
+    path = write_video(tmp_path / f"a.{suffix}", range(250, 290), rate=25, **H264)
+    files = video_files(path)
+    assert [file.name for file in files] == [f"{40_000 * n:010d}" for n in range(40)]
+    assert [number_in(read_image(file)) for file in files] == [n % 10 for n in range(40)]
 
 
 def test_the_rate_does_not_change_the_ids(tmp_path):
@@ -189,14 +154,9 @@ def test_a_truncated_video_gives_the_frames_before_its_end(tmp_path):
     path = write_video(tmp_path / "a.mkv", STEADY, **H264)
     content = path.read_bytes()
     path.write_bytes(content[: len(content) * 6 // 10])
-    *files, lost = video_files(path)
+    files = video_files(path)
     assert 40 < len(files) < 70
     assert [number_in(read_image(file)) for file in files] == [n % 10 for n in range(len(files))]
-    seconds = (3960 - 40 * len(files) + 1) / 1000
-    assert lost.location == f"{path} at {len(files) * 0.04:.6f} s"
-    refuses(f"the video is damaged: its last {seconds:.3f} s cannot be read", read_image, lost)
-    slow = find_image_files([str(path)], fps=1)
-    assert [file.name for file in slow] == [file.name for file in (*files[::25], lost)]
 
 
 @pytest.mark.parametrize("name", ["a.mp4", "a.mkv", "a.ts"])
@@ -215,7 +175,7 @@ def test_no_frame_shows_what_a_decoder_made_up(tmp_path, name):
         try:
             found = read_image(file)
         except ValueError as error:
-            assert str(error) == "the frame does not decode"
+            assert str(error) == "the frame does not decode: the video is damaged"
         else:
             assert np.abs(found - pixels).mean() < 8, file.name
             right.add(place)

@@ -112,14 +112,16 @@ def _open(path: Path, topic: str, state: str) -> _Topic:
 
 def _pixels(message: Any) -> npt.NDArray[np.uint8]:
     """Pixels ``(H, W, 3)`` uint8 of a raw image; an unknown encoding is a ValueError."""
+    from .image_files import high_bytes  # it finds bags
+
     if message.encoding not in _CHANNELS:
         expected = ", ".join(_CHANNELS)
         raise ValueError(f"image encoding: got {message.encoding!r}, expected one of {expected}")
     check_pixels(message.height, message.width)
     order, is_wide = _CHANNELS[message.encoding], message.encoding == "mono16"
     used = message.width * len(order) * (2 if is_wide else 1)
-    lines = message.data.reshape(message.height, message.step)[:, :used]
+    lines = np.ascontiguousarray(message.data.reshape(message.height, message.step)[:, :used])
     pixels = lines.reshape(message.height, message.width, -1)
-    if is_wide:  # the high byte
-        pixels = pixels[..., :1] if message.is_bigendian else pixels[..., 1:]
+    if is_wide:
+        pixels = high_bytes(pixels.view(">u2" if message.is_bigendian else "<u2"))
     return np.ascontiguousarray(pixels[..., [max(order.find(colour), 0) for colour in "rgb"]])

@@ -8,16 +8,19 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
-from ..files import check_regular, is_uri, naming, natural_key, npy_header
+import numpy.typing as npt
+from numpy.lib.format import open_memmap
+
+from ..files import check_regular, is_uri, naming, natural_key
 from .bags import bag_files, is_bag
 from .frame_file import FrameFile, RemoteFile, remote_files
 from .names import KnownFolders, absolute, sequence_names
 from .pose_tables import PoseTable
 from .poses import UNKNOWN, Fix, Pose, poses_of_fixes, read_exif, read_name, read_poses
 from .trajectories import read_trajectory
-from .videos import VideoFile, is_video, video_files
+from .videos import is_video, video_files
 from .workers import in_order
 
 __all__ = ["FileKind", "FrameFile", "find_frames", "read_ahead"]
@@ -27,12 +30,12 @@ Content = TypeVar("Content")
 
 @dataclass(frozen=True)
 class FileKind:
-    """Which files are frames: those with one of the suffixes, in lower case. A ``.npy`` array of
-    the stack's rank holds one in each row. The name is for messages."""
+    """Which files are frames: those with one of the suffixes, in lower case. A ``.npy`` array that
+    is a stack holds one in each row. The name is for messages."""
 
     name: str
     suffixes: tuple[str, ...]
-    stack_rank: int
+    is_stack: Callable[[npt.NDArray[Any]], object]
 
 
 def find_frames(
@@ -109,10 +112,8 @@ def _drives(
 
 
 def _selected(drive: list[FrameFile], every: int, start: int, fps: float | None) -> list[FrameFile]:
-    """The frames of a sequence that are used, and all that stand for damaged ones."""
-    damaged = [file for file in drive if isinstance(file, VideoFile) and file.damage]
-    frames = [file for file in drive if file not in damaged]
-    return [*every_nth(frames if fps is None else at_rate(frames, fps), every, start), *damaged]
+    """The frames of a sequence that are used."""
+    return every_nth(drive if fps is None else at_rate(drive, fps), every, start)
 
 
 def every_nth(drive: list[FrameFile], every: int, start: int) -> list[FrameFile]:
@@ -231,7 +232,7 @@ def _frames_at(path: Path, kind: FileKind, topic: str | None) -> Iterator[FrameF
         if entry.suffix.lower() not in kind.suffixes or (is_folder and not is_shown):
             continue
         is_array = entry.suffix.lower() == ".npy"
-        length = _stack_length(entry, kind.stack_rank) if is_array else None
+        length = _stack_length(entry, kind) if is_array else None
         if length is None:
             yield FrameFile("", entry.stem, entry, folder=folder)
             continue
@@ -240,18 +241,15 @@ def _frames_at(path: Path, kind: FileKind, topic: str | None) -> Iterator[FrameF
             yield FrameFile("", f"{entry.stem}-{row:06d}", entry, row, folder=place)
 
 
-def _stack_length(path: Path, rank: int) -> int | None:
-    """Number of frames in a ``.npy`` stack; ``None`` for a file of one frame, and for a damaged
-    file, which is skipped when it is read."""
+def _stack_length(path: Path, kind: FileKind) -> int | None:
+    """Number of frames in a ``.npy`` stack; ``None`` for a file of one frame, and for one that is
+    damaged or neither, which is skipped when it is read."""
     try:
         check_regular(path)
-        with path.open("rb") as file:
-            shape = npy_header(file)[0]
+        array = open_memmap(path, mode="r")
+        return len(array) if kind.is_stack(array) else None
     except Exception:  # damaged files raise any exception
         return None
-    if len(shape) != rank:
-        return None
-    return shape[0] if math.prod(shape) else 0
 
 
 def with_poses(

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -29,8 +30,14 @@ Pixels = npt.NDArray[np.uint8]
 Picture = str | os.PathLike[str] | Pixels | Image.Image
 """An image file, ``(H, W, 3)`` uint8 in RGB, or an image of Pillow."""
 
-find_image_files = partial(find_frames, FileKind("images", SUFFIXES, stack_rank=4))
-"""The images of sources, also ROS bags; see `find_frames`. A ``.npy`` stack has rank 4."""
+
+def _is_stack(array: npt.NDArray[Any]) -> bool:
+    return array.ndim == 4 and array.shape[3] == 3 and array.dtype == np.uint8
+
+
+find_image_files = partial(find_frames, FileKind("images", SUFFIXES, _is_stack))
+"""The images of sources, also videos and ROS bags; see `find_frames`. A ``.npy`` stack is
+``(N, H, W, 3)``."""
 
 
 def decode_image(content: bytes) -> Pixels:
@@ -38,15 +45,18 @@ def decode_image(content: bytes) -> Pixels:
     file, turned upright by its EXIF orientation.
 
     Gray becomes three equal channels, alpha is dropped, CMYK is converted without a colour profile,
-    the high 8 of 16 bits are kept, and the first frame of an animation is read. Damaged and other
-    files, pixels of 32 bits or floats, and what looks like a label map are a ValueError.
+    and the high 8 of 16 bits are kept. Damaged and other files, several pages, gray of at most 12
+    bits in pixels of 16, pixels of 32 bits or floats, and label maps are a ValueError.
     """
     with decoding(f"is no image file; expected {', '.join(_FORMATS)} or .npy"):
         if not content.startswith(MAGIC_PREFIX):
             return _rgb(checked_image(content, _FORMATS))
         array = parse_npy(content)
         if array.ndim != 3 or array.shape[2] != 3 or array.size == 0 or array.dtype != np.uint8:
-            raise ValueError(f"expected an (H, W, 3) uint8 image, got {array.shape} {array.dtype}")
+            raise ValueError(
+                f"expected an (H, W, 3) uint8 image or a stack (N, H, W, 3) of them, got "
+                f"{array.shape} {array.dtype}"
+            )
         check_pixels(*array.shape[:2])
         return array
 
@@ -63,9 +73,13 @@ def decoding(unknown: str) -> Iterator[None]:
 
 
 def checked_image(content: bytes, formats: tuple[str, ...]) -> ImageFile:
-    """The image in the bytes of a file, not decoded yet, its size and checksums verified."""
+    """The image in the bytes of a file, not decoded yet, its size and checksums verified. Several
+    pages, which could be frames, are a ValueError; pictures in a JPEG beside the first are not."""
     with Image.open(io.BytesIO(content), formats=formats) as image:
         check_pixels(image.height, image.width)
+        pages = getattr(image, "n_frames", 1)
+        if pages > 1 and image.format != "MPO":
+            raise ValueError(f"has {pages} pages; expected one, a file for each frame")
         image.verify()  # decoding a PNG does not check its checksums
     return Image.open(io.BytesIO(content), formats=formats)
 
@@ -117,7 +131,7 @@ def _rgb(picture: Image.Image) -> Pixels:
     if image.mode in ("L", "P"):
         require_photograph(np.asarray(image))
     if image.mode in _SIXTEEN_BIT:
-        image = Image.fromarray((np.asarray(image) >> 8).astype(np.uint8))
+        image = Image.fromarray(high_bytes(np.asarray(image)))
     elif image.mode not in _EIGHT_BIT:
         raise ValueError(
             f"expected an image of 8 or 16 bits in gray or colour, got mode {image.mode}"
@@ -125,6 +139,15 @@ def _rgb(picture: Image.Image) -> Pixels:
     if "transparency" in image.info:
         image = image.convert("RGBA")
     return np.asarray(image.convert("RGB"))
+
+
+def high_bytes(gray: npt.NDArray[np.uint16]) -> Pixels:
+    """Gray of 16 bits as 8. One of at most 12 bits, as cameras of machines store it, would become
+    black; it is a ValueError."""
+    bits = int(gray.max()).bit_length()
+    if 0 < bits <= 12:
+        raise ValueError(f"gray of {bits} bits in pixels of 16; expected values up to 65535")
+    return (gray >> 8).astype(np.uint8)
 
 
 def require_photograph(values: npt.NDArray[np.uint8]) -> None:

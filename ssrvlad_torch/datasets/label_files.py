@@ -21,8 +21,25 @@ _SIXTEEN_BIT_LOW_BYTE = {"RGB;16B": "RGB;16L", "RGBA;16B": "RGBA;16L", "LA;16B":
 
 LabelMap = npt.NDArray[np.integer[Any]]
 
-find_label_files = partial(find_frames, FileKind("label maps", SUFFIXES, stack_rank=3))
-"""The label maps of the sources; see `find_frames`. A ``.npy`` stack has rank 3."""
+
+def _is_stack(array: npt.NDArray[Any]) -> bool:
+    """Whether an array is label maps ``(N, H, W)``, and not one map with channels or one-hot."""
+    if array.ndim != 3 or array.dtype.kind not in "iu" or array.shape[1] == 1 or array.shape[2] < 5:
+        return False
+    # of a large stack only the first rows are read: one-hot already there, or nowhere
+    heads = (array[:, :1], 0), (array[:1], 2)
+    return not any(_is_one_hot(head, axis) and _is_one_hot(array, axis) for head, axis in heads)
+
+
+def _is_one_hot(array: npt.NDArray[Any], axis: int) -> bool:
+    """Whether most pixels have one value in one channel of an axis, and no pixel has more."""
+    counts = np.count_nonzero(array, axis)
+    value = array.max()
+    return bool(counts.max() == 1 and counts.mean() > 0.5 and np.isin(array, (0, value)).all())
+
+
+find_label_files = partial(find_frames, FileKind("label maps", SUFFIXES, _is_stack))
+"""The label maps of the sources; see `find_frames`. A ``.npy`` stack is ``(N, H, W)``."""
 
 
 def read_label_map(file: FrameFile, space: LabelSpace) -> LabelMap:
@@ -31,15 +48,21 @@ def read_label_map(file: FrameFile, space: LabelSpace) -> LabelMap:
 
     Reads 8- and 16-bit single-channel images, palette images (see `_ids_of_palette`), images with
     several 16-bit channels (SYNTHIA: the first channel is the class), images in the colours of the
-    label space, and ``.npy``. Other and damaged files, names that are not valid text, a colour that
-    the label space lacks, and a palette that can mean two things are a ValueError.
+    label space, and ``.npy``, ``(H, W)`` or ``(H, W, 1)``. Other and damaged files, names that are
+    not valid text, several pages, a colour that the label space lacks, and a palette that can mean
+    two things are a ValueError.
     """
     content = file.read()
     is_array = file.path.suffix.lower() == ".npy" or content.startswith(MAGIC_PREFIX)
     with decoding(f"cannot identify the image; expected {', '.join(_FORMATS)}"):
         labels = parse_npy(content) if is_array else _decode_image(content, space)
+    if labels.ndim == 3 and labels.shape[2] == 1:
+        labels = labels[..., 0]
     if labels.ndim != 2 or labels.size == 0 or labels.dtype.kind not in "iu":
-        raise ValueError(f"expected an (H, W) integer label map, got {labels.shape} {labels.dtype}")
+        raise ValueError(
+            f"expected an (H, W) integer label map or a stack (N, H, W) of them, got "
+            f"{labels.shape} {labels.dtype}"
+        )
     if labels.dtype.kind == "u" and labels.dtype.itemsize > 2:
         # torch would truncate unsigned ids of 32 or 64 bits, and an unknown id could become known
         return labels.astype(np.uint64).clip(max=np.iinfo(np.int64).max).astype(np.int64)
