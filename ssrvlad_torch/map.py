@@ -29,7 +29,14 @@ from .encoding.encoder import (
 )
 from .encoding.ray_engine import encode_with_ray
 from .encoding.results import EncodeOptions, Note, Progress, Summary, do_nothing
-from .encoding.source import Source, Wanted, cache_folder, open_source, origin_of, require_network
+from .encoding.selection import FrameSelection
+from .encoding.source import (
+    SelectedFrames,
+    cache_folder,
+    open_frames,
+    origin_of,
+    require_network,
+)
 from .evaluation.measure import TOP, Evaluation, Recognition, measure
 from .evaluation.metrics import Convention
 from .evaluation.true_matches import Viewpoints, true_matches
@@ -44,8 +51,8 @@ from .search.near import Near
 from .segmentation.segmenter import Segmenter
 from .taxonomy import VOID, LabelSpace
 
-Frames = str | os.PathLike[str] | Sequence[str | os.PathLike[str]] | Wanted
-"""Folders, globs or files, each folder a sequence; or `Wanted`, with all that can be said."""
+Frames = str | os.PathLike[str] | Sequence[str | os.PathLike[str]] | FrameSelection
+"""Folders, globs or files, each folder a sequence; or `FrameSelection`, which says more."""
 
 Circle = str | Sequence[float]
 """A place that is roughly known: x, y and a radius in metres, or the text ``X,Y,METRES``."""
@@ -154,20 +161,26 @@ class Map:
         compared: bool = False,
         images: bool = False,
         note: Note = do_nothing,
-    ) -> Source:
-        """The frames on disk, before the first is read; see `open_source`."""
-        wanted, database = self._wanted(frames), self.database if compared else self._database
-        opened = None if self.network else self._opened
-        source = open_source(
-            wanted, database, compared=compared, images=images, opened=opened, note=note
+    ) -> SelectedFrames:
+        """The frames on disk, before the first is read; see `open_frames`."""
+        selection, database = _selection(frames), self.database if compared else self._database
+        source = open_frames(
+            selection,
+            database,
+            network=self.network and (self._opened or self.network),
+            labels_as=self.labels_as,
+            compared=compared,
+            images=images,
+            opened=None if self.network else self._opened,
+            note=note,
         )
-        if source.segmenter and not isinstance(frames, Wanted):
+        if source.segmenter and not isinstance(frames, FrameSelection):
             self._opened = source.segmenter
         return source
 
     def add(
         self,
-        frames: Frames | Source,
+        frames: Frames | SelectedFrames,
         options: EncodeOptions | None = None,
         engine: Engine = "local",
         note: Note = do_nothing,
@@ -189,7 +202,7 @@ class Map:
         options = options or EncodeOptions()
         if self.version is not None:
             raise ValueError(f"{self.path} was opened as of version {self.version}, read-only")
-        source = frames if isinstance(frames, Source) else self.source(frames, note=note)
+        source = frames if isinstance(frames, SelectedFrames) else self.source(frames, note=note)
         if options.gpus and not source.segmenter:
             raise ValueError("--gpus needs --engine ray and --segmenter")
         head = SSRVLAD(config_for(self._database, self.preset, source.labels_as))
@@ -218,7 +231,7 @@ class Map:
 
     def query(
         self,
-        frames: Frames | Source,
+        frames: Frames | SelectedFrames,
         steps: Steps | None = None,
         top: int = 5,
         *,
@@ -307,7 +320,7 @@ class Map:
 
     def evaluate(
         self,
-        frames: Frames | Source,
+        frames: Frames | SelectedFrames,
         steps: Steps | None = None,
         *,
         ground_truth: Path | None = None,
@@ -358,30 +371,12 @@ class Map:
         )
         return replace(measure(recognition, truth, convention), true_matches=definition.words)
 
-    def _source(self, frames: Frames | Source) -> Source:
+    def _source(self, frames: Frames | SelectedFrames) -> SelectedFrames:
         """The frames to be compared with the map, which must exist."""
         _ = self.database
-        return frames if isinstance(frames, Source) else self.source(frames, compared=True)
+        return frames if isinstance(frames, SelectedFrames) else self.source(frames, compared=True)
 
-    def _wanted(self, frames: Frames) -> Wanted:
-        """What the user wants, with the network and the label space of the map."""
-        if not isinstance(frames, Wanted):
-            several = isinstance(frames, Iterable) and not isinstance(frames, str)
-            paths: list[Any] = [*frames] if several else [frames]  # type: ignore[misc]
-            for path in paths:
-                if not isinstance(path, str | os.PathLike):
-                    kind = type(path).__name__
-                    raise ValueError(
-                        f"expected folders, globs or files, or a list of them, got {kind}; "
-                        "locate takes pictures in memory"
-                    )
-            frames = Wanted([str(path) for path in paths])
-        if frames.segmenter is None and frames.labels_as is None:
-            network = self.network and (self._opened or self.network)
-            frames = replace(frames, segmenter=network, labels_as=self.labels_as)
-        return frames
-
-    def _note_void(self, source: Source, head: SSRVLAD, note: Note) -> None:
+    def _note_void(self, source: SelectedFrames, head: SSRVLAD, note: Note) -> None:
         """Notes a first label map that is mostly void: the label space may be wrong."""
         void = [label.id for label in head.label_space.classes if label.category == VOID]
         for file in () if source.segmenter else source.files:
@@ -431,3 +426,18 @@ class Map:
             check_segmenter(segmenter, SSRVLAD(config), channels)
             self._located = version, frames, channels
         return self._located[1:]
+
+
+def _selection(frames: Frames) -> FrameSelection:
+    """What a user means by folders, globs or files."""
+    if isinstance(frames, FrameSelection):
+        return frames
+    several = isinstance(frames, Iterable) and not isinstance(frames, str)
+    paths: list[Any] = [*frames] if several else [frames]  # type: ignore[misc]
+    for path in paths:
+        if not isinstance(path, str | os.PathLike):
+            raise ValueError(
+                "expected folders, globs or files, or a list of them, got "
+                f"{type(path).__name__}; locate takes pictures in memory"
+            )
+    return FrameSelection([str(path) for path in paths])

@@ -11,11 +11,17 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from trees import write
 
-from ssrvlad_torch.datasets.camera_poses import Y_UP_LEFT_HANDED, Z_DOWN, Z_UP, optical_axis
-from ssrvlad_torch.datasets.cityscapes import read_fix
-from ssrvlad_torch.datasets.extended_cmu import read_list
-from ssrvlad_torch.datasets.robotcar import read_nvm, read_v2_poses
-from ssrvlad_torch.datasets.synthia import read_pose
+from ssrvlad_torch.datasets.camera_poses import (
+    Y_UP_LEFT_HANDED,
+    Z_DOWN,
+    Z_UP,
+    optical_axis,
+    read_cmu_list,
+    read_fix,
+    read_matrix,
+    read_nvm,
+    read_v2_poses,
+)
 
 EAST, NORTH = 0.0, math.pi / 2
 LEVEL = "0.5 -0.5 -0.5 -0.5"
@@ -116,7 +122,7 @@ def test_headings_of_synthia_count_from_x_towards_y(tmp_path, yaw, heading):
     right = (math.cos(yaw), 0, -math.sin(yaw))
     back = (-math.sin(yaw), 0, -math.cos(yaw))
     numbers = (*right, 0, 0, 1, 0, 0, *back, 0, 3, 1, -4, 1)
-    pose = read_pose(write(tmp_path / "0.txt", " ".join(map(str, numbers))))
+    pose = read_matrix(write(tmp_path / "0.txt", " ".join(map(str, numbers))))
     assert pose == pytest.approx((3, -4, heading))
 
 
@@ -135,7 +141,7 @@ def test_the_pose_of_robotcars_readme_equals_that_by_hand(tmp_path):
 def test_the_pose_of_extended_cmus_readme_equals_that_by_hand(tmp_path):
     """By hand: the third row of the rotation is (-0.888, 0.456, 0.063) and the second, which is
     down, (-0.019, 0.099, -0.995): so z is up, and the camera looks west by north."""
-    known = read_list(write(tmp_path / "poses.txt", [README]))
+    known = read_cmu_list(write(tmp_path / "poses.txt", [README]))
     x, y, heading = known["img_00122_c0_1303398475046031us"]
     assert (x, y) == (-85.392177, 55.210379)
     assert heading == pytest.approx(math.atan2(0.4562, -0.8877), abs=1e-3)
@@ -171,9 +177,9 @@ DAMAGED = [
     (read_fix, '{"gpsLatitude": 50, "gpsLongitude": 9, "gpsHeading": Infinity}', FIX),
     (read_fix, '{"gpsLatitude": 0, "gpsLongitude": 99}', FIX),
     (read_fix, '{"gpsLatitude": null, "gpsLongitude": 9}', FIX),
-    (read_pose, "", "expected 16 numbers, got 0"),
-    (read_pose, "1 " * 12, "got 12"),
-    (read_pose, "1 " * 15 + "x", "'x'"),
+    (read_matrix, "", "expected 16 numbers, got 0"),
+    (read_matrix, "1 " * 12, "got 12"),
+    (read_matrix, "1 " * 15 + "x", "'x'"),
     (read_nvm, ["ply"], "is not an NVM_V3 model"),
     (read_nvm, [], "is not an NVM_V3 model"),
     (read_nvm, ["NVM_V3"], "holds no number of cameras"),
@@ -184,12 +190,12 @@ DAMAGED = [
     (read_nvm, ["NVM_V3", "", "1", camera("a", 1, 2, "0 0 0 0")], "line 4: .* is not a rotation"),
     (read_v2_poses, [*V2, "a.png 1 2 3"], "line 2: expected 16 numbers, got 3"),
     (read_v2_poses, [*V2, "a.png " + "x " * 16], "line 2: .*'x'"),
-    (read_list, [*LIST, "a.jpg 1 0 0 0 1 2"], "line 3: expected 7 numbers, got 6"),
-    (read_list, [*LIST, "a.jpg 1 0 0 0 1 2 3 4"], "line 3: expected 7 numbers, got 8"),
-    (read_list, [*LIST, "a.jpg"], "line 3: expected 7 numbers, got 0"),
-    (read_list, [*LIST, "a.jpg 1 0 0 0 east 2 3"], "line 3: .*'east'"),
-    (read_list, [*LIST, "a.jpg 0 0 0 0 1 2 3"], "line 3: .* is not a rotation"),
-    (read_list, [*LIST, "\x00\x01\x02"], "line 3: expected 7 numbers"),
+    (read_cmu_list, [*LIST, "a.jpg 1 0 0 0 1 2"], "line 3: expected 7 numbers, got 6"),
+    (read_cmu_list, [*LIST, "a.jpg 1 0 0 0 1 2 3 4"], "line 3: expected 7 numbers, got 8"),
+    (read_cmu_list, [*LIST, "a.jpg"], "line 3: expected 7 numbers, got 0"),
+    (read_cmu_list, [*LIST, "a.jpg 1 0 0 0 east 2 3"], "line 3: .*'east'"),
+    (read_cmu_list, [*LIST, "a.jpg 0 0 0 0 1 2 3"], "line 3: .* is not a rotation"),
+    (read_cmu_list, [*LIST, "\x00\x01\x02"], "line 3: expected 7 numbers"),
 ]
 
 

@@ -4,10 +4,10 @@ import pytest
 from helpers import touch
 from trees import outline, plant, roles, write
 
-from ssrvlad_torch.datasets.image_files import SUFFIXES as IMAGE_SUFFIXES
 from ssrvlad_torch.datasets.label_files import SUFFIXES as LABEL_SUFFIXES
 from ssrvlad_torch.datasets.label_files import find_label_files
 from ssrvlad_torch.datasets.layouts import open_dataset
+from ssrvlad_torch.datasets.names import IMAGE_SUFFIXES
 from ssrvlad_torch.datasets.synthetic_city import write_city
 
 

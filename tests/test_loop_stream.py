@@ -341,8 +341,7 @@ def test_a_picture_is_drawn(loops, drive, tmp_path, poses):
     [
         (["-", "other"], "takes no other SOURCE"),
         (["-", "--every", 2], "takes no other SOURCE"),
-        (["-", "--poses", "p.csv"], "takes no other SOURCE, no --layout, --poses, --largest-gap"),
-        (["-", "--largest-gap", 2], "takes no other SOURCE"),
+        (["-", "--poses", "p.csv"], "takes no other SOURCE, no --layout, --poses, --topic"),
         (["-", "--topic", "camera"], "takes no other SOURCE"),
         (["-", "--layout", "auto"], "takes no other SOURCE"),
         (["nowhere"], "nowhere does not exist"),

@@ -8,9 +8,10 @@ from ssrvlad_place.frames import find_frames, read_labels, read_photograph
 from ssrvlad_place.model import Model
 
 from ssrvlad_torch.datasets.frame_files import FrameFile
-from ssrvlad_torch.datasets.image_files import SUFFIXES, decode_image, find_image_files
+from ssrvlad_torch.datasets.image_files import decode_image, find_image_files
 from ssrvlad_torch.datasets.label_files import SUFFIXES as SUFFIXES_OF_MAPS
 from ssrvlad_torch.datasets.label_files import read_label_map
+from ssrvlad_torch.datasets.names import IMAGE_SUFFIXES
 from ssrvlad_torch.taxonomy import label_space
 
 
@@ -32,8 +33,8 @@ def test_frames_of_a_folder_are_in_natural_order_however_they_are_named(tmp_path
 
 def test_frames_have_the_suffixes_that_encode_takes(head, drives, tmp_path):
     assert Model(head).suffixes == SUFFIXES_OF_MAPS
-    assert Model(drives / "place.onnx").suffixes == SUFFIXES
-    touch(*(tmp_path / f"a{suffix}" for suffix in SUFFIXES))
+    assert Model(drives / "place.onnx").suffixes == IMAGE_SUFFIXES
+    touch(*(tmp_path / f"a{suffix}" for suffix in IMAGE_SUFFIXES))
     found = [path.suffix for _, path in find_frames([tmp_path], SUFFIXES_OF_MAPS)]
     assert sorted(found) == sorted(SUFFIXES_OF_MAPS)
 

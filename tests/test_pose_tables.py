@@ -52,6 +52,7 @@ NAMED = [
     ({"0": 1, "tuesday/0": 2}, {}, 2),
     ({"0.png": 1, "monday/0": 2}, {"sequence": "tuesday"}, 1),
     ({"tuesday/0.png": 2}, {}, 2),
+    ({"tuesday/0.jpg": 2}, {}, 2),
 ]
 
 
@@ -103,6 +104,21 @@ def test_each_frame_has_its_own_row(tmp_path):
     np.save(tmp_path / "s.npy", np.stack([street(0)] * 2))
     plant(tmp_path, {"s/s-000001": 1, "s-000000": 3})
     assert found(tmp_path / "s.npy") == [3, 1]
+
+
+def test_a_name_may_be_written_with_combining_marks(tmp_path):
+    """As the disk of a Mac does."""
+    plant(tmp_path / "a", {"stra\u00dfe \u00e4": 1}, "stra\u00dfe a\u0308.png")
+    assert found(tmp_path / "a") == [1]
+
+
+def test_a_table_that_fits_no_frame_is_noted(tmp_path):
+    path = plant(tmp_path / "a", {"1": 1}, "000001.png")
+    notes = []
+    assert np.isnan(found(tmp_path / "a", note=notes.append)).all()
+    assert notes == [
+        f"{path} has none of the frames, for example a/000001; it has, for example, '1'"
+    ]
 
 
 def test_damaged_poses_are_refused_before_anything_is_read(tmp_path):

@@ -10,7 +10,15 @@ from helpers import COLOUR, png_bytes, refused, refuses
 from trees import plant, write, write_placed
 
 from ssrvlad_torch.datasets.image_files import find_image_files
-from ssrvlad_torch.datasets.poses import UNKNOWN, Pose, read_name, read_poses, write_name
+from ssrvlad_torch.datasets.poses import (
+    UNKNOWN,
+    Fix,
+    Pose,
+    Projection,
+    read_name,
+    read_poses,
+    write_name,
+)
 
 NAN = math.nan
 
@@ -110,26 +118,47 @@ def test_latitudes_become_metres(tmp_path):
     np.testing.assert_allclose(first, [EAST, NORTH, 0], atol=0.01)
     assert second.y - first.y == pytest.approx(111.2, abs=0.1)
     assert math.isnan(second.heading)
-    for places in ("a,52.2,5.9\nb,52.2,6.1", "a,52.2,5.99", "a,0.005,7"):
-        path.write_text(f"frame,latitude,longitude\n{places}\n")
-        refuses("within 1 km of the border of a UTM zone", read_poses, path)
     path.write_text("frame,latitude,longitude\na,52.2,0.12\nb,89,5.9\nc,52.2,0.12\n")
     refuses("line 3: latitude out of range", read_poses, path)
-    path.write_text("frame,latitude,longitude\na,nan,nan\nb,52.2,0.12\n")
+
+
+@pytest.mark.parametrize("void", ["nan,nan", "0,0"])
+def test_a_position_without_reception_is_unknown(tmp_path, void):
+    pytest.importorskip("utm")
+    path = write(tmp_path / "a.csv", f"frame,latitude,longitude\na,{void}\nb,52.2,0.12\n")
     unknown, known = read_poses(path).values()
     assert np.isnan(unknown).all() and known.x == pytest.approx(EAST, abs=0.01)
+
+
+@pytest.mark.parametrize("places", [((51.5, -0.001), (51.5, 0.001)), ((0.001, 7), (-0.001, 7))])
+def test_a_drive_may_cross_a_border_of_zones(places):
+    """Of London, and the equator: 139 and 221 m."""
+    pytest.importorskip("utm")
+    projection = Projection()
+    here, there = (projection.pose(Fix(*place)) for place in places)
+    assert math.dist(here[:2], there[:2]) == pytest.approx(139 if places[0][0] > 1 else 221, abs=1)
+
+
+@pytest.mark.parametrize(("west", "east"), [((51.5, -0.001), (51.5, 0.001)), ((-0.1, 7), (0.1, 7))])
+def test_a_later_drive_has_the_zone_of_the_map(west, east):
+    pytest.importorskip("utm")
+    for first, second in ((west, east), (east, west)):
+        known = Projection().pose(Fix(*first))
+        later = Projection(lambda known=known: known).pose(Fix(*second))
+        assert math.dist(known[:2], later[:2]) < 23_000
 
 
 def test_exif_tags_give_poses_of_some_pictures(tmp_path):
     pytest.importorskip("utm")
     folder = plant(tmp_path / "photos", "2.jpg")
     write_placed(folder / "1.jpg", (52.0, 12.0, 0.0), (0.0, 7.0, 12.0))
+    write_placed(folder / "6.jpg", (52.0, 12.0, 0.0), (0.0, 7.0, 12.0), status="V")
     os.mkfifo(tmp_path / "photos" / "3.png")
     bomb = png_bytes(30_000, 30_000, 8, COLOUR, b"")
     (tmp_path / "photos" / "4.png").write_bytes(bomb)
     (tmp_path / "photos" / "5.png").symlink_to("gone")
     files = find_image_files([folder, str(tmp_path / "photos" / "*.png")], poses="exif")
-    expected = [[EAST, NORTH, math.pi / 2], *[UNKNOWN] * 4]
+    expected = [[EAST, NORTH, math.pi / 2], *[UNKNOWN] * 5]
     np.testing.assert_allclose([file.pose for file in files], expected, atol=0.01)
     with pytest.raises(ValueError, match="no image of none has a position in its EXIF"):
         find_image_files([plant(tmp_path / "none", "1.jpg")], poses="exif")

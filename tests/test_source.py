@@ -10,7 +10,8 @@ from networks import photo
 
 from ssrvlad_torch import Database, LabelSpace
 from ssrvlad_torch.datasets.synthetic_city import write_city
-from ssrvlad_torch.encoding.source import Wanted, open_source
+from ssrvlad_torch.encoding.selection import FrameSelection
+from ssrvlad_torch.encoding.source import open_frames
 from ssrvlad_torch.taxonomy import label_space
 
 CITY = ("--labels-as", "cityscapes-trainids")
@@ -92,8 +93,8 @@ def reference(ssrvlad, city, tmp_path):
 def test_a_label_space_of_ones_own_goes_with_label_maps_of_another_folder(city):
     space = label_space("cityscapes-trainids").to_dict()
     mine = LabelSpace.from_dict({**space, "name": "mine"})
-    wanted = Wanted([str(city)], layout="folders", labels=str(city), labels_as=mine)
-    source = open_source(wanted)
+    selection = FrameSelection([str(city)], layout="folders", labels=str(city))
+    source = open_frames(selection, labels_as=mine)
     assert source.labels_as is mine and len(source.files) == 16
 
 

@@ -1,4 +1,4 @@
-"""Poses in the forms of others: KITTI, TUM, GPX and NMEA, and poses between their points."""
+"""Poses in the forms of others: KITTI, TUM and GPX, and poses between their points."""
 
 import math
 from importlib.util import find_spec
@@ -9,7 +9,7 @@ from helpers import refuses
 from trees import plant, write
 
 from ssrvlad_torch.datasets.image_files import find_image_files
-from ssrvlad_torch.datasets.poses import UNKNOWN, Fix, Pose, poses_of_fixes
+from ssrvlad_torch.datasets.poses import UNKNOWN, Pose
 from ssrvlad_torch.datasets.trajectories import Trajectory, read_trajectory
 
 needs_gps = pytest.mark.skipif(find_spec("utm") is None, reason="needs the extra gps")
@@ -32,7 +32,7 @@ def test_kitti_goes_by_the_place_of_a_frame(tmp_path):
     one_each = r"00\.txt: expected 2 frames, one per pose, got 3"
     refuses(one_each, find_image_files, [folder], poses=kitti)
     other = plant(tmp_path / "image_3", "000000.jpg")
-    refuses("poses of one drive, got 2 seq", find_image_files, [folder, other], poses=kitti)
+    refuses("poses of one sequence, got 2", find_image_files, [folder, other], poses=kitti)
 
 
 def test_tum_goes_by_the_time_that_is_a_name(tmp_path):
@@ -46,9 +46,9 @@ def test_tum_goes_by_the_time_that_is_a_name(tmp_path):
     for name, text in tables.items():
         (tmp_path / f"{name}.txt").write_text(text)
 
-    def found(table, names, **options):
+    def found(table, names):
         folder = plant(tmp_path / names[0], *(f"{name}.jpg" for name in names))
-        return poses(find_image_files([folder], poses=str(tmp_path / f"{table}.txt"), **options))
+        return poses(find_image_files([folder], poses=str(tmp_path / f"{table}.txt")))
 
     expected = [[1, 2, math.pi / 2], UNKNOWN, [3, 4, 0]]
     whole = [[f"{time:0<{digits}}" for time in (10015, 10050, 10095)] for digits in (5, 8, 11)]
@@ -59,7 +59,7 @@ def test_tum_goes_by_the_time_that_is_a_name(tmp_path):
         ("near", ["0", "10"], "several units"),
     ):
         refuses(rf"{table}.txt: {message}.* '{names[0]}'; expected", found, table, names)
-    seconds = found("drive", [f"{n}{'0' * 6}" for n in range(4)], largest_gap=1)[:, 0]
+    seconds = found("drive", [f"{n}{'0' * 6}" for n in range(4)])[:, 0]
     assert seconds.tolist() == [0, 1, 2, 3], "in ns all are near the first pose"
     refuses(r"named by their time in seconds.* 'a'", found, "groundtruth", ["a", "10.015"])
 
@@ -87,16 +87,7 @@ def test_poses_are_interpolated_by_time_and_the_shorter_turn():
 
 
 START = 764_426_119
-"""1994-03-23 12:35:19 UTC, of the usual example of NMEA."""
-
-RMC = "GPRMC,{time},A,4807.038,N,01131.000,E,022.4,{course},230394,003.1,W"
-
-
-def sentence(body):
-    total = 0
-    for character in body:
-        total ^= ord(character)
-    return f"${body}*{total:02X}\n"
+"""1994-03-23 12:35:19 UTC."""
 
 
 def gpx(*points, head=""):
@@ -104,22 +95,6 @@ def gpx(*points, head=""):
 
 
 POINT = '<trkpt lat="48.1173" lon="11.5"><time>1994-03-23T{time}</time></trkpt>'
-
-
-@needs_gps
-def test_nmea_sentences_give_times_positions_and_courses(tmp_path):
-    bodies = (
-        "GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,",
-        RMC.format(time="123519.50", course="084.4"),
-        "GPRMC,123520,V,,,,,,,230394,,",
-        RMC.format(time="123521", course=""),
-    )
-    track = read_trajectory(write(tmp_path / "a.nmea", "".join(map(sentence, bodies))))
-    assert (track.stamps, track.largest_gap) == ([START + 0.5, START + 2], 5)
-    (expected,) = poses_of_fixes([Fix(48 + 7.038 / 60, 11 + 31 / 60, 84.4)])
-    assert track.poses[0] == pytest.approx(expected)
-    assert track.poses[0].heading == pytest.approx(math.radians(5.6))
-    assert math.isnan(track.poses[1].heading)
 
 
 @needs_gps
@@ -131,7 +106,6 @@ def test_gpx_points_give_times_and_positions(tmp_path):
 
 
 NOON = POINT.format(time="12:35:19Z")
-NMEA = RMC.format(time="123519", course="1")
 DAMAGED = [
     ("txt", "1 2 3", r"line 1: expected 12 numbers \(KITTI\) or 8 \(TUM\), got 3"),
     ("txt", "2 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1", "in order of time"),
@@ -147,18 +121,7 @@ DAMAGED = [
     ("gpx", gpx(head='<!DOCTYPE gpx [<!ENTITY a "aaa">]>'), "without a document type"),
     ("gpx", gpx(NOON)[:-9], "Error parsing XML"),
     ("gpx", gpx(NOON.replace("48", "88")), "latitude out of range"),
-    ("nmea", "", "holds no positions; expected RMC sentences"),
-    ("nmea", sentence(NMEA).replace("48", "49"), "line 1: .*checksum"),
-    ("nmea", sentence(NMEA.replace("N", "")), "line 1: expected a position, got 4807.038,,01131.0"),
     ("gpx", gpx(POINT.format(time="12:35:60Z")), "point 1 has no time, as 2026-"),
-    ("nmea", sentence(NMEA.replace("4807.038", "4875.038")), "at most 60 minutes, got 4875.038,N,"),
-    (
-        "nmea",
-        sentence(NMEA.replace(",E,", ",O,")),
-        "expected a position, got 4807.038,N,01131.000,O",
-    ),
-    ("nmea", sentence(NMEA.replace("123519", "235960")), "expected a time of day, got 235960"),
-    ("nmea", sentence("GPRMC,x,A,y,N,z,E,022.4,1,230394,,"), "line 1: "),
 ]
 
 
@@ -181,19 +144,10 @@ def test_nothing_lies_between_two_segments_of_gpx(tmp_path):
     border = "</trkseg><trkseg/><trkseg>"
     for text in (border, "</trkseg></trk><trk><trkseg>"):
         path.write_text(gpx(there, later, text, away, further))
-        trajectory = read_trajectory(path, largest_gap=math.inf)
+        trajectory = read_trajectory(path)
         known = trajectory.of_frames(list("abcde"), [START + s for s in (0.5, 1, 3, 5, 5.5)])
         assert [math.isnan(pose.x) for pose in known] == [False, False, True, False, False]
         assert known[4].y - known[0].y == pytest.approx(11_120, abs=20)
     path.write_text(gpx(there, later, away, further))
     (bridged,) = read_trajectory(path).of_frames(["a"], [START + 3])
     assert not math.isnan(bridged.x)
-
-
-@needs_gps
-@pytest.mark.parametrize("gap", [math.nan, -1, -0.001])
-def test_a_negative_or_nan_gap_is_refused(tmp_path, gap):
-    """NaN would bridge every gap."""
-    path = write(tmp_path / "a.gpx", gpx(NOON))
-    refuses(rf"largest gap of 0 seconds or more, got {gap}", read_trajectory, path, largest_gap=gap)
-    refuses("largest gap of 0 seconds or more", Trajectory, [Pose(0, 0, 0)], [0.0], gap)

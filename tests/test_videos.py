@@ -215,9 +215,6 @@ def test_a_gps_track_gives_poses_between_its_points(tmp_path):
     north = [file.pose.y - files[0].pose.y for file in files]
     assert north[:4] == pytest.approx([0, 55.6, 111.2, 166.8], abs=0.1)
     assert all(np.isnan(north[4:])), "6 s lie between two points; nothing lies after the last one"
-    wide = find_image_files([path], poses=str(track), largest_gap=6)
-    assert wide[4].pose.y - files[0].pose.y == pytest.approx(6 * 111.2, abs=0.5)
-    assert np.isnan(wide[5].pose.y)
     silent = str(write_video(tmp_path / "b.mp4", [0, 500]))
     with pytest.raises(ValueError, match=r"no pose is near in time to the 2 frames, .* or a video"):
         find_image_files([silent], poses=str(track))
@@ -258,6 +255,3 @@ def test_commands_take_videos(ssrvlad, tmp_path, monkeypatch):
     assert code == 0 and "10 frames" in [line.partition(":")[0] for line in out.splitlines()]
     code, _, err = ssrvlad("encode", drive, "-o", town, "--labels-as", "camvid-11")
     assert code == 2 and "holds images and no label maps" in err[0]
-    maps = tmp_path / "maps"
-    code, _, err = ssrvlad("encode", maps, "-o", town, *network, "--largest-gap", 3)
-    assert (code, err) == (2, ["ssrvlad: --largest-gap needs --poses"])

@@ -17,13 +17,16 @@ def plant(root: Path, *names: str) -> Path:
     return root
 
 
-def write_placed(path: Path, latitude: tuple[float, ...], longitude: tuple[float, ...]) -> None:
-    """A picture with its place, degrees, minutes and seconds, in EXIF tags; it looks north."""
+def write_placed(
+    path: Path, latitude: tuple[float, ...], longitude: tuple[float, ...], status: str = "A"
+) -> None:
+    """A picture with its place, degrees, minutes and seconds, in EXIF tags; it looks north. Status
+    V is a void position."""
     tag, exif = ExifTags.GPS, Image.Exif()
     exif.get_ifd(ExifTags.IFD.GPSInfo).update({
         tag.GPSLatitudeRef: "N", tag.GPSLatitude: latitude,
         tag.GPSLongitudeRef: "E", tag.GPSLongitude: longitude,
-        tag.GPSImgDirectionRef: "T", tag.GPSImgDirection: 0.0,
+        tag.GPSStatus: status, tag.GPSImgDirectionRef: "T", tag.GPSImgDirection: 0.0,
     })  # fmt: skip
     path.parent.mkdir(parents=True, exist_ok=True)
     Image.new("RGB", (8, 6)).save(path, exif=exif)

@@ -4,7 +4,7 @@ An options class is a frozen dataclass whose fields are options. A command takes
 parameter; `expand` turns the fields into options of the command line and passes the object to the
 command:
 
-    def query(*, source: SourceOptions, top: int = option("Number of candidates.", default=5)): ...
+    def query(*, source: FrameSelection, top: int = option("Number of candidates.", default=5)): ...
 
 To add an option to all commands that share a class, add a field to the class:
 ``name: type = option("help", default=...)``. To add one to a single command, add a parameter to its
@@ -27,16 +27,10 @@ from ..evaluation.metrics import Convention
 from .output import results_alone
 
 if TYPE_CHECKING:
-    from ..encoding.source import Wanted
     from ..recognition.recognise import Steps
 
 PAPER_REACH, MOST_REACH = 3, 1_000_000
 """Frames on each side of the temporal sum: in the paper, and at most."""
-
-NETWORK = (
-    "FILE.onnx, FILE.yaml (a network and its settings), hf:ORG/NAME[@REVISION], a folder, "
-    "torchhub:REPO/MODEL or MODULE:NAME."
-)
 
 DatabaseFolder = Annotated[str, typer.Argument(help="Folder or URI of the database.")]
 AsOf = Annotated[
@@ -79,7 +73,7 @@ Seed = Annotated[int, typer.Option(min=0, help="Another seed gives another city.
 def option(help: str, *flags: str, default: object = None, **settings: Any) -> Any:
     """An option: a field of an options class, or the default of a command's parameter. Without
     flags, its name is that of the field. An option with the default ``...`` is required."""
-    return field(default=default, metadata={"typer": typer.Option(*flags, help=help, **settings)})
+    return field(default=default, metadata={"help": help, "flags": flags, **settings})
 
 
 def switch(name: str, help: str) -> Any:
@@ -89,70 +83,7 @@ def switch(name: str, help: str) -> Any:
 
 def argument(help: str, metavar: str | None = None, **default: Any) -> Any:
     """An argument: a field of an options class, or the default of a command's parameter."""
-    return field(metadata={"typer": typer.Argument(help=help, metavar=metavar)}, **default)
-
-
-@dataclass(frozen=True)
-class SourceOptions:
-    """Where frames come from, which of them are used, and how images become label maps."""
-
-    paths: list[str] = argument(
-        "Folders, globs or files of label maps; with --segmenter also images, videos and ROS bags. "
-        "Each folder, video and bag is one sequence.",
-        metavar="SOURCE...",
-    )
-    labels_as: str | None = option(
-        "Label space of the ids: a name, a .yaml file, or auto (by the class names of the "
-        "segmenter). Default: the one of the segmenter, else of the data set, else of the "
-        "database."
-    )
-    layout: str | None = option(
-        "SOURCE is the folder of a data set with this layout: auto (recognised), extended-cmu, "
-        "robotcar-seasons, synthia, cityscapes, camvid, vpr-bench or folders."
-    )
-    split: list[str] | None = option(
-        "With --layout: sequence to use; * stands for any text; can be repeated."
-    )
-    role: Literal["reference", "query"] | None = option(
-        "With --layout: use only the references, or only the queries."
-    )
-    labels: Path | None = option(
-        "With --layout: folder of label maps to use instead of those of the data set."
-    )
-    sequence: str | None = option(
-        "Name of the sequence. Default: the name that the database has for the folder, else the "
-        "shortest end of its path that no other folder has."
-    )
-    poses: str | None = option(
-        "Poses of the frames: a .csv file, a KITTI, TUM, .gpx or .nmea file, or exif. Default: "
-        "poses.csv in or beside the folder, or the @UTM@ fields of file names."
-    )
-    largest_gap: float | None = option(
-        "With poses at times: interpolate between two that are at most this many seconds apart. "
-        "Default: 5 for GPX and NMEA; of a TUM file, the nearest pose within 0.02 s.",
-        min=0,
-    )
-    topic: str | None = option("Image topic of a ROS bag; needed only if the bag has several.")
-    fps: float | None = option("Use at most this many frames in a second of a video or bag.")
-    every: int = option("Use every N-th frame of a sequence.", default=1, min=1)
-    start: int = option("Number of the first frame of a sequence to use.", default=0, min=0)
-    segmenter: str | None = option(
-        f"Segmentation network that labels images: {NETWORK} Default: the network that made the "
-        "database."
-    )
-    classes: Classes = None
-    segmenter_cache: Path | None = option(
-        "Folder that caches the segmenter's label maps. Default: ~/.cache/ssrvlad."
-    )
-    workers: int | None = option(
-        "Number of frames to encode at the same time. Default: one for each core.", min=1
-    )
-
-    def wanted(self, posed: bool | None = False) -> Wanted:
-        """The same as what `Map` takes; for ``posed``, see there."""
-        from ..encoding.source import Wanted
-
-        return Wanted(**vars(self), posed=posed)
+    return field(metadata={"help": help, "metavar": metavar}, **default)
 
 
 @dataclass(frozen=True)
@@ -317,43 +248,50 @@ class TruthOptions:
 
 
 def expand(command: Callable[..., None]) -> Callable[..., None]:
-    """The command in the form that typer expects: the fields of each options class are parameters,
-    and each `option` or `argument` is typer's. If a class has a method ``checked``, it is called
-    with the names of the options on the command line, and gives what the command gets."""
+    """The command in the form that typer expects: each field of an options class is a parameter of
+    its own. Typer calls the command with a value for each; the options classes are made of them
+    again. If one has a method ``checked``, that is called with the names of the options on the
+    command line, and gives what the command gets."""
     types = get_type_hints(command, include_extras=True)
     classes: dict[str, Any] = {name: kind for name, kind in types.items() if is_dataclass(kind)}
+    options = {
+        name: [option for option in fields(kind) if option.metadata]
+        for name, kind in classes.items()
+    }
     parameters: list[inspect.Parameter] = []
     for name, parameter in inspect.signature(command).parameters.items():
         if name in classes:
             hints = get_type_hints(classes[name], include_extras=True)
-            parameters += [_parameter(f.name, hints[f.name], f) for f in fields(classes[name])]
+            parameters += [_parameter(f.name, hints[f.name], f) for f in options[name]]
         else:
             parameters.append(_parameter(name, types[name], parameter.default))
+    context = inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
 
     @wraps(command)
     def run(*, context: typer.Context, **values: Any) -> None:
         source_of = context.get_parameter_source
         typed = [n for n in values if (s := source_of(n)) and s.name == "COMMANDLINE"]
         for name, kind in classes.items():
-            values[name] = kind(**{f.name: values.pop(f.name) for f in fields(kind)})
+            values[name] = kind(**{o.name: values.pop(o.name) for o in options[name]})
             if hasattr(kind, "checked"):
                 values[name] = values[name].checked(typed)
         with results_alone():
             command(**values)
 
-    parameters.append(
-        inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
-    )
-    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    run.__signature__ = inspect.Signature([*parameters, context])  # type: ignore[attr-defined]
     run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    run.__annotations__["context"] = typer.Context
     return run
 
 
 def _parameter(name: str, kind: Any, default: Any) -> inspect.Parameter:
-    """A parameter of the command line, whose default may be a field of an options class."""
+    """A parameter of the command line, whose default may be a field with typer's settings."""
     if isinstance(default, Field):
-        if "typer" in default.metadata:
-            kind = Annotated[kind, default.metadata["typer"]]
+        settings = dict(default.metadata)
+        flags = settings.pop("flags", None)
+        if settings:
+            new = typer.Argument(**settings) if flags is None else typer.Option(*flags, **settings)
+            kind = Annotated[kind, new]
         default = default.default
     default = inspect.Parameter.empty if default in (MISSING, ...) else default
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)

@@ -5,8 +5,12 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from ..files import naming, read_bytes
-from .poses import Pose, parse_number
+from ..files import naming, read_bytes, read_json
+from .poses import Pose, heading_of_course, parse_number
+
+_EARTH_RADIUS = 6_371_000
+"""Metres."""
+_MERIDIAN = 9.0
 
 
 class Ground(NamedTuple):
@@ -62,3 +66,72 @@ def parse_numbers(words: Sequence[str], count: int) -> list[float]:
     if len(words) != count:
         raise ValueError(f"expected {count} numbers, got {len(words)}")
     return [parse_number(word) for word in words]
+
+
+def read_cmu_list(path: Path) -> dict[str, Pose]:
+    """Poses of Extended CMU Seasons by image name without suffix, from lines ``name qw qx qy qz cx
+    cy cz``: the rotation from world to camera and the camera's centre, in a world whose z is up."""
+    poses = read_poses(path, 7, lambda line: Z_UP.pose(line[4:], optical_axis(line[:4])))
+    return {Path(name).stem.removesuffix("_rect"): pose for name, pose in poses.items()}
+
+
+def read_nvm(path: Path) -> dict[str, Pose]:
+    """Poses of RobotCar Seasons by ``<condition>/<camera>/<name>``, of a model of VisualSFM: lines
+    ``name focal qw qx qy qz cx cy cz distortion 0``, the rotation from world to camera, in a world
+    whose third axis points down; its points are not read. A file that is not an NVM_V3 model, ends
+    too early, or has a line that is not a camera is a ValueError that names file and line."""
+    poses = {}
+    with path.open(encoding="utf-8", errors="replace") as file:
+        if not file.readline().startswith("NVM_V3"):
+            raise ValueError(f"{path} is not an NVM_V3 model")
+        lines = ((n, words) for n, line in enumerate(file, 2) if (words := line.split()))
+        number, words = next(lines, (1, []))
+        if not words:
+            raise ValueError(f"{path} holds no number of cameras")
+        with naming(f"{path} line {number}"):
+            count = int(words[0])
+        for missing in range(count, 0, -1):
+            number, words = next(lines, (number, []))
+            with naming(f"{path} line {number}"):
+                if not words:
+                    raise ValueError(f"the file ends {missing} cameras too early")
+                numbers = parse_numbers(words[1:], 10)
+                poses[_plain(words[0])] = Z_DOWN.pose(numbers[5:8], optical_axis(numbers[1:5]))
+    return poses
+
+
+def read_v2_poses(path: Path) -> dict[str, Pose]:
+    """The same of version 2, from lines of a name and the 4 x 4 matrix from camera to world."""
+    poses = read_poses(path, 16, lambda line: Z_DOWN.pose(line[3:12:4], line[2:11:4]))
+    return {_plain(name): pose for name, pose in poses.items()}
+
+
+def read_matrix(path: Path) -> Pose:
+    """The pose of a frame of SYNTHIA: the 16 numbers of the matrix from camera to world, column by
+    column. The world comes from Unity: it is left-handed with y up, and a camera looks along its
+    own -z. A file without 16 numbers is a ValueError that names it."""
+    with naming(path):
+        matrix = parse_numbers(path.read_text(encoding="utf-8", errors="replace").split(), 16)
+    return Y_UP_LEFT_HANDED.pose(matrix[12:15], [-number for number in matrix[8:11]])
+
+
+def read_fix(path: Path) -> Pose:
+    """The pose of a frame of Cityscapes in metres of a transverse Mercator projection at 9 degrees
+    east. The Earth is a sphere here; distances in the data set have an error of at most 0.5 %. A
+    file without a latitude or longitude is a ValueError."""
+    try:
+        fix = read_json(path)
+        phi, along = (math.radians(fix[f"gps{name}"]) for name in ("Latitude", "Longitude"))
+        along -= math.radians(_MERIDIAN)
+        east = _EARTH_RADIUS * math.atanh(math.cos(phi) * math.sin(along))
+        north = _EARTH_RADIUS * math.atan2(math.tan(phi), math.cos(along))
+        return Pose(east, north, heading_of_course(fix.get("gpsHeading", math.nan)))
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise ValueError(
+            f"{path} must hold numbers gpsLatitude, gpsLongitude and gpsHeading: {error!r}"
+        ) from error
+
+
+def _plain(name: str) -> str:
+    """A name without ``./`` and suffix: the models name PNGs, ``./<condition>/...png``."""
+    return str(Path(name).with_suffix(""))

@@ -9,16 +9,15 @@ from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import cache, partial
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal
 
 from natsort import natsorted
 
 from ..files import natural_key
 from ..taxonomy import LabelSpace, label_space
 from .frame_files import FrameFile, every_nth
-from .image_files import SUFFIXES as IMAGE_SUFFIXES
 from .label_files import SUFFIXES as LABEL_SUFFIXES
-from .names import id_of
+from .names import IMAGE_SUFFIXES, id_of
 from .poses import UNKNOWN, Pose
 
 LabelsAs = str | LabelSpace | None
@@ -264,34 +263,15 @@ class Dataset:
         return selected
 
 
-class Layout(NamedTuple):
-    """The layout of a data set on disk.
-
-    Attributes:
-        name: the name that users give.
-        origin: where the data set can be downloaded; empty for custom data.
-        expected: description of the folders and files of the layout.
-        recognises: function that is true for a folder with this layout.
-        read: function that reads the data set in a folder; its second argument is the label space
-            that the user gave, or ``None``. A damaged file is a ValueError that names it.
-    """
-
-    name: str
-    origin: str
-    expected: str
-    recognises: Callable[[Path], object]
-    read: Callable[[Path, LabelsAs], Dataset]
-
-
-def files_in(suffixes: Sequence[str], folder: Path, ending: str = "") -> dict[str, Path]:
-    """The files of a folder with one of the suffixes, in lower case, and the ending before it, by
-    their names without both; empty if the folder does not exist. Hidden files and folders are left
-    out. Two files of one name are a ValueError."""
+def files_in(suffixes: Sequence[str], folder: Path) -> dict[str, Path]:
+    """The files of a folder with one of the suffixes, in lower case, by their names without it;
+    empty if the folder does not exist. Hidden files and folders are left out. Two files of one name
+    are a ValueError."""
     files: dict[str, Path] = {}
     for entry in sorted(folder.iterdir()) if folder.is_dir() else ():
-        matches = entry.suffix.lower() in suffixes and entry.stem.endswith(ending)
-        if matches and not entry.name.startswith(".") and not entry.is_dir():
-            earlier = files.setdefault(entry.stem.removesuffix(ending), entry)
+        matches = entry.suffix.lower() in suffixes and not entry.name.startswith(".")
+        if matches and not entry.is_dir():
+            earlier = files.setdefault(entry.stem, entry)
             if earlier is not entry:
                 raise ValueError(f"one frame is both {earlier} and {entry.name}")
     return files
@@ -305,11 +285,6 @@ def folders_in(folder: Path) -> list[Path]:
     entries = folder.iterdir() if folder.is_dir() else ()
     folders = [entry for entry in entries if entry.is_dir() and not entry.name.startswith(".")]
     return natsorted(sorted(folders), key=lambda entry: entry.name)
-
-
-def itself_or_inside(root: Path, accepts: Callable[[Path], object]) -> list[Path]:
-    """``root`` if ``accepts`` is true for it, else the folders in it for which it is true."""
-    return [root] if accepts(root) else [folder for folder in folders_in(root) if accepts(folder)]
 
 
 def shortened(names: Sequence[str], most: int = 8) -> str:

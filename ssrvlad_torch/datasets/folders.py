@@ -6,24 +6,24 @@ the command that reads it decides. Poses come from ``poses.csv``; a file with ``
 its name is not a frame.
 """
 
+from dataclasses import dataclass
 from pathlib import Path
 
 from .dataset import (
     Dataset,
     GroundTruth,
     LabelsAs,
-    Layout,
     Role,
     Traverse,
     files_in,
+    folders_in,
     images_in,
-    itself_or_inside,
     labels_in,
 )
 from .frame_file import FrameFile
-from .image_files import SUFFIXES as IMAGE_SUFFIXES
 from .label_files import SUFFIXES as LABEL_SUFFIXES
-from .names import absolute, absolute_folder
+from .layout import Layout
+from .names import IMAGE_SUFFIXES, absolute, absolute_folder
 from .pose_tables import PoseTable
 
 _ROLES: dict[str, Role] = {
@@ -37,26 +37,40 @@ _TRUTHS = ("ground_truth.json", "ground_truth.csv", "ground_truth.npy")
 _ONLY_IMAGES = tuple(suffix for suffix in IMAGE_SUFFIXES if suffix not in LABEL_SUFFIXES)
 
 
-def read(root: Path, labels_as: LabelsAs) -> Dataset:
-    """The sequences in ``root``, or the sequence that ``root`` is."""
-    file = next((root / name for name in _TRUTHS if (root / name).is_file()), None)
-    traverses = []
-    for folder in _sequences(root):
-        name = absolute_folder(folder).name
-        images, labels = _frames(folder)
-        table, where = PoseTable.of_folder(folder), absolute(folder)
-        poses = {
-            frame: pose
-            for frame, path in (labels | images).items()
-            if table and (pose := table.pose_of(FrameFile(name, frame, path, folder=where)))
-        }
-        traverses.append(Traverse.of(name, images, labels, poses, _ROLES.get(name.lower())))
-    truth = GroundTruth(file) if file else None
-    return Dataset(LAYOUT.name, root, tuple(traverses), labels_as, truth)
+@dataclass(frozen=True)
+class Folders(Layout):
+    """A layout whose sequences are the folders in a folder, or the folder itself."""
+
+    name: str = "folders"
+    origin: str = ""
+    expected: str = (
+        "folders of label maps (.png, .npy, .tif, .bmp) or images (.jpg), one per sequence"
+    )
+
+    def recognises(self, root: Path) -> bool:
+        """Whether a folder holds frames, or one in it."""
+        return bool(_sequences(root))
+
+    def read(self, root: Path, labels_as: LabelsAs = None) -> Dataset:
+        """The sequences in a folder, or the sequence that it is."""
+        truth = next((root / name for name in _TRUTHS if (root / name).is_file()), None)
+        traverses = []
+        for folder in _sequences(root):
+            name = absolute_folder(folder).name
+            images, labels = _frames(folder)
+            table, place = PoseTable.of_folder(folder), absolute(folder)
+            poses = {
+                frame: pose
+                for frame, path in (labels | images).items()
+                if table and (pose := table.pose_of(FrameFile(name, frame, path, folder=place)))
+            }
+            traverses.append(Traverse.of(name, images, labels, poses, _ROLES.get(name.lower())))
+        file = GroundTruth(truth) if truth else None
+        return Dataset(self.name, root, tuple(traverses), labels_as, file)
 
 
 def _sequences(root: Path) -> list[Path]:
-    return itself_or_inside(root, lambda folder: any(_frames(folder)))
+    return [root] if any(_frames(root)) else [f for f in folders_in(root) if any(_frames(f))]
 
 
 def _frames(folder: Path) -> tuple[dict[str, Path], dict[str, Path]]:
@@ -65,12 +79,3 @@ def _frames(folder: Path) -> tuple[dict[str, Path], dict[str, Path]]:
         return images_in(folder / "images"), labels_in(folder / "labels")
     labels = {name: path for name, path in labels_in(folder).items() if "ground_truth" not in name}
     return labels | files_in(_ONLY_IMAGES, folder), labels
-
-
-LAYOUT = Layout(
-    "folders",
-    "",
-    "folders of label maps (.png, .npy, .tif, .bmp) or images (.jpg), one per sequence",
-    _sequences,
-    read,
-)

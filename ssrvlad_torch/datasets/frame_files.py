@@ -18,7 +18,7 @@ from .bags import bag_files, is_bag
 from .frame_file import FrameFile, RemoteFile, remote_files
 from .names import KnownFolders, absolute, sequence_names
 from .pose_tables import PoseTable
-from .poses import UNKNOWN, Fix, Pose, poses_of_fixes, read_exif, read_name, read_poses
+from .poses import UNKNOWN, Fix, Pose, Projection, read_exif, read_name, read_poses
 from .trajectories import read_trajectory
 from .videos import is_video, video_files
 from .workers import in_order
@@ -48,7 +48,8 @@ def find_frames(
     poses: str | None = None,
     topic: str | None = None,
     fps: float | None = None,
-    largest_gap: float | None = None,
+    projection: Projection | None = None,
+    note: Callable[[str], object] = lambda _: None,
 ) -> list[FrameFile]:
     """The frames of the sources. Sequences have the order of the sources; the sequences of a glob
     and the frames of a sequence have natural order.
@@ -63,11 +64,12 @@ def find_frames(
         sequence: name of the sequence, instead of the folder's.
         every, start: of each sequence keep frame ``start`` and every ``every``-th after it.
         known: folders that have a name already, see `sequence_names`.
-        poses: source of the poses, see `_given_poses`; if ``None``, the ``poses.csv`` in or
-            beside a folder, or file names as in `utm_names`.
+        poses: source of the poses, see `_poses_by`; if ``None``, the ``poses.csv`` in or beside a
+            folder, or file names as `read_name` reads them.
         topic: topic of a bag with several topics of images, see `bag_files`.
         fps: most frames in a second, see `at_rate`; then ``every`` and ``start`` count these.
-        largest_gap: see `Trajectory`.
+        projection: of positions of GPS.
+        note: gets what the user should know.
 
     Raises:
         ValueError: a source holds no frames, two files are the same frame, ``every``, ``start`` or
@@ -77,20 +79,22 @@ def find_frames(
     if isinstance(sources, str | PathLike) or not sources:
         raise ValueError(f"expected a list of folders, files or globs, got {sources!r}")
     files = [file for source in sources for file in _expand(str(source), kind, topic)]
-    drives = _drives(files, sequence, known)
+    sequences, projection = _sequences(files, sequence, known), projection or Projection()
     if poses:
-        drives = [
-            [replace(file, pose=pose, placed=True) for file, pose in zip(drive, given, strict=True)]
-            for drive, given in zip(drives, _given_poses(drives, poses, largest_gap), strict=True)
+        sequences = [
+            [replace(file, pose=pose, placed=True) for file, pose in zip(frames, own, strict=True)]
+            for frames, own in zip(sequences, _poses_by(poses, sequences, projection), strict=True)
         ]
-    selected = [file for drive in drives for file in _selected(drive, every, start, fps)]
+    selected = list[FrameFile]()
+    for frames in sequences:
+        selected += every_nth(frames if fps is None else at_rate(frames, fps), every, start)
     if not selected:
-        longest = max(map(len, drives))
+        longest = max(map(len, sequences))
         raise ValueError(f"no sequence has a frame {start}; the longest has {longest} frames")
-    return selected if poses else list(with_poses(selected))
+    return selected if poses else _posed(selected, projection, note)
 
 
-def _drives(
+def _sequences(
     files: Sequence[FrameFile], sequence: str | None, known: KnownFolders
 ) -> list[list[FrameFile]]:
     """The files of each sequence in natural order, each frame once, with the sequence's name; two
@@ -109,11 +113,6 @@ def _drives(
                 "give one of them another --sequence"
             )
     return [sorted(drive, key=lambda file: natural_key(file.name)) for drive in drives.values()]
-
-
-def _selected(drive: list[FrameFile], every: int, start: int, fps: float | None) -> list[FrameFile]:
-    """The frames of a sequence that are used."""
-    return every_nth(drive if fps is None else at_rate(drive, fps), every, start)
 
 
 def every_nth(drive: list[FrameFile], every: int, start: int) -> list[FrameFile]:
@@ -137,35 +136,41 @@ def at_rate(drive: list[FrameFile], fps: float) -> list[FrameFile]:
     return [*chosen.values()]
 
 
-def _given_poses(
-    drives: Sequence[list[FrameFile]], source: str, largest_gap: float | None
+def _poses_by(
+    source: str, sequences: Sequence[list[FrameFile]], projection: Projection
 ) -> list[list[Pose]]:
     """The poses of all frames of each sequence in a CSV file, see `read_poses`, in a file of KITTI,
-    TUM, GPX or NMEA, see `read_trajectory`, or with ``exif`` in their EXIF tags."""
+    TUM or GPX, see `read_trajectory`, or with ``exif`` in their EXIF tags."""
     if source == "exif":
-        return list(map(_poses_of_exif, drives))
+        return [_poses_of_exif(files, projection) for files in sequences]
     path = Path(source)
     if not path.is_file():
         raise ValueError(f"{source} is no file; expected a file of poses, or exif")
     if path.suffix.lower() == ".csv":
-        table = PoseTable(path, read_poses(path))
-        given = [[table.pose_of(file) or UNKNOWN for file in drive] for drive in drives]
-        if all(pose is UNKNOWN for poses in given for pose in poses):
-            raise ValueError(f"{source} has none of the frames, for example {drives[0][0].frame}")
-        return given
-    if len(drives) > 1:
-        raise ValueError(f"{source} holds the poses of one drive, got {len(drives)} sequences")
-    trajectory = read_trajectory(path, largest_gap)
-    names, stamps = zip(*((file.name, file.stamp) for file in drives[0]), strict=True)
+        table = PoseTable(path, read_poses(path, projection))
+        poses = [[table.pose_of(file) or UNKNOWN for file in files] for files in sequences]
+        if all(pose is UNKNOWN for of_sequence in poses for pose in of_sequence):
+            raise ValueError(_misfit(table, sequences[0]))
+        return poses
+    if len(sequences) > 1:
+        raise ValueError(f"{source} holds the poses of one sequence, got {len(sequences)}")
+    trajectory = read_trajectory(path, projection)
+    names, stamps = zip(*((file.name, file.stamp) for file in sequences[0]), strict=True)
     with naming(source):
         return [trajectory.of_frames(names, stamps)]
 
 
-def _poses_of_exif(drive: Sequence[FrameFile]) -> list[Pose]:
-    fixes = list(map(_fix_of, drive))
+def _misfit(table: PoseTable, files: Sequence[FrameFile]) -> str:
+    """Why frames have no poses although there is a table."""
+    row = f"it has, for example, {next(iter(table.poses))!r}" if table.poses else "it is empty"
+    return f"{table.path} has none of the frames, for example {files[0].frame}; {row}"
+
+
+def _poses_of_exif(files: Sequence[FrameFile], projection: Projection) -> list[Pose]:
+    fixes = list(map(_fix_of, files))
     if not any(fixes):
-        raise ValueError(f"no image of {drive[0].sequence} has a position in its EXIF tags")
-    return poses_of_fixes([fix or Fix(*UNKNOWN) for fix in fixes])
+        raise ValueError(f"no image of {files[0].sequence} has a position in its EXIF tags")
+    return [projection.pose(fix) if fix else UNKNOWN for fix in fixes]
 
 
 def _fix_of(file: FrameFile) -> Fix | None:
@@ -252,20 +257,34 @@ def _stack_length(path: Path, kind: FileKind) -> int | None:
         return None
 
 
-def with_poses(
-    files: Sequence[FrameFile], find: Callable[[Path], PoseTable | None] = PoseTable.of_folder
-) -> Iterator[FrameFile]:
-    """Files with the poses of the table that ``find`` gives for their folder, or of their names,
-    see `utm_names`; a ValueError if a table is damaged, or can mean two frames."""
-    folders = {file.path.parent for file in files if not isinstance(file, RemoteFile)}
-    tables = {folder: find(folder) for folder in folders}
-    for file in files:
-        if isinstance(file, RemoteFile):
-            yield file
-            continue
-        pose, stamp = read_name(file.name)
-        table = tables[file.path.parent]
-        pose = (table and table.pose_of(file)) or pose
-        stamp = stamp if math.isnan(file.stamp) else file.stamp
-        placed = table is not None or not math.isnan(pose.x)
-        yield replace(file, pose=pose, stamp=stamp, placed=placed)
+def _posed(
+    files: Sequence[FrameFile], projection: Projection, note: Callable[[str], object]
+) -> list[FrameFile]:
+    """Files with the poses that are found without a word of the user, see `with_pose`; a table
+    that fits no frame is noted."""
+    tables, listed = dict[Path, PoseTable | None](), dict[Path, list[FrameFile]]()
+
+    def find(folder: Path) -> PoseTable | None:
+        if folder not in tables:
+            tables[folder] = PoseTable.of_folder(folder, projection)
+        return tables[folder]
+
+    posed = [with_pose(file, find) for file in files]
+    for file in posed:
+        listed.setdefault(file.path.parent, []).append(file)
+    for folder, table in tables.items():
+        if table and all(math.isnan(file.pose.x) for file in listed[folder]):
+            note(_misfit(table, listed[folder]))
+    return posed
+
+
+def with_pose(file: FrameFile, find: Callable[[Path], PoseTable | None]) -> FrameFile:
+    """A file with the pose of the table that ``find`` gives for its folder, or of its name, see
+    `read_name`; a ValueError if a table is damaged, or can mean two frames."""
+    if isinstance(file, RemoteFile):
+        return file
+    pose, stamp = read_name(file.name)
+    table = find(file.path.parent)
+    pose = (table and table.pose_of(file)) or pose
+    stamp = stamp if math.isnan(file.stamp) else file.stamp
+    return replace(file, pose=pose, stamp=stamp, placed=bool(table) or not math.isnan(pose.x))

@@ -17,9 +17,9 @@ from PIL.ImageFile import ImageFile
 
 from ..files import check_pixels, empty_folder, naming, one_line, parse_npy
 from .frame_files import FileKind, FrameFile, find_frames
+from .names import IMAGE_SUFFIXES
 from .poses import write_name
 
-SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff", ".ppm", ".npy")
 _FORMATS = ("JPEG", "PNG", "WEBP", "BMP", "TIFF", "PPM")
 _SIXTEEN_BIT = ("I;16", "I;16B", "I;16L")
 _HIGHEST_ID, _UNIFORM = 40, 0.8
@@ -35,7 +35,7 @@ def _is_stack(array: npt.NDArray[Any]) -> bool:
     return array.ndim == 4 and array.shape[3] == 3 and array.dtype == np.uint8
 
 
-find_image_files = partial(find_frames, FileKind("images", SUFFIXES, _is_stack))
+find_image_files = partial(find_frames, FileKind("images", IMAGE_SUFFIXES, _is_stack))
 """The images of sources, also videos and ROS bags; see `find_frames`. A ``.npy`` stack is
 ``(N, H, W, 3)``."""
 

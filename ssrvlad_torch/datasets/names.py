@@ -9,6 +9,7 @@ from urllib.parse import unquote
 
 from ..files import is_uri
 
+IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff", ".ppm", ".npy")
 BAG_SUFFIXES = (".bag", ".mcap", ".db3")
 VIDEO_SUFFIXES = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi", ".ts", ".mts")
 

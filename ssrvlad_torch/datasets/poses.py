@@ -10,17 +10,15 @@ two may be empty or missing. The heading is in degrees clockwise from north.
 import csv
 import io
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
+from unicodedata import normalize
 
 from PIL import ExifTags, Image
 
 from ..files import read_text, replacing, requiring
-
-_KILOMETRE = 1 / 111.2
-"""Degrees of latitude."""
 
 FILE_NAME = "poses.csv"
 
@@ -54,46 +52,76 @@ def parse_number(text: str) -> float:
     return number
 
 
-def read_poses(path: Path) -> dict[str, Pose]:
-    """Poses by frame, an id ``<sequence>/<name>`` or only a name, of the columns ``frame``, ``x``,
-    ``y`` and optionally ``heading``; or ``frame``, ``latitude`` and ``longitude`` in degrees and
-    optionally ``course``, in degrees clockwise from north. A missing column, more cells than
-    columns, a value that is no number, and one NaN of two coordinates are a ValueError that names
-    file and line."""
+class Projection:
+    """Positions of GPS (WGS 84) as poses in metres of UTM, all in one zone: of the zones around the
+    first position that in which it is nearest to a pose that is known, of the map for example;
+    without one, its own. Needs the extra ``gps``."""
+
+    def __init__(self, known: Callable[[], Pose] = lambda: UNKNOWN) -> None:
+        self._known = known
+        self._zone: tuple[int, bool] | None = None
+
+    def pose(self, fix: Fix) -> Pose:
+        """The pose at a position, unknown where it is NaN or, as receivers say without reception, 0
+        twice. One outside UTM is a ValueError; without the extra ``gps``, an ImportError."""
+        latitude, longitude, course = fix
+        if math.isnan(latitude) or math.isnan(longitude) or latitude == longitude == 0:
+            return UNKNOWN
+        with requiring("gps", "latitudes need"):
+            import utm
+        if self._zone is None:
+            number, known = utm.latlon_to_zone_number(latitude, longitude), self._known()
+            zones = [((number + d - 1) % 60 + 1, s) for d in (0, -1, 1) for s in (True, False)]
+            zones.sort(key=lambda zone: zone != (number, latitude >= 0))
+            if not math.isnan(known.x):
+                zones.sort(key=lambda z: math.dist(_utm(latitude, longitude, z), known[:2]))
+            self._zone = zones[0]
+        return Pose(*_utm(latitude, longitude, self._zone), heading_of_course(course))
+
+
+def _utm(latitude: float, longitude: float, zone: tuple[int, bool]) -> tuple[float, float]:
+    """Metres east and north in a zone: its number, and whether it is the northern one."""
+    import utm
+
+    number, is_northern = zone
+    east, north, *_ = utm.from_latlon(latitude, longitude, number, force_northern=is_northern)
+    return float(east), float(north)
+
+
+def read_poses(path: Path, projection: Projection | None = None) -> dict[str, Pose]:
+    """Poses by frame, an id ``<sequence>/<name>`` or only a name, in Unicode's form NFC; of the
+    columns ``frame``, ``x``, ``y`` and optionally ``heading``; or ``frame``, ``latitude`` and
+    ``longitude`` in degrees and optionally ``course``, in degrees clockwise from north. A missing
+    column, more cells than columns, a value that is no number, and one NaN of two coordinates are a
+    ValueError that names file and line."""
     rows = csv.DictReader(io.StringIO(read_text(path)), restval="", skipinitialspace=True)
-    positions: dict[str, tuple[float, ...]] = {}
+    poses, projection = dict[str, Pose](), projection or Projection()
     try:
         columns = rows.fieldnames or ()
         if repeated := next((column for column in columns if columns.count(column) > 1), ""):
             raise ValueError(f"two columns {repeated!r}")
         is_gps = {"frame", "latitude", "longitude"} <= set(columns)
-        names = Fix._fields if is_gps else Pose._fields  # the last may be empty, which is NaN
         missing = {"frame", "x", "y"} - set(columns)
         if missing and not is_gps:
             raise ValueError(f"no column {min(missing)!r}; expected frame,x,y,heading")
+        first, second, third = Fix._fields if is_gps else Pose._fields
         for row in rows:
             if any(more := row.get(None, ())):  # as by decimal commas, not by one at the end
                 raise ValueError(f"more cells than columns: {','.join(more)}")
-            numbers = []
-            for column in names:
-                text = row.get(column) or ""
-                is_missing = not text and column == names[-1]
-                numbers.append(math.nan if is_missing else parse_number(text))
-            if math.isnan(numbers[0]) != math.isnan(numbers[1]):
-                x, y = (f"{column} is {row[column]}" for column in names[:2])
-                raise ValueError(f"{x} and {y}; expected two numbers, or nan twice")
-            position = tuple(numbers)
-            if is_gps:
-                poses_of_fixes([Fix(*position)])
-            earlier = positions.setdefault(row["frame"], position)
-            if repr(earlier) != repr(position):  # as text, NaN equals NaN
+            x, y = parse_number(row[first]), parse_number(row[second])
+            direction = parse_number(row.get(third) or "nan")
+            if math.isnan(x) != math.isnan(y):
+                raise ValueError(
+                    f"{first} is {row[first]} and {second} is {row[second]}; "
+                    "expected two numbers, or nan twice"
+                )
+            pose = projection.pose(Fix(x, y, direction)) if is_gps else Pose(x, y, direction)
+            earlier = poses.setdefault(normalize("NFC", row["frame"]), pose)
+            if repr(earlier) != repr(pose):  # as text, NaN equals NaN
                 raise ValueError(f"frame {row['frame']!r} has two positions")
-        if is_gps:
-            fixes = [Fix(*position) for position in positions.values()]
-            return dict(zip(positions, poses_of_fixes(fixes), strict=True))
-        return {frame: Pose(*position) for frame, position in positions.items()}
     except (csv.Error, ValueError) as error:
         raise ValueError(f"{path} line {rows.line_num}: {error}") from error
+    return poses
 
 
 def write_poses(path: Path, poses: Mapping[str, Pose]) -> None:
@@ -104,31 +132,6 @@ def write_poses(path: Path, poses: Mapping[str, Pose]) -> None:
         rows.writerows((frame, *pose) for frame, pose in poses.items())
 
 
-def poses_of_fixes(fixes: Sequence[Fix]) -> list[Pose]:
-    """Poses of one drive: metres of UTM, east and north; unknown where a position is NaN. One
-    outside UTM, or within 1 km of the border of a zone, across which coordinates of other drives
-    would not compare, is a ValueError; without the extra ``gps``, an ImportError."""
-    with requiring("gps", "latitudes need"):
-        import utm
-    poses, zones = list[Pose](), set[tuple[int, bool]]()
-    for latitude, longitude, course in fixes:
-        if math.isnan(latitude) or math.isnan(longitude):
-            poses.append(UNKNOWN)
-            continue
-        east, north, _, _ = utm.from_latlon(latitude, longitude)
-        poses.append(Pose(float(east), float(north), heading_of_course(course)))
-        # the zones there, and about 1 km from there in each direction
-        wide = _KILOMETRE / max(math.cos(math.radians(latitude)), _KILOMETRE)
-        for up, right in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)):
-            north, east = latitude + up * _KILOMETRE, longitude + right * wide
-            zones.add((utm.latlon_to_zone_number(north, east), north < 0))
-    if len(zones) > 1:
-        raise ValueError(
-            "the drive comes within 1 km of the border of a UTM zone; expected x and y in metres"
-        )
-    return poses
-
-
 def heading_of_course(course: float) -> float:
     """The heading in radians, counter-clockwise from +x (east), of a course in degrees clockwise
     from north. The difference between grid north and true north, up to 3 degrees, is ignored."""
@@ -136,12 +139,14 @@ def heading_of_course(course: float) -> float:
 
 
 def read_exif(file: BinaryIO) -> Fix | None:
-    """The position and direction in the EXIF tags of an image; ``None`` without a position. A
+    """The position and direction in the EXIF tags of an image; ``None`` without a valid position. A
     direction from magnetic north is ignored."""
     tag = ExifTags.GPS
     try:
         with Image.open(file) as image:
             tags = image.getexif().get_ifd(ExifTags.IFD.GPSInfo)
+        if tags.get(tag.GPSStatus) == "V":  # void: no reception
+            return None
         latitude = _degrees(tags[tag.GPSLatitude], tags[tag.GPSLatitudeRef])
         longitude = _degrees(tags[tag.GPSLongitude], tags[tag.GPSLongitudeRef])
         is_true = tags.get(tag.GPSImgDirectionRef, "T") == "T"

@@ -1,13 +1,10 @@
-"""Poses of one drive in files of KITTI, TUM, GPX and NMEA 0183, and the poses of its frames.
-
-GPX and NMEA need the extra ``gps``.
-"""
+"""Poses of one sequence in files of KITTI, TUM and GPX, and the poses of its frames."""
 
 import math
 from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime, time
+from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
 
@@ -15,10 +12,11 @@ import numpy as np
 
 from ..files import naming, read_text, requiring
 from .camera_poses import Y_DOWN, Z_UP, optical_axis, words_of
-from .poses import UNKNOWN, Fix, Pose, parse_number, poses_of_fixes
+from .poses import UNKNOWN, Fix, Pose, Projection, parse_number
 
 _KITTI, _TUM = 12, 8
-_MOST_SECONDS = 0.02
+"""Numbers in a line."""
+_NEAREST_SECONDS = 0.02
 _GAP = 5.0
 """Seconds between two positions of a GPS receiver, up to which positions are interpolated; a
 receiver gives one a second."""
@@ -28,26 +26,22 @@ _UNITS = (1, 1e-3, 1e-6, 1e-9)
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Poses of one drive. A gap that is NaN or negative is a ValueError.
+    """Poses of one sequence.
 
     Attributes:
         poses: in order.
         stamps: time of each pose in seconds, increasing; empty if the n-th pose belongs to the
             n-th frame.
-        largest_gap: between two poses at most this many seconds apart a frame's pose is
-            interpolated, its heading along the shorter arc; elsewhere it is unknown. ``None``: the
-            nearest pose is used if it is at most 0.02 s away, as in TUM's own tools.
+        gap: between two poses at most this many seconds apart a frame's pose is interpolated, its
+            heading along the shorter arc; elsewhere it is unknown. ``None``: the nearest pose is
+            used if it is at most 0.02 s away, as in TUM's own tools.
         starts: places of poses before which nothing was recorded: none is interpolated there.
     """
 
     poses: list[Pose]
     stamps: list[float]
-    largest_gap: float | None = None
+    gap: float | None = None
     starts: frozenset[int] = frozenset()
-
-    def __post_init__(self) -> None:
-        if self.largest_gap is not None and not self.largest_gap >= 0:
-            raise ValueError(f"expected a largest gap of 0 seconds or more, got {self.largest_gap}")
 
     def of_frames(self, names: Sequence[str], stamps: Sequence[float] = ()) -> list[Pose]:
         """The pose of each frame: the n-th pose, or, if poses have stamps, the pose at its time,
@@ -60,9 +54,9 @@ class Trajectory:
                 expected = f"expected {len(self.poses)} frames, one per pose"
                 raise ValueError(f"{expected}, got {len(names)}")
             return self.poses
-        drives = [self._reached(times) for times in _times_of(names, stamps)]
-        most = max(count for count, _ in drives)
-        best = [poses for count, poses in drives if count == most]
+        by_unit = [self._reached(times) for times in _times_of(names, stamps)]
+        most = max(count for count, _ in by_unit)
+        best = [poses for count, poses in by_unit if count == most]
         if not most or any(poses != best[0] for poses in best):
             problem = "several units of time fit" if most else "no pose is near in time to"
             raise ValueError(
@@ -74,22 +68,22 @@ class Trajectory:
 
     def _reached(self, times: Sequence[float]) -> tuple[int, list[Pose]]:
         """How much of the trajectory some times reach, and the poses then: in too small a unit all
-        frames of a drive are near its first pose."""
+        frames of a sequence are near its first pose."""
         poses = [self._at(time) for time in times]
-        known = (time for time, pose in zip(times, poses, strict=True) if pose is not UNKNOWN)
-        return len({bisect_left(self.stamps, time) for time in known}), poses
+        posed = (time for time, pose in zip(times, poses, strict=True) if pose is not UNKNOWN)
+        return len({bisect_left(self.stamps, time) for time in posed}), poses
 
     def _at(self, time: float) -> Pose:
         after = bisect_left(self.stamps, time)  # the first pose that is not before the time
         around = range(max(0, after - 1), min(len(self.stamps), after + 1))
         nearest = min(around, key=lambda n: abs(self.stamps[n] - time))
-        if self.largest_gap is None:
-            near = abs(self.stamps[nearest] - time) <= _MOST_SECONDS
+        if self.gap is None:
+            near = abs(self.stamps[nearest] - time) <= _NEAREST_SECONDS
             return self.poses[nearest] if near else UNKNOWN
         if self.stamps[nearest] == time:
             return self.poses[nearest]
         seconds = self.stamps[around[-1]] - self.stamps[around[0]]
-        if len(around) == 1 or seconds > self.largest_gap or after in self.starts:
+        if len(around) == 1 or seconds > self.gap or after in self.starts:
             return UNKNOWN
         before, following = self.poses[after - 1], self.poses[after]
         fraction = (time - self.stamps[after - 1]) / seconds
@@ -118,19 +112,19 @@ def _times_of(names: Sequence[str], stamps: Sequence[float]) -> list[Sequence[fl
     return times
 
 
-def read_trajectory(path: Path, largest_gap: float | None = None) -> Trajectory:
-    """The trajectory in a GPX or NMEA file, by its suffix; or in a file of KITTI or TUM, recognised
-    by the count of numbers in a line. A file of another form is a ValueError that names the line.
+def read_trajectory(path: Path, projection: Projection | None = None) -> Trajectory:
+    """The trajectory in a GPX file, by its suffix; or in a file of KITTI or TUM, recognised by the
+    count of numbers in a line. A file of another form is a ValueError that names the line.
 
     KITTI: twelve numbers, the matrix ``(3, 4)`` from the camera to the world of the first camera (x
     to the right, y down, z ahead). TUM: ``time x y z qx qy qz qw``, the camera in a world whose z
-    is up. The heading is the direction of the camera's z axis. GPX and NMEA: east and north in
-    metres of UTM; the heading is the course, unknown where the file has none. The largest gap, see
-    `Trajectory`, is 5 s for these by default; between segments of GPX no gap is bridged.
+    is up. The heading is the direction of the camera's z axis. GPX, which needs the extra ``gps``:
+    east and north in metres of UTM; the heading is the course, unknown where the file has none;
+    between its segments nothing is interpolated.
     """
     text = read_text(path)
-    if path.suffix.lower() in (".gpx", ".nmea"):
-        return _read_track(path, text, _GAP if largest_gap is None else largest_gap)
+    if path.suffix.lower() == ".gpx":
+        return _read_gpx(path, text, projection or Projection())
     poses, stamps = list[Pose](), list[float]()
     for place, words in words_of(path, text.replace(",", " ")):
         with naming(place):
@@ -138,10 +132,10 @@ def read_trajectory(path: Path, largest_gap: float | None = None) -> Trajectory:
             if len(numbers) == _KITTI:
                 poses.append(Y_DOWN.pose(numbers[3::4], numbers[2::4]))
             elif len(numbers) == _TUM:
-                x, y, z, w = numbers[4:]
+                time, x, y, z, *(i, j, k, real) = numbers
                 # the file holds camera to world, `optical_axis` expects the inverse
-                poses.append(Z_UP.pose(numbers[1:4], optical_axis((w, -x, -y, -z))))
-                stamps.append(numbers[0])
+                poses.append(Z_UP.pose((x, y, z), optical_axis((real, -i, -j, -k))))
+                stamps.append(time)
             else:
                 raise ValueError(f"expected 12 numbers (KITTI) or 8 (TUM), got {len(numbers)}")
     in_order = all(before <= after for before, after in pairwise([*stamps, math.inf]))
@@ -149,29 +143,24 @@ def read_trajectory(path: Path, largest_gap: float | None = None) -> Trajectory:
         raise ValueError(f"{path}: expected lines of 8 numbers in order of time")
     if not poses:
         raise ValueError(f"{path} holds no poses")
-    return Trajectory(poses, stamps, largest_gap)
+    return Trajectory(poses, stamps)
 
 
-def _read_track(path: Path, text: str, gap: float) -> Trajectory:
-    """The positions of a GPS receiver: the track points of a GPX file, or the RMC sentences of an
-    NMEA file with a valid position. A point without a time, and times out of order are a
-    ValueError."""
-    is_gpx = path.suffix.lower() == ".gpx"
+def _read_gpx(path: Path, text: str, projection: Projection) -> Trajectory:
     with requiring("gps", f"{path} needs"), naming(path):
-        points = list((_of_gpx if is_gpx else _of_nmea)(text))
-    if not points:
-        expected = "track points" if is_gpx else "RMC sentences"
-        raise ValueError(f"{path} holds no positions; expected {expected}")
-    segments, times, fixes = zip(*points, strict=True)
-    for number, (before, after) in enumerate(pairwise(times), 2):
-        if after < before:
-            raise ValueError(f"{path}: position {number} is earlier than the one before it")
-    starts = (n for n, (a, b) in enumerate(pairwise(segments), 1) if a != b)
-    with naming(path):
-        return Trajectory(poses_of_fixes(fixes), list(times), gap, frozenset(starts))
+        points = list(_track_points(text))
+        if not points:
+            raise ValueError("holds no positions; expected track points")
+        segments, times, fixes = zip(*points, strict=True)
+        for number, (before, after) in enumerate(pairwise(times), 2):
+            if after < before:
+                raise ValueError(f"position {number} is earlier than the one before it")
+        starts = (n for n, (a, b) in enumerate(pairwise(segments), 1) if a != b)
+        poses = list(map(projection.pose, fixes))
+    return Trajectory(poses, list(times), _GAP, frozenset(starts))
 
 
-def _of_gpx(text: str) -> Iterator[tuple[int, float, Fix]]:
+def _track_points(text: str) -> Iterator[tuple[int, float, Fix]]:
     """Number of the segment, seconds since 1970 UTC, and position of each point."""
     import gpxpy
 
@@ -180,37 +169,9 @@ def _of_gpx(text: str) -> Iterator[tuple[int, float, Fix]]:
     segments = (segment for track in gpxpy.parse(text).tracks for segment in track.segments)
     points = ((n, point) for n, segment in enumerate(segments) for point in segment.points)
     for number, (segment, point) in enumerate(points, 1):
-        if point.time is None:
+        time: datetime | None = point.time
+        if time is None:
             raise ValueError(f"point {number} has no time, as 2026-05-01T10:00:00Z")
+        time = time if time.tzinfo else time.replace(tzinfo=UTC)
         course = math.nan if point.course is None else float(point.course)
-        yield segment, _seconds(point.time), Fix(point.latitude, point.longitude, course)
-
-
-def _of_nmea(text: str) -> Iterator[tuple[int, float, Fix]]:
-    """The same of RMC sentences, which have position, course, time and date."""
-    import pynmea2
-
-    for number, line in enumerate(text.splitlines(), 1):
-        if line[3:6] != "RMC":
-            continue
-        with naming(f"line {number}"):
-            sentence = pynmea2.parse(line, check=True)
-            if sentence.status != "A":
-                continue
-            position = sentence.lat, sentence.lat_dir, sentence.lon, sentence.lon_dir
-            ways = sentence.lat_dir in ("N", "S") and sentence.lon_dir in ("E", "W")
-            if not (ways and sentence.lat and sentence.lon):  # the parser would say 0
-                raise ValueError(f"expected a position, got {','.join(position)}")
-            if any(float(angle) % 100 > 60 for angle in position[::2]):
-                raise ValueError(f"expected at most 60 minutes, got {','.join(position)}")
-            if not isinstance(sentence.timestamp, time):  # as in a leap second, 235960
-                raise ValueError(f"expected a time of day, got {sentence.timestamp}")
-            course = float(sentence.true_course or "nan")
-            fix = Fix(sentence.latitude, sentence.longitude, course)
-            seconds = _seconds(sentence.datetime)
-        yield 0, seconds, fix
-
-
-def _seconds(time: datetime) -> float:
-    """Seconds since 1970; a time without a zone is UTC."""
-    return (time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp()
+        yield segment, time.timestamp(), Fix(point.latitude, point.longitude, course)

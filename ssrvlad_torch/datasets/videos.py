@@ -86,7 +86,7 @@ class _Video:
         self._path, self._error, self._lock = path, av.error.FFmpegError, Lock()
         # a title that is not UTF-8 is no damage; PyAV 19 says so itself
         is_strict = int(av.__version__.partition(".")[0]) < 19
-        self._settings = {"metadata_errors": "replace"} if is_strict else {}
+        self._settings: dict[str, Any] = {"metadata_errors": "replace"} if is_strict else {}
         try:
             container, stream = self._opened()
             check_pixels(stream.height, stream.width)

@@ -1,11 +1,11 @@
-"""Source: the frames that a user means: folders, a data set or a database; maps or images."""
+"""Opening a selection of frames: first the network that labels them, then the frames."""
 
 import os
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -17,54 +17,23 @@ from ..datasets.image_files import find_image_files, read_image
 from ..datasets.label_files import find_label_files, read_label_map
 from ..datasets.layouts import open_dataset
 from ..datasets.names import KnownFolders
-from ..segmentation.networks import ACCEPT, AUTO, NamedNetwork, open_network, runs_code
+from ..datasets.poses import UNKNOWN, Pose, Projection
+from ..segmentation.networks import ACCEPT, AUTO, open_network, runs_code
 from ..segmentation.preparation import channels
 from ..segmentation.segmenter import Segmenter, space_of
 from ..taxonomy import LabelSpace, label_space
 from .results import Note, do_nothing
+from .selection import FrameSelection
 
-_OF_FILES = ("poses", "largest_gap", "topic", "fps", "every", "start", "segmenter", "classes")
-
-
-@dataclass(frozen=True)
-class Wanted:
-    """Which frames are wanted, as a user says it; ``ssrvlad encode --help`` explains every field.
-
-    Attributes:
-        posed: leave out frames of a data set without a pose; ``None``: if its ground truth is by
-            poses.
-    """
-
-    paths: Sequence[str]
-    labels_as: str | LabelSpace | None = None
-    layout: str | None = None
-    split: Sequence[str] | None = None
-    role: Literal["reference", "query"] | None = None
-    labels: Path | None = None
-    sequence: str | None = None
-    poses: str | None = None
-    largest_gap: float | None = None
-    topic: str | None = None
-    fps: float | None = None
-    every: int = 1
-    start: int = 0
-    segmenter: str | Segmenter | None = None
-    classes: str | None = None
-    segmenter_cache: Path | None = None
-    workers: int | None = None
-    posed: bool | None = False
-
-    def given(self, *names: str) -> list[str]:
-        """Those of these fields that are not at their defaults."""
-        return [name for name in names if getattr(self, name) != getattr(Wanted, name)]
+_OF_FILES = ("poses", "topic", "fps", "every", "start", "segmenter", "classes")
 
 
 @dataclass(frozen=True)
-class Source:
-    """Frames on disk, or those of a database, and what is known before the first is read.
+class SelectedFrames:
+    """The frames of a selection, before the first is read.
 
     Attributes:
-        wanted: what the user said.
+        selection: what the user said.
         labels_as: label space of the label maps; empty for images that are not labelled.
         files: the frames: label maps, or images with a segmenter.
         segmenter: labels images.
@@ -73,7 +42,7 @@ class Source:
         known: folders whose sequences already have a name, see `sequence_names`.
     """
 
-    wanted: Wanted
+    selection: FrameSelection
     labels_as: str | LabelSpace = ""
     files: Sequence[FrameFile] = ()
     segmenter: Segmenter | None = None
@@ -82,66 +51,61 @@ class Source:
     known: KnownFolders = ()
 
 
-def open_source(
-    wanted: Wanted,
+def open_frames(
+    selection: FrameSelection,
     database: Database | None = None,
     *,
+    network: str | Segmenter | None = None,
+    labels_as: str | LabelSpace | None = None,
     compared: bool = False,
     images: bool = False,
     live: bool = False,
     opened: Segmenter | None = None,
     note: Note = do_nothing,
-) -> Source:
-    """The source, before its first frame is read.
+) -> SelectedFrames:
+    """The frames of a selection, before the first is read.
 
     Args:
-        wanted: which frames.
+        selection: which frames.
         database: with which they are ``compared``, and where they may be a database themselves, or
             to which they are added.
+        network, labels_as: used where the selection names neither.
         images: the frames can only be images.
         live: the names of the files come later, one by one.
         opened: the network of the database, if it was opened before.
-        note: gets what a data set lacks, and the network that labels pictures if the user names
-            none.
+        note: gets what a data set lacks, tables of poses that fit no frame, and the network that
+            labels pictures if the user names none.
 
     Raises:
         ValueError: settings do not go together, there are no frames or no label space, or the
             network of the database cannot be opened or has changed.
     """
-    paths, dataset = wanted.paths, _open_dataset(wanted, note)
-    source = Source(wanted, dataset=dataset, known=database.folders() if database else ())
-    network: str | Segmenter | NamedNetwork | None = wanted.segmenter
-    labels_as = wanted.labels_as
-    if network and labels_as in (None, AUTO):
-        network = open_network(network) if isinstance(network, str) else network
-        labels_as = _space_of_network(network, labels_as, wanted.classes)
-    labels_as = labels_as or (dataset.labels_as if dataset else None)
-    if compared and len(paths) == 1 and Database.exists(paths[0]):
-        if unused := [f"--{name.replace('_', '-')}" for name in wanted.given(*_OF_FILES)]:
-            raise ValueError(f"{paths[0]} is a database: expected no {', '.join(unused)}")
-        space = _space(labels_as, database, compared, images)
-        return replace(source, labels_as=space, database=Database.open(paths[0]))
-    if database and not network and (images or not labels_as):
-        network, labels_as = _network_of_database(source, database, labels_as, images)
-        if network and not wanted.given("segmenter_cache", "classes"):
-            network = opened or network
-    if network and not labels_as and not database:
-        name = network if isinstance(network, str) else network.name
-        raise ValueError(f"{name} does not name its classes; give --labels-as")
-    space = _space(labels_as, database, compared, images)
-    segmenter = _segmenter(network, wanted, space, note) if space else None
-    if segmenter and database and not wanted.segmenter:
-        require_network(database, segmenter)
-        note(f"{segmenter.name}, the network of {database.path}, labels the pictures")
-    source = replace(source, labels_as=space, segmenter=segmenter)
+    if selection.segmenter or selection.labels_as:
+        network, labels_as = selection.segmenter, selection.labels_as
+    dataset = _dataset_of(selection, labels_as, note)
+    known = database.folders() if database else ()
+    frames = SelectedFrames(selection, dataset=dataset, known=known)
+    if compared and len(selection.paths) == 1 and Database.exists(selection.paths[0]):
+        if unused := [f"--{name.replace('_', '-')}" for name in selection.given(*_OF_FILES)]:
+            raise ValueError(f"{selection.paths[0]} is a database: expected no {', '.join(unused)}")
+        space = labels_as or _space_of_database(database, compared)
+        return replace(frames, labels_as=space or "", database=Database.open(selection.paths[0]))
+    projection = Projection(partial(_pose_in, database))
+    find = partial(_files_of, selection, dataset, known, projection)
+    space, segmenter = _labelling(
+        selection, database, dataset, network, labels_as, compared, images, opened,
+        lambda: found_by(find, find_image_files), note,
+    )  # fmt: skip
+    frames = replace(frames, labels_as=space or "", segmenter=segmenter)
     if live:
-        return source
-    find = find_image_files if images or source.segmenter else find_label_files
+        return frames
     try:
-        return replace(source, files=_find(wanted, dataset, source.known, find))
+        kind = find_image_files if images or segmenter else find_label_files
+        return replace(frames, files=find(kind, note))
     except ValueError:
+        paths = selection.paths
         only_images = (
-            not (dataset or source.segmenter or images)
+            not (dataset or segmenter or images)
             and not any(found_by(find_label_files, [path]) for path in paths)
             and found_by(find_image_files, paths)
         )
@@ -151,6 +115,59 @@ def open_source(
                 "labels them with --segmenter"
             ) from None
         raise
+
+
+def _labelling(
+    selection: FrameSelection,
+    database: Database | None,
+    dataset: Dataset | None,
+    network: str | Segmenter | None,
+    labels_as: str | LabelSpace | None,
+    compared: bool,
+    images: bool,
+    opened: Segmenter | None,
+    pictures: Callable[[], list[FrameFile]],
+    note: Note,
+) -> tuple[str | LabelSpace | None, Segmenter | None]:
+    """The label space of the frames, ``None`` for images that are not labelled, and the network
+    that labels them, ``None`` for label maps: by what the user says, else the network itself, the
+    data set, or the database, whose network labels what are no label maps."""
+    if isinstance(network, Segmenter):
+        return network.label_space if labels_as in (None, AUTO) else labels_as, network
+    is_own, taken = network is not None, channels(selection.classes)
+    named = open_network(network) if network else None
+    if named and labels_as in (None, AUTO):
+        has_names = labels_as or named.class_names or named.labels_as is not None
+        labels_as = space_of(named, AUTO, taken) if has_names else None
+    labels_as = labels_as or (dataset.labels_as if dataset else None)
+    if database and not named and (images or (not labels_as and _are_of(database, pictures))):
+        origin = origin_of(database)
+        labels_as = origin.label_space or label_space(database.config.labels_as)
+        if opened and not selection.given("segmenter_cache", "classes"):
+            require_network(database, opened)
+            note(f"{opened.name}, the network of {database.path}, labels the pictures")
+            return labels_as, opened
+        named = open_network(origin.network)
+    if named and not labels_as and not database:
+        raise ValueError(f"{named.name} does not name its classes; give --labels-as")
+    labels_as = labels_as or _space_of_database(database, compared)
+    if labels_as is None and not images:
+        raise ValueError("expected the label space of the label maps, --labels-as, got none")
+    if not named or labels_as is None:
+        if selection.segmenter_cache is not None:
+            raise ValueError("--segmenter-cache needs --segmenter")
+        return labels_as, None
+    cache = Path(selection.segmenter_cache) if selection.segmenter_cache else cache_folder()
+    segmenter = Segmenter.load(named, labels_as, cache, taken)
+    if named.assumed:
+        note(
+            f"{named.name} does not say how it wants pictures; assumed: {named.preparation} "
+            f"({ACCEPT}: true in a YAML file accepts that)"
+        )
+    if database and not is_own:
+        require_network(database, segmenter)
+        note(f"{segmenter.name}, the network of {database.path}, labels the pictures")
+    return labels_as, segmenter
 
 
 def cache_folder() -> Path:
@@ -190,72 +207,59 @@ def require_network(database: Database, segmenter: Segmenter) -> None:
         )
 
 
-def _open_dataset(wanted: Wanted, note: Note) -> Dataset | None:
-    """The data set, of the wanted split, role and poses; none without a layout."""
-    if wanted.layout and wanted.given("sequence", "poses", "topic", "fps"):
-        raise ValueError("--sequence, --poses, --topic and --fps do not go with --layout")
-    if wanted.largest_gap is not None and not wanted.poses:
-        raise ValueError("--largest-gap needs --poses")
-    if wanted.layout is None:
-        if wanted.split or wanted.role or wanted.labels:
+def _dataset_of(
+    selection: FrameSelection, labels_as: str | LabelSpace | None, note: Note
+) -> Dataset | None:
+    """The data set of the selection; none without a layout."""
+    if selection.layout is None:
+        if selection.split or selection.role or selection.labels:
             raise ValueError("--split, --role and --labels need --layout, such as --layout auto")
         return None
-    if len(wanted.paths) != 1:
+    if selection.given("sequence", "poses", "topic", "fps"):
+        raise ValueError("--sequence, --poses, --topic and --fps do not go with --layout")
+    if len(selection.paths) != 1:
         raise ValueError(
-            f"--layout: expected the folder of one data set, got {len(wanted.paths)} sources"
+            f"--layout: expected the folder of one data set, got {len(selection.paths)} sources"
         )
-    whole = open_dataset(wanted.paths[0], wanted.layout, wanted.labels, wanted.labels_as)
-    for warning in whole.select(wanted.split or (), wanted.role).warnings:
+    whole = open_dataset(selection.paths[0], selection.layout, selection.labels, labels_as)
+    for warning in whole.select(selection.split or (), selection.role).warnings:
         note(warning)
     return whole
 
 
-def _space_of_network(
-    network: Segmenter | NamedNetwork, labels_as: str | LabelSpace | None, classes: str | None
-) -> LabelSpace | None:
-    """The label space that a network names, if it names one."""
-    if isinstance(network, Segmenter):
-        return network.label_space
-    if labels_as or network.class_names or network.labels_as is not None:
-        return space_of(network, AUTO, channels(classes))
-    return None
-
-
-def _network_of_database(
-    source: Source, database: Database, labels_as: str | LabelSpace | None, images: bool
-) -> tuple[str | None, str | LabelSpace | None]:
-    """The name and the label space of the network that labelled the frames of a database, if the
-    source holds pictures."""
-    spaces = [origin.label_space for origin in database.origins.values() if origin.segmenter]
-    if not images:
-        where = source.wanted, source.dataset, source.known
-        if not (spaces and _are_pictures(found_by(_find, *where, find_image_files), spaces)):
-            return None, labels_as
-    origin = origin_of(database)
-    return origin.network, origin.label_space or label_space(database.config.labels_as)
-
-
-def _find(
-    wanted: Wanted,
+def _files_of(
+    selection: FrameSelection,
     dataset: Dataset | None,
     known: KnownFolders,
+    projection: Projection,
     find: Callable[..., list[FrameFile]],
+    note: Note = do_nothing,
 ) -> list[FrameFile]:
     """The frames that ``find`` finds, or those of the data set."""
     if dataset:
-        chosen, truth = dataset.select(wanted.split or (), wanted.role), dataset.truth
-        if wanted.posed or (wanted.posed is None and truth and truth.metres is not None):
+        chosen, truth = dataset.select(selection.split or (), selection.role), dataset.truth
+        by_poses = truth is not None and truth.metres is not None
+        if selection.posed or (selection.posed is None and by_poses):
             chosen = chosen.posed()
         of = chosen.image_files if find is find_image_files else chosen.label_files
-        return of(wanted.every, wanted.start)
-    names = ("sequence", "every", "start", "poses", "topic", "fps", "largest_gap")
-    settings = {name: getattr(wanted, name) for name in names}
-    return find([*wanted.paths], known=known, **settings)
+        return of(selection.every, selection.start)
+    names = ("sequence", "every", "start", "poses", "topic", "fps")
+    settings = {name: getattr(selection, name) for name in names}
+    return find([*selection.paths], known=known, projection=projection, note=note, **settings)
 
 
-def _are_pictures(files: Sequence[FrameFile], spaces: Sequence[LabelSpace | None]) -> bool:
-    """Whether the first file that can be read is no label map of any of the label spaces."""
-    for file in files:
+def _pose_in(database: Database | None) -> Pose:
+    """The first pose that a database has."""
+    table = database.known().table if database else None
+    rows = zip(*(table[name].to_pylist() for name in Pose._fields), strict=True) if table else ()
+    return next((Pose(*row) for row in rows if not np.isnan(row[0])), UNKNOWN)
+
+
+def _are_of(database: Database, pictures: Callable[[], list[FrameFile]]) -> bool:
+    """Whether frames are pictures for the network of a database: the first that can be read is no
+    label map of any of its label spaces."""
+    spaces = [origin.label_space for origin in database.origins.values() if origin.segmenter]
+    for file in pictures() if spaces else ():
         for space in filter(None, spaces):
             with suppress(ValueError):
                 ids = np.unique(read_label_map(file, space)).tolist()
@@ -267,45 +271,13 @@ def _are_pictures(files: Sequence[FrameFile], spaces: Sequence[LabelSpace | None
     return False
 
 
-def _space(
-    labels_as: str | LabelSpace | None, database: Database | None, compared: bool, images: bool
-) -> str | LabelSpace:
-    """The label space of the source, or else of a database; empty for images alone."""
-    if database and not labels_as:
-        spaces = database.label_spaces()
-        if len(spaces) > 1:
-            names = " and ".join(space.name for space in spaces)
-            raise ValueError(
-                f"{database.path} holds frames of {names}; choose one with --labels-as"
-            )
-        labels_as = spaces[0] if spaces else None
-    if labels_as is None and compared and database:
+def _space_of_database(database: Database | None, compared: bool) -> LabelSpace | None:
+    """The label space of all frames of a database, or where it has none of its settings, if frames
+    are compared with it. Several are a ValueError."""
+    spaces = database.label_spaces() if database else []
+    if database and len(spaces) > 1:
+        names = " and ".join(space.name for space in spaces)
+        raise ValueError(f"{database.path} holds frames of {names}; choose one with --labels-as")
+    if database and compared and not spaces:
         return label_space(database.config.labels_as)
-    if labels_as is None and not images:
-        raise ValueError("expected the label space of the label maps, --labels-as, got none")
-    return labels_as or ""
-
-
-def _segmenter(
-    network: str | Segmenter | NamedNetwork | None,
-    wanted: Wanted,
-    labels_as: str | LabelSpace,
-    note: Note,
-) -> Segmenter | None:
-    """The segmenter with its cache; ``None`` without a network."""
-    folder = wanted.segmenter_cache
-    if network is None:
-        if folder is not None:
-            raise ValueError("--segmenter-cache needs --segmenter")
-        return None
-    opened = open_network(network) if isinstance(network, str) else network
-    if isinstance(opened, Segmenter):
-        return opened
-    folder = folder or cache_folder()
-    segmenter = Segmenter.load(opened, labels_as, folder, channels(wanted.classes))
-    if opened.assumed:
-        note(
-            f"{opened.name} does not say how it wants pictures; assumed: {opened.preparation} "
-            f"({ACCEPT}: true in a YAML file accepts that)"
-        )
-    return segmenter
+    return spaces[0] if spaces else None

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..datasets.image_files import SUFFIXES
+from ..datasets.names import IMAGE_SUFFIXES as SUFFIXES
 from ..datasets.names import name_of
 from ..files import check_regular, npy_header, one_line, parse_npy, read_bytes, read_json, read_npz
 from .outcomes import Rows

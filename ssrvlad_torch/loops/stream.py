@@ -11,9 +11,10 @@ import torch
 
 from ..channels.channel import Network
 from ..database.database import Database
-from ..datasets.frame_files import FrameFile, with_poses
+from ..datasets.frame_files import FrameFile, with_pose
 from ..datasets.names import absolute, sequence_names
 from ..datasets.pose_tables import PoseTable
+from ..datasets.poses import Projection
 from ..descriptor import SSRVLAD
 from ..encoding.encoder import Describer, channels_to_store, check_segmenter, config_for, encode
 from ..encoding.plan import check_folder
@@ -85,7 +86,8 @@ def encode_as_they_come(
     check_segmenter(segmenter, detector.head, detector.channels)
     at_start, describer = frozenset(detector.frames), describer_of(detector)
     records, folders = (database.known(), database.folders()) if database else ({}, set())
-    find = functools.cache(PoseTable.of_folder)
+    projection = Projection()
+    find = functools.cache(lambda folder: PoseTable.of_folder(folder, projection))
 
     @functools.cache
     def sequence_of(folder: str) -> str:
@@ -104,7 +106,7 @@ def encode_as_they_come(
                 check_folder(file, records[frame])
             if frame in at_start:
                 continue
-            posed = [*with_poses([file], find)]
+            posed = [with_pose(file, find)]
         except ValueError as error:
             yield Skipped(frame, str(error))
             continue

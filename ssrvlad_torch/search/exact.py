@@ -15,7 +15,7 @@ from ..datasets.names import KnownFolders, check_sequences, name_of
 from ..descriptor import SSRVLAD
 from ..encoding.encoder import check_segmenter, encode_to_memory
 from ..encoding.results import Progress, Skipped, do_nothing
-from ..encoding.source import Source
+from ..encoding.source import SelectedFrames
 from ..recognition.comparison import Member
 from ..recognition.recognise import Recognised, Steps, recognise
 from ..recognition.sequences import runs
@@ -33,7 +33,7 @@ _ALONE = Steps(follow=None)
 
 def search(
     database: Database,
-    source: Source,
+    source: SelectedFrames,
     steps: Steps,
     top: int,
     temporal: int = 0,
@@ -157,7 +157,7 @@ def locate_view(
 
 def queries_of(
     database: Database,
-    source: Source,
+    source: SelectedFrames,
     channels: Sequence[Channel],
     columns: Sequence[int] = (),
     progress: Progress = do_nothing,
@@ -173,7 +173,7 @@ def queries_of(
     space, segmenter = label_space(source.labels_as), source.segmenter
     head = SSRVLAD(dataclasses.replace(database.config, labels_as=space))
     check_segmenter(segmenter, head, channels)
-    files, workers = source.files, source.wanted.workers
+    files, workers = source.files, source.selection.workers
     frames, skipped = encode_to_memory(
         channels, space, files, workers, progress, segmenter, columns
     )
@@ -190,7 +190,7 @@ def no_channels(database: Database, channels: Sequence[Channel]) -> ValueError:
 
 
 def _loaded(
-    database: Database, source: Source, other: Database, channels: Sequence[Channel]
+    database: Database, source: SelectedFrames, other: Database, channels: Sequence[Channel]
 ) -> tuple[FrameSet, list[Skipped], KnownFolders]:
     """The frames of another database, by some channels."""
     if other.fingerprint != database.fingerprint:
@@ -200,7 +200,7 @@ def _loaded(
         )
     if not {channel.column for channel in channels} <= set(other.columns):
         raise no_channels(database, channels)
-    frames, name = other.load(), source.wanted.sequence
+    frames, name = other.load(), source.selection.sequence
     used = {each.column.name: frames.channels[each.column.name] for each in channels}
     frames = dataclasses.replace(frames, channels=used)
     if name is None:

@@ -16,7 +16,7 @@ from ..database.frames import FrameRecord, FrameSet
 from ..datasets.frame_files import FrameFile, found_by
 from ..datasets.image_files import Pixels, find_image_files, read_image
 from ..datasets.label_files import find_label_files, read_label_map
-from ..encoding.source import Source
+from ..encoding.source import SelectedFrames
 from ..evaluation.outcomes import Rows
 from ..segmentation.segmenter import Segmenter
 from ..taxonomy import LabelSpace, colourise, label_space
@@ -41,7 +41,7 @@ class Material:
     channel: Channel
     references: FrameSet
     queries: Tensor
-    source: Source
+    source: SelectedFrames
 
     def part(self, queries: Rows) -> Self:
         """The same of the queries of these rows."""

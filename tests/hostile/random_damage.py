@@ -126,16 +126,8 @@ def trajectory(folder: Path) -> Reader:
 
 def track(folder: Path) -> Reader:
     point = b'<trkpt lat="48.5" lon="11.5"><time>1994-03-23T12:35:19Z</time></trkpt>'
-    good = [
-        b'<gpx version="1.1"><trk><trkseg>' + 2 * point + b"</trkseg></trk></gpx>",
-        2 * b"$GPRMC,123519,A,4807.038,N,01131.000,E,022.4,084.4,230394,003.1,W*6A\n",
-    ]
-
-    def read(path: Path) -> None:
-        is_gpx = b"gpx" in path.read_bytes()
-        read_trajectory(path.rename(path.with_suffix(".gpx" if is_gpx else ".nmea")))
-
-    return good, ".gpx", read
+    good = [b'<gpx version="1.1"><trk><trkseg>' + 2 * point + b"</trkseg></trk></gpx>"]
+    return good, ".gpx", read_trajectory
 
 
 def video(folder: Path) -> Reader:

@@ -4,7 +4,8 @@ import dataclasses
 from pathlib import Path
 from typing import Literal
 
-from ..options import Json, MaybePreset, SourceOptions, StoredChannels, option, switch
+from ...encoding.selection import FrameSelection
+from ..options import Json, MaybePreset, StoredChannels, option, switch
 from ..output import encoding_bar, finish, note, print_json, say
 
 Engine = Literal["local", "ray"]
@@ -14,7 +15,7 @@ _COMPLETE = "whole folders as SOURCE, without --fps, --every and --start"
 
 def encode(
     *,
-    source: SourceOptions,
+    source: FrameSelection,
     output: str = option(
         "Database to create or extend: a folder or a URI.", "--output", "-o", default=...
     ),
@@ -44,16 +45,15 @@ def encode(
     from ...files import is_uri
     from ...map import Map
 
-    wanted = source.wanted()
-    folders = all(is_uri(path) or Path(path).is_dir() for path in wanted.paths)
+    folders = all(is_uri(path) or Path(path).is_dir() for path in source.paths)
     # all frames of the folders are used, so that one without a file is gone
-    complete = folders and not wanted.given("fps", "every", "start", "layout")
+    complete = folders and not source.given("fps", "every", "start", "layout")
     if prune and not complete:
         raise ValueError(f"--prune needs {_COMPLETE}")
     if gpus and engine != "ray":
         raise ValueError("--gpus needs --engine ray and --segmenter")
     town = Map.open(output, preset=preset, channels=channel)
-    frames = town.source(wanted, note=note)
+    frames = town.source(source, note=note)
     with encoding_bar(frames.files) as bar:
         options = EncodeOptions(source.workers, complete, prune, bar.advance, bar.skip, gpus)
         summary = town.add(frames, options, engine, note)

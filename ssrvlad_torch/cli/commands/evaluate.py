@@ -1,13 +1,14 @@
 """``ssrvlad evaluate``."""
 
+from dataclasses import replace
 from pathlib import Path
 
+from ...encoding.selection import FrameSelection
 from ..options import (
     AsOf,
     DatabaseFolder,
     Json,
     RecognitionOptions,
-    SourceOptions,
     TruthOptions,
     option,
 )
@@ -17,7 +18,7 @@ from ..output import encoding_bar, finish, note, print_json, say
 def evaluate(
     *,
     database: DatabaseFolder,
-    source: SourceOptions,
+    source: FrameSelection,
     recognition: RecognitionOptions,
     truth: TruthOptions,
     as_of: AsOf = None,
@@ -45,7 +46,7 @@ def evaluate(
         check_output(report)
     town = Map.open(database, version=as_of)
     by_poses = None if truth.definition == (None,) * 4 else truth.tolerance_metres is not None
-    frames = town.source(source.wanted(by_poses), compared=True, note=note)
+    frames = town.source(replace(source, posed=by_poses), compared=True, note=note)
     with encoding_bar(frames.files, then="recognising") as bar:
         evaluation = town.evaluate(
             frames,

@@ -2,7 +2,8 @@
 
 from pathlib import Path
 
-from ..options import NETWORK, Classes, Preset, argument, option
+from ...encoding.selection import NETWORK
+from ..options import Classes, Preset, argument, option
 from ..output import say
 
 

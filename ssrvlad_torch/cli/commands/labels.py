@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ...encoding.selection import NETWORK
 from ...files import read_yaml
-from ..options import NETWORK, Json, argument, option, switch
+from ..options import Json, argument, option, switch
 from ..output import print_json, print_table, say
 
 if TYPE_CHECKING:

@@ -2,13 +2,14 @@
 
 import math
 
-from ..options import Json, RecognitionOptions, SourceOptions, option
+from ...encoding.selection import FrameSelection
+from ..options import Json, RecognitionOptions, option
 from ..output import encoding_bar, finish, note, print_json, say
 
 
 def locate(
     *,
-    source: SourceOptions,
+    source: FrameSelection,
     database: str = option("Database of known places.", "--in", default=...),
     recognition: RecognitionOptions,
     as_json: Json = False,
@@ -25,7 +26,7 @@ def locate(
     from ..words import steps_in_words
 
     town = Map.open(database)
-    frames = town.source(source.wanted(), compared=True, images=True, note=note)
+    frames = town.source(source, compared=True, images=True, note=note)
     with encoding_bar(frames.files, then="recognising") as bar:
         settings = recognition.settings()
         answers = town.query(frames, recognition.steps(), 1, progress=bar.advance, **settings)

@@ -9,22 +9,23 @@ from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ...encoding.selection import FrameSelection
 from ...evaluation.loops import EVEN
 from ...evaluation.metrics import fraction
 from ...evaluation.thresholds import SURE_PRECISION, queries_needed
 from ...loops.config import LoopConfig
-from ..options import Json, MaybePreset, SourceOptions, StoredChannels, option
+from ..options import Json, MaybePreset, StoredChannels, option
 from ..output import finish, note, print_json, say, weights_in_words
 
 if TYPE_CHECKING:
     from ...database.database import Database
     from ...encoding.results import Encoded, Skipped
-    from ...encoding.source import Source
+    from ...encoding.source import SelectedFrames
     from ...loops.detector import LoopDetector
     from ...loops.result import LoopResult
 
 STDIN = "-"
-LEFT_OUT = ("layout", "poses", "largest_gap", "topic", "fps", "every", "start")
+LEFT_OUT = ("layout", "poses", "topic", "fps", "every", "start")
 """Options that do not go with names on stdin."""
 
 _MEMORY = "Database to store the frames in; one that exists is continued where it was."
@@ -32,7 +33,7 @@ _MEMORY = "Database to store the frames in; one that exists is continued where i
 
 def loops(
     *,
-    source: SourceOptions,
+    source: FrameSelection,
     exclude: int = option(
         "Number of most recent frames that are no candidates.", default=LoopConfig.exclude, min=0
     ),
@@ -56,21 +57,21 @@ def loops(
     Example: ssrvlad loops maps/monday --labels-as camvid-11 --picture loops.png
     """
     from ...database.database import Database
-    from ...encoding.source import open_source
+    from ...encoding.source import open_frames
     from ...files import require_picture
     from ...loops import stream
 
-    live, wanted = STDIN in source.paths, source.wanted()
-    if live and (len(wanted.paths) > 1 or wanted.given(*LEFT_OUT)):
+    live = STDIN in source.paths
+    if live and (len(source.paths) > 1 or source.given(*LEFT_OUT)):
         raise ValueError(
-            f"SOURCE {STDIN} takes no other SOURCE, no --layout, --poses, --largest-gap, --topic, "
+            f"SOURCE {STDIN} takes no other SOURCE, no --layout, --poses, --topic, "
             "--fps, --every and --start"
         )
     config = LoopConfig(exclude, threshold, sweep)
     stored = Database.open(memory) if memory and Database.exists(memory) else None
     if picture:
         require_picture(picture)
-    opened = open_source(wanted, stored, live=live, note=note)
+    opened = open_frames(source, stored, live=live, note=note)
     network = opened.labels_as, opened.segmenter
     detector, database = stream.open_detector(config, memory, preset, *network, channel, note)
     frames = _described(detector, opened, database, live)
@@ -87,19 +88,19 @@ def loops(
 
 
 def _described(
-    detector: LoopDetector, source: Source, database: Database | None, live: bool
+    detector: LoopDetector, source: SelectedFrames, database: Database | None, live: bool
 ) -> Iterator[Encoded | Skipped]:
     """The frames of a source; if ``live``, those whose names arrive on stdin."""
     from ...encoding.plan import check_folders
     from ...loops.stream import encode_as_they_come, encode_files
 
-    wanted, segmenter = source.wanted, source.segmenter
+    selection, segmenter = source.selection, source.segmenter
     if live:
         names = map(os.fsdecode, sys.stdin.buffer)
-        return encode_as_they_come(detector, names, wanted.sequence, segmenter, database)
+        return encode_as_they_come(detector, names, selection.sequence, segmenter, database)
     if database:
         check_folders(source.files, database.known())
-    return encode_files(detector, source.files, wanted.workers, segmenter)
+    return encode_files(detector, source.files, selection.workers, segmenter)
 
 
 def _printed(

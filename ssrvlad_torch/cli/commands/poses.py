@@ -2,13 +2,14 @@
 
 from pathlib import Path
 
-from ..options import SourceOptions, option
+from ...encoding.selection import FrameSelection
+from ..options import option
 from ..output import note, say
 
 
 def poses(
     *,
-    source: SourceOptions,
+    source: FrameSelection,
     output: Path = option(
         "poses.csv to write, or new folder for pictures with @UTM@ names.",
         "--output",
@@ -25,9 +26,9 @@ def poses(
 
     from ...datasets.image_files import write_pictures
     from ...datasets.poses import write_poses
-    from ...encoding.source import open_source
+    from ...encoding.source import open_frames
 
-    files = open_source(source.wanted(), images=True, note=note).files
+    files = open_frames(source, images=True, note=note).files
     posed = [file for file in files if not math.isnan(file.pose.x)]
     if not posed:
         raise ValueError(f"{' '.join(source.paths)}: no frame has a pose")

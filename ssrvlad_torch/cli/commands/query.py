@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from ..options import AsOf, DatabaseFolder, Json, RecognitionOptions, SourceOptions, option
+from ...encoding.selection import FrameSelection
+from ..options import AsOf, DatabaseFolder, Json, RecognitionOptions, option
 from ..output import encoding_bar, finish, note, print_json, say
 
 if TYPE_CHECKING:
@@ -15,7 +16,7 @@ if TYPE_CHECKING:
 def query(
     *,
     database: DatabaseFolder,
-    source: SourceOptions,
+    source: FrameSelection,
     recognition: RecognitionOptions,
     top: int = option("Number of candidates of each query.", default=5, min=1),
     threshold: float | None = option(
@@ -46,7 +47,7 @@ def query(
 
     settings = {**recognition.settings(), "sequences": from_sequence, "exclude": exclude}
     town = Map.open(database, version=as_of)
-    frames = town.source(source.wanted(), compared=True, note=note)
+    frames = town.source(source, compared=True, note=note)
     with encoding_bar(frames.files, then="recognising") as bar:
         answers = town.query(frames, recognition.steps(), top, **settings, progress=bar.advance)
     _print(answers, threshold, as_json)

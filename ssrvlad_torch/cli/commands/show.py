@@ -2,7 +2,8 @@
 
 from pathlib import Path
 
-from ..options import NETWORK, Classes, Preset, argument, option
+from ...encoding.selection import NETWORK, FrameSelection
+from ..options import Classes, Preset, argument, option
 from ..output import note, say
 
 
@@ -26,12 +27,12 @@ def show(
     from ...datasets.image_files import read_image
     from ...datasets.label_files import LabelMap, read_label_map
     from ...descriptor import SSRVLAD
-    from ...encoding.source import Wanted, open_source
+    from ...encoding.source import open_frames
     from ...files import require_picture, write_picture
 
     require_picture(output)
-    wanted = Wanted([str(frame)], labels_as, segmenter=segmenter, classes=classes)
-    source = open_source(wanted, note=note)
+    selection = FrameSelection([str(frame)], labels_as, segmenter=segmenter, classes=classes)
+    source = open_frames(selection, note=note)
     head = SSRVLAD.from_preset(preset, labels_as=source.labels_as)
     if len(source.files) != 1:
         raise ValueError(f"{frame}: expected one frame, got {len(source.files)}")

@@ -1,0 +1,80 @@
+"""FrameSelection: the frames that a user means. This module imports no torch."""
+
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+NETWORK = (
+    "FILE.onnx, FILE.yaml (a network and its settings), hf:ORG/NAME[@REVISION], a folder, "
+    "torchhub:REPO/MODEL or MODULE:NAME."
+)
+
+
+def _option(help: str, default: object = None, **settings: Any) -> Any:
+    return field(default=default, metadata={"help": help, "flags": (), **settings})
+
+
+@dataclass(frozen=True)
+class FrameSelection:
+    """Where frames come from, which of them are used, and how images become label maps. Each field
+    is an option of the command line, whose help says what it means; but ``posed``: leave out frames
+    of a data set without a pose, ``None`` if its ground truth is by poses.
+
+    Examples:
+        >>> town.query(FrameSelection(["drive.mp4"], fps=2.0, poses="drive.gpx"))  # doctest: +SKIP
+    """
+
+    paths: list[str] = field(
+        metadata={
+            "help": "Folders, globs or files of label maps; with --segmenter also images, videos "
+            "and ROS bags. Each folder, video and bag is one sequence.",
+            "metavar": "SOURCE...",
+        }
+    )
+    labels_as: str | None = _option(
+        "Label space of the ids: a name, a .yaml file, or auto (by the class names of the "
+        "segmenter). Default: the one of the segmenter, else of the data set, else of the "
+        "database."
+    )
+    layout: str | None = _option(
+        "SOURCE is the folder of a data set with this layout: auto (recognised), extended-cmu, "
+        "robotcar-seasons, synthia, cityscapes, camvid, vpr-bench or folders."
+    )
+    split: list[str] | None = _option(
+        "With --layout: sequence to use; * stands for any text; can be repeated."
+    )
+    role: Literal["reference", "query"] | None = _option(
+        "With --layout: use only the references, or only the queries."
+    )
+    labels: str | None = _option(
+        "With --layout: folder of label maps to use instead of those of the data set."
+    )
+    sequence: str | None = _option(
+        "Name of the sequence. Default: the name that the database has for the folder, else the "
+        "shortest end of its path that no other folder has."
+    )
+    poses: str | None = _option(
+        "Poses of the frames: a .csv file, a KITTI, TUM or .gpx file, or exif. Default: poses.csv "
+        "in or beside the folder, or the @UTM@ fields of file names."
+    )
+    topic: str | None = _option("Image topic of a ROS bag; needed only if the bag has several.")
+    fps: float | None = _option("Use at most this many frames in a second of a video or bag.")
+    every: int = _option("Use every N-th frame of a sequence.", default=1, min=1)
+    start: int = _option("Number of the first frame of a sequence to use.", default=0, min=0)
+    segmenter: str | None = _option(
+        f"Segmentation network that labels images: {NETWORK} Default: the network that made the "
+        "database."
+    )
+    classes: str | None = _option(
+        "Channels of the network to use, FIRST:LAST without LAST, such as 0:19."
+    )
+    segmenter_cache: str | None = _option(
+        "Folder that caches the segmenter's label maps. Default: ~/.cache/ssrvlad."
+    )
+    workers: int | None = _option(
+        "Number of frames to encode at the same time. Default: one for each core.", min=1
+    )
+    posed: bool | None = False
+
+    def given(self, *names: str) -> list[str]:
+        """Those of these fields that are not at their defaults."""
+        return [name for name in names if getattr(self, name) != getattr(FrameSelection, name)]
