@@ -39,6 +39,7 @@ class Plan:
         digests: digests of the label maps in the database, of frames to encode again, by frame id.
         already_there: number of frames that are up to date.
         gone: ids of frames in the database from the same folders, whose file does not exist.
+        refused: frames whose names are no ids.
     """
 
     files: list[FrameFile]
@@ -46,11 +47,12 @@ class Plan:
     digests: dict[str, str]
     already_there: int
     gone: list[str]
+    refused: list[Skipped]
 
     @classmethod
     def of(cls, files: Sequence[FrameFile], database: Database, origin: Origin) -> Plan:
-        """The plan for files whose label maps have an origin; errors as for `check_folders` and
-        `FrameRecord.of_id`, or a file is a frame of another sequence."""
+        """The plan for files whose label maps have an origin; errors as for `check_folders`, or a
+        file is a frame of another sequence."""
         known, changes = database.known(), dict[str, str]()
         digest = origin.label_space and origin.label_space.digest
         for key, stored in database.origins.items():
@@ -62,12 +64,16 @@ class Plan:
         if any(file.named for file in files):
             _check_names(files, known)
         todo, reasons, digests = list[FrameFile](), dict[str, str](), dict[str, str]()
+        refused = list[Skipped]()
         for file in files:
             record = known.get(file.frame)
             if record is None:
-                FrameRecord.of_id(file.frame)  # refuses what is no id
-                reasons[file.frame] = NEW
-                todo.append(file)
+                if any(name != name.strip() for name in (file.sequence, file.name)):
+                    reason = f"{file.location}: its name, or its folder's, ends in a blank"
+                    refused.append(Skipped(file.frame, reason))
+                else:
+                    reasons[file.frame] = NEW
+                    todo.append(file)
                 continue
             reason = changes.get(record.origin, LABEL_SPACE) or _why_file(file, record)
             if reason:
@@ -76,7 +82,8 @@ class Plan:
         present, folders = {file.frame for file in files}, {file.folder for file in files}
         rows = zip(*(known.table[n].to_pylist() for n in ("frame", "signature")), strict=True)
         gone = [f for f, s in rows if folder_of(s) in folders and f not in present]
-        return cls(todo, reasons, digests, len(files) - len(todo), gone)
+        there = len(files) - len(todo) - len(refused)
+        return cls(todo, reasons, digests, there, gone, refused)
 
     def reason(self, record: FrameRecord) -> str:
         """Why a frame was encoded, given its new record."""
@@ -144,6 +151,8 @@ class Writer(AbstractContextManager["Writer"]):
         self._waiting: list[Encoded] = []
         self._staged: list[StagedRows] = []
         self._due = time.monotonic() + COMMIT_SECONDS
+        for frame in plan.refused:
+            self.add(frame)
 
     def __exit__(self, kind: type[BaseException] | None, *_error: object) -> None:
         """Commits the last frames; without an error, removes or reports those that are gone."""
