@@ -42,7 +42,7 @@ def _cmu_sequence(fields: Fields) -> str | None:
 def _cmu_poses(_root: Path, files: Files) -> dict[Key, Pose]:
     """Those of all references, and of about half of the queries; an undistorted copy, ``_rect``,
     has the pose of its original."""
-    listed = {}
+    listed = dict[tuple[Path, str], Pose]()
     for folder in {path.parents[1] for path, _ in files.values()}:
         lists = *folder.glob("ground-truth-database-*.txt"), *folder.glob("camera-poses/*.txt")
         listed |= {(folder, n): p for file in lists for n, p in read_cmu_list(file).items()}
@@ -52,7 +52,7 @@ def _cmu_poses(_root: Path, files: Files) -> dict[Key, Pose]:
 
 def _robotcar_poses(root: Path, files: Files) -> dict[Key, Pose]:
     """Those of the reference condition in the 3D models; of some queries in version 2."""
-    listed = {}
+    listed = dict[str, Pose]()
     for model in sorted((root / "3D-models").rglob("*.nvm")):
         listed |= read_nvm(model)
     if (root / "robotcar_v2_train.txt").is_file():

@@ -69,8 +69,8 @@ class Plan:
             record = known.get(file.frame)
             if record is None:
                 if any(name != name.strip() for name in (file.sequence, file.name)):
-                    reason = f"{file.location}: its name, or its folder's, ends in a blank"
-                    refused.append(Skipped(file.frame, reason))
+                    blank = f"{file.location}: its name, or its folder's, ends in a blank"
+                    refused.append(Skipped(file.frame, blank))
                 else:
                     reasons[file.frame] = NEW
                     todo.append(file)
