@@ -1,16 +1,16 @@
 """Builds the native core when the package is installed, editable or not, or a wheel is made.
 
-The core is C++ files that need a compiler and nothing else. Without one the package is built
-as well: it then describes label maps by torch, more slowly, with the same numbers.
+The core is C++ files that need a compiler and nothing else: that of the system, or where there is
+none the one of ``ziglang``, which is then a requirement of the build.
 ``python scripts/hatch_build.py`` builds the core of a checkout where it lies; with the name of a
-file, as WebAssembly with the compiler of ``ziglang``, which `scripts/wasm` installs.
-`scripts/wheels` builds it for the platforms of `WHEELS` with that compiler, and names one in
-``SSRVLAD_WHEEL``.
+file, as WebAssembly with ``ziglang``, which `scripts/wasm` installs. `scripts/wheels` builds it for
+the platforms of `WHEELS` with ``ziglang``, and names one in ``SSRVLAD_WHEEL``.
 """
 
 from __future__ import annotations
 
 import hashlib
+import importlib.util
 import os
 import shlex
 import shutil
@@ -26,7 +26,7 @@ from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 FOLDER = Path("ssrvlad_torch/native")
 SUFFIXES = (".cpp", ".h", ".hpp")
-LIBRARY = f"libssrvlad{'.dylib' if sys.platform == 'darwin' else '.so'}"
+LIBRARY = "libssrvlad" + {"darwin": ".dylib", "win32": ".dll"}.get(sys.platform, ".so")
 FLAGS = ["-std=c++17", "-O3", "-fvisibility=hidden"]
 FLAGS += ["-ffp-contract=off"]  # fused sums would differ between processors
 SHARED = ["-fPIC", "-shared", "-pthread"]
@@ -35,6 +35,7 @@ FOR_BROWSERS = [
     "-Wl,--export-dynamic,--export=malloc,--export=free",
 ]
 ZIG = [sys.executable, "-m", "ziglang", "c++"]
+ZIGLANG = "ziglang>=0.15"
 WITHOUT_RUNTIME = ["-static-libstdc++", "-static-libgcc"]
 
 
@@ -57,7 +58,6 @@ WHEELS = {
     "macos_x86_64": Platform("x86_64-macos.11.0", "macosx_11_0_x86_64", "libssrvlad.dylib"),
     "windows_x86_64": Platform("x86_64-windows-gnu", "win_amd64", "libssrvlad.dll"),
 }
-PURE = "pure"
 
 
 class NativeCore(BuildHookInterface):
@@ -65,24 +65,23 @@ class NativeCore(BuildHookInterface):
 
     PLUGIN_NAME = "custom"
 
+    def dependencies(self) -> list[str]:
+        """Called by hatchling for what it installs before a build."""
+        return [] if not os.environ.get("SSRVLAD_WHEEL") and compiler() else [ZIGLANG]
+
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
-        """Called by hatchling before it collects the files."""
-        name = os.environ.get("SSRVLAD_WHEEL")
-        if name == PURE:
-            return
-        if name:
+        """Called by hatchling before it collects the files; a RuntimeError without a core."""
+        if name := os.environ.get("SSRVLAD_WHEEL"):
             self._add_for(WHEELS[name], build_data)
             return
-        problem = build(Path(self.root))
-        if problem:
-            self.app.display_warning(f"native core not built: {problem}; torch does its work")
-            return
+        if problem := build(Path(self.root)):
+            raise RuntimeError(f"the native core cannot be built: {problem}")
         platform = sysconfig.get_platform().replace("-", "_").replace(".", "_")
         build_data.update(pure_python=False, tag=f"py3-none-{platform}")
         build_data["artifacts"].append(str(FOLDER / LIBRARY))
 
     def _add_for(self, platform: Platform, build_data: dict[str, Any]) -> None:
-        """Adds the core of another platform; a compiler that fails is an error here."""
+        """Adds the core of another platform."""
         with_zig = [*ZIG, "-target", platform.target, "-s", *SHARED]
         self._built = tempfile.TemporaryDirectory()
         library = Path(self._built.name) / platform.library
@@ -98,20 +97,36 @@ class NativeCore(BuildHookInterface):
             self._built.cleanup()
 
 
+def compiler() -> list[str]:
+    """The command of this machine's C++ compiler; empty without one that works."""
+    if named := shlex.split(os.environ.get("CXX", "")):
+        return named
+    found = map(shutil.which, ("c++", "g++", "clang++"))
+    return next(([path] for path in found if path and _compiles(path)), [])
+
+
+def _compiles(path: str) -> bool:
+    """Whether a compiler has the standard library: that of macOS may only offer to install it."""
+    with tempfile.TemporaryDirectory() as folder:
+        source = Path(folder) / "try.cpp"
+        source.write_text("#include <thread>\n")
+        command = [path, *FLAGS, *SHARED, source, "-o", source.with_suffix(".so")]
+        return not subprocess.run(command, check=False, capture_output=True).returncode
+
+
 def build(root: Path) -> str:
     """Compiles the core into its folder; returns why not, or nothing."""
     folder = root / FOLDER
     fresh = folder / f"{LIBRARY}.{os.getpid()}"
-    if os.name == "nt":
-        return "on Windows it is built by scripts/wheels only"
-    named = shlex.split(os.environ.get("CXX", ""))
-    found = [[path] for path in map(shutil.which, ("c++", "g++", "clang++")) if path]
-    compilers = [named] if named else found
-    if not compilers:
-        return "no C++ compiler"
-    problem = ""
-    for runtime in (WITHOUT_RUNTIME, []):
-        problem = compile_core(folder, [*compilers[0], *SHARED, *runtime], fresh)
+    named = compiler()
+    if not named and not importlib.util.find_spec("ziglang"):
+        return f"no C++ compiler: install one, or pip install '{ZIGLANG}'"
+    # without a processor's name zig would compile for the one of this machine alone
+    commands = (
+        [[*named, *more] for more in (WITHOUT_RUNTIME, [])] if named else [[*ZIG, "-mcpu=baseline"]]
+    )
+    for command in commands:
+        problem = compile_core(folder, [*command, *SHARED], fresh)
         if not problem:
             fresh.replace(folder / LIBRARY)
             break

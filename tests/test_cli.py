@@ -29,7 +29,7 @@ from ssrvlad_torch.database.database import Database
     ("line", "begin", "words"),
     [
         ((), "Usage: ", "encode"),
-        (("--version",), f"ssrvlad {__version__}, on a CPU with ", "native core"),
+        (("--version",), f"ssrvlad {__version__}, ", "the native core ("),
     ],
 )
 def test_without_a_command_it_prints_help_or_the_version(ssrvlad, line, begin, words):

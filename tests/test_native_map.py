@@ -273,7 +273,8 @@ def test_more_scores_than_fit_in_memory_come_in_blocks():
 
 
 PROCESSORS = {
-    "without vectors": ("g++ -O2 -DSSRVLAD_ONE_TARGET", ()),
+    "SSE2": ("g++ -O2 -DSSRVLAD_SIMD=0", ()),
+    "AVX2": ("g++ -O2 -DSSRVLAD_SIMD=1", ()),
     "aarch64": ("aarch64-linux-gnu-g++ -O1 -static -Wno-psabi", ("qemu-aarch64",)),
     "32-bit ARM": ("arm-linux-gnueabihf-g++ -O2 -static -Wno-psabi", ("qemu-arm",)),
 }
@@ -370,7 +371,7 @@ def test_sums_of_products_are_rounded_once(tmp_path):
     (tmp_path / "once.cpp").write_text(ONCE)
     flags = ["-std=c++17", "-O1", "-ffp-contract=off", f"-I{folder}"]
     sources = [tmp_path / "once.cpp", folder / "products.cpp"]
-    for more in ([], ["-DSSRVLAD_ONE_TARGET"]):
+    for more in ([], ["-DSSRVLAD_SIMD=0"]):
         subprocess.run(["g++", *flags, *more, *sources, "-o", tmp_path / "once"], check=True)
         subprocess.run([tmp_path / "once"], check=True)
 

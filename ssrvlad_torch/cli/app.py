@@ -52,7 +52,7 @@ def ssrvlad(
     """Place recognition from semantic segmentation (SSR-VLAD)."""
     del debug  # `main` reads it from the whole line
     if version:
-        print(f"ssrvlad {package_version()}, on a CPU with {core().status}")
+        print(f"ssrvlad {package_version()}, {core().status}")
     elif context.invoked_subcommand is None:
         print(context.get_help())
 

@@ -1,7 +1,7 @@
 """The native core: the method and the decisions in C++ without torch; the method as its operator.
 
-It is built with the package if a C++ compiler is available, and describes label maps on a CPU.
-Without it, and on other devices, the stages in torch compute the same numbers.
+It is built with the package, decides, and describes label maps on a CPU. On other devices the
+stages in torch compute the same descriptors.
 """
 
 import ctypes
@@ -15,19 +15,21 @@ from .headers import FOLDER, typed
 
 LIBRARY = "libssrvlad" + {"darwin": ".dylib", "win32": ".dll"}.get(sys.platform, ".so")
 
+BUILD = "install the package again, in a checkout run python scripts/hatch_build.py"
+
 
 class Core(NamedTuple):
-    """The loaded library, or ``None``; ``status`` says what computes descriptors, and why."""
+    """The loaded library, or ``None``; ``status`` names its SIMD, or says how to build it."""
 
     library: ctypes.CDLL | None
     status: str
 
 
 def required() -> ctypes.CDLL:
-    """The library; without it a RuntimeError says why."""
+    """The library; without it a RuntimeError says how to build it."""
     library, status = core()
     if library is None:
-        raise RuntimeError(status.removeprefix("torch, for "))
+        raise RuntimeError(status)
     return library
 
 
@@ -41,7 +43,7 @@ def if_built(task: str) -> ctypes.CDLL | None:
     """The library; without it ``None``, and a UserWarning says once that NumPy does a task."""
     library, status = core()
     if library is None:
-        _warn(f"NumPy {task}, slowly, {status.removeprefix('torch, ')}")
+        _warn(f"NumPy {task}, slowly, for {status}")
     return library
 
 
@@ -55,13 +57,17 @@ def core() -> Core:
     """Loads the native core, unless it was built from another version of the C++ files."""
     path = FOLDER / LIBRARY
     if not path.exists():
-        return Core(None, "torch, for the native core was not built")
+        return _without("is missing")
     files = sorted(file for file in FOLDER.iterdir() if file.suffix in (".cpp", ".h", ".hpp"))
     source = b"".join(file.read_bytes() for file in files)
     if hashlib.sha256(source).hexdigest().encode() not in path.read_bytes():
-        return Core(None, "torch, for the native core is of another version: install again")
+        return _without("is of another version")
     try:
-        library = ctypes.CDLL(str(path))
+        library = typed(ctypes.CDLL(str(path)))
     except OSError as error:
-        return Core(None, f"torch, for the native core cannot be loaded: {error}")
-    return Core(typed(library), "the native core")
+        return _without(f"cannot be loaded ({error})")
+    return Core(library, f"the native core ({ctypes.string_at(library.ssrvlad_simd()).decode()})")
+
+
+def _without(problem: str) -> Core:
+    return Core(None, f"the native core {problem}: {BUILD}")

@@ -164,6 +164,8 @@ const char *ssrvlad_last_error(void) { return last_error; }
 
 const char *ssrvlad_source(void) { return SSRVLAD_SOURCE; }
 
+const char *ssrvlad_simd(void) { return simd_name(); }
+
 int ssrvlad_interface(void) { return SSRVLAD_INTERFACE; }
 
 int ssrvlad_preset(const char *name, ssrvlad_settings *settings) {

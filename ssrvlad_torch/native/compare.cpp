@@ -40,15 +40,18 @@ struct Scaled {
   }
 };
 
-SSRVLAD_CLONES void add_scaled(const float *near, Size count, double mean, double factor, double *sums) {
-  for (Size row = 0; row < count; ++row)
-    sums[row] += near[row] == NONE ? 0 : (static_cast<double>(near[row]) - mean) * factor;
+void add_scaled(const float *near, Size count, double mean, double factor, double *sums) {
+  on_cpu([=](auto) {
+    for (Size row = 0; row < count; ++row)
+      sums[row] += near[row] == NONE ? 0 : (static_cast<double>(near[row]) - mean) * factor;
+  });
 }
 
-SSRVLAD_CLONES void as_cosines(const double *z, Size count, double mean, double deviation,
-                               float *scores) {
-  for (Size row = 0; row < count; ++row)
-    scores[row] = static_cast<float>(1 - exp_of(-(mean + deviation * z[row])));
+void as_cosines(const double *z, Size count, double mean, double deviation, float *scores) {
+  on_cpu([=](auto) {
+    for (Size row = 0; row < count; ++row)
+      scores[row] = static_cast<float>(1 - exp_of(-(mean + deviation * z[row])));
+  });
 }
 
 std::vector<float> scores_of(const Scores &member, Size query) {

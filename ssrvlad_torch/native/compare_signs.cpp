@@ -119,13 +119,15 @@ float length_of(const float *squares, Size first, Size columns) {
 
 // Raises scores to the cosines of a move, by what differs and by the lengths of rows; `level` and the
 // products with a mean make of it the product without means.
-SSRVLAD_CLONES void raise(float *scores, const std::int32_t *differing, const float *of_mean,
-                          const float *lengths, float level, float length, Size count) {
-  for (Size row = 0; row < count; ++row) {
-    const float both = lengths[row] * length, product = level - 2 * static_cast<float>(differing[row]) - of_mean[row];
-    const float score = product / (both > LEAST ? both : LEAST), capped = score < 1 ? score : 1;
-    scores[row] = capped > scores[row] ? capped : scores[row];
-  }
+void raise(float *scores, const std::int32_t *differing, const float *of_mean,
+           const float *lengths, float level, float length, Size count) {
+  on_cpu([=](auto) {
+    for (Size row = 0; row < count; ++row) {
+      const float both = lengths[row] * length, product = level - 2 * static_cast<float>(differing[row]) - of_mean[row];
+      const float score = product / (both > LEAST ? both : LEAST), capped = score < 1 ? score : 1;
+      scores[row] = capped > scores[row] ? capped : scores[row];
+    }
+  });
 }
 
 // Rows as they are compared: the mean of each, and the squared lengths of its columns without it.

@@ -86,20 +86,23 @@ struct Held {
 };
 
 // Divides scores by the lengths of rows; NONE for rows of length 0.
-SSRVLAD_CLONES void divide(float *scores, const float *lengths, Size count) {
-  for (Size row = 0; row < count; ++row) {
-    const float score = scores[row] / lengths[row];
-    scores[row] = lengths[row] > 0 ? score : NONE;
-  }
+void divide(float *scores, const float *lengths, Size count) {
+  on_cpu([=](auto) {
+    for (Size row = 0; row < count; ++row) {
+      const float score = scores[row] / lengths[row];
+      scores[row] = lengths[row] > 0 ? score : NONE;
+    }
+  });
 }
 
 // Raises scores to products, less a part of those with a mean, times a factor.
-SSRVLAD_CLONES void raise(float *scores, const float *products, const float *mean, float part,
-                          float factor, Size count) {
-  for (Size row = 0; row < count; ++row) {
-    const float score = (products[row] - part * mean[row]) * factor;
-    scores[row] = score > scores[row] ? score : scores[row];
-  }
+void raise(float *scores, const float *products, const float *mean, float part, float factor, Size count) {
+  on_cpu([=](auto) {
+    for (Size row = 0; row < count; ++row) {
+      const float score = (products[row] - part * mean[row]) * factor;
+      scores[row] = score > scores[row] ? score : scores[row];
+    }
+  });
 }
 
 class VectorComparison : public Comparison {

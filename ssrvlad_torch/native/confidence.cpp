@@ -222,18 +222,22 @@ struct Answers {
 
 // How much likelier each answer is as one of the right ones than as any where the map lacks the place, at a
 // point of the prior.
-SSRVLAD_CLONES void compare(const Point &point, const Answers &answers, double *likelier) {
-  for (Size each = 0; each < answers.count(); ++each)
-    likelier[each] =
-        (1 - point.wrong) * exp_of(point.factor + point.shape * answers.logs[each] +
-                                   (1 - point.rate) * answers.ahead[each]);
+void compare(const Point &point, const Answers &answers, double *likelier) {
+  on_cpu([=, &point, &answers](auto) {
+    for (Size each = 0; each < answers.count(); ++each)
+      likelier[each] =
+          (1 - point.wrong) * exp_of(point.factor + point.shape * answers.logs[each] +
+                                     (1 - point.rate) * answers.ahead[each]);
+  });
 }
 
 // The logarithm of how likely answers are all in all, each of which counts so much.
-SSRVLAD_CLONES double log_of_all(const double *told, const double *counts, Size number) {
-  double log = 0;
-  for (Size each = 0; each < number; ++each) log += counts[each] * log_of(told[each]);
-  return log;
+double log_of_all(const double *told, const double *counts, Size number) {
+  return on_cpu([=](auto) {
+    double log = 0;
+    for (Size each = 0; each < number; ++each) log += counts[each] * log_of(told[each]);
+    return log;
+  });
 }
 
 // Makes logarithms weights of the sum 1.
@@ -282,14 +286,16 @@ class Stretches {
 
 // How much likelier the chance of each answer by its query alone is where the map has the place than where it
 // lacks it, at a point of the prior; answers that err together count as one.
-SSRVLAD_CLONES void tell(const Point &point, const Answers &answers, const std::vector<char> &is_best,
-                         double together, double best, double *told) {
-  compare(point, answers, told);
-  const double other = point.wrong < 1 - best ? point.wrong / (1 - best) : 1;
-  for (Size each = 0; each < answers.count(); ++each) {
-    const double likelier = is_best[each] ? point.wrong + told[each] / best : other;
-    told[each] = exp_of(log_of(likelier) / together);
-  }
+void tell(const Point &point, const Answers &answers, const std::vector<char> &is_best,
+          double together, double best, double *told) {
+  on_cpu([=, &point, &answers, &is_best](auto) {
+    compare(point, answers, told);
+    const double other = point.wrong < 1 - best ? point.wrong / (1 - best) : 1;
+    for (Size each = 0; each < answers.count(); ++each) {
+      const double likelier = is_best[each] ? point.wrong + told[each] / best : other;
+      told[each] = exp_of(log_of(likelier) / together);
+    }
+  });
 }
 }  // namespace
 

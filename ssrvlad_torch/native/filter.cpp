@@ -8,6 +8,7 @@ namespace {
 constexpr int LANES = 16;
 constexpr Size BLOCK = 1024;  // rows that are moved at once: they fit into the nearest cache
 constexpr double HIGH = 1e6;  // a future is scaled beyond it
+constexpr double LEAST = std::numeric_limits<float>::min();  // a sum of probabilities below it is 0
 
 // Probability of each step at each speed: 0, 1/2, 1, 3/2, 2, 3 and 4 rows a frame.
 const std::array<std::vector<std::pair<Size, double>>, SPEEDS> STEPS = {{
@@ -45,104 +46,113 @@ void visit_others(const Rows &rows, const Rows &known, const Drives &drives, Fun
 }
 
 // Sums of following values, each times its weight.
-SSRVLAD_CLONES void slide(float *sums, const float *values, Size count, const float *weights,
-                          Size width) {
-  Size i = 0;
-  for (; i + LANES <= count; i += LANES) {
-    float lanes[LANES] = {};
-    for (Size k = 0; k < width; ++k)
-      for (int lane = 0; lane < LANES; ++lane) lanes[lane] += weights[k] * values[i + k + lane];
-    std::copy_n(lanes, LANES, sums + i);
-  }
-  for (; i < count; ++i) {
-    float lane = 0;
-    for (Size k = 0; k < width; ++k) lane += weights[k] * values[i + k];
-    sums[i] = lane;
-  }
+void slide(float *sums, const float *values, Size count, const float *weights, Size width) {
+  on_cpu([=](auto) {
+    Size i = 0;
+    for (; i + LANES <= count; i += LANES) {
+      float lanes[LANES] = {};
+      for (Size k = 0; k < width; ++k)
+        for (int lane = 0; lane < LANES; ++lane) lanes[lane] += weights[k] * values[i + k + lane];
+      std::copy_n(lanes, LANES, sums + i);
+    }
+    for (; i < count; ++i) {
+      float lane = 0;
+      for (Size k = 0; k < width; ++k) lane += weights[k] * values[i + k];
+      sums[i] = lane;
+    }
+  });
 }
 
 // Of values and what they have in common, each times a factor.
-SSRVLAD_CLONES void mixed(float *target, const float *values, float factor, const float *common,
-                          float part, Size count) {
-  for (Size i = 0; i < count; ++i) target[i] = factor * values[i] + part * common[i];
+void mixed(float *target, const float *values, float factor, const float *common, float part, Size count) {
+  on_cpu([=](auto) { for (Size i = 0; i < count; ++i) target[i] = factor * values[i] + part * common[i]; });
 }
 
-SSRVLAD_CLONES void likelihoods(const float *scores, Size count, double level, double weight,
-                                Limits limits, float *found) {
-  for (Size i = 0; i < count; ++i) {
-    const double far = 1 - static_cast<double>(scores[i]);
-    const double told = (-log_of(far > limits.least ? far : limits.least) - level) * weight;
-    const double known = told < limits.most ? told : limits.most;
-    found[i] = static_cast<float>(exp_of(scores[i] == NONE ? limits.none : known));
-  }
+void likelihoods(const float *scores, Size count, double level, double weight, Limits limits, float *found) {
+  on_cpu([=](auto) {
+    for (Size i = 0; i < count; ++i) {
+      const double far = 1 - static_cast<double>(scores[i]);
+      const double told = (-log_of(far > limits.least ? far : limits.least) - level) * weight;
+      const double known = told < limits.most ? told : limits.most;
+      found[i] = static_cast<float>(exp_of(scores[i] == NONE ? limits.none : known));
+    }
+  });
 }
 
 }  // namespace
 
 // ------------------------------------------------------------------------------------------- numbers
 
-SSRVLAD_CLONES double sum(const float *values, Size count) {
-  double lanes[LANES] = {};
-  Size i = 0;
-  for (; i + LANES <= count; i += LANES)
-    for (int lane = 0; lane < LANES; ++lane) lanes[lane] += static_cast<double>(values[i + lane]);
-  for (int lane = 0; i < count; ++i, ++lane) lanes[lane] += static_cast<double>(values[i]);
-  for (int width = LANES / 2; width; width /= 2)
-    for (int lane = 0; lane < width; ++lane) lanes[lane] += lanes[lane + width];
-  return lanes[0];
+double sum(const float *values, Size count) {
+  return on_cpu([=](auto) {
+    double lanes[LANES] = {};
+    Size i = 0;
+    for (; i + LANES <= count; i += LANES)
+      for (int lane = 0; lane < LANES; ++lane) lanes[lane] += static_cast<double>(values[i + lane]);
+    for (int lane = 0; i < count; ++i, ++lane) lanes[lane] += static_cast<double>(values[i]);
+    for (int width = LANES / 2; width; width /= 2)
+      for (int lane = 0; lane < width; ++lane) lanes[lane] += lanes[lane + width];
+    return lanes[0];
+  });
 }
 
-SSRVLAD_CLONES double dot(const float *some, const float *others, Size count) {
-  double lanes[LANES] = {};
-  Size i = 0;
-  for (; i + LANES <= count; i += LANES)
-    for (int lane = 0; lane < LANES; ++lane)
-      lanes[lane] += static_cast<double>(some[i + lane]) * static_cast<double>(others[i + lane]);
-  for (int lane = 0; i < count; ++i, ++lane)
-    lanes[lane] += static_cast<double>(some[i]) * static_cast<double>(others[i]);
-  for (int width = LANES / 2; width; width /= 2)
-    for (int lane = 0; lane < width; ++lane) lanes[lane] += lanes[lane + width];
-  return lanes[0];
+double dot(const float *some, const float *others, Size count) {
+  return on_cpu([=](auto) {
+    double lanes[LANES] = {};
+    Size i = 0;
+    for (; i + LANES <= count; i += LANES)
+      for (int lane = 0; lane < LANES; ++lane)
+        lanes[lane] += static_cast<double>(some[i + lane]) * static_cast<double>(others[i + lane]);
+    for (int lane = 0; i < count; ++i, ++lane)
+      lanes[lane] += static_cast<double>(some[i]) * static_cast<double>(others[i]);
+    for (int width = LANES / 2; width; width /= 2)
+      for (int lane = 0; lane < width; ++lane) lanes[lane] += lanes[lane + width];
+    return lanes[0];
+  });
 }
 
-SSRVLAD_CLONES void add(float *target, const float *values, float factor, Size count) {
-  for (Size i = 0; i < count; ++i) target[i] += factor * values[i];
+void add(float *target, const float *values, float factor, Size count) {
+  on_cpu([=](auto) { for (Size i = 0; i < count; ++i) target[i] += factor * values[i]; });
 }
 
-SSRVLAD_CLONES void add_product(float *target, const float *some, const float *others, Size count) {
-  for (Size i = 0; i < count; ++i) target[i] += some[i] * others[i];
+void add_product(float *target, const float *some, const float *others, Size count) {
+  on_cpu([=](auto) { for (Size i = 0; i < count; ++i) target[i] += some[i] * others[i]; });
 }
 
-SSRVLAD_CLONES void raise(float *target, float value, Size count) {
-  for (Size i = 0; i < count; ++i) target[i] += value;
+void raise(float *target, float value, Size count) {
+  on_cpu([=](auto) { for (Size i = 0; i < count; ++i) target[i] += value; });
 }
 
-SSRVLAD_CLONES void multiply(float *target, const float *values, float factor, Size count) {
-  for (Size i = 0; i < count; ++i) target[i] *= values[i] * factor;
+void multiply(float *target, const float *values, float factor, Size count) {
+  on_cpu([=](auto) { for (Size i = 0; i < count; ++i) target[i] *= values[i] * factor; });
 }
 
-SSRVLAD_CLONES void scale(float *target, float factor, Size count) {
-  for (Size i = 0; i < count; ++i) target[i] *= factor;
+void scale(float *target, float factor, Size count) {
+  on_cpu([=](auto) { for (Size i = 0; i < count; ++i) target[i] *= factor; });
 }
 
-SSRVLAD_CLONES float highest(const float *values, Size count) {
-  float lanes[LANES] = {};
-  std::fill_n(lanes, LANES, NONE);
-  Size i = 0;
-  for (; i + LANES <= count; i += LANES)
-    for (int lane = 0; lane < LANES; ++lane)
-      lanes[lane] = values[i + lane] > lanes[lane] ? values[i + lane] : lanes[lane];
-  for (; i < count; ++i) lanes[0] = std::max(lanes[0], values[i]);
-  return *std::max_element(lanes, lanes + LANES);
+float highest(const float *values, Size count) {
+  return on_cpu([=](auto) {
+    float lanes[LANES] = {};
+    std::fill_n(lanes, LANES, NONE);
+    Size i = 0;
+    for (; i + LANES <= count; i += LANES)
+      for (int lane = 0; lane < LANES; ++lane)
+        lanes[lane] = values[i + lane] > lanes[lane] ? values[i + lane] : lanes[lane];
+    for (; i < count; ++i) lanes[0] = std::max(lanes[0], values[i]);
+    return *std::max_element(lanes, lanes + LANES);
+  });
 }
 
 namespace {
-SSRVLAD_CLONES void nearness(const float *scores, Size count, Limits limits, float *near) {
-  for (Size i = 0; i < count; ++i) {
-    const double far = 1 - static_cast<double>(scores[i]);
-    const double found = -log_of(far > limits.least ? far : limits.least);
-    near[i] = static_cast<float>(scores[i] == NONE ? limits.none : found);
-  }
+void nearness(const float *scores, Size count, Limits limits, float *near) {
+  on_cpu([=](auto) {
+    for (Size i = 0; i < count; ++i) {
+      const double far = 1 - static_cast<double>(scores[i]);
+      const double found = -log_of(far > limits.least ? far : limits.least);
+      near[i] = static_cast<float>(scores[i] == NONE ? limits.none : found);
+    }
+  });
 }
 }  // namespace
 
@@ -156,45 +166,49 @@ double folded(double *lanes) {
 }
 
 // Of the known values, those above NONE: the sum of the squares of what they are above a level.
-SSRVLAD_CLONES double squares(const float *values, double level, Size count) {
-  double lanes[LANES] = {};
-  for (Size i = 0; i < count; i += LANES)
-    for (int lane = 0; lane < LANES; ++lane) {
-      const float value = i + lane < count ? values[i + lane] : NONE;
-      const double above = value == NONE ? 0 : static_cast<double>(value) - level;
-      lanes[lane] += above * above;
-    }
-  return folded(lanes);
+double squares(const float *values, double level, Size count) {
+  return on_cpu([=](auto) {
+    double lanes[LANES] = {};
+    for (Size i = 0; i < count; i += LANES)
+      for (int lane = 0; lane < LANES; ++lane) {
+        const float value = i + lane < count ? values[i + lane] : NONE;
+        const double above = value == NONE ? 0 : static_cast<double>(value) - level;
+        lanes[lane] += above * above;
+      }
+    return folded(lanes);
+  });
 }
 }  // namespace
 
-SSRVLAD_CLONES Spread Spread::of(const float *near, Size count) {
-  float least[LANES], most[LANES];
-  double total[LANES] = {}, known[LANES] = {};
-  std::fill_n(least, LANES, -NONE);
-  std::fill_n(most, LANES, NONE);
-  const Size whole = count - count % LANES;
-  float rest[LANES];
-  std::fill(std::copy(near + whole, near + count, rest), rest + LANES, NONE);
-  for (Size i = 0; i <= whole; i += LANES) {
-    const float *values = i < whole ? near + i : rest;
-    for (int lane = 0; lane < LANES; ++lane) {
-      const float value = values[lane];
-      const bool some = value != NONE;
-      const float low = some ? value : -NONE;
-      least[lane] = low < least[lane] ? low : least[lane];
-      most[lane] = value > most[lane] ? value : most[lane];
-      total[lane] += some ? static_cast<double>(value) : 0.0;
-      known[lane] += some ? 1.0 : 0.0;
+Spread Spread::of(const float *near, Size count) {
+  return on_cpu([=](auto) -> Spread {
+    float least[LANES], most[LANES];
+    double total[LANES] = {}, known[LANES] = {};
+    std::fill_n(least, LANES, -NONE);
+    std::fill_n(most, LANES, NONE);
+    const Size whole = count - count % LANES;
+    float rest[LANES];
+    std::fill(std::copy(near + whole, near + count, rest), rest + LANES, NONE);
+    for (Size i = 0; i <= whole; i += LANES) {
+      const float *values = i < whole ? near + i : rest;
+      for (int lane = 0; lane < LANES; ++lane) {
+        const float value = values[lane];
+        const bool some = value != NONE;
+        const float low = some ? value : -NONE;
+        least[lane] = low < least[lane] ? low : least[lane];
+        most[lane] = value > most[lane] ? value : most[lane];
+        total[lane] += some ? static_cast<double>(value) : 0.0;
+        known[lane] += some ? 1.0 : 0.0;
+      }
     }
-  }
-  const double number = folded(known);
-  if (number == 0) return {};
-  const float low = *std::min_element(least, least + LANES),
-              high = *std::max_element(most, most + LANES);
-  if (high - low <= MIN_SPREAD) return {static_cast<double>(low), MIN_SPREAD};
-  const double mean = folded(total) / number;
-  return {mean, std::max(MIN_SPREAD, std::sqrt(squares(near, mean, count) / number))};
+    const double number = folded(known);
+    if (number == 0) return {};
+    const float low = *std::min_element(least, least + LANES),
+                high = *std::max_element(most, most + LANES);
+    if (high - low <= MIN_SPREAD) return {static_cast<double>(low), MIN_SPREAD};
+    const double mean = folded(total) / number;
+    return {mean, std::max(MIN_SPREAD, std::sqrt(squares(near, mean, count) / number))};
+  });
 }
 
 // -------------------------------------------------------------------------------------------- motion
@@ -410,12 +424,18 @@ double Filter::update(Belief &belief, const Likelihood &likelihood) const {
   const Size count = belief.rows.count, others = drives_.rows - count;
   const auto states = static_cast<Size>(ways_.size()) * SPEEDS;
   const float *told = likelihood.rows.data();
-  belief.elsewhere *= likelihood.elsewhere;
-  double total = belief.elsewhere + belief.unmapped;
-  for (Size state = 0; state < states; ++state)
-    total += dot(belief.mapped.data() + state * count, told, count);
+  const auto total_of = [&](const Belief &some) {
+    double total = some.elsewhere * likelihood.elsewhere + some.unmapped;
+    for (Size state = 0; state < states; ++state)
+      total += dot(some.mapped.data() + state * count, told, count);
+    return total;
+  };
+  double total = total_of(belief);
+  if (total < LEAST) total = total_of(belief = start(belief.rows));
+  if (total < LEAST) return 0;
   for (Size state = 0; state < states; ++state)
     multiply(belief.mapped.data() + state * count, told, static_cast<float>(1 / total), count);
+  belief.elsewhere *= likelihood.elsewhere;
   belief.elsewhere /= total;
   belief.unmapped /= total;
   const double mean = (sum(told, count) + static_cast<double>(others) * likelihood.elsewhere) /
@@ -499,6 +519,7 @@ Future Filter::before(const Belief &belief, const Rows &later, const Likelihood 
   const auto count = static_cast<Size>(earlier.mapped.size());
   const double most = highest(earlier.mapped.data(), count);
   const double high = std::max({earlier.unmapped, earlier.elsewhere, most});
+  if (high < LEAST) return none(belief);
   if (high > HIGH || high < 1 / HIGH) {
     scale(earlier.mapped.data(), static_cast<float>(1 / high), count);
     earlier.elsewhere /= high;
@@ -523,6 +544,7 @@ std::pair<std::vector<float>, double> Filter::smoothed(const Belief &belief,
       total += dot(now, then, count);
   }
   total += sum(rows.data(), count);
+  if (total < LEAST) return smoothed(belief, none(belief));
   scale(rows.data(), static_cast<float>(1 / total), count);
   return {rows, unmapped / total};
 }

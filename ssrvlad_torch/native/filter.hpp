@@ -136,12 +136,14 @@ class Filter {
   Belief extended(const Belief &belief, const Rows &rows) const;
   // The belief in listed rows one frame later, before that frame is seen.
   Belief predicted(const Belief &before, const Rows &rows) const;
-  // Takes a frame into a belief: the logarithm of how much likelier the frame is so than alone.
+  // Takes a frame into a belief: the logarithm of how much likelier the frame is so than alone. After a
+  // frame that can be nowhere by the belief, this starts anew, with the frame if it can be anywhere.
   double update(Belief &belief, const Likelihood &likelihood) const;
 
   // The future from the last belief.
   Future none(const Belief &belief) const;
-  // The future from a belief, by the later rows, the likelihood of the later frame and its future.
+  // The future from a belief, by the later rows, the likelihood of the later frame and its future; `none`
+  // if the belief cannot lead there.
   Future before(const Belief &belief, const Rows &later, const Likelihood &likelihood,
                 const Future &future) const;
   // Probabilities of the listed rows in the first way, and of a place that the map lacks, by a belief

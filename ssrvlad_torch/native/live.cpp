@@ -78,14 +78,14 @@ SSRVLAD_INLINE void best_of(const float *rows, Size count, Size width, const flo
   }
 }
 
-SSRVLAD_CLONES void best_of_one(const float *rows, Size count, Size width, const float *mean,
-                                const float *anchors, float *best, float *squares) {
-  best_of<1>(rows, count, width, mean, anchors, best, squares);
+void best_of_one(const float *rows, Size count, Size width, const float *mean,
+                 const float *anchors, float *best, float *squares) {
+  on_cpu([=](auto) { best_of<1>(rows, count, width, mean, anchors, best, squares); });
 }
 
-SSRVLAD_CLONES void best_of_some(const float *rows, Size count, Size width, const float *mean,
-                                 const float *anchors, float *best, float *squares) {
-  best_of<TOGETHER>(rows, count, width, mean, anchors, best, squares);
+void best_of_some(const float *rows, Size count, Size width, const float *mean,
+                  const float *anchors, float *best, float *squares) {
+  on_cpu([=](auto) { best_of<TOGETHER>(rows, count, width, mean, anchors, best, squares); });
 }
 
 // Calls a function for the rows from `first` to `last` that are of each stretch.

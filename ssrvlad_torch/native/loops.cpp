@@ -94,11 +94,13 @@ double lead(const float *near, Size count, const Spread &spread) {
 }
 
 // Adds a channel's weighted z-scores of nearness to sums; nothing where a row has no score.
-SSRVLAD_CLONES void add_scaled(const float *near, Size count, double mean, double factor, double *sums) {
-  for (Size i = 0; i < count; ++i) {
-    const double value = near[i] == NONE ? mean : static_cast<double>(near[i]);
-    sums[i] += (value - mean) * factor;
-  }
+void add_scaled(const float *near, Size count, double mean, double factor, double *sums) {
+  on_cpu([=](auto) {
+    for (Size i = 0; i < count; ++i) {
+      const double value = near[i] == NONE ? mean : static_cast<double>(near[i]);
+      sums[i] += (value - mean) * factor;
+    }
+  });
 }
 
 // Gives rows without nearness what their rough nearness lets expect: on the straight line through some
@@ -119,21 +121,24 @@ void expect(const std::vector<float> &rough, const std::vector<float> &known_rou
 }
 
 // Replaces scores by cosines of nearness, where there are some.
-SSRVLAD_CLONES void as_scores(const double *z, Size count, double mean, double deviation,
-                              float *scores) {
-  for (Size i = 0; i < count; ++i) {
-    const float cosine = static_cast<float>(1 - exp_of(-(mean + deviation * z[i])));
-    scores[i] = scores[i] == NONE ? NONE : cosine;
-  }
+void as_scores(const double *z, Size count, double mean, double deviation, float *scores) {
+  on_cpu([=](auto) {
+    for (Size i = 0; i < count; ++i) {
+      const float cosine = static_cast<float>(1 - exp_of(-(mean + deviation * z[i])));
+      scores[i] = scores[i] == NONE ? NONE : cosine;
+    }
+  });
 }
 
 // How much likelier a frame is at rows than at a new place, by their nearness.
-SSRVLAD_CLONES void likelihoods(const float *near, Size count, double weight, double level,
-                                const Spread &spread, float *told) {
-  const double least = spread.mean + level * spread.deviation, factor = weight / spread.deviation;
-  for (Size i = 0; i < count; ++i)
-    told[i] =
-        static_cast<float>(exp_of(std::min((static_cast<double>(near[i]) - least) * factor, MAX_LOG)));
+void likelihoods(const float *near, Size count, double weight, double level,
+                 const Spread &spread, float *told) {
+  on_cpu([=, &spread](auto) {
+    const double least = spread.mean + level * spread.deviation, factor = weight / spread.deviation;
+    for (Size i = 0; i < count; ++i)
+      told[i] =
+          static_cast<float>(exp_of(std::min((static_cast<double>(near[i]) - least) * factor, MAX_LOG)));
+  });
 }
 
 // How alike the last of some frames is to those just before it, by their cosines: 0 as different places,

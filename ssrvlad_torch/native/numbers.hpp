@@ -10,19 +10,7 @@
 #include <cstring>
 #include <limits>
 
-// Loops over many numbers are compiled for several processors; the loader picks the best version.
-#if defined(__x86_64__) && defined(__GLIBC__) && defined(__GNUC__) && !defined(__clang__) && \
-    !defined(SSRVLAD_ONE_TARGET)
-#define SSRVLAD_CLONES __attribute__((target_clones("avx512f", "avx2", "default")))
-#else
-#define SSRVLAD_CLONES
-#endif
-
-#if defined(__GNUC__)
-#define SSRVLAD_INLINE inline __attribute__((always_inline))
-#else
-#define SSRVLAD_INLINE inline
-#endif
+#include "cpu.hpp"
 
 namespace places {
 
@@ -34,13 +22,13 @@ constexpr double ROUNDING = 1e-6;    // of a cosine of 480 float32 products
 constexpr double MIN_SPREAD = 1e-6;
 constexpr double MAX_LOG = 50;       // frames that equal their rows must not overflow
 
-inline std::uint64_t bits_of(double value) {
+SSRVLAD_INLINE std::uint64_t bits_of(double value) {
   std::uint64_t bits;
   std::memcpy(&bits, &value, 8);
   return bits;
 }
 
-inline double of_bits(std::uint64_t bits) {
+SSRVLAD_INLINE double of_bits(std::uint64_t bits) {
   double value;
   std::memcpy(&value, &bits, 8);
   return value;
@@ -48,7 +36,7 @@ inline double of_bits(std::uint64_t bits) {
 
 // The logarithm of a positive normal number. Like `exp_of` it takes only steps of which compilers
 // make vectors.
-inline double log_of(double value) {
+SSRVLAD_INLINE double log_of(double value) {
   constexpr std::uint64_t ROOT = 0x3fe6a09e667f3bcd;  // sqrt(1/2): mantissas from it to sqrt(2)
   const std::uint64_t bits = bits_of(value), power = (bits - ROOT + (1024ULL << 52)) >> 52;
   const double exponent = of_bits(power | 0x4330000000000000) - (4503599627370496.0 + 1024);
@@ -61,7 +49,7 @@ inline double log_of(double value) {
 }
 
 // The exponential of a number of at most 700; 0 below -700, and for -inf.
-inline double exp_of(double value) {
+SSRVLAD_INLINE double exp_of(double value) {
   const double shifted = value * 1.44269504088896340736 + 6755399441055744.0;  // to a whole number
   const double whole = shifted - 6755399441055744.0;
   const double r = (value - whole * 0.693147180369123816490) - whole * 1.90821492927058770002e-10;

@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <atomic>
 #include <cstdint>
+#include <exception>
 #include <mutex>
 #include <new>
 #include <system_error>
@@ -35,7 +36,7 @@ bool in_parallel([[maybe_unused]] std::int64_t count, [[maybe_unused]] int threa
   const auto work = [&]() noexcept {
     try {
       job(next);
-    } catch (const std::bad_alloc &) {
+    } catch (const std::exception &) {  // bad_alloc, or length_error of sizes beyond memory
       failed = true;
     }
   };
@@ -44,11 +45,14 @@ bool in_parallel([[maybe_unused]] std::int64_t count, [[maybe_unused]] int threa
 #else
   std::vector<std::thread> others;
   try {
-    for (std::int64_t i = 1; i < std::min<std::int64_t>(threads, count); ++i)
-      others.emplace_back(work);
+    const auto more = std::max<std::int64_t>(1, std::min<std::int64_t>(threads, count)) - 1;
+    others.reserve(static_cast<std::size_t>(more));
+    for (std::int64_t i = 0; i < more; ++i) others.emplace_back(work);
   } catch (const std::system_error &) {  // no more threads available: fewer do the work
+  } catch (const std::bad_alloc &) {
+    failed = true;
   }
-  work();
+  if (!failed) work();
   for (std::thread &other : others) other.join();
 #endif
   return !failed;

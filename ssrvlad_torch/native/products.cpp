@@ -2,27 +2,13 @@
 
 #include "products.hpp"
 
-#if defined(SSRVLAD_ONE_TARGET)
-#elif defined(__x86_64__) && defined(__GNUC__)
-#define SSRVLAD_X86
-#include <immintrin.h>
-#elif defined(__aarch64__) && defined(__GNUC__)
-#define SSRVLAD_NEON
-#include <arm_neon.h>
-#endif
-
 namespace places {
 
 namespace {
 
 constexpr Size LANES = 32, ROWS = 12;  // of a panel, and of a tile
 
-// Fills sums (ROWS, LANES) with the products of numbers of a panel (length, LANES), of which some lanes
-// count, and of rows.
-using Tile = void (*)(const float *panel, const float *const *rows, Size length, Size lanes,
-                      float *sums);
-
-#if !defined(SSRVLAD_NEON)
+#if !defined(__aarch64__)
 // a * b + c, rounded once. The product of two floats is exact in double precision. A sum that is not
 // exact is cut towards zero and its last bit set, which rounds to single precision as the exact one.
 inline float fused(double a, double b, double c) {
@@ -42,9 +28,10 @@ bool are_normal(const float *values, Size count) {
   return !small;
 }
 
-// As `fused`, for sums in double precision that are rounded to single. Where two roundings may differ
-// from one, for a sum in the middle between two numbers, all is done again.
-void tile_plain(const float *panel, const float *const *rows, Size length, Size lanes, float *sums) {
+// Fills sums (ROWS, LANES) with the products of numbers of a panel (length, LANES), of which some lanes
+// count, and of rows. As `fused`, for sums in double precision that are rounded to single. Where two
+// roundings may differ from one, for a sum in the middle between two numbers, all is done again.
+void tile(Base, const float *panel, const float *const *rows, Size length, Size lanes, float *sums) {
   constexpr Size AT_ONCE = 16;
   constexpr std::uint64_t DROPPED = (1ULL << 29) - 1, HALF = 1ULL << 28;
   const bool normal = are_normal(panel, length * LANES);
@@ -77,9 +64,9 @@ void tile_plain(const float *panel, const float *const *rows, Size length, Size 
 }
 #endif
 
-#if defined(SSRVLAD_X86)
-__attribute__((target("avx512f"))) void tile_of_512(const float *panel, const float *const *rows,
-                                                    Size length, Size, float *sums) {
+#ifdef SSRVLAD_X86
+__attribute__((target("avx512f"))) void tile(Avx512, const float *panel, const float *const *rows,
+                                                     Size length, Size, float *sums) {
   __m512 some[ROWS], others[ROWS];
 #pragma GCC unroll 12
   for (int row = 0; row < ROWS; ++row) some[row] = others[row] = _mm512_setzero_ps();
@@ -99,8 +86,8 @@ __attribute__((target("avx512f"))) void tile_of_512(const float *panel, const fl
   }
 }
 
-__attribute__((target("avx2,fma"))) void tile_of_256(const float *panel, const float *const *rows,
-                                                     Size length, Size, float *sums) {
+__attribute__((target("avx2,fma"))) void tile(Avx2, const float *panel, const float *const *rows,
+                                                    Size length, Size, float *sums) {
   for (int first = 0; first < ROWS; first += 3) {
     __m256 kept[3][4];
 #pragma GCC unroll 12
@@ -121,8 +108,8 @@ __attribute__((target("avx2,fma"))) void tile_of_256(const float *panel, const f
 }
 #endif
 
-#if defined(SSRVLAD_NEON)
-void tile_plain(const float *panel, const float *const *rows, Size length, Size, float *sums) {
+#if defined(__aarch64__)
+void tile(Base, const float *panel, const float *const *rows, Size length, Size, float *sums) {
   for (int first = 0; first < ROWS; first += 3) {
     float32x4_t kept[3][8];
 #pragma GCC unroll 24
@@ -140,15 +127,6 @@ void tile_plain(const float *panel, const float *const *rows, Size length, Size,
   }
 }
 #endif
-
-Tile tile() {
-#if defined(SSRVLAD_X86)
-  __builtin_cpu_init();
-  if (__builtin_cpu_supports("avx512f")) return tile_of_512;
-  if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) return tile_of_256;
-#endif
-  return tile_plain;
-}
 
 }  // namespace
 
@@ -174,7 +152,6 @@ Panels::Panels(const float *vectors, Size count, Size anchors, Size length)
 }
 
 void Panels::best(const float *rows, Size count, float *scores, Size pitch) const {
-  static const Tile multiply = tile();
   float sums[ROWS * LANES], highest[ROWS * LANES];
   for (Size first = 0; first < count_; first += items_) {
     const float *group = packed_.data() + first / items_ * panels_ * LANES * length_;
@@ -186,7 +163,9 @@ void Panels::best(const float *rows, Size count, float *scores, Size pitch) cons
       for (Size panel = 0; panel < panels_; ++panel) {
         float *target = panel ? sums : highest;
         std::fill_n(target, ROWS * LANES, 0.0F);
-        multiply(group + panel * LANES * length_, of, length_, items * lanes_, target);
+        const float *numbers = group + panel * LANES * length_;
+        const Size length = length_, lanes = items * lanes_;
+        on_cpu([=, &of](auto processor) { tile(processor, numbers, of, length, lanes, target); });
         if (panel)
           for (Size at = 0; at < ROWS * LANES; ++at) highest[at] = std::max(highest[at], sums[at]);
       }

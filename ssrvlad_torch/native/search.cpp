@@ -16,13 +16,15 @@ constexpr Size ROWS = 96, QUERIES = 1024;  // that are multiplied at once, at mo
 constexpr Size LANES = SSRVLAD_LANES;
 
 // Divides products by the lengths of their rows, NONE for length 0, and returns the highest score.
-SSRVLAD_CLONES float divide(float *products, const float *lengths, Size count) {
-  float highest = NONE;
-  for (Size row = 0; row < count; ++row) {
-    products[row] = lengths[row] > 0 ? products[row] / lengths[row] : NONE;
-    highest = products[row] > highest ? products[row] : highest;
-  }
-  return highest;
+float divide(float *products, const float *lengths, Size count) {
+  return on_cpu([=](auto) {
+    float highest = NONE;
+    for (Size row = 0; row < count; ++row) {
+      products[row] = lengths[row] > 0 ? products[row] / lengths[row] : NONE;
+      highest = products[row] > highest ? products[row] : highest;
+    }
+    return highest;
+  });
 }
 
 // Puts a row among the best of a query, behind those of equal scores.
@@ -55,18 +57,20 @@ void match(const ssrvlad_rows &given, const float *queries, Size first, Size las
 
 // The score of each of LANES rows by the best of several vectors of weights. Number n of `length` of
 // row r is numbers[n * LANES + r].
-SSRVLAD_CLONES void best_anchors(const float *weights, const float *offsets, Size anchors,
-                                 const float *numbers, Size length, float *scores) {
-  for (Size lane = 0; lane < LANES; ++lane) scores[lane] = -std::numeric_limits<float>::infinity();
-  for (Size anchor = 0; anchor < anchors; ++anchor) {
-    float sums[LANES];
-    for (Size lane = 0; lane < LANES; ++lane) sums[lane] = offsets[anchor];
-    for (Size n = 0; n < length; ++n) {
-      const float weight = weights[anchor * length + n], *number = numbers + n * LANES;
-      for (Size lane = 0; lane < LANES; ++lane) sums[lane] += weight * number[lane];
+void best_anchors(const float *weights, const float *offsets, Size anchors,
+                  const float *numbers, Size length, float *scores) {
+  on_cpu([=](auto) {
+    for (Size lane = 0; lane < LANES; ++lane) scores[lane] = -std::numeric_limits<float>::infinity();
+    for (Size anchor = 0; anchor < anchors; ++anchor) {
+      float sums[LANES];
+      for (Size lane = 0; lane < LANES; ++lane) sums[lane] = offsets[anchor];
+      for (Size n = 0; n < length; ++n) {
+        const float weight = weights[anchor * length + n], *number = numbers + n * LANES;
+        for (Size lane = 0; lane < LANES; ++lane) sums[lane] += weight * number[lane];
+      }
+      for (Size lane = 0; lane < LANES; ++lane) scores[lane] = std::max(scores[lane], sums[lane]);
     }
-    for (Size lane = 0; lane < LANES; ++lane) scores[lane] = std::max(scores[lane], sums[lane]);
-  }
+  });
 }
 
 }  // namespace

@@ -23,25 +23,12 @@
 #include <new>
 #include <vector>
 
+#include "cpu.hpp"
 #include "parallel.hpp"
-
-// Loops over many words are compiled for several processors; the loader picks the best version.
-#if defined(__x86_64__) && defined(__GLIBC__) && defined(__GNUC__) && !defined(__clang__) && \
-    !defined(SSRVLAD_ONE_TARGET)
-#define SSRVLAD_CLONES __attribute__((target_clones("avx512f", "avx2", "default")))
-#else
-#define SSRVLAD_CLONES
-#endif
-
-#if defined(__GNUC__)
-#define SSRVLAD_INLINE inline __attribute__((always_inline))
-#else
-#define SSRVLAD_INLINE inline
-#endif
 
 namespace {
 
-using places::in_parallel;
+using places::in_parallel, places::on_cpu;
 using Word = std::uint64_t;
 using Size = std::int64_t;
 
@@ -319,12 +306,14 @@ bool split(const Id *ids, const Grid &grid, const Lookup<std::uint16_t> &lookup,
 // ------------------------------------------------------------------------------------- morphology
 
 // ORs each word with the bits that are `whole` words and `bits` bits later.
-SSRVLAD_CLONES void or_later(Word *words, Size count, Size whole, int bits) {
-  const Word *later = words + whole;
-  if (bits == 0)
-    for (Size i = 0; i < count; ++i) words[i] |= later[i];
-  else
-    for (Size i = 0; i < count; ++i) words[i] |= later[i] >> bits | later[i + 1] << (64 - bits);
+void or_later(Word *words, Size count, Size whole, int bits) {
+  on_cpu([=](auto) {
+    const Word *later = words + whole;
+    if (bits == 0)
+      for (Size i = 0; i < count; ++i) words[i] |= later[i];
+    else
+      for (Size i = 0; i < count; ++i) words[i] |= later[i] >> bits | later[i + 1] << (64 - bits);
+  });
 }
 
 // Calls `spread` with the steps by which a running OR grows, doubling, to `2 * radius + 1` pixels.
@@ -632,21 +621,23 @@ SSRVLAD_INLINE Word guo_hall(Word here, const Ring &r) {
 constexpr Size BLOCK = 128;
 using Block = std::array<std::array<Word, BLOCK>, 9>;
 
-template <class Rule>
-SSRVLAD_INLINE void delete_from(const Block &t, Word *gone, Rule rule) {
+template <Word (*RULE)(Word, const Ring &)>
+SSRVLAD_INLINE void delete_from(const Block &t, Word *gone) {
   for (std::size_t i = 0; i < BLOCK; ++i)
-    gone[i] = rule(t[4][i], ring_of(t[0][i], t[1][i], t[2][i], t[3][i], t[4][i], t[5][i], t[6][i],
+    gone[i] = RULE(t[4][i], ring_of(t[0][i], t[1][i], t[2][i], t[3][i], t[4][i], t[5][i], t[6][i],
                                     t[7][i], t[8][i]));
 }
 
-SSRVLAD_CLONES void delete_pixels(const Block &around, int thinning, bool first, Word *gone) {
-  if (thinning == SSRVLAD_ZHANG_SUEN) {
-    if (first) delete_from(around, gone, zhang_suen<true>);
-    else delete_from(around, gone, zhang_suen<false>);
-  } else {
-    if (first) delete_from(around, gone, guo_hall<true>);
-    else delete_from(around, gone, guo_hall<false>);
-  }
+void delete_pixels(const Block &around, int thinning, bool first, Word *gone) {
+  on_cpu([=, &around](auto) {
+    if (thinning == SSRVLAD_ZHANG_SUEN) {
+      if (first) delete_from<zhang_suen<true>>(around, gone);
+      else delete_from<zhang_suen<false>>(around, gone);
+    } else {
+      if (first) delete_from<guo_hall<true>>(around, gone);
+      else delete_from<guo_hall<false>>(around, gone);
+    }
+  });
 }
 
 // Thins tiles until nothing changes. A sub-iteration processes only tiles in which a pixel or a
@@ -791,7 +782,7 @@ void points_of(const Tiles &tiles, const Tiles *more, std::vector<Point> &points
 }
 
 // The centroid of a layer's pixels, rounded to the nearest pixel, halves up (Eq. 1).
-SSRVLAD_CLONES bool centroid(const Word *plane, const Grid &grid, Point &centre) {
+bool centroid(const Word *plane, const Grid &grid, Point &centre) {
   Size area = 0, sum_y = 0, sum_x = 0;
   for (Size y = 0; y < grid.height; ++y, plane += grid.pitch)
     for (Size i = 0; i < grid.pitch; ++i) {
@@ -948,7 +939,7 @@ using Cells = std::array<double, CELLS>;
 
 // The fraction of each of 24 x 32 cells that a layer covers, with the image moved left by `shift`
 // columns. In integers up to the division: a row of W pixels has W * 32 units, a cell has W.
-SSRVLAD_CLONES bool pool(const Word *plane, const Grid &grid, Size shift, Cells &cells) {
+bool pool(const Word *plane, const Grid &grid, Size shift, Cells &cells) {
   std::array<Size, CELLS> sums{};
   std::array<Size, CELL_COLUMNS + 1> bounds;
   const Size units = grid.width * CELL_COLUMNS;

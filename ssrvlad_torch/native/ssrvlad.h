@@ -74,6 +74,9 @@ SSRVLAD_API int ssrvlad_interface(void);
  * the build did not define it. */
 SSRVLAD_API const char *ssrvlad_source(void);
 
+/* What the core uses of this processor: "AVX-512", "AVX2", "SSE2", "NEON", "SIMD128" or "no SIMD". */
+SSRVLAD_API const char *ssrvlad_simd(void);
+
 /* Fills the settings of a preset, "default" or "paper". */
 SSRVLAD_API int ssrvlad_preset(const char *name, ssrvlad_settings *settings);
 

@@ -42,6 +42,7 @@ EQUAL = 1e-6
 """A vector this near to the mean equals it: its drive has one frame, or all frames are equal."""
 
 _LEAST_LENGTH = 1e-3
+_LEAST_TOTAL = float(np.finfo(np.float32).tiny)
 
 
 def means_of_drives(numbers: Array, sequences: Sequence[str]) -> Floats:
@@ -312,6 +313,17 @@ class Model(NamedTuple):
         moved = (1 - motion.jump) * turned + motion.jump * lost
         return np.append(moved.flatten(), motion.stay * unmapped + (1 - motion.stay) * anywhere)
 
+    def updated(self, belief: Floats, told: Floats) -> tuple[Floats, float]:
+        """The belief after a query, and how much likelier the query is so than alone, as a
+        logarithm. After a query that can be nowhere by the belief, this starts anew."""
+        alone = (self.start() * told).sum()
+        if (belief * told).sum() < _LEAST_TOTAL:
+            belief = self.start()
+        total = (belief * told).sum()
+        if total < _LEAST_TOTAL:
+            return belief, 0.0
+        return belief * told / total, math.log(total / alone)
+
     def told(self, scores: Array) -> list[Floats]:
         """The likelihood of each query ``(Q, R)`` in all states."""
         return [
@@ -328,8 +340,8 @@ def follow(
     told = model.told(scores)
     beliefs = list[Floats]()
     for each in told:
-        belief = each * (model.after(beliefs[-1]) if beliefs else model.start())
-        beliefs.append(belief / belief.sum())
+        before = model.after(beliefs[-1]) if beliefs else model.start()
+        beliefs.append(model.updated(before, each)[0])
     none, count = np.ones(len(model.start())), len(told)
     futures = [none]
     for query in reversed(range(count - 1)):
@@ -340,9 +352,13 @@ def follow(
         future = ahead[0][0] if ahead else none
         for _, each in ahead:
             future = model.before(future * each)
-            future = future / future.max()
+            future = future / future.max() if future.max() >= _LEAST_TOTAL else none
         futures.append(future)
     found = [belief * future for belief, future in zip(beliefs, reversed(futures), strict=False)]
+    found = [
+        both if both.sum() >= _LEAST_TOTAL else belief
+        for both, belief in zip(found, beliefs, strict=True)
+    ]
     states = np.reshape([each / each.sum() for each in found], (count, len(none)))
     return states[:, :-1].reshape(count, len(SPEEDS), -1).sum(1), states[:, -1]
 
@@ -350,11 +366,10 @@ def follow(
 def gain(scores: Array, sequences: Sequence[str], motion: Motion, way: int) -> float:
     """How much likelier the queries are as a drive than each alone, as a logarithm."""
     model, total = Model(sequences, motion, way), 0.0
-    belief = start = model.start()
+    belief = model.start()
     for number, told in enumerate(model.told(scores)):
-        belief = told * (model.after(belief) if number else start)
-        total += math.log(belief.sum() / (start * told).sum())
-        belief = belief / belief.sum()
+        belief, gained = model.updated(model.after(belief) if number else belief, told)
+        total += gained
     return total
 
 
