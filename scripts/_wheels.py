@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from hatch_build import FOLDER, PURE, WHEELS
+from hatch_build import FOLDER, WHEELS
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -32,7 +32,7 @@ def wheels(names: Sequence[str], out: Path) -> Iterator[tuple[Path, str]]:
     """Builds the source archive and the wheels of some platforms; each file with what it holds.
 
     Args:
-        names: of `hatch_build.WHEELS`, or ``pure``.
+        names: of `hatch_build.WHEELS`.
         out: folder to write to; made if it does not exist.
 
     Raises:
@@ -66,11 +66,9 @@ def _checked(wheel: Path, name: str) -> str:
 
     with zipfile.ZipFile(wheel) as archive:
         found = [file for file in archive.namelist() if Path(file).name.startswith("libssrvlad")]
-        expected = [] if name == PURE else [str(FOLDER / WHEELS[name].library)]
+        expected = [str(FOLDER / WHEELS[name].library)]
         if found != expected:
-            raise ValueError(f"{wheel.name}: expected {expected or 'no library'}, got {found}")
-        if not found:
-            return "without the native core"
+            raise ValueError(f"{wheel.name}: expected {expected}, got {found}")
         content = archive.read(found[0])
     lief.logging.disable()  # it reports what other systems lack
     library = lief.parse(content)
@@ -124,11 +122,10 @@ def _audit(wheel: Path) -> None:
 
 
 if __name__ == "__main__":
-    every = (*WHEELS, PURE)
-    if strange := set(sys.argv[1:]) - {*every}:
-        sys.exit(f"wheels: expected {', '.join(every)}, got {min(strange)}")
+    if strange := set(sys.argv[1:]) - {*WHEELS}:
+        sys.exit(f"wheels: expected {', '.join(WHEELS)}, got {min(strange)}")
     try:
-        for built, content in wheels(sys.argv[1:] or every, ROOT / "dist"):
+        for built, content in wheels(sys.argv[1:] or [*WHEELS], ROOT / "dist"):
             print(f"{built.relative_to(ROOT)}: {content}", flush=True)
     except ValueError as error:
         sys.exit(f"wheels: {error}")

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import torch
 from drawings import MASKS, SPACE, VOID, blobs, every_neighbourhood, mask, planes
+from hatchling.builders.wheel import WheelBuilder
 from helpers import outcome
 from hypothesis import given
 from hypothesis import strategies as st
@@ -30,6 +31,10 @@ from ssrvlad_torch.stages.skeleton import RULES, thin
 from ssrvlad_torch.taxonomy import label_space
 
 ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT / "scripts"))
+
+import hatch_build  # noqa: E402 - of no package
+
 SIZES = st.integers(1, 140)
 
 pytestmark = pytest.mark.usefixtures("core")
@@ -248,13 +253,13 @@ def test_a_library_of_another_source_is_refused(tmp_path, monkeypatch):
 
 
 def test_a_missing_compiler_is_named(tmp_path, monkeypatch):
-    sys.path.insert(0, str(ROOT / "scripts"))
-    from hatch_build import build
-
-    folder = tmp_path / "ssrvlad_torch" / "native"
-    shutil.copytree(native.FOLDER, folder)
+    shutil.copytree(native.FOLDER, tmp_path / hatch_build.FOLDER)
     monkeypatch.setenv("CXX", "no-such-compiler")
-    assert build(tmp_path) == "no-such-compiler: No such file or directory"
-    monkeypatch.delenv("CXX")
+    assert hatch_build.build(tmp_path) == "no-such-compiler: No such file or directory"
+
+
+def test_without_a_compiler_the_build_requires_one_from_pypi(monkeypatch):
+    monkeypatch.delenv("CXX", raising=False)
+    assert WheelBuilder(str(ROOT)).config.dependencies == []
     monkeypatch.setenv("PATH", "")
-    assert build(tmp_path) == "no C++ compiler"
+    assert WheelBuilder(str(ROOT)).config.dependencies == [hatch_build.ZIGLANG]
