@@ -28,7 +28,7 @@ def thin(planes: Tensor, rule: Rule) -> Tensor:
         first = rule(planes, neighbours(planes))
         ring = neighbours(first)
         second = rule(first, (*ring[4:], *ring[:4]))
-        return (planes ^ second).amax().int() > 0, second
+        return (planes ^ second).flatten().amax(0).int() > 0, second
 
     return repeat_while(torch.ones((), dtype=torch.bool), iteration, planes)[0]
 
