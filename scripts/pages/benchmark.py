@@ -4,53 +4,43 @@
     .venv/bin/python scripts/pages/benchmark.py --camvid ../shared/data/camvid \
         --networks ../shared/data/networks
 
-The rows of a table are timed in turn (`_timing.time_in_turn`) with a fixed number
-of threads. Label maps are those of CamVid, enlarged to each size, or without it of the synthetic
-city. Needs the extra `dev`; `pip install faiss-cpu` adds the comparison of matching.
+The rows of a table are timed in turn (`_timing.time_in_turn`) with a fixed number of threads. Label
+maps are those of CamVid, enlarged to each size, or without it of the synthetic city. Needs the
+extra `dev`.
 """
 
 from __future__ import annotations
 
 import argparse
-import math
 import os
 import platform
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
-import scipy.fft
 import torch
 from _encoding_costs import encoding_table
 from _loops_cost import loops_table
 from _markdown import Page, head_row, paragraph, row, save, span
-from _opencv import opencv_describe
 from _picture_costs import pictures_table
-from _timing import Timing, heads, onnx_head, threads, time_in_turn
+from _timing import heads, onnx_head, threads, time_in_turn
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 from PIL import Image
 from torch import Tensor
 
-from ssrvlad_torch import SSRVLAD, SSRVLADConfig, match, reference
+from ssrvlad_torch import SSRVLAD, SSRVLADConfig, reference
 from ssrvlad_torch.config import PRESETS
 from ssrvlad_torch.datasets.synthetic_city import SyntheticCity
-from ssrvlad_torch.recognition.comparison import ReferenceRows
-from ssrvlad_torch.stages.features import SHAPE
 
 SIZES = [(512, 512), (1024, 1024)]
 LARGE = (1024, 1024)
 BATCH = 16
 EVERY_BUFFER_GIVEN_BACK = {"MALLOC_MMAP_THRESHOLD_": "65536", "MALLOC_TRIM_THRESHOLD_": "65536"}
-SPECKS = [0, 1000, 10_000]
-SIGN_QUERIES = 20
 
 
 class Maps:
@@ -78,8 +68,6 @@ def ways_of(maps: Maps, preset: str, labels: Tensor) -> dict[str, Callable[[], o
     """Every way to describe one image; their results must agree before they are timed."""
     config, image = maps.config(preset), labels[0].numpy()
     ways: dict[str, Callable[[], Any]] = {"reference": partial(reference.describe, image, config)}
-    if preset == "paper":
-        ways["OpenCV, layer by layer"] = partial(opencv_describe, image, config)
     for name, head in heads(config).items():
         ways[f"module, {name}"] = partial(head, labels[:1])
     ways["ONNX Runtime"] = partial(onnx_head(config), labels[:1])
@@ -143,156 +131,31 @@ def with_threads(count: int, head: SSRVLAD, labels: Tensor) -> Tensor:
         return head(labels)
 
 
-def scene_table(maps: Maps, repetitions: int) -> Iterator[str]:
-    yield from head_row("specks", "ms", "ms, uncleaned")
-    paper = maps.config("paper")
-    configs = [paper, replace(paper, closing=0.0, hole_area=0.0, region_area=0.0)]
-    scenes = [strewn(maps.batch(LARGE, 1), count) for count in SPECKS]
-    columns = []
-    for config in configs:
-        ways = {str(n): partial(SSRVLAD(config), scene) for n, scene in enumerate(scenes)}
-        plain, *others = time_in_turn(ways, repetitions).values()
-        ratios = [plain.times_faster_than(of)["median"] for of in (plain, *others)]
-        times = [span(of.milliseconds, 1) for of in (plain, *others)]
-        columns.append([f"{a}, {b:.1f} x plain" for a, b in zip(times, ratios, strict=True)])
-    for count, *cells in zip(SPECKS, *columns, strict=True):
-        yield row(str(count), *cells)
-    transform = time_in_turn({"one layer": partial(correlate, LARGE)}, repetitions)["one layer"]
-    yield row("any, one layer by Fourier transforms", span(transform.milliseconds, 0), "")
-
-
-def correlate(shape: tuple[int, int]) -> None:
-    """Counts the pairs of points of a layer at every distance and direction."""
-    twice = 2 * shape[0], 2 * shape[1]
-    points, context = (scipy.fft.rfft2(np.zeros(shape, np.float32), twice) for _ in range(2))
-    scipy.fft.irfft2(points.conj() * context, twice)
-
-
-def strewn(labels: Tensor, count: int) -> Tensor:
-    rng = np.random.default_rng(count)
-    scene = labels.clone()
-    height, width = scene.shape[1:]
-    for y, x, label in rng.integers(0, (height - 3, width - 3, 8), (count, 3)).tolist():
-        scene[:, y : y + 3, x : x + 3] = label
-    return scene
-
-
 def memory_table(options: argparse.Namespace) -> Iterator[str]:
     yield from head_row("preset", "way", "size", "batch", "bytes a pixel")
     camvid = ["--camvid", str(options.camvid)] if options.camvid else []
+    environment = {**os.environ, **EVERY_BUFFER_GIVEN_BACK}
     for preset, name, count in product(PRESETS, ("torch", "native core"), (1, BATCH)):
-        memory = in_new_process(preset, name, *map(str, LARGE), str(count), *camvid)
-        yield row(preset, name, by(LARGE), str(count), memory)
+        command = [sys.executable, __file__, *camvid, "--memory", preset, name, str(count)]
+        done = subprocess.run(command, check=True, capture_output=True, text=True, env=environment)
+        yield row(preset, name, by(LARGE), str(count), done.stdout.strip())
 
 
-def in_new_process(*arguments: str) -> str:
-    """What `print_memory` prints."""
-    command = [sys.executable, __file__, "--memory", *arguments]
-    env = {**os.environ, **EVERY_BUFFER_GIVEN_BACK}
-    done = subprocess.run(command, check=True, capture_output=True, text=True, env=env)
-    return done.stdout.strip()
-
-
-def print_memory(maps: Maps, preset: str, name: str, *numbers: str) -> None:
-    height, width, count = map(int, numbers)
-    if name == "match":
-        with threads(1):
-            print(f"{peak_bytes(partial(match, *random_rows(count), 10)) / 2**20:.0f}")
-        return
-    head = heads(maps.config(preset))[name]
+def print_memory(maps: Maps, preset: str, name: str, count: str) -> None:
+    """The peak of resident memory of a batch minus what was resident before it, in bytes a pixel.
+    In a new process: what earlier calls have freed would be used again."""
+    head, labels = heads(maps.config(preset))[name], maps.batch(LARGE, int(count))
     head(maps.batch((64, 96), 2))
-    labels = maps.batch((height, width), count)
-    with threads(1):
-        print(f"{peak_bytes(partial(head, labels)) / labels.numel():.0f}")
-
-
-def peak_bytes(call: Callable[[], object]) -> int:
-    """The peak of resident memory during a call minus what was resident before it. In a new
-    process: what earlier calls have freed would be used again."""
     Path("/proc/self/clear_refs").write_text("5")
     before = status_bytes("VmRSS")
-    call()
-    return status_bytes("VmHWM") - before
+    with threads(1):
+        head(labels)
+    print(f"{(status_bytes('VmHWM') - before) / labels.numel():.0f}")
 
 
 def status_bytes(field: str) -> int:
     lines = Path("/proc/self/status").read_text().splitlines()
     return next(int(entry.split()[1]) * 1024 for entry in lines if entry.startswith(field))
-
-
-def matching_section(references: int) -> Iterator[str]:
-    try:
-        import faiss
-    except ImportError:
-        yield "Not measured: faiss-cpu is not installed.\n"
-        return
-    faiss.omp_set_num_threads(1)
-    queries, database = random_rows(references)
-    index = faiss.IndexFlatIP(480)
-    index.add(database)
-    ways = {
-        "faiss.IndexFlatIP": partial(index.search, queries, 10),
-        "match": partial(match, queries, database, 10),
-        "the products alone, by torch": partial(products, queries, database),
-    }
-    extra = in_new_process("", "match", "0", "0", str(references))
-    found = match(queries, database, top=10).indices.numpy()
-    same = float((found == index.search(queries, 10)[1]).mean())
-    timings = time_in_turn(ways, 3, warm_up=False)
-    yield paragraph(
-        f"1000 queries against {references} x 480 float32, exact top 10, one thread, "
-        f"faiss {faiss.__version__}:"
-    )
-    yield from against("faiss.IndexFlatIP", timings)
-    yield paragraph(
-        f"Equal candidates: {same:.4%}. Peak memory of `match` in addition to its arguments: "
-        f"{extra} MB."
-    )
-    yield paragraph(
-        f"Signs of features, at one alignment, against {references} x {math.prod(SHAPE)} bytes, "
-        "exact top 10, one thread:"
-    )
-    signs = torch.from_numpy(
-        np.random.default_rng(0).integers(0, 256, (references, *SHAPE), np.uint8)
-    )
-    asked, flat = signs[:: references // SIGN_QUERIES], faiss.IndexBinaryFlat(8 * math.prod(SHAPE))
-    flat.add(signs.flatten(1).numpy())
-    known = ReferenceRows(signs, ["map"] * references)
-
-    def ours(queries: Tensor) -> Tensor:
-        return known.compare(queries, False, False).whole().topk(10).indices
-
-    for count in (1, SIGN_QUERIES):
-        some = asked[:count]
-        name = f"faiss.IndexBinaryFlat, {count} at once"
-        ways = {
-            name: partial(flat.search, some.flatten(1).numpy(), 10),
-            f"signs, {count} at once": partial(ours, some),
-        }
-        yield from against(name, time_in_turn(ways, 5))
-
-
-def against(other: str, timings: dict[str, Timing]) -> Iterator[str]:
-    yield from head_row("way", "s", "relative to faiss")
-    for name, timing in timings.items():
-        seconds = {k: v / 1e3 for k, v in timing.milliseconds.items()}
-        yield row(name, span(seconds, 3), span(timings[other].times_faster_than(timing), 2))
-    yield ""
-
-
-def products(queries: NDArray[np.float32], database: NDArray[np.float32]) -> None:
-    """All products of queries and references, block by block."""
-    for block in torch.from_numpy(database).split(1 << 10):
-        torch.from_numpy(queries) @ block.T
-
-
-def random_rows(references: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """1000 queries near rows of a database, and the database, all of length 1 or about that."""
-    rng = np.random.default_rng(0)
-    database = rng.standard_normal((references, 480), dtype=np.float32)
-    database /= np.linalg.norm(database, axis=1, keepdims=True)
-    queries = database[rng.integers(0, references, 1000)]
-    return queries + 0.02 * rng.standard_normal(queries.shape, dtype=np.float32), database
 
 
 def by(size: Sequence[int]) -> str:
@@ -305,16 +168,14 @@ def main() -> None:
     arguments.add_argument("--networks", type=Path, default=None)
     arguments.add_argument("--output", type=Path, default=Path("docs/benchmark.md"))
     arguments.add_argument("--repetitions", type=int, default=5)
-    arguments.add_argument("--references", type=int, default=200_000)
     arguments.add_argument("--only", nargs="+", help="sections of the page; without, all")
     arguments.add_argument("--here", action="store_true", help="print the first table only")
-    arguments.add_argument("--memory", nargs=5, default=None, help=argparse.SUPPRESS)
+    arguments.add_argument("--memory", nargs=3, default=None, help=argparse.SUPPRESS)
     options = arguments.parse_args()
     maps = Maps(options.camvid)
     if options.memory:
         print_memory(maps, *options.memory)
         return
-    cv2.setNumThreads(1)
     if options.here:
         with threads(1):
             for line in size_table(maps, options.repetitions):
@@ -323,27 +184,24 @@ def main() -> None:
     page = Page("benchmark.md", options.output, whole=not options.only)
     pictures = sorted(options.camvid.glob("0001TP/images/*.jpg")) if options.camvid else []
     figure = options.output.parent / "figures" / "benchmark.svg"
-    again = options.repetitions
-    small = maps.batch((360, 480), BATCH)
-    parts = {
+    again, config = options.repetitions, maps.config("default")
+    tables = {
         "## One image, one thread": partial(size_table, maps, again, figure),
-        "## Cost against the complexity of the scene": partial(scene_table, maps, again),
         "## Peak memory": partial(memory_table, options),
         "## From the picture to the place": partial(
             pictures_table, options.networks, pictures, again
         ),
         "## Loop closures, online": partial(loops_table),
         "## Batches and threads": partial(batch_table, maps, again),
-        "## Encoding": partial(encoding_table, small, maps.config("default"), again),
-        "## Matching": partial(matching_section, options.references),
+        "## Encoding": partial(encoding_table, maps.batch((360, 480), BATCH), config, again),
     }
     if options.networks is None or not pictures:
-        del parts["## From the picture to the place"]
+        del tables["## From the picture to the place"]
     with threads(1):
-        for heading, part in parts.items():
-            name, _, kind = part.func.__name__.rpartition("_")
+        for heading, table in tables.items():
+            name = table.func.__name__.removesuffix("_table")
             if not options.only or name in options.only:
-                (page.table if kind == "table" else page.section)(heading, part())
+                page.table(heading, table())
     if not options.only:
         about = f"Label maps: {maps.source}. torch {torch.__version__}, "
         about += f"Python {platform.python_version()}, {platform.machine()}."

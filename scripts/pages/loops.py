@@ -17,7 +17,6 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
-from _loops_aside import aside_table
 from _loops_real import CUT, LATER, ONE_STREAM, WAYS, real_drives
 from _markdown import (
     DOCS,
@@ -86,7 +85,6 @@ def main() -> None:
         page = Page("loops.md", options.output)
         real_drives(page, options.data, options.cache)
         page.table("### Cities cut by a gap", cut_cities(measured))
-        page.table("## Sideways and heading", aside_table())
         figures = options.output.parent / "figures"
         for heading, lines in sections(learned, measured, checked, figures).items():
             page.section(heading, lines)
