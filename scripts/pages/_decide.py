@@ -9,9 +9,7 @@ import torch
 from _described import ALONE, BY_SCORES, Condition, Described
 from conditions import RESAMPLES
 
-from ssrvlad_torch.evaluation.curves import PrecisionRecall
-from ssrvlad_torch.evaluation.metrics import Convention, evaluate, precision_recall_curve
-from ssrvlad_torch.evaluation.outcomes import judge
+from ssrvlad_torch.evaluation.metrics import evaluate
 from ssrvlad_torch.recognition.recognise import Steps, recognise, recognise_by_scores
 
 FIGURES = ("RecallRate@1", "RecallRate@5", "AUC-PR", "Recall@100%Precision")
@@ -35,28 +33,18 @@ class Decisions(NamedTuple):
         """``(Q,)`` bool, whether the first candidate is a true match."""
         return np.array([row in set(t) for row, t in zip(self.rows[:, 0], self.truth, strict=True)])
 
-    def figures(self, convention: Convention = "exact") -> dict[str, tuple[float, float, float]]:
+    def figures(self) -> dict[str, tuple[float, float, float]]:
         """Each of `FIGURES` with the ends of its 95 % bootstrap interval."""
-        found = evaluate(*self, at=(1, 5), convention=convention, resamples=RESAMPLES)
+        found = evaluate(*self, at=(1, 5), resamples=RESAMPLES)
         ends = found["intervals"]
         rates = {f"RecallRate@{n}": (found["recall_at"][n], ends["recall_at"][n]) for n in "15"}
         others = {"AUC-PR": "auc_pr", "Recall@100%Precision": "recall_at_100_precision"}
         rates |= {name: (found[key], ends[key]) for name, key in others.items()}
         return {name: (value, *low_high) for name, (value, low_high) in rates.items()}
 
-    def curve(self, convention: Convention) -> PrecisionRecall:
-        """Precision and recall."""
-        return precision_recall_curve(judge(*self), convention)
 
-
-def decide(
-    described: Described, condition: Condition, method: str, steps: Steps, reach: int = 0
-) -> Decisions:
-    """Finds candidates for the queries of a condition.
-
-    Args:
-        reach: t of the temporal sum over the references (Eq. 3).
-    """
+def decide(described: Described, condition: Condition, method: str, steps: Steps) -> Decisions:
+    """Finds candidates for the queries of a condition."""
     found, truth = [], []
     for number, search in enumerate(condition.searches):
         names = described.sequences(search)
@@ -65,7 +53,7 @@ def decide(
         if method in BY_SCORES:
             one = recognise_by_scores(described.scores(search, method), *names, steps, 5)
         else:
-            members = described.members(search, method, names[1], reach)
+            members = described.members(search, method, names[1])
             one = recognise(members, *names, steps, 5)
         found.append(one)
         truth += [places + number * OFFSET for places in search.truth]

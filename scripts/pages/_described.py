@@ -32,21 +32,14 @@ from ssrvlad_torch.datasets.frame_files import FrameFile
 from ssrvlad_torch.datasets.names import sequence_of
 from ssrvlad_torch.datasets.synthetic_city import REFERENCE
 from ssrvlad_torch.evaluation.ground_truth import from_poses
-from ssrvlad_torch.recognition.comparison import Member, ReferenceRows
+from ssrvlad_torch.recognition.comparison import Member
 from ssrvlad_torch.recognition.recognise import Steps
 from ssrvlad_torch.recognition.sweep import COLUMNS
-from ssrvlad_torch.recognition.temporal import temporal_sum
 from ssrvlad_torch.segmentation.networks import open_network
 from ssrvlad_torch.segmentation.segmenter import Segmenter
 
 OURS = "SSR-VLAD, default"
-UNPROCESSED = "SSR-VLAD, paper, no pre-processing"
-CLEANING = ("opening", "closing", "hole_area", "region_area")
-SETTINGS: dict[str, dict[str, Any]] = {
-    "SSR-VLAD, paper": {"preset": "paper"},
-    OURS: {"preset": "default"},
-    UNPROCESSED: {"preset": "paper", **dict.fromkeys(CLEANING, 0.0)},
-}
+PRESETS = {"SSR-VLAD, paper": "paper", OURS: "default"}
 FEATURES, LOST_X, TOGETHER = "features", "LoST-X", "together"
 FUSED = {
     TOGETHER: {"features": FEATURES, "hog": "HOG"},
@@ -55,15 +48,12 @@ FUSED = {
 }
 """What is fused with `default`, by its name in a database: all that `encode` stores, and parts."""
 
-TRAINED = ("NetVLAD", "Region-VLAD")
-"""Methods whose networks were trained; their weights are not here."""
-
 METHODS = (
     *("SSR-VLAD, paper", OURS, "label grid", "HOG", "CoHOG", "tiny image"),
     *(FEATURES, LOST_X, TOGETHER),
 )
 OF_NETWORKS = (FEATURES, LOST_X, *FUSED)
-OF_PICTURES = ("HOG", "CoHOG", "tiny image", *TRAINED, *OF_NETWORKS)
+OF_PICTURES = ("HOG", "CoHOG", "tiny image", *OF_NETWORKS)
 BY_SCORES = ("CoHOG", "tiny image", LOST_X)
 """Their encodings are not vectors, so the steps use their scores."""
 
@@ -73,7 +63,6 @@ LAST = {
 }
 """The last activation of each encoder: what the authors of LoST-X took of theirs."""
 
-LABELS, IMAGES = "labels", "images"
 ALONE = Steps(standardise=False, follow=None)
 """Each query as a picture of which nothing else is known, as `locate` takes it."""
 
@@ -89,11 +78,6 @@ class Condition(NamedTuple):
     def title(self) -> str:
         """Data set and name."""
         return f"{self.dataset}: {self.name}"
-
-    @property
-    def gives(self) -> str:
-        """What the frames of a trial have for a rival: `LABELS` or `IMAGES`."""
-        return IMAGES if self.name.startswith(IMAGES) else LABELS
 
     @property
     def network(self) -> str | None:
@@ -123,17 +107,12 @@ class Described:
         data: folder of the real data sets; without it, only the city is measured.
         cache: folder of the cached descriptors.
         added: other drives by name, read when they are first used.
-        weights: folder of the weights of trained networks.
-        network: YAML file of the network of drives that have none of their own, for features and
-            LoST-X.
         shorter_side: of pictures that networks get; None for the size of the network.
     """
 
     data: Path | None
     cache: Path
     added: dict[str, Callable[[], Drive]] = field(default_factory=dict)
-    weights: Path | None = None
-    network: Path | None = None
     shorter_side: int | None = 576
     _known: dict[str, Any] = field(default_factory=dict)
 
@@ -171,43 +150,23 @@ class Described:
 
     def vectors(self, name: str, method: str) -> Tensor:
         """``(N, D)`` of a drive, of `default` ``(N, S, D)`` over `sweep.COLUMNS`."""
-        if method not in SETTINGS:
-            made = partial(self.make, method, network_of(name))
+        if method not in PRESETS:
             size = "" if self.shorter_side or method not in OF_NETWORKS else " at its own size"
+            made = partial(self.make, method, network_of(name))
             return self.kept(
                 f"{name} {method}{size}", lambda: made().encode_query(self.drive(name).seen())
             )
         version = head(method, "camvid-11").config.fingerprint
         return self.kept(f"{name} {method} {version}", lambda: swept(self.drive(name), method))
 
-    def make(
-        self, method: str, network: str | None = None, random_weights: bool = False
-    ) -> baselines.Method:
+    def make(self, method: str, network: str | None = None) -> baselines.Method:
         """A method of `baselines` by its name in the pages; features and LoST-X of a network of
-        `NETWORKS`, or of the one of all drives.
-
-        Raises:
-            FileNotFoundError: a network has no weights, or there is none.
-        """
-        if method in SETTINGS:
-            return baselines.make("ssr-vlad", **SETTINGS[method])
+        `NETWORKS`."""
         if network and method == FEATURES:
             return EncoderFeatures(self.segmenter(network))
         if network and method == LOST_X:
             return LoSTX(self.segmenter(network, LAST[network]))
-        own = {}
-        if method in OF_NETWORKS and self.network:
-            own = {"network": str(self.network), "labels_as": TRAIN_IDS}
-        if method in TRAINED and self.weights:
-            places = ("weights", "vocabulary") if method == "Region-VLAD" else ("weights",)
-            own = dict.fromkeys(places, str(self.weights))
-        name = method.lower().replace(" ", "-")
-        try:
-            return baselines.make(name, **own)
-        except FileNotFoundError:
-            if not random_weights or method not in TRAINED:
-                raise
-            return baselines.make(name, random_weights=True)
+        return baselines.make(method.lower().replace(" ", "-"))
 
     def segmenter(self, network: str, activation: str | None = None) -> Segmenter:
         """A network, with one of its activations as features."""
@@ -227,24 +186,13 @@ class Described:
         here, there = self.rows(search)
         return queries[here], references[there]
 
-    def members(
-        self, search: Search, method: str, sequences: Sequence[str], reach: int | None = None
-    ) -> dict[str, Member]:
-        """What `recognise` compares by a method, or by `default` and what is fused with it.
-
-        Args:
-            sequences: of the references.
-            reach: t of the temporal sum over the references (Eq. 3); by default no sum.
-        """
+    def members(self, search: Search, method: str, sequences: Sequence[str]) -> dict[str, Member]:
+        """What `recognise` compares by a method, or by `default` and what is fused with it;
+        ``sequences`` of the references."""
         fused = {OURS: OURS, **FUSED[method]} if method in FUSED else {method: method}
         members = {}
         for name, each in fused.items():
             queries, references = self.pair(search, each)
-            if reach is not None and method not in OF_NETWORKS:
-                references = temporal_sum(references, sequences, reach)
-            if each in TRAINED:
-                members[name] = Member(queries, ReferenceRows(references, sequences))
-                continue
             channel = channel_of(each)
             known = channel.references(references, sequences)
             members[name] = Member(queries, known, channel.trust)
@@ -268,8 +216,7 @@ class Described:
             for name in (search.queries, search.references)
         ]
         kind = pictures if search.query_rows is None else ["camvid odd", "even"]
-        network = f" {self.network.stem}" if method == LOST_X and self.network else ""
-        return self.kept(f"{' to '.join(kind)} {method}{network}", run)
+        return self.kept(f"{' to '.join(kind)} {method}", run)
 
     def rows(self, search: Search) -> tuple[list[int], list[int]]:
         """Rows of the queries and of the references in their drives."""
@@ -299,7 +246,7 @@ class Described:
 @cache
 def channel_of(method: str) -> Channel:
     """A method whose encodings are vectors or signs as a channel."""
-    if method in SETTINGS:
+    if method in PRESETS:
         return LabelShapes(head(method, "camvid-11"))
     return {FEATURES: Features("of a page"), "HOG": HOG(), "label grid": LabelGrid()}[method]
 
@@ -307,7 +254,7 @@ def channel_of(method: str) -> Channel:
 @cache
 def head(method: str, labels_as: str) -> SSRVLAD:
     """SSR-VLAD with the settings of a method."""
-    return SSRVLAD.from_preset(**SETTINGS[method], labels_as=labels_as)
+    return SSRVLAD.from_preset(PRESETS[method], labels_as=labels_as)
 
 
 def swept(drive: Drive, method: str) -> Tensor:

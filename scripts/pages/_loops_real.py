@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 from _described import FEATURES, OURS, Described, channel_of
-from _markdown import Page, head_row, interval, row
+from _markdown import Page, head_row, row
 from _sure_cases import FOREIGN, camvid_cases, of
 from _tours import CONDITIONS, swept
 from conditions import NETWORKS, ROUTES, near_rows
@@ -23,19 +23,17 @@ from torch import Tensor
 from ssrvlad_torch import LoopDetector
 from ssrvlad_torch.database.frames import FrameRecord
 from ssrvlad_torch.datasets.synthetic_city import STRAIGHT, SyntheticCity
-from ssrvlad_torch.evaluation.bootstrap import bootstrap
 from ssrvlad_torch.loops.detector import COLUMNS
 from ssrvlad_torch.recognition.sweep import COLUMNS as ALL_COLUMNS
 
 ALONE: tuple[str, ...] = ()
-METHODS = {"label maps": ALONE, "with features": (FEATURES,)}
 WITH_HOG = (FEATURES, "HOG")
 ONE_STREAM = {"label maps": ALONE, "features and HOG": WITH_HOG}
 ONE_NAME, AFTER_AN_HOUR, TWO_NAMES = "one name", "after an hour", "two names"
 WAYS = (ONE_NAME, AFTER_AN_HOUR, TWO_NAMES)
 LATER = 3600.0
 COUNTS = ("wrong", "elsewhere")
-BLOCK, RESAMPLES, NEAR = 10, 2000, 3
+NEAR = 3
 STREETS, CUT = range(300, 308), 10
 HOLES = ((0.2, 0.4), (0.4, 0.6), (0.6, 0.8))
 """Parts of the first drive that are missing, one at a time."""
@@ -70,27 +68,20 @@ def real_drives(page: Page, data: Path, cached: Path) -> None:
     """The tables of real drives, and of streams with nothing to find."""
     described = Described(data, cached, shorter_side=None)
     chosen, checks = conditions(described)
-    page.table("## One stream\n", one_stream([*chosen, *shifted(described)]))
+    page.table("## One stream\n", one_stream(chosen))
     page.table("The same pairs in the other order", one_stream(checks))
-    page.table("## Real second drives\n", table(chosen))
-    page.table("Pairs that nothing was chosen on", table(checks))
     page.table("## Leaving a known drive\n", left([*chosen, *checks]))
-    page.table("## Nothing to find\n", nowhere(described, chosen))
+    page.table("## Nothing to find\n", nowhere(described))
 
 
-def nowhere(described: Described, chosen: Sequence[Pair]) -> Iterator[str]:
-    """Rows of foreign places, of drives in random order and of estates."""
+def nowhere(described: Described) -> Iterator[str]:
+    """Rows of foreign places and of estates."""
     yield from head_row("stream", "streams", "frames", "loops", "wrong", "in streams")
-    for name, names in ONE_STREAM.items():
-        yield nothing(f"foreign places, one name, {name}", foreign(described), names, ONE_NAME)
-    for name, names in METHODS.items():
-        yield nothing(f"foreign places, {name}", foreign(described), names)
-    yield nothing("in random order, label maps", [mixed(pair) for pair in chosen], ALONE)
+    for (name, names), way in product(ONE_STREAM.items(), (ONE_NAME, TWO_NAMES)):
+        yield nothing(f"foreign places, {way}, {name}", foreign(described), names, way)
     for name in CONDITIONS:
         streets = [estate(described, seed, name) for seed in STREETS]
         yield nothing(f"estate, {name}", streets, ALONE)
-        cut = [cut_in_two(street) for street in streets]
-        yield nothing(f"estate cut by an hour, {name}", cut, ALONE, AFTER_AN_HOUR)
 
 
 def one_stream(pairs: Sequence[Pair]) -> Iterator[str]:
@@ -108,23 +99,6 @@ def one_stream(pairs: Sequence[Pair]) -> Iterator[str]:
             cells.append(f"{found.right.mean():.2f}{wrong}")
         yield row(pair.name, *cells)
         print(pair.name, *cells, flush=True)
-
-
-def table(pairs: Sequence[Pair]) -> Iterator[str]:
-    """Recall and wrong loops of pairs by each method, and their means."""
-    yield from head_row(
-        "drives", *(f"{m}: {what}" for m in METHODS for what in ("recall", *COUNTS))
-    )
-    found: dict[str, list[Outcome]] = {name: [] for name in METHODS}
-    for pair in pairs:
-        cells = []
-        for name, beside in METHODS.items():
-            some = [detect(pair, beside)] if set(beside) <= set(pair.first.beside) else []
-            found[name] += some
-            cells += counted(some)
-        yield row(pair.name, *cells)
-        print(pair.name, *cells, flush=True)
-    yield row("mean, sums", *(cell for some in found.values() for cell in counted(some)))
 
 
 def left(pairs: Sequence[Pair]) -> Iterator[str]:
@@ -152,26 +126,6 @@ def without(pair: Pair, begin: float, end: float) -> Pair:
     inside = (rows[(rows >= 0) & (rows < count)] for rows in map(np.asarray, pair.truth))
     truth = [new[rows][new[rows] >= 0] for rows in inside]
     return pair._replace(first=Drive(pair.first.vectors[kept], beside), truth=truth)
-
-
-def counted(found: Sequence[Outcome]) -> list[str]:
-    """Cells on one pair, several, or none: the mean recall, with its interval over blocks of
-    frames or over pairs, and `COUNTS`."""
-    if not found:
-        return [""] * (1 + len(COUNTS))
-    parts = [each.right for each in found]
-    if len(parts) == 1:
-        parts = [parts[0][n : n + BLOCK] for n in range(0, len(parts[0]), BLOCK)]
-    means, sizes = (np.array([f(p) for p in parts], float) for f in (np.mean, len))
-    weights = sizes if len(found) == 1 else np.ones(len(parts))
-
-    def mean(drawn: np.ndarray) -> dict[str, np.ndarray]:
-        return {"recall": drawn @ (weights * means) / (drawn @ weights)}
-
-    value = float(weights @ means / weights.sum())
-    ends = bootstrap(mean, len(parts), RESAMPLES)["recall"]
-    sums = (str(sum(getattr(each, kind) for each in found)) for kind in COUNTS)
-    return [interval(value, ends, 2), *sums]
 
 
 def nothing(name: str, pairs: Sequence[Pair], beside: tuple[str, ...], way: str = TWO_NAMES) -> str:
@@ -228,16 +182,6 @@ def conditions(described: Described) -> tuple[list[Pair], list[Pair]]:
     return chosen, checks
 
 
-def shifted(described: Described) -> Iterator[Pair]:
-    """A drive, and the same again from its second frame on."""
-    for network in NETWORKS:
-        first = drive(described, of(network, "uofa/day"))
-        beside = {name: each[1:] for name, each in first.beside.items()}
-        second = Drive(first.vectors[1:], beside)
-        truth = [np.array([n, n + 1, n + 2]) for n in range(len(second.vectors))]
-        yield Pair(f"day again, one frame later, {network}", first, second, truth)
-
-
 def drive(described: Described, name: str) -> Drive:
     labels, *beside = (described.vectors(name, method) for method in (OURS, *WITH_HOG))
     return Drive(of_anchors(labels), dict(zip(WITH_HOG, beside, strict=True)))
@@ -257,13 +201,6 @@ def foreign(described: Described) -> list[Pair]:
     return pairs
 
 
-def mixed(pair: Pair) -> Pair:
-    """A pair whose second drive comes in random order."""
-    order = np.random.default_rng(0).permutation(len(pair.truth))
-    second = pair.second._replace(vectors=pair.second.vectors[order])
-    return pair._replace(second=second, truth=[pair.truth[row] for row in order])
-
-
 def estate(described: Described, seed: int, condition: str) -> Pair:
     """A drive through an estate; without a second one."""
     drive = partial(SyntheticCity(seed, (0,)).traverse, 130, CONDITIONS[condition])
@@ -273,13 +210,3 @@ def estate(described: Described, seed: int, condition: str) -> Pair:
     )
     truth = [np.zeros(0, int)] * len(vectors)
     return Pair(f"estate {seed}", Drive(vectors[:0], {}), Drive(vectors, {}), truth)
-
-
-def cut_in_two(street: Pair) -> Pair:
-    """A drive whose second half comes later, without `CUT` frames between."""
-    vectors = street.second.vectors
-    middle = len(vectors) // 2
-    first, second = vectors[:middle], vectors[middle + CUT :]
-    return street._replace(
-        first=Drive(first, {}), second=Drive(second, {}), truth=street.truth[middle + CUT :]
-    )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import platform
 import re
 import subprocess
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
@@ -13,7 +12,6 @@ from itertools import dropwhile, takewhile
 from pathlib import Path
 from textwrap import fill
 
-import torch
 from matplotlib.figure import Figure
 
 from ssrvlad_torch.files import replacing
@@ -49,33 +47,6 @@ def span(values: dict[str, float], digits: int) -> str:
     """``1.94 [1.87, 2.30]``: median, min and max of `_timing`."""
     median, low, high = (f"{values[key]:.{digits}f}" for key in ("median", "min", "max"))
     return f"{median} [{low}, {high}]"
-
-
-def largest_mean_smallest(values: Sequence[float]) -> str:
-    """``max/average/min`` with three significant digits."""
-    three = (max(values), sum(values) / len(values), min(values))
-    return "/".join(significant(value) for value in three)
-
-
-def significant(value: float, digits: int = 3) -> str:
-    """A number of at least 0 with `digits` significant digits, without an exponent."""
-    if value == 0:
-        return "0"
-    places = max(0, digits - 1 - math.floor(math.log10(value)))
-    return f"{value:.{places}f}"
-
-
-def processor() -> str:
-    """The processor, the number of threads and the version of torch."""
-    return f"one thread of a processor {_model()} ({platform.machine()}), torch {torch.__version__}"
-
-
-def _model() -> str:
-    """Model name of the processor, by the system if possible."""
-    about = Path("/proc/cpuinfo")
-    lines = about.read_text(encoding="utf-8").splitlines() if about.exists() else []
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.processor()
 
 
 class Page:

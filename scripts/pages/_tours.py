@@ -14,7 +14,6 @@ from conditions import kept
 from torch import Tensor
 
 from ssrvlad_torch import SSRVLAD
-from ssrvlad_torch.datasets.city.streets import street
 from ssrvlad_torch.datasets.synthetic_city import (
     TOUR,
     TOUR_ESTATES,
@@ -22,7 +21,6 @@ from ssrvlad_torch.datasets.synthetic_city import (
     Conditions,
     SyntheticCity,
 )
-from ssrvlad_torch.evaluation.loops import FACING
 from ssrvlad_torch.loops.detector import COLUMNS
 
 LABELS_AS = "cityscapes-trainids"
@@ -46,21 +44,6 @@ class Tour:
     city: int
     descriptors: Tensor
     poses: np.ndarray
-
-    def comes_back(self, exclude: int, metres: float, opposite: bool = False) -> np.ndarray:
-        """``(N,)`` bool, whether an earlier frame, except the last ``exclude``, is within `metres`
-        and looks in the same direction, or in the opposite direction."""
-        x, y, turn = (self.poses[:, None] - self.poses).transpose(2, 0, 1)
-        ahead = -np.cos(turn) if opposite else np.cos(turn)
-        same = (np.hypot(x, y) <= metres) & (ahead > np.cos(FACING))
-        return np.tril(same, -exclude - 1).any(axis=1)
-
-    def in_estate(self) -> np.ndarray:
-        """``(N,)`` bool, frames in the housing estate."""
-        _, y, heading = self.poses.T
-        streets = [street(self.city, 1, number) for number in TOUR_ESTATES]
-        on_one = np.any([np.abs(y - each.position) < each.width / 2 for each in streets], axis=0)
-        return on_one & (np.abs(np.cos(heading)) > np.cos(FACING))
 
 
 Tours = dict[str, list[Tour]]

@@ -1,16 +1,14 @@
 #!/usr/bin/env python3
-"""Writes docs/loops.md: precision and recall of the loop detector, and its threshold.
+"""Writes docs/loops.md: precision and recall of the loop detector.
 
     .venv/bin/python scripts/pages/loops.py --data ../shared/data
 
 Real drives are folders of ``--data``, see `_loops_real.py`. Others follow `synthetic_city.TOUR`
-through synthetic cities; thresholds are chosen by `evaluation.loops.surest_point` on cities that
-are not measured. Descriptors are cached. Needs the extra `dev`.
+through synthetic cities. Descriptors are cached. Needs the extra `dev`.
 """
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
@@ -44,15 +42,13 @@ from ssrvlad_torch.evaluation.loops import (
     loop_curve,
     loop_errors,
     score_loops,
-    surest_point,
 )
 from ssrvlad_torch.files import write_picture
 from ssrvlad_torch.loops.config import LoopConfig
 from ssrvlad_torch.loops.picture import draw_loops
-from ssrvlad_torch.loops.result import LoopResult, Reason
+from ssrvlad_torch.loops.result import LoopResult
 from ssrvlad_torch.loops.stream import candidates_of, loops_of
 
-LEARNED_ON = range(100, 104)
 MEASURED_ON = range(6)
 CHECKED_ON = range(6, 8)
 METRES, ELSEWHERE = 10.0, 25.0
@@ -79,34 +75,29 @@ class Outcome:
 def main() -> None:
     options = parser(__doc__, "loops.md", "loops").parse_args()
     with threads(1):
-        learned, measured, checked = (
-            all_tours(each, options.cache) for each in (LEARNED_ON, MEASURED_ON, CHECKED_ON)
+        measured, checked = (
+            all_tours(cities, options.cache) for cities in (MEASURED_ON, CHECKED_ON)
         )
         page = Page("loops.md", options.output)
         real_drives(page, options.data, options.cache)
         page.table("### Cities cut by a gap", cut_cities(measured))
         figures = options.output.parent / "figures"
-        for heading, lines in sections(learned, measured, checked, figures).items():
+        for heading, lines in sections(measured, checked, figures).items():
             page.section(heading, lines)
     if options.output.resolve().parent == DOCS:
         quote(DOCS / "guides" / "robot.md", "loops", excerpt(page.text))
 
 
-def sections(
-    learned: Tours, measured: Tours, checked: Tours, figures: Path
-) -> dict[str, list[str]]:
+def sections(measured: Tours, checked: Tours, figures: Path) -> dict[str, list[str]]:
     """Lines about cities by their heading; draws the figures that they show."""
     figures.mkdir(parents=True, exist_ok=True)
     made: dict[str, list[str]] = {}
     found: dict[str, PrecisionRecall] = {}
     for condition, tours in measured.items():
-        point = surest_point(curve([detect(tour) for tour in learned[condition]]))
-        assert point
         outcomes = [detect(tour) for tour in tours]
-        chosen = [believed(outcome, point.score) for outcome in outcomes]
         others = [detect(tour) for tour in checked[condition]]
         name = f"loops-{condition.split()[0]}.png"
-        picture = draw_loops(chosen[0].loops, tours[0].poses, condition, METRES)
+        picture = draw_loops(outcomes[0].loops, tours[0].poses, condition, METRES)
         write_picture(picture, figures / name)
         found[condition] = curve(outcomes)
         best, checked_best = (
@@ -115,13 +106,11 @@ def sections(
         names = ("threshold", "", "loops", "wrong", "elsewhere", "precision", "recall")
         made[f"### {condition.capitalize()}"] = [
             f"![](figures/{name})\n",
-            paragraph(f"City {tours[0].city} with the learned threshold. Right loops are green."),
+            paragraph(f"City {tours[0].city} with the default threshold. Right loops are green."),
             *head_row(*names, "before a wrong one"),
             row("default", f"{LoopConfig.threshold:g}", *scores(outcomes), best),
-            row("learned", f"{point.score:.4f}", *scores(chosen), best),
             row("check", f"{LoopConfig.threshold:g}", *scores(others), checked_best),
             "",
-            *where_and_why(outcomes),
         ]
     draw_curves(figures / "loops-curves.png", found)
     made[list(made)[-1]].append("![](figures/loops-curves.png)")
@@ -145,51 +134,6 @@ def scores(outcomes: Sequence[Outcome]) -> list[str]:
         interval(score.precision, ends["precision"]),
         interval(score.recall, ends["recall"]),
     ]
-
-
-def where_and_why(outcomes: Sequence[Outcome]) -> Iterator[str]:
-    """Lines about where a detector finds loops, and the number of frames with each reason."""
-    tours = [outcome.tour for outcome in outcomes]
-    exclude = LoopConfig.exclude
-    same = [tour.comes_back(exclude, METRES) for tour in tours]
-    other = [tour.comes_back(exclude, METRES, opposite=True) for tour in tours]
-    kinds = {
-        "return in the same direction": same,
-        "return in the opposite direction only": [b & ~a for a, b in zip(same, other, strict=True)],
-        "at a place for the first time": [~(a | b) for a, b in zip(same, other, strict=True)],
-        "of the first row, before the first loop": [
-            waiting(returns, outcome.loops >= 0)
-            for returns, outcome in zip(same, outcomes, strict=True)
-        ],
-        "of the first row, in the estate": [
-            returns & tour.in_estate() for returns, tour in zip(same, tours, strict=True)
-        ],
-    }
-    yield paragraph(
-        "By where the frames are, with the default threshold. The first loop is that of each "
-        "stretch of the drive that returns:"
-    )
-    yield from head_row("frames", "number", "loops", "right", "wrong")
-    for name, chosen_frames in kinds.items():
-        counts = np.zeros(3, int)
-        for outcome, frames in zip(outcomes, chosen_frames, strict=True):
-            errors = outcome.errors[frames[outcome.loops >= 0]]
-            counts += (frames.sum(), (errors <= METRES).sum(), (errors > METRES).sum())
-        number, right, wrong = counts.tolist()
-        yield row(name, str(number), str(right + wrong), str(right), str(wrong))
-    yield ""
-    counted = Counter(result.reason for outcome in outcomes for result in outcome.results)
-    yield from head_row("reason", *(reason.value for reason in Reason))
-    yield row("frames", *(str(counted[reason]) for reason in Reason))
-    yield ""
-
-
-def waiting(returns: np.ndarray, closed: np.ndarray) -> np.ndarray:
-    """``(N,)`` bool, the frames of each stretch of returns before the first that closes a loop."""
-    found = np.zeros(len(returns), bool)
-    for at in np.flatnonzero(returns):
-        found[at] = not closed[at] and (at == 0 or not returns[at - 1] or found[at - 1])
-    return found
 
 
 def curve(outcomes: Sequence[Outcome]) -> PrecisionRecall:
@@ -232,14 +176,6 @@ def cut_cities(tours: Tours) -> Iterator[str]:
                 )
             )
         yield row(condition, *scores(outcomes))
-
-
-def believed(outcome: Outcome, threshold: float) -> Outcome:
-    """The outcome with another threshold."""
-    sure = np.array([(result.probability or 0) >= threshold for result in outcome.results])
-    loops = np.where(sure, outcome.candidates, -1)
-    score = score_loops(loops, outcome.tour.poses, LoopConfig.exclude, METRES)
-    return replace(outcome, loops=loops, score=score)
 
 
 def draw_curves(path: Path, curves: Mapping[str, PrecisionRecall]) -> None:

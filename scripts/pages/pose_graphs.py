@@ -1,18 +1,17 @@
 #!/usr/bin/env python3
 """Writes docs/pose-graph.md: tours of synthetic cities with drifting odometry, corrected by loops.
 
-    .venv/bin/python scripts/pages/pose_graphs.py --data ../shared/data
+    .venv/bin/python scripts/pages/pose_graphs.py
 
-Loops are those of `LoopDetector` with its defaults, `export/pose_graph.py` corrects. How loops err
-is measured on other cities. Real pictures of ``--data`` show where local features verify a loop.
-Descriptors of cities are cached, as for `loops.py`. Needs the extra `dev`.
+Loops are those of `LoopDetector` with its defaults, `export/pose_graph.py` corrects. Descriptors
+of cities are cached, as for `loops.py`. Needs the extra `dev`.
 """
 
 from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -21,8 +20,6 @@ import numpy as np
 from _markdown import ROOT, Page, head_row, parser, row, save
 from _timing import threads
 from _tours import Tour, all_tours, head
-from conditions import ROUTES
-from PIL import Image
 
 from ssrvlad_torch import LoopDetector
 from ssrvlad_torch.database.frames import FrameRecord
@@ -31,23 +28,18 @@ sys.path.append(str(ROOT / "export"))
 import pose_graph
 from pose_graph import Loop, correct, moved, relative
 
-LEARNED_ON, MEASURED_ON, SEEDS = range(100, 104), range(6), range(3)
+MEASURED_ON, SEEDS = range(6), range(3)
 APART = 30.0
 DRIFTS = {"usual": 1.0, "strong": 4.0}
 """Factors of the errors below."""
 SCALE, BIAS, STEP, TURN = 0.01, math.radians(0.002), 0.02, math.radians(0.15)
 """Of a drive: its scale, and radians a metre. Of a step: metres after a metre, and radians."""
-PAIRS = ("evening -> day", "right -> left", "night -> right")
-EVERY, ELSEWHERE = 5, 40
 
 
 def main() -> None:
-    options = parser(__doc__, "pose-graph.md", "loops").parse_args()
+    options = parser(__doc__, "pose-graph.md", "loops", needs_data=False).parse_args()
     with threads(1):
         page = Page("pose-graph.md", options.output)
-        learned = all_tours(LEARNED_ON, options.cache)
-        page.table("## How loops err\n", errors_table(learned))
-        page.table("## Local features\n", verified_table(options.data))
         measured = all_tours(MEASURED_ON, options.cache)
         page.table("## Before and after\n", table(measured, options.output.parent / "figures"))
 
@@ -151,55 +143,6 @@ def trajectory_error(poses: np.ndarray, truth: np.ndarray) -> float:
     left, _, right = np.linalg.svd(one.T @ other)
     turn = left @ np.diag([1, np.linalg.det(left @ right)]) @ right
     return float(np.sqrt(np.square(one @ turn - other).sum(1).mean()))
-
-
-def errors_table(tours: dict[str, list[Tour]]) -> Iterator[str]:
-    """How accepted loops err: mean, deviation and quantiles, and how alike neighbours are."""
-    yield from head_row("labels", "error", "mean", "deviation", "5 %", "95 %", "alike")
-    for condition, drives in tours.items():
-        rows = [(tour, loop) for tour in drives for loop in loops_of(tour)]
-        seen = np.stack([relative(t.poses[x.candidate], t.poses[x.frame]) for t, x in rows])
-        ahead = np.array([x.ahead for _, x in rows], float)
-        frames, cities = np.array([(x.frame, tour.city) for tour, x in rows]).T
-        kinds = {
-            "along, m": seen[:, 0],
-            "along, with `ahead`, m": seen[:, 0] - ahead,
-            "sideways, m": seen[:, 1],
-            "heading, degrees": np.degrees(seen[:, 2]),
-        }
-        for name, error in kinds.items():
-            low, high = np.quantile(error, (0.05, 0.95))
-            cells = (error.mean(), error.std(), low, high, alike(error, frames, cities))
-            yield row(condition, name, *(f"{value:.2f}" for value in cells))
-
-
-def alike(error: np.ndarray, frames: np.ndarray, cities: np.ndarray) -> float:
-    """How many loops in a row have the information of one: 1 and twice the correlations of loops
-    up to 10 frames apart."""
-    centred, total = error - error.mean(), 1.0
-    for lag in range(1, 11):
-        near = (frames[lag:] - frames[:-lag] == lag) & (cities[lag:] == cities[:-lag])
-        total += 2 * float((centred[lag:] * centred[:-lag])[near].mean() / error.var())
-    return total
-
-
-def verified_table(data: Path) -> Iterator[str]:
-    """Pairs of pictures whose turn local features measure: of one place, and of two."""
-    yield from head_row("pictures", "of one place", "verified", "of two places", "verified")
-    for name in PAIRS:
-        pictures = [sorted((data / folder / "images").iterdir()) for folder in ROUTES[name][:2]]
-        counts = list[str]()
-        for apart in (0, ELSEWHERE):
-            both = [*zip(pictures[1][apart:], pictures[0], strict=False)][::EVERY]
-            turns = [pose_graph.verified(Loop(0, 0), each, camera(each[0])).turn for each in both]
-            counts += [str(len(turns)), str(sum(turn is not None for turn in turns))]
-        yield row(name, *counts)
-
-
-def camera(picture: Path) -> Sequence[float]:
-    """Intrinsics of a camera that sees 64 degrees, for those of these drives are not known."""
-    width, height = Image.open(picture).size
-    return 0.8 * width, 0.8 * width, width / 2, height / 2
 
 
 if __name__ == "__main__":

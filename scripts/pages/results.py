@@ -23,7 +23,6 @@ from _described import (
     ALONE,
     METHODS,
     OF_NETWORKS,
-    OF_PICTURES,
     OURS,
     Condition,
     Described,
@@ -33,27 +32,14 @@ from _markdown import DOCS, ROOT, Page, first_table, head_row, parser, quote, ro
 from _sure_cases import add_new, new_pairs, of
 from conditions import NETWORKS, Search
 from matplotlib.figure import Figure
-from PIL import Image
 
-from ssrvlad_torch.cli.pairs import Pair, chosen, draw_pairs
 from ssrvlad_torch.files import replacing
 from ssrvlad_torch.recognition.recognise import AS_PAPER, Steps
-from ssrvlad_torch.taxonomy import label_space
 
 WAYS = {"single frames": AS_PAPER, "with the steps": Steps()}
 DATASETS = ("City", "CamVid", "UofA", "Gardens Point", "CMU Seasons", "Nordland")
 MONTHS = {"oct2010_c1": "October", "jul2011_c1": "July", "apr2011_c1": "April"}
-REACHES = (1, 3)
 GRID = "label grid"
-PICTURED = {
-    "City": ("noise 4", "all together"),
-    "CamVid": ("espnetv2 -> espnetv2", "dicenet -> espnetv2"),
-    "UofA": ("evening -> day, espnetv2", "evening -> day, dabnet"),
-    "Gardens Point": ("right -> left, dabnet", "night -> left, espnetv2"),
-}
-"""Conditions whose matches are drawn; both drives of each have one label space. Pictures of real
-data are written beside the cache, because their licence does not allow to publish them."""
-
 SHADES = (
     *("#7f7f7f", "#d62728", "#1f77b4", "#2ca02c", "#9467bd", "#ff7f0e"),
     *("#17becf", "#bcbd22", "#000000"),
@@ -71,7 +57,7 @@ def main() -> None:
     described = Described(options.data, options.cache)
     measured = measure(described)
     page, folder = Page("results.md", options.output), options.output.parent
-    fill(page, described, measured, folder / "figures")
+    fill(page, measured, folder / "figures")
     write_csv(folder / "results.csv", measured)
     if options.output.resolve().parent == DOCS:
         quote(ROOT / "README.md", "results", excerpt(page.text))
@@ -104,19 +90,14 @@ def measure(described: Described) -> Measured:
     return measured
 
 
-def fill(page: Page, described: Described, measured: Measured, figures: Path) -> None:
-    """The tables of the page, its list of conditions, and its pictures."""
+def fill(page: Page, measured: Measured, figures: Path) -> None:
+    """The table of the page, its list of conditions, and its figures."""
     datasets = [name for name in DATASETS if any(key[0] == name for key in measured)]
     page.table("## In short\n", summary(measured, datasets))
     page.paragraph("- *single frames*: ", "\n".join(against_the_grid(measured)))
-    page.table("## The temporal sum\n", sums(described, measured, datasets))
     for dataset in datasets:
         name = f"results-{dataset.lower().replace(' ', '-')}"
         draw(measured, dataset, figures / f"{name}.png")
-        place = figures if dataset == "City" else described.cache / "matches"
-        place.mkdir(parents=True, exist_ok=True)
-        for number, condition in enumerate(PICTURED.get(dataset, ()), 1):
-            draw_matches(described, dataset, condition, place / f"{name}-matches-{number}.png")
 
 
 def summary(measured: Measured, datasets: Sequence[str]) -> Iterator[str]:
@@ -176,46 +157,6 @@ def draw(measured: Measured, dataset: str, path: Path) -> None:
     axes.grid(axis="x", lw=0.3)
     figure.legend(loc="outside upper center", ncols=6, fontsize=8, frameon=False)
     save(figure, path)
-
-
-def draw_matches(described: Described, dataset: str, name: str, path: Path) -> None:
-    """Queries of the first search of a condition above their best matches, by single frames of
-    `default`: evenly spread over the drive, with a wrong one if one exists."""
-    (condition,) = (c for c in all_conditions(described) if (c.dataset, c.name) == (dataset, name))
-    search = condition.searches[0]
-    found = decide(described, Condition(dataset, name, [search]), OURS, AS_PAPER)
-    rows, there = found.rows[:, 0], np.array([len(truth) > 0 for truth in found.truth])
-    drives = [described.drive(drive) for drive in (search.queries, search.references)]
-    here, others = described.rows(search)
-    pairs = [
-        Pair(
-            drives[0].maps[here[n]],
-            drives[1].maps[others[rows[n]]],
-            drives[0].frames[here[n]],
-            f"{drives[1].frames[others[rows[n]]]}, {found.scores[n, 0]:.2f}",
-            bool(found.right[n]),
-        )
-        for n in chosen(found.right, (rows >= 0) & there, 4)
-    ]
-    headings = f"Queries: {dataset}, {name}", "Best match of each, with its score"
-    sheet = draw_pairs(pairs, label_space(drives[0].labels_as), *headings)
-    with replacing(path) as temporary:
-        sheet.quantize(64, dither=Image.Dither.NONE).save(temporary, format="PNG", optimize=True)
-
-
-def sums(described: Described, measured: Measured, datasets: Sequence[str]) -> Iterator[str]:
-    """The effect of the temporal sum (Eq. 3) on single frames."""
-    yield from head_row("method", "t", *datasets)
-    for method in (m for m in METHODS if m not in OF_PICTURES):
-        cells = [in_short(measured, dataset, method, "single frames") for dataset in datasets]
-        yield row(method, "0", *(cell.partition(" ")[0] for cell in cells))
-        for reach in REACHES:
-            rates: dict[str, list[float]] = {dataset: [] for dataset in datasets}
-            for condition in conditions_of(described):
-                found = decide(described, condition, method, AS_PAPER, reach)
-                known = [len(rows) > 0 for rows in found.truth]
-                rates[condition.dataset].append(float(found.right[known].mean()))
-            yield row(method, str(reach), *(f"{np.mean(each):.3f}" for each in rates.values()))
 
 
 def write_csv(path: Path, measured: Measured) -> None:
