@@ -8,9 +8,10 @@ Descriptors are cached on disk, by drive and method: a second run takes minutes.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -264,26 +265,21 @@ def swept(drive: Drive, method: str) -> Tensor:
     return torch.cat([made.sweep(b, COLUMNS) if method == OURS else made(b) for b in batches])
 
 
-def all_conditions(
-    described: Described,
-    seeds: Sequence[int] = conditions.CITY_SEEDS,
-    networks: Sequence[str] = NETWORKS,
-) -> Iterator[Condition]:
+def all_conditions(described: Described) -> Iterator[Condition]:
     """Every condition of every available data set."""
     if described.data:
-        yield from real_conditions(described, networks)
+        yield from real_conditions(described)
         yield from camvid_conditions(described)
-    yield from city_conditions(described, seeds)
+    yield from city_conditions(described)
 
 
-def real_conditions(described: Described, networks: Sequence[str]) -> Iterator[Condition]:
-    for dataset, pairs in conditions.REAL.items():
-        for network in networks:
-            for name, (queries, references, rows) in pairs.items():
-                drives = [f"real {network} {part}" for part in (queries, references)]
-                counts = (len(described.about(drive)[0]) for drive in drives)
-                truth = conditions.near_rows(*counts, rows)
-                yield Condition(dataset, f"{name}, {network}", [Search(*drives, truth)])
+def real_conditions(described: Described) -> Iterator[Condition]:
+    for (dataset, pairs), network in product(conditions.REAL.items(), NETWORKS):
+        for name, (queries, references, rows) in pairs.items():
+            drives = [f"real {network} {folder}" for folder in (queries, references)]
+            counts = (len(described.about(drive)[0]) for drive in drives)
+            truth = conditions.near_rows(*counts, rows)
+            yield Condition(dataset, f"{name}, {network}", [Search(*drives, truth)])
 
 
 def camvid_conditions(described: Described) -> Iterator[Condition]:
@@ -299,15 +295,11 @@ def camvid_conditions(described: Described) -> Iterator[Condition]:
         yield Condition("CamVid", name, [search])
 
 
-def city_conditions(
-    described: Described, seeds: Sequence[int], names: Iterable[str] = conditions.CITY_CONDITIONS
-) -> Iterator[Condition]:
-    for name in names:
+def city_conditions(described: Described) -> Iterator[Condition]:
+    for name, driven in conditions.CITY_CONDITIONS.items():
         searches = []
-        for seed in seeds:
-            there = f"city {seed} reference"
-            for number in range(len(conditions.CITY_CONDITIONS[name])):
-                here = f"city {seed} {name} {number}"
-                poses = (described.about(drive)[1] for drive in (here, there))
-                searches.append(Search(here, there, from_poses(*poses, conditions.METRES)))
+        for seed, number in product(conditions.CITY_SEEDS, range(len(driven))):
+            here, there = f"city {seed} {name} {number}", f"city {seed} reference"
+            poses = (described.about(drive)[1] for drive in (here, there))
+            searches.append(Search(here, there, from_poses(*poses, conditions.METRES)))
         yield Condition("City", name, searches)

@@ -18,7 +18,6 @@ from _described import (
     ALONE,
     FEATURES,
     FUSED,
-    NETWORKS,
     OURS,
     TOGETHER,
     Described,
@@ -50,7 +49,7 @@ def main() -> None:
 
 def table(described: Described, steps: Steps) -> Iterator[str]:
     """A row for each condition, and their means; *against the best* of the members."""
-    every = (*real_conditions(described, NETWORKS), *camvid_conditions(described))
+    every = (*real_conditions(described), *camvid_conditions(described))
     conditions = [condition for condition in every if condition.suits(FEATURES)]
     yield from head_row("condition", *SUMMED, "against the best")
     decided = (
