@@ -9,10 +9,8 @@ from helpers import refuses, street
 from networks import photo, write_graph
 
 from ssrvlad_torch import Database
-from ssrvlad_torch.cli import output
-from ssrvlad_torch.datasets.frame_file import FrameFile
 from ssrvlad_torch.datasets.image_files import find_image_files, read_image
-from ssrvlad_torch.datasets.videos import _Video, played, video_files
+from ssrvlad_torch.datasets.videos import _Video, video_files
 
 av = pytest.importorskip("av", reason="needs the extra video")
 
@@ -220,17 +218,7 @@ def test_a_gps_track_gives_poses_between_its_points(tmp_path):
         find_image_files([silent], poses=str(track))
 
 
-def test_progress_counts_the_seconds_of_video(tmp_path):
-    paths = [str(write_video(tmp_path / f"{name}.mp4", UNEVEN)) for name in "ab"]
-    files = find_image_files(paths)
-    assert played(files) == pytest.approx(
-        [t / 1000 for t in (*UNEVEN, *(1100 + u for u in UNEVEN))]
-    )
-    assert played([*files, FrameFile("s", "n", tmp_path / "n.png")]) == played([]) == []
-
-
-def test_commands_take_videos(ssrvlad, tmp_path, monkeypatch):
-    monkeypatch.setattr(output, "_LINE_SECONDS", 0.0)
+def test_commands_take_videos(ssrvlad, tmp_path):
     photos = [photo(street(seed, 60, 80)) for seed in range(5)]
     drive = write_video(
         tmp_path / "drive.mp4", range(0, 1000, 100), draw=lambda number: photos[number // 2]
@@ -241,8 +229,7 @@ def test_commands_take_videos(ssrvlad, tmp_path, monkeypatch):
     code, _, err = ssrvlad(
         "encode", drive, "-o", town, *network, "--fps", 5, "--channel", "ssr-vlad"
     )
-    assert code == 0 and err.pop().endswith(", 0:00:01 of 0:00:01 of video")
-    assert all("assumed" in line or "of 0:00:01 of video" in line for line in err)
+    assert code == 0 and all("assumed" in line for line in err)
     assert Database.open(town).load().frames == tuple(f"drive/{200_000 * n:010d}" for n in range(5))
     assert ssrvlad("encode", drive, "-o", town, *network)[1].startswith(
         f"{town}: 5 frames encoded (0 of them empty), 5 already there"

@@ -9,7 +9,6 @@ import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, redirect_stdout
-from datetime import timedelta
 from typing import TYPE_CHECKING, Any, TextIO
 
 import typer
@@ -94,11 +93,9 @@ class Bar:
         bar: rich.progress.Progress,
         what: str,
         total: int,
-        played: Sequence[float],
         then: str,
     ) -> None:
-        self._what, self._total, self._bar = what, total, bar
-        self._played, self._then = played, then
+        self._what, self._total, self._bar, self._then = what, total, bar, then
         self._task = bar.add_task(what, total=total, rate="")
         self._done = self._skipped = 0
         self._start = self._shown = time.monotonic()
@@ -120,10 +117,6 @@ class Bar:
         """Shows what was done."""
         self._shown = time.monotonic()
         also = f", {self._skipped} skipped" if self._skipped else ""
-        if played := self._played:
-            times = (played[min(max(self._done, 1), len(played)) - 1], played[-1])
-            passed, whole = (str(timedelta(seconds=round(t))) for t in times)
-            also += f", {passed} of {whole} of video"
         if self._bar.console.is_terminal:
             self._pause = _SECONDS
             rate = self._bar.tasks[self._task].speed
@@ -135,11 +128,8 @@ class Bar:
 
 
 @contextmanager
-def progress_bar(
-    what: str, total: int, played: Sequence[float] = (), then: str = ""
-) -> Iterator[Bar]:
-    """Shows a progress bar on stderr, with the rate and, if any are skipped, their number. With
-    ``played``, the seconds of video up to each step, it also shows the time in the video; with
+def progress_bar(what: str, total: int, then: str = "") -> Iterator[Bar]:
+    """Shows a progress bar on stderr, with the rate and, if any are skipped, their number; with
     ``then``, what follows the last step. Where stderr is no terminal, a line appears every
     `_LINE_SECONDS`."""
     from rich import progress
@@ -153,7 +143,7 @@ def progress_bar(
     )
     console = Console(stderr=True)
     with progress.Progress(*columns, console=console, disable=not console.is_terminal) as drawn:
-        bar = Bar(drawn, what, total, played, then)
+        bar = Bar(drawn, what, total, then)
         try:
             yield bar
         finally:
@@ -163,9 +153,7 @@ def progress_bar(
 
 def encoding_bar(files: Sequence[FrameFile], then: str = "") -> AbstractContextManager[Bar]:
     """The progress bar of encoding files."""
-    from ..datasets.videos import played
-
-    return progress_bar("encoding", len(files), played(files), then)
+    return progress_bar("encoding", len(files), then)
 
 
 def print_table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> None:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
@@ -85,18 +86,15 @@ def read_nvm(path: Path) -> dict[str, Pose]:
         if not file.readline().startswith("NVM_V3"):
             raise ValueError(f"{path} is not an NVM_V3 model")
         lines = ((n, words) for n, line in enumerate(file, 2) if (words := line.split()))
-        number, words = next(lines, (1, []))
-        if not words:
-            raise ValueError(f"{path} holds no number of cameras")
+        number, (text, *_) = next(lines, (1, ["no number of cameras"]))
         with naming(f"{path} line {number}"):
-            count = int(words[0])
-        for missing in range(count, 0, -1):
-            number, words = next(lines, (number, []))
+            missing = int(text)
+        for number, (name, *words) in islice(lines, missing):
             with naming(f"{path} line {number}"):
-                if not words:
-                    raise ValueError(f"the file ends {missing} cameras too early")
-                numbers = parse_numbers(words[1:], 10)
-                poses[_plain(words[0])] = Z_DOWN.pose(numbers[5:8], optical_axis(numbers[1:5]))
+                numbers, missing = parse_numbers(words, 10), missing - 1
+                poses[_plain(name)] = Z_DOWN.pose(numbers[5:8], optical_axis(numbers[1:5]))
+    if missing:
+        raise ValueError(f"{path} ends {missing} cameras too early")
     return poses
 
 

@@ -60,11 +60,11 @@ class GroundTruth:
     frames: int | None = None
 
     def __post_init__(self) -> None:
-        given = sum(value is not None for value in (self.file, self.metres, self.frames))
-        if given != 1:
+        count = sum(value is not None for value in (self.file, self.metres, self.frames))
+        if count != 1:
             raise ValueError(
                 "expected one of --ground-truth, --tolerance-metres and --tolerance-frames, "
-                f"got {given} of them"
+                f"got {count} of them"
             )
         if self.degrees is not None and self.metres is None:
             raise ValueError("--tolerance-degrees needs --tolerance-metres")
@@ -210,17 +210,17 @@ class Dataset:
         ``folder`` itself, if all frames have different names.
         """
         label_space(labels_as)
-        given, listed = Path(folder), cache(labels_in)
+        outside, listed = Path(folder), cache(labels_in)
         names = [frame.name for frame in self.frames]
         unambiguous = len(set(names)) == len(names)
 
         def find(frame: DatasetFrame) -> Path | None:
             path = frame.image or frame.label or self.root / frame.name
-            folders = [given / frame.sequence, given / path.parent.relative_to(self.root)]
-            if given.name == str(given):
-                folders.append(path.parent.with_name(given.name))
+            folders = [outside / frame.sequence, outside / path.parent.relative_to(self.root)]
+            if outside.name == str(outside):
+                folders.append(path.parent.with_name(outside.name))
             if unambiguous:
-                folders.append(given)
+                folders.append(outside)
             places = (
                 (listed(folder), stem) for folder in folders for stem in (frame.name, path.stem)
             )
@@ -231,7 +231,7 @@ class Dataset:
             frame = next(self.frames)
             raise ValueError(
                 f"{folder} holds no label map of a frame of {self.root}; expected, for example, "
-                f"{given / frame.sequence / frame.name}.png"
+                f"{outside / frame.sequence / frame.name}.png"
             )
         return replace(labelled, labels_as=labels_as)
 
@@ -291,5 +291,5 @@ def shortened(names: Sequence[str], most: int = 8) -> str:
     """The first ``most`` names, and the number of the others: ``a, b and 12 more``."""
     if not names:
         return "nothing"
-    rest = f" and {len(names) - most} more" if len(names) > most else ""
-    return ", ".join(names[:most]) + rest
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + more

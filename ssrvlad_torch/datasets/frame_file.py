@@ -148,10 +148,10 @@ def remote_files(uri: str, kind: str, suffixes: Sequence[str]) -> list[FrameFile
 
     system, root = FileSystem.from_uri(uri.rstrip("/"))
     scheme, _, address = uri.partition("?")[0].rstrip("/").partition("://")
-    authority, slash, rest = address.partition("/")
+    authority, slash, below = address.partition("/")
     user, _, host = authority.rpartition("@")
     plain = host if ":" in user else authority  # is stored, so it holds no password
-    folder = f"{scheme}://{plain}{slash}{rest}"
+    folder = f"{scheme}://{plain}{slash}{below}"
     files = list[FrameFile]()
     for entry in system.get_file_info(FileSelector(root)):
         path = PurePosixPath(entry.path)

@@ -82,8 +82,13 @@ def find_frames(
     sequences, projection = _sequences(files, sequence, known), projection or Projection()
     if poses:
         sequences = [
-            [replace(file, pose=pose, placed=True) for file, pose in zip(frames, own, strict=True)]
-            for frames, own in zip(sequences, _poses_by(poses, sequences, projection), strict=True)
+            [
+                replace(file, pose=pose, placed=True)
+                for file, pose in zip(frames, posed, strict=True)
+            ]
+            for frames, posed in zip(
+                sequences, _poses_by(poses, sequences, projection), strict=True
+            )
         ]
     selected = list[FrameFile]()
     for frames in sequences:

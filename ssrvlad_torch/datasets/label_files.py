@@ -129,16 +129,16 @@ def _ids_of_palette(
         ValueError: the palette has grays that are not the indices; either could be the ids. Or some
             colours are those of other ids than their indices, and some of none.
     """
-    ids, own = _ids_by_colour(space), {label.id: label.colour for label in space.classes}
+    ids, colour_of = _ids_by_colour(space), {label.id: label.colour for label in space.classes}
     used = np.flatnonzero(np.bincount(indices.ravel())).tolist()
     shown = {i: tuple(colours[i : i + 1].ravel().tolist()) for i in used}
-    others = [i for i in used if shown[i] != (own.get(i) or (0, 0, 0))]
-    moved = {i: ids[shown[i]] for i in others if shown[i] in ids}
-    strays = [i for i in others if i not in moved]
+    differing = [i for i in used if shown[i] != (colour_of.get(i) or (0, 0, 0))]
+    moved = {i: ids[shown[i]] for i in differing if shown[i] in ids}
+    strays = [i for i in differing if i not in moved]
     unclear = strays if moved else []
     if all(len(set(colour)) == 1 for colour in shown.values()):
         is_id = strays and all(shown[i] == (i, i, i) for i in used)
-        moved, unclear = {}, [] if is_id else others
+        moved, unclear = {}, [] if is_id else differing
     if unclear:
         raise ValueError(
             f"the palette shows index {unclear[0]} as {shown[unclear[0]]}; expected colours of the "

@@ -45,11 +45,11 @@ def files_of(
         glob = _FIELD.sub("*", pattern) + ".*"
         first, _, below = glob.partition("/")
         expression = re.compile(_FIELD.sub(lambda m: f"(?P<{m[1]}>{m[2] or '[^/]+'})", pattern))
-        found = list[tuple[Path, Fields]]()
+        matches = list[tuple[Path, Fields]]()
         if first == "*":
-            found = _matching(root, below, f"{absolute_folder(root).name}/", expression, suffixes)
+            matches = _matching(root, below, f"{absolute_folder(root).name}/", expression, suffixes)
         in_folder = dict[tuple[Path, str], Path]()
-        for path, fields in found or _matching(root, glob, "", expression, suffixes):
+        for path, fields in matches or _matching(root, glob, "", expression, suffixes):
             other = in_folder.setdefault((path.parent, path.stem), path)
             if other != path:
                 raise ValueError(f"one frame is both {other} and {path.name}")
@@ -106,9 +106,9 @@ class Layout:
 
     def recognises(self, root: Path) -> bool:
         """Whether a folder has this layout."""
-        found = partial(files_of, root, suffixes={*IMAGE_SUFFIXES, *LABEL_SUFFIXES})
+        matches = partial(files_of, root, suffixes={*IMAGE_SUFFIXES, *LABEL_SUFFIXES})
         signs = self.signs or [(pattern,) for pattern in (*self.images, *self.labels)]
-        return any(all(found([pattern]) for pattern in patterns) for patterns in signs)
+        return any(all(matches([pattern]) for pattern in patterns) for patterns in signs)
 
     def read(self, root: Path, labels_as: LabelsAs = None) -> Dataset:
         """The data set in a folder; ``labels_as`` is the label space that the user named. Damaged

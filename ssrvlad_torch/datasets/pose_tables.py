@@ -68,11 +68,11 @@ class PoseTable:
         """Raises a ValueError if a row that is a bare name fits two frames: this one, and one that
         took it before, or a file of the same name in a folder beside the frame's that has no row of
         its own."""
-        others = [self._users.setdefault(row, file.folder)]
+        candidates = [self._users.setdefault(row, file.folder)]
         if self.folder and self.path.parent != self.folder:
             home = absolute_folder(self.folder)
             below = file.path.relative_to(self.folder)
-            others += [
+            candidates += [
                 absolute(folder)
                 for folder in (home.parent, *home.parent.iterdir())
                 if folder != home
@@ -80,7 +80,7 @@ class PoseTable:
                 and not {f"{folder.name}/{name}" for name in (row, file.name, below.name)}
                 & self.poses.keys()
             ]
-        for other in others:
+        for other in candidates:
             if other != file.folder:
                 raise ValueError(
                     f"row {row!r} of {self.path} can be a frame of {file.folder} and of {other}; "

@@ -57,8 +57,8 @@ class Projection:
     first position that in which it is nearest to a pose that is known, of the map for example;
     without one, its own. Needs the extra ``gps``."""
 
-    def __init__(self, known: Callable[[], Pose] = lambda: UNKNOWN) -> None:
-        self._known = known
+    def __init__(self, near: Callable[[], Pose] = lambda: UNKNOWN) -> None:
+        self._near = near
         self._zone: tuple[int, bool] | None = None
 
     def pose(self, fix: Fix) -> Pose:
@@ -70,11 +70,11 @@ class Projection:
         with requiring("gps", "latitudes need"):
             import utm
         if self._zone is None:
-            number, known = utm.latlon_to_zone_number(latitude, longitude), self._known()
+            number, near = utm.latlon_to_zone_number(latitude, longitude), self._near()
             zones = [((number + d - 1) % 60 + 1, s) for d in (0, -1, 1) for s in (True, False)]
             zones.sort(key=lambda zone: zone != (number, latitude >= 0))
-            if not math.isnan(known.x):
-                zones.sort(key=lambda z: math.dist(_utm(latitude, longitude, z), known[:2]))
+            if not math.isnan(near.x):
+                zones.sort(key=lambda z: math.dist(_utm(latitude, longitude, z), (near.x, near.y)))
             self._zone = zones[0]
         return Pose(*_utm(latitude, longitude, self._zone), heading_of_course(course))
 

@@ -2,13 +2,13 @@
 
 import math
 from bisect import bisect_right
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from fractions import Fraction
 from functools import lru_cache
-from itertools import accumulate, chain, pairwise
+from itertools import chain
 from pathlib import Path
 from threading import Lock
 from typing import Any
@@ -61,14 +61,6 @@ def video_files(path: Path) -> list[FrameFile]:
         name, stamp = f"{round(seconds * 10**6):010d}", video.created + float(seconds)
         files.append(VideoFile("", name, path, time, folder=folder, stamp=stamp))
     return files
-
-
-def played(files: Sequence[FrameFile]) -> list[float]:
-    """The seconds of video up to each of the files; empty unless all are frames of videos."""
-    if not files or not all(isinstance(file, VideoFile) for file in files):
-        return []
-    steps = (b.stamp - a.stamp if a.path == b.path else 0.0 for a, b in pairwise(files))
-    return [*accumulate(steps, initial=0.0)]
 
 
 class _Video:

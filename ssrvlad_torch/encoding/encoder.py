@@ -227,8 +227,8 @@ def encode(
     threads = torch.get_num_threads()
     done: Iterator[Any] = map(work, batches)
     if workers > 1:
-        one = partial(torch.set_num_threads, 1)
-        done = in_order(work, batches, workers, AHEAD * workers, one)
+        alone = partial(torch.set_num_threads, 1)
+        done = in_order(work, batches, workers, AHEAD * workers, alone)
     try:
         for batch in done:
             yield from describer(batch) if reads_only else batch
@@ -243,11 +243,11 @@ def segmented_items(
     taken before any file is read."""
     signatures = [file.signature() for file in files]
     results = segmenter.segmented(files, workers, features)
-    for (file, said), signature in zip(results, signatures, strict=True):
-        if isinstance(said, ValueError):
-            yield Item(file, signature, said)
+    for (file, result), signature in zip(results, signatures, strict=True):
+        if isinstance(result, ValueError):
+            yield Item(file, signature, result)
         else:
-            yield Item(file, signature, *said)
+            yield Item(file, signature, *result)
 
 
 class Item(NamedTuple):
@@ -344,8 +344,8 @@ class Describer:
 
     def _record(self, item: Item) -> FrameRecord:
         file, size = item.file, np.asarray(item.labels).shape
-        known = (*file.pose, file.stamp, item.signature, item.digest, *size, self.origin)
-        return FrameRecord(file.sequence, file.name, *known)
+        fields = (*file.pose, file.stamp, item.signature, item.digest, *size, self.origin)
+        return FrameRecord(file.sequence, file.name, *fields)
 
 
 def _skipped(item: Item, reason: object) -> Skipped:

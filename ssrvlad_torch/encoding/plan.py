@@ -53,20 +53,20 @@ class Plan:
     def of(cls, files: Sequence[FrameFile], database: Database, origin: Origin) -> Plan:
         """The plan for files whose label maps have an origin; errors as for `check_folders`, or a
         file is a frame of another sequence."""
-        known, changes = database.known(), dict[str, str]()
+        records, changes = database.known(), dict[str, str]()
         digest = origin.label_space and origin.label_space.digest
         for key, stored in database.origins.items():
             if stored.label_space is None or stored.label_space.digest != digest:
                 changes[key] = LABEL_SPACE
             else:
                 changes[key] = SEGMENTER if stored.segmenter != origin.segmenter else ""
-        check_folders(files, known)
+        check_folders(files, records)
         if any(file.named for file in files):
-            _check_names(files, known)
+            _check_names(files, records)
         todo, reasons, digests = list[FrameFile](), dict[str, str](), dict[str, str]()
         refused = list[Skipped]()
         for file in files:
-            record = known.get(file.frame)
+            record = records.get(file.frame)
             if record is None:
                 if any(name != name.strip() for name in (file.sequence, file.name)):
                     blank = f"{file.location}: its name, or its folder's, ends in a blank"
@@ -80,7 +80,7 @@ class Plan:
                 reasons[file.frame], digests[file.frame] = reason, record.digest
                 todo.append(file if file.placed else replace(file, pose=Pose(*record[2:5])))
         present, folders = {file.frame for file in files}, {file.folder for file in files}
-        rows = zip(*(known.table[n].to_pylist() for n in ("frame", "signature")), strict=True)
+        rows = zip(*(records.table[n].to_pylist() for n in ("frame", "signature")), strict=True)
         gone = [f for f, s in rows if folder_of(s) in folders and f not in present]
         there = len(files) - len(todo) - len(refused)
         return cls(todo, reasons, digests, there, gone, refused)
@@ -102,13 +102,13 @@ def _why_file(file: FrameFile, record: FrameRecord) -> str | None:
     return POSE if file.placed and not same else None
 
 
-def check_folders(files: Sequence[FrameFile], known: StoredRecords) -> None:
+def check_folders(files: Sequence[FrameFile], records: StoredRecords) -> None:
     """Raises a ValueError for a file with the sequence, or the frame id, of another folder, whose
     frames it would overwrite or join. A sequence that the user named may have several folders."""
     folders = {(file.folder, file.sequence) for file in files if not file.named}
-    check_sequences(folders, folders_of(known.table))
+    check_sequences(folders, folders_of(records.table))
     for file in files:
-        if file.named and (record := known.get(file.frame)):
+        if file.named and (record := records.get(file.frame)):
             check_folder(file, record)
 
 
@@ -122,14 +122,14 @@ def check_folder(file: FrameFile, record: FrameRecord) -> None:
         )
 
 
-def _check_names(files: Sequence[FrameFile], known: StoredRecords) -> None:
+def _check_names(files: Sequence[FrameFile], records: StoredRecords) -> None:
     """Requires that no file is stored already as a frame of another sequence."""
-    stored = folders_of(known.table)
+    stored = folders_of(records.table)
     for folder, name in {(file.folder, file.sequence) for file in files if file.named}:
-        others = {other for of, other in stored if of and is_same_folder(of, folder)} - {name}
-        for file in files if others else ():
-            frames = [f"{other}/{file.name}" for other in others]
-            if file.folder == folder and (there := next((f for f in frames if f in known), "")):
+        names = {other for of, other in stored if of and is_same_folder(of, folder)} - {name}
+        for file in files if names else ():
+            frames = [f"{other}/{file.name}" for other in names]
+            if file.folder == folder and (there := next((f for f in frames if f in records), "")):
                 raise ValueError(
                     f"{file.location} is frame {there!r} of the database: expected --sequence "
                     f"{there.removesuffix(f'/{file.name}')}, got {name}"

@@ -134,11 +134,11 @@ def _labelling(
     data set, or the database, whose network labels what are no label maps."""
     if isinstance(network, Segmenter):
         return network.label_space if labels_as in (None, AUTO) else labels_as, network
-    is_own, taken = network is not None, channels(selection.classes)
+    is_users, classes = network is not None, channels(selection.classes)
     named = open_network(network) if network else None
     if named and labels_as in (None, AUTO):
         has_names = labels_as or named.class_names or named.labels_as is not None
-        labels_as = space_of(named, AUTO, taken) if has_names else None
+        labels_as = space_of(named, AUTO, classes) if has_names else None
     labels_as = labels_as or (dataset.labels_as if dataset else None)
     if database and not named and (images or (not labels_as and _are_of(database, pictures))):
         origin = origin_of(database)
@@ -158,13 +158,13 @@ def _labelling(
             raise ValueError("--segmenter-cache needs --segmenter")
         return labels_as, None
     cache = Path(selection.segmenter_cache) if selection.segmenter_cache else cache_folder()
-    segmenter = Segmenter.load(named, labels_as, cache, taken)
+    segmenter = Segmenter.load(named, labels_as, cache, classes)
     if named.assumed:
         note(
             f"{named.name} does not say how it wants pictures; assumed: {named.preparation} "
             f"({ACCEPT}: true in a YAML file accepts that)"
         )
-    if database and not is_own:
+    if database and not is_users:
         require_network(database, segmenter)
         note(f"{segmenter.name}, the network of {database.path}, labels the pictures")
     return labels_as, segmenter
@@ -195,11 +195,11 @@ def origin_of(database: Database) -> Origin:
 
 def require_network(database: Database, segmenter: Segmenter) -> None:
     """Raises a ValueError if another network labelled frames of a database."""
-    others = {origin.segmenter: origin.network for origin in database.origins.values()}
-    others.pop("", None)
-    if others and others.keys() != {segmenter.key()}:
+    makers = {origin.segmenter: origin.network for origin in database.origins.values()}
+    makers.pop("", None)
+    if makers and makers.keys() != {segmenter.key()}:
         got = segmenter.name or "the given network"
-        expected = ", ".join(name or "a network without a name" for name in others.values())
+        expected = ", ".join(name or "a network without a name" for name in makers.values())
         raise ValueError(
             f"{database.path} was made by {expected} as it was then; {got} gives other label maps "
             "(with another label space or other settings it is another network, and so is the ONNX "

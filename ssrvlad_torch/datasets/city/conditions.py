@@ -37,8 +37,8 @@ class Conditions:
         for name in ("lateral_offset", "heading_offset"):
             require(math.isfinite(getattr(self, name)), name, getattr(self, name), "finite")
         for name in ("heading_jitter", "traffic", "noise"):
-            given = getattr(self, name)
-            require(math.isfinite(given) and given >= 0, name, given, "a finite number >= 0")
+            value = getattr(self, name)
+            require(math.isfinite(value) and value >= 0, name, value, "a finite number >= 0")
         require(0 < self.spacing < math.inf, "spacing", self.spacing, "metres > 0")
         require(self.season in SEASONS, "season", self.season, f"one of {SEASONS}")
         require(self.seed >= 0, "seed", self.seed, "an integer >= 0")
