@@ -30,7 +30,7 @@ FORMS = {
 }
 
 
-def write_bag(path, topics, kind=1, padding=0, storage=rosbag2.StoragePlugin.SQLITE3):
+def write_bag(path, topics, kind=1, padding=0, storage=rosbag2.StoragePlugin.SQLITE3, step=10**8):
     """A bag with every photo on each topic, in the encoding that the topic has."""
     store = get_typestore(Stores.ROS1_NOETIC if kind == 1 else Stores.ROS2_HUMBLE)
     types = store.types
@@ -60,7 +60,7 @@ def write_bag(path, topics, kind=1, padding=0, storage=rosbag2.StoragePlugin.SQL
                         "step": lines.shape[1], "data": lines.reshape(-1),
                     }  # fmt: skip
                 message = types[name](header=header, **fields)
-                bag.write(connection, FIRST + row * 10**8, serialise(message, name))
+                bag.write(connection, FIRST + row * step, serialise(message, name))
     return path
 
 
@@ -100,6 +100,12 @@ def test_a_topic_is_named_where_there_are_several_and_damage_is_refused(tmp_path
     refuses("gray of [1-9][0-9]? bits", read_image, find_image_files([str(dark)])[0])
     path.write_bytes(path.read_bytes()[:50])
     refuses(r"drive\.bag is not a readable bag", find_image_files, [bag])
+
+
+def test_messages_of_one_time_are_frames_with_numbers(tmp_path):
+    files = find_image_files([str(write_bag(tmp_path / "a.bag", {"/camera": "rgb8"}, step=0))])
+    assert [file.name for file in files] == [str(FIRST), *(f"{FIRST}-{n}" for n in range(1, 5))]
+    np.testing.assert_array_equal(read_image(files[3]), PHOTOS[3])
 
 
 def test_a_bag_is_encoded_as_one_sequence_with_poses(tmp_path, ssrvlad, monkeypatch):

@@ -170,32 +170,20 @@ FIX = "must hold numbers gpsLatitude"
 LIST = ["# name qw qx qy qz cx cy cz", README]
 V2 = ["b.png 0 0 1 1 1 0 0 2 0 1 0 -2.5 0 0 0 1"]
 DAMAGED = [
-    (read_fix, "", FIX),
     (read_fix, "[1, 2]", FIX),
-    (read_fix, '{"gpsLatitude": 50}', FIX),
     (read_fix, '{"gpsLatitude": "50", "gpsLongitude": 9}', FIX),
     (read_fix, '{"gpsLatitude": 50, "gpsLongitude": 9, "gpsHeading": Infinity}', FIX),
-    (read_fix, '{"gpsLatitude": 0, "gpsLongitude": 99}', FIX),
-    (read_fix, '{"gpsLatitude": null, "gpsLongitude": 9}', FIX),
     (read_matrix, "", "expected 16 numbers, got 0"),
-    (read_matrix, "1 " * 12, "got 12"),
     (read_matrix, "1 " * 15 + "x", "'x'"),
     (read_nvm, ["ply"], "is not an NVM_V3 model"),
-    (read_nvm, [], "is not an NVM_V3 model"),
     (read_nvm, ["NVM_V3"], "line 1: .*'no number of cameras'"),
     (read_nvm, ["NVM_V3", "", "many"], "line 3: .*'many'"),
     (read_nvm, ["NVM_V3", "", "2", camera("a", 1, 2)], "ends 1 cameras too early"),
     (read_nvm, ["NVM_V3", "", "1", "a 400 1 0 0 0 1 2"], "line 4: expected 10 numbers, got 7"),
-    (read_nvm, ["NVM_V3", "", "1", camera("a", "x", 2)], "line 4: .*'x'"),
     (read_nvm, ["NVM_V3", "", "1", camera("a", 1, 2, "0 0 0 0")], "line 4: .* is not a rotation"),
     (read_v2_poses, [*V2, "a.png 1 2 3"], "line 2: expected 16 numbers, got 3"),
-    (read_v2_poses, [*V2, "a.png " + "x " * 16], "line 2: .*'x'"),
-    (read_cmu_list, [*LIST, "a.jpg 1 0 0 0 1 2"], "line 3: expected 7 numbers, got 6"),
     (read_cmu_list, [*LIST, "a.jpg 1 0 0 0 1 2 3 4"], "line 3: expected 7 numbers, got 8"),
-    (read_cmu_list, [*LIST, "a.jpg"], "line 3: expected 7 numbers, got 0"),
-    (read_cmu_list, [*LIST, "a.jpg 1 0 0 0 east 2 3"], "line 3: .*'east'"),
     (read_cmu_list, [*LIST, "a.jpg 0 0 0 0 1 2 3"], "line 3: .* is not a rotation"),
-    (read_cmu_list, [*LIST, "\x00\x01\x02"], "line 3: expected 7 numbers"),
 ]
 
 

@@ -125,15 +125,6 @@ def test_files_carry_id_and_pose_and_gaps_are_counted():
     refuses(r"root \(made\) has no images", made(drive("a", "1", label=Path("x"))).image_files)
 
 
-def test_every_and_start_count_in_each_sequence():
-    dataset = made(
-        drive("a", "1", "2", "3", "4", label=Path("x")), drive("b", "1", label=Path("x"))
-    )
-    assert [f.frame for f in dataset.label_files(2)] == ["a/1", "a/3", "b/1"]
-    assert [f.frame for f in dataset.label_files(2, 1)] == ["a/2", "a/4"]
-    refuses("no sequence of root has a frame 4", dataset.label_files, start=4)
-
-
 # ---- label maps from elsewhere
 
 

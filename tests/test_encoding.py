@@ -1,7 +1,5 @@
 """Encoding: every readable frame is encoded once, in order; the others are skipped and reported."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import torch
@@ -9,10 +7,8 @@ from helpers import street, touch, write_image
 from maps import HEAD, alone, assert_streets, counts
 
 from ssrvlad_torch.channels.label_shapes import LabelShapes
-from ssrvlad_torch.datasets.frame_file import FrameFile
 from ssrvlad_torch.datasets.label_files import digest
-from ssrvlad_torch.encoding import encoder
-from ssrvlad_torch.encoding.encoder import Item, encode_to_database, encode_to_memory
+from ssrvlad_torch.encoding.encoder import encode_to_database, encode_to_memory
 
 CHANNELS = [LabelShapes(HEAD)]
 
@@ -104,10 +100,3 @@ def test_frames_may_differ_in_size_and_format(town):
     for number in (10, 11, 12):
         assert torch.equal(frames.descriptors[number], alone(labels))
         assert known[f"a/{number}"].digest == known["a/0"].digest
-
-
-def test_label_maps_already_read_start_no_threads(monkeypatch):
-    monkeypatch.setattr(FrameFile, "readers", 4)
-    items = [Item(FrameFile("a", "0", Path("0.png")), "", street(0), None, digest(street(0)))]
-    monkeypatch.setattr(encoder, "in_order", None)
-    assert encoder.read(HEAD.label_space, items) == items

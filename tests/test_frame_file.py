@@ -10,13 +10,11 @@ from helpers import refuses, street, write_street
 from networks import write_street as write_network
 from pyarrow.fs import FileSystem, copy_files
 from segmenting import write_photos, write_settings
-from trees import write_placed
 
 from ssrvlad_torch import SSRVLAD
 from ssrvlad_torch.channels.label_shapes import LabelShapes
 from ssrvlad_torch.database.database import Database
 from ssrvlad_torch.datasets import frame_file
-from ssrvlad_torch.datasets.image_files import find_image_files, write_pictures
 from ssrvlad_torch.datasets.label_files import find_label_files
 from ssrvlad_torch.encoding.encoder import encode_to_database, encode_to_memory
 
@@ -77,20 +75,6 @@ def test_a_uri_without_frames_is_refused(folder, tmp_path):
     with pytest.raises(FileNotFoundError, match="none"):
         find_label_files([(tmp_path / "none").as_uri()])
     refuses("ftp", find_label_files, ["ftp://host/monday"])
-
-
-def test_positions_of_pictures_in_a_bucket_are_those_of_their_exif_tags(bucket, tmp_path):
-    """They are also written as names."""
-    frame_file._file_system.cache_clear()
-    write_placed(tmp_path / "photos" / "1.jpg", (48.0, 7.0, 30.0), (11.0, 34.0, 0.0))
-    files, root = FileSystem.from_uri(f"{bucket}/placed")
-    copy_files(str(tmp_path / "photos"), f"{root}/photos", destination_filesystem=files)
-    here = find_image_files([str(tmp_path / "photos")], poses="exif")
-    there = find_image_files([f"{bucket}/placed/photos"], poses="exif")
-    assert [file.pose[:2] for file in there] == [file.pose[:2] for file in here]
-    write_pictures(tmp_path / "named", there)
-    [named] = (tmp_path / "named").iterdir()
-    assert named.read_bytes() == (tmp_path / "photos" / "1.jpg").read_bytes()
 
 
 @pytest.fixture(params=["local", pytest.param("ray", marks=pytest.mark.slow, id="ray")])

@@ -103,13 +103,6 @@ def test_every_and_start_count_in_each_sequence(tmp_path):
         refuses(f"got {every} and {start}", find_label_files, sources, every=every, start=start)
 
 
-def test_one_file_given_twice_is_one_frame(tmp_path, monkeypatch):
-    touch(tmp_path / "a" / "1.png")
-    monkeypatch.chdir(tmp_path / "a")
-    sources = [".", "../a", "1.png", str(tmp_path / "a" / "*.png")]
-    assert ids(find_label_files(sources)) == ["a/1"]
-
-
 def test_one_frame_of_two_files_is_refused(tmp_path):
     touch(tmp_path / "x" / "a" / "1.png", tmp_path / "y" / "a" / "1.png")
     sources = [str(tmp_path / "x" / "a"), str(tmp_path / "y" / "a")]

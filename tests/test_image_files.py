@@ -4,7 +4,7 @@ import io
 
 import numpy as np
 import pytest
-from helpers import COLOUR, GRAY, flip_byte, refused, refuses, touch, write_pages, write_png
+from helpers import COLOUR, GRAY, flip_byte, refused, refuses, write_pages, write_png
 from PIL import Image
 
 from ssrvlad_torch.datasets.frame_files import FrameFile
@@ -185,14 +185,6 @@ def test_a_stack_holds_an_image_a_row(tmp_path):
 
 
 # ---- which files are frames
-
-
-def test_images_are_found_as_label_maps_are(tmp_path):
-    folder = tmp_path / "monday"
-    names = ["f10.jpg", "f2.JPEG", "f1.webp", "f3.png", ".f4.jpg", "notes.txt", "f5.svg"]
-    touch(*(folder / name for name in names))
-    files = find_image_files([str(folder)])
-    assert [file.frame for file in files] == [f"monday/f{n}" for n in (1, 2, 3, 10)]
 
 
 @pytest.mark.filterwarnings("error")

@@ -153,7 +153,6 @@ def lacking(count, total, kind, first):
 
 
 MISSING = [
-    (cityscapes, [], []),
     (
         cityscapes,
         ["vehicle/val/frankfurt/*294*", "leftImg8bit/test/berlin/*"],
@@ -167,7 +166,6 @@ MISSING = [
         ["vehicle"],
         [f"{POSELESS}vehicle/, which is vehicle_trainvaltest.zip at cityscapes-dataset.com"],
     ),
-    (camvid, [], []),
     (
         synthia,
         PARTS,
@@ -192,7 +190,6 @@ MISSING = [
         [],
         [lacking(4, 12, "pose", f"slice6-c0-2011-04-21/{image(7, 0, MAP)}")],
     ),
-    (vpr_bench, [], []),
 ]
 
 
@@ -303,13 +300,6 @@ def test_a_frame_without_a_drive_is_of_its_folder_and_two_label_spaces_are_refus
     refuses("label maps of camvid-11 and camvid-32; expected one", open_dataset, copy)
 
 
-def test_drives_of_ones_own_are_not_taken_for_camvid(tmp_path):
-    """Their labels could mean anything."""
-    plant(tmp_path, "monday/images/1.jpg", "monday/labels/1.png")
-    dataset = open_dataset(tmp_path)
-    assert (dataset.layout, dataset.labels_as) == ("folders", None)
-
-
 @needs_camvid
 def test_the_drives_of_camvid_are_recognised_with_labels_of_networks():
     dataset = open_dataset(CAMVID)
@@ -328,16 +318,6 @@ def test_the_drives_of_camvid_are_recognised_with_labels_of_networks():
         first = predicted.label_files()[0]
         assert first.path.parent.name == network
         assert read_label_map(first, label_space("cityscapes-trainids")).max() < 19
-
-
-@of(synthia)
-def test_images_or_label_maps_alone_are_enough(copy):
-    (copy / FALL / "RGB").rename(copy / "elsewhere")
-    assert len(open_dataset(copy / FALL).label_files()) == 4
-    (copy / "elsewhere").rename(copy / FALL / "RGB")
-    shutil.rmtree(copy / FALL / "GT")
-    last = open_dataset(copy / FALL).image_files()[-1].frame
-    assert last == f"{FALL}-Stereo_Right-Omni_B/000000"
 
 
 @of(robotcar)

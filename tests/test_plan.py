@@ -214,16 +214,6 @@ def test_a_file_is_not_stored_under_two_names(town):
     assert encode_to_database(HEAD, files, town.database()).encoded == 2
 
 
-def test_a_stack_beside_a_folder_of_its_name_is_another_sequence(town):
-    town.add("day", range(3))
-    town.encode("day")
-    np.save(town.folder / "day.npy", np.stack([street(seed) for seed in range(4)]))
-    refuses("needs a name", town.files, "day", "day.npy")
-    assert town.encode("day.npy", **PRUNE, sequence="stack").encoded == 4
-    assert town.encode("day", **PRUNE).pruned == 0
-    assert len(town.database()) == 7
-
-
 def test_a_moved_folder_continues_its_sequence_if_the_name_is_given(town):
     town.add("a", range(3))
     town.encode()

@@ -51,10 +51,3 @@ def test_poles_are_filled_similar_classes_confused_and_none_invented(street):
     assert set(confused[street == BUILDING]) == {BUILDING, WALL}
     assert set(confused[street == SKY]) == {SKY}
     assert set(np.unique(apply(wobble, 3.0, street))) <= set(np.unique(street))
-
-
-@pytest.mark.parametrize("shape", [(1, 1), (16, 200), (33, 17)])
-def test_noise_keeps_shape_and_dtype(shape):
-    labels = np.full(shape, SKY, np.uint8)
-    result = apply(add_errors, 1.0, labels)
-    assert (result.shape, result.dtype) == (shape, np.uint8)

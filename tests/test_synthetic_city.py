@@ -1,6 +1,5 @@
 """The synthetic city on disk: frames, poses and true matches; and what is refused."""
 
-import dataclasses
 import json
 import math
 
@@ -66,14 +65,6 @@ def test_a_written_city_is_its_frames_their_poses_and_true_matches(tmp_path):
         assert matches
 
 
-def test_query_without_a_match_has_an_empty_list(tmp_path):
-    far = dataclasses.replace(QUERY, spacing=50.0)
-    files = write_city(tmp_path, frames=2, size=(16, 16), query=far, labels_as="cityscapes-ids")
-    truth = json.loads((files / "ground_truth.json").read_text())
-    assert truth["query/000000"]
-    assert truth["query/000001"] == []
-
-
 @pytest.mark.parametrize(
     ("call", "message"),
     [
@@ -83,14 +74,8 @@ def test_query_without_a_match_has_an_empty_list(tmp_path):
         (lambda: SyntheticCity().traverse(1, labels_as="camvid-11"), "labels_as: got 'camvid-11'"),
         (lambda: Conditions(season="spring"), "season: got 'spring', expected one of"),
         (lambda: Conditions(spacing=0), "spacing: got 0, expected metres > 0"),
-        (lambda: Conditions(traffic=-1), "traffic: got -1"),
-        (lambda: Conditions(heading_jitter=-1), "heading_jitter: got -1"),
-        (lambda: Conditions(noise=-1.0), "noise: got -1.0, expected a finite number >= 0"),
         (lambda: Conditions(noise=math.nan), "noise: got nan"),
-        (lambda: Conditions(noise=math.inf), "noise: got inf"),
-        (lambda: Conditions(lateral_offset=math.nan), "lateral_offset: got nan"),
         (lambda: Conditions(seed=-1), "seed: got -1"),
-        (lambda: write_city("unused", frames=0), "frames: got 0"),
     ],
 )
 def test_wrong_arguments_are_refused_by_name(call, message, tmp_path, monkeypatch):

@@ -1,5 +1,6 @@
 """Images in ROS 1 and ROS 2 bags. Needs the extra ``rosbag``."""
 
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass
@@ -46,16 +47,20 @@ def is_bag(path: Path) -> bool:
 
 def bag_files(path: Path, topic: str | None = None) -> list[FrameFile]:
     """The images of one topic of a bag, by default the only one, in order of time; their sequence
-    has no name yet. A frame is named by the time at which its message was recorded, in nanoseconds.
+    has no name yet. A frame is named by the time at which its message was recorded, in nanoseconds,
+    and of equal times the later ones also by a number.
     A bag that cannot be read, no such topic, and several without a choice are a ValueError; without
     the extra ``rosbag``, an ImportError."""
     opened = _Topic(path, topic)
     name, folder = opened.connection.topic, absolute(path)
+    files, times = list[FrameFile](), Counter[int]()
     with closing(opened.bag):
-        return [
-            BagFile("", str(time), path, row, folder=folder, stamp=time * 1e-9, topic=name)
-            for row, (time, _) in enumerate(opened.messages())
-        ]
+        for row, (time, _) in enumerate(opened.messages()):
+            frame = f"{time}-{times[time]}" if time in times else str(time)
+            times[time] += 1
+            stamp = time * 1e-9
+            files.append(BagFile("", frame, path, row, folder=folder, stamp=stamp, topic=name))
+    return files
 
 
 class _Topic:

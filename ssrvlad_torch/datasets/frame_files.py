@@ -278,8 +278,10 @@ def _posed(
     for file in posed:
         listed.setdefault(file.path.parent, []).append(file)
     for folder, table in tables.items():
-        if table and all(math.isnan(file.pose.x) for file in listed[folder]):
-            note(_misfit(table, listed[folder]))
+        neighbours = listed[folder]
+        is_posed = any(not math.isnan(file.pose.x) for file in neighbours)
+        if table and not is_posed and not any(map(table.pose_of, neighbours)):
+            note(_misfit(table, neighbours))
     return posed
 
 

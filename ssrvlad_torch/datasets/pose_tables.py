@@ -43,19 +43,17 @@ class PoseTable:
     def pose_of(self, file: FrameFile) -> Pose | None:
         """The pose of a frame; ``None`` if it has no row. Rows that differ, and one that can be
         that of another folder, are a ValueError."""
-        folders = path_ends(file.folder)[::-1]
+        folders = path_ends(normalize("NFC", file.folder))[::-1]
         other = self.path.parent / file.sequence
         if file.sequence not in folders and (
             not other.is_dir() or is_same_folder(str(other), file.folder)
         ):
             folders.append(file.sequence)
-        name = normalize("NFC", file.name)
-        names = [name + suffix for suffix in dict.fromkeys(("", file.path.suffix, *IMAGE_SUFFIXES))]
-        ids = (normalize("NFC", f"{folder}/{name}") for folder in folders for name in names)
-        rows = [key for key in ids if key in self.poses]
-        if not rows:
-            rows = [name for name in names if name in self.poses]
-            if rows:
+        rows, name = list[str](), normalize("NFC", file.name)
+        for suffixes in (("", file.path.suffix), IMAGE_SUFFIXES):
+            names = [name + suffix for suffix in suffixes if not rows]
+            rows += [row for f in folders for n in names if (row := f"{f}/{n}") in self.poses]
+            if not rows and (rows := [name for name in names if name in self.poses]):
                 self._require_one_folder(file, rows[0])
         if len({repr(self.poses[row]) for row in rows}) > 1:  # as text, NaN equals NaN
             raise ValueError(
