@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from unicodedata import normalize
 
@@ -66,21 +67,23 @@ class PoseTable:
         """Raises a ValueError if a row that is a bare name fits two frames: this one, and one that
         took it before, or a file of the same name in a folder beside the frame's that has no row of
         its own."""
-        candidates = [self._users.setdefault(row, file.folder)]
-        if self.folder and self.path.parent != self.folder:
-            home = absolute_folder(self.folder)
-            below = file.path.relative_to(self.folder)
-            candidates += [
-                absolute(folder)
-                for folder in (home.parent, *home.parent.iterdir())
-                if folder != home
-                and (folder / below).exists()
-                and not {f"{folder.name}/{name}" for name in (row, file.name, below.name)}
-                & self.poses.keys()
-            ]
-        for other in candidates:
-            if other != file.folder:
+        users = [self._users.setdefault(row, file.folder)]
+        for folder in self._beside:
+            ids = {f"{folder.name}/{name}" for name in (row, file.name, file.path.name)}
+            if (folder / file.path.relative_to(self.folder or "")).exists():
+                users += [] if ids & self.poses.keys() else [absolute(folder)]
+        for user in users:
+            if user != file.folder:
                 raise ValueError(
-                    f"row {row!r} of {self.path} can be a frame of {file.folder} and of {other}; "
+                    f"row {row!r} of {self.path} can be a frame of {file.folder} and of {user}; "
                     "expected <folder>/<name>, or the table of one folder by --poses"
                 )
+
+    @cached_property
+    def _beside(self) -> list[Path]:
+        """The folders in that of a table, and this one, without the one for which it was found."""
+        if not self.folder or self.path.parent == self.folder:
+            return []
+        home = absolute_folder(self.folder)
+        folders = (home.parent, *home.parent.iterdir())
+        return [folder for folder in folders if folder != home and folder.is_dir()]
