@@ -230,16 +230,72 @@ def test_the_library_has_the_presets_and_refuses_wrong_settings(preset, core):
     assert library.ssrvlad_preset(b"other", ctypes.byref(own)) < 0
 
 
+def test_a_few_seeds_are_in_range(core, tmp_path):
+    library = Path(core.library._name)
+    flags = ["-std=c++17", "-O1", "-pthread", f"-I{library.parent}", f"-Wl,-rpath,{library.parent}"]
+    sources = [ROOT / "tests" / "fuzz.cpp", library]
+    subprocess.run(["g++", *flags, *sources, "-o", tmp_path / "fuzz"], check=True)
+    assert outcome(tmp_path / "fuzz", "0", "20") == (0, ["clean"], [])
+
+
 @pytest.mark.slow
-def test_sanitisers_find_nothing(tmp_path):
-    program = tmp_path / "sanitised"
+@pytest.mark.parametrize(
+    "program", [("fuzz", "20", "300"), ("sanitised",)], ids=lambda line: line[0]
+)
+def test_sanitisers_find_nothing(program, tmp_path):
+    name, *arguments = program
     folder = ROOT / "ssrvlad_torch" / "native"
-    flags = ["-std=c++17", "-O0", "-pthread", f"-I{folder}"]
+    flags = ["-std=c++17", "-O0", "-ffp-contract=off", "-pthread", f"-I{folder}"]
     flags += ["-Wall", "-Wextra", "-Werror"]
     checks = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
-    sources = [ROOT / "tests" / "sanitised.cpp", *folder.glob("*.cpp")]
-    subprocess.run(["g++", *flags, *checks, *sources, "-o", program], check=True)
-    assert outcome(program) == (0, ["clean"], [])
+    sources = [ROOT / "tests" / f"{name}.cpp", *folder.glob("*.cpp")]
+    subprocess.run(["g++", *flags, *checks, *sources, "-o", tmp_path / name], check=True)
+    assert outcome(tmp_path / name, *arguments) == (0, ["clean"], [])
+
+
+LOST = r"""
+#include "filter.hpp"
+using namespace places;
+
+// A belief that cannot leave its rows, and a frame that is elsewhere: the frame starts anew.
+int main() {
+  const Drives drives{{0}, 100};
+  Motion motion;
+  motion.jump = motion.unmapped = 0;
+  const Filter filter(drives, motion, {FORWARDS});
+  const auto at = [](Size row) {
+    Likelihood likelihood{std::vector<float>(100), 0};
+    likelihood.rows[static_cast<std::size_t>(row)] = 9;
+    return likelihood;
+  };
+  Belief first = filter.start(drives.all());
+  filter.update(first, at(10));
+  Belief second = filter.predicted(first, drives.all());
+  const double gain = filter.update(second, at(60));
+  if (!(std::abs(gain) < 1e-6) || !(second.of_rows()[60] > 0.999F)) return 1;
+  const Future future = filter.before(first, drives.all(), at(60), filter.none(second));
+  const auto [rows, unmapped] = filter.smoothed(first, future);
+  return !(rows[10] > 0.999F && unmapped == 0);
+}
+"""
+
+
+def test_a_frame_that_is_nowhere_by_the_belief_starts_it_anew(tmp_path):
+    folder = ROOT / "ssrvlad_torch" / "native"
+    (tmp_path / "lost.cpp").write_text(LOST)
+    sources = [tmp_path / "lost.cpp", folder / "filter.cpp"]
+    subprocess.run(
+        ["g++", "-std=c++17", f"-I{folder}", *sources, "-o", tmp_path / "lost"], check=True
+    )
+    subprocess.run([tmp_path / "lost"], check=True)
+
+
+def test_fast_math_is_refused_as_it_is_compiled():
+    header = ROOT / "ssrvlad_torch" / "native" / "cpu.hpp"
+    command = ("g++", "-std=c++17", "-fsyntax-only", "-x", "c++", header)
+    assert outcome(*command)[0] == 0
+    code, _, errors = outcome(*command, "-ffast-math")
+    assert code == 1 and "compile without -ffast-math" in "".join(errors)
 
 
 def test_a_library_of_another_source_is_refused(tmp_path, monkeypatch):
