@@ -42,12 +42,12 @@ from .evaluation.metrics import Convention
 from .evaluation.true_matches import Viewpoints, true_matches
 from .recognition.matching import checked_number
 from .recognition.recognise import Steps
-from .search.alone import LargeMap, opened_large
 from .search.answers import Answer, Answers
 from .search.coarse_index import grow
 from .search.exact import chosen_channels, locate_view, search
 from .search.material import Material
 from .search.near import Near
+from .search.shortlist import Shortlist, open_shortlist
 from .segmentation.segmenter import Segmenter
 from .taxonomy import VOID, LabelSpace
 
@@ -95,7 +95,7 @@ class Map:
 
     def __post_init__(self) -> None:
         self._opened = self.network if isinstance(self.network, Segmenter) else None
-        self._located: tuple[int, FrameSet | LargeMap, list[Channel]] | None = None
+        self._located: tuple[int, FrameSet | Shortlist, list[Channel]] | None = None
         exists = self.version is not None or Database.exists(self.path)
         self._database = Database.open(self.path, self.version) if exists else None
         if self._database and self.preset is not None:
@@ -410,17 +410,17 @@ class Map:
             self._opened = segmenter
         return self._opened
 
-    def _loaded(self) -> tuple[FrameSet | LargeMap, list[Channel]]:
+    def _loaded(self) -> tuple[FrameSet | Shortlist, list[Channel]]:
         """The frames and the channels, loaded anew after a change; the network must fit them."""
         version = self.database.version
         if self._located is None or self._located[0] != version:
             if not len(self.database):
                 raise ValueError(f"{self.path} holds no frames yet")
             segmenter, channels = self._segmenter(), chosen_channels(self.database)
-            large = opened_large(self.database, channels)
-            if large and isinstance(large, str):
-                warnings.warn(f"{large}; all frames are loaded", stacklevel=3)
-            frames = self.database.load() if isinstance(large, str) else large
+            shortlist, reason = open_shortlist(self.database, channels)
+            if reason:
+                warnings.warn(f"{reason}; all frames are loaded", stacklevel=3)
+            frames = shortlist or self.database.load()
             require_network(self.database, segmenter)
             config = replace(self.database.config, labels_as=segmenter.label_space)
             check_segmenter(segmenter, SSRVLAD(config), channels)

@@ -44,21 +44,19 @@ int find(const Town &town) {
   const ssrvlad_drives drives = {starts, 3, ROWS};
   const ssrvlad_channel channels[] = {{town.vectors.data(), SSRVLAD_VECTORS, 1, LENGTH, 1, nullptr},
                                       {town.signs.data(), SSRVLAD_SIGNS, COLUMNS, BYTES, 6, nullptr}};
-  const ssrvlad_queries queries[] = {{town.swept.data(), ANCHORS, nullptr}, {town.seen.data(), 1, nullptr}};
+  const ssrvlad_queries queries[] = {{town.swept.data(), ANCHORS}, {town.seen.data(), 1}};
   ssrvlad_map *map = ssrvlad_map_new(&drives);
   for (const auto &channel : channels)
     if (ssrvlad_map_add_channel(map, &channel)) return 1;
-  std::vector<float> scores(ROWS);
-  int64_t width;
-  for (const int channel : {0, 1})
-    for (const int steps : {0, 1, 3}) {
-      ssrvlad_comparison *compared =
-          ssrvlad_map_compare(map, channel, queries + channel, QUERIES, steps & 1, steps & 2, 1, &width);
-      for (int64_t query = 0; query < QUERIES; query += 7) {
-        if (ssrvlad_comparison_scores(compared, query, scores.data())) return 2;
-        print(scores);
-      }
-      ssrvlad_comparison_free(compared);
+  std::vector<float> scores(QUERIES * ROWS);
+  for (const int standardise : {0, 1})
+    for (const int sweep : {0, 1}) {
+      double weights[2];
+      ssrvlad_taken taken = {0, 0, weights};
+      const ssrvlad_steps steps = {standardise, sweep, SSRVLAD_ALONE, 0, TOP, nullptr, nullptr};
+      if (ssrvlad_map_compare(map, queries, QUERIES, &steps, 1, scores.data(), &taken)) return 2;
+      for (int64_t query = 0; query < QUERIES; query += 7)
+        print({scores.begin() + query * ROWS, scores.begin() + (query + 1) * ROWS});
     }
   for (const int follow : {SSRVLAD_ALONE, SSRVLAD_ONLINE, SSRVLAD_OFFLINE}) {
     std::vector<float> found(QUERIES * TOP), sure(3 * QUERIES);
@@ -67,7 +65,7 @@ int find(const Town &town) {
     ssrvlad_decision decision = {found.data(), rows.data(), sure.data(), sure.data() + QUERIES,
                                  sure.data() + 2 * QUERIES, 0, 0, 0, 0, 0};
     ssrvlad_taken taken = {0, 0, weights};
-    const ssrvlad_steps steps = {1, 1, follow, 0, TOP};
+    const ssrvlad_steps steps = {1, 1, follow, 0, TOP, nullptr, nullptr};
     if (ssrvlad_map_query(map, queries, QUERIES, &steps, 1, &decision, &taken)) return 3;
     for (const int64_t row : rows) std::printf("%lld\n", static_cast<long long>(row));
     print(found), print(sure);

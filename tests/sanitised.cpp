@@ -14,74 +14,48 @@
 #include "ssrvlad_map.h"
 
 namespace {
-struct Table {
-  int64_t rows;
-  std::vector<float> scores;
-};
-
-const float *row_of(void *context, int64_t query) {
-  const Table &table = *static_cast<Table *>(context);
-  return table.scores.data() + query * table.rows;
-}
-
-int scores_of(void *context, int64_t query, float *scores) {
-  std::copy_n(row_of(context, query), static_cast<Table *>(context)->rows, scores);
-  return SSRVLAD_OK;
-}
-
-int64_t candidates_of(void *context, int64_t query, int64_t *rows) {
-  const int64_t count = std::min<int64_t>(query % 4 * 3, static_cast<Table *>(context)->rows);
-  if (rows) std::iota(rows, rows + count, 0);
-  return count;
-}
-
-int some_of(void *context, int64_t query, const int64_t *rows, int64_t count, float *scores) {
-  for (int64_t each = 0; each < count; ++each) scores[each] = row_of(context, query)[rows[each]];
-  return SSRVLAD_OK;
-}
-
-int spread_of(void *, int64_t, double *mean, double *deviation) {
-  *mean = 0.3, *deviation = 0.2;
-  return SSRVLAD_OK;
-}
-
-int64_t sample_of(void *context, int64_t query, int64_t *rows, float *scores) {
-  if (rows) *rows = 0, *scores = row_of(context, query)[0];
-  return static_cast<Table *>(context)->rows > 0;
-}
-
-// Decides about a drive along the map by a matrix, by scores on demand and by candidates.
-int decide(std::mt19937 &random, const std::vector<int64_t> &starts, int64_t rows,
-           int64_t queries) {
-  Table table{rows, std::vector<float>(rows * queries)};
-  for (auto &score : table.scores) score = random() % 9 ? (random() % 500) / 1000.0f : -INFINITY;
+// Decides about a drive along all rows of a map, and along every other one, by scores.
+int decide(std::mt19937 &random, const std::vector<int64_t> &starts, int64_t rows, int64_t queries) {
+  const ssrvlad_drives drives{starts.data(), static_cast<int64_t>(starts.size()), rows};
+  std::vector<int64_t> some;
+  for (int64_t row = 0; row < rows; row += 2) some.push_back(row);
+  const std::vector<double> stand_for(some.size(), 2.0);
+  const int64_t first = 0, top = 3;
+  const ssrvlad_shortlist listed{some.data(), stand_for.data(), static_cast<int64_t>(some.size()), &first, 1};
+  ssrvlad_map *maps[] = {ssrvlad_map_new(&drives), ssrvlad_map_of(&drives, &listed)};
+  if (!maps[0] || !maps[1] == !some.empty()) return 1;
+  std::vector<float> scores(rows * queries), best(queries * top), sure(3 * queries);
+  for (auto &score : scores) score = random() % 9 ? (random() % 500) / 1000.0f : -INFINITY;
   for (int64_t query = 0; query < queries; ++query)
-    if (rows) table.scores[query * rows + query % rows] += 0.4f;
-  const ssrvlad_drives map{starts.data(), static_cast<int64_t>(starts.size()), rows};
-  ssrvlad_evidence every[3] = {};
-  for (auto &each : every) each.queries = queries, each.context = &table;
-  every[0].matrix = table.scores.data(), every[1].scores = scores_of;
-  every[2].candidates = candidates_of, every[2].some = some_of;
-  every[2].spread = spread_of, every[2].sample = sample_of;
-  const int64_t top = 3;
-  std::vector<float> scores(queries * top), right(queries), spread(queries), more(queries);
-  std::vector<int64_t> found(queries * top);
-  std::vector<double> chances(queries);
-  ssrvlad_decision decision{
-      scores.data(), found.data(), right.data(), spread.data(), more.data(), 0, 0, 0, 0, 0};
-  ssrvlad_places places{scores.data(), found.data(), right.data(), spread.data(), chances.data()};
-  const ssrvlad_motion motion{0.05, 0.01, 0.1, 0.97, 0.3, 0.5, 2.5};
-  for (const auto &evidence : every)
-    for (const int mode : {SSRVLAD_ALONE, SSRVLAD_ONLINE, SSRVLAD_OFFLINE}) {
-      if (ssrvlad_decide(&map, &evidence, mode, mode == SSRVLAD_ONLINE ? 2 : 0, top, &decision))
-        return 1;
-      if (mode != SSRVLAD_ALONE &&
-          ssrvlad_follow(&map, &evidence, &motion, SSRVLAD_BACKWARDS, mode, 0, top, &places))
-        return 2;
-    }
-  if (!queries || !rows) return 0;
-  table.scores[0] = NAN;
-  return ssrvlad_decide(&map, every, SSRVLAD_OFFLINE, 0, top, &decision) != SSRVLAD_WRONG_ARGUMENT;
+    if (rows) scores[query * rows + query % rows] += 0.4f;
+  std::vector<int64_t> found(queries * top), excluded(2 * queries);
+  std::vector<uint8_t> allowed(rows, 1);
+  for (auto &each : allowed) each = random() % 9 > 0;
+  for (int64_t query = 0; query < queries; ++query) excluded[2 * query] = 0, excluded[2 * query + 1] = rows / 3;
+  double weight;
+  ssrvlad_taken taken{0, 0, &weight};
+  ssrvlad_decision decision{best.data(), found.data(), sure.data(), sure.data() + queries,
+                            sure.data() + 2 * queries, 0, 0, 0, 0, 0};
+  const ssrvlad_channel channel{nullptr, SSRVLAD_SCORES, 1, 1, 1.0, nullptr};
+  const ssrvlad_queries given{scores.data(), 1};
+  for (ssrvlad_map *map : maps) {
+    if (!map) continue;
+    if (ssrvlad_map_add_channel(map, &channel)) return 2;
+    for (const int mode : {SSRVLAD_ALONE, SSRVLAD_ONLINE, SSRVLAD_OFFLINE})
+      for (const bool masked : {false, true}) {
+        const ssrvlad_steps steps{0, 0, mode, mode == SSRVLAD_ONLINE ? 2 : 0, top,
+                                  masked ? allowed.data() : nullptr, masked ? excluded.data() : nullptr};
+        if (ssrvlad_map_query(map, &given, queries, &steps, 1, &decision, &taken)) return 3;
+      }
+    if (!queries || !rows) continue;
+    const float before = scores[0];
+    scores[0] = NAN;
+    const ssrvlad_steps steps{0, 0, SSRVLAD_OFFLINE, 0, top, nullptr, nullptr};
+    if (ssrvlad_map_query(map, &given, queries, &steps, 1, &decision, &taken) != SSRVLAD_WRONG_ARGUMENT) return 4;
+    scores[0] = before;
+  }
+  for (ssrvlad_map *map : maps) ssrvlad_map_free(map);
+  return 0;
 }
 
 // A map by vectors from several anchors and by signs of odd sizes. Returns 0 if all goes well.
@@ -97,32 +71,21 @@ int find(std::mt19937 &random, std::vector<int64_t> starts, int64_t rows, int64_
   std::fill_n(swept.begin(), anchors * length, 0.0F);
   const ssrvlad_drives drives{starts.data(), static_cast<int64_t>(starts.size()), rows};
   ssrvlad_map *map = ssrvlad_map_new(&drives);
-  const auto drives_count = static_cast<int64_t>(starts.size());
-  const std::vector<float> means(drives_count * length, 0.1F), others(drives_count * columns * bytes * 8, 0.5F);
   const ssrvlad_channel channels[] = {{vectors.data(), SSRVLAD_VECTORS, 1, length, 1.0, nullptr},
-                                      {signs.data(), SSRVLAD_SIGNS, columns, bytes, 6.0, nullptr},
-                                      {vectors.data(), SSRVLAD_VECTORS, 1, length, 1.0, means.data()},
-                                      {signs.data(), SSRVLAD_SIGNS, columns, bytes, 6.0, others.data()}};
+                                      {signs.data(), SSRVLAD_SIGNS, columns, bytes, 6.0, nullptr}};
   for (const auto &channel : channels)
     if (ssrvlad_map_add_channel(map, &channel)) return 1;
-  std::vector<float> scores(queries * top), sure(3 * queries), row(rows);
+  std::vector<float> scores(queries * top), sure(3 * queries), whole(queries * rows);
   std::vector<int64_t> found(queries * top);
-  double weights[4];
+  double weights[2];
   ssrvlad_decision decision{scores.data(), found.data(), sure.data(), sure.data() + queries,
                             sure.data() + 2 * queries, 0, 0, 0, 0, 0};
   ssrvlad_taken taken{0, 0, weights};
-  const ssrvlad_queries given[] = {{swept.data(), anchors, nullptr}, {seen.data(), 1, nullptr},
-                                   {swept.data(), anchors, means.data()}, {seen.data(), 1, others.data()}};
+  const ssrvlad_queries given[] = {{swept.data(), anchors}, {seen.data(), 1}};
   for (const int on : {0, 1}) {
-    const ssrvlad_steps steps{on, on, SSRVLAD_OFFLINE, 0, top};
+    const ssrvlad_steps steps{on, on, SSRVLAD_OFFLINE, 0, top, nullptr, nullptr};
     if (ssrvlad_map_query(map, given, queries, &steps, 2, &decision, &taken)) return 2;
-    for (const int channel : {0, 1, 2, 3}) {
-      ssrvlad_comparison *compared = ssrvlad_map_compare(map, channel, given + channel, queries, on,
-                                                         on, 2, &taken.width);
-      if (!compared || ssrvlad_comparison_scores(compared, queries, row.data()) >= 0) return 3;
-      if (ssrvlad_comparison_scores(compared, queries - 1, row.data())) return 4;
-      ssrvlad_comparison_free(compared);
-    }
+    if (ssrvlad_map_compare(map, given, queries, &steps, 2, whole.data(), &taken)) return 3;
   }
   std::vector<float> lengths(rows, 2), best(queries * anchors * top, -INFINITY);
   std::vector<int64_t> nearest(best.size(), -1);
@@ -135,7 +98,7 @@ int find(std::mt19937 &random, std::vector<int64_t> starts, int64_t rows, int64_
     if (!ssrvlad_match(&some, swept.data(), queries, 0, 2, best.data(), nearest.data())) return 6;
   }
   swept[length] = INFINITY;
-  const ssrvlad_steps steps{1, 1, SSRVLAD_ALONE, 0, top};
+  const ssrvlad_steps steps{1, 1, SSRVLAD_ALONE, 0, top, nullptr, nullptr};
   const int status = ssrvlad_map_query(map, given, queries, &steps, 1, &decision, &taken);
   ssrvlad_map_free(map);
   return status != SSRVLAD_WRONG_ARGUMENT;

@@ -10,12 +10,13 @@ from ssrvlad_torch import native
 from ssrvlad_torch.channels import Column
 from ssrvlad_torch.channels import coarse as module
 from ssrvlad_torch.channels.coarse import LANES, CoarseSigns, CoarseVectors, learn, of
-from ssrvlad_torch.recognition.comparison import ReferenceRows
+from ssrvlad_torch.recognition.recognise import references_of
 from ssrvlad_torch.recognition.sweep import score
 
 
 def by_signs(queries, rows, sweep=True):
-    return ReferenceRows(rows, [""] * len(rows)).compare(queries, False, sweep).whole()
+    town = references_of({"features": rows}, [""] * len(rows))
+    return torch.from_numpy(town.compare({"features": queries.numpy()}, sweep=sweep)[0])
 
 
 @pytest.mark.parametrize("shape", [(8, 3, 4), (5, 3, 9), (1, 2, 1), (16, 16, 16)])

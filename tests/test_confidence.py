@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import torch
 from core import answers_together, of_chances
+from oracles import recognition as oracle
 from scipy.stats import beta
 
-from ssrvlad_torch.recognition import reference
 from ssrvlad_torch.recognition.confidence import (
     _beta,
     accept,
@@ -63,17 +63,17 @@ def test_a_track_that_goes_on_shows_in_each_query():
     random = np.random.default_rng(2)
     followed = np.full(120, 1e-6)
     alone = np.r_[np.exp(-random.gamma(2, 2, 60)), np.ones(60)]
-    mapped = reference.mapped(alone, 1.0, reference.BEST)
+    mapped = oracle.mapped(alone, 1.0, 1 / 3)
     assert (mapped[:58] > 0.95).all() and (mapped[64:] < 0.05).all()
-    right, spread = reference.confidence(followed, mapped, 10.0)
+    right, spread = oracle.confidence(followed, mapped, 10.0)
     assert (right[:58] > 0.9).all() and (right[64:] < 0.05).all() and (spread < 0.5).all()
-    assert (reference.confidence(followed, np.ones(120), 10.0)[0] > 0.95).all()
+    assert (oracle.confidence(followed, np.ones(120), 10.0)[0] > 0.95).all()
 
 
 @pytest.mark.parametrize("queries", [1, 30, 300])
 def test_a_track_that_no_query_shows_does_not_speak_for_the_map(queries):
-    mapped = reference.mapped(np.ones(queries), 1.0, reference.BEST)
-    assert (mapped <= 1 - reference.FOREIGN + 1e-9).all()
+    mapped = oracle.mapped(np.ones(queries), 1.0, 1 / 3)
+    assert (mapped <= 1 - oracle.FOREIGN + 1e-9).all()
 
 
 def test_a_query_without_a_candidate_is_no_answer():

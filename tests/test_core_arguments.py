@@ -42,8 +42,15 @@ def confidence(chances, has):
 def decided(starts, scores):
     def call(core):
         drives = struct("drives")(starts, 1, 4)
-        evidence = struct("evidence")(1, of(FRAMES))
-        return core.ssrvlad_decide(drives, evidence, 2, 0, 1, struct("decision")(scores))
+        handle = ctypes.c_void_p(core.ssrvlad_map_new(drives))
+        if not handle:
+            return -2
+        core.ssrvlad_map_add_channel(handle, struct("channel")(None, 2, 1, 1, 1.0))
+        steps, taken = struct("steps")(0, 0, 2, 0, 1), struct("taken")(0, 0, of(FOUND))
+        given, room = struct("queries")(of(FRAMES), 1), struct("decision")(scores)
+        status = core.ssrvlad_map_query(handle, given, 1, steps, 1, room, taken)
+        core.ssrvlad_map_free(handle)
+        return status
 
     return call
 

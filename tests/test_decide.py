@@ -1,20 +1,17 @@
-"""`native.decide`: the decision core is held to `recognition.reference`, on drives at random."""
+"""From scores to decisions: the core is held to `oracles.recognition`, and to itself."""
 
-import sys
-from dataclasses import astuple
-
+import core as single
 import numpy as np
 import pytest
 import torch
-from helpers import outcome
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from oracles import recognition as oracle
 
-from ssrvlad_torch.native import decide as by_core
-from ssrvlad_torch.native.decide import Search, decide, follow, gain
-from ssrvlad_torch.recognition import reference
-from ssrvlad_torch.recognition.fusion import moments
-from ssrvlad_torch.recognition.motion import BACKWARDS, FORWARDS, NEAR, Course, Motion
+from ssrvlad_torch.native.map import DescriptorMap, Shortlist
+from ssrvlad_torch.recognition.motion import BACKWARDS, FORWARDS, NEAR, Course
+
+pytestmark = pytest.mark.usefixtures("core")
 
 TRACKS = {
     "as fast": list(range(20, 80)),
@@ -23,30 +20,14 @@ TRACKS = {
     "with a stop": [*range(20, 50), *[50] * 20, *range(51, 80)],
     "with a jump": [*range(20, 60), *range(130, 170)],
 }
-MODES = st.sampled_from([("offline", 0), ("online", 0), ("online", 3), (None, 0)])
+MODES = st.sampled_from([("offline", 0), ("online", 0), ("online", 3)])
 
 
-class Best:
-    """Of scores of all rows the best few as candidates, and every so many rows as a sample."""
-
-    def __init__(self, scores, count, every=1):
-        self.matrix, self.count = np.asarray(scores), count
-        self.rows = np.arange(0, self.matrix.shape[1], every)
-
-    def __len__(self):
-        return len(self.matrix)
-
-    def candidates(self, query):
-        return np.argsort(-self.matrix[query])[: self.count]
-
-    def scores(self, query, rows):
-        return self.matrix[query, rows]
-
-    def spread(self, query):
-        return moments(torch.from_numpy(self.matrix[query, self.rows]))
-
-    def sample(self, query):
-        return self.rows, self.matrix[query, self.rows]
+def decide(scores, frames=None, mode="offline", delay=0, top=5, shortlist=None):
+    """The decision by scores ``(Q, R)`` about a map of sequences of some frames."""
+    town = DescriptorMap([scores.shape[1]] if frames is None else frames, shortlist)
+    town.add("scores", None)
+    return town.query({"scores": scores}, False, False, mode, delay, top)
 
 
 def noisy(track, rows, seed=0, strength=0.25):
@@ -54,11 +35,11 @@ def noisy(track, rows, seed=0, strength=0.25):
     generator = torch.Generator().manual_seed(seed)
     scores = torch.rand(len(track), rows, generator=generator) * 0.5
     scores[range(len(track)), track] += strength
-    return scores
+    return scores.numpy()
 
 
 def tracks(kind, queries, start):
-    """The rows of a drive, and of queries that are none."""
+    """The rows of a sequence, and of queries that are none."""
     numbers = np.arange(queries)
     return {
         "forwards": start + numbers,
@@ -71,10 +52,10 @@ def tracks(kind, queries, start):
 
 
 @st.composite
-def drives(draw, most=40):
-    """Scores of queries, and the first row of each drive of the map."""
-    lengths = draw(st.lists(st.integers(1, most), min_size=1, max_size=3))
-    rows, queries = sum(lengths), draw(st.integers(1, most))
+def sequences(draw, most=40):
+    """Scores of queries, and the frames of each sequence of the map."""
+    frames = draw(st.lists(st.integers(1, most), min_size=1, max_size=3))
+    rows, queries = sum(frames), draw(st.integers(1, most))
     rng = np.random.default_rng(draw(st.integers(0, 10_000)))
     scores = rng.uniform(-0.2, 0.5, (queries, rows))
     kinds = ["forwards", "backwards", "fast", "slow", "two streams", "none"]
@@ -84,158 +65,155 @@ def drives(draw, most=40):
     scores[:, rng.random(rows) < draw(st.sampled_from((0, 0.2)))] = -np.inf
     scores[rng.random(scores.shape) < draw(st.sampled_from((0, 0.1)))] = -np.inf
     scores[rng.random(queries) < draw(st.sampled_from((0, 0.1)))] = -np.inf
-    return scores.astype(np.float32), [0, *np.cumsum(lengths)[:-1].tolist()]
+    return scores.astype(np.float32), frames
 
 
-def names_of(starts, rows):
-    return [str(drive) for drive in np.searchsorted(starts, np.arange(rows), "right")]
+def names_of(frames):
+    return [str(number) for number, count in enumerate(frames) for _ in range(count)]
 
 
-def assert_same(got, expected, atol=1e-5):
-    """Beliefs of the core are float32, and rounding adds up from query to query."""
-    assert got[5:9] == tuple(expected[5:9])
-    assert got.gain == pytest.approx(expected.gain, abs=1e-6)
-    np.testing.assert_array_equal(got.rows, expected.rows)
-    within = atol if got.followed else 1e-6
-    np.testing.assert_allclose(got.scores, expected.scores, atol=within, rtol=0)
-    for name in ("right", "spread"):  # of steps between rivals, which may be small
-        of = 2e-4 if got.followed else within
-        np.testing.assert_allclose(getattr(got, name), getattr(expected, name), atol=of)
-    np.testing.assert_allclose(got.together, expected.together, rtol=1e-6)
+def streams_of(decision, scores):
+    """The queries of each stream of the course that was taken."""
+    return [np.arange(number, len(scores), decision.streams) for number in range(decision.streams)]
 
 
-@given(drive=drives(), mode=MODES, top=st.integers(1, 6))
+@given(sequence=sequences(), top=st.integers(1, 6))
+def test_a_query_alone_has_the_best_rows_and_the_confidence_of_the_oracle(sequence, top):
+    scores, frames = sequence
+    decision = decide(scores, frames, None, top=top)
+    answered = np.isfinite(scores).any(1)
+    best = np.argsort(-scores, axis=1, kind="stable")[:, :top]
+    values = np.take_along_axis(scores, best, 1)
+    shape = decision.rows[:, : best.shape[1]]
+    np.testing.assert_array_equal(shape, np.where(np.isfinite(values), best, -1))
+    judged = [oracle.chance(oracle.nearness(row)) for row in scores]
+    rivals = np.array([rival for _, rival in judged])[answered]
+    together = oracle.answers_together(rivals)
+    chances = np.where(answered, [chance for chance, _ in judged], np.nan)
+    right, spread = oracle.confidence(chances, oracle.mapped(chances, together), together)
+    enough = sum(frames) >= oracle.MIN_FRAMES
+    np.testing.assert_allclose(decision.right, right * enough, atol=1e-6)
+    np.testing.assert_allclose(decision.spread, spread, atol=1e-6)
+    np.testing.assert_allclose(decision.together, together, rtol=1e-6)
+
+
+@given(sequence=sequences(), mode=MODES)
 @settings(max_examples=60)
-def test_the_decision_is_that_of_the_oracle(drive, mode, top):
-    scores, starts = drive
-    rows = scores.shape[1]
-    assert_same(
-        decide(scores, starts, rows, *mode, top),
-        reference.decide(scores, names_of(starts, rows), *mode, top),
-    )
+def test_a_followed_sequence_has_the_beliefs_of_forward_and_backward(sequence, mode):
+    scores, frames = sequence
+    rows, names = sum(frames), names_of(frames)
+    decision = decide(scores, frames, *mode, rows)
+    if not decision.followed:
+        return
+    motion = oracle.Motion().at(decision.rate)
+    later = len(scores) if mode[0] == "offline" else mode[1]
+    for stream in streams_of(decision, scores):
+        beliefs, _ = oracle.follow(scores[stream], names, motion, decision.way, later)
+        for query, belief in zip(stream, beliefs, strict=True):
+            places = decision.rows[query][decision.rows[query] >= 0]
+            values = belief[places]
+            if len(places):
+                beside = np.abs(np.arange(rows) - places[0]) <= NEAR
+                values[0] = belief[beside & (np.array(names) == names[places[0]])].sum()
+            np.testing.assert_allclose(decision.scores[query][: len(places)], values, atol=2e-5)
 
 
-@given(drive=drives(), mode=MODES)
-def test_scores_with_ties_give_the_candidates_of_the_oracle(drive, mode):
-    """Where two rows are equal, the belief in them is rounded, and either may be first."""
-    scores, starts = drive
-    scores, rows = np.round(scores * 5) / 5, scores.shape[1]
-    got = decide(scores, starts, rows, *mode)
-    expected = reference.decide(scores, names_of(starts, rows), *mode, 5)
-    assert got[5:9] == tuple(expected[5:9])
-    if not got.followed:
-        assert_same(got, expected)
-    np.testing.assert_allclose(got.scores[:, 1:], expected.scores[:, 1:], atol=1e-5)
-
-
-@given(drive=drives(), mode=MODES)
+@given(sequence=sequences(), mode=MODES)
 @settings(max_examples=40)
-def test_all_rows_as_candidates_decide_as_scores_do(drive, mode):
-    scores, starts = drive
-    scores = np.where(scores > -np.inf, scores, np.float32(-0.5))
-    rows = scores.shape[1]
-    expected = decide(scores, starts, rows, *mode)
-    assert_same(decide(Best(scores, rows), starts, rows, *mode), expected)
+def test_the_gain_of_a_course_is_that_of_the_oracle(sequence, mode):
+    scores, frames = sequence
+    decision = decide(scores, frames, *mode)
+    if not decision.gain:
+        return
+    motion = oracle.Motion(unmapped=0.0, rate=decision.rate)
+    gain = sum(
+        oracle.gain(scores[stream], names_of(frames), motion, decision.way)
+        for stream in streams_of(decision, scores)
+    )
+    gain *= 0.75 if decision.streams == 2 else 1
+    assert decision.gain == pytest.approx(gain / len(scores), abs=1e-5)
+
+
+@given(sequence=sequences(), mode=MODES)
+@settings(max_examples=30)
+def test_a_shortlist_of_all_rows_decides_as_all_rows_do(sequence, mode):
+    scores, frames = sequence
+    rows = np.arange(sum(frames))
+    starts = np.cumsum([0, *frames[:-1]])
+    listed = decide(scores, frames, *mode, shortlist=Shortlist(rows, np.ones(len(rows)), starts))
+    whole = decide(scores, frames, *mode)
+    np.testing.assert_array_equal(listed.rows, whole.rows)
+    for name in ("scores", "right", "spread", "together"):
+        np.testing.assert_allclose(getattr(listed, name), getattr(whole, name), atol=1e-5)
+
+
+@given(sequence=sequences())
+@settings(max_examples=40)
+def test_a_map_in_reverse_mirrors_the_way(sequence):
+    scores, frames = sequence
+    decision = decide(scores, frames)
+    mirror = decide(np.ascontiguousarray(scores[:, ::-1]), frames[::-1])
+    if (
+        decision.gain < 0.1 or decision.gain * len(scores) < 5
+    ):  # near the limits forwards is likelier
+        return
+    assert (mirror.way, mirror.rate) == (-decision.way, decision.rate)
+    if decision.followed and mirror.followed:
+        first, other = decision.rows[:, 0], sum(frames) - 1 - mirror.rows[:, 0]
+        assert np.mean((first == other) | (first < 0)) > 0.9
+
+
+@pytest.mark.parametrize("mode", ["online", "offline"])
+def test_few_rows_and_a_sample_find_what_the_whole_map_finds(mode):
+    scores, true = noisy([*range(1000, 1120)], 6000, strength=0.5), np.arange(1000, 1120)
+    best = np.unique(np.argsort(-scores, axis=1)[:, :15])
+    others = np.setdiff1d(np.arange(6000), best)
+    sample = np.random.default_rng(0).choice(others, 500, replace=False)
+    rows = np.sort(np.concatenate([best, sample]))
+    weights = np.where(np.isin(rows, best), 1, len(others) / len(sample))
+    shortlist = Shortlist(rows, weights, np.array([0]))
+    few = decide(np.ascontiguousarray(scores[:, rows]), [6000], mode, shortlist=shortlist)
+    whole = decide(scores, [6000], mode)
+    for decision in (whole, few):
+        assert decision.followed
+        assert (np.abs(decision.rows[:, 0] - true) <= 1)[40:].mean() > 0.95
+    assert np.abs(whole.right - few.right).mean() < 0.05
 
 
 def test_a_query_of_scores_that_are_equal_but_for_rounding_says_nothing():
-    scores = noisy([*range(5, 25)], 80, strength=0.25).numpy()
+    scores = noisy([*range(5, 25)], 80)
     scores[8] = -0.5
     rounded = scores.copy()
     rounded[8] += np.random.default_rng(0).uniform(-1e-6, 1e-6, 80)
-    expected = decide(scores, [0], 80, "offline")
-    assert expected.followed
-    assert_same(decide(rounded, [0], 80, "offline"), expected)
-    assert_same(expected, reference.decide(rounded, ["a"] * 80, "offline", 0, 5))
-
-
-@given(
-    drive=drives(), way=st.sampled_from((FORWARDS, BACKWARDS)), rate=st.sampled_from((1, 0.25, 3))
-)
-@settings(max_examples=40)
-def test_the_gain_is_that_of_the_oracle(drive, way, rate):
-    scores, starts = drive
-    rows, motion = scores.shape[1], Motion(unmapped=0.0, rate=rate)
-    expected = reference.gain(scores, names_of(starts, rows), motion, way)
-    for evidence in (scores, Best(scores, rows)):
-        got = gain(evidence, starts, rows, astuple(motion), way)
-        assert got == pytest.approx(expected, abs=1e-5)
-
-
-def test_scores_on_demand_and_a_part_of_the_queries_decide_as_a_matrix_does():
-    scores = noisy([*range(20, 60)], 100, strength=0.5).numpy()
-
-    class OnDemand:
-        def __len__(self):
-            return len(scores)
-
-        def __getitem__(self, query):
-            return scores[query].astype(np.float64)
-
-    expected = decide(scores[5:33].copy(), [0, 50], 100)
-    for evidence in (scores, OnDemand()):
-        got = decide(evidence, [0, 50], 100, queries=range(5, 33))
-        for ours, theirs in zip(got, expected, strict=True):
-            np.testing.assert_array_equal(ours, theirs)
+    equal, nearly = decide(scores), decide(rounded)
+    assert equal.followed
+    np.testing.assert_allclose(nearly.scores, equal.scores, atol=1e-5)
 
 
 @pytest.mark.parametrize("name", TRACKS)
 def test_follows_where_single_frames_do_not(name):
-    track = np.array(TRACKS[name])
-    scores = noisy(TRACKS[name], 200).numpy()
-    single = (np.abs(scores.argmax(1) - track) <= NEAR).mean()
-    followed = follow(scores, [0], 200).rows[:, 0]
-    assert (np.abs(followed - track) <= NEAR).mean() > max(0.9, single + 0.1)
-
-
-def test_a_place_that_the_map_lacks_is_told():
-    scores = noisy([*range(40, 100)], 200, seed=1, strength=0.5)
-    scores[30:, 70:100] -= 0.5 * torch.eye(30)
-    found = follow(scores.numpy(), [0], 200, motion=astuple(Motion(weight=1.0, level=3.0)))
-    assert found.unmapped[:25].max() < 0.1 and found.unmapped[40:].min() > 0.9
+    track, scores = np.array(TRACKS[name]), noisy(TRACKS[name], 200)
+    alone = (np.abs(scores.argmax(1) - track) <= NEAR).mean()
+    decision = decide(scores)
+    assert decision.followed
+    assert (np.abs(decision.rows[:, 0] - track) <= NEAR).mean() > max(0.9, alone + 0.1)
 
 
 @pytest.mark.parametrize("mode", ["online", "offline"])
 def test_a_row_without_a_score_is_no_candidate(mode):
-    scores = np.eye(30, dtype=np.float32)[10:20]
+    scores = noisy([*range(10, 50)], 100, strength=0.4)
     scores[:, 15] = -np.inf
-    found = follow(scores, [0], 30, mode, top=30)
-    assert (found.rows != 15).all() and (found.rows[:, -1] == -1).all()
-    assert found.rows[4, 0] == 14
+    decision = decide(scores, mode=mode, top=100)
+    assert decision.followed
+    assert (decision.rows != 15).all() and decision.rows[4, 0] == 14
 
 
-@pytest.mark.parametrize("mode", ["online", "offline"])
-def test_few_candidates_find_what_the_whole_map_finds(mode):
-    scores = noisy([*range(1000, 1120)], 3000).numpy()
-    true = np.arange(1000, 1120)
-    whole, few = (follow(each, [0], 3000, mode) for each in (scores, Best(scores, 100, 10)))
-    for found in (whole, few):
-        assert (np.abs(found.rows[:, 0] - true) <= 1)[40:].mean() > 0.95
-    assert np.abs(whole.near - few.near).mean() < 0.1
-
-
-def test_the_track_goes_on_where_no_candidate_is_found():
-    scores = noisy([*range(1000, 1060)], 3000, strength=0.5).numpy()
-    search = Best(scores, 20, 10)
-    best = search.candidates
-    search.candidates = lambda query: np.arange(20) if 30 <= query < 36 else best(query)
-    found = follow(search, [0], 3000, "online")
-    assert found.rows[20:, 0].tolist() == list(range(1020, 1060))
-
-
-def test_an_empty_query_is_placed_by_its_neighbours_but_has_no_candidate():
-    scores = noisy([*range(100, 130)], 300, strength=0.5).numpy()
+def test_an_empty_query_among_followed_ones_has_no_candidate():
+    scores = noisy([*range(100, 130)], 300, strength=0.5)
     scores[15] = -np.inf
-    search = Best(scores, 20, 3)
-    best = search.candidates
-    search.candidates = lambda query: [] if query == 15 else best(query)
-    for evidence in (scores, search):
-        assert follow(evidence, [0], 300).rows[15, 0] == 115
-        decision = decide(evidence, [0], 300)
-        assert decision.followed and decision.rows[14, 0] == 114
-        assert (decision.rows[15] == -1).all() and decision.right[15] == 0
-    search.candidates = lambda query: np.arange(query > 15)
-    assert len(follow(search, [0], 300).rows) == 30
+    decision = decide(scores)
+    assert decision.followed and decision.rows[[14, 16], 0].tolist() == [114, 116]
+    assert (decision.rows[15] == -1).all() and decision.right[15] == 0
 
 
 ROWS = 240
@@ -259,17 +237,18 @@ COURSES = {
 @pytest.mark.parametrize("name", COURSES)
 def test_how_queries_run_a_map(name):
     track, expected = COURSES[name]
-    found = decide(noisy([*track], ROWS, strength=0.5).numpy(), [0], ROWS)
-    assert found[6:9] == (expected or Course()) and (found.gain > 0) == (expected is not None)
+    decision = decide(noisy([*track], ROWS, strength=0.5))
+    course = Course(decision.way, decision.rate, decision.streams)
+    assert course == (expected or Course()) and (decision.gain > 0) == (expected is not None)
     if expected:
-        right = np.abs(found.rows[:, 0] - np.array(track)) <= NEAR
-        assert found.followed and right.mean() > 0.9
+        right = np.abs(decision.rows[:, 0] - np.array(track)) <= NEAR
+        assert decision.followed and right.mean() > 0.9
 
 
 def test_a_map_in_another_order_is_run_by_hardly_anything():
-    scores = noisy([*range(60)], ROWS, strength=0.5).numpy()
-    assert decide(scores[:, RANDOM.permutation(ROWS)], [0], ROWS).gain < 0.1
-    assert decide(scores, [0], ROWS).gain > 0.5
+    scores = noisy([*range(60)], ROWS, strength=0.5)
+    assert decide(scores[:, RANDOM.permutation(ROWS)]).gain < 0.1
+    assert decide(scores).gain > 0.5
 
 
 def seen_in_a_street(queries, rows):
@@ -286,179 +265,114 @@ def seen_in_a_street(queries, rows):
 
 @pytest.mark.parametrize("mode", ["online", "offline"])
 def test_answers_that_linger_where_the_map_has_a_hole_are_not_believed(mode):
-    drive, whole = np.arange(20, 120), np.arange(150)
-    found = decide(seen_in_a_street(drive, whole), [0], 150, mode)
-    assert found.followed and found.right.mean() > 0.95
-    rows = whole[(whole < 60) | (whole >= 70)]
-    lacking = decide(seen_in_a_street(drive, rows), [0], len(rows), mode)
+    queries, whole = np.arange(20, 120), np.arange(150)
+    decision = decide(seen_in_a_street(queries, whole), mode=mode)
+    assert decision.followed and decision.right.mean() > 0.95
+    lacking = decide(seen_in_a_street(queries, whole[(whole < 60) | (whole >= 70)]), mode=mode)
     assert lacking.followed and lacking.right[43:47].mean() < 0.05
     assert lacking.right[:36].mean() > 0.95 and lacking.right[56:].mean() > 0.95
 
 
 @pytest.mark.parametrize("mode", ["online", "offline"])
-def test_answers_of_a_drive_that_stands_linger_rightly(mode):
+def test_answers_of_a_sequence_that_stands_linger_rightly(mode):
     stops = np.array([*range(20, 60), *[60] * 30, *range(61, 110)])
-    found = decide(seen_in_a_street(stops, np.arange(150)), [0], 150, mode)
-    assert found.followed and found.right[42:68].mean() > 0.9
+    decision = decide(seen_in_a_street(stops, np.arange(150)), mode=mode)
+    assert decision.followed and decision.right[42:68].mean() > 0.9
 
 
 @pytest.mark.parametrize("mode", ["online", "offline"])
-def test_answers_of_a_drive_denser_than_the_map_do_not_linger(mode):
+def test_answers_of_a_sequence_denser_than_the_map_do_not_linger(mode):
     """Ten frames a row, along places of which the map has every tenth."""
     rng = np.random.default_rng(1)
     street = rng.normal(size=(1400, 64))
     street = sum(np.roll(street, place, 0) for place in range(50)) / 7
     here = torch.from_numpy(street[300:900] + 0.5 * rng.normal(size=(600, 64)))
     there = torch.from_numpy(street[::10] + 0.5 * rng.normal(size=(140, 64)))
-    scores = torch.cosine_similarity(here[:, None], there, 2).float().numpy()
-    found = decide(scores, [0], 140, mode)
-    assert found.followed and found.right[20:].mean() > 0.9
+    decision = decide(torch.cosine_similarity(here[:, None], there, 2).float().numpy(), mode=mode)
+    assert decision.followed and decision.right[20:].mean() > 0.9
 
 
 def test_queries_that_are_equal_are_at_one_place():
-    """More than half of a drive stands; rounding must not tell how far its frames are apart."""
+    """More than half of a sequence stands; rounding must not tell how far its frames are apart."""
     stops = np.array([*[20] * 80, *range(20, 60), *[60] * 80, *range(60, 100)])
-    scores = seen_in_a_street(np.arange(150), np.arange(150))[stops]
-    found = decide(scores, [0], 150, "offline")
-    wanted = reference.decide(scores, ["a"] * 150, "offline", 0, 5)
-    assert found.followed == wanted.followed
-    np.testing.assert_allclose(found.right, wanted.right, atol=1e-3)
-    assert found.right[5:75].mean() > 0.9
+    decision = decide(seen_in_a_street(np.arange(150), np.arange(150))[stops])
+    assert decision.followed and decision.right[5:75].mean() > 0.9
 
 
-def test_a_long_drive_computes_beliefs_again_with_the_same_places():
+def test_a_long_sequence_computes_beliefs_again_with_the_same_places():
     """Of a map whose beliefs are too many to be kept."""
-    scores = noisy([*range(5000, 5050)], 60_000, strength=0.4).numpy()
+    scores = noisy([*range(5000, 5050)], 60_000, strength=0.4)
     assert scores.size * 7 > 1 << 24
-    whole = follow(scores, [0, 20_000], 60_000)
-    part = follow(np.ascontiguousarray(scores[:, 4000:6000]), [0], 2000)
+    whole = decide(scores, [20_000, 40_000])
+    part = decide(np.ascontiguousarray(scores[:, 4000:6000]))
     assert whole.rows[:, 0].tolist() == (part.rows[:, 0] + 4000).tolist() == [*range(5000, 5050)]
 
 
 def test_few_rows_give_no_confidence():
-    scores = noisy([*range(5, 25)], 29, strength=0.5).numpy()
-    assert not decide(scores, [0], 29).right.any()
-    assert decide(np.pad(scores, ((0, 0), (0, 1))), [0], 30).right.any()
+    scores = noisy([*range(5, 25)], 29, strength=0.5)
+    assert not decide(scores).right.any()
+    assert decide(np.pad(scores, ((0, 0), (0, 1)))).right.any()
 
 
-def test_no_queries_and_no_rows_give_no_candidates():
-    for shape in ((0, 5), (3, 0), (0, 0)):
-        found = decide(np.zeros(shape, np.float32), [0][: shape[1]], shape[1], top=2)
-        assert found.rows.shape == (shape[0], 2) and (found.rows == -1).all()
-        assert not found.right.any() and not found.followed
-
-
-class Broken(Best):
-    def __init__(self, name):
-        super().__init__(np.zeros((4, 40), np.float32), 3)
-        setattr(self, name, self.fail)
-
-    def fail(self, *_):
-        raise KeyError("the disk is gone")
-
-
-def test_a_sample_of_other_rows_for_some_queries_is_refused():
-    scores = noisy([*range(20, 60)], 100, strength=0.5).numpy()
-    search = Best(scores, 20)
-    whole = search.sample
-    search.sample = lambda query: [each[: 100 - query] for each in whole(query)]
-    with pytest.raises(ValueError, match="the same sample of rows for each query, not for 1"):
-        decide(search, [0], 100)
-
-
-SAMPLE = np.arange(0, 40, 4)
-
-
-@pytest.mark.parametrize(
-    ("name", "found", "said"),
-    [
-        ("scores", np.zeros(40), r"scores: expected shape \(3,\), got \(40,\)"),
-        ("scores", np.zeros(2), r"scores: expected shape \(3,\), got \(2,\)"),
-        ("scores", [0, np.nan, 0], "scores: expected scores of at most 1, as cosines are, got nan"),
-        ("candidates", np.zeros((3, 2)), r"candidates: expected shape \(6,\), got \(3, 2\)"),
-        ("sample", (SAMPLE, np.zeros(40)), r"sample: expected shape \(10,\), got \(40,\)"),
-        ("sample", (SAMPLE, np.full(10, 5)), "sample: expected scores of at most 1"),
-        ("spread", (0.3, 0.2, 0.1), r"spread: expected shape \(2,\), got \(3,\)"),
-        ("spread", (np.nan, 0.2), r"spread: expected a finite mean .* got \[nan, 0.2\]"),
-    ],
-)
-def test_what_a_search_returns_is_checked(name, found, said):
-    search = Best(np.zeros((4, 40), np.float32), 3)
-    setattr(search, name, lambda *_: found)
-    with pytest.raises(ValueError, match=said):
-        decide(search, [0], 40)
-
-
-def test_a_search_may_return_other_candidates_each_time():
-    search, asked = Best(noisy([*range(20, 60)], 100, strength=0.5).numpy(), 3), []
-    search.candidates = lambda query: asked.append(query) or np.arange(len(asked) % 90)
-    assert decide(search, [0], 100).rows.max() < 90
+@pytest.mark.parametrize("shape", [(0, 5), (3, 0), (0, 0)])
+def test_no_queries_and_no_rows_give_no_candidates(shape):
+    decision = decide(np.zeros(shape, np.float32), [shape[1]] if shape[1] else [], top=2)
+    assert decision.rows.shape == (shape[0], 2) and (decision.rows == -1).all()
+    assert not decision.right.any() and not decision.followed
 
 
 @pytest.mark.parametrize("score", [np.nan, np.inf, 5.0])
 @pytest.mark.parametrize("mode", [None, "online", "offline"])
-@pytest.mark.parametrize("form", [np.asarray, lambda scores: Best(scores, 40)])
-def test_one_score_that_is_none_is_refused_by_the_core_too(score, mode, form, monkeypatch):
-    one = np.zeros((1, 40), np.float32)
-    one[0, 3] = score
-    with pytest.raises(ValueError, match="scores: expected scores of at most 1"):
-        decide(form(one), [0], 40, mode)
-    monkeypatch.setattr(by_core, "_array", lambda _, some, kind, *__: np.asarray(some, kind))
-    with pytest.raises(ValueError, match="expected rising starts"):
-        decide(form(one), [0], 40, mode)
+def test_scores_that_are_no_cosines_are_refused(score, mode):
+    scores = np.zeros((2, 40), np.float32)
+    scores[0, 3] = score
+    with pytest.raises(ValueError, match="expected scores of at most 1, as cosines are"):
+        decide(scores, mode=mode)
 
 
-@pytest.mark.parametrize(
-    ("argument", "said"),
-    [
-        ({"mode": "on"}, "mode: expected None, online, offline, got 'on'"),
-        ({"delay": -1}, "delay: expected at least 0, got -1"),
-        ({"top": 0}, "top: expected at least 1, got 0"),
-        ({"way": 0}, "way: expected 1 or -1, got 0"),
-    ],
+@pytest.mark.parametrize("way", [FORWARDS, BACKWARDS])
+@pytest.mark.parametrize("rate", [1, 0.25, 3])
+def test_probabilities_of_states_stay_one_and_back_is_the_transpose(way, rate):
+    motion = oracle.Motion(change=0.1, jump=0.05, unmapped=0.2, stay=0.8, rate=rate)
+    model = oracle.Model(names_of((6, 1, 4)), motion, way)
+    states = np.eye(len(model.start()))
+    matrix = np.stack([model.after(state) for state in states])
+    np.testing.assert_allclose(matrix.sum(1), 1)
+    assert matrix.min() >= 0
+    back = np.stack([model.before(state) for state in states])
+    np.testing.assert_allclose(back, matrix.T, atol=1e-12)
+
+
+@given(seed=st.integers(0, 1000), rows=st.integers(1, 200), steps=st.sampled_from((0, 3, 100)))
+def test_the_chance_of_an_answer_beside_its_rivals_is_that_of_the_oracle(seed, rows, steps):
+    """Also of equal values."""
+    rng = np.random.default_rng(seed)
+    values = rng.uniform(-0.3, 0.9, rows)
+    values[rng.random(rows) < 0.2] = -np.inf
+    values = np.round(values * steps) / steps if steps else values
+    chance = single.chance_of(torch.from_numpy(values))
+    expected, rival = oracle.chance(values)
+    assert chance.chance == pytest.approx(expected, abs=1e-9)
+    assert steps or chance.rival == rival
+
+
+@given(
+    seed=st.integers(0, 1000),
+    queries=st.sampled_from((1, 7, 60)),
+    right=st.sampled_from((0, 0.5, 1)),
+    followed=st.booleans(),
+    best=st.sampled_from((1.0, 0.3)),
 )
-def test_a_wrong_argument_is_named(argument, said):
-    with pytest.raises(ValueError, match=said):
-        (follow if "way" in argument else decide)(np.zeros((3, 5)), [0], 5, **argument)
-
-
-@pytest.mark.parametrize("name", ["candidates", "scores", "spread", "sample"])
-def test_what_a_search_raises_is_raised(name):
-    assert isinstance(Broken(name), Search)
-    with pytest.raises(KeyError, match="the disk is gone"):
-        decide(Broken(name), [0], 40)
-
-
-@pytest.mark.parametrize(
-    ("scores", "starts", "rows", "said"),
-    [
-        (np.full((3, 5), 2.0), [0], 5, "scores of at most 1, as cosines are, got 2"),
-        (np.full((3, 5), np.nan), [0], 5, "scores of at most 1, as cosines are, got nan"),
-        (np.zeros((3, 5)), [0], 4, r"scores: expected shape \(3, 4\), got \(3, 5\)"),
-        (np.zeros((3, 5)), [0, 5], 5, "starts of drives among 5 rows, from 0, got 0, 5"),
-        (np.zeros((3, 5)), [1], 5, "starts of drives among 5 rows, from 0, got 1"),
-        (np.zeros((3, 5)), [0, 3, 3], 5, "starts of drives among 5 rows, from 0, got 0, 3, 3"),
-        (np.zeros((3, 5)), [], 5, "starts of drives among 5 rows, from 0, got none"),
-        (Best(np.zeros((3, 9), np.float32), 9), [0], 5, "candidates among 5 rows, got row"),
-    ],
-)
-def test_refuses(scores, starts, rows, said):
-    with pytest.raises(ValueError, match=said):
-        decide(scores, starts, rows)
-
-
-WITHOUT_TORCH = """
-import sys
-sys.modules |= dict.fromkeys(("torch", "kornia", "lance", "pyarrow", "yaml", "typer"))
-import numpy as np
-from ssrvlad_torch.native.decide import decide
-print(decide(np.eye(40, dtype=np.float32)[10:30], [0], 40, top=1).rows[:, 0].tolist())
-print(*sorted(name for name in sys.modules if name.startswith("ssrvlad_torch")))
-"""
-
-
-def test_decides_without_torch():
-    _, (rows, modules), _ = outcome(sys.executable, "-c", WITHOUT_TORCH)
-    assert rows == str([*range(10, 30)])
-    names = ("", ".native", ".native.decide", ".native.headers")
-    assert modules.split() == [f"ssrvlad_torch{name}" for name in names]
+def test_what_the_map_has_and_confidence_are_those_of_the_oracle(
+    seed, queries, right, followed, best
+):
+    rng = np.random.default_rng(seed)
+    chances = np.where(rng.random(queries) < right, rng.random(queries) ** 6, rng.random(queries))
+    chances[rng.random(queries) < 0.1] = 1 if best < 1 else np.nan
+    together = single.answers_together(np.sort(rng.integers(0, 100, queries)))
+    has = oracle.mapped(chances, together, best)
+    np.testing.assert_allclose(single.mapped(chances, together, best), has, atol=1e-9)
+    of_core, expected = (
+        side.confidence(chances, has, together, followed) for side in (single, oracle)
+    )
+    np.testing.assert_allclose(of_core, expected, atol=1e-6)

@@ -14,8 +14,7 @@ from ssrvlad_torch.baselines import make
 from ssrvlad_torch.baselines.encoder_features import EncoderFeatures
 from ssrvlad_torch.baselines.run import run
 from ssrvlad_torch.channels.channel import View
-from ssrvlad_torch.recognition.comparison import ReferenceRows
-from ssrvlad_torch.recognition.recognise import Steps
+from ssrvlad_torch.recognition.recognise import Steps, references_of
 from ssrvlad_torch.segmentation.segmenter import Segmenter
 
 
@@ -36,8 +35,9 @@ def test_scores_are_the_cosines_of_the_signs_of_the_segmenter(segmenter):
     np.testing.assert_array_equal(signs.numpy(), np.stack(expected))
     assert torch.equal(method.encode_query(drive(6)), signs)
     scores = method.scores(signs[:2], signs)
-    expected = ReferenceRows(signs, [""] * len(signs)).compare(signs[:2], False, True)
-    torch.testing.assert_close(scores, expected.whole())
+    town = references_of({"features": signs}, [""] * len(signs))
+    expected, _ = town.compare({"features": signs[:2].numpy()}, sweep=True)
+    np.testing.assert_allclose(scores, expected)
     assert scores.argmax(1).tolist() == [0, 1]
 
 

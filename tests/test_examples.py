@@ -10,8 +10,6 @@ MODULES = (
     "descriptor",
     "loops.detector",
     "native.map",
-    "recognition.comparison",
-    "recognition.fusion",
     "recognition.matching",
     "recognition.recognise",
     "segmentation.preparation",

@@ -596,8 +596,8 @@ def test_a_project_finds_the_installed_package(build, tmp_path):
     assert outcome(made / "consumer", tmp_path / "wide.onnx", tmp_path / "two.npy", "x")[0] == 0
     assert outcome(made / "consumer")[0] == 0
     header = installed / "include" / "ssrvlad" / "ssrvlad.h"
-    header.write_text(header.read_text().replace("SSRVLAD_INTERFACE 2", "SSRVLAD_INTERFACE 3"))
+    header.write_text(header.read_text().replace("SSRVLAD_INTERFACE 3", "SSRVLAD_INTERFACE 4"))
     cmake("--build", made)
     code, _, errors = outcome(made / "consumer", tmp_path / "wide.onnx", tmp_path / "two.npy")
-    assert code and "the library ssrvlad has interface 2, the program is of 3" in "".join(errors)
+    assert code and "the library ssrvlad has interface 3, the program is of 4" in "".join(errors)
     assert outcome(made / "consumer")[0] != 0

@@ -33,7 +33,7 @@ from ssrvlad_torch import SSRVLAD, Segmenter, SSRVLADConfig, export_head, match
 from ssrvlad_torch.cli.words import steps_in_words
 from ssrvlad_torch.datasets.synthetic_city import write_city
 from ssrvlad_torch.deployment.fuse import fuse
-from ssrvlad_torch.native.map import Map
+from ssrvlad_torch.native.map import DescriptorMap
 from ssrvlad_torch.recognition.sweep import COLUMNS
 from ssrvlad_torch.stages.boundaries import AREA_LAYERS, DIRECTIONS
 from ssrvlad_torch.stages.harmonics import basis_table
@@ -244,7 +244,7 @@ def test_the_map_gives_the_same_bits_as_the_native_one(page, site, count):
     queries = {name: noisy(values[20 : 20 + count], rng) for name, values in rows.items()}
     sides = [noisy(queries["descriptor"], rng) for _ in range(2)]
     queries["descriptor"] = np.stack([sides[0], queries["descriptor"], sides[1]], 1)
-    town = Map([50, 30])
+    town = DescriptorMap([50, 30])
     for name, trust in (("descriptor", 1), ("features", 6), ("hog", 2)):
         town.add(name, rows[name], trust)
         np.save(site / f"rows.{name}.npy", rows[name])
@@ -256,15 +256,15 @@ def test_the_map_gives_the_same_bits_as_the_native_one(page, site, count):
     answers, weights, width = page.run(
         QUERY.format(**{key: json.dumps(each) for key, each in given.items()})
     )
-    assert expected.decision.followed == (count > 1)
-    assert [confidence for confidence, _ in answers] == expected.decision.right.tolist()
+    assert expected.followed == (count > 1)
+    assert [confidence for confidence, _ in answers] == expected.right.tolist()
     found = [[(each["frame"], each["score"]) for each in ranked] for _, ranked in answers]
-    decided = zip(expected.decision.rows.tolist(), expected.decision.scores.tolist(), strict=True)
+    decided = zip(expected.rows.tolist(), expected.scores.tolist(), strict=True)
     assert found == [
         [(ids[r], s) for r, s in zip(*each, strict=True) if r >= 0] for each in decided
     ]
-    assert [weight for _, weight in weights] == [*expected.weights.values()]
-    assert width == expected.width
+    assert [weight for _, weight in weights] == [*expected.taken.weights.values()]
+    assert width == expected.taken.width
 
 
 def noisy(values, rng):
@@ -532,7 +532,7 @@ def test_a_core_of_another_interface_is_refused(page, site, function, got):
     build = [sys.executable, "-m", "ziglang", "cc", *target, "core.c", "-o", "ssrvlad.wasm"]
     subprocess.run(build, cwd=folder, check=True)
     open_page(page)
-    expected = f'ssrvlad.wasm: expected interface 2, got {got}; "npm run build" makes it again'
+    expected = f'ssrvlad.wasm: expected interface 3, got {got}; "npm run build" makes it again'
     with pytest.raises(AssertionError, match=re.escape(expected)):
         page.run(f"import('./{function}/core.js').then(({{ Core }}) => Core.load())")
 

@@ -203,7 +203,7 @@ def test_a_network_that_does_not_fit_is_not_kept(settings, photos, tmp_path):
 
 def test_locate_says_that_an_index_is_not_used(town, photos, monkeypatch):
     town.add(photos)
-    monkeypatch.setattr("ssrvlad_torch.map.opened_large", lambda *_: "the index is old")
+    monkeypatch.setattr("ssrvlad_torch.map.open_shortlist", lambda *_: (None, "the index is old"))
     with pytest.warns(UserWarning, match="the index is old; all frames are loaded"):
         town.locate(photos / "7.png")
 

@@ -1,4 +1,4 @@
-"""The map of the core against `recognition.reference`, on drives drawn at random."""
+"""The map of the core against `oracles.recognition`, on sequences drawn at random."""
 
 import itertools
 import re
@@ -14,148 +14,140 @@ from helpers import refuses
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from loop_streams import unit
+from oracles import recognition as oracle
 
-from ssrvlad_torch.native.decide import decide
-from ssrvlad_torch.native.map import MIN_FRAMES, Map, match
-from ssrvlad_torch.recognition import reference
+from ssrvlad_torch.native.map import DescriptorMap, Shortlist, match
 from ssrvlad_torch.search.sums import sums
 
 pytestmark = pytest.mark.usefixtures("core")
 
 ROOT = Path(__file__).parents[1]
-DRIVES = st.lists(st.integers(1, 45), min_size=1, max_size=4)
+SEQUENCES = st.lists(st.integers(1, 45), min_size=1, max_size=4)
 SEEDS = st.integers(0, 1000)
 TRUST = {"shapes": 1.0, "features": 6.0, "hog": 2.0}
 
 
 def vectors(rng, *shape, common=2.0):
-    """Of one drive: some are zero."""
+    """Of one sequence: some are zero."""
     drawn = unit(rng.normal(size=shape) + common * rng.normal(size=shape[-1]))
     drawn[rng.random(shape[:-1]) < 0.05] = 0
     return drawn
 
 
-def named(drives):
-    return [str(number) for number, count in enumerate(drives) for _ in range(count)]
+def named(sequences):
+    return [str(number) for number, count in enumerate(sequences) for _ in range(count)]
 
 
 def fused(scores, weights):
     """``(Q, R)`` of each channel as one, by the oracle."""
     queries = range(len(next(iter(scores.values()))))
-    each = [{name: of[query] for name, of in scores.items()} for query in queries]
-    return np.stack([reference.fused(one, weights) for one in each])
+    rows = [{name: values[query] for name, values in scores.items()} for query in queries]
+    return np.stack([oracle.fused(row, weights) for row in rows])
 
 
-def whole(comparison):
-    return np.stack([comparison[query] for query in range(len(comparison))])
+def town_of(sequences, **channels):
+    """A map by some channels."""
+    town = DescriptorMap(sequences)
+    for name, rows in channels.items():
+        town.add(name, rows, TRUST[name])
+    return town
 
 
-def equal(got, expected):
-    assert (np.isfinite(got) == np.isfinite(expected)).all()
-    np.testing.assert_allclose(got, expected, atol=1e-6, rtol=0)
+def equal(scores, expected):
+    assert (np.isfinite(scores) == np.isfinite(expected)).all()
+    np.testing.assert_allclose(scores, expected, atol=1e-6, rtol=0)
 
 
-@given(
-    seed=SEEDS,
-    drives=DRIVES,
-    queries=st.integers(1, 70),
-    anchors=st.sampled_from((1, 5, 13)),
-    sweep=st.booleans(),
-    standardise=st.booleans(),
-)
+@given(seed=SEEDS, sequences=SEQUENCES, queries=st.integers(1, 70), standardise=st.booleans())
 @settings(max_examples=60)
-def test_vectors_are_compared_as_by_the_reference(
-    seed, drives, queries, anchors, sweep, standardise
-):
+def test_vectors_are_compared_as_by_the_oracle(seed, sequences, queries, standardise):
     rng = np.random.default_rng(seed)
-    there = np.concatenate([vectors(rng, count, 24) for count in drives])
-    here = vectors(rng, queries, anchors, 24)
-    here[:, anchors // 2] = unit(here[:, anchors // 2] + vectors(rng, queries, 24))
-    town = Map(drives)
-    town.add("shapes", there)
-    standardised = standardise and min(queries, len(there)) >= MIN_FRAMES
-    found = town.compare("shapes", here, standardised, sweep)
-    expected, width = reference.compare_vectors(here, there, named(drives), standardised, sweep)
-    assert found.width == width
-    equal(whole(found), expected)
+    there = np.concatenate([vectors(rng, count, 24) for count in sequences])
+    here = vectors(rng, queries, 24)
+    town = town_of(sequences, shapes=there)
+    scores, taken = town.compare({"shapes": here}, standardise)
+    assert taken.standardised == (standardise and min(queries, len(there)) >= oracle.MIN_FRAMES)
+    sides = here, there
+    if taken.standardised:
+        names = [""] * queries, named(sequences)
+        sides = [oracle.without_means(*side) for side in zip(sides, names, strict=True)]
+    equal(scores, oracle.cosines(*sides))
+
+
+@given(seed=SEEDS, queries=st.integers(12, 50), anchors=st.sampled_from((5, 13)))
+def test_of_a_sweep_the_anchors_up_to_its_width_count(seed, queries, anchors):
+    rng = np.random.default_rng(seed)
+    there, here = vectors(rng, 50, 24), vectors(rng, queries, anchors, 24)
+    side = rng.integers(0, anchors // 2 + 1)
+    here[:, side] = unit(there[:queries] + 0.1 * rng.normal(size=(queries, 24)))
+    scores, taken = town_of([50], shapes=there).compare({"shapes": here}, sweep=True)
+    assert taken.width >= anchors // 2 - side
+    middle = here[:, anchors // 2 - taken.width : anchors // 2 + taken.width + 1]
+    equal(scores, np.max([oracle.cosines(each, there) for each in middle.swapaxes(0, 1)], axis=0))
 
 
 @pytest.mark.parametrize("equals", ["of the map", "of the queries"])
-def test_a_drive_of_equal_frames_stays_as_it_is(equals):
+def test_a_sequence_of_equal_frames_stays_as_it_is(equals):
     rng = np.random.default_rng(0)
     one, others = unit(rng.normal(size=(1, 24))), unit(rng.normal(size=(40, 24)))
-    same = one.repeat(40, 0)
-    there, here = (same, others) if equals == "of the map" else (others, same)
-    town = Map([40])
-    town.add("shapes", there)
-    found = whole(town.compare("shapes", here, True, False))
-    expected, _ = reference.compare_vectors(here[:, None], there, ["a"] * 40, True, False)
-    equal(found, expected)
+    there, here = (one.repeat(40, 0), others)[:: 1 if equals == "of the map" else -1]
+    scores, _ = town_of([40], shapes=there).compare({"shapes": here}, True)
+    names = ["a"] * 40
+    equal(scores, oracle.cosines(*(oracle.without_means(side, names) for side in (here, there))))
 
 
 @given(
     seed=SEEDS,
-    drives=DRIVES,
+    sequences=SEQUENCES,
     queries=st.integers(30, 70),
     shape=st.sampled_from(((8, 3, 4), (2, 1, 1), (1, 9), (3, 8))),
     sweep=st.booleans(),
     standardise=st.booleans(),
 )
 @settings(max_examples=60)
-def test_signs_are_compared_as_by_the_reference(seed, drives, queries, shape, sweep, standardise):
+def test_signs_are_compared_as_by_the_oracle(seed, sequences, queries, shape, sweep, standardise):
     rng = np.random.default_rng(seed)
-    there = rng.integers(0, 256, (sum(drives), *shape), np.uint8)
+    there = rng.integers(0, 256, (sum(sequences), *shape), np.uint8)
     here = rng.integers(0, 256, (queries, *shape), np.uint8)
     same = rng.random((2, *shape)) < 0.5
     same[..., 0] = False  # columns of equal signs have no length without their mean
-    sides = [np.where(each, some[:1], some) for each, some in zip(same, (there, here), strict=True)]
-    town = Map(drives)
-    town.add("features", sides[0])
-    standardised = standardise and len(there) >= MIN_FRAMES
-    found = town.compare("features", sides[1], standardised, sweep)
-    expected = reference.compare_signs(*sides[::-1], named(drives), standardised, sweep)
-    equal(whole(found), expected)
-    assert found.width == 0
+    there, here = (
+        np.where(where, signs[:1], signs) for where, signs in zip(same, (there, here), strict=True)
+    )
+    scores, taken = town_of(sequences, features=there).compare(
+        {"features": here}, standardise, sweep
+    )
+    assert taken.standardised == (standardise and len(there) >= oracle.MIN_FRAMES)
+    sides = []
+    for signs, names in ((here, [""] * queries), (there, named(sequences))):
+        bits = np.unpackbits(signs.reshape(*signs.shape[:2], -1), axis=2, bitorder="little")
+        numbers = 2.0 * bits - 1
+        if taken.standardised:
+            less = oracle.means_of_drives(numbers, names)
+            numbers -= np.where((np.abs(less) == 1).all((1, 2), keepdims=True), 0, less)
+        sides.append(numbers)
+    equal(scores, oracle.cosines_of_signs(*sides, min(2, shape[0] - 1) if sweep else 0))
 
 
-@given(
-    seed=SEEDS,
-    kind=st.sampled_from(("vectors", "swept", "signs")),
-    sweep=st.booleans(),
-    width=st.integers(0, 2),
-)
-def test_some_rows_and_queries_of_drives_lose_the_means_of_all(seed, kind, sweep, width):
-    """Scores are those of all rows and queries, at the same width of the sweep."""
-    rng, drives, count, vector = np.random.default_rng(seed), [33, 40, 31], 40, kind != "signs"
-    town, few = Map(drives), Map([11, 14, 10])
-    if vector:
-        there = vectors(rng, sum(drives), 24)
-        here = vectors(rng, *((count, 5) if kind == "swept" else (count, 1)), 24)
-        here = here[:, 2 - width : 3 + width] if kind == "swept" else here
+@pytest.mark.parametrize("kind", ["vectors", "signs"])
+@pytest.mark.parametrize("standardise", [True, False])
+def test_rows_of_a_shortlist_lose_the_means_of_their_sequences(kind, standardise):
+    """Scores are those of the same rows of the whole map."""
+    rng, sequences = np.random.default_rng(0), [33, 40, 31]
+    if kind == "vectors":
+        there, here, name = vectors(rng, 104, 24), vectors(rng, 40, 24), "shapes"
     else:
-        there, here = (rng.integers(0, 256, (n, 6, 2, 4), np.uint8) for n in (sum(drives), count))
-    town.add("x", there)
-    some, part = np.arange(0, len(there), 3), slice(9, 16)
-    starts = np.cumsum([0, *drives])
+        there, here = (rng.integers(0, 256, (n, 6, 2, 4), np.uint8) for n in (104, 40))
+        name = "features"
+    rows, starts = np.arange(0, 104, 3), np.cumsum([0, *sequences])
     means = np.stack([mean_of(there[a:b]) for a, b in itertools.pairwise(starts)])
-    few.add("x", there[some], means=means)
-    mean, names = mean_of(here.reshape(-1, 24) if vector else here), named(drives)
-    found = few.compare("x", here[part], True, sweep or vector, mean=mean)
-    assert found.width == (here.shape[1] // 2 if vector else 0)
-    own = means[[int(name) for name in np.array(names)[some]]]
-    if vector:
-        expected, _ = reference.compare_vectors(
-            here[part], there[some], names, True, True, own, mean
-        )
-    else:
-        expected = reference.compare_signs(here[part], there[some], names, True, sweep, own, mean)
-    equal(whole(found), expected)
-    if kind != "swept":
-        every = town.compare("x", here, True, sweep)
-        equal(whole(found), whole(every)[part][:, some])
-    zeros = few.compare("x", here[part], False, sweep or vector, mean=np.zeros_like(mean))
-    if kind != "swept":
-        equal(whole(zeros), whole(town.compare("x", here, False, sweep))[part][:, some])
+    shortlist = Shortlist(rows, np.full(len(rows), 104 / len(rows)), np.array([0, 11, 25]))
+    few = DescriptorMap(sequences, shortlist)
+    few.add(name, there[rows], means=means if standardise else None)
+    whole, _ = town_of(sequences, **{name: there}).compare({name: here}, standardise)
+    scores, taken = few.compare({name: here}, standardise)
+    assert taken.standardised == standardise
+    equal(scores, whole[:, rows])
 
 
 def mean_of(descriptors):
@@ -163,18 +155,9 @@ def mean_of(descriptors):
     return total / max(1, counted)
 
 
-def test_equal_signs_stay_as_they_are():
-    rng = np.random.default_rng(0)
-    one, others = (rng.integers(0, 256, (n, 4, 8), np.uint8) for n in (1, 40))
-    town = Map([40])
-    town.add("features", one.repeat(40, 0))
-    assert whole(town.compare("features", one.repeat(30, 0), True, False)) == pytest.approx(1)
-    assert whole(town.compare("features", others, True, False)).std() > 0
-
-
-def channels(rng, drives, queries):
-    """A drive along a map by three channels."""
-    rows = sum(drives)
+def channels(rng, sequences, queries):
+    """A sequence along a map by three channels."""
+    rows = sum(sequences)
     at = (rng.integers(0, rows) + np.arange(queries)) % rows
     places, signs = rng.normal(size=(rows, 24)), rng.integers(0, 256, (rows, 6, 8), np.uint8)
     flipped = rng.integers(0, 256, (queries, 6, 8), np.uint8)
@@ -189,87 +172,79 @@ def channels(rng, drives, queries):
 
 @given(
     seed=SEEDS,
-    drives=DRIVES,
-    queries=st.integers(1, 60),
-    names=st.lists(st.sampled_from([*TRUST]), min_size=1, max_size=3, unique=True),
-    follow=st.sampled_from((None, "online", "offline")),
-    steps=st.tuples(st.booleans(), st.booleans()),
+    names=st.lists(st.sampled_from([*TRUST]), min_size=2, max_size=3, unique=True),
+    queries=st.sampled_from((3, 35, 401)),
+    excluded=st.booleans(),
 )
-@settings(max_examples=60)
-def test_a_drive_is_found_by_all_channels_as_one(seed, drives, queries, names, follow, steps):
+@settings(max_examples=30)
+def test_channels_are_fused_as_by_the_oracle(seed, names, queries, excluded):
     rng = np.random.default_rng(seed)
-    there, here = channels(rng, drives, queries)
-    town = Map(drives)
+    there, here = channels(rng, [40, 33], queries)
+    masks = {}
+    if excluded:
+        first = rng.integers(0, 74, queries)
+        ranges = np.stack([first, np.minimum(73, first + 9)], 1)
+        masks = {"allowed": rng.random(73) < 0.8, "excluded": ranges}
+    rows = np.arange(73)
+    scores, width = {}, 0
     for name in names:
-        town.add(name, there[name], TRUST[name])
-    delay = 2 if follow == "online" else 0
-    found = town.query({name: here[name] for name in names}, *steps, follow, delay, top=3)
-    standardised = steps[0] and min(queries, len(town)) >= MIN_FRAMES
-    compared = {name: town.compare(name, here[name], standardised, steps[1]) for name in names}
-    scores = {name: whole(each) for name, each in compared.items()}
-    weights = reference.weights_of(scores, TRUST)
-    assert found.weights == pytest.approx(weights, abs=1e-6)
-    assert (found.standardised, found.width) == (
-        standardised,
-        max(each.width for each in compared.values()),
+        town = town_of([40, 33], **{name: there[name]})
+        scores[name], taken = town.compare({name: here[name]}, True, True)
+        width = max(width, taken.width)
+        if excluded:
+            outside = (rows >= ranges[:, :1]) & (rows < ranges[:, 1:])
+            scores[name] = np.where(masks["allowed"] & ~outside, scores[name], -np.inf)
+    town = town_of([40, 33], **{name: there[name] for name in names})
+    together, taken = town.compare({n: here[n] for n in names}, True, True, **masks)
+    weights = oracle.weights_of(scores, TRUST)
+    assert taken.weights == pytest.approx(weights, abs=1e-5) and taken.width == width
+    np.testing.assert_allclose(together, fused(scores, weights), atol=2e-5, rtol=0)
+
+
+@given(seed=SEEDS, follow=st.sampled_from((None, "online", "offline")))
+@settings(max_examples=20)
+def test_a_sequence_is_decided_by_the_fused_scores(seed, follow):
+    there, here = channels(np.random.default_rng(seed), [40, 33], 35)
+    town = town_of([40, 33], **there)
+    decision = town.query(here, follow=follow, top=3)
+    by_scores = DescriptorMap([40, 33])
+    by_scores.add("scores", None)
+    scores, taken = town.compare(here, True, True)
+    expected = by_scores.query({"scores": scores}, follow=follow, top=3)
+    assert decision.taken == taken
+    for name in decision._fields[:-1]:
+        np.testing.assert_array_equal(getattr(decision, name), getattr(expected, name))
+
+
+@pytest.mark.parametrize("follow", [None, "online", "offline"])
+def test_channels_in_another_order_decide_the_same(follow):
+    there, here = channels(np.random.default_rng(1), [300, 200], 50)
+    names = [*TRUST]
+    one, other = (
+        town_of([300, 200], **{n: there[n] for n in order}).query(
+            {n: here[n] for n in order}, follow=follow
+        )
+        for order in (names, names[::-1])
     )
-    together = fused(scores, weights) if len(names) > 1 else scores[names[0]]
-    starts = np.cumsum([0, *drives[:-1]]).tolist()
-    expected = decide(together.astype(np.float32), starts, len(town), follow, delay, 3)
-    got = found.decision
-    assert got.followed == expected.followed
-    assert (got.way, got.rate, got.streams) == (expected.way, expected.rate, expected.streams)
-    for name in ("scores", "right", "spread", "together"):
-        equal_sure(getattr(got, name), getattr(expected, name))
-    assert np.mean(got.rows == expected.rows) > 0.99  # of equal scores another may come first
-
-
-def equal_sure(got, expected):
-    """Confidence and beliefs hold sums of thousands of scores in single precision."""
-    assert (np.isfinite(got) == np.isfinite(expected)).all()
-    np.testing.assert_allclose(got, expected, atol=2e-5, rtol=0)
-
-
-@given(
-    seed=SEEDS,
-    names=st.sampled_from((("shapes", "hog"), [*TRUST])),
-    queries=st.sampled_from((35, 401)),
-)
-def test_scores_of_channels_are_fused_as_by_the_reference(seed, names, queries):
-    there, here = channels(np.random.default_rng(seed), [40, 33], queries)
-    town = Map([40, 33])
-    for name in names:
-        town.add(name, there[name], TRUST[name])
-    found = town.query({name: here[name] for name in names}, follow=None, top=len(town))
-    scores = {name: whole(town.compare(name, here[name], True, True)) for name in names}
-    expected = fused(scores, reference.weights_of(scores, TRUST))
-    got = np.full_like(expected, -np.inf)
-    for query, (values, rows) in enumerate(zip(*found.decision[:2], strict=True)):
-        got[query, rows[rows >= 0]] = values[rows >= 0]
-    equal(got, expected)
+    np.testing.assert_array_equal(one.rows, other.rows)
+    np.testing.assert_allclose(one.scores, other.scores, atol=1e-5)
+    np.testing.assert_allclose(one.right, other.right, atol=1e-5)
 
 
 def test_threads_do_not_change_a_bit():
-    rng = np.random.default_rng(0)
-    there, here = channels(rng, [300, 200], 50)
-    town = Map([300, 200])
-    for name, trust in TRUST.items():
-        town.add(name, there[name], trust)
-    one, three = (town.query(here, threads=threads).decision for threads in (1, 3))
-    for some, other in zip(one, three, strict=True):
-        assert np.array_equal(some, other)
+    there, here = channels(np.random.default_rng(0), [300, 200], 50)
+    town = town_of([300, 200], **there)
+    one, three = (town.query(here, threads=threads) for threads in (1, 3))
+    for name in one._fields[:-1]:
+        assert np.array_equal(getattr(one, name), getattr(three, name))
 
 
 def test_more_scores_than_fit_in_memory_come_in_blocks():
     rng = np.random.default_rng(0)
     there, here = vectors(rng, 30_000, 4), vectors(rng, 2300, 4)
-    town = Map([30_000])
-    town.add("shapes", there)
-    found = town.compare("shapes", here, False, False)
-    expected, _ = reference.compare_vectors(
-        here[[2299, 0, 1000], None], there, [""] * 30_000, False, False
-    )
-    equal(np.stack([found[query] for query in (2299, 0, 1000)]), expected)
+    scores, _ = town_of([30_000], shapes=there).compare({"shapes": here})
+    some = [2299, 0, 1000]
+    equal(scores[some], oracle.cosines(here[some], there))
 
 
 PROCESSORS = {
@@ -313,25 +288,36 @@ def test_all_processors_find_the_same_bits(bits, name):
 
 def test_the_map_needs_no_torch():
     program = (
-        "import sys; sys.modules['torch'] = None\n"
+        "import sys\n"
+        "sys.modules |= dict.fromkeys(('torch', 'kornia', 'lance', 'pyarrow', 'yaml', 'typer'))\n"
         "import numpy as np\n"
-        "from ssrvlad_torch.native.map import Map\n"
-        "frames, town = np.eye(40, dtype=np.float32), Map([40])\n"
+        "from ssrvlad_torch.native.map import DescriptorMap\n"
+        "frames, town = np.eye(40, dtype=np.float32), DescriptorMap([40])\n"
         "town.add('shapes', frames)\n"
-        "print(town.query({'shapes': frames[5:9]}).decision.rows[:, 0].tolist())\n"
+        "print(town.query({'shapes': frames[5:9]}).rows[:, 0].tolist())\n"
     )
     assert subprocess.check_output([sys.executable, "-c", program], text=True) == "[5, 6, 7, 8]\n"
+
+
+def shortlist(rows, weights=(2, 2), means=(0,)):
+    listed = Shortlist(np.array(rows), np.array(weights, float), np.array(means))
+    return DescriptorMap([9], listed)
 
 
 @pytest.mark.parametrize(
     ("use", "message"),
     [
-        (lambda town, _: Map([3, 0]), "drives of at least 1 frame, got [3, 0]"),
+        (lambda town, _: DescriptorMap([3, 0]), "sequences of at least 1 frame"),
+        (lambda town, _: shortlist([3, 2]), "rising rows"),
+        (lambda town, _: shortlist([3, 9]), "rising rows"),
+        (lambda town, _: shortlist([3, 4], weights=(0.5, 1)), "rising rows"),
+        (lambda town, _: shortlist([3, 4], means=(1,)), "rising rows"),
         (lambda town, rows: town.add("a", rows[:3]), "a: expected a row for each of 40 frames"),
         (lambda town, rows: town.add("shapes", rows), "shapes: expected a name that is new"),
         (lambda town, rows: town.add("a", rows.astype(int)), "a: expected vectors of float32 or"),
         (lambda town, rows: town.add("a", np.where(rows, rows, np.nan)), "a as finite rows"),
         (lambda town, rows: town.add("a", rows, 0), "trust above 0, got (40, 40), trust 0"),
+        (lambda town, rows: town.add("a", rows, 1, rows[:2]), "means of 1 parts of the map"),
         (lambda town, rows: town.query({"hog": rows}), "queries by shapes, got hog"),
         (lambda town, rows: town.query({"shapes": rows[:, :9]}), "(Q, 40) float32, of vectors"),
         (lambda town, rows: town.query({"shapes": rows[:, None].repeat(2, 1)}), "with an odd S"),
@@ -341,19 +327,22 @@ def test_the_map_needs_no_torch():
             lambda town, rows: town.query({"shapes": rows}, follow="on"),
             "follow: expected None, online",
         ),
-        (lambda town, rows: town.compare("shapes", rows / 0.0, True, True), "finite queries"),
+        (
+            lambda town, rows: town.query({"shapes": rows}, excluded=np.full((40, 2), 41)),
+            "expected finite queries",
+        ),
         (
             lambda town, rows: (
                 town.add("hog", rows),
                 town.query({"shapes": rows[:3], "hog": rows}),
             ),
-            "one number of queries by all channels, got",
+            "one number by all channels, got",
         ),
     ],
 )
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 def test_wrong_use_is_one_line(use, message):
-    rows, town = np.eye(40, dtype=np.float32), Map([40])
+    rows, town = np.eye(40, dtype=np.float32), DescriptorMap([40])
     town.add("shapes", rows)
     refuses(re.escape(message), use, town, rows)
 

@@ -6,9 +6,14 @@ import torch
 import torch.nn.functional as F
 from helpers import refuses
 
-from ssrvlad_torch.recognition.comparison import Member, ReferenceRows
 from ssrvlad_torch.recognition.confidence import accept, estimate
-from ssrvlad_torch.recognition.recognise import AS_PAPER, Steps, judged_alone, recognise
+from ssrvlad_torch.recognition.recognise import (
+    AS_PAPER,
+    Steps,
+    recognise,
+    recognise_by_scores,
+    references_of,
+)
 from ssrvlad_torch.recognition.sweep import COLUMNS
 
 
@@ -29,8 +34,8 @@ def two_traverses(
 
 def by_vectors(queries, references, query_names, names, *steps, **options):
     """What is recognised by one channel of vectors."""
-    member = Member(queries, ReferenceRows(references, names))
-    return recognise({"x": member}, query_names, names, *steps, **options)
+    town = references_of({"x": references}, names)
+    return recognise({"x": queries}, query_names, town, *steps, **options)
 
 
 def whole(queries: torch.Tensor, references: torch.Tensor, *steps, **options):
@@ -140,9 +145,17 @@ def test_a_sweep_is_used_or_left():
 
 def test_an_excluded_reference_is_no_candidate():
     queries, references = two_traverses(30, 0.3)
-    excluded = torch.eye(30, dtype=torch.bool)
+    excluded = np.arange(30)[:, None] + [0, 1]
     for steps in (Steps(), AS_PAPER):
-        assert right(whole(queries, references, steps, 3, excluded)) == 0
+        assert right(whole(queries, references, steps, 3, excluded=excluded)) == 0
+
+
+@pytest.mark.parametrize("steps", [Steps(), AS_PAPER])
+def test_a_reference_that_is_not_allowed_is_no_candidate(steps):
+    queries, references = two_traverses(30, 0.3)
+    allowed = np.arange(30) % 7 != 3
+    indices = whole(queries, references, steps, 3, allowed=allowed).matches.indices
+    assert set(indices.unique().tolist()) <= {-1, *np.flatnonzero(allowed).tolist()}
 
 
 @pytest.mark.parametrize("names", [["x"], ["x", "y"]])
@@ -153,9 +166,8 @@ def test_rivals_tell_right_answers_from_wrong_ones(steps, names):
     foreign = two_traverses(240, 1.3)[0][120:]
 
     def first(queries):
-        of_map = ReferenceRows(references, ["r"] * 120)
-        members = {name: Member(queries, of_map) for name in names}
-        return recognise(members, ["q"] * len(queries), ["r"] * 120, steps, 1)
+        town = references_of(dict.fromkeys(names, references), ["r"] * 120)
+        return recognise(dict.fromkeys(names, queries), ["q"] * len(queries), town, steps, 1)
 
     found = first(queries)
     wrong = found.matches.indices[:, 0] != torch.arange(120)
@@ -177,20 +189,31 @@ def test_what_is_followed_in_a_foreign_map_is_not_accepted(follow):
         assert accept(found.sure, 0.05).accepted == 0
 
 
-def test_refuses():
-    here, there = ["a"] * 4, ["b"] * 4
-    members = {"x": Member(torch.eye(4), ReferenceRows(torch.eye(4), there))}
-    for message, arguments in (
-        ("each of 4 queries, got 1", (members, ["a"], there)),
-        ("a sequence for each of 4 references, got 3", (members, here, ["b"] * 3, AS_PAPER)),
-        ("expected a channel by which to recognise, got none", ({}, here, there)),
-        ("top must be at most 2147483647", (members, here, there, None, 2**70)),
-        (
-            r"excluded: expected \(4, 4\) bool, got \(1, 4\)",
-            (members, here, there, None, 5, torch.ones(1, 4) > 0),
-        ),
-    ):
-        refuses(message, recognise, *arguments)
+REFUSED = {
+    "expected a sequence for each of 4 queries, got 1": {"query_names": ["a"]},
+    "x: expected a row for each of 3 frames, got 4": {"names": ["b"] * 3},
+    "top must be at most 2147483647": {"top": 2**70},
+    r"allowed: expected shape \(4,\), got \(1,\)": {"allowed": np.ones(1, bool)},
+    r"excluded: expected shape \(4, 2\), got \(4,\)": {"excluded": np.zeros(4, int)},
+    "expected .* of real numbers in memory": {"queries": torch.eye(4) * 1j},
+    r"x: expected \(Q, 13, D\) for columns .* got \(4, 5, 4\)": {"queries": torch.ones(4, 5, 4)},
+}
+
+
+@pytest.mark.parametrize("message", REFUSED)
+def test_what_does_not_fit_is_refused(message):
+    usual = {"queries": torch.eye(4), "references": torch.eye(4)}
+    names = {"query_names": ["a"] * 4, "names": ["b"] * 4}
+    refuses(message, lambda: by_vectors(**{**usual, **names, **REFUSED[message]}))
+
+
+def test_a_map_need_not_stand_together_to_judge_queries_alone():
+    scores = torch.rand(30, 60, generator=torch.Generator().manual_seed(0))
+    mixed, alone = ["a", "b"] * 30, Steps(follow=None)
+    found = recognise_by_scores(scores, ["q"] * 30, mixed, alone)
+    assert found.matches.indices[:, 0].tolist() == scores.argmax(1).tolist()
+    with pytest.raises(ValueError, match="frames of 'a' together"):
+        recognise_by_scores(scores, ["q"] * 30, mixed)
 
 
 @pytest.mark.parametrize("delay", [1.5, math.nan, True, -1, "1", None])
@@ -205,10 +228,3 @@ def test_a_delay_is_a_number_of_queries(delay):
 def test_no_queries_give_no_candidates():
     found = whole(torch.zeros(0, 4), torch.eye(4), top=3)
     assert found.matches.indices.shape == (0, 3) and found.confidence.shape == (0,)
-
-
-def test_which_queries_are_surely_judged_alone():
-    """As many as none is followed, standardised or shows which channel leads."""
-    alone = Steps(follow=None)
-    assert judged_alone(["a", "b"], Steps()) and not judged_alone(["a", "b", "b"], Steps())
-    assert judged_alone(["a"] * 29 + ["b"], alone) and not judged_alone(["a"] * 30, alone)

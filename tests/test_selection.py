@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from ssrvlad_torch.database.frames import FrameSet
 from ssrvlad_torch.datasets.names import sequence_of, split_id
 from ssrvlad_torch.files import natural_key
-from ssrvlad_torch.recognition.matching import match
-from ssrvlad_torch.search.selection import excluded_pairs, neighbours, select
+from ssrvlad_torch.search.selection import neighbours, select
 
 
 def frame_set(*frames):
@@ -55,24 +54,3 @@ def test_neighbours_are_the_frames_around_the_position_of_a_query(numbers, query
 def test_a_query_of_another_sequence_has_no_neighbours():
     assert neighbours(["dusk/1"], FRAMES, 3).tolist() == [[0, 0]]
     refuses("0 or more frames, got -1", neighbours, [], FRAMES, -1)
-
-
-@given(st.integers(0, 2**32 - 1), st.integers(1, 6))
-def test_excluded_references_are_no_candidates(seed, top):
-    """Against a search among the other references."""
-    generator = np.random.default_rng(seed)
-    queries = generator.normal(size=(4, 8)).astype(np.float32)
-    references = generator.normal(size=(30, 8)).astype(np.float32)
-    where = generator.random(30) < 0.6
-    asked, frames = (frame_set(*(f"a/{n}" for n in range(count))) for count in (4, 30))
-    excluded = excluded_pairs(asked, frames, where, 2)
-    found = match(queries, references, top, excluded=excluded)
-    for number, query in enumerate(queries):
-        allowed = where.copy()
-        allowed[max(0, number - 2) : number + 3] = False
-        rows = np.flatnonzero(allowed)
-        scores, places = match(query[None], references[rows], top)
-        indices = [int(rows[place]) if place >= 0 else -1 for place in places[0]]
-        assert found.indices[number].tolist() == indices
-        torch.testing.assert_close(found.scores[number], scores[0])
-    assert excluded_pairs(asked, frames, where | True, None) is None

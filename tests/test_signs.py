@@ -9,8 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ssrvlad_torch.channels.signs import moved
-from ssrvlad_torch.recognition.comparison import Member, ReferenceRows
-from ssrvlad_torch.recognition.recognise import Steps, recognise
+from ssrvlad_torch.recognition.recognise import Steps, recognise, references_of
 
 SHAPE = (8, 3, 4)
 
@@ -40,10 +39,8 @@ def test_recognise_takes_signs(follow):
     seen = frames[10:50] ^ (grids(40, SHAPE, 5) & grids(40, SHAPE, 6) & grids(40, SHAPE, 7))
     numbers_only = F.normalize(torch.rand(60, 16), dim=1)
     names = ["q"] * 40, ["r"] * 60
-    members = {
-        "ssr-vlad": Member(numbers_only[10:50], ReferenceRows(numbers_only, names[1])),
-        "features": Member(seen, ReferenceRows(frames, names[1]), 6),
-    }
-    found = recognise(members, *names, Steps(follow=follow))
+    town = references_of({"ssr-vlad": numbers_only, "features": frames}, names[1], {"features": 6})
+    queries = {"ssr-vlad": numbers_only[10:50], "features": seen}
+    found = recognise(queries, names[0], town, Steps(follow=follow))
     assert found.matches.indices[:, 0].tolist() == list(range(10, 50))
     assert set(found.used["weights"]["q"]) == {"ssr-vlad", "features"}

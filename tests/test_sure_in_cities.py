@@ -8,10 +8,9 @@ import torch
 
 from ssrvlad_torch import SSRVLAD
 from ssrvlad_torch.datasets.synthetic_city import REFERENCE, Conditions, SyntheticCity
-from ssrvlad_torch.recognition.comparison import Member, ReferenceRows
 from ssrvlad_torch.recognition.confidence import accept, estimate
 from ssrvlad_torch.recognition.motion import NEAR
-from ssrvlad_torch.recognition.recognise import Steps, recognise
+from ssrvlad_torch.recognition.recognise import Steps, recognise, references_of
 from ssrvlad_torch.recognition.sweep import COLUMNS
 
 CITY, FRAMES = 31, 90
@@ -48,9 +47,8 @@ def found_in(rows, place, steps, asked="query"):
     another place."""
     (queries, at), (references, known) = drive(CITY, asked), drive(*place)
     queries, at = queries[[*rows]], at[[*rows]]
-    names = ["map"] * len(references)
-    member = Member(queries, ReferenceRows(references[:, len(COLUMNS) // 2], names))
-    found = recognise({"x": member}, ["q"] * len(queries), names, STEPS[steps], 1)
+    town = references_of({"x": references[:, len(COLUMNS) // 2]}, ["map"] * len(references))
+    found = recognise({"x": queries}, ["q"] * len(queries), town, STEPS[steps], 1)
     x, y, turn = (at[:, None] - known).transpose(2, 0, 1)
     same = (np.hypot(x, y) <= 5) & (np.cos(turn) > 0.5)
     answers = found.matches.indices[:, 0].numpy()

@@ -4,7 +4,7 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from ssrvlad_torch.recognition.comparison import ReferenceRows
+from ssrvlad_torch.recognition.recognise import Steps, recognise, references_of
 from ssrvlad_torch.recognition.sweep import COLUMNS, score
 
 
@@ -21,18 +21,17 @@ def test_a_reference_scores_its_best_anchor():
 
 
 @pytest.mark.parametrize(("true_anchor", "width"), [(6, 0), (4, 8)])
-def test_the_sweep_is_as_wide_as_the_view_is_shifted(library, true_anchor, width):
+def test_the_sweep_is_as_wide_as_the_view_is_shifted(true_anchor, width):
     generator = torch.Generator().manual_seed(0)
     places = F.normalize(torch.randn(40, 64, generator=generator), dim=1)
     swept = torch.randn(40, len(COLUMNS), 64, generator=generator)
     swept[:, true_anchor] = places * 6 + 0.3 * torch.randn(40, 64, generator=generator)
-    found = ReferenceRows(places, ["a"] * 40).compare(F.normalize(swept, dim=2), True, True)
-    assert found.width == width
-    assert (found.whole().argmax(1) == torch.arange(40)).float().mean() > 0.9
+    queries, town = {"x": F.normalize(swept, dim=2)}, references_of({"x": places}, ["a"] * 40)
+    found = recognise(queries, ["q"] * 40, town, Steps(follow=None))
+    assert found.used["sweep"] == {"q": width}
+    assert (found.matches.indices[:, 0] == torch.arange(40)).float().mean() > 0.9
 
 
-def test_refuses(library):
+def test_refuses():
     with pytest.raises(ValueError, match=r"got \(3, 2, 4\) and \(5, 3\)"):
         score(torch.zeros(3, 2, 4), torch.zeros(5, 3))
-    with pytest.raises(ValueError, match=r"expected \(Q, 13, D\) for columns .* got \(3, 5, 4\)"):
-        ReferenceRows(torch.ones(5, 4), ["a"] * 5).compare(torch.zeros(3, 5, 4), False, True)

@@ -87,7 +87,7 @@ class Map {
     for (const auto& channel : channels_) {
       std::int64_t anchors;
       packed.push_back(pack(channel, drive, anchors));
-      queries.push_back({packed.back().data(), anchors, nullptr});
+      queries.push_back({packed.back().data(), anchors});
     }
     const auto count = drive.size();
     std::vector<float> scores(count * top), sure(3 * count);
@@ -101,8 +101,11 @@ class Map {
     decision.together = sure.data() + 2 * count;
     ssrvlad_taken taken{};
     taken.weights = weights.data();
-    const ssrvlad_steps steps{1, 1, static_cast<std::int32_t>(follow), delay,
-                              static_cast<std::int64_t>(top)};
+    ssrvlad_steps steps{};
+    steps.standardise = steps.sweep = 1;
+    steps.follow = static_cast<std::int32_t>(follow);
+    steps.delay = delay;
+    steps.top = static_cast<std::int64_t>(top);
     const int threads = static_cast<int>(std::max(1U, std::thread::hardware_concurrency()));
     require(ssrvlad_map_query(map_.get(), queries.data(), static_cast<std::int64_t>(count), &steps,
                               threads, &decision, &taken),

@@ -90,9 +90,9 @@ class Database:
         threads = os.cpu_count() or 1
         found = self._map.query(queries, follow=follow, delay=delay, top=top, threads=threads)
         alone = "fused score" if len(queries) > 1 else "cosine"
-        score_is = "probability" if found.decision.followed else alone
+        score_is = "probability" if found.followed else alone
         answers = []
-        for scores, rows, right in zip(*found.decision[:3], strict=True):
+        for scores, rows, right in zip(found.scores, found.rows, found.right, strict=True):
             ranked = [
                 (self.frames[row], min(1.0, float(score)))
                 for row, score in zip(rows, scores, strict=True)
@@ -104,12 +104,12 @@ class Database:
     @cached_property
     def _map(self) -> Any:
         try:
-            from ssrvlad_torch.native.map import Map
+            from ssrvlad_torch.native.map import DescriptorMap
         except ImportError as error:
             problem = "databases need: pip install --no-deps ssrvlad-torch"
             raise ImportError(problem) from error
         names = [frame.rpartition("/")[0] for frame in self.frames]
-        town = Map([len(list(drive)) for _, drive in groupby(names)])
+        town = DescriptorMap([len(list(drive)) for _, drive in groupby(names)])
         for name, rows in self.channels.items():
             town.add(name, rows, TRUST[name])
         return town

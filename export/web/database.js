@@ -7,8 +7,11 @@ const [ALONE, OFFLINE] = [0, 2];
 const [VECTORS, SIGNS] = [0, 1];
 const DRIVES = new Struct({ starts: ADDRESS, count: LONG, rows: LONG });
 const CHANNEL = new Struct({ rows: ADDRESS, kind: INT, columns: LONG, size: LONG, trust: DOUBLE, means: ADDRESS });
-const QUERIES = new Struct({ descriptors: ADDRESS, anchors: LONG, mean: ADDRESS });
-const STEPS = new Struct({ standardise: INT, sweep: INT, follow: INT, delay: LONG, top: LONG });
+const QUERIES = new Struct({ descriptors: ADDRESS, anchors: LONG });
+const STEPS = new Struct({
+  ...{ standardise: INT, sweep: INT, follow: INT, delay: LONG, top: LONG },
+  ...{ allowed: ADDRESS, excluded: ADDRESS },
+});
 const TAKEN = new Struct({ standardised: INT, width: LONG, weights: ADDRESS });
 const DECISION = new Struct({
   ...{ scores: ADDRESS, rows: ADDRESS, right: ADDRESS, spread: ADDRESS, together: ADDRESS },

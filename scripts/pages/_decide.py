@@ -53,8 +53,8 @@ def decide(described: Described, condition: Condition, method: str, steps: Steps
         if method in BY_SCORES:
             one = recognise_by_scores(described.scores(search, method), *names, steps, 5)
         else:
-            members = described.members(search, method, names[1])
-            one = recognise(members, *names, steps, 5)
+            queries, town = described.members(search, method, names[1])
+            one = recognise(queries, names[0], town, steps, 5)
         found.append(one)
         truth += [places + number * OFFSET for places in search.truth]
     return Decisions(

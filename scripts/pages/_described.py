@@ -33,8 +33,8 @@ from ssrvlad_torch.datasets.frame_files import FrameFile
 from ssrvlad_torch.datasets.names import sequence_of
 from ssrvlad_torch.datasets.synthetic_city import REFERENCE
 from ssrvlad_torch.evaluation.ground_truth import from_poses
-from ssrvlad_torch.recognition.comparison import Member
-from ssrvlad_torch.recognition.recognise import Steps
+from ssrvlad_torch.native.map import DescriptorMap
+from ssrvlad_torch.recognition.recognise import Steps, references_of
 from ssrvlad_torch.recognition.sweep import COLUMNS
 from ssrvlad_torch.segmentation.networks import open_network
 from ssrvlad_torch.segmentation.segmenter import Segmenter
@@ -187,17 +187,18 @@ class Described:
         here, there = self.rows(search)
         return queries[here], references[there]
 
-    def members(self, search: Search, method: str, sequences: Sequence[str]) -> dict[str, Member]:
-        """What `recognise` compares by a method, or by `default` and what is fused with it;
-        ``sequences`` of the references."""
+    def members(
+        self, search: Search, method: str, sequences: Sequence[str]
+    ) -> tuple[dict[str, Tensor], DescriptorMap]:
+        """The queries and the map that `recognise` takes, by a method, or by `default` and what is
+        fused with it; ``sequences`` of the references."""
         fused = {OURS: OURS, **FUSED[method]} if method in FUSED else {method: method}
-        members = {}
+        here, there, trust = {}, {}, {}
         for name, each in fused.items():
             queries, references = self.pair(search, each)
-            channel = channel_of(each)
-            known = channel.references(references, sequences)
-            members[name] = Member(queries, known, channel.trust)
-        return members
+            here[name], there[name] = queries, references
+            trust[name] = channel_of(each).trust
+        return here, references_of(there, sequences, trust)
 
     def scores(self, search: Search, method: str) -> Tensor:
         """``(Q, R)`` scores of a method whose encodings are not vectors."""

@@ -21,16 +21,15 @@ from ssrvlad_torch import Database, SSRVLADConfig
 from ssrvlad_torch.channels.features import Features
 from ssrvlad_torch.channels.hog import HOG
 from ssrvlad_torch.database.frames import FrameRecord, FrameSet
-from ssrvlad_torch.recognition.comparison import ReferenceRows
-from ssrvlad_torch.recognition.fusion import fused, lead, nearness, weights_of
-from ssrvlad_torch.recognition.matching import Rows, best_of, unit_queries
-from ssrvlad_torch.recognition.recognise import Recognised, Steps
+from ssrvlad_torch.native.map import DescriptorMap
+from ssrvlad_torch.recognition.matching import Rows, unit_queries
+from ssrvlad_torch.recognition.motion import ELSEWHERE
+from ssrvlad_torch.recognition.recognise import Recognised, Steps, references_of
 from ssrvlad_torch.recognition.sweep import COLUMNS
-from ssrvlad_torch.search.alone import LargeMap
 from ssrvlad_torch.search.coarse_index import build, taken
-from ssrvlad_torch.search.drive import EVERY as EVERY_OF_A_DRIVE
-from ssrvlad_torch.search.drive import recognise_in_large
 from ssrvlad_torch.search.exact import chosen_channels, recognise_in
+from ssrvlad_torch.search.shortlist import EVERY as EVERY_OF_A_DRIVE
+from ssrvlad_torch.search.shortlist import Shortlist
 
 DATA, NETWORK = ROOT.parent / "shared" / "data", "espnetv2"
 REFERENCES = ("uofa/day", "gardens_walk/day_left")
@@ -126,16 +125,17 @@ def alone(frames: int, folder: Path) -> Report:
     """Each query alone by the coarse index, warm: the second of two passes."""
     queries, began = described(folder, QUERIES, EVERY), time.process_time()
     database = opened(frames, folder)
-    large = LargeMap(database, chosen_channels(database))
+    channels = chosen_channels(database)
+    shortlist = Shortlist(database, channels)
     opening, times, first = time.process_time() - began, list[float](), list[int]()
     for _ in range(2):
         times, first = [], []
         for number in range(len(queries["hog"])):
-            one = {name: values[number] for name, values in queries.items()}
+            one = {name: values[number : number + 1] for name, values in queries.items()}
             began = time.process_time()
-            found = large.found(one, True, TOP)
+            found = recognise_in(shortlist, as_queries(one), channels, Steps(follow=None), TOP)
             times.append(time.process_time() - began)
-            first.append(int(best_of(found.scores, 1, found.rows).indices[0]))
+            first.append(int(found.matches.indices[0, 0]))
     return {"opening": opening, "one": float(np.median(times)), "first": first}
 
 
@@ -145,7 +145,9 @@ def exact(frames: int, folder: Path) -> Report:
     database, queries = opened(frames, folder), described(folder, QUERIES, EVERY)
     channels = {channel.column.name: channel for channel in chosen_channels(database)}
     trust = {name: channel.trust for name, channel in channels.items()}
-    weights = weights_of(dict.fromkeys(trust, 0.0), trust)
+    town = DescriptorMap([frames])
+    for name, of in trust.items():
+        town.add(name, None, of)
     columns = [channel.column for channel in channels.values()]
     _, stored = database.placed()
     first, reaches = list[int](), sorted({abs(column) for column in COLUMNS})
@@ -158,25 +160,36 @@ def exact(frames: int, folder: Path) -> Report:
         for at in range(0, frames, BLOCK):
             part = slice(at, at + BLOCK)
             known = taken(database, stored[part], columns)
-            rows = ReferenceRows(known["features"], [""] * len(known["features"]))
-            signs[:, part] = rows.compare(some["features"], False, True).whole()
+            rows = references_of({"features": known["features"]}, [""] * len(known["features"]))
+            scores, _ = rows.compare({"features": some["features"].numpy()}, sweep=True)
+            signs[:, part] = torch.from_numpy(scores)
             hog[:, part] = Rows.of(known["hog"]).cosines(unit_queries(some["hog"]))
             each = Rows.of(known["ssr-vlad"]).cosines(anchors).view(count, len(COLUMNS), -1)
             for number, reach in enumerate(reaches):
                 inside = [abs(column) <= reach for column in COLUMNS]
                 shapes[number, :, part] = each[:, inside].amax(1)
         for query in range(count):
-            leads = [float(lead(nearness(scores[query][None]))) for scores in shapes]
-            widest = shapes[int(np.argmax(leads)), query]
+            widest = shapes[int(np.argmax([lead(scores[query]) for scores in shapes])), query]
             parts = {"features": signs[query], "hog": hog[query], "ssr-vlad": widest}
-            together = fused([parts[name] for name in weights], [*weights.values()])
+            together, _ = town.compare({name: parts[name][None].numpy() for name in trust})
             first.append(int(together.argmax()))
     return {"first": first}
 
 
+def lead(scores: Tensor) -> float:
+    """How much nearer the nearest row is than the nearest elsewhere."""
+    near = -(1 - scores).clamp(min=1e-6).log()
+    elsewhere = (torch.arange(len(near)) - near.argmax()).abs() > ELSEWHERE
+    return float(near.max() - near[elsewhere].max())
+
+
 def drive_of(folder: Path, name: str) -> FrameSet:
     """The frames of a real drive, as queries."""
-    found = described(folder, [name])
+    return as_queries(described(folder, [name]))
+
+
+def as_queries(found: Channels) -> FrameSet:
+    """Descriptors as frames of one sequence."""
     count, unknown = len(found["hog"]), np.full((len(found["hog"]), 3), np.nan)
     ids = tuple(f"drive/{number:04d}" for number in range(count))
     return FrameSet(ids, ("drive",) * count, found, unknown, unknown[:, 0], np.zeros(count, bool))
@@ -195,12 +208,13 @@ def told(found: Recognised, seconds: float) -> Report:
 def followed(frames: int, folder: Path) -> Report:
     """Each drive by the coarse index, warm: the second of two times."""
     database, report = opened(frames, folder), {}
-    large, everywhere = LargeMap(database, chosen_channels(database)), np.ones(frames, bool)
+    channels = chosen_channels(database)
+    shortlist = Shortlist(database, channels)
     for name in QUERIES:
         queries = drive_of(folder, name)
         for _ in range(2):
             began = time.process_time()
-            found = recognise_in_large(large, queries, Steps(), TOP, everywhere)
+            found = recognise_in(shortlist, queries, channels, Steps(), TOP)
             report[name] = told(found, time.process_time() - began)
     return report
 

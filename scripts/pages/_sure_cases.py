@@ -32,8 +32,7 @@ from torch import Tensor
 from ssrvlad_torch.baselines.encoder_features import EncoderFeatures
 from ssrvlad_torch.datasets.synthetic_city import Conditions
 from ssrvlad_torch.evaluation.loops import FACING
-from ssrvlad_torch.recognition.fusion import fused_scores
-from ssrvlad_torch.recognition.standardise import MIN_FRAMES
+from ssrvlad_torch.recognition.recognise import references_of
 from ssrvlad_torch.recognition.sweep import COLUMNS
 
 FOREIGN = (
@@ -95,18 +94,15 @@ class Case(NamedTuple):
 
     def scores(self, described: Described) -> Tensor:
         """``(Q, R)``, as `recognise` computes them."""
-        standardised = min(len(self.queries), len(self.references)) >= MIN_FRAMES
-        compared, trust = {}, {}
+        queries, references, trust = {}, {}, {}
         for method in METHODS[self.method]:
             here, there = (vectors(described, each, method) for each in self[3:5])
             if there.ndim == 3:
                 there = there[:, COLUMNS.index(0)]
-            channel = channel_of(method)
-            known = channel.references(there, self.sequences)
-            compared[method] = known.compare(here, standardised, True, None)
-            trust[method] = channel.trust
-        found = fused_scores(compared, trust)[0]
-        return torch.stack([found[query] for query in range(len(here))])
+            queries[method], references[method] = here.numpy(), there
+            trust[method] = channel_of(method).trust
+        town = references_of(references, self.sequences, trust)
+        return torch.from_numpy(town.compare(queries, True, True)[0])
 
 
 def vectors(described: Described, frames: Frames, method: str) -> Tensor:

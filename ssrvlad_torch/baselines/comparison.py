@@ -16,7 +16,7 @@ from ..evaluation.measure import TOP, Recognition, measure
 from ..evaluation.metrics import Convention
 from ..evaluation.true_matches import Viewpoints, true_matches
 from ..recognition.matching import Matches
-from ..recognition.recognise import AS_PAPER, Recognised, Steps, recognise
+from ..recognition.recognise import AS_PAPER, Recognised, Steps, recognise, references_of
 from ..taxonomy import label_space
 from .protocol import Method
 from .run import Retrieval, run
@@ -137,12 +137,10 @@ def _fused(
 ) -> Iterator[tuple[Recognised, Row]]:
     """The recognition by several methods together, of single frames, and followed if that is a
     step, each with its details. A method without vectors is a ValueError."""
-    members = {}
-    for name in protocol.fused:
-        member = retrievals[name].member
-        if member is None:
-            raise ValueError(f"{name} makes no vectors or signs, expected such for --fuse")
-        members[name] = member
+    by_name = {name: retrievals[name].descriptors for name in protocol.fused}
+    several = {name: both for name, both in by_name.items() if both}
+    for name in by_name.keys() - several.keys():
+        raise ValueError(f"{name} makes no vectors or signs, expected such for --fuse")
     sequences, of_map = ([*map(sequence_of, side.frames)] for side in (queries, references))
     costs = [retrievals[name].costs for name in protocol.fused]
     details = {
@@ -155,8 +153,11 @@ def _fused(
         },
     }
     alone = replace(protocol.steps, follow=None, delay=0)
+    trust = {name: both.trust for name, both in several.items()}
+    town = references_of({n: both.references for n, both in several.items()}, of_map, trust)
+    described = {name: both.queries for name, both in several.items()}
     for steps in dict.fromkeys((alone, protocol.steps)):
-        recognised = recognise(members, sequences, of_map, steps, TOP)
+        recognised = recognise(described, sequences, town, steps, TOP)
         used = recognised.used
         yield recognised, {**details, "steps": used, "weights": used["weights"]}
 

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from ..channels.channel import PICTURE, View, picture_of
 from ..channels.features import Features
+from ..recognition.recognise import references_of
 from ..segmentation.networks import AUTO
 from ..segmentation.segmenter import Segmenter
 from ..taxonomy import LabelSpace
@@ -48,5 +49,6 @@ class EncoderFeatures(ChannelMethod):
 
     def scores(self, queries: Tensor, references: Tensor) -> Tensor:
         """``(Q, R)`` cosines of the best move, see `channels.signs`."""
-        known = self.references(references, [""] * len(references))
-        return known.compare(queries, False, True).whole()
+        town = references_of({self.name: references}, [""] * len(references))
+        scores, _ = town.compare({self.name: queries.numpy()}, sweep=True)
+        return torch.from_numpy(scores)

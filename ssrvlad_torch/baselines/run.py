@@ -1,17 +1,31 @@
 """Runs a method: every query against all references, with the costs."""
 
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
-from ..channels.channel import View
-from ..recognition.comparison import Member, ReferenceRows
+from ..channels.channel import Channel, View
 from ..recognition.matching import Matches, best_of
-from ..recognition.recognise import Recognised, Steps, recognise, recognise_by_scores
+from ..recognition.recognise import (
+    Recognised,
+    Steps,
+    recognise,
+    recognise_by_scores,
+    references_of,
+)
 from .protocol import Method, noting
+
+
+class Descriptors(NamedTuple):
+    """Vectors or signs of queries and of references by one method, and how much it counts beside
+    others."""
+
+    queries: Tensor
+    references: Tensor
+    trust: float
 
 
 class Retrieval(NamedTuple):
@@ -23,13 +37,13 @@ class Retrieval(NamedTuple):
             reading it from disk, ``match_ms`` of all scores, without ranking them; and
             ``bytes_a_reference``, encoded.
         stepped: the result of the steps of `recognition`, if there are steps.
-        member: the vectors or signs of both sides, if the method makes such and there are steps.
+        descriptors: of both sides, if they are vectors or signs and there are steps.
     """
 
     matches: Matches
     costs: dict[str, Any]
     stepped: Recognised | None
-    member: Member | None
+    descriptors: Descriptors | None
 
 
 def run(
@@ -52,7 +66,7 @@ def run(
     encoded = method.encode_reference(noting(references, map_drives, progress))
     if not map_drives:
         raise ValueError(f"method {method.name} got no references")
-    compared = _references(method, encoded, map_drives)
+    compared = _are_compared(method, encoded)
     sweep = getattr(method, "encode_sweep", None) if steps and steps.sweep and compared else None
     matches, inputs = list[Matches](), list[Tensor]()
     encode_ms, match_ms = list[float](), list[float]()
@@ -72,10 +86,11 @@ def run(
             inputs.append(scores)
     if not matches:
         raise ValueError(f"method {method.name} got no queries")
-    stepped, member = None, None
+    stepped, both = None, None
     if steps and compared:
-        member = Member(torch.cat(inputs), compared, getattr(method, "trust", 1.0))
-        stepped = recognise({method.name: member}, drives, map_drives, steps, top)
+        both = Descriptors(torch.cat(inputs), encoded, getattr(method, "trust", 1.0))
+        town = references_of({method.name: encoded}, map_drives)
+        stepped = recognise({method.name: both.queries}, drives, town, steps, top)
     elif steps:
         stepped = recognise_by_scores(torch.cat(inputs), drives, map_drives, steps, top)
     return Retrieval(
@@ -86,17 +101,15 @@ def run(
             "bytes_a_reference": encoded.nbytes / len(map_drives),
         },
         stepped=stepped,
-        member=member,
+        descriptors=both,
     )
 
 
-def _references(method: Method, encoded: Any, sequences: Sequence[str]) -> ReferenceRows | None:
-    """The encodings of a map to be compared with queries; ``None`` if they are no vectors."""
-    if hasattr(method, "references"):
-        references: ReferenceRows = method.references(encoded, sequences)
-        return references
-    are_vectors = isinstance(encoded, Tensor) and encoded.ndim == 2 and encoded.is_floating_point()
-    return ReferenceRows(encoded, sequences) if are_vectors else None
+def _are_compared(method: Method, encoded: Any) -> bool:
+    """Whether the encodings of a map are vectors or signs."""
+    if isinstance(method, Channel):
+        return True
+    return isinstance(encoded, Tensor) and encoded.ndim == 2 and encoded.is_floating_point()
 
 
 def _cost(times: list[float]) -> dict[str, float]:

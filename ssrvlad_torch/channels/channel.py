@@ -15,7 +15,6 @@ from ..datasets.image_files import Pixels
 from ..datasets.label_files import LabelMap
 from ..datasets.names import sequence_of
 from ..descriptor import SSRVLAD
-from ..recognition.comparison import ReferenceRows
 from ..taxonomy import LabelSpace
 from . import CHANNELS, LABEL_SHAPES, Column
 
@@ -154,13 +153,6 @@ class Channel(ABC):
         """``(N, *shape)`` descriptors of views of one `View.kind`; of a channel that can sweep,
         from S anchors, the columns, ``(N, S, *shape)``, see `recognition.sweep`. A view that lacks
         what the channel needs, or cannot be described, is a ValueError."""
-
-    def references(
-        self, stored: Tensor, sequences: Sequence[str], means: Tensor | None = None
-    ) -> ReferenceRows:
-        """Descriptors ``(R, *shape)`` of a map, to be compared with queries; of some rows, with the
-        means of their sequences, see `search.sums.sums`."""
-        return ReferenceRows(stored, sequences, means)
 
 
 class VectorChannel(Channel):

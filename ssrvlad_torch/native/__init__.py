@@ -7,7 +7,6 @@ stages in torch compute the same descriptors.
 import ctypes
 import hashlib
 import sys
-import warnings
 from functools import cache
 from typing import NamedTuple
 
@@ -37,19 +36,6 @@ def last_error() -> str:
     """Why the last call of this thread failed that did."""
     address: int = required().ssrvlad_last_error()
     return ctypes.string_at(address).decode()
-
-
-def if_built(task: str) -> ctypes.CDLL | None:
-    """The library; without it ``None``, and a UserWarning says once that NumPy does a task."""
-    library, status = core()
-    if library is None:
-        _warn(f"NumPy {task}, slowly, for {status}")
-    return library
-
-
-@cache
-def _warn(text: str) -> None:
-    warnings.warn(text, stacklevel=4)
 
 
 @cache

@@ -27,10 +27,6 @@ struct ssrvlad_map : Map {
   using Map::Map;
 };
 
-struct ssrvlad_comparison {
-  std::unique_ptr<Comparison> scores;
-};
-
 struct ssrvlad_loops {
   Stream stream;
 };
@@ -289,93 +285,6 @@ Drives drives_of(const ssrvlad_drives *map) {
   return drives;
 }
 
-// The return code of a function of the caller.
-int64_t passed(int64_t code) {
-  if (code < 0) throw Failed{code};
-  return code;
-}
-
-class CallersScores : public Scores {
- public:
-  CallersScores(const ssrvlad_evidence &given, Size rows) : given_(given), rows_(rows) {}
-  Size queries() const override { return given_.queries; }
-  Size rows() const override { return rows_; }
-  void of(Size query, float *scores) const override {
-    if (given_.scores)
-      passed(given_.scores(given_.context, query, scores));
-    else
-      std::copy_n(given_.matrix + query * rows_, rows_, scores);
-  }
-
- private:
-  const ssrvlad_evidence given_;
-  Size rows_;
-};
-
-class CallersSearch : public Search {
- public:
-  CallersSearch(const ssrvlad_evidence &given, Size rows) : given_(given), rows_(rows) {}
-  Size queries() const override { return given_.queries; }
-
-  std::vector<Size> candidates(Size query) const override {
-    std::vector<Size> rows(
-        static_cast<std::size_t>(passed(given_.candidates(given_.context, query, nullptr))));
-    if (!rows.empty()) passed(given_.candidates(given_.context, query, rows.data()));
-    for (const Size row : rows) require(row >= 0 && row < rows_);
-    return rows;
-  }
-
-  void of(Size query, const std::vector<Size> &rows, float *scores) const override {
-    if (!rows.empty())
-      passed(
-          given_.some(given_.context, query, rows.data(), static_cast<Size>(rows.size()), scores));
-  }
-
-  Spread spread(Size query) const override {
-    Spread spread;
-    passed(given_.spread(given_.context, query, &spread.mean, &spread.deviation));
-    require(std::isfinite(spread.mean) && std::isfinite(spread.deviation) && spread.deviation >= 0);
-    return spread;
-  }
-
-  std::pair<std::vector<Size>, std::vector<float>> sample(Size query) const override {
-    std::vector<Size> rows(
-        static_cast<std::size_t>(passed(given_.sample(given_.context, query, nullptr, nullptr))));
-    std::vector<float> scores(rows.size());
-    if (!rows.empty()) passed(given_.sample(given_.context, query, rows.data(), scores.data()));
-    if (!sampled_) sampled_ = std::make_unique<std::vector<Size>>(rows);
-    require(rows == *sampled_);
-    return {rows, scores};
-  }
-
- private:
-  const ssrvlad_evidence given_;
-  Size rows_;
-  mutable std::unique_ptr<const std::vector<Size>> sampled_;
-};
-
-// The rows of a map and the queries of a drive, checked.
-struct Given {
-  Drives drives;
-  std::unique_ptr<Scores> scores;
-  std::unique_ptr<Search> search;
-  std::unique_ptr<Evidence> evidence;
-
-  Given(const ssrvlad_drives *map, const ssrvlad_evidence *of) {
-    require(of && of->queries >= 0);
-    drives = drives_of(map);
-    const bool searched = of->candidates && of->some && of->spread && of->sample;
-    require(of->matrix || of->scores || searched || !of->queries || !drives.rows);
-    if (searched) {
-      search = std::make_unique<CallersSearch>(*of, drives.rows);
-      evidence = std::make_unique<Candidates>(*search);
-    } else {
-      scores = std::make_unique<CallersScores>(*of, drives.rows);
-      evidence = std::make_unique<AllRows>(*scores);
-    }
-  }
-};
-
 // Checks probabilities of queries that err so many together; NaN where there may be none.
 void check(const double *chances, int64_t queries, double together, bool without) {
   require(may_be({queries}) && (chances || !queries) && together >= 1 && std::isfinite(together));
@@ -384,56 +293,7 @@ void check(const double *chances, int64_t queries, double together, bool without
   }));
 }
 
-Motion motion_of(const ssrvlad_motion *given) {
-  if (!given) return {};
-  const auto &[change, jump, unmapped, stay, weight, level, rate] = *given;
-  for (const double chance : {change, jump, unmapped, stay}) require(chance >= 0 && chance <= 1);
-  require(weight > 0 && std::isfinite(weight) && std::isfinite(level) && rate > 0 &&
-          rate <= MOST_RATE);
-  return {change, jump, unmapped, stay, weight, level, rate};
-}
-
 }  // namespace
-
-int ssrvlad_decide(const ssrvlad_drives *map, const ssrvlad_evidence *evidence, int mode,
-                   int64_t delay, int64_t top, ssrvlad_decision *decision) {
-  return guarded([&] {
-    require(mode >= SSRVLAD_ALONE && mode <= SSRVLAD_OFFLINE && delay >= 0 && top >= 1 && decision);
-    const Given given(map, evidence);
-    const Decision found =
-        places::decide(given.drives, *given.evidence, static_cast<Mode>(mode), delay, top);
-    give(found, *decision);
-  });
-}
-
-int ssrvlad_follow(const ssrvlad_drives *map, const ssrvlad_evidence *evidence,
-                   const ssrvlad_motion *motion, int way, int mode, int64_t delay, int64_t top,
-                   ssrvlad_places *found) {
-  return guarded([&] {
-    require(way == FORWARDS || way == BACKWARDS);
-    require((mode == SSRVLAD_ONLINE || mode == SSRVLAD_OFFLINE) && delay >= 0 && top >= 1 && found);
-    const Given given(map, evidence);
-    const Filter filter(given.drives, motion_of(motion), {way});
-    const Places where =
-        places::follow(filter, *given.evidence, in_order(given.evidence->queries()),
-                       static_cast<Mode>(mode), delay, top);
-    give(where.scores, found->scores);
-    give(where.rows, found->rows);
-    give(where.near, found->around);
-    give(where.unmapped, found->unmapped);
-    give(where.chance, found->chance);
-  });
-}
-
-int ssrvlad_gain(const ssrvlad_drives *map, const ssrvlad_evidence *evidence,
-                 const ssrvlad_motion *motion, int way, double *gain) {
-  return guarded([&] {
-    require((way == FORWARDS || way == BACKWARDS) && gain);
-    const Given given(map, evidence);
-    const Filter filter(given.drives, motion_of(motion), {way});
-    *gain = places::gain(filter, *given.evidence, in_order(given.evidence->queries()));
-  });
-}
 
 int ssrvlad_chance(const double *values, const int64_t *rows, int64_t count, int64_t matching,
                    double *chance, int64_t *rival) {
@@ -485,8 +345,32 @@ double ssrvlad_together(const int64_t *rivals, int64_t queries) {
 
 // ---------------------------------------------------------------------------------- ssrvlad_map.h
 
+namespace {
+
+void check(const ssrvlad_map *map, const ssrvlad_queries *queries, Size count, const ssrvlad_steps *steps,
+           const ssrvlad_taken *taken) {
+  require(map && queries && steps && taken && map->channels() && count >= 0);
+  require(steps->follow >= SSRVLAD_ALONE && steps->follow <= SSRVLAD_OFFLINE && steps->delay >= 0 &&
+          steps->top >= 1);
+}
+
+}  // namespace
+
 ssrvlad_map *ssrvlad_map_new(const ssrvlad_drives *drives) {
-  return made([&] { return new ssrvlad_map(drives_of(drives)); });
+  return made([&] { return new ssrvlad_map(Listing(drives_of(drives))); });
+}
+
+ssrvlad_map *ssrvlad_map_of(const ssrvlad_drives *drives, const ssrvlad_shortlist *shortlist) {
+  return made([&] {
+    Drives all = drives_of(drives);
+    require(shortlist && shortlist->rows && shortlist->weights && shortlist->count >= 1);
+    const auto [rows, weights, count, means, means_count] = *shortlist;
+    for (Size place = 0; place < count; ++place)
+      require(rows[place] < all.rows && (place ? rows[place] > rows[place - 1] : rows[place] >= 0) &&
+              weights[place] >= 1 && std::isfinite(weights[place]));
+    const ssrvlad_drives parts = {means, means_count, count};
+    return new ssrvlad_map(Listing(std::move(all), rows, {weights, weights + count}, drives_of(&parts)));
+  });
 }
 
 void ssrvlad_map_free(ssrvlad_map *map) { delete map; }
@@ -502,30 +386,19 @@ int ssrvlad_map_query(const ssrvlad_map *map, const ssrvlad_queries *queries, in
                       const ssrvlad_steps *steps, int threads, ssrvlad_decision *decision,
                       ssrvlad_taken *taken) {
   return guarded([&] {
-    require(map && queries && steps && decision && taken && map->channels() && count >= 0);
-    require(steps->follow >= SSRVLAD_ALONE && steps->follow <= SSRVLAD_OFFLINE && steps->delay >= 0 &&
-            steps->top >= 1);
+    check(map, queries, count, steps, taken);
+    require(decision);
     give(map->query(queries, count, *steps, threads, *taken), *decision);
   });
 }
 
-ssrvlad_comparison *ssrvlad_map_compare(const ssrvlad_map *map, int64_t channel,
-                                        const ssrvlad_queries *queries, int64_t count, int standardised,
-                                        int sweep, int threads, int64_t *width) {
-  return made([&] {
-    require(map && queries && width && count >= 0 && channel >= 0 && channel < map->channels());
-    auto scores = map->compare(channel, *queries, count, standardised, sweep, threads);
-    *width = scores->width;
-    return new ssrvlad_comparison{std::move(scores)};
-  });
-}
-
-void ssrvlad_comparison_free(ssrvlad_comparison *comparison) { delete comparison; }
-
-int ssrvlad_comparison_scores(const ssrvlad_comparison *comparison, int64_t query, float *scores) {
+int ssrvlad_map_compare(const ssrvlad_map *map, const ssrvlad_queries *queries, int64_t count,
+                        const ssrvlad_steps *steps, int threads, float *scores, ssrvlad_taken *taken) {
   return guarded([&] {
-    require(comparison && scores && query >= 0 && query < comparison->scores->queries());
-    comparison->scores->of(query, scores);
+    check(map, queries, count, steps, taken);
+    require(scores || !count);
+    const auto compared = map->compare(queries, count, *steps, threads, *taken);
+    for (Size query = 0; query < count; ++query) compared->of(query, scores + query * compared->rows());
   });
 }
 

@@ -11,15 +11,14 @@ namespace {
 
 constexpr Size IN_MEMORY = Size{1} << 26;  // scores at once
 
-// Nearness, 0 where there is none; its mean and deviation over the rows that have one.
+// Nearness, NONE where there is none; its mean and deviation over the rows that have one.
 struct Scaled {
   std::vector<float> near;
   double mean = 0, deviation = 0;
 
-  explicit Scaled(std::vector<float> scores) : near(std::move(scores)) {
-    const auto count = static_cast<Size>(near.size());
-    nearness(near.data(), count, near.data());
-    const Spread spread = Spread::of(near.data(), count);
+  Scaled(std::vector<float> scores, const Listing &listing) : near(std::move(scores)) {
+    nearness(near.data(), static_cast<Size>(near.size()), near.data());
+    const Spread spread = listing.spread(near.data());
     mean = spread.mean;
     deviation = spread.deviation;
     if (deviation <= MIN_SPREAD) measure_again();
@@ -61,14 +60,13 @@ std::vector<float> scores_of(const Scores &member, Size query) {
 }
 
 // How many deviations the first candidate is ahead of the best row elsewhere.
-double lead(const Scaled &scaled) {
+double lead(const Scaled &scaled, const Listing &listing) {
   const auto rows = static_cast<Size>(scaled.near.size());
   if (rows <= 2 * ELSEWHERE + 1) return 0;
   std::vector<double> z(scaled.near.size());
   add_scaled(scaled.near.data(), rows, scaled.mean, 1 / scaled.unit(), z.data());
   const auto best = std::max_element(z.begin(), z.end());
-  const auto before = std::max<Size>(0, best - z.begin() - ELSEWHERE);
-  const auto after = std::min<Size>(rows, best - z.begin() + ELSEWHERE + 1);
+  const auto [before, after] = listing.around(best - z.begin(), ELSEWHERE);
   double other = -std::numeric_limits<double>::infinity();
   for (auto row = z.begin(); row < z.begin() + before; ++row) other = std::max(other, *row);
   for (auto row = z.begin() + after; row < z.end(); ++row) other = std::max(other, *row);
@@ -118,9 +116,39 @@ void Blocks::of(Size query, float *scores) const {
   std::copy_n(block_.data() + (query - first) * rows_, rows_, scores);
 }
 
-Fused::Fused(std::vector<const Scores *> members, const std::vector<double> &trust)
+namespace {
+class Matrix : public Comparison {
+ public:
+  Matrix(const float *scores, Size count, Size rows) : Comparison(count, rows), scores_(scores) {}
+  void of(Size query, float *scores) const override {
+    std::copy_n(scores_ + query * rows(), rows(), scores);
+  }
+
+ protected:
+  void compute(Size, Size, float *) const override {}
+
+ private:
+  const float *scores_;
+};
+}  // namespace
+
+std::unique_ptr<Comparison> comparison_of_scores(const float *scores, Size count, Size rows) {
+  return std::make_unique<Matrix>(scores, count, rows);
+}
+
+void Candidates::of(Size query, float *scores) const {
+  scores_.of(query, scores);
+  for (Size place = 0; allowed_ && place < rows(); ++place)
+    if (!allowed_[place]) scores[place] = NONE;
+  if (excluded_ && excluded_[2 * query] < excluded_[2 * query + 1])
+    std::fill(scores + listing_.rows.from(excluded_[2 * query]),
+              scores + listing_.rows.from(excluded_[2 * query + 1]), NONE);
+}
+
+Fused::Fused(std::vector<const Scores *> members, const std::vector<double> &trust,
+             const Listing &listing)
     : Blocks(members.front()->queries(), members.front()->rows()), members_(std::move(members)),
-      weights_(trust) {
+      weights_(trust), listing_(listing) {
   double sum = 0;
   if (queries() >= MIN_FRAMES) {
     std::vector<double> known(trust);
@@ -128,7 +156,7 @@ Fused::Fused(std::vector<const Scores *> members, const std::vector<double> &tru
       double leads = 0;
       Size sampled = 0;
       for (Size query = 0; query < queries(); query += std::max<Size>(1, queries() / SAMPLE), ++sampled)
-        leads += lead(Scaled(scores_of(*members_[member], query)));
+        leads += lead(Scaled(scores_of(*members_[member], query), listing), listing);
       known[member] *= std::max(0.0, leads / static_cast<double>(sampled));
       sum += known[member];
     }
@@ -146,7 +174,7 @@ void Fused::compute(Size first, Size last, float *scores) const {
     std::fill(some.begin(), some.end(), 0);
     double mean = 0, deviation = 0;
     for (std::size_t member = 0; member < members_.size(); ++member) {
-      const Scaled scaled(scores_of(*members_[member], query));
+      const Scaled scaled(scores_of(*members_[member], query), listing_);
       add_scaled(scaled.near.data(), rows(), scaled.mean, weights_[member] / scaled.unit(), z.data());
       for (std::size_t row = 0; row < some.size(); ++row) some[row] |= scaled.near[row] != NONE;
       mean += weights_[member] * scaled.mean;

@@ -1,6 +1,6 @@
 // The queries of one drive against all rows of a map: by a channel, and by several channels as one.
 //
-// recognition/reference.py says the same plainly. A drive loses the mean of its descriptors; a query is
+// A drive loses the mean of its descriptors; a query is
 // described from several anchors, or moved to both sides, and its best score counts.
 
 #ifndef SSRVLAD_COMPARE_HPP
@@ -55,37 +55,56 @@ class Comparison : public Blocks {
 };
 
 // The descriptors of queries of one drive, each from several anchors with the usual one in the middle:
-// (count, anchors, ...). They lose the mean of the drive, if it is given; else their own, if standardised.
+// (count, anchors, ...).
 struct Queries {
   const void *descriptors;
   Size count, anchors;
-  const float *mean = nullptr;
 };
 
-// The descriptors of all rows of a map, which must outlive it.
+// The descriptors of the listed rows of a map, which must outlive it.
 class Channel {
  public:
   virtual ~Channel() = default;
   // Compares queries, without the mean of each drive if standardised, from the anchors that suit or moved
-  // to both sides if swept; from all anchors if the mean of the queries is given. The channel must outlive
-  // the comparison; the queries need not.
+  // to both sides if swept. The channel must outlive the comparison; the queries need not.
   virtual std::unique_ptr<Comparison> compare(const Queries &queries, bool standardised, bool swept,
                                               int threads) = 0;
 };
 
-// Vectors (rows, length); zeros are an empty frame. The means of the drives, (drives, length), must outlive
-// the channel, as the rows must; without, they are those of the rows.
-std::unique_ptr<Channel> channel_of_vectors(const float *rows, Size length, const Drives &drives,
+// Vectors (rows, length) of the listed rows; zeros are an empty frame. The means of the drives of the list,
+// (drives, length), must outlive the channel, as the rows and the list must; without, they are those of the
+// rows.
+std::unique_ptr<Channel> channel_of_vectors(const float *rows, Size length, const Listing &listing,
                                             const float *means);
 
 // Signs (rows, columns, bytes), eight in a byte; means as above, (drives, columns, 8 * bytes).
 std::unique_ptr<Channel> channel_of_signs(const std::uint8_t *rows, Size columns, Size bytes,
-                                          const Drives &drives, const float *means);
+                                          const Listing &listing, const float *means);
+
+// The scores of the queries of a drive by another method, (count, rows), which must outlive it.
+std::unique_ptr<Comparison> comparison_of_scores(const float *scores, Size count, Size rows);
+
+// Scores without those of rows that are no candidates: rows of the list that are not `allowed`, if given, and
+// for each query the rows of the map from the first of a pair to before the second, if pairs are given.
+class Candidates : public Scores {
+ public:
+  Candidates(const Scores &scores, const Listing &listing, const std::uint8_t *allowed, const Size *excluded)
+      : scores_(scores), listing_(listing), allowed_(allowed), excluded_(excluded) {}
+  Size queries() const override { return scores_.queries(); }
+  Size rows() const override { return scores_.rows(); }
+  void of(Size query, float *scores) const override;
+
+ private:
+  const Scores &scores_;
+  const Listing &listing_;
+  const std::uint8_t *allowed_;
+  const Size *excluded_;
+};
 
 // By several channels, which must outlive it: the weighted mean of their z-scores of nearness.
 class Fused : public Blocks {
  public:
-  Fused(std::vector<const Scores *> members, const std::vector<double> &trust);
+  Fused(std::vector<const Scores *> members, const std::vector<double> &trust, const Listing &listing);
 
   // Of the members; their sum is 1.
   const std::vector<double> &weights() const { return weights_; }
@@ -96,6 +115,7 @@ class Fused : public Blocks {
  private:
   std::vector<const Scores *> members_;
   std::vector<double> weights_;
+  const Listing &listing_;
 };
 
 }  // namespace places

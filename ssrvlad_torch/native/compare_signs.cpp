@@ -233,10 +233,10 @@ class SignComparison : public Comparison {
 
 class SignChannel : public Channel {
  public:
-  SignChannel(const std::uint8_t *rows, const Shape &shape, const Drives &drives, const float *means)
-      : shape_(shape), drives_(drives), means_(means), signs_(reinterpret_cast<const Word *>(rows)) {
+  SignChannel(const std::uint8_t *rows, const Shape &shape, const Listing &listing, const float *means)
+      : shape_(shape), drives_(listing.drives), means_(means), signs_(reinterpret_cast<const Word *>(rows)) {
     if (shape.bytes % 8 == 0 && reinterpret_cast<std::uintptr_t>(rows) % sizeof(Word) == 0) return;
-    own_ = packed(rows, drives.rows, shape);
+    own_ = packed(rows, drives_.rows, shape);
     signs_ = own_.data();
   }
 
@@ -246,10 +246,7 @@ class SignChannel : public Channel {
     const Size reach = swept ? std::min(REACH, shape_.columns - 1) : 0;
     Words words = packed(static_cast<const std::uint8_t *>(queries.descriptors), queries.count, shape_);
     Floats mean;
-    if (queries.mean)
-      mean = checked(Floats(queries.mean, queries.mean + shape_.columns * shape_.bits()));
-    else if (standardised && queries.count)
-      mean = mean_of(words.data(), queries.count, shape_);
+    if (standardised && queries.count) mean = mean_of(words.data(), queries.count, shape_);
     return std::make_unique<SignComparison>(std::move(words), queries.count, signs_, drives_.rows, shape_,
                                             rows, mean, reach, threads);
   }
@@ -286,7 +283,7 @@ class SignChannel : public Channel {
   }
 
   Shape shape_;
-  Drives drives_;
+  const Drives &drives_;  // of the list
   const float *means_;
   Words own_;
   const Word *signs_;
@@ -297,8 +294,8 @@ class SignChannel : public Channel {
 }  // namespace
 
 std::unique_ptr<Channel> channel_of_signs(const std::uint8_t *rows, Size columns, Size bytes,
-                                          const Drives &drives, const float *means) {
-  return std::make_unique<SignChannel>(rows, Shape{columns, bytes}, drives, means);
+                                          const Listing &listing, const float *means) {
+  return std::make_unique<SignChannel>(rows, Shape{columns, bytes}, listing, means);
 }
 
 }  // namespace places

@@ -138,8 +138,9 @@ class VectorComparison : public Comparison {
 class Narrowing {
  public:
   Narrowing(const Floats &units, Size count, Size anchors, Size length, const Held &rows,
-            bool standardised, int threads)
-      : units_(units), count_(count), anchors_(anchors), length_(length), rows_(rows), threads_(threads),
+            const Listing &listing, bool standardised, int threads)
+      : units_(units), count_(count), anchors_(anchors), length_(length), rows_(rows), listing_(listing),
+        threads_(threads),
         widths_(anchors / 2 + 1), means_(static_cast<std::size_t>(widths_ * length)),
         of_means_(static_cast<std::size_t>(widths_ * references())),
         leads_(static_cast<std::size_t>(widths_)), known_(leads_.size()) {
@@ -235,8 +236,8 @@ class Narrowing {
   // How much nearer the best row is than the best elsewhere; not finite without one.
   double lead_of(const float *scores) const {
     const float *end = scores + references(), *best = std::max_element(scores, end);
-    const float *before = std::max(scores, best - ELSEWHERE), *after = std::min(end, best + ELSEWHERE + 1);
-    const float other = std::max(highest(scores, before), highest(after, end));
+    const auto [before, after] = listing_.around(best - scores, ELSEWHERE);
+    const float other = std::max(highest(scores, scores + before), highest(scores + after, end));
     return nearness(static_cast<double>(*best)) - nearness(static_cast<double>(other));
   }
 
@@ -247,6 +248,7 @@ class Narrowing {
   const Floats &units_;
   Size count_, anchors_, length_;
   const Held &rows_;
+  const Listing &listing_;
   int threads_;
   Size widths_;
   Floats means_, of_means_;
@@ -255,8 +257,8 @@ class Narrowing {
 
 class VectorChannel : public Channel {
  public:
-  VectorChannel(const float *rows, Size length, const Drives &drives, const float *means)
-      : vectors_(rows), length_(length), drives_(drives), means_(means) {}
+  VectorChannel(const float *rows, Size length, const Listing &listing, const float *means)
+      : vectors_(rows), length_(length), listing_(listing), drives_(listing.drives), means_(means) {}
 
   std::unique_ptr<Comparison> compare(const Queries &queries, bool standardised, bool swept,
                                       int threads) override {
@@ -265,14 +267,13 @@ class VectorChannel : public Channel {
     const auto *given = static_cast<const float *>(queries.descriptors);
     Size width = sweeps ? queries.anchors / 2 : 0;
     Floats kept = anchors_of(given, queries, width);
-    if (sweeps && !queries.mean) {
-      width = Narrowing(kept, queries.count, queries.anchors, length_, rows, standardised, threads).width();
+    if (sweeps) {
+      width = Narrowing(kept, queries.count, queries.anchors, length_, rows, listing_, standardised, threads).width();
       kept = anchors_of(given, queries, width);
     }
     const Size vectors = queries.count * (2 * width + 1);
-    if (queries.mean || (standardised && queries.count >= MIN_FRAMES)) {
-      const Floats mean = queries.mean ? Floats(queries.mean, queries.mean + length_)
-                                       : mean_of(kept.data(), vectors, length_);
+    if (standardised && queries.count >= MIN_FRAMES) {
+      const Floats mean = mean_of(kept.data(), vectors, length_);
       for (Size each = 0; each < vectors; ++each)
         standardise(kept.data() + each * length_, mean.data(), length_, kept.data() + each * length_);
     }
@@ -329,7 +330,8 @@ class VectorChannel : public Channel {
 
   const float *vectors_;
   Size length_;
-  Drives drives_;
+  const Listing &listing_;
+  const Drives &drives_;  // of the list
   const float *means_;
   Mutex mutex_;
   std::array<std::unique_ptr<Held>, 2> held_;
@@ -337,9 +339,9 @@ class VectorChannel : public Channel {
 
 }  // namespace
 
-std::unique_ptr<Channel> channel_of_vectors(const float *rows, Size length, const Drives &drives,
+std::unique_ptr<Channel> channel_of_vectors(const float *rows, Size length, const Listing &listing,
                                             const float *means) {
-  return std::make_unique<VectorChannel>(rows, length, drives, means);
+  return std::make_unique<VectorChannel>(rows, length, listing, means);
 }
 
 }  // namespace places

@@ -1,7 +1,6 @@
 // How sure an answer is: beside its rivals, and among all answers of its drive.
 //
-// recognition/rivals.py and recognition/confidence.py explain both; recognition/reference.py says the
-// same plainly.
+// recognition/confidence.py explains both; tests/oracles/recognition.py says the same plainly.
 
 #ifndef SSRVLAD_CONFIDENCE_HPP
 #define SSRVLAD_CONFIDENCE_HPP

@@ -3,6 +3,7 @@
 #include "decide.hpp"
 
 #include <deque>
+#include <memory>
 #include <numeric>
 #include <random>
 
@@ -19,15 +20,120 @@ constexpr Size AROUND = Likeness::AROUND;
 constexpr double BEST = 1.0 / 3;  // how often a wrong answer of a followed drive is the best of its query
 constexpr Size KEPT = Size{1} << 24;  // numbers of beliefs that are kept rather than computed again
 
-// The track may go on from the most probable rows, up to this number and down to this belief.
-constexpr Size MAX_BELIEVED = 64;
-constexpr float MIN_BELIEF = 1e-4F;
-
-// recognition/reference.py explains these.
+// Courses that are tried, both ways.
 constexpr Course COURSES[] = {
     {FORWARDS, 1, 1}, {FORWARDS, 3, 1}, {FORWARDS, 0.25, 1}, {FORWARDS, 1, Likeness::STREAMS}};
-constexpr double OF_TWO = 0.75, LEAST_GAIN = 1, UNUSUAL = 3, BY_ROWS = 0.5, DRIVE = 0.5,
-                 MARGIN = 0.05;
+// What counts of the gain of two streams: a slow one is hardly less likely as two in turn.
+constexpr double OF_TWO = 0.75;
+// The gain of a course, and how much more another than forwards at the rate of the map must have: before
+// anything is known, one drive in twenty takes it. Gains a query: real drives and two streams in turn 0.3 to
+// 1.0, three to six streams 0.03 to 0.35, drives in foreign maps 0.05 to 0.4, random frames 0.0 to 0.1.
+constexpr double LEAST_GAIN = 1, UNUSUAL = 3;
+// How much of its gain a drive may have in a random order: a row like every query gains all of it.
+constexpr double BY_ROWS = 0.5;
+// The gain a query that only drives have, and a difference of mean confidences.
+constexpr double DRIVE = 0.5, MARGIN = 0.05;
+
+std::vector<Size> in_order(Size count) {
+  std::vector<Size> order(count);
+  std::iota(order.begin(), order.end(), 0);
+  return order;
+}
+
+// ------------------------------------------------------------------------------------------ evidence
+
+// What is known of one query: its scores at the listed rows, and how many rows of the map could match, less
+// than 0 for those that have a score.
+struct Sight {
+  const Rows &rows;
+  std::vector<float> scores;
+  Size matching = -1;
+  Likelihood likelihood;  // if the query is followed
+  std::vector<float> z;   // beside others: by how many deviations each row is nearer than the mean of all
+};
+
+// The queries of one drive, and how they fit a map. Not to be shared by threads.
+class Evidence {
+ public:
+  Evidence(const Listing &listing, const Scores &scores) : listing_(listing), scores_(scores) {
+    std::vector<Size> sample;  // of rows that represent all
+    for (Size place = 0; place < listing.count(); ++place)
+      if (listing.weights.empty() || listing.weights[place] > 1) sample.push_back(place);
+    if (sample.empty()) sample = in_order(listing.count());
+    const std::size_t most = Likeness::COMPARED, step = std::max<std::size_t>(1, (sample.size() + most - 1) / most);
+    for (std::size_t at = 0; at < sample.size(); at += step) compared_.push_back(sample[at]);
+  }
+
+  Size queries() const { return scores_.queries(); }
+  const Drives &map() const { return listing_.map; }
+
+  // A query by itself.
+  Sight alone(Size query) const {
+    Sight sight{listing_.rows, std::vector<float>(static_cast<std::size_t>(listing_.count()))};
+    scores_.of(query, sight.scores.data());
+    const Size count = listing_.count();
+    if (std::isnan(sum(sight.scores.data(), count)) || highest(sight.scores.data(), count) > HIGHEST_SCORE)
+      throw WrongScores();
+    double matching = 0;
+    for (std::size_t place = 0; place < listing_.weights.size(); ++place)
+      if (sight.scores[place] != NONE) matching += listing_.weights[place];
+    if (!listing_.weights.empty()) sight.matching = std::llround(matching);
+    return sight;
+  }
+
+  // A query with others; 0 deviations where there is no score.
+  std::shared_ptr<const Sight> beside(Size query) const {
+    const auto sight = std::make_shared<Sight>(alone(query));
+    const Spread spread = spread_of(*sight);
+    sight->z.resize(sight->scores.size());
+    if (spread.deviation <= MIN_SPREAD) return sight;  // equal scores say nothing
+    for (std::size_t place = 0; place < sight->z.size(); ++place) {
+      const double near = nearness(static_cast<double>(sight->scores[place]));
+      if (sight->scores[place] != NONE)
+        sight->z[place] = static_cast<float>((near - spread.mean) / spread.deviation);
+    }
+    return sight;
+  }
+
+  // A query that is followed.
+  std::shared_ptr<const Sight> followed(const Motion &motion, Size query) const {
+    if (last_ && query == query_ && motion.weight == weight_ && motion.level == level_) return last_;
+    const auto sight = std::make_shared<Sight>(alone(query));
+    std::vector<float> &rows = sight->likelihood.rows;
+    rows = likelihoods(sight->scores.data(), listing_.count(), motion, spread_of(*sight));
+    // The rows that are not listed are like those of the sample, which stand for them.
+    const Size others = listing_.map.rows - listing_.count();
+    double elsewhere = 0;
+    for (std::size_t place = 0; place < listing_.weights.size(); ++place)
+      elsewhere += (listing_.weights[place] - 1) * static_cast<double>(rows[place]);
+    if (others > 0) sight->likelihood.elsewhere = elsewhere / static_cast<double>(others);
+    query_ = query, weight_ = motion.weight, level_ = motion.level;
+    return last_ = sight;
+  }
+
+  // The scores of a query at rows that represent all, the same for each query.
+  std::vector<float> profile(const Sight &sight) const {
+    std::vector<float> scores;
+    for (const Size place : compared_) scores.push_back(sight.scores[place]);
+    return scores;
+  }
+
+ private:
+  Spread spread_of(const Sight &sight) const {
+    std::vector<float> near(sight.scores.size());
+    nearness(sight.scores.data(), listing_.count(), near.data());
+    return listing_.spread(near.data());
+  }
+
+  const Listing &listing_;
+  const Scores &scores_;
+  std::vector<Size> compared_;
+  mutable std::shared_ptr<const Sight> last_;  // of the query, weight and level
+  mutable Size query_ = -1;
+  mutable double weight_ = 0, level_ = 0;
+};
+
+// ------------------------------------------------------------------------------------------ following
 
 // The places of the highest of values above NONE, the first of equals first.
 std::vector<Size> best_of(const std::vector<float> &values, Size top) {
@@ -71,7 +177,7 @@ struct Walk {
   // Takes the next query: the logarithm of how much likelier it is so than alone.
   double step(const Evidence &evidence, Size query) {
     const Belief *before = now.belief.get();
-    now.sight = evidence.after(filter, before, query);
+    now.sight = evidence.followed(filter.motion(), query);
     const Rows &rows = now.sight->rows;
     const auto belief =
         std::make_shared<Belief>(before ? filter.predicted(*before, rows) : filter.start(rows));
@@ -212,19 +318,19 @@ class Trial {
 };
 
 // The likeliest course and its gain; no gain if there is hardly any, or as much in a random order.
-std::pair<Course, double> course_of(const Drives &drives, const Evidence &evidence) {
+std::pair<Course, double> course_of(const Evidence &evidence) {
   if (evidence.queries() < 2) return {};
   std::vector<Course> courses;
   for (const Course &kind : COURSES)
     for (const int way : {FORWARDS, BACKWARDS}) courses.push_back({way, kind.rate, kind.streams});
   const std::vector<double> gains =
-      Trial(drives, courses).gains(evidence, in_order(evidence.queries()));
+      Trial(evidence.map(), courses).gains(evidence, in_order(evidence.queries()));
   std::size_t best = 0;
   const auto likely = [&](std::size_t course) { return gains[course] - (course ? UNUSUAL : 0); };
   for (std::size_t course = 1; course < courses.size(); ++course)
     if (likely(course) > likely(best)) best = course;
   if (gains[best] <= LEAST_GAIN) return {};
-  Trial again(drives, {courses[best]});
+  Trial again(evidence.map(), {courses[best]});
   if (again.gains(evidence, at_random(evidence.queries())).front() > BY_ROWS * gains[best])
     return {};
   return {courses[best], gains[best]};
@@ -279,7 +385,7 @@ std::pair<std::vector<double>, std::vector<double>> chances_around(
   std::vector<double> chances(queries.size(), 1), alone(chances);
   for (Size query = 0, first = 0, next = 0; query < count; ++query) {
     for (; next < std::min(count, query + later + 1); ++next)
-      window.push_back(evidence.beside(drives, queries[next], rows[next]));
+      window.push_back(evidence.beside(queries[next]));
     for (; first < query - AROUND; ++first) window.pop_front();
     if (rows[query] < 0) continue;
     const Sight &here = *window[query - first];
@@ -311,10 +417,20 @@ Size later_of(Mode mode, Size delay) {
   return mode == Mode::ONLINE ? std::min(AROUND, delay) : AROUND;
 }
 
+// Follows some queries as one stream in a way that the motion of the filter has.
+Places follow(const Filter &filter, const Evidence &evidence, const std::vector<Size> &queries,
+              Mode mode, Size delay, Size top) {
+  Places places(static_cast<Size>(queries.size()), top);
+  if (mode == Mode::ONLINE)
+    follow_online(filter, evidence, queries, delay, places);
+  else
+    follow_offline(filter, evidence, queries, places);
+  return places;
+}
+
 // Places all streams of a course.
-Followed follow_course(const Drives &drives, const Evidence &evidence, const Likeness &likeness,
-                       const Course &course, Mode mode, Size delay, Size top) {
-  const Filter filter(drives, Motion().at(course.rate), {course.way});
+Followed follow_course(const Evidence &evidence, const Likeness &likeness, const Course &course, Mode mode, Size delay, Size top) {
+  const Filter filter(evidence.map(), Motion().at(course.rate), {course.way});
   const Size later = later_of(mode, delay);
   Followed places(evidence.queries(), top);
   places.alone.resize(places.chance.size());
@@ -365,17 +481,17 @@ struct Judged {
   Likeness likeness;            // of a drive that may be followed
 };
 
-Judged judge(const Drives &drives, const Evidence &evidence, bool drive, Decision &decision) {
+Judged judge(const Evidence &evidence, bool drive, Decision &decision) {
   const Size queries = evidence.queries();
   Judged judged;
   judged.chances.assign(static_cast<std::size_t>(queries), std::numeric_limits<double>::quiet_NaN());
   std::vector<Size> rivals;
   for (Size query = 0; query < queries; ++query) {
-    const auto sight = evidence.alone(drives, query);
-    if (drive) judged.likeness.add(evidence.profile(*sight, query));
-    put(sight->scores, sight->rows, query, decision);
+    const Sight sight = evidence.alone(query);
+    if (drive) judged.likeness.add(evidence.profile(sight));
+    put(sight.scores, sight.rows, query, decision);
     if (decision.rows[query * decision.top] < 0) continue;
-    const Chance chance = chance_of_scores(sight->scores.data(), sight->rows, sight->matching);
+    const Chance chance = chance_of_scores(sight.scores.data(), sight.rows, sight.matching);
     judged.chances[query] = chance.chance;
     rivals.push_back(chance.rival);
   }
@@ -396,154 +512,6 @@ void doubt_lingering(const Decision &decision, Size later, Judged &judged) {
 }
 }  // namespace
 
-// ------------------------------------------------------------------------------------------ evidence
-
-namespace {
-void check(const std::vector<float> &scores) {
-  const auto count = static_cast<Size>(scores.size());
-  if (std::isnan(sum(scores.data(), count)) || highest(scores.data(), count) > HIGHEST_SCORE)
-    throw WrongScores();
-}
-
-std::shared_ptr<Sight> sight_of(const Scores &scores, const Drives &drives, Size query) {
-  auto sight = std::make_shared<Sight>();
-  sight->rows = drives.all();
-  sight->scores.resize(static_cast<std::size_t>(drives.rows));
-  scores.of(query, sight->scores.data());
-  check(sight->scores);
-  return sight;
-}
-
-void deviate(const Spread &spread, Sight &sight) {
-  sight.z.resize(sight.scores.size());
-  if (spread.deviation <= MIN_SPREAD) return;  // equal scores say nothing
-  for (std::size_t place = 0; place < sight.z.size(); ++place) {
-    const double near = nearness(static_cast<double>(sight.scores[place]));
-    if (sight.scores[place] != NONE)
-      sight.z[place] = static_cast<float>((near - spread.mean) / spread.deviation);
-  }
-}
-}  // namespace
-
-std::shared_ptr<const Sight> AllRows::alone(const Drives &drives, Size query) const {
-  return sight_of(scores_, drives, query);
-}
-
-std::shared_ptr<const Sight> AllRows::beside(const Drives &drives, Size query, Size) const {
-  const auto sight = sight_of(scores_, drives, query);
-  std::vector<float> near(sight->scores.size());
-  nearness(sight->scores.data(), sight->rows.count, near.data());
-  deviate(Spread::of(near.data(), sight->rows.count), *sight);
-  return sight;
-}
-
-std::shared_ptr<const Sight> AllRows::after(const Filter &filter, const Belief *,
-                                            Size query) const {
-  const Motion &motion = filter.motion();
-  if (last_ && query == query_ && motion.weight == weight_ && motion.level == level_) return last_;
-  const auto sight = sight_of(scores_, filter.drives(), query);
-  const float *scores = sight->scores.data();
-  const Size count = sight->rows.count;
-  std::vector<float> near(static_cast<std::size_t>(count));
-  nearness(scores, count, near.data());
-  const Spread spread = Spread::of(near.data(), count);
-  sight->likelihood.rows = likelihoods(scores, count, motion, spread);
-  query_ = query, weight_ = motion.weight, level_ = motion.level;
-  return last_ = sight;
-}
-
-std::vector<float> AllRows::profile(const Sight &alone, Size) const {
-  const auto rows = static_cast<Size>(alone.scores.size());
-  constexpr Size most = Likeness::COMPARED;
-  std::vector<float> some;
-  for (Size row = 0, step = std::max<Size>(1, (rows + most - 1) / most); row < rows; row += step)
-    some.push_back(alone.scores[row]);
-  return some;
-}
-
-namespace {
-std::shared_ptr<Sight> sight_of(const Search &search, const Drives &drives, Size query,
-                                std::vector<Size> &rows) {
-  std::sort(rows.begin(), rows.end());
-  rows.erase(std::unique(rows.begin(), rows.end()), rows.end());
-  auto sight = std::make_shared<Sight>();
-  sight->rows = drives.some(rows.data(), static_cast<Size>(rows.size()));
-  sight->scores.resize(rows.size());
-  search.of(query, rows, sight->scores.data());
-  // Of all rows as many could match as of the sample.
-  const std::vector<float> sampled = search.sample(query).second;
-  check(sight->scores);
-  check(sampled);
-  const auto matching = [](const std::vector<float> &scores) {
-    const auto none = std::count(scores.begin(), scores.end(), NONE);
-    return static_cast<Size>(scores.size()) - static_cast<Size>(none);
-  };
-  const auto count = static_cast<Size>(sampled.size());
-  const Size estimated = count ? drives.rows * matching(sampled) / count : drives.rows;
-  sight->matching = std::max(matching(sight->scores), estimated);
-  return sight;
-}
-
-// Adds the rows to which the most probable ones of a belief may have moved.
-void add_moved(const Filter &filter, const Belief &before, std::vector<Size> &rows) {
-  const std::vector<float> beliefs = before.of_rows();
-  const Drives &drives = filter.drives();
-  const auto [least, most] = filter.reach();
-  for (const Size place : best_of(beliefs, MAX_BELIEVED)) {
-    if (beliefs[place] < MIN_BELIEF) break;
-    const Size row = before.rows.at(place), drive = drives.of(row);
-    const Size last = std::min(row + most + 1, drives.last(drive));
-    for (Size each = std::max(row + least, drives.starts[drive]); each < last; ++each)
-      rows.push_back(each);
-  }
-}
-}  // namespace
-
-std::shared_ptr<const Sight> Candidates::alone(const Drives &drives, Size query) const {
-  std::vector<Size> rows = search_.candidates(query);
-  return sight_of(search_, drives, query, rows);
-}
-
-std::vector<float> Candidates::profile(const Sight &, Size query) const {
-  return search_.sample(query).second;
-}
-
-std::shared_ptr<const Sight> Candidates::beside(const Drives &drives, Size query, Size row) const {
-  std::vector<Size> rows = search_.candidates(query);
-  if (row >= 0) {
-    const Size drive = drives.of(row), last = std::min(row + NEAR + 1, drives.last(drive));
-    for (Size each = std::max(row - NEAR, drives.starts[drive]); each < last; ++each)
-      rows.push_back(each);
-  }
-  const auto sight = sight_of(search_, drives, query, rows);
-  deviate(search_.spread(query), *sight);
-  return sight;
-}
-
-std::shared_ptr<const Sight> Candidates::after(const Filter &filter, const Belief *before,
-                                               Size query) const {
-  const Drives &drives = filter.drives();
-  std::vector<Size> rows = search_.candidates(query);
-  if (before) add_moved(filter, *before, rows);
-  if (rows.empty() && drives.rows) rows.push_back(0);
-  const auto sight = sight_of(search_, drives, query, rows);
-  const Spread spread = search_.spread(query);
-  Likelihood &likelihood = sight->likelihood;
-  likelihood.rows = likelihoods(sight->scores.data(), sight->rows.count, filter.motion(), spread);
-  const auto [sampled, scores] = search_.sample(query);
-  std::vector<float> others;
-  for (std::size_t place = 0; place < sampled.size(); ++place)
-    if (!std::binary_search(rows.begin(), rows.end(), sampled[place]))
-      others.push_back(scores[place]);
-  const auto count = static_cast<Size>(others.size());
-  likelihood.elsewhere = sight->rows.count < drives.rows ? 1 : 0;
-  if (count)
-    likelihood.elsewhere =
-        sum(likelihoods(others.data(), count, filter.motion(), spread).data(), count) /
-        static_cast<double>(count);
-  return sight;
-}
-
 // ------------------------------------------------------------------------------------------ decision
 
 namespace {
@@ -562,38 +530,20 @@ Places::Places(Size queries, Size number)
       unmapped(near),
       chance(near.size(), 1) {}
 
-Places follow(const Filter &filter, const Evidence &evidence, const std::vector<Size> &queries,
-              Mode mode, Size delay, Size top) {
-  Places places(static_cast<Size>(queries.size()), top);
-  if (mode == Mode::ONLINE)
-    follow_online(filter, evidence, queries, delay, places);
-  else
-    follow_offline(filter, evidence, queries, places);
-  return places;
-}
-
-double gain(const Filter &filter, const Evidence &evidence, const std::vector<Size> &queries) {
-  Walk walk{filter, {}};
-  double gain = 0;
-  for (const Size query : queries) gain += walk.step(evidence, query);
-  return gain;
-}
-
-Decision decide(const Drives &drives, const Evidence &evidence, Mode mode, Size delay, Size top) {
+Decision decide(const Listing &listing, const Scores &scores, Mode mode, Size delay, Size top) {
+  const Evidence evidence(listing, scores);
   Decision decision(evidence.queries(), top);
-  Judged judged = judge(drives, evidence, mode != Mode::ALONE, decision);
-  if (mode != Mode::ALONE)
-    std::tie(decision.course, decision.gain) = course_of(drives, evidence);
+  Judged judged = judge(evidence, mode != Mode::ALONE, decision);
+  if (mode != Mode::ALONE) std::tie(decision.course, decision.gain) = course_of(evidence);
   if (decision.gain > 0) doubt_lingering(decision, later_of(mode, delay), judged);
   const double together = judged.together;
   assure(judged.chances, mapped(judged.chances, together, 1), together, decision);
   if (decision.gain > 0) {
     decision.gain /= static_cast<double>(evidence.queries());
     const Course course = decision.course;
-    take(follow_course(drives, evidence, judged.likeness, course, mode, delay, top), together,
-         decision);
+    take(follow_course(evidence, judged.likeness, course, mode, delay, top), together, decision);
   }
-  if (drives.rows < MIN_FRAMES) std::fill(decision.right.begin(), decision.right.end(), 0.0F);
+  if (listing.map.rows < MIN_FRAMES) std::fill(decision.right.begin(), decision.right.end(), 0.0F);
   return decision;
 }
 

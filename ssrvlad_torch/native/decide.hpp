@@ -1,18 +1,14 @@
 // From the scores of one drive to a decision: is it followed along the map, and how; which rows are the
 // best candidates of each query; how sure is the first.
 //
-//   places::Drives map{{0, 4000}, 9000};              // two drives, 9000 rows
-//   places::AllRows evidence(scores);                 // a places::Scores of these rows
-//   auto found = places::decide(map, evidence, places::Mode::OFFLINE, 0, 5);
+//   places::Listing map({{0, 4000}, 9000});           // two drives, 9000 rows
+//   auto found = places::decide(map, scores, places::Mode::OFFLINE, 0, 5);  // places::Scores of these rows
 //   found.rows[query * found.top];                    // the first candidate, -1 for none
 //   found.right[query];                               // the probability that it is right
-//
-// recognition/reference.py says the same plainly.
 
 #ifndef SSRVLAD_DECIDE_HPP
 #define SSRVLAD_DECIDE_HPP
 
-#include <memory>
 #include <vector>
 
 #include "confidence.hpp"
@@ -35,80 +31,6 @@ struct Course {
   int way = FORWARDS;
   double rate = 1;
   Size streams = 1;
-};
-
-// What is known of one query: the listed rows of a map, the scores of the query there, and the number of
-// rows of the map that could match, less than 0 for those that have a score.
-struct Sight {
-  Rows rows;
-  std::vector<float> scores;
-  Size matching = -1;
-  Likelihood likelihood;  // if the query is followed
-  std::vector<float> z;   // beside a row: by how many deviations each is nearer than the mean of all
-};
-
-// The queries of one drive, and how they fit a map. Not to be shared by threads.
-class Evidence {
- public:
-  virtual ~Evidence() = default;
-  virtual Size queries() const = 0;
-  // Of a query alone.
-  virtual std::shared_ptr<const Sight> alone(const Drives &drives, Size query) const = 0;
-  // Of a query that follows a belief, or is the first.
-  virtual std::shared_ptr<const Sight> after(const Filter &filter, const Belief *before,
-                                             Size query) const = 0;
-  // Of a query alone, with the rows within NEAR of one listed; 0 deviations where there is no score.
-  virtual std::shared_ptr<const Sight> beside(const Drives &drives, Size query, Size row) const = 0;
-  // The scores of a query that was seen alone at rows that represent all, the same for each query.
-  virtual std::vector<float> profile(const Sight &alone, Size query) const = 0;
-};
-
-// By the scores of all rows.
-class AllRows : public Evidence {
- public:
-  explicit AllRows(const Scores &scores) : scores_(scores) {}
-  Size queries() const override { return scores_.queries(); }
-  std::shared_ptr<const Sight> alone(const Drives &drives, Size query) const override;
-  std::shared_ptr<const Sight> after(const Filter &filter, const Belief *before,
-                                     Size query) const override;
-  std::shared_ptr<const Sight> beside(const Drives &drives, Size query, Size row) const override;
-  std::vector<float> profile(const Sight &alone, Size query) const override;
-
- private:
-  const Scores &scores_;
-  mutable std::shared_ptr<const Sight> last_;  // of the query, weight and level
-  mutable Size query_ = -1;
-  mutable double weight_ = 0, level_ = 0;
-};
-
-// Finds candidates for queries in a map that is too large to score every row, and scores any row.
-class Search {
- public:
-  virtual ~Search() = default;
-  virtual Size queries() const = 0;
-  // In any order, each once.
-  virtual std::vector<Size> candidates(Size query) const = 0;
-  // Fills the scores of rows, NONE where there can be no match.
-  virtual void of(Size query, const std::vector<Size> &rows, float *scores) const = 0;
-  // Of the nearness of all rows.
-  virtual Spread spread(Size query) const = 0;
-  // Rows that represent all rows, the same for each query, and their scores.
-  virtual std::pair<std::vector<Size>, std::vector<float>> sample(Size query) const = 0;
-};
-
-// By the candidates of a search, and the rows to which those that were believed may have moved.
-class Candidates : public Evidence {
- public:
-  explicit Candidates(const Search &search) : search_(search) {}
-  Size queries() const override { return search_.queries(); }
-  std::shared_ptr<const Sight> alone(const Drives &drives, Size query) const override;
-  std::shared_ptr<const Sight> after(const Filter &filter, const Belief *before,
-                                     Size query) const override;
-  std::shared_ptr<const Sight> beside(const Drives &drives, Size query, Size row) const override;
-  std::vector<float> profile(const Sight &alone, Size query) const override;
-
- private:
-  const Search &search_;
 };
 
 // Candidates of Q queries, (Q, top): scores, falling, NONE for none, and rows, -1 for none.
@@ -142,18 +64,8 @@ struct Decision : Matches {
   using Matches::Matches;
 };
 
-// The numbers of queries that follow one another: 0, 1, ...
-std::vector<Size> in_order(Size count);
-
-// A motion, way, mode, delay or top out of range is not looked for. An `Evidence` may throw.
-Decision decide(const Drives &drives, const Evidence &evidence, Mode mode, Size delay, Size top);
-
-// Follows some queries as one stream in a way that the motion of the filter has.
-Places follow(const Filter &filter, const Evidence &evidence, const std::vector<Size> &queries,
-              Mode mode, Size delay, Size top);
-
-// How much likelier queries are as a stream than each alone, as a logarithm.
-double gain(const Filter &filter, const Evidence &evidence, const std::vector<Size> &queries);
+// The scores are those of the listed rows. A mode, delay or top out of range is not looked for.
+Decision decide(const Listing &listing, const Scores &scores, Mode mode, Size delay, Size top);
 
 }  // namespace places
 

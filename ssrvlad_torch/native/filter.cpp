@@ -291,6 +291,24 @@ Size Rows::at(Size place) const {
   return std::prev(next)->first + place - std::prev(next)->at;
 }
 
+Size Rows::from(Size row) const {
+  const auto run = std::upper_bound(runs.begin(), runs.end(), row,
+                                    [](Size value, const Run &each) { return value < each.last; });
+  return run == runs.end() ? count : run->at + std::max<Size>(0, row - run->first);
+}
+
+Spread Listing::spread(const float *near) const {
+  if (weights.empty()) return Spread::of(near, count());
+  double number = 0, total = 0, squares = 0;
+  for (Size place = 0; place < count(); ++place)
+    if (near[place] != NONE) number += weights[place], total += weights[place] * static_cast<double>(near[place]);
+  if (number == 0) return {};
+  const double mean = total / number;
+  for (Size place = 0; place < count(); ++place)
+    if (near[place] != NONE) squares += weights[place] * (static_cast<double>(near[place]) - mean) * (static_cast<double>(near[place]) - mean);
+  return {mean, std::max(MIN_SPREAD, std::sqrt(squares / number))};
+}
+
 std::vector<float> Belief::of_rows() const {
   std::vector<float> found(mapped.begin(), mapped.begin() + rows.count);
   for (int speed = 1; speed < SPEEDS; ++speed)

@@ -1,9 +1,9 @@
 // The hidden Markov model of a drive along the rows of a map.
 //
 // The state is a row where the camera is, and its speed in rows a frame. The belief holds a list of
-// rows: the candidates of a search, or all rows. All other rows are one more state, elsewhere, with one
-// probability for each of them; a place that the map lacks is the last one. recognition/reference.py
-// says the same with whole matrices.
+// rows: a shortlist, or all rows. All other rows are one more state, elsewhere, with one
+// probability for each of them; a place that the map lacks is the last one.
+// tests/oracles/recognition.py says the same with whole matrices.
 
 #ifndef SSRVLAD_FILTER_HPP
 #define SSRVLAD_FILTER_HPP
@@ -56,7 +56,8 @@ struct Rows {
   std::vector<Run> runs;
   Size count = 0;
 
-  Size at(Size place) const;  // the row at a place of the list
+  Size at(Size place) const;    // the row at a place of the list
+  Size from(Size row) const;    // the place of the first listed row from a row on
 };
 
 // Where each drive of a map starts, and how many rows the map has.
@@ -68,6 +69,29 @@ struct Drives {
   Size of(Size row) const;                        // the drive of a row
   Rows all() const;                               // all rows
   Rows some(const Size *rows, Size count) const;  // rising rows, each once
+};
+
+// The rows of a map that are compared: all, or a shortlist with a random sample of the others, in which a
+// row stands for several of the map.
+struct Listing {
+  Drives map;                   // all rows
+  Rows rows;                    // those that are listed
+  Drives drives;                // of the list, by places: adjacent rows that may share a mean
+  std::vector<double> weights;  // of listed rows, how many each stands for; empty for all rows
+
+  explicit Listing(Drives all) : map(std::move(all)), rows(map.all()), drives(map) {}
+  Listing(Drives all, const Size *listed, std::vector<double> weighed, Drives parts)
+      : map(std::move(all)), rows(map.some(listed, parts.rows)), drives(std::move(parts)),
+        weights(std::move(weighed)) {}
+
+  Size count() const { return rows.count; }
+  // The places of the rows that are at most so many rows from that at a place: the first, and the one
+  // after the last.
+  std::pair<Size, Size> around(Size place, Size reach) const {
+    return {rows.from(rows.at(place) - reach), rows.from(rows.at(place) + reach + 1)};
+  }
+  // Of all rows of the map, by the nearness of those that are listed.
+  Spread spread(const float *near) const;
 };
 
 // Visits neighbouring rows as seen from a drive: those of it that a list holds, by the row, the place

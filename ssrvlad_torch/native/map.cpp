@@ -21,64 +21,86 @@ bool are_finite(const float *values, Size count) {
   });
 }
 
+// What a map is compared by, and what this is made of.
+class Together : public Scores {
+ public:
+  std::vector<std::unique_ptr<Scores>> parts;
+
+  Size queries() const override { return parts.back()->queries(); }
+  Size rows() const override { return parts.back()->rows(); }
+  void of(Size query, float *scores) const override { parts.back()->of(query, scores); }
+};
+
 }  // namespace
 
 void Map::add(const ssrvlad_channel &channel) {
-  require((channel.rows || !drives_.rows) && channel.trust > 0 && std::isfinite(channel.trust) &&
-          channel.columns >= 1 && channel.size >= 1);
-  const bool are_signs = channel.kind == SSRVLAD_SIGNS;
-  require(may_be({drives_.rows, channel.columns, channel.size}));
-  Member member{nullptr, 0, channel.columns * channel.size * (are_signs ? 8 : 1), channel.trust};
-  require(member.of_mean <= MOST_NUMBERS);
-  require(!channel.means ||
-          are_finite(channel.means, static_cast<Size>(drives_.starts.size()) * member.of_mean));
-  if (are_signs) {
-    member.channel = channel_of_signs(static_cast<const std::uint8_t *>(channel.rows), channel.columns,
-                                      channel.size, drives_, channel.means);
-  } else {
-    const auto *rows = static_cast<const float *>(channel.rows);
-    require(channel.kind == SSRVLAD_VECTORS && channel.columns == 1);
-    require(are_finite(rows, drives_.rows * channel.size));
-    member.channel = channel_of_vectors(rows, channel.size, drives_, channel.means);
-    member.length = channel.size;
+  const Size rows = listing_.count();
+  require(channel.trust > 0 && std::isfinite(channel.trust) && channel.columns >= 1 && channel.size >= 1);
+  Member member{nullptr, 0, 0, channel.trust};
+  if (channel.kind != SSRVLAD_SCORES) {
+    const bool are_signs = channel.kind == SSRVLAD_SIGNS;
+    require((channel.rows || !rows) && may_be({rows, channel.columns, channel.size}));
+    member.of_mean = channel.columns * channel.size * (are_signs ? 8 : 1);
+    require(member.of_mean <= MOST_NUMBERS);
+    const auto means = static_cast<Size>(listing_.drives.starts.size());
+    require(!channel.means || are_finite(channel.means, means * member.of_mean));
+    if (are_signs) {
+      member.channel = channel_of_signs(static_cast<const std::uint8_t *>(channel.rows), channel.columns,
+                                        channel.size, listing_, channel.means);
+    } else {
+      const auto *vectors = static_cast<const float *>(channel.rows);
+      require(channel.kind == SSRVLAD_VECTORS && channel.columns == 1);
+      require(are_finite(vectors, rows * channel.size));
+      member.channel = channel_of_vectors(vectors, channel.size, listing_, channel.means);
+      member.length = channel.size;
+    }
   }
-  members_.push_back(std::move(member));
+  channels_.push_back(std::move(member));
 }
 
-std::unique_ptr<Comparison> Map::compare(Size channel, const ssrvlad_queries &queries, Size count,
+std::unique_ptr<Comparison> Map::compare(const Member &member, const ssrvlad_queries &queries, Size count,
                                          bool standardised, bool swept, int threads) const {
-  const Member &member = members_[static_cast<std::size_t>(channel)];
+  const Size size = member.channel ? member.of_mean : listing_.count();
   require((queries.descriptors || !count) && queries.anchors >= 1 && queries.anchors % 2 == 1 &&
-          may_be({count, queries.anchors, member.of_mean}));
-  const auto *vectors = static_cast<const float *>(queries.descriptors);
-  require(member.length ? are_finite(vectors, count * queries.anchors * member.length) : queries.anchors == 1);
-  require(!queries.mean || are_finite(queries.mean, member.of_mean));
-  return member.channel->compare({queries.descriptors, count, queries.anchors, queries.mean}, standardised,
-                                 swept, threads);
+          may_be({count, queries.anchors, size}));
+  const auto *numbers = static_cast<const float *>(queries.descriptors);
+  if (!member.channel) return comparison_of_scores(numbers, count, size);
+  require(member.length ? are_finite(numbers, count * queries.anchors * member.length) : queries.anchors == 1);
+  return member.channel->compare({numbers, count, queries.anchors}, standardised, swept, threads);
+}
+
+std::unique_ptr<Scores> Map::compare(const ssrvlad_queries *queries, Size count, const ssrvlad_steps &steps,
+                                     int threads, ssrvlad_taken &taken) const {
+  for (Size number = 0; steps.excluded && number < 2 * count; ++number)
+    require(steps.excluded[number] >= 0 && steps.excluded[number] <= listing_.map.rows);
+  taken.standardised = steps.standardise && std::min(count, listing_.map.rows) >= MIN_FRAMES;
+  taken.width = 0;
+  auto together = std::make_unique<Together>();
+  std::vector<const Scores *> candidates;
+  std::vector<double> trust;
+  for (const Member &member : channels_) {
+    auto compared = compare(member, *queries++, count, taken.standardised, steps.sweep, threads);
+    taken.width = std::max(taken.width, compared->width);
+    together->parts.push_back(std::move(compared));
+    together->parts.push_back(std::make_unique<Candidates>(*together->parts.back(), listing_, steps.allowed, steps.excluded));
+    candidates.push_back(together->parts.back().get());
+    trust.push_back(member.trust);
+  }
+  std::vector<double> weights = {1};
+  if (candidates.size() > 1) {
+    auto fused = std::make_unique<Fused>(candidates, trust, listing_);
+    weights = fused->weights();
+    together->parts.push_back(std::move(fused));
+  }
+  require(taken.weights);
+  std::copy(weights.begin(), weights.end(), taken.weights);
+  return together;
 }
 
 Decision Map::query(const ssrvlad_queries *queries, Size count, const ssrvlad_steps &steps, int threads,
                     ssrvlad_taken &taken) const {
-  const bool standardised = steps.standardise && std::min(count, drives_.rows) >= MIN_FRAMES;
-  std::vector<std::unique_ptr<Comparison>> compared;
-  std::vector<const Scores *> members;
-  std::vector<double> trust;
-  taken.standardised = standardised;
-  taken.width = 0;
-  for (Size channel = 0; channel < channels(); ++channel) {
-    compared.push_back(compare(channel, queries[channel], count, standardised, steps.sweep, threads));
-    members.push_back(compared.back().get());
-    trust.push_back(members_[static_cast<std::size_t>(channel)].trust);
-    taken.width = std::max(taken.width, compared.back()->width);
-  }
-  std::unique_ptr<Fused> fused;
-  if (members.size() > 1) fused = std::make_unique<Fused>(members, trust);
-  const std::vector<double> weights = fused ? fused->weights() : std::vector<double>{1};
-  require(taken.weights);
-  std::copy(weights.begin(), weights.end(), taken.weights);
-  const Scores &scores = fused ? *fused : *members.front();
-  const AllRows evidence(scores);
-  return decide(drives_, evidence, static_cast<Mode>(steps.follow), steps.delay, steps.top);
+  const auto scores = compare(queries, count, steps, threads, taken);
+  return decide(listing_, *scores, static_cast<Mode>(steps.follow), steps.delay, steps.top);
 }
 
 }  // namespace places

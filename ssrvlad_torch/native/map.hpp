@@ -12,18 +12,19 @@ namespace places {
 // Its functions check the channels and queries, and throw `Failed`.
 class Map {
  public:
-  explicit Map(Drives drives) : drives_(std::move(drives)) {}
+  explicit Map(Listing listing) : listing_(std::move(listing)) {}
 
-  Size channels() const { return static_cast<Size>(members_.size()); }
+  Size channels() const { return static_cast<Size>(channels_.size()); }
   void add(const ssrvlad_channel &channel);
-  std::unique_ptr<Comparison> compare(Size channel, const ssrvlad_queries &queries, Size count,
-                                      bool standardised, bool swept, int threads) const;
-  // Fills the steps that were taken.
+  // The scores of a drive by all channels as one, which the map and what is given must outlive. Fills the
+  // steps that were taken.
+  std::unique_ptr<Scores> compare(const ssrvlad_queries *queries, Size count, const ssrvlad_steps &steps,
+                                  int threads, ssrvlad_taken &taken) const;
   Decision query(const ssrvlad_queries *queries, Size count, const ssrvlad_steps &steps, int threads,
                  ssrvlad_taken &taken) const;
 
  private:
-  // A channel, and what its queries must be.
+  // A channel, none for scores of another method, and what its queries must be.
   struct Member {
     std::unique_ptr<Channel> channel;
     Size length;  // of vectors; 0 for signs
@@ -31,8 +32,11 @@ class Map {
     double trust;
   };
 
-  Drives drives_;
-  std::vector<Member> members_;
+  std::unique_ptr<Comparison> compare(const Member &member, const ssrvlad_queries &queries, Size count,
+                                      bool standardised, bool swept, int threads) const;
+
+  Listing listing_;
+  std::vector<Member> channels_;
 };
 
 }  // namespace places

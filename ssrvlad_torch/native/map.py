@@ -1,8 +1,7 @@
-"""The map of the core, ``ssrvlad_map.h``, on arrays: from descriptors of a map and of a drive to
-places.
+"""The map of the core, ``ssrvlad_map.h``, on arrays: from descriptors of a map and of a sequence of
+queries to places.
 
-It needs NumPy and the compiled core, and nothing else of the package. `recognition.reference` says
-the same plainly.
+It needs NumPy and the compiled core, and nothing else of the package.
 """
 
 from __future__ import annotations
@@ -17,98 +16,172 @@ import numpy as np
 import numpy.typing as npt
 
 from . import required
-from .decide import Decision, Floats, Room, problem, steps_of
 from .headers import struct
 
 Array = npt.NDArray[Any]
+Floats = npt.NDArray[np.floating[Any]]
+Rows = npt.NDArray[np.int64]
 
-MIN_FRAMES = 30
-"""Of a drive that has a mean of its own, and of a map for it."""
+MODES = {None: 0, "online": 1, "offline": 2}
+
+_VECTORS, _SIGNS, _SCORES = 0, 1, 2
+_HIGHEST = 1.001
+"""The highest cosine that rounding can give."""
+_WRONG_ARGUMENT = -2
 
 
-class Found(NamedTuple):
-    """The places of a drive, and the steps that were taken.
+class Taken(NamedTuple):
+    """The steps that were taken.
 
     Attributes:
-        decision: candidates, and how sure the first are.
-        standardised: whether each drive lost the mean of its descriptors.
+        standardised: whether each sequence lost the mean of its descriptors.
         width: of the sweep, in anchors to each side.
         weights: of the channels, by their names; their sum is 1.
     """
 
-    decision: Decision
     standardised: bool
     width: int
     weights: dict[str, float]
 
 
-class Map:
+class Decision(NamedTuple):
+    """What is decided of the queries of one sequence.
+
+    Attributes:
+        scores: ``(Q, top)`` float32, of the candidates; -inf for none. Probabilities of rows if the
+            sequence is followed, of the first candidate with the rows beside it; else their scores.
+        rows: ``(Q, top)`` int64; -1 for none.
+        right, spread, together: ``(Q,)`` float32, the probability that the first candidate is
+            right, its standard deviation, and how many neighbouring queries err together.
+        followed: whether the sequence is followed.
+        way, rate, streams: the course that was taken, or would have been: the way, the rate in rows
+            of the map a frame, the number of streams whose frames alternate.
+        gain: of the course, a query; 0 if there is none.
+        taken: the steps before.
+    """
+
+    scores: Floats
+    rows: Rows
+    right: Floats
+    spread: Floats
+    together: Floats
+    followed: bool
+    way: int
+    rate: float
+    streams: int
+    gain: float
+    taken: Taken
+
+
+class Shortlist(NamedTuple):
+    """Some rows of a map that stand for all: likely candidates and a random sample of the others.
+
+    Attributes:
+        rows: ``(N,)`` int64, rising.
+        weights: ``(N,)`` float64, how many rows of the map each stands for, from 1.
+        means: ``(M,)`` int64, the first places, rising from 0, of adjacent rows that lose one mean.
+    """
+
+    rows: Rows
+    weights: npt.NDArray[np.float64]
+    means: Rows
+
+
+class DescriptorMap:
     """The rows of a map by one or several channels.
 
     Args:
-        frames: the number of frames of each drive of the map, in its order.
+        frames: the number of frames of each sequence of the map, in its order.
+        shortlist: the rows that are there, if not all.
 
     Raises:
-        ValueError: a drive has no frame.
+        ValueError: a sequence has no frame, or the rows of the shortlist do not rise.
         RuntimeError: the core is not there, or memory is short.
 
     Examples:
         >>> import numpy as np
-        >>> from ssrvlad_torch.native.map import Map
+        >>> from ssrvlad_torch.native.map import DescriptorMap
         >>> frames = np.eye(40, dtype=np.float32)
-        >>> town = Map([40])
+        >>> town = DescriptorMap([40])
         >>> town.add("shapes", frames)
-        >>> town.query({"shapes": frames[5:9]}).decision.rows[:, 0].tolist()
+        >>> town.query({"shapes": frames[5:9]}).rows[:, 0].tolist()
         [5, 6, 7, 8]
     """
 
-    def __init__(self, frames: Sequence[int]) -> None:
+    def __init__(self, frames: Sequence[int], shortlist: Shortlist | None = None) -> None:
         core = required()
         starts = np.cumsum([0, *frames], dtype=np.int64)
-        drives = struct("drives")(starts.ctypes.data, len(frames), int(starts[-1]))
-        self._map = core.ssrvlad_map_new(ctypes.byref(drives))
+        self.frames, self._count = int(starts[-1]), int(starts[-1])
+        self._means = len(frames)
+        drives = struct("drives")(starts.ctypes.data, len(frames), self.frames)
+        if shortlist is None:
+            self._map = core.ssrvlad_map_new(ctypes.byref(drives))
+        else:
+            rows = np.ascontiguousarray(shortlist.rows, np.int64)
+            means = np.ascontiguousarray(shortlist.means, np.int64)
+            weights = np.ascontiguousarray(shortlist.weights, np.float64)
+            self._count, self._means = len(rows), len(means)
+            listed = struct("shortlist")(
+                rows.ctypes.data, weights.ctypes.data, len(rows), means.ctypes.data, len(means)
+            )
+            self._map = core.ssrvlad_map_of(ctypes.byref(drives), ctypes.byref(listed))
         if not self._map:
-            raise ValueError(f"expected drives of at least 1 frame, got {list(frames)}")
+            raise ValueError(
+                f"expected sequences of at least 1 frame and rising rows, got {list(frames)[:9]}"
+            )
         weakref.finalize(self, core.ssrvlad_map_free, ctypes.c_void_p(self._map))
-        self._rows: dict[str, Array] = {}
-        self._of_drives: dict[str, Array | None] = {}
-        self._frames, self._drives = int(starts[-1]), len(frames)
+        self._channels: dict[str, Array | None] = {}
+        self._of_sequences: list[Array | None] = []
 
     def __len__(self) -> int:
-        return self._frames
+        """Number of rows that are there."""
+        return self._count
 
-    def add(self, name: str, rows: Array, trust: float = 1.0, means: Array | None = None) -> None:
+    def add(
+        self, name: str, rows: Array | None, trust: float = 1.0, means: Array | None = None
+    ) -> None:
         """Adds a channel. The rows stay where they are, if they are contiguous.
 
         Args:
             name: of the channel.
             rows: vectors ``(R, D)`` float32 of length 1 or zero, which match nothing; or signs
-                ``(R, columns, ...)`` uint8, eight in a byte.
-            trust: how much the channel counts before anything is known of a drive.
-            means: of the drives, if the rows are only some of theirs: ``(drives, D)`` float32, of
-                signs as 1 and -1 ``(drives, columns, bits)``.
+                ``(R, columns, ...)`` uint8, eight in a byte; ``None`` for scores of another method.
+            trust: how much the channel counts before anything is known of a sequence.
+            means: what the rows of a shortlist lose: ``(M, D)`` float32, of signs as 1 and -1 ``(M,
+                columns, bits)``.
 
         Raises:
             ValueError: the rows are no such array, not one for each frame, or not finite.
         """
-        if name in self._rows:
-            raise ValueError(f"{name}: expected a name that is new, got {', '.join(self._rows)}")
-        if len(rows) != self._frames:
+        if name in self._channels:
             raise ValueError(
-                f"{name}: expected a row for each of {self._frames} frames, got {len(rows)}"
+                f"{name}: expected a name that is new, got {', '.join(self._channels)}"
             )
-        kept = _checked(rows, name)
-        kind = 0 if kept.dtype == np.float32 else 1
-        if kind == 0 and kept.ndim != 2:
-            raise ValueError(f"{name}: expected vectors (R, D), got {kept.shape}")
-        columns, size = 1 if kind == 0 else kept.shape[1], int(np.prod(kept.shape[1 + kind :]))
-        of_drives = self._means(name, means, (self._drives, columns * size * (8 if kind else 1)))
-        given = struct("channel")(kept.ctypes.data, kind, columns, size, trust, _address(of_drives))
-        status = required().ssrvlad_map_add_channel(self._map, ctypes.byref(given))
+        array, address, kind, columns, size, bits = None, None, _SCORES, 1, 1, 1
+        if rows is not None:
+            array = _checked(rows, name)
+            if len(array) != self._count:
+                raise ValueError(
+                    f"{name}: expected a row for each of {self._count} frames, got {len(array)}"
+                )
+            kind, bits = (_VECTORS, 1) if array.dtype == np.float32 else (_SIGNS, 8)
+            if kind == _VECTORS and array.ndim != 2:
+                raise ValueError(f"{name}: expected vectors (R, D), got {array.shape}")
+            columns = 1 if kind == _VECTORS else array.shape[1]
+            size, address = math.prod(array.shape[1:]) // columns, array.ctypes.data
+        if means is not None:
+            means = np.ascontiguousarray(means, np.float32)
+            if means.size != self._means * columns * size * bits:
+                raise ValueError(
+                    f"{name}: expected means of {self._means} parts of the map, got {means.shape}"
+                )
+        channel = struct("channel")(address, kind, columns, size, trust, _address(means))
+        status = required().ssrvlad_map_add_channel(self._map, ctypes.byref(channel))
         if status:
-            got = f"{kept.shape}, trust {trust}"
+            got = f"{None if array is None else array.shape}, trust {trust}"
             raise problem(status, f"{name} as finite rows and a trust above 0, got {got}")
-        self._rows[name], self._of_drives[name] = kept, of_drives
+        self._channels[name] = array
+        self._of_sequences.append(means)
 
     def query(
         self,
@@ -119,127 +192,123 @@ class Map:
         delay: int = 0,
         top: int = 5,
         threads: int = 1,
-    ) -> Found:
-        """Finds the queries of one drive.
+        allowed: Array | None = None,
+        excluded: Array | None = None,
+    ) -> Decision:
+        """Finds the queries of one sequence.
 
         Args:
             queries: by the name of each channel of the map, ``(Q, *shape)``; of vectors also from
-                several anchors, the usual one in the middle, ``(Q, S, D)``.
-            standardise: subtract the mean of each drive, if queries and map have `MIN_FRAMES`.
+                several anchors, the usual one in the middle, ``(Q, S, D)``; scores of another
+                method ``(Q, R)`` float32, at most 1, -inf where there can be no match.
+            standardise: subtract the mean of each sequence, if queries and map have 30 frames.
             sweep: use the anchors that suit the scores best, and move signs to both sides.
             follow: ``"online"``, with ``delay`` later queries, ``"offline"``, or ``None``.
             top: number of candidates of each query.
             threads: that share the rows.
+            allowed: ``(R,)`` bool, rows that may be candidates.
+            excluded: ``(Q, 2)`` int64, rows of the map that may not be those of a query: the first
+                and the one after the last.
 
         Raises:
             ValueError: the channels are not those of the map, or an argument is out of range.
-            RuntimeError: memory is short.
+            MemoryError: memory is short.
         """
-        if [*queries] != [*self._rows] or not queries:
-            wanted, got = (", ".join(names) or "none" for names in (self._rows, queries))
+        call = _Call(self, queries, (standardise, sweep, follow, delay, top), allowed, excluded)
+        matches = np.empty((call.count, top), np.float32), np.empty((call.count, top), np.int64)
+        sure, decided = np.empty((3, call.count), np.float32), struct("decision")()
+        names = "scores", "rows", "right", "spread", "together"
+        for name, array in zip(names, (*matches, *sure), strict=True):
+            setattr(decided, name, array.ctypes.data)
+        taken = call.run("ssrvlad_map_query", threads, ctypes.byref(decided))
+        course = bool(decided.followed), decided.way, decided.rate, decided.streams, decided.gain
+        right, spread, together = sure
+        return Decision(*matches, right, spread, together, *course, taken)
+
+    def compare(
+        self,
+        queries: Mapping[str, Array],
+        standardise: bool = False,
+        sweep: bool = False,
+        threads: int = 1,
+        allowed: Array | None = None,
+        excluded: Array | None = None,
+    ) -> tuple[Floats, Taken]:
+        """The scores ``(Q, R)`` float32 by which `query` decides, of all channels, -inf where there
+        can be no match."""
+        call = _Call(self, queries, (standardise, sweep, None, 0, 1), allowed, excluded)
+        scores = np.empty((call.count, self._count), np.float32)
+        return scores, call.run("ssrvlad_map_compare", threads, scores.ctypes.data)
+
+
+class _Call:
+    """The queries of one sequence and the steps, as the core takes them."""
+
+    def __init__(
+        self,
+        town: DescriptorMap,
+        queries: Mapping[str, Array],
+        steps: tuple[bool, bool, str | None, int, int],
+        allowed: Array | None,
+        excluded: Array | None,
+    ) -> None:
+        if [*queries] != [*town._channels] or not queries:
+            wanted, got = (", ".join(names) or "none" for names in (town._channels, queries))
             raise ValueError(f"expected queries by {wanted}, got {got}")
-        chosen = steps_of(follow, delay, top, "follow")
-        kept = {name: self._of_queries(name, each) for name, each in queries.items()}
-        counts = {name: len(each) for name, each in kept.items()}
-        if len(set(counts.values())) != 1:
-            raise ValueError(f"expected one number of queries by all channels, got {counts}")
-        count = next(iter(counts.values()))
-        given = (struct("queries") * len(kept))(
-            *(self._given(name, each) for name, each in kept.items())
-        )
-        room = Room(count, top)
-        steps = struct("steps")(standardise, sweep, *chosen)
-        weights = (ctypes.c_double * len(kept))()
+        standardise, sweep, follow, delay, top = steps
+        _expect("follow", follow, follow in MODES, ", ".join(map(str, MODES)))
+        _expect("delay", delay, delay >= 0, "at least 0")
+        _expect("top", top, top >= 1, "at least 1")
+        self._town = town
+        self._arrays = {name: self._array(name, array) for name, array in queries.items()}
+        counts = {name: len(array) for name, array in self._arrays.items()}
+        self.count = next(iter(counts.values()))
+        _expect("queries", counts, len(set(counts.values())) == 1, "one number by all channels")
+        self._allowed = _of_shape("allowed", allowed, np.uint8, (len(town),))
+        self._excluded = _of_shape("excluded", excluded, np.int64, (self.count, 2))
+        self._steps = struct("steps")(
+            standardise, sweep, MODES[follow], delay, top,
+            _address(self._allowed), _address(self._excluded),
+        )  # fmt: skip
+
+    def run(self, name: str, threads: int, target: Any) -> Taken:
+        """Calls a function of the core that fills a target."""
+        weights = (ctypes.c_double * len(self._arrays))()
         taken = struct("taken")(weights=ctypes.addressof(weights))
-        status = required().ssrvlad_map_query(
-            self._map, given, count, ctypes.byref(steps), threads, room.pointer,
+        given = (struct("queries") * len(self._arrays))(
+            *((array.ctypes.data, self._anchors(name)) for name, array in self._arrays.items())
+        )
+        status = getattr(required(), name)(
+            self._town._map, given, self.count, ctypes.byref(self._steps), threads, target,
             ctypes.byref(taken),
         )  # fmt: skip
         if status:
             raise problem(status, "finite queries, whose scores are at most 1")
-        return Found(
-            room.decision(),
-            bool(taken.standardised),
-            taken.width,
-            dict(zip(kept, weights, strict=True)),
-        )
+        by_name = dict(zip(self._arrays, weights, strict=True))
+        return Taken(bool(taken.standardised), taken.width, by_name)
 
-    def compare(
-        self,
-        name: str,
-        queries: Array,
-        standardised: bool,
-        sweep: bool,
-        threads: int = 1,
-        mean: Array | None = None,
-    ) -> Comparison:
-        """The scores of the queries of one drive by one channel; arguments as for `query`, except
-        that ``standardised`` is not asked of the numbers of frames. The ``mean`` of the drive, of
-        the shape of those of `add`, is given if the queries are only some of it: it is subtracted,
-        and all anchors count."""
-        kept, rows = self._of_queries(name, queries), self._rows[name]
-        bits = 1 if rows.dtype == np.float32 else 8
-        of_drive = self._means(name, mean, (bits * math.prod(rows.shape[1:]),))
-        given, width = self._given(name, kept), ctypes.c_int64()
-        given.mean = _address(of_drive)
-        number = [*self._rows].index(name)
-        comparison = required().ssrvlad_map_compare(
-            self._map, number, ctypes.byref(given), len(kept), standardised, sweep, threads,
-            ctypes.byref(width),
-        )  # fmt: skip
-        if not comparison:
-            raise ValueError(
-                f"{name}: expected finite queries that fit in memory, got {kept.shape}"
-            )
-        return Comparison(comparison, self, len(kept), width.value)
-
-    def _of_queries(self, name: str, queries: Array) -> Array:
-        rows, kept = self._rows[name], _checked(queries, name)
-        anchors = kept.ndim - rows.ndim if rows.dtype == np.float32 else 0
-        fits = kept.dtype == rows.dtype and kept.shape[1 + anchors :] == rows.shape[1:]
-        if not fits or (anchors == 1 and kept.shape[1] % 2 == 0):
+    def _array(self, name: str, queries: Array) -> Array:
+        rows = self._town._channels[name]
+        if rows is None:
+            scores = _of_shape(name, queries, np.float32, (len(queries), len(self._town)))
+            assert scores is not None
+            most = float(scores.max(initial=-np.inf))
+            _expect(name, most, most <= _HIGHEST, "scores of at most 1, as cosines are")
+            return scores
+        array = _checked(queries, name)
+        anchors = array.ndim - rows.ndim if rows.dtype == np.float32 else 0
+        fits = array.dtype == rows.dtype and array.shape[1 + anchors :] == rows.shape[1:]
+        if not fits or (anchors == 1 and array.shape[1] % 2 == 0):
             wanted = ", ".join(map(str, rows.shape[1:]))
             raise ValueError(
                 f"{name}: expected queries (Q, {wanted}) {rows.dtype}, of vectors also (Q, S, D) "
-                f"with an odd S, got {kept.shape} {kept.dtype}"
+                f"with an odd S, got {array.shape} {array.dtype}"
             )
-        return kept
+        return array
 
-    @staticmethod
-    def _means(name: str, means: Array | None, shape: tuple[int, ...]) -> Array | None:
-        if means is None:
-            return None
-        kept = np.ascontiguousarray(means, np.float32)
-        if kept.size != math.prod(shape):
-            raise ValueError(f"{name}: expected means of {shape} numbers, got {kept.shape}")
-        return kept
-
-    def _given(self, name: str, queries: Array) -> Any:
-        anchors = queries.shape[1] if queries.ndim > self._rows[name].ndim else 1
-        return struct("queries")(queries.ctypes.data, anchors)
-
-
-class Comparison:
-    """The scores ``(Q, R)`` of the queries of one drive, computed in blocks; for one thread.
-
-    Attributes:
-        width: of the sweep, in anchors to each side.
-    """
-
-    def __init__(self, handle: int, of: Map, queries: int, width: int) -> None:
-        self.width, self._handle, self._map, self._queries = width, handle, of, queries
-        weakref.finalize(self, required().ssrvlad_comparison_free, ctypes.c_void_p(handle))
-
-    def __len__(self) -> int:
-        return self._queries
-
-    def __getitem__(self, query: int, /) -> Floats:
-        """``(R,)`` float32, -inf where there can be no match."""
-        scores = np.empty(len(self._map), np.float32)
-        status = required().ssrvlad_comparison_scores(self._handle, query, scores.ctypes.data)
-        if status:
-            raise problem(status, f"a query below {self._queries}, got {query}")
-        return scores
+    def _anchors(self, name: str) -> int:
+        rows, queries = self._town._channels[name], self._arrays[name]
+        return queries.shape[1] if rows is not None and queries.ndim > rows.ndim else 1
 
 
 def match(
@@ -278,17 +347,40 @@ def match(
         raise problem(status, f"vectors of at least 1 number, got {vectors.shape}")
 
 
+def problem(status: int, expected: str) -> Exception:
+    """What to raise for a return code of the core."""
+    if status == _WRONG_ARGUMENT:
+        return ValueError(f"expected {expected}")
+    return MemoryError("the core")
+
+
+def _expect(name: str, got: object, fits: bool, wanted: str) -> None:
+    if not fits:
+        raise ValueError(f"{name}: expected {wanted}, got {got!r}")
+
+
+def _of_shape(
+    name: str, values: Array | None, kind: type[np.generic], shape: tuple[int, ...]
+) -> Array | None:
+    if values is None:
+        return None
+    array = np.ascontiguousarray(values, kind)
+    _expect(name, array.shape, array.shape == shape, f"shape {shape}")
+    return array
+
+
 def _address(array: Array | None) -> int | None:
     return None if array is None else array.ctypes.data
 
 
 def _checked(array: Array, name: str) -> Array:
     """Contiguous vectors or signs."""
-    kept = np.ascontiguousarray(array, np.float32 if array.dtype.kind == "f" else None)
-    are_signs = kept.dtype == np.uint8 and kept.ndim >= 3
-    if not are_signs and not (kept.dtype == np.float32 and kept.ndim in (2, 3)):
+    numbers = np.asarray(array)
+    checked = np.ascontiguousarray(numbers, np.float32 if numbers.dtype.kind == "f" else None)
+    are_signs = checked.dtype == np.uint8 and checked.ndim >= 3
+    if not are_signs and not (checked.dtype == np.float32 and checked.ndim in (2, 3)):
         raise ValueError(
             f"{name}: expected vectors of float32 or signs (N, columns, ...) of uint8, got "
-            f"{kept.shape} {kept.dtype}"
+            f"{checked.shape} {checked.dtype}"
         )
-    return kept
+    return checked

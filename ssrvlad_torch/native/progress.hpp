@@ -1,5 +1,4 @@
-// Whether the answers of a drive move on as its frames change. recognition/reference.py says the same
-// plainly.
+// Whether the answers of a drive move on as its frames change.
 
 #ifndef SSRVLAD_PROGRESS_HPP
 #define SSRVLAD_PROGRESS_HPP

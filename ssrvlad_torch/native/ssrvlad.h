@@ -38,7 +38,7 @@ enum { SSRVLAD_VANISHING_COLUMN = 0, SSRVLAD_MIDDLE = 1 };
 
 /* Kinds of descriptors: float numbers of length 1, or zeros where nothing is seen; and bits of cells,
  * eight in a byte. */
-enum { SSRVLAD_VECTORS = 0, SSRVLAD_SIGNS = 1 };
+enum { SSRVLAD_VECTORS = 0, SSRVLAD_SIGNS = 1, SSRVLAD_SCORES = 2 };
 
 /* The settings of the method, with the names of SSRVLADConfig. */
 typedef struct ssrvlad_settings {
@@ -67,7 +67,7 @@ typedef struct ssrvlad_head ssrvlad_head;
 
 /* The number of the interface of these headers. It rises with each change that programs must be compiled
  * again for; the function returns that of the library. */
-#define SSRVLAD_INTERFACE 2
+#define SSRVLAD_INTERFACE 3
 SSRVLAD_API int ssrvlad_interface(void);
 
 /* SHA-256 of the C++ files, in the order of their names, from which the library was built; empty if

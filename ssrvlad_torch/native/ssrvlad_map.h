@@ -25,12 +25,23 @@ extern "C" {
 
 typedef struct ssrvlad_map ssrvlad_map;
 
-/* The descriptors of all rows of a map by one channel, in their order; they are not copied, and must
- * outlive the map. Vectors are float (rows, size), of length 1, or zeros for an empty frame, which
- * matches nothing; columns is 1. Signs are bytes (rows, columns, size), eight signs in each. `trust` is
- * how much the channel counts beside others before anything is known of a drive. `means` are of the drives
- * of the map, if the rows are only some of theirs: (drives, size), of signs as 1 and -1 (drives, columns,
- * 8 * size); NULL for those of the rows. */
+/* Some rows of a map that stand for all: likely candidates, and a random sample of the others. `rows` are
+ * their numbers in the map, rising; `weights` are how many rows of the map each stands for, 1 or more.
+ * `means` are the first places, rising from 0, of adjacent rows that lose one mean. */
+typedef struct ssrvlad_shortlist {
+  const int64_t *rows;
+  const double *weights;
+  int64_t count;
+  const int64_t *means;
+  int64_t means_count;
+} ssrvlad_shortlist;
+
+/* The descriptors of the rows of a map, or of its shortlist, by one channel, in their order; they are not
+ * copied, and must outlive the map. Vectors are float (rows, size), of length 1, or zeros for an empty frame,
+ * which matches nothing; columns is 1. Signs are bytes (rows, columns, size), eight signs in each. Scores of
+ * another method have no rows, and size and columns are 1. `trust` is how much the channel counts beside
+ * others before anything is known of a drive. `means` are what the rows of a shortlist lose: (means_count,
+ * size), of signs as 1 and -1 (means_count, columns, 8 * size); NULL for the means of the drives. */
 typedef struct ssrvlad_channel {
   const void *rows;
   int32_t kind;
@@ -40,22 +51,25 @@ typedef struct ssrvlad_channel {
 } ssrvlad_channel;
 
 /* The descriptors of the queries of one drive by one channel, each from `anchors` anchors, with the usual
- * one in the middle: (count, anchors, ...). Signs have one anchor. `mean` is that of the drive, if the
- * queries are only some of it, and all anchors count; NULL for that of the queries. */
+ * one in the middle: (count, anchors, ...). Signs have one anchor. Scores of another method are float (count,
+ * rows), at most 1, -INFINITY where there can be no match. */
 typedef struct ssrvlad_queries {
   const void *descriptors;
   int64_t anchors;
-  const float *mean;
 } ssrvlad_queries;
 
 /* What is done between descriptors and a decision. Standardise: each drive loses the mean of its
  * descriptors, if the queries and the map have 30 frames each; adjacent drives of the map of fewer frames
  * share one. Sweep: all anchors of the queries count, as far to both sides as suits the scores best;
  * signs are moved by up to two columns. Follow: SSRVLAD_ALONE, SSRVLAD_ONLINE with `delay` later queries,
- * or SSRVLAD_OFFLINE, see `ssrvlad_decide`. `top` candidates are found for each query. */
+ * or SSRVLAD_OFFLINE, by the queries before each, and `delay` later ones, or by all. `top` candidates are
+ * found for each query, among the rows with `allowed` (rows,) not 0, NULL for all, that are not from the
+ * first to before the second row of the map of the query in `excluded` (count, 2), NULL for none. */
 typedef struct ssrvlad_steps {
   int32_t standardise, sweep, follow;
   int64_t delay, top;
+  const uint8_t *allowed;
+  const int64_t *excluded;
 } ssrvlad_steps;
 
 /* The steps that were taken: whether descriptors were standardised, the anchors to each side that count,
@@ -69,6 +83,9 @@ typedef struct ssrvlad_taken {
 /* Creates a map without channels, or returns NULL if the drives do not start at rising rows, the first
  * at 0, or memory is short. */
 SSRVLAD_API ssrvlad_map *ssrvlad_map_new(const ssrvlad_drives *drives);
+
+/* Creates a map of which a shortlist of the rows is there; NULL as above. */
+SSRVLAD_API ssrvlad_map *ssrvlad_map_of(const ssrvlad_drives *drives, const ssrvlad_shortlist *shortlist);
 SSRVLAD_API void ssrvlad_map_free(ssrvlad_map *map);
 
 /* Adds a channel; the first one has the number 0. */
@@ -80,21 +97,10 @@ SSRVLAD_API int ssrvlad_map_query(const ssrvlad_map *map, const ssrvlad_queries 
                                   const ssrvlad_steps *steps, int threads, ssrvlad_decision *decision,
                                   ssrvlad_taken *taken);
 
-/* The scores of a drive by one channel, -INFINITY where there can be no match. They are computed in
- * blocks of queries, by one thread of the caller at a time; the map must outlive the comparison. */
-typedef struct ssrvlad_comparison ssrvlad_comparison;
-
-/* Compares as `ssrvlad_map_query`, standardised or not; `width` becomes the anchors to each side that
- * count. Returns NULL if an argument is out of range, a number is not finite or memory is short. */
-SSRVLAD_API ssrvlad_comparison *ssrvlad_map_compare(const ssrvlad_map *map, int64_t channel,
-                                                    const ssrvlad_queries *queries, int64_t count,
-                                                    int standardised, int sweep, int threads,
-                                                    int64_t *width);
-SSRVLAD_API void ssrvlad_comparison_free(ssrvlad_comparison *comparison);
-
-/* Fills the scores of one query, one for each row. */
-SSRVLAD_API int ssrvlad_comparison_scores(const ssrvlad_comparison *comparison, int64_t query,
-                                          float *scores);
+/* Fills the scores (count, rows) of a drive by all channels, by which `ssrvlad_map_query` decides. */
+SSRVLAD_API int ssrvlad_map_compare(const ssrvlad_map *map, const ssrvlad_queries *queries, int64_t count,
+                                    const ssrvlad_steps *steps, int threads, float *scores,
+                                    ssrvlad_taken *taken);
 
 /* Some rows among which queries look for the nearest: vectors (count, length) with their lengths
  * (count,), the first of which has the number `first` in the map; for each query of (queries, count) bytes

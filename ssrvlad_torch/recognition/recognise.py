@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
-from typing import Any, Literal, NamedTuple, Protocol
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal, NamedTuple
 
+import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from ..native.decide import Scores, Search
-from . import deciding
-from .comparison import Member
+from ..native.map import Decision, DescriptorMap
 from .confidence import Confidence
 from .display import candidates_table
-from .fusion import fused_scores
-from .matching import Matches, checked_excluded, checked_number
+from .matching import Matches, Vectors, checked_number, real_tensor
 from .motion import Course
 from .sequences import runs
-from .standardise import MIN_FRAMES
+from .sweep import COLUMNS
 
 
 @dataclass(frozen=True)
@@ -31,9 +30,8 @@ class Steps:
             for a map of fewer references.
         sweep: use all anchors of queries that have several, see `sweep`.
         follow: place each query by the queries before it (online) or by all (offline) of its
-            sequence, with a hidden Markov model, see `reference.Model`; ``None`` judges each query
-            alone. A sequence is judged so too where following does not make its answers surer, see
-            `reference.course`.
+            sequence, with a hidden Markov model; ``None`` judges each query alone. A
+            sequence is judged so too where following does not make its answers surer.
         delay: number of later queries that an online answer waits for.
 
     Raises:
@@ -98,66 +96,103 @@ class Recognised(NamedTuple):
         return candidates_table(*self.matches, confidence=self.confidence)
 
 
-class DriveSearch(Search, Protocol):
-    """A search for the queries of one drive, the width of their sweep, and the weights of several
-    channels."""
+def references_of(
+    channels: Mapping[str, Vectors | None],
+    sequences: Sequence[str],
+    trust: Mapping[str, float] | None = None,
+) -> DescriptorMap:
+    """The frames of a map as `recognise` compares them. The arrays must not change.
 
-    width: int
-    weights: dict[str, float]
+    Args:
+        channels: by their names vectors ``(R, D)`` float, of length 1 or zero for an empty frame,
+            or signs ``(R, columns, ...)`` uint8, eight in a byte; ``None`` for scores.
+        sequences: of the frames, which stand together and in order.
+        trust: how much channels count before anything is known of the queries, by default 1.
+
+    Raises:
+        ValueError: the frames of a sequence do not stand together, or an array is of another kind.
+    """
+    town = DescriptorMap([len(run) for run in runs(sequences)])
+    for name, rows in channels.items():
+        town.add(name, None if rows is None else _array(rows), (trust or {}).get(name, 1.0))
+    return town
+
+
+def _array(rows: Vectors) -> npt.NDArray[Any]:
+    """Vectors as float32, signs as they are; others than real numbers in memory are a
+    ValueError."""
+    tensor = real_tensor(rows)
+    array: npt.NDArray[Any] = (tensor if tensor.dtype == torch.uint8 else tensor.float()).numpy(
+        force=True
+    )
+    return array
 
 
 @torch.no_grad()
 def recognise(
-    members: Mapping[str, Member],
+    queries: Mapping[str, Vectors],
     query_sequences: Sequence[str],
-    reference_sequences: Sequence[str],
+    references: DescriptorMap | Callable[[slice], DescriptorMap],
     steps: Steps | None = None,
     top: int = 5,
-    excluded: Tensor | None = None,
+    allowed: npt.NDArray[np.bool_] | None = None,
+    excluded: npt.NDArray[np.int64] | None = None,
 ) -> Recognised:
-    """Candidates of each query, and the confidence in the first.
+    """Candidates of each query, and the confidence in the first. Each sequence of queries is one
+    call of the native core, which fuses the channels of the map.
 
     Args:
-        members: raw descriptors of queries and map by each channel; the scores of all are fused,
-            see `FusedScores`.
-        query_sequences, reference_sequences: the sequence of each; the frames of one stand
-            together and in order.
+        queries: raw descriptors of all by each channel of the map, in its order.
+        query_sequences: the sequence of each; the frames of one stand together and in order.
+        references: the frames of the map, see `references_of`, or what shortlists those for the
+            queries of one sequence.
         steps: what is done; without, all steps.
         top: number of candidates of each query.
-        excluded: ``(Q, R)`` bool, references that are no candidates.
+        allowed: ``(R,)`` bool, references that may be candidates; by default all.
+        excluded: ``(Q, 2)`` int64, of each query the first of some references that may not, and the
+            one after the last.
 
     Raises:
         ValueError: shapes do not fit.
 
     Examples:
         >>> import torch
-        >>> from ssrvlad_torch.recognition.comparison import Member, ReferenceRows
-        >>> from ssrvlad_torch.recognition.recognise import recognise
+        >>> from ssrvlad_torch.recognition.recognise import recognise, references_of
         >>> frames = torch.eye(20)
-        >>> member = Member(frames[5:9], ReferenceRows(frames, ["b"] * 20))
-        >>> recognise({"x": member}, ["a"] * 4, ["b"] * 20).matches.indices[:, 0].tolist()
+        >>> references = references_of({"x": frames}, ["b"] * 20)
+        >>> recognise({"x": frames[5:9]}, ["a"] * 4, references).matches.indices[:, 0].tolist()
         [5, 6, 7, 8]
     """
     steps, top = steps or Steps(), checked_number("top", top, least=1)
-    _check_lengths(members, query_sequences, reference_sequences)
-    excluded = checked_excluded(excluded, (len(query_sequences), len(reference_sequences)))
-    trust = {name: member.trust for name, member in members.items()}
-    decisions: dict[str, _Decided] = {}
+    arrays = {name: _array(values) for name, values in queries.items()}
+    for name, array in arrays.items():
+        if len(array) != len(query_sequences):
+            raise ValueError(
+                f"expected a sequence for each of {len(array)} queries, got {len(query_sequences)}"
+            )
+        swept = steps.sweep and array.ndim == 3 and array.dtype.kind == "f"
+        if swept and array.shape[1] != len(COLUMNS):
+            raise ValueError(
+                f"{name}: expected (Q, {len(COLUMNS)}, D) for columns {COLUMNS}, got {array.shape}"
+            )
+    decisions: dict[str, Decision] = {}
+    count = 0 if callable(references) else references.frames
     for run in runs(query_sequences):
         part = slice(run.start, run.stop)
-        standardised = steps.standardise and _are_enough(run, reference_sequences)
-        without = None if excluded is None else excluded[part]
-        compared = {
-            name: each.references.compare(each.queries[part], standardised, steps.sweep, without)
-            for name, each in members.items()
-        }
-        scores, weights = fused_scores(compared, trust)
-        decided = _decided(scores, range(len(run)), reference_sequences, steps, top)
-        width = max(each.width for each in compared.values())
-        decisions[query_sequences[run.start]] = replace(
-            decided, standardise=standardised, sweep=width, weights=weights
+        town = references(part) if callable(references) else references
+        count = town.frames
+        decisions[query_sequences[run.start]] = town.query(
+            {name: array[part] for name, array in arrays.items()},
+            steps.standardise,
+            steps.sweep,
+            steps.follow if len(run) > 1 else None,
+            steps.delay,
+            top,
+            torch.get_num_threads(),
+            allowed,
+            None if excluded is None else excluded[part],
         )
-    return _joined(decisions, len(reference_sequences), steps, top)
+    return _joined(decisions, count, steps, top)
 
 
 def recognise_by_scores(
@@ -168,114 +203,49 @@ def recognise_by_scores(
     top: int = 5,
 ) -> Recognised:
     """As `recognise`, by scores ``(Q, R)`` float, at most 1, -inf where there can be no match. For
-    methods whose encodings are no vectors; following is the only step."""
+    methods whose encodings are no vectors; following is the only step. Frames of a map need not
+    stand together for queries that are judged alone."""
     steps = replace(steps or Steps(), standardise=False, sweep=False)
-    top = checked_number("top", top, least=1)
-    decisions = {
-        query_sequences[run.start]: _decided(scores, run, reference_sequences, steps, top)
-        for run in runs(query_sequences)
-    }
-    return _joined(decisions, len(reference_sequences), steps, top)
-
-
-def recognise_by_search(
-    search: Callable[[range, bool], DriveSearch],
-    query_sequences: Sequence[str],
-    reference_sequences: Sequence[str],
-    steps: Steps | None = None,
-    top: int = 5,
-) -> Recognised:
-    """As `recognise`, for maps that are too large to score every row. ``search`` returns what finds
-    the candidates of the queries of one sequence, by standardised descriptors if its argument is
-    true."""
-    steps, top = steps or Steps(), checked_number("top", top, least=1)
-    decisions: dict[str, _Decided] = {}
-    for run in runs(query_sequences):
-        standardised = steps.standardise and _are_enough(run, reference_sequences)
-        found = search(run, standardised)
-        decided = _decided(found, range(len(run)), reference_sequences, steps, top)
-        decisions[query_sequences[run.start]] = replace(
-            decided, standardise=standardised, sweep=found.width, weights=found.weights
-        )
-    return _joined(decisions, len(reference_sequences), steps, top)
-
-
-def judged_alone(query_sequences: Sequence[str], steps: Steps) -> bool:
-    """Whether queries are judged alone, not standardised, and their channels weighed by trust,
-    whatever the map."""
-    fewest = 2 if steps.follow else MIN_FRAMES
-    return all(len(run) < fewest for run in runs(query_sequences))
-
-
-@dataclass(frozen=True)
-class _Decided:
-    """The candidates of one sequence of queries, and the steps that were taken."""
-
-    matches: Matches
-    sure: Confidence
-    course: Course | None
-    standardise: bool = False
-    sweep: int = 0
-    weights: dict[str, float] = field(default_factory=dict)
-
-
-def _decided(
-    evidence: Scores | Search, queries: range, sequences: Sequence[str], steps: Steps, top: int
-) -> _Decided:
-    """Judges each query of a sequence alone, and follows the sequence if that is asked for, it has
-    a course, and its answers are not less sure for it."""
-    mode = steps.follow if len(queries) > 1 else None
-    found = deciding.decide(evidence, queries, sequences, mode, steps.delay, top)
-    scores, rows, right, spread, together = (torch.from_numpy(each) for each in found[:5])
-    together = together.float().masked_fill(rows[:, 0] < 0, 0)
-    sure = Confidence(right.float(), spread.float(), together)
-    course = Course(found.way, found.rate, found.streams) if found.followed else None
-    return _Decided(Matches(scores.float(), rows), sure, course)
-
-
-def _told(course: Course | None, steps: Steps) -> str:
-    """How a sequence was followed, in words."""
-    if course is None:
-        return "no, following is no surer" if steps.follow else "no"
-    return ", ".join(filter(None, (steps.follow, str(course))))
+    sequences = reference_sequences if steps.follow else [""] * len(reference_sequences)
+    references = references_of({"scores": None}, sequences)
+    return recognise({"scores": scores}, query_sequences, references, steps, top)
 
 
 def _joined(
-    decisions: Mapping[str, _Decided], references: int, steps: Steps, top: int
+    decisions: Mapping[str, Decision], references: int, steps: Steps, top: int
 ) -> Recognised:
     """The decisions about all sequences of queries, by their names, as one."""
-    used: dict[str, Any] = {**asdict(steps), "references": references}
-    courses = {name: decision.course for name, decision in decisions.items()}
-    used["follow"] = {name: _told(course, steps) for name, course in courses.items()}
-    for step in ("standardise", "sweep", "weights"):
-        used[step] = {name: getattr(decision, step) for name, decision in decisions.items()}
-    none = torch.zeros(0, top)
-    matches = [decision.matches for decision in decisions.values()]
-    scores = torch.cat([none, *(each.scores for each in matches)])
-    indices = torch.cat([none.long(), *(each.indices for each in matches)])
-    sures = [Confidence(*[none.sum(1)] * 3), *(each.sure for each in decisions.values())]
-    sure = Confidence(*map(torch.cat, zip(*sures, strict=True)))
-    return Recognised(Matches(scores, indices), sure, used, courses)
+    courses = {
+        name: Course(decision.way, decision.rate, decision.streams) if decision.followed else None
+        for name, decision in decisions.items()
+    }
+    taken = {name: decision.taken for name, decision in decisions.items()}
+    used = {
+        **asdict(steps),
+        "references": references,
+        "standardise": {name: of.standardised for name, of in taken.items()},
+        "sweep": {name: COLUMNS[len(COLUMNS) // 2 + of.width] for name, of in taken.items()},
+        "weights": {n: of.weights if len(of.weights) > 1 else {} for n, of in taken.items()},
+        "follow": {name: _course_in_words(course, steps) for name, course in courses.items()},
+    }
+    columns = {
+        name: torch.from_numpy(
+            np.concatenate([empty, *(getattr(each, name) for each in decisions.values())])
+        )
+        for name, empty in (
+            ("scores", np.zeros((0, top), np.float32)),
+            ("rows", np.zeros((0, top), np.int64)),
+            *((name, np.zeros(0, np.float32)) for name in ("right", "spread", "together")),
+        )
+    }
+    matches = Matches(columns["scores"], columns["rows"])
+    together = columns["together"].masked_fill(matches.indices[:, 0] < 0, 0)
+    confidence = Confidence(columns["right"], columns["spread"], together)
+    return Recognised(matches, confidence, used, courses)
 
 
-def _are_enough(queries: range, references: Sequence[str]) -> bool:
-    return min(len(queries), len(references)) >= MIN_FRAMES
-
-
-def _check_lengths(
-    members: Mapping[str, Member],
-    query_sequences: Sequence[str],
-    reference_sequences: Sequence[str],
-) -> None:
-    """Raises a ValueError unless there is a channel, and a sequence for each frame."""
-    if not members:
-        raise ValueError("expected a channel by which to recognise, got none")
-    for member in members.values():
-        for side, names, frames in (
-            ("queries", query_sequences, len(member.queries)),
-            ("references", reference_sequences, len(member.references)),
-        ):
-            if len(names) != frames:
-                raise ValueError(
-                    f"expected a sequence for each of {frames} {side}, got {len(names)}"
-                )
+def _course_in_words(course: Course | None, steps: Steps) -> str:
+    """How a sequence was followed."""
+    if course is None:
+        return "no, following is no surer" if steps.follow else "no"
+    return ", ".join(filter(None, (steps.follow, str(course))))

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
-from torch import Tensor
 
 from ..channels.channel import Channel, View, channels_of, refuse_text
 from ..database.database import Database
@@ -16,17 +15,17 @@ from ..descriptor import SSRVLAD
 from ..encoding.encoder import check_segmenter, encode_to_memory
 from ..encoding.results import Progress, Skipped, do_nothing
 from ..encoding.source import SelectedFrames
-from ..recognition.comparison import Member
-from ..recognition.recognise import Recognised, Steps, recognise
+from ..native.map import DescriptorMap
+from ..recognition.recognise import Recognised, Steps, recognise, references_of
 from ..recognition.sequences import runs
+from ..recognition.standardise import MIN_FRAMES
 from ..recognition.sweep import COLUMNS
 from ..recognition.temporal import temporal_sum
 from ..taxonomy import label_space
-from .alone import LargeMap, opened_large
 from .answers import Answer, Answers
-from .drive import recognise_in_large
 from .near import Near
-from .selection import excluded_pairs, select
+from .selection import neighbours, select
+from .shortlist import Shortlist, open_shortlist
 
 _ALONE = Steps(follow=None)
 
@@ -70,22 +69,19 @@ def search(
         raise ValueError(f"{database.path} holds no frames yet")
     columns = COLUMNS if steps.sweep else ()
     queries, skipped, folders = queries_of(database, source, used, columns, progress)
-    large = "" if temporal else opened_large(database, used)
-    references = database.load() if isinstance(large, str) else large.frames
+    shortlist, reason = (None, "") if temporal else open_shortlist(database, used)
+    references = shortlist.frames if shortlist else database.load()
     where = select(references, sequences)
     if near:
         poses = np.where(where[:, None], references.poses, np.nan)
         where &= near.rows(poses, database.path)
-    if isinstance(large, str):
-        _sum_over_time(references, used, temporal)
-        without = excluded_pairs(queries, references, where, exclude)
-        recognised = recognise_in(references, queries, used, steps, top, without)
-    else:
-        recognised = recognise_in_large(large, queries, steps, top, where, exclude)
+    _sum_over_time(references, used, temporal)
+    excluded = None if exclude is None else neighbours(queries.frames, references, exclude)
+    recognised = recognise_in(shortlist or references, queries, used, steps, top, where, excluded)
     if near:
         recognised.used["near"] = f"{near}: {where.sum()} frames"
-    if large:
-        recognised.used["index"] = large if isinstance(large, str) else "candidates of the index"
+    if shortlist or reason:
+        recognised.used["index"] = reason or "candidates of the index"
     return Answers(queries, references, recognised, temporal, tuple(skipped), folders)
 
 
@@ -112,28 +108,46 @@ def chosen_channels(database: Database, names: Sequence[str] | None = None) -> l
 
 
 def recognise_in(
-    references: FrameSet,
+    references: FrameSet | Shortlist,
     queries: FrameSet,
     channels: Sequence[Channel],
     steps: Steps,
     top: int,
-    excluded: Tensor | None = None,
+    where: npt.NDArray[np.bool_] | None = None,
+    excluded: npt.NDArray[np.int64] | None = None,
 ) -> Recognised:
-    """Candidates of queries among the frames of a map, by some channels; see `recognise`."""
-    members = {
-        channel.column.name: Member(
-            queries.channels[channel.column.name],
-            channel.references(references.channels[channel.column.name], references.sequences),
-            channel.trust,
-        )
-        for channel in channels
-    }
-    return recognise(members, queries.sequences, references.sequences, steps, top, excluded)
+    """Candidates of queries among the frames of a map, by some channels; see `recognise`. ``where``
+    ``(R,)`` bool are the rows that may be candidates."""
+    arrays = {each.column.name: queries.channels[each.column.name] for each in channels}
+    if isinstance(references, FrameSet):
+        allowed = None if where is None or where.all() else where
+        town = map_of(references, channels)
+        return recognise(arrays, queries.sequences, town, steps, top, allowed, excluded)
+    allowed = np.ones(len(references.frames), bool) if where is None else where
+
+    def shortlisted(part: slice) -> DescriptorMap:
+        some = {name: values[part] for name, values in arrays.items()}
+        standardise = steps.standardise and part.stop - part.start >= MIN_FRAMES
+        outside = None if excluded is None else excluded[part]
+        followed = bool(steps.follow)
+        return references.of(some, standardise, steps.sweep, followed, top, allowed, outside)
+
+    return recognise(arrays, queries.sequences, shortlisted, steps, top, excluded=excluded)
+
+
+def map_of(references: FrameSet, channels: Sequence[Channel]) -> DescriptorMap:
+    """The frames of a map by some channels, as they are compared."""
+    names = [channel.column.name for channel in channels]
+    return references_of(
+        {name: references.channels[name] for name in names},
+        references.sequences,
+        {channel.column.name: channel.trust for channel in channels},
+    )
 
 
 def locate_view(
     view: View,
-    references: FrameSet | LargeMap,
+    references: FrameSet | Shortlist,
     channels: Sequence[Channel],
     top: int,
     where: npt.NDArray[np.bool_],
@@ -144,14 +158,9 @@ def locate_view(
     queries = FrameSet(
         (view.frame,), (view.sequence,), descriptors, unknown, unknown[:, 0], np.array([empty])
     )
-    top = min(top, len(where))
-    if isinstance(references, FrameSet):
-        without = excluded_pairs(queries, references, where, None)
-        recognised = recognise_in(references, queries, channels, _ALONE, top, without)
-    else:
-        recognised = recognise_in_large(references, queries, _ALONE, top, where)
-        references = references.frames
-    [answer] = Answers(queries, references, recognised)
+    recognised = recognise_in(references, queries, channels, _ALONE, min(top, len(where)), where)
+    frames = references if isinstance(references, FrameSet) else references.frames
+    [answer] = Answers(queries, frames, recognised)
     return answer
 
 

@@ -18,6 +18,7 @@ from ..datasets.image_files import Pixels, find_image_files, read_image
 from ..datasets.label_files import find_label_files, read_label_map
 from ..encoding.source import SelectedFrames
 from ..evaluation.outcomes import Rows
+from ..recognition.recognise import references_of
 from ..segmentation.segmenter import Segmenter
 from ..taxonomy import LabelSpace, colourise, label_space
 from .coarse_index import taken
@@ -55,11 +56,9 @@ class Material:
         else:
             order = self.database.placed()[1][references]
             stored = taken(self.database, order, [self.channel.column])[name]
-        known = self.channel.references(stored, [self.references.sequences[r] for r in references])
-        cosines: npt.NDArray[np.float32] = (
-            known.compare(self.queries[queries], False, False).whole().numpy()
-        )
-        return cosines
+        town = references_of({name: stored}, [""] * len(stored))
+        scores, _ = town.compare({name: self.queries[queries].numpy()})
+        return scores
 
     def query(self, frame: str) -> Mapping[str, Pixels]:
         """The pictures ``(H, W, 3)`` RGB of a query by what they are; the network labels photos."""

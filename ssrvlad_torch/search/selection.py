@@ -5,8 +5,6 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 import numpy.typing as npt
-import torch
-from torch import Tensor
 
 from ..database.frames import FrameSet
 from ..datasets.names import name_of, split_id
@@ -54,19 +52,3 @@ def neighbours(
             is_reference = place < end and references.frames[place] == query
             ranges[number] = max(start, place - reach), min(end, place + reach + is_reference)
     return ranges
-
-
-def excluded_pairs(
-    queries: FrameSet, references: FrameSet, where: npt.NDArray[np.bool_], reach: int | None
-) -> Tensor | None:
-    """``(Q, R)`` bool, the references that are no candidates of a query: those not in ``where``
-    ``(R,)`` bool, and its `neighbours` within a reach, if any; ``None`` if all
-    are."""
-    if where.all() and reach is None:
-        return None
-    excluded = np.repeat(~where[None], len(queries), axis=0)
-    if reach is not None:
-        first, last = neighbours(queries.frames, references, reach).T[:, :, None]
-        rows = np.arange(len(references))
-        excluded |= (rows >= first) & (rows < last)
-    return torch.from_numpy(excluded)

@@ -1,0 +1,198 @@
+"""Sequences and pictures in a large map, by a shortlist of its rows, against exact search."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from drawings import SPACE
+from drives import write_maps
+from helpers import descriptors, spoil
+from large_maps import ALL, CONFIG, ROWS, channels, large_town, queries_at
+from loop_streams import objects
+
+from ssrvlad_torch import Database, Map
+from ssrvlad_torch.recognition.recognise import Steps
+from ssrvlad_torch.search import shortlist
+from ssrvlad_torch.search.coarse_index import build
+from ssrvlad_torch.search.exact import recognise_in
+from ssrvlad_torch.search.selection import neighbours, select
+from ssrvlad_torch.search.shortlist import Shortlist, open_shortlist
+
+ALONE = Steps(follow=None)
+
+
+@pytest.fixture(scope="module")
+def town(tmp_path_factory):
+    """Two sequences, and folders of 20 frames."""
+    folders = [f"c{n:02d}" for n in range(5) for _ in range(20)]
+    path = tmp_path_factory.mktemp("large") / "town.ssrdb"
+    return large_town(path, ["a"] * 180 + ["b"] * 120 + folders)
+
+
+@pytest.fixture
+def few(monkeypatch):
+    """A fifth of the rows is read."""
+    for name, value in (("MOST", 20), ("LEAST", 3), ("ROWS", 60), ("SAMPLE", 50)):
+        monkeypatch.setattr(shortlist, name, value)
+
+
+def both(town, queries, steps, names=ALL, **masks):
+    """What is recognised by a shortlist, and by exact search."""
+    used = channels(town, names)
+    return (
+        recognise_in(references, queries, used, steps, 3, **masks)
+        for references in (Shortlist(town, used), town.load())
+    )
+
+
+def first(recognised):
+    return recognised.matches.indices[:, 0].tolist()
+
+
+@pytest.mark.parametrize("names", [ALL, ("ssr-vlad",), ("features", "hog")])
+@pytest.mark.parametrize("sweep", [True, False])
+@pytest.mark.usefixtures("few")
+def test_a_picture_has_the_answer_of_exact_search(town, names, sweep):
+    for row in (3, 77, 200, 391):
+        steps = Steps(follow=None, sweep=sweep)
+        short, exact = both(town, queries_at([row], names), steps, names)
+        assert first(short) == first(exact) == [row]
+        near = short.matches.scores[0, 0], exact.matches.scores[0, 0]
+        torch.testing.assert_close(*near, atol=0.05, rtol=0)
+        assert short.used["references"] == ROWS
+
+
+STEPS = [Steps(), Steps(follow="online", delay=2), ALONE, Steps(standardise=False, sweep=False)]
+
+
+@pytest.mark.parametrize("names", [ALL, ("ssr-vlad",), ("features", "hog")])
+@pytest.mark.parametrize("steps", STEPS)
+@pytest.mark.usefixtures("few")
+def test_a_sequence_has_the_places_and_confidence_of_exact_search(town, names, steps):
+    short, exact = both(town, queries_at([*range(100, 140)], names), steps, names)
+    apart = np.abs(np.subtract(first(short), first(exact)))
+    assert (apart <= 2).mean() == 1 if steps.follow else (apart == 0).mean() > 0.9
+    assert (short.confidence - exact.confidence).abs().mean() < 0.05
+    assert short.used["follow"] == exact.used["follow"]
+    for name, weight in exact.used["weights"]["today"].items():
+        assert short.used["weights"]["today"][name] == pytest.approx(weight, abs=0.1)
+
+
+@pytest.mark.usefixtures("few")
+def test_rows_that_may_not_match_are_no_candidates(town):
+    frames = town.load()
+    ids = tuple(f"a/{row:03d}" for row in range(100, 140))
+    queries = replace(queries_at([*range(100, 140)]), frames=ids, sequences=("a",) * 40)
+    masks = {"where": select(frames, ["a"]), "excluded": neighbours(ids, frames, 4)}
+    short, _ = both(town, queries, Steps(), **masks)
+    rows, (begin, end) = short.matches.indices.numpy(), masks["excluded"].T[..., None]
+    assert (rows < 180).all() and not ((rows >= begin) & (rows < end)).any()
+
+
+@pytest.mark.parametrize("allowed", [range(399, 400), range(110, 130), range(0, 400, 20)])
+@pytest.mark.usefixtures("few")
+def test_few_rows_that_may_match_are_found(town, allowed):
+    where = np.isin(np.arange(ROWS), allowed)
+    short, exact = both(town, queries_at([*range(100, 140)]), ALONE, where=where)
+    assert np.mean(np.equal(first(short), first(exact))) > 0.9
+    torch.testing.assert_close(short.confidence, exact.confidence, atol=0.05, rtol=0)
+
+
+@pytest.mark.usefixtures("few")
+def test_as_many_candidates_as_are_wanted(town):
+    used, queries = channels(town, ALL), queries_at([*range(100, 140)])
+    short = recognise_in(Shortlist(town, used), queries, used, ALONE, 100)
+    assert bool((short.matches.indices >= 0).all())
+
+
+def test_means_are_of_the_frames_that_are_there(tmp_path):
+    """In several data files, and without removed frames; all rows are read."""
+    town = large_town(tmp_path / "town.ssrdb", ["a"] * 200 + ["b"] * 200)
+    town.remove([f"a/{row:03d}" for row in range(60, 90)])
+    build(town)
+    short, exact = both(town, queries_at([*range(100, 140)]), Steps())
+    assert torch.equal(short.matches.indices, exact.matches.indices)
+    torch.testing.assert_close(short.confidence, exact.confidence, atol=1e-4, rtol=0)
+
+
+def test_damaged_rows_are_refused(tmp_path):
+    town = large_town(tmp_path / "town.ssrdb", ["a"] * ROWS)
+    spoil(tmp_path / "town.ssrdb", town.load().descriptors[120])
+    again = Database.open(tmp_path / "town.ssrdb")
+    used, queries = channels(again, ALL), queries_at([*range(100, 140)])
+    with pytest.raises(ValueError, match=r"is damaged; ssrvlad db verify shows where"):
+        recognise_in(Shortlist(again, used), queries, used, Steps(), 3)
+
+
+def test_an_empty_query_has_no_answer(town):
+    used, queries = channels(town, ("ssr-vlad",)), queries_at([5, 6, 7], ("ssr-vlad",))
+    queries.channels["ssr-vlad"][1] = 0
+    short = recognise_in(Shortlist(town, used), queries, used, ALONE, 3)
+    assert first(short) == [5, -1, 7]
+
+
+def test_only_large_maps_with_an_index_have_a_shortlist(town, tmp_path, monkeypatch):
+    used = channels(town, ALL)
+    assert open_shortlist(town, used) == (None, "")
+    monkeypatch.setattr(shortlist, "LEAST_ROWS", ROWS)
+    assert isinstance(open_shortlist(town, used)[0], Shortlist)
+    bare = Database.create(tmp_path / "bare", CONFIG)
+    bare.append([f"a/{n:03d}" for n in range(ROWS)], descriptors(0, ROWS))
+    assert open_shortlist(bare, channels(bare, ALL)) == (None, "")
+    build(bare)
+    bare.append(["a/999"], descriptors(1, 1))
+    assert "lacks 1 of 401 frames" in open_shortlist(bare, channels(bare, ALL))[1]
+
+
+def test_commands_and_maps_take_the_index_by_themselves_and_say_so(ssrvlad, tmp_path, monkeypatch):
+    monkeypatch.setattr(shortlist, "LEAST_ROWS", 40)
+    maps, path = write_maps(tmp_path / "monday", range(40)), tmp_path / "drawn.ssrdb"
+    rows = [f"monday/{n:03d},{n},0,0" for n in range(40)]
+    (tmp_path / "poses.csv").write_text("\n".join(["frame,x,y,heading", *rows]))
+    town = Map.open(path, labels_as=SPACE)
+    town.add(maps)
+    build(town.database)
+    monkeypatch.setattr(Database, "load", None)
+    picture = sorted(maps.glob("*"))[7]
+    said = "candidates of the index, not standardised"
+    code, out, err = ssrvlad("query", path, picture, "--top", 1)
+    assert code == 0 and out.split()[:2] == ["monday/007:", "monday/007"] and said in err[-1]
+    some = write_maps(tmp_path / "today", range(29))
+    _, out, err = ssrvlad("query", path, some, "--follow", "no", "--json")
+    firsts = [json.loads(line)["candidates"][0]["frame"] for line in out.splitlines()]
+    assert firsts == [f"monday/{n:03d}" for n in range(29)]
+    near = ssrvlad("query", path, picture, "--near", "20,0,3")[1]
+    assert "monday/007 " not in near and "monday/02" in near
+    (tmp_path / "today" / "poses.csv").write_text(
+        "\n".join(["frame,x,y", *(f"{n:03d},{n},0" for n in range(29))])
+    )
+    steps = ("--follow", "no", "--tolerance-metres", 1, "--json")
+    report = ("--report", tmp_path / "page.html")
+    found = json.loads(ssrvlad("evaluate", path, some, *steps, *report)[1])
+    assert found["recall_at"]["1"] == 1 and Path(tmp_path, "page.html").exists()
+    monkeypatch.undo()
+    monkeypatch.setattr(shortlist, "LEAST_ROWS", 40)
+    town.database.append(["late/0"], descriptors(0, 1))
+    *_, line = ssrvlad("query", path, picture)[2]
+    assert "lacks 1 of 41 frames; ssrvlad db index adds them" in line
+
+
+def test_a_command_takes_the_index_for_a_drive_and_says_so(ssrvlad, tmp_path, monkeypatch):
+    monkeypatch.setattr(shortlist, "LEAST_ROWS", 40)
+    maps, path = write_maps(tmp_path / "monday", range(40)), tmp_path / "drawn.ssrdb"
+    town = Map.open(path, labels_as="camvid-11")
+    town.add(maps)
+    build(town.database)
+    some = write_maps(tmp_path / "today", range(3, 38))
+    _, out, _ = ssrvlad("query", path, some, "--json")
+    exact = objects(out)
+    monkeypatch.setattr(Database, "load", None)
+    code, out, err = ssrvlad("query", path, some, "--json")
+    found = objects(out)
+    assert code == 0 and found[0]["steps"]["index"] == "candidates of the index"
+    assert not err
+    for one, other in zip(found, exact, strict=True):
+        assert one["candidates"][0]["frame"] == other["candidates"][0]["frame"]
