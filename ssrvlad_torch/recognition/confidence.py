@@ -112,7 +112,8 @@ def _beta(mean: float, variance: float) -> tuple[float, float]:
     )
     below = (before + inside) / (before + float(inside[-1]) + after)
     ends = torch.cat((torch.zeros(1), torch.sigmoid(logits[1:]), torch.ones(1)))
-    low, high = ends[torch.searchsorted(below, torch.tensor([0.025, 0.975]).double())].tolist()
+    quantiles = torch.tensor([0.025, 0.975], dtype=torch.double)
+    low, high = ends[torch.searchsorted(below, quantiles)].tolist()
     return low, high
 
 

@@ -156,7 +156,10 @@ class Preparation(nn.Module):
         from kornia.enhance import Normalize
 
         self.config, self.form = config, form or InputForm()
-        mean, std = (torch.tensor(v) / config.white for v in (config.mean, config.std))
+        mean, std = (
+            torch.tensor(numbers, dtype=torch.float32) / config.white
+            for numbers in (config.mean, config.std)
+        )
         self.steps = nn.Sequential(
             RgbToBgr() if config.colour_order == "bgr" else nn.Identity(),
             Normalize(mean, std),

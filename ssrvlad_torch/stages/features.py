@@ -65,7 +65,7 @@ class Features(nn.Module):
         components, rotations = projections(unit_cells(self._checked_means(noise)))
         self.register_buffer("components", components, persistent=False)
         self.register_buffer("rotations", rotations, persistent=False)
-        self.register_buffer("bits", 2.0 ** torch.arange(8), persistent=False)
+        self.register_buffer("bits", 2.0 ** torch.arange(8).float(), persistent=False)
 
     def extra_repr(self) -> str:
         """The channels and a digest of the projections."""
@@ -109,8 +109,8 @@ def cell_means(activations: Tensor) -> Tensor:
     counts in every cell that it overlaps, by the overlap."""
     height, width = activations.shape[2:]
     none = torch.zeros(1, dtype=torch.int64, device=activations.device)
-    rows = overlaps(height, ROWS, none)[0].T / height
-    columns = overlaps(width, COLUMNS, none)[0] / width
+    rows = overlaps(height, ROWS, none)[0].T.float() / height
+    columns = overlaps(width, COLUMNS, none)[0].float() / width
     return (rows @ activations.float()) @ columns
 
 
