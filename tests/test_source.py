@@ -90,6 +90,15 @@ def reference(ssrvlad, city, tmp_path):
     return db
 
 
+def test_a_folder_of_gtfine_is_noted(tmp_path):
+    for kind in ("color", "labelTrainIds"):
+        write_image(tmp_path / "aachen" / f"aachen_000000_000019_gtFine_{kind}.png", street(0))
+    notes = []
+    selection = FrameSelection([str(tmp_path / "aachen")], labels_as="cityscapes-trainids")
+    assert len(open_frames(selection, note=notes.append).files) == 2
+    assert "--layout cityscapes joins them" in notes[0]
+
+
 def test_a_label_space_of_ones_own_goes_with_label_maps_of_another_folder(city):
     space = label_space("cityscapes-trainids").to_dict()
     mine = LabelSpace.from_dict({**space, "name": "mine"})

@@ -25,6 +25,7 @@ from ..taxonomy import LabelSpace, label_space
 from .results import Note, do_nothing
 from .selection import FrameSelection
 
+_OF_GT_FINE = ("_labelIds", "_labelTrainIds", "_color", "_instanceIds")
 _OF_FILES = ("poses", "topic", "fps", "every", "start", "segmenter", "classes")
 
 
@@ -101,7 +102,7 @@ def open_frames(
         return frames
     try:
         kind = find_image_files if images or segmenter else find_label_files
-        return replace(frames, files=find(kind, note))
+        frames = replace(frames, files=find(kind, note))
     except ValueError:
         paths = selection.paths
         only_images = (
@@ -115,6 +116,9 @@ def open_frames(
                 "labels them with --segmenter"
             ) from None
         raise
+    if not dataset and any(file.name.endswith(_OF_GT_FINE) for file in frames.files):
+        note("files of gtFine are several frames of one place; --layout cityscapes joins them")
+    return frames
 
 
 def _labelling(
