@@ -122,10 +122,13 @@ def test_one_frame_of_two_files_is_refused(tmp_path):
         ("others", "others holds no label maps"),
         ("others/a.txt", "a.txt holds no label maps"),
         ("others/*", "holds no label maps"),
+        ("stack", "stack holds no label maps"),
     ],
 )
 def test_a_source_without_label_maps_is_refused_by_name(tmp_path, source, message):
     (tmp_path / "empty").mkdir()
+    (tmp_path / "stack").mkdir()
+    np.save(tmp_path / "stack" / "none.npy", np.zeros((0, 4, 4), np.uint8))
     touch(tmp_path / "others" / "a.txt", tmp_path / "others" / "b.jpg")
     refuses(message, find_label_files, [str(tmp_path / source)])
 

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 import numpy.typing as npt
 from numpy.lib.format import open_memmap
 
-from ..files import check_regular, is_uri, naming, natural_key
+from ..files import check_regular, is_uri, naming, natural_key, npy_header
 from .bags import bag_files, is_bag
 from .frame_file import FrameFile, RemoteFile, remote_files
 from .names import KnownFolders, absolute, sequence_names
@@ -256,6 +256,13 @@ def _stack_length(path: Path, kind: FileKind) -> int | None:
     damaged or neither, which is skipped when it is read."""
     try:
         check_regular(path)
+        with path.open("rb") as file:
+            shape, _, dtype = npy_header(file)
+            size = file.tell() + math.prod(shape) * dtype.itemsize
+        if len(shape) > 2 and 0 in shape:
+            return 0
+        if size != path.stat().st_size:
+            return None
         array = open_memmap(path, mode="r")
         return len(array) if kind.is_stack(array) else None
     except Exception:  # damaged files raise any exception
