@@ -1,6 +1,6 @@
 """Which activations of a network are features, and taking them."""
 
-from threading import Event, Thread, current_thread
+from threading import Thread
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ from networks import (
 )
 from torch import nn
 
-from ssrvlad_torch.segmentation.activations import find_activations, taken
+from ssrvlad_torch.segmentation.activations import captured, find_activations
 from ssrvlad_torch.segmentation.networks import open_network
 from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
 
@@ -39,81 +39,58 @@ def street_graph(tmp_path_factory):
     return write_street(tmp_path_factory.mktemp("street") / "street.onnx")
 
 
-def found(network, names=None, numbers=NUMBERS):
-    return [(a.name, a.shape) for a in find_activations(network, numbers, names)]
+def chosen_of(network, names=None, numbers=NUMBERS):
+    return [(act.name, act.shape) for act in find_activations(network, numbers, names)]
 
 
-def test_the_ends_of_the_encoder_at_strides_8_and_16_are_found(street_graph):
+def test_the_ends_of_the_encoder_at_strides_8_and_16_are_chosen_of(street_graph):
     """Neither the narrow skip after stride 16, nor the wider decoder, nor a smaller picture."""
     shapes = (1, 32, 28, 56), (1, 24, 14, 28)
-    assert found(Street()) == [*zip(("act.2", "act.3"), shapes, strict=True)]
+    assert chosen_of(Street()) == [*zip(("act.2", "act.3"), shapes, strict=True)]
     graph = OnnxNetwork(street_graph)
-    assert found(graph) == [*zip(("relu_2", "relu_3"), shapes, strict=True)]
-    assert found(shared_street()) == [*zip(("act.0#3", "act.0#4"), shapes, strict=True)]
+    assert chosen_of(graph) == [*zip(("relu_2", "relu_3"), shapes, strict=True)]
+    assert chosen_of(shared_street()) == [*zip(("act.0#3", "act.0#4"), shapes, strict=True)]
 
 
 def test_an_encoder_of_one_stride_has_one():
     network = nn.Sequential(nn.Conv2d(3, 8, 16, 16), nn.Conv2d(8, 8, 1), nn.Conv2d(8, 12, 1))
-    assert found(network) == [("1", (1, 8, 14, 28))]
+    assert chosen_of(network) == [("1", (1, 8, 14, 28))]
 
 
 def test_of_a_module_that_runs_several_times_the_chosen_call_is_taken():
     """Its calls have other sizes and other channels."""
     alone, shared = Street(), shared_street()
-    assert found(shared, ["act.0#1"]) == [("act.0#1", (1, 8, 112, 224))]
-    with taken(alone, ["act.2", "act.0"]) as expected, taken(shared, ["act.0#3", "act.0#1"]) as got:
+    assert chosen_of(shared, ["act.0#1"]) == [("act.0#1", (1, 8, 112, 224))]
+    with captured(alone, ["act.2"]) as expected, captured(shared, ["act.0#3"]) as values:
         alone(NUMBERS)
         shared(NUMBERS)
-    assert torch.equal(got["act.0#3"], expected["act.2"])
-    assert torch.equal(got["act.0#1"], expected["act.0"])
+    assert torch.equal(values["act.0#3"], expected["act.2"])
     with pytest.raises(ValueError, match=r"no activation 'act\.0'; the nearest are act\.0#\d, act"):
         find_activations(shared, NUMBERS, ["act.0"])
 
 
 def test_another_thread_does_not_change_what_is_taken():
     network, (one, other) = Street(), torch.rand(2, 1, 3, 64, 96)
-    with taken(network, ["act.2"]) as values:
+    with captured(network, ["act.2"]) as values:
         network(one)
-        own = values["act.2"]
+        taken = values["act.2"]
         thread = Thread(target=network, args=(other,))
         thread.start()
         thread.join()
-    assert values["act.2"] is own
-
-
-def test_what_another_thread_runs_is_not_recorded():
-    """Its decoder, for example, whose map was made larger before the recording began."""
-    network, at_the_decoder, recording = Street(), Event(), Event()
-
-    def wait(_module, _inputs):
-        if current_thread() is other:
-            at_the_decoder.set()
-            recording.wait()
-
-    def go_on(_module, _inputs):
-        if current_thread() is not other:
-            recording.set()
-            other.join()
-
-    other = Thread(target=network, args=(NUMBERS,))
-    network.decoder.register_forward_pre_hook(wait)
-    network.register_forward_pre_hook(go_on)
-    other.start()
-    at_the_decoder.wait()
-    assert found(network) == [("act.2", (1, 32, 28, 56)), ("act.3", (1, 24, 14, 28))]
+    assert values["act.2"] is taken
 
 
 def test_a_network_that_makes_every_picture_a_square():
     network = nn.Sequential(nn.Upsample(size=(256, 256)), Street())
-    assert found(network) == [("1.act.2", (1, 32, 32, 32)), ("1.act.3", (1, 24, 16, 16))]
-    assert found(network, ["1.act.1"]) == [("1.act.1", (1, 16, 64, 64))]
+    assert chosen_of(network) == [("1.act.2", (1, 32, 32, 32)), ("1.act.3", (1, 24, 16, 16))]
+    assert chosen_of(network, ["1.act.1"]) == [("1.act.1", (1, 16, 64, 64))]
 
 
 def test_a_module_and_its_graph_give_the_same_activations(street_graph):
     network, graph = Street(), OnnxNetwork(street_graph)
     graph.take(["relu_2"])
     both = graph(NUMBERS, ["relu_2", "scores"])
-    with taken(network, ["act.2"]) as values:
+    with captured(network, ["act.2"]) as values:
         scores = network(NUMBERS)
     torch.testing.assert_close(values["act.2"], both["relu_2"], atol=1e-5, rtol=1e-5)
     torch.testing.assert_close(scores, both["scores"], atol=1e-5, rtol=1e-5)
@@ -140,8 +117,8 @@ def test_real_networks(name):
 def test_published_transformers(tmp_path, family, chosen):
     network = open_network(write_published(tmp_path, family)).network.eval()
     numbers = torch.rand(1, 3, 64, 64 if family == "Beit" else 96)
-    assert found(network, numbers=numbers) == [*chosen.items()]
-    with torch.no_grad(), taken(network, [*chosen]) as values:
+    assert chosen_of(network, numbers=numbers) == [*chosen.items()]
+    with torch.no_grad(), captured(network, [*chosen]) as values:
         network(numbers)
     for name, shape in chosen.items():
         assert values[name].shape == shape
@@ -152,10 +129,10 @@ def test_tokens_become_the_map_that_they_were_cut_from(tmp_path):
     """The embedding of each patch depends on its own pixels alone."""
     network = open_network(write_published(tmp_path, "Beit")).network.eval()
     numbers = torch.zeros(1, 3, 64, 64)
-    with torch.no_grad(), taken(network, ["hidden_states.0"]) as before:
+    with torch.no_grad(), captured(network, ["hidden_states.0"]) as before:
         network(numbers)
     numbers[:, :, 16:32, 48:] = 1
-    with torch.no_grad(), taken(network, ["hidden_states.0"]) as after:
+    with torch.no_grad(), captured(network, ["hidden_states.0"]) as after:
         network(numbers)
     changed = (after["hidden_states.0"] != before["hidden_states.0"]).any(1)[0]
     assert changed.nonzero().tolist() == [[1, 3]]
@@ -163,8 +140,8 @@ def test_tokens_become_the_map_that_they_were_cut_from(tmp_path):
 
 def test_names_choose_other_activations(street_graph):
     names = ["act.3", "act.1"]
-    assert found(Street(), names) == [("act.3", (1, 24, 14, 28)), ("act.1", (1, 16, 56, 112))]
-    assert found(OnnxNetwork(street_graph), ["cat_2"]) == [("cat_2", (1, 35, 28, 56))]
+    assert chosen_of(Street(), names) == [("act.3", (1, 24, 14, 28)), ("act.1", (1, 16, 56, 112))]
+    assert chosen_of(OnnxNetwork(street_graph), ["cat_2"]) == [("cat_2", (1, 35, 28, 56))]
 
 
 FLAT = nn.Sequential(nn.Conv2d(3, 8, 8, 8), nn.Flatten(), nn.Hardtanh())
@@ -185,7 +162,7 @@ def test_what_cannot_be_features_is_refused(network, names, message):
 
 def test_a_graph_with_external_weights(tmp_path):
     graph = OnnxNetwork(write_graph(tmp_path / "net.onnx", external=True))
-    assert graph.run_all(NUMBERS, ["classes"])["classes"].shape == (1, 12, 224, 448)
+    assert graph.run_all(NUMBERS)["classes"].shape == (1, 12, 224, 448)
     graph.take(["classes"])
     values = graph(NUMBERS, ["classes", "found"])
     np.testing.assert_array_equal(values["classes"], values["found"])

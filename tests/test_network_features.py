@@ -13,7 +13,7 @@ from ssrvlad_torch import SSRVLAD, reference
 from ssrvlad_torch.channels.channel import new_channels
 from ssrvlad_torch.datasets.image_files import find_image_files
 from ssrvlad_torch.deployment.fuse import other_signs
-from ssrvlad_torch.segmentation.activations import taken
+from ssrvlad_torch.segmentation.activations import captured
 from ssrvlad_torch.segmentation.features import NOISE, PROBES, pink_noise
 from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
 from ssrvlad_torch.segmentation.segmenter import Segmenter
@@ -29,7 +29,7 @@ def test_features_are_the_signs_of_the_activations(tmp_path):
     network, images = Street(), pictures()
 
     def activations_of(picture):
-        with taken(network, ["act.2", "act.3"]) as values:
+        with captured(network, ["act.2", "act.3"]) as values:
             network(segmenter.labels.preparation(torch.from_numpy(picture)[None]))
         return [values[name][0].double().numpy() for name in ("act.2", "act.3")]
 
@@ -102,7 +102,7 @@ def test_both_are_cached_together(tmp_path):
     assert run(False)[1] == 0
     others, count = run(True, ("act.1",))
     assert count == 5 and not same(made, others)
-    (entry, *_) = (tmp_path / "cache").rglob("*.png")
+    (entry, *_) = (tmp_path / "cache").rglob("*.npz")
     entry.write_bytes(entry.read_bytes()[:-40])
     again, count = run(True, ("act.1",))
     assert count == 1 and same(again, others)

@@ -2,11 +2,12 @@
 
 import sys
 
+import numpy as np
 import pytest
 import torch
 from drawings import SPACE
 from helpers import refused, refuses
-from networks import NAMES, PLAIN, colour_network, write_graph, write_published
+from networks import NAMES, PLAIN, Street, colour_network, write_graph, write_published
 from segmenting import NOISE, PHOTOS, assert_right
 
 from ssrvlad_torch.segmentation.networks import open_network, runs_code
@@ -50,20 +51,38 @@ def test_a_bad_settings_file_is_an_error_in_one_line(tmp_path, text, message):
     refuses(message, Segmenter.load, tmp_path / "net.yaml", SPACE)
 
 
-def test_a_function_or_torch_hub_makes_the_network(tmp_path, monkeypatch):
+def test_a_function_makes_the_network(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mynets.py").write_text("from networks import colour_network as mine\n")
-    (tmp_path / "hubconf.py").write_text("from networks import Strided as strided\n")
-    (tmp_path / "net.yaml").write_text(
-        f"network: torchhub:{tmp_path}/strided\narguments: {{stride: 1}}\n"
-        "mean: [0, 0, 0]\nstd: [1, 1, 1]\n"
-    )
     assert_right(Segmenter(open_network("mynets:mine").network, SPACE, PLAIN))
-    assert_right(Segmenter.load("net.yaml", SPACE))
     refuses("does not name its classes; give --labels-as", Segmenter.load, "mynets:mine")
-    for name in ("mynets:none", "nothing:mine", "torchhub:strided"):
-        refuses(name, open_network, name)
+
+
+@pytest.mark.parametrize("name", ["builtins:none", "nothing:mine", "torchhub:strided"])
+def test_a_function_that_is_not_there_is_named(name):
+    refuses(f"no network '{name}'", open_network, name)
+
+
+def test_a_function_that_makes_no_module_is_named():
     refuses("gives a list; expected an nn", open_network, "builtins:list")
+
+
+class WithModules(Street):
+    """A network whose own attribute hides a method of PyTorch."""
+
+    def __init__(self):
+        super().__init__()
+        self.modules = [8, 16]
+
+
+def test_a_network_with_an_attribute_named_modules_gives_labels_and_features():
+    picture = np.random.default_rng(0).integers(0, 256, (96, 128, 3), np.uint8)
+    [segmented], [expected] = (
+        Segmenter(network, SPACE, PLAIN).segment([picture], features=True)
+        for network in (WithModules(), Street())
+    )
+    np.testing.assert_array_equal(segmented.labels, expected.labels)
+    np.testing.assert_array_equal(segmented.features, expected.features)
 
 
 def test_a_module_and_its_weights_are_found_beside_the_settings(tmp_path, monkeypatch):
@@ -89,12 +108,6 @@ def test_a_module_and_its_weights_are_found_beside_the_settings(tmp_path, monkey
     (nets / "net.yaml").write_text(settings.replace("best", "none"))
     message = r"^beside_yaml:mine\(weights: none\.pth\) fails: none\.pth: No such file"
     refuses(message, open_network, "nets/net.yaml")
-    (tmp_path / "hubconf.py").write_text("def mine(weights): return open(weights)\n")
-    (tmp_path / "hub.yaml").write_text(
-        f"network: torchhub:{tmp_path}/mine\narguments: {{weights: none.pth}}\n"
-    )
-    with pytest.raises(OSError, match=r"mine cannot be loaded: none\.pth: No such file"):
-        open_network("hub.yaml")
 
 
 def test_weights_alone_are_refused_with_what_they_need(tmp_path, refusal):
@@ -163,8 +176,7 @@ def test_a_model_that_is_not_there_is_an_error_in_one_line(tmp_path, monkeypatch
 
 
 @pytest.mark.parametrize(
-    ("network", "code"),
-    [("net.onnx", False), ("hf:ORG/NAME", False), ("torchhub:O/R/M", True), ("nets:mine", True)],
+    ("network", "code"), [("net.onnx", False), ("hf:ORG/NAME", False), ("nets:mine", True)]
 )
 def test_names_and_files_that_run_code_are_known(tmp_path, network, code):
     (tmp_path / "net.yaml").write_text(f"network: {network}\n")

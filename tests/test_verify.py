@@ -22,24 +22,25 @@ import ssrvlad_torch
 from ssrvlad_torch import SSRVLADConfig, export_head
 from ssrvlad_torch.datasets.label_files import find_label_files
 from ssrvlad_torch.deployment.fuse import LABELS, fuse
+from ssrvlad_torch.deployment.golden import difference_of
 from ssrvlad_torch.deployment.metadata import PREFIX
 from ssrvlad_torch.deployment.runtimes import Runtime, runtime_of
-from ssrvlad_torch.deployment.verify import Check, compare, verify
+from ssrvlad_torch.deployment.verify import verify
 from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
 from ssrvlad_torch.segmentation.segmenter import Segmenter
 
 CONFIG = SSRVLADConfig.from_preset("default", labels_as=SPACE)
 
 
-def with_other_floor(other: str) -> Runtime:
-    """A runtime with another operator in the place of Floor; without, it refuses Floor."""
+def with_other_root(other: str) -> Runtime:
+    """A runtime with another operator in the place of Sqrt; without, it refuses Sqrt."""
 
     def changed(source):
         model = onnx.load_from_string(source) if isinstance(source, bytes) else onnx.load(source)
-        nodes = [node for node in model.graph.node if node.op_type == "Floor"]
+        nodes = [node for node in model.graph.node if node.op_type == "Sqrt"]
         assert nodes
         if not other:
-            raise RuntimeError("no kernel for Floor")
+            raise RuntimeError("no kernel for Sqrt")
         for node in nodes:
             node.op_type = other
         return runtime_of().open(model.SerializeToString())
@@ -107,7 +108,7 @@ def test_a_file_that_is_as_it_should_be(kind, files, streets):
     assert found.passed
     assert found.verdict == "exact"
     assert found.difference < 1e-6
-    assert (found.problems, found.warnings, found.skipped) == ([], [], [])
+    assert (found.problems, found.skipped) == ([], [])
     assert found.version == ssrvlad_torch.__version__
     assert found.fingerprint == CONFIG.fingerprint
     networks = {"fused": "seg.onnx", "features": "street.onnx"}
@@ -151,17 +152,7 @@ WRONG: dict[str, tuple[str, Callable[[onnx.ModelProto], None], str]] = {
     "golden": ("labels", edit_table_and_golden, r"^descriptors differ by"),
     "network": ("fused", edit_bias, r"of the pixels have another label$"),
     "signs": ("features", edit_signs, r"% of the signs of the features are others$"),
-    "other features": (
-        "features",
-        with_property("features", lambda _: "others"),
-        r"^features: not what the properties ssrvlad\.features and",
-    ),
     "hog": ("fused", edit_hog, r"^hog differs by 0\.\d+$"),
-    "other hog": (
-        "fused",
-        with_property("hog", lambda _: "others"),
-        r"^hog: not what the properties ssrvlad\.hog and",
-    ),
     "fingerprint": (
         "labels",
         with_property("fingerprint", lambda _: "0" * 16),
@@ -180,16 +171,6 @@ def test_what_was_changed_in_a_file_is_found(kind, files, ssrvlad, tmp_path):
     assert not found.passed
     code, out, _ = ssrvlad("verify", file)
     assert (code, "WRONG" in out, problem in " ".join(out.split())) == (1, True, True)
-
-
-def test_another_version_is_named(files, ssrvlad, tmp_path):
-    change = with_property("version", lambda _: "0.0.1")
-    code, _, err = ssrvlad("verify", changed(files["labels"], tmp_path / "old.onnx", change))
-    assert code == 0
-    assert len(err) == 1
-    assert (
-        f"written by version 0.0.1 of ssrvlad_torch, this is {ssrvlad_torch.__version__}" in err[0]
-    )
 
 
 def without_metadata(model: onnx.ModelProto) -> None:
@@ -240,23 +221,26 @@ def test_label_maps_that_cannot_be_compared_are_skipped(files, ssrvlad, streets)
     assert len(err) == 2
 
 
-def test_every_kind_of_difference_is_a_problem():
-    right = {
-        "descriptor": np.full((2, 3), 0.5, np.float32),
-        "keypoints": np.ones((2, 8), np.int64),
-        "unknown": np.zeros(2, np.int64),
-    }
-    assert compare("x", right, right) == Check("x", 0.0, "")
-    near = {**right, "descriptor": right["descriptor"] + np.float32(9e-7)}
-    assert not compare("x", near, right).problem
-    far = {**right, "descriptor": right["descriptor"] + np.float32(1e-5)}
-    assert "descriptors differ by 1e-05" in compare("x", far, right).problem
-    lost = {**right, "descriptor": right["descriptor"] * np.nan}
-    assert compare("x", lost, right).difference == np.inf
-    assert compare("x", {**right, "keypoints": right["keypoints"] + 1}, right).problem
-    assert compare("x", {**right, "unknown": right["unknown"] + 1}, right).problem
-    short = {**right, "descriptor": right["descriptor"][:, :2]}
-    assert "(2, 2), not (2, 3)" in compare("x", short, right).problem
+RIGHT = {
+    "descriptor": np.full((2, 3), 0.5, np.float32),
+    "keypoints": np.ones((2, 8), np.int64),
+    "unknown": np.zeros(2, np.int64),
+}
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "problem"),
+    [
+        ("descriptor", lambda array: array + np.float32(9e-7), ""),
+        ("descriptor", lambda array: array + np.float32(1e-5), "descriptors differ by 1e-05"),
+        ("descriptor", lambda array: array * np.nan, "descriptors differ by inf"),
+        ("descriptor", lambda array: array[:, :2], "descriptor is (2, 2), not (2, 3)"),
+        ("keypoints", lambda array: array + 1, "keypoints differ"),
+        ("unknown", lambda array: array + 1, "unknown differ"),
+    ],
+)
+def test_a_difference_is_named(name, change, problem):
+    assert difference_of({**RIGHT, name: change(RIGHT[name])}, RIGHT)[1] == problem
 
 
 def test_a_label_space_of_its_own_travels_with_the_file(tmp_path):
@@ -272,26 +256,19 @@ def test_a_label_space_of_its_own_travels_with_the_file(tmp_path):
 
 @pytest.mark.parametrize("kind", ["labels", "fused"])
 def test_a_runtime_that_is_wrong_or_fails_is_told(kind, files, ssrvlad, monkeypatch):
-    """One that rounds up, and one that cannot round."""
-    for other, verdict in (("Ceil", "wrong"), ("", "cannot run")):
-        runtime = with_other_floor(other)
+    """One without roots, and one that cannot take any."""
+    for other, verdict in (("Abs", "wrong"), ("", "cannot run")):
+        runtime = with_other_root(other)
         monkeypatch.setattr("ssrvlad_torch.deployment.verify.runtime_of", lambda _, r=runtime: r)
         code, out, _ = ssrvlad("verify", files[kind], "--json")
         report = json.loads(out)
         assert (code, report["verdict"], report["passed"]) == (1, verdict, False)
         reasons = [check["problem"] for check in report["checks"]]
-        assert any("no kernel for Floor" in each for each in reasons) == (not other)
+        assert any("no kernel for Sqrt" in each for each in reasons) == (not other)
 
 
-def test_openvino_is_measured_with_and_without_its_setting(files, ssrvlad):
-    """Without it, a processor that has bfloat16 computes wrong descriptors."""
-    openvino = pytest.importorskip("openvino", reason="the extra openvino is not installed")
+def test_openvino_is_exact_in_single_precision(files, ssrvlad):
+    pytest.importorskip("openvino", reason="the extra openvino is not installed")
     found = verify(files["labels"], provider="openvino")
-    single = openvino.Core().get_property("CPU", "INFERENCE_PRECISION_HINT") == openvino.Type.f32
     assert found.passed and found.runtime.endswith(", CPU, in single precision")
-    assert found.by_default.name.endswith(", CPU, as it is by default")
-    assert (found.by_default.problem == "") == (found.by_default.difference < 1e-6) == single
-    code, out, err = ssrvlad("verify", files["labels"], "--provider", "openvino")
-    assert (code, "as it is by default" in out) == (0, True)
-    assert bool(err) != single
-    assert single or "INFERENCE_PRECISION_HINT': 'f32'" in err[0]
+    assert ssrvlad("verify", files["labels"], "--provider", "openvino")[0] == 0

@@ -14,15 +14,15 @@ import torch
 from torch import Tensor
 
 from ..encoding.results import Progress, do_nothing
-from ..files import naming, one_line, parse_json
+from ..files import naming, one_line
 from ..segmentation.features import probed
 from ..segmentation.label_network import LabelNetwork
 from ..segmentation.network_outputs import tensors_of
-from ..segmentation.networks import AUTO, NamedNetwork, open_network
+from ..segmentation.networks import NamedNetwork, open_network
 from ..segmentation.onnx_network import OnnxNetwork
 from ..segmentation.preparation import SegmenterConfig
 from ..taxonomy import DYNAMIC, LabelClass, LabelSpace, label_space
-from .fuse import LABELS, MAX_OTHER_PIXELS, NETWORK
+from .fuse import LABELS, MAX_OTHER_PIXELS, network_in
 from .golden import photograph
 
 SIZES = ((128, 128), (256, 384), (512, 768))
@@ -31,40 +31,25 @@ SIZES = ((128, 128), (256, 384), (512, 768))
 _BYTES = SegmenterConfig(white=255, mean=(0, 0, 0), std=(1, 1, 1), output=LABELS)
 """The settings of a fused file, which prepares its pictures itself."""
 
-_IDS = 256
-
 
 class SizeCheck(NamedTuple):
-    """The comparison at one size.
-
-    Attributes:
-        size: height and width of the picture.
-        fed: height and width of the network's input for it.
-        others: fraction of the pixels with another label, 0 to 1; NaN if one gives no labels.
-        problem: what is wrong, or ``""``.
-        compared: whether the network in PyTorch takes this size.
-    """
+    """The comparison at one size: height and width of the picture, and of the network's input for
+    it; the fraction of the pixels with another label, NaN if the file gives none; what is wrong, or
+    ``""``."""
 
     size: tuple[int, int]
     fed: tuple[int, int]
     others: float
     problem: str = ""
-    compared: bool = True
 
 
 @torch.inference_mode()
 def verify_against(
     file: str | Path, network: str, progress: Progress = do_nothing
 ) -> list[SizeCheck]:
-    """Compares the label maps of an ONNX file with those of the network that it was made of, on a
-    drawn picture of each of `SIZES`.
-
-    Where only one of the two has settings, they prepare the pictures of both.
-
-    Args:
-        file: a network's ONNX file, a YAML file that names one, or a file of ``ssrvlad fuse``.
-        network: the name of the network in PyTorch, see `open_network`.
-        progress: called with 1 for each size.
+    """Compares the label maps of an ONNX file, of a network's own, named in a YAML file, or of
+    `fuse`, with those of the network in PyTorch of which it was made, on a drawn picture of each of
+    `SIZES` that it takes. If only one of the two has settings, they prepare the pictures of both.
 
     Raises:
         ValueError: the file is no ONNX graph, the network is one, a name or a setting is not
@@ -76,74 +61,52 @@ def verify_against(
         raise ValueError(f"{file} is no ONNX file; expected the one to compare with {network}")
     if isinstance(module.network, OnnxNetwork):
         raise ValueError(f"{network} is an ONNX file; expected the network in PyTorch")
-    exported, original = _prepared(graph, module)
-    checks = []
+    plain, fused = SegmenterConfig(), network_in(graph.network.metadata)
+    of_file = SegmenterConfig.of(fused.settings) if fused else graph.config
+    # outputs of the two forms have other names
+    settings = module.config
+    if settings == plain:
+        settings = replace(of_file, output=None, features=None)
+    elif of_file == plain:
+        of_file = replace(settings, output=None, features=None)
+    space = _channels(module, settings)
+    exported = LabelNetwork(graph.network, space, _BYTES if fused else of_file)
+    if settings.size is None and not fused:
+        settings = replace(settings, size=exported.config.size)  # that the graph requires
+    original, checks, reason = LabelNetwork(module.network, space, settings), [], ""
     for size in SIZES:
-        checks.append(_check(exported, original, size))
+        picture = torch.from_numpy(photograph(np.random.default_rng(0), *size))[None]
+        try:
+            expected = original(picture).cpu()
+        except Exception as error:  # networks raise many kinds of errors
+            reason = one_line(error)
+        else:
+            fed = settings.network_size(*size)
+            checks.append(SizeCheck(size, fed, *_others(exported, picture, expected)))
         progress(1)
-    if not any(check.compared for check in checks):
-        raise ValueError(f"{network} takes none of the sizes: {checks[-1].problem}")
+    if not checks:
+        raise ValueError(f"{network} takes none of the sizes: {reason}")
     return checks
 
 
-def _prepared(graph: NamedNetwork, module: NamedNetwork) -> tuple[LabelNetwork, LabelNetwork]:
-    """Both with the settings of their own, or of the other; of a fused file the settings are those
-    of the network in it."""
-    assert isinstance(graph.network, OnnxNetwork)
-    own = module.config if module.config != SegmenterConfig() else None
-    given, text = graph.config, graph.network.metadata.get(NETWORK)
-    fused = SegmenterConfig.of(parse_json(text, NETWORK)["settings"]) if text else None
-    if fused:
-        given = _BYTES
-    elif given == SegmenterConfig() and own:
-        given = _without_names(own)
-    space = _space(graph, module, own or fused or given)
-    exported = LabelNetwork(graph.network, space, given)
-    settings = own or _without_names(fused or exported.config)
-    return exported, LabelNetwork(module.network, space, settings)
-
-
-def _check(exported: LabelNetwork, original: LabelNetwork, size: tuple[int, int]) -> SizeCheck:
-    picture, fed = _picture(*size), original.config.network_size(*size)
+def _others(exported: LabelNetwork, picture: Tensor, expected: Tensor) -> tuple[float, str]:
     try:
-        expected = original(picture).cpu()
-    except Exception as error:  # networks raise many kinds of errors
-        problem = f"the network in PyTorch fails: {one_line(error)}"
-        return SizeCheck(size, fed, math.nan, problem, compared=False)
-    try:
-        got = exported(picture).cpu()
-    except Exception as error:  # so do runtimes
-        return SizeCheck(size, fed, math.nan, f"the file fails: {one_line(error)}")
-    others = float((got != expected).double().mean())
-    return SizeCheck(size, fed, others, "other labels" if others > MAX_OTHER_PIXELS else "")
+        others = float((exported(picture).cpu() != expected).double().mean())
+    except Exception as error:  # runtimes raise many kinds of errors
+        return math.nan, f"the file fails: {one_line(error)}"
+    return others, "other labels" if others > MAX_OTHER_PIXELS else ""
 
 
-def _picture(height: int, width: int) -> Tensor:
-    return torch.from_numpy(photograph(np.random.default_rng(0), height, width))[None]
-
-
-def _without_names(config: SegmenterConfig) -> SegmenterConfig:
-    """Settings for another form of the network, whose outputs have other names."""
-    return replace(config, output=None, features=None)
-
-
-def _space(graph: NamedNetwork, module: NamedNetwork, config: SegmenterConfig) -> LabelSpace:
-    """The label space of a network, or else classes for its channels, without names."""
-    for named in (module, graph):
-        if named.labels_as not in (None, AUTO):
-            return label_space(str(named.labels_as))
+def _channels(module: NamedNetwork, config: SegmenterConfig) -> LabelSpace:
+    """Classes for the channels of a network, without names; for ids, those of a byte."""
     first, last = config.classes or (0, 0)
-    names = module.class_names or graph.class_names
-    count = last - first or max(names, default=-1) + 1 or _channels(module, config)
+    count = last - first
+    if not count:
+        prepared = LabelNetwork(module.network, label_space("cityscapes-trainids"), config)
+        with naming(module.name):
+            tensors = tensors_of(module.network(probed(prepared)[0]))
+        name = next(n for n in (str(config.output), "out", "logits", *tensors) if n in tensors)
+        scores = tensors[name]
+        count = scores.shape[1] if scores.ndim == 4 and scores.is_floating_point() else 256
     classes = (LabelClass(number, str(number), DYNAMIC, None) for number in range(count))
     return LabelSpace("channels", "the network's output", tuple(classes))
-
-
-def _channels(module: NamedNetwork, config: SegmenterConfig) -> int:
-    """The channels of the class scores of a network, as many as ids of bytes if it gives ids."""
-    prepared = LabelNetwork(module.network, label_space("cityscapes-trainids"), config)
-    with naming(module.name):
-        tensors = tensors_of(module.network(probed(prepared)[0]))
-    names = (str(config.output), "out", "logits", *tensors)
-    scores = [tensors[n] for n in names if n in tensors and tensors[n].ndim == 4]
-    return scores[0].shape[1] if scores and scores[0].is_floating_point() else _IDS

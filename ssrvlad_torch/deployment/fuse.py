@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,13 +16,13 @@ from ..channels.channel import View
 from ..channels.hog import HOG
 from ..config import SSRVLADConfig
 from ..descriptor import SSRVLAD
-from ..files import check_output, one_line, replacing, requiring
+from ..files import check_output, one_line, parse_json, replacing, requiring
 from ..segmentation.features import PROBES
 from ..segmentation.onnx_files import load_model, save_model
 from ..segmentation.onnx_network import OnnxNetwork
 from ..segmentation.segmenter import Segmenter
 from .export import head_model
-from .golden import outputs_of, photograph
+from .golden import difference_of, outputs_of, photograph
 from .label_graph import EXAMPLE, label_graph
 from .metadata import PREFIX, Arrays, Metadata
 from .runtimes import Run, runtime_of
@@ -73,6 +74,12 @@ class FusedNetwork:
     def channels(self) -> dict[str, str]:
         """The fingerprints of `OF_PICTURES` in the file."""
         return {name: key for name in OF_PICTURES if (key := getattr(self, name))}
+
+
+def network_in(properties: Mapping[str, str]) -> FusedNetwork | None:
+    """The network in a file, by its properties; ``None`` for a head alone."""
+    text = properties.get(NETWORK)
+    return FusedNetwork(**parse_json(text, NETWORK)) if text else None
 
 
 def fuse(
@@ -186,6 +193,19 @@ def _joined(network: onnx.ModelProto, head: onnx.ModelProto) -> onnx.ModelProto:
     return model
 
 
+def head_of(model: onnx.ModelProto) -> onnx.ModelProto:
+    """The head in a fused file, by the prefix of its names: `onnx.utils.Extractor` misses the outer
+    values that a loop body uses."""
+    from onnx import helper
+
+    nodes = [node for node in model.graph.node if node.name.startswith(HEAD)]
+    tables = [tensor for tensor in model.graph.initializer if tensor.name.startswith(HEAD)]
+    inputs = [value for value in model.graph.output if value.name == LABELS]
+    outputs = [v for v in model.graph.output if v.name not in (LABELS, *OF_PICTURES)]
+    graph = helper.make_graph(nodes, "ssrvlad", inputs, outputs, tables)
+    return helper.make_model(graph, opset_imports=model.opset_import, ir_version=model.ir_version)
+
+
 def _golden_image(segmenter: Segmenter, features: bool) -> Arrays:
     """Pictures of the smallest of `PROBES` that the network takes, and what the segmenter says."""
     network, error = segmenter.network, ValueError("takes no picture")
@@ -221,9 +241,8 @@ def _golden(run: Run, expected: Arrays, head: SSRVLAD, segmenter: Segmenter) -> 
     if "descriptor" not in outputs:
         return golden
     module = outputs_of(head, outputs[LABELS])
-    for name, array in module.items():
-        if not np.allclose(outputs[name], array, rtol=0, atol=1e-6):
-            raise ValueError(f"the fused head gives another {name} than the PyTorch module")
+    if problem := difference_of(outputs, module)[1]:
+        raise ValueError(f"the fused head is not the PyTorch module: {problem}")
     return golden | module
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -13,13 +13,11 @@ import numpy.typing as npt
 from ..files import requiring
 from ..segmentation.onnx_files import CPU, open_session
 from ..segmentation.onnx_network import OPENVINO
-from ..segmentation.openvino_session import SINGLE, OpenVinoSession
+from ..segmentation.openvino_session import OpenVinoSession
 from .metadata import Arrays
 
 Run = Callable[[Arrays], dict[str, npt.NDArray[Any]]]
 """Runs a graph: its inputs by name to its outputs by name."""
-
-_RECORD = {"session.record_ep_graph_assignment_info": "1"}
 
 
 @dataclass(frozen=True)
@@ -31,35 +29,18 @@ class Runtime:
         open: makes a function that runs a file, given by path or content. If this or the function
             raises any error, the runtime cannot run the file.
         provider: of ONNX Runtime; others are compared with the CPU's. Empty for OpenVINO.
-        plain: the runtime without the settings that it needs here, as a user may start it; ``None``
-            if it needs none.
     """
 
     name: str
     open: Callable[[Path | bytes], Run]
     provider: str = ""
-    plain: Runtime | None = None
-
-    def cpu_fallback(self, source: Path | bytes) -> str:
-        """The number of nodes of a file that run on the CPU, because the provider lacks them, or
-        ``""``; known from ONNX Runtime 1.24 on."""
-        if self.provider in ("", CPU):
-            return ""
-        session = open_session(source, "the graph", self.provider, settings=_RECORD)
-        if not hasattr(session, "get_provider_graph_assignment_info"):
-            return "this version of ONNX Runtime does not report which nodes run on the CPU"
-        partitions = session.get_provider_graph_assignment_info()
-        counts = [(nodes.ep_name, len(nodes.get_nodes())) for nodes in partitions]
-        others = sum(count for name, count in counts if name != self.provider)
-        total = sum(count for _, count in counts)
-        return f"{others} of {total} nodes run on the CPU" if others else ""
 
 
 def runtime_of(provider: str = CPU) -> Runtime:
     """The runtime with a name: an execution provider of ONNX Runtime, or ``"openvino"``. A provider
     that ONNX Runtime lacks is a ValueError, a runtime that is not installed an ImportError."""
     if provider == OPENVINO:
-        return _openvino(SINGLE, ", in single precision", _openvino({}, ", as it is by default"))
+        return _openvino()
     with requiring("onnx", "ONNX files need"):
         import onnxruntime
     available = onnxruntime.get_available_providers()
@@ -76,15 +57,15 @@ def _session(provider: str, source: Path | bytes) -> Run:
     return lambda inputs: dict(zip(names, session.run(names, dict(inputs)), strict=True))
 
 
-def _openvino(settings: Mapping[str, str], how: str, plain: Runtime | None = None) -> Runtime:
-    """OpenVINO's own runtime on the CPU, with settings of `compile_model`."""
+def _openvino() -> Runtime:
+    """OpenVINO's own runtime on the CPU, in single precision."""
     with requiring("openvino", "OpenVINO needs"):
         import openvino
 
     def compiled(source: Path | bytes) -> Run:
-        session = OpenVinoSession(source, "the graph", settings=settings)
+        session = OpenVinoSession(source, "the graph")
         names = session.outputs
         return lambda inputs: dict(zip(names, session.run(names, inputs), strict=True))
 
     version = openvino.get_version().partition("-")[0]
-    return Runtime(f"OpenVINO {version}, CPU{how}", compiled, plain=plain)
+    return Runtime(f"OpenVINO {version}, CPU, in single precision", compiled)

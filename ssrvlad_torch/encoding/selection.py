@@ -4,8 +4,8 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 NETWORK = (
-    "FILE.onnx, FILE.yaml (a network and its settings), hf:ORG/NAME[@REVISION], a folder, "
-    "torchhub:REPO/MODEL or MODULE:NAME."
+    "FILE.onnx, FILE.yaml (a network and its settings), hf:ORG/NAME[@REVISION], a folder or "
+    "MODULE:NAME."
 )
 
 

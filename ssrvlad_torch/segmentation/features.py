@@ -41,7 +41,7 @@ class NetworkFeatures(nn.Module):
     Attributes:
         names: of the activations, in the order that `forward` takes.
         size: height and width of the pictures of noise.
-        key: in hex, of the digest of the network, see `identity.digest_of`, its settings, the
+        key: in hex, of the digest of the network, see `digest_of`, its settings, the
             activations, the size of the noise and the form of the signs.
         fingerprint: a text under which a database stores the signs.
     """
@@ -50,7 +50,7 @@ class NetworkFeatures(nn.Module):
         super().__init__()
         numbers, *self.size = probed(labels)
         self.activations = find_activations(labels.network, numbers, labels.config.features)
-        self.names = [each.name for each in self.activations]
+        self.names = [act.name for act in self.activations]
         if isinstance(labels.network, OnnxNetwork):
             labels.network.take(self.names)
         self.signs = Features(*noise_means(labels, self.names, *self.size))
@@ -93,8 +93,8 @@ def noise_means(
     for number in range(NOISE):
         picture = torch.from_numpy(pink_noise(number, height, width))
         _, activations = labels.run(picture[None], names)
-        means.append([cell_means(each).cpu() for each in activations])
-    return [torch.cat(of_each) for of_each in zip(*means, strict=True)]
+        means.append([cell_means(values).cpu() for values in activations])
+    return [torch.cat(level) for level in zip(*means, strict=True)]
 
 
 @torch.inference_mode()

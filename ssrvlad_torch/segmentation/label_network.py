@@ -2,7 +2,6 @@
 
 import dataclasses
 from collections.abc import Sequence
-from contextlib import suppress
 from itertools import chain
 from typing import cast
 
@@ -11,9 +10,8 @@ from torch import Tensor, nn
 
 from ..files import naming
 from ..taxonomy import LabelSpace
-from .activations import taken
+from .activations import captured
 from .network_outputs import (
-    UnrecognisedError,
     choose_output,
     class_axis,
     classes_of,
@@ -79,9 +77,7 @@ class LabelNetwork(nn.Module):
         if output.ndim == 3:
             return output
         if self.axis is None:
-            form = form_of(output)
-            self.axis = class_axis(form, self.space, self.config.classes)
-            self.axis = self.axis or self._constant_axis(output, numbers)
+            self.axis = self._axis_of(output, numbers)
         if not output.is_floating_point():
             return output.squeeze(self.axis)
         scores = output.movedim(self.axis, 1)
@@ -93,7 +89,7 @@ class LabelNetwork(nn.Module):
             values = self.network(numbers, names=[config.output, *names])
             outputs = {str(config.output): values[config.output]}
         else:
-            with taken(self.network, names) as values:
+            with captured(self.network, names) as values:
                 outputs = tensors_of(self.network(numbers))
         if missing := [name for name in names if name not in values]:
             raise ValueError(f"features: the network did not compute {missing[0]}")
@@ -101,27 +97,19 @@ class LabelNetwork(nn.Module):
         chosen = choose_output(forms, self.space, config.output, config.classes)
         return outputs[chosen], [values[name] for name in names]
 
-    def _constant_axis(self, output: Tensor, numbers: Tensor) -> int:
-        """The axis that holds the classes, fixed once for all pictures: its length does not change
-        for a picture twice as large. If the lengths do not tell, the other two axes are those
-        proportional to height and width. If either could hold them, it is a ValueError."""
+    def _axis_of(self, output: Tensor, numbers: Tensor) -> int:
+        """The axis that holds the classes, fixed once for all pictures. If both could, the other
+        two axes are proportional to height and width; a square picture has the layout of the
+        network's input."""
+        axis = class_axis(form_of(output), self.space, self.config.classes)
+        if axis is not None:
+            return axis
         last = isinstance(self.network, OnnxNetwork) and self.network.form.channels_last
-        shapes = [output.shape]
-        with suppress(Exception):  # a network of one size can raise anything
-            twice = numbers[:1].repeat((1, 2, 2, 1) if last else (1, 1, 2, 2))
-            shapes.append(self._output(twice)[0].shape)
         height, width = numbers.shape[1:3] if last else numbers.shape[2:]
-        fitting = [axis for axis in (1, 3) if len({shape[axis] for shape in shapes}) == 1]
-        if len(fitting) != 1:
-            _, second, third, fourth = output.shape
-            others = {1: (third, fourth), 3: (second, third)}
-            fitting = [axis for axis, (h, w) in others.items() if h * width == w * height]
-        if len(fitting) != 1:
-            raise UnrecognisedError(
-                f"the output {form_of(output)} for images of {height}x{width} can be "
-                "(B, C, h, w) or (B, h, w, C); expected one that shows which at this size"
-            )
-        return fitting[0]
+        _, second, third, fourth = output.shape
+        sides = {1: (third, fourth), 3: (second, third)}
+        fitting = [axis for axis, (h, w) in sides.items() if h * width == w * height]
+        return fitting[0] if len(fitting) == 1 else 3 if last else 1
 
 
 def _completed(config: SegmenterConfig, network: OnnxNetwork, space: LabelSpace) -> SegmenterConfig:

@@ -152,8 +152,8 @@ def _hint(forms: Mapping[str, OutputForm], space: LabelSpace, classes: Classes) 
     if not more or not most or classes:
         return ""
     fits = [n for n in label_space_names() if more.intersection(label_space(n).channel_counts)]
-    others = f"; so many has {' or '.join(fits)}" if fits else ""
-    return f"{others}; --classes 0:{most} takes the first {most}"
+    so_many = f"; so many has {' or '.join(fits)}" if fits else ""
+    return f"{so_many}; --classes 0:{most} takes the first {most}"
 
 
 def _list(forms: Mapping[str, OutputForm]) -> str:

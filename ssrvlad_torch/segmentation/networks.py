@@ -1,10 +1,8 @@
 """Networks by name: a graph, a YAML file, a published model, or a function that returns one."""
 
 import dataclasses
-import logging
 import sys
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
@@ -20,17 +18,19 @@ from .preparation import SegmenterConfig
 AUTO = "auto"
 """The label space that the network's own class names define."""
 
-_GIVEN = {"mean", "std", "white", "colour_order"}
-"""If one of these settings is given, the preparation counts as chosen, not assumed."""
-
 ACCEPT = "accept_defaults"
 """The key of a YAML file that accepts the assumed preparation, so that it is not noted."""
 
+_COLOURS = {"mean", "std", "white", "colour_order"}
+"""With one of these settings the preparation counts as chosen, not assumed."""
+
 _KEYS = ("network", "labels_as", "arguments", "runtime", ACCEPT)
 """Keys of a YAML file that are no settings of the preparation."""
+
+_YAML = (".yaml", ".yml")
 _WEIGHTS = (".pth", ".pt", ".ckpt", ".bin", ".safetensors", ".pkl")
 _MASK_NETWORKS = ("maskformer", "mask2former", "oneformer")
-_WHERE = "FILE.onnx, FILE.yaml, hf:ORG/NAME[@REVISION], a folder, torchhub:REPO/MODEL, MODULE:NAME"
+_WHERE = "FILE.onnx, FILE.yaml, hf:ORG/NAME[@REVISION], a folder, MODULE:NAME"
 
 
 @dataclass(frozen=True)
@@ -67,11 +67,8 @@ def open_network(name: str | Path) -> NamedNetwork:
               files are looked for beside the file first;
             - ``hf:ORG/NAME`` or ``hf:ORG/NAME@REVISION`` of the Hugging Face hub, or a folder in
               that format (extra ``hf``): any model for semantic segmentation, with the settings
-              of its image processor;
-            - ``torchhub:REPO/MODEL``, where REPO is that of `torch.hub.load` or a folder;
+              of its image processor. It is downloaded if it is not in the hub's cache;
             - ``MODULE:NAME``, a function in a Python module that returns an `nn.Module`.
-
-            Only names of a hub are downloaded, if they are not in its cache.
 
     Raises:
         ValueError: the name or a setting is not understood, or the network cannot be used.
@@ -84,9 +81,9 @@ def open_network(name: str | Path) -> NamedNetwork:
 def runs_code(name: str) -> bool:
     """Whether opening a network runs code; a YAML file that names none is a ValueError."""
     path = Path(name)
-    if path.suffix.lower() in (".yaml", ".yml") and path.is_file():
+    if path.suffix.lower() in _YAML and path.is_file():
         return runs_code(_named(path)[0])
-    data = path.suffix.lower() in (".yaml", ".yml", ".onnx") or path.is_dir()
+    data = path.suffix.lower() in (*_YAML, ".onnx") or path.is_dir()
     return not data and not name.startswith("hf:")
 
 
@@ -98,8 +95,8 @@ def _open(
     runtime: str = ONNX_RUNTIME,
 ) -> NamedNetwork:
     """A network by its name, which is in a YAML file in a folder, or was given alone."""
-    path, assumed = Path(name), not _GIVEN & settings.keys()
-    if path.suffix.lower() in (".yaml", ".yml"):
+    path, assumed = Path(name), not _COLOURS & settings.keys()
+    if path.suffix.lower() in _YAML:
         return _of_file(path)
     if path.suffix.lower() == ".onnx":
         graph = OnnxNetwork(path, runtime)
@@ -107,27 +104,14 @@ def _open(
         return NamedNetwork(name, graph, SegmenterConfig(**settings), names, assumed=assumed)
     if name.startswith("hf:") or path.is_dir():
         return _of_hub(name, settings)
-    network: object
-    if name.startswith("torchhub:"):
-        repository, slash, model = name.removeprefix("torchhub:").rpartition("/")
-        if not slash:
-            raise ValueError(
-                f"{name} names no model; expected torchhub:OWNER/REPOSITORY[:REF]/MODEL"
-            )
-        source = "local" if Path(repository).is_dir() else "github"
-        with _quiet(name):
-            network = torch.hub.load(repository, model, source=source, trust_repo=True, **arguments)
-    elif ":" in name:
-        network = _called(name, arguments, folder)
-    elif path.suffix.lower() in _WEIGHTS:
+    if path.suffix.lower() in _WEIGHTS:
         raise ValueError(
             f"{name} can only be the weights of a network; expected MODULE:NAME, a function in "
             "Python that makes the network and loads them"
         )
-    else:
+    if ":" not in name:
         raise ValueError(f"no network {name!r}; expected {_WHERE}")
-    if not isinstance(network, nn.Module):
-        raise ValueError(f"{name} gives a {type(network).__name__}; expected an nn.Module")
+    network = _called(name, arguments, folder)
     return NamedNetwork(name, network, SegmenterConfig(**settings), assumed=assumed)
 
 
@@ -170,15 +154,18 @@ def _named(path: Path) -> tuple[str, dict[str, Any]]:
     return name, document
 
 
-def _called(name: str, arguments: dict[str, Any], folder: Path | None) -> object:
+def _called(name: str, arguments: dict[str, Any], folder: Path | None) -> nn.Module:
     """The network that the function ``MODULE:NAME`` returns; an error of the function names its
     arguments."""
     function = _function(name, folder)
     try:
-        return function(**arguments)
+        network = function(**arguments)
     except Exception as error:  # a user's code
-        given = ", ".join(f"{key}: {value}" for key, value in arguments.items())
-        raise ValueError(f"{name}({given}) fails: {_reason(error)}") from error
+        values = ", ".join(f"{key}: {value}" for key, value in arguments.items())
+        raise ValueError(f"{name}({values}) fails: {_reason(error)}") from error
+    if not isinstance(network, nn.Module):
+        raise ValueError(f"{name} gives a {type(network).__name__}; expected an nn.Module")
+    return network
 
 
 def _function(name: str, folder: Path | None) -> Callable[..., object]:
@@ -194,10 +181,9 @@ def _function(name: str, folder: Path | None) -> Callable[..., object]:
         raise ValueError(f"no network {name!r}: {one_line(error)}; expected {_WHERE}") from error
     finally:
         del sys.path[: len(places)]
-    own, path = getattr(loaded, "__file__", None), Path(places[0], *module.split("."))
-    beside = next((p for p in (path / "__init__.py", path.with_suffix(".py")) if p.is_file()), None)
-    if own and beside and beside.resolve() != Path(own).resolve():
-        raise ValueError(f"another module {module} is loaded already, {own}; rename {beside}")
+    file, beside = getattr(loaded, "__file__", None), Path(places[0], f"{module}.py")
+    if file and beside.is_file() and beside.resolve() != Path(file).resolve():
+        raise ValueError(f"another module {module} is loaded already, {file}; rename {beside}")
     return made
 
 
@@ -219,8 +205,8 @@ class MaskScores(nn.Module):
 
     def forward(self, images: Tensor) -> Tensor:
         """``(B, C, h, w)``: each mask gives its pixels the scores of its class."""
-        told = {} if self.task is None else {"task_inputs": self.task.expand(len(images), -1)}
-        output = self.network(pixel_values=images, **told)
+        task = {} if self.task is None else {"task_inputs": self.task.expand(len(images), -1)}
+        output = self.network(pixel_values=images, **task)
         classes = output.class_queries_logits.softmax(-1)[..., :-1]
         masks = output.masks_queries_logits.sigmoid()
         return torch.einsum("bqc,bqhw->bchw", classes, masks)
@@ -232,19 +218,24 @@ def _of_hub(name: str, settings: dict[str, Any]) -> NamedNetwork:
         import transformers as hub
     source, _, revision = name.removeprefix("hf:").partition("@")
     pinned = {"revision": revision} if revision else {}
-    with _quiet(name):
+    if not sys.stderr.isatty():
+        hub.utils.logging.disable_progress_bar()
+    try:
         config = hub.AutoConfig.from_pretrained(source, **pinned)
+        masks, one = config.model_type in _MASK_NETWORKS, config.model_type == "oneformer"
         family: Any = hub.AutoModelForSemanticSegmentation
-        if config.model_type in _MASK_NETWORKS:
-            family = hub.AutoModelForUniversalSegmentation
+        family = hub.AutoModelForUniversalSegmentation if masks else family
         network: nn.Module = family.from_pretrained(source, **pinned)
-        kind = hub.AutoProcessor if config.model_type == "oneformer" else hub.AutoImageProcessor
+        kind = hub.AutoProcessor if one else hub.AutoImageProcessor
         processor = kind.from_pretrained(source, backend="pil", **pinned)
-    if config.model_type in _MASK_NETWORKS:
-        task = None
-        if config.model_type == "oneformer":
-            task = processor._preprocess_text(["the task is semantic"])
-            processor = processor.image_processor
+    except OSError as error:
+        reason = _reason(error).partition(" Check your internet")[0]
+        raise OSError(f"{name} cannot be loaded: {reason}") from error
+    except Exception as error:  # the libraries raise many kinds of errors
+        raise ValueError(f"{name} cannot be used: {one_line(error)}") from error
+    if masks:
+        task = processor._preprocess_text(["the task is semantic"]) if one else None
+        processor = processor.image_processor if one else processor
         network = MaskScores(network, task)
     with naming(name):
         settings = _settings_of(processor, settings)
@@ -274,29 +265,3 @@ def _settings_of(processor: Any, overrides: dict[str, Any]) -> dict[str, Any]:
         else:
             raise ValueError(f"its image processor resizes to {size}; give a size in a YAML file")
     return settings | {"multiple": divisor} | overrides
-
-
-@contextmanager
-def _quiet(name: str) -> Iterator[None]:
-    """Turns errors of a hub into one line, and hides what its libraries log."""
-    if not sys.stderr.isatty():
-        with suppress(ImportError):
-            from huggingface_hub.utils.tqdm import disable_progress_bars
-            from transformers.utils.logging import disable_progress_bar
-
-            disable_progress_bars()
-            disable_progress_bar()
-    loggers = [logging.getLogger(name) for name in ("huggingface_hub", "transformers")]
-    levels = [logger.level for logger in loggers]
-    for logger in loggers:
-        logger.setLevel(logging.CRITICAL)
-    try:
-        yield
-    except OSError as error:
-        reason = _reason(error).partition(" Check your internet")[0]
-        raise OSError(f"{name} cannot be loaded: {reason}") from error
-    except Exception as error:  # the libraries raise many kinds of errors
-        raise ValueError(f"{name} cannot be used: {one_line(error)}") from error
-    finally:
-        for logger, level in zip(loggers, levels, strict=True):
-            logger.setLevel(level)

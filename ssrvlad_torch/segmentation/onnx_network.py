@@ -9,7 +9,7 @@ import json
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -34,8 +34,7 @@ _DTYPES = {**_FLOATS, "tensor(uint8)": torch.uint8}
 RUNTIMES = ONNX_RUNTIME, OPENVINO = "onnxruntime", "openvino"
 """What runs a graph."""
 
-OTHER = 1e-3
-"""Fraction by which an output may differ where runtimes compute the network in another order."""
+CUDA = "CUDAExecutionProvider"
 
 
 class OnnxNetwork(nn.Module):
@@ -50,6 +49,7 @@ class OnnxNetwork(nn.Module):
         size: height and width of the input, ``None`` for a free side.
         form: dtype and layout of the input.
         outputs: the form of every output by name, as far as the graph declares it.
+        digest: BLAKE2b-128 of the file and of its external weights, in hex.
         metadata: the metadata properties of the file.
 
     Shape:
@@ -66,14 +66,8 @@ class OnnxNetwork(nn.Module):
         self.path, self.runtime = Path(path), runtime
         if not self.path.is_file():
             raise ValueError(f"{path} does not exist or is not a file; expected an ONNX graph")
-        self._files = [self.path]
-        before = self._state_of_files()
-        self._session: Any = open_session(
-            self.path, path, "CUDAExecutionProvider", threads=torch.get_num_threads()
-        )
-        self._files += external_files(self.path)
-        self._state = before + self._state_of_files()[1:]
-        self._require_unchanged()
+        self._session: Any = open_session(self.path, path, CUDA, threads=torch.get_num_threads())
+        self.digest = self._digest()
         inputs = self._session.get_inputs()
         if len(inputs) != 1:
             names = ", ".join(value.name for value in inputs)
@@ -114,39 +108,33 @@ class OnnxNetwork(nn.Module):
             for name, arrays in zip(names, zip(*parts, strict=True), strict=True)
         }
 
-    def nodes(self) -> Sequence[onnx.NodeProto]:
-        """The nodes of the graph, in the order in which they run."""
-        return cast("Sequence[onnx.NodeProto]", self._model().graph.node)
-
     def take(self, names: Sequence[str]) -> None:
         """Makes inner tensors outputs; a ValueError if the graph cannot run with them."""
         if self.runtime == OPENVINO:
             self._require_unchanged()
             self._session = self._in_openvino(names)
         else:
-            self._session = self._session_with(names)
+            self._session = self._session_with(self._model(), names)
 
-    def run_all(self, images: Tensor, names: Sequence[str]) -> dict[str, Tensor]:
-        """The inner tensors with these names for one picture, by ONNX Runtime on the CPU."""
-        session, array = self._session_with(names, whole=False), images.numpy(force=True)
+    def run_all(self, images: Tensor) -> dict[str, Tensor]:
+        """The inner tensors of numbers for one picture by name, in the order in which they are
+        computed, by ONNX Runtime on the CPU."""
+        model = self._model()
+        names = [name for node in model.graph.node for name in node.output]
+        names = [name for name in names if name and name not in self.outputs]
+        session, array = self._session_with(model, names, CPU), images.numpy(force=True)
         if self.batch:
             array = np.repeat(array, self.batch, axis=0)
-        values = session.run([*names], {self.input: np.ascontiguousarray(array)})
+        values = session.run(names, {self.input: np.ascontiguousarray(array)})
         return {
             name: torch.from_numpy(value)
             for name, value in zip(names, values, strict=True)
             if isinstance(value, np.ndarray) and value.dtype.kind in "fiub"
         }
 
-    def _state_of_files(self) -> list[tuple[int, ...]]:
-        states = [path.stat() if path.exists() else None for path in self._files]
-        return [
-            (state.st_ino, state.st_size, state.st_mtime_ns) if state else () for state in states
-        ]
-
     def _require_unchanged(self) -> None:
         """Refuses files that are no longer those of the session."""
-        if self._state_of_files() != self._state:
+        if not self.path.is_file() or self._digest() != self.digest:
             raise ValueError(f"{self.path} has changed or is gone: open it again")
 
     def _model(self) -> onnx.ModelProto:
@@ -155,29 +143,18 @@ class OnnxNetwork(nn.Module):
         self._require_unchanged()
         return onnx.load(self.path, load_external_data=False)
 
-    def _session_with(self, names: Sequence[str], whole: bool = True) -> Any:
+    def _session_with(
+        self, model: onnx.ModelProto, names: Sequence[str], provider: str = CUDA
+    ) -> Any:
         from onnx.helper import make_empty_tensor_value_info
 
-        model = self._model()
         model.graph.output.extend(map(make_empty_tensor_value_info, names))
         settings = {"session.model_external_initializers_file_folder_path": str(self.path.parent)}
-        provider = "CUDAExecutionProvider" if whole else CPU
-        content = model.SerializeToString()
-        threads = torch.get_num_threads()
+        content, threads = model.SerializeToString(), torch.get_num_threads()
         return open_session(content, self.path, provider, settings, threads)
 
-    def differs(self, images: Tensor, name: str) -> bool:
-        """Whether an output for some images is another than that of ONNX Runtime: more than `OTHER`
-        of the ids, or a score by more than that of the largest."""
-        got, expected = (
-            network(images, [name])[name] for network in (self, OnnxNetwork(self.path))
-        )
-        if not got.is_floating_point():
-            return bool((got != expected).double().mean() > OTHER)
-        return not bool((got - expected).abs().max() <= OTHER * expected.abs().max())
-
-    def _in_openvino(self, taken: Sequence[str] = ()) -> OpenVinoSession:
-        return OpenVinoSession(self.path, self.path, taken, threads=torch.get_num_threads())
+    def _in_openvino(self, names: Sequence[str] = ()) -> OpenVinoSession:
+        return OpenVinoSession(self.path, self.path, names, threads=torch.get_num_threads())
 
     def class_names(self) -> dict[int, str]:
         """Names of its classes by channel, from the metadata that exporters write: a mapping or a
@@ -196,15 +173,9 @@ class OnnxNetwork(nn.Module):
         except (AttributeError, TypeError, ValueError):
             return {}
 
-    def digest(self) -> str:
-        """BLAKE2b-128 of the file and of its external weights, in hex.
-
-        Raises:
-            ValueError: they have changed since they were opened.
-        """
-        self._require_unchanged()
+    def _digest(self) -> str:
         content = hashlib.blake2b(digest_size=16)
-        for path in self._files:
+        for path in (self.path, *external_files(self.path)):
             with path.open("rb") as file:
                 content.update(hashlib.file_digest(file, "blake2b").digest())
         return content.hexdigest()

@@ -19,8 +19,7 @@ class OpenVinoSession:
     Args:
         source: the file or its content.
         name: of the file in messages.
-        taken: inner tensors that become outputs.
-        settings: of `compile_model`.
+        inner: tensors that become outputs.
         threads: of one run, 0 for one per core.
 
     Attributes:
@@ -35,8 +34,7 @@ class OpenVinoSession:
         self,
         source: Path | bytes,
         name: object,
-        taken: Sequence[str] = (),
-        settings: Mapping[str, str] = SINGLE,
+        inner: Sequence[str] = (),
         threads: int = 0,
     ) -> None:
         with requiring("openvino", "OpenVINO needs"):
@@ -45,10 +43,10 @@ class OpenVinoSession:
         limits = {"INFERENCE_NUM_THREADS": threads} if threads else {}
         with naming(f"{name} cannot run in OpenVINO"):
             model = core.read_model(source)
-            model.add_outputs([*taken])
-            self._compiled = core.compile_model(model, "CPU", {**settings, **limits})
+            model.add_outputs([*inner])
+            self._compiled = core.compile_model(model, "CPU", {**SINGLE, **limits})
         self._numbers = {
-            each: number for number, output in enumerate(model.outputs) for each in output.names
+            name: number for number, output in enumerate(model.outputs) for name in output.names
         }
         self.outputs = [output.get_any_name() for output in model.outputs]
 

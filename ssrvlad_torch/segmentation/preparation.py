@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
@@ -17,6 +18,9 @@ OF_SIDES = (
     "multiple: in a YAML file"
 )
 """The hint where a network fails at a size."""
+
+_REAL = (int, float)
+_SIDES = "height and width in pixels, or the shorter side"
 
 
 @dataclass(frozen=True)
@@ -55,27 +59,30 @@ class SegmenterConfig:
     features: tuple[str, ...] | None = None
 
     def __post_init__(self) -> None:
-        number, ends = (int, float), self.classes
         side = 1 if self.size is None else self.size
         sides = side if isinstance(side, tuple) else (side,)
-        size = len(sides) in (1, 2) and _are_numbers(sides, len(sides), int, above=0)
-        longest = self.longest is None or _are_numbers((self.longest,), 1, int, above=0)
-        classes = ends is None or (_are_numbers(ends, 2, int, above=-1) and ends[0] < ends[1])
-        names = self.features
-        features = names is None or (
-            isinstance(names, tuple) and bool(names) and all(isinstance(n, str) for n in names)
-        )
+        longest = 1 if self.longest is None else self.longest
+        ends, names = self.classes, self.features
         for name, fits, expected in (
-            ("size", size, "height and width in pixels, or the shorter side"),
-            ("longest", longest, "a number of pixels"),
-            ("multiple", _are_numbers((self.multiple,), 1, int, above=0), "a number of pixels"),
-            ("white", _are_numbers((self.white,), 1, number, above=0), "a number above 0"),
-            ("mean", _are_numbers(self.mean, 3, number), "three numbers"),
-            ("std", _are_numbers(self.std, 3, number, above=0), "three numbers above 0"),
+            ("size", len(sides) in (1, 2) and _numbers(sides, len(sides), int), _SIDES),
+            ("longest", _numbers((longest,), 1, int), "a number of pixels"),
+            ("multiple", _numbers((self.multiple,), 1, int), "a number of pixels"),
+            ("white", _numbers((self.white,), 1, _REAL), "a number above 0"),
+            ("mean", _numbers(self.mean, 3, _REAL, -math.inf), "three numbers"),
+            ("std", _numbers(self.std, 3, _REAL), "three numbers above 0"),
             ("colour_order", self.colour_order in ("rgb", "bgr"), "rgb or bgr"),
             ("output", isinstance(self.output, str | None), "a name"),
-            ("classes", classes, "FIRST:LAST, LAST not included"),
-            ("features", features, "a list of names of activations"),
+            (
+                "classes",
+                ends is None or (_numbers(ends, 2, int, above=-1) and ends[0] < ends[1]),
+                "FIRST:LAST, LAST not included",
+            ),
+            (
+                "features",
+                names is None
+                or (isinstance(names, tuple) and names and all(isinstance(n, str) for n in names)),
+                "a list of names of activations",
+            ),
         ):
             if not fits:
                 raise ValueError(f"{name} must be {expected}, got {getattr(self, name)!r}")
@@ -189,10 +196,10 @@ def channels(text: str | None) -> tuple[int, int] | None:
     return int(first or 0), int(last)
 
 
-def _are_numbers(values: object, count: int, kind: Any, above: float = float("-inf")) -> bool:
+def _numbers(values: object, count: int, kind: Any, above: float = 0) -> bool:
     return (
         isinstance(values, tuple)
         and len(values) == count
         and all(isinstance(v, kind) and not isinstance(v, bool) for v in values)
-        and all(above < v < float("inf") for v in values)
+        and all(above < v < math.inf for v in values)
     )

@@ -28,11 +28,10 @@ from .activations import Activation, all_activations
 from .cache import SegmentedCache
 from .class_names import label_space_of_names
 from .features import NetworkFeatures, probed
-from .identity import ChangedError, Identity, digest_of, training
+from .identity import digest_of
 from .label_network import LabelNetwork
 from .network_outputs import UnrecognisedError, channel_counts, classes_of, enlarged
 from .networks import AUTO, NamedNetwork, open_network
-from .onnx_network import ONNX_RUNTIME, OnnxNetwork
 from .preparation import OF_SIDES, SegmenterConfig
 
 PIXELS_AT_ONCE = 1 << 21
@@ -56,7 +55,7 @@ class _Picture(NamedTuple):
     """An ``(H, W, 3)`` uint8 picture, and the digest of its file if its label map is cached."""
 
     pixels: Pixels
-    digest: str | None
+    digest: str = ""
 
 
 class Segmenter:
@@ -70,8 +69,8 @@ class Segmenter:
 
     Args:
         network: any module that takes ``(B, 3, H, W)`` floats, or an `OnnxNetwork`. It is put into
-            evaluation mode and runs on the device of its weights. It must stay as it is once its
-            label maps have an identity, `key` or `features`, and stay in evaluation mode.
+            evaluation mode and runs on the device of its weights. It must stay as it is: of one
+            that was trained further, make another segmenter.
         labels_as: label space of its classes.
         config: the preparation of its pictures, such as that of another segmenter.
         cache: folder in which `segmented` stores its results, by the content of the image file, the
@@ -108,15 +107,13 @@ class Segmenter:
         **settings: Any,
     ) -> None:
         self.label_space = space = label_space(labels_as)
-        given = vars(config) if config else {}
-        self.labels = LabelNetwork(network, space, SegmenterConfig.of({**given, **settings}))
+        defaults = vars(config) if config else {}
+        self.labels = LabelNetwork(network, space, SegmenterConfig.of({**defaults, **settings}))
         self.cache, self.name = cache, name
-        self._in_training = training(network)  # a module may ignore eval()
 
     def __getstate__(self) -> dict[str, object]:
-        """Pickles no features and no identity: they are taken anew in another process."""
-        own = ("features", "_identity")
-        return {name: value for name, value in self.__dict__.items() if name not in own}
+        """Pickles no features: the session of a graph, which gives them, is not pickled either."""
+        return {name: value for name, value in self.__dict__.items() if name != "features"}
 
     @property
     def network(self) -> nn.Module:
@@ -161,17 +158,15 @@ class Segmenter:
             config = dataclasses.replace(config, classes=classes)
         if not isinstance(labels_as, LabelSpace):
             labels_as = space_of(named, str(labels_as), config.classes)
-        path = Path(named.name.removeprefix("hf:"))  # absolute, to be valid in any folder
-        name = absolute(path) if path.exists() else named.name
+        path = Path(named.name.removeprefix("hf:"))
+        name = absolute(path) if path.exists() else named.name  # valid in any folder
         return cls(named.network, labels_as, config, cache, name=name)
 
     @cached_property
     def features(self) -> NetworkFeatures:
         """The features of the network; if it has none, see `find_activations`, a ValueError."""
         try:
-            return NetworkFeatures(self.labels, self._digest())
-        except ChangedError:
-            raise
+            return NetworkFeatures(self.labels, self._digest)
         except ValueError as error:
             raise ValueError(f"{self.name or 'the network'}: {error}") from error
 
@@ -187,7 +182,7 @@ class Segmenter:
         try:
             _ = self.features
         except ValueError as error:
-            if self.config.features or isinstance(error, ChangedError):
+            if self.config.features:
                 raise
             return str(error)
         return ""
@@ -196,8 +191,8 @@ class Segmenter:
     def activations(self) -> list[Activation]:
         """The activations of the network that can be `features` by their names, in the order in
         which they are computed for one picture. A network that takes no picture is a ValueError."""
-        found = all_activations(self.network, probed(self.labels)[0])
-        return [each for each in found if math.isfinite(each.stride)]
+        activations = all_activations(self.network, probed(self.labels)[0])
+        return [act for act in activations if math.isfinite(act.stride)]
 
     def __call__(self, images: Sequence[Pixels]) -> list[LabelMap]:
         """The label maps of pictures in memory, without the cache; see `segment`."""
@@ -212,8 +207,7 @@ class Segmenter:
 
         Raises:
             ValueError: a picture has another shape or dtype, the network fails, its output is not
-                recognised or holds NaN scores, it has no features, is in training mode, or was
-                changed after its label maps got an identity.
+                recognised or holds NaN scores, or it has no features.
         """
         for image in images:
             if not isinstance(image, np.ndarray):
@@ -222,13 +216,13 @@ class Segmenter:
                 raise ValueError(
                     f"expected a list of (H, W, 3) uint8 images, got {image.shape} {image.dtype}"
                 )
-        wanted = self.features if features else None
-        results = []
-        for result in self._complete([_Picture(image, None) for image in images], None, wanted):
+        results = self._complete(list(map(_Picture, images)), None, self._extractor(features))
+        segmented = []
+        for result in results:
             if isinstance(result, ValueError):
                 raise result
-            results.append(result)
-        return results
+            segmented.append(result)
+        return segmented
 
     def label_maps(
         self, files: Sequence[FrameFile]
@@ -248,62 +242,39 @@ class Segmenter:
             features: whether to take the features too, in the same pass.
 
         Raises:
-            ValueError: the network's output is not recognised, it has no features, is in training
-                mode, or was changed meanwhile.
+            ValueError: the network's output is not recognised, or it has no features.
             OSError: the cache cannot be written.
         """
-        wanted = self.features if features else None
-        cache = None
+        extractor, cache = self._extractor(features), None
         if self.cache is not None:
-            features_key = wanted.key if wanted else ""
-            cache = SegmentedCache(self.cache, self.key(), self.label_space, features_key)
+            cache = SegmentedCache(self.cache, self.key(), extractor.key if extractor else "")
 
         def read(file: FrameFile) -> Segmented | _Picture:
             content = file.read()
             if cache is None:
-                return _Picture(decode_image(content), None)
+                return _Picture(decode_image(content))
             digest = hashlib.blake2b(content, digest_size=16).hexdigest()
             stored = cache.get(digest)
             return Segmented(*stored) if stored else _Picture(decode_image(content), digest)
 
         ahead = read_ahead(read, files, workers, _AHEAD)
         while chunk := list(islice(ahead, _AHEAD)):
-            results = self._complete([content for _, content in chunk], cache, wanted)
+            results = self._complete([content for _, content in chunk], cache, extractor)
             yield from zip((file for file, _ in chunk), results, strict=True)
 
+    def _extractor(self, features: bool) -> NetworkFeatures | None:
+        return self.features if features else None
+
     def key(self) -> str:
-        """The key in the cache, in hex; other networks and settings have other keys. A network that
-        was changed since its first key, or its features, is a ValueError."""
+        """The key in the cache, in hex; other networks and settings have other keys."""
         settings = dataclasses.astuple(dataclasses.replace(self.config, features=None))[:-1]
-        key = [REVISION, self._digest(), settings]
+        key = [REVISION, self._digest, settings]
         key.append(list(channel_counts(self.label_space, self.config.classes))[:2])
         return hashlib.blake2b(json.dumps(key).encode(), digest_size=16).hexdigest()
 
+    @cached_property
     def _digest(self) -> str:
-        probe = np.random.default_rng(0).integers(0, 256, (224, 448, 3), np.uint8)
-        try:
-            labels = b"" if isinstance(self.network, OnnxNetwork) else self([probe])[0].tobytes()
-        except ChangedError:
-            raise
-        except ValueError:  # the network does not take pictures of this size
-            labels = b"none"
-        digest = digest_of(self.network, labels) + self._runtime
-        self._identity.take(digest)
-        return digest
-
-    @cached_property
-    def _runtime(self) -> str:
-        """What the runtime of a graph adds to its digest: nothing if it gives the numbers of ONNX
-        Runtime."""
-        network, output = self.network, self.config.output
-        if not isinstance(network, OnnxNetwork) or network.runtime == ONNX_RUNTIME:
-            return ""
-        other = network.differs(probed(self.labels)[0], str(output))
-        return f" in {network.runtime}" if other else ""
-
-    @cached_property
-    def _identity(self) -> Identity:
-        return Identity(self.network)
+        return digest_of(self.network)
 
     def _complete(
         self,
@@ -318,15 +289,15 @@ class Segmenter:
             if isinstance(item, _Picture):
                 by_size.setdefault(item.pixels.shape, []).append((i, item))
         for (height, width, _), members in by_size.items():
-            size = self.config.network_size(height, width)
-            step = max(1, PIXELS_AT_ONCE // max(height * width, size[0] * size[1]))
+            fed = self.config.network_size(height, width)
+            step = max(1, PIXELS_AT_ONCE // max(height * width, math.prod(fed)))
             for first in range(0, len(members), step):
                 indices, pictures = zip(*members[first : first + step], strict=True)
-                said = self._segment([picture.pixels for picture in pictures], features)
-                results.update(zip(indices, said, strict=True))
-                for picture, result in zip(pictures, said, strict=True):
+                batch = self._segment([picture.pixels for picture in pictures], features)
+                results.update(zip(indices, batch, strict=True))
+                for picture, result in zip(pictures, batch, strict=True):
                     if cache and picture.digest and not isinstance(result, ValueError):
-                        cache.put(picture.digest, *result)
+                        cache.put(picture.digest, result.labels, result.features)
         return [results[i] for i in range(len(chunk))]
 
     @torch.inference_mode()
@@ -334,7 +305,6 @@ class Segmenter:
         self, pictures: Sequence[Pixels], features: NetworkFeatures | None
     ) -> list[Segmented | ValueError]:
         """The results of a batch; if it fails, each picture is tried alone."""
-        self._identity.require(self._in_training)
         images = torch.from_numpy(np.stack(pictures))
         height, width = images.shape[1:3]
         try:
@@ -345,7 +315,7 @@ class Segmenter:
             raise
         except Exception as error:  # networks raise many kinds of errors
             if len(pictures) > 1:
-                return [said for picture in pictures for said in self._segment([picture], features)]
+                return [one for picture in pictures for one in self._segment([picture], features)]
             return [ValueError(self._failure(height, width, error))]
         if len(output) != len(images):
             raise ValueError(f"the network gives {len(output)} outputs for {len(images)} images")

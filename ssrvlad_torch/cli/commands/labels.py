@@ -75,7 +75,7 @@ def _print(
     say(f"{have}; left out: {', '.join(out) or 'none'}")
     if activations is not None:
         print_table(("activation", "channels", "height", "width", "stride", ""), [
-            (act["name"], *act["shape"][1:], f"{act['stride']:.3g}", _remark(act))
+            (act["name"], *act["shape"][1:], f"{act['stride']:.3g}", "features" * act["chosen"])
             for act in activations
         ])  # fmt: skip
 
@@ -92,17 +92,7 @@ def _classes(space: LabelSpace, of_names: bool) -> list[tuple[int, str, str]]:
 
 
 def _activations(segmenter: Segmenter, names: list[str]) -> list[dict[str, Any]]:
-    return [
-        {"name": act.name, "shape": act.shape, "stride": act.stride, "raised": act.raised,
-         "chosen": act.name in names}
-        for act in segmenter.activations()
-    ]  # fmt: skip
-
-
-def _remark(activation: dict[str, Any]) -> str:
-    if activation["chosen"]:
-        return "features"
-    return "after the resolution was raised" if activation["raised"] else ""
+    return [{**act._asdict(), "chosen": act.name in names} for act in segmenter.activations()]
 
 
 def _is_network(name: str) -> bool:

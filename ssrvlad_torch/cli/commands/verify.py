@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from ..options import Json, argument, option
-from ..output import finish, note, print_json, print_table, progress_bar, say
+from ..output import finish, print_json, print_table, progress_bar, say
 
 if TYPE_CHECKING:
     from ...deployment.verify import Verification
@@ -55,11 +55,11 @@ def verify(
     files = find_label_files(labels) if labels else []
     with progress_bar("verifying", len(files)) as bar:
         result = check(model, files, provider, bar.advance)
-    for warning in result.warnings:
-        note(f"{model}: {warning}")
     if as_json:
         report = {"file": str(model), "provider": provider, **dataclasses.asdict(result)}
-        report |= {"difference": result.difference, "passed": result.passed}
+        report["checks"] = [check._asdict() for check in result.checks]
+        names = ("verdict", "difference", "passed")
+        report |= {name: getattr(result, name) for name in names}
         print_json(report | {"skipped": [frame._asdict() for frame in result.skipped]})
     else:
         _print(model, result)
@@ -69,8 +69,7 @@ def verify(
 
 
 def _print(model: Path, result: Verification) -> None:
-    checks = (*result.checks, *filter(None, [result.by_default]))
-    rows = ((check.name, f"{check.difference:.2g}", check.problem or "equal") for check in checks)
+    rows = ((c.name, f"{c.difference:.2g}", c.problem or "equal") for c in result.checks)
     print_table(("compared", "largest difference", "result"), rows)
     for problem in result.problems:
         say(problem)
@@ -87,7 +86,7 @@ def _verify_against(model: Path, network: str, as_json: bool) -> None:
 
     with progress_bar("verifying", len(SIZES)) as bar:
         checks = verify_against(model, network, bar.advance)
-    wrong = [_by(check.size) for check in checks if check.problem and check.compared]
+    wrong = [_by(check.size) for check in checks if check.problem]
     if as_json:
         sizes = [check._asdict() for check in checks]
         report = {"file": str(model), "against": network, "sizes": sizes, "passed": not wrong}
@@ -95,7 +94,7 @@ def _verify_against(model: Path, network: str, as_json: bool) -> None:
     else:
         rows = ((_by(c.size), _by(c.fed), _share(c.others), c.problem or "equal") for c in checks)
         print_table(("picture", "fed at", "other labels", "result"), rows)
-        right = ", ".join(_by(check.size) for check in checks if check.compared)
+        right = ", ".join(_by(check.size) for check in checks)
         verdict = f"as expected, gives the labels of {network} at {right}"
         if wrong:
             verdict = f"WRONG, gives other labels than {network} at {', '.join(wrong)}: {_CAUSES}"
