@@ -122,6 +122,15 @@ def write_space(path: Path, *ids: int) -> Path:
     return path
 
 
+def write_categories(path: Path, space: str) -> Path:
+    """What the C core takes ids for."""
+    categories = np.full(256, 255, np.uint8)
+    for label in label_space(space).classes:
+        categories[label.id] = label.category_index
+    np.save(path, categories)
+    return path
+
+
 def noise(seed: int) -> Maps:
     """Regions of a few pixels, on a map of any shape."""
     rng = np.random.default_rng(seed)

@@ -76,3 +76,9 @@ def test_ci_refuses_skips_that_are_not_allowed(tmp_path, ci, failed):
     assert counts["xfailed"] == 1
     refusal = "skipped, which CI does not allow: Skipped: npm is not installed"
     assert (refusal in "\n".join(out)) == bool(ci)
+
+
+def test_onnx_runtime_for_cpp_needs_that_of_python(tmp_path):
+    code, out, (line,) = outcome(ROOT / ".ci" / "onnxruntime", tmp_path / "ort", cwd=tmp_path)
+    assert (code, out) == (1, []) and "expected ONNX Runtime in" in line
+    assert not (tmp_path / "ort").exists()

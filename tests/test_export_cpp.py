@@ -1,13 +1,17 @@
-"""The C++ header and its example against the module; needs CMake, zlib and the headers of ONNX
-Runtime: in the folder that ORT_ROOT names, or as a CMake package."""
+"""The C++ package and its programs against the module, and the page that says how to use them;
+needs CMake, zlib and the headers of ONNX Runtime: in the folder that ORT_ROOT names, or as a CMake
+package."""
 
 import base64
+import ctypes
 import json
 import math
 import os
+import shlex
 import shutil
 import signal
 import subprocess
+import sys
 import zlib
 from functools import partial
 from pathlib import Path
@@ -17,6 +21,7 @@ import loops_onnx
 import numpy as np
 import pytest
 import torch
+from exported import write_categories
 from graphs import edit_golden, turned, without_property
 from helpers import assert_each_is_one_line, outcome, street
 from loop_streams import SEEDS, assert_same_answers, objects
@@ -32,32 +37,53 @@ from ssrvlad_torch.deployment.fuse import fuse
 from ssrvlad_torch.recognition.sweep import COLUMNS
 from ssrvlad_torch.segmentation.segmenter import Segmenter
 
-SOURCE = Path(__file__).parents[1] / "export" / "cpp"
+ROOT = Path(__file__).parents[1]
 CONFIG = SSRVLADConfig(labels_as="camvid-11")
-STRICT = "-DCMAKE_CXX_FLAGS=-Wall -Wextra -Werror"
+STRICT = {**os.environ, "CXXFLAGS": "-Wall -Wextra -Werror", "CMAKE_BUILD_TYPE": "Debug"}
 
 
-def cmake(*arguments):
-    """Must succeed."""
-    code, out, errors = outcome("cmake", *arguments)
-    assert code == 0, out + errors
+def must(*command, **options):
+    """The lines of a command that succeeds, warnings being errors."""
+    code, out, errors = outcome(*command, env=STRICT, **options)
+    assert code == 0, "\n".join([*out, *errors])
+    return out
 
 
 @pytest.fixture(scope="module")
-def build(tmp_path_factory):
-    """A folder with the program, compiled."""
+def user(tmp_path_factory):
+    """The folder export/ of a user who typed the page's commands of CMake."""
     if not shutil.which("cmake"):
         pytest.skip("CMake is not installed")
-    folder = tmp_path_factory.mktemp("build")
-    code, _, errors = outcome("cmake", "-S", SOURCE, "-B", folder, STRICT)
+    checkout = tmp_path_factory.mktemp("checkout")
+    (checkout / "ssrvlad_torch").symlink_to(ROOT / "ssrvlad_torch")
+    folder = checkout / "export"
+    folder.mkdir()
+    for file in (ROOT / "export").iterdir():
+        (folder / file.name).symlink_to(file)
+    code, _, errors = outcome("cmake", "-S", "cpp", "-B", "try", cwd=folder)
     if code:
         assert "ORT_ROOT" not in os.environ, errors
         assert any(name in line for name in ("onnxruntime", "ZLIB") for line in errors), errors
         pytest.skip(
             "the C++ headers of ONNX Runtime or zlib are not installed; ORT_ROOT names their folder"
         )
-    cmake("--build", folder)
+    for command in commands("cmake"):
+        for part in command.replace(" -DORT_ROOT=/opt/onnxruntime", "").split(" && "):
+            must(*part.split(), cwd=folder)
     return folder
+
+
+def commands(*programs):
+    """Those of export/README.md that begin with such words."""
+    page = (ROOT / "export" / "README.md").read_text("utf-8")
+    typed = [line[2:] for line in page.splitlines() if line.startswith("$ ")]
+    return [command for command in typed if command.startswith(programs)]
+
+
+@pytest.fixture(scope="module")
+def build(user):
+    """A folder with the programs, compiled."""
+    return user / "build"
 
 
 @pytest.fixture(scope="module")
@@ -109,27 +135,91 @@ def test_the_program_prints_what_the_module_finds(place, head, town, tmp_path, n
     assert ranked(lines) == ([f"maps/{row}" for row in rows], pytest.approx(scores, abs=1e-5))
 
 
-def test_wrong_use_is_one_line(place, head, town, tmp_path):
-    labels, base = (tmp_path / n for n in ("map.npy", "town.npy"))
+@pytest.fixture
+def bad(town, tmp_path):
+    """Files and folders that are refused."""
+    base, labels = tmp_path / "town.npy", (tmp_path / "map.npy").read_bytes()
     np.save(tmp_path / "strange.npy", np.full((4, 5), 77, np.uint8))
     np.save(tmp_path / "wide.npy", np.zeros((4, 5), np.int64))
-    (tmp_path / "cut.npy").write_bytes(labels.read_bytes()[:-1])
+    (tmp_path / "cut.npy").write_bytes(labels[:-1])
+    Image.fromarray(photo(street(1, 30, 40))).save(tmp_path / "photo.jpg")
+    np.save(tmp_path / "short.npy", np.zeros((6, 9), np.float32))
+    np.save(tmp_path / "none.npy", np.zeros((0, 480), np.float32))
+    for name in ("short", "none"):
+        shutil.copy(f"{base}.fingerprint.txt", tmp_path / f"{name}.npy.fingerprint.txt")
+    shutil.copy(f"{base}.frames.txt", tmp_path / "short.npy.frames.txt")
+    for name in ("empty", "frames", "jpegs"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "frames" / "map.npy").write_bytes(labels)
+    shutil.copy(tmp_path / "photo.jpg", tmp_path / "jpegs")
+    return tmp_path
+
+
+WRONG_USE = {
+    "place": [
+        ("HEAD", "usage"),
+        ("HEAD cut.npy", "the length does not fit"),
+        ("HEAD strange.npy", "20 pixels have an id outside"),
+        ("HEAD wide.npy", "takes uint8, got int64"),
+        ("HEAD town.npy", "expected an (H, W) map"),
+        ("HEAD map.npy map.npy", "expected an (R, D) array of float32"),
+        ("none.onnx map.npy", "none.onnx"),
+        ("--network HEAD HEAD map.npy", "expected a network and a head"),
+        ("no.onnx nowhere.npy", "nowhere.npy does not exist"),
+        ("no.onnx photo.jpg", "expected .ppm or .npy files; ImageMagick makes them of others: mog"),
+        ("no.onnx map.npy no.npy", "no.npy: cannot be read"),
+        (
+            "no.onnx map.npy town.npy many",
+            "TOP: expected a whole number from 1 to 999999999, got",
+        ),
+        ("no.onnx map.npy town.npy 0", "TOP: expected a whole number from 1 to 999999999, got 0"),
+    ],
+    "follow": [
+        ("HEAD town.npy 5", "usage: follow"),
+        ("--strange HEAD town.npy 5 frames", "usage: follow"),
+        ("HEAD town.npy 5 empty", "empty holds no frames"),
+        ("HEAD town.npy 5 jpegs", "holds no frames: expected .pgm or .npy files; ImageMagick"),
+        ("HEAD none.npy 5 frames", "none.npy holds no frames"),
+        ("HEAD short.npy 5 frames", "a database of 480 numbers a frame, got 9"),
+        ("no.onnx town.npy 0 frames", "TOP: expected a whole number from 1 to 999999999, got 0"),
+        ("--online -1 no.onnx town.npy 5 frames", "DELAY: expected a whole number from 0"),
+        ("no.onnx town.npy 5 nowhere", "nowhere does not exist"),
+        ("no.onnx no.npy 5 frames", "no.npy: cannot be read"),
+    ],
+    "loops": [
+        ("HEAD", "usage: loops"),
+        ("--strange HEAD frames", "usage: loops"),
+        ("HEAD empty", "empty holds no frames"),
+        ("--memory no/x.npy HEAD frames", "x.npy: cannot be written"),
+        ("--exclude few no.onnx frames", "--exclude: expected a whole number from 0"),
+        ("--exclude 2.7 no.onnx frames", "--exclude: expected a whole number from 0"),
+        ("--threshold -1 no.onnx frames", "expected a number from 0 to 1, got -1"),
+        ("--threshold 2 no.onnx frames", "expected a number from 0 to 1, got 2"),
+    ],
+}
+
+
+@pytest.mark.parametrize("program", WRONG_USE)
+def test_wrong_use_is_one_line(build, head, bad, monkeypatch, program):
+    """There is no file no.onnx: what an argument says is looked at before a model is loaded."""
+    monkeypatch.chdir(bad)
     table = [
-        ((head,), "usage"),
-        ((tmp_path / "none.onnx", labels), "none.onnx"),
-        ((head, tmp_path / "none.npy"), "cannot be read"),
-        ((head, base), "expected an (H, W) map"),
-        ((head, tmp_path / "cut.npy"), "the length does not fit"),
-        ((head, tmp_path / "strange.npy"), "20 pixels have an id outside"),
-        ((head, tmp_path / "wide.npy"), "takes uint8, got int64"),
-        ((head, labels, labels), "expected an (R, D) array of float32"),
-        (("--network", head, head, labels), "expected a network and a head"),
-        ((head, labels, base, "many"), "TOP"),
-        ((head, labels, base, 0), "TOP"),
+        ([head if word == "HEAD" else word for word in line.split()], message)
+        for line, message in WRONG_USE[program]
     ]
-    assert_each_is_one_line(place, table, silent=False)
+    assert_each_is_one_line(partial(outcome, build / program), table, silent=False)
+
+
+@pytest.mark.parametrize("program", ["place", "follow", "loops"])
+def test_help_says_how_a_program_is_called(build, program):
+    code, (first, *_), errors = outcome(build / program, "--help")
+    assert (code, errors) == (0, []) and first.startswith(f"usage: {program} [--network")
+
+
+def test_a_database_of_other_settings_is_refused(place, head, town, tmp_path):
     (tmp_path / "town.npy.fingerprint.txt").write_text("0123456789abcdef")
-    assert "do not compare" in place(head, labels, base)[2][0]
+    code, _, (line,) = place(head, tmp_path / "map.npy", tmp_path / "town.npy")
+    assert code == 2 and "do not compare" in line
 
 
 def test_a_file_of_fixed_size_takes_no_other(place, town, tmp_path):
@@ -391,32 +481,6 @@ def test_drives_of_pictures_are_followed_by_all_channels_as_in_python(follow, ma
     assert all(place == query.replace("drive", "monday") for query, place in found.items())
 
 
-def test_wrong_use_of_follow_is_one_line(follow, head, town, tmp_path):
-    base, maps = tmp_path / "town.npy", tmp_path / "frames"
-    maps.mkdir()
-    shutil.copy(tmp_path / "map.npy", maps)
-    np.save(tmp_path / "short.npy", np.zeros((6, 9), np.float32))
-    shutil.copy(f"{base}.frames.txt", tmp_path / "short.npy.frames.txt")
-    shutil.copy(f"{base}.fingerprint.txt", tmp_path / "short.npy.fingerprint.txt")
-    np.save(tmp_path / "none.npy", np.zeros((0, 480), np.float32))
-    (tmp_path / "none.npy.frames.txt").touch()
-    (tmp_path / "none.npy.fingerprint.txt").write_text(f"{CONFIG.fingerprint}\n")
-    (tmp_path / "empty").mkdir()
-    table = [
-        ((head, base, 5), "usage: follow"),
-        (("--strange", head, base, 5, maps), "usage: follow"),
-        ((head, base, "many", maps), "TOP: expected a whole number from 1 to 999999999, got many"),
-        ((head, base, 0, maps), "TOP: expected a whole number from 1 to 999999999, got 0"),
-        (("--online", -1, head, base, 5, maps), "DELAY: expected a whole number from 0"),
-        ((head, base, 5, tmp_path / "nowhere"), "nowhere does not exist"),
-        ((head, base, 5, tmp_path / "empty"), "empty holds no frames"),
-        ((head, tmp_path / "no.npy", 5, maps), "no.npy: cannot be read"),
-        ((head, tmp_path / "none.npy", 5, maps), "none.npy holds no frames"),
-        ((head, tmp_path / "short.npy", 5, maps), "a database of 480 numbers a frame, got 9"),
-    ]
-    assert_each_is_one_line(follow, table)
-
-
 LOOPS = ("--exclude", 5, "--threshold", 0.7)
 
 
@@ -495,21 +559,6 @@ def test_a_stream_is_saved_in_one_array_and_goes_on(loops, drives, head, stream,
         assert code == 2 and f"memory.npy: {message}" in line
 
 
-def test_wrong_use_of_loops_is_one_line(loops, head, stream, tmp_path):
-    (tmp_path / "empty").mkdir()
-    table = [
-        ((head,), "usage: loops"),
-        (("--strange", head, stream), "usage: loops"),
-        (("--exclude", "few", head, stream), "--exclude: expected a whole number from 0"),
-        (("--exclude", 2.7, head, stream), "--exclude: expected a whole number from 0"),
-        (("--threshold", -1, head, stream), "expected a number from 0 to 1, got -1"),
-        (("--threshold", 2, head, stream), "expected a number from 0 to 1, got 2"),
-        ((head, tmp_path / "empty"), "empty holds no frames"),
-        (("--memory", tmp_path / "no" / "x.npy", head, stream), "x.npy: cannot be written"),
-    ]
-    assert_each_is_one_line(loops, table)
-
-
 def test_a_stream_that_is_interrupted_is_saved(build, head, stream, tmp_path):
     command = [build / "loops", "--memory", tmp_path / "memory.npy", head, stream]
     with subprocess.Popen([*map(str, command)], stdout=subprocess.PIPE, text=True) as process:
@@ -521,12 +570,13 @@ def test_a_stream_that_is_interrupted_is_saved(build, head, stream, tmp_path):
     assert process.returncode == (130 if len(lines) < len(SEEDS) else 0)
 
 
-CONSUMER = r"""
+FRAMES = r"""
 #include <ssrvlad/loops.hpp>
 #include <ssrvlad/map.hpp>
+#include <ssrvlad/place.hpp>
+
 #include <thread>
 
-// Whether a job is refused with a reason that has some words.
 template <typename Job>
 bool refused(const Job& job, const std::string& words) {
   try {
@@ -537,67 +587,128 @@ bool refused(const Job& job, const std::string& words) {
   return false;
 }
 
-int main(int count, char** files) {
-  if (count < 2) return ssrvlad::Loops({}).size() != 0;
+int main(int, char** files) {
   const ssrvlad::Place place(files[1]);
-  if (count > 3) {  // frames as no model describes them; the stream stays as it was
-    const std::vector<std::int64_t> labels(12 * 9, 0);
-    auto seen = place.describe(labels.data(), 12, 9), other = seen;
-    ssrvlad::Loops loops(place.fingerprints());
-    const ssrvlad::Map town(files[2], place.fingerprints());
-    other.descriptor.assign(479, 1.0F);
-    other.length = 479;
-    bool right = refused([&] { loops.update("a/1", other); }, "length 1");
-    right = right && refused([&] { loops.update("a/1", {}); }, "as of Place::describe");
-    other = seen;
-    other.features.resize(3);
-    right = right && refused([&] { loops.update("a/1", other); }, "as of Place::describe");
-    const auto online = ssrvlad::Follow::kOnline;
-    right = right && refused([&] { town.query({seen}, online, -1); }, "a delay from 0");
-    right = right && refused([&] { town.locate(seen, 0); }, "expected 1 candidate or more");
-    std::fill(other.descriptor.begin(), other.descriptor.end(), 0.0F);
-    right = right && !town.locate(other).found() && town.locate(seen, std::size_t{1} << 62).found();
-    loops.update("a/1", seen);
-    return !right || loops.size() != 1;
-  }
-  if (count > 2) return ssrvlad::Map(files[2], place.fingerprints()).size() != 2;
   const std::vector<std::int64_t> labels(12 * 9, 0);
-  ssrvlad::Described found[2];
-  std::thread other([&] { found[1] = place.describe(labels.data(), 12, 9); });
-  found[0] = place.describe(labels.data(), 12, 9);
+  ssrvlad::Described seen, same;
+  std::thread other([&] { same = place.describe(labels.data(), 12, 9); });
+  seen = place.describe(labels.data(), 12, 9);
   other.join();
-  for (float number : found[0].descriptor) std::printf("%.9g\n", number);
-  return found[0].descriptor == found[1].descriptor ? 0 : 1;
+  for (float number : seen.descriptor) std::printf("%.9g\n", number);
+  ssrvlad::Loops loops(place.fingerprints());
+  const ssrvlad::Map town(files[2], place.fingerprints());
+  auto zeros = seen, cut = seen, long_one = seen;  // frames as no model describes them
+  std::fill(zeros.descriptor.begin(), zeros.descriptor.end(), 0.0F);
+  cut.features.resize(3);
+  std::fill(long_one.descriptor.begin(), long_one.descriptor.end(), 1.0F);
+  const auto online = ssrvlad::Follow::kOnline;
+  const bool right = refused([&] { loops.update("a/1", long_one); }, "of length 1 or 0") &&
+                     refused([&] { loops.update("a/1", {}); }, "an odd number of anchors") &&
+                     refused([&] { loops.update("a/1", cut); }, "4096 bytes of features") &&
+                     refused([&] { town.query({seen}, online, -1); }, "a delay from 0") &&
+                     refused([&] { town.locate(seen, 0); }, "expected 1 candidate or more") &&
+                     !town.locate(zeros).found() && town.locate(seen, std::size_t{1} << 62).found();
+  loops.update("a/1", seen);
+  return right && seen.descriptor == same.descriptor && loops.size() == 1 ? 0 : 1;
+}
+"""
+HEAD_OF_CORE = """
+#include <ssrvlad/ssrvlad.h>
+#include <cstdio>
+int main() {
+  ssrvlad_settings settings;
+  ssrvlad_preset("default", &settings);
+  ssrvlad_head* head = ssrvlad_new(&settings);
+  std::puts(ssrvlad_fingerprint(head));
+  ssrvlad_free(head);
 }
 """
 
 
-def test_a_project_finds_the_installed_package(build, tmp_path):
-    """Wide labels, from two threads."""
-    installed, source, made = (tmp_path / name for name in ("installed", "source", "made"))
-    cmake("--install", build, "--prefix", installed)
-    source.mkdir()
-    (source / "main.cpp").write_text(CONSUMER)
-    (source / "CMakeLists.txt").write_text(
-        "cmake_minimum_required(VERSION 3.16)\nproject(consumer LANGUAGES CXX)\n"
-        "find_package(ssrvlad_place 1.0 REQUIRED)\nfind_package(Threads REQUIRED)\n"
-        "add_executable(consumer main.cpp)\n"
-        "target_link_libraries(consumer PRIVATE ssrvlad::map Threads::Threads)\n"
+def consumer(folder, program, *lines):
+    """The compiled program of a project that takes the package, without ORT_ROOT."""
+    folder.mkdir()
+    (folder / "main.cpp").write_text(program)
+    head = "cmake_minimum_required(VERSION 3.16)", "project(consumer LANGUAGES CXX)"
+    (folder / "CMakeLists.txt").write_text("\n".join((*head, *lines)))
+    unset = ("env", "--unset=ORT_ROOT", "cmake")
+    must(*unset, "-S", folder, "-B", folder / "build", "-DCMAKE_UNITY_BUILD=ON")
+    must("cmake", "--build", folder / "build")
+    return folder / "build" / "consumer"
+
+
+PROGRAM = "add_executable(consumer main.cpp)"
+
+
+def found(user, component=""):
+    """How CMake finds the installed package."""
+    return f"find_package(ssrvlad REQUIRED {component} PATHS {user / 'installed'} NO_DEFAULT_PATH)"
+
+
+def test_a_project_finds_the_installed_core(user, tmp_path):
+    link = "target_link_libraries(consumer PRIVATE ssrvlad::core)"
+    program = consumer(tmp_path / "c", HEAD_OF_CORE, found(user), PROGRAM, link)
+    assert outcome(program) == (0, [CONFIG.fingerprint], [])
+
+
+def test_a_project_finds_the_installed_core_by_pkg_config(user, tmp_path):
+    if not shutil.which("pkg-config"):
+        pytest.skip("pkg-config is not installed")
+    (folder,) = (user / "installed").rglob("pkgconfig")
+    paths = {**os.environ, "PKG_CONFIG_PATH": str(folder)}
+    _, (flags,), _ = outcome("pkg-config", "--static", "--cflags", "--libs", "ssrvlad", env=paths)
+    (tmp_path / "main.cpp").write_text(HEAD_OF_CORE)
+    must("g++", tmp_path / "main.cpp", *flags.split(), "-o", tmp_path / "program")
+    assert outcome(tmp_path / "program") == (0, [CONFIG.fingerprint], [])
+
+
+def test_a_project_has_the_core_as_a_subproject(tmp_path):
+    """In a build by unity, shared, and without installing it."""
+    folder = ROOT / "ssrvlad_torch" / "native"
+    lines = (
+        *("set(BUILD_SHARED_LIBS ON)", f"add_subdirectory({folder} core)", PROGRAM),
+        *("target_link_libraries(consumer PRIVATE ssrvlad::core)", "install(TARGETS consumer)"),
     )
-    cmake("-S", source, "-B", made, STRICT, f"-DCMAKE_PREFIX_PATH={installed}")
-    cmake("--build", made)
+    program = consumer(tmp_path / "c", HEAD_OF_CORE, *lines)
+    assert outcome(program) == (0, [CONFIG.fingerprint], [])
+    (library,) = (tmp_path / "c").rglob("libssrvlad.so")
+    names = [line.split()[-1] for line in must("nm", "-D", "--defined-only", library)]
+    assert names and all(name.startswith("ssrvlad_") for name in names)
+    interface = ctypes.CDLL(str(library)).ssrvlad_interface()
+    assert (library.parent / f"libssrvlad.so.{interface}").exists()
+    must("cmake", "--install", tmp_path / "c" / "build", "--prefix", tmp_path / "i")
+    assert [file.name for file in (tmp_path / "i").rglob("*.*")] == []
+
+
+def test_a_project_finds_the_installed_place(user, tmp_path):
+    """Wide labels, from two threads."""
+    link = "target_link_libraries(consumer PRIVATE ssrvlad::place)"
+    program = consumer(tmp_path / "c", FRAMES, found(user, "COMPONENTS place"), PROGRAM, link)
     export_head(CONFIG, tmp_path / "wide.onnx", dtype="int64")
-    code, lines, errors = outcome(made / "consumer", tmp_path / "wide.onnx")
+    write_database(tmp_path / "two.npy", torch.eye(480)[:2], "a")
+    code, lines, errors = outcome(program, tmp_path / "wide.onnx", tmp_path / "two.npy")
     assert (code, errors) == (0, [])
     expected = SSRVLAD(CONFIG)(np.zeros((1, 12, 9), np.int64))[0]
     np.testing.assert_allclose(np.array(lines, float), expected, atol=1e-6)
-    write_database(tmp_path / "two.npy", torch.eye(480)[:2], "a")
-    assert outcome(made / "consumer", tmp_path / "wide.onnx", tmp_path / "two.npy") == (0, [], [])
-    assert outcome(made / "consumer", tmp_path / "wide.onnx", tmp_path / "two.npy", "x")[0] == 0
-    assert outcome(made / "consumer")[0] == 0
-    header = installed / "include" / "ssrvlad" / "ssrvlad.h"
-    header.write_text(header.read_text().replace("SSRVLAD_INTERFACE 3", "SSRVLAD_INTERFACE 4"))
-    cmake("--build", made)
-    code, _, errors = outcome(made / "consumer", tmp_path / "wide.onnx", tmp_path / "two.npy")
-    assert code and "the library ssrvlad has interface 3, the program is of 4" in "".join(errors)
-    assert outcome(made / "consumer")[0] != 0
+
+
+def test_the_commands_of_the_page_run(user, build):
+    """Those of CMake built what is here, npm's and a GPU's are left out."""
+    write_city(user / "city", frames=33, size=(48, 64))
+    (user / "maps").mkdir()
+    for day, role in (("monday", "reference"), ("today", "query")):
+        shutil.copytree(user / "city" / role, user / "maps" / day)
+        (user / "photos" / day).mkdir(parents=True)
+        for file in sorted((user / "maps" / day).iterdir())[:4]:
+            ids = np.asarray(Image.open(file))
+            Image.fromarray(photo(ids)).save(user / "photos" / day / f"{file.stem}.ppm")
+    np.save(user / "map.npy", np.asarray(Image.open(file)))
+    write_categories(user / "categories.npy", "cityscapes-trainids")
+    write_graph(user / "seg.onnx", labels=True)
+    (user / "seg.yaml").write_text("network: seg.onnx\nlabels_as: cityscapes-trainids\n")
+    for command in commands("ssrvlad", "python", "build"):
+        if "CUDA" in command or "512x1024" in command:
+            continue
+        program, *arguments = shlex.split(command)
+        programs = {"python": [sys.executable], "ssrvlad": [sys.executable, "-m", "ssrvlad_torch"]}
+        must(*programs.get(program, [user / program]), *arguments, cwd=user)

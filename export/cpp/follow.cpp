@@ -1,51 +1,24 @@
-// Finds drives along an exported map: an example for map.hpp.
-//
-//     follow [--network net.onnx] [--unchecked] [--online DELAY | --alone] place.onnx town.npy TOP FOLDER...
-//
-// Each folder is a drive of label maps, .npy or PGM, or photographs, .npy or PPM, in natural order. Prints
-// one JSON object a line, as `follow_onnx.py --json` does: the places of `ssrvlad query`. Exit code 0 for
-// success, 2 for wrong use, with one line on stderr, 3 for finished with some frames skipped.
+// Finds drives along an exported map: an example for map.hpp. `follow --help` says how it is called.
 
 #include <cstdio>
 #include <set>
+#include <thread>
 
-#include "frames.hpp"
-#include "map.hpp"
+#include <ssrvlad/map.hpp>
+
 #include "program.hpp"
 
 namespace {
 
-struct Options {
-  std::string network;
-  bool check = true;
-  ssrvlad::Follow follow = ssrvlad::Follow::kOffline;
-  std::int64_t delay = 0;
-  std::vector<std::string> rest;
-};
+const program::Usage usage{
+    "follow", "[--online DELAY | --alone] place.onnx town.npy TOP FOLDER...",
+    R"(Prints one JSON object a line, as `follow_onnx.py --json` does: the places of `ssrvlad query`.
 
-Options parsed(const std::vector<std::string>& arguments) {
-  Options options;
-  for (std::size_t at = 0; at < arguments.size(); ++at) {
-    const auto& each = arguments[at];
-    if (each == "--unchecked") {
-      options.check = false;
-    } else if (each == "--alone") {
-      options.follow = ssrvlad::Follow::kNo;
-    } else if (each == "--network" && at + 1 < arguments.size()) {
-      options.network = arguments[++at];
-    } else if (each == "--online" && at + 1 < arguments.size()) {
-      options.follow = ssrvlad::Follow::kOnline;
-      options.delay = program::number("DELAY", arguments[++at]);
-    } else {
-      options.rest.push_back(each);
-    }
-  }
-  if (options.rest.size() < 4 || options.rest[0].compare(0, 2, "--") == 0)
-    throw std::runtime_error(
-        "usage: follow [--network net.onnx] [--unchecked] [--online DELAY | --alone] place.onnx town.npy "
-        "TOP FOLDER...");
-  return options;
-}
+Each FOLDER is a drive of label maps, .npy or PGM, or photographs, .npy or PPM, in natural order. Each frame
+is found by all frames of its drive; by those before it and DELAY later ones; or alone. Exit code 0 for
+success, 2 for wrong use, with one line on standard error, 3 for finished with some frames skipped.
+)",
+    4, std::size_t(-1), {"--online"}, {"--alone"}};
 
 void print(const std::string& frame, bool empty, const ssrvlad::Answer& answer) {
   std::printf("{\"query\": %s, \"candidates\": [", ssrvlad::quoted(frame).c_str());
@@ -57,12 +30,19 @@ void print(const std::string& frame, bool empty, const ssrvlad::Answer& answer) 
               answer.score_is.c_str(), static_cast<double>(answer.confidence));
 }
 
-int run(const Options& options) {
-  const auto& files = options.rest;
-  const auto place = program::opened(options.network, files[0], options.check);
-  const ssrvlad::Map town(files[1], place.fingerprints());
+int follow(const program::Arguments& arguments) {
+  const auto& files = arguments.files;
   const auto top = static_cast<std::size_t>(program::number("TOP", files[2], 1));
-  const auto frames = ssrvlad::find_frames({files.begin() + 3, files.end()}, place.takes_photographs());
+  const auto delay = program::number("DELAY", arguments.value("--online", "0"));
+  const auto how = arguments.has("--alone")    ? ssrvlad::Follow::kNo
+                   : arguments.has("--online") ? ssrvlad::Follow::kOnline
+                                               : ssrvlad::Follow::kOffline;
+  npy::require(files[1]);
+  ssrvlad::require_frames(arguments.sources(3));
+  const auto place = program::opened(arguments, files[0]);
+  const auto frames = ssrvlad::find_frames(arguments.sources(3), place.takes_photographs());
+  const ssrvlad::Map town(files[1], place.fingerprints(), static_cast<int>(std::thread::hardware_concurrency()));
+  for (const auto& warning : town.warnings()) std::cerr << warning << "\n";
   std::set<std::string> ids;
   std::size_t skipped = 0;
   for (std::size_t first = 0, last = 0; first < frames.size(); first = last) {
@@ -79,7 +59,7 @@ int run(const Options& options) {
         std::cerr << error.what() << "\n";
         ++skipped;
       }
-    const auto answers = town.query(drive, options.follow, options.delay, top);
+    const auto answers = town.query(drive, how, delay, top);
     for (std::size_t at = 0; at < answers.size(); ++at) {
       const auto& numbers = drive[at].descriptor;
       const bool empty = std::all_of(numbers.begin(), numbers.end(), [](float x) { return x == 0; });
@@ -91,6 +71,4 @@ int run(const Options& options) {
 
 }  // namespace
 
-int main(int count, char** values) {
-  return program::run("follow", [&] { return run(parsed({values + 1, values + count})); });
-}
+int main(int count, char** values) { return program::run(usage, count, values, follow); }

@@ -16,8 +16,8 @@
 #include <utility>
 #include <vector>
 
-#include "npy.hpp"
-#include "place.hpp"
+#include <ssrvlad/npy.hpp>
+#include <ssrvlad/place.hpp>
 
 namespace ssrvlad {
 
@@ -58,8 +58,16 @@ inline std::string suffix(const std::filesystem::path& path) {
   return end;
 }
 
+// What is expected of another file than label maps or photographs, and how to make it.
+inline std::string formats(bool photographs) {
+  const std::string end = photographs ? "ppm" : "pgm";
+  return "expected ." + end + " or .npy files; ImageMagick makes them of others: mogrify -format " + end + " *." +
+         (photographs ? "jpg" : "png");
+}
+
 inline npy::Array load_frame(const std::string& path, bool photograph) {
   const bool is_netpbm = suffix(path) == (photograph ? ".ppm" : ".pgm");
+  if (!is_netpbm && suffix(path) != ".npy") throw std::runtime_error(path + ": " + formats(photograph));
   auto map = is_netpbm ? load_netpbm(path, photograph) : npy::load(path);
   const bool fits = photograph ? map.shape.size() == 3 && map.shape[2] == 3 && map.dtype == "|u1"
                                : map.shape.size() == 2 && (map.dtype == "|u1" || map.dtype == "<i4" ||
@@ -96,15 +104,25 @@ inline std::vector<std::tuple<bool, std::string>> natural(std::string name) {
 
 }  // namespace detail
 
+// Refuses what is no file or folder of frames, before a model is known.
+inline void require_frames(const std::vector<std::string>& sources) {
+  for (const std::filesystem::path source : sources) {
+    if (!std::filesystem::exists(source))
+      throw std::runtime_error(source.string() + " does not exist; expected a file or a folder of frames");
+    const auto end = detail::suffix(source);
+    if (!std::filesystem::is_directory(source) && end != ".npy" && end != ".ppm" && end != ".pgm")
+      throw std::runtime_error(source.string() + ": " + detail::formats(end != ".png"));
+  }
+}
+
 // The frames in folders, or single files; those of a folder in natural order. Two may have one id.
 inline std::vector<Frame> find_frames(const std::vector<std::string>& sources, bool photographs) {
   namespace fs = std::filesystem;
+  require_frames(sources);
   std::map<std::string, fs::path> folders;
   std::vector<std::pair<std::string, std::vector<fs::path>>> drives;
   for (const fs::path source : sources) {
     std::vector<fs::path> files;
-    if (!fs::exists(source))
-      throw std::runtime_error(source.string() + " does not exist; expected a file or a folder of frames");
     if (fs::is_directory(source)) {
       for (const auto& entry : fs::directory_iterator(source)) {
         const auto end = detail::suffix(entry.path());
@@ -115,7 +133,8 @@ inline std::vector<Frame> find_frames(const std::vector<std::string>& sources, b
     } else {
       files.push_back(source);
     }
-    if (files.empty()) throw std::runtime_error(source.string() + " holds no frames");
+    if (files.empty())
+      throw std::runtime_error(source.string() + " holds no frames: " + detail::formats(photographs));
     const auto folder = fs::absolute(files[0]).lexically_normal().parent_path();
     const auto name = folder.filename().string();
     const auto known = folders.emplace(name, fs::weakly_canonical(folder));

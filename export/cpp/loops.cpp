@@ -1,22 +1,12 @@
-// Finds loop closures in drives: an example for loops.hpp.
-//
-//     loops [--network net.onnx] [--unchecked] [--exclude N] [--threshold P] [--memory drive.npy]
-//           place.onnx FOLDER...
-//
-// Each folder is a drive of label maps, .npy or PGM, or photographs, .npy or PPM, in natural order.
-// Prints one JSON object a line, as `loops_onnx.py` and `ssrvlad loops --no-sweep --json` do, without
-// stamps. With --memory the stream in the file, if it exists, goes on, and is saved there, every 500
-// frames and when the program ends; frames whose ids it has are omitted. Exit code 0 for success, 2 for
-// wrong use, with one line on stderr, 3 for finished with some frames skipped, 130 interrupted.
-
-#include "loops.hpp"
+// Finds loop closures in drives: an example for loops.hpp. `loops --help` says how it is called.
 
 #include <csignal>
 #include <cstdio>
 #include <iostream>
 #include <set>
 
-#include "frames.hpp"
+#include <ssrvlad/loops.hpp>
+
 #include "program.hpp"
 
 namespace {
@@ -26,12 +16,17 @@ constexpr int kInterrupted = 130;
 
 volatile std::sig_atomic_t interrupted = 0;
 
-struct Options {
-  std::string network, memory;
-  bool check = true;
-  ssrvlad::LoopSettings settings;
-  std::vector<std::string> rest;
-};
+const program::Usage usage{
+    "loops", "[--exclude N] [--threshold P] [--memory drive.npy] place.onnx FOLDER...",
+    R"(Prints one JSON object a line, as `loops_onnx.py` and `ssrvlad loops --no-sweep --json` do, without stamps.
+
+Each FOLDER is a drive of label maps, .npy or PGM, or photographs, .npy or PPM, in natural order. The last N
+frames (50) are no candidates; a loop has a probability of P (0.8) or more. With --memory the stream in the
+file, if it exists, goes on, and is saved there, every 500 frames and when the program ends; frames whose ids
+it has are omitted. Exit code 0 for success, 2 for wrong use, with one line on standard error, 3 for finished
+with some frames skipped, 130 interrupted.
+)",
+    2, std::size_t(-1), {"--exclude", "--threshold", "--memory"}, {}};
 
 double fraction(const std::string& text) {
   std::size_t read = 0;
@@ -43,26 +38,6 @@ double fraction(const std::string& text) {
   if (read != text.size() || !(value >= 0 && value <= 1))
     throw std::runtime_error("--threshold: expected a number from 0 to 1, got " + text);
   return value;
-}
-
-Options parsed(const std::vector<std::string>& arguments) {
-  Options options;
-  for (std::size_t at = 0; at < arguments.size(); ++at) {
-    const auto& each = arguments[at];
-    const bool more = at + 1 < arguments.size();
-    if (each == "--unchecked") options.check = false;
-    else if (each == "--network" && more) options.network = arguments[++at];
-    else if (each == "--memory" && more) options.memory = arguments[++at];
-    else if (each == "--threshold" && more) options.settings.threshold = fraction(arguments[++at]);
-    else if (each == "--exclude" && more)
-      options.settings.exclude = program::number("--exclude", arguments[++at]);
-    else options.rest.push_back(each);
-  }
-  if (options.rest.size() < 2 || options.rest[0].compare(0, 2, "--") == 0)
-    throw std::runtime_error(
-        "usage: loops [--network net.onnx] [--unchecked] [--exclude N] [--threshold P] "
-        "[--memory drive.npy] place.onnx FOLDER...");
-  return options;
 }
 
 void print(const ssrvlad::Loop& loop) {
@@ -80,15 +55,19 @@ void print(const ssrvlad::Loop& loop) {
   std::fflush(stdout);
 }
 
-int run(const Options& options) {
-  const auto& files = options.rest;
-  const auto place = program::opened(options.network, files[0], options.check);
-  const bool goes_on = !options.memory.empty() && std::ifstream(options.memory).good();
-  auto loops = goes_on ? ssrvlad::Loops::load(options.memory, place.fingerprints(), options.settings)
-                       : ssrvlad::Loops(place.fingerprints(), options.settings);
-  const auto frames = ssrvlad::find_frames({files.begin() + 1, files.end()}, place.takes_photographs());
+int find_loops(const program::Arguments& arguments) {
+  const auto memory = arguments.value("--memory");
+  ssrvlad::LoopSettings settings;
+  settings.exclude = program::number("--exclude", arguments.value("--exclude", "50"));
+  settings.threshold = fraction(arguments.value("--threshold", "0.8"));
+  ssrvlad::require_frames(arguments.sources(1));
+  const auto place = program::opened(arguments, arguments.files[0]);
+  const bool goes_on = !memory.empty() && std::ifstream(memory).good();
+  auto loops = goes_on ? ssrvlad::Loops::load(memory, place.fingerprints(), settings)
+                       : ssrvlad::Loops(place.fingerprints(), settings);
+  const auto frames = ssrvlad::find_frames(arguments.sources(1), place.takes_photographs());
   const auto save = [&] {
-    if (!options.memory.empty()) loops.save(options.memory);
+    if (!memory.empty()) loops.save(memory);
   };
   save();  // an error is known before the drive
   std::signal(SIGINT, [](int) { interrupted = 1; });
@@ -110,12 +89,10 @@ int run(const Options& options) {
     if (loops.size() % kCheckpoint == 0) save();
   }
   save();
-  if (omitted) std::cerr << "omitted " << omitted << " frames: " << options.memory << " has their ids\n";
+  if (omitted) std::cerr << "omitted " << omitted << " frames: " << memory << " has their ids\n";
   return interrupted ? kInterrupted : program::finished(skipped, frames.size());
 }
 
 }  // namespace
 
-int main(int count, char** values) {
-  return program::run("loops", [&] { return run(parsed({values + 1, values + count})); });
-}
+int main(int count, char** values) { return program::run(usage, count, values, find_loops); }

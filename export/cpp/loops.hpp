@@ -7,7 +7,7 @@
 //     loops.save("drive.npy");
 //     auto tomorrow = ssrvlad::Loops::load("drive.npy", place.fingerprints());
 //
-// Header-only, C++17, over the core's ssrvlad_loops.h and place.hpp. Errors are std::runtime_error, or
+// C++17, over the core alone. Errors are std::runtime_error, or
 // std::bad_alloc. A stream belongs to one thread at a time.
 //
 // A saved stream is one .npy array of records, which NumPy reads as `np.load("drive.npy")["ssr-vlad"]`:
@@ -33,9 +33,8 @@
 #include <utility>
 #include <vector>
 
-#include "library.hpp"
-#include "place.hpp"
-#include "ssrvlad_loops.h"
+#include "described.hpp"
+#include <ssrvlad/ssrvlad_loops.h>
 
 namespace ssrvlad {
 
@@ -98,62 +97,25 @@ class Loops {
 
  private:
   static constexpr std::size_t kReplayed = 100;
-  static constexpr std::size_t kSigns =
-      16 * 16 * 16;  // bytes of features: columns, rows, bytes of a cell
+  using Channel = detail::Channel;
 
-  // What is known of a frame, or stored of it.
-  struct Channel {
-    std::string name, fingerprint;
-    ssrvlad_loops_channel of;
-    const void* data;
-    std::int64_t anchors;
-
-    std::size_t bytes() const {
-      const auto numbers = static_cast<std::size_t>(of.shape[0] * of.shape[1] * of.shape[2]);
-      return numbers * (of.kind == SSRVLAD_VECTORS ? sizeof(float) : 1);
-    }
-    std::string field() const {  // as NumPy writes it
-      const auto shape = of.kind == SSRVLAD_VECTORS
-                             ? std::to_string(of.shape[0]) + ","
-                             : std::to_string(of.shape[0]) + ", " + std::to_string(of.shape[1]) + ", " +
-                                   std::to_string(of.shape[2]);
-      return "(('" + fingerprint + "', '" + name + "'), '" +
-             (of.kind == SSRVLAD_VECTORS ? "<f4" : "|u1") + "', (" + shape + "))";
-    }
-  };
+  // A channel in the header of a saved stream, as NumPy writes it.
+  static std::string field(const Channel& channel) {
+    const auto [columns, rows, bytes] = channel.shape;
+    const bool vectors = channel.kind == SSRVLAD_VECTORS;
+    return "(('" + channel.fingerprint + "', '" + channel.name + "'), '" + (vectors ? "<f4" : "|u1") + "', (" +
+           std::to_string(columns) + "," +
+           (vectors ? "" : " " + std::to_string(rows) + ", " + std::to_string(bytes)) + "))";
+  }
 
   struct Free {
     void operator()(ssrvlad_loops* stream) const { ssrvlad_loops_free(stream); }
   };
 
-  std::vector<Channel> channels_of(const Described& seen) const {
-    const auto length = static_cast<std::int64_t>(seen.length);
-    const auto anchors =
-        static_cast<std::int64_t>(seen.descriptor.size() / std::max<std::size_t>(1, seen.length));
-    std::vector<Channel> channels{{"ssr-vlad",
-                                   model_.descriptor,
-                                   {SSRVLAD_VECTORS, {length, 1, 1}, 1},
-                                   seen.descriptor.data(),
-                                   anchors}};
-    if (!seen.features.empty())
-      channels.push_back(
-          {"features", model_.features, {SSRVLAD_SIGNS, {16, 16, 16}, 6}, seen.features.data(), 1});
-    if (!seen.hog.empty())
-      channels.push_back({"hog",
-                          model_.hog,
-                          {SSRVLAD_VECTORS, {static_cast<std::int64_t>(seen.hog.size()), 1, 1}, 2},
-                          seen.hog.data(),
-                          1});
-    return channels;
-  }
-
   // Takes the next frame, with a result or as one that is known.
   void take(const std::string& frame, const Described& seen, double stamp, ssrvlad_loop* found) {
     const auto sequence = checked(frame, stamp);
-    if (!seen.length || seen.descriptor.size() % seen.length ||
-        (!seen.features.empty() && seen.features.size() != kSigns))
-      throw std::runtime_error("frame " + frame + ": expected a frame as of Place::describe");
-    const auto channels = channels_of(seen);
+    const auto channels = detail::channels_of("frame " + frame, seen, model_);
     if (frames_.empty()) open(channels);
     require_same(frame, channels);
     std::vector<const void*> descriptors;
@@ -167,9 +129,7 @@ class Loops {
                            ? ssrvlad_loops_update(stream_.get(), descriptors.data(), anchors.data(),
                                                   stamp, starts, settings_.threads, found)
                            : ssrvlad_loops_extend(stream_.get(), descriptors.data(), &stamp, &starts, 1);
-    if (status == SSRVLAD_WRONG_ARGUMENT)
-      throw std::runtime_error("frame " + frame + ": expected descriptors of length 1 or zero");
-    if (status != SSRVLAD_OK) throw std::runtime_error("frame " + frame + ": memory is short");
+    if (status != SSRVLAD_OK) throw std::runtime_error("frame " + frame + ": " + ssrvlad_last_error());
     rows_[frame] = frames_.size();
     frames_.push_back(frame);
     times_.push_back(stamp);
@@ -179,10 +139,13 @@ class Loops {
 
   void open(const std::vector<Channel>& channels) {
     std::vector<ssrvlad_loops_channel> given;
-    for (const auto& channel : channels) given.push_back(channel.of);
+    for (const auto& channel : channels) {
+      const auto [columns, rows, bytes] = channel.shape;
+      given.push_back({channel.kind, {columns, rows, bytes}, detail::trust_of(channel.name)});
+    }
     const ssrvlad_loops_settings settings{settings_.exclude, settings_.threshold, SSRVLAD_SCAN_ABOVE};
     stream_.reset(ssrvlad_loops_new(&settings, given.data(), static_cast<int>(given.size())));
-    if (!stream_) throw std::runtime_error("memory is short for a stream");
+    if (!stream_) throw std::runtime_error(ssrvlad_last_error());
     channels_ = channels;
   }
 
@@ -244,7 +207,7 @@ inline void Loops::save(const std::string& path) const {
   std::size_t width = 8;  // of ids; of whole words, so that numbers stand where a processor likes them
   for (const auto& frame : frames_) width = std::max(width, (frame.size() + 7) / 8 * 8);
   std::string fields = "('frame', '|S" + std::to_string(width) + "'), ('stamp', '<f8')";
-  for (const auto& channel : channels_) fields += ", " + channel.field();
+  for (const auto& channel : channels_) fields += ", " + field(channel);
   std::string header = "{'descr': [" + fields + "], 'fortran_order': False, 'shape': (" +
                        std::to_string(size()) + ",), }";
   header += std::string(63 - (header.size() + 12) % 64, ' ') + "\n";
@@ -330,7 +293,7 @@ inline Loops Loops::load(const std::string& path, const Fingerprints& model, Loo
   Described seen;
   seen.length = records.numbers("ssr-vlad");
   seen.descriptor.resize(seen.length);
-  seen.features.resize(records.numbers("features") ? kSigns : 0);
+  seen.features.resize(records.numbers("features") ? 16 * 16 * 16 : 0);
   seen.hog.resize(records.numbers("hog"));
   const std::pair<const char*, bool> lacking[] = {
       {"features", seen.features.empty() && !model.features.empty()},
@@ -339,11 +302,12 @@ inline Loops Loops::load(const std::string& path, const Fingerprints& model, Loo
     if (records.count() && lacks)
       throw std::runtime_error(path + " has other channels than the model: no " + name);
   std::size_t bytes = 0;
-  for (const auto& channel : loops.channels_of(seen)) {
-    if (records.count() && !records.holds(channel.field()))
+  if (!records.count()) seen.length = 0;
+  for (const auto& channel : seen.length ? detail::channels_of(path, seen, model) : std::vector<Channel>{}) {
+    if (!records.holds(field(channel)))
       throw std::runtime_error(path + " has other " + channel.name + " than the model, " +
                                channel.fingerprint + ": they do not compare");
-    bytes += records.count() ? channel.bytes() : 0;
+    bytes += channel.bytes();
   }
   records.require_size(bytes);
   std::size_t now = records.count();  // the first frame that is gone through again

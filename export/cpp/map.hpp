@@ -5,25 +5,22 @@
 //     for (const auto& answer : town.query(drive))  // the described frames of a drive, in order
 //       if (answer.found() && answer.confidence > 0.9F) std::cout << answer.candidates[0].frame;
 //
-// Header-only, C++17, over the library `ssrvlad` of ssrvlad_map.h. Errors are std::runtime_error, or
+// C++17, over the core alone. Errors are std::runtime_error, or
 // std::bad_alloc. Several threads may use one Map at a time.
 
 #pragma once
 
 #include <algorithm>
 #include <fstream>
-#include <iostream>
 #include <memory>
 #include <stdexcept>
 #include <string>
-#include <thread>
 #include <utility>
 #include <vector>
 
-#include "library.hpp"
+#include "described.hpp"
 #include "npy.hpp"
-#include "place.hpp"
-#include "ssrvlad_map.h"
+#include <ssrvlad/ssrvlad_map.h>
 
 namespace ssrvlad {
 
@@ -61,19 +58,22 @@ enum class Follow { kNo = SSRVLAD_ALONE, kOnline = SSRVLAD_ONLINE, kOffline = SS
 // and FILE.npy.hog.npy.
 class Map {
  public:
-  // The fingerprints are those of the model; channels are used that both have.
-  Map(const std::string& path, const Fingerprints& model) {
+  // The fingerprints are those of the model; channels are used that both have. `threads` share a query.
+  Map(const std::string& path, const Fingerprints& model, int threads = 1)
+      : model_(model), threads_(threads) {
     detail::require_interface();
     std::ifstream names(path + ".frames.txt");
     for (std::string line; detail::read_line(names, line);) frames_.push_back(line);
-    add(path, "", model.descriptor, "<f4", 2, 1.0);
-    add(path, ".features.npy", model.features, "|u1", 4, 6.0);
-    add(path, ".hog.npy", model.hog, "<f4", 2, 2.0);
+    add(path, "ssr-vlad", "", model.descriptor, "<f4", 2);
+    add(path, "features", ".features.npy", model.features, "|u1", 4);
+    add(path, "hog", ".hog.npy", model.hog, "<f4", 2);
     if (frames_.empty()) throw std::runtime_error(path + " holds no frames");
     open(path);
   }
 
   std::size_t size() const { return frames_.size(); }
+  // What is left out, in lines.
+  const std::vector<std::string>& warnings() const { return warnings_; }
 
   // The places of the frames of a drive, in its order: the best `top`, from 1.
   std::vector<Answer> query(const std::vector<Described>& drive, Follow follow = Follow::kOffline,
@@ -82,12 +82,11 @@ class Map {
       throw std::runtime_error("expected 1 candidate or more and a delay from 0, got " +
                                std::to_string(top) + " and " + std::to_string(delay));
     top = std::min(top, size());
-    std::vector<std::vector<char>> packed;
-    std::vector<ssrvlad_queries> queries;
-    for (const auto& channel : channels_) {
-      std::int64_t anchors;
-      packed.push_back(pack(channel, drive, anchors));
-      queries.push_back({packed.back().data(), anchors});
+    std::vector<std::vector<char>> packed(channels_.size());
+    std::vector<ssrvlad_queries> queries(channels_.size());
+    for (std::size_t number = 0; number < channels_.size(); ++number) {
+      queries[number].anchors = pack(channels_[number], drive, packed[number]);
+      queries[number].descriptors = packed[number].data();
     }
     const auto count = drive.size();
     std::vector<float> scores(count * top), sure(3 * count);
@@ -106,9 +105,8 @@ class Map {
     steps.follow = static_cast<std::int32_t>(follow);
     steps.delay = delay;
     steps.top = static_cast<std::int64_t>(top);
-    const int threads = static_cast<int>(std::max(1U, std::thread::hardware_concurrency()));
     require(ssrvlad_map_query(map_.get(), queries.data(), static_cast<std::int64_t>(count), &steps,
-                              threads, &decision, &taken),
+                              threads_, &decision, &taken),
             "the descriptors of the drive");
     const char* alone = channels_.size() > 1 ? "fused score" : "cosine";
     std::vector<Answer> answers;
@@ -128,32 +126,27 @@ class Map {
 
  private:
   struct Channel {
-    std::string name;  // of the file, after that of the database
+    std::string name, file;
     npy::Array rows;
-    double trust;
 
     bool is_signs() const { return rows.dtype == "|u1"; }
   };
 
   static void require(int status, const std::string& what) {
-    if (status == SSRVLAD_NO_MEMORY) throw std::bad_alloc();
-    if (status != SSRVLAD_OK)
-      throw std::runtime_error("the library ssrvlad refuses " + what + ": expected finite numbers");
+    if (status != SSRVLAD_OK) throw std::runtime_error(what + ": " + ssrvlad_last_error());
   }
 
   // Adds the array of a channel, if both sides have it.
-  void add(const std::string& path, const std::string& end, const std::string& fingerprint,
-           const std::string& dtype, std::size_t axes, double trust) {
+  void add(const std::string& path, const std::string& name, const std::string& end,
+           const std::string& fingerprint, const std::string& dtype, std::size_t axes) {
     const auto file = path + end;
     const bool is_here = end.empty() || std::ifstream(file).good();
-    const auto name = end.empty() ? end : end.substr(1, end.size() - 5);
     if (!is_here && !fingerprint.empty())
-      std::cerr << "only the model has " << name << ": frames are matched without\n";
+      warnings_.push_back("only the model has " + name + ": frames are matched without");
     if (is_here && fingerprint.empty())
-      std::cerr << "only " << path << " has " << name
-                << ": frames are matched without; fuse the file again\n";
+      warnings_.push_back("only " + path + " has " + name + ": frames are matched without; fuse the file again");
     if (!is_here || fingerprint.empty()) return;
-    Channel channel{end, npy::load(file), trust};
+    Channel channel{name, file, npy::load(file)};
     const auto& shape = channel.rows.shape;
     if (channel.rows.dtype != dtype || shape.size() != axes)
       throw std::runtime_error(file + ": expected an " + (axes == 4 ? "(R, 16, 16, 16)" : "(R, D)") +
@@ -165,11 +158,11 @@ class Map {
     channels_.push_back(std::move(channel));
   }
 
-  static void require_fingerprint(const std::string& path, const std::string& fingerprint) {
+  void require_fingerprint(const std::string& path, const std::string& fingerprint) {
     std::string own;
     std::ifstream file(path + ".fingerprint.txt");
     if (!detail::read_line(file, own))
-      std::cerr << path << " has no fingerprint: it may not fit the model\n";
+      warnings_.push_back(path + " has no fingerprint: it may not fit the model");
     else if (own != fingerprint)
       throw std::runtime_error(path + " has fingerprint " + own + ", the model " + fingerprint +
                                ": they do not compare");
@@ -183,14 +176,16 @@ class Map {
     const ssrvlad_drives drives{starts.data(), static_cast<std::int64_t>(starts.size()),
                                 static_cast<std::int64_t>(frames_.size())};
     map_.reset(ssrvlad_map_new(&drives));
-    if (!map_) throw std::bad_alloc();
+    require(map_ ? SSRVLAD_OK : SSRVLAD_NO_MEMORY, path);
     for (const auto& channel : channels_) {
       const auto& shape = channel.rows.shape;
-      const auto size = shape.size() == 2 ? shape[1] : shape[2] * shape[3];
-      const ssrvlad_channel given{channel.rows.bytes.data(),
-                                  channel.is_signs() ? SSRVLAD_SIGNS : SSRVLAD_VECTORS,
-                                  channel.is_signs() ? shape[1] : 1, size, channel.trust, nullptr};
-      require(ssrvlad_map_add_channel(map_.get(), &given), path + channel.name);
+      ssrvlad_channel rows{};
+      rows.rows = channel.rows.bytes.data();
+      rows.kind = channel.is_signs() ? SSRVLAD_SIGNS : SSRVLAD_VECTORS;
+      rows.columns = channel.is_signs() ? shape[1] : 1;
+      rows.size = channel.is_signs() ? shape[2] * shape[3] : shape[1];
+      rows.trust = detail::trust_of(channel.name);
+      require(ssrvlad_map_add_channel(map_.get(), &rows), channel.file);
     }
   }
 
@@ -199,36 +194,31 @@ class Map {
     return end == frame.npos ? "" : frame.substr(0, end);
   }
 
-  // The descriptors of all frames of a drive by a channel, one after another, and their anchors.
-  static std::vector<char> pack(const Channel& channel, const std::vector<Described>& drive,
-                                std::int64_t& anchors) {
-    std::vector<char> packed;
-    anchors = 1;
-    for (const auto& frame : drive) {
-      const auto& vector = channel.name.empty() ? frame.descriptor : frame.hog;
-      const char* first = channel.is_signs() ? reinterpret_cast<const char*>(frame.features.data())
-                                             : reinterpret_cast<const char*>(vector.data());
-      const auto size = channel.is_signs() ? frame.features.size() : vector.size() * sizeof(float);
-      const auto one = channel.name.empty() ? frame.length * sizeof(float) : size;
-      const auto unit = channel.is_signs() ? 1 : sizeof(float);
-      const auto expected = channel.rows.bytes.size() / static_cast<std::size_t>(channel.rows.shape[0]);
-      if (one != expected || (!packed.empty() && size != static_cast<std::size_t>(anchors) * one))
-        throw std::runtime_error("expected a database of " + std::to_string(one / unit) +
-                                 " numbers a frame, got " + std::to_string(expected / unit));
-      anchors = static_cast<std::int64_t>(size / one);
-      if (anchors % 2 == 0)
-        throw std::runtime_error("expected descriptors from an odd number of anchors, the usual one in the "
-                                 "middle, got " + std::to_string(anchors));
-      packed.insert(packed.end(), first, first + size);
-    }
-    return packed;
+  // Packs the descriptors of all frames of a drive by a channel, one after another; returns their anchors.
+  std::int64_t pack(const Channel& channel, const std::vector<Described>& drive, std::vector<char>& packed) const {
+    std::int64_t anchors = 1;
+    for (const auto& frame : drive)
+      for (const auto& view : detail::channels_of("a query", frame, model_)) {
+        if (view.name != channel.name) continue;
+        const auto unit = view.bytes() / view.numbers();
+        const auto expected = channel.rows.bytes.size() / static_cast<std::size_t>(channel.rows.shape[0]);
+        if (view.bytes() != expected || (!packed.empty() && view.anchors != anchors))
+          throw std::runtime_error("expected a database of " + std::to_string(view.numbers()) +
+                                   " numbers a frame, got " + std::to_string(expected / unit));
+        anchors = view.anchors;
+        const auto* first = static_cast<const char*>(view.data);
+        packed.insert(packed.end(), first, first + static_cast<std::size_t>(anchors) * expected);
+      }
+    return anchors;
   }
 
   struct Free {
     void operator()(ssrvlad_map* map) const { ssrvlad_map_free(map); }
   };
 
-  std::vector<std::string> frames_;
+  Fingerprints model_;
+  int threads_;
+  std::vector<std::string> frames_, warnings_;
   std::vector<Channel> channels_;
   std::unique_ptr<ssrvlad_map, Free> map_;
 };

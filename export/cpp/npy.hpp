@@ -92,6 +92,11 @@ inline Array parsed(const std::string& content) {
   return array;
 }
 
+// Throws std::runtime_error if a file cannot be read.
+inline void require(const std::string& path) {
+  if (!std::ifstream(path)) throw std::runtime_error(path + ": cannot be read");
+}
+
 // Throws std::runtime_error if the file is not such an array or is too short.
 inline Array load(const std::string& path) {
   std::ifstream file(path, std::ios::binary);

@@ -1,58 +1,44 @@
 // Describes a label map or a photograph and finds it in an exported database: an example for
-// place.hpp and map.hpp.
-//
-//     place head.onnx map.npy [town.npy [TOP]]
-//     place place.onnx photo.ppm [town.npy [TOP]]
-//     place --network net.onnx head.onnx photo.ppm [town.npy [TOP]]
-//
-// A map is an (H, W) .npy array of uint8, int32 or int64, or a binary 8-bit PGM; a photograph is an
-// (H, W, 3) .npy array of uint8 in RGB, or a binary 8-bit PPM. The database is written by
-// `ssrvlad db export --format npy`; features and HOG are used where the file and the database have some.
-// The frame is judged alone, as by `ssrvlad locate`; follow.cpp finds drives. --unchecked does not run
-// the golden pair first. Exit code 0 for success, 2 for wrong use or bad input, with one line on stderr.
+// place.hpp and map.hpp. `place --help` says how it is called.
 
 #include <cstdio>
 
-#include "frames.hpp"
-#include "map.hpp"
+#include <ssrvlad/map.hpp>
+
 #include "program.hpp"
 
 namespace {
 
-void run(const std::string& network, const std::vector<std::string>& arguments, bool check) {
-  const auto place = program::opened(network, arguments[0], check);
-  const auto described = ssrvlad::describe(place, arguments[1]);
+const program::Usage usage{
+    "place", "place.onnx FRAME [town.npy [TOP]]",
+    R"(Prints the norm of the descriptor of a frame, and the TOP places of the frame (5) with their scores.
+
+FRAME is a label map, an (H, W) .npy array of uint8, int32 or int64 or a binary 8-bit PGM, or for a model
+of `ssrvlad fuse` a photograph, an (H, W, 3) .npy array of uint8 in RGB or a binary 8-bit PPM. town.npy is
+written by `ssrvlad db export --format npy`; features and HOG are used where the model and the database have
+some. The frame is judged alone, as by `ssrvlad locate`; `follow` finds drives. Exit code 0 for success, 2
+for wrong use or bad input, with one line on standard error.
+)",
+    2, 4, {}, {}};
+
+int find(const program::Arguments& arguments) {
+  const auto& files = arguments.files;
+  const auto top = files.size() > 3 ? program::number("TOP", files[3], 1) : 5;
+  ssrvlad::require_frames({files[1]});
+  if (files.size() > 2) npy::require(files[2]);
+  const auto place = program::opened(arguments, files[0]);
+  const auto described = ssrvlad::describe(place, files[1]);
   const float* numbers = described.descriptor.data();
   const double square = std::inner_product(numbers, numbers + described.length, numbers, 0.0);
   std::printf("descriptor: %zu numbers, norm %.6f\n", described.descriptor.size(), std::sqrt(square));
-  if (arguments.size() < 3) return;
-  const ssrvlad::Map town(arguments[2], place.fingerprints());
-  const auto top = arguments.size() > 3 ? program::number("TOP", arguments[3], 1) : 5;
-  const auto answer = town.locate(described, static_cast<std::size_t>(top));
-  for (const auto& match : answer.candidates)
+  if (files.size() < 3) return 0;
+  const ssrvlad::Map town(files[2], place.fingerprints());
+  for (const auto& warning : town.warnings()) std::cerr << warning << "\n";
+  for (const auto& match : town.locate(described, static_cast<std::size_t>(top)).candidates)
     std::printf("%s %.6f\n", match.frame.c_str(), static_cast<double>(match.score));
+  return 0;
 }
 
 }  // namespace
 
-int main(int count, char** values) {
-  std::vector<std::string> arguments(values + 1, values + count);
-  std::string network;
-  bool check = true;
-  while (!arguments.empty() && arguments[0].compare(0, 2, "--") == 0) {
-    const bool named = arguments[0] == "--network" && arguments.size() > 1;
-    if (!named && arguments[0] != "--unchecked") break;
-    if (named) network = arguments[1];
-    check = check && named;
-    arguments.erase(arguments.begin(), arguments.begin() + (named ? 2 : 1));
-  }
-  if (arguments.size() < 2 || arguments.size() > 4) {
-    std::cerr << "usage: place [--unchecked] [--network net.onnx] head.onnx map.npy|photo.ppm "
-                 "[town.npy [TOP]]\n";
-    return 2;
-  }
-  return program::run("place", [&] {
-    run(network, arguments, check);
-    return 0;
-  });
-}
+int main(int count, char** values) { return program::run(usage, count, values, find); }

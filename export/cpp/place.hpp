@@ -3,7 +3,7 @@
 //     ssrvlad::Place place("place.onnx");
 //     auto seen = place.describe(pixels, height, width);
 //
-// map.hpp finds them in a database. Header-only, C++17; needs the C++ API of ONNX Runtime, and zlib. Errors
+// map.hpp finds them in a database. C++17; needs the C++ API of ONNX Runtime, and zlib. Errors
 // are std::runtime_error, or Ort::Exception from the runtime. Several threads may use one Place at a time.
 
 #pragma once
@@ -21,26 +21,12 @@
 #include <utility>
 #include <vector>
 
+#include "described.hpp"
 #include "golden.hpp"
 
 namespace ssrvlad {
 
 constexpr const char* kFormat = "2";
-
-// The descriptor of a frame; with `export --sweep` the descriptors of all anchors in sequence. All
-// zeros: the frame is empty and matches nothing.
-struct Described {
-  std::vector<float> descriptor;
-  std::size_t length = 0;  // of one descriptor
-  std::vector<std::uint8_t> features;  // 16 columns x 16 rows x 16 bytes of signs, if the file gives some
-  std::vector<float> hog;              // 480 numbers, if the file gives them
-};
-
-// Fingerprints of what a file gives: of the settings of the head, of features and of HOG; empty for
-// what it does not give. Descriptors of other fingerprints do not compare.
-struct Fingerprints {
-  std::string descriptor, features, hog;
-};
 
 namespace detail {
 

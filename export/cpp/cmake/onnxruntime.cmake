@@ -1,6 +1,9 @@
 # The target onnxruntime::onnxruntime, from ORT_ROOT or from a CMake package.
 
-set(ORT_ROOT "$ENV{ORT_ROOT}" CACHE PATH "folder of ONNX Runtime")
+if(DEFINED ENV{ORT_ROOT})
+  set(ORT_BUILT_WITH "$ENV{ORT_ROOT}")
+endif()
+set(ORT_ROOT "${ORT_BUILT_WITH}" CACHE PATH "folder of ONNX Runtime")
 
 if(ORT_ROOT AND NOT TARGET onnxruntime::onnxruntime)
   find_path(ORT_HEADERS onnxruntime_cxx_api.h REQUIRED NO_DEFAULT_PATH

@@ -20,7 +20,7 @@
 #include <vector>
 
 #include "../npy.hpp"
-#include "ssrvlad.h"
+#include <ssrvlad/ssrvlad.h>
 
 namespace {
 
@@ -40,10 +40,9 @@ npy::Array load(const std::string& path, std::size_t axes) {
 std::vector<float> describe(const std::string& preset, const npy::Array& categories,
                             const npy::Array& map) {
   ssrvlad_settings settings;
-  if (ssrvlad_preset(preset.c_str(), &settings) != SSRVLAD_OK)
-    throw std::runtime_error("expected the preset default or paper, got " + preset);
+  if (ssrvlad_preset(preset.c_str(), &settings) != SSRVLAD_OK) throw std::runtime_error(ssrvlad_last_error());
   const Head head(ssrvlad_new(&settings), ssrvlad_free);
-  if (!head) throw std::bad_alloc();
+  if (!head) throw std::runtime_error(ssrvlad_last_error());
   const ssrvlad_table table{categories.as<std::uint8_t>(), categories.shape[0], 0};
   const ssrvlad_labels labels{map.bytes.data(), map.dtype == "|u1" ? 1 : 8, 1, map.shape[0],
                               map.shape[1]};
@@ -51,16 +50,17 @@ std::vector<float> describe(const std::string& preset, const npy::Array& categor
   const auto status = ssrvlad_describe(head.get(), &labels, &table, 1, numbers.data());
   if (status > 0)
     throw std::runtime_error(std::to_string(status) + " pixels have an id without a category");
-  if (status != SSRVLAD_OK) throw std::runtime_error("the map is too large");
+  if (status != SSRVLAD_OK) throw std::runtime_error(ssrvlad_last_error());
   return numbers;
 }
 
 }  // namespace
 
 int main(int count, char** arguments) {
+  const bool help = count == 2 && arguments[1] == std::string("--help");
   if (count != 4) {
-    std::fputs("usage: describe PRESET categories.npy map.npy\n", stderr);
-    return 2;
+    std::fputs("usage: describe PRESET categories.npy map.npy\n", help ? stdout : stderr);
+    return help ? 0 : 2;
   }
   try {
     const auto categories = load(arguments[2], 1), map = load(arguments[3], 2);

@@ -1,0 +1,15 @@
+# The target ssrvlad::core; with COMPONENTS place, which export/cpp installs, ssrvlad::place too.
+
+include(CMakeFindDependencyMacro)
+find_dependency(Threads)
+include("${CMAKE_CURRENT_LIST_DIR}/ssrvladTargets.cmake")
+foreach(component ${ssrvlad_FIND_COMPONENTS})
+  set(ssrvlad_${component}_FOUND FALSE)
+  if(EXISTS "${CMAKE_CURRENT_LIST_DIR}/ssrvlad_${component}.cmake")
+    set(ssrvlad_${component}_FOUND TRUE)
+    include("${CMAKE_CURRENT_LIST_DIR}/ssrvlad_${component}.cmake")
+  elseif(ssrvlad_FIND_REQUIRED_${component})
+    set(ssrvlad_FOUND FALSE)
+    set(ssrvlad_NOT_FOUND_MESSAGE "${component} is not installed here; `cmake --install` of export/cpp installs place")
+  endif()
+endforeach()
