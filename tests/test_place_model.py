@@ -15,9 +15,12 @@ from onnx import TensorProto
 from PIL import Image
 from ssrvlad_place.database import save
 from ssrvlad_place.golden import Golden
-from ssrvlad_place.model import Model, Seen, Split
+from ssrvlad_place.model import TRUST, Model, Seen, Split
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, export_head
+from ssrvlad_torch.channels.features import Features
+from ssrvlad_torch.channels.hog import HOG
+from ssrvlad_torch.channels.label_shapes import LabelShapes
 from ssrvlad_torch.deployment.fuse import fuse
 from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
 from ssrvlad_torch.segmentation.segmenter import Segmenter
@@ -200,3 +203,7 @@ def test_network_and_head_in_two_files(fused, tmp_path, run):
         code, _, (line,) = run(tmp_path / f"{wrong}.onnx", *frames, "--network", net)
         assert code == 2
         assert message in line
+
+
+def test_channels_are_trusted_as_in_the_package():
+    assert {channel.name: channel.trust for channel in (LabelShapes, HOG, Features)} == TRUST
