@@ -280,8 +280,9 @@ Drives drives_of(const ssrvlad_drives *map) {
   drives.rows = map->rows;
   drives.starts.assign(map->starts, map->starts + map->count);
   for (Size drive = 0; drive < map->count; ++drive)
-    require(drive ? drives.starts[drive] > drives.starts[drive - 1] : !drives.starts[drive]);
-  require(!map->count || drives.starts.back() < drives.rows);
+    require(drive ? drives.starts[drive] > drives.starts[drive - 1] : !drives.starts[drive],
+            "starts of drives that rise from 0");
+  require(!map->count || drives.starts.back() < drives.rows, "drives that start before the last row");
   return drives;
 }
 
@@ -349,7 +350,7 @@ namespace {
 
 void check(const ssrvlad_map *map, const ssrvlad_queries *queries, Size count, const ssrvlad_steps *steps,
            const ssrvlad_taken *taken) {
-  require(map && queries && steps && taken && map->channels() && count >= 0);
+  require(map && queries && steps && taken && map->channels() && count >= 0, "a map of one channel or more, queries and steps");
   require(steps->follow >= SSRVLAD_ALONE && steps->follow <= SSRVLAD_OFFLINE && steps->delay >= 0 &&
           steps->top >= 1);
 }

@@ -35,13 +35,14 @@ class Together : public Scores {
 
 void Map::add(const ssrvlad_channel &channel) {
   const Size rows = listing_.count();
-  require(channel.trust > 0 && std::isfinite(channel.trust) && channel.columns >= 1 && channel.size >= 1);
+  require(channel.trust > 0 && std::isfinite(channel.trust) && channel.columns >= 1 && channel.size >= 1,
+          "a trust above 0, and columns and a size from 1");
   Member member{nullptr, 0, 0, channel.trust};
   if (channel.kind != SSRVLAD_SCORES) {
     const bool are_signs = channel.kind == SSRVLAD_SIGNS;
     require((channel.rows || !rows) && may_be({rows, channel.columns, channel.size}));
     member.of_mean = channel.columns * channel.size * (are_signs ? 8 : 1);
-    require(member.of_mean <= MOST_NUMBERS);
+    require(member.of_mean <= MOST_NUMBERS, "descriptors of up to 2^31 numbers");
     const auto means = static_cast<Size>(listing_.drives.starts.size());
     require(!channel.means || are_finite(channel.means, means * member.of_mean));
     if (are_signs) {
@@ -50,7 +51,7 @@ void Map::add(const ssrvlad_channel &channel) {
     } else {
       const auto *vectors = static_cast<const float *>(channel.rows);
       require(channel.kind == SSRVLAD_VECTORS && channel.columns == 1);
-      require(are_finite(vectors, rows * channel.size));
+      require(are_finite(vectors, rows * channel.size), "finite rows");
       member.channel = channel_of_vectors(vectors, channel.size, listing_, channel.means);
       member.length = channel.size;
     }
@@ -65,7 +66,8 @@ std::unique_ptr<Comparison> Map::compare(const Member &member, const ssrvlad_que
           may_be({count, queries.anchors, size}));
   const auto *numbers = static_cast<const float *>(queries.descriptors);
   if (!member.channel) return comparison_of_scores(numbers, count, size);
-  require(member.length ? are_finite(numbers, count * queries.anchors * member.length) : queries.anchors == 1);
+  require(member.length ? are_finite(numbers, count * queries.anchors * member.length) : queries.anchors == 1,
+          "finite queries, and signs from one anchor");
   return member.channel->compare({numbers, count, queries.anchors}, standardised, swept, threads);
 }
 
