@@ -15,7 +15,8 @@ from helpers import outcome
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "scripts"))
 
-from _wheels import FOLDER, WHEELS, problems_of, wheels  # noqa: E402 - of no package
+from _published_core import Cores  # noqa: E402 - of no package
+from _wheels import FOLDER, WHEELS, problems_of, wheels  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -98,6 +99,17 @@ def test_every_wheel_has_its_tag_and_library(name, tmp_path):
     assert source == "source"
     assert held == [WHEELS[name].library] and "native core of" in content
     assert built.name.endswith(f"-py3-none-{WHEELS[name].tag}.whl")
+
+
+@pytest.mark.slow
+def test_the_published_core_has_the_bits_of_a_local_build(tmp_path, capsys):
+    """Its time is printed, beside that of a local build."""
+    pytest.importorskip("ziglang")
+    cores = Cores(tmp_path)
+    assert cores.output("wheel", "bits") == cores.output("local", "bits")
+    least = {name: min(each) for name, each in cores.seconds(3).items()}
+    with capsys.disabled():
+        print(f"query: {least['wheel']:.3f} s of a wheel, {least['local']:.3f} s of a local build")
 
 
 def version_of(folder):

@@ -28,6 +28,7 @@ from _encoding_costs import encoding_table
 from _loops_cost import loops_table
 from _markdown import Page, head_row, paragraph, row, save, span
 from _picture_costs import pictures_table
+from _published_core import published_table
 from _timing import heads, onnx_head, threads, time_in_turn
 from matplotlib.figure import Figure
 from PIL import Image
@@ -193,6 +194,7 @@ def main() -> None:
         ),
         "## Loop closures, online": partial(loops_table),
         "## Batches and threads": partial(batch_table, maps, again),
+        "## The core of a wheel": partial(published_table, again),
         "## Encoding": partial(encoding_table, maps.batch((360, 480), BATCH), config, again),
     }
     if options.networks is None or not pictures:
