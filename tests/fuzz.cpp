@@ -119,6 +119,15 @@ void finds() {
   ssrvlad_steps steps{};
   steps.standardise = one_in(2), steps.sweep = one_in(2), steps.follow = static_cast<int32_t>(between(0, 2));
   steps.delay = one_in(4) ? int64_t{1} << 40 : between(0, 12), steps.top = top;
+  std::vector<unsigned char> allowed(static_cast<std::size_t>(rows + 1));
+  std::vector<int64_t> excluded;
+  for (unsigned char &each : allowed) each = !one_in(5);
+  for (int64_t query = 0; query < queries; ++query) {
+    const int64_t first = between(0, rows);
+    excluded.push_back(first), excluded.push_back(between(first, rows));
+  }
+  if (one_in(2)) steps.allowed = allowed.data();
+  if (one_in(2)) steps.excluded = excluded.data();
   ssrvlad_decision decision{};
   decision.scores = scores.data(), decision.rows = found.data(), decision.right = right.data();
   decision.spread = spread.data(), decision.together = together.data();
@@ -136,17 +145,9 @@ void finds() {
       expect(found[place] >= -1 && found[place] < rows, "a row", static_cast<double>(found[place]));
     }
   }
-  std::vector<float> row(static_cast<std::size_t>(rows + 1));
-  for (int64_t channel = 0; channel < channels; ++channel) {
-    int64_t width;
-    ssrvlad_comparison *compared = ssrvlad_map_compare(map, channel, &asked[channel], queries, one_in(2), one_in(2), threads, &width);
-    expect(compared, "a comparison");
-    for (int64_t query = 0; query < queries; ++query) {
-      if (!called([&] { return ssrvlad_comparison_scores(compared, query, row.data()); })) continue;
-      for (int64_t each = 0; each < rows; ++each) expect(row[each] <= 1.001F, "a cosine", row[each]);
-    }
-    ssrvlad_comparison_free(compared);
-  }
+  std::vector<float> cosines(static_cast<std::size_t>(queries * rows + 1));
+  if (called([&] { return ssrvlad_map_compare(map, asked.data(), queries, &steps, threads, cosines.data(), &taken); }))
+    for (int64_t each = 0; each < queries * rows; ++each) expect(cosines[each] <= 1.001F, "a cosine", cosines[each]);
   ssrvlad_map_free(map);
 }
 
