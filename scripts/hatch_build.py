@@ -12,6 +12,7 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import os
+import platform
 import shlex
 import shutil
 import subprocess
@@ -76,20 +77,20 @@ class NativeCore(BuildHookInterface):
             return
         if problem := build(Path(self.root)):
             raise RuntimeError(f"the native core cannot be built: {problem}")
-        platform = sysconfig.get_platform().replace("-", "_").replace(".", "_")
-        build_data.update(pure_python=False, tag=f"py3-none-{platform}")
+        tag = sysconfig.get_platform().replace("-", "_").replace(".", "_")
+        build_data.update(pure_python=False, tag=f"py3-none-{tag}")
         build_data["artifacts"].append(str(FOLDER / LIBRARY))
 
-    def _add_for(self, platform: Platform, build_data: dict[str, Any]) -> None:
+    def _add_for(self, named: Platform, build_data: dict[str, Any]) -> None:
         """Adds the core of another platform."""
-        with_zig = [*ZIG, "-target", platform.target, "-s", *SHARED]
+        with_zig = [*ZIG, "-target", named.target, "-s", *SHARED]
         self._built = tempfile.TemporaryDirectory()
-        library = Path(self._built.name) / platform.library
+        library = Path(self._built.name) / named.library
         problem = compile_core(Path(self.root) / FOLDER, with_zig, library)
         if problem:
             raise RuntimeError(problem)
-        build_data.update(pure_python=False, tag=f"py3-none-{platform.tag}")
-        build_data["force_include"][str(library)] = str(FOLDER / platform.library)
+        build_data.update(pure_python=False, tag=f"py3-none-{named.tag}")
+        build_data["force_include"][str(library)] = str(FOLDER / named.library)
 
     def finalize(self, version: str, build_data: dict[str, Any], artifact_path: str) -> None:
         """Called by hatchling after it wrote the wheel."""
@@ -114,6 +115,14 @@ def _compiles(path: str) -> bool:
         return not subprocess.run(command, check=False, capture_output=True).returncode
 
 
+def _zig_here() -> list[str]:
+    """zig for this machine as for its wheel; else for any processor of its kind."""
+    system = {"darwin": "macos", "win32": "windows"}.get(sys.platform, sys.platform)
+    machine = platform.machine().lower().replace("amd64", "x86_64")
+    wheel = WHEELS.get(f"{system}_{machine}")
+    return [*ZIG, *(["-target", wheel.target] if wheel else ["-mcpu=baseline"])]
+
+
 def build(root: Path) -> str:
     """Compiles the core into its folder; returns why not, or nothing."""
     folder = root / FOLDER
@@ -121,10 +130,7 @@ def build(root: Path) -> str:
     named = compiler()
     if not named and not importlib.util.find_spec("ziglang"):
         return f"no C++ compiler: install one, or pip install '{ZIGLANG}'"
-    # without a processor's name zig would compile for the one of this machine alone
-    commands = (
-        [[*named, *more] for more in (WITHOUT_RUNTIME, [])] if named else [[*ZIG, "-mcpu=baseline"]]
-    )
+    commands = [[*named, *more] for more in (WITHOUT_RUNTIME, [])] if named else [_zig_here()]
     for command in commands:
         problem = compile_core(folder, [*command, *SHARED], fresh)
         if not problem:
@@ -147,7 +153,10 @@ def compile_core(folder: Path, compiler: Sequence[str], library: Path) -> str:
     except OSError as error:
         return f"{compiler[0]}: {error.strerror}"
     if done.returncode:
-        return f"{compiler[0]} failed: {(done.stderr.strip().splitlines() or ['?'])[0]}"
+        lines = done.stderr.strip().splitlines() or ["?"]
+        return (
+            f"{compiler[0]} failed: {next((line for line in lines if 'error' in line), lines[0])}"
+        )
     return ""
 
 
