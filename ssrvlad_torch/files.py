@@ -54,6 +54,24 @@ class InputError(ValueError):
     """The content of an untrusted file is invalid."""
 
 
+def path_within(folder: Path, name: object, form: str = "") -> Path:
+    """The path in ``folder`` that a name means which was read from a file.
+
+    With ``form``, a regular expression of the names that this package writes, the name is one
+    component of that form, and no link. Without, a relative path that does not leave the folder.
+    Any other name is an InputError.
+    """
+    text = name if isinstance(name, str) and "\0" not in name else ""
+    parts = re.split(r"[/\\]", text)
+    inside = text != "" and ".." not in parts and not Path(text).anchor
+    if not inside or (form and (len(parts) > 1 or not re.fullmatch(form, text))):
+        raise InputError(f"expected the name of a file in {folder}, got {name!r}")
+    path = folder / text
+    if form and path.is_symlink():
+        raise InputError(f"{path} is a link; expected a file or a folder")
+    return path
+
+
 def check_regular(path: str | os.PathLike[str]) -> None:
     """Raises an InputError unless a path, or the target of a link, is a regular file: reading a
     pipe can block for ever, and a device has no end. A missing file is an OSError."""

@@ -215,14 +215,12 @@ class Map:
         database = Database.open_or_create(self.path, head.config, columns)
         try:
             summary = run(head, source.files, database, options, source.segmenter)
-        except BaseException as error:
-            del database
+        except BaseException:
             if new:
-                discard_empty(self.path, error)
+                discard_empty(self.path)
             raise
         if new and not len(database):
-            del database
-            discard_empty(self.path, None)
+            discard_empty(self.path)
             return summary
         self._database = database
         grow(database)

@@ -89,11 +89,28 @@ def test_a_closed_stream_is_the_null_device(database, maps, tmp_path, closed):
     assert len(Database.open(database).load()) == 6
 
 
-def test_too_few_open_files_are_one_line(database, maps):
+def test_too_few_open_files_are_told_at_the_end(database, maps):
     command = f"ulimit -n 8; {sys.executable} -m ssrvlad_torch query {database} {maps}"
-    code, out, (line,) = outcome("sh", "-c", command)
+    code, out, (*_, line) = outcome("sh", "-c", command)
     assert (code, out) == (2, [])
-    assert "a database needs 64 open files, the limit is 8 (ulimit -n)" in line
+    assert "too many open files" in line.lower() and "damaged" not in line
+
+
+@pytest.mark.parametrize("kilobytes", [1_350_000, 1_500_000, 1_550_000])
+def test_encode_ends_where_address_space_is_short(maps, tmp_path, kilobytes):
+    """Arrow's plans wait for ever for threads that could not start."""
+    encode = f"{sys.executable} -m ssrvlad_torch encode {maps} -o {tmp_path / 'db'} {CAMVID}"
+    command = ["sh", "-c", f"ulimit -v {kilobytes}; exec {encode}"]
+    assert subprocess.run(command, capture_output=True, timeout=300, check=False).returncode != 1
+
+
+def test_modules_of_the_working_folder_are_not_run(tmp_path):
+    """In a locale of ASCII, the command starts itself again."""
+    (tmp_path / "typer.py").write_text("open('ran', 'w')")
+    command = [sys.executable, "-P", "-c", TERMINAL, "--version"]
+    variables = {**os.environ, "PYTHONUTF8": "0", "LC_ALL": "POSIX", "PYTHONCOERCECLOCALE": "0"}
+    done = subprocess.run(command, cwd=tmp_path, env=variables, capture_output=True, check=False)
+    assert (done.returncode, (tmp_path / "ran").exists()) == (0, False)
 
 
 def test_a_panic_of_a_library_is_one_line(ssrvlad, monkeypatch, database, maps):

@@ -7,6 +7,7 @@ with some inputs skipped, 130 interrupted, 143 terminated.
 """
 
 import os
+import re
 import signal
 import sys
 import warnings
@@ -24,9 +25,8 @@ def main() -> None:
         if getattr(sys, name) is None:  # closed; another file would get its number and its lines
             setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), mode))
     if sys.getfilesystemencoding() == "ascii":  # the names of files would be escapes
-        os.execv(
-            sys.executable, [sys.executable, "-X", "utf8", "-m", "ssrvlad_torch", *sys.argv[1:]]
-        )
+        again = [sys.executable, "-P", "-X", "utf8", "-m", "ssrvlad_torch", *sys.argv[1:]]
+        os.execv(sys.executable, again)  # -P: no modules of the working folder
     arguments = [argument for argument in sys.argv[1:] if argument != "--debug"]
     if signal.getsignal(signal.SIGTERM) == signal.SIG_DFL:
         signal.signal(signal.SIGTERM, lambda *_: sys.exit(TERMINATED))
@@ -87,6 +87,6 @@ def _sentence(error: BaseException) -> str | None:
         return f"a number of the command or of an input is too large: {error}"
     if isinstance(error, RecursionError):
         return f"an input is nested too deeply: {error}"
-    if isinstance(error, MemoryError) or "allocate memory" in str(error):
+    if isinstance(error, MemoryError) or re.search("allocate memory|start new thread", str(error)):
         return f"out of memory: {error}".removesuffix(": ")
     return str(error) if isinstance(error, ValueError | OSError | ImportError) else None

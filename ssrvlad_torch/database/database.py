@@ -8,12 +8,12 @@ fingerprint, the columns of descriptors, and every label space and segmenter tha
 from __future__ import annotations
 
 import dataclasses
-import errno
 import json
 import os
 import threading
 from collections import Counter
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from datetime import datetime, timedelta
 from functools import partial
 from pathlib import Path
@@ -28,28 +28,10 @@ from ..channels import LABEL_SHAPES, Column
 from ..config import SSRVLADConfig
 from ..files import is_uri
 from ..taxonomy import LabelSpace, label_space, label_space_names
-from . import engine
-from .disk import local_versions
+from . import engine, reading, rows
 from .frames import FrameRecord, FrameSet, require_list
-from .metadata import Meta, Origin
-from .reading import (
-    FRAME_SET_COLUMNS,
-    Damage,
-    frame_set,
-    load_descriptors,
-    order_of,
-    read_rows,
-    replacement_of_damaged,
-)
-from .rows import (
-    DESCRIPTOR,
-    RECORD_COLUMNS,
-    StoredRecords,
-    check_records,
-    folders_of,
-    schema,
-    to_table,
-)
+from .metadata import Origin, TableMetadata
+from .rows import DESCRIPTOR, RECORD_COLUMNS, StoredRecords, schema
 
 if TYPE_CHECKING:
     from lance import LanceDataset
@@ -61,6 +43,9 @@ if TYPE_CHECKING:
 Frames = Sequence[FrameRecord | str]
 Check = Callable[[StoredRecords], None]
 Verb = Literal["append", "merge", "remove"]
+
+_REMAINS = {"_transactions", "_versions", "data"}
+"""What an interrupted `Database.create` leaves."""
 
 
 class Version(NamedTuple):
@@ -85,8 +70,8 @@ class Database:
 
     Several processes and threads may write at once: their changes are committed one after another.
     Methods that write raise ValueError if the database was opened at a version, and OSError if the
-    disk failed; the database is then unchanged. A process that was forked after a database was used
-    can neither read nor write one: a RuntimeError.
+    disk failed; the database is then unchanged. In a process that was forked after a database was
+    used, methods raise RuntimeError.
 
     Attributes:
         path: the folder, or the URI of an object store, for example ``s3://bucket/town``.
@@ -114,8 +99,11 @@ class Database:
         self._use(table)
 
     def _use(self, table: LanceDataset) -> None:
+        metadata = TableMetadata.of(table.schema.metadata or {}, self.path)
+        if not table.schema.equals(schema(metadata.columns)):
+            raise ValueError(f"{self.path} has other columns than a database of this version")
         self._table, self.version = table, int(table.version)
-        self._config, self.columns, self.origins = Meta.of(table.schema.metadata or {}, self.path)
+        self._config, self.columns, self.origins = metadata
 
     @staticmethod
     def exists(path: str | Path) -> bool:
@@ -138,20 +126,15 @@ class Database:
         width: int | None = None,
         columns: Sequence[Column] = (),
     ) -> Database:
-        """Creates an empty database.
+        """Creates an empty database in a new or empty folder, or at a URI.
 
         Args:
-            path: a new or an empty folder, or a URI.
+            path: of the folder; one that is in use is a ValueError.
             config: the settings of the descriptors of label maps, the first channel; a custom label
                 space is stored with them.
             width: instead of ``config``, the length of descriptors that another method makes.
             columns: of further channels, with names that no other column has.
-
-        Raises:
-            ValueError: ``path`` is in use, or an argument is not as above.
-            OSError: the folder cannot be written.
         """
-        text = str(path)
         if (config is None) == (width is None):
             raise ValueError("expected the config of the descriptors, or the width of custom ones")
         if width is not None and (not hasattr(width, "__index__") or width < 1):
@@ -166,55 +149,44 @@ class Database:
                 f"expected unique names of channels that no column has, got {', '.join(names)}"
             )
         if cls.exists(path):
-            raise ValueError(f"{text} is a database already")
-        if not is_uri(text) and Path(text).exists():
-            inside = Path(text).iterdir() if Path(text).is_dir() else [Path(text)]
-            remains = ("_transactions", "_versions", "data")  # of an interrupted `create`
-            if any(entry.name not in remains for entry in inside) or Path(text).is_file():
-                raise ValueError(
-                    f"{text} exists and is not a database; expected a new or empty folder"
-                )
+            raise ValueError(f"{path} is a database already")
+        folder = Path(path)
+        inside = folder.iterdir() if folder.is_dir() else [folder]
+        if folder.exists() and {entry.name for entry in inside} - _REMAINS:
+            raise ValueError(f"{path} exists and is not a database; expected a new or empty folder")
         if config and config.labels_as not in label_space_names():
             config = dataclasses.replace(config, labels_as=label_space(config.labels_as))
-        metadata = Meta.to_dict(config, columns)
-        table = engine.create(text, schema(columns).with_metadata(metadata))
-        return cls(text, table, read_only=False)
+        metadata = TableMetadata.to_dict(config, columns)
+        return cls(str(path), engine.create(str(path), schema(columns).with_metadata(metadata)))
 
     @classmethod
     def open(cls, path: str | Path, version: int | None = None) -> Database:
-        """Opens an existing database.
-
-        Args:
-            path: the folder or URI.
-            version: one of `history`, opened read-only; by default the newest.
+        """Opens an existing database; at a ``version`` of `history` read-only, else the newest.
 
         Raises:
             ValueError: the database does not exist, was made by another version of the method, or
-                is damaged; the message then names the last readable version, if there is one, and
-                the files of those after it.
+                cannot be read; the message then says which version can.
         """
         text = str(path)
-        if not is_uri(text) and not cls.exists(path):
-            problem = "is not a database" if Path(text).exists() else "does not exist"
-            raise ValueError(f"{text} {problem}")
+        if not is_uri(text):
+            if not cls.exists(path):
+                problem = "is not a database" if Path(text).exists() else "does not exist"
+                raise ValueError(f"{text} {problem}")
+            if links := [entry for entry in Path(text).iterdir() if entry.is_symlink()]:
+                raise ValueError(f"{links[0]} is a link; expected a folder of the database")
         try:
             table = engine.open_table(text, version)
         except OSError as error:
-            if error.errno == errno.EMFILE:
+            if isinstance(error, engine.PanicError) or "too many open files" in str(error).lower():
                 raise
-            reason = engine.message_of(error)
-            if version is not None:
-                stored = local_versions(text) or [v.version for v in cls.open(text).history()]
-                if version in stored:
-                    raise ValueError(f"{text} is damaged in version {version}: {reason}") from error
-                span = " to ".join(map(str, dict.fromkeys((stored[0], stored[-1]))))
-                raise ValueError(f"{text} has no version {version}; it has {span}") from error
-            missing = is_uri(text) and "not found" in reason.lower()
-            problem = "does not exist, or is damaged" if missing else "is damaged"
-            readable, later = engine.newest_readable(text)
-            hint = f"; --as-of {readable} reads the version before" if readable else ""
-            hint += f", without {', '.join(later)} it is the newest" if readable else ""
-            raise ValueError(f"{text} {problem} or not a database: {reason}{hint}") from error
+            if version is None:
+                hint = engine.hint_of_damage(text)
+                raise ValueError(f"{text} cannot be opened: {error}{hint}") from error
+            stored = engine.local_versions(text) or [v.version for v in cls.open(text).history()]
+            if version in stored:
+                raise ValueError(f"{text} is damaged in version {version}: {error}") from error
+            span = " to ".join(map(str, dict.fromkeys((stored[0], stored[-1]))))
+            raise ValueError(f"{text} has no version {version}; it has {span}") from error
         return cls(text, table, read_only=version is not None)
 
     @classmethod
@@ -234,7 +206,8 @@ class Database:
         return database
 
     def __len__(self) -> int:
-        return int(self.table().count_rows())
+        with self._reading():
+            return int(self.table().count_rows())
 
     def __bool__(self) -> bool:
         """True, even without frames."""
@@ -276,7 +249,9 @@ class Database:
         with both fingerprints, or if frames lack one of these further columns."""
         for column in columns:
             if column not in self.columns:
-                others = ", ".join(f"{own.name}, {own.fingerprint}" for own in self.columns[1:])
+                others = ", ".join(
+                    f"{other.name}, {other.fingerprint}" for other in self.columns[1:]
+                )
                 raise ValueError(
                     f"{self.path} has no descriptors by {column.name}, {column.fingerprint}, but "
                     f"{others or 'none'}: they can only be added when a database is created"
@@ -300,14 +275,14 @@ class Database:
 
     def folders(self) -> set[tuple[str, str]]:
         """See `folders_of`."""
-        return folders_of(self._columns(["signature", "sequence"]))
+        return rows.folders_of(self._columns(["signature", "sequence"]))
 
     def placed(self) -> tuple[FrameSet, npt.NDArray[np.int64]]:
         """All frames as from `load`, but without descriptors and not verified, and ``(R,)`` the
         row of each in the order in which rows are stored."""
-        table = self._columns(FRAME_SET_COLUMNS)
-        order = order_of(table)
-        return frame_set(table.take(order)), order
+        table = self._columns(reading.FRAME_SET_COLUMNS)
+        order = reading.order_of(table)
+        return reading.frame_set(table.take(order)), order
 
     def load(self) -> FrameSet:
         """Loads all frames into memory and verifies every byte; damage is a ValueError that names
@@ -317,30 +292,32 @@ class Database:
         frames, order = self.placed()
         if twice := len(order) - len(set(frames.frames)):
             raise ValueError(f"{self.path} is damaged: it holds {twice} frames twice")
-        arrays = load_descriptors(self.table(), self.columns, order)
+        arrays = reading.load_descriptors(self.table(), self.columns, order)
         channels = {name: torch.from_numpy(values) for name, values in arrays.items()}
         return dataclasses.replace(frames, channels=channels)
 
-    def damage(self, progress: Callable[[int], object] = lambda _: None) -> list[Damage]:
+    def damage(self, progress: Callable[[int], object] = lambda _: None) -> list[reading.Damage]:
         """Reads everything and reports all damage. ``progress`` is called with the number of frames
         done since the last call."""
-        damages: list[Damage] = []
-        for batch in read_rows(self.table(), damages):
+        damages = list[reading.Damage]()
+        for batch in reading.read_rows(self.table(), damages):
             progress(len(batch))
         return damages
 
     def table(self) -> LanceDataset:
         """The version that is read, as a table of Lance, for what this class does not offer."""
-        engine.require_unforked()
+        engine.lance()
         return self._table
 
     def history(self) -> list[Version]:
         """The versions that are stored, the oldest first."""
-        versions = list[Version]()
-        for entry in engine.versions_of(self.table()):
-            number, frames = entry["version"], int(entry["metadata"]["total_rows"])
-            change = engine.change_of(self.table(), number)
-            versions.append(Version(number, entry["timestamp"], frames, change))
+        table, versions = self.table(), list[Version]()
+        with self._reading():
+            entries: list[Any] = table.versions()
+            for entry in entries:
+                number, frames = entry["version"], int(entry["metadata"]["total_rows"])
+                change = engine.change_of(table, number)
+                versions.append(Version(number, entry["timestamp"], frames, change))
         return versions
 
     def info(self) -> dict[str, Any]:
@@ -391,10 +368,11 @@ class Database:
         """Adds frames and replaces those with the same ids, in one commit. A replaced frame keeps
         its arrival if the new record has none. Arguments and errors as for `append`; ``check`` as
         for `adopt`."""
-        stored = self._columns(["frame", "arrival"]).filter(pc.field("arrival") >= 0)
-        arrivals = dict(zip(*(column.to_pylist() for column in stored.columns), strict=True))
+        self._require_writable()
+        stored = self._columns(["frame", "arrival"], engine.open_table(self.path)).to_pydict()
+        arrivals = dict(zip(*stored.values(), strict=True))
         records = [
-            record._replace(arrival=arrivals.get(record.frame, record.arrival))
+            record._replace(arrival=max(record.arrival, arrivals.get(record.frame, -1)))
             if record.arrival < 0
             else record
             for record in _records(frames)
@@ -416,12 +394,12 @@ class Database:
         if arrays.keys() != set(names):
             held, got = ", ".join(names), ", ".join(arrays)
             raise ValueError(f"{self.path} holds {held} of every frame, got {got}")
-        check_records(records, self.origins)
-        rows = to_table(records, arrays, self.columns)
-        with engine.writing(self.path):
-            fragments = engine.write_fragments(self.table(), rows) if records else []
+        rows.check_records(records, self.origins)
+        table = rows.to_table(records, arrays, self.columns)
+        with engine.lance_errors(OSError, f"{self.path} cannot be written"):
+            fragments = engine.write_fragments(self.table(), table) if records else []
         texts = tuple(json.dumps(fragment.to_json()) for fragment in fragments)
-        return StagedRows(texts, tuple(rows["frame"].to_pylist()))
+        return StagedRows(texts, tuple(table["frame"].to_pylist()))
 
     def adopt(self, written: Sequence[StagedRows], check: Check | None = None) -> None:
         """Adds rows that `write_apart` wrote, in one commit. A frame that is in the database
@@ -435,43 +413,39 @@ class Database:
     ) -> None:
         """Appends rows, as `adopt` says; or merges them, which replaces frames; or removes them."""
         self._require_writable()
-        ids = pa.table({"frame": pa.array([f for w in written for f in w.frames], pa.string())})
+        frames = [frame for staged in written for frame in staged.frames]
+        ids = pa.table({"frame": pa.array(frames, pa.string())})
         if len(pc.unique(ids["frame"])) < len(ids):
             raise ValueError(f"frames for {self.path} were written twice")
 
         def plan(table: LanceDataset) -> Any:
             if check and table.version != self.version:
-                check(StoredRecords(table.to_table(columns=RECORD_COLUMNS, scan_in_order=True)))
-            stored = table.to_table(columns=["frame"])["frame"]
+                check(StoredRecords(self._columns(RECORD_COLUMNS, table)))
+            stored = self._columns(["frame"], table)["frame"]
             existing = ids.filter(pc.is_in(ids["frame"], stored))["frame"]
             if verb == "append" and existing:
                 raise ValueError(f"frame {existing[0].as_py()!r} is in {self.path} already")
             if verb == "remove" and not existing:
                 return None
-            fragments = [text for rows in written for text in rows.fragments]
+            fragments = [text for staged in written for text in staged.fragments]
             return engine.replacement(table, ids if existing else None, fragments)
 
         if len(ids):
             self._apply(partial(engine.commit, plan=plan, message=f"{verb} {len(ids)} frames"))
 
-    def drop_damaged(self) -> list[Damage]:
-        """Drops damaged rows in one commit, and returns them; `encode` restores them."""
-        damage: list[Damage] = []
-        plan = partial(replacement_of_damaged, damage=damage)
+    def drop_damaged(self) -> list[reading.Damage]:
+        """Drops damaged rows, and those after a place that cannot be read in the same file, in one
+        commit, and returns the damage; `encode` restores them."""
+        damage = list[reading.Damage]()
+        plan = partial(reading.without_damage, damage=damage)
         self._apply(partial(engine.commit, plan=plan, message="drop damaged rows"))
         return damage
 
     def compact(self, keep_days: float = 14) -> None:
         """Joins small files, and deletes versions older than ``keep_days`` with the files that only
-        they need.
-
-        A version that a process reads, or is writing on, is not deleted, nor are those after it. In
-        an object store and on Windows, where this cannot be seen, versions are kept until an hour
-        after the next one.
-        """
+        they need. Who still reads such a version gets an error."""
         self._apply(engine.compact)
-        with self._lock:
-            engine.clean(self.path, timedelta(days=keep_days))
+        self._apply(partial(engine.clean, keep=timedelta(days=keep_days)))
 
     def _apply(self, change: Callable[[LanceDataset], LanceDataset]) -> None:
         """Changes the newest version; see `engine.change_table`."""
@@ -480,16 +454,28 @@ class Database:
             self._use(engine.change_table(self.path, change))
 
     def _require_writable(self) -> None:
-        engine.require_unforked()  # of another thread, a lock may never be released
+        engine.lance()  # refuses a fork, where a lock of another thread may never be released
         if self._read_only:
             raise ValueError(f"{self.path} was opened as of version {self.version}, read-only")
 
-    def _columns(self, names: list[str]) -> pa.Table:
-        table = self.table()
-        try:
+    def _columns(self, names: list[str], table: LanceDataset | None = None) -> pa.Table:
+        """Columns of the rows in the order in which they are stored."""
+        table = table or self.table()
+        with self._reading():
             return table.to_table(columns=names, scan_in_order=True)
-        except (OSError, ValueError, RuntimeError) as error:
-            raise ValueError(f"{self.path} is damaged: {engine.message_of(error)}") from error
+
+    @contextmanager
+    def _reading(self) -> Iterator[None]:
+        """Turns errors of Lance into a ValueError in one line."""
+        try:
+            with engine.lance_errors(ValueError, f"{self.path} is damaged"):
+                yield
+        except ValueError as error:
+            if self.version in engine.local_versions(self.path) or is_uri(self.path):
+                raise
+            raise ValueError(
+                f"version {self.version} of {self.path} was deleted since: open it again"
+            ) from error
 
 
 def _records(frames: Frames) -> list[FrameRecord]:

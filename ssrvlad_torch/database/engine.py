@@ -1,10 +1,8 @@
-"""The operations of Lance that a `Database` uses, each made durable.
+"""The operations of Lance that a `Database` uses, and its errors in one line.
 
-Data files are flushed before the commit that refers to them; the manifest and the folders are
-flushed after it, see `disk`.
-
-Lance does not survive a fork: a process that was forked after Lance was used may crash or hang in
-it, so `lance` and `require_unforked` refuse it there.
+Lance 14 flushes no files, commits files of which not all was written, and lets two writers add one
+frame: `flush_fragments`, `_flush_version` and `commit` see to it. In an object store, files are
+whole once they are there.
 """
 
 from __future__ import annotations
@@ -15,64 +13,49 @@ import errno
 import os
 import random
 import re
+import secrets
 import shutil
 import time
-import traceback
 import uuid
 import warnings
 from collections.abc import Callable, Iterable, Iterator
-from datetime import datetime, timedelta
+from datetime import timedelta
 from functools import cache
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pyarrow as pa
 
-from ..files import flush, is_uri
-from .disk import (
-    Lease,
-    flush_files,
-    flush_fragments,
-    has_leases,
-    hold,
-    local_versions,
-    manifest,
-    take_lease,
-)
+from ..files import flush, is_uri, path_within
 
 if TYPE_CHECKING:
     from lance import LanceDataset
     from lance.fragment import FragmentMetadata
 
 _ATTEMPTS, _PAUSE = 100, 0.02
-_LEAST_OPEN_FILES = 64
-_OPENINGS = 10
-_DELETED_FILE = r"/_\w+/[\w-]+\.\w+ .*not found"
-_GRACE = timedelta(hours=1)
-"""How long after the next one a version is kept where its use cannot be seen."""
+_LATER = "conflict|concurrent|not found"
+"""Errors of a writer whose version is no longer the newest, or was deleted meanwhile."""
 _MESSAGE = "lance.commit.message"
-_CHANGES = {
-    "Overwrite": "create",
-    "UpdateConfig": "add an origin",
-    "CreateIndex": "index",
-    "Rewrite": "compact",
-}
+_CHANGES = {"Overwrite": "create", "UpdateConfig": "add an origin", "Rewrite": "compact"}
+_LAST_VERSION = (1 << 64) - 1
+_BITMAP_WITHOUT_RUNS = 12346
+_ARRAY_LIMIT, _BITMAP_BYTES = 4096, 8192
+
+
+class PanicError(OSError):
+    """Lance itself failed, as without threads or open files; called again, it may hang."""
 
 
 def lance() -> Any:
-    """The module, with only errors logged. If so few files can be open that it would panic, an
-    OSError; other errors as for `require_unforked`."""
-    with contextlib.suppress(ImportError):  # Windows has no such limit
-        import resource
-
-        most, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
-        if 0 <= most < _LEAST_OPEN_FILES:
-            raise OSError(
-                errno.EMFILE,
-                f"a database needs {_LEAST_OPEN_FILES} open files, the limit is {most} (ulimit -n)",
-            )
-    require_unforked()
+    """The module. In a process that was forked after Lance was used it would hang or crash: there,
+    a RuntimeError (`test_a_process_forked_after_a_database_was_used_is_refused`)."""
+    if _first_user() != os.getpid():
+        raise RuntimeError(
+            "this process was forked after a database was used, and cannot read or write one: load "
+            "the frames before the fork, or open the database in processes that are spawned, as by "
+            'DataLoader(multiprocessing_context="spawn")'
+        )
     os.environ.setdefault("LANCE_LOG", "error")
     warnings.filterwarnings("ignore", "lance is not fork-safe")  # it is refused
     import lance as module
@@ -82,68 +65,60 @@ def lance() -> Any:
     return module
 
 
-def require_unforked() -> None:
-    """Raises RuntimeError in a process that was forked after Lance was used."""
-    if _first_user() != os.getpid():
-        raise RuntimeError(
-            "this process was forked after a database was used, and cannot read or write one: load "
-            "the frames before the fork, or open the database in processes that are spawned, as by "
-            'DataLoader(multiprocessing_context="spawn")'
-        )
-
-
 _first_user = cache(os.getpid)
 """The process that used Lance first: this one, or the one it was forked from."""
 
 
+@contextlib.contextmanager
+def lance_errors(kind: type[Exception], problem: str = "", values: bool = True) -> Iterator[None]:
+    """Turns an error of Lance, or of Arrow that reads by it, into one of another kind: "PROBLEM:
+    REASON" in one line. Without ``values``, a ValueError passes.
+
+    An interrupt while Lance works also comes as an error, and so does a panic of Lance: the first
+    is raised as a KeyboardInterrupt, the second as a PanicError. Neither means damage.
+    """
+    kinds: tuple[type[Exception], ...] = (OSError, RuntimeError, pa.ArrowException)
+    kinds += (lance().commit.CommitConflictError, *((ValueError, OverflowError) * values))
+    try:
+        yield
+    except BaseException as error:
+        line, panic = " ".join(str(error).split()), type(error).__name__ == "PanicException"
+        if not (isinstance(error, kinds) or panic):
+            raise
+        if "KeyboardInterrupt" in line:
+            raise KeyboardInterrupt from error
+        reason = re.split(r", /|: <\?xml", line)[0] or type(error).__name__  # without sources, XML
+        if panic or "Task was aborted" in line:
+            raise PanicError(f"Lance failed: {reason}") from error
+        raise kind(f"{problem}: {reason}" if problem else reason) from error
+
+
 def open_table(uri: str, version: int | None = None) -> LanceDataset:
-    """Opens a table at a version, by default the newest, and holds the version while the object
-    lives; raises OSError if it is not readable."""
-    dataset = lance().dataset
-    for attempts_left in reversed(range(_OPENINGS if version is None else 1)):
-        try:  # the newest version may be an old one, and deleted, before it is opened
-            table: LanceDataset = dataset(uri, version=version)
-        except (OSError, ValueError, OverflowError) as error:
-            message = message_of(error)
-            if attempts_left and re.search(_DELETED_FILE, message, re.IGNORECASE):
-                continue
-            if isinstance(error, OSError):
-                raise
-            raise OSError(message) from error
-        if hold(table):
-            return table
-    raise OSError(f"version {version or table.version} was deleted")
+    """A table at a version, by default the newest; an OSError if it is not readable."""
+    with lance_errors(OSError):
+        table: LanceDataset = lance().dataset(uri, version=version)
+    return table
 
 
-def newest_readable(uri: str) -> tuple[int | None, list[str]]:
-    """The newest version of a local table that can be read, and the manifests of later ones."""
+def hint_of_damage(uri: str) -> str:
+    """How to read a local table whose newest version cannot be read, "" if no version can."""
     unreadable: list[str] = []
     for version in reversed(local_versions(uri)):
         try:
             open_table(uri, version)
+        except PanicError:
+            raise
         except OSError:
-            unreadable.append(f"_versions/{manifest(uri, version).name}")
+            unreadable.append(f"_versions/{_manifest(uri, version).name}")
         else:
-            return version, unreadable
-    return None, unreadable
+            later = ", ".join(unreadable)
+            return f"; --as-of {version} reads the version before, without {later} it is the newest"
+    return ""
 
 
-def message_of(error: BaseException) -> str:
-    """The message of an error of Lance in one line, without XML and the path of Lance's source."""
-    line = " ".join(str(error).split())
-    return re.split(r", /|: <\?xml", line)[0] or type(error).__name__
-
-
-@contextlib.contextmanager
-def writing(uri: str) -> Iterator[None]:
-    """Turns errors of writing into an OSError that names the table."""
-    errors: tuple[type[Exception], ...] = (OSError, RuntimeError)
-    require_unforked()
-    try:
-        errors += (lance().commit.CommitConflictError,)
-        yield
-    except errors as error:
-        raise OSError(f"{uri} cannot be written: {message_of(error)}") from error
+def local_versions(uri: str) -> list[int]:
+    """The stored versions of a local table, the oldest first; none of one in an object store."""
+    return sorted(_LAST_VERSION - int(f.stem) for f in Path(uri, "_versions").glob("*.manifest"))
 
 
 def change_table(uri: str, change: Callable[[LanceDataset], LanceDataset]) -> LanceDataset:
@@ -151,11 +126,10 @@ def change_table(uri: str, change: Callable[[LanceDataset], LanceDataset]) -> La
     OSError if that happens too often or the table cannot be written."""
     for attempt in range(_ATTEMPTS):
         try:
-            with writing(uri):
-                table = change(open_table(uri))
-                return table if hold(table) else open_table(uri)
+            with lance_errors(OSError, f"{uri} cannot be written", values=False):
+                return change(open_table(uri))
         except OSError as error:
-            if not re.search("conflict|concurrent", str(error).replace(uri, ""), re.IGNORECASE):
+            if not re.search(_LATER, str(error).replace(uri, ""), re.IGNORECASE):
                 raise
         time.sleep(random.uniform(0, _PAUSE * min(attempt + 1, 10)))
     raise OSError(f"{uri} cannot be written: other writers were faster {_ATTEMPTS} times")
@@ -163,7 +137,7 @@ def change_table(uri: str, change: Callable[[LanceDataset], LanceDataset]) -> La
 
 def create(uri: str, schema: pa.Schema) -> LanceDataset:
     """Creates an empty table."""
-    with writing(uri):
+    with lance_errors(OSError, f"{uri} cannot be written"):
         if not is_uri(uri):
             Path(uri).mkdir(parents=True, exist_ok=True)
         table: LanceDataset = lance().write_dataset(
@@ -175,23 +149,21 @@ def create(uri: str, schema: pa.Schema) -> LanceDataset:
     return table
 
 
-def discard_empty(uri: str, error: BaseException | None) -> None:
-    """After an error, deletes a local table that has no rows and that nobody else uses. The error's
-    traceback is cleared of local variables, which may hold versions."""
-    while error:
-        traceback.clear_frames(error.__traceback__)
-        error = error.__cause__ or error.__context__
-    versions = local_versions(uri)
-    leases = [has_leases(uri) and take_lease(uri, v, exclusive=True) for v in versions]
-    if not (leases and all(leases)):
+def discard_empty(uri: str) -> None:
+    """Deletes a local table that has no rows. It is renamed first, so that another writer of it
+    fails, and does not lose its rows."""
+    if is_uri(uri):
         return
-    with contextlib.suppress(OSError, ValueError):
-        newest = lance().dataset(uri)
-        if newest.version in versions and not newest.count_rows():
-            folder = Path(uri).resolve()
-            shutil.rmtree(folder, ignore_errors=True)
+    folder = Path(uri).resolve()
+    apart = folder.with_name(f".{folder.name}.{secrets.token_hex(4)}")
+    with contextlib.suppress(OSError):
+        folder.rename(apart)
+        if open_table(str(apart)).count_rows():
+            apart.rename(folder)
+        else:
+            shutil.rmtree(apart)
             if Path(uri).is_symlink():
-                folder.mkdir(exist_ok=True)
+                folder.mkdir()
 
 
 def add_metadata(table: LanceDataset, entries: dict[str, str]) -> LanceDataset:
@@ -206,41 +178,18 @@ def compact(table: LanceDataset) -> LanceDataset:
     """A change of a table: joins small files."""
     uri, compaction = table.uri, lance().optimize.Compaction
     plan = compaction.plan(table, lance().optimize.CompactionOptions())
-    done = [task.execute(table) for task in plan.tasks]
-    flush_fragments(uri, [fragment for task in done for fragment in task.new_fragments])
-    compaction.commit(table, done)
+    results = [task.execute(table) for task in plan.tasks]
+    flush_fragments(uri, [fragment for result in results for fragment in result.new_fragments])
+    compaction.commit(table, results)
     table = open_table(uri)
     _flush_version(table)
     return table
 
 
-def clean(uri: str, keep: timedelta) -> None:
-    """Deletes versions older than ``keep``, up to the first one that is in use. Later ones stay: a
-    writer compares its change with them."""
-    leases, old, now = list[Lease](), list[int](), datetime.now()
-    with writing(uri):
-        table = open_table(uri)
-        for before, after in pairwise(versions_of(table)):
-            if now - before["timestamp"] < keep:
-                break
-            if has_leases(uri):
-                lease = take_lease(uri, before["version"], exclusive=True)
-                if lease is None:
-                    break
-                leases.append(lease)
-            elif now - after["timestamp"] < _GRACE:
-                break
-            old.append(before["version"])
-        if old:
-            table.cleanup_old_versions(versions=old)
-
-
-def versions_of(table: LanceDataset) -> list[Any]:
-    """The versions that are stored, as Lance describes them, the oldest first."""
-    for _ in range(_OPENINGS):
-        with contextlib.suppress(OSError, ValueError):  # one was just deleted
-            return list(table.versions())
-    return list(table.versions())
+def clean(table: LanceDataset, keep: timedelta) -> LanceDataset:
+    """A change of a table: deletes versions older than ``keep``."""
+    table.cleanup_old_versions(older_than=keep, error_if_tagged_old_versions=False)
+    return table
 
 
 def write_fragments(
@@ -263,7 +212,7 @@ def replacement(table: LanceDataset, ids: pa.Table | None, fragments: Iterable[s
     return dataclasses.replace(removal.operation, new_fragments=added)
 
 
-def commit(before: LanceDataset, plan: Callable[[LanceDataset], Any], message: str) -> LanceDataset:
+def commit(table: LanceDataset, plan: Callable[[LanceDataset], Any], message: str) -> LanceDataset:
     """A change of a table: commits one change of rows with a message, see `change_of`; ``plan``
     returns the operation for one version of the table, ``None`` if nothing is to be done.
 
@@ -272,33 +221,30 @@ def commit(before: LanceDataset, plan: Callable[[LanceDataset], Any], message: s
     two that update the same fragment, so each updates the first one. An empty table has none, and
     is overwritten, which is allowed only on the version that was read.
     """
-    operation = plan(before)
+    operation = plan(table)
     if operation is None:
-        return before
-    flush_fragments(before.uri, operation.updated_fragments)
-    if fragments := before.get_fragments():
+        return table
+    flush_fragments(table.uri, operation.updated_fragments)
+    if fragments := table.get_fragments():
         first, updated = fragments[0].metadata, operation.updated_fragments
         if first.id not in {*operation.removed_fragment_ids, *(f.id for f in updated)}:
             operation = dataclasses.replace(operation, updated_fragments=[*updated, first])
     else:
-        operation = lance().LanceOperation.Overwrite(before.schema, operation.new_fragments)
+        operation = lance().LanceOperation.Overwrite(table.schema, operation.new_fragments)
     transaction = lance().Transaction(
-        before.version,
+        table.version,
         operation,
         uuid=str(uuid.uuid4()),
         transaction_properties={_MESSAGE: message},
     )
-    after: LanceDataset = lance().LanceDataset.commit(before.uri, transaction, max_retries=0)
-    _flush_version(after, transaction)
-    return after
+    changed: LanceDataset = lance().LanceDataset.commit(table.uri, transaction, max_retries=0)
+    _flush_version(changed)
+    return changed
 
 
 def change_of(table: LanceDataset, version: int) -> str:
     """The message of the commit that made a version."""
-    try:
-        transaction = table.read_transaction(version)
-    except (OSError, ValueError):  # just deleted
-        transaction = None
+    transaction = table.read_transaction(version)
     if transaction is None:
         return ""
     message = (transaction.transaction_properties or {}).get(_MESSAGE)
@@ -306,10 +252,60 @@ def change_of(table: LanceDataset, version: int) -> str:
     return message or _CHANGES.get(operation, operation.lower())
 
 
-def _flush_version(table: LanceDataset, transaction: Any = None) -> None:
-    """Flushes the manifest of a table's version and the file of the transaction that made it."""
-    files = [manifest(table.uri, table.version)]
-    if transaction is not None:
-        folder = Path(table.uri, "_transactions")  # file name: version before the commit, and uuid
-        files += folder.glob(f"*-{transaction.uuid}.txn")
-    flush_files(table.uri, files)
+def flush_fragments(uri: str, fragments: Iterable[FragmentMetadata]) -> None:
+    """Flushes the files of fragments; an OSError unless a data file has the size, and a file of
+    deleted rows the number of rows, that Lance recorded. Without this, what a full disk cut off is
+    committed (`test_a_writer_loses_nothing_at_any_call`)."""
+    if is_uri(uri):
+        return
+    whole = dict[Path, bool]()
+    for fragment in fragments:
+        for file in fragment.files:
+            path = path_within(Path(uri, "data"), file.path)
+            whole[path] = file.file_size_bytes in (None, 0, path.stat().st_size)
+        if deletions := fragment.deletion_file:
+            path = Path(uri, deletions.path(fragment.id))
+            whole[path] = deleted_rows(path) == deletions.num_deleted_rows
+    if truncated := [path for path in whole if not whole[path]]:
+        reason = f"{os.strerror(errno.EIO)}: not all was written"
+        raise OSError(errno.EIO, reason, str(truncated[0]))
+    _flush_files(uri, whole)
+
+
+def deleted_rows(path: Path) -> int | None:
+    """The number of rows in a file of deleted rows, of Arrow or a Roaring bitmap without runs
+    (RoaringFormatSpec); ``None`` if the file is not whole. Lance records no size of such a file."""
+    content = path.read_bytes()
+    if path.suffix != ".bin":
+        try:
+            return int(pa.ipc.open_file(content).read_all().num_rows)
+        except pa.ArrowInvalid:
+            return None
+    if len(content) < 8:
+        return None
+    cookie, containers = np.frombuffer(content, "<u4", 2).tolist()
+    header = 8 + 8 * containers
+    if cookie != _BITMAP_WITHOUT_RUNS or len(content) < header:
+        return None
+    counts = np.frombuffer(content, "<u2", 2 * containers, 8)[1::2].astype(np.int64) + 1
+    sizes = np.where(counts <= _ARRAY_LIMIT, 2 * counts, _BITMAP_BYTES)
+    return int(counts.sum()) if len(content) == header + sizes.sum() else None
+
+
+def _flush_version(table: LanceDataset) -> None:
+    """Flushes the manifest of a table's version."""
+    if not is_uri(table.uri):
+        _flush_files(table.uri, [_manifest(table.uri, table.version)])
+
+
+def _flush_files(uri: str, files: Iterable[Path]) -> None:
+    """Flushes files of a local table and the folders that hold them."""
+    for file in files:
+        flush(file)
+    for folder in {parent for file in files for parent in (file.parent, Path(uri))}:
+        flush(folder)
+
+
+def _manifest(uri: str, version: int) -> Path:
+    """The file that makes a version of a local table."""
+    return Path(uri, "_versions", f"{_LAST_VERSION - version}.manifest")

@@ -3,6 +3,8 @@
 import errno
 import json
 import os
+import posixpath
+import re
 import shutil
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -11,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from ..files import read_json, replacing, requiring
+from ..files import path_within, read_json, replacing, requiring
 from .database import Database
 from .frames import FrameSet
 
@@ -78,7 +80,10 @@ def _channel_files(file: Path) -> set[Path]:
     try:
         match read_json(file.with_name(f"{file.name}.json")):
             case {"fingerprint": _, "config": _, "channels": dict(names), "label_spaces": _}:
-                arrays = {file.with_name(f"{file.name}.{name}.npy") for name in names}
+                form = re.escape(file.name) + r"\.[^/\\]+\.npy"
+                arrays = {
+                    path_within(file.parent, f"{file.name}.{name}.npy", form) for name in names
+                }
                 return arrays | {path.with_name(f"{path.name}.fingerprint.txt") for path in arrays}
     except (OSError, ValueError):
         pass
@@ -105,6 +110,10 @@ def _write_hloc(frames: FrameSet, about: dict[str, object], file: Path) -> None:
         import h5py
     (first, *_), arrays = frames.channels, dict(frames.channels)
     arrays = {"global_descriptor": arrays.pop(first), **arrays}
+    for frame in frames.frames:
+        plain = "\0" not in frame and not frame.startswith("/")
+        if not plain or posixpath.normpath(frame) != frame or arrays.keys() & frame.split("/"):
+            raise ValueError(f"HDF5 cannot have a group {frame!r}; {file} needs one for each frame")
     groups = len(arrays) * _GROUP_BYTES * (len(frames.frames) + 1)
     names = sum(len(frame.encode()) for frame in frames.frames)
     expected = sum(values.nbytes for values in arrays.values()) + groups + names
@@ -117,6 +126,6 @@ def _write_hloc(frames: FrameSet, about: dict[str, object], file: Path) -> None:
         with h5py.File(temporary, "w", libver="latest") as target:
             target.attrs["ssrvlad"] = json.dumps(about)
             for row, frame in enumerate(frames.frames):
-                group = target.create_group(frame)
+                group = target.require_group(frame)
                 for name, values in arrays.items():
                     group.create_dataset(name, data=values[row].numpy())

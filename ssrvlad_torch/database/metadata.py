@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 from ..channels import Column
 from ..config import SSRVLADConfig
-from ..taxonomy import LabelSpace
+from ..files import InputError, input_errors
+from ..taxonomy import LabelSpace, label_space_names
 
 FORMAT = "ssrvlad-database-6"
 
+_MAX_WIDTH = 1 << 31
 _META, _DIGEST, _ORIGIN = "ssrvlad", "ssrvlad-digest", "origin:"
 
 
@@ -39,8 +42,18 @@ class Origin(NamedTuple):
         space = self.label_space and self.label_space.to_dict()
         return {_ORIGIN + self.key: json.dumps({**self._asdict(), "label_space": space})}
 
+    @classmethod
+    def of_entry(cls, key: str, text: str) -> Origin:
+        """The origin that `to_entry` wrote."""
+        stored = json.loads(text)
+        space = stored.pop("label_space")
+        origin = cls(space and LabelSpace.from_dict(space), **stored)
+        if not isinstance(origin.network, str) or origin.key != key:
+            raise ValueError(f"origin {key} does not match its content")
+        return origin
 
-class Meta(NamedTuple):
+
+class TableMetadata(NamedTuple):
     """A table's metadata: the settings of the first column (or ``None``), the columns of
     descriptors, and origins by their keys."""
 
@@ -61,42 +74,50 @@ class Meta(NamedTuple):
         return {_META: text, _DIGEST: _digest(text)}
 
     @classmethod
-    def of(cls, entries: Mapping[bytes, bytes], path: str) -> Meta:
+    def of(cls, entries: Mapping[bytes, bytes], path: str) -> TableMetadata:
         """The metadata in the entries of the table at ``path``. A table that is no database of this
         format, is damaged, or was made by another version of the method is a ValueError."""
-        texts = {key.decode(): value.decode() for key, value in entries.items()}
-        text = texts.get(_META, "")
-        content = json.loads(text) if text else {}
-        form = content.get("format", "")
-        if form.startswith("ssrvlad-") and form != FORMAT:
-            raise ValueError(f"{path} was made by an earlier format of database: encode it again")
-        if form != FORMAT:
-            raise ValueError(f"{path} is a table of Lance, but not a database of {FORMAT}")
-        if texts.get(_DIGEST) != _digest(text):
-            raise ValueError(f"{path} is damaged: the checksum of its settings does not match")
-        origins = {}
-        for name, entry in texts.items():
-            if name.startswith(_ORIGIN):
-                stored, key = json.loads(entry), name.removeprefix(_ORIGIN)
-                space = stored.pop("label_space")
-                origins[key] = Origin(space and LabelSpace.from_dict(space), **stored)
-                if origins[key].key != key:
-                    raise ValueError(f"{path} is damaged: origin {key} does not match its content")
-        columns = tuple(
-            Column(**{**column, "shape": tuple(column["shape"])}) for column in content["columns"]
-        )
-        if content["config"] is None:
-            return cls(None, columns, origins)
-        try:
-            config = SSRVLADConfig.from_dict(content["config"])
-        except ValueError as error:
-            raise ValueError(f"{path} has settings of another version: {error}") from error
-        if config.fingerprint != columns[0].fingerprint:
-            raise ValueError(
-                f"{path} has fingerprint {columns[0].fingerprint}, made by another version of the "
-                f"method; the same settings have {config.fingerprint} here: encode it again"
-            )
+        with input_errors(path, "damaged, or a database of another version"):
+            texts = {key.decode(): text.decode() for key, text in entries.items()}
+            text = texts.get(_META, "{}")
+            content = json.loads(text)
+            form = content.get("format", "")
+            if form != FORMAT and form.startswith("ssrvlad-"):
+                raise InputError(f"{path} has another format, {form}: encode it again")
+            if form != FORMAT:
+                raise InputError(f"{path} is a table of Lance, but not a database of {FORMAT}")
+            if texts.get(_DIGEST) != _digest(text):  # Lance does not notice a flipped byte
+                raise InputError(f"{path} is damaged: the checksum of its settings does not match")
+            origins = {}
+            for name, entry in texts.items():
+                if name.startswith(_ORIGIN):
+                    key = name.removeprefix(_ORIGIN)
+                    origins[key] = Origin.of_entry(key, entry)
+            columns = tuple(_column(**column) for column in content["columns"])
+            first, *_ = columns
+            config, settings = None, content["config"]
+            if settings is not None:
+                config = SSRVLADConfig.from_dict(settings)
+            space = config.labels_as if config else None
+            if isinstance(space, str) and space not in label_space_names():
+                raise ValueError(f"label space {space!r}; expected a built-in one")
+            if config and config.fingerprint != first.fingerprint:
+                raise InputError(
+                    f"{path} has fingerprint {first.fingerprint}, made by another version of the "
+                    f"method; the same settings have {config.fingerprint} here: encode it again"
+                )
         return cls(config, columns, origins)
+
+
+def _column(name: str, fingerprint: str, shape: Sequence[int], dtype: str) -> Column:
+    """A column that `TableMetadata.to_dict` wrote."""
+    texts = isinstance(name, str) and isinstance(fingerprint, str)
+    sides = all(isinstance(side, int) and side > 0 for side in shape)
+    if not (texts and sides and 0 < len(shape) and math.prod(shape) < _MAX_WIDTH):
+        raise ValueError(f"column {name!r} of shape {shape!r}")
+    if dtype not in ("float32", "uint8"):
+        raise ValueError(f"column {name!r} of {dtype!r}")
+    return Column(name, fingerprint, tuple(shape), cast(Any, dtype))
 
 
 def _digest(text: str) -> str:

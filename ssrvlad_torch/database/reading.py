@@ -1,8 +1,7 @@
-"""Reading the rows of a table with verified checksums: one by one, dropped if damaged, or all."""
+"""Reading the rows of a table with verified checksums: all, or those that are not damaged."""
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -14,7 +13,7 @@ import pyarrow.compute as pc
 
 from ..channels import Column
 from ..files import natural_key
-from .engine import lance, message_of, write_fragments
+from .engine import lance, lance_errors, write_fragments
 from .frames import FrameSet
 from .rows import POSE, intact, matrix
 
@@ -22,8 +21,7 @@ if TYPE_CHECKING:
     from lance import LanceDataset
     from lance.fragment import LanceFragment
 
-_BATCH, _BLOCK = 4096, 256
-_ERRORS = (OSError, ValueError, RuntimeError, pa.ArrowException)
+_BATCH = 4096
 
 
 class Damage(NamedTuple):
@@ -34,50 +32,41 @@ class Damage(NamedTuple):
     reason: str
 
 
-def read_rows(table: LanceDataset, damage: list[Damage] | None = None) -> Iterator[pa.RecordBatch]:
-    """All rows in the order in which they are stored. Damaged ones are left out and reported in
-    ``damage``; without it, they are a ValueError after the intact rows of the file."""
+def read_rows(table: LanceDataset, damage: list[Damage]) -> Iterator[pa.RecordBatch]:
+    """The intact rows in the order in which they are stored; damage is appended to ``damage``."""
     for fragment in table.get_fragments():
-        lost: list[Damage] = []
-        yield from read_intact(fragment, lost)
-        if lost and damage is None:
-            raise ValueError(f"{table.uri} is damaged: {lost[0].file}: {lost[0].reason}")
-        if damage is not None:
-            damage += lost
+        yield from read_intact(fragment, damage)
 
 
 def read_intact(fragment: LanceFragment, damage: list[Damage]) -> Iterator[pa.RecordBatch]:
-    """The intact rows of a fragment; its damage is appended to ``damage`` at the end."""
+    """The intact rows of a data file, up to where it cannot be read; its damage is appended to
+    ``damage`` at the end."""
     intact_rows, reason = 0, ""
-    for batch in _batches(fragment):
-        if isinstance(batch, str):
-            reason = reason or batch
-            continue
-        fits = intact(batch)
-        if not fits.all():
-            first = batch["frame"][int(np.argmin(fits))].as_py()
-            reason = reason or f"the checksum of frame {first!r} differs"
-        intact_rows += int(fits.sum())
-        yield batch if fits.all() else batch.filter(pa.array(fits))
+    file = f"data/{fragment.metadata.files[0].path}"
+    try:
+        with lance_errors(ValueError, file):
+            for batch in fragment.to_batches(batch_size=_BATCH):
+                fits = intact(batch)
+                if not fits.all():
+                    frame = batch["frame"][int(np.argmin(fits))].as_py()
+                    reason = reason or f"the checksum of frame {frame!r} differs"
+                intact_rows += int(fits.sum())
+                yield batch if fits.all() else batch.filter(pa.array(fits))
+    except ValueError as error:
+        reason = reason or str(error).removeprefix(f"{file}: ")
     if reason:
-        try:
-            rows = fragment.count_rows()
-        except _ERRORS:
-            rows = fragment.physical_rows
-        file = f"data/{fragment.metadata.files[0].path}"
-        damage.append(Damage(file, rows - intact_rows, reason))
+        damage.append(Damage(file, fragment.metadata.num_rows - intact_rows, reason))
 
 
-def replacement_of_damaged(table: LanceDataset, damage: list[Damage]) -> Any:
-    """The operation that replaces damaged fragments by their intact rows, ``None`` without damage;
+def without_damage(table: LanceDataset, damage: list[Damage]) -> Any:
+    """The operation that replaces damaged data files by their intact rows, ``None`` without damage;
     ``damage`` is set to what is damaged."""
     damage.clear()
     damaged = []
     for fragment in table.get_fragments():
-        known = len(damage)
+        before = len(damage)
         deque(read_intact(fragment, damage), maxlen=0)
-        if len(damage) > known:
-            damaged.append(fragment)
+        damaged += [fragment] if len(damage) > before else []
     if not damaged:
         return None
     batches = (batch for fragment in damaged for batch in read_intact(fragment, []))
@@ -88,27 +77,6 @@ def replacement_of_damaged(table: LanceDataset, damage: list[Damage]) -> Any:
     )
 
 
-def _batches(fragment: LanceFragment) -> Iterator[pa.RecordBatch | str]:
-    """The rows of a fragment; after an error, its message and the blocks that can be read."""
-    done = 0
-    try:
-        for batch in fragment.to_batches(batch_size=_BATCH):
-            yield batch
-            done += len(batch)
-        return
-    except _ERRORS as error:
-        yield message_of(error)
-    try:
-        rows = fragment.count_rows()
-    except _ERRORS:
-        return
-    for first in range(done, rows, _BLOCK):
-        try:
-            yield from fragment.take(list(range(first, min(first + _BLOCK, rows)))).to_batches()
-        except _ERRORS:
-            continue
-
-
 FRAME_SET_COLUMNS = ["frame", "sequence", *POSE, "stamp", "empty"]
 """The columns that a `FrameSet` holds beside descriptors."""
 
@@ -116,17 +84,17 @@ FRAME_SET_COLUMNS = ["frame", "sequence", *POSE, "stamp", "empty"]
 def load_descriptors(
     table: LanceDataset, columns: Sequence[Column], order: npt.NDArray[np.int64]
 ) -> dict[str, npt.NDArray[Any]]:
-    """``(R, *shape)`` by column: the verified rows of a table, see `Database.load`, in an order."""
-    rows, done = np.argsort(order), 0
-    arrays: dict[str, npt.NDArray[Any]] = {
-        column.name: np.empty((len(rows), math.prod(column.shape)), column.dtype)
-        for column in columns
-    }
-    for batch in read_rows(table):
-        for name, values in arrays.items():
-            values[rows[done : done + len(batch)]] = matrix(batch[name])
+    """``(R, *shape)`` by column: the rows of a table in an order. Damage is a ValueError."""
+    rows, done, damage = np.argsort(order), 0, list[Damage]()
+    arrays = {column.name: column.zeros(len(rows)) for column in columns}
+    for batch in read_rows(table, damage):
+        for column in columns:
+            values = matrix(batch[column.name]).reshape(-1, *column.shape)
+            arrays[column.name][rows[done : done + len(batch)]] = values
         done += len(batch)
-    return {column.name: arrays[column.name].reshape(-1, *column.shape) for column in columns}
+    if damage:
+        raise ValueError(f"{table.uri} is damaged: {damage[0].file}: {damage[0].reason}")
+    return arrays
 
 
 def order_of(table: pa.Table) -> npt.NDArray[np.int64]:
@@ -146,21 +114,14 @@ def order_of(table: pa.Table) -> npt.NDArray[np.int64]:
 
 def _differ_in_digits(names: pa.ChunkedArray) -> bool:
     """Whether texts are equal but for digits, which stand at the same places."""
-    if len(pc.unique(pc.binary_length(names))) != 1:
-        return False
-    content = np.frombuffer("".join(names.to_pylist()).encode(), np.uint8)
-    letters = content.reshape(len(names), -1).copy()
-    letters[(letters >= ord("0")) & (letters <= ord("9"))] = ord("0")
-    return bool((letters == letters[0]).all())
+    return len(pc.unique(pc.replace_substring_regex(names, "[0-9]", "0"))) == 1
 
 
 def frame_set(table: pa.Table) -> FrameSet:
     """The frames of a table with `FRAME_SET_COLUMNS`, without descriptors."""
-    coded = pc.dictionary_encode(table["sequence"]).combine_chunks()
-    names = np.array([*coded.dictionary.to_pylist(), None], object)
     return FrameSet(
         frames=tuple(table["frame"].to_pylist()),
-        sequences=tuple(names[coded.indices.to_numpy()].tolist()),
+        sequences=tuple(table["sequence"].to_pylist()),
         channels={},
         poses=np.stack([table[axis].to_numpy() for axis in POSE], axis=1),
         stamps=table["stamp"].to_numpy(),

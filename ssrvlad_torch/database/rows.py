@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from ..channels import Column
-from .frames import FrameRecord, checked_pose, is_text
+from .frames import FrameRecord, checked_pose, folder_of, is_text
 
 if TYPE_CHECKING:
     from ..recognition.matching import Vectors
@@ -62,47 +61,39 @@ def to_table(
 
 def _checked(column: Column, descriptors: Vectors, frames: int) -> npt.NDArray[Any]:
     """The descriptors of some frames as an array; errors as for `to_table`."""
-    name, dtype = column.name, column.dtype
+    name, dtype, shape = column.name, column.dtype, (frames, *column.shape)
     detach = getattr(descriptors, "detach", None)
     values = np.asarray(detach().cpu() if detach else descriptors)
-    expected = (frames, *column.shape)
-    if values.dtype.kind not in "biuf":
-        raise ValueError(f"{name}: expected real numbers, got {values.dtype}")
-    if values.shape != expected:
-        raise ValueError(f"{name}: expected {expected} for {frames} frames, got {values.shape}")
-    if (dtype == "uint8") != (values.dtype == np.uint8):
+    if values.dtype.kind not in "biuf" or (dtype == "uint8") != (values.dtype == np.uint8):
         raise ValueError(f"{name}: expected {dtype}, got {values.dtype}")
+    if values.shape != shape:
+        raise ValueError(f"{name}: expected {shape} for {frames} frames, got {values.shape}")
     values = values.astype(dtype, copy=False)
     if dtype == "float32":
         if not np.isfinite(values).all():
             raise ValueError(f"{name}: values that are not finite")
         with np.errstate(over="ignore"):
             squares = np.einsum("ij,ij->i", values, values)
-        if not np.isfinite(squares).all():
-            raise ValueError(f"{name}: values too large for float32 to measure their length")
-        if values[squares == 0].any():
-            raise ValueError(f"{name}: values too small for float32 to measure their length")
+        if not np.isfinite(squares).all() or values[squares == 0].any():
+            raise ValueError(f"{name}: values too large or too small for a length in float32")
     return values
 
 
 def check_records(records: Sequence[FrameRecord], origins: Collection[str]) -> None:
-    """Raises a ValueError for a record without a name, for an id that is no UTF-8, no id or given
-    twice, for half a position or an infinite one, and for an origin that is not among these."""
-    if not all(record.name for record in records):
-        raise ValueError("a frame has no name")
+    """Raises a ValueError for what is no id, no UTF-8 or there twice, for half a position or an
+    infinite one, and for an origin that is not among these."""
+    frames, origins = Counter(record.frame for record in records), {"", *origins}
     for record in records:
-        if is_text(record.frame) and FrameRecord.of_id(record.frame)[:2] != record[:2]:
+        if not is_text(record.frame):
+            raise ValueError(f"expected UTF-8 in the id of a frame, got {record.frame!a}")
+        of_id = FrameRecord.of_id(record.frame)
+        if (of_id.sequence, of_id.name) != (record.sequence, record.name):
             raise ValueError(f"expected the name of a frame without '/', got {record.name!r}")
-        checked_pose(record[2:5], record.frame)
-    counts = Counter(record.frame for record in records)
-    for frame, count in counts.items():
-        if not is_text(frame):
-            raise ValueError(f"expected UTF-8 in the id of a frame, got {frame!a}")
-        if count > 1:
-            raise ValueError(f"frame {frame!r} is given {count} times")
-    unknown = {record.origin for record in records} - {"", *origins}
-    if unknown:
-        raise ValueError(f"origin {min(unknown)!r} is not in the database: add_origin first")
+        if frames[record.frame] > 1:
+            raise ValueError(f"frame {record.frame!r} is there {frames[record.frame]} times")
+        checked_pose((record.x, record.y, record.heading), record.frame)
+        if record.origin not in origins:
+            raise ValueError(f"origin {record.origin!r} is not in the database: add_origin first")
 
 
 class StoredRecords(Mapping[str, FrameRecord]):
@@ -129,56 +120,52 @@ class StoredRecords(Mapping[str, FrameRecord]):
 
 def folders_of(table: pa.Table) -> set[tuple[str, str]]:
     """Pairs of the folder that rows were encoded from, empty if unknown, and their sequence."""
-    parts = pc.split_pattern(table["signature"], "|", max_splits=1, reverse=True)
-    unknown = pc.equal(pc.list_value_length(parts), 1)
-    folder = pc.if_else(unknown, "", pc.list_element(parts, 0))
-    pairs = pa.table({"folder": folder, "sequence": table["sequence"]})
-    distinct = pairs.group_by(pairs.column_names).aggregate([])
-    return set(zip(*distinct.to_pydict().values(), strict=True))
+    pairs = zip(table["signature"].to_pylist(), table["sequence"].to_pylist(), strict=True)
+    return {(folder_of(signature), sequence) for signature, sequence in pairs}
 
-
-Words = npt.NDArray[np.uint64]
 
 _MULTIPLIER = 0x9E3779B97F4A7C15
 
 
-def intact(table: pa.Table | pa.RecordBatch) -> npt.NDArray[np.bool_]:
-    """``(N,)`` bool, the rows whose checksum is correct."""
-    fits: npt.NDArray[np.bool_] = checksums(table) == table["checksum"].to_numpy()
+def intact(rows: pa.Table | pa.RecordBatch) -> npt.NDArray[np.bool_]:
+    """``(N,)`` bool, the rows whose checksum is correct. Lance reads most flipped bytes without an
+    error (`test_a_changed_byte_of_a_data_file_is_reported_or_has_no_effect`)."""
+    fits: npt.NDArray[np.bool_] = checksums(rows) == rows["checksum"].to_numpy()
     return fits
 
 
-def checksums(rows: pa.Table | pa.RecordBatch) -> Words:
+def checksums(rows: pa.Table | pa.RecordBatch) -> npt.NDArray[np.uint64]:
     """``(N,)`` uint64, the checksum of each row, over all columns but ``checksum``. Any change of a
     single word of a row changes its checksum: words are multiplied by odd numbers modulo 2^64,
     which is one to one."""
     if isinstance(rows, pa.Table):
-        parts = [checksums(batch) for batch in rows.to_batches()]
-        return np.concatenate([np.zeros(0, np.uint64), *parts])
+        sums = [checksums(batch) for batch in rows.to_batches()]
+        return np.concatenate([np.zeros(0, np.uint64), *sums])
     total = np.zeros(rows.num_rows, np.uint64)
     for name, column in zip(rows.schema.names, rows.columns, strict=True):
-        if name == "checksum":
-            continue
-        if pa.types.is_string(column.type):
-            # the hash of the bytes of each text, padded to a row of a matrix, plus its length
-            _, offsets, content = column.buffers()
-            ends = np.frombuffer(offsets, np.int32)[column.offset :][: len(column) + 1]
-            lengths = np.diff(ends)
-            text = np.frombuffer(content or b"", np.uint8)[ends[0] : ends[-1]]
-            padded = np.zeros((len(column), lengths.max(initial=0)), np.uint8)
-            if text.size == padded.size:
-                padded.ravel()[:] = text
-            else:
-                padded[np.arange(padded.shape[1], dtype=np.int32) < lengths[:, None]] = text
-            words = _hash_rows(padded) + lengths.astype(np.uint64)
-        elif pa.types.is_fixed_size_list(column.type):
-            words = _hash_rows(matrix(column))
-        else:
-            values = column.to_numpy(zero_copy_only=False)
-            is_real = values.dtype == np.float64
-            words = values.view(np.uint64) if is_real else values.astype(np.uint64)
-        total = (total ^ words) * np.uint64(_MULTIPLIER)
+        if name != "checksum":
+            total = (total ^ _words(column)) * np.uint64(_MULTIPLIER)
     return total
+
+
+def _words(column: pa.Array) -> npt.NDArray[np.uint64]:
+    """A word for each value of a column."""
+    if pa.types.is_fixed_size_list(column.type):
+        return _hash_rows(matrix(column))
+    if not pa.types.is_string(column.type):
+        values = column.to_numpy(zero_copy_only=False)
+        words: npt.NDArray[np.uint64] = (
+            values.view(np.uint64) if values.dtype == np.float64 else values.astype(np.uint64)
+        )
+        return words
+    # the hash of the bytes of each text, padded to a row of a matrix, plus its length
+    _, offsets, content = column.buffers()
+    ends = np.frombuffer(offsets, np.int32)[column.offset :][: len(column) + 1]
+    lengths = np.diff(ends)
+    padded = np.zeros((len(column), lengths.max(initial=0)), np.uint8)
+    text = np.frombuffer(content or b"", np.uint8)[ends[0] : ends[-1]]
+    padded[np.arange(padded.shape[1], dtype=np.int32) < lengths[:, None]] = text
+    return _hash_rows(padded) + lengths.astype(np.uint64)
 
 
 def matrix(column: pa.ChunkedArray | pa.Array) -> npt.NDArray[Any]:
@@ -189,12 +176,11 @@ def matrix(column: pa.ChunkedArray | pa.Array) -> npt.NDArray[Any]:
     return values.reshape(len(column), column.type.list_size)
 
 
-def _hash_rows(values: npt.NDArray[Any]) -> Words:
+def _hash_rows(values: npt.NDArray[Any]) -> npt.NDArray[np.uint64]:
     """For each row of a matrix, the sum of its words of 8 bytes, each times its own odd number."""
-    padding = -values.shape[1] % (8 // values.itemsize)
-    if padding:
+    if padding := -values.shape[1] % (8 // values.itemsize):
         values = np.pad(values, ((0, 0), (0, padding)))
     words = np.ascontiguousarray(values).view(np.uint64)
     numbers = np.cumprod(np.full(words.shape[1], _MULTIPLIER, np.uint64), dtype=np.uint64)
-    hashes: Words = np.einsum("ij,j->i", words, numbers)
+    hashes: npt.NDArray[np.uint64] = np.einsum("ij,j->i", words, numbers)
     return hashes

@@ -194,6 +194,9 @@ def origin_of(database: Database) -> Origin:
         raise ValueError(f"{database.path} was made by {', '.join(names)}; name the --segmenter")
     if runs_code(origins[0].network):
         raise ValueError(f"{database.path} was made by code: say --segmenter {origins[0].network}")
+    network = Path(origins[0].network)  # stored as an absolute path, or of the hub
+    if not str(network).startswith("hf:") and (not network.is_absolute() or ".." in network.parts):
+        raise ValueError(f"{database.path} names its network {str(network)!r}, no absolute path")
     return origins[0]
 
 

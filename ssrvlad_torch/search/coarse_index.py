@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import secrets
-import shutil
 import time
 import zlib
 from collections import Counter
@@ -28,9 +28,10 @@ from torch import Tensor
 
 from ..channels import Column, coarse
 from ..channels.coarse import Coarse, Codes
+from ..database.engine import lance_errors
 from ..database.reading import Damage, read_intact
 from ..database.rows import intact, matrix
-from ..files import is_uri, read_json, read_npz, replacing
+from ..files import input_errors, is_uri, path_within, read_json, read_npz, replacing
 from .sums import Sums, mean_of, refuse_many_files, sums, writing_sums
 
 if TYPE_CHECKING:
@@ -44,6 +45,12 @@ LEAST_ROWS = 20_000
 """Maps of fewer frames are loaded and searched in memory, see docs/scale.md."""
 
 _FORMAT = 4
+_LEARNT_FOLDER = "[0-9a-f]{8}"
+_FILE = (
+    r"(learnt|sample)\.npz|[0-9a-f-]{32,64}"
+    r"\.(sums\.npz|checksums\.json|(sums|\d+)\.[^/\\]+\.npy)"
+)
+"""Names of what an index writes; nothing else is deleted."""
 _SAMPLE, _SAMPLE_BYTES, _GROWTH = 4096, 1 << 27, 4
 """Rows and bytes of the sample, at most; a map that has grown so many times is learnt anew."""
 _BLOCK, _OFFSET = 1 << 12, np.uint64((1 << 32) - 1)
@@ -78,12 +85,11 @@ def build(database: Database) -> Report:
         if part is None or _damaged(learnt.folder / _stem(fragment)) != []:
             _write(fragment, learnt.forms, columns, learnt.folder)
             new += fragment.count_rows()
-    stored = {_stem(fragment) for fragment in fragments}
-    kept = {path.stem for path in Path(database.path, "data").glob("*.lance")} | stored
-    kept |= {Path(name).stem for name in (_LEARNT, _SAMPLED)}
-    files = [*learnt.folder.glob("[!.]*.*")]
+    stems = {_stem(fragment) for fragment in fragments} | {_LEARNT[:-4], _SAMPLED[:-4]}
+    stems |= {path.stem for path in Path(database.path, "data").glob("*.lance")}
+    files = _files(learnt.folder)
     for file in files:
-        if file.name.split(".")[0] not in kept:
+        if file.name.split(".")[0] not in stems:
             file.unlink(missing_ok=True)
     size = sum(file.stat().st_size for file in files if file.exists())
     return Report(new, rows, size, time.perf_counter() - began)
@@ -228,7 +234,12 @@ class _Part(NamedTuple):
 
 
 def _folder(database: Database) -> Path:
-    return Path(database.path, FOLDER)
+    return path_within(Path(database.path), FOLDER, FOLDER)
+
+
+def _files(folder: Path) -> list[Path]:
+    """The files of an index in the folder of what it was made by."""
+    return [file for file in folder.iterdir() if re.fullmatch(_FILE, file.name)]
 
 
 def _columns(database: Database) -> list[list[Any]]:
@@ -250,18 +261,20 @@ def _learnt(database: Database) -> _Learnt | None:
     """What the index was made of; ``None`` without one, and for a damaged one."""
     folder = _folder(database)
     try:
-        about = read_json(folder / _ABOUT)
-        folder /= about["folder"]
-        arrays, sample = (read_npz(folder / name) for name in (_LEARNT, _SAMPLED))
-        if about["format"] != _FORMAT:
-            return None
-        forms = {}
-        for column in database.columns:
-            prefix = f"{column.name}."
-            own = {k.removeprefix(prefix): a for k, a in arrays.items() if k.startswith(prefix)}
-            forms[column.name] = coarse.of(column, own)
-        known = {column.name: torch.from_numpy(sample[column.name]) for column in database.columns}
-    except (OSError, ValueError, KeyError, TypeError):
+        with input_errors(folder, "no index"):
+            about = read_json(folder / _ABOUT)
+            folder = path_within(folder, about["folder"], _LEARNT_FOLDER)
+            arrays, sample = (read_npz(folder / name) for name in (_LEARNT, _SAMPLED))
+            if about["format"] != _FORMAT:
+                return None
+            forms = {}
+            for column in database.columns:
+                prefix = f"{column.name}."
+                own = {k.removeprefix(prefix): a for k, a in arrays.items() if k.startswith(prefix)}
+                forms[column.name] = coarse.of(column, own)
+            columns = database.columns
+            known = {column.name: torch.from_numpy(sample[column.name]) for column in columns}
+    except (OSError, ValueError):
         return None
     return _Learnt(folder, about["rows"], about["columns"], forms, known)
 
@@ -283,18 +296,19 @@ def _learn(database: Database) -> _Learnt:
         with replacing(own / file) as part, part.open("wb") as stream:
             np.savez(stream, **values)
     about = {"format": _FORMAT, "folder": own.name, "rows": rows, "columns": _columns(database)}
-    with replacing(folder / _ABOUT) as part:
+    with replacing(path_within(folder, _ABOUT, ".+")) as part:
         part.write_text(json.dumps(about))
     return _Learnt(own, rows, _columns(database), forms, found)
 
 
 def _remove_others(folder: Path) -> None:
-    """Removes what earlier indexes left beside the folder of the present one."""
-    for path in folder.parent.iterdir():
-        if path.is_dir() and path != folder:
-            shutil.rmtree(path, ignore_errors=True)
-        elif path.is_file() and path.name != _ABOUT:
-            path.unlink(missing_ok=True)
+    """Removes the files of earlier indexes, which are in folders beside the present one."""
+    for other in folder.parent.iterdir():
+        if re.fullmatch(_LEARNT_FOLDER, other.name) and not other.is_symlink() and other != folder:
+            with suppress(OSError):  # also a folder that is not empty then
+                for file in _files(other):
+                    file.unlink()
+                other.rmdir()
 
 
 def taken(
@@ -306,7 +320,8 @@ def taken(
     """The descriptors ``(N, *shape)`` of rows by channel; ``verified`` checks their bytes."""
     table = database.table()
     names = table.schema.names if verified else [column.name for column in columns]
-    found = table.take(rows.tolist(), columns=names)
+    with lance_errors(ValueError, f"{database.path} is damaged"):
+        found = table.take(rows.tolist(), columns=names)
     if verified and not intact(found).all():
         raise ValueError(f"{database.path} is damaged; ssrvlad db verify shows where")
     return {column.name: descriptors(found[column.name], column) for column in columns}
@@ -338,18 +353,19 @@ def _part(
 
 def _checksums(stem: Path) -> Path:
     """Holds the CRC-32 of the files of a data file."""
-    return stem.with_name(f"{stem.name}.checksums.json")
+    return path_within(stem.parent, f"{stem.name}.checksums.json", _FILE)
 
 
 def _damaged(stem: Path) -> list[Path] | None:
     """The files of a data file that are not as they were written; ``None`` if they were not."""
     try:
-        told = read_json(_checksums(stem))
-        return [path for name in told if _crc(path := stem.with_name(name)) != told[name]]
+        checksums = read_json(_checksums(stem))
+        paths = {path_within(stem.parent, name, _FILE): checksums[name] for name in checksums}
+        return [path for path, checksum in paths.items() if _crc(path) != checksum]
     except FileNotFoundError:
         return None
     except (ValueError, TypeError):
-        return [_checksums(stem)]
+        return [stem.with_name(f"{stem.name}.checksums.json")]
 
 
 def _crc(path: Path) -> int:
@@ -394,7 +410,11 @@ def _write(
             for (column, layer), stream in streams.items():
                 stream.write(forms[column.name].codes(batch[column.name], layer).tobytes())
     stem = folder / _stem(fragment)
-    written = {file.name: _crc(file) for file in folder.glob(f"{stem.name}.*.np[yz]")}
+    written = {
+        file.name: _crc(file)
+        for file in _files(folder)
+        if file.name.startswith(f"{stem.name}.") and file.suffix != ".json"
+    }
     with replacing(_checksums(stem)) as part:
         part.write_text(json.dumps(written))
 
@@ -441,4 +461,4 @@ def _stem(fragment: LanceFragment) -> str:
 
 
 def _file(folder: Path, fragment: LanceFragment, name: str, layer: int) -> Path:
-    return folder / f"{_stem(fragment)}.{layer}.{name}.npy"
+    return path_within(folder, f"{_stem(fragment)}.{layer}.{name}.npy", _FILE)

@@ -20,7 +20,7 @@ from numpy.lib import format as npy
 from torch import Tensor
 
 from ..channels import Column
-from ..files import flush, read_npz, replacing
+from ..files import flush, path_within, read_npz, replacing
 
 Array = npt.NDArray[Any]
 
@@ -124,7 +124,8 @@ def writing_sums(
         for each in totals.values():
             each.flush()
     arrays: dict[str, Any] = {"sequences": names, "frames": np.bincount(of), **frames}
-    with replacing(stem.with_name(f"{stem.name}.sums.npz")) as part, part.open("wb") as stream:
+    path = path_within(stem.parent, f"{stem.name}.sums.npz", ".+")
+    with replacing(path) as part, part.open("wb") as stream:
         np.savez(stream, **arrays)
 
 
@@ -142,4 +143,4 @@ def _shape(column: Column) -> tuple[int, ...]:
 
 
 def _file(stem: Path, column: Column) -> Path:
-    return stem.with_name(f"{stem.name}.sums.{column.name}.npy")
+    return path_within(stem.parent, f"{stem.name}.sums.{column.name}.npy", ".+")

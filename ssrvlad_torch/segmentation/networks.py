@@ -11,7 +11,7 @@ from typing import Any, cast
 import torch
 from torch import Tensor, nn
 
-from ..files import naming, one_line, read_yaml, requiring
+from ..files import InputError, naming, one_line, path_within, read_yaml, requiring
 from .onnx_network import ONNX_RUNTIME, RUNTIMES, OnnxNetwork
 from .preparation import SegmenterConfig
 
@@ -63,8 +63,8 @@ def open_network(name: str | Path) -> NamedNetwork:
             - the path of an ``.onnx`` file;
             - the path of a ``.yaml`` file with ``network``, one of these names, and those settings
               of `SegmenterConfig` that are not the defaults; also ``labels_as``, ``arguments`` for
-              a function, ``runtime`` for an ONNX file, and ``accept_defaults``. Paths, modules and
-              files are looked for beside the file first;
+              a function, ``runtime`` for an ONNX file, and ``accept_defaults``. Files are in the
+              folder of the YAML file or below it, modules are looked for there first;
             - ``hf:ORG/NAME`` or ``hf:ORG/NAME@REVISION`` of the Hugging Face hub, or a folder in
               that format (extra ``hf``): any model for semantic segmentation, with the settings
               of its image processor. It is downloaded if it is not in the hub's cache;
@@ -127,15 +127,16 @@ def _of_file(path: Path) -> NamedNetwork:
             raise ValueError(f"{ACCEPT} must be true or false, got {accepted!r}")
         if runtime not in RUNTIMES:
             raise ValueError(f"runtime must be {' or '.join(RUNTIMES)}, got {runtime!r}")
+        if labels_as and Path(str(labels_as)).suffix.lower() in (".yaml", ".yml"):
+            labels_as = str(path_within(path.parent, labels_as))
     settings = {key: getattr(config, key) for key in document}
     for key, value in arguments.items():
-        if isinstance(value, str) and value and (path.parent / value).exists():
-            arguments[key] = str(path.parent / value)
+        with suppress(InputError):  # the user's code decides what else a value means
+            if (file := path_within(path.parent, value)).exists():
+                arguments[key] = str(file)
     network = _open(name, settings, arguments, path.parent, runtime)
     if runtime != getattr(network.network, "runtime", ONNX_RUNTIME):
         raise ValueError(f"{path}: runtime: {runtime} is for ONNX files, got network: {name}")
-    if labels_as and (path.parent / str(labels_as)).is_file():
-        labels_as = str(path.parent / labels_as)
     assumed = network.assumed and not accepted
     return dataclasses.replace(network, name=str(path), labels_as=labels_as, assumed=assumed)
 
@@ -150,7 +151,8 @@ def _named(path: Path) -> tuple[str, dict[str, Any]]:
         raise ValueError(f"{path} names no network; expected network: NAME, and settings")
     name = document.pop("network")
     if name.startswith((".", "/")) or (path.parent / name).exists() or name.endswith(".onnx"):
-        name = str(path.parent / name)
+        with naming(path):
+            name = str(path_within(path.parent, name))
     return name, document
 
 

@@ -8,7 +8,16 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-from ..files import InputError, check_output, check_regular, flush, one_line, replacing, requiring
+from ..files import (
+    InputError,
+    check_output,
+    check_regular,
+    flush,
+    one_line,
+    path_within,
+    replacing,
+    requiring,
+)
 
 if TYPE_CHECKING:
     import onnx
@@ -72,15 +81,15 @@ def open_session(
 
 
 def external_files(path: Path) -> list[Path]:
-    """The files that hold the external weights of an ONNX file, sorted; often none. Without the
-    extra ``onnx``, an ImportError."""
+    """The files that hold the external weights of an ONNX file, sorted; often none. A name that
+    leaves the folder is an InputError; without the extra ``onnx``, an ImportError."""
     with requiring("onnx", "ONNX files need"):
         import onnx
     model = onnx.load(path, load_external_data=False)
     tensors = onnx.external_data_helper._get_all_tensors(model)
     entries = (entry for tensor in tensors for entry in tensor.external_data)
     names = {entry.value for entry in entries if entry.key == "location"}
-    return sorted(path.parent / name for name in names)
+    return sorted(path_within(path.parent, name) for name in names)
 
 
 def graph_digest(model: onnx.ModelProto) -> str:
