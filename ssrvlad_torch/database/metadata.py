@@ -113,7 +113,7 @@ def _column(name: str, fingerprint: str, shape: Sequence[int], dtype: str) -> Co
     """A column that `TableMetadata.to_dict` wrote."""
     texts = isinstance(name, str) and isinstance(fingerprint, str)
     sides = all(isinstance(side, int) and side > 0 for side in shape)
-    if not (texts and sides and 0 < len(shape) and math.prod(shape) < _MAX_WIDTH):
+    if not (texts and sides and len(shape) > 0 and math.prod(shape) < _MAX_WIDTH):
         raise ValueError(f"column {name!r} of shape {shape!r}")
     if dtype not in ("float32", "uint8"):
         raise ValueError(f"column {name!r} of {dtype!r}")
