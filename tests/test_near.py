@@ -87,7 +87,7 @@ def test_commands_refuse_in_one_line(refusal, database, maps, posed, tmp_path):
     assert "--near" not in refusal("query", database, maps, "--near", "-1,2,3")
     no_poses = f"ssrvlad: near: expected candidates with poses, {database} has none"
     assert refusal("query", database, maps, "--near", "1,2,3") == no_poses
-    today = write_maps(tmp_path / "today", range(6))
+    today = write_maps(tmp_path / "later" / "today", range(6))  # no table of poses beside it
     line = refusal("query", posed.path, today, "--near", "0,90,3")
     assert line.endswith("is within 3 m of 0, 90; the nearest is 90.0 m away")
 
