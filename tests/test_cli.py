@@ -234,7 +234,7 @@ def test_a_signal_ends_a_run_and_done_frames_are_stored(tmp_path, segmenter, num
         text=True,
     ) as process:
         # a picture is labelled, or the second version holds the origin of label maps
-        begun, least = ("cache/ssrvlad/*/*/*.png", 1) if segmenter else ("db/_versions/*", 2)
+        begun, least = ("cache/ssrvlad/*/*/*.npz", 1) if segmenter else ("db/_versions/*", 2)
         while len([*tmp_path.glob(begun)]) < least:
             assert process.poll() is None, process.stderr.read()
             time.sleep(0.01)

@@ -62,7 +62,7 @@ def test_without_a_network_a_picture_is_no_label_map():
 
 
 def test_without_the_core_there_is_no_detector(monkeypatch):
-    monkeypatch.setattr(native, "core", lambda: native.Core(None, "torch, for it was not built"))
+    monkeypatch.setattr(native, "core", lambda: native.Core(None, "it was not built"))
     with pytest.raises(RuntimeError, match=r"^it was not built$"):
         LoopDetector(CONFIG)
 

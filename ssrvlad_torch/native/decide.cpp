@@ -69,7 +69,8 @@ class Evidence {
 
   // A query by itself.
   Sight alone(Size query) const {
-    Sight sight{listing_.rows, std::vector<float>(static_cast<std::size_t>(listing_.count()))};
+    Sight sight{
+        listing_.rows, std::vector<float>(static_cast<std::size_t>(listing_.count())), {}, {}};
     scores_.of(query, sight.scores.data());
     const Size count = listing_.count();
     if (std::isnan(sum(sight.scores.data(), count)) || highest(sight.scores.data(), count) > HIGHEST_SCORE)
