@@ -8,10 +8,11 @@ from helpers import outcome
 
 from ssrvlad_torch.config import CHOICES, PRESETS, SSRVLADConfig
 from ssrvlad_torch.native import FOLDER, LIBRARY, last_error
-from ssrvlad_torch.native.headers import struct
+from ssrvlad_torch.native.headers import number, struct
 
 FOUND, NUMBERS, PLANES = np.empty(8), np.full(4, 0.5), np.zeros((16, 16), np.uint8)
 FRAMES, START, MANY = np.eye(4, 8, dtype=np.float32), np.zeros(1, np.int64), 1 << 62
+INTERFACE = number("INTERFACE")
 
 
 def of(array):
@@ -42,7 +43,7 @@ def confidence(chances, has):
 def decided(starts, scores):
     def call(core):
         drives = struct("drives")(starts, 1, 4)
-        handle = ctypes.c_void_p(core.ssrvlad_map_new(drives))
+        handle = ctypes.c_void_p(core.ssrvlad_map_new_for(INTERFACE, drives))
         if not handle:
             return -2
         core.ssrvlad_map_add_channel(handle, struct("channel")(None, 2, 1, 1, 1.0))
@@ -58,7 +59,7 @@ def decided(starts, scores):
 def with_map(use):
     def call(core):
         drives = struct("drives")(of(START), 1, 4)
-        handle = ctypes.c_void_p(core.ssrvlad_map_new(drives))
+        handle = ctypes.c_void_p(core.ssrvlad_map_new_for(INTERFACE, drives))
         try:
             return use(core, handle)
         finally:
@@ -91,7 +92,7 @@ def described(core):
     labels, settings = struct("labels")(of(PLANES), 1, MANY, 16, 16), struct("settings")()
     table = struct("table")(of(PLANES), 9, 0)
     core.ssrvlad_preset(b"default", ctypes.byref(settings))
-    head = ctypes.c_void_p(core.ssrvlad_new(settings))
+    head = ctypes.c_void_p(core.ssrvlad_new_for(INTERFACE, settings))
     status = core.ssrvlad_describe(head, labels, table, 1, of(FOUND))
     core.ssrvlad_free(head)
     return status
@@ -155,8 +156,25 @@ def settings_of(config):
 def test_a_refused_setting_is_named(name, value, reason, core):
     settings = settings_of(SSRVLADConfig())
     setattr(settings, name, value)
-    assert core.library.ssrvlad_new(settings) is None
+    assert core.library.ssrvlad_new_for(INTERFACE, settings) is None
     assert last_error() == reason
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments"),
+    [
+        ("new", [struct("settings")()]),
+        ("map_new", [struct("drives")()]),
+        ("map_of", [struct("drives")(), struct("shortlist")()]),
+        ("loops_new", [struct("loops_settings")(), struct("loops_channel")(), 1]),
+    ],
+)
+def test_a_program_of_another_interface_is_refused(name, arguments, core):
+    """Before its structs are read."""
+    older = INTERFACE - 1
+    assert getattr(core.library, f"ssrvlad_{name}_for")(older, *arguments) is None
+    got = f"interface {INTERFACE}, the program is of {older}: compile it again"
+    assert last_error() == f"the library ssrvlad has {got}"
 
 
 def random_setting(rng, lowest, highest):
@@ -187,7 +205,7 @@ def random_config(seed):
 def test_the_fingerprint_of_a_head_is_that_of_its_config(core):
     presets = [SSRVLADConfig.from_preset(preset) for preset in PRESETS]
     for config in (*presets, *map(random_config, range(60))):
-        head = ctypes.c_void_p(core.library.ssrvlad_new(settings_of(config)))
+        head = ctypes.c_void_p(core.library.ssrvlad_new_for(INTERFACE, settings_of(config)))
         fingerprint = ctypes.string_at(core.library.ssrvlad_fingerprint(head)).decode()
         core.library.ssrvlad_free(head)
         assert fingerprint == config.fingerprint, config

@@ -625,6 +625,41 @@ int main() {
 """
 
 
+OLDER = """
+#include <ssrvlad/ssrvlad.h>
+#undef SSRVLAD_INTERFACE
+#define SSRVLAD_INTERFACE 3
+#include "loops.hpp"
+int main() {
+  const ssrvlad_settings settings = {};
+  std::puts(ssrvlad_new(&settings) ? "a head" : ssrvlad_last_error());
+  ssrvlad::Described frame;
+  frame.descriptor = {1, 0};
+  frame.length = 2;
+  try {
+    ssrvlad::Loops({"1234", "", ""}).update("a/1", frame);
+  } catch (const std::exception& error) {
+    std::puts(error.what());
+  }
+}
+"""
+
+
+def test_a_program_of_an_older_interface_is_refused_in_words(core, tmp_path):
+    """In C and in C++."""
+    library = Path(core.library._name)
+    (tmp_path / "ssrvlad").symlink_to(library.parent)
+    (tmp_path / "older.cpp").write_text(OLDER)
+    folders = f"-I{tmp_path}", f"-I{ROOT / 'export' / 'cpp'}", f"-Wl,-rpath,{library.parent}"
+    program = tmp_path / "older"
+    must("g++", "-std=c++17", *folders, tmp_path / "older.cpp", library, "-o", program)
+    code, lines, errors = outcome(program)
+    assert (code, errors) == (0, [])
+    assert len(lines) == 2
+    for line in lines:
+        assert line.endswith("has interface 4, the program is of 3: compile it again")
+
+
 def consumer(folder, program, *lines):
     """The compiled program of a project that takes the package, without ORT_ROOT."""
     folder.mkdir()

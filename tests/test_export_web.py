@@ -174,7 +174,7 @@ def described(page, site, preset, file):
 
 
 DESCRIBE = """(async () => {{
-    const {{ ADDRESS, INT, LONG, Core, Struct }} = await import('./core.js');
+    const {{ ADDRESS, INT, INTERFACE, LONG, Core, Struct }} = await import('./core.js');
     const {{ readLabels }} = await import('./label_png.js');
     const core = await Core.load();
     const file = await (await fetch({file})).arrayBuffer();
@@ -185,7 +185,7 @@ DESCRIBE = """(async () => {{
     return core.using(({{ room, put }}) => {{
         const settings = room(256), descriptor = room(480 * 4);
         core.call("ssrvlad_preset", put(new TextEncoder().encode({preset} + "\\0")), settings);
-        const head = core.call("ssrvlad_new", settings);
+        const head = core.call("ssrvlad_new_for", INTERFACE, settings);
         const map = {{ ids: put(Uint8Array.from(labels)), bytes: 1, images: 1, height, width }};
         const table = {{ categories: put(Uint8Array.from({categories})), entries: 256 }};
         const given = [LABELS.bytes(map), TABLE.bytes(table)].map(put);
@@ -532,7 +532,7 @@ def test_a_core_of_another_interface_is_refused(page, site, function, got):
     build = [sys.executable, "-m", "ziglang", "cc", *target, "core.c", "-o", "ssrvlad.wasm"]
     subprocess.run(build, cwd=folder, check=True)
     open_page(page)
-    expected = f'ssrvlad.wasm: expected interface 3, got {got}; "npm run build" makes it again'
+    expected = f'ssrvlad.wasm: expected interface 4, got {got}; "npm run build" makes it again'
     with pytest.raises(AssertionError, match=re.escape(expected)):
         page.run(f"import('./{function}/core.js').then(({{ Core }}) => Core.load())")
 

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, native
 from ssrvlad_torch.config import CHOICES, PRESETS
-from ssrvlad_torch.native.headers import struct
+from ssrvlad_torch.native.headers import number, struct
 from ssrvlad_torch.native.operator import operator
 from ssrvlad_torch.stages.components import drop_regions, fill_holes
 from ssrvlad_torch.stages.keypoints import end_points, intersections
@@ -56,8 +56,8 @@ def assert_the_same(some: Tensor, radius: int = 1, area: int = 5) -> None:
         assert torch.equal(got, open_and_close(some, opening, closing))
     assert torch.equal(run("fill_holes", some, area)[0], fill_holes(some, area))
     assert torch.equal(run("drop_regions", some, area)[0], drop_regions(some, area))
-    for number, name in enumerate(CHOICES["thinning"]):
-        assert torch.equal(run("thin", some, number)[0], thin(some, RULES[name]))
+    for rule, name in enumerate(CHOICES["thinning"]):
+        assert torch.equal(run("thin", some, rule)[0], thin(some, RULES[name]))
     ends, crossings = run("keypoints", some, results=2)
     assert torch.equal(ends, end_points(some))
     assert torch.equal(crossings, intersections(some))
@@ -226,7 +226,7 @@ def test_the_library_has_the_presets_and_refuses_wrong_settings(preset, core):
         if isinstance(value, (float, int)):
             assert getattr(own, name) == value
     own.rings = 0
-    assert library.ssrvlad_new(ctypes.byref(own)) is None
+    assert library.ssrvlad_new_for(number("INTERFACE"), ctypes.byref(own)) is None
     assert library.ssrvlad_preset(b"other", ctypes.byref(own)) < 0
 
 

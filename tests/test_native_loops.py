@@ -233,13 +233,13 @@ def test_a_large_memory_closes_most_loops_of_a_small_one(known):
 @pytest.mark.parametrize(
     ("wrong", "message"),
     [
-        ({"ssr-vlad": 2 * PLACES[0]}, "expected descriptors of length 1 or zero"),
-        ({"ssr-vlad": math.nan * PLACES[0]}, "expected descriptors of length 1 or zero"),
-        ({"ssr-vlad": PLACES[:2]}, "and an odd number of anchors"),
+        ({"ssr-vlad": 2 * PLACES[0]}, "expected finite vectors of length 1 or 0"),
+        ({"ssr-vlad": math.nan * PLACES[0]}, "expected finite vectors of length 1 or 0"),
+        ({"ssr-vlad": PLACES[:2]}, "from an odd number of anchors"),
         ({"ssr-vlad": PLACES[0, :9]}, r"ssr-vlad: expected an array \(1, 480\) of float32"),
         ({"ssr-vlad": PLACES[0].astype(float)}, r"of float32 on cpu, got \(1, 480\) of float64"),
         ({"features": PLACES[0]}, r"features: expected an array .* of uint8 on cpu, got"),
-        ({"features": np.zeros((3, 16, 2, 8), np.uint8)}, "and an odd number of anchors"),
+        ({"features": np.zeros((3, 16, 2, 8), np.uint8)}, "from an odd number of anchors"),
     ],
 )
 def test_what_is_no_descriptor_is_refused_and_leaves_no_trace(wrong, message):
@@ -265,16 +265,16 @@ def test_known_frames_of_unequal_numbers_are_refused(frames, stamps, starts, mes
 
 
 @pytest.mark.parametrize(
-    "wrong",
+    ("wrong", "reason"),
     [
-        partial(Loops, []),
-        partial(Loops, [Channel("x", (0,))]),
-        partial(Loops, [SHAPES], -1),
-        partial(Loops, [SHAPES], 50, 2.0),
-        partial(Loops, [SHAPES], 50, 0.8, -1),
-        partial(Loops, [SHAPES], 50, 0.8, 0),
+        (partial(Loops, []), "channels: expected 1 to 16, got 0"),
+        (partial(Loops, [Channel("x", (0,))]), "expected shapes of up to"),
+        (partial(Loops, [SHAPES], -1), "expected frames to exclude, or 0"),
+        (partial(Loops, [SHAPES], 50, 2.0), "threshold: expected 0 to 1, got 2"),
+        (partial(Loops, [SHAPES], 50, 0.8, -1), "expected scan_above of 1 frame or more"),
+        (partial(Loops, [SHAPES], 50, 0.8, 0), "expected scan_above of 1 frame or more"),
     ],
 )
-def test_settings_out_of_range_are_refused(wrong):
-    with pytest.raises(RuntimeError, match="the native core refuses the settings or channels"):
+def test_settings_out_of_range_are_refused(wrong, reason):
+    with pytest.raises(RuntimeError, match=reason):
         wrong()

@@ -29,13 +29,6 @@ struct Fingerprints {
 
 namespace detail {
 
-inline void require_interface() {
-  if (ssrvlad_interface() != SSRVLAD_INTERFACE)
-    throw std::runtime_error("the library ssrvlad has interface " + std::to_string(ssrvlad_interface()) +
-                             ", the program is of " + std::to_string(SSRVLAD_INTERFACE) +
-                             ": compile it again");
-}
-
 // A channel of a frame: vectors of one or several anchors, or signs.
 struct Channel {
   std::string name, fingerprint;

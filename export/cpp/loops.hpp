@@ -67,7 +67,6 @@ class Loops {
   // A stream without frames. The fingerprints are those of the model that describes its frames.
   explicit Loops(Fingerprints model, LoopSettings settings = {})
       : model_(std::move(model)), settings_(settings) {
-    detail::require_interface();
     if (settings.exclude < 0 || !(settings.threshold >= 0 && settings.threshold <= 1))
       throw std::runtime_error("expected exclude from 0 and a threshold from 0 to 1, got " +
                                std::to_string(settings.exclude) + " and " +

@@ -61,7 +61,6 @@ class Map {
   // The fingerprints are those of the model; channels are used that both have. `threads` share a query.
   Map(const std::string& path, const Fingerprints& model, int threads = 1)
       : model_(model), threads_(threads) {
-    detail::require_interface();
     std::ifstream names(path + ".frames.txt");
     for (std::string line; detail::read_line(names, line);) frames_.push_back(line);
     add(path, "ssr-vlad", "", model.descriptor, "<f4", 2);

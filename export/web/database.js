@@ -1,6 +1,6 @@
 // A map: channels of reference frames from `ssrvlad db export --format npy`, and what the core finds there.
 
-import { ADDRESS, DOUBLE, INT, LONG, Struct } from "./core.js";
+import { ADDRESS, DOUBLE, INT, INTERFACE, LONG, Struct } from "./core.js";
 
 // of ssrvlad_decide.h and ssrvlad_map.h
 const [ALONE, OFFLINE] = [0, 2];
@@ -102,7 +102,7 @@ export class Database {
     const starts = [...folders.keys()].filter((row) => !row || folders[row] !== folders[row - 1]);
     const size = { count: starts.length, rows: folders.length };
     const drives = DRIVES.bytes({ starts: put(BigInt64Array.from(starts, BigInt)), ...size });
-    const map = this.core.call("ssrvlad_map_new", put(drives));
+    const map = this.core.call("ssrvlad_map_new_for", INTERFACE, put(drives));
     for (const name of names) {
       const { rows, columns, size } = this.channels[name];
       const [kind, { trust }] = [name === "features" ? SIGNS : VECTORS, CHANNELS[name]];

@@ -10,7 +10,7 @@ import sys
 from functools import cache
 from typing import NamedTuple
 
-from .headers import FOLDER, typed
+from .headers import FOLDER, number, typed
 
 LIBRARY = "libssrvlad" + {"darwin": ".dylib", "win32": ".dll"}.get(sys.platform, ".so")
 
@@ -36,6 +36,15 @@ def last_error() -> str:
     """Why the last call of this thread failed that did."""
     address: int = required().ssrvlad_last_error()
     return ctypes.string_at(address).decode()
+
+
+def require(status: int, what: str = "") -> None:
+    """Raises what a return code of the core means, in its words: a MemoryError, or a ValueError
+    that begins with ``what`` was refused."""
+    if status == number("NO_MEMORY"):
+        raise MemoryError(last_error())
+    if status:
+        raise ValueError(f"{what}: {last_error()}" if what else last_error())
 
 
 @cache

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from typing import Any
 
 
-def address(array: Any, shape: Sequence[int], *dtypes: str) -> int:
-    """The address of an array of NumPy or a tensor of torch, which the core reads or fills.
+def address(array: Any, shape: Sequence[int], *dtypes: str) -> int | None:
+    """The address of an array of NumPy or a tensor of torch, which the core reads or fills;
+    ``None`` of ``None``.
 
     Args:
         array: in the memory of the CPU, C-contiguous.
@@ -24,6 +25,8 @@ def address(array: Any, shape: Sequence[int], *dtypes: str) -> int:
         >>> address(rows, (2, 3), "float32") == rows.ctypes.data
         True
     """
+    if array is None:
+        return None
     of_torch = hasattr(array, "data_ptr")
     contiguous = array.is_contiguous() if of_torch else array.flags.c_contiguous
     dtype, device = str(array.dtype).removeprefix("torch."), str(getattr(array, "device", "cpu"))

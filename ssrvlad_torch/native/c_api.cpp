@@ -54,11 +54,16 @@ int guarded(Function function) {
   }
 }
 
-// What a function makes, or NULL.
+// What a function makes for a program of this interface, or NULL.
 template <typename Function>
-auto made(Function function) -> decltype(function()) {
+auto made(int program, Function function) -> decltype(function()) {
   decltype(function()) result = nullptr;
-  guarded([&] { result = function(); });
+  guarded([&] {
+    if (program != SSRVLAD_INTERFACE)
+      refuse("the library ssrvlad has interface %d, the program is of %d: compile it again",
+             SSRVLAD_INTERFACE, program);
+    result = function();
+  });
   return result;
 }
 
@@ -183,8 +188,8 @@ int ssrvlad_preset(const char *name, ssrvlad_settings *settings) {
   });
 }
 
-ssrvlad_head *ssrvlad_new(const ssrvlad_settings *settings) {
-  return made([&] {
+ssrvlad_head *ssrvlad_new_for(int program, const ssrvlad_settings *settings) {
+  return made(program, [&] {
     check(settings);
     return new ssrvlad_head(*settings);
   });
@@ -352,23 +357,24 @@ void check(const ssrvlad_map *map, const ssrvlad_queries *queries, Size count, c
            const ssrvlad_taken *taken) {
   require(map && queries && steps && taken && map->channels() && count >= 0, "a map of one channel or more, queries and steps");
   require(steps->follow >= SSRVLAD_ALONE && steps->follow <= SSRVLAD_OFFLINE && steps->delay >= 0 &&
-          steps->top >= 1);
+          steps->top >= 1, "steps in range");
 }
 
 }  // namespace
 
-ssrvlad_map *ssrvlad_map_new(const ssrvlad_drives *drives) {
-  return made([&] { return new ssrvlad_map(Listing(drives_of(drives))); });
+ssrvlad_map *ssrvlad_map_new_for(int program, const ssrvlad_drives *drives) {
+  return made(program, [&] { return new ssrvlad_map(Listing(drives_of(drives))); });
 }
 
-ssrvlad_map *ssrvlad_map_of(const ssrvlad_drives *drives, const ssrvlad_shortlist *shortlist) {
-  return made([&] {
+ssrvlad_map *ssrvlad_map_of_for(int program, const ssrvlad_drives *drives, const ssrvlad_shortlist *shortlist) {
+  return made(program, [&] {
     Drives all = drives_of(drives);
-    require(shortlist && shortlist->rows && shortlist->weights && shortlist->count >= 1);
+    const char *expected = "a shortlist of rising rows, each with a weight from 1";
+    require(shortlist && shortlist->rows && shortlist->weights && shortlist->count >= 1, expected);
     const auto [rows, weights, count, means, means_count] = *shortlist;
     for (Size place = 0; place < count; ++place)
       require(rows[place] < all.rows && (place ? rows[place] > rows[place - 1] : rows[place] >= 0) &&
-              weights[place] >= 1 && std::isfinite(weights[place]));
+              weights[place] >= 1 && std::isfinite(weights[place]), expected);
     const ssrvlad_drives parts = {means, means_count, count};
     return new ssrvlad_map(Listing(std::move(all), rows, {weights, weights + count}, drives_of(&parts)));
   });
@@ -409,7 +415,7 @@ int ssrvlad_match(const ssrvlad_rows *given, const float *queries, int64_t count
     require(given && queries && scores && rows && count >= 0 && top >= 1 && given->count >= 0 &&
             given->length >= 1 && may_be({given->count, given->length}) &&
             may_be({count, given->length}) && may_be({count, top}) &&
-            (!given->count || (given->vectors && given->lengths)));
+            (!given->count || (given->vectors && given->lengths)), "vectors of 1 number or more");
     match(*given, queries, count, top, threads, scores, rows);
   });
 }
@@ -443,9 +449,9 @@ bool fits(const Stream &stream, const void *const *descriptors, const int64_t *a
 
 }  // namespace
 
-ssrvlad_loops *ssrvlad_loops_new(const ssrvlad_loops_settings *settings,
-                                 const ssrvlad_loops_channel *channels, int count) {
-  return made([&] {
+ssrvlad_loops *ssrvlad_loops_new_for(int program, const ssrvlad_loops_settings *settings,
+                                     const ssrvlad_loops_channel *channels, int count) {
+  return made(program, [&] {
     require(settings && channels, "settings and channels");
     require_range("channels", count, 1, SSRVLAD_CHANNELS);
     require(settings->exclude >= 0, "frames to exclude, or 0");

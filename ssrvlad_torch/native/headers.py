@@ -18,7 +18,10 @@ _TYPES: dict[str, Any] = {
 _SKIPPED = re.compile(
     r"/\*.*?\*/|^#.*?$|\b(?:SSRVLAD_API|const|struct)\b", re.DOTALL | re.MULTILINE
 )
-_STRUCT, _NUMBER = re.compile(r"typedef +\w+ \{(.*?)\} (\w+);", re.DOTALL), r"(SSRVLAD_\w+) = (\d+)"
+_STRUCT, _NUMBER = (
+    re.compile(r"typedef +\w+ \{(.*?)\} (\w+);", re.DOTALL),
+    r"(SSRVLAD_\w+) (?:= )?(-?\d+)",
+)
 _FUNCTION = re.compile(r"^ *(\w+ *\**)\s*(ssrvlad_\w+)\((.*?)\);", re.DOTALL | re.MULTILINE)
 
 
@@ -34,8 +37,9 @@ class Interface(NamedTuple):
 @cache
 def interface() -> Interface:
     """The interface, read once."""
-    text = _SKIPPED.sub("", "\n".join((FOLDER / name).read_text("utf-8") for name in _FILES))
-    numbers = {name: int(number) for name, number in re.findall(_NUMBER, text)}
+    content = "\n".join((FOLDER / name).read_text("utf-8") for name in _FILES)
+    numbers = {name: int(number) for name, number in re.findall(_NUMBER, content)}
+    text = _SKIPPED.sub("", content)
     structs = dict[str, Any]()
 
     def type_of(declaration: str) -> Any:

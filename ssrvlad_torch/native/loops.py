@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from . import required
+from . import last_error, require, required
 from .addresses import address
 from .headers import number, struct
 
@@ -105,11 +105,11 @@ class Loops:
         self._library, self.channels = required(), tuple(channels)
         described = (struct("loops_channel") * len(channels))(*map(_described, channels))
         settings = struct("loops_settings")(min(exclude, _MAX_INT64), threshold, scan_above)
-        handle = self._library.ssrvlad_loops_new(settings, described, len(channels))
+        handle = self._library.ssrvlad_loops_new_for(
+            number("INTERFACE"), settings, described, len(channels)
+        )
         if not handle:
-            raise RuntimeError(
-                "the native core refuses the settings or channels, or memory is short"
-            )
+            raise RuntimeError(last_error())
         self._handle = ctypes.c_void_p(handle)
         weakref.finalize(self, self._library.ssrvlad_loops_free, self._handle)
 
@@ -148,7 +148,7 @@ class Loops:
             anchors.append(max(1, array.size // math.prod(channel.shape)))
             arrays.append(array.reshape(-1, *array.shape[-len(channel.shape) :]))
         result = struct("loop")()
-        self._require(
+        require(
             self._library.ssrvlad_loops_update(
                 self._handle,
                 self._addresses(arrays, anchors),
@@ -176,11 +176,11 @@ class Loops:
         times = None if stamps is None else np.ascontiguousarray(stamps, np.float64)
         frames = len(first)
         arrays = [np.ascontiguousarray(descriptors[channel.name]) for channel in self.channels]
-        self._require(
+        require(
             self._library.ssrvlad_loops_extend(
                 self._handle,
                 self._addresses(arrays, [frames] * len(arrays)),
-                None if times is None else address(times, (frames,), "float64"),
+                address(times, (frames,), "float64"),
                 address(first, (frames,), "uint8"),
                 frames,
             )
@@ -192,7 +192,7 @@ class Loops:
         channel = self.channels[index]
         shape = last - first, *channel.shape
         rows = np.empty(shape, channel.dtype)
-        self._require(
+        require(
             self._library.ssrvlad_loops_descriptors(
                 self._handle, index, first, last, address(rows, shape, channel.dtype)
             )
@@ -208,15 +208,6 @@ class Loops:
             except ValueError as error:
                 raise ValueError(f"{channel.name}: {error}") from error
         return (ctypes.c_void_p * len(found))(*found)
-
-    @staticmethod
-    def _require(status: int) -> None:
-        if status == -1:
-            raise MemoryError("not enough memory for the frames of the stream")
-        if status:
-            raise ValueError(
-                "expected descriptors of length 1 or zero, and an odd number of anchors"
-            )
 
 
 def _step_of(loop: Any) -> LoopStep:

@@ -44,7 +44,7 @@ void Map::add(const ssrvlad_channel &channel) {
     member.of_mean = channel.columns * channel.size * (are_signs ? 8 : 1);
     require(member.of_mean <= MOST_NUMBERS, "descriptors of up to 2^31 numbers");
     const auto means = static_cast<Size>(listing_.drives.starts.size());
-    require(!channel.means || are_finite(channel.means, means * member.of_mean));
+    require(!channel.means || are_finite(channel.means, means * member.of_mean), "finite means");
     if (are_signs) {
       member.channel = channel_of_signs(static_cast<const std::uint8_t *>(channel.rows), channel.columns,
                                         channel.size, listing_, channel.means);
@@ -74,7 +74,7 @@ std::unique_ptr<Comparison> Map::compare(const Member &member, const ssrvlad_que
 std::unique_ptr<Scores> Map::compare(const ssrvlad_queries *queries, Size count, const ssrvlad_steps &steps,
                                      int threads, ssrvlad_taken &taken) const {
   for (Size number = 0; steps.excluded && number < 2 * count; ++number)
-    require(steps.excluded[number] >= 0 && steps.excluded[number] <= listing_.map.rows);
+    require(steps.excluded[number] >= 0 && steps.excluded[number] <= listing_.map.rows, "excluded rows of the map");
   taken.standardised = steps.standardise && std::min(count, listing_.map.rows) >= MIN_FRAMES;
   taken.width = 0;
   auto together = std::make_unique<Together>();

@@ -15,8 +15,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from . import required
-from .headers import struct
+from . import last_error, require, required
+from .addresses import address
+from .headers import number, struct
 
 Array = npt.NDArray[Any]
 Floats = npt.NDArray[np.floating[Any]]
@@ -27,7 +28,6 @@ MODES = {None: 0, "online": 1, "offline": 2}
 _VECTORS, _SIGNS, _SCORES = 0, 1, 2
 _HIGHEST = 1.001
 """The highest cosine that rounding can give."""
-_WRONG_ARGUMENT = -2
 
 
 class Taken(NamedTuple):
@@ -109,26 +109,31 @@ class DescriptorMap:
     """
 
     def __init__(self, frames: Sequence[int], shortlist: Shortlist | None = None) -> None:
-        core = required()
+        core, interface = required(), number("INTERFACE")
         starts = np.cumsum([0, *frames], dtype=np.int64)
         self.frames, self._count = int(starts[-1]), int(starts[-1])
         self._means = len(frames)
-        drives = struct("drives")(starts.ctypes.data, len(frames), self.frames)
+        first = address(starts, (len(frames) + 1,), "int64")
+        drives = struct("drives")(first, len(frames), self.frames)
         if shortlist is None:
-            self._map = core.ssrvlad_map_new(ctypes.byref(drives))
+            self._map = core.ssrvlad_map_new_for(interface, ctypes.byref(drives))
         else:
             rows = np.ascontiguousarray(shortlist.rows, np.int64)
             means = np.ascontiguousarray(shortlist.means, np.int64)
             weights = np.ascontiguousarray(shortlist.weights, np.float64)
             self._count, self._means = len(rows), len(means)
             listed = struct("shortlist")(
-                rows.ctypes.data, weights.ctypes.data, len(rows), means.ctypes.data, len(means)
+                address(rows, (self._count,), "int64"),
+                address(weights, (self._count,), "float64"),
+                self._count,
+                address(means, (self._means,), "int64"),
+                self._means,
             )
-            self._map = core.ssrvlad_map_of(ctypes.byref(drives), ctypes.byref(listed))
+            self._map = core.ssrvlad_map_of_for(
+                interface, ctypes.byref(drives), ctypes.byref(listed)
+            )
         if not self._map:
-            raise ValueError(
-                f"expected sequences of at least 1 frame and rising rows, got {list(frames)[:9]}"
-            )
+            raise ValueError(last_error())
         weakref.finalize(self, core.ssrvlad_map_free, ctypes.c_void_p(self._map))
         self._channels: dict[str, Array | None] = {}
         self._of_sequences: list[Array | None] = []
@@ -157,7 +162,7 @@ class DescriptorMap:
             raise ValueError(
                 f"{name}: expected a name that is new, got {', '.join(self._channels)}"
             )
-        array, address, kind, columns, size, bits = None, None, _SCORES, 1, 1, 1
+        array, first, kind, columns, size, bits = None, None, _SCORES, 1, 1, 1
         if rows is not None:
             array = _checked(rows, name)
             if len(array) != self._count:
@@ -168,18 +173,17 @@ class DescriptorMap:
             if kind == _VECTORS and array.ndim != 2:
                 raise ValueError(f"{name}: expected vectors (R, D), got {array.shape}")
             columns = 1 if kind == _VECTORS else array.shape[1]
-            size, address = math.prod(array.shape[1:]) // columns, array.ctypes.data
+            size = math.prod(array.shape[1:]) // columns
+            first = address(array, (self._count, *array.shape[1:]), "float32", "uint8")
         if means is not None:
             means = np.ascontiguousarray(means, np.float32)
             if means.size != self._means * columns * size * bits:
                 raise ValueError(
                     f"{name}: expected means of {self._means} parts of the map, got {means.shape}"
                 )
-        channel = struct("channel")(address, kind, columns, size, trust, _address(means))
-        status = required().ssrvlad_map_add_channel(self._map, ctypes.byref(channel))
-        if status:
-            got = f"{None if array is None else array.shape}, trust {trust}"
-            raise problem(status, f"{name} as finite rows and a trust above 0, got {got}")
+        of_means = None if means is None else address(means, means.shape, "float32")
+        channel = struct("channel")(first, kind, columns, size, trust, of_means)
+        require(required().ssrvlad_map_add_channel(self._map, ctypes.byref(channel)), name)
         self._channels[name] = array
         self._of_sequences.append(means)
 
@@ -219,7 +223,7 @@ class DescriptorMap:
         sure, decided = np.empty((3, call.count), np.float32), struct("decision")()
         names = "scores", "rows", "right", "spread", "together"
         for name, array in zip(names, (*matches, *sure), strict=True):
-            setattr(decided, name, array.ctypes.data)
+            setattr(decided, name, address(array, array.shape, "float32", "int64"))
         taken = call.run("ssrvlad_map_query", threads, ctypes.byref(decided))
         course = bool(decided.followed), decided.way, decided.rate, decided.streams, decided.gain
         right, spread, together = sure
@@ -238,7 +242,8 @@ class DescriptorMap:
         can be no match."""
         call = _Call(self, queries, (standardise, sweep, None, 0, 1), allowed, excluded)
         scores = np.empty((call.count, self._count), np.float32)
-        return scores, call.run("ssrvlad_map_compare", threads, scores.ctypes.data)
+        target = address(scores, (call.count, self._count), "float32")
+        return scores, call.run("ssrvlad_map_compare", threads, target)
 
 
 class _Call:
@@ -268,7 +273,8 @@ class _Call:
         self._excluded = _of_shape("excluded", excluded, np.int64, (self.count, 2))
         self._steps = struct("steps")(
             standardise, sweep, MODES[follow], delay, top,
-            _address(self._allowed), _address(self._excluded),
+            address(self._allowed, (len(town),), "uint8"),
+            address(self._excluded, (self.count, 2), "int64"),
         )  # fmt: skip
 
     def run(self, name: str, threads: int, target: Any) -> Taken:
@@ -276,14 +282,18 @@ class _Call:
         weights = (ctypes.c_double * len(self._arrays))()
         taken = struct("taken")(weights=ctypes.addressof(weights))
         given = (struct("queries") * len(self._arrays))(
-            *((array.ctypes.data, self._anchors(name)) for name, array in self._arrays.items())
+            *(
+                (address(array, array.shape, "float32", "uint8"), self._anchors(name))
+                for name, array in self._arrays.items()
+            )
         )
-        status = getattr(required(), name)(
-            self._town._map, given, self.count, ctypes.byref(self._steps), threads, target,
-            ctypes.byref(taken),
+        call = getattr(required(), name)
+        require(
+            call(
+                self._town._map, given, self.count, ctypes.byref(self._steps), threads, target,
+                ctypes.byref(taken),
+            )
         )  # fmt: skip
-        if status:
-            raise problem(status, "finite queries, whose scores are at most 1")
         by_name = dict(zip(self._arrays, weights, strict=True))
         return Taken(bool(taken.standardised), taken.width, by_name)
 
@@ -333,25 +343,29 @@ def match(
     All arrays are C-contiguous.
 
     Raises:
-        ValueError: D or top is 0.
+        ValueError: an array has another shape or dtype, or D or top is 0.
     """
     vectors, lengths = rows
+    (frames, length), count, top = vectors.shape, len(queries), best[0].shape[1]
     given = struct("rows")(
-        vectors.ctypes.data, lengths.ctypes.data, _address(excluded), *vectors.shape, first
+        address(vectors, (frames, length), "float32"),
+        address(lengths, (frames,), "float32"),
+        address(excluded, (count, frames), "bool"),
+        frames,
+        length,
+        first,
     )
-    status = required().ssrvlad_match(
-        ctypes.byref(given), queries.ctypes.data, len(queries), best[0].shape[1], threads,
-        *(each.ctypes.data for each in best),
-    )  # fmt: skip
-    if status:
-        raise problem(status, f"vectors of at least 1 number, got {vectors.shape}")
-
-
-def problem(status: int, expected: str) -> Exception:
-    """What to raise for a return code of the core."""
-    if status == _WRONG_ARGUMENT:
-        return ValueError(f"expected {expected}")
-    return MemoryError("the core")
+    require(
+        required().ssrvlad_match(
+            ctypes.byref(given),
+            address(queries, (count, length), "float32"),
+            count,
+            top,
+            threads,
+            address(best[0], (count, top), "float32"),
+            address(best[1], (count, top), "int64"),
+        )
+    )
 
 
 def _expect(name: str, got: object, fits: bool, wanted: str) -> None:
@@ -367,10 +381,6 @@ def _of_shape(
     array = np.ascontiguousarray(values, kind)
     _expect(name, array.shape, array.shape == shape, f"shape {shape}")
     return array
-
-
-def _address(array: Array | None) -> int | None:
-    return None if array is None else array.ctypes.data
 
 
 def _checked(array: Array, name: str) -> Array:

@@ -15,7 +15,7 @@ from torch import Tensor
 from ..config import CHOICES, SSRVLADConfig
 from . import core, last_error
 from .addresses import address
-from .headers import struct
+from .headers import number, struct
 
 _NATIVE_DTYPES = (torch.uint8, torch.int16, torch.int32, torch.int64)
 _LABELS = tuple(str(dtype).removeprefix("torch.") for dtype in _NATIVE_DTYPES)
@@ -84,7 +84,7 @@ class _Head:
         values = {name: getattr(config, name) for name, *_ in made._fields_}
         values.update({name: choices.index(values[name]) for name, choices in CHOICES.items()})
         given = made(**{**values, "working_size": config.working_size or 0})
-        self.handle = library.ssrvlad_new(given)
+        self.handle = library.ssrvlad_new_for(number("INTERFACE"), given)
         if not self.handle:
             raise RuntimeError(last_error())
         weakref.finalize(self, library.ssrvlad_free, ctypes.c_void_p(self.handle))

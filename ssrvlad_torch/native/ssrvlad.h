@@ -66,8 +66,9 @@ typedef struct ssrvlad_labels {
 typedef struct ssrvlad_head ssrvlad_head;
 
 /* The number of the interface of these headers. It rises with each change that programs must be compiled
- * again for; the function returns that of the library. */
-#define SSRVLAD_INTERFACE 3
+ * again for; the function returns that of the library. What creates something is a macro that gives the
+ * library this number: `ssrvlad_new(&settings)`. The library refuses another one. */
+#define SSRVLAD_INTERFACE 4
 SSRVLAD_API int ssrvlad_interface(void);
 
 /* SHA-256 of the C++ files, in the order of their names, from which the library was built; empty if
@@ -80,9 +81,10 @@ SSRVLAD_API const char *ssrvlad_simd(void);
 /* Fills the settings of a preset, "default" or "paper". */
 SSRVLAD_API int ssrvlad_preset(const char *name, ssrvlad_settings *settings);
 
-/* Creates a head, or returns NULL if a setting is out of range or memory is short. It keeps tables and
- * the working memory of its threads for later calls. */
-SSRVLAD_API ssrvlad_head *ssrvlad_new(const ssrvlad_settings *settings);
+/* `ssrvlad_new(settings)` creates a head, or returns NULL if a setting is out of range or memory is short.
+ * It keeps tables and the working memory of its threads for later calls. */
+#define ssrvlad_new(...) ssrvlad_new_for(SSRVLAD_INTERFACE, __VA_ARGS__)
+SSRVLAD_API ssrvlad_head *ssrvlad_new_for(int program, const ssrvlad_settings *settings);
 SSRVLAD_API void ssrvlad_free(ssrvlad_head *head);
 
 /* The length of a descriptor; SSRVLAD_WRONG_ARGUMENT without a head. */

@@ -81,10 +81,11 @@ typedef struct ssrvlad_loop {
 
 typedef struct ssrvlad_loops ssrvlad_loops;
 
-/* Creates a stream without frames, or returns NULL if a setting or a shape is out of range or memory is
- * short. */
-SSRVLAD_API ssrvlad_loops *ssrvlad_loops_new(const ssrvlad_loops_settings *settings,
-                                             const ssrvlad_loops_channel *channels, int count);
+/* `ssrvlad_loops_new(settings, channels, count)` creates a stream without frames, or returns NULL if a
+ * setting or a shape is out of range or memory is short. */
+#define ssrvlad_loops_new(...) ssrvlad_loops_new_for(SSRVLAD_INTERFACE, __VA_ARGS__)
+SSRVLAD_API ssrvlad_loops *ssrvlad_loops_new_for(int program, const ssrvlad_loops_settings *settings,
+                                                 const ssrvlad_loops_channel *channels, int count);
 SSRVLAD_API void ssrvlad_loops_free(ssrvlad_loops *loops);
 
 /* The number of frames; 0 without a stream. */

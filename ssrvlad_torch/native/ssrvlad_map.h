@@ -80,12 +80,16 @@ typedef struct ssrvlad_taken {
   double *weights;
 } ssrvlad_taken;
 
-/* Creates a map without channels, or returns NULL if the drives do not start at rising rows, the first
- * at 0, or memory is short. */
-SSRVLAD_API ssrvlad_map *ssrvlad_map_new(const ssrvlad_drives *drives);
+/* `ssrvlad_map_new(drives)` creates a map without channels, or returns NULL if the drives do not start at
+ * rising rows, the first at 0, or memory is short. */
+#define ssrvlad_map_new(...) ssrvlad_map_new_for(SSRVLAD_INTERFACE, __VA_ARGS__)
+SSRVLAD_API ssrvlad_map *ssrvlad_map_new_for(int program, const ssrvlad_drives *drives);
 
-/* Creates a map of which a shortlist of the rows is there; NULL as above. */
-SSRVLAD_API ssrvlad_map *ssrvlad_map_of(const ssrvlad_drives *drives, const ssrvlad_shortlist *shortlist);
+/* `ssrvlad_map_of(drives, shortlist)` creates a map of which a shortlist of the rows is there; NULL as
+ * above. */
+#define ssrvlad_map_of(...) ssrvlad_map_of_for(SSRVLAD_INTERFACE, __VA_ARGS__)
+SSRVLAD_API ssrvlad_map *ssrvlad_map_of_for(int program, const ssrvlad_drives *drives,
+                                            const ssrvlad_shortlist *shortlist);
 SSRVLAD_API void ssrvlad_map_free(ssrvlad_map *map);
 
 /* Adds a channel; the first one has the number 0. */
