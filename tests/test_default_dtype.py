@@ -5,10 +5,12 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 import torch
+from drives import write_maps
 from helpers import street
 from networks import photo
+from segmenting import write_named_network, write_photos
 
-from ssrvlad_torch import SSRVLAD, LoopDetector, match
+from ssrvlad_torch import SSRVLAD, LoopDetector, Map, match
 from ssrvlad_torch.loops.config import LoopConfig
 from ssrvlad_torch.segmentation.preparation import Preparation, SegmenterConfig
 from ssrvlad_torch.stages.features import Features
@@ -86,3 +88,39 @@ def test_loops(dtype):
     expected = answers()
     with default(dtype):
         assert answers() == expected
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_a_map_of_label_maps(dtype, tmp_path):
+    monday, today = (write_maps(tmp_path / day, range(35)) for day in ("monday", "today"))
+
+    def answers(name):
+        town = Map.open(tmp_path / name, labels_as="camvid-11")
+        town.add(monday)
+        return town.database.load().descriptors, [*town.query(today)]
+
+    stored, expected = answers("right")
+    with default(dtype):
+        also_stored, results = answers("town")
+    assert torch.equal(also_stored, stored)
+    assert content_of(results) == content_of(expected)
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_pictures_that_are_located(dtype, tmp_path):
+    pictures = write_photos(tmp_path / "monday")
+    network = str(write_named_network(tmp_path))
+    Map.open(tmp_path / "town", network).add(pictures)
+    several = sorted(pictures.iterdir())
+    expected = Map.open(tmp_path / "town", network).locate(several)
+    with default(dtype):
+        assert content_of(Map.open(tmp_path / "town", network).locate(several)) == content_of(
+            expected
+        )
+
+
+def content_of(answers):
+    """The candidates, scores and confidences of answers."""
+    candidates = [[(each.frame, each.score) for each in answer.candidates] for answer in answers]
+    assert all(candidates)
+    return candidates, [answer.confidence for answer in answers]
