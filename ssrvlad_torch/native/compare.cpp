@@ -2,8 +2,9 @@
 
 #include "compare.hpp"
 
-#include <iterator>
 #include <numeric>
+
+#include "fusion.hpp"
 
 namespace places {
 
@@ -17,41 +18,19 @@ struct Scaled {
   double mean = 0, deviation = 0;
 
   Scaled(std::vector<float> scores, const Listing &listing) : near(std::move(scores)) {
-    nearness(near.data(), static_cast<Size>(near.size()), near.data());
+    const auto count = static_cast<Size>(near.size());
+    nearness(near.data(), count, near.data());
     const Spread spread = listing.spread(near.data());
     mean = spread.mean;
     deviation = spread.deviation;
-    if (deviation <= MIN_SPREAD) measure_again();
+    if (deviation > MIN_SPREAD) return;
+    const auto [of_equals, apart] = plain_spread(near.data(), count);
+    mean = of_equals;
+    deviation = apart;
   }
 
   double unit() const { return std::max(deviation, MIN_SPREAD); }
-
- private:
-  // Of values that are nearly equal.
-  void measure_again() {
-    std::vector<double> known;
-    std::copy_if(near.begin(), near.end(), std::back_inserter(known), [](float x) { return x != NONE; });
-    const double count = static_cast<double>(std::max<std::size_t>(1, known.size()));
-    double squares = 0;
-    mean = std::accumulate(known.begin(), known.end(), 0.0) / count;
-    for (const double value : known) squares += (value - mean) * (value - mean);
-    deviation = std::sqrt(squares / count);
-  }
 };
-
-void add_scaled(const float *near, Size count, double mean, double factor, double *sums) {
-  on_cpu([=](auto) {
-    for (Size row = 0; row < count; ++row)
-      sums[row] += near[row] == NONE ? 0 : (static_cast<double>(near[row]) - mean) * factor;
-  });
-}
-
-void as_cosines(const double *z, Size count, double mean, double deviation, float *scores) {
-  on_cpu([=](auto) {
-    for (Size row = 0; row < count; ++row)
-      scores[row] = static_cast<float>(1 - exp_of(-(mean + deviation * z[row])));
-  });
-}
 
 std::vector<float> scores_of(const Scores &member, Size query) {
   std::vector<float> scores(static_cast<std::size_t>(member.rows()));
@@ -65,12 +44,9 @@ double lead(const Scaled &scaled, const Listing &listing) {
   if (rows <= 2 * ELSEWHERE + 1) return 0;
   std::vector<double> z(scaled.near.size());
   add_scaled(scaled.near.data(), rows, scaled.mean, 1 / scaled.unit(), z.data());
-  const auto best = std::max_element(z.begin(), z.end());
-  const auto [before, after] = listing.around(best - z.begin(), ELSEWHERE);
-  double other = -std::numeric_limits<double>::infinity();
-  for (auto row = z.begin(); row < z.begin() + before; ++row) other = std::max(other, *row);
-  for (auto row = z.begin() + after; row < z.end(); ++row) other = std::max(other, *row);
-  return *best - other;
+  const auto [best, other] =
+      leading(z.data(), rows, [&](Size row) { return listing.around(row, ELSEWHERE); });
+  return best - other;
 }
 
 }  // namespace
@@ -168,21 +144,18 @@ Fused::Fused(std::vector<const Scores *> members, const std::vector<double> &tru
 
 void Fused::compute(Size first, Size last, float *scores) const {
   std::vector<double> z(static_cast<std::size_t>(rows()));
-  std::vector<char> some(z.size());
   for (Size query = first; query < last; ++query, scores += rows()) {
     std::fill(z.begin(), z.end(), 0);
-    std::fill(some.begin(), some.end(), 0);
+    std::fill_n(scores, rows(), NONE);
     double mean = 0, deviation = 0;
     for (std::size_t member = 0; member < members_.size(); ++member) {
       const Scaled scaled(scores_of(*members_[member], query), listing_);
       add_scaled(scaled.near.data(), rows(), scaled.mean, weights_[member] / scaled.unit(), z.data());
-      for (std::size_t row = 0; row < some.size(); ++row) some[row] |= scaled.near[row] != NONE;
+      for (Size row = 0; row < rows(); ++row) scores[row] = std::max(scores[row], scaled.near[static_cast<std::size_t>(row)]);
       mean += weights_[member] * scaled.mean;
       deviation += weights_[member] * scaled.deviation;
     }
     as_cosines(z.data(), rows(), mean, deviation, scores);
-    for (std::size_t row = 0; row < some.size(); ++row)
-      if (!some[row]) scores[row] = NONE;
   }
 }
 

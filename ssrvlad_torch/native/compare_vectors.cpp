@@ -3,6 +3,7 @@
 #include <array>
 
 #include "compare.hpp"
+#include "fusion.hpp"
 #include "parallel.hpp"
 #include "products.hpp"
 
@@ -235,14 +236,9 @@ class Narrowing {
 
   // How much nearer the best row is than the best elsewhere; not finite without one.
   double lead_of(const float *scores) const {
-    const float *end = scores + references(), *best = std::max_element(scores, end);
-    const auto [before, after] = listing_.around(best - scores, ELSEWHERE);
-    const float other = std::max(highest(scores, scores + before), highest(scores + after, end));
-    return nearness(static_cast<double>(*best)) - nearness(static_cast<double>(other));
-  }
-
-  static float highest(const float *first, const float *last) {
-    return first == last ? NONE : *std::max_element(first, last);
+    const auto [best, other] =
+        leading(scores, references(), [&](Size row) { return listing_.around(row, ELSEWHERE); });
+    return nearness(static_cast<double>(best)) - nearness(static_cast<double>(other));
   }
 
   const Floats &units_;

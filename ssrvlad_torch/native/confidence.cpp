@@ -5,8 +5,8 @@
 namespace places {
 
 namespace {
-constexpr Size PLACES = 10;  // most places that are compared
-constexpr double ROWS_A_PLACE = 8.5, LEAST_STEP = 1e-4;
+constexpr Size MOST_PLACES = 10;  // most places that are compared
+constexpr double ROWS_A_PLACE = 8.5, LEAST_SPACING = 1e-4;
 constexpr float LEAST_BELIEF = 1e-38F;
 
 // The quantile of the normal distribution of a probability from 1e-11 to 1/2 (Wichura, Applied
@@ -42,7 +42,7 @@ double quantile(double probability) {
 // The mean steps between the highest of so many normal values (Blom, 1958).
 std::vector<double> mean_steps(double places) {
   std::vector<double> means, steps;
-  for (Size rank = 1; rank <= std::min(PLACES, static_cast<Size>(places)); ++rank)
+  for (Size rank = 1; rank <= std::min(MOST_PLACES, static_cast<Size>(places)); ++rank)
     means.push_back(quantile((static_cast<double>(rank) - 0.375) / (places + 0.25)));
   for (std::size_t rank = 1; rank < means.size(); ++rank)
     steps.push_back(means[rank] - means[rank - 1]);
@@ -82,14 +82,14 @@ std::vector<Peak<Number>> peaks_of(const Number *values, const Rows &rows) {
 template <typename Number>
 std::vector<Peak<Number>> best_places(const Number *values, const Rows &rows) {
   std::vector<Peak<Number>> peaks = peaks_of(values, rows), best;
-  const auto most = static_cast<std::ptrdiff_t>(PLACES * (2 * ELSEWHERE + 1));
+  const auto most = static_cast<std::ptrdiff_t>(MOST_PLACES * (2 * ELSEWHERE + 1));
   if (static_cast<std::ptrdiff_t>(peaks.size()) > most) {  // no others can be among the best
     std::nth_element(peaks.begin(), peaks.begin() + most, peaks.end());
     peaks.resize(static_cast<std::size_t>(most));
   }
   std::sort(peaks.begin(), peaks.end());
   for (const Peak<Number> &peak : peaks) {
-    if (static_cast<Size>(best.size()) == PLACES) break;
+    if (static_cast<Size>(best.size()) == MOST_PLACES) break;
     if (std::all_of(best.begin(), best.end(), [&](const Peak<Number> &other) {
           return std::max(peak.row, other.row) - std::min(peak.row, other.row) > ELSEWHERE;
         }))
@@ -116,7 +116,7 @@ Chance compared(const Number *numbers, const Rows &rows, Size matching, Unit uni
     const double height = unit(best[step].value) - unit(best[step + 1].value);
     (step ? below : ahead) += height / means[step];
   }
-  const double ratio = 1 + ahead / std::max(below, LEAST_STEP);
+  const double ratio = 1 + ahead / std::max(below, LEAST_SPACING);
   found.chance = 1;
   for (Size step = 1; step < count; ++step) found.chance /= ratio;
   return found;
@@ -162,7 +162,7 @@ double answers_together(const std::vector<Size> &rivals) {
 namespace {
 constexpr double FOREIGN = 0.1;  // prior probability that the map lacks the place of the first query
 // Of the gamma density of right answers: the median of its rate, and the deviation of the rate's logit.
-constexpr double SLOPE = 0.25, DEVIATION = 0.6, REACH = 2.5;
+constexpr double SLOPE = 0.25, DEVIATION = 0.6, MOST_AWAY = 2.5;
 constexpr int FRACTIONS = 15, RATES = 11, SHAPES = 2;
 constexpr double STRETCH = 200;       // mean number of queries whose places the map has, or lacks
 constexpr double FEW = 2;             // of the density of the fraction of wrong answers, if followed
@@ -181,7 +181,7 @@ struct Point {
 };
 
 std::vector<Point> points_of_prior() {
-  const auto away = [](int each) { return -REACH + 2 * REACH * each / (RATES - 1); };
+  const auto away = [](int each) { return -MOST_AWAY + 2 * MOST_AWAY * each / (RATES - 1); };
   std::vector<Point> points;
   double weights = 0;
   for (int each = 0; each < RATES; ++each) weights += exp_of(-away(each) * away(each) / 2);

@@ -8,7 +8,7 @@ namespace {
 constexpr int LANES = 16;
 constexpr Size BLOCK = 1024;  // rows that are moved at once: they fit into the nearest cache
 constexpr double HIGH = 1e6;  // a future is scaled beyond it
-constexpr double LEAST = std::numeric_limits<float>::min();  // a sum of probabilities below it is 0
+constexpr double LEAST_TOTAL = std::numeric_limits<float>::min();  // a sum of probabilities below it is 0
 
 // Probability of each step at each speed: 0, 1/2, 1, 3/2, 2, 3 and 4 rows a frame.
 const std::array<std::vector<std::pair<Size, double>>, SPEEDS> STEPS = {{
@@ -72,8 +72,8 @@ void likelihoods(const float *scores, Size count, double level, double weight, L
   on_cpu([=](auto) {
     for (Size i = 0; i < count; ++i) {
       const double far = 1 - static_cast<double>(scores[i]);
-      const double told = (-log_of(far > limits.least ? far : limits.least) - level) * weight;
-      const double known = told < limits.most ? told : limits.most;
+      const double emission = (-log_of(far > limits.least ? far : limits.least) - level) * weight;
+      const double known = emission < limits.most ? emission : limits.most;
       found[i] = static_cast<float>(exp_of(scores[i] == NONE ? limits.none : known));
     }
   });
@@ -369,7 +369,7 @@ Belief Filter::extended(const Belief &belief, const Rows &rows) const {
 
 // Moves the belief in listed rows. Returns what reaches rows that are not listed; what leaves its drive
 // is lost.
-double Filter::moved(const Belief &before, Belief &after, double &lost) const {
+double Filter::transition(const Belief &before, Belief &after, double &lost) const {
   const Size here = before.rows.count, there = after.rows.count;
   const double kept = 1 - motion_.jump;
   double left = 0;
@@ -412,7 +412,7 @@ Belief Filter::predicted(const Belief &before, const Rows &rows) const {
   const auto ways = static_cast<Size>(ways_.size());
   Belief after{rows, std::vector<float>(static_cast<std::size_t>(ways * SPEEDS * there)), 0, 0};
   double lost = motion_.jump * (1 - before.unmapped);
-  const double left = moved(before, after, lost);
+  const double left = transition(before, after, lost);
   Size fresh = 0;  // listed now, but not before
   visit_others(rows, before.rows, drives_, [&](Size, Size count) { fresh += count; });
   const double stayed = before.elsewhere * (1 - motion_.jump);
@@ -441,22 +441,22 @@ Belief Filter::predicted(const Belief &before, const Rows &rows) const {
 double Filter::update(Belief &belief, const Likelihood &likelihood) const {
   const Size count = belief.rows.count, others = drives_.rows - count;
   const auto states = static_cast<Size>(ways_.size()) * SPEEDS;
-  const float *told = likelihood.rows.data();
+  const float *emission = likelihood.rows.data();
   const auto total_of = [&](const Belief &some) {
     double total = some.elsewhere * likelihood.elsewhere + some.unmapped;
     for (Size state = 0; state < states; ++state)
-      total += dot(some.mapped.data() + state * count, told, count);
+      total += dot(some.mapped.data() + state * count, emission, count);
     return total;
   };
   double total = total_of(belief);
-  if (total < LEAST) total = total_of(belief = start(belief.rows));
-  if (total < LEAST) return 0;
+  if (total < LEAST_TOTAL) total = total_of(belief = start(belief.rows));
+  if (total < LEAST_TOTAL) return 0;
   for (Size state = 0; state < states; ++state)
-    multiply(belief.mapped.data() + state * count, told, static_cast<float>(1 / total), count);
+    multiply(belief.mapped.data() + state * count, emission, static_cast<float>(1 / total), count);
   belief.elsewhere *= likelihood.elsewhere;
   belief.elsewhere /= total;
   belief.unmapped /= total;
-  const double mean = (sum(told, count) + static_cast<double>(others) * likelihood.elsewhere) /
+  const double mean = (sum(emission, count) + static_cast<double>(others) * likelihood.elsewhere) /
                       static_cast<double>(std::max<Size>(1, drives_.rows));
   const double unmapped = unmapped_at_start();
   return log_of(total / ((1 - unmapped) * mean + unmapped));
@@ -467,7 +467,7 @@ Future Filter::none(const Belief &belief) const {
 }
 
 // The future of a piece of neighbouring rows, by that of the later rows.
-void Filter::moved_back(const Run &piece, std::size_t way, const Future &future, const Rows &later,
+void Filter::transition_back(const Run &piece, std::size_t way, const Future &future, const Rows &later,
                         const Likelihood &likelihood, double lost, Future &earlier,
                         Size here) const {
   const Size size = piece.last - piece.first, there = later.count;
@@ -484,8 +484,8 @@ void Filter::moved_back(const Run &piece, std::size_t way, const Future &future,
     visit(
         first, first + size + width - 1, piece.drive, later, drives_,
         [&](Size row, Size place, Size count) {
-          const float *told = likelihood.rows.data() + place;
-          for (Size i = 0; i < count; ++i) padded[row - first + i] = from[place + i] * told[i];
+          const float *emission = likelihood.rows.data() + place;
+          for (Size i = 0; i < count; ++i) padded[row - first + i] = from[place + i] * emission[i];
         },
         [&](Size row, Size count) { std::fill_n(padded.begin() + row - first, count, elsewhere); },
         [&](Size row, Size count) {
@@ -507,11 +507,11 @@ Future Filter::before(const Belief &belief, const Rows &later, const Likelihood 
                       const Future &future) const {
   const Size here = belief.rows.count, there = later.count;
   const auto ways = static_cast<Size>(ways_.size());
-  const float *told = likelihood.rows.data();
+  const float *emission = likelihood.rows.data();
   double any_row = 0;
   for (Size state = 0; state < ways * SPEEDS; ++state)
     any_row += PRIOR[static_cast<std::size_t>(state % SPEEDS)] *
-               dot(future.mapped.data() + state * there, told, there);
+               dot(future.mapped.data() + state * there, emission, there);
   const double elsewhere = future.elsewhere * likelihood.elsewhere;
   any_row += static_cast<double>((drives_.rows - there) * ways) * elsewhere;
   any_row /= static_cast<double>(places());
@@ -520,7 +520,7 @@ Future Filter::before(const Belief &belief, const Rows &later, const Likelihood 
   earlier.unmapped = motion_.stay * future.unmapped + (1 - motion_.stay) * any_row;
   in_pieces(belief.rows, [&](const Run &piece) {
     for (std::size_t way = 0; way < ways_.size(); ++way)
-      moved_back(piece, way, future, later, likelihood, lost, earlier, here);
+      transition_back(piece, way, future, later, likelihood, lost, earlier, here);
   });
   Size fresh = 0;
   double at_fresh = 0;
@@ -528,7 +528,7 @@ Future Filter::before(const Belief &belief, const Rows &later, const Likelihood 
     fresh += count;
     for (Size state = 0; state < ways * SPEEDS; ++state)
       at_fresh += PRIOR[static_cast<std::size_t>(state % SPEEDS)] *
-                  dot(future.mapped.data() + state * there + place, told + place, count);
+                  dot(future.mapped.data() + state * there + place, emission + place, count);
   });
   const double part =
       static_cast<double>(fresh) / static_cast<double>(std::max<Size>(1, drives_.rows - here));
@@ -537,7 +537,7 @@ Future Filter::before(const Belief &belief, const Rows &later, const Likelihood 
   const auto count = static_cast<Size>(earlier.mapped.size());
   const double most = highest(earlier.mapped.data(), count);
   const double high = std::max({earlier.unmapped, earlier.elsewhere, most});
-  if (high < LEAST) return none(belief);
+  if (high < LEAST_TOTAL) return none(belief);
   if (high > HIGH || high < 1 / HIGH) {
     scale(earlier.mapped.data(), static_cast<float>(1 / high), count);
     earlier.elsewhere /= high;
@@ -562,7 +562,7 @@ std::pair<std::vector<float>, double> Filter::smoothed(const Belief &belief,
       total += dot(now, then, count);
   }
   total += sum(rows.data(), count);
-  if (total < LEAST) return smoothed(belief, none(belief));
+  if (total < LEAST_TOTAL) return smoothed(belief, none(belief));
   scale(rows.data(), static_cast<float>(1 / total), count);
   return {rows, unmapped / total};
 }

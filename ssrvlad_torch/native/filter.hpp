@@ -175,8 +175,8 @@ class Filter {
   std::pair<std::vector<float>, double> smoothed(const Belief &belief, const Future &future) const;
 
  private:
-  double moved(const Belief &before, Belief &after, double &lost) const;
-  void moved_back(const Run &piece, std::size_t way, const Future &future, const Rows &later,
+  double transition(const Belief &before, Belief &after, double &lost) const;
+  void transition_back(const Run &piece, std::size_t way, const Future &future, const Rows &later,
                   const Likelihood &likelihood, double lost, Future &earlier, Size here) const;
   Size places() const;  // the number of rows, in all ways; of an empty map as of one row
   double unmapped_at_start() const;

@@ -7,6 +7,8 @@
 #include <cstring>
 #include <iterator>
 
+#include "fusion.hpp"
+
 namespace places {
 
 namespace {
@@ -14,27 +16,27 @@ constexpr Size RECENT = 10;  // least age of an excluded frame that can be the p
 constexpr Size STRIDE = 50;  // the previous frame is one before where so many are excluded
 constexpr std::size_t NEIGHBOURS = 1000;
 constexpr double EVIDENCE = 3, LEVEL_FRACTION = 0.9;
-constexpr double LEAST = 0.01;
+constexpr double LEAST_PLACE = 0.01;
 
 constexpr std::size_t FITS = 20, LEAST_FITS = 5;  // how well loops fit
 constexpr double FIT = 0.5, FIT_WEIGHT = 2;
 
-constexpr double MARGIN = 1.2;  // repeats
+constexpr double REPEAT_MARGIN = 1.2;
 constexpr Size DISTANT = 5;
 constexpr std::size_t TRACK = 15;
 
-constexpr float KEPT = 0.93F;  // tracks
+constexpr float SMOOTHING = 0.93F;  // tracks
 constexpr double EXPLAINED = 0.9;
-constexpr float BY_CHANCE = 1.5F, CLEAR = 0.12F, SAME = 0.75F, LEAST_STEP = 0.02F;
+constexpr float BY_CHANCE = 1.5F, CLEAR = 0.12F, SAME = 0.75F, LEAST_CLOSENESS = 0.02F;
 constexpr std::size_t USUAL = 100, EARLIER = 1000, LEAST_BY_CHANCE = 5;
-constexpr Size WAIT = 25, AROUND = 50, BESIDE = 10;
+constexpr Size WAIT = 25, TRACKED = 50, BESIDE = 10;
 
 constexpr double GAP = 600, TIMES = 10;  // stretches
 constexpr Size LAST_FRAMES = 50, LEAST_FRAMES = 20, LAST = 3, APART = 10;
 constexpr double LIKE = 0.5, SPREADS = 3;
 
 constexpr Size LATEST = 50;  // large memories
-constexpr double SAMPLE = 0.04, BEST = 0.01;
+constexpr double SAMPLED_PART = 0.04, CHOSEN_PART = 0.01;
 
 constexpr Motion MOTION = {0.01, 0.01, 0.3, 0.97, 0.25, 0.5, 1};
 
@@ -65,42 +67,16 @@ void keep(std::deque<Number> &values, Number value, std::size_t most) {
   if (values.size() > most) values.pop_front();
 }
 
-// Mean and deviation of nearness, also of equal values; 0 without values.
-Spread plain_spread(const float *near, Size count) {
-  double total = 0, squares = 0;
-  Size known = 0;
-  for (Size i = 0; i < count; ++i)
-    if (near[i] != NONE) total += static_cast<double>(near[i]), ++known;
-  const double mean = total / static_cast<double>(std::max<Size>(1, known));
-  for (Size i = 0; i < count; ++i)
-    if (near[i] != NONE) squares += (near[i] - mean) * (near[i] - mean);
-  return {mean, std::sqrt(squares / static_cast<double>(std::max<Size>(1, known)))};
-}
-
 // How many deviations the nearest row is ahead of the nearest elsewhere; rows without a score are at the
 // mean.
 double lead(const float *near, Size count, const Spread &spread) {
   if (count <= 2 * ELSEWHERE + 1) return 0;
-  const auto at = [&](Size row) {
-    return near[row] == NONE ? spread.mean : static_cast<double>(near[row]);
-  };
-  Size first = 0;
-  for (Size row = 1; row < count; ++row)
-    if (at(row) > at(first)) first = row;
-  double rival = -std::numeric_limits<double>::infinity();
-  for (Size row = 0; row < count; ++row)
-    if (std::abs(row - first) > ELSEWHERE) rival = std::max(rival, at(row));
-  return (at(first) - rival) / std::max(spread.deviation, MIN_SPREAD);
-}
-
-// Adds a channel's weighted z-scores of nearness to sums; nothing where a row has no score.
-void add_scaled(const float *near, Size count, double mean, double factor, double *sums) {
-  on_cpu([=](auto) {
-    for (Size i = 0; i < count; ++i) {
-      const double value = near[i] == NONE ? mean : static_cast<double>(near[i]);
-      sums[i] += (value - mean) * factor;
-    }
+  std::vector<double> values(near, near + count);
+  std::replace(values.begin(), values.end(), static_cast<double>(NONE), spread.mean);
+  const auto [best, other] = leading(values.data(), count, [&](Size row) {
+    return std::make_pair(std::max<Size>(0, row - ELSEWHERE), std::min(row + ELSEWHERE + 1, count));
   });
+  return (best - other) / std::max(spread.deviation, MIN_SPREAD);
 }
 
 // Gives rows without nearness what their rough nearness lets expect: on the straight line through some
@@ -118,16 +94,6 @@ void expect(const std::vector<float> &rough, const std::vector<float> &known_rou
   for (std::size_t row = 0; row < near.size(); ++row)
     if (near[row] == NONE)
       near[row] = static_cast<float>(to.mean + slope * (static_cast<double>(rough[row]) - from.mean));
-}
-
-// Replaces scores by cosines of nearness, where there are some.
-void as_scores(const double *z, Size count, double mean, double deviation, float *scores) {
-  on_cpu([=](auto) {
-    for (Size i = 0; i < count; ++i) {
-      const float cosine = static_cast<float>(1 - exp_of(-(mean + deviation * z[i])));
-      scores[i] = scores[i] == NONE ? NONE : cosine;
-    }
-  });
 }
 
 // How much likelier a frame is at rows than at a new place, by their nearness.
@@ -210,7 +176,7 @@ bool Tracks::known() const { return by_chance_.size() >= LEAST_BY_CHANCE; }
 float Tracks::step() const {
   const double usual = median(std::vector<float>(steps_.begin(), steps_.end())) -
                        median(std::vector<float>(others_.begin(), others_.end()));
-  return std::max(LEAST_STEP, static_cast<float>(usual));
+  return std::max(LEAST_CLOSENESS, static_cast<float>(usual));
 }
 
 double Tracks::explained() const {
@@ -222,7 +188,7 @@ void Tracks::after(const float *near, Size count, Size old) {
   std::vector<float> before(place(count));
   before.swap(closeness_);
   if (count < 2 * BESIDE || near[count - 1] == NONE) return;
-  const std::vector<float> seen(near + std::max<Size>(0, count - AROUND), near + count - BESIDE);
+  const std::vector<float> seen(near + std::max<Size>(0, count - TRACKED), near + count - BESIDE);
   keep(steps_, near[count - 1], USUAL);
   keep(others_, static_cast<float>(median(seen)), USUAL);
   const Spread known = plain_spread(near, old);
@@ -231,7 +197,7 @@ void Tracks::after(const float *near, Size count, Size old) {
   const float usual = step();
   for (Size row = 0; row < count; ++row) {
     const float close = near[row] == NONE ? 0 : (near[row] - static_cast<float>(known.mean)) / usual;
-    closeness_[place(row)] = (row >= later ? KEPT * before[place(row - later)] : 0) + (1 - KEPT) * close;
+    closeness_[place(row)] = (row >= later ? SMOOTHING * before[place(row - later)] : 0) + (1 - SMOOTHING) * close;
   }
   closest_ = *std::max_element(closeness_.begin(), closeness_.begin() + old);
   densest_ = 0;
@@ -446,13 +412,13 @@ std::vector<float> Stream::scores(const void *const *swept, const Size *anchors,
     mean += weight[number] * own;
     deviation += weight[number] * spread;
   }
-  as_scores(z.data(), rows(), mean, deviation, found.data());
+  as_cosines(z.data(), rows(), mean, deviation, found.data());
   return found;
 }
 
 Size Stream::stride(Size old) const {
   if (large_.empty()) return 1;
-  const double most = std::max<double>(LATEST, SAMPLE * static_cast<double>(scan_above_));
+  const double most = std::max<double>(LATEST, SAMPLED_PART * static_cast<double>(scan_above_));
   return std::max<Size>(1, static_cast<Size>(std::ceil(static_cast<double>(old) / most)));
 }
 
@@ -466,7 +432,7 @@ std::vector<float> Stream::usual(const std::vector<float> &near, Size old) const
 // more probable than by guessing, and their neighbours.
 void Stream::choose(const std::vector<float> &rough, Size old, Chosen &chosen) const {
   const std::vector<float> known = usual(rough, old);
-  const double least = quantile({known.begin(), known.end()}, 1 - BEST);
+  const double least = quantile({known.begin(), known.end()}, 1 - CHOSEN_PART);
   chosen.resize(rough.size());
   for (std::size_t row = 0; row < rough.size(); ++row)
     chosen[row] |= static_cast<double>(rough[row]) >= least;
@@ -521,7 +487,7 @@ std::vector<float> Stream::likelihood(const std::vector<float> &near, const Spre
     here = same[place(row)];
     if (row >= candidates) continue;
     const double repeats = (static_cast<double>(repeats_.highest()[place(row)]) - spread.mean) *
-                               (MARGIN / spread.deviation) -
+                               (REPEAT_MARGIN / spread.deviation) -
                            level;
     if (repeats > 0) here *= static_cast<float>(exp_of(-weight * repeats));
     if (is_returning) here = std::max(here, others);
@@ -566,7 +532,7 @@ ssrvlad_loop Stream::result(const std::vector<float> &scored) {
   for (Size row = candidate; found.places < SSRVLAD_PLACES; ++found.places) {
     const auto [from, to] = near(row);
     const double probability = std::min(1.0, sum(rows.data() + from, to - from));
-    if (probability < LEAST) break;
+    if (probability < LEAST_PLACE) break;
     found.best[found.places] = {row, probability};
     std::fill(rows.begin() + from, rows.begin() + to, 0.0F);
     row = std::max_element(rows.begin(), rows.begin() + old_) - rows.begin();

@@ -1,0 +1,57 @@
+// What scores of several channels have in common when they become one: of a drive, of a sweep, of a stream.
+
+#ifndef SSRVLAD_FUSION_HPP
+#define SSRVLAD_FUSION_HPP
+
+#include <utility>
+#include <vector>
+
+#include "filter.hpp"
+
+namespace places {
+
+// Mean and deviation of nearness, also of values that are nearly equal; 0 without values.
+inline Spread plain_spread(const float *near, Size count) {
+  double total = 0, squares = 0;
+  Size known = 0;
+  for (Size i = 0; i < count; ++i)
+    if (near[i] != NONE) total += static_cast<double>(near[i]), ++known;
+  const double mean = total / static_cast<double>(std::max<Size>(1, known));
+  for (Size i = 0; i < count; ++i)
+    if (near[i] != NONE) squares += (static_cast<double>(near[i]) - mean) * (static_cast<double>(near[i]) - mean);
+  return {mean, std::sqrt(squares / static_cast<double>(std::max<Size>(1, known)))};
+}
+
+// Adds a channel's weighted z-scores of nearness to sums; nothing where a row has no score.
+inline void add_scaled(const float *near, Size count, double mean, double factor, double *sums) {
+  on_cpu([=](auto) {
+    for (Size row = 0; row < count; ++row)
+      sums[row] += near[row] == NONE ? 0 : (static_cast<double>(near[row]) - mean) * factor;
+  });
+}
+
+// Replaces scores by cosines of nearness, where there are some.
+inline void as_cosines(const double *z, Size count, double mean, double deviation, float *scores) {
+  on_cpu([=](auto) {
+    for (Size row = 0; row < count; ++row) {
+      const float cosine = static_cast<float>(1 - exp_of(-(mean + deviation * z[row])));
+      scores[row] = scores[row] == NONE ? NONE : cosine;
+    }
+  });
+}
+
+// The highest of values, and the highest that is not around it, from the first of two places to before the
+// second; -infinity without one.
+template <typename Number, typename Around>
+std::pair<Number, Number> leading(const Number *values, Size count, Around around) {
+  const Number *best = std::max_element(values, values + count);
+  const auto [before, after] = around(static_cast<Size>(best - values));
+  Number other = -std::numeric_limits<Number>::infinity();
+  for (Size row = 0; row < before; ++row) other = std::max(other, values[row]);
+  for (Size row = after; row < count; ++row) other = std::max(other, values[row]);
+  return {*best, other};
+}
+
+}  // namespace places
+
+#endif
