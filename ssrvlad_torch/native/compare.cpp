@@ -151,7 +151,8 @@ void Fused::compute(Size first, Size last, float *scores) const {
     for (std::size_t member = 0; member < members_.size(); ++member) {
       const Scaled scaled(scores_of(*members_[member], query), listing_);
       add_scaled(scaled.near.data(), rows(), scaled.mean, weights_[member] / scaled.unit(), z.data());
-      for (Size row = 0; row < rows(); ++row) scores[row] = std::max(scores[row], scaled.near[static_cast<std::size_t>(row)]);
+      for (Size row = 0; row < rows(); ++row)  // a NaN stays one
+        scores[row] = std::max(scaled.near[static_cast<std::size_t>(row)], scores[row]);
       mean += weights_[member] * scaled.mean;
       deviation += weights_[member] * scaled.deviation;
     }

@@ -8,11 +8,11 @@
 #error "compile without -ffast-math: the core needs infinity, NaN and the rounding that is written"
 #endif
 
-#if defined(__GNUC__)
-#define SSRVLAD_INLINE inline __attribute__((always_inline))
-#else
-#define SSRVLAD_INLINE inline
+#ifndef __GNUC__
+#error "compile with GCC or Clang: kernels are written for them"
 #endif
+
+#define SSRVLAD_INLINE inline __attribute__((always_inline))
 
 #ifndef SSRVLAD_SIMD
 #define SSRVLAD_SIMD 2  // the highest of the table that runs: tests try each
@@ -20,7 +20,7 @@
 
 #include <algorithm>
 
-#if defined(__x86_64__) && defined(__GNUC__)
+#if defined(__x86_64__)
 #define SSRVLAD_X86
 #include <cpuid.h>
 #include <immintrin.h>

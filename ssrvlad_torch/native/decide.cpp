@@ -34,12 +34,6 @@ constexpr double BY_ROWS = 0.5;
 // The gain a query that only drives have, and a difference of mean confidences.
 constexpr double DRIVE = 0.5, MARGIN = 0.05;
 
-std::vector<Size> in_order(Size count) {
-  std::vector<Size> order(count);
-  std::iota(order.begin(), order.end(), 0);
-  return order;
-}
-
 // ------------------------------------------------------------------------------------------ evidence
 
 // What is known of one query: its scores at the listed rows, and how many rows of the map could match, less
@@ -47,7 +41,7 @@ std::vector<Size> in_order(Size count) {
 struct Sight {
   const Rows &rows;
   std::vector<float> scores;
-  Size matching = -1;
+  Size matching;
   Likelihood likelihood;  // if the query is followed
   std::vector<float> z;   // beside others: by how many deviations each row is nearer than the mean of all
 };
@@ -69,8 +63,7 @@ class Evidence {
 
   // A query by itself.
   Sight alone(Size query) const {
-    Sight sight{
-        listing_.rows, std::vector<float>(static_cast<std::size_t>(listing_.count())), {}, {}};
+    Sight sight{listing_.rows, std::vector<float>(static_cast<std::size_t>(listing_.count())), -1, {}, {}};
     scores_.of(query, sight.scores.data());
     const Size count = listing_.count();
     if (std::isnan(sum(sight.scores.data(), count)) || highest(sight.scores.data(), count) > HIGHEST_SCORE)

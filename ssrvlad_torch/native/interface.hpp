@@ -17,10 +17,7 @@ struct Failed {
 };
 
 // Refuses an argument, with a reason as of printf.
-#if defined(__GNUC__)
-__attribute__((format(printf, 1, 2)))
-#endif
-[[noreturn]] void refuse(const char *reason, ...);
+[[noreturn]] __attribute__((format(printf, 1, 2))) void refuse(const char *reason, ...);
 
 inline void require(bool holds, const char *expected = "arguments in range") {
   if (!holds) refuse("expected %s", expected);

@@ -22,30 +22,8 @@ constexpr double MIN_SQUARE = 1e-9, LEAST = 1e-3;  // of a length without a mean
 std::size_t place(Size at) { return static_cast<std::size_t>(at); }
 
 // Numbers that a processor takes at once; one that takes fewer makes several of them.
-#if defined(__GNUC__)
 SSRVLAD_INLINE void prefetch(const void *numbers) { __builtin_prefetch(numbers); }
 typedef float Lanes __attribute__((vector_size(LANES * sizeof(float)), aligned(4), may_alias));
-#else
-void prefetch(const void *) {}
-
-struct Lanes {
-  float of[LANES];
-
-  float operator[](Size lane) const { return of[lane]; }
-};
-
-Lanes operator-(Lanes a, const Lanes &b) {
-  for (Size i = 0; i < LANES; ++i) a.of[i] -= b.of[i];
-  return a;
-}
-Lanes operator*(Lanes a, const Lanes &b) {
-  for (Size i = 0; i < LANES; ++i) a.of[i] *= b.of[i];
-  return a;
-}
-void operator+=(Lanes &a, const Lanes &b) {
-  for (Size i = 0; i < LANES; ++i) a.of[i] += b.of[i];
-}
-#endif
 
 SSRVLAD_INLINE const Lanes &load(const float *numbers) {
   return *reinterpret_cast<const Lanes *>(numbers);

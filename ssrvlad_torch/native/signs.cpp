@@ -10,15 +10,7 @@ namespace {
 
 constexpr Size SCANNED_ROWS = 1024;
 
-SSRVLAD_INLINE int ones(Word word) {
-#if defined(__GNUC__)
-  return __builtin_popcountll(word);
-#else
-  int bits = 0;
-  for (; word; word &= word - 1) ++bits;
-  return bits;
-#endif
-}
+SSRVLAD_INLINE int ones(Word word) { return __builtin_popcountll(word); }
 
 // The bits in which some words differ from others.
 template <class Processor>

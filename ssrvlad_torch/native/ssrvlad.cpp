@@ -43,15 +43,7 @@ constexpr int AREA_LAYERS = 6, DIRECTIONS = 4;
 constexpr double FAINT = 1e-4;  // below it, coefficients stay linear
 constexpr double BOUNDARY_WIDTH = 2;  // a straight boundary is counted at 2 pixels across it
 
-inline int lowest_bit(Word word) {
-#if defined(__GNUC__)
-  return __builtin_ctzll(word);
-#else
-  int bit = 0;
-  while (!(word >> bit & 1)) ++bit;
-  return bit;
-#endif
-}
+inline int lowest_bit(Word word) { return __builtin_ctzll(word); }
 
 SSRVLAD_INLINE int count_bits(Word word) {
   word -= word >> 1 & 0x5555555555555555;
