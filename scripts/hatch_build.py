@@ -36,7 +36,7 @@ FOR_BROWSERS = [
     "-Wl,--export-dynamic,--export=malloc,--export=free",
 ]
 ZIG = [sys.executable, "-m", "ziglang", "c++"]
-ZIGLANG = "ziglang>=0.15"
+ZIGLANG = "ziglang>=0.17.1"  # 0.15 and 0.16 lack AVX-512 where a function alone asks for it
 WITHOUT_RUNTIME = ["-static-libstdc++", "-static-libgcc"]
 
 
@@ -120,7 +120,7 @@ def _zig_here() -> list[str]:
     system = {"darwin": "macos", "win32": "windows"}.get(sys.platform, sys.platform)
     machine = platform.machine().lower().replace("amd64", "x86_64")
     wheel = WHEELS.get(f"{system}_{machine}")
-    return [*ZIG, *(["-target", wheel.target] if wheel else ["-mcpu=baseline"])]
+    return [*ZIG, *(["-target", wheel.target] if wheel else ["-mcpu=baseline"]), "-s"]
 
 
 def build(root: Path) -> str:
