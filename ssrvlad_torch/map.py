@@ -142,7 +142,8 @@ class Map:
 
     def __len__(self) -> int:
         """Number of frames."""
-        return len(self._database) if self._database else 0
+        database = self._stored()
+        return len(database) if database else 0
 
     def __repr__(self) -> str:
         return f"<Map {self.path}: {len(self)} frames>"
@@ -150,7 +151,11 @@ class Map:
     @property
     def database(self) -> Database:
         """The database; a ValueError before the first `add`."""
-        if self._database is None:
+        return self._stored() or Database.open(self.path)
+
+    def _stored(self) -> Database | None:
+        """The database, opened anew after an `add` that was cut off; ``None`` if there is none."""
+        if self._database is None and Database.exists(self.path):
             self._database = Database.open(self.path)
         return self._database
 
@@ -163,7 +168,7 @@ class Map:
         note: Note = do_nothing,
     ) -> SelectedFrames:
         """The frames on disk, before the first is read; see `open_frames`."""
-        selection, database = _selection(frames), self.database if compared else self._database
+        selection, database = _selection(frames), self.database if compared else self._stored()
         source = open_frames(
             selection,
             database,
@@ -205,13 +210,15 @@ class Map:
         source = frames if isinstance(frames, SelectedFrames) else self.source(frames, note=note)
         if options.gpus and not source.segmenter:
             raise ValueError("--gpus needs --engine ray and --segmenter")
-        head = SSRVLAD(config_for(self._database, self.preset, source.labels_as))
-        beside = channels_to_store(self._database, head, source.segmenter, self.channels, note)
-        new = self._database is None
+        stored = self._stored()
+        head = SSRVLAD(config_for(stored, self.preset, source.labels_as))
+        beside = channels_to_store(stored, head, source.segmenter, self.channels, note)
+        new = stored is None
         if new:
             self._note_void(source, head, note)
         run = encode_with_ray if engine == "ray" else encode_to_database
         columns = [channel.column for channel in beside]
+        self._database = None  # until all is written
         database = Database.open_or_create(self.path, head.config, columns)
         try:
             summary = run(head, source.files, database, options, source.segmenter)

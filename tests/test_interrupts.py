@@ -1,20 +1,27 @@
-"""An interrupt between any two lines leaves a stream whole: what was begun is done, or can be done
-again, and all later answers are those of an undisturbed run."""
+"""An interrupt between any two lines leaves a stream or a map whole: what was begun is done, or can
+be done again, and all later answers are those of an undisturbed run."""
 
+import shutil
 from functools import partial
 
 import numpy as np
 import pytest
+import torch
+from drives import write_maps
 from interrupting import Lines
 from loop_streams import views
 
-from ssrvlad_torch import SSRVLAD, Database, LoopDetector
+from ssrvlad_torch import SSRVLAD, Database, LoopDetector, Map
+from ssrvlad_torch.encoding.results import EncodeOptions
 from ssrvlad_torch.loops.config import LoopConfig
+from ssrvlad_torch.search.coarse_index import build
 
 HEAD = SSRVLAD.from_preset("default", labels_as="camvid-11")
 CONFIG = LoopConfig(exclude=5, sweep=False)
 STREAM = ["loops", "native/loops.py", "native/addresses.py"]
 STORE = ["loops", "database/database.py", "database/engine.py"]
+ADD = ["map.py", "database", "encoding/plan.py", "search"]
+QUERY = ["map.py", "database", "search", "recognition", "native/map.py"]
 VECTORS = views([*range(40), *range(10, 40)])
 
 
@@ -81,3 +88,63 @@ def test_frames_of_another_stream_are_not_taken_for_saved_ones(tmp_path):
     detector_of(3).save(database)
     with pytest.raises(ValueError, match="expected the database of this stream, with no frame"):
         detector_of(3).save(database)
+
+
+def add(town, maps):
+    """In this thread alone, which is the one that is interrupted."""
+    town.add(maps, EncodeOptions(workers=1))
+
+
+def places(answers):
+    return [
+        (answer.query, answer.confidence, [(each.frame, each.score) for each in answer.candidates])
+        for answer in answers
+    ]
+
+
+@pytest.mark.parametrize("stored", [0, 2])
+def test_after_an_interrupted_add_the_map_goes_on(tmp_path, stored):
+    """A new one, or one of two frames with an index: it has what is stored, and the next `add` adds
+    what is missing."""
+    maps = write_maps(tmp_path / "monday", range(3))
+    right = Map.open(tmp_path / "right", labels_as="camvid-11")
+    add(right, maps)
+    expected, answers = right.database.load(), places(right.query(maps))
+
+    def town_of(name):
+        town = Map.open(tmp_path / name, labels_as="camvid-11")
+        if stored:
+            add(town, [maps / f"{row:03d}.png" for row in range(stored)])
+            build(town.database)
+        return town
+
+    lines, sizes = Lines(ADD), set()
+    lines.run(lambda: add(town_of("first"), maps))
+    for at in range(1, lines.count + 1):
+        town = town_of(str(at))
+        if not Lines(ADD, at).run(partial(add, town, maps)):
+            break
+        sizes.add(len(town))
+        assert len(town) == (len(Database.open(town.path)) if Database.exists(town.path) else 0)
+        add(town, maps)
+        frames = town.database.load()
+        assert frames.frames == expected.frames
+        assert torch.equal(frames.descriptors, expected.descriptors)
+        if at % 20 == 0:
+            assert places(town.query(maps)) == answers
+        shutil.rmtree(town.path)
+    assert sizes == {stored, 3}
+    assert [entry.name for entry in tmp_path.glob(".*")] == []
+
+
+def test_after_an_interrupted_query_the_map_answers_as_before(tmp_path):
+    maps = write_maps(tmp_path / "monday", range(3))
+    town = Map.open(tmp_path / "town", labels_as="camvid-11")
+    add(town, maps)
+    expected, lines = places(town.query(maps)), Lines(QUERY)
+    lines.run(lambda: town.query(maps))
+    for at in range(1, lines.count + 1):
+        Lines(QUERY, at).run(lambda: town.query(maps))
+        if at % 3 == 0:
+            assert places(town.query(maps)) == expected
+    assert len(town) == 3

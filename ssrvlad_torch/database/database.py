@@ -95,8 +95,9 @@ class Database:
             raise ValueError(f"expected Database.open({path!r}), got Database({path!r})")
         self.path = path
         self._read_only = read_only
-        self._lock = threading.Lock()
+        self._lock = threading.RLock()
         self._use(table)
+        self._checked = self.version
 
     def _use(self, table: LanceDataset) -> None:
         metadata = TableMetadata.of(table.schema.metadata or {}, self.path)
@@ -419,7 +420,7 @@ class Database:
             raise ValueError(f"frames for {self.path} were written twice")
 
         def plan(table: LanceDataset) -> Any:
-            if check and table.version != self.version:
+            if check and table.version != self._checked:
                 check(StoredRecords(self._columns(RECORD_COLUMNS, table)))
             stored = self._columns(["frame"], table)["frame"]
             existing = ids.filter(pc.is_in(ids["frame"], stored))["frame"]
@@ -448,10 +449,17 @@ class Database:
         self._apply(partial(engine.clean, keep=timedelta(days=keep_days)))
 
     def _apply(self, change: Callable[[LanceDataset], LanceDataset]) -> None:
-        """Changes the newest version; see `engine.change_table`."""
+        """Changes the newest version; see `engine.change_table`. An interrupt may come after the
+        commit: then this object reads what is stored, whose records are not checked yet."""
         self._require_writable()
         with self._lock:
-            self._use(engine.change_table(self.path, change))
+            try:
+                self._use(engine.change_table(self.path, change))
+                self._checked = self.version
+            except BaseException as error:
+                if not isinstance(error, Exception):
+                    self._use(engine.open_table(self.path))
+                raise
 
     def _require_writable(self) -> None:
         engine.lance()  # refuses a fork, where a lock of another thread may never be released
