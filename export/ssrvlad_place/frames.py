@@ -58,12 +58,15 @@ def find_frames(
 
 
 def read_labels(path: Path, classes: list[dict[str, Any]], dtype: Any) -> Array:
-    """The label map in a file, ``(H, W)`` of a dtype, by the classes of a label space.
+    """The label map in a file, in an array also ``(H, W, 1)``, as ``(H, W)`` of a dtype, by the
+    classes of a label space.
 
     Raises:
         ValueError: it holds something else, or ids that the dtype cannot hold.
     """
     labels = read_npy(path) if _is_npy(path) else _label_picture(path, classes)
+    if labels.ndim == 3 and labels.shape[2] == 1:
+        labels = labels[..., 0]
     if labels.ndim != 2 or labels.size == 0 or labels.dtype.kind not in "iu":
         raise ValueError(f"expected an (H, W) label map, got {labels.shape} {labels.dtype}")
     converted = labels.astype(dtype)
@@ -85,7 +88,8 @@ def read_scores(path: Path, dtype: Any) -> Array:
 
 def read_photograph(path: Path) -> Array:
     """The picture in a file, ``(H, W, 3)`` uint8 in RGB, as `ssrvlad encode` reads it; another
-    file, pixels of 32 bits or floats, and what looks like a label map are a ValueError."""
+    file, several pages, gray of at most 12 bits in pixels of 16, pixels of 32 bits or floats, and
+    what looks like a label map are a ValueError."""
     pixels = read_npy(path) if _is_npy(path) else _picture(path)
     if pixels.ndim != 3 or pixels.shape[2] != 3 or pixels.size == 0 or pixels.dtype != np.uint8:
         raise ValueError(f"expected (H, W, 3) uint8, got {pixels.shape} {pixels.dtype}")
@@ -153,7 +157,7 @@ def _picture(path: Path) -> Array:
     if image.mode in ("L", "P"):
         _require_photograph(np.asarray(image))
     if image.mode in _SIXTEEN_BIT:
-        image = Image.fromarray((np.asarray(image) >> 8).astype(np.uint8))
+        image = Image.fromarray(_high_bytes(np.asarray(image)))
     elif image.mode not in _EIGHT_BIT:
         raise ValueError(
             f"expected an image of 8 or 16 bits in gray or colour, got mode {image.mode}"
@@ -161,6 +165,14 @@ def _picture(path: Path) -> Array:
     if "transparency" in image.info:
         image = image.convert("RGBA")
     return np.asarray(image.convert("RGB"))
+
+
+def _high_bytes(gray: Array) -> Array:
+    """Gray of 16 bits as 8; one of at most 12 bits would become black."""
+    bits = int(gray.max()).bit_length()
+    if 0 < bits <= 12:
+        raise ValueError(f"gray of {bits} bits in pixels of 16; expected values up to 65535")
+    return (gray >> 8).astype(np.uint8)
 
 
 def _require_photograph(values: Array) -> None:
@@ -185,6 +197,9 @@ def _open_image(path: Path, formats: Sequence[str]) -> Any:
     content = path.read_bytes()
     try:
         with Image.open(io.BytesIO(content), formats=formats) as image:
+            pages = getattr(image, "n_frames", 1)
+            if pages > 1 and image.format != "MPO":
+                raise ValueError(f"has {pages} pages; expected one, a file for each frame")
             image.verify()  # decoding a PNG does not check its checksums
         return Image.open(io.BytesIO(content), formats=formats)
     except UnidentifiedImageError as error:
