@@ -62,7 +62,7 @@ void Map::add(const ssrvlad_channel &channel) {
 std::unique_ptr<Comparison> Map::compare(const Member &member, const ssrvlad_queries &queries, Size count,
                                          bool standardised, bool swept, int threads) const {
   const Size size = member.channel ? member.of_mean : listing_.count();
-  require((queries.descriptors || !count) && queries.anchors >= 1 && queries.anchors % 2 == 1 &&
+  require((queries.descriptors || !count || !size) && queries.anchors >= 1 && queries.anchors % 2 == 1 &&
           may_be({count, queries.anchors, size}));
   const auto *numbers = static_cast<const float *>(queries.descriptors);
   if (!member.channel) return comparison_of_scores(numbers, count, size);
