@@ -23,8 +23,10 @@ export function metadataOf(file) {
 export function skeletonTensor(file) {
   for (const graph of messages(file, MODEL.graph)) {
     for (const node of messages(graph, GRAPH.node)) {
-      const name = text(node, NODE.output);
-      if (/(^|\/)skeleton$/.test(name)) return name;
+      for (const output of messages(node, NODE.output)) {
+        const name = decoder.decode(output);
+        if (/(^|\/)skeleton$/.test(name)) return name;
+      }
     }
   }
   return null;
