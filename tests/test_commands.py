@@ -189,5 +189,5 @@ def test_show_takes_an_image(network, ssrvlad, tmp_path):
     )
     sky = np.array([128, 128, 128])
     assert (np.abs(np.asarray(shown)[..., :3] - sky) < 2).all(-1).any()
-    assert len([*(tmp_path / "cache").rglob("*.png")]) == 1
+    assert len([*(tmp_path / "cache").rglob("*.npz")]) == 1
     assert "--labels-as" in ssrvlad("show", frame, "-o", picture)[2][0]

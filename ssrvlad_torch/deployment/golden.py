@@ -22,6 +22,8 @@ TOLERANCE = 1e-6
 """Largest difference of a number of a descriptor. Counts must be equal."""
 
 _IMAGES = 2
+"""At least; more if they have too few patches for all ids of a label space."""
+
 PATCHES = 40
 _SPECKS = 60
 _OPEN = [CATEGORIES[k] for k in OPEN_LAYERS]
@@ -50,7 +52,7 @@ def golden_pair(
         ids = ids[(ids >= 0) & (ids < 256)] if dtype == "uint8" else ids
     if ids.size == 0:
         raise ValueError(f"label space {space.name} has no id from 0 to 255; expected dtype int64")
-    images, height, width = shape or (_IMAGES, *SIZE)
+    images, height, width = shape or (max(_IMAGES, -(-len(ids) // PATCHES)), *SIZE)
     labels = np.stack([_drawn(head, ids, (height, width), number) for number in range(images)])
     if input == "labels":
         unknown = np.setdiff1d(np.arange(256), ids)[-1:]
