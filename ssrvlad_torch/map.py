@@ -46,7 +46,7 @@ from .search.answers import Answer, Answers
 from .search.coarse_index import grow
 from .search.exact import chosen_channels, locate_view, search
 from .search.material import Material
-from .search.near import Near
+from .search.near import Near, Posed
 from .search.shortlist import Shortlist, open_shortlist
 from .segmentation.segmenter import Segmenter
 from .taxonomy import VOID, LabelSpace
@@ -54,8 +54,9 @@ from .taxonomy import VOID, LabelSpace
 Frames = str | os.PathLike[str] | Sequence[str | os.PathLike[str]] | FrameSelection
 """Folders, globs or files, each folder a sequence; or `FrameSelection`, which says more."""
 
-Circle = str | Sequence[float]
-"""A place that is roughly known: x, y and a radius in metres, or the text ``X,Y,METRES``."""
+Circle = str | Sequence[float] | Posed
+"""A place that is roughly known: x, y and a radius in metres, or the text ``X,Y,METRES``; or all
+frames of known pose."""
 
 Engine = Literal["local", "ray"]
 
@@ -264,7 +265,7 @@ class Map:
             ValueError: there are no frames, they do not fit the map, or the map has no poses in the
                 circle.
         """
-        circle = None if near is None else Near.of(near)
+        circle = near if near is None or isinstance(near, Posed) else Near.of(near)
         source, steps = self._source(frames), steps or Steps()
         if not isinstance(steps, Steps):
             raise ValueError(f"expected steps as Steps, got {steps!r}")
@@ -306,7 +307,8 @@ class Map:
             ValueError: something is no picture, the network fails, or the map has no frames, or
                 none in the circle.
         """
-        circle, top = None if near is None else Near.of(near), checked_number("top", top, 1)
+        circle = near if near is None or isinstance(near, Posed) else Near.of(near)
+        top = checked_number("top", top, 1)
         several = isinstance(pictures, Sequence) and not isinstance(pictures, str)
         given: Sequence[Picture] = pictures if several else [pictures]  # type: ignore[assignment,list-item]
         frames = [pixels_of(picture) for picture in given]
@@ -355,6 +357,12 @@ class Map:
         definition = GroundTruth.chosen(
             declared, ground_truth, tolerance_metres, tolerance_degrees, tolerance_frames
         )
+        if definition.metres is not None and settings.get("near") is None:
+            posed = Posed(definition.degrees is not None)
+            known = posed.rows(self.database.placed()[0].poses, self.path)
+            if unknown := np.count_nonzero(~known):
+                note(f"{unknown} of {len(known)} references are left out: their pose is unknown")
+                settings["near"] = posed
         answers, config = self.query(source, steps, TOP, **settings), self.database.config
         dataset, skipped = source.dataset, [frame.frame for frame in answers.skipped]
         references = Viewpoints.of_set(answers.references, dataset, source.known)

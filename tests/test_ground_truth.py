@@ -41,18 +41,12 @@ def test_headings_are_compared_the_shorter_way_round():
     assert as_lists(from_poses(references[:1], references, 5, degrees=45)) == [[0]]
 
 
-def test_missing_poses_are_counted_and_headings_only_if_asked_for():
-    known = np.zeros((3, 3))
-    for hole in (0, 1):
-        holed = np.zeros((2, 3))
-        holed[0, hole] = math.nan
-        refuses("1 of 2 queries have no pose", from_poses, holed, known, 5)
-        refuses(r"1 of 2 references have no pose.*poses\.csv", from_poses, known, holed, 5)
-    holed = np.array([[0, 0, 0], [0, 0, math.nan]])
-    assert as_lists(from_poses(holed, known, 1)) == [[0, 1, 2]] * 2
-    with pytest.raises(ValueError, match="1 of 2 queries have no heading; a tolerance in degrees"):
-        from_poses(holed, known, 1, degrees=5)
-    refuses("3 of 3 references have no heading", from_poses, known, known[:, :2], 1, degrees=5)
+def test_queries_and_references_of_unknown_pose_are_left_out():
+    known, holed = np.zeros((3, 3)), np.array([[math.nan, 0, 0], [0, 0, 0], [0, 0, math.nan]])
+    assert [rows is None for rows in from_poses(holed, known, 5)] == [True, False, False]
+    assert [rows is None for rows in from_poses(holed, known, 5, 9)] == [True, False, True]
+    assert as_lists(from_poses(known[:1], holed, 5)) == [[1, 2]]
+    assert as_lists(from_poses(known[:1], holed, 5, 9)) == [[1]]
 
 
 def test_two_aligned_traverses_are_counted_apart():
@@ -65,7 +59,7 @@ def test_two_aligned_traverses_are_counted_apart():
     assert as_lists(from_frame_numbers(["a/b/1"], ["a/b/1", "a/c/1"], 9)) == [[0]]
 
 
-POSE = np.zeros((1, 3))
+POSE, UNKNOWN = np.zeros((1, 3)), np.full((2, 3), math.nan)
 
 
 @pytest.mark.parametrize(
@@ -76,6 +70,9 @@ POSE = np.zeros((1, 3))
         ((POSE, POSE, math.inf), "0 metres or more and finite, got inf"),
         ((POSE, POSE, 1, -1), "0 degrees or more"),
         ((POSE, POSE, 1, math.nan), "0 degrees or more"),
+        ((UNKNOWN, POSE, 1), "none of 2 queries has a pose; a tolerance in metres requires"),
+        ((POSE, UNKNOWN, 1), "none of 2 references has a pose"),
+        ((POSE, POSE[:, :2], 1, 9), "none of 1 references has a heading; a tolerance in degrees"),
         ((["a/1"], ["a/1"], -1), "0 frames or more, got -1"),
         ((["night/1"], ["day/1", "day/2"], 1), "length, got 1 query frames and 2 reference frames"),
         ((["night/1"], ["a/1", "b/1"], 1), r"query sequence 'night'.*\(a, b\)"),
@@ -84,7 +81,7 @@ POSE = np.zeros((1, 3))
     ],
 )
 def test_wrong_tolerances_and_unaligned_traverses_are_refused(given, message):
-    refuses(message, from_poses if given[0] is POSE else from_frame_numbers, *given)
+    refuses(message, from_poses if isinstance(given[0], np.ndarray) else from_frame_numbers, *given)
 
 
 FRAMES = st.lists(st.tuples(st.sampled_from("ab"), st.integers(0, 120)), min_size=1, unique=True)

@@ -145,6 +145,25 @@ def test_evaluate_measures_recall_by_a_tolerance(drawn, tmp_path):
     refuses("pose", drawn.evaluate, today, tolerance_metres=5.0)
 
 
+def test_frames_of_unknown_pose_are_left_out_of_a_tolerance_in_metres(tmp_path):
+    for name, lost in (("monday", 2), ("today", 4)):
+        folder = write_maps(tmp_path / name, range(6))
+        rows = [f"{n:03d},{'nan,nan' if n == lost else f'{9 * n},0'},nan" for n in range(6)]
+        (folder / "poses.csv").write_text("\n".join(["frame,x,y,heading", *rows]))
+    town, notes = Map.open(tmp_path / "town.ssrdb", labels_as=SPACE), []
+    town.add(tmp_path / "monday")
+    found = town.evaluate(tmp_path / "today", tolerance_metres=1, note=notes.append)
+    assert notes == [
+        "1 of 6 references are left out: their pose is unknown",
+        "1 of 6 queries are left out: their pose is unknown",
+    ]
+    assert [rows.tolist() for rows in found.truth] == [[0], [1], [], [3], [5]]
+    assert 2 not in found.recognition.matches.indices
+    assert found.metrics["recall_at"]["1"] == 1
+    refuses("none of 6 references .* has a heading", town.evaluate, tmp_path / "today",
+            tolerance_metres=1, tolerance_degrees=9)  # fmt: skip
+
+
 def test_a_network_runs_once_for_each_picture(tmp_path):
     photos = write_photos(tmp_path / "monday", range(6), (96, 128))
     network = counted(Street())

@@ -23,29 +23,45 @@ def from_poses(
     references: npt.NDArray[np.float64],
     metres: float,
     degrees: float | None = None,
-) -> list[Rows]:
+) -> list[Rows | None]:
     """True matches of each query: the references within a distance in metres, including the limit,
     of any heading, or of one within some degrees. Poses are ``(Q, 2+)`` and ``(R, 2+)``, x and y in
-    metres, then heading in radians. A missing pose (NaN), a negative limit and an infinite distance
-    are a ValueError."""
+    metres, then heading in radians. ``None`` for a query of unknown pose (NaN); a reference of
+    unknown pose is no true match. A negative limit, an infinite distance, and queries or
+    references that all have no pose are a ValueError."""
     if not 0 <= metres < math.inf:
         raise ValueError(f"the tolerance must be 0 metres or more and finite, got {metres}")
     if degrees is not None and not degrees >= 0:
         raise ValueError(f"the tolerance must be 0 degrees or more, got {degrees}")
-    for name, poses in (("queries", queries), ("references", references)):
-        _require_known(name, "pose", poses[:, :2])
-        if degrees is not None:
-            _require_known(name, "heading", poses[:, 2:3])
-    near = [
-        np.flatnonzero(np.hypot(*(references[:, :2] - query[:2]).T) <= metres) for query in queries
-    ]
-    if degrees is None:
-        return near
-    limit = math.radians(degrees) + _ROUNDING
-    return [
-        rows[np.abs((references[rows, 2] - query[2] + math.pi) % math.tau - math.pi) <= limit]
-        for rows, query in zip(near, queries, strict=True)
-    ]
+    by_heading = degrees is not None
+    posed = require_poses("queries", queries, by_heading)
+    require_poses("references", references, by_heading)
+    limit = math.inf if degrees is None else math.radians(degrees) + _ROUNDING
+    truth: list[Rows | None] = []
+    for query, known in zip(queries, posed, strict=True):
+        rows = np.flatnonzero(np.hypot(*(references[:, :2] - query[:2]).T) <= metres)
+        if by_heading:
+            turn = (references[rows, 2] - query[2] + math.pi) % math.tau - math.pi
+            rows = rows[np.abs(turn) <= limit]
+        truth.append(rows if known else None)
+    return truth
+
+
+def require_poses(
+    name: str, poses: npt.NDArray[np.float64], by_heading: bool = False
+) -> npt.NDArray[np.bool_]:
+    """``(N,)`` bool, which poses are known, with their headings if these count; a ValueError with
+    the name of the frames if none is."""
+    posed = np.zeros(len(poses), bool)
+    if poses.shape[1] >= 2 + by_heading:
+        posed = ~np.any(np.isnan(poses[:, : 2 + by_heading]), axis=1)
+    if len(posed) and not posed.any():
+        kind, unit = ("heading", "degrees") if by_heading else ("pose", "metres")
+        raise ValueError(
+            f"none of {len(posed)} {name} has a {kind}; a tolerance in {unit} requires a poses.csv "
+            "(frame,x,y,heading) in or beside their folder"
+        )
+    return posed
 
 
 def from_frame_numbers(
@@ -97,13 +113,3 @@ def _numbers(frames: Iterable[str]) -> dict[str, tuple[str, int]]:
         numbers[frame] = sequence, counts[sequence]
         counts[sequence] += 1
     return numbers
-
-
-def _require_known(name: str, kind: str, poses: npt.NDArray[np.float64]) -> None:
-    missing = int(np.isnan(poses).any(axis=1).sum()) if poses.shape[1] else len(poses)
-    if missing:
-        unit = "metres" if kind == "pose" else "degrees"
-        raise ValueError(
-            f"{missing} of {len(poses)} {name} have no {kind}; a tolerance in {unit} requires a "
-            "poses.csv (frame,x,y,heading) in or beside their folder"
-        )

@@ -82,9 +82,10 @@ def true_matches(
     truth = _found(definition, references, queries, note) if queries.frames else []
     unknown = sum(rows is None for rows in truth)
     if unknown:
-        note(
-            f"{unknown} of {len(truth)} queries are left out: {definition.file} does not name them"
-        )
+        reason = "their pose is unknown"
+        if definition.file:
+            reason = f"{definition.file} does not name them"
+        note(f"{unknown} of {len(truth)} queries are left out: {reason}")
     common = len(set(queries.frames) & set(references.frames))
     if common:
         note(f"{common} of {len(queries.frames)} queries have ids of the database")
@@ -99,7 +100,7 @@ def _found(
 ) -> PartialTruth:
     if definition.metres is not None:
         limits = definition.metres, definition.degrees
-        return [*from_poses(queries.poses, references.poses, *limits)]
+        return from_poses(queries.poses, references.poses, *limits)
     if definition.file is not None:
         counted, unmatched = from_file(definition.file, queries.paths, references.paths)
         if unmatched:

@@ -23,7 +23,7 @@ from ..recognition.sweep import COLUMNS
 from ..recognition.temporal import temporal_sum
 from ..taxonomy import label_space
 from .answers import Answer, Answers
-from .near import Near
+from .near import Near, Posed
 from .selection import neighbours, select
 from .shortlist import Shortlist, open_shortlist
 
@@ -39,7 +39,7 @@ def search(
     channels: Sequence[str] | None = None,
     sequences: Sequence[str] | None = None,
     exclude: int | None = None,
-    near: Near | None = None,
+    near: Near | Posed | None = None,
     progress: Progress = do_nothing,
 ) -> Answers:
     """The ``top`` candidates of every frame of a source in a database.

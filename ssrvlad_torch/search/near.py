@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from ..database.frames import numbers_of
 from ..datasets.poses import parse_number
+from ..evaluation.ground_truth import require_poses
 
 
 class Near(NamedTuple):
@@ -52,3 +53,16 @@ class Near(NamedTuple):
             nearest = f"the nearest is {np.nanmin(metres):.1f} m away"
             raise ValueError(f"near: no candidate of {path} is {self}; {nearest}")
         return inside
+
+
+class Posed(NamedTuple):
+    """All candidates of known position, and of known heading if that counts."""
+
+    by_heading: bool
+
+    def __str__(self) -> str:
+        return "of known pose"
+
+    def rows(self, poses: npt.NDArray[np.float64], path: str) -> npt.NDArray[np.bool_]:
+        """As `Near.rows`."""
+        return require_poses(f"references of {path}", poses, self.by_heading)
