@@ -65,7 +65,7 @@ def test_the_tables_show_metrics_costs_and_what_did_not_run(ssrvlad, two_drives)
         ("town --method hog --set hog.rows=2", "method hog: got an unexpected keyword argument"),
         ("town --method ssr-vlad --set ssr-vlad.temporal=many", "cannot take temporal='many'"),
         ("town/query --method hog", "does not say which of query is a reference; name it"),
-        ("town --method hog --tolerance-metres 5", "no reference of town (folders) has a pose"),
+        ("town --method hog --tolerance-metres 5", "no reference has a pose"),
         ("none --method hog", "none is no folder"),
         ("town --method hog --set rows", "--set: expected NAME=VALUE, got 'rows'"),
         ("town --method hog,cohog --fuse hog", "expected two or more of hog, cohog, got 'hog'"),

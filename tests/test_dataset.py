@@ -1,4 +1,4 @@
-"""Data sets as such: choosing traverses, attaching label maps, saying what is missing."""
+"""Data sets as such: choosing sequences, attaching label maps, saying what is missing."""
 
 import math
 from pathlib import Path
@@ -11,7 +11,6 @@ from ssrvlad_torch.datasets.dataset import (
     Dataset,
     DatasetFrame,
     GroundTruth,
-    Traverse,
     files_in,
     folders_in,
     shortened,
@@ -21,47 +20,27 @@ from ssrvlad_torch.datasets.poses import UNKNOWN, Pose
 HERE = Pose(1, 2, 0.5)
 
 
-def made(*traverses, root=Path("root"), **fields):
-    return Dataset("made", root, traverses, **fields)
+def made(*frames, root=Path("root"), **fields):
+    return Dataset("made", root, tuple(frames), **fields)
 
 
-def drive(name, *frames, role=None, **fields):
-    return Traverse(name, tuple(DatasetFrame(name, frame, **fields) for frame in frames), role)
+def sequence(name, *frames, **fields):
+    return [DatasetFrame(name, frame, **fields) for frame in frames]
 
 
 def photos(root, *names):
-    """A data set of images that are on disk, one traverse a folder."""
+    """A data set of images that are on disk, one sequence a folder."""
     plant(root, *names)
-    folders = sorted({Path(name).parent for name in names})
-    return made(
-        *(Traverse.of("-".join(f.parts), files_in((".jpg",), root / f), {}, {}) for f in folders),
-        root=root,
-    )
-
-
-# ---- traverses
-
-
-def test_a_traverse_joins_images_label_maps_and_poses_by_name():
-    images = {"10": Path("10.jpg"), "9": Path("9.jpg")}
-    labels = {"9": Path("9.png"), "11": Path("11.png")}
-    traverse = Traverse.of("monday", images, labels, {"9": HERE, "12": HERE}, "query")
-    assert traverse.role == "query"
-    assert traverse.frames == (
-        DatasetFrame("monday", "9", Path("9.jpg"), Path("9.png"), HERE),
-        DatasetFrame("monday", "10", Path("10.jpg")),
-        DatasetFrame("monday", "11", None, Path("11.png")),
-    )
-    assert traverse.frames[0].frame == "monday/9"
-
-
-# ---- choosing
+    paths = [root / name for name in names]
+    folders = ("-".join(Path(name).parent.parts) for name in names)
+    frames = (DatasetFrame(f, path.stem, path) for f, path in zip(folders, paths, strict=True))
+    return made(*frames, root=root)
 
 
 DAYS = made(
-    drive("dawn-rear", "1", role="query"),
-    drive("dawn-left", "1", role="query"),
-    drive("map-rear", "1", "2", role="reference"),
+    *sequence("dawn-rear", "1", role="query"),
+    *sequence("dawn-left", "1", role="query"),
+    *sequence("map-rear", "1", "2", role="reference"),
 )
 
 
@@ -75,57 +54,48 @@ DAYS = made(
         (("map-rear", "dawn-l?ft"), None, ["dawn-left", "map-rear"]),
     ],
 )
-def test_traverses_are_chosen_by_pattern_and_role(patterns, role, names):
-    chosen = DAYS.select(patterns, role)
-    assert list(outline(chosen)) == names
-    assert (chosen.layout, chosen.root) == (DAYS.layout, DAYS.root)
+def test_sequences_are_chosen_by_pattern_and_role(patterns, role, names):
+    assert DAYS.select(patterns, role).sequences == names
 
 
 def test_an_unknown_or_ambiguous_sequence_is_refused():
     refuses("no sequence 'DAWN'; it has dawn-rear, dawn-left, map-", DAYS.select, ["*", "DAWN"])
     refuses("which of dawn-rear is a reference", DAYS.select, ["dawn-rear"], "reference")
-    with pytest.raises(ValueError, match="which of a, b is a query; name it"):
-        made(drive("a", "1"), drive("b", "1")).select(role="query")
-    with pytest.raises(ValueError, match="root has more than one sequence 'a'"):
-        made(drive("a", "1"), drive("b", "1"), drive("a", "2"))
 
 
 def test_frames_without_pose_are_dropped_when_asked():
     poses = (HERE, UNKNOWN, Pose(1, math.nan, 0))
-    frames = tuple(DatasetFrame("a", f"{n}", pose=pose) for n, pose in enumerate(poses))
-    assert outline(made(Traverse("a", frames), drive("b", "1")).posed()) == {"a": ["0"], "b": []}
-    refuses(r"no frame of root \(made\) has a pose", made(drive("a", "1")).posed)
+    frames = [DatasetFrame("a", f"{n}", pose=pose) for n, pose in enumerate(poses)]
+    assert outline(made(*frames).posed()) == {"a": ["0"]}
+    refuses(r"no frame of root \(made\) has a pose", made(frames[1]).posed)
 
 
-# ---- files
+FRAMES = (
+    DatasetFrame("a", "1", Path("1.jpg"), Path("1.png"), HERE),
+    DatasetFrame("a", "2", None, Path("2.png")),
+    DatasetFrame("a", "3", Path("3.jpg"), None, HERE),
+)
 
 
-def test_files_carry_id_and_pose_and_gaps_are_counted():
-    frames = (
-        DatasetFrame("a", "1", Path("1.jpg"), Path("1.png"), HERE),
-        DatasetFrame("a", "2", None, Path("2.png")),
-        DatasetFrame("a", "3", Path("3.jpg"), None, HERE),
-    )
-    dataset = made(Traverse("a", frames), notes=("no vehicle",))
-    labels, images = dataset.label_files(), dataset.image_files()
+def test_files_carry_id_and_pose():
+    labels, images = made(*FRAMES).label_files(), made(*FRAMES).image_files()
     assert [(f.frame, f.path, f.pose) for f in labels] == [
         ("a/1", Path("1.png"), HERE),
         ("a/2", Path("2.png"), UNKNOWN),
     ]
     assert [(f.frame, f.path) for f in images] == [("a/1", Path("1.jpg")), ("a/3", Path("3.jpg"))]
-    assert dataset.warnings == [
+    refuses(r"root \(made\) has no label maps; segment", made(FRAMES[2]).label_files)
+    refuses(r"root \(made\) has no images", made(FRAMES[1]).image_files)
+
+
+def test_what_only_some_frames_lack_is_counted():
+    assert made(*FRAMES, notes=("no vehicle",)).warnings == [
         "no vehicle",
         "1 of 3 frames have no image, the first is a/2",
         "1 of 3 frames have no label map, the first is a/3",
         "1 of 3 frames have no pose, the first is a/2",
     ]
-    only_images = made(drive("a", "1", "2", image=Path("x")))
-    assert only_images.warnings == [], "what no frame has is no gap"
-    refuses(r"root \(made\) has no label maps; segment its images", only_images.label_files)
-    refuses(r"root \(made\) has no images", made(drive("a", "1", label=Path("x"))).image_files)
-
-
-# ---- label maps from elsewhere
+    assert made(FRAMES[1]).warnings == []
 
 
 @pytest.mark.parametrize(
@@ -157,12 +127,12 @@ def test_label_maps_are_found_in_a_folder_beside_that_of_the_images(tmp_path):
 
 def test_a_label_map_may_have_the_name_of_the_image_and_replaces_another(tmp_path):
     plant(tmp_path, "city/a_leftImg8bit.jpg")
-    images = {"a": tmp_path / "city/a_leftImg8bit.jpg"}
-    own = {"a": tmp_path / "a.png"}
-    dataset = made(Traverse.of("city", images, own, {}), root=tmp_path, labels_as="camvid-32")
+    frame = DatasetFrame("city", "a", tmp_path / "city/a_leftImg8bit.jpg", tmp_path / "a.png")
     touch(tmp_path / "out/city/a_leftImg8bit.png")
-    other = dataset.with_labels(tmp_path / "out", "camvid-11")
-    assert next(other.frames).label == tmp_path / "out/city/a_leftImg8bit.png"
+    other = made(frame, root=tmp_path, labels_as="camvid-32").with_labels(
+        tmp_path / "out", "camvid-11"
+    )
+    assert other.frames[0].label == tmp_path / "out/city/a_leftImg8bit.png"
     assert other.labels_as == "camvid-11"
 
 
@@ -172,9 +142,6 @@ def test_one_folder_for_all_is_not_taken_where_names_are_ambiguous(tmp_path):
     touch(tmp_path / "out/1.png")
     with pytest.raises(ValueError, match=r"out holds no label map .*out/query/1\.png"):
         dataset.with_labels(tmp_path / "out", "camvid-11")
-
-
-# ---- listing
 
 
 def test_files_are_listed_by_name_without_suffix(tmp_path):
@@ -195,9 +162,6 @@ def test_long_lists_are_shortened():
     assert shortened([]) == "nothing"
     assert shortened(list("ab"), 2) == "a, b"
     assert shortened(list("01234"), 2) == "0, 1 and 3 more"
-
-
-# ---- true matches
 
 
 def test_a_definition_that_is_given_replaces_the_declared_one():

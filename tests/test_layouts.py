@@ -270,7 +270,7 @@ def test_train_ids_are_read_when_asked_for_or_alone(copy):
     assert open_dataset(copy).labels_as == "cityscapes-ids"
     asked = open_dataset(copy, labels_as="cityscapes-trainids")
     space = label_space("cityscapes-trainids")
-    assert open_dataset(copy, labels_as=space).traverses == asked.traverses
+    assert open_dataset(copy, labels_as=space).frames == asked.frames
     assert [file.path.name for file in asked.label_files()] == [f"{name}_gtFine_labelTrainIds.png"]
     for path in copy.rglob("*_labelIds.png"):
         path.unlink()
@@ -328,7 +328,7 @@ def test_poses_come_from_models_of_single_places_too(copy):
     for number, camera in enumerate(cameras):
         place = copy / f"3D-models/individual/nvm/00{number}_aligned.nvm"
         write(place, ["NVM_V3 ", "", "1", camera, "", "0"])
-    assert len(list(open_dataset(copy).posed().frames)) == 4
+    assert len(open_dataset(copy).posed().frames) == 4
 
 
 @pytest.mark.parametrize("zone", ["America/Los_Angeles", "Asia/Tokyo"])
@@ -348,16 +348,16 @@ def test_undistorted_copies_have_the_poses_of_their_originals(tmp_path):
     plant(tmp_path / "slice2/database", f"{name}_rect.png")
     line = f"{name}.jpg 0.5 0.5 -0.5 0.5 -85.392177 55.2 -2.9"
     write(tmp_path / "slice2/ground-truth-database-images-slice2.txt", [line])
-    frame = next(open_dataset(tmp_path).frames)
+    frame = open_dataset(tmp_path).frames[0]
     assert frame.frame == f"slice2-c0-2011-04-21/{name}_rect"
     assert frame.pose.x == -85.392177
 
 
 @of(extended_cmu)
 def test_images_without_time_and_camera_in_their_name_are_no_frames(copy):
-    assert len(list(open_dataset(copy).posed().frames)) == 8
+    assert len(open_dataset(copy).posed().frames) == 8
     plant(copy / "slice7/query", "overview.jpg", "img_00001_c0_12us.jpg")
-    assert len(list(open_dataset(copy).frames)) == 12
+    assert len(open_dataset(copy).frames) == 12
 
 
 @of(vpr_bench)

@@ -40,10 +40,13 @@ def write(path: Path, lines: Iterable[str] | str) -> Path:
 
 
 def outline(dataset: Dataset) -> dict[str, list[str]]:
-    """Names of the frames by traverse, in order."""
-    return {t.name: [frame.name for frame in t.frames] for t in dataset.traverses}
+    """Names of the frames by sequence, in order."""
+    return {
+        sequence: [frame.name for frame in dataset.frames if frame.sequence == sequence]
+        for sequence in dataset.sequences
+    }
 
 
 def roles(dataset: Dataset) -> dict[str, str | None]:
-    """Roles by traverse."""
-    return {t.name: t.role for t in dataset.traverses}
+    """Roles by sequence."""
+    return {frame.sequence: frame.role for frame in dataset.frames}

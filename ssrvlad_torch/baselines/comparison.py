@@ -1,17 +1,17 @@
 """Other methods on the files of references and queries: run, fused and measured."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 from ..channels.channel import View
-from ..datasets.dataset import Dataset, GroundTruth, LabelsAs
-from ..datasets.drives import KINDS, Drives
+from ..datasets.dataset import Dataset, DatasetFrame, GroundTruth
 from ..datasets.frame_files import FrameFile, read_ahead
 from ..datasets.image_files import read_image
 from ..datasets.label_files import read_label_map
 from ..datasets.names import sequence_of
+from ..datasets.sides import ROLES
 from ..evaluation.measure import TOP, Recognition, measure
 from ..evaluation.metrics import Convention
 from ..evaluation.true_matches import Viewpoints, true_matches
@@ -26,6 +26,12 @@ Row = dict[str, Any]
 """The metrics and costs of a method, or its name and the reason why it could not run."""
 
 Note = Callable[[str], object]
+KINDS: dict[str, tuple[Callable[[DatasetFrame], object], str]] = {
+    "images": (lambda frame: frame.image, "an image"),
+    "labels": (lambda frame: frame.label, "a label map"),
+}
+"""The kinds of files that a method may need of a frame, each also in words."""
+
 _FUSED = "--fuse"
 _AHEAD = 16
 
@@ -44,11 +50,15 @@ class Protocol(NamedTuple):
 
 
 def compare(
-    methods: Mapping[str, Method | str], drives: Drives, protocol: Protocol, note: Note
+    methods: Mapping[str, Method | str], sides: Dataset, protocol: Protocol, note: Note
 ) -> list[Row]:
     """The rows of all methods in their order, then the rows of the fused methods. A method that
-    cannot be made is given by the reason; ``note`` gets what is left out."""
-    lacking = {kind: reason for kind in KINDS if (reason := drives.lacks(kind))}
+    cannot be made is given by the reason; ``sides`` are references and queries, see `open_sides`;
+    ``note`` gets what is left out."""
+    used = sides
+    if protocol.true.metres is not None:
+        used = _having(sides, lambda frame: frame.has_pose, "a pose")
+    lacking = {kind: reason for kind in KINDS if (reason := _lacks(used, kind))}
     rows: dict[str, list[Row]] = {}
     able: dict[str, Method] = {}
     for name, method in methods.items():
@@ -60,8 +70,7 @@ def compare(
             able[name] = method
     if able:
         needs = {need for method in able.values() for need in method.needs}
-        drives = drives.complete([kind for kind in KINDS if kind in needs], note)
-        rows |= _measured(able, drives, protocol, note)
+        rows |= _measured(able, sides, _complete(used, needs, note), protocol, note)
     if protocol.fused and _FUSED not in rows:
         missing = next(name for name in protocol.fused if "reason" in rows[name][0])
         rows[_FUSED] = [_not_run(" + ".join(protocol.fused), f"{missing} does not run")]
@@ -69,13 +78,45 @@ def compare(
     return [row for name in order for row in rows[name]]
 
 
+def _having(sides: Dataset, has: Callable[[DatasetFrame], object], what: str) -> Dataset:
+    """The frames that ``has`` accepts; a ValueError if no reference or no query is left."""
+    frames = tuple(filter(has, sides.frames))
+    for role in ROLES:
+        if not any(frame.role == role for frame in frames):
+            raise ValueError(f"no {role} has {what}")
+    return replace(sides, frames=frames)
+
+
+def _lacks(sides: Dataset, kind: str) -> str | None:
+    """The reason why a method that needs a kind of file cannot run; ``None`` if it can."""
+    if kind == "labels" and sides.labels_as is None:
+        return "it needs label maps and their --labels-as"
+    try:
+        _having(sides, *KINDS[kind])
+    except ValueError as error:
+        return str(error)
+    return None
+
+
+def _complete(sides: Dataset, needs: Collection[str], note: Note) -> Dataset:
+    """The frames that lack no kind of file; ``note`` gets the number of the others."""
+    kinds = [KINDS[kind] for kind in KINDS if kind in needs]
+    words = [word for _, word in kinds]
+    complete = _having(sides, lambda f: all(has(f) for has, _ in kinds), " and ".join(words))
+    before, after = len(sides.frames), len(complete.frames)
+    if after < before:
+        lack = " or ".join(words)
+        note(f"{before - after} of {before} frames are left out: they lack {lack}")
+    return complete
+
+
 def _measured(
-    methods: Mapping[str, Method], drives: Drives, protocol: Protocol, note: Note
+    methods: Mapping[str, Method], sides: Dataset, used: Dataset, protocol: Protocol, note: Note
 ) -> dict[str, list[Row]]:
-    """The rows of each method: of single frames, and with the steps."""
-    references, queries = (
-        Viewpoints.of(side.frames, drives.whole) for side in (drives.references, drives.queries)
-    )
+    """The rows of each method: of single frames, and with the steps. Ground truth counts all
+    frames of ``sides``."""
+    map_side, query_side = (used.select(role=role) for role in ROLES)
+    references, queries = (Viewpoints.of(s.frames, sides) for s in (map_side, query_side))
     truth = true_matches(protocol.true, references, queries, note)
 
     def row(matches: Matches, details: Row) -> Row:
@@ -86,7 +127,7 @@ def _measured(
     retrievals: dict[str, Retrieval] = {}
     for name, method in methods.items():
         try:
-            retrieval = _retrieval(method, drives, protocol)
+            retrieval = _retrieval(method, map_side, query_side, protocol)
         except ValueError as error:
             rows[name] = [_not_run(method.name, str(error))]
             continue
@@ -111,9 +152,10 @@ def _not_run(method: str, reason: str) -> Row:
     return {"method": method, "reason": reason}
 
 
-def _retrieval(method: Method, drives: Drives, protocol: Protocol) -> Retrieval:
+def _retrieval(
+    method: Method, references: Dataset, queries: Dataset, protocol: Protocol
+) -> Retrieval:
     """A method run on the files of both sides."""
-    references, queries = drives.references, drives.queries
     if isinstance(method, StoredDescriptors):
         frames = [*references.frames, *queries.frames]
         method.read({frame.frame: frame.image or frame.label for frame in frames})
@@ -121,8 +163,8 @@ def _retrieval(method: Method, drives: Drives, protocol: Protocol) -> Retrieval:
     with protocol.progress(method.name, len([*references.frames, *queries.frames])) as bar:
         return run(
             method,
-            _views(method, queries, drives.whole.labels_as, protocol.workers),
-            _views(method, references, drives.whole.labels_as, protocol.workers),
+            _views(method, queries, protocol.workers),
+            _views(method, references, protocol.workers),
             top=TOP,
             progress=bar.advance,
             steps=None if as_paper else protocol.steps,
@@ -162,11 +204,12 @@ def _fused(
         yield recognised, {**details, "steps": used, "weights": used["weights"]}
 
 
-def _views(method: Method, side: Dataset, labels_as: LabelsAs, workers: int) -> Iterator[View]:
+def _views(method: Method, side: Dataset, workers: int) -> Iterator[View]:
     """References or queries as the method needs them: with label maps, images, or neither."""
     if not method.needs:
         yield from (View(frame.frame) for frame in side.frames)
         return
+    labels_as = side.labels_as
     space = label_space(labels_as) if labels_as and "labels" in method.needs else None
 
     def load(file: FrameFile) -> View:

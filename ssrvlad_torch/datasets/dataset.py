@@ -1,19 +1,18 @@
-"""A data set on disk: its traverses, which of them are queries, and what is a true match."""
+"""A data set on disk: its frames, which of them are queries, and what is a true match."""
 
 from __future__ import annotations
 
 import math
-from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import cache, partial
+from itertools import groupby
 from pathlib import Path
 from typing import Literal
 
 from natsort import natsorted
 
-from ..files import natural_key
 from ..taxonomy import LabelSpace, label_space
 from .frame_files import FrameFile, every_nth
 from .label_files import SUFFIXES as LABEL_SUFFIXES
@@ -29,13 +28,15 @@ Role = Literal["reference", "query"]
 @dataclass(frozen=True)
 class DatasetFrame:
     """One frame of a data set, of the id ``<sequence>/<name>``: its image and its label map,
-    ``None`` if it is not on disk, and its pose in metres and radians, NaN where unknown."""
+    ``None`` if it is not on disk, its pose in metres and radians, NaN where unknown, and its role,
+    if it is declared."""
 
     sequence: str
     name: str
     image: Path | None = None
     label: Path | None = None
     pose: Pose = UNKNOWN
+    role: Role | None = None
 
     @property
     def frame(self) -> str:
@@ -51,7 +52,7 @@ class DatasetFrame:
 @dataclass(frozen=True)
 class GroundTruth:
     """The definition of a true match: a file, or the largest distance, either in metres on the
-    ground, and then also in degrees of heading, or in frames along the drive. Not exactly one of
+    ground, and then also in degrees of heading, or in frames along the sequence. Not exactly one of
     the three is a ValueError."""
 
     file: Path | None = None
@@ -96,39 +97,13 @@ class GroundTruth:
 
 
 @dataclass(frozen=True)
-class Traverse:
-    """One drive along a route with one camera: its sequence, its frames in natural order of their
-    names, and the role that the data set declares, if any."""
-
-    name: str
-    frames: tuple[DatasetFrame, ...]
-    role: Role | None = None
-
-    @classmethod
-    def of(
-        cls,
-        name: str,
-        images: Mapping[str, Path],
-        labels: Mapping[str, Path],
-        poses: Mapping[str, Pose],
-        role: Role | None = None,
-    ) -> Traverse:
-        """A traverse of all frames with an image or a label map, which are by frame name."""
-        frames = tuple(
-            DatasetFrame(name, key, images.get(key), labels.get(key), poses.get(key, UNKNOWN))
-            for key in sorted({*images, *labels}, key=natural_key)
-        )
-        return cls(name, frames, role)
-
-
-@dataclass(frozen=True)
 class Dataset:
     """A data set on disk, opened by `open_dataset`.
 
     Attributes:
         layout: name of the layout.
         root: folder of the data set.
-        traverses: drives with different names.
+        frames: one sequence after another, each in natural order.
         labels_as: label space of the label maps, ``None`` if unknown or without label maps.
         truth: the data set's definition of a true match, or ``None``.
         notes: one line for each part that the layout has and this copy lacks.
@@ -136,69 +111,58 @@ class Dataset:
 
     layout: str
     root: Path
-    traverses: tuple[Traverse, ...]
+    frames: tuple[DatasetFrame, ...]
     labels_as: LabelsAs = None
     truth: GroundTruth | None = None
     notes: tuple[str, ...] = ()
 
-    def __post_init__(self) -> None:
-        counts = Counter(traverse.name for traverse in self.traverses)
-        if repeated := [name for name, count in counts.items() if count > 1]:
-            raise ValueError(f"{self.root} has more than one sequence {repeated[0]!r}")
-
     @property
-    def frames(self) -> Iterator[DatasetFrame]:
-        """All frames, one traverse after another."""
-        return (frame for traverse in self.traverses for frame in traverse.frames)
+    def sequences(self) -> list[str]:
+        """The names of the sequences."""
+        return [*dict.fromkeys(frame.sequence for frame in self.frames)]
 
     @property
     def warnings(self) -> list[str]:
         """The notes, and a line for each kind of file or pose that some frames lack."""
-        frames = list(self.frames)
         missing = {
-            "image": [frame for frame in frames if frame.image is None],
-            "label map": [frame for frame in frames if frame.label is None],
-            "pose": [frame for frame in frames if not frame.has_pose],
+            "image": [frame for frame in self.frames if frame.image is None],
+            "label map": [frame for frame in self.frames if frame.label is None],
+            "pose": [frame for frame in self.frames if not frame.has_pose],
         }
         return [*self.notes] + [
-            f"{len(without)} of {len(frames)} frames have no {kind}, the first is "
+            f"{len(without)} of {len(self.frames)} frames have no {kind}, the first is "
             f"{without[0].frame}"
             for kind, without in missing.items()
-            if 0 < len(without) < len(frames)
+            if 0 < len(without) < len(self.frames)
         ]
 
     def select(self, patterns: Sequence[str] = (), role: Role | None = None) -> Dataset:
-        """The data set with only the traverses of a role, if given, and of names that match a
+        """The data set with only the frames of a role, if given, and of sequences that match a
         pattern, if any: ``*`` is any text and ``?`` any letter. A pattern that matches none, and a
         role that none has, are a ValueError."""
-        names = [traverse.name for traverse in self.traverses]
-        chosen = set() if patterns else set(names)
+        names = self.sequences
         for pattern in patterns:
-            matching = [name for name in names if fnmatchcase(name, pattern)]
-            if not matching:
+            if not any(fnmatchcase(name, pattern) for name in names):
                 raise ValueError(
                     f"{self.root} has no sequence {pattern!r}; it has {shortened(names)}"
                 )
-            chosen.update(matching)
-        selected = [traverse for traverse in self.traverses if traverse.name in chosen]
-        if role and not any(traverse.role == role for traverse in selected):
-            candidates = shortened([traverse.name for traverse in selected])
-            raise ValueError(f"{self.root} does not say which of {candidates} is a {role}; name it")
-        return replace(self, traverses=tuple(t for t in selected if role in (None, t.role)))
-
-    def with_frames(
-        self, change: Callable[[tuple[DatasetFrame, ...]], Iterable[DatasetFrame]]
-    ) -> Dataset:
-        """The data set with ``change`` applied to the frames of each traverse."""
-        traverses = tuple(replace(t, frames=tuple(change(t.frames))) for t in self.traverses)
-        return replace(self, traverses=traverses)
+        if patterns:
+            names = [name for name in names if any(fnmatchcase(name, p) for p in patterns)]
+        frames = tuple(
+            frame for frame in self.frames if frame.sequence in names and role in (None, frame.role)
+        )
+        if not frames:
+            raise ValueError(
+                f"{self.root} does not say which of {shortened(names)} is a {role}; name it"
+            )
+        return replace(self, frames=frames)
 
     def posed(self) -> Dataset:
         """The data set without the frames of unknown pose; a ValueError if no frame has a pose."""
-        posed = self.with_frames(lambda frames: (frame for frame in frames if frame.has_pose))
-        if not any(posed.frames):
+        frames = tuple(frame for frame in self.frames if frame.has_pose)
+        if not frames:
             raise ValueError(f"no frame of {self.root} ({self.layout}) has a pose")
-        return posed
+        return replace(self, frames=frames)
 
     def with_labels(self, folder: str | Path, labels_as: str | LabelSpace) -> Dataset:
         """The data set with label maps of another folder and label space, for example the
@@ -211,8 +175,7 @@ class Dataset:
         """
         label_space(labels_as)
         outside, listed = Path(folder), cache(labels_in)
-        names = [frame.name for frame in self.frames]
-        unambiguous = len(set(names)) == len(names)
+        unambiguous = len({frame.name for frame in self.frames}) == len(self.frames)
 
         def find(frame: DatasetFrame) -> Path | None:
             path = frame.image or frame.label or self.root / frame.name
@@ -226,38 +189,43 @@ class Dataset:
             )
             return next((files[stem] for files, stem in places if stem in files), None)
 
-        labelled = self.with_frames(lambda frames: (replace(f, label=find(f)) for f in frames))
-        if all(frame.label is None for frame in labelled.frames):
-            frame = next(self.frames)
+        frames = tuple(replace(frame, label=find(frame)) for frame in self.frames)
+        if all(frame.label is None for frame in frames):
+            frame = frames[0]
             raise ValueError(
                 f"{folder} holds no label map of a frame of {self.root}; expected, for example, "
                 f"{outside / frame.sequence / frame.name}.png"
             )
-        return replace(labelled, labels_as=labels_as)
+        return replace(self, frames=frames, labels_as=labels_as)
 
     def label_files(self, every: int = 1, start: int = 0) -> list[FrameFile]:
         """The files of the label maps, see `find_frames`; without any, a ValueError."""
         missing = "no label maps; segment its images and give the folder of the results and their "
-        return self._files(lambda frame: frame.label, missing + "label space", every, start)
+        paths = ((frame, frame.label) for frame in self.frames)
+        return self._files(paths, missing + "label space", every, start)
 
     def image_files(self, every: int = 1, start: int = 0) -> list[FrameFile]:
         """The files of the images; arguments and errors as for `label_files`."""
-        return self._files(lambda frame: frame.image, "no images", every, start)
+        paths = ((frame, frame.image) for frame in self.frames)
+        return self._files(paths, "no images", every, start)
 
     def _files(
-        self, path_of: Callable[[DatasetFrame], Path | None], missing: str, every: int, start: int
+        self,
+        paths: Iterable[tuple[DatasetFrame, Path | None]],
+        missing: str,
+        every: int,
+        start: int,
     ) -> list[FrameFile]:
-        if not any(map(path_of, self.frames)):
+        posed = {frame.sequence for frame in self.frames if frame.has_pose}
+        files = [
+            FrameFile(f.sequence, f.name, path, None, f.pose, placed=f.sequence in posed)
+            for f, path in paths
+            if path is not None
+        ]
+        if not files:
             raise ValueError(f"{self.root} ({self.layout}) has {missing}")
-        selected = []
-        for traverse in self.traverses:
-            placed = any(frame.has_pose for frame in traverse.frames)
-            files = [
-                FrameFile(frame.sequence, frame.name, path, None, frame.pose, placed=placed)
-                for frame in traverse.frames
-                if (path := path_of(frame)) is not None
-            ]
-            selected += every_nth(files, every, start)
+        sequences = groupby(files, key=lambda file: file.sequence)
+        selected = [file for _, of in sequences for file in every_nth([*of], every, start)]
         if not selected:
             raise ValueError(f"no sequence of {self.root} has a frame {start}")
         return selected

@@ -9,12 +9,13 @@ its name is not a frame.
 from dataclasses import dataclass
 from pathlib import Path
 
+from ..files import natural_key
 from .dataset import (
     Dataset,
+    DatasetFrame,
     GroundTruth,
     LabelsAs,
     Role,
-    Traverse,
     files_in,
     folders_in,
     images_in,
@@ -25,6 +26,7 @@ from .label_files import SUFFIXES as LABEL_SUFFIXES
 from .layout import Layout
 from .names import IMAGE_SUFFIXES, absolute, absolute_folder
 from .pose_tables import PoseTable
+from .poses import UNKNOWN
 
 _ROLES: dict[str, Role] = {
     "reference": "reference",
@@ -54,19 +56,19 @@ class Folders(Layout):
     def read(self, root: Path, labels_as: LabelsAs = None) -> Dataset:
         """The sequences in a folder, or the sequence that it is."""
         truth = next((root / name for name in _TRUTHS if (root / name).is_file()), None)
-        traverses = []
+        frames = list[DatasetFrame]()
         for folder in _sequences(root):
-            name = absolute_folder(folder).name
+            sequence, place = absolute_folder(folder).name, absolute(folder)
+            role = _ROLES.get(sequence.lower())
             images, labels = _frames(folder)
-            table, place = PoseTable.of_folder(folder), absolute(folder)
-            poses = {
-                frame: pose
-                for frame, path in (labels | images).items()
-                if table and (pose := table.pose_of(FrameFile(name, frame, path, folder=place)))
-            }
-            traverses.append(Traverse.of(name, images, labels, poses, _ROLES.get(name.lower())))
-        file = GroundTruth(truth) if truth else None
-        return Dataset(self.name, root, tuple(traverses), labels_as, file)
+            files, table = labels | images, PoseTable.of_folder(folder)
+            for name in sorted(files, key=natural_key):
+                file = FrameFile(sequence, name, files[name], folder=place)
+                pose = (table and table.pose_of(file)) or UNKNOWN
+                paths = images.get(name), labels.get(name)
+                frames.append(DatasetFrame(sequence, name, *paths, pose, role))
+        file_of_truth = GroundTruth(truth) if truth else None
+        return Dataset(self.name, root, tuple(frames), labels_as, file_of_truth)
 
 
 def _sequences(root: Path) -> list[Path]:

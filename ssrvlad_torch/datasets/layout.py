@@ -8,10 +8,10 @@ from pathlib import Path
 
 from ..files import natural_key
 from ..taxonomy import label_space
-from .dataset import Dataset, GroundTruth, LabelsAs, Role, Traverse
+from .dataset import Dataset, DatasetFrame, GroundTruth, LabelsAs, Role
 from .label_files import SUFFIXES as LABEL_SUFFIXES
 from .names import IMAGE_SUFFIXES, absolute_folder
-from .poses import Pose
+from .poses import UNKNOWN, Pose
 
 _FIELD = re.compile(r"\{(\w+)(?::([^{}]*))?\}")
 
@@ -118,26 +118,30 @@ class Layout:
         files = labels | images
         poses = self.poses(root, files)
         fields = {sequence: of_file for (sequence, _), (_, of_file) in files.items()}
-        traverses = [
-            Traverse.of(
-                sequence,
-                {name: path for (s, name), (path, _) in images.items() if s == sequence},
-                {name: path for (s, name), (path, _) in labels.items() if s == sequence},
-                {name: pose for (s, name), pose in poses.items() if s == sequence},
-                self.role(of_file),
+
+        def place(key: Key) -> tuple[object, ...]:
+            """By the first folder of which sequences have the name, then references first."""
+            sequence, name = key
+            first = next(iter(fields[sequence].values()))
+            folder = first if sequence.startswith(first) else ""
+            is_query = self.role(fields[sequence]) != "reference"
+            return natural_key(folder), is_query, natural_key(sequence), natural_key(name)
+
+        frames = tuple(
+            DatasetFrame(
+                *key,
+                images[key][0] if key in images else None,
+                labels[key][0] if key in labels else None,
+                poses.get(key, UNKNOWN),
+                self.role(fields[key[0]]),
             )
-            for sequence, of_file in fields.items()
-        ]
-        # by the first folder of which they have the name, then references first
-        firsts = {name: next(iter(of_file.values())) for name, of_file in fields.items()}
-        first = {name: text if name.startswith(text) else "" for name, text in firsts.items()}
-        traverses.sort(key=lambda t: natural_key(t.name))
-        traverses.sort(key=lambda t: (natural_key(first[t.name]), t.role != "reference"))
+            for key in sorted(files, key=place)
+        )
         notes = []
         if self.posed_by and not poses:
             notes = [f"no frame of {root} has a pose; expected {self.posed_by}"]
         truth = self.truth(root)
-        return Dataset(self.name, root, tuple(traverses), labels_as or space, truth, tuple(notes))
+        return Dataset(self.name, root, frames, labels_as or space, truth, tuple(notes))
 
     def _labels(self, root: Path, labels_as: LabelsAs) -> tuple[str | None, Files]:
         """The label space, and the label maps of it."""

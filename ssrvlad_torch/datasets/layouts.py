@@ -205,7 +205,7 @@ def open_dataset(
         raise ValueError(f"the label maps in {labels} need a label space")
     chosen = _layout_of(root, None if layout == AUTO else layout)
     dataset = chosen.read(root, labels_as)
-    if not dataset.traverses:
+    if not dataset.frames:
         raise ValueError(
             f"{root} ({chosen.name}) holds no frames: expected {chosen.expected}; the data set is "
             f"at {chosen.origin}"

@@ -59,15 +59,15 @@ def compare(
     from ...baselines.comparison import Protocol
     from ...baselines.comparison import compare as compared
     from ...datasets.dataset import GroundTruth
-    from ...datasets.drives import Drives
+    from ...datasets.sides import open_sides
     from ...encoding.results import Skipped
 
     names = _names(method)
     fused, methods = _fused(fuse, names), _make(names, settings or ())
-    drives = Drives.open(note, **vars(options))
-    true = GroundTruth.chosen(drives.whole.truth, *truth.definition)
+    sides = open_sides(note, **vars(options))
+    true = GroundTruth.chosen(sides.truth, *truth.definition)
     protocol = Protocol(true, truth.convention, steps.steps(), workers, fused, progress_bar)
-    rows = compared(methods, drives if true.metres is None else drives.posed(), protocol, note)
+    rows = compared(methods, sides, protocol, note)
     if as_json:
         print_json({"rows": rows})
     else:
