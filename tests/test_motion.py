@@ -1,7 +1,7 @@
 """Steps of a motion at a rate, as the oracle takes them."""
 
 import pytest
-from oracles.recognition import SPEEDS, steps_of
+from oracles.filter import SPEEDS, steps_of
 
 
 @pytest.mark.parametrize("rate", [0.25, 1, 2.5, 3])

@@ -3,48 +3,43 @@
 import itertools
 import math
 from functools import cache
-from itertools import product
 from statistics import NormalDist
-from typing import NamedTuple
 
 import numpy as np
+from oracles.filter import LEAST_TOTAL, MAX_LOG, MIN_SPREAD, Model
 
 from ssrvlad_torch.recognition.standardise import sharing
 
 MIN_FRAMES = 30
 """Of a sequence that has a mean of its own and shows which channel leads."""
-NEAR, ELSEWHERE = 3, 5
+SAME_PLACE_ROWS, ELSEWHERE = 3, 5
 """Rows at most so far apart show the same place, and rows farther apart different places."""
-ROUNDING, MIN_SPREAD, MAX_LOG = 1e-6, 1e-6, 50.0
+ROUNDING = 1e-6
 SAMPLE = 200
 """Queries that show what leads; if there are more, every so many."""
 EQUAL = 1e-6
 """A vector this near to the mean equals it: its sequence has one frame, or all are equal."""
-LEAST_LENGTH, LEAST_TOTAL = 1e-3, float(np.finfo(np.float32).tiny)
-FORWARDS, BACKWARDS = 1, -1
-"""Ways to run a map."""
+LEAST_LENGTH = 1e-3
 
 # --------------------------------------------------------------------------- scores
 
 
-def means_of_drives(numbers, sequences):
-    """``(N, ...)``, what is subtracted from each frame: the mean of its drive, or of the drives
-    that share one, see `sharing`. Frames of zeros do not count."""
-    means, rows = np.zeros(numbers.shape), range(len(numbers))
-    drives = [[*run] for _, run in itertools.groupby(rows, sequences.__getitem__)]
-    for group, drives_of_mean in sharing([*map(len, drives)]).items():
-        own, every = (
-            [*itertools.chain.from_iterable(drives[number] for number in numbers_of)]
-            for numbers_of in (group, drives_of_mean)
-        )
-        known = numbers[every][numbers[every].reshape(len(every), -1).any(1)]
-        means[own] = known.mean(0) if len(known) else 0
+def means_of_sequences(numbers, sequences):
+    """``(N, ...)``, what is subtracted from each frame: the mean of its sequence, or of those that
+    share one, see `sharing`. Frames of zeros do not count."""
+    means = np.zeros(numbers.shape)
+    lengths = [len([*frames]) for _, frames in itertools.groupby(sequences)]
+    number = np.repeat(np.arange(len(lengths)), lengths)
+    for group, shared in sharing(lengths).items():
+        frames = numbers[np.isin(number, shared)]
+        frames = frames[frames.reshape(len(frames), -1).any(1)]
+        means[np.isin(number, group)] = frames.mean(0) if len(frames) else 0
     return means
 
 
 def cosines(queries, references):
     """``(Q, R)`` by vectors ``(Q, D)`` and ``(R, D)``, -inf where one is zero."""
-    lengths = np.outer(*(np.linalg.norm(each, axis=1) for each in (queries, references)))
+    lengths = np.outer(*(np.linalg.norm(side, axis=1) for side in (queries, references)))
     products = queries.astype(np.float64) @ references.T
     return np.where(lengths > 0, products / np.where(lengths > 0, lengths, 1), -np.inf)
 
@@ -57,15 +52,15 @@ def cosines_of_signs(queries, references, reach):
     for move in range(-reach, reach + 1):
         ours = queries[:, max(0, -move) : columns - max(0, move)].reshape(len(queries), -1)
         theirs = references[:, max(0, move) : columns - max(0, -move)].reshape(len(references), -1)
-        lengths = np.outer(*(np.linalg.norm(each, axis=1) for each in (ours, theirs)))
+        lengths = np.outer(*(np.linalg.norm(side, axis=1) for side in (ours, theirs)))
         best = np.maximum(best, ours @ theirs.T / np.maximum(lengths, LEAST_LENGTH))
     return np.minimum(best, 1)
 
 
-def without_means(vectors, sequences, means=None):
-    """Vectors ``(N, D)`` less the means of their drives, or less given ones; zeros stay, and what
-    equals its mean stays as it is."""
-    means = means_of_drives(vectors, sequences) if means is None else means
+def without_means(vectors, sequences):
+    """Vectors ``(N, D)`` less the means of their sequences; zeros stay, and what equals its mean
+    stays as it is."""
+    means = means_of_sequences(vectors, sequences)
     less = vectors.any(1, keepdims=True) & (np.abs(vectors - means).max(1, keepdims=True) > EQUAL)
     return np.where(less, vectors - means, vectors)
 
@@ -75,16 +70,14 @@ def nearness(scores):
     return -np.log(np.maximum(1 - scores.astype(np.float64), ROUNDING))
 
 
-def z_scores(scores):
-    """Of the nearness of scores ``(R,)``: how many deviations each is above the mean, 0 where there
-    is none; the mean and the deviation."""
-    known = np.isfinite(scores)
-    near = np.where(known, nearness(np.where(known, scores, 0)), 0)
-    count = max(1, np.count_nonzero(known))
-    mean = near.sum() / count
-    centred = np.where(known, near - mean, 0)
-    deviation = math.sqrt(np.square(centred).sum() / count)
-    return centred / max(deviation, MIN_SPREAD), float(mean), deviation
+def z_scores(scores, rows=None):
+    """Of the nearness of scores ``(R,)``: how many deviations each is above the mean of all or of
+    the first rows, 0 where there is none; the mean and the deviation."""
+    near = nearness(scores)
+    usual = near[:rows][np.isfinite(near[:rows])]
+    mean, deviation = (float(usual.mean()), float(usual.std())) if len(usual) else (0.0, 0.0)
+    centred = np.where(np.isfinite(near), near - mean, 0)
+    return centred / max(deviation, MIN_SPREAD), mean, deviation
 
 
 def lead(scores):
@@ -96,80 +89,33 @@ def lead(scores):
     return float(z.max() - z[elsewhere].max())
 
 
-def sampled(queries):
-    """The queries that show what leads, see `SAMPLE`."""
-    return queries[:: max(1, len(queries) // SAMPLE)]
-
-
 def weights_of(channels, trust):
-    """The weight of each channel by its scores ``(Q, R)`` of a drive: its trust, times the mean
+    """The weight of each channel by its scores ``(Q, R)`` of a sequence: its trust, times the mean
     lead of its first candidates, for `SAMPLE` queries, if there are `MIN_FRAMES` and one leads."""
-    known = {name: trust.get(name, 1.0) for name in channels}
+    weights = {name: trust.get(name, 1.0) for name in channels}
     leads = {
-        name: max(0.0, float(np.mean([lead(row) for row in sampled(scores)])))
+        name: max(0.0, np.mean([lead(row) for row in scores[:: max(1, len(scores) // SAMPLE)]]))
         for name, scores in channels.items()
         if len(scores) >= MIN_FRAMES
     }
     if any(leads.values()):
-        known = {name: known[name] * leads[name] for name in known}
-    return {name: weight / sum(known.values()) for name, weight in known.items()}
+        weights = {name: weight * leads[name] for name, weight in weights.items()}
+    return {name: weight / sum(weights.values()) for name, weight in weights.items()}
 
 
-def fused(channels, weights):
+def fused(channels, weights, rows=None):
     """``(R,)`` scores of a query by all channels as one, as cosines: the weighted z-score, with the
     weighted mean and deviation; -inf where no channel has a score."""
-    parts = {name: z_scores(scores) for name, scores in channels.items()}
+    scaled = [z_scores(scores, rows) for scores in channels.values()]
     z, mean, deviation = (
-        sum(weights[name] * part for name, part in zip(parts, each, strict=True))
-        for each in zip(*parts.values(), strict=True)
+        sum(weight * number for weight, number in zip(weights.values(), numbers, strict=True))
+        for numbers in zip(*scaled, strict=True)
     )
-    some = np.isfinite([*channels.values()]).any(axis=0)
-    return np.where(some, 1 - np.exp(-(mean + deviation * z)), -np.inf)
+    seen = np.isfinite([*channels.values()]).any(axis=0)
+    return np.where(seen, 1 - np.exp(-(mean + deviation * z)), -np.inf)
 
 
 # ------------------------------------------------------------------------- sequences
-
-SPEEDS = (
-    (0.08, {-1: 0.05, 0: 0.9, 1: 0.05}),
-    (0.16, {0: 0.5, 1: 0.5}),
-    (0.34, {0: 0.1, 1: 0.8, 2: 0.1}),
-    (0.16, {1: 0.5, 2: 0.5}),
-    (0.14, {1: 0.1, 2: 0.8, 3: 0.1}),
-    (0.07, {2: 0.1, 3: 0.8, 4: 0.1}),
-    (0.05, {3: 0.15, 4: 0.7, 5: 0.15}),
-)
-"""Probability of each speed, and of its steps in rows: 0, 1/2, 1, 3/2, 2, 3, 4 rows a frame."""
-
-
-class Motion(NamedTuple):
-    """How a sequence is expected to move, and how much one frame counts: the probability that its
-    speed changes, of a jump to any row or to a place that the map lacks, the part of the latter, of
-    staying at such places; the factor of a z-score in the logarithm of the emission, and the
-    z-score above which a frame is more likely at a row than at a new place; mean steps a frame."""
-
-    change: float = 0.05
-    jump: float = 0.01
-    unmapped: float = 0.1
-    stay: float = 0.97
-    weight: float = 0.3
-    level: float = 0.5
-    rate: float = 1
-
-    def at(self, rate):
-        """The same motion at another rate."""
-        change, jump = (min(1.0, chance * rate) for chance in (self.change, self.jump))
-        return self._replace(rate=rate, change=change, jump=jump, weight=self.weight * rate)
-
-
-def steps_of(speed, rate):
-    """The probability of each step in rows at a speed, by its number in `SPEEDS`."""
-    steps, whole = {0: 1.0}, math.floor(rate)
-    for likely in [1.0] * whole + [rate - whole] * (rate > whole):
-        after = {far: (1 - likely) * chance for far, chance in steps.items()}
-        for (far, chance), (step, part) in product(steps.items(), SPEEDS[speed][1].items()):
-            after[far + step] = after.get(far + step, 0.0) + chance * part * likely
-        steps = {far: chance for far, chance in after.items() if chance > 0}
-    return steps
 
 
 def emission(scores, motion):
@@ -177,129 +123,46 @@ def emission(scores, motion):
     z, _, deviation = z_scores(scores)
     if deviation <= MIN_SPREAD:
         return np.ones(len(scores))
-    told = np.exp(np.minimum(motion.weight * (z - motion.level), MAX_LOG))
-    return np.where(np.isfinite(scores), told, 0)
+    likelier = np.exp(np.minimum(motion.weight * (z - motion.level), MAX_LOG))
+    return np.where(np.isfinite(scores), likelier, 0)
 
 
-class Model(NamedTuple):
-    """A hidden Markov model of a drive along the rows of a map.
-
-    A state is a speed and a row; the last one is a place that the map lacks. States are an array
-    ``(7 * R + 1,)``: the rows at the first speed, at the second, and so on.
-    """
-
-    sequences: tuple
-    motion: Motion
-    way: int
-
-    @property
-    def rows(self):
-        """The number of rows."""
-        return len(self.sequences)
-
-    def enter(self):
-        """The probabilities of all states at any row; none of a map without rows."""
-        speeds = [chance for chance, _ in SPEEDS]
-        return np.append(np.repeat(speeds, self.rows) / max(1, self.rows), 0.0)
-
-    def start(self):
-        """The probabilities of all states before the first query."""
-        unmapped = self.motion.unmapped if self.rows else 1.0
-        states = (1 - unmapped) * self.enter()
-        states[-1] = unmapped
-        return states
-
-    def targets(self, step):
-        """The rows from which a step stays in its sequence, and where it leads."""
-        rows, names = np.arange(self.rows), np.asarray(self.sequences)
-        there = rows + self.way * step
-        rows, there = (each[(there >= 0) & (there < self.rows)] for each in (rows, there))
-        same = names[rows] == names[there] if len(rows) else rows > 0
-        return rows[same], there[same]
-
-    def after(self, states):
-        """The probabilities of all states one query later. The speed changes, then a step of the
-        new speed is taken. What jumps or leaves its sequence is lost: it enters anywhere."""
-        motion, unmapped = self.motion, states[-1]
-        before = states[:-1].reshape(len(SPEEDS), -1)
-        moved = np.zeros_like(before)
-        for speed, (chance, _) in enumerate(SPEEDS):
-            turned = motion.change * chance * before.sum(0) + (1 - motion.change) * before[speed]
-            for step, part in steps_of(speed, motion.rate).items():
-                here, there = self.targets(step)
-                moved[speed, there] += (1 - motion.jump) * part * turned[here]
-        lost = before.sum() - moved.sum()
-        later = np.append(moved.flatten(), motion.stay * unmapped + motion.unmapped * lost)
-        return later + self.enter() * ((1 - motion.unmapped) * lost + (1 - motion.stay) * unmapped)
-
-    def before(self, future):
-        """How likely the later queries are from each state, by how likely they are from the states
-        one query later: the transpose of `after`."""
-        motion, unmapped = self.motion, future[-1]
-        anywhere = self.enter() @ future
-        lost = (1 - motion.unmapped) * anywhere + motion.unmapped * unmapped
-        later = future[:-1].reshape(len(SPEEDS), -1)
-        reached = np.full_like(later, lost)
-        for speed in range(len(SPEEDS)):
-            for step, part in steps_of(speed, motion.rate).items():
-                here, there = self.targets(step)
-                reached[speed, here] += part * (later[speed, there] - lost)
-        any_speed = np.array([chance for chance, _ in SPEEDS]) @ reached
-        turned = motion.change * any_speed + (1 - motion.change) * reached
-        moved = (1 - motion.jump) * turned + motion.jump * lost
-        return np.append(moved.flatten(), motion.stay * unmapped + (1 - motion.stay) * anywhere)
-
-    def updated(self, belief, emission_of):
-        """The belief after a query, and how much likelier the query is so than alone, as a
-        logarithm. After a query that can be nowhere by the belief, this starts anew."""
-        alone = (self.start() * emission_of).sum()
-        if (belief * emission_of).sum() < LEAST_TOTAL:
-            belief = self.start()
-        total = (belief * emission_of).sum()
-        if total < LEAST_TOTAL:
-            return belief, 0.0
-        return belief * emission_of / total, math.log(total / alone)
-
-    def emissions(self, scores):
-        """The likelihood of each query ``(Q, R)`` in all states."""
-        return [np.append(np.tile(emission(row, self.motion), len(SPEEDS)), 1.0) for row in scores]
+def emissions(model, scores):
+    """The emission of each query ``(Q, R)`` in all states."""
+    return [model.emission(emission(row, model.motion)) for row in scores]
 
 
 def follow(scores, sequences, motion, way, later):
-    """Of each query ``(Q, R)`` probabilities of the rows, and ``(Q,)`` of a place that the map
-    lacks, given all earlier queries and so many later ones: forward-backward."""
-    model = Model(sequences, motion, way)
-    emissions = model.emissions(scores)
-    beliefs = []
-    for emission_of in emissions:
+    """Of each query ``(Q, R)`` probabilities of the rows, given all earlier queries and so many
+    later ones: forward-backward."""
+    model = Model(tuple(sequences), motion, (way,))
+    beliefs, seen = [], emissions(model, scores)
+    for now in seen:
         before = model.after(beliefs[-1]) if beliefs else model.start()
-        beliefs.append(model.updated(before, emission_of)[0])
-    none, count = np.ones(len(model.start())), len(emissions)
+        beliefs.append(model.updated(before, now)[0])
+    none = np.ones(len(model.start()))
     futures = [none]
-    for query in reversed(range(count - 1)):
-        if query + later >= count - 1:  # all later queries
-            ahead = [(futures[-1], emissions[query + 1])]
-        else:
-            ahead = [(none, each) for each in emissions[query + later : query : -1]]
-        future = ahead[0][0] if ahead else none
-        for _, each in ahead:
-            future = model.before(future * each)
+    for query in reversed(range(len(seen) - 1)):
+        last = min(len(seen) - 1, query + later)
+        # with all later queries, the future of the next one is known already
+        future, first = (futures[-1], query + 1) if last == len(seen) - 1 else (none, last)
+        for now in seen[first:query:-1]:
+            future = model.before(future * now)
             future = future / future.max() if future.max() >= LEAST_TOTAL else none
         futures.append(future)
-    both = [belief * future for belief, future in zip(beliefs, reversed(futures), strict=False)]
+    both = [belief * future for belief, future in zip(beliefs, futures[::-1], strict=False)]
     possible = [
-        product if product.sum() >= LEAST_TOTAL else belief
-        for product, belief in zip(both, beliefs, strict=True)
+        states if states.sum() >= LEAST_TOTAL else belief
+        for states, belief in zip(both, beliefs, strict=True)
     ]
-    states = np.reshape([state / state.sum() for state in possible], (count, len(none)))
-    return states[:, :-1].reshape(count, len(SPEEDS), -1).sum(1), states[:, -1]
+    return [model.rows(states / states.sum()) for states in possible]
 
 
 def gain(scores, sequences, motion, way):
-    """How much likelier the queries are as a drive than each alone, as a logarithm."""
-    model, total = Model(sequences, motion, way), 0.0
+    """How much likelier the queries are as a sequence than each alone, as a logarithm."""
+    model, total = Model(tuple(sequences), motion, (way,)), 0.0
     belief = model.start()
-    for number, now in enumerate(model.emissions(scores)):
+    for number, now in enumerate(emissions(model, scores)):
         belief, gained = model.updated(model.after(belief) if number else belief, now)
         total += gained
     return total
@@ -322,17 +185,10 @@ def chance(values, rows=None, matching=None):
     are those of the map, by default the first ones; ``matching`` is how many of them could match,
     by default those with a value.
 
-    The rivals of an answer are the best places elsewhere. If the answer is wrong, it is a chance
-    place among chance places. Of n independent normal values the steps from each to the next lower
-    one, divided by what they are on average, are nearly exponential with one scale (Renyi, 1953):
-    if ``s`` is that of the answer over its best rival, and ``rest`` the sum of the m steps below,
-    then ::
-
-        chance = (1 + s / rest) ** -m
-
-    is uniform from 0 to 1, whatever mean and deviation the values have, and nearly so of values
-    that are nearly normal. The means of the steps are those of normal order statistics (Blom,
-    1958). Nothing but `ROWS_A_PLACE` is measured.
+    If the answer is wrong, it is a chance place among chance places. Of independent normal values
+    the steps from each to the next lower one, divided by their means, are nearly exponential with
+    one scale (Renyi, 1953): of the step ``s`` over the best rival, and the sum ``below`` of the m
+    further steps, ``(1 + s / below) ** -m`` is uniform from 0 to 1, whatever the scale.
     """
     at = np.arange(len(values)) if rows is None else np.asarray(rows)
     near = dict(zip(at.tolist(), values.astype(np.float64), strict=True))
@@ -341,7 +197,7 @@ def chance(values, rows=None, matching=None):
         for row, value in near.items()
         if value > -np.inf and not any(near.get(row + aside, -np.inf) > value for aside in (-1, 1))
     ]
-    best: list[int] = []
+    best = []
     for row in sorted(peaks, key=lambda row: -near[row]):
         if len(best) < PLACES and all(abs(row - other) > ELSEWHERE for other in best):
             best.append(row)
@@ -363,10 +219,10 @@ def mean_steps(places):
 
 
 def answers_together(rivals):
-    """How many neighbouring queries have one answer, by the best rivals ``(Q,)`` of a drive: the
-    mean over the queries of the length of their run, whose rows are at most `NEAR` apart. It is the
-    design effect of a sample in clusters (Kish, Survey Sampling, 1965)."""
-    apart = np.flatnonzero(np.abs(np.diff(rivals)) > NEAR) + 1
+    """How many neighbouring queries have one answer, by the best rivals ``(Q,)``: the mean
+    over the queries of the length of their run, whose rows are at most `SAME_PLACE_ROWS` apart. It
+    is the design effect of a sample in clusters (Kish, Survey Sampling, 1965)."""
+    apart = np.flatnonzero(np.abs(np.diff(rivals)) > SAME_PLACE_ROWS) + 1
     lengths = [len(run) for run in np.split(np.asarray(rivals), apart)]
     return sum(length * length for length in lengths) / len(rivals) if len(rivals) else 1.0
 
@@ -410,18 +266,18 @@ def mapped(chances, together, best=1.0):
     ``best`` is how often a wrong answer is the best of its query, always if it was judged alone; if
     not, the chance of an answer is 1 where it is not the best. That speaks against the map as far
     as other answers of the drive are the best, never for it."""
-    known, found = ~np.isnan(chances), np.zeros(len(chances))
-    is_best = (chances[known] < 1) | (best == 1)
-    logs, each = [], []
-    for weight, wrong, likelier in at_points(chances[known]):
-        told = wrong + likelier / best
+    answered, has = ~np.isnan(chances), np.zeros(len(chances))
+    is_best = (chances[answered] < 1) | (best == 1)
+    logs, smoothed = [], []
+    for weight, wrong, likelier in at_points(chances[answered]):
+        ratio = wrong + likelier / best
         if best < 1:
-            told[~is_best] = min(1, wrong / (1 - best))
-        likely, where = in_stretches(told ** (1 / together))
-        logs.append(math.log(weight) + likely)
-        each.append(where)
-    found[known] = of_points(logs) @ each
-    return found
+            ratio[~is_best] = min(1, wrong / (1 - best))
+        log, states = in_stretches(ratio ** (1 / together))
+        logs.append(math.log(weight) + log)
+        smoothed.append(states)
+    has[answered] = normalised(logs) @ smoothed
+    return has
 
 
 FEW = 2
@@ -435,17 +291,17 @@ def confidence(chances, mapped, together, followed=False):
     times the mean over the prior, each point weighed by how likely it makes the chances where the
     map has the places; queries that err together count as one. The deviation is that of answers
     whose places the map has all together or not at all. See `confidence`."""
-    right, spread, known = np.zeros(len(chances)), np.zeros(len(chances)), ~np.isnan(chances)
-    logs, rights = [], []
-    for weight, wrong, likelier in at_points(chances[known]):
-        told = wrong + likelier
-        logs.append(math.log(weight) + float((mapped[known] * np.log(told)).sum()) / together)
+    right, spread, answered = np.zeros(len(chances)), np.zeros(len(chances)), ~np.isnan(chances)
+    has, logs, rights = mapped[answered], [], []
+    for weight, wrong, likelier in at_points(chances[answered]):
+        ratio = wrong + likelier
+        logs.append(math.log(weight) + float((has * np.log(ratio)).sum()) / together)
         logs[-1] += FEW * math.log(1 - wrong) if followed else 0
-        rights.append(likelier / told)
-    weights = of_points(logs)
-    right[known] = mapped[known] * (weights @ rights)
-    square = mapped[known] * (weights @ np.square(rights))
-    spread[known] = np.sqrt(np.maximum(0, square - right[known] ** 2))
+        rights.append(likelier / ratio)
+    weights = normalised(logs)
+    right[answered] = has * (weights @ rights)
+    square = has * (weights @ np.square(rights))
+    spread[answered] = np.sqrt(np.maximum(0, square - right[answered] ** 2))
     return right, spread
 
 
@@ -458,30 +314,30 @@ def at_points(chances):
         yield weight, wrong, (1 - wrong) * np.exp(log)
 
 
-def of_points(logs):
+def normalised(logs):
     """Weights of the sum 1, by their logarithms."""
     weights = np.exp(np.array(logs) - max(logs))
     weights /= weights.sum()
     return weights
 
 
-def in_stretches(told):
-    """The logarithm of how likely queries are, each ``told (Q,)`` times as likely where the map has
-    its place as where it lacks it, and ``(Q,)`` the probability that it has the place. Both kinds
-    of stretches last `STRETCH` queries in the mean: forward-backward."""
+def in_stretches(ratio):
+    """The logarithm of how likely queries are, each ``ratio (Q,)`` times as likely where the map
+    has its place as where it lacks it, and ``(Q,)`` the probability that it has the place. Both
+    kinds of stretches last `STRETCH` queries in the mean: forward-backward."""
     stay = 1 - 1 / STRETCH
     change = np.array([[stay, 1 - stay], [1 - stay, stay]])
-    each = np.stack([told, np.ones(len(told))], axis=1)
+    emissions = np.stack([ratio, np.ones(len(ratio))], axis=1)
     before, future, log = np.array([1 - FOREIGN, FOREIGN]), np.ones(2), 0.0
-    beliefs, found = np.zeros((len(told), 2)), np.zeros(len(told))
-    for query in range(len(told)):
-        belief = each[query] * before
+    beliefs, smoothed = [], []
+    for now in emissions:
+        belief = now * before
         log += math.log(belief.sum())
-        beliefs[query] = belief = belief / belief.sum()
-        before = change @ belief
-    for query in reversed(range(len(told))):
-        both = beliefs[query] * future
-        found[query] = both[0] / both.sum()
-        future = change @ (each[query] * future)
+        beliefs.append(belief / belief.sum())
+        before = change @ beliefs[-1]
+    for belief, now in zip(beliefs[::-1], emissions[::-1], strict=True):
+        both = belief * future
+        smoothed.append(both[0] / both.sum())
+        future = change @ (now * future)
         future /= future.sum()
-    return log, found
+    return log, smoothed[::-1]
