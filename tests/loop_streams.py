@@ -91,8 +91,8 @@ def assert_same_answers(got, expected):
             assert one[name] == other[name], one["frame"]
         for name in ("score", "probability"):
             assert one[name] == pytest.approx(other[name], abs=3e-4), one["frame"]
-        places, wanted = (_likely(each["candidates"]) for each in (one, other))
-        assert places == pytest.approx(wanted, abs=3e-4), one["frame"]
+        places, others = (_likely(answer["candidates"]) for answer in (one, other))
+        assert places == pytest.approx(others, abs=3e-4), one["frame"]
 
 
 configs = st.builds(LoopConfig, exclude=st.integers(0, 20), threshold=st.floats(0.1, 0.9))

@@ -39,8 +39,6 @@ COLUMNS = (-4, 0, 4)
 REPLAYED = 100
 """Frames that a loaded detector goes through again, to know where it is: twice what it excludes."""
 
-_LENGTH_TOLERANCE = 1e-3
-
 
 class LoopDetector:
     """Decides for each frame of a stream whether its place was seen before.
@@ -81,12 +79,9 @@ class LoopDetector:
         self.segmenter: Segmenter | None = None
         self.head = head or SSRVLAD()
         self.channels: tuple[Channel, ...] = (LabelShapes(self.head), *channels)
-        channels_of_stream = [
-            StreamChannel(name, shape, dtype, channel.trust)
-            for channel in self.channels
-            for name, _, shape, dtype in [channel.column]
-        ]
-        self._stream = Loops(channels_of_stream, self.config.exclude, self.config.threshold)
+        columns = [(channel.column, channel.trust) for channel in self.channels]
+        streamed = [StreamChannel(of.name, of.shape, of.dtype, trust) for of, trust in columns]
+        self._stream = Loops(streamed, self.config.exclude, self.config.threshold)
         self._log = FrameLog(self._stream)
         self._saved, self._begun = 0, 0  # rows before these: in a database, and perhaps in it
         self._updating, self._saving = threading.RLock(), threading.RLock()
@@ -152,12 +147,10 @@ class LoopDetector:
         Raises:
             IndexError: there is no frame yet.
         """
-        last = len(self)
+        last, name = len(self), self._stream.channels[0].name
         if not last:
             raise IndexError("no frame was seen yet")
-        descriptor: npt.NDArray[np.float32] = self._stream.descriptors(
-            self._stream.channels[0].name, last - 1, last
-        )[0]
+        descriptor: npt.NDArray[np.float32] = self._stream.descriptors(name, last - 1, last)[0]
         return descriptor
 
     @property
@@ -199,30 +192,29 @@ class LoopDetector:
         sequence, name = split_id(frame_id) if is_text(frame_id) else ("", "")
         if not (sequence and name):
             raise ValueError(f"expected a frame's id <sequence>/<name>, got {frame_id!r}")
-        place = checked_pose(pose, frame_id)
         stamps = [math.nan] if stamp is None else numbers_of([stamp])
         if not stamps:
             raise ValueError(f"frame {frame_id!r}: expected a stamp in seconds, got {stamp!r}")
-        record = FrameRecord(sequence, name, *place, stamps[0])
+        record = FrameRecord(sequence, name, *checked_pose(pose, frame_id), stamps[0])
         if self.segmenter and np.shape(view)[2:] == (3,):
             picture = np.asarray(view)
             [(view, features)] = self.segmenter.segment([picture], self._needs(FEATURES))
-        tensor, (first, *others) = as_tensor(view), self.channels
+        tensor = as_tensor(view)
         if features is not None:
             features = real_tensor(features, "features").numpy(force=True)
         for need, array in ((PICTURE, picture), (FEATURES, features)):
             if array is not None and not (self.segmenter or self._needs(need)):
                 raise ValueError(f"got {need}, but the detector has no channel that describes them")
         views = [View(frame_id, picture=picture, features=features)]
-        described = {channel.column.name: channel.describe(views)[0] for channel in others}
-        if tensor.ndim == 1:
-            return self.observe(record, {first.column.name: tensor, **described})
-        batch = tensor[None]
-        [descriptor] = self.head.sweep(batch, self.columns) if self.columns else self.head(batch)
-        labels = (tensor.argmax(0) if tensor.ndim == 3 else tensor).cpu().numpy()
-        height, width = labels.shape
-        record = record._replace(digest=digest(labels), height=height, width=width)
-        return self.observe(record, {first.column.name: descriptor, **described})
+        described = {of.column.name: of.describe(views)[0] for of in self.channels[1:]}
+        descriptor = tensor
+        if tensor.ndim > 1:
+            batch, columns = tensor[None], self.columns
+            [descriptor] = self.head.sweep(batch, columns) if columns else self.head(batch)
+            labels = (tensor.argmax(0) if tensor.ndim == 3 else tensor).cpu().numpy()
+            height, width = labels.shape
+            record = record._replace(digest=digest(labels), height=height, width=width)
+        return self.observe(record, {self.channels[0].column.name: descriptor, **described})
 
     @property
     def scans(self) -> bool:
@@ -282,10 +274,7 @@ class LoopDetector:
         arrays = {}
         for channel in self._stream.channels:
             array = descriptors[channel.name].numpy(force=True)
-            if channel.dtype == "float32":
-                array = array.astype(np.float32)
-                _require_lengths(array, [frame] * array.size)
-            arrays[channel.name] = array
+            arrays[channel.name] = array.astype(np.float32) if array.dtype.kind == "f" else array
         return arrays
 
     def _result(self, frame: str, step: LoopStep) -> LoopResult:
@@ -372,17 +361,15 @@ class LoopDetector:
         head = head or SSRVLAD(database.config)
         database.require(head.config)
         detector = cls(config, head, channels_of(database.columns[1:], head))
-        frames, known = database.load(), database.known()
-        names = dict.fromkeys(known.table["sequence"].to_pylist())
+        frames, stored = database.load(), database.known()
+        names = dict.fromkeys(stored.table["sequence"].to_pylist())
         added = {name: number for number, name in enumerate(names)}
-        records = [known[frame] for frame in frames.frames]
-        order = sorted(
-            range(len(records)),
-            key=lambda row: (records[row].arrival, added[records[row].sequence]),
-        )
+        records = [stored[frame] for frame in frames.frames]
+        places = [(record.arrival, added[record.sequence]) for record in records]
+        order = sorted(range(len(records)), key=places.__getitem__)
         sequences = [[*rows] for _, rows in groupby(order, lambda row: records[row].sequence)]
         for rows in sequences:
-            described = {name: each[rows].numpy() for name, each in frames.channels.items()}
+            described = {name: of[rows].numpy() for name, of in frames.channels.items()}
             replayed = REPLAYED if rows is sequences[-1] else 0
             detector._remember([records[row] for row in rows], described, replayed)
         detector._saved = detector._begun = len(records)
@@ -394,29 +381,13 @@ class LoopDetector:
         """Takes the frames of a sequence, the last ones as if they came now, by their descriptors
         ``(N, *shape)`` in each channel."""
         stamps = np.array([record.stamp for record in records])
-        for channel in self._stream.channels:
-            if channel.dtype == "float32":
-                ids = [record.frame for record in records]
-                _require_lengths(described[channel.name], ids)
         self._log.enter(records)
         now = max(0, len(records) - replayed)
-        known = {name: rows[:now] for name, rows in described.items()}
-        self._stream.extend(known, stamps[:now], np.arange(now) == 0)
+        earlier = {name: rows[:now] for name, rows in described.items()}
+        self._stream.extend(earlier, stamps[:now], np.arange(now) == 0)
         for row in range(now, len(records)):
             descriptors = {name: rows[row] for name, rows in described.items()}
             self._stream.update(descriptors, stamps[row], not row)
-
-
-def _require_lengths(vectors: npt.NDArray[np.float32], frames: Sequence[str]) -> None:
-    """Vectors ``(N, D)`` of length 1 or zero; others are a ValueError that names their frame."""
-    lengths = np.atleast_1d(np.linalg.norm(vectors, axis=-1)).ravel()
-    wrong = ~((np.abs(lengths - 1) <= _LENGTH_TOLERANCE) | (lengths == 0))
-    if wrong.any():
-        row = int(wrong.argmax())
-        raise ValueError(
-            f"frame {frames[row]!r}: expected a descriptor of length 1 or zero, got "
-            f"{lengths[row]:g}"
-        )
 
 
 def _require_database(database: object) -> None:

@@ -85,11 +85,11 @@ def _draw_trajectory(axes: Axes, poses: Floats, sequences: Sequence[str]) -> Non
     shown = {"trajectory": True, "start": True}
     for _, group in groupby(range(len(poses)), lambda row: sequences[row]):
         rows = [*group]
-        known = [row for row in rows if np.isfinite(poses[row, :2]).all()]
+        placed = [row for row in rows if np.isfinite(poses[row, :2]).all()]
         line = "trajectory" if shown.pop("trajectory", None) else None
         axes.plot(*poses[rows, :2].T, color=_GRAY, lw=1, zorder=0, label=line)
-        if known:
+        if placed:
             label = "start" if shown.pop("start", None) else None
-            axes.plot(*poses[known[0], :2], "s", color=_DARK, ms=5, label=label)
+            axes.plot(*poses[placed[0], :2], "s", color=_DARK, ms=5, label=label)
     axes.set(xlabel="x in metres", ylabel="y in metres")
     axes.set_aspect("equal", adjustable="datalim")

@@ -173,10 +173,10 @@ def report(
         judged = [result for result in results if result.probability is not None]
         candidates = candidates_of(detector, judged)
         errors = loop_errors(candidates, detector.poses)
-        known = np.isfinite(errors)
+        placed = np.isfinite(errors)
         probabilities = np.array([result.probability for result in judged], float)
-        right = errors[known] <= metres
+        right = errors[placed] <= metres
         revisits = score_loops(candidates, detector.poses, exclude, metres, first).revisits
-        point = surest_point(loop_curve(probabilities[known], right, revisits))
+        point = surest_point(loop_curve(probabilities[placed], right, revisits))
         summary["suggested"] = point and point._asdict()
     return summary
