@@ -1,55 +1,70 @@
-"""Functions of the decision core that the package does not call by themselves."""
+"""Parts of the core's decisions one by one, by a library that is built of its sources."""
 
 import ctypes
+import subprocess
+import tempfile
+from functools import cache
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import torch
 
-from ssrvlad_torch.native import required
+from ssrvlad_torch.native import FOLDER
 from ssrvlad_torch.recognition.confidence import Confidence
 
 
+@cache
+def library():
+    """That of ``judging.cpp``."""
+    with tempfile.TemporaryDirectory() as folder:
+        built = Path(folder, "judging.so")
+        names = "confidence.cpp", "filter.cpp", "numbers.cpp"
+        sources = [Path(__file__).with_name("judging.cpp"), *(FOLDER / name for name in names)]
+        flags = ["-std=c++17", "-O2", "-ffp-contract=off", "-shared", "-fPIC", f"-I{FOLDER}"]
+        subprocess.run(["g++", *flags, *sources, "-o", built], check=True)
+        functions = ctypes.CDLL(str(built))
+    functions.chance.restype = functions.together.restype = ctypes.c_double
+    return functions
+
+
+def doubles(values):
+    return np.ascontiguousarray(values, np.float64)
+
+
+def pointer(array):
+    return None if array is None else ctypes.c_void_p(array.ctypes.data)
+
+
 class Chance(NamedTuple):
-    """How an answer compares with its rivals; see `reference.chance`."""
+    """How an answer compares with its rivals; see `oracles.recognition.chance`."""
 
     chance: float
     rival: int
 
 
-def chance_of(values, rows=None, count=-1):
-    numbers, found, rival = (
-        np.ascontiguousarray(values, np.float64),
-        ctypes.c_double(),
-        ctypes.c_int64(),
-    )
-    some = None if rows is None else np.ascontiguousarray(rows, np.int64)
-    assert some is None or some.shape == numbers.shape, "a row for each value"
-    given = (
-        numbers.ctypes,
-        None if some is None else some.ctypes,
-        numbers.size,
-        count,
-        ctypes.byref(found),
-        ctypes.byref(rival),
-    )
-    assert required().ssrvlad_chance(*given) == 0
-    return Chance(found.value, rival.value)
+def chance_of(values, rows=None, matching=-1):
+    numbers, rival = doubles(values), ctypes.c_int64()
+    listed = None if rows is None else np.ascontiguousarray(rows, np.int64)
+    assert listed is None or listed.shape == numbers.shape, "a row for each value"
+    sizes = ctypes.c_int64(numbers.size), ctypes.c_int64(matching)
+    chance = library().chance(pointer(numbers), pointer(listed), *sizes, ctypes.byref(rival))
+    return Chance(chance, rival.value)
 
 
 def mapped(chances, together, best=1.0):
-    numbers, found = np.ascontiguousarray(chances, np.float64), np.empty(len(chances))
-    given = numbers.ctypes, numbers.size, together, best, found.ctypes
-    assert required().ssrvlad_mapped(*given) == 0
-    return found
+    numbers, has = doubles(chances), np.empty(len(chances))
+    settings = ctypes.c_double(together), ctypes.c_double(best)
+    library().mapped(pointer(numbers), ctypes.c_int64(numbers.size), *settings, pointer(has))
+    return has
 
 
 def confidence(chances, mapped, together, followed=False):
-    numbers, places = (np.ascontiguousarray(each, np.float64) for each in (chances, mapped))
-    found = np.empty((2, numbers.size), np.float32)
-    given = numbers.ctypes, places.ctypes, numbers.size, together, followed
-    assert required().ssrvlad_confidence(*given, *(each.ctypes for each in found)) == 0
-    return found
+    numbers, has = doubles(chances), doubles(mapped)
+    sure = np.empty((2, numbers.size), np.float32)
+    settings = ctypes.c_int64(numbers.size), ctypes.c_double(together), int(followed)
+    library().confidence(pointer(numbers), pointer(has), *settings, *map(pointer, sure))
+    return sure
 
 
 def of_chances(chances, together):
@@ -61,4 +76,4 @@ def of_chances(chances, together):
 
 def answers_together(rivals):
     rows = np.ascontiguousarray(rivals, np.int64)
-    return required().ssrvlad_together(rows.ctypes, rows.size)
+    return library().together(pointer(rows), ctypes.c_int64(rows.size))

@@ -91,26 +91,37 @@ void finds() {
   const int64_t rows = one_in(5) ? between(0, 3) : between(1, 160), queries = one_in(5) ? between(0, 2) : between(0, 70);
   const auto starts = drives_of(rows);
   const ssrvlad_drives drives{starts.data(), static_cast<int64_t>(starts.size()), rows};
-  ssrvlad_map *map = ssrvlad_map_new(&drives);
+  std::vector<int64_t> listed;
+  for (int64_t row = 0; row < rows; ++row)
+    if (!row || one_in(2)) listed.push_back(row);
+  const bool is_whole = listed.empty() || !one_in(3);
+  const int64_t count = is_whole ? rows : static_cast<int64_t>(listed.size()), mean = 0;
+  std::vector<double> stand_for(listed.size(), 1 + fraction());
+  const ssrvlad_shortlist shortlist{listed.data(), stand_for.data(), count, &mean, 1};
+  ssrvlad_map *map = is_whole ? ssrvlad_map_new(&drives) : ssrvlad_map_of(&drives, &shortlist);
   expect(map, "a map");
   std::vector<Frames> there, here;
+  std::vector<float> by_scores;  // of another method
+  for (int64_t score = 0; score <= queries * count; ++score) by_scores.push_back(one_in(9) ? -INFINITY : number());
   std::vector<ssrvlad_queries> asked;
   const double speed = fraction() * 4 - 1.5;
   const auto channels = between(1, 3), top = between(1, 8);
   there.reserve(3), here.reserve(3);
   for (int64_t channel = 0; channel < channels; ++channel) {
-    const bool vectors = one_in(2);
+    const bool vectors = one_in(2), scores = one_in(4);
     const int64_t columns = vectors ? 1 : between(1, 8), size = vectors ? between(1, 64) : between(1, 20);
-    there.emplace_back(rows, 1, columns * size, 1);
+    there.emplace_back(count, 1, columns * size, 1);
     here.emplace_back(queries, vectors && one_in(2) ? 2 * between(0, 7) + 1 : 1, columns * size, speed);
     ssrvlad_channel added{};
     added.kind = vectors ? SSRVLAD_VECTORS : SSRVLAD_SIGNS;
     added.rows = vectors ? static_cast<const void *>(there.back().vectors.data()) : there.back().signs.data();
     added.columns = columns, added.size = size, added.trust = 0.5 + fraction();
+    if (scores) added.kind = SSRVLAD_SCORES, added.rows = nullptr, added.columns = added.size = 1;
     expect(!ssrvlad_map_add_channel(map, &added), "a channel");
     ssrvlad_queries seen{};
     seen.descriptors = vectors ? static_cast<const void *>(here.back().vectors.data()) : here.back().signs.data();
     seen.anchors = here.back().anchors;
+    if (scores) seen.descriptors = by_scores.data(), seen.anchors = 1;
     asked.push_back(seen);
   }
   std::vector<float> scores(static_cast<std::size_t>(queries * top + 1)), right(scores), spread(scores), together(scores);
@@ -119,7 +130,7 @@ void finds() {
   ssrvlad_steps steps{};
   steps.standardise = one_in(2), steps.sweep = one_in(2), steps.follow = static_cast<int32_t>(between(0, 2));
   steps.delay = one_in(4) ? int64_t{1} << 40 : between(0, 12), steps.top = top;
-  std::vector<unsigned char> allowed(static_cast<std::size_t>(rows + 1));
+  std::vector<unsigned char> allowed(static_cast<std::size_t>(count + 1));
   std::vector<int64_t> excluded;
   for (unsigned char &each : allowed) each = !one_in(5);
   for (int64_t query = 0; query < queries; ++query) {
@@ -145,10 +156,26 @@ void finds() {
       expect(found[place] >= -1 && found[place] < rows, "a row", static_cast<double>(found[place]));
     }
   }
-  std::vector<float> cosines(static_cast<std::size_t>(queries * rows + 1));
+  std::vector<float> cosines(static_cast<std::size_t>(queries * count + 1));
   if (called([&] { return ssrvlad_map_compare(map, asked.data(), queries, &steps, threads, cosines.data(), &taken); }))
-    for (int64_t each = 0; each < queries * rows; ++each) expect(cosines[each] <= 1.001F, "a cosine", cosines[each]);
+    for (int64_t each = 0; each < queries * count; ++each) expect(cosines[each] <= 1.001F, "a cosine", cosines[each]);
+  by_scores[0] = NAN, steps.allowed = nullptr, steps.excluded = nullptr;
+  if (queries && count && channels == 1 && asked[0].descriptors == by_scores.data())
+    expect(ssrvlad_map_query(map, asked.data(), queries, &steps, threads, &decision, &taken) == SSRVLAD_WRONG_ARGUMENT, "NaN is refused");
   ssrvlad_map_free(map);
+}
+
+void scans() {
+  const int64_t rows = between(1, 140), columns = between(1, 6), words = between(1, 4), queries = between(0, 3), length = between(1, 9), blocks = (rows + 63) / 64;
+  std::vector<uint64_t> signs, asked;
+  for (int64_t word = 0; word < rows * columns * words; ++word) signs.push_back(noise());
+  for (int64_t word = 0; word <= queries * columns * words; ++word) asked.push_back(noise());
+  std::vector<float> scores(static_cast<std::size_t>(queries * blocks * SSRVLAD_LANES + 1)), weights(static_cast<std::size_t>(queries * 3 * length + 1), 0.5F), offsets(static_cast<std::size_t>(3 * queries + 1));
+  for (int64_t reach = 0; reach <= columns; ++reach)
+    expect(ssrvlad_scan_signs(asked.data(), queries, signs.data(), rows, columns, words, 64 * words, reach, 2, scores.data()) == (reach < columns ? SSRVLAD_OK : SSRVLAD_WRONG_ARGUMENT), "a scan of signs");
+  std::vector<int8_t> codes(static_cast<std::size_t>(blocks * length * SSRVLAD_LANES));
+  for (auto &code : codes) code = static_cast<int8_t>(noise());
+  expect(!ssrvlad_scan_vectors(weights.data(), offsets.data(), queries, 3, codes.data(), blocks, length, 2, scores.data()), "a scan of vectors");
 }
 
 void closes() {
@@ -234,7 +261,7 @@ int main(int, char **arguments) {
   const long long first = std::atoll(arguments[1]), count = std::atoll(arguments[2]);
   for (seed = first; seed < first + count; ++seed) {
     noise.seed(static_cast<std::uint64_t>(seed));
-    finds(), closes(), describes();
+    finds(), closes(), describes(), scans();
   }
   std::puts("clean");
 }

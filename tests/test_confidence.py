@@ -16,7 +16,7 @@ from ssrvlad_torch.recognition.confidence import (
 from ssrvlad_torch.recognition.recognise import recognise_by_scores
 
 
-def traverse(queries: int, right: float, seed: int = 0, ahead: float = 6.0):
+def drawn_chances(queries: int, right: float, seed: int = 0, ahead: float = 6.0):
     """The chances of right and of wrong answers, and the truth: wrong ones are uniform."""
     random = np.random.default_rng(seed)
     is_right = random.random(queries) < right
@@ -26,24 +26,24 @@ def traverse(queries: int, right: float, seed: int = 0, ahead: float = 6.0):
 
 @pytest.mark.parametrize("right", [0.2, 0.6, 0.95])
 def test_confidence_learns_how_often_answers_are_right(right):
-    chances, truth = traverse(4000, right)
+    chances, truth = drawn_chances(4000, right)
     sure = of_chances(chances, 1.0)
-    for part in (sure.right >= 0.5, sure.right < 0.5):
-        assert abs(float(sure.right[part].mean()) - truth[part.numpy()].mean()) < 0.1
+    for half in (sure.right >= 0.5, sure.right < 0.5):
+        assert abs(float(sure.right[half].mean()) - truth[half.numpy()].mean()) < 0.1
     assert abs(float(sure.right.mean()) - truth.mean()) < 0.1
 
 
 def test_confidence_falls_with_the_chance():
     """Of one answer among others that stay as they are."""
-    others = traverse(100, 0.6)[0]
-    found = []
+    others = drawn_chances(100, 0.6)[0]
+    estimated = []
     for chance in torch.logspace(-8, -0.01, 25, dtype=torch.double):
         others[50] = chance
         sure = of_chances(others, 2.0)
-        found.append(sure.right[50])
+        estimated.append(sure.right[50])
         assert (sure.together == 2).all()
         assert ((sure.spread > 0) & (sure.spread < 0.5)).all()
-    assert (torch.stack(found).diff() <= 1e-6).all() and found[0] > found[-1] + 0.5
+    assert (torch.stack(estimated).diff() <= 1e-6).all() and estimated[0] > estimated[-1] + 0.5
 
 
 def test_answers_are_less_sure_where_those_around_look_wrong():
@@ -77,7 +77,7 @@ def test_a_track_that_no_query_shows_does_not_speak_for_the_map(queries):
 
 
 def test_a_query_without_a_candidate_is_no_answer():
-    chances, _ = traverse(50, 0.5)
+    chances, _ = drawn_chances(50, 0.5)
     sure = of_chances(chances, 1.0)
     more = of_chances(torch.cat((chances, torch.tensor([torch.nan]))), 1.0)
     torch.testing.assert_close(more.right, torch.cat((sure.right, torch.zeros(1))))
@@ -87,19 +87,19 @@ def test_a_query_without_a_candidate_is_no_answer():
 
 @pytest.mark.parametrize("max_wrong", [0.02, 0.1, 0.5])
 def test_accepts_as_many_as_the_estimate_permits(max_wrong):
-    sure = of_chances(traverse(300, 0.6)[0], 1.0)
-    found = accept(sure, max_wrong)
-    each = [estimate(sure, float(least)) for least in sure.right.unique()]
-    assert found.accepted == max(one.accepted for one in each if one.wrong <= max_wrong)
-    assert found in each and found.low <= found.wrong <= found.high
+    sure = of_chances(drawn_chances(300, 0.6)[0], 1.0)
+    estimated = accept(sure, max_wrong)
+    others = [estimate(sure, float(least)) for least in sure.right.unique()]
+    assert estimated.accepted == max(one.accepted for one in others if one.wrong <= max_wrong)
+    assert estimated in others and estimated.low <= estimated.wrong <= estimated.high
 
 
 def test_the_estimate_is_the_mean_doubt():
-    sure = of_chances(traverse(300, 0.6)[0], 1.0)
-    for found in (estimate(sure), estimate(sure, 0.7), accept(sure, 0.05)):
-        taken = sure.right[sure.right >= found.confidence]
-        assert len(taken) == found.accepted
-        assert found.wrong == pytest.approx(1 - float(taken.mean()), abs=1e-5)
+    sure = of_chances(drawn_chances(300, 0.6)[0], 1.0)
+    for estimated in (estimate(sure), estimate(sure, 0.7), accept(sure, 0.05)):
+        accepted = sure.right[sure.right >= estimated.confidence]
+        assert len(accepted) == estimated.accepted
+        assert estimated.wrong == pytest.approx(1 - float(accepted.mean()), abs=1e-5)
 
 
 @pytest.mark.parametrize("level", [None, 0.2, 0.05])
@@ -107,19 +107,19 @@ def test_the_interval_holds(level):
     """For thresholds that are chosen by the same queries, too."""
     inside = []
     for seed in range(120):
-        chances, truth = traverse(200, (0.3, 0.6, 0.9)[seed % 3], seed)
+        chances, truth = drawn_chances(200, (0.3, 0.6, 0.9)[seed % 3], seed)
         sure = of_chances(chances, 1.0)
-        found = estimate(sure) if level is None else accept(sure, level)
-        if found.accepted and found.low is not None:
-            wrong = 1 - truth[(sure.right >= found.confidence).numpy()].mean()
-            inside.append(found.low <= wrong <= found.high)
+        estimated = estimate(sure) if level is None else accept(sure, level)
+        if estimated.accepted and estimated.low is not None:
+            wrong = 1 - truth[(sure.right >= estimated.confidence).numpy()].mean()
+            inside.append(estimated.low <= wrong <= estimated.high)
     assert len(inside) > 80 and np.mean(inside) > 0.9
 
 
 def test_nothing_is_accepted_by_chance():
-    sure = [of_chances(traverse(200, 0.0, seed)[0], 1.0) for seed in range(50)]
-    assert sum(accept(each, 0.05).accepted > 0 for each in sure) <= 2
-    assert np.mean([estimate(each).wrong for each in sure]) > 0.95
+    sure = [of_chances(drawn_chances(200, 0.0, seed)[0], 1.0) for seed in range(50)]
+    assert sum(accept(drawn, 0.05).accepted > 0 for drawn in sure) <= 2
+    assert np.mean([estimate(drawn).wrong for drawn in sure]) > 0.95
 
 
 def test_ties_count_against_the_map():
@@ -128,11 +128,11 @@ def test_ties_count_against_the_map():
 
 
 def test_a_picture_is_judged_by_the_prior():
-    clear, unclear = (of_chances(torch.tensor([each]), 1.0) for each in (1e-8, 0.3))
+    clear, unclear = (of_chances(torch.tensor([chance]), 1.0) for chance in (1e-8, 0.3))
     assert clear.right > 0.95 and unclear.right < 0.5
     assert accept(clear, 0.05).accepted == 1 and accept(unclear, 0.05).accepted == 0
-    found = estimate(unclear)
-    assert (found.accepted, found.low, found.high) == (1, None, None)
+    estimated = estimate(unclear)
+    assert (estimated.accepted, estimated.low, estimated.high) == (1, None, None)
     assert accept(unclear, 0.001) == estimate(unclear, 2.0) == (math.inf, 0, 0, 0, 0)
 
 
@@ -148,7 +148,7 @@ def test_what_has_a_candidate_is_an_answer():
 
 
 def test_answers_that_err_together_widen_the_interval():
-    chances, _ = traverse(300, 0.6)
+    chances, _ = drawn_chances(300, 0.6)
     one = of_chances(chances, 1.0)
     many = estimate(one._replace(together=torch.full((300,), 5.0)))
     one = estimate(one)

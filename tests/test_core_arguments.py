@@ -19,27 +19,6 @@ def of(array):
     return array.ctypes.data
 
 
-def stage(name, images, *given):
-    return lambda core: getattr(core, f"ssrvlad_{name}")(of(PLANES), images, 16, 16, *given)
-
-
-def chance(value):
-    values = np.array([0.1, value, 0.2])
-    return lambda core: core.ssrvlad_chance(of(values), None, 3, -1, of(FOUND), of(FOUND[1:]))
-
-
-def mapped(chances, together=1.0):
-    values = np.array(chances)
-    return lambda core: core.ssrvlad_mapped(of(values), len(values), together, 1.0, of(FOUND))
-
-
-def confidence(chances, has):
-    given = np.array([[chances], [has]])
-    return lambda core: core.ssrvlad_confidence(
-        of(given[0]), of(given[1]), 1, 1.0, 0, of(FOUND), of(FOUND[4:])
-    )
-
-
 def decided(starts, scores):
     def call(core):
         drives = struct("drives")(starts, 1, 4)
@@ -47,9 +26,9 @@ def decided(starts, scores):
         if not handle:
             return -2
         core.ssrvlad_map_add_channel(handle, struct("channel")(None, 2, 1, 1, 1.0))
-        steps, taken = struct("steps")(0, 0, 2, 0, 1), struct("taken")(0, 0, of(FOUND))
-        given, room = struct("queries")(of(FRAMES), 1), struct("decision")(scores)
-        status = core.ssrvlad_map_query(handle, given, 1, steps, 1, room, taken)
+        steps, done = struct("steps")(0, 0, 2, 0, 1), struct("taken")(0, 0, of(FOUND))
+        passed, room = struct("queries")(of(FRAMES), 1), struct("decision")(scores)
+        status = core.ssrvlad_map_query(handle, passed, 1, steps, 1, room, done)
         core.ssrvlad_map_free(handle)
         return status
 
@@ -69,23 +48,18 @@ def with_map(use):
 
 
 def channel(kind, columns, size):
-    given = struct("channel")(of(FRAMES), kind, columns, size, 1.0)
-    return with_map(lambda core, town: core.ssrvlad_map_add_channel(town, given))
+    passed = struct("channel")(of(FRAMES), kind, columns, size, 1.0)
+    return with_map(lambda core, town: core.ssrvlad_map_add_channel(town, passed))
 
 
 def queries(count, anchors):
     def ask(core, town):
         assert core.ssrvlad_map_add_channel(town, struct("channel")(of(FRAMES), 0, 1, 8, 1.0)) == 0
-        given = struct("queries")(of(FRAMES), anchors)
-        steps, taken = struct("steps")(0, 0, 0, 0, 1), struct("taken")()
-        return core.ssrvlad_map_query(town, given, count, steps, 1, struct("decision")(), taken)
+        passed = struct("queries")(of(FRAMES), anchors)
+        steps, done = struct("steps")(0, 0, 0, 0, 1), struct("taken")()
+        return core.ssrvlad_map_query(town, passed, count, steps, 1, struct("decision")(), done)
 
     return with_map(ask)
-
-
-def matched(count, length):
-    given = struct("rows")(of(FRAMES), of(NUMBERS), None, count, length, 0)
-    return lambda core: core.ssrvlad_match(given, of(FRAMES), 1, 1, 1, of(FOUND), of(FOUND))
 
 
 def described(core):
@@ -102,17 +76,6 @@ CALLS = {
     "a preset without memory": lambda core: core.ssrvlad_preset(b"default", None),
     "the length of no head": lambda core: core.ssrvlad_length(None),
     "too many label maps": described,
-    "a stage without memory": stage("thin", 1, 0, None),
-    "keypoints without memory": stage("keypoints", 1, of(PLANES), None),
-    "a stage of too many images": stage("thin", MANY, 0, of(PLANES)),
-    "chance of NaN": chance(np.nan),
-    "chance of what is infinite": chance(np.inf),
-    "mapped by what is above 1": mapped([0.5, 2.0]),
-    "mapped by what is below 0": mapped([-1.0]),
-    "mapped by infinitely many together": mapped([0.5], np.inf),
-    "confidence by chances above 1": confidence(2.0, 0.5),
-    "confidence by no place": confidence(0.5, np.nan),
-    "confidence by places above 1": confidence(0.5, 5.0),
     "drives without starts": decided(None, of(FOUND)),
     "a decision without memory": decided(of(START), None),
     "a channel of too long vectors": channel(0, 1, 1 << 61),
@@ -120,22 +83,12 @@ CALLS = {
     "a channel of more signs than are counted": channel(1, 1 << 16, 1 << 15),
     "too many queries": queries(MANY, 1),
     "too many anchors": queries(1, MANY + 1),
-    "too many rows": matched(MANY, 8),
-    "too long rows": matched(4, MANY),
 }
 
 
 @pytest.mark.parametrize("name", CALLS)
 def test_a_wrong_argument_is_a_status(name, core):
     assert CALLS[name](core.library) == -2
-
-
-def test_rivals_that_are_not_there_are_minus_one(core):
-    assert core.library.ssrvlad_together(None, 5) == -1
-
-
-def test_queries_without_an_answer_have_no_chance(core):
-    assert mapped([np.nan, 0.5])(core.library) == confidence(np.nan, 0.0)(core.library) == 0
 
 
 def settings_of(config):
@@ -217,3 +170,18 @@ def test_the_library_has_no_other_names_than_its_own(core):
     assert code == 0, errors
     names = [line.split()[-1] for line in lines]
     assert names and not [name for name in names if not name.startswith("ssrvlad_")]
+
+
+def test_wide_registers_are_used_by_the_kernels_of_their_processors_alone(core):
+    """Elsewhere they would end a program on a processor that lacks them."""
+    command = ("objdump", "--disassemble", "--demangle", "--no-show-raw-insn", FOLDER / LIBRARY)
+    code, lines, errors = outcome(*command)
+    assert code == 0, errors
+    functions, name = {"ymm": set(), "zmm": set()}, ""
+    for line in lines:
+        name = line if line.endswith(">:") else name
+        for register, names in functions.items():
+            if f"%{register}" in line:
+                names.add(name)
+    assert not [name for name in functions["zmm"] if "Avx512" not in name]
+    assert not [name for name in functions["ymm"] if "Avx512" not in name and "Avx2" not in name]

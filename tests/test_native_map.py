@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from loop_streams import unit
 from oracles import recognition as oracle
 
-from ssrvlad_torch.native.map import DescriptorMap, Shortlist, match
+from ssrvlad_torch.native.map import DescriptorMap, Shortlist
 from ssrvlad_torch.search.sums import sums
 
 pytestmark = pytest.mark.usefixtures("core")
@@ -123,7 +123,7 @@ def test_signs_are_compared_as_by_the_oracle(seed, sequences, queries, shape, sw
         bits = np.unpackbits(signs.reshape(*signs.shape[:2], -1), axis=2, bitorder="little")
         numbers = 2.0 * bits - 1
         if taken.standardised:
-            less = oracle.means_of_drives(numbers, names)
+            less = oracle.means_of_sequences(numbers, names)
             numbers -= np.where((np.abs(less) == 1).all((1, 2), keepdims=True), 0, less)
         sides.append(numbers)
     equal(scores, oracle.cosines_of_signs(*sides, min(2, shape[0] - 1) if sweep else 0))
@@ -345,13 +345,6 @@ def test_wrong_use_is_one_line(use, message):
     rows, town = np.eye(40, dtype=np.float32), DescriptorMap([40])
     town.add("shapes", rows)
     refuses(re.escape(message), use, town, rows)
-
-
-def test_a_row_of_length_zero_matches_nothing():
-    rows = np.eye(4, dtype=np.float32)
-    best = np.full((1, 4), -np.inf, np.float32), np.full((1, 4), -1)
-    match(rows[:1], (rows, np.float32([0, 1, 1, 1])), 0, None, 1, best)
-    assert best[1].tolist() == [[1, 2, 3, -1]] and not best[0][0, :3].any()
 
 
 def test_sums_of_products_are_rounded_once(tmp_path):

@@ -2,7 +2,7 @@
 
 import { ADDRESS, DOUBLE, INT, INTERFACE, LONG, Struct } from "./core.js";
 
-// of ssrvlad_decide.h and ssrvlad_map.h
+// of ssrvlad_map.h
 const [ALONE, OFFLINE] = [0, 2];
 const [VECTORS, SIGNS] = [0, 1];
 const DRIVES = new Struct({ starts: ADDRESS, count: LONG, rows: LONG });

@@ -9,9 +9,8 @@
 #include "interface.hpp"
 #include "loops.hpp"
 #include "map.hpp"
-#include "search.hpp"
+#include "products.hpp"
 #include "signs.hpp"
-#include "ssrvlad_decide.h"
 #include "ssrvlad_loops.h"
 #include "ssrvlad_map.h"
 
@@ -73,17 +72,17 @@ void give(const std::vector<Number> &values, Other *target) {
   std::copy(values.begin(), values.end(), target);
 }
 
-void give(const Decision &found, ssrvlad_decision &decision) {
-  give(found.scores, decision.scores);
-  give(found.rows, decision.rows);
-  give(found.right, decision.right);
-  give(found.spread, decision.spread);
-  give(found.together, decision.together);
-  decision.followed = found.followed;
-  decision.way = found.course.way;
-  decision.rate = found.course.rate;
-  decision.streams = found.course.streams;
-  decision.gain = found.gain;
+void give(const Decision &decided, ssrvlad_decision &decision) {
+  give(decided.scores, decision.scores);
+  give(decided.rows, decision.rows);
+  give(decided.right, decision.right);
+  give(decided.spread, decision.spread);
+  give(decided.together, decision.together);
+  decision.followed = decided.followed;
+  decision.way = decided.course.way;
+  decision.rate = decided.course.rate;
+  decision.streams = decided.course.streams;
+  decision.gain = decided.gain;
 }
 
 }  // namespace
@@ -126,33 +125,18 @@ void check(const ssrvlad_settings *settings) {
   require_range("boundary_harmonics", s.boundary_harmonics, 1, std::min(most, 1 << 12));
 }
 
-// Checks images of numbers of 8 bytes, or planes of bytes.
-void check_images(const void *pixels, Size images, Size height, Size width, Size bytes) {
-  require(pixels, "images");
-  if (images < 1 || height < 1 || width < 1 || height >= MOST_PIXELS / width ||
-      images > MOST_BYTES / bytes / height / width)
-    refuse("expected images of up to 2^31 pixels, got %lld of %lld x %lld", static_cast<long long>(images),
-           static_cast<long long>(height), static_cast<long long>(width));
-}
-
 void check(const ssrvlad_labels *labels, const ssrvlad_table *table) {
   require(labels && table, "label maps and a table");
   const auto [ids, bytes, images, height, width] = *labels;
-  check_images(ids, images, height, width, 8);
+  require(ids, "images");
+  if (images < 1 || height < 1 || width < 1 || height >= MOST_PIXELS / width ||
+      images > MOST_BYTES / 8 / height / width)
+    refuse("expected images of up to 2^31 pixels, got %lld of %lld x %lld", static_cast<long long>(images),
+           static_cast<long long>(height), static_cast<long long>(width));
   if (bytes != 1 && bytes != 2 && bytes != 4 && bytes != 8)
     refuse("expected ids of 1, 2, 4 or 8 bytes, got %d", bytes);
   require(table->categories && table->entries > 0 && table->origin >= 0 && table->origin < table->entries,
           "a table of categories with its origin among its entries");
-}
-
-// Runs a stage on planes.
-template <typename Stage, typename... Settings>
-int on_planes(Stage stage, const Planes &planes, std::uint8_t *target, Settings... settings) {
-  return guarded([&] {
-    check_images(planes.bytes, planes.images, planes.height, planes.width, 1);
-    require(target, "memory for the result");
-    stage(planes, settings..., target);
-  });
 }
 
 }  // namespace
@@ -214,46 +198,6 @@ int64_t ssrvlad_describe(ssrvlad_head *head, const ssrvlad_labels *labels,
   return code ? code : unknown;
 }
 
-int64_t ssrvlad_vote(const ssrvlad_labels *labels, const ssrvlad_table *table, int64_t rows,
-                     int64_t columns, uint8_t *categories) {
-  int64_t unknown = 0;
-  const int code = guarded([&] {
-    check(labels, table);
-    require(categories, "memory for categories");
-    require_range("rows", static_cast<double>(rows), 1, static_cast<double>(labels->height));
-    require_range("columns", static_cast<double>(columns), 1, static_cast<double>(labels->width));
-    unknown = vote(*labels, *table, rows, columns, categories);
-  });
-  return code ? code : unknown;
-}
-
-int ssrvlad_open_and_close(const uint8_t *planes, int64_t images, int64_t height, int64_t width,
-                           int64_t opening, int64_t closing, uint8_t *target) {
-  return on_planes(open_and_close, {planes, images, height, width}, target, opening, closing);
-}
-
-int ssrvlad_fill_holes(const uint8_t *planes, int64_t images, int64_t height, int64_t width,
-                       int64_t area, uint8_t *target) {
-  return on_planes(fill_holes, {planes, images, height, width}, target, area);
-}
-
-int ssrvlad_drop_regions(const uint8_t *planes, int64_t images, int64_t height, int64_t width,
-                         int64_t area, uint8_t *target) {
-  return on_planes(drop_regions, {planes, images, height, width}, target, area);
-}
-
-int ssrvlad_thin(const uint8_t *planes, int64_t images, int64_t height, int64_t width,
-                 int thinning, uint8_t *target) {
-  if (const int code = guarded([&] { require_range("thinning", thinning, 0, 1); })) return code;
-  return on_planes(thin, {planes, images, height, width}, target, thinning);
-}
-
-int ssrvlad_keypoints(const uint8_t *skeletons, int64_t images, int64_t height, int64_t width,
-                      uint8_t *end_points, uint8_t *intersections) {
-  if (const int code = guarded([&] { require(end_points, "memory for end points"); })) return code;
-  return on_planes(keypoints, {skeletons, images, height, width}, intersections, end_points);
-}
-
 int ssrvlad_scan_signs(const uint64_t *queries, int64_t count, const uint64_t *rows,
                        int64_t references, int64_t columns, int64_t words, int64_t bits,
                        int64_t reach, int threads, float *scores) {
@@ -274,7 +218,7 @@ int ssrvlad_scan_vectors(const float *weights, const float *offsets, int64_t cou
   });
 }
 
-// ------------------------------------------------------------------------------- ssrvlad_decide.h
+// ---------------------------------------------------------------------------------- ssrvlad_map.h
 
 namespace {
 
@@ -290,68 +234,6 @@ Drives drives_of(const ssrvlad_drives *map) {
   require(!map->count || drives.starts.back() < drives.rows, "drives that start before the last row");
   return drives;
 }
-
-// Checks probabilities of queries that err so many together; NaN where there may be none.
-void check(const double *chances, int64_t queries, double together, bool without) {
-  require(may_be({queries}) && (chances || !queries) && together >= 1 && std::isfinite(together));
-  require(std::all_of(chances, chances + queries, [&](double each) {
-    return (each >= 0 && each <= 1) || (without && std::isnan(each));
-  }));
-}
-
-}  // namespace
-
-int ssrvlad_chance(const double *values, const int64_t *rows, int64_t count, int64_t matching,
-                   double *chance, int64_t *rival) {
-  return guarded([&] {
-    require(may_be({count}) && (values || !count) && chance && rival);
-    require(std::all_of(values, values + count, [](double each) {
-      return each <= std::numeric_limits<double>::max();
-    }));
-    Drives drives{{0}, count};
-    for (Size place = 0; rows && place < count; ++place)
-      require(rows[place] >= 0 && (!place || rows[place] > rows[place - 1]));
-    if (rows && count) drives.rows = rows[count - 1] + 1;
-    const Chance found =
-        chance_of(values, rows ? drives.some(rows, count) : drives.all(), matching);
-    *chance = found.chance;
-    *rival = found.rival;
-  });
-}
-
-int ssrvlad_mapped(const double *chances, int64_t queries, double together, double best,
-                   double *mapped) {
-  return guarded([&] {
-    check(chances, queries, together, true);
-    require(best > 0 && best <= 1);
-    give(places::mapped({chances, chances + queries}, together, best), mapped);
-  });
-}
-
-int ssrvlad_confidence(const double *chances, const double *mapped, int64_t queries,
-                       double together, int followed, float *right, float *spread) {
-  return guarded([&] {
-    check(chances, queries, together, true);
-    check(mapped, queries, together, false);
-    const Confidence found = Confidence::of(
-        {chances, chances + queries}, {mapped, mapped + queries}, together, followed != 0);
-    give(found.right, right);
-    give(found.spread, spread);
-  });
-}
-
-double ssrvlad_together(const int64_t *rivals, int64_t queries) {
-  double together = -1;
-  guarded([&] {
-    require(may_be({queries}) && (rivals || !queries));
-    together = places::answers_together({rivals, rivals + queries});
-  });
-  return together;
-}
-
-// ---------------------------------------------------------------------------------- ssrvlad_map.h
-
-namespace {
 
 void check(const ssrvlad_map *map, const ssrvlad_queries *queries, Size count, const ssrvlad_steps *steps,
            const ssrvlad_taken *taken) {
@@ -409,17 +291,6 @@ int ssrvlad_map_compare(const ssrvlad_map *map, const ssrvlad_queries *queries, 
   });
 }
 
-int ssrvlad_match(const ssrvlad_rows *given, const float *queries, int64_t count, int64_t top,
-                  int threads, float *scores, int64_t *rows) {
-  return guarded([&] {
-    require(given && queries && scores && rows && count >= 0 && top >= 1 && given->count >= 0 &&
-            given->length >= 1 && may_be({given->count, given->length}) &&
-            may_be({count, given->length}) && may_be({count, top}) &&
-            (!given->count || (given->vectors && given->lengths)), "vectors of 1 number or more");
-    match(*given, queries, count, top, threads, scores, rows);
-  });
-}
-
 // -------------------------------------------------------------------------------- ssrvlad_loops.h
 
 namespace {
@@ -458,9 +329,9 @@ ssrvlad_loops *ssrvlad_loops_new_for(int program, const ssrvlad_loops_settings *
     require_range("threshold", settings->threshold, 0, 1);
     require(settings->scan_above > 0, "scan_above of 1 frame or more");
     std::for_each(channels, channels + count, [](const auto &channel) { check(channel); });
-    auto own = *settings;
-    own.exclude = std::min(own.exclude, MOST_EXCLUDED);
-    return new ssrvlad_loops{Stream(own, channels, count)};
+    auto capped = *settings;
+    capped.exclude = std::min(capped.exclude, MOST_EXCLUDED);
+    return new ssrvlad_loops{Stream(capped, channels, count)};
   });
 }
 
@@ -484,11 +355,11 @@ int ssrvlad_loops_extend(ssrvlad_loops *loops, const void *const *descriptors, c
     require(loops && descriptors && starts && frames >= 0, "a stream, descriptors and starts");
     const auto &channels = loops->stream.channels();
     const auto frame = [&](int64_t row) {
-      std::vector<const void *> found;
+      std::vector<const void *> addresses;
       for (std::size_t number = 0; number < channels.size(); ++number)
-        found.push_back(static_cast<const std::uint8_t *>(descriptors[number]) +
+        addresses.push_back(static_cast<const std::uint8_t *>(descriptors[number]) +
                         row * channels[number]->bytes());
-      return found;
+      return addresses;
     };
     for (int64_t row = 0; row < frames; ++row)
       require(fits(loops->stream, frame(row).data(), nullptr), "finite vectors of length 1 or 0");

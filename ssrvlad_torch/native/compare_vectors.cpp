@@ -14,7 +14,7 @@ namespace {
 using Floats = std::vector<float>;
 
 constexpr Size ROWS_AT_ONCE = 192;  // rows that stay in the cache while queries pass by
-constexpr Size LANES = 96;          // vectors that are multiplied at once to narrow a sweep
+constexpr Size AT_ONCE = 96;          // vectors that are multiplied at once to narrow a sweep
 constexpr double EQUAL = 1e-6;      // a vector this near to the mean equals it
 constexpr double WIDER = 1e-4;      // a wider sweep leads by more than rounding does
 
@@ -152,7 +152,7 @@ class Narrowing {
     if (references() <= 2 * ELSEWHERE + 1) return 0;
     std::vector<Size> sample;
     for (Size query = 0; query < count_; query += std::max<Size>(1, count_ / SAMPLE)) sample.push_back(query);
-    const std::size_t at_once = static_cast<std::size_t>(std::max<Size>(1, LANES / anchors_));
+    const std::size_t at_once = static_cast<std::size_t>(std::max<Size>(1, AT_ONCE / anchors_));
     for (std::size_t first = 0; first < sample.size(); first += at_once)
       add_leads(sample.data() + first, static_cast<Size>(std::min(at_once, sample.size() - first)));
     Size best = 0;

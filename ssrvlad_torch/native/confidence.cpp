@@ -13,12 +13,12 @@ constexpr float LEAST_BELIEF = 1e-38F;
 // Statistics 37, 1988, AS 241).
 double quantile(double probability) {
   const auto ratio = [](const double (&over)[8], const double (&under)[8], double r) {
-    double some = 0, other = 0;
+    double top = 0, bottom = 0;
     for (int place = 7; place >= 0; --place) {
-      some = some * r + over[place];
-      other = other * r + under[place];
+      top = top * r + over[place];
+      bottom = bottom * r + under[place];
     }
-    return some / other;
+    return top / bottom;
   };
   static const double MIDDLE[][8] = {
       {3.3871328727963666080, 1.3314166789178437745e2, 1.9715909503065514427e3,
@@ -102,14 +102,14 @@ std::vector<Peak<Number>> best_places(const Number *values, const Rows &rows) {
 template <typename Number, typename Unit>
 Chance compared(const Number *numbers, const Rows &rows, Size matching, Unit unit) {
   const std::vector<Peak<Number>> best = best_places(numbers, rows);
-  Chance found;
-  if (best.size() > 1) found.rival = best[1].row;
+  Chance result;
+  if (best.size() > 1) result.rival = best[1].row;
   if (matching < 0)
     matching =
-        std::count_if(numbers, numbers + rows.count, [](Number each) { return each > NONE; });
+        std::count_if(numbers, numbers + rows.count, [](Number value) { return value > NONE; });
   const double places = static_cast<double>(matching) / ROWS_A_PLACE;
   const Size count = std::min(static_cast<Size>(best.size()) - 1, static_cast<Size>(places) - 1);
-  if (count < 2) return found;
+  if (count < 2) return result;
   const std::vector<double> means = mean_steps(places);
   double ahead = 0, below = 0;
   for (Size step = 0; step < count; ++step) {
@@ -117,9 +117,9 @@ Chance compared(const Number *numbers, const Rows &rows, Size matching, Unit uni
     (step ? below : ahead) += height / means[step];
   }
   const double ratio = 1 + ahead / std::max(below, LEAST_SPACING);
-  found.chance = 1;
-  for (Size step = 1; step < count; ++step) found.chance /= ratio;
-  return found;
+  result.chance = 1;
+  for (Size step = 1; step < count; ++step) result.chance /= ratio;
+  return result;
 }
 }  // namespace
 
@@ -181,16 +181,16 @@ struct Point {
 };
 
 std::vector<Point> points_of_prior() {
-  const auto away = [](int each) { return -MOST_AWAY + 2 * MOST_AWAY * each / (RATES - 1); };
+  const auto away = [](int step) { return -MOST_AWAY + 2 * MOST_AWAY * step / (RATES - 1); };
   std::vector<Point> points;
   double weights = 0;
-  for (int each = 0; each < RATES; ++each) weights += exp_of(-away(each) * away(each) / 2);
+  for (int step = 0; step < RATES; ++step) weights += exp_of(-away(step) * away(step) / 2);
   for (int fraction = 0; fraction < FRACTIONS; ++fraction)
-    for (int each = 0; each < RATES; ++each)
+    for (int step = 0; step < RATES; ++step)
       for (int more = 0; more < SHAPES; ++more) {
-        const double rate = 1 / (1 + exp_of(log_of(1 / SLOPE - 1) - DEVIATION * away(each)));
+        const double rate = 1 / (1 + exp_of(log_of(1 / SLOPE - 1) - DEVIATION * away(step)));
         const double weight =
-            exp_of(-away(each) * away(each) / 2) / (weights * FRACTIONS * SHAPES);
+            exp_of(-away(step) * away(step) / 2) / (weights * FRACTIONS * SHAPES);
         points.emplace_back((fraction + 0.5) / FRACTIONS, rate, more, weight);
       }
   return points;
@@ -224,18 +224,18 @@ struct Answers {
 // point of the prior.
 void compare(const Point &point, const Answers &answers, double *likelier) {
   on_cpu([=, &point, &answers](auto) {
-    for (Size each = 0; each < answers.count(); ++each)
-      likelier[each] =
-          (1 - point.wrong) * exp_of(point.factor + point.shape * answers.logs[each] +
-                                     (1 - point.rate) * answers.ahead[each]);
+    for (Size answer = 0; answer < answers.count(); ++answer)
+      likelier[answer] =
+          (1 - point.wrong) * exp_of(point.factor + point.shape * answers.logs[answer] +
+                                     (1 - point.rate) * answers.ahead[answer]);
   });
 }
 
 // The logarithm of how likely answers are all in all, each of which counts so much.
-double log_of_all(const double *told, const double *counts, Size number) {
+double log_of_all(const double *likelier, const double *counts, Size number) {
   return on_cpu([=](auto) {
     double log = 0;
-    for (Size each = 0; each < number; ++each) log += counts[each] * log_of(told[each]);
+    for (Size answer = 0; answer < number; ++answer) log += counts[answer] * log_of(likelier[answer]);
     return log;
   });
 }
@@ -254,25 +254,25 @@ class Stretches {
   explicit Stretches(Size count)
       : mapped_(static_cast<std::size_t>(count)), likely_(mapped_), once_(mapped_.size(), 1) {}
 
-  // The forward algorithm: the logarithm of how likely queries are, each `told` times as likely where
+  // The forward algorithm: the logarithm of how likely queries are, each so many times `likelier` where
   // the map has its place as where it lacks it.
-  double learn(const double *told, Size count) {
+  double learn(const double *likelier, Size count) {
     double before = 1 - FOREIGN;
     for (Size query = 0; query < count; ++query) {
-      likely_[query] = before * told[query] + (1 - before);
-      mapped_[query] = before * told[query] / likely_[query];
+      likely_[query] = before * likelier[query] + (1 - before);
+      mapped_[query] = before * likelier[query] / likely_[query];
       before = STAY * mapped_[query] + (1 - STAY) * (1 - mapped_[query]);
     }
     return log_of_all(likely_.data(), once_.data(), count);
   }
 
   // The backward algorithm: the probabilities that the map has the places.
-  const std::vector<double> &smooth(const double *told, Size count) {
+  const std::vector<double> &smooth(const double *likelier, Size count) {
     double future = 0.5;  // of the queries after one, where the map has its place and where it lacks it
     for (Size query = count - 1; query >= 0; --query) {
       const double both = mapped_[query] * future;
       mapped_[query] = both / (both + (1 - mapped_[query]) * (1 - future));
-      const double here = told[query] * future, sum = here + (1 - future);
+      const double here = likelier[query] * future, sum = here + (1 - future);
       future = (STAY * here + (1 - STAY) * (1 - future)) / sum;
     }
     return mapped_;
@@ -286,14 +286,14 @@ class Stretches {
 
 // How much likelier the chance of each answer by its query alone is where the map has the place than where it
 // lacks it, at a point of the prior; answers that err together count as one.
-void tell(const Point &point, const Answers &answers, const std::vector<char> &is_best,
-          double together, double best, double *told) {
+void compare_alone(const Point &point, const Answers &answers, const std::vector<char> &is_best,
+          double together, double best, double *likelier) {
   on_cpu([=, &point, &answers, &is_best](auto) {
-    compare(point, answers, told);
+    compare(point, answers, likelier);
     const double other = point.wrong < 1 - best ? point.wrong / (1 - best) : 1;
-    for (Size each = 0; each < answers.count(); ++each) {
-      const double likelier = is_best[each] ? point.wrong + told[each] / best : other;
-      told[each] = exp_of(log_of(likelier) / together);
+    for (Size answer = 0; answer < answers.count(); ++answer) {
+      const double ratio = is_best[answer] ? point.wrong + likelier[answer] / best : other;
+      likelier[answer] = exp_of(log_of(ratio) / together);
     }
   });
 }
@@ -305,29 +305,29 @@ std::vector<double> mapped(const std::vector<double> &chances, double together, 
   std::vector<char> is_best;
   for (const std::size_t query : answers.queries)
     is_best.push_back(best == 1 || chances[query] < 1);
-  std::vector<double> told(answers.ahead);
-  const auto tell_of = [&](const Point &point) {
-    tell(point, answers, is_best, together, best, told.data());
+  std::vector<double> likelier(answers.ahead);
+  const auto compare_with = [&](const Point &point) {
+    compare_alone(point, answers, is_best, together, best, likelier.data());
   };
   Stretches stretches(count);
 
   std::vector<double> weights;
   for (const Point &point : prior()) {
-    tell_of(point);
-    weights.push_back(point.log_weight + stretches.learn(told.data(), count));
+    compare_with(point);
+    weights.push_back(point.log_weight + stretches.learn(likelier.data(), count));
   }
   normalise(weights);
 
   std::vector<double> all(chances.size());
   for (std::size_t number = 0; number < weights.size(); ++number) {
     if (weights[number] < NEGLIGIBLE) continue;
-    tell_of(prior()[number]);
-    stretches.learn(told.data(), count);
-    const std::vector<double> &smoothed = stretches.smooth(told.data(), count);
-    for (std::size_t each = 0; each < told.size(); ++each)
-      all[answers.queries[each]] += weights[number] * smoothed[each];
+    compare_with(prior()[number]);
+    stretches.learn(likelier.data(), count);
+    const std::vector<double> &smoothed = stretches.smooth(likelier.data(), count);
+    for (std::size_t answer = 0; answer < likelier.size(); ++answer)
+      all[answers.queries[answer]] += weights[number] * smoothed[answer];
   }
-  for (double &each : all) each = std::min(each, 1.0);
+  for (double &value : all) value = std::min(value, 1.0);
   return all;
 }
 
@@ -335,15 +335,15 @@ Confidence Confidence::of(const std::vector<double> &chances, const std::vector<
                           double together, bool followed) {
   const Answers answers(chances);
   const Size count = answers.count();
-  std::vector<double> right(answers.ahead), told(right), mean(right.size()), square(right.size());
+  std::vector<double> right(answers.ahead), likelier(right), mean(right.size()), square(right.size());
   std::vector<double> counts;
   for (const std::size_t query : answers.queries) counts.push_back(mapped[query] / together);
 
   std::vector<double> weights;
   for (const Point &point : prior()) {
-    compare(point, answers, told.data());
-    for (double &each : told) each += point.wrong;
-    weights.push_back(point.log_weight + log_of_all(told.data(), counts.data(), count));
+    compare(point, answers, likelier.data());
+    for (double &value : likelier) value += point.wrong;
+    weights.push_back(point.log_weight + log_of_all(likelier.data(), counts.data(), count));
     if (followed) weights.back() += FEW * log_of(1 - point.wrong);
   }
   normalise(weights);
@@ -352,20 +352,20 @@ Confidence Confidence::of(const std::vector<double> &chances, const std::vector<
     const Point &point = prior()[number];
     if (weights[number] < NEGLIGIBLE) continue;
     compare(point, answers, right.data());
-    for (std::size_t each = 0; each < mean.size(); ++each) {
-      right[each] /= point.wrong + right[each];
-      mean[each] += weights[number] * right[each];
-      square[each] += weights[number] * right[each] * right[each];
+    for (std::size_t answer = 0; answer < mean.size(); ++answer) {
+      right[answer] /= point.wrong + right[answer];
+      mean[answer] += weights[number] * right[answer];
+      square[answer] += weights[number] * right[answer] * right[answer];
     }
   }
 
   Confidence sure{std::vector<float>(chances.size()), std::vector<float>(chances.size())};
-  for (std::size_t each = 0; each < mean.size(); ++each) {
-    const std::size_t query = answers.queries[each];
-    const double has = mapped[query], of_all = has * mean[each];
+  for (std::size_t answer = 0; answer < mean.size(); ++answer) {
+    const std::size_t query = answers.queries[answer];
+    const double has = mapped[query], of_all = has * mean[answer];
     sure.right[query] = static_cast<float>(of_all);
     sure.spread[query] =
-        static_cast<float>(std::sqrt(std::max(0.0, has * square[each] - of_all * of_all)));
+        static_cast<float>(std::sqrt(std::max(0.0, has * square[answer] - of_all * of_all)));
   }
   return sure;
 }

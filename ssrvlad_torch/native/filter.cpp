@@ -1,11 +1,10 @@
-// The hidden Markov model of filter.hpp, and the sums of numbers.hpp.
+// The hidden Markov model of filter.hpp.
 
 #include "filter.hpp"
 
 namespace places {
 
 namespace {
-constexpr int LANES = 16;
 constexpr Size BLOCK = 1024;  // rows that are moved at once: they fit into the nearest cache
 constexpr double HIGH = 1e6;  // a future is scaled beyond it
 constexpr double LEAST_TOTAL = std::numeric_limits<float>::min();  // a sum of probabilities below it is 0
@@ -21,11 +20,6 @@ const std::array<std::vector<std::pair<Size, double>>, SPEEDS> STEPS = {{
     {{3, 0.15}, {4, 0.7}, {5, 0.15}},
 }};
 
-// Limits of a loop that are no constants to the compiler: else it makes branches of them, no vectors.
-struct Limits {
-  double least = ROUNDING, most = MAX_LOG, none = static_cast<double>(NONE);
-};
-
 // Calls a function with the rows of a list in pieces of neighbours.
 template <typename Function>
 void in_pieces(const Rows &rows, Function function) {
@@ -37,10 +31,10 @@ void in_pieces(const Rows &rows, Function function) {
 
 // Calls a function with the place and the number of rows of one list that are not in another.
 template <typename Function>
-void visit_others(const Rows &rows, const Rows &known, const Drives &drives, Function function) {
+void visit_others(const Rows &rows, const Rows &listed, const Drives &drives, Function function) {
   for (const Run &run : rows.runs)
     visit(
-        run.first, run.last, run.drive, known, drives, [](Size, Size, Size) {},
+        run.first, run.last, run.drive, listed, drives, [](Size, Size, Size) {},
         [&](Size row, Size count) { function(run.at + row - run.first, count); },
         [](Size, Size) {});
 }
@@ -52,7 +46,7 @@ void slide(float *sums, const float *values, Size count, const float *weights, S
     for (; i + LANES <= count; i += LANES) {
       float lanes[LANES] = {};
       for (Size k = 0; k < width; ++k)
-        for (int lane = 0; lane < LANES; ++lane) lanes[lane] += weights[k] * values[i + k + lane];
+        for (Size lane = 0; lane < LANES; ++lane) lanes[lane] += weights[k] * values[i + k + lane];
       std::copy_n(lanes, LANES, sums + i);
     }
     for (; i < count; ++i) {
@@ -68,148 +62,18 @@ void mixed(float *target, const float *values, float factor, const float *common
   on_cpu([=](auto) { for (Size i = 0; i < count; ++i) target[i] = factor * values[i] + part * common[i]; });
 }
 
-void likelihoods(const float *scores, Size count, double level, double weight, Limits limits, float *found) {
+void likelihoods(const float *scores, Size count, double level, double weight, Limits limits, float *likely) {
   on_cpu([=](auto) {
     for (Size i = 0; i < count; ++i) {
       const double far = 1 - static_cast<double>(scores[i]);
       const double emission = (-log_of(far > limits.least ? far : limits.least) - level) * weight;
-      const double known = emission < limits.most ? emission : limits.most;
-      found[i] = static_cast<float>(exp_of(scores[i] == NONE ? limits.none : known));
+      const double capped = emission < limits.most ? emission : limits.most;
+      likely[i] = static_cast<float>(exp_of(scores[i] == NONE ? limits.none : capped));
     }
   });
 }
 
 }  // namespace
-
-// ------------------------------------------------------------------------------------------- numbers
-
-double sum(const float *values, Size count) {
-  return on_cpu([=](auto) {
-    double lanes[LANES] = {};
-    Size i = 0;
-    for (; i + LANES <= count; i += LANES)
-      for (int lane = 0; lane < LANES; ++lane) lanes[lane] += static_cast<double>(values[i + lane]);
-    for (int lane = 0; i < count; ++i, ++lane) lanes[lane] += static_cast<double>(values[i]);
-    for (int width = LANES / 2; width; width /= 2)
-      for (int lane = 0; lane < width; ++lane) lanes[lane] += lanes[lane + width];
-    return lanes[0];
-  });
-}
-
-double dot(const float *some, const float *others, Size count) {
-  return on_cpu([=](auto) {
-    double lanes[LANES] = {};
-    Size i = 0;
-    for (; i + LANES <= count; i += LANES)
-      for (int lane = 0; lane < LANES; ++lane)
-        lanes[lane] += static_cast<double>(some[i + lane]) * static_cast<double>(others[i + lane]);
-    for (int lane = 0; i < count; ++i, ++lane)
-      lanes[lane] += static_cast<double>(some[i]) * static_cast<double>(others[i]);
-    for (int width = LANES / 2; width; width /= 2)
-      for (int lane = 0; lane < width; ++lane) lanes[lane] += lanes[lane + width];
-    return lanes[0];
-  });
-}
-
-void add(float *target, const float *values, float factor, Size count) {
-  on_cpu([=](auto) { for (Size i = 0; i < count; ++i) target[i] += factor * values[i]; });
-}
-
-void add_product(float *target, const float *some, const float *others, Size count) {
-  on_cpu([=](auto) { for (Size i = 0; i < count; ++i) target[i] += some[i] * others[i]; });
-}
-
-void raise(float *target, float value, Size count) {
-  on_cpu([=](auto) { for (Size i = 0; i < count; ++i) target[i] += value; });
-}
-
-void multiply(float *target, const float *values, float factor, Size count) {
-  on_cpu([=](auto) { for (Size i = 0; i < count; ++i) target[i] *= values[i] * factor; });
-}
-
-void scale(float *target, float factor, Size count) {
-  on_cpu([=](auto) { for (Size i = 0; i < count; ++i) target[i] *= factor; });
-}
-
-float highest(const float *values, Size count) {
-  return on_cpu([=](auto) {
-    float lanes[LANES] = {};
-    std::fill_n(lanes, LANES, NONE);
-    Size i = 0;
-    for (; i + LANES <= count; i += LANES)
-      for (int lane = 0; lane < LANES; ++lane)
-        lanes[lane] = values[i + lane] > lanes[lane] ? values[i + lane] : lanes[lane];
-    for (; i < count; ++i) lanes[0] = std::max(lanes[0], values[i]);
-    return *std::max_element(lanes, lanes + LANES);
-  });
-}
-
-namespace {
-void nearness(const float *scores, Size count, Limits limits, float *near) {
-  on_cpu([=](auto) {
-    for (Size i = 0; i < count; ++i) {
-      const double far = 1 - static_cast<double>(scores[i]);
-      const double found = -log_of(far > limits.least ? far : limits.least);
-      near[i] = static_cast<float>(scores[i] == NONE ? limits.none : found);
-    }
-  });
-}
-}  // namespace
-
-void nearness(const float *scores, Size count, float *near) { nearness(scores, count, {}, near); }
-
-namespace {
-double folded(double *lanes) {
-  for (int width = LANES / 2; width; width /= 2)
-    for (int lane = 0; lane < width; ++lane) lanes[lane] += lanes[lane + width];
-  return lanes[0];
-}
-
-// Of the known values, those above NONE: the sum of the squares of what they are above a level.
-double squares(const float *values, double level, Size count) {
-  return on_cpu([=](auto) {
-    double lanes[LANES] = {};
-    for (Size i = 0; i < count; i += LANES)
-      for (int lane = 0; lane < LANES; ++lane) {
-        const float value = i + lane < count ? values[i + lane] : NONE;
-        const double above = value == NONE ? 0 : static_cast<double>(value) - level;
-        lanes[lane] += above * above;
-      }
-    return folded(lanes);
-  });
-}
-}  // namespace
-
-Spread Spread::of(const float *near, Size count) {
-  return on_cpu([=](auto) -> Spread {
-    float least[LANES], most[LANES];
-    double total[LANES] = {}, known[LANES] = {};
-    std::fill_n(least, LANES, -NONE);
-    std::fill_n(most, LANES, NONE);
-    const Size whole = count - count % LANES;
-    float rest[LANES];
-    std::fill(std::copy(near + whole, near + count, rest), rest + LANES, NONE);
-    for (Size i = 0; i <= whole; i += LANES) {
-      const float *values = i < whole ? near + i : rest;
-      for (int lane = 0; lane < LANES; ++lane) {
-        const float value = values[lane];
-        const bool some = value != NONE;
-        const float low = some ? value : -NONE;
-        least[lane] = low < least[lane] ? low : least[lane];
-        most[lane] = value > most[lane] ? value : most[lane];
-        total[lane] += some ? static_cast<double>(value) : 0.0;
-        known[lane] += some ? 1.0 : 0.0;
-      }
-    }
-    const double number = folded(known);
-    if (number == 0) return {};
-    const float low = *std::min_element(least, least + LANES),
-                high = *std::max_element(most, most + LANES);
-    if (high - low <= MIN_SPREAD) return {static_cast<double>(low), MIN_SPREAD};
-    const double mean = folded(total) / number;
-    return {mean, std::max(MIN_SPREAD, std::sqrt(squares(near, mean, count) / number))};
-  });
-}
 
 // -------------------------------------------------------------------------------------------- motion
 
@@ -247,11 +111,11 @@ Steps::Steps(double rate) {
 
 std::vector<float> likelihoods(const float *scores, Size count, const Motion &motion,
                                const Spread &spread) {
-  std::vector<float> found(static_cast<std::size_t>(count), 1.0F);
-  if (spread.deviation <= MIN_SPREAD) return found;
+  std::vector<float> likely(static_cast<std::size_t>(count), 1.0F);
+  if (spread.deviation <= MIN_SPREAD) return likely;
   likelihoods(scores, count, spread.mean + motion.level * spread.deviation,
-              motion.weight / spread.deviation, {}, found.data());
-  return found;
+              motion.weight / spread.deviation, {}, likely.data());
+  return likely;
 }
 
 // ---------------------------------------------------------------------------------------------- rows
@@ -273,16 +137,16 @@ Rows Drives::all() const {
 }
 
 Rows Drives::some(const Size *listed, Size count) const {
-  Rows some;
-  some.count = count;
+  Rows list;
+  list.count = count;
   for (Size i = 0; i < count; ++i) {
     const Size drive = of(listed[i]);
-    if (!some.runs.empty() && some.runs.back().last == listed[i] && some.runs.back().drive == drive)
-      ++some.runs.back().last;
+    if (!list.runs.empty() && list.runs.back().last == listed[i] && list.runs.back().drive == drive)
+      ++list.runs.back().last;
     else
-      some.runs.push_back({listed[i], listed[i] + 1, i, drive});
+      list.runs.push_back({listed[i], listed[i] + 1, i, drive});
   }
-  return some;
+  return list;
 }
 
 Size Rows::at(Size place) const {
@@ -293,7 +157,7 @@ Size Rows::at(Size place) const {
 
 Size Rows::from(Size row) const {
   const auto run = std::upper_bound(runs.begin(), runs.end(), row,
-                                    [](Size value, const Run &each) { return value < each.last; });
+                                    [](Size value, const Run &run) { return value < run.last; });
   return run == runs.end() ? count : run->at + std::max<Size>(0, row - run->first);
 }
 
@@ -310,10 +174,10 @@ Spread Listing::spread(const float *near) const {
 }
 
 std::vector<float> Belief::of_rows() const {
-  std::vector<float> found(mapped.begin(), mapped.begin() + rows.count);
+  std::vector<float> probabilities(mapped.begin(), mapped.begin() + rows.count);
   for (int speed = 1; speed < SPEEDS; ++speed)
-    add(found.data(), mapped.data() + speed * rows.count, 1, rows.count);
-  return found;
+    add(probabilities.data(), mapped.data() + speed * rows.count, 1, rows.count);
+  return probabilities;
 }
 
 // -------------------------------------------------------------------------------------------- filter
@@ -339,14 +203,14 @@ double Filter::unmapped_at_start() const { return drives_.rows ? motion_.unmappe
 
 Belief Filter::start(const Rows &rows) const {
   Belief belief{rows, {}, 0, unmapped_at_start()};
-  const double each = (1 - belief.unmapped) / static_cast<double>(places());
+  const double share = (1 - belief.unmapped) / static_cast<double>(places());
   belief.mapped.reserve(ways_.size() * SPEEDS * static_cast<std::size_t>(rows.count));
   for (std::size_t way = 0; way < ways_.size(); ++way)
     for (const double prior : PRIOR)
       belief.mapped.insert(belief.mapped.end(), static_cast<std::size_t>(rows.count),
-                           static_cast<float>(prior * each));
+                           static_cast<float>(prior * share));
   belief.elsewhere =
-      each * static_cast<double>((drives_.rows - rows.count) * static_cast<Size>(ways_.size()));
+      share * static_cast<double>((drives_.rows - rows.count) * static_cast<Size>(ways_.size()));
   return belief;
 }
 
@@ -371,7 +235,7 @@ Belief Filter::extended(const Belief &belief, const Rows &rows) const {
 // is lost.
 double Filter::transition(const Belief &before, Belief &after, double &lost) const {
   const Size here = before.rows.count, there = after.rows.count;
-  const double kept = 1 - motion_.jump;
+  const double stays = 1 - motion_.jump;
   double left = 0;
   std::vector<float> all(BLOCK), padded, out;
   in_pieces(before.rows, [&](const Run &piece) {
@@ -386,8 +250,8 @@ double Filter::transition(const Belief &before, Belief &after, double &lost) con
         padded.assign(static_cast<std::size_t>(reached + width - 1), 0.0F);
         out.resize(static_cast<std::size_t>(reached));
         mixed(padded.data() + width - 1, from + speed * here,
-              static_cast<float>(kept * (1 - motion_.change)), all.data(),
-              static_cast<float>(kept * motion_.change * PRIOR[speed]), size);
+              static_cast<float>(stays * (1 - motion_.change)), all.data(),
+              static_cast<float>(stays * motion_.change * PRIOR[speed]), size);
         const bool onwards = ways_[way] == FORWARDS;
         slide(out.data(), padded.data(), reached, (onwards ? steps.reversed : steps.chances).data(),
               width);
@@ -419,22 +283,22 @@ Belief Filter::predicted(const Belief &before, const Rows &rows) const {
   const double came = stayed * static_cast<double>(fresh) /
                       static_cast<double>(std::max<Size>(1, drives_.rows - here));
   if (came > 0) {
-    const double each = came / static_cast<double>(fresh * ways);
+    const double share = came / static_cast<double>(fresh * ways);
     visit_others(rows, before.rows, drives_, [&](Size place, Size count) {
       for (Size state = 0; state < ways * SPEEDS; ++state)
         for (Size i = 0; i < count; ++i)
           after.mapped[static_cast<std::size_t>(state * there + place + i)] +=
-              static_cast<float>(PRIOR[static_cast<std::size_t>(state % SPEEDS)] * each);
+              static_cast<float>(PRIOR[static_cast<std::size_t>(state % SPEEDS)] * share);
     });
   }
   const double any_row = lost * (1 - motion_.unmapped) + before.unmapped * (1 - motion_.stay);
-  const double each = any_row / static_cast<double>(places());
+  const double share = any_row / static_cast<double>(places());
   after.unmapped = lost * motion_.unmapped + before.unmapped * motion_.stay;
   after.elsewhere =
-      left + stayed - came + each * static_cast<double>((drives_.rows - there) * ways);
+      left + stayed - came + share * static_cast<double>((drives_.rows - there) * ways);
   for (Size state = 0; state < ways * SPEEDS; ++state)
     raise(after.mapped.data() + state * there,
-          static_cast<float>(PRIOR[static_cast<std::size_t>(state % SPEEDS)] * each), there);
+          static_cast<float>(PRIOR[static_cast<std::size_t>(state % SPEEDS)] * share), there);
   return after;
 }
 
@@ -442,10 +306,10 @@ double Filter::update(Belief &belief, const Likelihood &likelihood) const {
   const Size count = belief.rows.count, others = drives_.rows - count;
   const auto states = static_cast<Size>(ways_.size()) * SPEEDS;
   const float *emission = likelihood.rows.data();
-  const auto total_of = [&](const Belief &some) {
-    double total = some.elsewhere * likelihood.elsewhere + some.unmapped;
+  const auto total_of = [&](const Belief &now) {
+    double total = now.elsewhere * likelihood.elsewhere + now.unmapped;
     for (Size state = 0; state < states; ++state)
-      total += dot(some.mapped.data() + state * count, emission, count);
+      total += dot(now.mapped.data() + state * count, emission, count);
     return total;
   };
   double total = total_of(belief);
@@ -472,7 +336,7 @@ void Filter::transition_back(const Run &piece, std::size_t way, const Future &fu
                         Size here) const {
   const Size size = piece.last - piece.first, there = later.count;
   const float elsewhere = static_cast<float>(future.elsewhere * likelihood.elsewhere);
-  const double kept = 1 - motion_.jump;
+  const double stays = 1 - motion_.jump;
   std::vector<float> padded, reached(static_cast<std::size_t>(SPEEDS * size)),
       all(static_cast<std::size_t>(size));
   for (int speed = 0; speed < SPEEDS; ++speed) {
@@ -494,12 +358,12 @@ void Filter::transition_back(const Run &piece, std::size_t way, const Future &fu
     slide(reached.data() + speed * size, padded.data(), size,
           (onwards ? steps.chances : steps.reversed).data(), width);
     add(all.data(), reached.data() + speed * size,
-        static_cast<float>(kept * motion_.change * PRIOR[speed]), size);
+        static_cast<float>(stays * motion_.change * PRIOR[speed]), size);
   }
   raise(all.data(), static_cast<float>(motion_.jump * lost), size);
   for (int speed = 0; speed < SPEEDS; ++speed)
     mixed(earlier.mapped.data() + (static_cast<Size>(way) * SPEEDS + speed) * here + piece.at,
-          reached.data() + speed * size, static_cast<float>(kept * (1 - motion_.change)),
+          reached.data() + speed * size, static_cast<float>(stays * (1 - motion_.change)),
           all.data(), 1, size);
 }
 

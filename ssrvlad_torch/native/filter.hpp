@@ -20,7 +20,6 @@ namespace places {
 constexpr int SPEEDS = 7;
 constexpr std::array<double, SPEEDS> PRIOR = {0.08, 0.16, 0.34, 0.16, 0.14, 0.07, 0.05};
 constexpr int FORWARDS = 1, BACKWARDS = -1;  // ways to run a map
-constexpr Size ELSEWHERE = 5;                // rows farther apart than this show different places
 constexpr double MOST_RATE = 100;
 
 // How a drive moves, and how much one frame counts; recognition/motion.py explains the settings.

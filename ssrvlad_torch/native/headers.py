@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 FOLDER = Path(__file__).parent
-_FILES = "ssrvlad.h", "ssrvlad_decide.h", "ssrvlad_map.h", "ssrvlad_loops.h"
+_FILES = "ssrvlad.h", "ssrvlad_map.h", "ssrvlad_loops.h"
 _TYPES: dict[str, Any] = {
     **{"void": None, "int": ctypes.c_int, "double": ctypes.c_double},
     **{"int32_t": ctypes.c_int32, "int64_t": ctypes.c_int64},
@@ -52,9 +52,6 @@ def interface() -> Interface:
         return [type_of(argument) for argument in declaration.split(",") if argument != "void"]
 
     def fields(line: str) -> list[tuple[str, Any]]:
-        if callback := re.match(r"(\w+) \(\*(\w+)\)\((.*)\)", line):
-            result, name, declaration = callback.groups()
-            return [(name, ctypes.CFUNCTYPE(_TYPES[result], *arguments(declaration)))]
         members, (base, names) = [], line.split(maxsplit=1)
         for declarator in names.split(","):
             name, _, size = declarator.strip(" ]").partition("[")

@@ -11,9 +11,8 @@
 namespace places {
 
 namespace {
-constexpr Size LANES = 16;
 constexpr Size AHEAD = 1024;    // numbers that come from memory while others are computed
-constexpr int TOGETHER = 3;     // anchors that are compared with a row at once
+constexpr Size TOGETHER = 3;     // anchors that are compared with a row at once
 constexpr Size MANY = 1 << 13;  // rows from which threads share them
 constexpr double LENGTH_TOLERANCE = 1e-3;
 constexpr Size PART = 2;  // bytes of a cell by which all rows of a large memory are compared
@@ -21,49 +20,30 @@ constexpr double MIN_SQUARE = 1e-9, LEAST = 1e-3;  // of a length without a mean
 
 std::size_t place(Size at) { return static_cast<std::size_t>(at); }
 
-// Numbers that a processor takes at once; one that takes fewer makes several of them.
 SSRVLAD_INLINE void prefetch(const void *numbers) { __builtin_prefetch(numbers); }
-typedef float Lanes __attribute__((vector_size(LANES * sizeof(float)), aligned(4), may_alias));
-
-SSRVLAD_INLINE const Lanes &load(const float *numbers) {
-  return *reinterpret_cast<const Lanes *>(numbers);
-}
-
-SSRVLAD_INLINE float sum_of(const Lanes &lanes) {
-  float folded[LANES];
-  for (Size lane = 0; lane < LANES; ++lane) folded[lane] = lanes[lane];
-  for (Size half = LANES / 2; half; half /= 2)
-    for (Size lane = 0; lane < half; ++lane) folded[lane] += folded[lane + half];
-  return folded[0];
-}
 
 // For rows without their mean, the best product with some anchors, and their squared lengths.
-template <int ANCHORS>
-SSRVLAD_INLINE void best_of(const float *rows, Size count, Size width, const float *mean,
-                            const float *anchors, float *best, float *squares) {
-  const float *const last = rows + count * width - AHEAD;
-  for (Size row = 0; row < count; ++row, rows += width) {
-    Lanes products[ANCHORS] = {}, square = {};
-    for (Size i = 0; i < width; i += LANES) {
-      if (rows + i < last) prefetch(rows + i + AHEAD);
-      const Lanes value = load(rows + i) - load(mean + i);
-      square += value * value;
-      for (int anchor = 0; anchor < ANCHORS; ++anchor)
-        products[anchor] += value * load(anchors + anchor * width + i);
+template <Size ANCHORS>
+void best_of(const float *rows, Size count, Size width, const float *mean, const float *anchors, float *best,
+             float *squares) {
+  on_cpu([=](auto) {
+    const float *row = rows, *const last = rows + count * width - AHEAD;
+    for (Size number = 0; number < count; ++number, row += width) {
+      float products[ANCHORS + 1][LANES] = {};  // with the anchors, and with the row itself
+      for (Size i = 0; i < width; i += LANES) {
+        if (row + i < last) prefetch(row + i + AHEAD);
+        for (Size lane = 0; lane < LANES; ++lane) {
+          const float value = row[i + lane] - mean[i + lane];
+          for (Size anchor = 0; anchor < ANCHORS; ++anchor)
+            products[anchor][lane] += value * anchors[anchor * width + i + lane];
+          products[ANCHORS][lane] += value * value;
+        }
+      }
+      for (Size anchor = 0; anchor < ANCHORS; ++anchor)
+        best[number] = std::max(best[number], folded(products[anchor]));
+      squares[number] = folded(products[ANCHORS]);
     }
-    for (const Lanes &product : products) best[row] = std::max(best[row], sum_of(product));
-    squares[row] = sum_of(square);
-  }
-}
-
-void best_of_one(const float *rows, Size count, Size width, const float *mean,
-                 const float *anchors, float *best, float *squares) {
-  on_cpu([=](auto) { best_of<1>(rows, count, width, mean, anchors, best, squares); });
-}
-
-void best_of_some(const float *rows, Size count, Size width, const float *mean,
-                  const float *anchors, float *best, float *squares) {
-  on_cpu([=](auto) { best_of<TOGETHER>(rows, count, width, mean, anchors, best, squares); });
+  });
 }
 
 // Calls a function for the rows from `first` to `last` that are of each stretch.
@@ -188,11 +168,11 @@ void LiveVectors::scores(const void *swept, Size anchors, int threads, const Cho
     std::fill(scores + first, scores + last, NONE);
     const auto compare = [&](const Stretch &stretch, Size from, Size to) {
       for (Size anchor = 0; anchor < anchors;) {
-        const bool some = anchors - anchor >= TOGETHER;
-        (some ? best_of_some : best_of_one)(rows_[from], to - from, width_, stretch.mean.data(),
+        const bool several = anchors - anchor >= TOGETHER;
+        (several ? best_of<TOGETHER> : best_of<1>)(rows_[from], to - from, width_, stretch.mean.data(),
                                             all.data() + anchor * width_, scores + from,
                                             squares + from - first);
-        anchor += some ? TOGETHER : 1;
+        anchor += several ? TOGETHER : 1;
       }
       for (Size row = from; row < to; ++row) {
         const double square = std::max(static_cast<double>(squares[row - first]), MIN_SQUARE);
@@ -279,26 +259,26 @@ double StoredSigns::cosine(const void *one, const void *other) const {
 }
 
 LiveSigns::Products LiveSigns::with(const Word *frame, const Sum &sum) const {
-  Products found;
+  Products products;
   const auto add_products = [&](const Word *signs, double factor) {
     std::array<std::int32_t, MOVES> different;
     count_moves(signs, frame, 1, grid_, different.data());
     for (int move = -REACH; move <= REACH; ++move)
-      found.moved[place(move + REACH)] += factor * (bits(move) - 2.0 * different[place(move + REACH)]);
+      products.moved[place(move + REACH)] += factor * (bits(move) - 2.0 * different[place(move + REACH)]);
     for (Size column = 0, count; column < columns_; column += count) {
       const Size at = column * grid_.words;
       count = together(column);
       const auto product = static_cast<double>(
           8 * size_ * count - 2 * differing(signs + at, frame + at, grid_.words * count));
       for (int move = -REACH; move <= REACH; ++move)
-        if (leaves(move, column)) found.there[place(move + REACH)] += factor * product;
+        if (leaves(move, column)) products.there[place(move + REACH)] += factor * product;
     }
   };
   // A count of frames is the sum of half the numbers 1 and -1 of each plane, and half of all its values.
   double value = 1;
   for (const auto &plane : sum.planes) add_products(plane.data(), value), value *= 2;
   add_products(nothing_.data(), static_cast<double>(sum.frames) + 1 - value);
-  return found;
+  return products;
 }
 
 LiveSigns::Stretch LiveSigns::present(Size fresh) const {
@@ -421,11 +401,11 @@ void LiveSigns::compare(const Word *frame, int threads) {
         moved_[place(move + REACH)][place(first + row)] =
             static_cast<std::int32_t>(bits(move)) - 2 * different[place((move + REACH) * count + row)];
     for (Size row = std::max(first, first_); row < last; ++row)
-      for (Size column = 0, some; column < columns_; column += some) {
+      for (Size column = 0, count; column < columns_; column += count) {
         const Size at = column * grid_.words;
-        some = together(column);
+        count = together(column);
         const Size product =
-            8 * size_ * some - 2 * differing(frame + at, rows_[row] + at, grid_.words * some);
+            8 * size_ * count - 2 * differing(frame + at, rows_[row] + at, grid_.words * count);
         for (int move = -REACH; move <= REACH; ++move)
           if (leaves(move, column))
             there_[place(move + REACH)][place(row - first_)] += static_cast<std::int32_t>(product);
@@ -506,10 +486,10 @@ LargeSigns::LargeSigns(Size columns, Size size, Size cell)
 // Some bytes of each cell, evenly spaced.
 std::vector<std::uint8_t> LargeSigns::part(const void *descriptor) const {
   const auto *bytes = static_cast<const std::uint8_t *>(descriptor);
-  std::vector<std::uint8_t> some;
+  std::vector<std::uint8_t> signs;
   for (Size cell = 0; cell < columns_ * size_; cell += cell_)
-    for (Size at = 0; at < cell_; at += stride_) some.push_back(bytes[cell + at]);
-  return some;
+    for (Size at = 0; at < cell_; at += stride_) signs.push_back(bytes[cell + at]);
+  return signs;
 }
 
 void LargeSigns::append(const void *descriptor) {
@@ -566,16 +546,16 @@ LargeSigns::Mean LargeSigns::mean(const Sum &own, const Sum &every) const {
 }
 
 LargeSigns::ByMove LargeSigns::product(const Planes &vector, const Word *frame) const {
-  ByMove found{};
+  ByMove products{};
   for (std::size_t plane = 0; plane < vector.weights.size(); ++plane) {
     std::array<std::int32_t, MOVES> different;
     count_moves(vector.signs.data() + static_cast<Size>(plane) * grid_.size(), frame, 1, grid_,
                 different.data());
     for (int move = -REACH; move <= REACH; ++move)
-      found[place(move + REACH)] +=
+      products[place(move + REACH)] +=
           vector.weights[plane] * (bits(move) - 2.0 * different[place(move + REACH)]);
   }
-  return found;
+  return products;
 }
 
 LargeSigns::ByMove LargeSigns::lengths(const Word *frame, const Mean &mean, bool is_moved) const {
@@ -584,7 +564,7 @@ LargeSigns::ByMove LargeSigns::lengths(const Word *frame, const Mean &mean, bool
     count = together(column);
     const Size at = column * grid_.words, words = count * grid_.words;
     double square = static_cast<double>(8 * size_ * count);
-    for (Size each = 0; each < count; ++each) square += mean.squares[place(column + each)];
+    for (Size next = 0; next < count; ++next) square += mean.squares[place(column + next)];
     for (std::size_t plane = 0; plane < PLANES; ++plane) {
       const Word *signs = mean.planes.signs.data() + static_cast<Size>(plane) * grid_.size() + at;
       square -= 2 * mean.planes.weights[plane] *
@@ -593,7 +573,7 @@ LargeSigns::ByMove LargeSigns::lengths(const Word *frame, const Mean &mean, bool
     for (int move = -REACH; move <= REACH; ++move)
       if (leaves(is_moved ? -move : move, column)) squares[place(move + REACH)] += square;
   }
-  for (double &each : squares) each = std::sqrt(std::max(0.0, each));
+  for (double &square : squares) square = std::sqrt(std::max(0.0, square));
   return squares;
 }
 

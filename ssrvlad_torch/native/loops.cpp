@@ -42,15 +42,6 @@ constexpr Motion MOTION = {0.01, 0.01, 0.3, 0.97, 0.25, 0.5, 1};
 
 std::size_t place(Size at) { return static_cast<std::size_t>(at); }
 
-template <class Number>
-double median(std::vector<Number> values) {
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  const double upper = static_cast<double>(*middle);
-  if (values.size() % 2) return upper;
-  return (static_cast<double>(*std::max_element(values.begin(), middle)) + upper) / 2;
-}
-
 // The quantile between two values, as NumPy's.
 double quantile(std::vector<double> values, double part) {
   const double at = part * static_cast<double>(values.size() - 1), whole = std::floor(at);
@@ -82,13 +73,13 @@ double lead(const float *near, Size count, const Spread &spread) {
 // Gives rows without nearness what their rough nearness lets expect: on the straight line through some
 // rows whose nearness is known.
 void expect(const std::vector<float> &rough, const std::vector<float> &known_rough,
-            const std::vector<float> &known, std::vector<float> &near) {
-  const auto count = static_cast<Size>(known.size());
-  const Spread from = plain_spread(known_rough.data(), count), to = plain_spread(known.data(), count);
+            const std::vector<float> &near_of_rows, std::vector<float> &near) {
+  const auto count = static_cast<Size>(near_of_rows.size());
+  const Spread from = plain_spread(known_rough.data(), count), to = plain_spread(near_of_rows.data(), count);
   double both = 0;
-  for (std::size_t row = 0; row < known.size(); ++row)
+  for (std::size_t row = 0; row < near_of_rows.size(); ++row)
     both += (static_cast<double>(known_rough[row]) - from.mean) *
-            (static_cast<double>(known[row]) - to.mean);
+            (static_cast<double>(near_of_rows[row]) - to.mean);
   const double least = std::max(from.deviation, MIN_SPREAD);
   const double slope = both / static_cast<double>(std::max<Size>(1, count)) / (least * least);
   for (std::size_t row = 0; row < near.size(); ++row)
@@ -98,11 +89,11 @@ void expect(const std::vector<float> &rough, const std::vector<float> &known_rou
 
 // How much likelier a frame is at rows than at a new place, by their nearness.
 void likelihoods(const float *near, Size count, double weight, double level,
-                 const Spread &spread, float *told) {
+                 const Spread &spread, float *likely) {
   on_cpu([=, &spread](auto) {
     const double least = spread.mean + level * spread.deviation, factor = weight / spread.deviation;
     for (Size i = 0; i < count; ++i)
-      told[i] =
+      likely[i] =
           static_cast<float>(exp_of(std::min((static_cast<double>(near[i]) - least) * factor, MAX_LOG)));
   });
 }
@@ -125,12 +116,12 @@ double likeness(const std::vector<double> &cosines, Size count) {
 }
 
 bool is_gap(const std::deque<double> &stamps, double stamp) {
-  std::vector<double> known, steps;
-  std::copy_if(stamps.begin(), stamps.end(), std::back_inserter(known),
-               [](double each) { return !std::isnan(each); });
-  if (static_cast<Size>(known.size()) < LEAST_FRAMES || !(stamp - known.back() > GAP)) return false;
-  for (std::size_t row = 1; row < known.size(); ++row) steps.push_back(known[row] - known[row - 1]);
-  return stamp - known.back() > TIMES * median(steps);
+  std::vector<double> stamped, steps;
+  std::copy_if(stamps.begin(), stamps.end(), std::back_inserter(stamped),
+               [](double stamp_before) { return !std::isnan(stamp_before); });
+  if (static_cast<Size>(stamped.size()) < LEAST_FRAMES || !(stamp - stamped.back() > GAP)) return false;
+  for (std::size_t row = 1; row < stamped.size(); ++row) steps.push_back(stamped[row] - stamped[row - 1]);
+  return stamp - stamped.back() > TIMES * median(steps);
 }
 }  // namespace
 
@@ -150,10 +141,10 @@ void Repeats::after(const float *near, Size count) {
     widest[far] = std::max({seen[far], seen[far + 1], seen[far + 2]});
   keep(last_, widest, TRACK);
   std::size_t shared = place(rows);
-  for (const auto &each : last_) shared = std::min(shared, each.size());
+  for (const auto &row_of_distances : last_) shared = std::min(shared, row_of_distances.size());
   if (last_.size() < TRACK || !shared) return;
   std::vector<float> track(shared);
-  for (const auto &each : last_) add(track.data(), each.data(), 1, static_cast<Size>(shared));
+  for (const auto &row_of_distances : last_) add(track.data(), row_of_distances.data(), 1, static_cast<Size>(shared));
   for (float &value : track) value /= static_cast<float>(TRACK);
   const float most = *std::max_element(track.begin(), track.end());
   for (std::size_t back = 0; back < std::min(TRACK, highest_.size()); ++back) {
@@ -171,7 +162,7 @@ void Repeats::after(const float *near, Size count) {
 
 Tracks::Tracks(Size exclude, bool alone) : exclude_(exclude), alone_(alone), since_(WAIT) {}
 
-bool Tracks::known() const { return by_chance_.size() >= LEAST_BY_CHANCE; }
+bool Tracks::tells() const { return by_chance_.size() >= LEAST_BY_CHANCE; }
 
 float Tracks::step() const {
   const double usual = median(std::vector<float>(steps_.begin(), steps_.end())) -
@@ -180,7 +171,7 @@ float Tracks::step() const {
 }
 
 double Tracks::explained() const {
-  if (!alone_ || !known()) return 0;
+  if (!alone_ || !tells()) return 0;
   return quantile({by_chance_.begin(), by_chance_.end()}, EXPLAINED) * static_cast<double>(step());
 }
 
@@ -191,12 +182,12 @@ void Tracks::after(const float *near, Size count, Size old) {
   const std::vector<float> seen(near + std::max<Size>(0, count - TRACKED), near + count - BESIDE);
   keep(steps_, near[count - 1], USUAL);
   keep(others_, static_cast<float>(median(seen)), USUAL);
-  const Spread known = plain_spread(near, old);
+  const Spread spread = plain_spread(near, old);
   if (std::all_of(near, near + old, [](float value) { return value == NONE; })) return;
   const auto later = count - static_cast<Size>(before.size());
   const float usual = step();
   for (Size row = 0; row < count; ++row) {
-    const float close = near[row] == NONE ? 0 : (near[row] - static_cast<float>(known.mean)) / usual;
+    const float close = near[row] == NONE ? 0 : (near[row] - static_cast<float>(spread.mean)) / usual;
     closeness_[place(row)] = (row >= later ? SMOOTHING * before[place(row - later)] : 0) + (1 - SMOOTHING) * close;
   }
   closest_ = *std::max_element(closeness_.begin(), closeness_.begin() + old);
@@ -219,7 +210,7 @@ void Tracks::decided(bool accepted) {
 }
 
 bool Tracks::returning() const {
-  if (alone_ || !known()) return false;
+  if (alone_ || !tells()) return false;
   const float highest = *std::max_element(by_chance_.begin(), by_chance_.end());
   const bool is_clear = highest <= CLEAR && BY_CHANCE * highest <= closest_;
   return is_clear && densest_ <= closest_ && closest_ < SAME;
@@ -332,11 +323,11 @@ ssrvlad_loop Stream::update(const void *const *descriptors, const Size *anchors,
   if (starts_.empty() || starts || breaks(centres.data(), stamp)) start_stretch();
   grow();
   enlarge();
-  const ssrvlad_loop found = step(descriptors, centres.data(), anchors, threads);
+  const ssrvlad_loop loop = step(descriptors, centres.data(), anchors, threads);
   store(centres.data(), stamp);
   for (std::size_t number = 0; number < channels_.size(); ++number)
     channels_[number]->append(centres[number]);
-  return found;
+  return loop;
 }
 
 ssrvlad_loop Stream::step(const void *const *swept, const void *const *centres, const Size *anchors,
@@ -360,19 +351,19 @@ ssrvlad_loop Stream::step(const void *const *swept, const void *const *centres, 
   nearness(scored.data(), rows(), near.data());
   repeats_.after(near.data() + starts_.back(), rows() - starts_.back());
   if (too_few) return none;
-  const std::vector<float> known = usual(near, old_);
-  const Spread spread = Spread::of(known.data(), static_cast<Size>(known.size()));
+  const std::vector<float> usual_near = usual(near, old_);
+  const Spread spread = Spread::of(usual_near.data(), static_cast<Size>(usual_near.size()));
   filter(likelihood(near, spread));
-  const ssrvlad_loop found = result(scored);
-  if (found.reason == SSRVLAD_ACCEPTED && spread.deviation > MIN_SPREAD)
-    keep(fits_, spread.z(near[place(found.candidate)]), FITS);
-  return found;
+  const ssrvlad_loop loop = result(scored);
+  if (loop.reason == SSRVLAD_ACCEPTED && spread.deviation > MIN_SPREAD)
+    keep(fits_, spread.z(near[place(loop.candidate)]), FITS);
+  return loop;
 }
 
 // Scores of a frame by all channels, scaled by those of the old frames, if there are any.
 std::vector<float> Stream::scores(const void *const *swept, const Size *anchors, int threads, Size old) {
   std::vector<std::vector<float>> near(channels_.size());
-  std::vector<float> scores(place(rows())), found(scores.size(), NONE);
+  std::vector<float> scores(place(rows())), fused(scores.size(), NONE);
   std::vector<Spread> spreads;
   const Size counted = old ? old : rows();
   Chosen chosen;
@@ -382,38 +373,38 @@ std::vector<float> Stream::scores(const void *const *swept, const Size *anchors,
   };
   if (channels_.size() == 1 && large_.empty()) return score(0), scores;
   std::vector<std::vector<float>> rough(large_.size());
-  for (std::size_t each = 0; each < large_.size(); ++each) {
-    score(large_[each]);
-    rough[each].resize(scores.size());
-    nearness(scores.data(), rows(), rough[each].data());
+  for (std::size_t large = 0; large < large_.size(); ++large) {
+    score(large_[large]);
+    rough[large].resize(scores.size());
+    nearness(scores.data(), rows(), rough[large].data());
   }
-  for (const auto &each : rough) choose(each, counted, chosen);
+  for (const auto &near_roughly : rough) choose(near_roughly, counted, chosen);
   for (std::size_t number = 0; number < channels_.size(); ++number) {
     score(number);
     near[number].resize(scores.size());
     nearness(scores.data(), rows(), near[number].data());
-    const std::vector<float> known = usual(near[number], counted);
-    spreads.push_back(plain_spread(known.data(), static_cast<Size>(known.size())));
-    const auto each = std::find(large_.begin(), large_.end(), number) - large_.begin();
-    if (each < static_cast<std::ptrdiff_t>(large_.size())) {
-      expect(rough[place(each)], usual(rough[place(each)], counted), known, near[number]);
-      scores = rough[place(each)];  // of every row
+    const std::vector<float> usual_near = usual(near[number], counted);
+    spreads.push_back(plain_spread(usual_near.data(), static_cast<Size>(usual_near.size())));
+    const auto large = std::find(large_.begin(), large_.end(), number) - large_.begin();
+    if (large < static_cast<std::ptrdiff_t>(large_.size())) {
+      expect(rough[place(large)], usual(rough[place(large)], counted), usual_near, near[number]);
+      scores = rough[place(large)];  // of every row
     }
     leads_[number] += std::max(0.0, lead(near[number].data(), old, spreads.back()));
-    for (std::size_t row = 0; row < found.size(); ++row) found[row] = std::max(found[row], scores[row]);
+    for (std::size_t row = 0; row < fused.size(); ++row) fused[row] = std::max(fused[row], scores[row]);
   }
   std::vector<double> z(scores.size());
   double mean = 0, deviation = 0;
   const std::vector<double> weight = weights();
   for (std::size_t number = 0; number < channels_.size(); ++number) {
-    const auto [own, spread] = spreads[number];
-    add_scaled(near[number].data(), rows(), own, weight[number] / std::max(spread, MIN_SPREAD),
+    const auto [usual_mean, spread] = spreads[number];
+    add_scaled(near[number].data(), rows(), usual_mean, weight[number] / std::max(spread, MIN_SPREAD),
                z.data());
-    mean += weight[number] * own;
+    mean += weight[number] * usual_mean;
     deviation += weight[number] * spread;
   }
-  as_cosines(z.data(), rows(), mean, deviation, found.data());
-  return found;
+  as_cosines(z.data(), rows(), mean, deviation, fused.data());
+  return fused;
 }
 
 Size Stream::stride(Size old) const {
@@ -423,16 +414,16 @@ Size Stream::stride(Size old) const {
 }
 
 std::vector<float> Stream::usual(const std::vector<float> &near, Size old) const {
-  std::vector<float> known;
-  for (Size row = 0, step = stride(old); row < old; row += step) known.push_back(near[place(row)]);
-  return known;
+  std::vector<float> usual_near;
+  for (Size row = 0, step = stride(old); row < old; row += step) usual_near.push_back(near[place(row)]);
+  return usual_near;
 }
 
 // Chooses the nearest rows by the rough scores of a channel, the last ones, a sample, and those that are
 // more probable than by guessing, and their neighbours.
 void Stream::choose(const std::vector<float> &rough, Size old, Chosen &chosen) const {
-  const std::vector<float> known = usual(rough, old);
-  const double least = quantile({known.begin(), known.end()}, 1 - CHOSEN_PART);
+  const std::vector<float> usual_near = usual(rough, old);
+  const double least = quantile({usual_near.begin(), usual_near.end()}, 1 - CHOSEN_PART);
   chosen.resize(rough.size());
   for (std::size_t row = 0; row < rough.size(); ++row)
     chosen[row] |= static_cast<double>(rough[row]) >= least;
@@ -443,14 +434,14 @@ void Stream::choose(const std::vector<float> &rough, Size old, Chosen &chosen) c
   mark(std::min(old, rows() - LATEST), rows());
   for (std::size_t row = 0; row < probable_.size(); ++row)
     if (static_cast<double>(probable_[row]) * static_cast<double>(drives_.rows) > 1)
-      mark(static_cast<Size>(row) - SSRVLAD_NEAR, static_cast<Size>(row) + SSRVLAD_NEAR + 1);
+      mark(static_cast<Size>(row) - SSRVLAD_RADIUS, static_cast<Size>(row) + SSRVLAD_RADIUS + 1);
 }
 
 // How likely a frame of another stretch is: once some loops show how well the right rows fit, a row that
 // fits half as well is as likely as a new place. Label maps alone fit too unevenly.
 Stream::Fit Stream::fit() const {
-  const bool known = channels_.size() > 1 && fits_.size() >= LEAST_FITS;
-  const double level = known ? FIT * median(std::vector<double>(fits_.begin(), fits_.end())) : 0;
+  const bool enough = channels_.size() > 1 && fits_.size() >= LEAST_FITS;
+  const double level = enough ? FIT * median(std::vector<double>(fits_.begin(), fits_.end())) : 0;
   if (level <= MOTION.level) return {MOTION.weight, MOTION.level};
   return {FIT_WEIGHT * MOTION.weight, level};
 }
@@ -458,11 +449,11 @@ Stream::Fit Stream::fit() const {
 // How much likelier a frame is at each row than at a new place. The level of rows of the same stretch is
 // the higher, the more alike neighbouring frames are and the more their street repeats.
 std::vector<float> Stream::likelihood(const std::vector<float> &near, const Spread &spread) {
-  std::vector<float> told(near.size(), 1.0F);
-  if (spread.deviation <= MIN_SPREAD) return told;
-  const Size start = starts_.back(), own = rows() - start,
-             candidates = std::max<Size>(0, own - exclude_);
-  const Size previous = own - std::max<Size>(1, exclude_ / STRIDE);
+  std::vector<float> likely(near.size(), 1.0F);
+  if (spread.deviation <= MIN_SPREAD) return likely;
+  const Size start = starts_.back(), count = rows() - start,
+             candidates = std::max<Size>(0, count - exclude_);
+  const Size previous = count - std::max<Size>(1, exclude_ / STRIDE);
   if (previous >= 0 && near[place(start + previous)] != NONE)
     keep(neighbours_, spread.z(near[place(start + previous)]), NEIGHBOURS);
   const double usual =
@@ -470,19 +461,19 @@ std::vector<float> Stream::likelihood(const std::vector<float> &near, const Spre
   const double by_chance = std::sqrt(2 * log_of(static_cast<double>(std::max<Size>(2, rows()))));
   const double level = std::max({MOTION.level, LEVEL_FRACTION * usual, by_chance});
   const double weight = EVIDENCE / level;
-  tracks_.after(near.data() + start, own, candidates);
+  tracks_.after(near.data() + start, count, candidates);
   const Fit fits = fit();
   for (std::size_t stretch = 0; stretch < explained_.size(); ++stretch) {
     const double explained = std::max(fits.level, explained_[stretch] / spread.deviation);
     const Size first = starts_[stretch], count = starts_[stretch + 1] - first;
-    likelihoods(near.data() + first, count, fits.weight, explained, spread, told.data() + first);
+    likelihoods(near.data() + first, count, fits.weight, explained, spread, likely.data() + first);
   }
-  likelihoods(near.data() + start, candidates, fits.weight, fits.level, spread, told.data() + start);
+  likelihoods(near.data() + start, candidates, fits.weight, fits.level, spread, likely.data() + start);
   const bool is_returning = tracks_.returning();
-  std::vector<float> same(place(own));
-  likelihoods(near.data() + start, own, weight, level, spread, same.data());
-  for (Size row = 0; row < own; ++row) {
-    float &here = told[place(start + row)];
+  std::vector<float> same(place(count));
+  likelihoods(near.data() + start, count, weight, level, spread, same.data());
+  for (Size row = 0; row < count; ++row) {
+    float &here = likely[place(start + row)];
     const float others = here;
     here = same[place(row)];
     if (row >= candidates) continue;
@@ -492,14 +483,14 @@ std::vector<float> Stream::likelihood(const std::vector<float> &near, const Spre
     if (repeats > 0) here *= static_cast<float>(exp_of(-weight * repeats));
     if (is_returning) here = std::max(here, others);
   }
-  return told;
+  return likely;
 }
 
-void Stream::filter(std::vector<float> told) {
-  told.resize(place(drives_.rows));
+void Stream::filter(std::vector<float> likely) {
+  likely.resize(place(drives_.rows));
   const Rows rows = drives_.all();
   belief_ = starting_ ? filter_.extended(belief_, rows) : filter_.predicted(belief_, rows);
-  filter_.update(belief_, {std::move(told), 0});
+  filter_.update(belief_, {std::move(likely), 0});
   probable_ = belief_.of_rows();
   starting_ = false;
 }
@@ -512,32 +503,32 @@ ssrvlad_loop Stream::result(const std::vector<float> &scored) {
       candidate = row;
   const double old = sum(rows.data(), old_), recent = sum(rows.data() + old_, drives_.rows - old_);
   const auto near = [&](Size row) {
-    return std::make_pair(std::max<Size>(0, row - SSRVLAD_NEAR), std::min(row + SSRVLAD_NEAR + 1, old_));
+    return std::make_pair(std::max<Size>(0, row - SSRVLAD_RADIUS), std::min(row + SSRVLAD_RADIUS + 1, old_));
   };
   const auto [first, last] = near(candidate);
-  ssrvlad_loop found{};
-  found.candidate = candidate;
-  found.score = static_cast<double>(scored[place(candidate)]);
-  found.probability = std::min(1.0, sum(rows.data() + first, last - first));
+  ssrvlad_loop loop{};
+  loop.candidate = candidate;
+  loop.score = static_cast<double>(scored[place(candidate)]);
+  loop.probability = std::min(1.0, sum(rows.data() + first, last - first));
   const Size drive = drives_.of(candidate);
-  found.first = std::max(first, drives_.starts[place(drive)]);
-  found.rows = static_cast<std::int32_t>(std::min(last, drives_.last(drive)) - found.first);
-  for (Size row = 0; row < found.rows; ++row)
-    found.probabilities[row] = static_cast<double>(rows[place(found.first + row)]);
-  found.reason = SSRVLAD_BELOW_THRESHOLD;
-  if (found.probability >= threshold_) found.reason = SSRVLAD_ACCEPTED;
-  else if (recent > std::max(old, 1 - old - recent)) found.reason = SSRVLAD_TOO_RECENT;
-  else if (old >= threshold_) found.reason = SSRVLAD_AMBIGUOUS;
-  tracks_.decided(found.reason == SSRVLAD_ACCEPTED);
-  for (Size row = candidate; found.places < SSRVLAD_PLACES; ++found.places) {
+  loop.first = std::max(first, drives_.starts[place(drive)]);
+  loop.rows = static_cast<std::int32_t>(std::min(last, drives_.last(drive)) - loop.first);
+  for (Size row = 0; row < loop.rows; ++row)
+    loop.probabilities[row] = static_cast<double>(rows[place(loop.first + row)]);
+  loop.reason = SSRVLAD_BELOW_THRESHOLD;
+  if (loop.probability >= threshold_) loop.reason = SSRVLAD_ACCEPTED;
+  else if (recent > std::max(old, 1 - old - recent)) loop.reason = SSRVLAD_TOO_RECENT;
+  else if (old >= threshold_) loop.reason = SSRVLAD_AMBIGUOUS;
+  tracks_.decided(loop.reason == SSRVLAD_ACCEPTED);
+  for (Size row = candidate; loop.places < SSRVLAD_PLACES; ++loop.places) {
     const auto [from, to] = near(row);
     const double probability = std::min(1.0, sum(rows.data() + from, to - from));
     if (probability < LEAST_PLACE) break;
-    found.best[found.places] = {row, probability};
+    loop.best[loop.places] = {row, probability};
     std::fill(rows.begin() + from, rows.begin() + to, 0.0F);
     row = std::max_element(rows.begin(), rows.begin() + old_) - rows.begin();
   }
-  return found;
+  return loop;
 }
 
 }  // namespace places

@@ -1,4 +1,4 @@
-// A live stream: has this place been seen before? loops/reference.py says the same plainly, and what its
+// A live stream: has this place been seen before? tests/oracles/loops.py says the same plainly, and what its
 // constants mean.
 
 #ifndef SSRVLAD_LOOPS_HPP
@@ -45,7 +45,7 @@ class Tracks {
   double explained() const;
 
  private:
-  bool known() const;
+  bool tells() const;  // whether enough tracks by chance were seen
   float step() const;  // how much nearer than different places a frame is to the next
 
   Size exclude_;

@@ -201,13 +201,13 @@ class Loops:
 
     def _addresses(self, arrays: Sequence[Array], counts: Sequence[int]) -> Any:
         """The addresses of descriptors by each channel, so many one after another."""
-        found = []
+        addresses = []
         for channel, array, count in zip(self.channels, arrays, counts, strict=True):
             try:
-                found.append(address(array, (count, *channel.shape), channel.dtype))
+                addresses.append(address(array, (count, *channel.shape), channel.dtype))
             except ValueError as error:
                 raise ValueError(f"{channel.name}: {error}") from error
-        return (ctypes.c_void_p * len(found))(*found)
+        return (ctypes.c_void_p * len(addresses))(*addresses)
 
 
 def _step_of(loop: Any) -> LoopStep:

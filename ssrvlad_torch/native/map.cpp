@@ -8,19 +8,6 @@ namespace places {
 
 namespace {
 
-// Values that are not finite make the sum NaN.
-bool are_finite(const float *values, Size count) {
-  return on_cpu([=](auto) {
-    constexpr int LANES = 16;
-    float lanes[LANES] = {};
-    Size i = 0;
-    for (; i + LANES <= count; i += LANES)
-      for (int lane = 0; lane < LANES; ++lane) lanes[lane] += values[i + lane] * 0;
-    for (; i < count; ++i) lanes[0] += values[i] * 0;
-    return std::all_of(lanes, lanes + LANES, [](float lane) { return lane == 0; });
-  });
-}
-
 // What a map is compared by, and what this is made of.
 class Together : public Scores {
  public:

@@ -321,53 +321,6 @@ class _Call:
         return queries.shape[1] if rows is not None and queries.ndim > rows.ndim else 1
 
 
-def match(
-    queries: Array,
-    rows: tuple[Array, Array],
-    first: int,
-    excluded: Array | None,
-    threads: int,
-    best: tuple[Array, Array],
-) -> None:
-    """Puts rows of a map among the best of each query, see ``ssrvlad_match``.
-
-    Args:
-        queries: ``(Q, D)`` float32, of length 1, or NaN, which finds nothing.
-        rows: ``(R, D)`` float32, and their lengths ``(R,)`` float32.
-        first: number of the first row.
-        excluded: ``(Q, R)`` bool, rows that are no candidates.
-        threads: that share the queries.
-        best: scores ``(Q, top)`` float32 and rows int64 of earlier rows, in falling order; they are
-            changed.
-
-    All arrays are C-contiguous.
-
-    Raises:
-        ValueError: an array has another shape or dtype, or D or top is 0.
-    """
-    vectors, lengths = rows
-    (frames, length), count, top = vectors.shape, len(queries), best[0].shape[1]
-    given = struct("rows")(
-        address(vectors, (frames, length), "float32"),
-        address(lengths, (frames,), "float32"),
-        address(excluded, (count, frames), "bool"),
-        frames,
-        length,
-        first,
-    )
-    require(
-        required().ssrvlad_match(
-            ctypes.byref(given),
-            address(queries, (count, length), "float32"),
-            count,
-            top,
-            threads,
-            address(best[0], (count, top), "float32"),
-            address(best[1], (count, top), "int64"),
-        )
-    )
-
-
 def _expect(name: str, got: object, fits: bool, wanted: str) -> None:
     if not fits:
         raise ValueError(f"{name}: expected {wanted}, got {got!r}")

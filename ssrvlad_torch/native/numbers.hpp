@@ -9,6 +9,7 @@
 #include <cstdint>
 #include <cstring>
 #include <limits>
+#include <vector>
 
 #include "cpu.hpp"
 
@@ -18,6 +19,7 @@ using Size = std::int64_t;
 
 constexpr float NONE = -std::numeric_limits<float>::infinity();  // the score of what is no match
 constexpr Size MOST_NUMBERS = Size{1} << 31;  // of a descriptor from all anchors, and its signs
+constexpr Size ELSEWHERE = 5;        // rows farther apart than this show different places
 constexpr double ROUNDING = 1e-6;    // of a cosine of 480 float32 products
 constexpr double MIN_SPREAD = 1e-6;
 constexpr double MAX_LOG = 50;       // frames that equal their rows must not overflow
@@ -59,6 +61,16 @@ SSRVLAD_INLINE double exp_of(double value) {
   return of_bits(bits_of(found) & ((bits_of(value + 700) >> 63) - 1));
 }
 
+constexpr Size LANES = 16;  // numbers that are taken at once; a processor of fewer makes several of them
+
+// The sum of all lanes.
+template <typename Number>
+SSRVLAD_INLINE Number folded(Number *lanes) {
+  for (Size width = LANES / 2; width; width /= 2)
+    for (Size lane = 0; lane < width; ++lane) lanes[lane] += lanes[lane + width];
+  return lanes[0];
+}
+
 // Minus the logarithm of 1 - cosine; -inf for -inf.
 inline double nearness(double score) {
   return score == -std::numeric_limits<double>::infinity()
@@ -66,14 +78,25 @@ inline double nearness(double score) {
              : -log_of(std::max(1 - score, ROUNDING));
 }
 
+// The middle of values, or the mean of the two in the middle; 0 without values.
+template <typename Number>
+double median(std::vector<Number> values) {
+  if (values.empty()) return 0;
+  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  const double upper = static_cast<double>(*middle);
+  if (values.size() % 2) return upper;
+  return (static_cast<double>(*std::max_element(values.begin(), middle)) + upper) / 2;
+}
+
 // Sums in a fixed order, in double precision.
 double sum(const float *values, Size count);
-double dot(const float *some, const float *others, Size count);
+double dot(const float *values, const float *others, Size count);
 
 // Adds to a target values times a factor; products; one value. Multiplies a target by values times a
 // factor; by a factor.
 void add(float *target, const float *values, float factor, Size count);
-void add_product(float *target, const float *some, const float *others, Size count);
+void add_product(float *target, const float *values, const float *others, Size count);
 void raise(float *target, float value, Size count);
 void multiply(float *target, const float *values, float factor, Size count);
 void scale(float *target, float factor, Size count);
@@ -81,8 +104,15 @@ void scale(float *target, float factor, Size count);
 // The highest of values; NONE without values.
 float highest(const float *values, Size count);
 
+bool are_finite(const float *values, Size count);
+
+// Limits of a loop that are no constants to the compiler: else it makes branches of them, no vectors.
+struct Limits {
+  double least = ROUNDING, most = MAX_LOG, none = static_cast<double>(NONE);
+};
+
 // Nearness of scores, in single precision; -inf for -inf.
-void nearness(const float *scores, Size count, float *near);
+void nearness(const float *scores, Size count, float *near, Limits limits = {});
 
 // Mean and standard deviation of nearness, without values of -inf; (0, MIN_SPREAD) without values.
 struct Spread {

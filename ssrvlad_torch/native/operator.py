@@ -50,8 +50,8 @@ def describe(labels: Tensor, table: Tensor, origin: int, settings: str) -> Tenso
         address(descriptors, (len(labels), head.length), "float32"),
     )
     if status > 0:
-        known = (table != table[-1]).nonzero()[:, 0] - origin
-        first = int(labels[~torch.isin(labels, known)].min())
+        ids = (table != table[-1]).nonzero()[:, 0] - origin
+        first = int(labels[~torch.isin(labels, ids)].min())
         raise UnknownIdError(
             f"label id {first} is not in the label space; {status} pixels have such ids"
         )
@@ -80,11 +80,11 @@ class _Head:
         if library is None:
             raise RuntimeError("the native core was not built")
         self.library, self.length = library, config.length
-        made = struct("settings")
-        values = {name: getattr(config, name) for name, *_ in made._fields_}
+        structure = struct("settings")
+        values = {name: getattr(config, name) for name, *_ in structure._fields_}
         values.update({name: choices.index(values[name]) for name, choices in CHOICES.items()})
-        given = made(**{**values, "working_size": config.working_size or 0})
-        self.handle = library.ssrvlad_new_for(number("INTERFACE"), given)
+        filled = structure(**{**values, "working_size": config.working_size or 0})
+        self.handle = library.ssrvlad_new_for(number("INTERFACE"), filled)
         if not self.handle:
             raise RuntimeError(last_error())
         weakref.finalize(self, library.ssrvlad_free, ctypes.c_void_p(self.handle))

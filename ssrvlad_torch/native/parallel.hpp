@@ -28,9 +28,9 @@ using Mutex = std::mutex;
 #endif
 
 // Shares `count` jobs among threads, one of them the caller's: each takes the number of its next job
-// from the counter until there are no more. False if out of memory.
+// from the counter until there are no more.
 template <class Job>
-bool in_parallel([[maybe_unused]] std::int64_t count, [[maybe_unused]] int threads, Job job) {
+void in_parallel([[maybe_unused]] std::int64_t count, [[maybe_unused]] int threads, Job job) {
   std::atomic<std::int64_t> next{0};
   std::atomic<bool> failed{false};
   const auto work = [&]() noexcept {
@@ -55,18 +55,17 @@ bool in_parallel([[maybe_unused]] std::int64_t count, [[maybe_unused]] int threa
   if (!failed) work();
   for (std::thread &other : others) other.join();
 #endif
-  return !failed;
+  if (failed) throw std::bad_alloc();
 }
 
 // Calls a function with the first and the last row of each of several blocks of rows.
 template <class Function>
 void over_blocks(std::int64_t rows, std::int64_t size, int threads, Function function) {
   const std::int64_t blocks = (rows + size - 1) / size;
-  const bool done = in_parallel(blocks, threads, [&](std::atomic<std::int64_t> &next) {
+  in_parallel(blocks, threads, [&](std::atomic<std::int64_t> &next) {
     for (std::int64_t block; (block = next++) < blocks;)
       function(block * size, std::min(rows, (block + 1) * size));
   });
-  if (!done) throw std::bad_alloc();
 }
 
 }  // namespace places

@@ -2,11 +2,14 @@
 
 #include "products.hpp"
 
+#include "parallel.hpp"
+#include "ssrvlad.h"
+
 namespace places {
 
 namespace {
 
-constexpr Size LANES = 32, ROWS = 12;  // of a panel, and of a tile
+constexpr Size PANEL = 32, ROWS = 12;  // lanes of a panel, rows of a tile
 
 #if !defined(__aarch64__)
 // a * b + c, rounded once. The product of two floats is exact in double precision. A sum that is not
@@ -28,34 +31,34 @@ bool are_normal(const float *values, Size count) {
   return !small;
 }
 
-// Fills sums (ROWS, LANES) with the products of numbers of a panel (length, LANES), of which some lanes
+// Fills sums (ROWS, PANEL) with the products of numbers of a panel (length, PANEL), of which some lanes
 // count, and of rows. As `fused`, for sums in double precision that are rounded to single. Where two
 // roundings may differ from one, for a sum in the middle between two numbers, all is done again.
 void tile(Base, const float *panel, const float *const *rows, Size length, Size lanes, float *sums) {
   constexpr Size AT_ONCE = 16;
   constexpr std::uint64_t DROPPED = (1ULL << 29) - 1, HALF = 1ULL << 28;
-  const bool normal = are_normal(panel, length * LANES);
-  for (Size row = 0; row < ROWS; ++row, sums += LANES) {
+  const bool normal = are_normal(panel, length * PANEL);
+  for (Size row = 0; row < ROWS; ++row, sums += PANEL) {
     const float *numbers = rows[row];
     const bool exact = normal && are_normal(numbers, length);
     for (Size first = 0; first < lanes; first += AT_ONCE) {
-      double kept[AT_ONCE] = {};
+      double summed[AT_ONCE] = {};
       std::uint64_t unclear[AT_ONCE] = {};
       for (Size n = 0; n < length && exact; ++n) {
-        const float *others = panel + n * LANES + first;
+        const float *others = panel + n * PANEL + first;
         for (Size lane = 0; lane < AT_ONCE; ++lane) {
-          const double sum = static_cast<double>(numbers[n]) * others[lane] + kept[lane];
+          const double sum = static_cast<double>(numbers[n]) * others[lane] + summed[lane];
           const double scaled = sum * (DROPPED + 2);
-          kept[lane] = scaled - (scaled - sum);
+          summed[lane] = scaled - (scaled - sum);
           unclear[lane] |= (bits_of(sum) & DROPPED) == HALF ? 1 : 0;
         }
       }
       for (Size lane = 0; lane < AT_ONCE; ++lane) {
-        float sum = static_cast<float>(kept[lane]);
+        float sum = static_cast<float>(summed[lane]);
         if (!exact || unclear[lane]) {
           sum = 0;
           for (Size n = 0; n < length; ++n)
-            sum = fused(panel[n * LANES + first + lane], numbers[n], sum);
+            sum = fused(panel[n * PANEL + first + lane], numbers[n], sum);
         }
         sums[first + lane] = sum;
       }
@@ -67,43 +70,43 @@ void tile(Base, const float *panel, const float *const *rows, Size length, Size 
 #ifdef SSRVLAD_X86
 __attribute__((target("avx512f"))) void tile(Avx512, const float *panel, const float *const *rows,
                                                      Size length, Size, float *sums) {
-  __m512 some[ROWS], others[ROWS];
+  __m512 low_sums[ROWS], high_sums[ROWS];
 #pragma GCC unroll 12
-  for (int row = 0; row < ROWS; ++row) some[row] = others[row] = _mm512_setzero_ps();
-  for (Size n = 0; n < length; ++n, panel += LANES) {
+  for (int row = 0; row < ROWS; ++row) low_sums[row] = high_sums[row] = _mm512_setzero_ps();
+  for (Size n = 0; n < length; ++n, panel += PANEL) {
     const __m512 low = _mm512_loadu_ps(panel), high = _mm512_loadu_ps(panel + 16);
 #pragma GCC unroll 12
     for (int row = 0; row < ROWS; ++row) {
       const __m512 number = _mm512_set1_ps(rows[row][n]);
-      some[row] = _mm512_fmadd_ps(low, number, some[row]);
-      others[row] = _mm512_fmadd_ps(high, number, others[row]);
+      low_sums[row] = _mm512_fmadd_ps(low, number, low_sums[row]);
+      high_sums[row] = _mm512_fmadd_ps(high, number, high_sums[row]);
     }
   }
 #pragma GCC unroll 12
   for (int row = 0; row < ROWS; ++row) {
-    _mm512_storeu_ps(sums + row * LANES, some[row]);
-    _mm512_storeu_ps(sums + row * LANES + 16, others[row]);
+    _mm512_storeu_ps(sums + row * PANEL, low_sums[row]);
+    _mm512_storeu_ps(sums + row * PANEL + 16, high_sums[row]);
   }
 }
 
 __attribute__((target("avx2,fma"))) void tile(Avx2, const float *panel, const float *const *rows,
                                                     Size length, Size, float *sums) {
   for (int first = 0; first < ROWS; first += 3) {
-    __m256 kept[3][4];
+    __m256 summed[3][4];
 #pragma GCC unroll 12
-    for (int at = 0; at < 12; ++at) kept[at / 4][at % 4] = _mm256_setzero_ps();
+    for (int at = 0; at < 12; ++at) summed[at / 4][at % 4] = _mm256_setzero_ps();
     for (Size n = 0; n < length; ++n)
 #pragma GCC unroll 3
       for (int row = 0; row < 3; ++row) {
         const __m256 number = _mm256_set1_ps(rows[first + row][n]);
 #pragma GCC unroll 4
         for (int part = 0; part < 4; ++part)
-          kept[row][part] = _mm256_fmadd_ps(_mm256_loadu_ps(panel + n * LANES + part * 8), number,
-                                            kept[row][part]);
+          summed[row][part] = _mm256_fmadd_ps(_mm256_loadu_ps(panel + n * PANEL + part * 8), number,
+                                            summed[row][part]);
       }
 #pragma GCC unroll 12
     for (int at = 0; at < 12; ++at)
-      _mm256_storeu_ps(sums + (first + at / 4) * LANES + at % 4 * 8, kept[at / 4][at % 4]);
+      _mm256_storeu_ps(sums + (first + at / 4) * PANEL + at % 4 * 8, summed[at / 4][at % 4]);
   }
 }
 #endif
@@ -111,50 +114,68 @@ __attribute__((target("avx2,fma"))) void tile(Avx2, const float *panel, const fl
 #if defined(__aarch64__)
 void tile(Base, const float *panel, const float *const *rows, Size length, Size, float *sums) {
   for (int first = 0; first < ROWS; first += 3) {
-    float32x4_t kept[3][8];
+    float32x4_t summed[3][8];
 #pragma GCC unroll 24
-    for (int at = 0; at < 24; ++at) kept[at / 8][at % 8] = vdupq_n_f32(0);
+    for (int at = 0; at < 24; ++at) summed[at / 8][at % 8] = vdupq_n_f32(0);
     for (Size n = 0; n < length; ++n)
 #pragma GCC unroll 3
       for (int row = 0; row < 3; ++row)
 #pragma GCC unroll 8
         for (int part = 0; part < 8; ++part)
-          kept[row][part] = vfmaq_n_f32(kept[row][part], vld1q_f32(panel + n * LANES + part * 4),
+          summed[row][part] = vfmaq_n_f32(summed[row][part], vld1q_f32(panel + n * PANEL + part * 4),
                                         rows[first + row][n]);
 #pragma GCC unroll 24
     for (int at = 0; at < 24; ++at)
-      vst1q_f32(sums + (first + at / 8) * LANES + at % 8 * 4, kept[at / 8][at % 8]);
+      vst1q_f32(sums + (first + at / 8) * PANEL + at % 8 * 4, summed[at / 8][at % 8]);
   }
 }
 #endif
 
+// The score of each of SSRVLAD_LANES rows by the best of several vectors of weights. Number n of `length` of
+// row r is numbers[n * SSRVLAD_LANES + r].
+void best_anchors(const float *weights, const float *offsets, Size anchors,
+                  const float *numbers, Size length, float *scores) {
+  on_cpu([=](auto) {
+    for (Size lane = 0; lane < SSRVLAD_LANES; ++lane) scores[lane] = -std::numeric_limits<float>::infinity();
+    for (Size anchor = 0; anchor < anchors; ++anchor) {
+      float sums[SSRVLAD_LANES];
+      for (Size lane = 0; lane < SSRVLAD_LANES; ++lane) sums[lane] = offsets[anchor];
+      for (Size n = 0; n < length; ++n) {
+        const float weight = weights[anchor * length + n], *number = numbers + n * SSRVLAD_LANES;
+        for (Size lane = 0; lane < SSRVLAD_LANES; ++lane) sums[lane] += weight * number[lane];
+      }
+      for (Size lane = 0; lane < SSRVLAD_LANES; ++lane) scores[lane] = std::max(scores[lane], sums[lane]);
+    }
+  });
+}
+
 }  // namespace
 
 Panels::Panels(const float *vectors, Size count, Size anchors, Size length)
-    : count_(count), length_(length), items_(std::min(LANES, std::max<Size>(1, count))) {
-  lanes_ = std::max<Size>(1, std::min(anchors, LANES / items_));
+    : count_(count), length_(length), items_(std::min(PANEL, std::max<Size>(1, count))) {
+  lanes_ = std::max<Size>(1, std::min(anchors, PANEL / items_));
   panels_ = (anchors + lanes_ - 1) / lanes_;
   const Size groups = (count + items_ - 1) / items_;
-  packed_.resize(static_cast<std::size_t>(groups * panels_ * LANES * length));
+  packed_.resize(static_cast<std::size_t>(groups * panels_ * PANEL * length));
   for (Size item = 0; item < count; ++item) {
-    std::vector<const float *> kept;
-    for (const float *each = vectors + item * anchors * length, *end = each + anchors * length;
-         each < end; each += length)
-      if (std::any_of(each, each + length, [](float number) { return number != 0; }))
-        kept.push_back(each);
-    for (Size anchor = 0; !kept.empty() && anchor < panels_ * lanes_; ++anchor) {
-      const float *vector = kept[static_cast<std::size_t>(anchor) % kept.size()];
-      float *panel = packed_.data() + (item / items_ * panels_ + anchor / lanes_) * LANES * length;
+    std::vector<const float *> nonzero;
+    for (const float *next = vectors + item * anchors * length, *end = next + anchors * length;
+         next < end; next += length)
+      if (std::any_of(next, next + length, [](float number) { return number != 0; }))
+        nonzero.push_back(next);
+    for (Size anchor = 0; !nonzero.empty() && anchor < panels_ * lanes_; ++anchor) {
+      const float *vector = nonzero[static_cast<std::size_t>(anchor) % nonzero.size()];
+      float *panel = packed_.data() + (item / items_ * panels_ + anchor / lanes_) * PANEL * length;
       const Size lane = item % items_ * lanes_ + anchor % lanes_;
-      for (Size n = 0; n < length; ++n) panel[n * LANES + lane] = vector[n];
+      for (Size n = 0; n < length; ++n) panel[n * PANEL + lane] = vector[n];
     }
   }
 }
 
 void Panels::best(const float *rows, Size count, float *scores, Size pitch) const {
-  float sums[ROWS * LANES], highest[ROWS * LANES];
+  float sums[ROWS * PANEL], highest[ROWS * PANEL];
   for (Size first = 0; first < count_; first += items_) {
-    const float *group = packed_.data() + first / items_ * panels_ * LANES * length_;
+    const float *group = packed_.data() + first / items_ * panels_ * PANEL * length_;
     const Size items = std::min(items_, count_ - first);
     for (Size start = 0; start < count; start += ROWS) {
       const float *of[ROWS];
@@ -162,22 +183,36 @@ void Panels::best(const float *rows, Size count, float *scores, Size pitch) cons
         of[row] = rows + std::min(start + row, count - 1) * length_;
       for (Size panel = 0; panel < panels_; ++panel) {
         float *target = panel ? sums : highest;
-        std::fill_n(target, ROWS * LANES, 0.0F);
-        const float *numbers = group + panel * LANES * length_;
+        std::fill_n(target, ROWS * PANEL, 0.0F);
+        const float *numbers = group + panel * PANEL * length_;
         const Size length = length_, lanes = items * lanes_;
         on_cpu([=, &of](auto processor) { tile(processor, numbers, of, length, lanes, target); });
         if (panel)
-          for (Size at = 0; at < ROWS * LANES; ++at) highest[at] = std::max(highest[at], sums[at]);
+          for (Size at = 0; at < ROWS * PANEL; ++at) highest[at] = std::max(highest[at], sums[at]);
       }
       for (Size item = 0; item < items; ++item) {
         float *to = scores + (first + item) * pitch + start;
         for (Size row = 0; row < std::min(ROWS, count - start); ++row) {
-          const float *lane = highest + row * LANES + item * lanes_;
+          const float *lane = highest + row * PANEL + item * lanes_;
           to[row] = *std::max_element(lane, lane + lanes_);
         }
       }
     }
   }
+}
+
+void scan_vectors(const float *weights, const float *offsets, Size count, Size anchors,
+                  const std::int8_t *codes, Size blocks, Size length, int threads, float *scores) {
+  in_parallel(blocks, threads, [&](std::atomic<Size> &next) {
+    std::vector<float> numbers(static_cast<std::size_t>(length * SSRVLAD_LANES));
+    for (Size block; (block = next++) < blocks;) {
+      const std::int8_t *code = codes + block * length * SSRVLAD_LANES;
+      for (Size i = 0; i < length * SSRVLAD_LANES; ++i) numbers[static_cast<std::size_t>(i)] = code[i];
+      for (Size query = 0; query < count; ++query)
+        best_anchors(weights + query * anchors * length, offsets + query * anchors, anchors,
+                     numbers.data(), length, scores + (query * blocks + block) * SSRVLAD_LANES);
+    }
+  });
 }
 
 }  // namespace places

@@ -10,40 +10,33 @@
 namespace places {
 
 namespace {
-constexpr Size ELSEWHERE = 5, AROUND = Likeness::AROUND;
+constexpr Size AROUND = Likeness::AROUND;
 constexpr double ALIKE = 1e-9;  // likeness that rounding makes
-
-double median(std::vector<double> values) {
-  if (values.empty()) return 0;
-  std::sort(values.begin(), values.end());
-  const std::size_t count = values.size();
-  return (values[(count - 1) / 2] + values[count / 2]) / 2;
-}
 
 // Nearness without its mean, of length 1; zeros where there is no score, and if all are equal.
 std::vector<double> profile(const std::vector<float> &scores) {
   std::vector<double> seen(scores.size());
-  double total = 0, known = 0, square = 0;
+  double total = 0, count = 0, square = 0;
   for (std::size_t row = 0; row < scores.size(); ++row) {
     if (!std::isfinite(scores[row])) continue;
     total += seen[row] = nearness(static_cast<double>(scores[row]));
-    ++known;
+    ++count;
   }
-  const double mean = total / std::max(1.0, known);
+  const double mean = total / std::max(1.0, count);
   for (std::size_t row = 0; row < scores.size(); ++row) {
     if (std::isfinite(scores[row])) seen[row] -= mean;
     square += seen[row] * seen[row];
   }
   const double length = std::sqrt(square);
-  const bool equal = std::sqrt(square / std::max(1.0, known)) <= static_cast<double>(MIN_SPREAD);
-  for (double &each : seen) each = equal ? 0 : each / length;
+  const bool equal = std::sqrt(square / std::max(1.0, count)) <= static_cast<double>(MIN_SPREAD);
+  for (double &value : seen) value = equal ? 0 : value / length;
   return seen;
 }
 
 // How many queries apart frames of a likeness are: as many as those for which it is usual.
 double apart(double likeness, const std::vector<double> &usual) {
   const auto first = std::find_if(usual.begin(), usual.end(),
-                                  [&](double each) { return each <= likeness + ALIKE; });
+                                  [&](double value) { return value <= likeness + ALIKE; });
   if (first == usual.begin()) return 0;
   const double lag = static_cast<double>(first - usual.begin()) - 1, last = *(first - 1);
   return first == usual.end() ? lag : lag + std::min(1.0, (last - likeness) / (last - *first));
@@ -90,10 +83,10 @@ std::vector<bool> lingering(const Likeness &likeness, const std::vector<Size> &q
     ++neighbours[query], still[query] += stands;
     if (query - before <= later) ++neighbours[before], still[before] += stands;
   }
-  std::vector<bool> found(queries.size());
-  for (std::size_t query = 0; query < found.size(); ++query)
-    found[query] = 2 * neighbours[query] >= AROUND && 2 * still[query] > neighbours[query];
-  return found;
+  std::vector<bool> lingers(queries.size());
+  for (std::size_t query = 0; query < lingers.size(); ++query)
+    lingers[query] = 2 * neighbours[query] >= AROUND && 2 * still[query] > neighbours[query];
+  return lingers;
 }
 
 }  // namespace places

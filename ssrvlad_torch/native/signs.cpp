@@ -14,18 +14,18 @@ SSRVLAD_INLINE int ones(Word word) { return __builtin_popcountll(word); }
 
 // The bits in which some words differ from others.
 template <class Processor>
-SSRVLAD_INLINE Word differing_bits(Processor, const Word *some, const Word *others, Size words) {
+SSRVLAD_INLINE Word differing_bits(Processor, const Word *words_of_one, const Word *words_of_other, Size words) {
   Word sums[4] = {};
   Size i = 0;
   for (; i + 4 <= words; i += 4)
-    for (int lane = 0; lane < 4; ++lane) sums[lane] += static_cast<Word>(ones(some[i + lane] ^ others[i + lane]));
-  for (; i < words; ++i) sums[0] += static_cast<Word>(ones(some[i] ^ others[i]));
+    for (int lane = 0; lane < 4; ++lane) sums[lane] += static_cast<Word>(ones(words_of_one[i + lane] ^ words_of_other[i + lane]));
+  for (; i < words; ++i) sums[0] += static_cast<Word>(ones(words_of_one[i] ^ words_of_other[i]));
   return sums[0] + sums[1] + sums[2] + sums[3];
 }
 
 #ifdef SSRVLAD_X86
 // The same by vectors of four words: bits of half bytes from a table, summed in bytes, then in words.
-__attribute__((target("avx2,popcnt"))) inline Word differing_bits(Avx2, const Word *some, const Word *others,
+__attribute__((target("avx2,popcnt"))) inline Word differing_bits(Avx2, const Word *words_of_one, const Word *words_of_other,
                                                                   Size words) {
   constexpr Size AT_ONCE = 4, IN_A_BYTE = 31 * AT_ONCE;
   const __m256i low = _mm256_set1_epi8(15);
@@ -36,8 +36,8 @@ __attribute__((target("avx2,popcnt"))) inline Word differing_bits(Avx2, const Wo
   for (const Size whole = words - words % AT_ONCE; i < whole;) {
     __m256i bytes = _mm256_setzero_si256();
     for (const Size last = std::min(whole, i + IN_A_BYTE); i < last; i += AT_ONCE) {
-      const __m256i one = _mm256_loadu_si256(reinterpret_cast<const __m256i *>(some + i));
-      const __m256i other = _mm256_loadu_si256(reinterpret_cast<const __m256i *>(others + i));
+      const __m256i one = _mm256_loadu_si256(reinterpret_cast<const __m256i *>(words_of_one + i));
+      const __m256i other = _mm256_loadu_si256(reinterpret_cast<const __m256i *>(words_of_other + i));
       const __m256i bits = _mm256_xor_si256(one, other);
       const __m256i high = _mm256_and_si256(_mm256_srli_epi16(bits, 4), low);
       bytes = _mm256_add_epi8(bytes, _mm256_shuffle_epi8(table, _mm256_and_si256(bits, low)));
@@ -47,26 +47,10 @@ __attribute__((target("avx2,popcnt"))) inline Word differing_bits(Avx2, const Wo
   }
   const __m128i two = _mm_add_epi64(_mm256_castsi256_si128(sums), _mm256_extracti128_si256(sums, 1));
   Word bits = static_cast<Word>(_mm_cvtsi128_si64(two) + _mm_extract_epi64(two, 1));
-  for (; i < words; ++i) bits += static_cast<Word>(ones(some[i] ^ others[i]));
+  for (; i < words; ++i) bits += static_cast<Word>(ones(words_of_one[i] ^ words_of_other[i]));
   return bits;
 }
 #endif
-
-// The score of each row by the best move, where `bits` bits of a column count.
-void best_moves(const Word *query, const Word *rows, Size count, const SignGrid &grid, Size bits, float *scores) {
-  on_cpu([=](auto processor) {
-    const Word *row = rows;
-    for (float *score = scores; score < scores + count; ++score, row += grid.size()) {
-      *score = -1;
-      for (Size move = 0; move < grid.moves(); ++move) {
-        const Size columns = grid.overlapping(move);
-        const auto differing = static_cast<float>(differing_bits(
-            processor, query + grid.ours(move) * grid.words, row + grid.theirs(move) * grid.words, columns * grid.words));
-        *score = std::max(*score, 1 - 2 * differing / static_cast<float>(columns * bits));
-      }
-    }
-  });
-}
 
 }  // namespace
 
@@ -85,9 +69,18 @@ void count_moves(const Word *query, const Word *rows, Size count, const SignGrid
 void scan_signs(const Word *queries, Size count, const Word *rows, Size references,
                 const SignGrid &grid, Size bits, int threads, float *scores) {
   over_blocks(references, SCANNED_ROWS, threads, [&](Size first, Size last) {
-    for (Size query = 0; query < count; ++query)
-      best_moves(queries + query * grid.size(), rows + first * grid.size(), last - first, grid, bits,
-                 scores + query * references + first);
+    std::vector<std::int32_t> differing(static_cast<std::size_t>(grid.moves() * (last - first)));
+    for (Size query = 0; query < count; ++query) {
+      count_moves(queries + query * grid.size(), rows + first * grid.size(), last - first, grid, differing.data());
+      float *best = scores + query * references + first;
+      std::fill_n(best, last - first, -1.0F);
+      const std::int32_t *bits_of_row = differing.data();
+      for (Size move = 0; move < grid.moves(); ++move) {
+        const auto compared = static_cast<float>(grid.overlapping(move) * bits);
+        for (Size row = 0; row < last - first; ++row)
+          best[row] = std::max(best[row], 1 - 2 * static_cast<float>(*bits_of_row++) / compared);
+      }
+    }
   });
 }
 

@@ -88,37 +88,6 @@ Word transposed(Word bits) {  // 8 x 8 bits; Warren, Hacker's Delight, 7-3
   return bits ^ swap ^ swap << 28;
 }
 
-void unpack(const std::uint8_t *bytes, const Grid &grid, Word *planes) {
-  for (Size y = 0; y < grid.height; ++y)
-    for (Size i = 0; i < grid.pitch; ++i) {
-      Word found[LAYERS] = {};
-      for (Size x = i * 64; x < std::min(grid.width, i * 64 + 64); x += 8) {
-        Word eight = 0;
-        const Size count = std::min<Size>(8, grid.width - x);
-        for (Size j = 0; j < count; ++j) eight |= Word{bytes[y * grid.width + x + j]} << 8 * j;
-        if (!eight) continue;
-        eight = transposed(eight);
-        for (int k = 0; k < LAYERS; ++k) found[k] |= (eight >> 8 * k & 255) << x % 64;
-      }
-      for (int k = 0; k < LAYERS; ++k) planes[k * grid.words() + y * grid.pitch + i] = found[k];
-    }
-}
-
-void pack(const Word *planes, const Grid &grid, std::uint8_t *bytes) {
-  for (Size y = 0; y < grid.height; ++y)
-    for (Size x = 0; x < grid.width; x += 8) {
-      Word eight = 0;
-      for (int k = 0; k < LAYERS; ++k) {
-        const Word word = planes[k * grid.words() + y * grid.pitch + x / 64];
-        eight |= (word >> x % 64 & 255) << 8 * k;
-      }
-      eight = transposed(eight);
-      const Size count = std::min<Size>(8, grid.width - x);
-      for (Size j = 0; j < count; ++j)
-        bytes[y * grid.width + x + j] = static_cast<std::uint8_t>(eight >> 8 * j);
-    }
-}
-
 // ------------------------------------------------------------- label ids -> categories (Table II)
 
 // The meaning of each id. Ids outside the table have its first or last entry, which is unknown.
@@ -267,14 +236,14 @@ bool split(const Id *ids, const Grid &grid, const Lookup<std::uint16_t> &lookup,
   unsigned seen = 0;
   for (Size y = 0; y < grid.height; ++y, ids += grid.width)
     for (Size i = 0; i < grid.pitch; ++i) {
-      Word found[LAYERS] = {};
+      Word layers[LAYERS] = {};
       const Size end = std::min(grid.width, i * 64 + 64);
       Size x = i * 64;
       for (; x + 8 <= end; x += 8) {
         if (eight_alike(ids + x)) {
           const unsigned layer = lookup[as_id(ids[x])];
           seen |= layer;
-          if (layer & 255) found[lowest_bit(layer)] |= Word{255} << x % 64;
+          if (layer & 255) layers[lowest_bit(layer)] |= Word{255} << x % 64;
           continue;
         }
         Word eight = 0;
@@ -283,14 +252,14 @@ bool split(const Id *ids, const Grid &grid, const Lookup<std::uint16_t> &lookup,
           seen |= layer, eight |= Word{layer & 255} << 8 * j;
         }
         eight = transposed(eight);
-        for (int k = 0; k < LAYERS; ++k) found[k] |= (eight >> 8 * k & 255) << x % 64;
+        for (int k = 0; k < LAYERS; ++k) layers[k] |= (eight >> 8 * k & 255) << x % 64;
       }
       for (; x < end; ++x) {
         const unsigned layer = lookup[as_id(ids[x])];
         seen |= layer;
-        if (layer & 255) found[lowest_bit(layer)] |= Word{1} << x % 64;
+        if (layer & 255) layers[lowest_bit(layer)] |= Word{1} << x % 64;
       }
-      for (int k = 0; k < LAYERS; ++k) planes[k * grid.words() + y * grid.pitch + i] = found[k];
+      for (int k = 0; k < LAYERS; ++k) planes[k * grid.words() + y * grid.pitch + i] = layers[k];
     }
   return !(seen & UNKNOWN_LAYER);
 }
@@ -524,19 +493,6 @@ void to_tiles(const Word *plane, const Grid &grid, Tiles &tiles) {
     }
 }
 
-void from_tiles(const Tiles &tiles, const Grid &grid, Word *plane) {
-  for (Size row = 0; row < tiles.rows; ++row)
-    for (Size i = 0; i < grid.pitch; ++i) {
-      Word square[8] = {};
-      const Size count = std::min<Size>(8, tiles.columns - 8 * i);
-      const Word *from = &tiles.words[static_cast<std::size_t>(tiles.first(row) + 8 * i)];
-      if (count > 0) std::copy(from, from + count, square);
-      transpose_bytes(square);
-      const Size lines = std::min<Size>(8, grid.height - 8 * row);
-      for (Size y = 0; y < lines; ++y) plane[(8 * row + y) * grid.pitch + i] = square[y];
-    }
-}
-
 // The eight neighbours of each pixel of a tile, p2 to p9 in the thinning papers.
 struct Ring {
   Word n, ne, e, se, s, sw, w, nw;
@@ -591,10 +547,10 @@ SSRVLAD_INLINE Word zhang_suen(Word here, const Ring &r) {
   const Steps s = steps_around(r);
   const Word north_west = r.n | r.w, south_east = r.e | r.s;
   const Word two_on = (north_west | south_east) & (r.ne | r.se | r.sw | r.nw);
-  const Word kept = FIRST ? r.e & r.s & north_west : r.n & r.w & south_east;
+  const Word needed = FIRST ? r.e & r.s & north_west : r.n & r.w & south_east;
   const Word seven_on = FIRST ? r.se & ((r.ne & ~r.e) | (r.sw & ~r.s))
                               : r.nw & ((r.sw & ~r.w) | (r.ne & ~r.n));
-  return here & exactly_one(s.a, s.b, s.c, s.d) & two_on & ~(kept | seven_on);
+  return here & exactly_one(s.a, s.b, s.c, s.d) & two_on & ~(needed | seven_on);
 }
 
 // The same for algorithm A1 of Guo & Hall, CACM 32(3), 1989: C = 1, 2 <= N <= 3, a zero product.
@@ -606,8 +562,8 @@ SSRVLAD_INLINE Word guo_hall(Word here, const Ring &r) {
   const Word e = r.n | r.ne, f = r.e | r.se, g = r.s | r.sw, h = r.w | r.nw;
   const Word two_at_least = two_or_more(a, b, c, d) & two_or_more(e, f, g, h);
   const Word three_at_most = ~((a & b & c & d) & (e & f & g & h));
-  const Word kept = FIRST ? (r.n | r.ne | ~r.se) & r.e : (r.s | r.sw | ~r.nw) & r.w;
-  return here & one_group & two_at_least & three_at_most & ~kept;
+  const Word needed = FIRST ? (r.n | r.ne | ~r.se) & r.e : (r.s | r.sw | ~r.nw) & r.w;
+  return here & one_group & two_at_least & three_at_most & ~needed;
 }
 
 constexpr Size BLOCK = 128;
@@ -731,12 +687,12 @@ void keypoints(const Tiles &skeleton, Tiles &ends, Tiles &crossings, Tiles &buff
     tiles.words.assign(skeleton.words.size(), 0);
   };
   like(ends), like(crossings), like(buffer);
-  const auto each = [&](const Tiles &of, auto visit) {
+  const auto visit_tiles = [&](const Tiles &of, auto visit) {
     for (Size row = 0; row < of.rows; ++row)
       for (Size i = of.first(row); i < of.first(row) + of.columns; ++i)
         if (of.words[static_cast<std::size_t>(i)]) visit(static_cast<std::size_t>(i));
   };
-  each(skeleton, [&](std::size_t i) {
+  visit_tiles(skeleton, [&](std::size_t i) {
     const Ring r = ring_at(&skeleton.words[i], skeleton.pitch);
     Word seen = 0, again = 0;
     for (const Word beside : {r.n, r.ne, r.e, r.se, r.s, r.sw, r.w, r.nw})
@@ -745,7 +701,7 @@ void keypoints(const Tiles &skeleton, Tiles &ends, Tiles &crossings, Tiles &buff
     const auto [a, b, c, d] = steps_around(r);
     buffer.words[i] = skeleton.words[i] & ((a & b & (c | d)) | (c & d & (a | b)));
   });
-  each(buffer, [&](std::size_t i) {
+  visit_tiles(buffer, [&](std::size_t i) {
     const Ring r = ring_at(&buffer.words[i], buffer.pitch);
     crossings.words[i] = buffer.words[i] & ~(r.w | r.nw | r.n | r.ne);
   });
@@ -802,15 +758,6 @@ struct Bins {
   int total;
   std::vector<std::uint16_t> table;
 
-  // The same table as stretches, parts of a row in one bin. Those of row dy begin at
-  // `stretches[rows[height - 1 + dy]]`.
-  struct Stretch {
-    std::int32_t end;  // dx of the first offset after it
-    std::int32_t bin;
-  };
-  std::vector<Stretch> stretches;
-  std::vector<std::size_t> rows;
-
   Bins(Size height, Size width, const std::vector<Size> &limits, int sectors)
       : height(height), width(width), pitch(2 * width - 1),
         centre((height - 1) * pitch + width - 1),
@@ -825,15 +772,6 @@ struct Bins {
         table[static_cast<std::size_t>(centre + dy * pitch + dx)] =
             static_cast<std::uint16_t>(ring * sectors + sector_of(dy, dx, sectors));
       }
-    for (Size row = 0; row < 2 * height - 1; ++row) {
-      rows.push_back(stretches.size());
-      for (Size i = 0; i < pitch; ++i) {
-        const auto bin = std::int32_t{table[static_cast<std::size_t>(row * pitch + i)]};
-        if (i == 0 || stretches.back().bin != bin) stretches.push_back({0, bin});
-        stretches.back().end = static_cast<std::int32_t>(i + 2 - width);
-      }
-    }
-    rows.push_back(stretches.size());
   }
 
   // Sector m begins at the angle 2 pi m / M, from +x towards +y. Integer offsets lie on a boundary
@@ -844,41 +782,6 @@ struct Bins {
     return (sector % sectors + sectors) % sectors;
   }
 };
-
-// The number of context points to the left of each column, in each row.
-struct RunningCounts {
-  std::vector<std::uint16_t> counts;
-
-  void count(const std::vector<Point> &context, const Bins &bins) {
-    const Size pitch = bins.width + 1;
-    counts.assign(static_cast<std::size_t>(bins.height * pitch), 0);
-    for (const Point &point : context)
-      ++counts[static_cast<std::size_t>(point.y * pitch + point.x + 1)];
-    for (Size y = 0; y < bins.height; ++y) {
-      std::uint16_t *row = counts.data() + y * pitch;
-      std::uint16_t sum = 0;
-      for (Size x = 0; x < pitch; ++x)
-        row[x] = sum = static_cast<std::uint16_t>(sum + row[x]);
-    }
-  }
-};
-
-// As `shape_context`, but by stretches: the time does not depend on the number of points.
-void shape_context_by_rows(Point reference, const RunningCounts &running, const Bins &bins,
-                           std::vector<Size> &counts) {
-  const auto width = static_cast<std::int32_t>(bins.width);
-  for (Size y = 0; y < bins.height; ++y) {
-    const std::uint16_t *row = running.counts.data() + y * (bins.width + 1);
-    const auto offset = static_cast<std::size_t>(bins.height - 1 + y - reference.y);
-    int before = 0;
-    for (const auto *s = &bins.stretches[bins.rows[offset]]; before < row[width]; ++s) {
-      const std::int32_t end = std::min(width, reference.x + s->end);
-      if (end <= 0) continue;
-      counts[static_cast<std::size_t>(s->bin)] += row[end] - before;
-      before = row[end];
-    }
-  }
-}
 
 // Adds the number of context points in each bin around a reference point. Two counts per bin, to be
 // summed later, are faster: successive points are often in the same bin.
@@ -975,7 +878,7 @@ void merge(Word *planes, const Grid &grid) {
 
 // Adds the boundary pixels of a layer to four planes: vertical, horizontal, rising to the right,
 // falling. A pixel's four diagonal neighbours decide; pixels at the edge of the image have none.
-void add_boundaries(const Word *plane, const Grid &grid, Word *found) {
+void add_boundaries(const Word *plane, const Grid &grid, Word *boundaries) {
   for (Size y = 1; y + 1 < grid.height; ++y)
     for (Size i = 0; i < grid.pitch; ++i) {
       const auto west = [&](const Word *row) { return row[i] << 1 | (i ? row[i - 1] >> 63 : 0); };
@@ -987,7 +890,7 @@ void add_boundaries(const Word *plane, const Grid &grid, Word *found) {
       const Word n = nw ^ ne, s = sw ^ se, w = nw ^ sw, e = ne ^ se;
       const Word seen = grid.inside(i) & (i ? ALL : ~Word{1}) &
                         ~(i == (grid.width - 1) / 64 ? Word{1} << (grid.width - 1) % 64 : 0);
-      Word *here = found + y * grid.pitch + i;
+      Word *here = boundaries + y * grid.pitch + i;
       here[0] |= n & s & ~(w | e) & seen;
       here[grid.words()] |= w & e & ~(n | s) & seen;
       here[2 * grid.words()] |= ((n & w & ~(s | e)) | (s & e & ~(n | w))) & seen;
@@ -1106,7 +1009,6 @@ struct Scratch {
   Tiles tiles, ends, crossings, more;
   Thinning thinning;
   std::vector<Point> references, context;
-  RunningCounts running;
   std::vector<Size> around_points, around_centre, columns;
   std::vector<double> values, histogram;
 };
@@ -1213,17 +1115,7 @@ struct places::Head::State {
       const auto half = static_cast<std::size_t>(bins->total + 1);
       s.around_points.assign(2 * half, 0);
       s.around_centre = s.around_points;
-      const std::size_t pairs = context.size() * s.references.size();
-      const std::size_t by_rows =
-          s.references.size() * bins->stretches.size() / 2 + bins->table.size() / 4;
-      if (pairs > by_rows && bins->width <= UINT16_MAX) {
-        s.running.count(context, *bins);
-        for (const Point &point : s.references)
-          shape_context_by_rows(point, s.running, *bins, s.around_points);
-      } else {
-        for (const Point &point : s.references)
-          shape_context(point, context, *bins, s.around_points);
-      }
+      for (const Point &point : s.references) shape_context(point, context, *bins, s.around_points);
       shape_context(centre, context, *bins, s.around_centre);
       double *vector = s.values.data() + Size{k} * bins->total;
       const auto number = static_cast<Size>(s.references.size());
@@ -1277,8 +1169,8 @@ struct places::Head::State {
   std::shared_ptr<const Bins> bins_of(const Grid &grid) {
     constexpr std::size_t KEPT = 4;
     const std::lock_guard<places::Mutex> hold(mutex);
-    for (const auto &known : known_bins)
-      if (known->height == grid.height && known->width == grid.width) return known;
+    for (const auto &bins : known_bins)
+      if (bins->height == grid.height && bins->width == grid.width) return bins;
     known_bins.push_front(
         std::make_shared<Bins>(grid.height, grid.width, ring_limits(grid), settings.sectors));
     if (known_bins.size() > KEPT) known_bins.pop_back();
@@ -1317,30 +1209,10 @@ bool read_layers(Scratch &s, const Id *ids, const ssrvlad_labels &labels, const 
             s.categories.data()))
     return false;
   static const Lookup<std::uint16_t> of_categories = [] {
-    const std::uint8_t each[KINDS] = {0, 1, 2, 3, 4, 5, 6, 7, SSRVLAD_NO_LAYER};
-    return Lookup<std::uint16_t>({each, KINDS, 0}, layer_of);
+    const std::uint8_t categories[KINDS] = {0, 1, 2, 3, 4, 5, 6, 7, SSRVLAD_NO_LAYER};
+    return Lookup<std::uint16_t>({categories, KINDS, 0}, layer_of);
   }();
   return split(s.categories.data(), grid, of_categories, s.layers.data());
-}
-
-// Runs a stage on every plane of every image.
-template <class Stage>
-void on_planes(const places::Planes &planes, Stage stage) {
-  const Grid grid(planes.height, planes.width);
-  Words bits(static_cast<std::size_t>(LAYERS * grid.words()));
-  for (Size image = 0; image < planes.images; ++image) {
-    const Size offset = image * planes.height * planes.width;
-    unpack(planes.bytes + offset, grid, bits.data());
-    stage(grid, bits, offset);
-  }
-}
-
-template <class Stage>
-void on_each_plane(const places::Planes &planes, std::uint8_t *target, Stage stage) {
-  on_planes(planes, [&](const Grid &grid, Words &bits, Size offset) {
-    for (int k = 0; k < LAYERS; ++k) stage(bits.data() + k * grid.words(), grid);
-    pack(bits.data(), grid, target + offset);
-  });
 }
 
 }  // namespace
@@ -1358,81 +1230,20 @@ Size Head::describe(const ssrvlad_labels &labels, const ssrvlad_table &table, in
   const Lookup<Word> ballots(table, ballot_of);
   const Lookup<std::uint16_t> layers(table, layer_of);
   const Grid grid = state_->grid(labels.height, labels.width);
-  std::atomic<bool> known{true};
-  const bool done = in_parallel(labels.images, threads, [&](std::atomic<Size> &next) {
+  std::atomic<bool> all_known{true};
+  in_parallel(labels.images, threads, [&](std::atomic<Size> &next) {
     auto scratch = state_->take_scratch();
     with_ids(labels, [&](const auto *ids) {
-      for (Size i; known && (i = next++) < labels.images;) {
+      for (Size i; all_known && (i = next++) < labels.images;) {
         const auto *image = ids + i * labels.height * labels.width;
         if (read_layers(*scratch, image, labels, grid, ballots, layers))
           state_->describe(*scratch, grid, descriptors + i * length());
-        else known = false;
+        else all_known = false;
       }
     });
     state_->give_back(std::move(scratch));
   });
-  if (!done) throw std::bad_alloc();
-  return known ? 0 : count_unknown(labels, table);
-}
-
-Size vote(const ssrvlad_labels &labels, const ssrvlad_table &table, Size rows, Size columns,
-          std::uint8_t *categories) {
-  const Lookup<Word> ballots(table, ballot_of);
-  const bool known = with_ids(labels, [&](const auto *ids) {
-    bool every = true;
-    for (Size i = 0; i < labels.images; ++i)
-      every &= ::vote(ids + i * labels.height * labels.width, labels.height, labels.width, ballots,
-                      rows, columns, categories + i * rows * columns);
-    return every;
-  });
-  return known ? 0 : count_unknown(labels, table);
-}
-
-void open_and_close(const Planes &planes, Size opening, Size closing, std::uint8_t *target) {
-  Words buffer;
-  on_each_plane(planes, target, [&](Word *plane, const Grid &grid) {
-    ::open_and_close(plane, grid, opening, closing, buffer);
-  });
-}
-
-void fill_holes(const Planes &planes, Size area, std::uint8_t *target) {
-  Regions regions;
-  on_each_plane(planes, target, [&](Word *plane, const Grid &grid) {
-    ::fill_holes(plane, grid, area, regions);
-  });
-}
-
-void drop_regions(const Planes &planes, Size area, std::uint8_t *target) {
-  Regions regions;
-  on_each_plane(planes, target, [&](Word *plane, const Grid &grid) {
-    ::drop_regions(plane, grid, area, regions);
-  });
-}
-
-void thin(const Planes &planes, int thinning, std::uint8_t *target) {
-  Tiles tiles;
-  Thinning state;
-  on_each_plane(planes, target, [&](Word *plane, const Grid &grid) {
-    to_tiles(plane, grid, tiles);
-    state.thin(tiles, thinning);
-    from_tiles(tiles, grid, plane);
-  });
-}
-
-void keypoints(const Planes &skeletons, std::uint8_t *end_points, std::uint8_t *intersections) {
-  Tiles tiles, ends, crossings, buffer;
-  on_planes(skeletons, [&](const Grid &grid, Words &bits, Size offset) {
-    Words other = bits;
-    for (int k = 0; k < LAYERS; ++k) {
-      Word *plane = bits.data() + k * grid.words();
-      to_tiles(plane, grid, tiles);
-      ::keypoints(tiles, ends, crossings, buffer);
-      from_tiles(ends, grid, plane);
-      from_tiles(crossings, grid, other.data() + k * grid.words());
-    }
-    pack(bits.data(), grid, end_points + offset);
-    pack(other.data(), grid, intersections + offset);
-  });
+  return all_known ? 0 : count_unknown(labels, table);
 }
 
 }  // namespace places

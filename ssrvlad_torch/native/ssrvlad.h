@@ -100,25 +100,6 @@ SSRVLAD_API const char *ssrvlad_fingerprint(const ssrvlad_head *head);
 SSRVLAD_API int64_t ssrvlad_describe(ssrvlad_head *head, const ssrvlad_labels *labels,
                                      const ssrvlad_table *table, int threads, float *descriptors);
 
-/* Single stages, on `images` bit-planes of height x width bytes: bit k of a byte is layer k. Radii
- * and areas are in pixels. Source and target may be the same. */
-SSRVLAD_API int ssrvlad_open_and_close(const uint8_t *planes, int64_t images, int64_t height,
-                                       int64_t width, int64_t opening, int64_t closing,
-                                       uint8_t *target);
-SSRVLAD_API int ssrvlad_fill_holes(const uint8_t *planes, int64_t images, int64_t height,
-                                   int64_t width, int64_t area, uint8_t *target);
-SSRVLAD_API int ssrvlad_drop_regions(const uint8_t *planes, int64_t images, int64_t height,
-                                     int64_t width, int64_t area, uint8_t *target);
-SSRVLAD_API int ssrvlad_thin(const uint8_t *planes, int64_t images, int64_t height, int64_t width,
-                             int thinning, uint8_t *target);
-SSRVLAD_API int ssrvlad_keypoints(const uint8_t *skeletons, int64_t images, int64_t height,
-                                  int64_t width, uint8_t *end_points, uint8_t *intersections);
-
-/* Computes the categories on a working grid of `rows` x `columns` cells by majority vote: (images,
- * rows, columns) bytes. Returns a value like `ssrvlad_describe`. */
-SSRVLAD_API int64_t ssrvlad_vote(const ssrvlad_labels *labels, const ssrvlad_table *table,
-                                 int64_t rows, int64_t columns, uint8_t *categories);
-
 /* Scores, for each of `count` queries, each of `references` rows of signs by the best of the moves of
  * the query by up to `reach` columns to each side: (count, references). A score is 1 less twice the
  * fraction of the bits, in the columns that overlap, that differ. A row is `columns` columns of

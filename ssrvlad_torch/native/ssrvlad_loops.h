@@ -4,7 +4,7 @@
  * A frame is known by its descriptors in one channel or several, vectors or signs. Each new frame is
  * compared with all earlier ones, the scores of the channels are fused, and a Bayes filter follows the
  * stream. The results are those of `LoopDetector` of the Python package ssrvlad_torch; its
- * loops/reference.py says plainly what is computed.
+ * tests/oracles/loops.py says plainly what is computed.
  *
  *     ssrvlad_loops_channel shapes = {SSRVLAD_VECTORS, {480, 1, 1}, 1.0};
  *     ssrvlad_loops_settings settings = {50, 0.8, SSRVLAD_SCAN_ABOVE};
@@ -53,7 +53,7 @@ enum {
 
 enum {
   SSRVLAD_PLACES = 5,        /* places in a result, at most */
-  SSRVLAD_NEAR = 5,          /* rows on each side of a row that show the same place */
+  SSRVLAD_RADIUS = 5,          /* rows on each side of a row that show the same place */
   SSRVLAD_ROWS = 11,         /* all of these, with the row */
   SSRVLAD_CHANNELS = 16,     /* channels of a stream, at most */
   SSRVLAD_SCAN_ABOVE = 50000 /* old frames above which not all are compared by all channels */

@@ -17,11 +17,37 @@
 #ifndef SSRVLAD_MAP_H
 #define SSRVLAD_MAP_H
 
-#include "ssrvlad_decide.h"
+#include "ssrvlad.h"
 
 #ifdef __cplusplus
 extern "C" {
 #endif
+
+enum { SSRVLAD_ALONE = 0, SSRVLAD_ONLINE = 1, SSRVLAD_OFFLINE = 2 };
+enum { SSRVLAD_FORWARDS = 1, SSRVLAD_BACKWARDS = -1 };
+
+/* The rows of a map: the frames of one drive after those of another. `starts` are the first rows of
+ * `count` drives, rising from 0. */
+typedef struct ssrvlad_drives {
+  const int64_t *starts;
+  int64_t count, rows;
+} ssrvlad_drives;
+
+/* What is decided of Q queries, in memory of the caller: candidates (Q, top), best first, with scores and
+ * rows, -INFINITY and -1 for none; of Q numbers each the probability that the first candidate is right,
+ * its standard deviation, and how many neighbouring queries err together. Scores are probabilities of
+ * rows if the drive is `followed`, of the first candidate with the rows beside it, else the scores of the
+ * rows. The course that was taken, or was found and left because the answers are surer without: the way,
+ * the rate in rows of the map a frame, the number of streams whose frames alternate; and its gain a
+ * query, 0 if there is no course. */
+typedef struct ssrvlad_decision {
+  float *scores;
+  int64_t *rows;
+  float *right, *spread, *together;
+  int32_t followed, way;
+  int64_t streams;
+  double rate, gain;
+} ssrvlad_decision;
 
 typedef struct ssrvlad_map ssrvlad_map;
 
@@ -105,21 +131,6 @@ SSRVLAD_API int ssrvlad_map_query(const ssrvlad_map *map, const ssrvlad_queries 
 SSRVLAD_API int ssrvlad_map_compare(const ssrvlad_map *map, const ssrvlad_queries *queries, int64_t count,
                                     const ssrvlad_steps *steps, int threads, float *scores,
                                     ssrvlad_taken *taken);
-
-/* Some rows among which queries look for the nearest: vectors (count, length) with their lengths
- * (count,), the first of which has the number `first` in the map; for each query of (queries, count) bytes
- * whether a row is excluded, or NULL. */
-typedef struct ssrvlad_rows {
-  const float *vectors, *lengths;
-  const uint8_t *excluded;
-  int64_t count, length, first;
-} ssrvlad_rows;
-
-/* Puts rows among the `top` of the highest cosine to each query, in falling order and of equal scores the
- * earlier first: `scores` and `rows`, (count, top), hold those of earlier rows of the map, or -INFINITY.
- * Queries have length 1; one that is NaN finds nothing, nor does a row of length 0 match. */
-SSRVLAD_API int ssrvlad_match(const ssrvlad_rows *given, const float *queries, int64_t count,
-                              int64_t top, int threads, float *scores, int64_t *rows);
 
 #ifdef __cplusplus
 }

@@ -1,4 +1,4 @@
-"""Confidence: the probability that the first candidate is right, from the traverse itself.
+"""Confidence: the probability that the first candidate is right, from the sequence itself.
 
 Each answer comes with the probability that chance is as far ahead of its rivals as it is. Of wrong
 answers ``t = -log(chance)`` has the density ``exp(-t)``; of right ones a gamma density of larger
@@ -7,7 +7,7 @@ stretches: a hidden Markov chain over what each query shows by itself says where
 others are wrong, and how far ahead the right ones are, is what makes these answers likely (Pounds
 and Morris, 2003); few answers show little, and the prior decides. The doubt in an answer is the
 probability that it is wrong. All that is said of several answers follows from their doubts.
-docs/how-sure.md reports how well it holds; `reference.mapped` and `reference.confidence` have the
+docs/how-sure.md reports how well it holds; `tests/oracles/recognition.py` has the
 formulas.
 """
 
@@ -30,7 +30,7 @@ class Confidence(NamedTuple):
     Attributes:
         right: ``(Q,)`` float32, the probability that the first candidate is right; 0 without one,
             and where the map has too few references to say.
-        spread: ``(Q,)`` float32, standard deviation of ``right``, as far as the traverse does not
+        spread: ``(Q,)`` float32, standard deviation of ``right``, as far as the sequence does not
             show how often such answers are right.
         together: ``(Q,)`` float32, how many neighbouring queries err together; 0 without a
             candidate, and only there.
@@ -63,7 +63,7 @@ def estimate(sure: Confidence, least: float = 0.0) -> Estimate:
     """The estimate for answers with a confidence of at least ``least``.
 
     The number of wrong answers varies by chance, counted in clusters of answers that err together,
-    and by what the traverse does not show. The fraction is given the beta distribution of that
+    and by what the sequence does not show. The fraction is given the beta distribution of that
     variance.
     """
     accepted = answered(sure) & (sure.right >= least)
@@ -77,8 +77,8 @@ def estimate(sure: Confidence, least: float = 0.0) -> Estimate:
     by_chance = doubts * (1 - doubts) * sure.together[accepted] / count
     ends = _beta(wrong, float(sure.spread[accepted].mean()) ** 2 + float(by_chance.mean()))
     low, high = math.floor(ends[0] * count) / count, math.ceil(ends[1] * count) / count
-    said = (low, high) if high - low <= _NOTHING else (None, None)
-    return Estimate(float(least), count, wrong, *said)
+    interval = (low, high) if high - low <= _NOTHING else (None, None)
+    return Estimate(float(least), count, wrong, *interval)
 
 
 def accept(sure: Confidence, max_wrong: float) -> Estimate:
@@ -89,8 +89,8 @@ def accept(sure: Confidence, max_wrong: float) -> Estimate:
     last = torch.ones_like(permitted)
     last[:-1] = order[1:] < order[:-1]
     chosen = (permitted & last).nonzero()[:, 0]
-    found = estimate(sure, float(order[chosen[-1]]) if len(chosen) else torch.inf)
-    return estimate(sure, torch.inf) if found.low is None else found
+    most = estimate(sure, float(order[chosen[-1]]) if len(chosen) else torch.inf)
+    return estimate(sure, torch.inf) if most.low is None else most
 
 
 def answered(sure: Confidence) -> Tensor:
@@ -108,7 +108,7 @@ def _beta(mean: float, variance: float) -> tuple[float, float]:
     scale = float(log.max())
     inside = (log - scale).exp().cumsum(0) * float(logits[1] - logits[0])
     before, after = (
-        math.exp(-_FAR * size * part - scale) / (size * part) for part in (mean, 1 - mean)
+        math.exp(-_FAR * size * share - scale) / (size * share) for share in (mean, 1 - mean)
     )
     below = (before + inside) / (before + float(inside[-1]) + after)
     ends = torch.cat((torch.zeros(1), torch.sigmoid(logits[1:]), torch.ones(1)))

@@ -12,17 +12,11 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from .. import native
-from ..native.map import match as core_match
 from .display import candidates_table
 
 Vectors = Tensor | npt.NDArray[np.float32] | npt.NDArray[np.uint8]
 
 _QUERY_BLOCK, _REFERENCE_BLOCK = 1024, 1 << 12
-_CORE_QUERIES, _CORE_LENGTH, _CORE_TOP, _CORE_BLOCK = 32, 512, 256, 1 << 14
-"""The core matches where there are many queries, which fill its registers, and few candidates. It
-sums in single precision number by number, so its vectors are short: 512 equal numbers err by 5e-6,
-480 random ones by 1e-6. It gets so many rows at once."""
 _MOST = 2**31 - 1
 
 
@@ -86,49 +80,25 @@ def match(
         raise ValueError("threshold: expected a number, got nan")
     scores = queries.new_full((len(queries), top), -torch.inf, dtype=torch.float32)
     indices = torch.full(scores.shape, -1, dtype=torch.int64, device=scores.device)
-    units, best = unit_queries(queries).contiguous(), Matches(scores, indices)
-    by_core = _suit_the_core(units, top) and vectors.device.type == "cpu"
-    take, together = (_by_core, _CORE_BLOCK) if by_core else (_by_torch, _REFERENCE_BLOCK)
-    for first in range(0, len(vectors), together):
-        part = slice(first, first + together)
-        rows = Rows.of(vectors[part].float().contiguous())
-        take(best, units, rows, first, None if excluded is None else excluded[:, part])
+    units = unit_queries(queries)
+    for first in range(0, len(vectors), _REFERENCE_BLOCK):
+        block = slice(first, first + _REFERENCE_BLOCK)
+        rows = Rows.of(vectors[block])
+        for start in range(0, len(units), _QUERY_BLOCK):
+            asked = slice(start, start + _QUERY_BLOCK)
+            cosines = rows.cosines(units[asked])
+            if excluded is not None:
+                cosines.masked_fill_(excluded[asked, block].to(cosines.device), -torch.inf)
+            better = (cosines.amax(dim=1) > scores[asked, -1]).nonzero()[:, 0]
+            if len(better):  # most queries find nothing better in a later block
+                of = better + start
+                highest, columns = _best(cosines[better], top)
+                scores[of], places = _best(torch.cat((scores[of], highest), 1), top)
+                indices[of] = torch.cat((indices[of], columns + first), 1).gather(1, places)
     no_candidate = ~(scores > (-torch.inf if threshold is None else threshold))
     return Matches(
         scores.masked_fill(no_candidate, -torch.inf), indices.masked_fill(no_candidate, -1)
     )
-
-
-def _suit_the_core(units: Tensor, top: int) -> bool:
-    sizes = len(units) >= _CORE_QUERIES and 0 < units.shape[1] <= _CORE_LENGTH and top <= _CORE_TOP
-    return sizes and units.device.type == "cpu" and native.core().library is not None
-
-
-def _by_core(best: Matches, units: Tensor, rows: Rows, first: int, excluded: Tensor | None) -> None:
-    """Puts rows, which follow the ``first`` ones, among the best of each query."""
-    known = rows.vectors.numpy(), rows.lengths.numpy()
-    without = None if excluded is None else excluded.cpu().contiguous().numpy()
-    found = best.scores.numpy(), best.indices.numpy()
-    core_match(units.numpy(), known, first, without, torch.get_num_threads(), found)
-
-
-def _by_torch(
-    best: Matches, units: Tensor, rows: Rows, first: int, excluded: Tensor | None
-) -> None:
-    """As `_by_core`, on any device, and for few queries."""
-    scores, indices = best
-    for start in range(0, len(units), _QUERY_BLOCK):
-        part = slice(start, start + _QUERY_BLOCK)
-        cosines = rows.cosines(units[part])
-        if excluded is not None:
-            cosines.masked_fill_(excluded[part].to(cosines.device), -torch.inf)
-        better = (cosines.amax(dim=1) > scores[part, -1]).nonzero()[:, 0]
-        if len(better):  # most queries find nothing better in a later block
-            of = better + start
-            found, columns = _best(cosines[better], len(scores[0]))
-            scores[of], places = _best(torch.cat((scores[of], found), 1), len(scores[0]))
-            both = torch.cat((indices[of], columns + first), 1)
-            indices[of] = both.gather(1, places)
 
 
 def checked_number(name: str, value: int, least: int) -> int:
@@ -144,11 +114,11 @@ def checked_number(name: str, value: int, least: int) -> int:
 def checked_excluded(excluded: Tensor | None, size: tuple[int, int]) -> Tensor | None:
     """References that are no candidates, also of an array; another shape or dtype than ``size``
     bool is a ValueError."""
-    found = None if excluded is None else torch.as_tensor(excluded)
-    if found is not None and (found.shape != size or found.dtype != torch.bool):
-        got = f"{tuple(found.shape)} {found.dtype}"
+    mask = None if excluded is None else torch.as_tensor(excluded)
+    if mask is not None and (mask.shape != size or mask.dtype != torch.bool):
+        got = f"{tuple(mask.shape)} {mask.dtype}"
         raise ValueError(f"excluded: expected {size} bool, got {got}")
-    return found
+    return mask
 
 
 class Rows(NamedTuple):
@@ -229,5 +199,5 @@ def best_of(values: Tensor, top: int, rows: Tensor | None = None) -> Matches:
     and -1 where there are fewer."""
     padded = F.pad(values, (0, max(0, top - len(values))), value=-torch.inf)
     (scores,), (places,) = _best(padded[None], top)
-    found = places if rows is None or not len(rows) else rows[places.clamp(max=len(rows) - 1)]
-    return Matches(scores.float(), found.masked_fill(scores == -torch.inf, -1))
+    chosen = places if rows is None or not len(rows) else rows[places.clamp(max=len(rows) - 1)]
+    return Matches(scores.float(), chosen.masked_fill(scores == -torch.inf, -1))

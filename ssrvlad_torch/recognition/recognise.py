@@ -25,7 +25,7 @@ class Steps:
     """What is done between descriptors and a decision.
 
     Attributes:
-        standardise: subtract the mean of each traverse, see `standardise`. A traverse of fewer
+        standardise: subtract the mean of each sequence, see `standardise`. A sequence of fewer
             than `standardise.MIN_FRAMES` queries, and the references for it, stay raw; so does all
             for a map of fewer references.
         sweep: use all anchors of queries that have several, see `sweep`.
@@ -64,7 +64,7 @@ class Recognised(NamedTuple):
     Attributes:
         matches: ``(Q, top)``. Scores of a query that is judged alone are cosines. Scores of a query
             that is followed are probabilities: for the first candidate that of the rows within
-            `motion.NEAR`, for the others that of the row alone. An empty query has no
+            `motion.SAME_PLACE_ROWS`, for the others that of the row alone. An empty query has no
             candidate.
         sure: how sure the first candidates are; all 0 with fewer than `standardise.MIN_FRAMES`
             references.
@@ -178,11 +178,11 @@ def recognise(
     decisions: dict[str, Decision] = {}
     count = 0 if callable(references) else references.frames
     for run in runs(query_sequences):
-        part = slice(run.start, run.stop)
-        town = references(part) if callable(references) else references
+        rows = slice(run.start, run.stop)
+        town = references(rows) if callable(references) else references
         count = town.frames
         decisions[query_sequences[run.start]] = town.query(
-            {name: array[part] for name, array in arrays.items()},
+            {name: array[rows] for name, array in arrays.items()},
             steps.standardise,
             steps.sweep,
             steps.follow if len(run) > 1 else None,
@@ -190,7 +190,7 @@ def recognise(
             top,
             torch.get_num_threads(),
             allowed,
-            None if excluded is None else excluded[part],
+            None if excluded is None else excluded[rows],
         )
     return _joined(decisions, count, steps, top)
 
@@ -219,18 +219,18 @@ def _joined(
         name: Course(decision.way, decision.rate, decision.streams) if decision.followed else None
         for name, decision in decisions.items()
     }
-    taken = {name: decision.taken for name, decision in decisions.items()}
+    steps_taken = {name: decision.taken for name, decision in decisions.items()}
     used = {
         **asdict(steps),
         "references": references,
-        "standardise": {name: of.standardised for name, of in taken.items()},
-        "sweep": {name: COLUMNS[len(COLUMNS) // 2 + of.width] for name, of in taken.items()},
-        "weights": {n: of.weights if len(of.weights) > 1 else {} for n, of in taken.items()},
+        "standardise": {name: of.standardised for name, of in steps_taken.items()},
+        "sweep": {name: COLUMNS[len(COLUMNS) // 2 + of.width] for name, of in steps_taken.items()},
+        "weights": {n: of.weights if len(of.weights) > 1 else {} for n, of in steps_taken.items()},
         "follow": {name: _course_in_words(course, steps) for name, course in courses.items()},
     }
     columns = {
         name: torch.from_numpy(
-            np.concatenate([empty, *(getattr(each, name) for each in decisions.values())])
+            np.concatenate([empty, *(getattr(decision, name) for decision in decisions.values())])
         )
         for name, empty in (
             ("scores", np.zeros((0, top), np.float32)),

@@ -1,7 +1,7 @@
 """Sweep: a query described from several anchors, so that a turned camera still matches.
 
 A reference has one descriptor; its score is that of the best anchor. A wide sweep finds a camera
-that is turned or moved aside, and costs a little where it is not. So a traverse is swept at the
+that is turned or moved aside, and costs a little where it is not. So a sequence is swept at the
 width with the largest mean lead of the first candidates over a sample of its queries: how much
 nearer each is than the best row elsewhere. No label is used. Not in the paper.
 """

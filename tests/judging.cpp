@@ -1,0 +1,30 @@
+// Functions of the core's confidence.hpp for the tests, which call them one by one.
+
+#include <algorithm>
+
+#include "confidence.hpp"
+
+using namespace places;
+
+extern "C" {
+double chance(const double *values, const Size *rows, Size count, Size matching, Size *rival) {
+  const Drives drives{{0}, rows && count ? rows[count - 1] + 1 : count};
+  const Chance chance = chance_of(values, rows ? drives.some(rows, count) : drives.all(), matching);
+  *rival = chance.rival;
+  return chance.chance;
+}
+
+void mapped(const double *chances, Size queries, double together, double best, double *has) {
+  const auto probabilities = mapped({chances, chances + queries}, together, best);
+  std::copy(probabilities.begin(), probabilities.end(), has);
+}
+
+void confidence(const double *chances, const double *has, Size queries, double together, int followed,
+                float *right, float *spread) {
+  const auto sure = Confidence::of({chances, chances + queries}, {has, has + queries}, together, followed);
+  std::copy(sure.right.begin(), sure.right.end(), right);
+  std::copy(sure.spread.begin(), sure.spread.end(), spread);
+}
+
+double together(const Size *rivals, Size queries) { return answers_together({rivals, rivals + queries}); }
+}
