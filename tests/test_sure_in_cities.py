@@ -9,7 +9,7 @@ import torch
 from ssrvlad_torch import SSRVLAD
 from ssrvlad_torch.datasets.synthetic_city import REFERENCE, Conditions, SyntheticCity
 from ssrvlad_torch.recognition.confidence import accept, estimate
-from ssrvlad_torch.recognition.motion import NEAR
+from ssrvlad_torch.recognition.motion import SAME_PLACE_ROWS
 from ssrvlad_torch.recognition.recognise import Steps, recognise, references_of
 from ssrvlad_torch.recognition.sweep import COLUMNS
 
@@ -53,7 +53,7 @@ def found_in(rows, place, steps, asked="query"):
     same = (np.hypot(x, y) <= 5) & (np.cos(turn) > 0.5)
     answers = found.matches.indices[:, 0].numpy()
     wrong = [
-        min(abs(np.flatnonzero(true) - row), default=np.inf) > NEAR
+        min(abs(np.flatnonzero(true) - row), default=np.inf) > SAME_PLACE_ROWS
         for true, row in zip(same, answers, strict=True)
     ]
     return found, np.array(wrong)

@@ -21,7 +21,7 @@ from _sure_cases import FRESH, Case, cases, city_cases
 from matplotlib.figure import Figure
 
 from ssrvlad_torch.recognition.confidence import Estimate, accept, estimate
-from ssrvlad_torch.recognition.motion import NEAR
+from ssrvlad_torch.recognition.motion import SAME_PLACE_ROWS
 from ssrvlad_torch.recognition.recognise import Steps, recognise_by_scores
 
 STEPS = {"alone": Steps(follow=None), "online": Steps(follow="online"), "offline": Steps()}
@@ -105,7 +105,9 @@ def outcome(described: Described, case: Case) -> list[Outcome]:
         followed = one.score_is() == "probability"
         estimates = estimate(one.sure), accept(one.sure, LEVEL)
         sure = one.confidence.numpy()
-        found.append(Outcome(*case[:3], followed, sure, away == 0, away <= NEAR, *estimates))
+        found.append(
+            Outcome(*case[:3], followed, sure, away == 0, away <= SAME_PLACE_ROWS, *estimates)
+        )
     return found
 
 

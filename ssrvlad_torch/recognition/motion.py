@@ -10,7 +10,7 @@ from typing import NamedTuple
 FORWARDS, BACKWARDS = 1, -1
 """Ways to run a map."""
 
-NEAR, ELSEWHERE = 3, 5
+SAME_PLACE_ROWS, ELSEWHERE = 3, 5
 """Rows at most so far apart show the same place, and rows farther apart different places."""
 
 
@@ -23,9 +23,9 @@ class Course(NamedTuple):
     streams: int = 1
 
     def __str__(self) -> str:
-        parts = (
+        words = (
             "backwards" * (self.way == BACKWARDS),
             f"at rate {self.rate:g}" * (self.rate != 1),
             f"{self.streams} streams in turn" * (self.streams != 1),
         )
-        return ", ".join(part for part in parts if part)
+        return ", ".join(word for word in words if word)
