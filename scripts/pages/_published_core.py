@@ -32,21 +32,21 @@ class Cores:
                 raise RuntimeError(problem)
         self._folder = folder
 
-    def output(self, name: str, program: str) -> str:
-        """What a program of tests/ prints with a library."""
+    def output(self, name: str, *arguments: str) -> str:
+        """What ``tests/bits.cpp`` prints with a library."""
         folder = self._folder / name
-        if not (folder / program).exists():
+        if not (folder / "bits").exists():
             flags = ["-std=c++17", "-O1", f"-I{ROOT / FOLDER}", f"-Wl,-rpath,{folder}"]
-            sources = [ROOT / "tests" / f"{program}.cpp", folder / "libssrvlad.so"]
-            subprocess.run([*compiler(), *flags, *sources, "-o", folder / program], check=True)
-        return subprocess.check_output([folder / program], text=True)
+            sources = [ROOT / "tests" / "bits.cpp", folder / "libssrvlad.so"]
+            subprocess.run([*compiler(), *flags, *sources, "-o", folder / "bits"], check=True)
+        return subprocess.check_output([folder / "bits", *arguments], text=True)
 
     def seconds(self, repetitions: int) -> dict[str, list[float]]:
         """Processor time of a query with each, measured in turn."""
         times: dict[str, list[float]] = {name: [] for name in COMPILERS}
         for _ in range(repetitions):
             for name, each in times.items():
-                each.append(float(self.output(name, "seconds")))
+                each.append(float(self.output(name, "time")))
         return times
 
 
