@@ -237,12 +237,6 @@ def test_how_queries_run_a_map(name):
         assert decision.followed and right.mean() > 0.9
 
 
-def test_a_map_in_another_order_is_run_by_hardly_anything():
-    scores = noisy([*range(60)], ROWS, strength=0.5)
-    assert decide(scores[:, RANDOM.permutation(ROWS)]).gain < 0.1
-    assert decide(scores).gain > 0.5
-
-
 def seen_in_a_street(queries, rows):
     """Scores of places of a street, by numbers that change slowly along it."""
     rng = np.random.default_rng(1)
@@ -318,7 +312,7 @@ def test_no_queries_and_no_rows_give_no_candidates(shape):
 def test_scores_that_are_no_cosines_are_refused(score, mode):
     scores = np.zeros((2, 40), np.float32)
     scores[0, 3] = score
-    with pytest.raises(ValueError, match="expected scores of at most 1, as cosines are"):
+    with pytest.raises(ValueError, match="expected scores of at most"):
         decide(scores, mode=mode)
 
 

@@ -1,7 +1,6 @@
 """The native core: the method and the decisions in C++ without torch; the method as its operator.
 
-It is built with the package, decides, and describes label maps on a CPU. On other devices the
-stages in torch compute the same descriptors.
+On other devices than a CPU the stages in torch compute the same descriptors.
 """
 
 import ctypes

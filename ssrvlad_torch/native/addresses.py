@@ -17,13 +17,6 @@ def address(array: Any, shape: Sequence[int], *dtypes: str) -> int | None:
 
     Raises:
         ValueError: the array is of another kind.
-
-    Examples:
-        >>> import numpy as np
-        >>> from ssrvlad_torch.native.addresses import address
-        >>> rows = np.zeros((2, 3), np.float32)
-        >>> address(rows, (2, 3), "float32") == rows.ctypes.data
-        True
     """
     if array is None:
         return None

@@ -1,4 +1,4 @@
-// Label maps to descriptors, and single stages of the method; see ssrvlad.h. Arguments are valid.
+// Label maps to descriptors; see ssrvlad.h. Arguments are valid.
 
 #ifndef SSRVLAD_DESCRIBE_HPP
 #define SSRVLAD_DESCRIBE_HPP

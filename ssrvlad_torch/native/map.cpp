@@ -52,7 +52,11 @@ std::unique_ptr<Comparison> Map::compare(const Member &member, const ssrvlad_que
   require((queries.descriptors || !count || !size) && queries.anchors >= 1 && queries.anchors % 2 == 1 &&
           may_be({count, queries.anchors, size}));
   const auto *numbers = static_cast<const float *>(queries.descriptors);
-  if (!member.channel) return comparison_of_scores(numbers, count, size);
+  if (!member.channel) {
+    require(!std::isnan(sum(numbers, count * size)) && highest(numbers, count * size) <= HIGHEST_SCORE,
+            "scores of at most 1.001, got a higher one or NaN");
+    return comparison_of_scores(numbers, count, size);
+  }
   require(member.length ? are_finite(numbers, count * queries.anchors * member.length) : queries.anchors == 1,
           "finite queries, and signs from one anchor");
   return member.channel->compare({numbers, count, queries.anchors}, standardised, swept, threads);

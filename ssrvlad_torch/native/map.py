@@ -26,8 +26,6 @@ Rows = npt.NDArray[np.int64]
 MODES = {None: 0, "online": 1, "offline": 2}
 
 _VECTORS, _SIGNS, _SCORES = 0, 1, 2
-_HIGHEST = 1.001
-"""The highest cosine that rounding can give."""
 
 
 class Taken(NamedTuple):
@@ -302,8 +300,6 @@ class _Call:
         if rows is None:
             scores = _of_shape(name, queries, np.float32, (len(queries), len(self._town)))
             assert scores is not None
-            most = float(scores.max(initial=-np.inf))
-            _expect(name, most, most <= _HIGHEST, "scores of at most 1, as cosines are")
             return scores
         array = _checked(queries, name)
         anchors = array.ndim - rows.ndim if rows.dtype == np.float32 else 0
