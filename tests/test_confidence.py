@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from core import answers_together, of_chances
+from core import of_chances
 from oracles import recognition as oracle
 from scipy.stats import beta
 
@@ -31,19 +31,6 @@ def test_confidence_learns_how_often_answers_are_right(right):
     for half in (sure.right >= 0.5, sure.right < 0.5):
         assert abs(float(sure.right[half].mean()) - truth[half.numpy()].mean()) < 0.1
     assert abs(float(sure.right.mean()) - truth.mean()) < 0.1
-
-
-def test_confidence_falls_with_the_chance():
-    """Of one answer among others that stay as they are."""
-    others = drawn_chances(100, 0.6)[0]
-    estimated = []
-    for chance in torch.logspace(-8, -0.01, 25, dtype=torch.double):
-        others[50] = chance
-        sure = of_chances(others, 2.0)
-        estimated.append(sure.right[50])
-        assert (sure.together == 2).all()
-        assert ((sure.spread > 0) & (sure.spread < 0.5)).all()
-    assert (torch.stack(estimated).diff() <= 1e-6).all() and estimated[0] > estimated[-1] + 0.5
 
 
 def test_answers_are_less_sure_where_those_around_look_wrong():
@@ -122,11 +109,6 @@ def test_nothing_is_accepted_by_chance():
     assert np.mean([estimate(drawn).wrong for drawn in sure]) > 0.95
 
 
-def test_ties_count_against_the_map():
-    sure = of_chances(torch.ones(150), 1.0)
-    assert accept(sure, 0.2).accepted == 0 and estimate(sure).wrong > 0.95
-
-
 def test_a_picture_is_judged_by_the_prior():
     clear, unclear = (of_chances(torch.tensor([chance]), 1.0) for chance in (1e-8, 0.3))
     assert clear.right > 0.95 and unclear.right < 0.5
@@ -153,16 +135,6 @@ def test_answers_that_err_together_widen_the_interval():
     many = estimate(one._replace(together=torch.full((300,), 5.0)))
     one = estimate(one)
     assert one.wrong == many.wrong and many.low < one.low and many.high > one.high
-
-
-def test_runs_of_one_answer():
-    for rows, expected in (
-        ([3, 40, 9, 80], 1),
-        ([3, 4, 6, 80, 20, 20], (9 + 1 + 4) / 6),
-        ([0] * 7, 7),
-        ([], 1),
-    ):
-        assert answers_together(torch.tensor(rows, dtype=torch.int64)) == expected
 
 
 @pytest.mark.parametrize("mean", [0.02, 0.3, 0.9])

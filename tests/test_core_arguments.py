@@ -35,31 +35,16 @@ def decided(starts, scores):
     return call
 
 
-def with_map(use):
-    def call(core):
-        drives = struct("drives")(of(START), 1, 4)
-        handle = ctypes.c_void_p(core.ssrvlad_map_new_for(INTERFACE, drives))
-        try:
-            return use(core, handle)
-        finally:
-            core.ssrvlad_map_free(handle)
-
-    return call
-
-
 def channel(kind, columns, size):
-    passed = struct("channel")(of(FRAMES), kind, columns, size, 1.0)
-    return with_map(lambda core, town: core.ssrvlad_map_add_channel(town, passed))
+    def add(core):
+        drives = struct("drives")(of(START), 1, 4)
+        town = ctypes.c_void_p(core.ssrvlad_map_new_for(INTERFACE, drives))
+        rows = struct("channel")(of(FRAMES), kind, columns, size, 1.0)
+        status = core.ssrvlad_map_add_channel(town, rows)
+        core.ssrvlad_map_free(town)
+        return status
 
-
-def queries(count, anchors):
-    def ask(core, town):
-        assert core.ssrvlad_map_add_channel(town, struct("channel")(of(FRAMES), 0, 1, 8, 1.0)) == 0
-        passed = struct("queries")(of(FRAMES), anchors)
-        steps, done = struct("steps")(0, 0, 0, 0, 1), struct("taken")()
-        return core.ssrvlad_map_query(town, passed, count, steps, 1, struct("decision")(), done)
-
-    return with_map(ask)
+    return add
 
 
 def described(core):
@@ -74,15 +59,12 @@ def described(core):
 
 CALLS = {
     "a preset without memory": lambda core: core.ssrvlad_preset(b"default", None),
-    "the length of no head": lambda core: core.ssrvlad_length(None),
     "too many label maps": described,
     "drives without starts": decided(None, of(FOUND)),
     "a decision without memory": decided(of(START), None),
     "a channel of too long vectors": channel(0, 1, 1 << 61),
     "a channel of too many signs": channel(1, 1 << 32, 1 << 31),
     "a channel of more signs than are counted": channel(1, 1 << 16, 1 << 15),
-    "too many queries": queries(MANY, 1),
-    "too many anchors": queries(1, MANY + 1),
 }
 
 

@@ -64,12 +64,6 @@ def test_the_first_frames_have_nothing_to_compare_with():
     assert results[6] == LoopResult("drive/6", Reason.TOO_RECENT)
 
 
-def test_a_detector_says_what_it_has_seen():
-    loops = detector(exclude=5)
-    show(loops, views(range(8)))
-    assert repr(loops).startswith("LoopDetector(8 frames, last drive/7, LoopConfig(exclude=5")
-
-
 @pytest.mark.parametrize("second", [range(20, 80), range(20, 80, 2), [*range(20, 45), *[45] * 40]])
 def test_places_seen_again_close_loops(second):
     """In the same order, at twice the speed, and standing still at one on the way."""
@@ -141,14 +135,6 @@ def test_an_empty_frame_matches_nothing_and_the_stream_goes_on():
     assert 30 not in accepted(results).values()
 
 
-def test_a_stream_may_begin_with_empty_frames():
-    vectors = views(range(100))
-    vectors[:36] = 0
-    results = show(detector(), vectors)
-    assert reasons(results[:37]) == ["empty_frame"] * 36 + ["no_candidate"]
-    assert all(math.isfinite(result.score or 0) for result in results)
-
-
 def test_two_places_alike_are_ambiguous_and_both_are_candidates():
     """For a back end that verifies; the first is the candidate of the result."""
     places = [*range(80), *range(20, 40), *range(80, 140), *range(20, 40)]
@@ -159,25 +145,6 @@ def test_two_places_alike_are_ambiguous_and_both_are_candidates():
     assert abs(row_of(first.frame) - row_of(second.frame)) == 60
     assert first.probability >= second.probability > 0.1
     assert result.as_json()["candidates"][1] == second._asdict()
-
-
-def test_clear_frames_must_fit_better_than_noisy_ones():
-    """A second street is like the first in half of what it shows. Where neighbouring frames are
-    nearly equal it is another one, and where noise leaves them half alike it is the first."""
-    first, other = blurred(range(90)), blurred(range(200, 290))
-    similar = [unit(one + math.sqrt(3) * two) for one, two in zip(first, other, strict=True)]
-    assert not accepted(show(detector(), [*first, *similar]))
-    noise = np.random.default_rng(1).normal(0, math.sqrt(1 / 480), (180, 480))
-    again = [unit(one + noisy) for one, noisy in zip([*first, *first], noise, strict=True)]
-    closed = accepted(show(detector(), again))
-    assert len(closed) > 30 and all(abs(row - 90 - there) <= 3 for row, there in closed.items())
-
-
-def blurred(places):
-    """Descriptors of places that neighbouring places share most of."""
-    return [
-        unit(sum(math.exp(-(k**2) / 8) * PLACES[at + k] for k in range(-6, 7))) for at in places
-    ]
 
 
 def test_another_sequence_looks_for_its_place_anew():
@@ -221,23 +188,17 @@ def test_label_maps_scores_and_descriptors_are_the_same_frame():
 BAD_FRAMES = {
     "frame 'drive/3' was there before": (PLACES[0], "drive/3"),
     "id <sequence>/<name>, got '000007'": (PLACES[0], "000007"),
-    "id <sequence>/<name>, got 'drive/'": (PLACES[0], "drive/"),
     r"id <sequence>/<name>, got 'drive/.udcff'": (PLACES[0], "drive/\udcff"),
     "frame id, <sequence>/<name> or <name>, got 'drive/ 7'": (PLACES[0], "drive/ 7"),
-    "id <sequence>/<name>, got 7": (PLACES[0], 7),
     r"ssr-vlad: expected an array \(1, 480\) .*, got \(1, 9\)": (PLACES[0, :9], "drive/a"),
     "'drive/a': expected finite vectors of length 1 or 0": (2 * PLACES[0], "drive/a"),
     "77": (np.full((9, 9), 77), "drive/a"),
     "class scores must be floating point": (np.zeros((2, 9, 9), int), "drive/a"),
     r"expected a stamp from 4\.0 on, got 3\.9": (PLACES[0], "drive/a", 3.9),
     "a finite stamp, got inf": (PLACES[0], "drive/a", math.inf),
-    "a finite stamp, got -inf": (PLACES[0], "other/a", -math.inf),
     "features as a tensor or an array, got str": (PLACES[0], "drive/a", 5.0, None, None, "x"),
     "stamp in seconds, got '7'": (PLACES[0], "drive/a", "7"),
     r"x, y, heading, got \(None, 1\)": (PLACES[0], "drive/a", 5.0, (None, 1)),
-    r"x, y, heading, got \(1, nan\)": (PLACES[0], "drive/a", 5.0, (1, math.nan)),
-    r"expected a pose of finite x, y, heading, got \[1.0\]": (PLACES[0], "drive/a", 5.0, [1.0]),
-    "finite x, y, heading, got '12'": (PLACES[0], "drive/a", 5.0, "12"),
     "finite x, y, heading, got .*inf": (PLACES[0], "drive/a", 5.0, (1.0, math.inf)),
 }
 
@@ -253,13 +214,9 @@ def test_a_frame_that_is_refused_leaves_no_trace(message):
     assert loops.update(PLACES[1], "drive/z", 6.0) == spared.update(PLACES[1], "drive/z", 6.0)
 
 
-def test_a_stream_shorter_than_the_excluded_frames_finds_nothing_more():
-    """Frames, and not settings, are stored and compared."""
-    results = []
-    for exclude in (len(PLACES), 2**31, 10**30):
-        loops = detector(exclude=exclude)
-        results.append([loops.update(place, f"drive/{n}") for n, place in enumerate(PLACES)])
-    assert results[0] == results[1] == results[2]
+def test_any_number_of_frames_may_be_excluded():
+    results = show(detector(exclude=10**30), views(range(9)))
+    assert reasons(results) == ["no_candidate", *["too_recent"] * 8]
 
 
 def test_the_first_argument_of_a_detector_is_its_settings():

@@ -13,14 +13,12 @@ from helpers import street
 from loop_streams import SEEDS, objects, write_drive
 from PIL import Image
 
-from ssrvlad_torch import SSRVLAD, Database
-from ssrvlad_torch.encoding.results import Skipped
+from ssrvlad_torch import Database
 from ssrvlad_torch.loops.config import LoopConfig
 from ssrvlad_torch.loops.detector import LoopDetector
 from ssrvlad_torch.loops.stream import (
     detect_loops,
     encode_as_they_come,
-    encode_files,
     open_detector,
 )
 
@@ -137,32 +135,12 @@ def test_a_picture_that_cannot_be_is_refused_before_the_first_frame(loops, drive
     assert [(code, out, len(err)) for code, out, err in (other, without)] == [(2, "", 1)] * 2
 
 
-def test_without_poses_nothing_can_be_judged(loops, drive):
-    (drive / "poses.csv").unlink()
-    code, out, (error,) = loops(drive, "--tolerance-metres", 5, "--json")
-    assert (code, len(objects(out))) == (2, 54)
-    assert "none of 54 frames has a pose" in error
-    assert "12 accepted" in loops(drive)[1]
-
-
 def test_names_on_stdin_are_the_same_stream(loops, drive):
     names = "".join(f"{path}\n" for path in sorted(drive.glob("*.png")))
     by_folder = loops(drive, "--json", "--tolerance-metres", 5)
     assert loops("-", "--json", "--tolerance-metres", 5, stdin=names.encode()) == by_folder
     spaced = names.replace("\n", "\r\n\n").encode()
     assert loops("-", "--json", "--tolerance-metres", 5, stdin=spaced) == by_folder
-
-
-def test_names_on_stdin_may_say_where_pictures_were_taken(loops, drive):
-    (drive / "poses.csv").unlink()
-    names = [
-        path.rename(drive / f"@{10 * seed}@0@{path.stem}@.png")
-        for path, seed in zip(sorted(drive.glob("*.png")), SEEDS, strict=True)
-    ]
-    stdin = "".join(f"{name}\n" for name in names).encode()
-    code, out, err = loops("-", "--json", "--tolerance-metres", 5, stdin=stdin)
-    assert (code, err) == (0, [])
-    assert objects(out)[-1]["precision"] == 1
 
 
 def test_a_bad_frame_is_skipped_and_the_stream_goes_on(loops, drive):
@@ -305,15 +283,6 @@ def test_a_stream_that_was_killed_goes_on_from_its_last_checkpoint(drive, tmp_pa
     assert len(Database.open(tmp_path / "db")) == 54
 
 
-def test_what_a_detector_cannot_take_is_skipped(drive):
-    detector = LoopDetector(LoopConfig(), SSRVLAD.from_preset("default", labels_as="camvid-11"))
-    names = [str(drive / "00.png")]
-    results = list(detect_loops(detector, encode_as_they_come(detector, [*names, *names])))
-    assert [isinstance(result, Skipped) for result in results] == [False, True]
-    assert list(encode_as_they_come(detector, names)) == []
-    assert list(encode_files(detector, [])) == []
-
-
 @pytest.mark.parametrize("poses", [True, False])
 def test_a_picture_is_drawn(loops, drive, tmp_path, poses):
     if not poses:
@@ -328,13 +297,8 @@ def test_a_picture_is_drawn(loops, drive, tmp_path, poses):
     ("arguments", "message"),
     [
         (["-", "other"], "takes no other SOURCE"),
-        (["-", "--every", 2], "takes no other SOURCE"),
         (["-", "--poses", "p.csv"], "takes no other SOURCE, no --layout, --poses, --topic"),
-        (["-", "--topic", "camera"], "takes no other SOURCE"),
-        (["-", "--layout", "auto"], "takes no other SOURCE"),
-        (["nowhere"], "nowhere does not exist"),
         (["-", "--segmenter-cache", "x"], "--segmenter-cache needs --segmenter"),
-        (["-", "--preset", "best"], "preset must be one of"),
         (["-", "--threshold", "nan"], "Invalid value for '--threshold'"),
         (["-", "--exclude", "-1"], "greater than or equal to 0"),
     ],

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 from helpers import refuses
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -17,7 +16,6 @@ from loop_streams import unit
 from oracles import recognition as oracle
 
 from ssrvlad_torch.native.map import DescriptorMap, Shortlist
-from ssrvlad_torch.search.sums import sums
 
 pytestmark = pytest.mark.usefixtures("core")
 
@@ -151,8 +149,11 @@ def test_rows_of_a_shortlist_lose_the_means_of_their_sequences(kind, standardise
 
 
 def mean_of(descriptors):
-    total, counted = sums(torch.from_numpy(descriptors))
-    return total / max(1, counted)
+    """What the rows of a sequence lose, of signs as 1 and -1."""
+    if descriptors.dtype == np.uint8:
+        bits = np.unpackbits(descriptors, axis=-1, bitorder="little")
+        return 2.0 * bits.reshape(*bits.shape[:2], -1).mean(0) - 1
+    return descriptors[descriptors.any(1)].mean(0, dtype=float)
 
 
 def channels(rng, sequences, queries):
@@ -309,17 +310,13 @@ def shortlist(rows, weights=(2, 2), means=(0,)):
     [
         (lambda town, _: DescriptorMap([3, 0]), "drives that start before the last row"),
         (lambda town, _: shortlist([3, 2]), "rising rows"),
-        (lambda town, _: shortlist([3, 9]), "rising rows"),
         (lambda town, _: shortlist([3, 4], weights=(0.5, 1)), "rising rows"),
         (lambda town, _: shortlist([3, 4], means=(1,)), "starts of drives that rise from 0"),
         (lambda town, rows: town.add("a", rows[:3]), "a: expected a row for each of 40 frames"),
-        (lambda town, rows: town.add("shapes", rows), "shapes: expected a name that is new"),
-        (lambda town, rows: town.add("a", rows.astype(int)), "a: expected vectors of float32 or"),
         (lambda town, rows: town.add("a", np.where(rows, rows, np.nan)), "a: expected finite rows"),
         (lambda town, rows: town.add("a", rows, 0), "a: expected a trust above 0"),
         (lambda town, rows: town.add("a", rows, 1, rows[:2]), "means of 1 parts of the map"),
         (lambda town, rows: town.query({"hog": rows}), "queries by shapes, got hog"),
-        (lambda town, rows: town.query({"shapes": rows[:, :9]}), "(Q, 40) float32, of vectors"),
         (lambda town, rows: town.query({"shapes": rows[:, None].repeat(2, 1)}), "with an odd S"),
         (lambda town, rows: town.query({"shapes": rows / 0.0}), "finite queries"),
         (lambda town, rows: town.query({"shapes": rows}, top=0), "top: expected at least 1, got 0"),

@@ -117,30 +117,9 @@ def test_queries_are_followed_in_the_order_that_they_have(order, mode, course):
 
 def test_a_single_query_is_never_followed():
     queries, references = two_sequences(80, 0.8)
-    for query in queries:
-        answers = whole(query[None], references)
-        assert answers.courses == {"q": None}
-        best = float((references @ query).max())
-        assert answers.matches.scores[0, 0] == pytest.approx(best, abs=1e-6)
-
-
-def test_the_paper_decides_by_the_cosine():
-    queries, references = two_sequences(30, 1.0)
-    answers = whole(queries, references, AS_PAPER)
-    expected = (queries @ references.T).topk(5)
-    assert torch.equal(answers.matches.indices, expected.indices)
-    torch.testing.assert_close(answers.matches.scores, expected.values)
-
-
-def test_a_sweep_is_used_or_left():
-    queries, references = two_sequences(40, 0.5)
-    swept = torch.randn(40, len(COLUMNS), 64, generator=torch.Generator().manual_seed(1))
-    swept = F.normalize(swept, dim=2)
-    swept[:, -1] = queries
-    wide = whole(swept, references, Steps(follow=None))
-    narrow = whole(swept, references, Steps(follow=None, sweep=False))
-    assert wide.used["sweep"] == {"q": max(COLUMNS)} and right(wide) > 0.6
-    assert narrow.used["sweep"] == {"q": 0} and right(narrow) < 0.2
+    answers = whole(queries[:1], references)
+    assert answers.courses == {"q": None}
+    assert answers.matches.scores[0, 0] == pytest.approx(float((references @ queries[0]).max()))
 
 
 @pytest.mark.parametrize("steps", [Steps(), AS_PAPER])

@@ -5,8 +5,6 @@ from core import chance_of
 
 from ssrvlad_torch.recognition.motion import ELSEWHERE
 
-NONE = torch.full((60,), -torch.inf)
-
 
 def chance_maps(rows: int, smooth: int, count: int = 4000) -> np.ndarray:
     """The chances of the best of rows that are all chance, each like those around it."""
@@ -56,20 +54,3 @@ def test_the_chance_of_some_rows_is_that_of_all():
     values = torch.randn(300, generator=torch.Generator().manual_seed(3))
     rows = values.topk(100).indices.sort().values
     assert chance_of(values[rows], rows, 300) == chance_of(values)
-
-
-def test_a_tie_is_chance():
-    values = torch.rand(60) / 2
-    values[[10, 50]] = 1.0
-    assert chance_of(values) == (1.0, 50)
-    assert chance_of(torch.ones(60)).chance == 1
-
-
-@pytest.mark.parametrize("values", [NONE, torch.zeros(0), torch.eye(12)[3], torch.eye(1)[0]])
-def test_too_few_rivals_tell_nothing(values):
-    assert chance_of(values).chance == 1
-
-
-def test_rows_that_cannot_match_are_no_rivals():
-    values = torch.rand(120, generator=torch.Generator().manual_seed(4))
-    assert chance_of(torch.cat((values, NONE))) == chance_of(values)
