@@ -179,32 +179,25 @@ LEAST_STEP = 1e-4
 """Rivals that are nearer to one another are level: rounding is not to tell them apart."""
 
 
-def chance(values, rows=None, matching=None):
+def chance(values):
     """The probability that a wrong answer is as far ahead of its rivals as the best of values
-    ``(N,)`` is, -inf where there is none; and the row of the best rival, -1 without one. ``rows``
-    are those of the map, by default the first ones; ``matching`` is how many of them could match,
-    by default those with a value.
+    ``(R,)`` is, -inf where there is none; and the row of the best rival, -1 without one.
 
     If the answer is wrong, it is a chance place among chance places. Of independent normal values
     the steps from each to the next lower one, divided by their means, are nearly exponential with
     one scale (Renyi, 1953): of the step ``s`` over the best rival, and the sum ``below`` of the m
     further steps, ``(1 + s / below) ** -m`` is uniform from 0 to 1, whatever the scale.
     """
-    at = np.arange(len(values)) if rows is None else np.asarray(rows)
-    near = dict(zip(at.tolist(), values.astype(np.float64), strict=True))
-    peaks = [
-        row
-        for row, value in near.items()
-        if value > -np.inf and not any(near.get(row + aside, -np.inf) > value for aside in (-1, 1))
-    ]
+    padded = np.pad(values.astype(np.float64), 1, constant_values=-np.inf)
+    beside = np.maximum(padded[:-2], padded[2:])
+    peaks = np.flatnonzero((values > -np.inf) & (values >= beside))
     best = []
-    for row in sorted(peaks, key=lambda row: -near[row]):
+    for row in sorted(peaks.tolist(), key=lambda row: -values[row]):
         if len(best) < PLACES and all(abs(row - other) > ELSEWHERE for other in best):
             best.append(row)
     rival = best[1] if len(best) > 1 else -1
-    places = (np.isfinite(values).sum() if matching is None else matching) / ROWS_A_PLACE
-    heights = np.array([near[row] for row in best])
-    steps = -np.diff(heights)[: max(0, int(places) - 1)]
+    places = np.isfinite(values).sum() / ROWS_A_PLACE
+    steps = -np.diff(values[best].astype(np.float64))[: max(0, int(places) - 1)]
     if len(steps) < 2:
         return 1.0, rival
     ahead, *below = steps / mean_steps(places)[: len(steps)]
@@ -243,12 +236,11 @@ def prior():
     weights = np.exp(-np.square(away) / 2)
     rates = 1 / (1 + np.exp(math.log(1 / SLOPE - 1) - DEVIATION * away))
     fractions = (np.arange(FRACTIONS) + 0.5) / FRACTIONS
-    each = weights / weights.sum() / (FRACTIONS * len(SHAPES))
+    weights /= weights.sum() * FRACTIONS * len(SHAPES)
+    at_rates = [*zip(rates, weights, strict=True)]
     return [
-        (float(wrong), float(rate), shape, float(weight))
-        for wrong in fractions
-        for rate, weight in zip(rates, each, strict=True)
-        for shape in SHAPES
+        (wrong, rate, shape, weight)
+        for wrong, (rate, weight), shape in itertools.product(fractions, at_rates, SHAPES)
     ]
 
 
