@@ -43,11 +43,8 @@ REPLAYED = 100
 class LoopDetector:
     """Decides for each frame of a stream whether its place was seen before.
 
-    A frame is described from several anchors and compared with all earlier frames, each without the
-    mean of its own stretch: a sequence, or what is between gaps of it. A Bayes filter follows the
-    stream; its states are the earlier frames, the same frames run backwards, which only chance
-    makes probable, and "a new place". Excluded frames are states too, except for the last ten:
-    where one of them is more probable than the old frames, no loop is closed.
+    A frame is compared with all earlier frames, each without the mean of its own stretch: a
+    sequence, or what is between gaps of it. A Bayes filter follows the stream; see docs/loops.md.
 
     One thread updates; another may `save` at the same time. An interrupt, such as Ctrl-C, leaves
     the detector with the frame or without it, see ``frame in detector``; a `save` can be repeated.
@@ -342,11 +339,10 @@ class LoopDetector:
         """A detector that knows the frames of a database, as if they came before.
 
         Frames that a detector saved are in the order in which they came. Frames that were encoded
-        from files come before them, in whichever order workers stored them: sequences in the order
-        in which they were added, the frames of each in the order of their names. The last
-        `REPLAYED` frames are gone through again, from the usual anchor, which alone a database
-        stores: the stream goes on where it was. Weights of fused channels, and how closely places
-        are alike by chance, are then known of these frames alone.
+        from files come before them: sequences in the order in which they were added, the frames of
+        each in the order of their names. The last `REPLAYED` frames are gone through again, from
+        the usual anchor: the stream goes on where it was, with weights of channels and chance known
+        of these frames alone.
 
         Args:
             database: of raw descriptors.

@@ -62,13 +62,13 @@ def encode_files(
     segmenter: Segmenter | None = None,
 ) -> Iterator[Encoded | Skipped]:
     """Encodes the files whose frames the detector does not know yet; see `encoding.encode`."""
-    check_segmenter(segmenter, detector.head, detector.channels)
     fresh = [file for file in files if file.frame not in detector]
-    return encode(describer_of(detector), fresh, workers, segmenter)
+    return encode(_describer(detector, segmenter), fresh, workers, segmenter)
 
 
-def describer_of(detector: LoopDetector) -> Describer:
-    """What describes the frames of a detector."""
+def _describer(detector: LoopDetector, segmenter: Segmenter | None) -> Describer:
+    """What describes the frames of a detector; a segmenter that does not fit is a ValueError."""
+    check_segmenter(segmenter, detector.head, detector.channels)
     return Describer(detector.channels, detector.head.label_space, detector.columns)
 
 
@@ -83,8 +83,7 @@ def encode_as_they_come(
     ignored. Frames that the detector knew at the start are omitted. A ``poses.csv`` in or beside a
     file's folder is read once. The sequence is named by the folder, as in the database from which
     the detector was loaded. A segmenter labels images; without one, the files are label maps."""
-    check_segmenter(segmenter, detector.head, detector.channels)
-    at_start, describer = frozenset(detector.frames), describer_of(detector)
+    at_start, describer = frozenset(detector.frames), _describer(detector, segmenter)
     records, folders = (database.known(), database.folders()) if database else ({}, set())
     projection = Projection()
     find = functools.cache(lambda folder: PoseTable.of_folder(folder, projection))
