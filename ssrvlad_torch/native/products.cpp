@@ -23,46 +23,14 @@ inline float fused(double a, double b, double c) {
   return static_cast<float>(of_bits(bits));
 }
 
-// Whether values are 0 or so large that sums of products have all the digits of single precision.
-bool are_normal(const float *values, Size count) {
-  constexpr float LEAST = 0x1p-40F;
-  int small = 0;
-  for (Size i = 0; i < count; ++i) small |= (values[i] != 0) & (std::abs(values[i]) < LEAST);
-  return !small;
-}
-
 // Fills sums (ROWS, PANEL) with the products of numbers of a panel (length, PANEL), of which some lanes
-// count, and of rows. As `fused`, for sums in double precision that are rounded to single. Where two
-// roundings may differ from one, for a sum in the middle between two numbers, all is done again.
+// count, and of rows.
 void tile(Base, const float *panel, const float *const *rows, Size length, Size lanes, float *sums) {
-  constexpr Size AT_ONCE = 16;
-  constexpr std::uint64_t DROPPED = (1ULL << 29) - 1, HALF = 1ULL << 28;
-  const bool normal = are_normal(panel, length * PANEL);
   for (Size row = 0; row < ROWS; ++row, sums += PANEL) {
-    const float *numbers = rows[row];
-    const bool exact = normal && are_normal(numbers, length);
-    for (Size first = 0; first < lanes; first += AT_ONCE) {
-      double summed[AT_ONCE] = {};
-      std::uint64_t unclear[AT_ONCE] = {};
-      for (Size n = 0; n < length && exact; ++n) {
-        const float *others = panel + n * PANEL + first;
-        for (Size lane = 0; lane < AT_ONCE; ++lane) {
-          const double sum = static_cast<double>(numbers[n]) * others[lane] + summed[lane];
-          const double scaled = sum * (DROPPED + 2);
-          summed[lane] = scaled - (scaled - sum);
-          unclear[lane] |= (bits_of(sum) & DROPPED) == HALF ? 1 : 0;
-        }
-      }
-      for (Size lane = 0; lane < AT_ONCE; ++lane) {
-        float sum = static_cast<float>(summed[lane]);
-        if (!exact || unclear[lane]) {
-          sum = 0;
-          for (Size n = 0; n < length; ++n)
-            sum = fused(panel[n * PANEL + first + lane], numbers[n], sum);
-        }
-        sums[first + lane] = sum;
-      }
-    }
+    std::fill_n(sums, lanes, 0.0F);
+    for (Size n = 0; n < length; ++n)
+      for (Size lane = 0; lane < lanes; ++lane)
+        sums[lane] = fused(panel[n * PANEL + lane], rows[row][n], sums[lane]);
   }
 }
 #endif
