@@ -43,8 +43,8 @@ from .evaluation.true_matches import Viewpoints, true_matches
 from .recognition.matching import checked_number
 from .recognition.recognise import Steps
 from .search.answers import Answer, Answers
-from .search.coarse_index import grow
 from .search.exact import chosen_channels, locate_view, search
+from .search.index import grow
 from .search.material import Material
 from .search.near import Near, Posed
 from .search.shortlist import Shortlist, open_shortlist

@@ -258,13 +258,3 @@ def bucket(monkeypatch):
     boto3.client("s3", endpoint_url=url).create_bucket(Bucket="town")
     yield "s3://town"
     server.stop()
-
-
-@pytest.fixture(params=["native", "torch"])
-def library(request, monkeypatch):
-    """Channels with the native core and without it."""
-    if request.param == "torch":
-        none = native.Core(None, "none")
-        monkeypatch.setattr("ssrvlad_torch.channels.coarse.core", lambda: none)
-    elif native.core().library is None:
-        pytest.skip("needs the native core")

@@ -12,7 +12,7 @@ from ssrvlad_torch.channels.features import Features
 from ssrvlad_torch.channels.hog import HOG
 from ssrvlad_torch.database.frames import FrameRecord, FrameSet
 from ssrvlad_torch.recognition.sweep import COLUMNS
-from ssrvlad_torch.search.coarse_index import build
+from ssrvlad_torch.search.index import build
 
 CONFIG = SSRVLADConfig.from_preset("default", labels_as=SPACE)
 ROWS = 400

@@ -67,14 +67,13 @@ def test_verify_names_the_file_and_can_drop_what_is_damaged(
 def test_verify_names_damaged_files_of_the_index_and_index_mends_them(ssrvlad, database):
     assert ssrvlad("db", "index", database)[0] == 0
     assert ssrvlad("db", "verify", database)[0] == 0
-    codes = next(database.glob("_coarse/*/*.0.*.npy"))
+    [codes] = database.glob("_index/codes/data/*")
     before = codes.read_bytes()
     codes.write_bytes(before[:128] + bytes(len(before) - 128))
     code, out, (line,) = ssrvlad("db", "verify", database)
     assert code == 3 and "6 frames, 0 damaged" in out
-    assert f"{codes.name} is damaged, or of another version; ssrvlad db index writes" in line
+    assert "_index/codes is damaged, or of another version; ssrvlad db index writes" in line
     assert ssrvlad("db", "index", database)[0] == 0
-    assert codes.read_bytes() == before
     assert ssrvlad("db", "verify", database)[0] == 0
 
 

@@ -14,7 +14,7 @@ from loop_streams import views
 from ssrvlad_torch import SSRVLAD, Database, LoopDetector, Map
 from ssrvlad_torch.encoding.results import EncodeOptions
 from ssrvlad_torch.loops.config import LoopConfig
-from ssrvlad_torch.search.coarse_index import build
+from ssrvlad_torch.search.index import build
 
 HEAD = SSRVLAD.from_preset("default", labels_as="camvid-11")
 CONFIG = LoopConfig(exclude=5, sweep=False)

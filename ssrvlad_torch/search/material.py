@@ -21,7 +21,7 @@ from ..evaluation.outcomes import Rows
 from ..recognition.recognise import references_of
 from ..segmentation.segmenter import Segmenter
 from ..taxonomy import LabelSpace, colourise, label_space
-from .coarse_index import taken
+from .index import read_rows
 
 PHOTO, LABELS = "photo", "label map"
 
@@ -55,7 +55,7 @@ class Material:
             stored = self.references.channels[name][references]
         else:
             order = self.database.placed()[1][references]
-            stored = taken(self.database, order, [self.channel.column])[name]
+            stored = read_rows(self.database, order, [self.channel.column])[name]
         town = references_of({name: stored}, [""] * len(stored))
         scores, _ = town.compare({name: self.queries[queries].numpy()})
         return scores

@@ -1,14 +1,16 @@
 """Shortlist: some rows of a map that is too large to compare with all, for the queries of one
 sequence.
 
-The coarse index finds likely rows for each query. These, the rows beside them and a random sample
-of the others are read from disk, with what their sequences lose, and stand for the whole map: the
-core decides on them as it decides on all rows.
+By the codes of its index the rows that are most like each query are found. These, the rows beside
+them and a random sample of the others, with what their sequences lose, stand for the whole map: the
+core decides on them as it decides on all rows. What a sequence loses is the mean of some of its
+frames.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,18 +22,29 @@ from ..database.database import Database
 from ..native.map import DescriptorMap
 from ..native.map import Shortlist as Rows
 from ..recognition.sequences import runs
-from ..recognition.standardise import MIN_FRAMES, sharing
-from .coarse_index import LEAST_ROWS, CoarseIndex, is_indexed, taken
+from ..recognition.standardise import sharing
+from .index import LEAST_ROWS, Index, MapRows, is_indexed, read_rows
 
-MOST, LEAST, ROWS = 1000, 40, 12_000
-"""Candidates of a query: at most and at least so many, together about so many rows."""
+MOST, LEAST, ROWS, MOST_ROWS = 300, 40, 12_000, 100_000
+"""Candidates of a query, at most and at least, so that all queries have about `ROWS`; and rows that
+are read for one sequence, at most."""
+
+AROUND = 10
+"""Candidates of a query, the best, of which the rows beside are read too."""
+
+OF_CHANNEL = 30
+"""Candidates by each channel of a query that is judged alone: how far the first row of a channel is
+ahead of others says which anchors count."""
 
 SAMPLE = 1000
 """Rows of a random sample, which show how scores are spread over the map."""
 
+MEAN_ROWS, MEANS = 64, 1000
+"""Frames, at equal distances, of which the mean of a sequence is made; and means that are kept."""
+
 EVERY, SCANNED = 4, 32
-"""Of a sequence that is followed, every fourth query is compared with the whole index, or more, so
-that it is so many of a shorter one: the others are beside their candidates."""
+"""Of a sequence that is followed, every fourth query is compared with all codes, or more, so that
+it is so many of a shorter one: the others are beside their candidates."""
 
 _AT_ONCE, _LEAST = 8, 1e-6
 
@@ -48,25 +61,30 @@ def open_shortlist(database: Database, channels: Sequence[Channel]) -> tuple[Sho
 
 
 class Shortlist:
-    """Chooses and reads rows of a database with a coarse index.
+    """Chooses and reads rows of a database with an index.
 
     Attributes:
         frames: all frames, without descriptors, in natural order.
     """
 
     def __init__(self, database: Database, channels: Sequence[Channel]) -> None:
-        """Errors as for `CoarseIndex`."""
+        """Errors as for `Index`, and a ValueError if it lacks rows."""
         self._database, self._channels = database, channels
-        self._index = CoarseIndex(database)
-        self.frames, self._stored = database.placed()
-        self._natural = np.argsort(self._stored)
-        parts = [*runs(self.frames.sequences)]
-        self._lengths = [len(part) for part in parts]
-        names = [self.frames.sequences[part.start] for part in parts]
-        self._mean_of, self._members = np.zeros(len(parts), np.int64), list[list[str]]()
-        for group, members in sharing(self._lengths).items():
-            self._mean_of[[*group]] = len(self._members)
-            self._members.append([names[member] for member in members])
+        self._index = Index(database, MapRows.of(database))
+        self._codes, self.frames = self._index.codes(), self._index.rows.frames
+        self._lengths = [len(run) for run in runs(self.frames.sequences)]
+        everyone = np.random.default_rng(0).permutation(len(self.frames))
+        self._sample = np.sort(everyone[:SAMPLE])
+        self._sampled = self._read(self._sample)
+        self._means = dict[int, dict[str, npt.NDArray[np.float32]]]()
+        ends, groups = np.cumsum([0, *self._lengths]), sharing(self._lengths)
+        self._starts = np.array([ends[group[0]] for group in groups], np.int64)
+        self._mean_rows = [
+            np.linspace(ends[group[0]], ends[group[-1] + 1] - 1, MEAN_ROWS).astype(np.int64)
+            if group == members
+            else self._sample
+            for group, members in groups.items()
+        ]
 
     @torch.no_grad()
     def of(
@@ -84,13 +102,15 @@ class Shortlist:
         likely = self._likely(queries, sweep, followed, top, allowed, excluded)
         others = allowed.copy()
         others[likely] = False
-        rest = np.flatnonzero(others)
-        sample = np.random.default_rng(0).choice(rest, min(SAMPLE, len(rest)), replace=False)
+        sample, rest = self._sample[others[self._sample]], int(others.sum())
+        if len(sample) < min(SAMPLE, rest) / 2:  # few of the fixed sample are allowed
+            rows = np.flatnonzero(others)
+            sample = np.random.default_rng(0).choice(rows, min(SAMPLE, rest), replace=False)
         rows = np.concatenate([likely, sample])
         weights = np.ones(len(rows))
-        weights[len(likely) :] = len(rest) / max(1, len(sample))
+        weights[len(likely) :] = rest / max(1, len(sample))
         order = np.argsort(rows)
-        return self._read(rows[order], weights[order], standardise)
+        return self._map_of(rows[order], weights[order], standardise)
 
     def _likely(
         self,
@@ -106,55 +126,83 @@ class Shortlist:
         step = min(EVERY, max(1, count // SCANNED)) if followed else 1
         scanned = np.unique([*range(0, count, step), count - 1])
         most = min(max(top, min(MOST, max(LEAST, ROWS // len(scanned)))), int(allowed.sum()))
-        forbidden = torch.from_numpy(~allowed[self._natural])
-        found, best = list[npt.NDArray[np.int64]](), list[npt.NDArray[np.int64]]()
-        for first in range(0, len(scanned), _AT_ONCE):
-            some = torch.from_numpy(scanned[first : first + _AT_ONCE])
-            scores = self._coarse({name: of[some] for name, of in queries.items()}, sweep)
-            scores.masked_fill_(forbidden, -torch.inf)
-            for query, row in zip(some.tolist(), scores, strict=True):
-                if excluded is not None:
-                    row[self._stored[slice(*excluded[query])]] = -torch.inf
-                chosen = self._natural[row.topk(most).indices.numpy()]
-                found.append(chosen)
-                best.append(chosen[:LEAST])
+        forbidden, best = torch.from_numpy(~allowed), list[npt.NDArray[np.int64]]()
+        of_channel = min(OF_CHANNEL, most)
+        for some in np.array_split(scanned, -(-len(scanned) // _AT_ONCE)):
+            channels = self._scores({name: rows[some] for name, rows in queries.items()}, sweep)
+            for scores in channels:
+                scores.masked_fill_(forbidden, -torch.inf)
+                for query, row in zip(some.tolist(), scores, strict=True):
+                    if excluded is not None:
+                        row[slice(*excluded[query])] = -torch.inf
+            together = torch.stack(channels).sum(0).topk(most)
+            alone = [] if followed else [scores.topk(of_channel) for scores in channels]
+            best.append(torch.cat([b.indices for b in (together, *alone)], 1).numpy())
+        ranked = np.concatenate(best)
         reach = np.arange(-3 * step, 3 * step + 1) if followed else np.arange(-1, 2)
-        beside = (np.concatenate(best)[:, None] + reach).ravel()
-        beside = beside[(beside >= 0) & (beside < len(allowed))]
-        rows = np.unique(np.concatenate([*found, beside]))
-        likely: npt.NDArray[np.int64] = rows[allowed[rows]]
-        return likely
+        beside = (ranked[:, :AROUND, None] + reach).transpose(1, 2, 0).ravel()
+        rows = np.concatenate([ranked[:, :top].T.ravel(), beside, ranked[:, top:].T.ravel()])
+        rows = rows[(rows >= 0) & (rows < len(allowed))]
+        rows = rows[allowed[rows]]
+        _, first = np.unique(rows, return_index=True)
+        return np.sort(rows[np.sort(first)[:MOST_ROWS]])
 
-    def _coarse(self, queries: Mapping[str, Tensor], sweep: bool) -> Tensor:
-        """``(Q, R)`` coarse scores of queries to all stored rows, by all channels as one: sums of
-        deviations, weighted by trust."""
-        total = torch.zeros(len(next(iter(queries.values()))), len(self._stored))
-        every = max(1, len(self._stored) // SAMPLE)
+    def _scores(self, queries: Mapping[str, Tensor], sweep: bool) -> list[Tensor]:
+        """``(Q, R)`` by each channel, scores of queries to all rows by their codes, in deviations
+        and weighted by trust."""
+        scores = list[Tensor]()
         for channel in self._channels:
             name = channel.column.name
-            scores = self._index.scan(name, [*queries[name]], sweep)
-            deviation = scores[:, ::every].std(1, correction=0).clamp(min=_LEAST)
-            total.add_(scores.mul_(channel.trust / deviation[:, None]))
-        return total
+            of = self._index.coders[name].scores(queries[name], self._codes[name], sweep)
+            deviation = of[:, self._sample].std(1, correction=0).clamp(min=_LEAST)
+            scores.append(of.mul_(channel.trust / deviation[:, None]))
+        return scores
 
-    def _read(
+    def _map_of(
         self, rows: npt.NDArray[np.int64], weights: npt.NDArray[np.float64], standardise: bool
     ) -> DescriptorMap:
         """Rows with what they lose, as a map."""
-        sequences = np.repeat(np.arange(len(self._lengths)), self._lengths)[rows]
-        group = self._mean_of[sequences] if standardise else np.zeros(len(rows), np.int64)
-        starts = np.flatnonzero(np.diff(group, prepend=-1))
-        town = DescriptorMap(self._lengths, Rows(rows, weights, starts))
-        columns = [channel.column for channel in self._channels]
-        read = taken(self._database, self._stored[rows], columns, verified=True)
-        with_means = standardise and len(self.frames) >= MIN_FRAMES
+        parts, with_means = np.zeros(len(rows), np.int64), standardise and len(self._starts)
+        if with_means:
+            parts = np.searchsorted(self._starts, rows, side="right") - 1
+        changes = np.flatnonzero(np.diff(parts, prepend=-1))
+        means = [self._mean(part) for part in parts[changes].tolist()] if with_means else []
+        town = DescriptorMap(self._lengths, Rows(rows, weights, changes))
+        in_sample = np.isin(rows, self._sample)
+        of_sample = np.searchsorted(self._sample, rows[in_sample])
+        read = self._read(rows[~in_sample])
         for channel in self._channels:
             name = channel.column.name
-            means = [self._mean(name, number) for number in group[starts]] if with_means else None
-            stacked = None if means is None else torch.stack(means).numpy()
-            town.add(name, read[name].numpy(), channel.trust, stacked)
+            values = np.empty((len(rows), *read[name].shape[1:]), read[name].dtype)
+            values[~in_sample], values[in_sample] = read[name], self._sampled[name][of_sample]
+            lost = np.stack([mean[name] for mean in means]) if means else None
+            town.add(name, values, channel.trust, lost)
         return town
 
-    def _mean(self, name: str, group: int) -> Tensor:
-        """What is subtracted from the frames of a group of sequences."""
-        return self._index.mean(name, self._members[group])
+    def _mean(self, part: int) -> dict[str, npt.NDArray[np.float32]]:
+        """What the rows of a part of the map lose, by channel."""
+        if part not in self._means:
+            if len(self._means) >= MEANS:
+                self._means.clear()
+            read = self._read(np.unique(self._mean_rows[part]))
+            self._means[part] = {name: mean_of(values) for name, values in read.items()}
+        return self._means[part]
+
+    def _read(self, rows: npt.NDArray[np.int64]) -> dict[str, npt.NDArray[Any]]:
+        """Descriptors of rows by channel."""
+        columns, stored = [c.column for c in self._channels], self._index.rows.stored[rows]
+        read = read_rows(self._database, stored, columns, verified=True)
+        return {name: values.numpy() for name, values in read.items()}
+
+
+def mean_of(descriptors: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+    """``(D,)``, the mean of descriptors ``(N, *shape)``: of vectors at length 1 that are not zero,
+    of signs as 1 and -1."""
+    if descriptors.dtype == np.uint8:
+        bits = np.unpackbits(descriptors.reshape(len(descriptors), -1), axis=1, bitorder="little")
+        signs: npt.NDArray[np.float32] = (2 * bits.mean(0) - 1).astype(np.float32)
+        return signs
+    lengths = np.linalg.norm(descriptors, axis=1, keepdims=True)
+    total = (descriptors / np.maximum(lengths, _LEAST)).sum(0)
+    mean: npt.NDArray[np.float32] = total / max(1, np.count_nonzero(lengths))
+    return mean

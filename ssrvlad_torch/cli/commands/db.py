@@ -63,17 +63,14 @@ def compact(
         "Largest age in days of versions to keep.", default=14, min=0, max=100_000
     ),
 ) -> None:
-    """Join small files, and delete old versions and the files that only they use; an index is made
-    again of the new files.
+    """Join small files, and delete old versions and the files that only they use.
 
     Example: ssrvlad db compact town.ssrdb --keep-days 0
     """
     from ...database.database import Database
-    from ...search.coarse_index import grow
 
     opened = Database.open(database)
     opened.compact(keep_days)
-    grow(opened)
     say(f"{database}: {len(opened)} frames, {len(opened.history())} versions kept")
 
 
@@ -86,7 +83,7 @@ def index(database: DatabaseFolder, as_json: Json = False) -> None:
     Example: ssrvlad db index town.ssrdb
     """
     from ...database.database import Database
-    from ...search.coarse_index import LEAST_ROWS, build
+    from ...search.index import LEAST_ROWS, build
 
     opened = Database.open(database)
     report = build(opened)
@@ -118,7 +115,7 @@ def verify(
     Example: ssrvlad db verify town.ssrdb
     """
     from ...database.database import Database
-    from ...search.coarse_index import damaged
+    from ...search.index import damaged
 
     opened = Database.open(database)
     frames, files = len(opened), damaged(opened)
