@@ -20,6 +20,7 @@ from .stages.front_end import FrontEnd, as_tensor, label_map
 from .stages.harmonics import Harmonics
 from .stages.layers import refuse_unknown
 from .stages.residuals import ResidualHistograms, Residuals
+from .stages.tracing import exporting
 from .taxonomy import LabelSpace
 
 
@@ -103,10 +104,10 @@ class SSRVLAD(nn.Module):
 
     def forward(self, labels: Tensor | npt.NDArray[Any]) -> Tensor:
         """The descriptors of a batch."""
-        if self.columns and not torch.compiler.is_exporting():
+        if self.columns and not exporting():
             return self.sweep(labels, self.columns)
         labels = self._input(labels)
-        if torch.compiler.is_exporting():
+        if exporting():
             self._refuse_loops_in_onnx()
             if isinstance(self._aggregation, Harmonics):
                 return self._describe_in_graph(labels)
@@ -153,9 +154,9 @@ class SSRVLAD(nn.Module):
             )
 
     def _input(self, labels: Tensor | npt.NDArray[Any]) -> Tensor:
-        tensor, own = as_tensor(labels), self._front_end.table.device
-        if tensor.device != own:
-            raise ValueError(f"expected labels on {own}, as the head is, got {tensor.device}")
+        tensor, device = as_tensor(labels), self._front_end.table.device
+        if tensor.device != device:
+            raise ValueError(f"expected labels on {device}, as the head is, got {tensor.device}")
         return tensor
 
     def counted(self, labels: Tensor) -> tuple[Tensor, ...]:

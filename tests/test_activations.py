@@ -172,4 +172,4 @@ def test_height_and_width_are_not_channels(tmp_path):
     shape = ("b", "h", "w", 3)
     graph = OnnxNetwork(write_graph(tmp_path / "net.onnx", channels_last=True, shape=shape))
     with pytest.raises(ValueError, match="no activation at a stride from 4 to 32"):
-        find_activations(graph, torch.zeros(1, 224, 448, 3))
+        find_activations(graph, torch.zeros(1, 3, 224, 448))

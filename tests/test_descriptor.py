@@ -201,6 +201,17 @@ def test_the_head_is_compiled_as_one_operator_and_paper_exported_as_one(core):
     assert OPERATOR in [str(node.target) for node in program.graph.nodes]
 
 
+def test_one_compiled_head_takes_label_maps_and_class_scores_of_any_size(core):
+    head = torch.compile(SSRVLAD(DEFAULT), dynamic=True, fullgraph=True)
+    for size in ((2, 61, 83), (1, 40, 50)):
+        labels = batch_of_blobs(*size)
+        scores = torch.nn.functional.one_hot(labels.long(), 12).movedim(-1, 1).float()
+        for view in (labels, scores):
+            assert torch.equal(head(view), SSRVLAD(DEFAULT)(view))
+    refuses("hold 24000 NaN values", head, scores * torch.nan)
+    refuses("label id 200", head, labels + 200)
+
+
 @pytest.mark.parametrize(
     ("head", "shape"),
     [

@@ -11,7 +11,7 @@ from networks import PLAIN, Street, write_street
 from segmenting import write_photos
 
 from ssrvlad_torch.baselines import make
-from ssrvlad_torch.baselines.encoder_features import EncoderFeatures
+from ssrvlad_torch.baselines.channel_methods import EncoderFeatures
 from ssrvlad_torch.baselines.run import run
 from ssrvlad_torch.channels.channel import View
 from ssrvlad_torch.recognition.recognise import Steps, references_of

@@ -47,7 +47,7 @@ def test_no_tensor_stays_on_the_device_of_an_import():
 def test_heavy_packages_are_imported_only_where_they_are_used():
     """Settings, label spaces and names need no torch, the package none of its extras, and of the
     methods only that is imported which is made."""
-    assert printed(LIGHT).split() == [".label_grid", ".protocol", ".vectors"]
+    assert printed(LIGHT).split() == [".channel_methods", ".protocol"]
 
 
 WITHOUT = """

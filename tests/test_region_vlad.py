@@ -25,21 +25,6 @@ def images(count: int = 2) -> list[np.ndarray]:
     return [noise(i, 40 + 10 * i, 60) for i in range(count)]
 
 
-def test_the_network_has_the_published_sizes():
-    network = AlexNetPlaces365()
-    counts = {n: sum(p.numel() for p in m.parameters()) for n, m in network.named_children()}
-    assert counts == {"conv1": 34_944, "conv2": 307_456, "conv3": 885_120, "pool": 0}
-    kernels = {"conv1": (96, 3, 11, 11), "conv2": (256, 48, 5, 5), "conv3": (384, 256, 3, 3)}
-    assert {n: tuple(t.shape) for n, t in network.state_dict().items()} == {
-        **{f"{name}.weight": shape for name, shape in kernels.items()},
-        **{f"{name}.bias": shape[:1] for name, shape in kernels.items()},
-    }
-    with torch.no_grad():
-        maps = network(torch.randint(0, 256, (2, 3, 120, 160), dtype=torch.uint8))
-    assert maps.shape == (2, 384, 13, 13)
-    assert bool((maps >= 0).all())
-
-
 @torch.no_grad()
 def test_the_network_is_the_layers_of_the_prototxt():
     """Loops over a part of the picture and some of the channels: what one place of conv3 sees."""
@@ -207,15 +192,9 @@ def test_a_missing_file_is_named_with_its_origin(file, message, folder):
         make("region-vlad", weights=folder, vocabulary=folder)
 
 
-def test_random_weights_say_what_they_are():
-    method = RegionVLAD(random_weights=True)
-    assert method.name == "region-vlad (random weights)"
-    assert method.encode_query(frames(images(1))).shape == (1, 256 * 384)
-
-
-def test_a_frame_without_a_picture_is_refused():
-    method = RegionVLAD(random_weights=True)
-    refuses(r"region-vlad .* needs pictures, but frame a/b", method.encode_query, [View("a/b")])
+def test_a_frame_without_a_picture_is_refused(folder):
+    method = RegionVLAD(folder, folder)
+    refuses(r"region-vlad needs pictures, but frame a/b", method.encode_query, [View("a/b")])
 
 
 @pytest.mark.parametrize("size", [10, 100_000])

@@ -22,8 +22,7 @@ from conditions import NETWORKS, TRAIN_IDS, Drive, Search
 from torch import Tensor
 
 from ssrvlad_torch import SSRVLAD, baselines
-from ssrvlad_torch.baselines.encoder_features import EncoderFeatures
-from ssrvlad_torch.baselines.label_grid import LabelGrid
+from ssrvlad_torch.baselines.channel_methods import EncoderFeatures, LabelGrid
 from ssrvlad_torch.baselines.lost_x import LoSTX
 from ssrvlad_torch.channels.channel import Channel
 from ssrvlad_torch.channels.features import Features

@@ -29,7 +29,7 @@ from conditions import (
 )
 from torch import Tensor
 
-from ssrvlad_torch.baselines.encoder_features import EncoderFeatures
+from ssrvlad_torch.baselines.channel_methods import EncoderFeatures
 from ssrvlad_torch.datasets.synthetic_city import Conditions
 from ssrvlad_torch.evaluation.loops import FACING
 from ssrvlad_torch.recognition.recognise import references_of

@@ -11,7 +11,7 @@ equal.
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 import torch.nn.functional as F
@@ -20,7 +20,7 @@ from torch import Tensor
 from ..channels.channel import View, batches
 from ..channels.gray import grays, resize
 from ..channels.hog import CELL, cell_histograms
-from .protocol import Columns
+from .channel_methods import joined
 
 ORIENTATIONS = 8
 REGION_NUMBERS = 4 * ORIENTATIONS
@@ -40,8 +40,7 @@ _BATCH = 4
 _SCORES_AT_ONCE = 1 << 20
 
 
-@dataclass(frozen=True)
-class Regions(Columns):
+class Regions(NamedTuple):
     """Encoded queries: descriptors ``(Q, regions, 32)`` float32 of length 1, or zero for a flat
     region, and which regions are chosen, ``(Q, regions)`` bool: their entropy reaches the
     threshold."""
@@ -63,29 +62,23 @@ class CoHOG:
     @torch.no_grad()
     def encode_query(self, frames: Iterable[View]) -> Regions:
         """The regions of every query, and which of them are compared."""
-        described = [torch.zeros(0, REGIONS, REGION_NUMBERS)]
-        chosen = [torch.zeros(0, REGIONS, dtype=torch.bool)]
-        for batch in batches(frames, _BATCH):
-            pictures = self._pictures(batch)
+        described, chosen = list[Tensor](), list[Tensor]()
+        for pictures in map(self._pictures, batches(frames, _BATCH)):
             described.append(region_descriptors(pictures))
             chosen.append(region_entropies(pictures) >= THRESHOLD)
-        return Regions(torch.cat(described), torch.cat(chosen))
+        return Regions(joined(described, self.name), torch.cat(chosen))
 
     @torch.no_grad()
     def encode_reference(self, frames: Iterable[View]) -> Tensor:
         """``(R, regions, 32)`` float32, the descriptors of all regions."""
         pictures = map(self._pictures, batches(frames, _BATCH))
-        return torch.cat(
-            [torch.zeros(0, REGIONS, REGION_NUMBERS), *map(region_descriptors, pictures)]
-        )
+        return joined(map(region_descriptors, pictures), self.name)
 
     @torch.no_grad()
     def scores(self, queries: Regions, references: Tensor) -> Tensor:
         """Regional convolutional matching, ``(Q, R)``."""
-        scores = torch.full((len(queries), len(references)), -torch.inf)
-        for row, descriptors, chosen in zip(
-            scores, queries.descriptors, queries.chosen, strict=True
-        ):
+        scores = torch.full((len(queries.chosen), len(references)), -torch.inf)
+        for row, descriptors, chosen in zip(scores, *queries, strict=True):
             regions = descriptors[chosen]
             if len(regions) == 0:
                 continue

@@ -32,11 +32,10 @@ KINDS: dict[str, tuple[Callable[[DatasetFrame], object], str]] = {
 }
 """The kinds of files that a method may need of a frame, each also in words."""
 
-_FUSED = "--fuse"
 _AHEAD = 16
 
 
-class Protocol(NamedTuple):
+class ComparisonSettings(NamedTuple):
     """How methods are measured: what is a true match, the convention of the metrics, the steps
     between encodings and a decision, the threads that read ahead, the names of the methods that are
     fused, and what shows the progress of a method with a number of frames."""
@@ -50,13 +49,13 @@ class Protocol(NamedTuple):
 
 
 def compare(
-    methods: Mapping[str, Method | str], sides: Dataset, protocol: Protocol, note: Note
+    methods: Mapping[str, Method | str], sides: Dataset, settings: ComparisonSettings, note: Note
 ) -> list[Row]:
-    """The rows of all methods in their order, then the rows of the fused methods. A method that
-    cannot be made is given by the reason; ``sides`` are references and queries, see `open_sides`;
-    ``note`` gets what is left out."""
+    """The rows of all methods in their order, of single frames and with the steps, then the rows of
+    the fused methods. A method that cannot be made is given by the reason; ``sides`` are references
+    and queries, see `open_sides`; ``note`` gets what is left out."""
     used = sides
-    if protocol.true.metres is not None:
+    if settings.true.metres is not None:
         used = _having(sides, lambda frame: frame.has_pose, "a pose")
     lacking = {kind: reason for kind in KINDS if (reason := _lacks(used, kind))}
     rows: dict[str, list[Row]] = {}
@@ -64,18 +63,19 @@ def compare(
     for name, method in methods.items():
         if isinstance(method, str):
             rows[name] = [_not_run(name, method)]
-        elif reasons := [lacking[need] for need in sorted(method.needs) if need in lacking]:
-            rows[name] = [_not_run(method.name, reasons[0])]
+        elif kinds := sorted(method.needs & lacking.keys()):
+            rows[name] = [_not_run(name, lacking[kinds[0]])]
         else:
             able[name] = method
+    fused: list[Row] = []
     if able:
         needs = {need for method in able.values() for need in method.needs}
-        rows |= _measured(able, sides, _complete(used, needs, note), protocol, note)
-    if protocol.fused and _FUSED not in rows:
-        missing = next(name for name in protocol.fused if "reason" in rows[name][0])
-        rows[_FUSED] = [_not_run(" + ".join(protocol.fused), f"{missing} does not run")]
-    order = [*methods, _FUSED] if protocol.fused else methods
-    return [row for name in order for row in rows[name]]
+        measured, fused = _measured(able, sides, _complete(used, needs, note), settings, note)
+        rows |= measured
+    if settings.fused and not fused:
+        missing = next(name for name in settings.fused if "reason" in rows[name][0])
+        fused = [_not_run(" + ".join(settings.fused), f"{missing} does not run")]
+    return [row for name in methods for row in rows[name]] + fused
 
 
 def _having(sides: Dataset, has: Callable[[DatasetFrame], object], what: str) -> Dataset:
@@ -111,41 +111,43 @@ def _complete(sides: Dataset, needs: Collection[str], note: Note) -> Dataset:
 
 
 def _measured(
-    methods: Mapping[str, Method], sides: Dataset, used: Dataset, protocol: Protocol, note: Note
-) -> dict[str, list[Row]]:
-    """The rows of each method: of single frames, and with the steps. Ground truth counts all
-    frames of ``sides``."""
+    methods: Mapping[str, Method],
+    sides: Dataset,
+    used: Dataset,
+    settings: ComparisonSettings,
+    note: Note,
+) -> tuple[dict[str, list[Row]], list[Row]]:
+    """The rows of each method, and those of the fused ones if all of them run. Ground truth counts
+    all frames of ``sides``."""
     map_side, query_side = (used.select(role=role) for role in ROLES)
     references, queries = (Viewpoints.of(s.frames, sides) for s in (map_side, query_side))
-    truth = true_matches(protocol.true, references, queries, note)
+    truth = true_matches(settings.true, references, queries, note)
 
     def row(matches: Matches, details: Row) -> Row:
         recognition = Recognition(references, queries, matches, details=details)
-        return measure(recognition, truth, protocol.convention).metrics
+        return measure(recognition, truth, settings.convention).metrics
 
     rows: dict[str, list[Row]] = {}
     retrievals: dict[str, Retrieval] = {}
     for name, method in methods.items():
         try:
-            retrieval = _retrieval(method, map_side, query_side, protocol)
+            retrieval = _retrieval(method, map_side, query_side, settings)
         except ValueError as error:
-            rows[name] = [_not_run(method.name, str(error))]
+            rows[name] = [_not_run(name, str(error))]
             continue
         temporal = getattr(method, "temporal", None)
-        details = {"method": method.name, "temporal": temporal, "steps": None, **retrieval.costs}
+        details = {"method": name, "temporal": temporal, "steps": None, **retrieval.costs}
         rows[name] = [row(retrieval.matches, details)]
         if stepped := retrieval.stepped:
             rows[name].append(row(stepped.matches, {**details, "steps": stepped.used}))
         retrievals[name] = retrieval
-    if protocol.fused and set(protocol.fused) <= set(retrievals):
-        try:
-            rows[_FUSED] = [
-                row(recognised.matches, details)
-                for recognised, details in _fused(retrievals, queries, references, protocol)
-            ]
-        except ValueError as error:
-            rows[_FUSED] = [_not_run(" + ".join(protocol.fused), str(error))]
-    return rows
+    if not settings.fused or not set(settings.fused) <= set(retrievals):
+        return rows, []
+    try:
+        fused = _fused(retrievals, queries, references, settings)
+        return rows, [row(recognised.matches, details) for recognised, details in fused]
+    except ValueError as error:
+        return rows, [_not_run(" + ".join(settings.fused), str(error))]
 
 
 def _not_run(method: str, reason: str) -> Row:
@@ -153,21 +155,21 @@ def _not_run(method: str, reason: str) -> Row:
 
 
 def _retrieval(
-    method: Method, references: Dataset, queries: Dataset, protocol: Protocol
+    method: Method, references: Dataset, queries: Dataset, settings: ComparisonSettings
 ) -> Retrieval:
     """A method run on the files of both sides."""
+    frames = [*references.frames, *queries.frames]
     if isinstance(method, StoredDescriptors):
-        frames = [*references.frames, *queries.frames]
         method.read({frame.frame: frame.image or frame.label for frame in frames})
-    as_paper = protocol.steps == AS_PAPER and method.name not in protocol.fused
-    with protocol.progress(method.name, len([*references.frames, *queries.frames])) as bar:
+    as_paper = settings.steps == AS_PAPER and method.name not in settings.fused
+    with settings.progress(method.name, len(frames)) as bar:
         return run(
             method,
-            _views(method, queries, protocol.workers),
-            _views(method, references, protocol.workers),
+            _views(method, queries, settings.workers),
+            _views(method, references, settings.workers),
             top=TOP,
             progress=bar.advance,
-            steps=None if as_paper else protocol.steps,
+            steps=None if as_paper else settings.steps,
         )
 
 
@@ -175,18 +177,20 @@ def _fused(
     retrievals: Mapping[str, Retrieval],
     queries: Viewpoints,
     references: Viewpoints,
-    protocol: Protocol,
+    settings: ComparisonSettings,
 ) -> Iterator[tuple[Recognised, Row]]:
     """The recognition by several methods together, of single frames, and followed if that is a
     step, each with its details. A method without vectors is a ValueError."""
-    by_name = {name: retrievals[name].descriptors for name in protocol.fused}
-    several = {name: both for name, both in by_name.items() if both}
-    for name in by_name.keys() - several.keys():
-        raise ValueError(f"{name} makes no vectors or signs, expected such for --fuse")
+    here, there, trust = {}, {}, {}
+    for name in settings.fused:
+        descriptors = retrievals[name].descriptors
+        if descriptors is None:
+            raise ValueError(f"{name} makes no vectors or signs, expected such for --fuse")
+        here[name], there[name], trust[name] = descriptors
     sequences, of_map = ([*map(sequence_of, side.frames)] for side in (queries, references))
-    costs = [retrievals[name].costs for name in protocol.fused]
+    costs = [retrievals[name].costs for name in settings.fused]
     details = {
-        "method": " + ".join(protocol.fused),
+        "method": " + ".join(settings.fused),
         "temporal": None,
         "bytes_a_reference": sum(cost["bytes_a_reference"] for cost in costs),
         **{
@@ -194,12 +198,10 @@ def _fused(
             for name in ("encode_ms", "match_ms")
         },
     }
-    alone = replace(protocol.steps, follow=None, delay=0)
-    trust = {name: both.trust for name, both in several.items()}
-    town = references_of({n: both.references for n, both in several.items()}, of_map, trust)
-    described = {name: both.queries for name, both in several.items()}
-    for steps in dict.fromkeys((alone, protocol.steps)):
-        recognised = recognise(described, sequences, town, steps, TOP)
+    town = references_of(there, of_map, trust)
+    alone = replace(settings.steps, follow=None, delay=0)
+    for steps in dict.fromkeys((alone, settings.steps)):
+        recognised = recognise(here, sequences, town, steps, TOP)
         used = recognised.used
         yield recognised, {**details, "steps": used, "weights": used["weights"]}
 

@@ -9,7 +9,6 @@ every step.
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -23,8 +22,8 @@ from ..recognition.sweep import score
 from ..segmentation.networks import AUTO
 from ..segmentation.segmenter import Segmenter
 from ..taxonomy import LabelSpace, label_space
-from .encoder_features import segmenter_of
-from .protocol import Columns, noting
+from .channel_methods import segmenter_of
+from .protocol import noting
 
 DenseNetwork = Callable[[Tensor], tuple[Tensor, Tensor]]
 """``(1, H, W, 3)`` uint8 RGB -> ``(1, D, h, w)`` features and, at any resolution, ``(1, C, h',
@@ -34,35 +33,30 @@ _REACH = 7
 _CANDIDATES = 10
 
 
-class _View(NamedTuple):
-    """The arguments of `lost_descriptor` for one image; and the parts of the mean features of
-    classes: ``(S, D)`` sums of the features of each class, and ``(S, 1)`` numbers of places."""
-
-    features: Tensor
-    probabilities: Tensor
-    labels: Tensor
-    width: int
-    sums: tuple[Tensor, Tensor]
-
-
-@dataclass(frozen=True)
-class LoSTEncodings(Columns):
-    """Encoded frames: a descriptor ``(N, S * D)`` float32, and one keypoint per feature channel, at
-    its maximum.
+class LoSTFrame(NamedTuple):
+    """An encoded frame: a descriptor, and one keypoint per feature channel, at its maximum.
 
     Attributes:
-        places, labels, columns: ``(N, D)`` int64, of the keypoints: index among the places of the
-            image, most likely class, and x.
-        widths: ``(N, 1)`` int64, columns of the feature maps.
-        features: ``(P, D)`` float32 for each image, a vector of length 1 for every place.
+        descriptor: ``(S * D,)`` float32.
+        features: ``(P, D)`` float32, a vector of length 1 for every place of the image.
+        width: the columns of the feature map, so place ``p`` is in column ``p % width``.
+        places, labels: ``(D,)`` int64, the place of each keypoint, and its most likely class.
     """
 
-    descriptors: Tensor
+    descriptor: Tensor
+    features: Tensor
+    width: int
     places: Tensor
     labels: Tensor
-    columns: Tensor
-    widths: Tensor
-    features: list[Tensor]
+
+
+class LoSTFrames(list[LoSTFrame]):
+    """Encoded frames."""
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all tensors."""
+        return sum(field.nbytes for frame in self for field in frame if isinstance(field, Tensor))
 
 
 class LoSTX:
@@ -79,7 +73,7 @@ class LoSTX:
         labels_as: label space of its classes; by default that of the segmentation network.
         classes: names of the classes in that space, by default the paper's; others are a
             ValueError.
-        opposite: the two traverses run in opposite directions, so the keypoints of queries are
+        opposite: the two sequences run in opposite directions, so the keypoints of queries are
             mirrored left to right. The descriptor does not depend on it.
     """
 
@@ -96,7 +90,7 @@ class LoSTX:
         if network is None or isinstance(network, Segmenter | str | Path):
             segmenter = segmenter_of(network, self.name, labels_as or AUTO)
             labels_as, network = segmenter.label_space, dense_network(segmenter)
-        self._network = network
+        self._network, self._opposite = network, opposite
         space = label_space(labels_as or "cityscapes-trainids")
         channels = range(space.channel_counts.start)
         ids = {label.name: label.id for label in space.classes if label.id in channels}
@@ -104,71 +98,74 @@ class LoSTX:
             has = ", ".join(ids)
             raise ValueError(f"label space {space.name} has no class {unknown[0]!r}; it has {has}")
         self._classes = torch.tensor([ids[name] for name in classes])
-        self._opposite = opposite
 
-    def encode_query(self, frames: Iterable[View]) -> LoSTEncodings:
+    def encode_query(self, frames: Iterable[View]) -> LoSTFrames:
         """Descriptors with the mean features of each frame alone; 8 kB per place."""
         return self._encode(frames, reach=0)
 
-    def encode_reference(self, frames: Iterable[View]) -> LoSTEncodings:
+    def encode_reference(self, frames: Iterable[View]) -> LoSTFrames:
         """Descriptors with the mean features of the frames around each; 8 kB per place."""
         return self._encode(frames, _REACH)
 
-    def scores(self, queries: LoSTEncodings, references: LoSTEncodings) -> Tensor:
+    def scores(self, queries: LoSTFrames, references: LoSTFrames) -> Tensor:
         """``(Q, R)``: minus the cosine distance times the layout cost, for the ten references with
         the highest cosine. The others, and references with fewer than two pairs of keypoints, come
-        after these in the order of their cosines.
-        """
-        distances = 1 - score(queries.descriptors, references.descriptors)
-        for q, row in enumerate(distances):
+        after these in the order of their cosines."""
+        both = (torch.stack([frame.descriptor for frame in side]) for side in (queries, references))
+        distances = 1 - score(*both)
+        for query, row in zip(queries, distances, strict=True):
             costs = torch.full_like(row, math.inf)
             for r in row.argsort(stable=True)[:_CANDIDATES].tolist():
-                costs[r] = row[r] * self._layout_cost(queries[q : q + 1], references[r : r + 1])
+                costs[r] = row[r] * self._layout_cost(query, references[r])
             ranked = costs.isfinite()
             worst = costs[ranked].max() if bool(ranked.any()) else 0
-            distances[q] = torch.where(ranked, costs, row + worst)
+            row.copy_(torch.where(ranked, costs, row + worst))
         return -distances
 
-    def _layout_cost(self, query: LoSTEncodings, reference: LoSTEncodings) -> float:
-        same = (query.labels == reference.labels)[0]
-        x = query.widths - 1 - query.columns if self._opposite else query.columns
-        features, others = query.features[0], reference.features[0]
-        pairs = query.places[0, same] * len(others) + reference.places[0, same]
-        distinct, number = pairs.unique(return_inverse=True)
-        cosine = (features[distinct // len(others)] * others[distinct % len(others)]).sum(dim=1)
-        return layout_cost((x[0, same], reference.columns[0, same]), 1 - cosine[number])
-
-    def _encode(self, frames: Iterable[View], reach: int) -> LoSTEncodings:
-        sequences: list[str] = []
-        views = [self._view(picture_of(frame, self.name)) for frame in noting(frames, sequences)]
-        if not views:
-            raise ValueError(f"method {self.name}: no frames to encode")
-        descriptors = []
-        for i, view in enumerate(views):
-            window = range(max(0, i - reach), min(len(views), i + reach + 1))
-            near = [views[j].sums for j in window if sequences[j] == sequences[i]]
-            total, count = (sum(column, torch.zeros(())) for column in zip(*near, strict=True))
-            means = total / count.clamp(min=1)  # Eq. 2, over all places of the frames around
-            descriptors.append(lost_descriptor(view.features, view.probabilities, means))
-        places = [view.features.argmax(dim=1) for view in views]
-        return LoSTEncodings(
-            torch.stack(descriptors),
-            torch.stack(places),
-            torch.stack([view.labels[at] for view, at in zip(views, places, strict=True)]),
-            torch.stack([at % view.width for view, at in zip(views, places, strict=True)]),
-            torch.tensor([[view.width] for view in views]),
-            [F.normalize(view.features.mT.contiguous(), dim=1) for view in views],
-        )
+    def _layout_cost(self, query: LoSTFrame, reference: LoSTFrame) -> float:
+        same = query.labels == reference.labels
+        here, there = query.places[same], reference.places[same]
+        count = len(reference.features)
+        pairs, number = (here * count + there).unique(return_inverse=True)
+        cosines = (query.features[pairs // count] * reference.features[pairs % count]).sum(dim=1)
+        x, y = here % query.width, there % reference.width
+        return layout_cost((query.width - 1 - x if self._opposite else x, y), 1 - cosines[number])
 
     @torch.no_grad()
-    def _view(self, image: Pixels) -> _View:
+    def _encode(self, frames: Iterable[View], reach: int) -> LoSTFrames:
+        sequences, encoded = list[str](), LoSTFrames()
+        sights = [self._sight(picture_of(frame, self.name)) for frame in noting(frames, sequences)]
+        if not sights:
+            raise ValueError(f"method {self.name}: no frames to encode")
+        members = [(labels == self._classes[:, None]).float() for *_, labels in sights]
+        parts = [
+            (member @ features.flatten(1).mT, member.sum(dim=1, keepdim=True))
+            for member, (features, *_) in zip(members, sights, strict=True)
+        ]
+        for i, (features, probabilities, labels) in enumerate(sights):
+            window = range(max(0, i - reach), min(len(sights), i + reach + 1))
+            around = [parts[j] for j in window if sequences[j] == sequences[i]]
+            sums, places = (torch.stack(column).sum(0) for column in zip(*around, strict=True))
+            means = sums / places.clamp(min=1)  # Eq. 2, over all places of the frames around
+            flat = features.flatten(1)
+            strongest = flat.argmax(dim=1)
+            encoded.append(
+                LoSTFrame(
+                    lost_descriptor(flat, probabilities, means),
+                    F.normalize(flat.mT.contiguous(), dim=1),
+                    features.shape[2],
+                    strongest,
+                    labels[strongest],
+                )
+            )
+        return encoded
+
+    def _sight(self, image: Pixels) -> tuple[Tensor, Tensor, Tensor]:
+        """Of one image features ``(D, h, w)``, and of each of the ``P = h * w`` places the
+        probabilities of the classes, ``(S, P)``, and the most likely class, ``(P,)``."""
         features, scores = self._network(torch.tensor(image)[None])
         scores = F.interpolate(scores, features.shape[2:], mode="nearest-exact")[0].flatten(1)
-        labels, flat = scores.argmax(dim=0), features[0].flatten(1)
-        probabilities = F.normalize(scores, p=1, dim=0)[self._classes]
-        members = (labels == self._classes[:, None]).to(flat.dtype)
-        sums = members @ flat.mT, members.sum(dim=1, keepdim=True)
-        return _View(flat, probabilities, labels, features.shape[3], sums)
+        return features[0], F.normalize(scores, p=1, dim=0)[self._classes], scores.argmax(dim=0)
 
 
 def dense_network(segmenter: Segmenter) -> DenseNetwork:

@@ -10,8 +10,8 @@ from kornia.enhance import normalize
 from torch import Tensor, nn
 
 from ..channels.channel import View, picture_of
-from .vectors import VectorMethod
-from .weights import fill, find_weights, random_network, read_checkpoint
+from .channel_methods import VectorMethod
+from .weights import fill, find_weights, read_checkpoint
 
 _WIDTHS, _DEPTHS = (64, 128, 256, 512, 512), (2, 2, 3, 3, 3)
 _MEAN, _STD = torch.tensor((0.485, 0.456, 0.406)), torch.tensor((0.229, 0.224, 0.225))
@@ -21,18 +21,15 @@ _FILES = [f"vgg16_netvlad_checkpoint/checkpoints/{n}.pth.tar" for n in ("model_b
 class NetVLAD(VectorMethod):
     """Descriptors of a trained network, compared by their cosine; 32768 numbers, or 4096 by a
     checkpoint with the whitening ``WPCA.0`` of Patch-NetVLAD. Pictures keep their size, as in the
-    authors' programs. Random weights, which the name tells, are for the cost of the method."""
+    authors' programs. `find_weights` finds the published file."""
 
+    name = "netvlad"
     needs = frozenset({"images", "weights"})
-    _batch = 1
+    batch = 1
 
-    def __init__(self, weights: str | Path | None = None, random_weights: bool = False) -> None:
-        self.name = "netvlad (random weights)" if random_weights else "netvlad"
-        if random_weights:
-            self._network = random_network(NetVLADNetwork)
-        else:
-            file = find_weights(weights, _FILES, "github.com/Nanne/pytorch-NetVlad")
-            self._network = read_netvlad(file)
+    def __init__(self, weights: str | Path | None = None) -> None:
+        file = find_weights(weights, _FILES, "github.com/Nanne/pytorch-NetVlad")
+        self._network = read_netvlad(file)
         self.length = self._network.length
 
     def describe(self, views: Sequence[View], _columns: Sequence[int] = ()) -> Tensor:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from importlib import import_module
 from inspect import signature
-from typing import TYPE_CHECKING, Any, Protocol, Self
+from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -13,30 +13,12 @@ if TYPE_CHECKING:
     from ..channels.channel import View
 
 
-class Columns:
-    """A base for frozen dataclasses of encodings whose fields are tensors with one row per frame,
-    or lists with one tensor per frame."""
-
-    def __len__(self) -> int:
-        return len(next(iter(vars(self).values())))
-
-    def __getitem__(self, rows: slice, /) -> Self:
-        return type(self)(*(field[rows] for field in vars(self).values()))
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes of all fields."""
-        fields = vars(self).values()
-        lists = (field if isinstance(field, list) else [field] for field in fields)
-        return sum(tensor.nbytes for tensors in lists for tensor in tensors)
-
-
 class Method(Protocol):
     """A place-recognition method.
 
     Queries and references may be encoded differently: SSR-VLAD sums references over their
-    neighbours, CoHOG chooses regions of queries only. Encodings are usually a tensor with one row
-    per frame; what is not has a length, slices and ``nbytes`` as well.
+    neighbours, CoHOG chooses regions of queries only. Encodings are a tensor with one row per
+    frame, or another object that has ``nbytes``.
 
     Attributes:
         name: its name in `METHODS`.
@@ -48,8 +30,8 @@ class Method(Protocol):
     needs: frozenset[str]
 
     def encode_query(self, frames: Iterable[View]) -> Any:
-        """The encodings of Q queries, each independent of the others. A frame that lacks what the
-        method needs, or cannot be encoded, is a ValueError."""
+        """The encodings of Q queries, each independent of the others. No frames, and a frame that
+        lacks what the method needs or cannot be encoded, are a ValueError."""
 
     def encode_reference(self, frames: Iterable[View]) -> Any:
         """The encodings of R references, those of a sequence in order; errors as for queries."""
@@ -60,14 +42,14 @@ class Method(Protocol):
 
 
 METHODS = {
-    "ssr-vlad": ("ssrvlad", "SSRVLADMethod"),
-    "features": ("encoder_features", "EncoderFeatures"),
+    "ssr-vlad": ("channel_methods", "SSRVLADMethod"),
+    "features": ("channel_methods", "EncoderFeatures"),
     "cohog": ("cohog", "CoHOG"),
     "netvlad": ("netvlad", "NetVLAD"),
     "region-vlad": ("region_vlad", "RegionVLAD"),
     "lost-x": ("lost_x", "LoSTX"),
-    "label-grid": ("label_grid", "LabelGrid"),
-    "hog": ("vectors", "HOGMethod"),
+    "label-grid": ("channel_methods", "LabelGrid"),
+    "hog": ("channel_methods", "HOGMethod"),
     "tiny-image": ("tiny_image", "TinyImage"),
 }
 """Methods by name: the module of this package and the class in it."""
@@ -85,8 +67,8 @@ def make(name: str, **settings: Any) -> Method:
     elif name in METHODS:
         module, class_name = METHODS[name]
     else:
-        known = f"{', '.join(METHODS)}, or a file of stored descriptors (.h5)"
-        raise ValueError(f"unknown method {name!r}; expected one of {known}")
+        expected = f"{', '.join(METHODS)}, or a file of stored descriptors (.h5)"
+        raise ValueError(f"unknown method {name!r}; expected one of {expected}")
     method: type[Method] = getattr(import_module(f".{module}", __package__), class_name)
     try:
         signature(method).bind(**settings)

@@ -14,43 +14,44 @@ from torch import Tensor, nn
 
 from ..channels.channel import View, picture_of
 from ..files import requiring
-from .vectors import VectorMethod
-from .weights import fill, find_weights, random_network, read_caffe, read_vocabulary
+from .channel_methods import VectorMethod
+from .weights import fill, find_weights, read_caffe, read_vocabulary
 
 _MEAN_BGR = (104.051, 112.514, 116.676)  # the mean pixel of places365CNN_mean.binaryproto
 
 
 class RegionVLAD(VectorMethod):
     """VLAD of a picture's regions over a vocabulary, compared by the cosine. ``regions`` and
-    ``words`` are N and V of the paper. `find_weights` finds the published files. Random weights,
-    which the name tells, are for the cost of the method. It needs the extra ``eval``."""
+    ``words`` are N and V of the paper. `find_weights` finds the published files. It needs the extra
+    ``eval``."""
 
+    name = "region-vlad"
     needs = frozenset({"images", "weights"})
 
     def __init__(
         self,
         weights: str | Path | None = None,
         vocabulary: str | Path | None = None,
-        random_weights: bool = False,
         regions: int = 400,
         words: int = 256,
     ) -> None:
-        self.name = "region-vlad (random weights)" if random_weights else "region-vlad"
-        self._network, self._regions = random_network(AlexNetPlaces365), regions
-        self._words = torch.rand(words, 384, generator=torch.Generator().manual_seed(0))
-        if not random_weights:
-            path = find_weights(weights, ["alexnet_places365.caffemodel"], "the Places365 project")
-            fill(self._network, read_caffe(path), path)
-            origin = "github.com/Ahmedest61/CNN-Region-VLAD-VPR"
-            path = find_weights(vocabulary, [f"Vocabulary_{regions}.pkl"], origin)
-            self._words = read_vocabulary(path, (str(regions), str(words), "conv3"), (words, 384))
+        self._regions = regions
+        path = find_weights(weights, ["alexnet_places365.caffemodel"], "the Places365 project")
+        with torch.device("meta"):
+            self._network = AlexNetPlaces365().eval()
+        fill(self._network, read_caffe(path), path)
+        origin = "github.com/Ahmedest61/CNN-Region-VLAD-VPR"
+        path = find_weights(vocabulary, [f"Vocabulary_{regions}.pkl"], origin)
+        self._words = read_vocabulary(path, (str(regions), str(words), "conv3"), (words, 384))
         self.length = self._words.numel()
 
     def describe(self, views: Sequence[View], _columns: Sequence[int] = ()) -> Tensor:
         """See `Channel`."""
         pictures = [torch.tensor(picture_of(view, self.name)).permute(2, 0, 1) for view in views]
         maps = (self._network(picture[None])[0] for picture in pictures)
-        return torch.stack([vlad(regions_of(each, self._regions), self._words) for each in maps])
+        return torch.stack(
+            [vlad(regions_of(planes, self._regions), self._words) for planes in maps]
+        )
 
 
 class AlexNetPlaces365(nn.Module):
@@ -63,8 +64,6 @@ class AlexNetPlaces365(nn.Module):
         self.conv2 = nn.Conv2d(96, 256, 5, padding=2, groups=2)
         self.conv3 = nn.Conv2d(256, 384, 3, padding=1)
         self.pool = nn.Sequential(nn.MaxPool2d(3, stride=2), nn.LocalResponseNorm(5, 1e-4, 0.75))
-        for conv in (self.conv1, self.conv2, self.conv3):
-            nn.init.kaiming_normal_(conv.weight, nonlinearity="relu")
 
     def forward(self, images: Tensor) -> Tensor:
         """The maps of conv3 of each image."""

@@ -42,8 +42,8 @@ class Retrieval(NamedTuple):
 
     matches: Matches
     costs: dict[str, Any]
-    stepped: Recognised | None
-    descriptors: Descriptors | None
+    stepped: Recognised | None = None
+    descriptors: Descriptors | None = None
 
 
 def run(
@@ -62,15 +62,12 @@ def run(
     With steps of `recognition`, whose costs are not measured, there is a second result: vectors are
     standardised and followed; of other encodings, the scores are followed. The sweep needs signs,
     or a method with ``encode_sweep``."""
-    map_drives, drives = list[str](), list[str]()
-    encoded = method.encode_reference(noting(references, map_drives, progress))
-    if not map_drives:
-        raise ValueError(f"method {method.name} got no references")
-    compared = _are_compared(method, encoded)
-    sweep = getattr(method, "encode_sweep", None) if steps and steps.sweep and compared else None
+    map_sequences, sequences = list[str](), list[str]()
+    encoded = method.encode_reference(noting(references, map_sequences, progress))
+    sweep = getattr(method, "encode_sweep", None) if steps and steps.sweep else None
     matches, inputs = list[Matches](), list[Tensor]()
     encode_ms, match_ms = list[float](), list[float]()
-    for frame in noting(queries, drives, progress):
+    for frame in noting(queries, sequences, progress):
         if not matches:
             method.scores(method.encode_query([frame]), encoded)
         begin = time.perf_counter()
@@ -80,36 +77,26 @@ def run(
         match_ms.append(1e3 * (time.perf_counter() - between))
         encode_ms.append(1e3 * (between - begin))
         matches += [best_of(row, top) for row in scores]
-        if steps and compared:
-            inputs.append(sweep([frame]) if sweep else encodings)
-        elif steps:
-            inputs.append(scores)
+        if steps:
+            swept = sweep([frame]) if sweep else encodings
+            inputs.append(swept if isinstance(method, Channel) else scores)
     if not matches:
-        raise ValueError(f"method {method.name} got no queries")
-    stepped, both = None, None
-    if steps and compared:
-        both = Descriptors(torch.cat(inputs), encoded, getattr(method, "trust", 1.0))
-        town = references_of({method.name: encoded}, map_drives)
-        stepped = recognise({method.name: both.queries}, drives, town, steps, top)
-    elif steps:
-        stepped = recognise_by_scores(torch.cat(inputs), drives, map_drives, steps, top)
-    return Retrieval(
-        matches=Matches(*map(torch.stack, zip(*matches, strict=True))),
-        costs={
-            "encode_ms": _cost(encode_ms),
-            "match_ms": _cost(match_ms),
-            "bytes_a_reference": encoded.nbytes / len(map_drives),
-        },
-        stepped=stepped,
-        descriptors=both,
-    )
-
-
-def _are_compared(method: Method, encoded: Any) -> bool:
-    """Whether the encodings of a map are vectors or signs."""
-    if isinstance(method, Channel):
-        return True
-    return isinstance(encoded, Tensor) and encoded.ndim == 2 and encoded.is_floating_point()
+        raise ValueError(f"method {method.name}: no frames to encode")
+    costs = {
+        "encode_ms": _cost(encode_ms),
+        "match_ms": _cost(match_ms),
+        "bytes_a_reference": encoded.nbytes / len(map_sequences),
+    }
+    retrieval = Retrieval(Matches(*map(torch.stack, zip(*matches, strict=True))), costs)
+    if not steps:
+        return retrieval
+    if not isinstance(method, Channel):
+        stepped = recognise_by_scores(torch.cat(inputs), sequences, map_sequences, steps, top)
+        return retrieval._replace(stepped=stepped)
+    descriptors = Descriptors(torch.cat(inputs), encoded, method.trust)
+    town = references_of({method.name: encoded}, map_sequences)
+    stepped = recognise({method.name: descriptors.queries}, sequences, town, steps, top)
+    return retrieval._replace(stepped=stepped, descriptors=descriptors)
 
 
 def _cost(times: list[float]) -> dict[str, float]:

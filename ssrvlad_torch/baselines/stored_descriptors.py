@@ -16,7 +16,7 @@ from ..channels.channel import View
 from ..datasets.dataset import shortened
 from ..datasets.names import path_ends
 from ..files import check_regular, one_line, requiring
-from .vectors import VectorMethod
+from .channel_methods import VectorMethod
 
 _KEY = "global_descriptor"
 
@@ -58,7 +58,7 @@ class StoredDescriptors(VectorMethod):
         group_of: dict[str, str] = {}
         for frame, path in frames.items():
             paths = [str(path), str(path.with_suffix(""))] if path else []
-            names = [frame, *(end for each in paths for end in path_ends(each))]
+            names = [frame, *(end for text in paths for end in path_ends(text))]
             if group := max(self._groups.intersection(names), key=len, default=None):
                 group_of[frame] = group
         if lacking := [frame for frame in frames if frame not in group_of]:

@@ -13,7 +13,8 @@ from torch import Tensor
 
 from ..channels.channel import View, batches
 from ..channels.gray import grays
-from .protocol import Columns, noting
+from .channel_methods import joined
+from .protocol import noting
 
 WIDTH, HEIGHT, PATCH = 64, 32, 8
 
@@ -25,7 +26,7 @@ _LEAST_Z = -80.0
 
 
 @dataclass(frozen=True)
-class Drive(Columns):
+class References:
     """Encoded references: pictures ``(R, HEIGHT * WIDTH)`` float32, and the number of each frame's
     sequence, ``(R,)`` int64."""
 
@@ -56,22 +57,21 @@ class TinyImage:
     @torch.no_grad()
     def encode_query(self, frames: Iterable[View]) -> Tensor:
         """``(Q, HEIGHT * WIDTH)`` float32."""
-        pictures = map(self._describe, batches(frames, _BATCH))
-        return torch.cat([torch.zeros(0, HEIGHT * WIDTH), *pictures])
+        return joined(map(self._describe, batches(frames, _BATCH)), self.name)
 
-    def encode_reference(self, frames: Iterable[View]) -> Drive:
+    def encode_reference(self, frames: Iterable[View]) -> References:
         """The pictures, and the sequence of each."""
         sequences: list[str] = []
         pictures = self.encode_query(noting(frames, sequences))
         number = {name: i for i, name in enumerate(dict.fromkeys(sequences))}
         sequence = torch.tensor([number[name] for name in sequences], dtype=torch.int64)
-        return Drive(pictures, sequence)
+        return References(pictures, sequence)
 
     @torch.no_grad()
-    def scores(self, queries: Tensor, references: Drive) -> Tensor:
+    def scores(self, queries: Tensor, references: References) -> Tensor:
         """``(Q, R)``: differences of the pictures, normalised over each reference sequence."""
-        scores = torch.zeros(len(queries), len(references))
-        at_once = max(1, _SCORES_AT_ONCE // max(1, len(references)))
+        scores = torch.zeros(len(queries), len(references.pictures))
+        at_once = max(1, _SCORES_AT_ONCE // len(references.pictures))
         for rows, block in zip(scores.split(at_once), queries.split(at_once), strict=True):
             difference = torch.cdist(block, references.pictures, p=1) / block.shape[1]
             rows.copy_(enhance(difference, references.sequence))
@@ -100,9 +100,9 @@ def enhance(difference: Tensor, sequence: Tensor) -> Tensor:
     scores = torch.zeros_like(difference, dtype=torch.float32)
     for number in sequence.unique():
         columns = sequence == number
-        own = difference[:, columns].double()
-        deviation, mean = torch.std_mean(own, 1, correction=0, keepdim=True)
+        within = difference[:, columns].double()
+        deviation, mean = torch.std_mean(within, 1, correction=0, keepdim=True)
         flat = deviation < _LEAST_DEVIATION
-        z = ((mean - own) / deviation.masked_fill(flat, torch.inf)).clamp(min=_LEAST_Z)
+        z = ((mean - within) / deviation.masked_fill(flat, torch.inf)).clamp(min=_LEAST_Z)
         scores[:, columns] = -torch.expm1(-z).float()
     return scores

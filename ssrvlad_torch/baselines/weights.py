@@ -2,18 +2,16 @@
 Nothing is downloaded, and no code of a file is run."""
 
 import pickle
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from copyreg import _reconstructor  # type: ignore[attr-defined]
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
 from ..files import naming, requiring
-
-Network = TypeVar("Network", bound=nn.Module)
 
 _CAFFE = """
 name: "caffe.proto" package: "caffe"
@@ -137,22 +135,14 @@ def fill(network: nn.Module, state: Mapping[str, Tensor], path: Path) -> None:
     not finite is a ValueError."""
     expected = network.state_dict()
     for name, tensor in expected.items():
-        got = state.get(name)
-        if got is None:
+        weight = state.get(name)
+        if weight is None:
             has = ", ".join(list(state)[:3])
             raise ValueError(f"{path} lacks {name} {tuple(tensor.shape)}; it has {has}, ...")
-        if got.shape != tensor.shape:
-            shapes = f"{tuple(tensor.shape)}, got {tuple(got.shape)}"
+        if weight.shape != tensor.shape:
+            shapes = f"{tuple(tensor.shape)}, got {tuple(weight.shape)}"
             raise ValueError(f"{path}: {name} must be {shapes}")
-        if not bool(got.isfinite().all()):
+        if not bool(weight.isfinite().all()):
             raise ValueError(f"{path}: {name} holds values that are not finite")
     weights = {name: state[name].to(tensor.dtype) for name, tensor in expected.items()}
     network.load_state_dict(weights, assign=True)
-
-
-def random_network(make: Callable[[], Network]) -> Network:
-    """A network with random weights, the same every time, to measure costs. It does not change the
-    random state of the caller."""
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(0)
-        return make().eval()

@@ -174,12 +174,12 @@ def channels_of(columns: Sequence[Column], head: SSRVLAD) -> list[Channel]:
     for column in columns:
         channel = _class(column.name).of(column, head)
         if channel.column != column:
-            other = channel.column.fingerprint
-            if other == column.fingerprint:
-                other = f"descriptors {channel.column.shape}, not {column.shape}"
+            makes = channel.column.fingerprint
+            if makes == column.fingerprint:
+                makes = f"descriptors {channel.column.shape}, not {column.shape}"
             raise ValueError(
                 f"stored descriptors by {column.name} are of {column.fingerprint}, this version "
-                f"makes {other}: encode the frames again"
+                f"makes {makes}: encode the frames again"
             )
         channels.append(channel)
     return channels
@@ -194,10 +194,10 @@ def new_channels(
     that the frames do not have, are a ValueError."""
     refuse_text(names)
     if names is None:
-        wanted = [name for name in CHANNELS if not _class(name).lacks(network)]
+        names = [name for name in CHANNELS if not _class(name).lacks(network)]
     else:
-        wanted = list(dict.fromkeys([LABEL_SHAPES, *names]))
-    return [_class(name).make(head, network) for name in wanted]
+        names = list(dict.fromkeys([LABEL_SHAPES, *names]))
+    return [_class(name).make(head, network) for name in names]
 
 
 def refuse_text(names: Sequence[str] | None) -> None:

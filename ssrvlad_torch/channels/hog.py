@@ -46,7 +46,7 @@ def directions(along_x: Tensor, along_y: Tensor) -> Tensor:
     its sign. Gradients are whole numbers. Limits are 22.5 degrees apart, and each belongs to the
     eighth above it. No angle is computed, so every runtime gives the same."""
     below = (along_y < 0) | ((along_y == 0) & (along_x < 0))
-    x, y = (torch.where(below, -each, each) for each in (along_x, along_y))
+    x, y = (torch.where(below, -along, along) for along in (along_x, along_y))
     passed = [y >= _SLOPE * x, y >= x, _SLOPE * y >= x, x <= 0]
     passed += [-x >= _SLOPE * y, -x >= y, -_SLOPE * x >= y]
     return torch.stack(passed).sum(0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import torch
@@ -17,7 +18,7 @@ from ..segmentation.label_network import LabelNetwork
 from ..segmentation.network_outputs import classes_of, enlarged
 from ..segmentation.onnx_files import load_model, rename
 from ..segmentation.onnx_network import OnnxNetwork
-from ..segmentation.preparation import OF_SIDES, InputForm, Preparation, SegmenterConfig
+from ..segmentation.preparation import OF_SIDES
 from ..stages.features import SHAPE, Features
 from .trace import OPSET, Axes, join, opset, traced, with_opset
 
@@ -48,13 +49,13 @@ def label_graph(labels: LabelNetwork, features: NetworkFeatures | None = None) -
     network, names = labels.network, features.names if features else []
     model = with_opset(load_model(network.path), OPSET)
     config, version = labels.config, opset(model)
-    prepare = _traced_preparation(config, network.form)
+    prepare = _traced_preparation(labels, network)
     size = config.size if isinstance(config.size, tuple) else (64, 96)
     with torch.inference_mode():
         example = torch.zeros(network.batch or 1, *size, 3, dtype=torch.uint8)
-        labels.run(example)  # decides the axis of the classes
-        values = network(labels.preparation(example), names=[str(config.output), *names])
-    output = values[str(config.output)]
+        labels.run(example)  # chooses the output and the axis of the classes
+        values = network(labels.preparation(example), names=[str(labels.output), *names])
+    output = values[str(labels.output)]
     shape: list[int | None] = [None] * output.ndim
     axis, classes = labels.axis, (0, 0)
     if axis is not None:
@@ -64,7 +65,7 @@ def label_graph(labels: LabelNetwork, features: NetworkFeatures | None = None) -
     parts = [with_opset(prepare, version), model, with_opset(decide, version)]
     joints = [
         [("prepare/numbers", f"network/{network.input}")],
-        [(f"network/{config.output}", "decide/output"), ("prepare/picture", "decide/picture")],
+        [(f"network/{labels.output}", "decide/output"), ("prepare/picture", "decide/picture")],
     ]
     model.graph.output.extend(map(make_empty_tensor_value_info, names))
     joined = join(parts, ["prepare/", "network/", "decide/"], joints)
@@ -84,12 +85,12 @@ def label_graph(labels: LabelNetwork, features: NetworkFeatures | None = None) -
 class _Preparation(nn.Module):
     """The preparation, which also returns the picture for its size, and HOG."""
 
-    def __init__(self, preparation: Preparation) -> None:
+    def __init__(self, preparation: nn.Module, fed: Callable[[Tensor], Tensor]) -> None:
         super().__init__()
-        self.preparation = preparation
+        self.preparation, self.fed = preparation, fed
 
     def forward(self, image: Tensor) -> tuple[Tensor, ...]:
-        return self.preparation(image), image[:, :, :, 0], HOG().histograms(luma(image))
+        return self.fed(self.preparation(image)), image[:, :, :, 0], HOG().histograms(luma(image))
 
 
 class _Decision(nn.Module):
@@ -152,8 +153,8 @@ def _traced_features(module: Features, dtypes: tuple[torch.dtype, ...]) -> onnx.
     return traced(module.cpu(), inputs, {NAME: ["B", *SHAPE]})
 
 
-def _traced_preparation(config: SegmenterConfig, form: InputForm) -> onnx.ModelProto:
-    module = _Preparation(Preparation(config, form))
+def _traced_preparation(labels: LabelNetwork, network: OnnxNetwork) -> onnx.ModelProto:
+    module = _Preparation(labels.preparation, network.fed)
     example = torch.zeros(2, *EXAMPLE, 3, dtype=torch.uint8)
     forms: dict[str, Axes] = {"numbers": [None] * 4, "picture": ["B", "H", "W"]}
     return traced(module, {"image": (example, _IMAGE)}, {**forms, HOG.name: _HISTOGRAMS})

@@ -14,7 +14,7 @@ import math
 import threading
 import weakref
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from difflib import get_close_matches
 from functools import partial
@@ -57,10 +57,9 @@ def find_activations(
     network: nn.Module, numbers: Tensor, names: Sequence[str] | None = None
 ) -> list[Activation]:
     """The activations of a network that are features, by the rule or by their names, in a run on
-    ``numbers``, its input for one picture, ``(1, 3, H, W)`` or of the layout of the graph. A name
-    that is unknown or of something else than ``(B, C, h, w)`` floats, a network without an
-    activation at a stride that is near enough, and, without names, one with a part in TorchScript,
-    whose activations cannot be taken, are a ValueError."""
+    ``numbers``, its input for one picture, ``(1, 3, H, W)``. A name that is unknown or of something
+    else than ``(B, C, h, w)`` floats, a network without an activation at a stride that is near
+    enough, and, without names, one with a part in TorchScript are a ValueError."""
     if names is None and any(map(is_script, nn.Module.modules(network))):
         raise ValueError("the activations of a TorchScript module cannot be taken")
     activations = all_activations(network, numbers)
@@ -87,11 +86,30 @@ def find_activations(
 def all_activations(network: nn.Module, numbers: Tensor) -> list[Activation]:
     """All activations of a network but its outputs in a run on ``numbers``, in order, those that
     cannot be features too; see `find_activations`."""
+    size = numbers.shape[2:]
     if isinstance(network, OnnxNetwork):
-        size = numbers.shape[1:3] if network.form.channels_last else numbers.shape[2:]
-        values = network.run_all(numbers)
-        return [_activation(name, value, size) for name, value in values.items()]
-    return _of_module(network, numbers)
+        return [_activation(name, value, size) for name, value in network.run_all(numbers).items()]
+    states, calls = dict[str, Activation](), Counter[str]()
+    inner: list[tuple[str, Activation, weakref.ref[Tensor]]] = []
+
+    def note(name: str, call: int, output: Tensor) -> None:
+        activation = _activation(f"{name}{_CALL}{call}", output, size)
+        if call:
+            calls[name] = call
+            inner.append((name, activation, weakref.ref(output)))
+        else:
+            states[name] = activation._replace(name=name)
+
+    with torch.no_grad(), _hooked(network, note, hidden=True):
+        outputs = [leaf for leaf in tree_leaves(network(numbers)) if isinstance(leaf, Tensor)]
+    return [
+        *(
+            activation._replace(name=name) if calls[name] == 1 else activation
+            for name, activation, value in inner
+            if not any(value() is output for output in outputs)
+        ),
+        *states.values(),
+    ]
 
 
 def _by_rule(activations: Sequence[Activation]) -> list[Activation]:
@@ -130,16 +148,14 @@ def captured(network: nn.Module, names: Sequence[str]) -> Iterator[dict[str, Ten
         if name := calls.get((module, call)):
             values[name] = output.clone()  # a later module may change it in place
 
-    with _hooked(network, take), ExitStack() as stack:
-        if any(name.startswith(HIDDEN) for name in names):
-            stack.enter_context(_hidden_states(network, values))
+    with _hooked(network, take, hidden=any(name.startswith(HIDDEN) for name in names)):
         yield values
 
 
 def _call_of(name: str) -> tuple[str, int]:
-    """The module of an activation and the number of its call, from 1."""
+    """The module of an activation and the number of its call, from 1; 0 for a hidden state."""
     module, _, call = name.partition(_CALL)
-    return (module, int(call)) if call.isdecimal() else (name, 1)
+    return (module, int(call)) if call.isdecimal() else (name, int(not name.startswith(HIDDEN)))
 
 
 def is_script(module: nn.Module) -> bool:
@@ -148,9 +164,12 @@ def is_script(module: nn.Module) -> bool:
 
 
 @contextmanager
-def _hooked(network: nn.Module, take: Callable[[str, int, Tensor], None]) -> Iterator[None]:
+def _hooked(
+    network: nn.Module, take: Callable[[str, int, Tensor], None], hidden: bool
+) -> Iterator[None]:
     """Gives the name of each module that runs in this thread, the number of the call, and its
-    output. A module in TorchScript takes no hooks."""
+    output; with ``hidden`` also the hidden states of a published transformer, as call 0. A module
+    in TorchScript takes no hooks."""
     thread, calls = threading.get_ident(), Counter[str]()
 
     def hook(name: str, _module: nn.Module, _inputs: object, output: object) -> None:
@@ -158,37 +177,27 @@ def _hooked(network: nn.Module, take: Callable[[str, int, Tensor], None]) -> Ite
             calls[name] += 1
             take(name, calls[name], output)
 
-    with ExitStack() as stack:
-        for name, module in nn.Module.named_modules(network):
-            if name and not is_script(module):
-                stack.callback(module.register_forward_hook(partial(hook, name)).remove)
-        yield
-
-
-@contextmanager
-def _hidden_states(network: nn.Module, values: dict[str, Tensor]) -> Iterator[None]:
-    """Takes the hidden states of the encoder of a published transformer, as ``(B, C, h, w)``."""
-    thread, modules = threading.get_ident(), nn.Module.modules(network)
-    of_type = (m for m in modules if hasattr(getattr(m, "config", None), "model_type"))
-    if (transformer := next(of_type, None)) is None:  # the outermost one
-        yield
-        return
-
     def ask(_module: nn.Module, inputs: Any, named: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
         return inputs, {**named, "output_hidden_states": True}
 
-    def take(_module: nn.Module, inputs: Any, named: Mapping[str, Any], result: Any) -> None:
+    def take_states(_module: nn.Module, inputs: Any, named: dict[str, Any], result: Any) -> None:
         if threading.get_ident() != thread:
             return
         tensors = (value for value in (*inputs, *named.values()) if isinstance(value, Tensor))
         [picture] = (tensor for tensor in tensors if tensor.ndim == 4)
         states = getattr(result, HIDDEN, None) or getattr(result, f"encoder_{HIDDEN}", None) or ()
         for number, state in enumerate(states):
-            values[f"{HIDDEN}.{number}"] = _map_of(state, *picture.shape[2:])
+            take(f"{HIDDEN}.{number}", 0, _map_of(state, *picture.shape[2:]))
 
-    before = transformer.register_forward_pre_hook(ask, with_kwargs=True)
-    after = transformer.register_forward_hook(take, with_kwargs=True)
-    with before, after:  # are removed at the end
+    with ExitStack() as stack:
+        for name, module in nn.Module.named_modules(network):
+            if name and not is_script(module):
+                stack.callback(module.register_forward_hook(partial(hook, name)).remove)
+        modules = nn.Module.modules(network) if hidden else ()
+        published = (m for m in modules if hasattr(getattr(m, "config", None), "model_type"))
+        if transformer := next(published, None):  # the outermost one
+            stack.enter_context(transformer.register_forward_pre_hook(ask, with_kwargs=True))
+            stack.enter_context(transformer.register_forward_hook(take_states, with_kwargs=True))
         yield
 
 
@@ -203,25 +212,6 @@ def _map_of(state: Tensor, height: int, width: int) -> Tensor:
             cut: Tensor = state[:, extra:].transpose(1, 2).unflatten(2, (rows, -1))
             return cut
     return state
-
-
-def _of_module(network: nn.Module, numbers: Tensor) -> list[Activation]:
-    size, states, calls = numbers.shape[2:], dict[str, Tensor](), Counter[str]()
-    seen: list[tuple[Activation, weakref.ref[Tensor]]] = []
-
-    def note(name: str, call: int, output: Tensor) -> None:
-        calls[name] = call
-        seen.append((_activation(f"{name}{_CALL}{call}", output, size), weakref.ref(output)))
-
-    with torch.no_grad(), _hidden_states(network, states), _hooked(network, note):
-        outputs = tree_leaves(network(numbers))
-    once = {f"{name}{_CALL}1": name for name, count in calls.items() if count == 1}
-    inner = [
-        act._replace(name=once.get(act.name, act.name))
-        for act, value in seen
-        if not any(value() is output for output in outputs if isinstance(output, Tensor))
-    ]
-    return [*inner, *(_activation(name, state, size) for name, state in states.items())]
 
 
 def _activation(name: str, value: Tensor, size: Sequence[int]) -> Activation:

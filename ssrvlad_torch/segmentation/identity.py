@@ -10,9 +10,9 @@ from .onnx_network import OnnxNetwork
 
 
 def digest_of(network: nn.Module) -> str:
-    """A digest in hex that differs between networks: of the files of an ONNX graph, of the program
-    of a module in TorchScript, of what ``print`` shows of another module and its ``state_dict()``,
-    on whatever device it is."""
+    """A digest in hex: of the files of an ONNX graph, of the program of a module in TorchScript, of
+    what ``print`` shows of another module and its ``state_dict()``, on whatever device it is.
+    Modules that differ in their code alone have one digest."""
     if isinstance(network, OnnxNetwork):
         return network.digest
     content = hashlib.blake2b(repr(network).encode(), digest_size=16)

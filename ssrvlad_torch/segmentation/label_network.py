@@ -1,7 +1,7 @@
 """Pictures -> class scores or ids as one module: preparation, network, axis of the classes."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import chain
 from typing import cast
 
@@ -11,14 +11,7 @@ from torch import Tensor, nn
 from ..files import naming
 from ..taxonomy import LabelSpace
 from .activations import captured
-from .network_outputs import (
-    choose_output,
-    class_axis,
-    classes_of,
-    enlarged,
-    form_of,
-    tensors_of,
-)
+from .network_outputs import choose_output, class_axes, classes_of, enlarged, tensors_of
 from .onnx_network import OnnxNetwork
 from .preparation import Preparation, SegmenterConfig
 
@@ -33,24 +26,24 @@ class LabelNetwork(nn.Module):
         config: the preparation of its pictures.
 
     Attributes:
-        axis: the axis of the network's output that holds the classes, ``None`` if not yet known.
+        config: the preparation, with the size that an ONNX graph requires.
+        output: the name of the network's output that holds labels, ``None`` before the first run.
+        axis: the axis of that output that holds the classes, ``None`` if there is none.
 
     Raises:
-        ValueError: the settings or the label space do not fit an ONNX graph.
+        ValueError: the settings do not fit an ONNX graph; in a run, no output or several outputs
+            fit the label space.
     """
 
     def __init__(self, network: nn.Module, space: LabelSpace, config: SegmenterConfig) -> None:
         super().__init__()
-        self.network, self.space = network, space
-        self.config, form = config, None
-        self.axis: int | None = None
         if isinstance(network, OnnxNetwork):
             with naming(network.path):
-                self.config, form = _completed(config, network, space), network.form
-            declared = network.outputs[str(self.config.output)]
-            if declared.shape and len(declared.shape) == 4:
-                self.axis = class_axis(declared, space, self.config.classes)
-        self.preparation = Preparation(self.config, form)
+                config = _completed(config, network)
+        self.network, self.space, self.config = network, space, config
+        self.output: str | None = None
+        self.axis: int | None = None
+        self.preparation = Preparation(config)
         self.eval()
 
     def forward(self, images: Tensor) -> Tensor:
@@ -61,8 +54,14 @@ class LabelNetwork(nn.Module):
         """Class scores ``(B, C, h, w)`` or ids ``(B, h, w)`` of pictures ``(B, H, W, 3)`` uint8 in
         RGB, and the named activations, or a ValueError."""
         numbers = self.numbers(images)
-        output, activations = self._output(numbers, names)
-        return self.scores_of(output, numbers), activations
+        outputs, values = self._outputs(numbers, names)
+        if missing := [name for name in names if name not in values]:
+            raise ValueError(f"features: the network did not compute {missing[0]}")
+        if self.output is None:
+            name = choose_output(outputs, self.space, self.config.output, self.config.classes)
+            self.axis = self._axis_of(outputs[name], *numbers.shape[2:])
+            self.output = name
+        return self.scores_of(outputs[self.output]), [values[name] for name in names]
 
     def numbers(self, images: Tensor) -> Tensor:
         """The input of the network for pictures, on the device of its weights."""
@@ -72,62 +71,55 @@ class LabelNetwork(nn.Module):
             return cast(Tensor, self.preparation(images))
         return cast(Tensor, self.preparation(images.to(like.device))).to(like.dtype)
 
-    def scores_of(self, output: Tensor, numbers: Tensor) -> Tensor:
-        """An output of the network for prepared pictures, with the classes in the second axis."""
-        if output.ndim == 3:
-            return output
+    def scores_of(self, output: Tensor) -> Tensor:
+        """The output of the network with the classes in the second axis."""
         if self.axis is None:
-            self.axis = self._axis_of(output, numbers)
+            return output
         if not output.is_floating_point():
             return output.squeeze(self.axis)
         scores = output.movedim(self.axis, 1)
         return scores if self.config.classes is None else scores[:, slice(*self.config.classes)]
 
-    def _output(self, numbers: Tensor, names: Sequence[str] = ()) -> tuple[Tensor, list[Tensor]]:
-        config = self.config
+    def _outputs(
+        self, numbers: Tensor, names: Sequence[str]
+    ) -> tuple[Mapping[str, Tensor], Mapping[str, Tensor]]:
+        """The outputs of the network by name, and the named activations."""
         if isinstance(self.network, OnnxNetwork):
-            values = self.network(numbers, names=[config.output, *names])
-            outputs = {str(config.output): values[config.output]}
-        else:
-            with captured(self.network, names) as values:
-                outputs = tensors_of(self.network(numbers))
-        if missing := [name for name in names if name not in values]:
-            raise ValueError(f"features: the network did not compute {missing[0]}")
-        forms = {name: form_of(output) for name, output in outputs.items()}
-        chosen = choose_output(forms, self.space, config.output, config.classes)
-        return outputs[chosen], [values[name] for name in names]
+            outputs = self.network.outputs if self.output is None else [self.output]
+            values = self.network(numbers, names=[*outputs, *names])
+            return {name: values[name] for name in outputs}, values
+        with captured(self.network, names) as values:
+            return tensors_of(self.network(numbers)), values
 
-    def _axis_of(self, output: Tensor, numbers: Tensor) -> int:
-        """The axis that holds the classes, fixed once for all pictures. If both could, the other
-        two axes are proportional to height and width; a square picture has the layout of the
-        network's input."""
-        axis = class_axis(form_of(output), self.space, self.config.classes)
-        if axis is not None:
-            return axis
-        last = isinstance(self.network, OnnxNetwork) and self.network.form.channels_last
-        height, width = numbers.shape[1:3] if last else numbers.shape[2:]
+    def _axis_of(self, output: Tensor, height: int, width: int) -> int | None:
+        """The axis that holds the classes. If two could, the other axes are proportional to height
+        and width; of a square, the layout of the network's input decides."""
+        axes = class_axes(output, self.space, self.config.classes)
+        if len(axes) < 2:
+            return axes[0] if axes else None
+        last = isinstance(self.network, OnnxNetwork) and self.network.channels_last
         _, second, third, fourth = output.shape
         sides = {1: (third, fourth), 3: (second, third)}
         fitting = [axis for axis, (h, w) in sides.items() if h * width == w * height]
         return fitting[0] if len(fitting) == 1 else 3 if last else 1
 
 
-def _completed(config: SegmenterConfig, network: OnnxNetwork, space: LabelSpace) -> SegmenterConfig:
-    """The settings with the size that a graph requires and the name of its output."""
-    if network.form.dtype == torch.uint8:
+def _completed(config: SegmenterConfig, network: OnnxNetwork) -> SegmenterConfig:
+    """The settings with the size that a graph requires."""
+    if network.dtype == torch.uint8:
         for name, value in {"white": 255, "mean": (0, 0, 0), "std": (1, 1, 1)}.items():
             if (got := getattr(config, name)) != value:
                 raise ValueError(f"takes bytes: expected {name} {value}, got {got}")
-    output = choose_output(network.outputs, space, config.output, config.classes)
-    size, fixed = config.size, network.size
-    if fixed != (None, None):
-        if size is None and None not in fixed:
-            size = cast(tuple[int, int], fixed)
-        if not isinstance(size, tuple):
-            raise ValueError(f"takes images of {_by(fixed)}; expected a size among the settings")
-        if any(expected not in (None, got) for got, expected in zip(size, fixed, strict=True)):
-            raise ValueError(f"takes images of {_by(fixed)}, the settings say {_by(size)}")
-    return dataclasses.replace(config, size=size, output=output)
+    size, required = config.size, network.size
+    if required == (None, None):
+        return config
+    if size is None and None not in required:
+        size = cast(tuple[int, int], required)
+    if not isinstance(size, tuple):
+        raise ValueError(f"takes images of {_by(required)}; expected a size among the settings")
+    if any(expected not in (None, got) for got, expected in zip(size, required, strict=True)):
+        raise ValueError(f"takes images of {_by(required)}, the settings say {_by(size)}")
+    return dataclasses.replace(config, size=size)
 
 
 def _by(size: Sequence[int | None]) -> str:

@@ -7,7 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -36,9 +36,15 @@ _WHERE = "FILE.onnx, FILE.yaml, hf:ORG/NAME[@REVISION], a folder, MODULE:NAME"
 
 @dataclass(frozen=True)
 class NamedNetwork:
-    """A network and its settings: the name that `open_network` was given, the preparation of
-    pictures, the names of its channels, if it declares them, the label space, if the YAML file
-    declares one, and whether the preparation is assumed, because nothing says it."""
+    """A network and its settings.
+
+    Attributes:
+        name: that `open_network` was given.
+        network, config: the module, and the preparation of its pictures.
+        class_names: of its channels, if it declares them.
+        labels_as: the label space, if the YAML file declares one.
+        assumed: whether the preparation is assumed, because nothing says it.
+    """
 
     name: str
     network: nn.Module
@@ -82,10 +88,10 @@ def open_network(name: str | Path) -> NamedNetwork:
 def runs_code(name: str) -> bool:
     """Whether opening a network runs code; a YAML file that names none is a ValueError."""
     path = Path(name)
-    if path.suffix.lower() in _YAML and path.is_file():
+    suffix = path.suffix.lower()
+    if suffix in _YAML and path.is_file():
         return runs_code(_named(path)[0])
-    data = path.suffix.lower() in (*_YAML, ".onnx") or path.is_dir()
-    return not data and not name.startswith("hf:")
+    return not (suffix in (*_YAML, ".onnx") or path.is_dir() or name.startswith("hf:"))
 
 
 def _open(
@@ -95,17 +101,18 @@ def _open(
     folder: Path | None = None,
     runtime: str = ONNX_RUNTIME,
 ) -> NamedNetwork:
-    """A network by its name, which is in a YAML file in a folder, or was given alone."""
+    """A network by its name, which stands in a YAML file in a folder, or alone."""
     path, assumed = Path(name), not _COLOURS & settings.keys()
-    if path.suffix.lower() in _YAML:
+    suffix = path.suffix.lower()
+    if suffix in _YAML:
         return _of_file(path)
-    if path.suffix.lower() == ".onnx":
+    if suffix == ".onnx":
         graph = OnnxNetwork(path, runtime)
         names = graph.class_names()
         return NamedNetwork(name, graph, SegmenterConfig(**settings), names, assumed=assumed)
     if name.startswith("hf:") or path.is_dir():
         return _of_hub(name, settings)
-    if path.suffix.lower() in _WEIGHTS:
+    if suffix in _WEIGHTS:
         raise ValueError(
             f"{name} can only be the weights of a network; expected MODULE:NAME, a function in "
             "Python that makes the network and loads them"
@@ -128,7 +135,7 @@ def _of_file(path: Path) -> NamedNetwork:
             raise ValueError(f"{ACCEPT} must be true or false, got {accepted!r}")
         if runtime not in RUNTIMES:
             raise ValueError(f"runtime must be {' or '.join(RUNTIMES)}, got {runtime!r}")
-        if labels_as and Path(str(labels_as)).suffix.lower() in (".yaml", ".yml"):
+        if labels_as and Path(str(labels_as)).suffix.lower() in _YAML:
             labels_as = str(path_within(path.parent, labels_as))
     settings = {key: getattr(config, key) for key in document}
     for key, value in arguments.items():
@@ -179,7 +186,7 @@ def _function(name: str, folder: Path | None) -> Callable[..., object]:
     sys.path[:0] = places
     try:
         loaded = import_module(module)
-        made = cast(Callable[..., object], getattr(loaded, function))
+        network: Callable[..., object] = getattr(loaded, function)
     except Exception as error:  # a user's code
         raise ValueError(f"no network {name!r}: {one_line(error)}; expected {_WHERE}") from error
     finally:
@@ -187,7 +194,7 @@ def _function(name: str, folder: Path | None) -> Callable[..., object]:
     file, beside = getattr(loaded, "__file__", None), Path(places[0], f"{module}.py")
     if file and beside.is_file() and beside.resolve() != Path(file).resolve():
         raise ValueError(f"another module {module} is loaded already, {file}; rename {beside}")
-    return made
+    return network
 
 
 def _reason(error: Exception) -> str:
@@ -225,20 +232,24 @@ def _of_hub(name: str, settings: dict[str, Any]) -> NamedNetwork:
         hub.utils.logging.disable_progress_bar()
     try:
         config = hub.AutoConfig.from_pretrained(source, **pinned)
-        masks, one = config.model_type in _MASK_NETWORKS, config.model_type == "oneformer"
-        family: Any = hub.AutoModelForSemanticSegmentation
-        family = hub.AutoModelForUniversalSegmentation if masks else family
-        network: nn.Module = family.from_pretrained(source, **pinned)
-        kind = hub.AutoProcessor if one else hub.AutoImageProcessor
+        has_masks = config.model_type in _MASK_NETWORKS
+        has_task = config.model_type == "oneformer"
+        family = "Universal" if has_masks else "Semantic"
+        network = getattr(hub, f"AutoModelFor{family}Segmentation").from_pretrained(
+            source, **pinned
+        )
+        kind = hub.AutoProcessor if has_task else hub.AutoImageProcessor
         processor = kind.from_pretrained(source, backend="pil", **pinned)
     except OSError as error:
         reason = _reason(error).partition(" Check your internet")[0]
         raise OSError(f"{name} cannot be loaded: {reason}") from error
     except Exception as error:  # the libraries raise many kinds of errors
         raise ValueError(f"{name} cannot be used: {one_line(error)}") from error
-    if masks:
-        task = processor._preprocess_text(["the task is semantic"]) if one else None
-        processor = processor.image_processor if one else processor
+    task = None
+    if has_task:
+        task = processor._preprocess_text(["the task is semantic"])
+        processor = processor.image_processor
+    if has_masks:
         network = MaskScores(network, task)
     with naming(name):
         settings = _settings_of(processor, settings)

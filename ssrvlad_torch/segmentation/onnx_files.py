@@ -68,7 +68,7 @@ def open_session(
     with requiring("onnx", "ONNX files need"):
         import onnxruntime
     available = onnxruntime.get_available_providers()
-    providers = [each for each in dict.fromkeys((provider, CPU)) if each in available]
+    providers = [name for name in dict.fromkeys((provider, CPU)) if name in available]
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 4  # only what is fatal
     options.intra_op_num_threads = threads

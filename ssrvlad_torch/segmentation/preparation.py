@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -123,14 +123,6 @@ class SegmenterConfig:
         return next(sides), next(sides)
 
 
-class InputForm(NamedTuple):
-    """The dtype of a graph's input, and whether its layout is ``(B, H, W, 3)``, not
-    ``(B, 3, H, W)``."""
-
-    dtype: torch.dtype = torch.float32
-    channels_last: bool = False
-
-
 class Preparation(nn.Module):
     """Pictures -> the input of a network, by Kornia's operators.
 
@@ -143,11 +135,10 @@ class Preparation(nn.Module):
 
     Args:
         config: the settings.
-        form: of the network's input, if it is not ``(B, 3, h, w)`` float32.
 
     Shape:
         - input: ``(B, H, W, 3)`` uint8 in RGB.
-        - output: ``(B, 3, h, w)`` float32, or another form.
+        - output: ``(B, 3, h, w)`` float32.
 
     Examples:
         >>> import torch
@@ -157,12 +148,12 @@ class Preparation(nn.Module):
         torch.Size([1, 3, 64, 128])
     """
 
-    def __init__(self, config: SegmenterConfig, form: InputForm | None = None) -> None:
+    def __init__(self, config: SegmenterConfig) -> None:
         super().__init__()
         from kornia.color import RgbToBgr
         from kornia.enhance import Normalize
 
-        self.config, self.form = config, form or InputForm()
+        self.config = config
         mean, std = (
             torch.tensor(numbers, dtype=torch.float32) / config.white
             for numbers in (config.mean, config.std)
@@ -179,11 +170,7 @@ class Preparation(nn.Module):
             size = self.config.network_size(*images.shape[1:3])
             planes = interpolate(planes, size, mode="bilinear", antialias=True)
         numbers: Tensor = self.steps(planes)
-        if self.form.dtype == torch.uint8:
-            numbers = numbers.round().clamp(0, 255)
-        if self.form.channels_last:
-            numbers = numbers.permute(0, 2, 3, 1)
-        return numbers.to(self.form.dtype)
+        return numbers
 
 
 def channels(text: str | None) -> tuple[int, int] | None:

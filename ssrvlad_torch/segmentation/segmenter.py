@@ -9,7 +9,7 @@ import math
 import os
 from collections.abc import Iterator, Sequence
 from functools import cached_property
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -76,13 +76,10 @@ class Segmenter:
         cache: folder in which `segmented` stores its results, by the content of the image file, the
             settings and the digest of the network (`digest_of`).
         name: of the network for `load`, if it has one.
-        settings: of the preparation, in place of those of ``config``: the keys of a YAML file by
-            their names, ``size``, ``longest``, ``multiple``, ``white``, ``mean``, ``std``,
-            ``colour_order``, ``output``, ``classes`` and ``features``; see `SegmenterConfig`.
+        settings: fields of `SegmenterConfig` in place of those of ``config``.
 
     Raises:
-        ValueError: a setting is unknown or outside its range, or the settings or the label space do
-            not fit the ONNX graph.
+        ValueError: a setting is unknown or outside its range, or does not fit the ONNX graph.
         ImportError: an extra is not installed.
 
     Examples:
@@ -122,7 +119,7 @@ class Segmenter:
 
     @property
     def config(self) -> SegmenterConfig:
-        """The preparation of pictures, with the size and the output that an ONNX graph declares."""
+        """The preparation of pictures, with the size that an ONNX graph requires."""
         return self.labels.config
 
     @classmethod
@@ -133,10 +130,10 @@ class Segmenter:
         cache: Path | None = None,
         classes: tuple[int, int] | None = None,
     ) -> Segmenter:
-        """A segmenter by the name of its network; see `open_network` for the names.
+        """A segmenter by the name of its network.
 
         Args:
-            name: of the network, or the result of `open_network`.
+            name: of the network, or the result of `open_network`, which see.
             labels_as: label space of its classes; ``"auto"`` is the one of the YAML file, or else
                 the one of the network's own class names (`label_space_of_names`).
             cache: as for `Segmenter`.
@@ -153,9 +150,7 @@ class Segmenter:
                 f"network: expected its name, its file or a Segmenter, got {type(name).__name__}"
             )
         named = name if isinstance(name, NamedNetwork) else open_network(name)
-        config = named.config
-        if classes is not None:
-            config = dataclasses.replace(config, classes=classes)
+        config = dataclasses.replace(named.config, classes=classes or named.config.classes)
         if not isinstance(labels_as, LabelSpace):
             labels_as = space_of(named, str(labels_as), config.classes)
         path = Path(named.name.removeprefix("hf:"))
@@ -167,6 +162,8 @@ class Segmenter:
         """The features of the network; if it has none, see `find_activations`, a ValueError."""
         try:
             return NetworkFeatures(self.labels, self._digest)
+        except UnrecognisedError:
+            raise
         except ValueError as error:
             raise ValueError(f"{self.name or 'the network'}: {error}") from error
 
@@ -182,7 +179,7 @@ class Segmenter:
         try:
             _ = self.features
         except ValueError as error:
-            if self.config.features:
+            if self.config.features or isinstance(error, UnrecognisedError):
                 raise
             return str(error)
         return ""
@@ -199,7 +196,7 @@ class Segmenter:
         return [segmented.labels for segmented in self.segment(images)]
 
     def segment(self, images: Sequence[Pixels], features: bool = False) -> list[Segmented]:
-        """What the network says of pictures in memory, without the cache.
+        """The results of the network for pictures in memory, without the cache.
 
         Args:
             images: each ``(H, W, 3)`` uint8 in RGB, of any size.
@@ -216,9 +213,9 @@ class Segmenter:
                 raise ValueError(
                     f"expected a list of (H, W, 3) uint8 images, got {image.shape} {image.dtype}"
                 )
-        results = self._complete(list(map(_Picture, images)), None, self._extractor(features))
+        extractor = self.features if features else None
         segmented = []
-        for result in results:
+        for result in self._complete([*map(_Picture, images)], None, extractor):
             if isinstance(result, ValueError):
                 raise result
             segmented.append(result)
@@ -234,7 +231,7 @@ class Segmenter:
     def segmented(
         self, files: Sequence[FrameFile], workers: int = 2, features: bool = False
     ) -> Iterator[tuple[FrameFile, Segmented | ValueError]]:
-        """What the network says of images on disk, in order; an error in place of a failed one.
+        """The results of the network for images on disk, in order; an error for one that fails.
 
         Args:
             files: from `find_image_files`.
@@ -245,7 +242,7 @@ class Segmenter:
             ValueError: the network's output is not recognised, or it has no features.
             OSError: the cache cannot be written.
         """
-        extractor, cache = self._extractor(features), None
+        extractor, cache = self.features if features else None, None
         if self.cache is not None:
             cache = SegmentedCache(self.cache, self.key(), extractor.key if extractor else "")
 
@@ -261,9 +258,6 @@ class Segmenter:
         while chunk := list(islice(ahead, _AHEAD)):
             results = self._complete([content for _, content in chunk], cache, extractor)
             yield from zip((file for file, _ in chunk), results, strict=True)
-
-    def _extractor(self, features: bool) -> NetworkFeatures | None:
-        return self.features if features else None
 
     def key(self) -> str:
         """The key in the cache, in hex; other networks and settings have other keys."""
@@ -292,12 +286,12 @@ class Segmenter:
             fed = self.config.network_size(height, width)
             step = max(1, PIXELS_AT_ONCE // max(height * width, math.prod(fed)))
             for first in range(0, len(members), step):
-                indices, pictures = zip(*members[first : first + step], strict=True)
-                batch = self._segment([picture.pixels for picture in pictures], features)
-                results.update(zip(indices, batch, strict=True))
-                for picture, result in zip(pictures, batch, strict=True):
+                batch = members[first : first + step]
+                segmented = self._segment([picture.pixels for _, picture in batch], features)
+                for (i, picture), result in zip(batch, segmented, strict=True):
+                    results[i] = result
                     if cache and picture.digest and not isinstance(result, ValueError):
-                        cache.put(picture.digest, result.labels, result.features)
+                        cache.put(picture.digest, *result)
         return [results[i] for i in range(len(chunk))]
 
     @torch.inference_mode()
@@ -315,7 +309,8 @@ class Segmenter:
             raise
         except Exception as error:  # networks raise many kinds of errors
             if len(pictures) > 1:
-                return [one for picture in pictures for one in self._segment([picture], features)]
+                alone = (self._segment([picture], features) for picture in pictures)
+                return list(chain.from_iterable(alone))
             return [ValueError(self._failure(height, width, error))]
         if len(output) != len(images):
             raise ValueError(f"the network gives {len(output)} outputs for {len(images)} images")
@@ -335,9 +330,9 @@ class Segmenter:
     def _failure(self, height: int, width: int, error: Exception) -> str:
         fed = self.config.network_size(height, width)
         at = f", fed at {fed[0]}x{fed[1]}" if fed != (height, width) else ""
-        free = self.config.multiple == 1 and not isinstance(self.config.size, tuple)
-        other = isinstance(error, ValueError | torch.OutOfMemoryError)
-        hint = f"; {OF_SIDES}" if free and not other else ""
+        is_free = self.config.multiple == 1 and not isinstance(self.config.size, tuple)
+        is_of_size = not isinstance(error, ValueError | torch.OutOfMemoryError)
+        hint = f"; {OF_SIDES}" if is_free and is_of_size else ""
         return f"the network fails at {height}x{width}{at}: {one_line(error)}{hint}"
 
 

@@ -84,8 +84,8 @@ def soft_majority(layers: Tensor, grid: tuple[int, int], temperature: float) -> 
         _means(pixels, cells, layers) for pixels, cells in zip(layers.shape[2:], grid, strict=True)
     )
     fractions = rows @ layers @ columns.T
-    rest = (1 - fractions.sum(1, keepdim=True)).clamp(min=0)
-    votes = (torch.cat([fractions, rest], 1).clamp(min=0) + TINY).log() / temperature
+    no_layer = (1 - fractions.sum(1, keepdim=True)).clamp(min=0)
+    votes = (torch.cat([fractions, no_layer], 1).clamp(min=0) + TINY).log() / temperature
     return votes.softmax(1)[:, :-1]
 
 

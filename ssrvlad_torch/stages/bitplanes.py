@@ -15,7 +15,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from .tracing import MOST, number_in
+from .tracing import MOST, exporting, number_in
 
 LAYERS = 8
 
@@ -125,7 +125,7 @@ def paint(chosen: Runs, shape: torch.Size) -> Tensor:
 def repeated(times: Tensor) -> tuple[Tensor, Tensor]:
     """Repeats the number n ``times[n]`` times: the numbers, and for each entry the count of equal
     entries before it, ``(m,)`` int64 each."""
-    if not torch.compiler.is_exporting():
+    if not exporting():
         number = torch.repeat_interleave(times)
         within = torch.arange(number.numel(), device=number.device)
         return number, within - (times.cumsum(0) - times)[number]

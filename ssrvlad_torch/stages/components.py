@@ -10,7 +10,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from .bitplanes import LAYERS, Runs, paint, repeated, runs
-from .tracing import repeat_while
+from .tracing import exporting, repeat_while
 
 
 def fill_holes(planes: Tensor, area: int | Tensor) -> Tensor:
@@ -77,7 +77,7 @@ def _touching(segments: Runs, shape: torch.Size, diagonal: bool) -> tuple[Tensor
     first, last = row + segments.first, row + segments.last
     reach = pitch + int(diagonal)
     ends = torch.cat((first - reach, last - pitch + int(diagonal)))
-    if torch.compiler.is_exporting():  # without searchsorted: the number of runs up to each place
+    if exporting():  # without searchsorted: the number of runs up to each place
         length = (LAYERS * count * (height + 1) + 1) * pitch
         ones = torch.ones_like(first, dtype=torch.int32)
         marks = torch.zeros(length, dtype=torch.int32).scatter_add(0, first, ones)

@@ -140,8 +140,8 @@ class Explanation:
         except ImportError as error:
             return f"{self!r}. {error}"
         address = png_address(partial(figure.savefig, dpi=80, format="png"))
-        others = len(self.labels) - 1
-        more = f"<p>{others} more: <code>.show(image=1)</code></p>" if others else ""
+        count = len(self.labels) - 1
+        more = f"<p>{count} more: <code>.show(image=1)</code></p>" if count else ""
         return f'<img alt="{self!r}" src="{address}">{more}'
 
 

@@ -16,6 +16,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from .grid_pooling import overlaps
+from .tracing import exporting
 
 COLUMNS, ROWS, SIGNS = 16, 16, 128
 """Columns and rows of cells, and signs of each cell."""
@@ -58,7 +59,7 @@ class Features(nn.Module):
 
     def __init__(self, *noise: Tensor) -> None:
         super().__init__()
-        self.channels = [each.shape[1] for each in noise]
+        self.channels = [level.shape[1] for level in noise]
         self.components: Tensor
         self.rotations: Tensor
         self.bits: Tensor
@@ -69,37 +70,37 @@ class Features(nn.Module):
 
     def extra_repr(self) -> str:
         """The channels and a digest of the projections."""
-        tables = [each.numpy(force=True).tobytes() for each in (self.components, self.rotations)]
+        tables = [t.numpy(force=True).tobytes() for t in (self.components, self.rotations)]
         return f"{self.channels}, {hashlib.blake2b(b''.join(tables), digest_size=8).hexdigest()}"
 
     def forward(self, *activations: Tensor) -> Tensor:
         """The signs of pictures."""
-        is_exporting = torch.compiler.is_exporting()
+        is_exporting = exporting()
         if is_exporting:
-            means = [cell_means(each) for each in activations]
+            means = list(map(cell_means, activations))
         else:
             means = self._checked_means(activations)
         cells = unit_cells(means).permute(2, 0, 3, 1).flatten(1, 2)
         signs = cells @ self.components @ self.rotations > 0
         by_row = signs.unflatten(1, (-1, COLUMNS)).permute(1, 2, 0, 3)
         if is_exporting:
-            usable = torch.stack([is_usable(each) for each in means]).all(0)
+            usable = torch.stack([is_usable(level) for level in means]).all(0)
             by_row = by_row & usable[:, None, None, None]
         packed: Tensor = by_row.unflatten(3, (-1, 8)).float() @ self.bits
         return packed.to(torch.uint8)
 
     def _checked_means(self, activations: tuple[Tensor, ...]) -> list[Tensor]:
-        got = [each.shape[1] if each.ndim == 4 else -1 for each in activations]
-        if got != self.channels:
-            shapes = ", ".join(str(tuple(each.shape)) for each in activations) or "nothing"
+        channels = [values.shape[1] if values.ndim == 4 else -1 for values in activations]
+        if channels != self.channels:
+            shapes = ", ".join(str(tuple(values.shape)) for values in activations) or "nothing"
             raise ValueError(
                 f"expected activations (B, C, h, w) of {self.channels} channels, got {shapes}"
             )
-        means = [cell_means(each) for each in activations]
-        for each in means:
-            if not bool(each.isfinite().all()):
+        means = list(map(cell_means, activations))
+        for level in means:
+            if not bool(level.isfinite().all()):
                 raise ValueError("the activations of the network are not finite")
-            if not bool(is_usable(each).all()):
+            if not bool(is_usable(level).all()):
                 raise ValueError("the activations of the network are the same everywhere")
         return means
 
@@ -118,7 +119,7 @@ def unit_cells(levels: list[Tensor]) -> Tensor:
     """``(B, sum of C, ROWS, COLUMNS)`` from the means ``(B, C, ROWS, COLUMNS)`` of activations.
     Each channel is without its mean over the cells, divided by its deviation, and without a `SHARE`
     of the mean of the cells around each; the cells of each activation have length 1."""
-    return torch.cat([_unit_cells(each) for each in levels], 1)
+    return torch.cat(list(map(_unit_cells, levels)), 1)
 
 
 def _unit_cells(means: Tensor) -> Tensor:
@@ -154,8 +155,8 @@ def projections(cells: Tensor) -> tuple[Tensor, Tensor]:
     """
     flat = cells.permute(1, 0, 2, 3).flatten(1).double()
     variances, components = torch.linalg.eigh(flat @ flat.T / flat.shape[1])
-    kept = variances > _NO_COMPONENT * variances[-1]
-    variances, components = variances[kept][-SIGNS:], components[:, kept][:, -SIGNS:]
+    large = variances > _NO_COMPONENT * variances[-1]
+    variances, components = variances[large][-SIGNS:], components[:, large][:, -SIGNS:]
     sides = random_sides(ROWS * SIGNS * len(flat)).view(ROWS, SIGNS, -1).transpose(1, 2)
     left, _, right = torch.linalg.svd(components.T @ sides.double(), full_matrices=False)
     return (components / variances.sqrt()).float(), (left @ right).float()

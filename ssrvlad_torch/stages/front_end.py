@@ -11,7 +11,7 @@ from ..config import SSRVLADConfig
 from ..taxonomy import NO_LAYER, LabelSpace, label_space
 from .layers import UNKNOWN, best_class, categorise, category_table, refuse_unknown
 from .reduction import reduce_by_majority
-from .tracing import length
+from .tracing import exporting, length
 
 PIXELS_AT_ONCE = 1 << 20
 """Label map pixels that are processed at a time, at least one image."""
@@ -77,15 +77,16 @@ def label_map(labels: Tensor, space: LabelSpace) -> Tensor:
         raise ValueError(f"(B, C, H, W) class scores must be floating point, {got}")
     if labels.ndim not in (3, 4) or labels.is_complex():
         raise ValueError(f"expected (B, H, W) label ids or (B, C, H, W) class scores, {got}")
-    if not torch.compiler.is_exporting() and labels.numel() == 0:
+    if not exporting() and labels.numel() == 0:
         raise ValueError(f"expected at least one image of at least one pixel, {got}")
     if labels.ndim == 3:
         return labels
-    expected = space.channel_counts
-    if isinstance(labels.shape[1], int) and labels.shape[1] not in expected:
+    expected, count = space.channel_counts, labels.shape[1]
+    # a comparison: torch.compile has no range for a symbol
+    if isinstance(count, int) and not expected.start <= count < expected.stop:
         counts = " or ".join(map(str, expected)) or "no class scores, its ids have gaps"
         raise ValueError(
-            f"class scores have {labels.shape[1]} classes; label space {space.name} takes {counts}"
+            f"class scores have {count} classes; label space {space.name} takes {counts}"
         )
     return best_class(labels)
 

@@ -20,7 +20,7 @@ from ..config import AREA_LAYERS, FAINT, SSRVLADConfig
 from .boundaries import WIDTH, boundaries
 from .grid_pooling import CELLS, ROWS, pool
 from .layers import merge
-from .tracing import MAX_WHOLE
+from .tracing import MAX_WHOLE, exporting
 from .vanishing_column import MAX_WIDTH, vanishing_columns
 
 _SAMPLES = 4
@@ -78,7 +78,7 @@ class Harmonics(nn.Module):
         side = torch.sym_min(height, width) / ROWS / WIDTH  # lengths are in sides of a cell
         cells = torch.cat((shares[:, :AREA_LAYERS], shares[:, AREA_LAYERS:] * side), 1)
         bins = (cells.flatten(2) @ self.table("bins").T).sqrt()
-        if torch.compiler.is_exporting():  # a graph cannot raise an error
+        if exporting():  # a graph cannot raise an error
             sizes = torch.stack([torch.full((), size) for size in (width, height * width)])
             is_exact = (sizes <= torch.tensor([MAX_WIDTH, MAX_WHOLE])).all()
             bins = torch.where(is_exact, bins, torch.nan)
@@ -105,7 +105,7 @@ class Harmonics(nn.Module):
     def table(self, name: str) -> Tensor:
         """``bins``, see `bin_table`, or ``basis``, see `basis_table`; in a graph in float32."""
         table = self.get_buffer(name)
-        if torch.compiler.is_exporting():
+        if exporting():
             return self._narrow[name].to(table.device)
         return table.view(torch.float64)
 
@@ -168,5 +168,5 @@ def basis_table(rings: int, sectors: int, harmonics: int, spectral_weight: float
 def waves(rings: int, sectors: int) -> list[tuple[int, int, float]]:
     """Frequencies ``u`` and ``v``, and phase, of every basis function, in their order."""
     around = [(v, phase) for v in range((sectors + 1) // 2) for phase in (0.0, math.pi / 2)]
-    every = [(u, v, phase) for u in range(rings) for v, phase in around[:1] + around[2:]]
-    return sorted(every, key=lambda wave: (wave[0] ** 2 + wave[1] ** 2, *wave))
+    frequencies = [(u, v, phase) for u in range(rings) for v, phase in around[:1] + around[2:]]
+    return sorted(frequencies, key=lambda wave: (wave[0] ** 2 + wave[1] ** 2, *wave))

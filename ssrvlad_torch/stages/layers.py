@@ -5,7 +5,7 @@ import torch
 from torch import Tensor
 
 from ..taxonomy import NO_LAYER, LabelSpace
-from .tracing import looked_up
+from .tracing import exporting, looked_up
 
 UNKNOWN = 255
 
@@ -14,7 +14,7 @@ def best_class(scores: Tensor) -> Tensor:
     """``(B, H, W)`` int64, the class of the largest of class scores ``(B, C, H, W)``; of equal
     scores, the first class. A score that is NaN is a ValueError; a graph cannot raise, and does not
     detect it."""
-    if torch.compiler.is_exporting():
+    if exporting():
         return scores.argmax(1)
     return (_operator if torch.compiler.is_compiling() else _best_class)(scores)
 
@@ -69,14 +69,14 @@ def refuse_unknown(labels: Tensor, space: LabelSpace) -> None:
     """Raises a ValueError if label maps hold an id that is not in the label space. It names the
     lowest one, its pixel count and the label space."""
     ids, counts = np.unique(labels.cpu().numpy(), return_counts=True)
-    known = {label.id for label in space.classes}
+    defined = {label.id for label in space.classes}
     pairs = zip(ids.tolist(), counts.tolist(), strict=True)
-    unknown = [(id, count) for id, count in pairs if id not in known]
+    unknown = [(id, count) for id, count in pairs if id not in defined]
     if not unknown:
         return
-    (first, count), *others = unknown
+    (first, count), *further = unknown
     pixels = f"{count} pixel{'s'[: count > 1]}"
-    more = f", like {len(others)} more" if others else ""
+    more = f", like {len(further)} more" if further else ""
     raise ValueError(
         f"label id {first} ({pixels}) is not in label space {space.name}{more}; expected "
         f"{space.describe_ids()}"

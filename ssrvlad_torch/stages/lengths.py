@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from ..config import SSRVLADConfig
-from .tracing import divided
+from .tracing import divided, exporting
 
 _MILLION = 10**6
 _BILLION = 10**9
@@ -36,7 +36,7 @@ def lengths(config: SSRVLADConfig, height: int, width: int) -> Lengths:
     """`SSRVLADConfig.radius_pixels`, `area_pixels` and `ring_limits` of a grid. What is 0 on every
     grid is the integer 0."""
     radii, areas = (config.opening, config.closing), (config.hole_area, config.region_area)
-    if not torch.compiler.is_exporting():
+    if not exporting():
         pixels = [config.radius_pixels(fraction, height, width) for fraction in radii]
         pixels += [config.area_pixels(fraction, height, width) for fraction in areas]
         return Lengths._make([*pixels, config.ring_limits(height, width)])
@@ -57,8 +57,8 @@ def _floors(amount: Tensor, fractions: Sequence[int], unit: int, offset: int = 0
     share = torch.tensor([fraction / unit for fraction in fractions])
     high = amount // _BASE
     low = amount - high * _BASE
-    first, rest = divided(whole * high, unit, share * high.float())
-    estimate = rest.float() * (_BASE / unit) + share * low.float() + offset / unit
-    second, _ = divided(rest * _BASE + whole * low + offset, unit, estimate)
+    first, remainder = divided(whole * high, unit, share * high.float())
+    estimate = remainder.float() * (_BASE / unit) + share * low.float() + offset / unit
+    second, _ = divided(remainder * _BASE + whole * low + offset, unit, estimate)
     floors = (first * _BASE + second).unbind()
     return [floor if fraction else 0 for floor, fraction in zip(floors, fractions, strict=True)]

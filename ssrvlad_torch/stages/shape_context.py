@@ -9,7 +9,7 @@ from torch import Tensor
 
 from .bitplanes import LAYERS, Points, by_image, count_groups, repeated
 from .lengths import Length
-from .tracing import MOST, number_in, repeat_while
+from .tracing import MOST, exporting, number_in, repeat_while
 
 PAIRS_AT_ONCE = 1 << 16
 """Most pairs of points in memory at a time, without those of the last reference point: a few
@@ -47,7 +47,7 @@ def shape_contexts(references: Points, context: Points, bins: Bins, images: int)
     population, members = (count_groups(points, images) for points in (context, references))
     group_start = population.cumsum(0) - population
     reference_position = references.y * pitch + references.x - bins.table.numel() // 2
-    if torch.compiler.is_exporting():
+    if exporting():
         positions = context_position, reference_position
         counts = _one_by_one(*positions, references.group, group_start, population, bins)
         too_many = population.float() * members.float() >= MOST  # some count in int32
@@ -87,8 +87,8 @@ def _one_by_one(
         return (step + 1 < references.shape[0]).all(), step + 1, counts
 
     zeros = torch.zeros(start.shape[0] * stride, dtype=torch.int64)
-    some = torch.full((), references.shape[0]) > 0
-    return repeat_while(some, count, torch.zeros(1, dtype=torch.int64), zeros)[1]
+    has_points = torch.full((), references.shape[0]) > 0
+    return repeat_while(has_points, count, torch.zeros(1, dtype=torch.int64), zeros)[1]
 
 
 def log_polar_bins(

@@ -68,10 +68,10 @@ def guo_hall(pixels: Tensor, ring: Sequence[Tensor]) -> Tensor:
     """
     n, ne, e, se, s, sw, w, nw = ring
     groups = [~n & (ne | e), ~e & (se | s), ~s & (sw | w), ~w & (nw | n)]
-    one = [nw | n, ne | e, se | s, sw | w]
-    other = [n | ne, e | se, s | sw, w | nw]
-    two_at_least = two_or_more(one) & two_or_more(other)
-    three_at_most = ~reduce(and_, one + other)
+    pairs_from_nw = [nw | n, ne | e, se | s, sw | w]
+    pairs_from_n = [n | ne, e | se, s | sw, w | nw]
+    two_at_least = two_or_more(pairs_from_nw) & two_or_more(pairs_from_n)
+    three_at_most = ~reduce(and_, pairs_from_nw + pairs_from_n)
     product = (n | ne | ~se) & e
     one_group = reduce(or_, groups) & ~two_or_more(groups)
     return pixels & ~(one_group & two_at_least & three_at_most & ~product)

@@ -15,10 +15,16 @@ MOST = 1 << 31
 int64 holds."""
 
 
+def exporting() -> bool:
+    """Whether `torch.export` records. Before torch 2.11 `torch.compile` folds
+    `torch.compiler.is_exporting` to true, but not the flag."""
+    return torch.compiler._is_exporting_flag
+
+
 def real(largest: float = math.inf) -> torch.dtype:
     """float64; float32 for whole numbers up to ``largest`` that are exact in it, and under export,
     where it is the only type in which every runtime computes."""
-    single = torch.compiler.is_exporting() or largest <= MAX_WHOLE
+    single = exporting() or largest <= MAX_WHOLE
     return torch.float32 if single else torch.float64
 
 
@@ -43,7 +49,7 @@ def number_in(tensor: Tensor) -> int:
 def looked_up(table: Tensor, index: Tensor) -> Tensor:
     """``table[index]`` of ``(T,)`` and ``(n,)``, by the faster operator: for a million entries ONNX
     Runtime takes 1 ms with gather and 12 with select, torch on a CPU 4 and 1."""
-    if torch.compiler.is_exporting():
+    if exporting():
         return torch.gather(table, 0, index)
     return table.index_select(0, index)
 
@@ -52,7 +58,7 @@ def repeat_while(
     going: Tensor, body: Callable[..., tuple[Tensor, ...]], *carried: Tensor
 ) -> tuple[Tensor, ...]:
     """``going, *carried = body(*carried)`` while ``going``, ``()`` bool, is true."""
-    if torch.compiler.is_exporting():
+    if exporting():
         from torch._higher_order_ops.while_loop import while_loop
 
         results: tuple[Tensor, ...] = while_loop(
@@ -82,6 +88,6 @@ def divided(number: Tensor, divisor: Tensor | int, estimate: Tensor) -> tuple[Te
         estimate: ``(n,)`` float, the quotient within 0.4.
     """
     nearest = estimate.round().to(number.dtype)
-    rest = number - nearest * divisor
-    below = (rest < 0).to(number.dtype)
-    return nearest - below, rest + below * divisor
+    remainder = number - nearest * divisor
+    below = (remainder < 0).to(number.dtype)
+    return nearest - below, remainder + below * divisor

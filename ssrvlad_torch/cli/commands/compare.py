@@ -56,7 +56,7 @@ def compare(
     Example: ssrvlad compare --references photos/monday --queries photos/today \\
     --method hog,cohog --tolerance-frames 1
     """
-    from ...baselines.comparison import Protocol
+    from ...baselines.comparison import ComparisonSettings
     from ...baselines.comparison import compare as compared
     from ...datasets.dataset import GroundTruth
     from ...datasets.sides import open_sides
@@ -66,8 +66,8 @@ def compare(
     fused, methods = _fused(fuse, names), _make(names, settings or ())
     sides = open_sides(note, **vars(options))
     true = GroundTruth.chosen(sides.truth, *truth.definition)
-    protocol = Protocol(true, truth.convention, steps.steps(), workers, fused, progress_bar)
-    rows = compared(methods, sides, protocol, note)
+    how = ComparisonSettings(true, truth.convention, steps.steps(), workers, fused, progress_bar)
+    rows = compared(methods, sides, how, note)
     if as_json:
         print_json({"rows": rows})
     else:
@@ -108,8 +108,8 @@ def _make(names: Sequence[str], pairs: Sequence[str]) -> dict[str, Method | str]
         try:
             methods[name] = make(name, **values)
         except TypeError as error:
-            given = ", ".join(f"{key}={value!r}" for key, value in values.items())
-            raise ValueError(f"method {name} cannot take {given}: {error}") from error
+            text = ", ".join(f"{key}={value!r}" for key, value in values.items())
+            raise ValueError(f"method {name} cannot take {text}: {error}") from error
         except (OSError, ImportError) as error:
             methods[name] = str(error)
     return methods
