@@ -19,11 +19,9 @@ Signs = npt.NDArray[np.uint8]
 
 class SegmentedCache:
     """A folder with a file of NumPy for each picture that a network has segmented: its label map
-    and its features.
-
-    In the folder of the whole cache, ``key`` names that of the network and its preparation. Above
-    `LARGEST` bytes the least recently used entries are removed. The key of the features is empty
-    for label maps alone.
+    and its features. ``key`` is that of the network and its preparation, ``features`` that of the
+    features, empty for label maps alone. Above `LARGEST` bytes the least recently used entries of
+    all networks are removed.
     """
 
     def __init__(self, folder: Path, key: str, features: str = "") -> None:
@@ -31,8 +29,8 @@ class SegmentedCache:
         self._size: int | None = None
 
     def get(self, picture: str) -> tuple[LabelMap, Signs | None] | None:
-        """The label map and the features that are stored for the picture with this digest; ``None``
-        if they are missing or damaged."""
+        """The label map and the features of the picture with this digest; ``None`` if they are
+        missing or damaged."""
         entry = self._entry(picture)
         try:
             arrays = read_npz(entry)

@@ -92,18 +92,6 @@ def external_files(path: Path) -> list[Path]:
     return sorted(path_within(path.parent, name) for name in names)
 
 
-def graph_digest(model: onnx.ModelProto) -> str:
-    """SHA-256 of a graph, its functions and opsets, in hex; the same for external weights."""
-    digest = hashlib.sha256()
-    protos: list[Any] = [*model.opset_import, *model.functions]
-    for field, value in model.graph.ListFields():  # its parts are small enough to be serialised
-        protos += [field.name, *([value] if isinstance(value, str) else value)]
-    for proto in protos:
-        content = proto.encode() if isinstance(proto, str) else proto.SerializeToString(True)
-        digest.update(len(content).to_bytes(8, "little") + content)
-    return digest.hexdigest()
-
-
 def save_model(
     model: onnx.ModelProto, path: Path, describe: Callable[[Path], Mapping[str, str]]
 ) -> None:
@@ -111,17 +99,19 @@ def save_model(
     temporary file and returns the metadata properties, or raises an error to reject the model.
 
     A model of more than `MAX_FILE_BYTES` keeps its weights in a second file beside it, to which it
-    refers afterwards. The name of the second file holds a digest, so that it never replaces the
-    weights of an earlier model.
+    refers afterwards. The name of the second file holds a digest of the weights, so that it never
+    replaces those of an earlier model.
     """
     import onnx
 
     path = check_output(path)
+    size, digest = sum(node.ByteSize() for node in model.graph.node), hashlib.sha256()
+    for tensor in _tensors(model.graph):
+        size += len(tensor.raw_data)
+        digest.update(tensor.raw_data)
     with TemporaryDirectory(prefix=f".{path.name}.", dir=path.absolute().parent) as folder:
         staged = Path(folder) / path.name
-        weights = f"{path.name}.{graph_digest(model)[:16]}.data"
-        size = sum(len(tensor.raw_data) for tensor in _tensors(model.graph))
-        size += sum(node.ByteSize() for node in model.graph.node)
+        weights = f"{path.name}.{digest.hexdigest()[:16]}.data"
         if size > MAX_FILE_BYTES:
             onnx.external_data_helper.convert_model_to_external_data(
                 model, location=weights, size_threshold=1024

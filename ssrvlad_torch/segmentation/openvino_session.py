@@ -14,28 +14,14 @@ SINGLE = {"INFERENCE_PRECISION_HINT": "f32"}
 
 
 class OpenVinoSession:
-    """A graph that OpenVINO has compiled for the CPU. Threads may run it at the same time.
-
-    Args:
-        source: the file or its content.
-        name: of the file in messages.
-        inner: tensors that become outputs.
-        threads: of one run, 0 for one per core.
-
-    Attributes:
-        outputs: their names.
-
-    Raises:
-        ValueError: the graph cannot run in OpenVINO, or has no such inner tensor.
-        ImportError: the extra ``openvino`` is not installed.
-    """
+    """A graph, by its file or its content, that OpenVINO has compiled for the CPU; ``name`` is that
+    of the file in messages. The ``inner`` tensors become outputs; ``outputs`` are the names of all.
+    Threads may run it at the same time, each with ``threads`` of its own, 0 for one per core. One
+    that cannot run, or has no such tensor, is a ValueError; without the extra ``openvino``, an
+    ImportError."""
 
     def __init__(
-        self,
-        source: Path | bytes,
-        name: object,
-        inner: Sequence[str] = (),
-        threads: int = 0,
+        self, source: Path | bytes, name: object, inner: Sequence[str] = (), threads: int = 0
     ) -> None:
         with requiring("openvino", "OpenVINO needs"):
             import openvino
