@@ -364,7 +364,7 @@ def features(activations: list[Floats], noise: list[list[Floats]]) -> npt.NDArra
     """The signs ``(16, 16, 16)`` of one picture, see `stages.features.Features`, from activations
     ``(C, h, w)``, and from those of each of some pictures of noise."""
     cells = unit_cells(activations)
-    projections = projections_of([unit_cells(each) for each in noise])
+    projections = projections_of([unit_cells(level) for level in noise])
     positive = np.zeros((SIDE, SIDE, SIGNS), bool)
     for row in range(SIDE):
         positive[:, row] = cells[:, row].T @ projections[row] > 0
@@ -378,7 +378,9 @@ def unit_cells(activations: list[Floats]) -> Floats:
         height, width = activation.shape[1:]
         down, across = overlaps(height, SIDE, 0) / height, overlaps(width, SIDE, 0) / width
         means = [down.T @ channel @ across for channel in activation]
-        cells = np.array([(each - each.mean()) / math.sqrt(each.var() + 1e-5) for each in means])
+        cells = np.array(
+            [(level - level.mean()) / math.sqrt(level.var() + 1e-5) for level in means]
+        )
         around = np.zeros_like(cells)
         for row, column in np.ndindex(SIDE, SIDE):
             near = [slice(max(0, at - 2), at + 3) for at in (row, column)]
@@ -390,18 +392,18 @@ def unit_cells(activations: list[Floats]) -> Floats:
 
 def projections_of(noise: list[Floats]) -> list[Floats]:
     """For each row of cells the projections ``(C, 128)``, from the cells of pictures of noise."""
-    flat = np.concatenate([each.reshape(len(each), -1) for each in noise], 1)
+    flat = np.concatenate([level.reshape(len(level), -1) for level in noise], 1)
     variances, components = np.linalg.eigh(flat @ flat.T / flat.shape[1])
-    kept = [k for k in np.argsort(-variances)[:SIGNS] if variances[k] > 1e-4 * variances.max()]
-    components, deviations = components[:, kept], np.sqrt(variances[kept])
-    found = []
+    large = [k for k in np.argsort(-variances)[:SIGNS] if variances[k] > 1e-4 * variances.max()]
+    components, deviations = components[:, large], np.sqrt(variances[large])
+    projections = []
     for row in range(SIDE):
         first = row * SIGNS * len(flat)
         numbers = range(first, first + SIGNS * len(flat))
         sides = np.array([random_side(n) for n in numbers]).reshape(SIGNS, -1)
         left, _, right = np.linalg.svd((sides @ components).T, full_matrices=False)
-        found.append(components / deviations @ left @ right)
-    return found
+        projections.append(components / deviations @ left @ right)
+    return projections
 
 
 def random_side(number: int) -> int:

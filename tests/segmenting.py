@@ -121,8 +121,8 @@ def write_town(folder, path, top=5):
     for end, channel in zip(ends, channels, strict=True):
         Path(f"{path}{end}.fingerprint.txt").write_text(f"{channel.column.fingerprint}\n")
     steps = Steps(standardise=False, follow=None)
-    found = recognise_in(monday, today, channels, steps, top).matches
+    matches = recognise_in(monday, today, channels, steps, top).matches
     return [
         ([monday.frames[row] for row in rows], scores)
-        for scores, rows in zip(found.scores.tolist(), found.indices.tolist(), strict=True)
+        for scores, rows in zip(matches.scores.tolist(), matches.indices.tolist(), strict=True)
     ]

@@ -73,11 +73,11 @@ def test_another_thread_does_not_change_what_is_taken():
     network, (one, other) = Street(), torch.rand(2, 1, 3, 64, 96)
     with captured(network, ["act.2"]) as values:
         network(one)
-        taken = values["act.2"]
+        activation = values["act.2"]
         thread = Thread(target=network, args=(other,))
         thread.start()
         thread.join()
-    assert values["act.2"] is taken
+    assert values["act.2"] is activation
 
 
 def test_a_network_that_makes_every_picture_a_square():

@@ -46,8 +46,8 @@ def test_a_batch_equals_one_by_one_whatever_the_kinds(name):
     method, drive = make(name), mixed(name)
     together, references = method.encode_query(iter(drive)), method.encode_reference(drive)
     single = [parts(method.encode_query([frame])) for frame in drive]
-    for found, *alone in zip(parts(together), *single, strict=True):
-        assert torch.equal(found, torch.cat(alone))
+    for result, *alone in zip(parts(together), *single, strict=True):
+        assert torch.equal(result, torch.cat(alone))
     torch.testing.assert_close(parts(references)[0], parts(together)[0])
     assert references.nbytes == len(drive) * BYTES[name]
 
@@ -123,13 +123,13 @@ def numbered(sequence, *numbers):
 
 def test_candidates_are_ranked_and_ties_keep_the_order():
     queries, references = numbered("q", 2, 7, -1, 30), numbered("r", 0, 4, -1, 8, 6)
-    found = run(Numbers(), queries, references, top=3)
-    scores, indices = found.matches
+    result = run(Numbers(), queries, references, top=3)
+    scores, indices = result.matches
     assert indices.tolist() == [[0, 1, 4], [3, 4, 1], [-1, -1, -1], [3, 4, 1]]
     inf = torch.inf
     assert scores.tolist() == [[-2, -2, -4], [-1, -1, -3], [-inf] * 3, [-22, -24, -26]]
     assert (scores.dtype, indices.dtype) == (torch.float32, torch.int64)
-    assert found.costs["bytes_a_reference"] == 4
+    assert result.costs["bytes_a_reference"] == 4
 
 
 def test_the_first_query_is_done_twice_references_once_and_progress_counts_each():
@@ -142,9 +142,9 @@ def test_the_first_query_is_done_twice_references_once_and_progress_counts_each(
 def test_costs_are_milliseconds_a_query(monkeypatch):
     ticks = iter([0.0, 0.004, 0.006, 1.0, 1.002, 1.003])
     monkeypatch.setattr("ssrvlad_torch.baselines.run.time.perf_counter", lambda: next(ticks))
-    found = run(Numbers(), numbered("q", 1, 2), numbered("r", 5))
-    assert found.costs["encode_ms"] == pytest.approx({"average": 3, "min": 2, "max": 4})
-    assert found.costs["match_ms"] == pytest.approx({"average": 1.5, "min": 1, "max": 2})
+    result = run(Numbers(), numbered("q", 1, 2), numbered("r", 5))
+    assert result.costs["encode_ms"] == pytest.approx({"average": 3, "min": 2, "max": 4})
+    assert result.costs["match_ms"] == pytest.approx({"average": 1.5, "min": 1, "max": 2})
 
 
 def test_no_queries_are_refused():
@@ -158,10 +158,10 @@ def streets(seeds, sequence="a"):
 @pytest.mark.parametrize("preset", ["paper", "default"])
 def test_queries_are_encoded_as_the_head_does(preset):
     head = SSRVLAD.from_preset(preset, labels_as=SPACE)
-    found = make("ssr-vlad", preset=preset).encode_query(iter(streets(range(20))))
+    result = make("ssr-vlad", preset=preset).encode_query(iter(streets(range(20))))
     expected = head(torch.stack([torch.from_numpy(street(seed)) for seed in range(20)]))
-    assert (found.shape, found.dtype) == ((20, 480), torch.float32)
-    assert torch.equal(found, expected)
+    assert (result.shape, result.dtype) == ((20, 480), torch.float32)
+    assert torch.equal(result, expected)
 
 
 @pytest.mark.parametrize("temporal", [0, 1, 3])
@@ -179,19 +179,19 @@ def test_scores_are_those_of_match():
     queries = method.encode_query([*streets(range(4)), empty])
     references = method.encode_reference([*streets(range(10, 16)), empty])
     scores = method.scores(queries, references)
-    found = match(queries, references, top=7)
+    result = match(queries, references, top=7)
     ranked = scores.sort(dim=1, descending=True, stable=True)
-    torch.testing.assert_close(ranked.values, found.scores)
-    known = found.indices >= 0
-    assert torch.equal(ranked.indices[known], found.indices[known])
+    torch.testing.assert_close(ranked.values, result.scores)
+    valid = result.indices >= 0
+    assert torch.equal(ranked.indices[valid], result.indices[valid])
     assert scores[4].isneginf().all()
 
 
 def test_frames_of_several_label_spaces_are_read_each_as_its_own():
     camvid = streets([1])[0]
     cityscapes = View("a/2", np.where(street(2) > 5, 8, 0).astype(np.int32), "cityscapes-trainids")
-    found = make("ssr-vlad").encode_query([camvid, cityscapes, camvid])
-    for row, frame in zip(found, [camvid, cityscapes, camvid], strict=True):
+    result = make("ssr-vlad").encode_query([camvid, cityscapes, camvid])
+    for row, frame in zip(result, [camvid, cityscapes, camvid], strict=True):
         head = SSRVLAD.from_preset("default", labels_as=frame.labels_as)
         assert torch.equal(row, head(torch.from_numpy(frame.labels)[None])[0])
 
@@ -222,8 +222,8 @@ def plain_grid(labels, rows=6, columns=10):
 @pytest.mark.parametrize("size", [(24, 40), (31, 45), (3, 4)])
 def test_the_label_grid_equals_a_loop(size):
     labels = blobs(0, *size, grain=4)
-    found = make("label-grid").encode_query([View("a/1", labels, SPACE)])[0]
-    np.testing.assert_allclose(found.numpy(), plain_grid(labels), rtol=0, atol=1e-6)
+    result = make("label-grid").encode_query([View("a/1", labels, SPACE)])[0]
+    np.testing.assert_allclose(result.numpy(), plain_grid(labels), rtol=0, atol=1e-6)
 
 
 def test_label_spaces_compare():

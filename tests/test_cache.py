@@ -43,8 +43,8 @@ def test_a_label_map_is_made_once_and_found_by_the_content_of_the_image(photos, 
     (tmp_path / "others" / "3.png").rename(tmp_path / "others" / "300.png")
     segmenter = Segmenter(network, SPACE, PLAIN, cache)
     network._forward_pre_hooks.clear()
-    found = run(segmenter, str(tmp_path / "others"))
-    np.testing.assert_array_equal(found["300"], LABELS[3])
+    by_name = run(segmenter, str(tmp_path / "others"))
+    np.testing.assert_array_equal(by_name["300"], LABELS[3])
     run(segmenter, photos)
     assert int(network.images) == made
     assert len(first) == 5
@@ -97,8 +97,8 @@ def test_the_cache_is_bounded_and_keeps_what_was_used_last(photos, cache, tmp_pa
     run(segmenter, photos)
     size = max(entry.stat().st_size for entry in entries(cache))
     first = {entry.name for entry in entries(cache)}
-    kept = write_photos(tmp_path / "kept", [2])
-    run(segmenter, str(kept))
+    recent = write_photos(tmp_path / "recent", [2])
+    run(segmenter, str(recent))
     used = max(entries(cache), key=lambda entry: entry.stat().st_mtime_ns).name
     monkeypatch.setattr("ssrvlad_torch.segmentation.cache.LARGEST", 4 * size)
     run(segmenter, str(write_photos(tmp_path / "more", [20])))

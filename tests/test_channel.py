@@ -58,7 +58,7 @@ def test_batches_keep_the_order_and_hold_what_is_alike():
 
 
 def test_batches_take_no_more_than_they_give():
-    taken = []
-    stream = batches((taken.append(view) or view for view in views(*[4] * 10)), 3)
+    read = []
+    stream = batches((read.append(view) or view for view in views(*[4] * 10)), 3)
     next(stream)
-    assert len(taken) <= 4
+    assert len(read) <= 4

@@ -56,12 +56,12 @@ def test_descriptors_of_all_channels_are_loaded_bit_for_bit_and_in_order(made):
 def test_every_frame_has_all_descriptors(made):
     number = descriptors(0, 1)
     wider = {"ssr-vlad": number, "own": descriptors(0, 1, 8)}
-    for given, message in (
+    for vectors, message in (
         (number, "holds ssr-vlad, own of every frame, got ssr-vlad$"),
         (wider, r"own: expected \(1, 7\) for 1 frames, got \(1, 8\)"),
     ):
         with pytest.raises(ValueError, match=message):
-            made.append(["day/3"], given)
+            made.append(["day/3"], vectors)
     with pytest.raises(ValueError, match="has no descriptors by own, eight numbers"):
         made.require(CONFIG, [OWN._replace(fingerprint="eight numbers")])
     made.require(CONFIG, [OWN])
@@ -153,10 +153,10 @@ def run(detector: LoopDetector, *methods: torch.Tensor) -> int:
     names = [channel.column.name for channel in detector.channels]
     right = 0
     for row, described in enumerate(zip(*methods, strict=True)):
-        given = dict(zip(names, described, strict=True))
-        found = detector.observe(FrameRecord("drive", str(row)), given)
-        if found.accepted:
-            assert abs(int(found.candidate.partition("/")[2]) - (row - 60)) <= 2
+        vectors = dict(zip(names, described, strict=True))
+        loop = detector.observe(FrameRecord("drive", str(row)), vectors)
+        if loop.accepted:
+            assert abs(int(loop.candidate.partition("/")[2]) - (row - 60)) <= 2
             right += 1
     return right
 

@@ -48,9 +48,9 @@ def plain_score(query, chosen, reference):
 @pytest.mark.parametrize("size", [(64, 64), (48, 96)])
 def test_descriptors_equal_a_loop(size):
     pictures = np.stack([picture(seed, *size)[..., 0] for seed in range(3)])
-    found = region_descriptors(torch.from_numpy(pictures))
-    assert found.dtype == torch.float32
-    for gray, regions in zip(pictures, found, strict=True):
+    result = region_descriptors(torch.from_numpy(pictures))
+    assert result.dtype == torch.float32
+    for gray, regions in zip(pictures, result, strict=True):
         np.testing.assert_allclose(regions.numpy(), plain_descriptors(gray), rtol=0, atol=1e-5)
 
 
@@ -59,8 +59,8 @@ def test_descriptors_equal_a_loop(size):
 def test_entropy_is_that_of_scikit_image(size, radius, levels):
     rng = np.random.default_rng(levels)
     pictures = rng.integers(256 - levels, 256, (2, *size), dtype=np.uint8)
-    found = local_entropy(torch.from_numpy(pictures), radius)
-    for gray, bits in zip(pictures, found, strict=True):
+    result = local_entropy(torch.from_numpy(pictures), radius)
+    for gray, bits in zip(pictures, result, strict=True):
         np.testing.assert_allclose(bits.numpy(), entropy(gray, disk(radius)), rtol=0, atol=1e-5)
 
 
@@ -70,10 +70,10 @@ def test_entropies_of_regions_equal_those_of_the_libraries():
     bits = cv2.resize(entropy(cv2.resize(gray, (100, 100)), disk(5)), (512, 512))
     starts = range(0, 512 - 16, 16)
     expected = [bits[y : y + 32, x : x + 32].mean() / 8 for y in starts for x in starts]
-    found = region_entropies(torch.from_numpy(gray)[None])[0].numpy()
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-5)
-    assert found[0] == 0
-    assert found.max() > 0.4
+    result = region_entropies(torch.from_numpy(gray)[None])[0].numpy()
+    np.testing.assert_allclose(result, expected, rtol=0, atol=1e-5)
+    assert result[0] == 0
+    assert result.max() > 0.4
 
 
 @pytest.mark.parametrize("at_once", [1, 300, 1 << 20])
@@ -84,12 +84,12 @@ def test_scores_equal_a_loop_whatever_the_block(at_once, monkeypatch):
     queries = method.encode_query(frames([picture(0), picture(1)]))
     queries.chosen[1, ::2] = False
     references = method.encode_reference(frames(map(picture, range(5))))
-    found = method.scores(queries, references)
-    assert (found.shape, found.dtype) == ((2, 5), torch.float32)
+    result = method.scores(queries, references)
+    assert (result.shape, result.dtype) == ((2, 5), torch.float32)
     for row, column in np.ndindex(2, 5):
         query, chosen = queries.descriptors[row].numpy(), queries.chosen[row].numpy()
         expected = plain_score(query, chosen, references[column].numpy())
-        assert abs(float(found[row, column]) - expected) < 1e-5
+        assert abs(float(result[row, column]) - expected) < 1e-5
 
 
 def test_only_regions_of_high_entropy_are_looked_for():
@@ -100,15 +100,15 @@ def test_only_regions_of_high_entropy_are_looked_for():
     assert chosen[:, 17:].all()
 
 
-def corridor(folder, every):
-    files = sorted((CORRIDOR / folder).iterdir())[::every]
+def corridor(folder, step):
+    files = sorted((CORRIDOR / folder).iterdir())[::step]
     return [View(f"{folder}/{file.stem}", picture=np.array(Image.open(file))) for file in files]
 
 
-def corridor_scores(every, every_reference=1):
+def corridor_scores(step, every_reference=1):
     """Ours and those that VPR-Bench stored, for every ``every``-th query and reference."""
     method = make("cohog")
-    queries = method.encode_query(corridor("query", every))
+    queries = method.encode_query(corridor("query", step))
     references = method.encode_reference(corridor("ref", every_reference))
     with np.load(CORRIDOR.parent / "corridor_CoHOG.npz") as stored:
         return method.scores(queries, references).numpy(), dict(stored)
@@ -116,7 +116,7 @@ def corridor_scores(every, every_reference=1):
 
 @needs_corridor
 def test_some_pairs_of_the_corridor_have_the_stored_scores():
-    scores, stored = corridor_scores(every=25, every_reference=4)
+    scores, stored = corridor_scores(step=25, every_reference=4)
     expected = stored["sim"][::25, ::4]
     np.testing.assert_allclose(scores, expected, rtol=0, atol=3e-3)
     assert (scores.argmax(1) == expected.argmax(1)).mean() >= 0.8
@@ -125,7 +125,7 @@ def test_some_pairs_of_the_corridor_have_the_stored_scores():
 @pytest.mark.slow
 @needs_corridor
 def test_the_corridor_has_the_stored_result():
-    scores, stored = corridor_scores(every=1)
+    scores, stored = corridor_scores(step=1)
     bounds = stored["gt_off"]
     truth = [stored["gt_flat"][a:b] for a, b in pairwise(bounds)]
     ranked = np.argsort(-scores, axis=1, kind="stable")

@@ -96,14 +96,14 @@ def test_equals_the_reference_in_the_synthetic_city(preset):
 
 @needs_camvid
 @pytest.mark.parametrize(
-    ("preset", "every"),
+    ("preset", "step"),
     [
         *(("default", 400), ("paper", 1000)),
         *(pytest.param(*case, marks=pytest.mark.slow) for case in (("default", 1), ("paper", 4))),
     ],
 )
-def test_equals_the_reference_on_camvid(preset, every):
-    for labels in camvid_labels(every):
+def test_equals_the_reference_on_camvid(preset, step):
+    for labels in camvid_labels(step):
         assert_equals_reference(labels, SSRVLADConfig.from_preset(preset, labels_as=SPACE))
 
 
@@ -228,10 +228,10 @@ def test_default_is_exported_as_its_stages_for_every_size(head, shape):
         batch = batch_of_blobs(*size)
         torch.testing.assert_close(program.module()(batch), head(batch), rtol=0, atol=1e-6)
         batch[-1, 0, 0] = 200
-        found = program.module()(batch)
-        assert found.shape == (size[0], *shape, 480)
-        assert found[-1].isnan().all()
-        assert not found[:-1].isnan().any()
+        outcome = program.module()(batch)
+        assert outcome.shape == (size[0], *shape, 480)
+        assert outcome[-1].isnan().all()
+        assert not outcome[:-1].isnan().any()
 
 
 def test_a_network_with_the_head_is_compiled_and_exported(core):

@@ -42,10 +42,10 @@ def test_scores_are_the_cosines_of_the_signs_of_the_segmenter(segmenter):
 
 
 def test_the_steps_standardise_signs(segmenter):
-    found = run(EncoderFeatures(segmenter), drive(32), drive(32, "b"), steps=Steps(follow=None))
-    assert found.costs["bytes_a_reference"] == 4096
-    assert found.stepped.used["standardise"] == {"a": True}
-    assert found.stepped.matches.indices[:, 0].tolist() == list(range(32))
+    retrieval = run(EncoderFeatures(segmenter), drive(32), drive(32, "b"), steps=Steps(follow=None))
+    assert retrieval.costs["bytes_a_reference"] == 4096
+    assert retrieval.stepped.used["standardise"] == {"a": True}
+    assert retrieval.stepped.matches.indices[:, 0].tolist() == list(range(32))
 
 
 def test_compare_measures_it(ssrvlad, tmp_path):

@@ -41,11 +41,11 @@ def test_has_the_signs_of_the_reference(size):
     """Of two activations, and of more channels than signs."""
     for seed, channels in ((0, (20, 7)), (1, (150,))):
         noise = [activations(seed + n, count, count=2) for n, count in enumerate(channels)]
-        given = [activations(seed + n + 9, count, size) for n, count in enumerate(channels)]
-        signs = Features(*noise)(*given)
+        values = [activations(seed + n + 9, count, size) for n, count in enumerate(channels)]
+        signs = Features(*noise)(*values)
         assert signs.shape == (1, *SHAPE) and signs.dtype == torch.uint8
-        pictures = [[each[n].double().numpy() for each in noise] for n in range(2)]
-        expected = reference.features([each[0].double().numpy() for each in given], pictures)
+        pictures = [[level[n].double().numpy() for level in noise] for n in range(2)]
+        expected = reference.features([level[0].double().numpy() for level in values], pictures)
         assert (bits(signs[0]) != bits(expected)).mean() < 1e-3
 
 
@@ -88,21 +88,21 @@ def test_projections_do_not_depend_on_the_signs_of_the_components(monkeypatch):
 
 
 def test_rounding_of_the_noise_changes_few_signs():
-    noise, given = activations(0, 150, count=4), activations(9, 150, count=4)
+    noise, values = activations(0, 150, count=4), activations(9, 150, count=4)
     rounded = noise * (1 + 1e-5 * torch.randn(noise.shape))
-    first, second = (bits(Features(each)(given)) for each in (noise, rounded))
+    first, second = (bits(Features(level)(values)) for level in (noise, rounded))
     assert (first != second).mean() < 1e-3
 
 
 def test_a_channel_that_is_dead_in_the_noise_counts_for_nothing():
-    noise, given = activations(0, count=3), activations(9)
+    noise, values = activations(0, count=3), activations(9)
     noise[:, 3] = 0
-    changed = given.clone()
+    changed = values.clone()
     changed[:, 3] += activations(7)[:, 3] * 1e-3
     module = Features(noise)
     assert bool(module.components.isfinite().all())
     assert module.components[3].abs().max() < 1e-6
-    assert (bits(module(given)) != bits(module(changed))).mean() < 0.02
+    assert (bits(module(values)) != bits(module(changed))).mean() < 0.02
 
 
 def test_light_and_contrast_of_a_channel_change_nothing():
@@ -127,7 +127,7 @@ def test_a_picture_moved_by_a_column_has_moved_cells():
 
 
 @pytest.mark.parametrize(
-    ("given", "message"),
+    ("values", "message"),
     [
         (torch.zeros(1, 20, 24, 32), "the activations of the network are the same everywhere"),
         (torch.full((1, 20, 24, 32), torch.nan), "are not finite"),
@@ -136,16 +136,16 @@ def test_a_picture_moved_by_a_column_has_moved_cells():
         (torch.rand(3, 20, 24, 32).index_fill(0, torch.tensor(1), 2), "the same everywhere"),
     ],
 )
-def test_refuses_other_activations(given, message):
+def test_refuses_other_activations(values, message):
     """Also of one picture of a batch."""
-    refuses(message, OF_20, given)
+    refuses(message, OF_20, values)
 
 
 def test_is_traced_with_free_axes_and_gives_zeros_where_eager_raises():
     module, axes = OF_20.eval(), ("B", 20, "h", "w")
     example = activations(0, size=(23, 45), count=2)
     model = traced(module, {"a": (example, axes)}, {"features": ("B", *SHAPE)})
-    assert {each.domain for each in model.graph.node} == {""}
+    assert {level.domain for level in model.graph.node} == {""}
     run = session(model.SerializeToString()).run
     for size in ((24, 32), (31, 17)):
         raw = activations(5, size=size, count=5)

@@ -46,8 +46,8 @@ def photos(tmp_path):
 def stored(ssrvlad, settings, photos, tmp_path):
     """A database with the channel, by `encode`."""
     path = tmp_path / "town.ssrdb"
-    given = "encode", photos, "-o", path, "--segmenter", settings, "--channel", "brightness"
-    assert ssrvlad(*given)[0] == 0
+    command = "encode", photos, "-o", path, "--segmenter", settings, "--channel", "brightness"
+    assert ssrvlad(*command)[0] == 0
     return path
 
 
@@ -103,7 +103,7 @@ def test_a_map_has_it_beside_all_others(settings, photos, tmp_path):
     assert names == ["ssr-vlad", "hog", "brightness"]
     assert town.locate(photos / "7.png").candidates[0].frame == "monday/7"
     answers = town.query(photos, channels=["brightness"])
-    assert {each.query == each.candidates[0].frame for each in answers} == {True}
+    assert {reply.query == reply.candidates[0].frame for reply in answers} == {True}
 
 
 def test_label_maps_lack_the_channel(stored, refusal, tmp_path):

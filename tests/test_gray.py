@@ -25,8 +25,8 @@ def test_gray_is_that_of_pillow_and_frames_of_one_size_become_one_tensor():
 )
 def test_resize_is_that_of_opencv(before, after):
     pictures = np.stack([noise(1, *before)[..., 0], np.full(before, 255, np.uint8)])
-    found = resize(torch.from_numpy(pictures), *after)
-    assert (found.shape, found.dtype) == ((2, *after), torch.uint8)
-    for picture, resized in zip(pictures, found, strict=True):
+    result = resize(torch.from_numpy(pictures), *after)
+    assert (result.shape, result.dtype) == ((2, *after), torch.uint8)
+    for picture, resized in zip(pictures, result, strict=True):
         expected = cv2.resize(picture, after[::-1], interpolation=cv2.INTER_LINEAR)
         np.testing.assert_array_equal(resized.numpy(), expected.reshape(after))

@@ -24,9 +24,9 @@ BLOCKS = AREA_LAYERS + BOUNDARY_DIRECTIONS
 def test_tables_equal_the_reference(config):
     module = Harmonics(config)
     cells = np.random.default_rng(0).random((ROWS, COLUMNS))
-    found = module.table("bins") @ torch.from_numpy(cells).flatten()
+    result = module.table("bins") @ torch.from_numpy(cells).flatten()
     expected = reference.soft_histogram(cells, config).ravel()
-    np.testing.assert_allclose(found, expected, rtol=1e-12)
+    np.testing.assert_allclose(result, expected, rtol=1e-12)
     most = max(config.harmonics, config.boundary_harmonics)
     expected = np.array(reference.basis(config, most)).reshape(most, -1)
     np.testing.assert_allclose(module.table("basis"), expected, atol=1e-13)
@@ -45,10 +45,12 @@ def test_what_is_right_of_the_middle_is_in_the_first_sector():
 def test_layers_that_few_networks_tell_apart_are_merged():
     """Guard rail is described as building, parking as ground."""
     module = Harmonics(SSRVLADConfig())
-    own, other = torch.randint(0, 6, (2, 1, 40, 50), dtype=torch.uint8)
-    rare = own.masked_fill((own == 0) & (other < 3), 7).masked_fill((own == 2) & (other < 3), 6)
-    assert not torch.equal(rare, own)
-    assert torch.equal(module.histograms(rare).bins, module.histograms(own).bins)
+    usual, other = torch.randint(0, 6, (2, 1, 40, 50), dtype=torch.uint8)
+    rare = usual.masked_fill((usual == 0) & (other < 3), 7).masked_fill(
+        (usual == 2) & (other < 3), 6
+    )
+    assert not torch.equal(rare, usual)
+    assert torch.equal(module.histograms(rare).bins, module.histograms(usual).bins)
 
 
 SIX = SSRVLADConfig(
@@ -57,10 +59,10 @@ SIX = SSRVLADConfig(
 """Two rings and four sectors have six basis functions; all have length 1."""
 
 
-def descriptor_of(wanted: dict[tuple[int, int], float]) -> torch.Tensor:
+def descriptor_of(values: dict[tuple[int, int], float]) -> torch.Tensor:
     """The descriptor of histograms with the wanted coefficients, by block and number, else 0."""
     module, coefficients = Harmonics(SIX), torch.zeros(1, BLOCKS, 6, dtype=torch.float64)
-    for place, value in wanted.items():
+    for place, value in values.items():
         coefficients[0][place] = value
     bins = (coefficients @ module.table("basis")).unflatten(2, (2, 4))
     return module.descriptor(HarmonicHistograms(bins, torch.zeros(1, dtype=torch.int64)))[0]
@@ -68,12 +70,12 @@ def descriptor_of(wanted: dict[tuple[int, int], float]) -> torch.Tensor:
 
 def test_areas_and_boundaries_have_their_own_numbers_and_keep_their_signs():
     """Six numbers of each area, three of each direction, to a power."""
-    found = descriptor_of({(2, 0): -4.0, (2, 5): -1.0, (6, 2): 9.0, (7, 4): 9.0})
-    assert found.dtype == torch.float32
+    result = descriptor_of({(2, 0): -4.0, (2, 5): -1.0, (6, 2): 9.0, (7, 4): 9.0})
+    assert result.dtype == torch.float32
     expected = torch.zeros(6 * 6 + 4 * 3)
     expected[[12, 17, 38]] = torch.tensor([-2.0, -1.0, 3.0]) / 14**0.5
-    torch.testing.assert_close(found, expected, rtol=1e-5, atol=1e-7)
-    assert not found[:12].any()  # of layers without pixels
+    torch.testing.assert_close(result, expected, rtol=1e-5, atol=1e-7)
+    assert not result[:12].any()  # of layers without pixels
     assert not descriptor_of({}).any()
 
 

@@ -21,5 +21,7 @@ def test_hog_is_that_of_scikit_image(seed):
         cells_per_block=(1, 1),
         block_norm="L2",
     )
-    found = make("hog").encode_query(frames([np.repeat(picture[..., None], 3, axis=2)]))[0]
-    np.testing.assert_allclose(found.numpy(), blocks / np.linalg.norm(blocks), rtol=0, atol=1e-5)
+    descriptor = make("hog").encode_query(frames([np.repeat(picture[..., None], 3, axis=2)]))[0]
+    np.testing.assert_allclose(
+        descriptor.numpy(), blocks / np.linalg.norm(blocks), rtol=0, atol=1e-5
+    )

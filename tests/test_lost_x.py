@@ -62,7 +62,7 @@ def network(images: Tensor) -> tuple[Tensor, Tensor]:
 def seen(frame: View) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Features ``(D, P)``, probabilities ``(4, P)`` and most likely classes, place by place."""
     features, scores = (
-        part[0].double().numpy() for part in network(torch.tensor(frame.picture)[None])
+        output[0].double().numpy() for output in network(torch.tensor(frame.picture)[None])
     )
     nearest = scores[:, 1::2, 1::2]  # of four places in a square the one after the middle
     probabilities = nearest.reshape(CLASSES, -1)
@@ -255,6 +255,6 @@ def test_an_onnx_graph_gives_the_activation_that_is_named_or_the_finest(tmp_path
     config = SegmenterConfig(mean=(0, 0, 0), std=(1, 1, 1), features=features)
     graph = OnnxNetwork(write_street(tmp_path / "net.onnx"))
     picture = torch.from_numpy(noise(0, 64, 96))[None]
-    found, _ = dense_network(Segmenter(graph, "camvid-11", config))(picture)
+    activation, _ = dense_network(Segmenter(graph, "camvid-11", config))(picture)
     expected = graph.run_all(picture.permute(0, 3, 1, 2) / 255)[name]
-    torch.testing.assert_close(found, expected)
+    torch.testing.assert_close(activation, expected)

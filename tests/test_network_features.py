@@ -33,8 +33,8 @@ def test_features_are_the_signs_of_the_activations(tmp_path):
             network(segmenter.labels.preparation(torch.from_numpy(picture)[None]))
         return [values[name][0].double().numpy() for name in ("act.2", "act.3")]
 
-    for each in (network, OnnxNetwork(write_street(tmp_path / "net.onnx"))):
-        segmenter = Segmenter(each, SPACE, PLAIN)
+    for form in (network, OnnxNetwork(write_street(tmp_path / "net.onnx"))):
+        segmenter = Segmenter(form, SPACE, PLAIN)
         labels, (first, *_) = segmenter(images), segmenter.segment(images, features=True)
         noise = [activations_of(pink_noise(number, *PROBES[0])) for number in range(NOISE)]
         expected = reference.features(activations_of(images[0]), noise)
@@ -66,27 +66,25 @@ def test_the_fingerprint_is_of_the_network_its_settings_and_the_activations():
         Segmenter(Street(), SPACE, PLAIN, white=255),
         Segmenter(Street(), SPACE, PLAIN, features=["act.1"]),
     ]
-    assert len({each.fingerprint_of_features for each in segmenters}) == 4
+    assert len({segmenter.fingerprint_of_features for segmenter in segmenters}) == 4
     again = Segmenter(Street(), SPACE, PLAIN, features=["act.2", "act.3"])
     assert again.fingerprint_of_features == segmenters[0].fingerprint_of_features
     assert again.key() == segmenters[0].key() == segmenters[3].key()
     assert "128 signs of act.2, act.3, " in again.fingerprint_of_features
 
 
-def test_both_are_cached_together(tmp_path):
+def test_label_maps_and_features_are_cached_together(tmp_path):
     files = find_image_files([str(write_photos(tmp_path / "photos", size=(96, 128)))])
     network = counted(Street())
 
     def run(features, names=None):
+        """The results, and how many pictures the network was given for them."""
         segmenter = Segmenter(network, SPACE, PLAIN, tmp_path / "cache", features=names)
-        before = int(network.images)
-        segmenter.key()
-        probed = int(network.images) - before
         if features:
             _ = segmenter.features
         before = int(network.images)
-        said = [said for _, said in segmenter.segmented(files, features=features)]
-        return said, int(network.images) - before - probed
+        results = [result for _, result in segmenter.segmented(files, features=features)]
+        return results, int(network.images) - before
 
     def same(one, other):
         return all(
@@ -97,8 +95,8 @@ def test_both_are_cached_together(tmp_path):
     assert run(False)[1] == 5  # labels alone
     made, count = run(True)
     assert count == 5
-    found, count = run(True)
-    assert count == 0 and same(made, found)
+    stored, count = run(True)
+    assert count == 0 and same(made, stored)
     assert run(False)[1] == 0
     others, count = run(True, ("act.1",))
     assert count == 5 and not same(made, others)
@@ -118,9 +116,9 @@ def scripted(frozen=False):
 )
 def test_a_torchscript_network_has_labels_and_no_features(network):
     segmenter = Segmenter(network, SPACE, PLAIN)
-    (said,) = segmenter.segment(pictures(1))
+    (segmented,) = segmenter.segment(pictures(1))
     expected = Segmenter(Street(), SPACE, PLAIN)(pictures(1))
-    np.testing.assert_array_equal(said.labels, expected[0])
+    np.testing.assert_array_equal(segmented.labels, expected[0])
     assert "activations of a TorchScript module cannot be taken" in segmenter.problem_of_features
     channels = new_channels(None, SSRVLAD.from_preset("default", labels_as=SPACE), segmenter)
     assert [channel.column.name for channel in channels] == ["ssr-vlad", "hog"]

@@ -63,5 +63,5 @@ def test_threads_run_one_graph_at_the_same_time(tmp_path):
     segmenter = Segmenter(network, SPACE, PLAIN)
     labels = [street(seed, 24, 32) for seed in range(40)]
     with ThreadPoolExecutor(4) as pool:
-        seen = list(pool.map(lambda each: segmenter([photo(each)])[0], labels))
+        seen = list(pool.map(lambda label_map: segmenter([photo(label_map)])[0], labels))
     assert all(map(np.array_equal, seen, labels))

@@ -47,9 +47,9 @@ def test_a_picture_is_resized_by_size_longest_and_multiple(settings, size):
 def test_resizing_is_that_of_pillow_but_for_its_rounding():
     for size in ((8, 11), (40, 31)):
         config = SegmenterConfig(size=size, mean=(0, 0, 0), std=(1, 1, 1), white=255)
-        found = Preparation(config)(torch.from_numpy(NOISE)[None])[0].permute(1, 2, 0)
+        resized = Preparation(config)(torch.from_numpy(NOISE)[None])[0].permute(1, 2, 0)
         expected = Image.fromarray(NOISE).resize(size[::-1], Image.Resampling.BILINEAR)
-        assert np.abs(found.numpy() - np.asarray(expected)).max() < 1.01
+        assert np.abs(resized.numpy() - np.asarray(expected)).max() < 1.01
 
 
 def test_images_of_like_size_share_a_batch_of_bounded_pixels(monkeypatch):
@@ -57,7 +57,7 @@ def test_images_of_like_size_share_a_batch_of_bounded_pixels(monkeypatch):
     labels = [street(seed, *size) for seed, size in enumerate(sizes)]
     batches = []
     network = colour_network()
-    network.register_forward_pre_hook(lambda module, given: batches.append(given[0].shape))
+    network.register_forward_pre_hook(lambda module, inputs: batches.append(inputs[0].shape))
     monkeypatch.setattr(segmentation, "PIXELS_AT_ONCE", 2 * 24 * 32)
     assert_right(Segmenter(network, SPACE, PLAIN), [photo(one) for one in labels], labels)
     assert sorted(batches) == [(1, 3, 24, 32), (2, 3, 24, 32), (2, 3, 24, 32), (2, 3, 30, 20)]

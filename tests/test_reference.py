@@ -56,8 +56,8 @@ def guo_hall_by_the_paper(layer: np.ndarray) -> np.ndarray:
                 )
                 n1 = (p9 | p2) + (p3 | p4) + (p5 | p6) + (p7 | p8)
                 n2 = (p2 | p3) + (p4 | p5) + (p6 | p7) + (p8 | p9)
-                kept = (p2 | p3 | (1 - p5)) & p4 if first else (p6 | p7 | (1 - p9)) & p8
-                doomed[y, x] = c == 1 and 2 <= min(n1, n2) <= 3 and kept == 0
+                remaining = (p2 | p3 | (1 - p5)) & p4 if first else (p6 | p7 | (1 - p9)) & p8
+                doomed[y, x] = c == 1 and 2 <= min(n1, n2) <= 3 and remaining == 0
             layer = layer & ~doomed
         if (layer == before).all():
             return layer
@@ -81,9 +81,9 @@ def test_keypoints_of_drawings_equal_those_by_hand(name, ends, intersections):
 
 def test_touching_intersections_keep_the_first_in_raster_order():
     crossing = mask(".#...#. .#...#. ####### .#...#. .##.##.")
-    kept = reference.intersections(crossing)
-    for y, x in np.argwhere(kept):
-        around = kept[max(0, y - 1) : y + 2, max(0, x - 1) : x + 2]
+    remaining = reference.intersections(crossing)
+    for y, x in np.argwhere(remaining):
+        around = remaining[max(0, y - 1) : y + 2, max(0, x - 1) : x + 2]
         assert around.sum() == 1
     assert reference.intersections(DRAWN["crowded_crossing"]).sum() == 1
 

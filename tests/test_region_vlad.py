@@ -63,12 +63,12 @@ def test_images_are_resized_as_caffe_does():
 
 def authors_way(maps: np.ndarray, count: int) -> np.ndarray:
     """Every map is labelled, boxes are sorted by mean activation, columns summed over each box."""
-    found = []
+    result = []
     for levels in maps:
         regions = regionprops(label(levels.astype(int)), intensity_image=levels)
-        found += [(region.intensity_mean, region.bbox) for region in regions]
-    found.sort(key=lambda entry: -entry[0])
-    boxes = [maps[:, top:low, left:right] for _, (top, left, low, right) in found[:count]]
+        result += [(region.intensity_mean, region.bbox) for region in regions]
+    result.sort(key=lambda entry: -entry[0])
+    boxes = [maps[:, top:low, left:right] for _, (top, left, low, right) in result[:count]]
     return np.array([box.sum(axis=(1, 2)) for box in boxes])
 
 
@@ -85,11 +85,11 @@ def test_equal_energies_come_in_the_order_of_maps_rows_and_columns():
     maps = torch.zeros(40, 9, 9)
     maps[:, ::2, ::2] = 2
     marks = maps[:1] * torch.arange(81.0).reshape(1, 9, 9) / 2  # a map that tells the places
-    found = regions_of(torch.cat([maps, marks / 100]), 300)
-    place = (100 * found[:, -1]).round().long()
+    result = regions_of(torch.cat([maps, marks / 100]), 300)
+    place = (100 * result[:, -1]).round().long()
     expected = (maps > 0)[:12].nonzero()
     assert torch.equal(place, expected[:, 1] * 9 + expected[:, 2])
-    assert len(expected) == len(found) == 300
+    assert len(expected) == len(result) == 300
 
 
 def described(descriptors: Array, words: Array) -> Array:

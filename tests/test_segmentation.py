@@ -40,11 +40,11 @@ def test_kornia_a_network_and_the_head_compose():
 
 def test_settings_are_keyword_arguments(tmp_path):
     """They are those of a YAML file, by the same names and in the same forms."""
-    given = {"size": [24, 32], "mean": [0, 0, 0], "std": [1, 1, 1], "colour_order": "bgr",
+    keywords = {"size": [24, 32], "mean": [0, 0, 0], "std": [1, 1, 1], "colour_order": "bgr",
              "classes": "0:12"}  # fmt: skip
-    segmenter = Segmenter(colour_network(), SPACE, **given)
+    segmenter = Segmenter(colour_network(), SPACE, **keywords)
     write_graph(tmp_path / "net.onnx")
-    (tmp_path / "net.yaml").write_text(yaml.safe_dump({"network": "net.onnx", **given}))
+    (tmp_path / "net.yaml").write_text(yaml.safe_dump({"network": "net.onnx", **keywords}))
     by_file = Segmenter.load(tmp_path / "net.yaml", SPACE)
     assert segmenter.config == by_file.config
     assert segmenter.config.classes == (0, 12)
@@ -62,13 +62,13 @@ def test_progress_moves_while_the_network_works(tmp_path):
     files = find_image_files([str(write_photos(tmp_path / "a", range(80)))])
     network, behind, done = colour_network(), [], [0]
     network.register_forward_pre_hook(
-        lambda module, given: behind.append(len(behind) - sum(done)) or None
+        lambda module, keywords: behind.append(len(behind) - sum(done)) or None
     )
     head = SSRVLAD.from_preset("default", labels_as=SPACE)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(segmentation, "PIXELS_AT_ONCE", 1)
-        given = [LabelShapes(head)], head.label_space, files, 1, done.append
-        encode_to_memory(*given, Segmenter(network, SPACE, PLAIN))
+        keywords = [LabelShapes(head)], head.label_space, files, 1, done.append
+        encode_to_memory(*keywords, Segmenter(network, SPACE, PLAIN))
     assert len(behind) == sum(done) == 80
     assert max(behind) <= 50
 

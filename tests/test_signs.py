@@ -17,9 +17,9 @@ SHAPE = (8, 3, 4)
 def drive(count, seed=0):
     """Signs of a drive, most of which all its frames share."""
     rng = np.random.default_rng(seed)
-    same, own = rng.integers(0, 256, SHAPE, np.uint8), rng.integers(0, 256, (count, *SHAPE))
+    same, noise = rng.integers(0, 256, SHAPE, np.uint8), rng.integers(0, 256, (count, *SHAPE))
     few = rng.integers(0, 256, (count, *SHAPE)) & rng.integers(0, 256, (count, *SHAPE))
-    return torch.from_numpy(same ^ (own & few).astype(np.uint8))
+    return torch.from_numpy(same ^ (noise & few).astype(np.uint8))
 
 
 @given(st.integers(-3, 3))
@@ -41,6 +41,6 @@ def test_recognise_takes_signs(follow):
     names = ["q"] * 40, ["r"] * 60
     town = references_of({"ssr-vlad": numbers_only, "features": frames}, names[1], {"features": 6})
     queries = {"ssr-vlad": numbers_only[10:50], "features": seen}
-    found = recognise(queries, names[0], town, Steps(follow=follow))
-    assert found.matches.indices[:, 0].tolist() == list(range(10, 50))
-    assert set(found.used["weights"]["q"]) == {"ssr-vlad", "features"}
+    answers = recognise(queries, names[0], town, Steps(follow=follow))
+    assert answers.matches.indices[:, 0].tolist() == list(range(10, 50))
+    assert set(answers.used["weights"]["q"]) == {"ssr-vlad", "features"}

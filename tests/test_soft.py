@@ -35,20 +35,20 @@ def config(request):
 def scores(seed: int, dtype: torch.dtype = torch.float64) -> Tensor:
     """``(1, 12, 9, 11)`` logits that need a gradient."""
     generator = torch.Generator().manual_seed(seed)
-    found = torch.randn(1, 12, 9, 11, generator=generator, dtype=torch.float64) * 2
-    return found.to(dtype).requires_grad_()
+    result = torch.randn(1, 12, 9, 11, generator=generator, dtype=torch.float64) * 2
+    return result.to(dtype).requires_grad_()
 
 
-def cosine(some: Tensor, others: Tensor) -> float:
-    return float(torch.cosine_similarity(some.double(), others.double()).mean())
+def cosine(first: Tensor, others: Tensor) -> float:
+    return float(torch.cosine_similarity(first.double(), others.double()).mean())
 
 
 @pytest.mark.parametrize("fast", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_gradients_pass_gradcheck(config, fast):
     probabilities = scores(1).softmax(1).detach().requires_grad_()
-    for given, temperature in ((scores(0), 1.0), (scores(0), 0.5), (probabilities, 2.0)):
+    for inputs, temperature in ((scores(0), 1.0), (scores(0), 0.5), (probabilities, 2.0)):
         twin = SoftSSRVLAD(config, temperature)
-        assert torch.autograd.gradcheck(twin, given, fast_mode=fast, atol=1e-4)
+        assert torch.autograd.gradcheck(twin, inputs, fast_mode=fast, atol=1e-4)
 
 
 def extreme() -> dict[str, Tensor]:
@@ -61,12 +61,12 @@ def extreme() -> dict[str, Tensor]:
 @pytest.mark.parametrize("name", extreme())
 def test_gradients_are_finite_for_extreme_scores(name):
     twin = SoftSSRVLAD(DEFAULT)
-    given = extreme()[name].requires_grad_()
-    found = twin(given)
-    (found.square().sum() + found[0, ::7].sum()).backward()
-    assert found.isfinite().all()
-    assert given.grad.isfinite().all()
-    assert float(found.detach().norm()) <= 1 + 1e-5
+    inputs = extreme()[name].requires_grad_()
+    result = twin(inputs)
+    (result.square().sum() + result[0, ::7].sum()).backward()
+    assert result.isfinite().all()
+    assert inputs.grad.isfinite().all()
+    assert float(result.detach().norm()) <= 1 + 1e-5
 
 
 def test_an_image_without_layers_has_a_short_descriptor():
@@ -79,10 +79,10 @@ def test_an_image_without_layers_has_a_short_descriptor():
 
 def test_every_score_of_a_layer_has_a_gradient():
     twin = SoftSSRVLAD(DEFAULT)
-    given = (one_hot(street(3)) * 4 - 2).requires_grad_()
+    inputs = (one_hot(street(3)) * 4 - 2).requires_grad_()
     weights = torch.randn(480, generator=torch.Generator().manual_seed(0))
-    (twin(given)[0] @ weights).backward()
-    assert float((given.grad[0, :8] != 0).float().mean()) > 0.9
+    (twin(inputs)[0] @ weights).backward()
+    assert float((inputs.grad[0, :8] != 0).float().mean()) > 0.9
 
 
 def city_labels() -> list[np.ndarray]:
@@ -109,10 +109,10 @@ def test_a_low_temperature_leads_to_the_hard_descriptor():
     noise = torch.randn(4, 12, 60, 80, generator=torch.Generator().manual_seed(0))
     logits = torch.cat([one_hot(street(seed, 60, 80)) for seed in range(4)]) * 3 + noise
     twins = [SoftSSRVLAD(DEFAULT, temperature) for temperature in (3.0, 1.0, 0.3, 0.01)]
-    found = [cosine(twin(logits), SSRVLAD(DEFAULT)(logits)) for twin in twins]
-    assert found == sorted(found)
-    assert found[-1] > 0.97
-    assert found[0] < found[-1] - 0.1
+    result = [cosine(twin(logits), SSRVLAD(DEFAULT)(logits)) for twin in twins]
+    assert result == sorted(result)
+    assert result[-1] > 0.97
+    assert result[0] < result[-1] - 0.1
 
 
 def test_gradients_lead_to_another_place():
@@ -120,14 +120,14 @@ def test_gradients_lead_to_another_place():
     hard, twin = SSRVLAD(DEFAULT), SoftSSRVLAD(DEFAULT)
     here, there = street(1), street(2)
     expected = hard(torch.from_numpy(there)[None])
-    given = (one_hot(here) * 2).requires_grad_()
-    before = cosine(hard(given.detach()), expected)
-    optimiser = torch.optim.Adam([given], lr=0.1)
+    inputs = (one_hot(here) * 2).requires_grad_()
+    before = cosine(hard(inputs.detach()), expected)
+    optimiser = torch.optim.Adam([inputs], lr=0.1)
     for _ in range(30):
         optimiser.zero_grad()
-        (-(twin(given) * expected).sum()).backward()
+        (-(twin(inputs) * expected).sum()).backward()
         optimiser.step()
-    assert cosine(hard(given.detach()), expected) > before + 0.1
+    assert cosine(hard(inputs.detach()), expected) > before + 0.1
 
 
 def test_dtype_follows_the_input_and_autocast_is_ignored():
@@ -138,9 +138,9 @@ def test_dtype_follows_the_input_and_autocast_is_ignored():
     assert twin(logits[:, :11]).shape == (2, 480)
     for dtype in (torch.half, torch.bfloat16):
         narrow = logits.to(dtype).requires_grad_()
-        found = twin(narrow)
-        found.sum().backward()
-        assert found.dtype == torch.float32
+        result = twin(narrow)
+        result.sum().backward()
+        assert result.dtype == torch.float32
         assert narrow.grad.dtype == dtype
     with torch.autocast("cpu", torch.bfloat16):
         assert torch.equal(twin(logits), SoftSSRVLAD(twin.config)(logits))
@@ -157,15 +157,15 @@ def test_images_of_a_batch_do_not_mix(config):
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="this machine has no CUDA device")
 def test_cuda_under_autocast_equals_the_cpu():
-    given = scores(0, torch.float32)
-    here = SoftSSRVLAD(DEFAULT)(given)
-    there = given.detach().cuda().requires_grad_()
+    inputs = scores(0, torch.float32)
+    here = SoftSSRVLAD(DEFAULT)(inputs)
+    there = inputs.detach().cuda().requires_grad_()
     with torch.autocast("cuda"):
-        found = SoftSSRVLAD(DEFAULT).cuda()(there)
-    found[0, ::3].sum().backward()
+        result = SoftSSRVLAD(DEFAULT).cuda()(there)
+    result[0, ::3].sum().backward()
     assert there.grad.isfinite().all()
-    assert found.dtype == torch.float32
-    torch.testing.assert_close(found.cpu(), here, rtol=0, atol=1e-3)
+    assert result.dtype == torch.float32
+    torch.testing.assert_close(result.cpu(), here, rtol=0, atol=1e-3)
 
 
 @pytest.mark.parametrize("temperature", [0, -1.0, float("inf"), float("nan")])
@@ -175,7 +175,7 @@ def test_a_wrong_temperature_and_the_paper_are_refused(temperature):
 
 
 @pytest.mark.parametrize(
-    ("given", "message"),
+    ("inputs", "message"),
     [
         (torch.zeros(1, 4, 5), r"expected \(B, C, H, W\) class scores, got \(1, 4, 5\)"),
         (torch.zeros(1, 4, 5, 6), "class scores have 4 classes"),
@@ -186,8 +186,8 @@ def test_a_wrong_temperature_and_the_paper_are_refused(temperature):
         (torch.zeros(0, 19, 5, 6), "at least one image"),
     ],
 )
-def test_wrong_input_is_refused(given, message):
-    refuses(message, SoftSSRVLAD(), given)
+def test_wrong_input_is_refused(inputs, message):
+    refuses(message, SoftSSRVLAD(), inputs)
 
 
 COST = """
@@ -210,43 +210,43 @@ def test_a_batch_of_eight_fits_in_two_gigabytes():
 
 
 def test_a_twin_that_ran_in_inference_mode_can_be_trained():
-    given = scores(0).detach()
+    inputs = scores(0).detach()
     with torch.inference_mode():
         twin = SoftSSRVLAD(SSRVLADConfig.from_preset("default", **TINY))
-        twin(given)
-    twin(given.requires_grad_())[0, ::7].sum().backward()
-    assert given.grad.any()
+        twin(inputs)
+    twin(inputs.requires_grad_())[0, ::7].sum().backward()
+    assert inputs.grad.any()
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.bfloat16])
 def test_the_surrogate_has_the_numbers_of_the_head_and_the_gradient_of_the_twin(dtype):
-    given, same = scores(0, dtype), scores(0, dtype)
-    found, soft = SurrogateSSRVLAD(DEFAULT)(given), SoftSSRVLAD(DEFAULT)(same)
-    assert found.requires_grad
-    assert found.dtype == torch.float32
-    assert torch.equal(found, SSRVLAD(DEFAULT)(given.detach()))
-    assert not torch.equal(found, soft.float())
-    weights = torch.randn(found.shape, generator=torch.Generator().manual_seed(1))
-    (found * weights).sum().backward()
+    inputs, same = scores(0, dtype), scores(0, dtype)
+    result, soft = SurrogateSSRVLAD(DEFAULT)(inputs), SoftSSRVLAD(DEFAULT)(same)
+    assert result.requires_grad
+    assert result.dtype == torch.float32
+    assert torch.equal(result, SSRVLAD(DEFAULT)(inputs.detach()))
+    assert not torch.equal(result, soft.float())
+    weights = torch.randn(result.shape, generator=torch.Generator().manual_seed(1))
+    (result * weights).sum().backward()
     (soft * weights).sum().backward()
-    assert given.grad.any()
-    torch.testing.assert_close(given.grad, same.grad)
+    assert inputs.grad.any()
+    torch.testing.assert_close(inputs.grad, same.grad)
 
 
 def test_without_a_gradient_it_is_the_head():
-    head, given = SurrogateSSRVLAD(DEFAULT), scores(0, torch.float32)
-    labels = given.detach().argmax(1)
+    head, inputs = SurrogateSSRVLAD(DEFAULT), scores(0, torch.float32)
+    labels = inputs.detach().argmax(1)
     assert torch.equal(head(labels), SSRVLAD(DEFAULT)(labels))
-    assert not head(given.detach()).requires_grad
+    assert not head(inputs.detach()).requires_grad
     with torch.no_grad():
-        assert not head(given).requires_grad
+        assert not head(inputs).requires_grad
 
 
 def test_scores_that_require_a_gradient_give_one_warning_without_a_surrogate():
-    head, given = SSRVLAD(DEFAULT), scores(0, torch.float32)
+    head, inputs = SSRVLAD(DEFAULT), scores(0, torch.float32)
     with pytest.warns(UserWarning, match="use SurrogateSSRVLAD") as warned:
-        assert not head(given).requires_grad
-        head(given)
+        assert not head(inputs).requires_grad
+        head(inputs)
     assert len(warned) == 1
 
 
@@ -265,10 +265,10 @@ def test_the_loss_is_equation_15_pair_by_pair(settings):
     similarity = torch.rand(5, 7, generator=torch.Generator().manual_seed(0)).double() * 2 - 1
     kind = torch.randint(0, 3, (5, 7), generator=torch.Generator().manual_seed(1))
     kind[0], kind[1] = 0, 2  # a query of which nothing is the same, one of which nothing is known
-    for given, other in ((kind == 0, kind == 0), (None, kind != 1)):
-        found = multi_similarity(similarity, kind == 1, given, *settings)
+    for inputs, other in ((kind == 0, kind == 0), (None, kind != 1)):
+        result = multi_similarity(similarity, kind == 1, inputs, *settings)
         expected = plainly(similarity, kind == 1, other, *settings)
-        assert float(found) == pytest.approx(float(expected))
+        assert float(result) == pytest.approx(float(expected))
 
 
 def test_gradients_pull_the_same_place_and_push_others():

@@ -51,11 +51,11 @@ def masks_of(numbers: Tensor) -> Tensor:
 def test_one_hot_labels_give_the_layers(channels):
     """With 8 channels cars and what follows have none: what is missing to 1 is void."""
     labels = street(0)
-    some = one_hot(labels)[:, :channels].double()
-    assert bool(some.sum(1).all()) == (channels == 12)
-    soft = soft_layers(some, membership(label_space(SPACE), channels), 1.0)
+    hot = one_hot(labels)[:, :channels].double()
+    assert bool(hot.sum(1).all()) == (channels == 12)
+    soft = soft_layers(hot, membership(label_space(SPACE), channels), 1.0)
     torch.testing.assert_close(soft, unpack(layers_of(labels)).double(), rtol=0, atol=2e-5)
-    assert not are_probabilities(some * 0)
+    assert not are_probabilities(hot * 0)
 
 
 def test_logits_and_their_probabilities_give_the_same():
@@ -92,10 +92,10 @@ def test_mean_fractions_become_the_majority():
     counts = torch.from_numpy(np.concatenate([plain, 1 - plain.sum(0, keepdims=True)]))
     best = counts.topk(2, dim=0).values
     clear = best[0] - best[1] > 0.05
-    found = soft_majority(soft, (9, 12), 0.01)[0]
+    result = soft_majority(soft, (9, 12), 0.01)[0]
     assert clear.float().mean() > 0.8
     whole = torch.eye(NO_LAYER + 1)[voted[0].long()].permute(2, 0, 1)[:8]
-    torch.testing.assert_close(found[:, clear].float(), whole[:, clear], rtol=0, atol=0.01)
+    torch.testing.assert_close(result[:, clear].float(), whole[:, clear], rtol=0, atol=0.01)
 
 
 def test_soft_vanishing_columns_equal_the_hard_ones_to_a_pixel():

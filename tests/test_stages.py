@@ -41,17 +41,17 @@ from ssrvlad_torch.taxonomy import label_space, label_space_names
 
 
 def test_points_are_the_set_pixels_by_layer_then_image_then_raster_order():
-    some = random_planes()
-    group, *places = bitplanes.points(some)
-    layer, image, *expected = unpack(some).transpose(0, 1).nonzero(as_tuple=True)
+    bits = random_planes()
+    group, *places = bitplanes.points(bits)
+    layer, image, *expected = unpack(bits).transpose(0, 1).nonzero(as_tuple=True)
     assert torch.equal(group, layer * 3 + image)
     assert all(map(torch.equal, places, expected))
 
 
 def test_painting_all_runs_gives_the_planes_back():
     drawn = [planes(mask(drawing)) for drawing in MASKS.values()]
-    for some in (random_planes(1), random_planes().transpose(1, 2), *drawn):
-        assert torch.equal(bitplanes.paint(bitplanes.runs(some), some.shape), some)
+    for bits in (random_planes(1), random_planes().transpose(1, 2), *drawn):
+        assert torch.equal(bitplanes.paint(bitplanes.runs(bits), bits.shape), bits)
 
 
 def opened_and_closed(layer, radii):
@@ -98,12 +98,12 @@ DRAWN = {name: planes(mask(drawing), ~mask(drawing)) for name, drawing in MASKS.
 }
 
 
-def assert_like_the_reference(stage, some, number):
+def assert_like_the_reference(stage, bits, number):
     fast, plain, _ = STAGES[stage]
-    before = some.clone()
-    expected = [[plain(layer, number) for layer in layers] for layers in unpack(some).numpy()]
-    np.testing.assert_array_equal(unpack(fast(some, number)), np.array(expected))
-    assert torch.equal(some, before)
+    before = bits.clone()
+    expected = [[plain(layer, number) for layer in layers] for layers in unpack(bits).numpy()]
+    np.testing.assert_array_equal(unpack(fast(bits, number)), np.array(expected))
+    assert torch.equal(bits, before)
 
 
 @stages
@@ -130,27 +130,27 @@ def test_noise_equals_the_reference(stage, seed, height, width, number, density)
 
 @pytest.mark.parametrize("radius", [1, 2, 3])
 def test_dilation_is_kornias(radius):
-    some = random_planes(3)
+    bits = random_planes(3)
     kernel = torch.ones(2 * radius + 1, 2 * radius + 1)
-    expected = kornia.morphology.dilation(unpack(some).float(), kernel)
-    assert torch.equal(unpack(dilate(some, radius)), expected.bool())
+    expected = kornia.morphology.dilation(unpack(bits).float(), kernel)
+    assert torch.equal(unpack(dilate(bits, radius)), expected.bool())
 
 
 @pytest.mark.parametrize("variant", CHOICES["thinning"])
 @pytest.mark.parametrize("width", [7, 64])
 def test_thinning_equals_the_reference_on_dense_noise(variant, width):
-    some = random_planes(width, (2, 33, width)) | random_planes(width + 1, (2, 33, width))
-    assert_like_the_reference(variant, some, 0)
+    bits = random_planes(width, (2, 33, width)) | random_planes(width + 1, (2, 33, width))
+    assert_like_the_reference(variant, bits, 0)
 
 
 @given(seed=st.integers(0, 10_000), height=st.integers(1, 20), width=st.integers(1, 20))
 def test_centres_equal_the_reference(seed, height, width):
-    some = random_planes(seed, (2, height, width)) & random_planes(seed + 3, (2, height, width))
+    bits = random_planes(seed, (2, height, width)) & random_planes(seed + 3, (2, height, width))
     expected = [
         [reference.centroid(layer) or (-1, -1) for layer in layers]
-        for layers in unpack(some).numpy()
+        for layers in unpack(bits).numpy()
     ]
-    assert centre_table(centroids(some), 2).tolist() == np.array(expected).tolist()
+    assert centre_table(centroids(bits), 2).tolist() == np.array(expected).tolist()
 
 
 def test_a_centre_is_exact_where_float32_is_not():
@@ -328,16 +328,16 @@ def test_the_descriptor_is_equation_2_in_numpy():
     points[0, 2], counts[0, 2] = 0, 0  # layers without keypoints, and one that sees the same
     points[1], counts[1] = 0, 0
     points[2, 5] = counts[2, 5] * centre[2, 5]
-    bins = (torch.from_numpy(each).view(4, 8, 5, 12) for each in (points, centre))
+    bins = (torch.from_numpy(counted).view(4, 8, 5, 12) for counted in (points, centre))
     histograms = ResidualHistograms(*bins, torch.from_numpy(counts), torch.empty(0))
     descriptor = Residuals(PAPER).descriptor(histograms)
     assert descriptor.dtype == torch.float32
-    for found, *image in zip(descriptor, points, counts, centre, strict=True):
+    for result, *image in zip(descriptor, points, counts, centre, strict=True):
         blocks = [p - n * c for p, n, c in zip(*image, strict=True)]
         vectors = np.concatenate([block / (np.linalg.norm(block) or 1) for block in blocks])
         expected = vectors / (np.linalg.norm(vectors) or 1)
-        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-7)
-        assert not found[torch.from_numpy(expected == 0)].any()
+        np.testing.assert_allclose(result, expected, rtol=0, atol=1e-7)
+        assert not result[torch.from_numpy(expected == 0)].any()
 
 
 def opening(column: int, height: int = 40, width: int = 60) -> torch.Tensor:
@@ -350,11 +350,11 @@ def opening(column: int, height: int = 40, width: int = 60) -> torch.Tensor:
 
 def test_the_vanishing_column_lies_where_the_street_narrows():
     assert ONE.bit_length() - 1 == (LEVELS.bit_length() - 1) * POWER - 28
-    found = [int(vanishing_columns(opening(column))) for column in (15, 30, 44)]
-    assert found == sorted(found)
-    assert found[0] < -9
-    assert abs(found[1]) <= 1
-    assert found[2] > 9
+    result = [int(vanishing_columns(opening(column))) for column in (15, 30, 44)]
+    assert result == sorted(result)
+    assert result[0] < -9
+    assert abs(result[1]) <= 1
+    assert result[2] > 9
 
 
 @given(st.integers(0, 10_000), st.integers(1, 40), st.integers(1, 50), st.floats(0, 1))
@@ -363,11 +363,11 @@ def test_vanishing_columns_equal_the_reference(seed, height, width, density):
     rng = np.random.default_rng(seed)
     numbers = rng.integers(0, AREA_LAYERS + 1, (2, height, width))
     numbers[rng.random(numbers.shape) < density] = SKY
-    found = vanishing_columns(torch.from_numpy(numbers))
-    assert found.dtype == torch.int64
+    result = vanishing_columns(torch.from_numpy(numbers))
+    assert result.dtype == torch.int64
     layers = [[image == k for k in range(AREA_LAYERS)] for image in numbers]
-    assert found.tolist() == [reference.vanishing_column(each) for each in layers]
-    assert (2 * found.abs() <= width).all()
+    assert result.tolist() == [reference.vanishing_column(image) for image in layers]
+    assert (2 * result.abs() <= width).all()
 
 
 def test_large_images_do_not_overflow():

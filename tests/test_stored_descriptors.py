@@ -72,8 +72,8 @@ def test_what_db_export_writes_finds_what_the_method_finds(ssrvlad, two_drives, 
 
 
 def test_frames_that_the_file_lacks_are_named(compare, two_drives, tmp_path):
-    some = dict([*hloc(two_drives).items()][2:])
-    file = write(tmp_path / "some.h5", some)
+    incomplete = dict([*hloc(two_drives).items()][2:])
+    file = write(tmp_path / "some.h5", incomplete)
     code, rows, _ = compare(two_drives, "--method", f"hog,{file}")
     assert (code, rows["hog"]["queries"]) == (3, 6)
     assert rows[str(file)]["reason"] == (

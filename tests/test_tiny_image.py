@@ -53,9 +53,9 @@ def test_a_flat_patch_normalises_to_zero():
 def test_normalisation_equals_a_loop(lengths, seed):
     sequence = np.repeat(np.arange(len(lengths)), lengths).astype(np.int64)
     difference = np.random.default_rng(seed).uniform(0.2, 1.8, (3, len(sequence)))
-    found = enhance(torch.from_numpy(difference), torch.from_numpy(sequence))
+    result = enhance(torch.from_numpy(difference), torch.from_numpy(sequence))
     expected = plain_scores(difference, sequence)
-    np.testing.assert_allclose(found.numpy(), expected, rtol=0, atol=1e-4)
+    np.testing.assert_allclose(result.numpy(), expected, rtol=0, atol=1e-4)
 
 
 def test_scores_equal_loops_whatever_the_block(monkeypatch):
@@ -63,16 +63,16 @@ def test_scores_equal_loops_whatever_the_block(monkeypatch):
     method = make("tiny-image")
     drives = [*frames(map(image, range(6)), "a"), *frames(map(image, range(6, 9)), "b")]
     queries = [image(seed) for seed in (1, 4, 8, 20, 21)]
-    found = method.scores(method.encode_query(frames(queries)), method.encode_reference(drives))
-    assert (found.shape, found.dtype) == ((5, 9), torch.float32)
+    result = method.scores(method.encode_query(frames(queries)), method.encode_reference(drives))
+    assert (result.shape, result.dtype) == ((5, 9), torch.float32)
     alone = method.encode_reference([*frames([image(0)], "a"), *frames([image(1)] * 50, "b")])
     assert not method.scores(method.encode_query(frames(queries)), alone).any(), "all are alike"
     there = np.stack([plain_picture(frame.picture[..., 0], 32, 64) for frame in drives])
     here = np.stack([plain_picture(query[..., 0], 32, 64) for query in queries])
     difference = np.abs(here[:, None] - there).mean((2, 3))
     expected = plain_scores(difference, [frame.sequence for frame in drives])
-    np.testing.assert_allclose(found.numpy(), expected, rtol=0, atol=1e-3)
-    assert found[:3].argmax(1).tolist() == [1, 4, 8]
+    np.testing.assert_allclose(result.numpy(), expected, rtol=0, atol=1e-3)
+    assert result[:3].argmax(1).tolist() == [1, 4, 8]
     gray = noise(0, 64, 192)[..., :1].repeat(3, 2)
     encoded = method.encode_query(frames([gray])).view(32, 64).numpy()
     expected = plain_picture(gray[..., 0], 32, 64)

@@ -30,8 +30,8 @@ class TestFinding:
         file = home / "unzipped" / "b.pth"
         file.parent.mkdir()
         file.touch()
-        for given in (file, str(file), home):
-            assert find_weights(given, ["a.mat", "unzipped/b.pth"], "them") == file
+        for where in (file, str(file), home):
+            assert find_weights(where, ["a.mat", "unzipped/b.pth"], "them") == file
         (home / "a.mat").touch()
         assert find_weights(home, ["a.mat", "unzipped/b.pth"], "them") == home / "a.mat"
 
@@ -41,11 +41,11 @@ class TestFinding:
         (weights.weights_folder() / "a.mat").touch()
         assert find_weights(None, ["a.mat"], "them") == weights.weights_folder() / "a.mat"
 
-    @pytest.mark.parametrize("given", [None, "nowhere.mat", "."])
-    def test_missing_weights_are_named_in_one_line(self, given, home):
-        place = given or str(weights.weights_folder())
+    @pytest.mark.parametrize("where", [None, "nowhere.mat", "."])
+    def test_missing_weights_are_named_in_one_line(self, where, home):
+        place = where or str(weights.weights_folder())
         with refused("a.mat or b.pth", "the project page", place, by=FileNotFoundError) as error:
-            find_weights(given, ["a.mat", "b.pth"], "the project page")
+            find_weights(where, ["a.mat", "b.pth"], "the project page")
         assert str(weights.weights_folder()) in str(error.value)
 
 

@@ -15,9 +15,9 @@ REACH = 2
 
 def moved(grids: Tensor, columns: int) -> Tensor:
     """``(N, columns, ...)`` moved to the right by some columns; zero comes in from outside."""
-    after, kept = torch.zeros_like(grids), max(0, grids.shape[1] - abs(columns))
+    after, overlap = torch.zeros_like(grids), max(0, grids.shape[1] - abs(columns))
     to, source = max(0, columns), max(0, -columns)
-    after[:, to : to + kept] = grids[:, source : source + kept]
+    after[:, to : to + overlap] = grids[:, source : source + overlap]
     return after
 
 
