@@ -18,7 +18,7 @@ from ..segmentation.label_network import LabelNetwork
 from ..segmentation.network_outputs import classes_of, enlarged
 from ..segmentation.onnx_files import load_model, rename
 from ..segmentation.onnx_network import OnnxNetwork
-from ..segmentation.preparation import OF_SIDES
+from ..segmentation.preparation import OF_SIDES, Preparation, SegmenterConfig
 from ..stages.features import SHAPE, Features
 from .trace import OPSET, Axes, join, opset, traced, with_opset
 
@@ -49,7 +49,7 @@ def label_graph(labels: LabelNetwork, features: NetworkFeatures | None = None) -
     network, names = labels.network, features.names if features else []
     model = with_opset(load_model(network.path), OPSET)
     config, version = labels.config, opset(model)
-    prepare = _traced_preparation(labels, network)
+    prepare = _traced_preparation(config, network)
     size = config.size if isinstance(config.size, tuple) else (64, 96)
     with torch.inference_mode():
         example = torch.zeros(network.batch or 1, *size, 3, dtype=torch.uint8)
@@ -153,8 +153,8 @@ def _traced_features(module: Features, dtypes: tuple[torch.dtype, ...]) -> onnx.
     return traced(module.cpu(), inputs, {NAME: ["B", *SHAPE]})
 
 
-def _traced_preparation(labels: LabelNetwork, network: OnnxNetwork) -> onnx.ModelProto:
-    module = _Preparation(labels.preparation, network.fed)
+def _traced_preparation(config: SegmenterConfig, network: OnnxNetwork) -> onnx.ModelProto:
+    module = _Preparation(Preparation(config), network.fed)
     example = torch.zeros(2, *EXAMPLE, 3, dtype=torch.uint8)
     forms: dict[str, Axes] = {"numbers": [None] * 4, "picture": ["B", "H", "W"]}
     return traced(module, {"image": (example, _IMAGE)}, {**forms, HOG.name: _HISTOGRAMS})
