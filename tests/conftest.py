@@ -18,6 +18,7 @@ from urllib.request import Request, urlopen
 import pytest
 import torch
 import typer
+from built import page, site, user  # noqa: F401 - fixtures
 from drives import write_maps, write_truth, write_two_drives
 from filelock import FileLock
 from hypothesis import settings

@@ -1,0 +1,340 @@
+"""Scenes of label maps and of pictures, and every program that finds places or loops in them."""
+
+import shutil
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import follow_onnx
+import loops_onnx
+import numpy as np
+from built import Fixtures
+from drawings import SPACE
+from drives import write_maps
+from exported import of_preset
+from helpers import outcome
+from loop_streams import SEEDS, objects
+from oracles import loops as oracle
+from PIL import Image
+from ros_images import CAMVID, CONFIG, SECOND, picture
+from segmenting import write_drives, write_map, write_moved_drives
+from ssrvlad_place.model import TRUST
+from ssrvlad_ros.live_loops import LiveLoops
+from ssrvlad_ros.place_model import PlaceModel
+
+from ssrvlad_torch import SSRVLAD, export_head
+from ssrvlad_torch.channels.channel import new_channels
+from ssrvlad_torch.database.frames import FrameSet
+from ssrvlad_torch.datasets.image_files import find_image_files
+from ssrvlad_torch.datasets.synthetic_city import write_city
+from ssrvlad_torch.encoding.encoder import encode_to_memory
+from ssrvlad_torch.native.loops import Channel
+from ssrvlad_torch.native.map import DescriptorMap
+from ssrvlad_torch.recognition.sweep import COLUMNS
+from ssrvlad_torch.segmentation.segmenter import Segmenter
+
+Lines = list[dict[str, Any]]
+CITY = "cityscapes-trainids"
+
+
+class Scene(NamedTuple):
+    """Files: a model, folders of frames, a map in NumPy's form and the folders of its frames; the
+    columns of a sweep, and the label space, if it is another than ``SPACE``."""
+
+    model: Path
+    folders: Sequence[Path]
+    town: Path | None = None
+    maps: Sequence[Path] = ()
+    columns: Sequence[int] = ()
+    labels_as: str | None = None
+
+
+def as_arrays(folder: Path, source: Path) -> Path:
+    """The frames of a folder as arrays, which C++ reads."""
+    folder.mkdir(parents=True)
+    for file in source.iterdir():
+        np.save(folder / f"{file.stem}.npy", np.asarray(Image.open(file)))
+    return folder
+
+
+def arrays_of(scene: Scene) -> list[Path]:
+    """The folders of a scene as arrays."""
+    folders = [scene.model.parent / "arrays" / folder.name for folder in scene.folders]
+    for folder, source in zip(folders, scene.folders, strict=True):
+        if not folder.exists():
+            as_arrays(folder, source)
+    return folders
+
+
+# ---- places
+
+
+def of_label_maps(folder: Path, fixtures: Fixtures, swept: bool = False) -> Scene:
+    """Two sequences in a map of two; swept, the first is the way back with a turned camera."""
+    city = write_city(folder / "city", frames=36, size=(60, 80), seed=3)
+    other = write_city(folder / "b", frames=12, size=(60, 80), seed=1)
+    maps = (other / "reference").rename(folder / "other"), city / "reference"
+    town, model = folder / "town.npy", folder / "head.onnx"
+    write_map(fixtures("ssrvlad"), town, *maps)
+    config, columns = of_preset("default", labels_as=CITY), COLUMNS if swept else ()
+    export_head(config, model, columns=columns)
+    here, there = folder / "today", (other / "query").rename(folder / "elsewhere")
+    here.mkdir()
+    files = sorted((city / "query").iterdir())
+    for number, file in enumerate(files[::-1] if swept else files):
+        labels = np.asarray(Image.open(file))
+        Image.fromarray(np.roll(labels, 7, 1) if swept else labels).save(here / f"{number}.png")
+    return Scene(model, [here, there], town, maps, columns, CITY)
+
+
+def of_pictures(folder: Path, fixtures: Fixtures) -> Scene:
+    """A sequence moved by two cells, by all channels."""
+    town = folder / "town.npy"
+    write_moved_drives(fixtures("ssrvlad"), folder, town)
+    return Scene(folder / "place.onnx", [folder / "today"], town, [folder / "monday"])
+
+
+PLACES: dict[str, Callable[[Path, Fixtures], Scene]] = {
+    "label maps": of_label_maps,
+    "swept label maps": partial(of_label_maps, swept=True),
+    "pictures": of_pictures,
+}
+MODES: dict[str, tuple[object, ...]] = {
+    "offline": (),
+    "online": ("--follow", "online", "--delay", 3),
+    "alone": ("--follow", "no"),
+}
+
+
+def channels_of(scene: Scene, folder: Path, columns: Sequence[int] = ()) -> FrameSet:
+    """The frames of a folder by all channels that the package has of a scene."""
+    labels_as = SPACE if scene.labels_as is None else scene.labels_as
+    head, segmenter = SSRVLAD(of_preset("default", labels_as=labels_as)), None
+    if scene.model.name == "place.onnx":
+        segmenter = Segmenter.load(scene.model.with_name("net.yaml"), labels_as)
+    channels, files = new_channels(None, head, segmenter), find_image_files([str(folder)])
+    space = head.label_space
+    return encode_to_memory(channels, space, files, 1, segmenter=segmenter, columns=columns)[0]
+
+
+def by_the_core(scene: Scene, mode: str) -> Lines:
+    """The answers of the core to the descriptors of the package."""
+    maps, lines = [channels_of(scene, folder) for folder in scene.maps], []
+    town = DescriptorMap([len(rows.frames) for rows in maps])
+    frames = [frame for rows in maps for frame in rows.frames]
+    for name in maps[0].channels:
+        rows = np.concatenate([part.channels[name].numpy() for part in maps])
+        town.add(name, rows, TRUST[name])
+    follow, delay = {"offline": ("offline", 0), "online": ("online", 3), "alone": (None, 0)}[mode]
+    for folder in scene.folders:
+        queries = channels_of(scene, folder, scene.columns)
+        arrays = {name: array.numpy() for name, array in queries.channels.items()}
+        found = town.query(arrays, follow=follow, delay=delay, top=3)
+        alone = "fused score" if len(arrays) > 1 else "cosine"
+        for query, rows, scores, sure in zip(
+            queries.frames, found.rows, found.scores, found.right, strict=True
+        ):
+            ranked = [
+                {"frame": frames[row], "score": float(score)}
+                for row, score in zip(rows, scores, strict=True)
+                if row >= 0
+            ]
+            score_is = "probability" if found.followed else alone
+            line = {"query": query, "candidates": ranked, "score_is": score_is}
+            lines.append({**line, "confidence": float(sure)})
+    return lines
+
+
+def by_query(scene: Scene, mode: str, fixtures: Fixtures) -> Lines:
+    """`ssrvlad query`."""
+    sweep = () if scene.columns else ("--no-sweep",)
+    words = ("query", scene.town.with_suffix(".ssrdb"), *scene.folders, *sweep, *MODES[mode])
+    code, out, err = fixtures("ssrvlad")(*words, "--top", 3, "--json")
+    assert (code, err) == (0, [])
+    return objects(out)
+
+
+def files_of(scene: Scene, split: bool) -> tuple[object, ...]:
+    """The model, or the network's file and the head's."""
+    network, head = (scene.model.with_name(f"{name}.onnx") for name in ("net", "head"))
+    return ("--network", network, head) if split else (scene.model,)
+
+
+def by_python(scene: Scene, mode: str, fixtures: Fixtures, split: bool = False) -> Lines:
+    """`follow_onnx.py`."""
+    files = (*files_of(scene, split), *scene.folders, "--database", scene.town)
+    words = (*files, *MODES[mode], "--top", 3, "--json")
+    code, out, err = fixtures("main_of")(follow_onnx.main, "follow_onnx.py", *words)
+    assert (code, err) == (0, [])
+    return objects(out)
+
+
+def by_cpp(scene: Scene, mode: str, fixtures: Fixtures, split: bool = False) -> Lines:
+    """`follow` of C++."""
+    options = {"offline": (), "online": ("--online", 3), "alone": ("--alone",)}[mode]
+    files = (*files_of(scene, split), scene.town, 3, *arrays_of(scene))
+    code, lines, errors = outcome(fixtures("user") / "build" / "follow", *options, *files)
+    assert (code, errors) == (0, [])
+    return objects("\n".join(lines))
+
+
+SHOWN = """Array.from(document.querySelectorAll('#places tbody tr'),
+    (row) => Array.from(row.cells, (cell) => cell.innerText))"""
+
+
+def by_page(scene: Scene, mode: str, fixtures: Fixtures) -> Lines:
+    """The page in a browser, on which each folder is dropped; it shows the first candidate."""
+    page, site, lines = fixtures("page"), fixtures("site"), []
+    for file in (scene.model, *scene.town.parent.glob(f"{scene.town.name}*")):
+        shutil.copy(file, site)
+    status = "document.getElementById('status')"
+    done = f"!document.getElementById('result').hidden || {status}.classList.contains('error')"
+    for folder in scene.folders:
+        query = f"?model={scene.model.name}&database={scene.town.name}"
+        ready = f"/choose (label maps|photographs)\\.$/i.test({status}.textContent)"
+        page.open(f"{page.address}{query}", ready)
+        page.drop(folder)
+        page.wait_for(done)
+        for name, place, score, confidence in page.run(SHOWN):
+            found = [{"frame": place, "score": float(score)}]
+            frame = f"{folder.name}/{Path(name).stem}"
+            lines.append({"query": frame, "candidates": found, "confidence": float(confidence)})
+    return lines
+
+
+FOLLOWERS = {"follow_onnx.py": by_python, "C++": by_cpp}
+ASKED = [
+    *(
+        ("ssrvlad query", scene, mode)
+        for scene in ("label maps", "swept label maps")
+        for mode in MODES
+    ),
+    *((name, scene, mode) for name in FOLLOWERS for scene in PLACES for mode in MODES),
+    *((f"{name}, two files", "pictures", "offline") for name in FOLLOWERS),
+    *(("page", scene, "offline") for scene in PLACES),
+]
+"""Programs, scenes and modes."""
+FOLLOWERS |= {f"{name}, two files": partial(run, split=True) for name, run in FOLLOWERS.items()}
+FOLLOWERS |= {"ssrvlad query": by_query, "page": by_page}
+
+
+# ---- loops
+
+
+def of_a_stream(folder: Path, fixtures: Fixtures) -> Scene:
+    """Forty label maps, and fourteen of them again."""
+    stream, model = folder / "stream", folder / "head.onnx"
+    seeds = dict(enumerate(SEEDS))
+    for number, seed in seeds.items():
+        write_maps(folder / "drawn", [seed])
+        stream.mkdir(exist_ok=True)
+        (folder / "drawn" / f"{seed:03d}.png").rename(stream / f"{number:02d}.png")
+    export_head(of_preset("default"), model)
+    return Scene(model, [stream])
+
+
+def of_two_drives(folder: Path, fixtures: Fixtures) -> Scene:
+    """Pictures of twenty places, and of fourteen of them again."""
+    write_drives(folder, range(20), range(4, 18), (96, 128))
+    return Scene(folder / "place.onnx", [folder / "monday", folder / "today"])
+
+
+LOOPS: dict[str, Callable[[Path, Fixtures], Scene]] = {
+    "label maps": of_a_stream,
+    "pictures": of_two_drives,
+}
+SETTINGS = ("--exclude", CONFIG.exclude, "--threshold", CONFIG.threshold)
+
+
+def loops_by_oracle(scene: Scene) -> Lines:
+    """The loops that the formulas find in the descriptors of the package."""
+    parts = [channels_of(scene, folder) for folder in scene.folders]
+    arrays = {
+        name: np.concatenate([part.channels[name].numpy() for part in parts])
+        for name in parts[0].channels
+    }
+    forms = [
+        Channel(name, array.shape[1:], str(array.dtype), TRUST[name])
+        for name, array in arrays.items()
+    ]
+    names = [frame for part in parts for frame in part.frames]
+    stream, lines, last = oracle.Loops(forms, CONFIG.exclude, CONFIG.threshold), [], ""
+    for row, name in enumerate(names):
+        frame = {form.name: arrays[form.name][row] for form in forms}
+        sequence = name.rpartition("/")[0]
+        step = stream.update(frame, sequence != last)
+        lines.append(line_of(name, *step, names))
+        last = sequence
+    return lines
+
+
+def line_of(frame, reason, candidate, score, probability, places, names) -> dict[str, Any]:
+    """A step as the programs print it."""
+    likely = [{"frame": names[row], "probability": chance} for row, chance in places]
+    found = {"candidate": None if candidate is None else names[candidate], "candidates": likely}
+    return {"frame": frame, "reason": reason, "score": score, "probability": probability, **found}
+
+
+def loops_by_command(scene: Scene, fixtures: Fixtures) -> Lines:
+    """`ssrvlad loops`."""
+    network = scene.model.with_name("net.yaml")
+    kind = ("--segmenter", network) if network.exists() else ("--labels-as", SPACE)
+    words = (*scene.folders, *kind, *SETTINGS, "--no-sweep", "--json", "--workers", 1)
+    code, out, err = fixtures("ssrvlad")("loops", *words)
+    assert (code, err) == (0, [])
+    return objects(out)
+
+
+def loops_by_python(scene: Scene, fixtures: Fixtures, split: bool = False) -> Lines:
+    """`loops_onnx.py`."""
+    words = (*files_of(scene, split), *scene.folders, *SETTINGS)
+    code, out, err = fixtures("main_of")(loops_onnx.main, "loops_onnx.py", *words)
+    assert (code, err) == (0, [])
+    return objects(out)
+
+
+def loops_by_cpp(scene: Scene, fixtures: Fixtures, split: bool = False) -> Lines:
+    """`loops` of C++."""
+    words = (*SETTINGS, *files_of(scene, split), *arrays_of(scene))
+    code, lines, errors = outcome(fixtures("user") / "build" / "loops", *words)
+    assert (code, errors) == (0, [])
+    return objects("\n".join(lines))
+
+
+def loops_by_ros(scene: Scene, fixtures: Fixtures) -> Lines:
+    """The core of the ROS 2 node, of one sequence a folder."""
+    model = PlaceModel(scene.model) if scene.model.name == "place.onnx" else None
+    node, number, lines, names = LiveLoops(CONFIG, model=model), 0, [], {}
+    if model is None:
+        node.set_labels(CAMVID)
+    for folder in scene.folders:
+        node.sequence = folder.name
+        for file in find_image_files([str(folder)]):
+            pixels = np.asarray(Image.open(file.path))
+            encoding = "mono8" if model is None else "rgb8"
+            result = node.update(picture(pixels, encoding), number * SECOND).result.as_json()
+            names[result["frame"]] = file.frame
+            lines.append(result)
+            number += 1
+    return [_renamed(line, names) for line in lines]
+
+
+def _renamed(line: dict[str, Any], names: dict[str, str]) -> dict[str, Any]:
+    """With the ids of files in the place of those of stamps."""
+    places = [{**place, "frame": names[place["frame"]]} for place in line["candidates"]]
+    candidate = line["candidate"] and names[line["candidate"]]
+    return {**line, "frame": names[line["frame"]], "candidate": candidate, "candidates": places}
+
+
+CLOSERS = {
+    "ssrvlad loops": loops_by_command,
+    "loops_onnx.py": loops_by_python,
+    "C++": loops_by_cpp,
+    "ROS 2": loops_by_ros,
+}
+CLOSED = [(name, scene) for name in CLOSERS for scene in LOOPS]
+"""Programs and scenes."""
+for name, run in {"loops_onnx.py": loops_by_python, "C++": loops_by_cpp}.items():
+    CLOSERS[f"{name}, two files"] = partial(run, split=True)
+    CLOSED.append((f"{name}, two files", "pictures"))

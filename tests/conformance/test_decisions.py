@@ -1,0 +1,73 @@
+"""Every program that finds places and loops. Places are those of the core by the descriptors of the
+package: test_native_map.py and test_decide.py hold the core to formulas. Loops are those of the
+formulas."""
+
+import re
+
+import pytest
+from conformance.decisions import (
+    ASKED,
+    CLOSED,
+    CLOSERS,
+    FOLLOWERS,
+    LOOPS,
+    PLACES,
+    by_the_core,
+    loops_by_oracle,
+)
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    """The folder of each scene, and what is made there once."""
+    made = {}
+
+    def of(kinds, name, request):
+        if (id(kinds), name) not in made:
+            folder = tmp_path_factory.mktemp(re.sub(r"\W", "-", name))
+            made[id(kinds), name] = kinds[name](folder, request.getfixturevalue)
+        return made[id(kinds), name]
+
+    return of
+
+
+ANSWERS = {}
+
+
+@pytest.mark.parametrize(("name", "scene", "mode"), ASKED)
+def test_places_are_those_of_the_core(name, scene, mode, folders, request):
+    files = folders(PLACES, scene, request)
+    get = request.getfixturevalue
+    if (scene, mode) not in ANSWERS:
+        ANSWERS[scene, mode] = by_the_core(files, mode)
+    expected, answers = ANSWERS[scene, mode], FOLLOWERS[name](files, mode, get)
+    exact = 6e-3 if name == "page" else 1e-4  # the page shows two digits
+    for line, right in zip(answers, expected, strict=True):
+        assert line["query"] == right["query"]
+        assert line.get("score_is", right["score_is"]) == right["score_is"]
+        assert line["confidence"] == pytest.approx(right["confidence"], abs=exact)
+        ours, theirs = scores_of(line), scores_of(right)
+        assert [*ours][:1] == [*theirs][:1]
+        for frame in ours.keys() | (theirs.keys() if name != "page" else ()):
+            # rows that are hardly believed change places
+            assert ours.get(frame, 0) == pytest.approx(theirs.get(frame, 0), abs=1e-4)
+
+
+def scores_of(line, number="score"):
+    return {candidate["frame"]: candidate[number] for candidate in line["candidates"]}
+
+
+@pytest.mark.parametrize(("name", "scene"), CLOSED)
+def test_loops_are_those_of_the_formulas(name, scene, folders, request):
+    files, get = folders(LOOPS, scene, request), request.getfixturevalue
+    if scene not in ANSWERS:
+        ANSWERS[scene] = loops_by_oracle(files)
+    expected, lines = ANSWERS[scene], CLOSERS[name](files, get)
+    assert sum(line["reason"] == "accepted" for line in expected) > 5
+    for line, right in zip(lines, expected, strict=True):
+        for field in ("frame", "reason", "candidate"):
+            assert line[field] == right[field], line["frame"]
+        for field in ("score", "probability"):
+            assert line[field] == pytest.approx(right[field], abs=3e-4), line["frame"]
+        ours, theirs = (scores_of(one, "probability") for one in (line, right))
+        assert ours == pytest.approx(theirs, abs=3e-4), line["frame"]
