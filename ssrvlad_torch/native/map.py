@@ -256,8 +256,8 @@ class _Call:
         excluded: Array | None,
     ) -> None:
         if [*queries] != [*town._channels] or not queries:
-            wanted, got = (", ".join(names) or "none" for names in (town._channels, queries))
-            raise ValueError(f"expected queries by {wanted}, got {got}")
+            expected, got = (", ".join(names) or "none" for names in (town._channels, queries))
+            raise ValueError(f"expected queries by {expected}, got {got}")
         standardise, sweep, follow, delay, top = steps
         _expect("follow", follow, follow in MODES, ", ".join(map(str, MODES)))
         _expect("delay", delay, delay >= 0, "at least 0")
@@ -279,7 +279,7 @@ class _Call:
         """Calls a function of the core that fills a target."""
         weights = (ctypes.c_double * len(self._arrays))()
         taken = struct("taken")(weights=ctypes.addressof(weights))
-        given = (struct("queries") * len(self._arrays))(
+        asked = (struct("queries") * len(self._arrays))(
             *(
                 (address(array, array.shape, "float32", "uint8"), self._anchors(name))
                 for name, array in self._arrays.items()
@@ -288,7 +288,7 @@ class _Call:
         call = getattr(required(), name)
         require(
             call(
-                self._town._map, given, self.count, ctypes.byref(self._steps), threads, target,
+                self._town._map, asked, self.count, ctypes.byref(self._steps), threads, target,
                 ctypes.byref(taken),
             )
         )  # fmt: skip
@@ -305,9 +305,9 @@ class _Call:
         anchors = array.ndim - rows.ndim if rows.dtype == np.float32 else 0
         fits = array.dtype == rows.dtype and array.shape[1 + anchors :] == rows.shape[1:]
         if not fits or (anchors == 1 and array.shape[1] % 2 == 0):
-            wanted = ", ".join(map(str, rows.shape[1:]))
+            expected = ", ".join(map(str, rows.shape[1:]))
             raise ValueError(
-                f"{name}: expected queries (Q, {wanted}) {rows.dtype}, of vectors also (Q, S, D) "
+                f"{name}: expected queries (Q, {expected}) {rows.dtype}, of vectors also (Q, S, D) "
                 f"with an odd S, got {array.shape} {array.dtype}"
             )
         return array
@@ -317,9 +317,9 @@ class _Call:
         return queries.shape[1] if rows is not None and queries.ndim > rows.ndim else 1
 
 
-def _expect(name: str, got: object, fits: bool, wanted: str) -> None:
+def _expect(name: str, got: object, fits: bool, expected: str) -> None:
     if not fits:
-        raise ValueError(f"{name}: expected {wanted}, got {got!r}")
+        raise ValueError(f"{name}: expected {expected}, got {got!r}")
 
 
 def _of_shape(
