@@ -23,7 +23,6 @@ from collections.abc import Callable, Iterator, Sized
 from pathlib import Path
 from typing import Any
 
-import _index_engines
 import _large_maps
 import numpy as np
 import torch
@@ -49,7 +48,6 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, default=Path("scale"), help="of the databases")
     parser.add_argument("--out", type=Path, default=Path("docs/scale.md"))
     parser.add_argument("--pictures", action="store_true", help="measure all channels alone")
-    parser.add_argument("--engines", action="store_true", help="compare libraries for an index")
     parser.add_argument("--step", choices=STEPS, help=argparse.SUPPRESS)
     given = parser.parse_args()
     sizes = given.frames or [1_000_000]
@@ -57,17 +55,9 @@ def main() -> None:
         print(json.dumps(measured(STEPS[given.step][1], sizes[0], given.folder)))
         return
     given.folder.mkdir(parents=True, exist_ok=True)
-    steps = [
-        name
-        for name in STEPS
-        if (name in _large_maps.STEPS) == given.pictures and name != "engines"
-    ]
-    steps = ["pictures", "engines"] if given.engines else steps
+    steps = [name for name in STEPS if (name in _large_maps.STEPS) == given.pictures]
     results = {frames: run_all(frames, given.folder, steps) for frames in sizes}
-    page = Page("scale.md", given.out, not (given.pictures or given.engines))
-    if given.engines:
-        page.section("## Other engines", _index_engines.in_words(results))
-        return
+    page = Page("scale.md", given.out, not given.pictures)
     if given.pictures:
         page.section("## Pictures by all channels", _large_maps.in_words(results))
         page.section("## Drives by all channels", _large_maps.drives_in_words(results))
@@ -212,7 +202,6 @@ STEPS: dict[str, tuple[str, Callable[[int, Path], Report]]] = {
     "exact": (f"{QUERIES} exact queries", exact),
     "index": ("`db index`", index),
     **{name: ("", step) for name, step in _large_maps.STEPS.items()},
-    "engines": ("", _index_engines.engines),
 }
 """Names in the table, empty for those that are not in it, and functions."""
 
