@@ -28,7 +28,8 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
 
-from ssrvlad_torch.datasets.poses import Pose, read_poses, write_poses
+from ssrvlad_torch.datasets.pose_tables import read_poses, write_poses
+from ssrvlad_torch.datasets.poses import Pose
 from ssrvlad_torch.datasets.trajectories import read_trajectory
 from ssrvlad_torch.files import replacing
 

@@ -365,7 +365,7 @@ class Map:
                 settings["near"] = posed
         answers, config = self.query(source, steps, TOP, **settings), self.database.config
         dataset, skipped = source.dataset, [frame.frame for frame in answers.skipped]
-        references = Viewpoints.of_set(answers.references, dataset, source.known)
+        references = Viewpoints.of_set(answers.references, dataset, source.map_folders)
         queries = Viewpoints.of_set(answers.queries, dataset, answers.folders, skipped)
         truth = true_matches(definition, references, queries, note)
         [channel] = chosen_channels(self.database, [next(iter(answers.queries.channels))])

@@ -27,8 +27,8 @@ class Maps:
     def database(self):
         return Database.open_or_create(self.folder / "town.ssrdb", HEAD.config)
 
-    def encode(self, *folders, head=HEAD, sequence=None, known=(), **options):
-        files = self.files(*folders, sequence=sequence, known=known)
+    def encode(self, *folders, head=HEAD, sequence=None, map_folders=(), **options):
+        files = self.files(*folders, sequence=sequence, map_folders=map_folders)
         return encode_to_database(head, files, self.database(), EncodeOptions(**options))
 
 

@@ -112,15 +112,15 @@ def test_a_bag_is_encoded_as_one_sequence_with_poses(tmp_path, ssrvlad, monkeypa
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     network = write_graph(tmp_path / "net.onnx")
     bag = write_bag(tmp_path / "drive.bag", {"/left": "rgb8", "/right": "bgr8"})
-    given = (bag, "-o", tmp_path / "town", "--segmenter", network, "--labels-as", SPACE)
-    given = (*given, "--channel", "ssr-vlad")
-    code, _, (*_, line) = ssrvlad("encode", *given)
+    options = ("-o", tmp_path / "town", "--segmenter", network, "--labels-as", SPACE)
+    options = (bag, *options, "--channel", "ssr-vlad")
+    code, _, (*_, line) = ssrvlad("encode", *options)
     assert code == 2 and "/left, /right; name one with --topic" in line
     rows = [f"{FIRST * 1e-9 + n / 10:.9f} {n} 0 0 0 0 0 1" for n in range(5)]
     (tmp_path / "tum.txt").write_text("\n".join(rows))
-    given = (*given, "--topic", "/left", "--poses", tmp_path / "tum.txt")
-    assert "5 frames encoded" in ssrvlad("encode", *given)[1]
-    assert "0 frames encoded" in ssrvlad("encode", *given)[1]
+    options = (*options, "--topic", "/left", "--poses", tmp_path / "tum.txt")
+    assert "5 frames encoded" in ssrvlad("encode", *options)[1]
+    assert "0 frames encoded" in ssrvlad("encode", *options)[1]
     frames = Database.open(tmp_path / "town").load()
     assert frames.poses[:, 0].tolist() == [0, 1, 2, 3, 4]
     np.testing.assert_allclose(frames.stamps - FIRST * 1e-9, np.arange(5) / 10, atol=1e-6)

@@ -78,14 +78,14 @@ FRAMES = (
 
 
 def test_files_carry_id_and_pose():
-    labels, images = made(*FRAMES).label_files(), made(*FRAMES).image_files()
+    labels, images = made(*FRAMES).files("label"), made(*FRAMES).files("image")
     assert [(f.frame, f.path, f.pose) for f in labels] == [
         ("a/1", Path("1.png"), HERE),
         ("a/2", Path("2.png"), UNKNOWN),
     ]
     assert [(f.frame, f.path) for f in images] == [("a/1", Path("1.jpg")), ("a/3", Path("3.jpg"))]
-    refuses(r"root \(made\) has no label maps; segment", made(FRAMES[2]).label_files)
-    refuses(r"root \(made\) has no images", made(FRAMES[1]).image_files)
+    refuses(r"root \(made\) has no label maps; segment", made(FRAMES[2]).files, "label")
+    refuses(r"root \(made\) has no images", made(FRAMES[1]).files, "image")
 
 
 def test_what_only_some_frames_lack_is_counted():
@@ -114,7 +114,7 @@ def test_label_maps_are_found_where_networks_write_them(tmp_path, place):
     assert labelled.labels_as == "camvid-11"
     assert [frame.label for frame in labelled.frames] == [tmp_path / place, None]
     assert labelled.warnings == ["1 of 2 frames have no label map, the first is night-rear/2"]
-    assert [file.path for file in labelled.label_files()] == [tmp_path / place]
+    assert [file.path for file in labelled.files("label")] == [tmp_path / place]
 
 
 def test_label_maps_are_found_in_a_folder_beside_that_of_the_images(tmp_path):
@@ -164,13 +164,15 @@ def test_long_lists_are_shortened():
     assert shortened(list("01234"), 2) == "0, 1 and 3 more"
 
 
-def test_a_definition_that_is_given_replaces_the_declared_one():
-    declared = GroundTruth(metres=5, degrees=30)
-    for given, expected in (
-        ((None, None, None, None), declared),
+@pytest.mark.parametrize(
+    ("settings", "expected"),
+    [
+        ((None, None, None, None), GroundTruth(metres=5, degrees=30)),
         ((None, None, 10, None), GroundTruth(metres=5, degrees=10)),
         ((None, 7, None, None), GroundTruth(metres=7)),
         ((None, None, None, 1), GroundTruth(frames=1)),
-    ):
-        assert GroundTruth.chosen(declared, *given) == expected
+    ],
+)
+def test_a_definition_of_the_user_replaces_the_declared_one(settings, expected):
+    assert GroundTruth.chosen(GroundTruth(metres=5, degrees=30), *settings) == expected
     refuses("expected one of", GroundTruth.chosen, None, None, None, None, None)

@@ -96,7 +96,7 @@ def test_frames_may_differ_in_size_and_format(town):
     assert frames.frames == tuple(f"a/{n}" for n in range(13)), "in natural order"
     for number, descriptor in enumerate(frames.descriptors[:10]):
         assert torch.equal(descriptor, alone(street(number, *sizes[number % len(sizes)])))
-    known = town.database().known()
+    records = town.database().known()
     for number in (10, 11, 12):
         assert torch.equal(frames.descriptors[number], alone(labels))
-        assert known[f"a/{number}"].digest == known["a/0"].digest
+        assert records[f"a/{number}"].digest == records["a/0"].digest

@@ -18,8 +18,8 @@ def test_the_synthetic_city_is_two_folders_with_roles_and_truth(tmp_path):
     assert roles(dataset) == {"query": "query", "reference": "reference"}
     assert dataset.truth.file == files / "ground_truth.json"
     assert dataset.warnings == []
-    found = find_label_files([str(files / "query"), str(files / "reference")])
-    assert repr(dataset.label_files()) == repr(found)  # a stamp that is not known is NaN
+    by_folders = find_label_files([str(files / "query"), str(files / "reference")])
+    assert repr(dataset.files("label")) == repr(by_folders)  # a stamp that is not known is NaN
     assert dataset.labels_as == "cityscapes-trainids"
 
 

@@ -99,8 +99,9 @@ def test_pictures_of_a_bucket_give_the_rows_of_local_files(
     network = ("--segmenter", settings, "--labels-as", "camvid-11", "--segmenter-cache")
     here, there = str(tmp_path / "here"), f"{bucket}/there"
     assert ssrvlad("encode", tmp_path / "monday", "-o", here, *network, tmp_path / "a")[0] == 0
-    given = (f"{bucket}/pictures/monday", "-o", there, *network, tmp_path / "b")
-    code, out, _ = ssrvlad("encode", *given, "--engine", engine)
+    pictures = f"{bucket}/pictures/monday"
+    options = ("-o", there, *network, tmp_path / "b", "--engine", engine)
+    code, out, _ = ssrvlad("encode", pictures, *options)
     assert code == 0 and "5 frames encoded (0 of them empty)" in out
     expected, stored = Database.open(here).load(), Database.open(there).load()
     assert stored.frames == expected.frames

@@ -89,8 +89,8 @@ def test_arrays_in_a_folder_are_frames_of_its_sequence_and_stacks_sequences(tmp_
     assert find_label_files([str(tmp_path / "*.npy")]) == by_shell
     assert ids(by_shell) == ["x/x-000000", "y/y-000000"]
     (folder / "two.npy").unlink()
-    named = find_label_files([str(folder), stacks[0]], "drive")
-    assert ids(named) == ["drive/one", "drive/x-000000"]
+    joined = find_label_files([str(folder), stacks[0]], "drive")
+    assert ids(joined) == ["drive/one", "drive/x-000000"]
 
 
 def test_every_and_start_count_in_each_sequence(tmp_path):
@@ -143,9 +143,9 @@ def test_a_file_that_cannot_be_read_is_passed_on_with_the_reason_in_its_place():
             raise MemoryError
         return file.name
 
-    found = read_ahead(read, files, workers=3, ahead=5)
+    results = read_ahead(read, files, workers=3, ahead=5)
     for file in files[:8]:
-        passed, content = next(found)
+        passed, content = next(results)
         assert passed is file and str(content) == ("seven" if file.name == "7" else file.name)
     with pytest.raises(MemoryError):
-        next(found)
+        next(results)

@@ -127,9 +127,9 @@ STORED = [
 def test_ids_are_read_as_they_are_stored(tmp_path, name, write, labels):
     """In the machine's byte order: torch takes no other."""
     write(tmp_path / name)
-    found = read(tmp_path / name)
-    assert found.dtype == labels.dtype and found.dtype.isnative
-    np.testing.assert_array_equal(found, labels)
+    ids = read(tmp_path / name)
+    assert ids.dtype == labels.dtype and ids.dtype.isnative
+    np.testing.assert_array_equal(ids, labels)
 
 
 def test_a_palette_of_the_label_space_s_colours_says_the_ids(tmp_path):
@@ -140,9 +140,9 @@ def test_a_palette_of_the_label_space_s_colours_says_the_ids(tmp_path):
     # as a PNG optimiser does: a palette of the colours that occur, in an order of its own
     used, indices = np.unique(labels, return_inverse=True)
     order = np.random.default_rng(4).permutation(len(used))
-    moved = order[indices].reshape(labels.shape).astype(np.uint8)
+    reordered = order[indices].reshape(labels.shape).astype(np.uint8)
     shown = palette(space)[used[np.argsort(order)]].tobytes()
-    with_palette(moved, shown)(tmp_path / "optimised.png")
+    with_palette(reordered, shown)(tmp_path / "optimised.png")
     with_palette(labels, palette(space).tobytes())(tmp_path / "palette.png")
     files = find_label_files([str(tmp_path)])
     colours, optimised, plain = (read_label_map(file, space) for file in files)
@@ -164,9 +164,9 @@ def test_palette_colours_that_pixels_show_decide_between_indices_and_colours(
 @pytest.mark.parametrize("alpha", [False, True])
 @pytest.mark.parametrize("space", ["camvid-32", "camvid-11"])
 def test_colours_become_ids(tmp_path, space, alpha):
-    known = np.array([label.id for label in label_space(space).classes])
-    labels = known[np.random.default_rng(3).integers(0, len(known), (24, 32))]
-    assert set(labels.flat) == set(known)
+    ids = np.array([label.id for label in label_space(space).classes])
+    labels = ids[np.random.default_rng(3).integers(0, len(ids), (24, 32))]
+    assert set(labels.flat) == set(ids)
     picture = colourise(labels, space)
     if alpha:
         picture = np.dstack([picture, np.full(labels.shape, 17, np.uint8)])
@@ -179,8 +179,8 @@ def test_classes_that_share_a_colour_keep_their_category(tmp_path):
     labels = np.array([[label.id for label in space.classes]])
     Image.fromarray(colourise(labels, space.name)).save(tmp_path / "a.png")
     category = {label.id: label.category for label in space.classes}
-    found = read(tmp_path / "a.png", space)
-    assert [category[i] for i in found.flat] == [category[i] for i in labels.flat]
+    ids = read(tmp_path / "a.png", space)
+    assert [category[i] for i in ids.flat] == [category[i] for i in labels.flat]
 
 
 def test_an_unknown_colour_is_named_with_its_pixels(tmp_path):

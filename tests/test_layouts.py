@@ -18,6 +18,7 @@ from layout_copies import (
     MAP,
     NIGHT,
     OCTOBER,
+    STILLS,
     TIMES,
     camvid,
     camvid_by_drive,
@@ -117,9 +118,9 @@ FILES = [
 
 @pytest.mark.parametrize(("copy", "frame", "image", "label"), FILES, indirect=["copy"])
 def test_a_frame_has_its_image_and_its_label_map(copy, frame, image, label):
-    [found] = (entry for entry in open_dataset(copy).frames if entry.frame == frame)
-    paths = [copy / path.format(found.name) for path in (image, label)]
-    assert [found.image, found.label] == paths
+    [entry] = (entry for entry in open_dataset(copy).frames if entry.frame == frame)
+    paths = [copy / path.format(entry.name) for path in (image, label)]
+    assert [entry.image, entry.label] == paths
 
 
 POSES = {
@@ -139,9 +140,9 @@ POSES = {
 
 @pytest.mark.parametrize(("copy", "poses"), POSES.items(), indirect=["copy"])
 def test_poses_are_joined_by_name(copy, poses):
-    found = {frame.frame: frame.pose for frame in open_dataset(copy).frames}
+    stored = {frame.frame: frame.pose for frame in open_dataset(copy).frames}
     for frame, pose in poses.items():
-        assert found[frame] == pytest.approx(pose, abs=1e-12, nan_ok=True)
+        assert stored[frame] == pytest.approx(pose, abs=1e-12, nan_ok=True)
 
 
 POSELESS = "no frame of {} has a pose; expected "
@@ -258,8 +259,8 @@ def test_an_unknown_layout_is_refused_with_all_known_ones(tmp_path):
     (tmp_path / "empty").mkdir()
     refuses("found empty/; ", open_dataset, tmp_path, "vpr-bench")
     write(tmp_path / "a" / "b" / "c.txt", "")
-    known = [f"{layout.name}: {layout.expected}" for layout in LAYOUTS]
-    with refused("in no known layout; found a/b, empty/; expected one of", *known):
+    layouts = [f"{layout.name}: {layout.expected}" for layout in LAYOUTS]
+    with refused("in no known layout; found a/b, empty/; expected one of", *layouts):
         open_dataset(tmp_path)
 
 
@@ -271,7 +272,7 @@ def test_train_ids_are_read_when_asked_for_or_alone(copy):
     asked = open_dataset(copy, labels_as="cityscapes-trainids")
     space = label_space("cityscapes-trainids")
     assert open_dataset(copy, labels_as=space).frames == asked.frames
-    assert [file.path.name for file in asked.label_files()] == [f"{name}_gtFine_labelTrainIds.png"]
+    assert [file.path.name for file in asked.files("label")] == [f"{name}_gtFine_labelTrainIds.png"]
     for path in copy.rglob("*_labelIds.png"):
         path.unlink()
     alone = open_dataset(copy)
@@ -287,17 +288,25 @@ def test_coarse_annotations_fill_what_is_not_fine(copy):
     (copy / f"gtFine/train/aachen/{coarse}_gtFine_labelIds.png").unlink()
     for name in (fine, coarse):
         plant(copy, f"gtCoarse/train/aachen/{name}_gtCoarse_labelIds.png")
-    labels = {file.name: file.path.parents[2].name for file in open_dataset(copy).label_files()}
+    labels = {file.name: file.path.parents[2].name for file in open_dataset(copy).files("label")}
     assert (labels[fine], labels[coarse]) == ("gtFine", "gtCoarse")
 
 
 @of(camvid_of_the_tutorial)
-def test_a_frame_without_a_drive_is_of_its_folder_and_two_label_spaces_are_refused(copy):
+def test_a_frame_without_a_drive_is_of_its_folder(copy):
     plant(copy, "train/mine.png")
     assert outline(open_dataset(copy))["train"] == ["mine"]
     assert open_dataset(copy, labels_as="my.yaml").labels_as == "my.yaml"
+
+
+@of(camvid_of_the_tutorial)
+def test_label_maps_of_the_space_that_is_named_are_read(copy):
+    """Of two, or of one that is not there: then none."""
+    refuses("has no label maps", open_dataset(copy, labels_as="camvid-32").files, "label")
     camvid(copy)
-    refuses("label maps of camvid-11 and camvid-32; expected one", open_dataset, copy)
+    for space, suffix in (("camvid-11", ""), ("camvid-32", "_L")):
+        stems = {f.path.stem for f in open_dataset(copy, labels_as=space).files("label")}
+        assert stems == {f"{name}{suffix}" for name in STILLS}
 
 
 @needs_camvid
@@ -307,15 +316,15 @@ def test_the_drives_of_camvid_are_recognised_with_labels_of_networks():
     assert counts == {"0001TP": 124, "0016E5": 305}
     assert dataset.warnings == []
     by_hand = [
-        replace(file, named=False)
+        replace(file, is_named=False)
         for drive in counts
         for file in find_label_files([str(CAMVID / drive / "labels")], drive, 2, 1)
     ]
-    assert repr(dataset.label_files(2, 1)) == repr(by_hand)  # NaN where a stamp is not known
+    assert repr(dataset.files("label", 2, 1)) == repr(by_hand)  # NaN where a stamp is not known
     for network in ("predicted_dicenet", "predicted_espnetv2"):
         predicted = open_dataset(CAMVID, labels=network, labels_as="cityscapes-trainids")
         assert predicted.warnings == []
-        first = predicted.label_files()[0]
+        first = predicted.files("label")[0]
         assert first.path.parent.name == network
         assert read_label_map(first, label_space("cityscapes-trainids")).max() < 19
 
@@ -378,5 +387,5 @@ def test_the_corridor_of_vpr_bench_is_recognised():
     assert counts == {"query": 111, "ref": 111}
     assert dataset.truth.file.name == "corridor.ground_truth_new.npy"
     assert dataset.warnings == []
-    first = dataset.select(role="query").image_files()[0]
+    first = dataset.select(role="query").files("image")[0]
     assert (first.frame, read_image(first).shape) == ("query/0000000", (120, 160, 3))

@@ -36,19 +36,19 @@ def test_folders_that_would_share_a_name_are_refused():
             check_sequences([(f"/d/day{suffix}", "day")], [("/d/day", "day")])
 
 
-def test_known_folders_keep_their_names(tmp_path):
+def test_folders_of_the_map_keep_their_names(tmp_path):
     """By a link too. The name of another is the same if it comes with the known ones or later."""
     (tmp_path / "monday").mkdir()
     (tmp_path / "link").symlink_to("monday")
     link, other = str(tmp_path / "link"), "/other/labels"
-    known = [(str(tmp_path / "monday"), "labels")]
-    assert sequence_names([other, link], known) == {other: "other/labels", link: "labels"}
-    known = [("s3://d/00/labels", "00/labels"), ("s3://d/01/labels", "01/labels")]
-    assert sequence_names(["s3://d/02/labels"], known) == {"s3://d/02/labels": "02/labels"}
+    folders = [(str(tmp_path / "monday"), "labels")]
+    assert sequence_names([other, link], folders) == {other: "other/labels", link: "labels"}
+    folders = [("s3://d/00/labels", "00/labels"), ("s3://d/01/labels", "01/labels")]
+    assert sequence_names(["s3://d/02/labels"], folders) == {"s3://d/02/labels": "02/labels"}
 
 
 @pytest.mark.parametrize(
-    ("known", "message"),
+    ("folders", "message"),
     [
         (
             [("/none/labels", "labels")],
@@ -61,8 +61,8 @@ def test_known_folders_keep_their_names(tmp_path):
         ),
     ],
 )
-def test_a_folder_that_may_be_two_sequences_is_refused(known, message):
-    refuses(message, sequence_names, ["/other/labels"], known)
+def test_a_folder_that_may_be_two_sequences_is_refused(folders, message):
+    refuses(message, sequence_names, ["/other/labels"], folders)
 
 
 def test_sequences_of_two_databases_are_one_where_a_folder_is():
@@ -76,8 +76,12 @@ def test_sources_stay_in_the_order_in_which_they_are_given(tmp_path):
     """It is the order of time; a glob is sorted as a person would."""
     touch(*(tmp_path / folder / "1.png" for folder in ("morning", "evening", "day10", "day9")))
     sources = [str(tmp_path / name) for name in ("morning", "evening", "day*")]
-    found = [file.sequence for file in find_label_files(sources)]
-    assert found == ["morning", "evening", "day9", "day10"]
+    assert [file.sequence for file in find_label_files(sources)] == [
+        "morning",
+        "evening",
+        "day9",
+        "day10",
+    ]
 
 
 @pytest.mark.parametrize(

@@ -160,10 +160,10 @@ def test_folders_with_the_same_name_are_distinguished_in_one_run_and_in_several(
     assert town.database().load().frames == tuple(
         f"0{d}/labels/{n}" for d in "01" for n in (int(d), 7)
     )
-    assert town.encode("02/labels", known=town.database().folders()).encoded == 2
+    assert town.encode("02/labels", map_folders=town.database().folders()).encoded == 2
     assert {name for _, name in town.database().folders()} == {f"0{d}/labels" for d in "012"}
-    known = town.database().folders()
-    summary = town.encode("02/labels", "00/labels", **PRUNE, known=known)
+    folders = town.database().folders()
+    summary = town.encode("02/labels", "00/labels", **PRUNE, map_folders=folders)
     assert (counts(summary), summary.pruned) == ((0, 4, 0), 0)
     assert len(town.database()) == 6
 
@@ -177,7 +177,7 @@ def test_another_folder_with_the_same_name_never_merges_overwrites_or_prunes(tow
     with pytest.raises(ValueError, match=r"frame 'labels/2' of the database is of .*00/labels"):
         town.encode("01/labels", sequence="labels")
     assert torch.equal(town.database().load().descriptors, before.descriptors)
-    assert town.encode("01/labels", known=town.database().folders()).encoded == 3
+    assert town.encode("01/labels", map_folders=town.database().folders()).encoded == 3
     assert {name for _, name in town.database().folders()} == {"labels", "01/labels"}
     town.add("02/labels", range(3, 5))
     assert town.encode("02/labels", sequence="labels").encoded == 2, "the user gave the name"
@@ -219,9 +219,9 @@ def test_a_moved_folder_continues_its_sequence_if_the_name_is_given(town):
     town.encode()
     (town.folder / "other").mkdir()
     (town.folder / "a").rename(town.folder / "other" / "a")
-    known = town.database().folders()
-    assert town.encode("other/a", sequence="a", known=known).anew == {"file moved": 3}
-    assert counts(town.encode("other/a", sequence="a", known=known)) == (0, 3, 0)
+    folders = town.database().folders()
+    assert town.encode("other/a", sequence="a", map_folders=folders).anew == {"file moved": 3}
+    assert counts(town.encode("other/a", sequence="a", map_folders=folders)) == (0, 3, 0)
 
 
 def test_frames_are_committed_after_a_number_of_rows_and_after_a_time(town, monkeypatch):

@@ -12,7 +12,8 @@ from helpers import outcome, refuses
 from PIL import Image
 from pose_graph import Loop, correct, in_front, moved, read_loops, relative, tum_line
 
-from ssrvlad_torch.datasets.poses import Pose, read_poses, write_poses
+from ssrvlad_torch.datasets.pose_tables import read_poses, write_poses
+from ssrvlad_torch.datasets.poses import Pose
 from ssrvlad_torch.datasets.trajectories import read_trajectory
 
 SIDE, LAPS = 25, 3

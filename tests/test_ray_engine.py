@@ -16,7 +16,7 @@ from ssrvlad_torch.datasets.image_files import find_image_files
 from ssrvlad_torch.datasets.label_files import find_label_files
 from ssrvlad_torch.encoding import plan, ray_engine
 from ssrvlad_torch.encoding.encoder import encode_to_database
-from ssrvlad_torch.encoding.ray_engine import PartEncoder, encode_with_ray
+from ssrvlad_torch.encoding.ray_engine import ChunkEncoder, encode_with_ray
 from ssrvlad_torch.encoding.results import EncodeOptions
 from ssrvlad_torch.segmentation.segmenter import Segmenter
 
@@ -37,7 +37,7 @@ def cluster():
 
 @pytest.fixture
 def files(tmp_path, monkeypatch):
-    monkeypatch.setattr(ray_engine, "PART", 8)
+    monkeypatch.setattr(ray_engine, "CHUNK_FRAMES", 8)
     for number in range(20):
         write_map(tmp_path / "a" / f"{number}.png", number)
     return find_label_files([str(tmp_path / "a")])
@@ -52,13 +52,13 @@ def assert_same_as_local(path, files, segmenter=None, columns=()):
     """Asserts that a database holds the rows that the local engine makes of the same files."""
     local = Database.create(path.with_name("local"), HEAD.config, columns=columns)
     encode_to_database(HEAD, files, local, EncodeOptions(workers=0), segmenter)
-    expected, found = local.load(), Database.open(path).load()
-    assert found.frames == expected.frames
-    assert found.channels.keys() == expected.channels.keys()
-    for name, stored in found.channels.items():
-        assert torch.equal(stored, expected.channels[name])
-    known = sorted(Database.open(path).known().values())
-    assert repr(known) == repr(sorted(local.known().values()))
+    expected, stored = local.load(), Database.open(path).load()
+    assert stored.frames == expected.frames
+    assert stored.channels.keys() == expected.channels.keys()
+    for name, channel in stored.channels.items():
+        assert torch.equal(channel, expected.channels[name])
+    records = sorted(Database.open(path).known().values())
+    assert repr(records) == repr(sorted(local.known().values()))
 
 
 def test_the_rows_are_those_of_the_local_engine(tmp_path, files, database):
@@ -80,20 +80,20 @@ def test_the_rows_are_those_of_the_local_engine(tmp_path, files, database):
 
 @pytest.mark.parametrize("by", ["label maps", "network"])
 def test_a_killed_worker_loses_nothing(tmp_path, monkeypatch, request, by):
-    """It dies after it wrote its part, which is written again and added once."""
+    """It dies after it wrote its chunk, which is written again and added once."""
     flag = tmp_path / "died"
     names = ("files", "database") if by == "label maps" else ("photos", "pictures", "segmenter")
     files, database, *segmenter = map(request.getfixturevalue, names)
 
-    class Mortal(PartEncoder):
+    class Mortal(ChunkEncoder):
         def __call__(self, files, new):
-            part = super().__call__(files, new)
+            chunk = super().__call__(files, new)
             if not flag.exists():
                 flag.touch()
                 os._exit(1)
-            return part
+            return chunk
 
-    monkeypatch.setattr(ray_engine, "PartEncoder", Mortal)
+    monkeypatch.setattr(ray_engine, "ChunkEncoder", Mortal)
     assert encode_with_ray(HEAD, files, database, TWO, *segmenter).encoded == 20
     assert flag.exists()
     assert_same_as_local(tmp_path / "db", files, *segmenter, columns=database.columns[1:])
@@ -111,7 +111,7 @@ def test_frames_committed_before_an_interruption_stay(tmp_path, files, database,
     with pytest.raises(KeyboardInterrupt):
         encode_with_ray(HEAD, files, database, EncodeOptions(workers=2, progress=interrupt))
     stored = len(Database.open(tmp_path / "db"))
-    assert stored in (12, 16), "two of the parts of 8, 8 and 4"
+    assert stored in (12, 16), "two of the chunks of 8, 8 and 4"
     summary = encode_with_ray(HEAD, files, Database.open(tmp_path / "db"), TWO)
     assert (summary.encoded, summary.already_there) == (20 - stored, stored)
     assert_same_as_local(tmp_path / "db", files)
@@ -125,11 +125,11 @@ def test_frames_committed_before_an_interruption_stay(tmp_path, files, database,
     ],
 )
 def test_a_part_that_fails_is_an_error_in_one_line(files, database, monkeypatch, error, message):
-    class Failing(PartEncoder):
+    class Failing(ChunkEncoder):
         def __call__(self, files, new):
             raise error
 
-    monkeypatch.setattr(ray_engine, "PartEncoder", Failing)
+    monkeypatch.setattr(ray_engine, "ChunkEncoder", Failing)
     with pytest.raises(OSError, match=message) as failure:
         encode_with_ray(HEAD, files, database, TWO)
     assert "\n" not in str(failure.value)
@@ -138,7 +138,7 @@ def test_a_part_that_fails_is_an_error_in_one_line(files, database, monkeypatch,
 
 @pytest.fixture
 def photos(tmp_path, monkeypatch):
-    monkeypatch.setattr(ray_engine, "PART_OF_PICTURES", 8)
+    monkeypatch.setattr(ray_engine, "CHUNK_PICTURES", 8)
     return find_image_files([str(write_photos(tmp_path / "photos", range(20), (96, 128)))])
 
 

@@ -21,8 +21,8 @@ def test_sequences_by_name_and_other_label_maps(compare, tmp_path):
     ):
         code, rows, err = compare(*drives, *methods, "--tolerance-frames", 0)
         assert (code, err) == (0, [])
-        found = [(row["recall_at"]["1"], row["references"]) for row in rows.values()]
-        assert found == [(1, 4), (1, 4)]
+        figures = [(row["recall_at"]["1"], row["references"]) for row in rows.values()]
+        assert figures == [(1, 4), (1, 4)]
 
 
 def test_a_png_is_a_label_map_or_an_image_but_not_both(compare, maps, tmp_path):

@@ -28,8 +28,8 @@ def camera(folder, seeds):
 
 def test_every_command_takes_the_network_of_the_database(network, ssrvlad, maps, tmp_path):
     monday, tuesday = (camera(tmp_path / name, range(4)) for name in ("first", "second"))
-    town, named = tmp_path / "drives", ("--segmenter", network)
-    assert ssrvlad("encode", monday, "-o", town, *named)[0] == 0
+    town, option = tmp_path / "drives", ("--segmenter", network)
+    assert ssrvlad("encode", monday, "-o", town, *option)[0] == 0
 
     def clear():
         after = Database.open(town)
@@ -41,7 +41,7 @@ def test_every_command_takes_the_network_of_the_database(network, ssrvlad, maps,
         ("loops", tuesday, "--memory", town, "--json"),
         ("encode", tuesday, "-o", town, "--json"),
     ):
-        expected = ssrvlad(*command, *named)[1]
+        expected = ssrvlad(*command, *option)[1]
         clear()
         code, out, err = ssrvlad(*command)
         assert (code, without_version(out)) == (0, without_version(expected)), (command, err)
@@ -57,19 +57,19 @@ def without_version(out):
 
 
 def test_an_assumed_preparation_is_noted_unless_accepted(network, ssrvlad, refusal, tmp_path):
-    given = ("--labels-as", SPACE, "--segmenter")
+    options = ("--labels-as", SPACE, "--segmenter")
     accepting = {value: tmp_path / f"{value}.yaml" for value in ("true", "false", "3")}
     for value, path in accepting.items():
         path.write_text(f"network: net.onnx\nsize: 60\naccept_defaults: {value}\n")
-    told = {network: 0, tmp_path / "net.onnx": 1, accepting["true"]: 0, accepting["false"]: 1}
-    for name, count in told.items():
+    notes = {network: 0, tmp_path / "net.onnx": 1, accepting["true"]: 0, accepting["false"]: 1}
+    for name, count in notes.items():
         town = tmp_path / f"town of {name.name}"
-        _, _, err = ssrvlad("encode", tmp_path / "photos", "-o", town, *given, name)
+        _, _, err = ssrvlad("encode", tmp_path / "photos", "-o", town, *options, name)
         assumed = [line for line in err if "assumed: rgb, 0 to 1, mean (0.485, 0.456" in line]
         assert len(assumed) == count
         accepted = "(accept_defaults: true in a YAML file accepts that)"
         assert all(accepted in line for line in assumed)
-    line = refusal("encode", tmp_path / "photos", "-o", tmp_path / "x", *given, accepting["3"])
+    line = refusal("encode", tmp_path / "photos", "-o", tmp_path / "x", *options, accepting["3"])
     assert "3.yaml: accept_defaults must be true or false, got 3" in line
 
 

@@ -35,41 +35,45 @@ def test_kitti_goes_by_the_place_of_a_frame(tmp_path):
     refuses("poses of one sequence, got 2", find_image_files, [folder, other], poses=kitti)
 
 
-def test_tum_goes_by_the_time_that_is_a_name(tmp_path):
-    turned = math.sqrt(0.5)
-    tables = {
-        "groundtruth": "# timestamp tx ty tz qx qy qz qw\n"
-        f"10.00 1 2 9 {-turned} 0 0 {turned}\n10.10 3 4 9 0 {turned} 0 {turned}",
-        "near": "0 1 2 9 0 0 0 1\n0.01 3 4 9 0 0 0 1",
-        "drive": "".join(f"{n} {n} 0 0 0 0 0 1\n" for n in range(4)),
-    }
-    for name, text in tables.items():
-        (tmp_path / f"{name}.txt").write_text(text)
+TURNED = math.sqrt(0.5)
+TRUTH = (
+    "# timestamp tx ty tz qx qy qz qw\n"
+    f"10.00 1 2 9 {-TURNED} 0 0 {TURNED}\n10.10 3 4 9 0 {TURNED} 0 {TURNED}"
+)
+SECONDS = "".join(f"{n} {n} 0 0 0 0 0 1\n" for n in range(4))
 
-    def found(table, names):
-        folder = plant(tmp_path / names[0], *(f"{name}.jpg" for name in names))
-        return poses(find_image_files([folder], poses=str(tmp_path / f"{table}.txt")))
 
+def poses_by_time(folder, text, names):
+    pictures = plant(folder / "pictures", *(f"{name}.jpg" for name in names))
+    return poses(find_image_files([pictures], poses=str(write(folder / "tum.txt", text))))
+
+
+@pytest.mark.parametrize(
+    "names",
+    [["10.015", "10.050", "10.095"]]
+    + [[f"{time:0<{digits}}" for time in (10015, 10050, 10095)] for digits in (5, 8, 11)],
+    ids=["s", "ms", "us", "ns"],
+)
+def test_tum_goes_by_the_time_that_is_a_name(tmp_path, names):
     expected = [[1, 2, math.pi / 2], UNKNOWN, [3, 4, 0]]
-    whole = [[f"{time:0<{digits}}" for time in (10015, 10050, 10095)] for digits in (5, 8, 11)]
-    for names in (["10.015", "10.050", "10.095"], *whole):
-        np.testing.assert_allclose(found("groundtruth", names), expected, atol=1e-12)
-    for table, names, message in (
-        ("groundtruth", ["99.1"], "no pose is near"),
-        ("near", ["0", "10"], "several units"),
-    ):
-        refuses(rf"{table}.txt: {message}.* '{names[0]}'; expected", found, table, names)
-    seconds = found("drive", [f"{n}{'0' * 6}" for n in range(4)])[:, 0]
-    assert seconds.tolist() == [0, 1, 2, 3], "in ns all are near the first pose"
-    refuses(r"named by their time in seconds.* 'a'", found, "groundtruth", ["a", "10.015"])
+    np.testing.assert_allclose(poses_by_time(tmp_path, TRUTH, names), expected, atol=1e-12)
 
 
-def test_a_table_that_fits_no_frame_is_refused(tmp_path):
-    folder = plant(tmp_path / "monday", "1.jpg")
-    other = str(write(tmp_path / "other.csv", "frame,x,y\n9,1,1\n"))
-    message = r"other\.csv has none of the frames, .* monday/1"
-    refuses(message, find_image_files, [folder], poses=other)
-    refuses("expected a file of poses, or exif", find_image_files, [folder], poses="gps")
+def test_the_unit_of_time_is_that_which_reaches_most_poses(tmp_path):
+    """In nanoseconds all frames are near the first pose."""
+    x = poses_by_time(tmp_path, SECONDS, [f"{n}{'0' * 6}" for n in range(4)])[:, 0]
+    assert x.tolist() == [0, 1, 2, 3]
+
+
+@pytest.mark.parametrize(
+    ("text", "names", "message"),
+    [
+        (TRUTH, ["99.1"], r"tum.txt: no pose is near.* '99.1'; expected"),
+        (TRUTH, ["a", "10.015"], r"named by their time in seconds.* 'a'"),
+    ],
+)
+def test_names_that_are_no_time_of_the_file_are_refused(tmp_path, text, names, message):
+    refuses(message, poses_by_time, tmp_path, text, names)
 
 
 def test_poses_are_interpolated_by_time_and_the_shorter_turn():
@@ -145,9 +149,9 @@ def test_nothing_lies_between_two_segments_of_gpx(tmp_path):
     for text in (border, "</trkseg></trk><trk><trkseg>"):
         path.write_text(gpx(there, later, text, away, further))
         trajectory = read_trajectory(path)
-        known = trajectory.of_frames(list("abcde"), [START + s for s in (0.5, 1, 3, 5, 5.5)])
-        assert [math.isnan(pose.x) for pose in known] == [False, False, True, False, False]
-        assert known[4].y - known[0].y == pytest.approx(11_120, abs=20)
+        placed = trajectory.of_frames(list("abcde"), [START + s for s in (0.5, 1, 3, 5, 5.5)])
+        assert [math.isnan(pose.x) for pose in placed] == [False, False, True, False, False]
+        assert placed[4].y - placed[0].y == pytest.approx(11_120, abs=20)
     path.write_text(gpx(there, later, away, further))
     (bridged,) = read_trajectory(path).of_frames(["a"], [START + 3])
     assert not math.isnan(bridged.x)

@@ -10,7 +10,7 @@ from networks import photo, write_graph
 
 from ssrvlad_torch import Database
 from ssrvlad_torch.datasets.image_files import find_image_files, read_image
-from ssrvlad_torch.datasets.videos import _Video, video_files
+from ssrvlad_torch.datasets.videos import video_files
 
 av = pytest.importorskip("av", reason="needs the extra video")
 
@@ -86,21 +86,25 @@ def write_grainy(path, times, rng, **kind):
 @pytest.mark.parametrize("suffix", ["avi", "mkv", "mp4", "ts"])
 def test_a_frame_is_the_same_whatever_was_read_before(tmp_path, suffix, kind):
     """Also in AVI, which has no times of presentation: H.264 gives its frames in another order."""
-    path = write_video(tmp_path / f"a.{suffix}", range(40), rate=25, **kind)
-    assert [file.name for file in video_files(path)] == [f"{40_000 * n:010d}" for n in range(40)]
-    video = _Video(path)
-    forward = [video.pixels(time).tobytes() for time in video.times]
-    assert [number_in(video.pixels(time)) for time in video.times] == [n % 10 for n in range(40)]
-    assert [video.pixels(time).tobytes() for time in reversed(video.times)] == forward[::-1]
+    files = video_files(write_video(tmp_path / f"a.{suffix}", range(40), rate=25, **kind))
+    assert [file.name for file in files] == [f"{40_000 * n:010d}" for n in range(40)]
+    forward = [read_image(file) for file in files]
+    assert [number_in(pixels) for pixels in forward] == [n % 10 for n in range(40)]
+    for file, pixels in zip(reversed(files), reversed(forward), strict=True):
+        np.testing.assert_array_equal(read_image(file), pixels)
+
+
+def assert_shown(path, expected):
+    """Asserts that the first frame of a video is a picture, but for the loss of the codec."""
+    pixels = read_image(video_files(path)[0])
+    assert pixels.shape == expected.shape
+    assert np.abs(pixels.astype(int) - expected).mean() < 3
 
 
 @pytest.mark.parametrize("rotation", [0, 90, 180, -90])
 def test_a_rotated_video_is_turned_upright(tmp_path, rotation):
     path = write_video(tmp_path / "a.mp4", [0, 40], rotation=rotation)
-    pixels = read_image(video_files(path)[0])
-    expected = np.rot90(picture(0), rotation // 90)
-    assert pixels.shape == expected.shape
-    assert np.abs(pixels.astype(int) - expected).mean() < 3
+    assert_shown(path, np.rot90(picture(0), rotation // 90))
 
 
 @pytest.mark.parametrize(
@@ -121,10 +125,7 @@ def test_a_mirrored_video_is_shown_as_its_matrix_says(tmp_path, matrix, shown):
         ">9i", right_x, right_y, 0, down_x, down_y, 0, 0, 0, 1 << 30
     )
     path.write_bytes(content)
-    pixels = read_image(video_files(path)[0])
-    expected = shown(picture(0))
-    assert pixels.shape == expected.shape
-    assert np.abs(pixels.astype(int) - expected).mean() < 3
+    assert_shown(path, shown(picture(0)))
 
 
 @pytest.mark.parametrize("suffix", ["mkv", "mp4", "ts"])
@@ -137,24 +138,27 @@ def test_a_video_may_begin_at_any_time(tmp_path, suffix):
 
 def test_the_rate_does_not_change_the_ids(tmp_path):
     path = str(write_video(tmp_path / "a.mp4", UNEVEN, **H264))
-    every = [file.frame for file in find_image_files([path])]
+    whole = [file.frame for file in find_image_files([path])]
     for fps, milliseconds in ((1, [0, 1000]), (10, [0, 100, 250, 400, 700, 1000, 1100])):
         chosen = [file.frame for file in find_image_files([path], fps=fps)]
         assert chosen == [f"a/{1000 * time:010d}" for time in milliseconds]
-        assert set(chosen) <= set(every)
-    assert len(find_image_files([path], fps=1e6)) == len(every)
+        assert set(chosen) <= set(whole)
+    assert len(find_image_files([path], fps=1e6)) == len(whole)
     assert [file.name for file in find_image_files([path], fps=1, every=2)] == ["0000000000"]
     for fps in (0, -1, float("nan"), float("inf")):
         refuses("expected fps above 0", find_image_files, [path], fps=fps)
 
 
-def test_a_truncated_video_gives_the_frames_before_its_end(tmp_path):
+def test_a_truncated_video_gives_the_frames_before_its_end_and_a_note(tmp_path):
     path = write_video(tmp_path / "a.mkv", STEADY, **H264)
     content = path.read_bytes()
+    notes = []
+    assert len(find_image_files([str(path)], note=notes.append)) == 100 and not notes
     path.write_bytes(content[: len(content) * 6 // 10])
-    files = video_files(path)
+    files = find_image_files([str(path)], note=notes.append)
     assert 40 < len(files) < 70
     assert [number_in(read_image(file)) for file in files] == [n % 10 for n in range(len(files))]
+    assert len(notes) == 1 and f"{path} lasts 4.0 s, and its last frame is at 2." in notes[0]
 
 
 @pytest.mark.parametrize("name", ["a.mp4", "a.mkv", "a.ts"])
@@ -171,11 +175,11 @@ def test_no_frame_shows_what_a_decoder_made_up(tmp_path, name):
     right = set()
     for place, (file, pixels) in enumerate(zip(video_files(path), expected, strict=True)):
         try:
-            found = read_image(file)
+            decoded = read_image(file)
         except ValueError as error:
             assert str(error) == "the frame does not decode: the video is damaged"
         else:
-            assert np.abs(found - pixels).mean() < 8, file.name
+            assert np.abs(decoded - pixels).mean() < 8, file.name
             right.add(place)
     assert 30 < len(right) < len(files) and {0, 1, 98, 99} <= right
 

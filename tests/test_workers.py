@@ -30,12 +30,12 @@ def test_threads_share_the_work_and_are_started_once():
     assert threading.get_ident() not in done
 
 
-def test_items_are_taken_as_they_are_needed():
-    taken = []
-    items = (taken.append(number) or number for number in range(1000))
+def test_items_are_numbers_as_they_are_needed():
+    numbers = []
+    items = (numbers.append(number) or number for number in range(1000))
     results = in_order(squared, items, 2, 6)
     assert next(results) == 0
-    assert len(taken) <= 6
+    assert len(numbers) <= 6
     results.close()
 
 

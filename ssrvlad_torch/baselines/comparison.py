@@ -219,7 +219,7 @@ def _views(method: Method, side: Dataset, workers: int) -> Iterator[View]:
             return View(file.frame, read_label_map(file, space), labels_as)
         return View(file.frame, picture=read_image(file))
 
-    files = side.label_files() if space else side.image_files()
+    files = side.files("label" if space else "image")
     for file, view in read_ahead(load, files, workers, _AHEAD):
         if isinstance(view, ValueError):
             raise ValueError(f"{file.path}: {view}") from view

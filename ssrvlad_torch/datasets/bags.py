@@ -6,13 +6,13 @@ from contextlib import closing
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from threading import Lock
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from ..files import check_pixels, npy_bytes, one_line, requiring
+from .forward_reader import ForwardReader
 from .frame_file import FrameFile
 from .names import BAG_SUFFIXES, absolute
 
@@ -20,7 +20,6 @@ _MESSAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 _CHANNELS = {
     "rgb8": "rgb", "bgr8": "bgr", "rgba8": "rgba", "bgra8": "bgra", "mono8": "y", "mono16": "y"
 }  # fmt: skip
-_BUFFERED = 16
 
 
 @dataclass(frozen=True)
@@ -85,27 +84,16 @@ class _Topic:
         if topic is not None and topic not in by_topic:
             raise ValueError(f"{path} has no topic {topic} of images; it has {names}")
         self.connection = by_topic[topic or names]
-        self._lock = Lock()
-        self._start()
+        self._raw = ForwardReader(lambda _start: enumerate(raw for _, raw in self.messages()))
 
     def messages(self) -> Iterator[tuple[int, Any]]:
         """Time in nanoseconds and raw bytes of every message."""
-        for _, time, content in self.bag.messages(connections=[self.connection]):
-            yield time, content
+        for _, time, raw in self.bag.messages(connections=[self.connection]):
+            yield time, raw
 
     def message(self, row: int) -> Any:
-        """A message by its number; the last `_BUFFERED` messages stay in memory."""
-        with self._lock:
-            if row < self._next and row not in self._buffer:
-                self._start()
-            while row >= self._next:
-                self._buffer[self._next] = next(self._remaining)[1]
-                self._buffer.pop(self._next - _BUFFERED, None)
-                self._next += 1
-            return self.bag.deserialize(self._buffer[row], self.connection.msgtype)
-
-    def _start(self) -> None:
-        self._next, self._remaining, self._buffer = 0, self.messages(), dict[int, Any]()
+        """A message by its number."""
+        return self.bag.deserialize(self._raw.item(row), self.connection.msgtype)
 
 
 @lru_cache(maxsize=4)

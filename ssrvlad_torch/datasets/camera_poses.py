@@ -43,17 +43,6 @@ def optical_axis(quaternion: Sequence[float]) -> tuple[float, float, float]:
     return 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
 
 
-def read_poses(path: Path, count: int, pose: Callable[[list[float]], Pose]) -> dict[str, Pose]:
-    """Poses by name, from lines of a name and ``count`` numbers that ``pose`` converts; lines that
-    begin with ``#`` are comments. A line of another form is a ValueError that names file and
-    line."""
-    poses = {}
-    for place, (name, *words) in words_of(path, read_bytes(path).decode("utf-8", "replace")):
-        with naming(place):
-            poses[name] = pose(parse_numbers(words, count))
-    return poses
-
-
 def words_of(path: Path, text: str) -> Iterator[tuple[str, list[str]]]:
     """The words of each line of a file, with its place, "PATH line NUMBER"; without empty lines and
     those that begin with ``#``."""
@@ -72,7 +61,7 @@ def parse_numbers(words: Sequence[str], count: int) -> list[float]:
 def read_cmu_list(path: Path) -> dict[str, Pose]:
     """Poses of Extended CMU Seasons by image name without suffix, from lines ``name qw qx qy qz cx
     cy cz``: the rotation from world to camera and the camera's centre, in a world whose z is up."""
-    poses = read_poses(path, 7, lambda line: Z_UP.pose(line[4:], optical_axis(line[:4])))
+    poses = _read_lines(path, 7, lambda line: Z_UP.pose(line[4:], optical_axis(line[:4])))
     return {Path(name).stem.removesuffix("_rect"): pose for name, pose in poses.items()}
 
 
@@ -100,7 +89,7 @@ def read_nvm(path: Path) -> dict[str, Pose]:
 
 def read_v2_poses(path: Path) -> dict[str, Pose]:
     """The same of version 2, from lines of a name and the 4 x 4 matrix from camera to world."""
-    poses = read_poses(path, 16, lambda line: Z_DOWN.pose(line[3:12:4], line[2:11:4]))
+    poses = _read_lines(path, 16, lambda line: Z_DOWN.pose(line[3:12:4], line[2:11:4]))
     return {_plain(name): pose for name, pose in poses.items()}
 
 
@@ -128,6 +117,17 @@ def read_fix(path: Path) -> Pose:
         raise ValueError(
             f"{path} must hold numbers gpsLatitude, gpsLongitude and gpsHeading: {error!r}"
         ) from error
+
+
+def _read_lines(path: Path, count: int, pose: Callable[[list[float]], Pose]) -> dict[str, Pose]:
+    """Poses by name, from lines of a name and ``count`` numbers that ``pose`` converts; lines that
+    begin with ``#`` are comments. A line of another form is a ValueError that names file and
+    line."""
+    poses = {}
+    for place, (name, *words) in words_of(path, read_bytes(path).decode("utf-8", "replace")):
+        with naming(place):
+            poses[name] = pose(parse_numbers(words, count))
+    return poses
 
 
 def _plain(name: str) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import cache, partial
@@ -23,6 +23,13 @@ LabelsAs = str | LabelSpace | None
 """A label space or its name, if there is one."""
 
 Role = Literal["reference", "query"]
+Kind = Literal["image", "label"]
+
+_MISSING: dict[Kind, str] = {
+    "image": "no images",
+    "label": "no label maps; segment its images and give the folder of the results and their label "
+    "space",
+}
 
 
 @dataclass(frozen=True)
@@ -198,32 +205,16 @@ class Dataset:
             )
         return replace(self, frames=frames, labels_as=labels_as)
 
-    def label_files(self, every: int = 1, start: int = 0) -> list[FrameFile]:
-        """The files of the label maps, see `find_frames`; without any, a ValueError."""
-        missing = "no label maps; segment its images and give the folder of the results and their "
-        paths = ((frame, frame.label) for frame in self.frames)
-        return self._files(paths, missing + "label space", every, start)
-
-    def image_files(self, every: int = 1, start: int = 0) -> list[FrameFile]:
-        """The files of the images; arguments and errors as for `label_files`."""
-        paths = ((frame, frame.image) for frame in self.frames)
-        return self._files(paths, "no images", every, start)
-
-    def _files(
-        self,
-        paths: Iterable[tuple[DatasetFrame, Path | None]],
-        missing: str,
-        every: int,
-        start: int,
-    ) -> list[FrameFile]:
+    def files(self, kind: Kind, every: int = 1, start: int = 0) -> list[FrameFile]:
+        """The images or label maps of the frames, see `find_frames`; without any, a ValueError."""
         posed = {frame.sequence for frame in self.frames if frame.has_pose}
         files = [
-            FrameFile(f.sequence, f.name, path, None, f.pose, placed=f.sequence in posed)
-            for f, path in paths
-            if path is not None
+            FrameFile(f.sequence, f.name, path, None, f.pose, has_pose_source=f.sequence in posed)
+            for f in self.frames
+            if (path := f.image if kind == "image" else f.label)
         ]
         if not files:
-            raise ValueError(f"{self.root} ({self.layout}) has {missing}")
+            raise ValueError(f"{self.root} ({self.layout}) has {_MISSING[kind]}")
         sequences = groupby(files, key=lambda file: file.sequence)
         selected = [file for _, of in sequences for file in every_nth([*of], every, start)]
         if not selected:

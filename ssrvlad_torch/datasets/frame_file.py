@@ -1,16 +1,15 @@
 """One frame, a label map or an image, on this machine or in the file systems of pyarrow, ``s3://``,
 ``gs://``, ``hdfs://`` and ``file://``, and the frames that these hold."""
 
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path, PurePosixPath
-from typing import Any, BinaryIO, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 from numpy.lib.format import open_memmap
 
-from ..files import check_regular, check_size, npy_bytes, one_line, read_bytes
+from ..files import check_size, npy_bytes, one_line, read_bytes
 from .names import absolute, id_of
 from .poses import UNKNOWN, Pose
 
@@ -31,11 +30,11 @@ class FrameFile:
         path: the file.
         row: number of the frame in a ``.npy`` stack or a bag, ``None`` for a file of one frame.
         pose: pose of the camera, NaN where unknown.
-        named: whether the user chose the name of the sequence.
+        is_named: whether the user chose the name of the sequence.
         folder: absolute path of the sequence's folder, or of a stack or bag that is a sequence.
         stamp: time in seconds, NaN if unknown.
-        placed: whether a pose source, a file of poses or the name, covers this frame. If so, NaN
-            deletes a stored pose; if not, a stored pose stays.
+        has_pose_source: whether a file of poses or the name says the pose. If so, NaN deletes a
+            stored pose; if not, a stored pose stays.
         readers: number of frames that one process best reads at once.
     """
 
@@ -44,10 +43,10 @@ class FrameFile:
     path: Path
     row: int | None = None
     pose: Pose = UNKNOWN
-    named: bool = False
+    is_named: bool = False
     folder: str = ""
     stamp: float = float("nan")
-    placed: bool = False
+    has_pose_source: bool = False
     readers: ClassVar[int] = 1
 
     def __post_init__(self) -> None:
@@ -87,14 +86,6 @@ class FrameFile:
         except Exception as error:  # damaged files raise any exception
             raise ValueError(one_line(error)) from error
 
-    def opened(self) -> BinaryIO:
-        """The file, to read its head; one that cannot be read is a ValueError."""
-        try:
-            check_regular(self.path)
-            return self.path.open("rb")
-        except OSError as error:
-            raise ValueError(one_line(error)) from error
-
     def _content(self) -> bytes:
         if self.row is None:
             return read_bytes(self.path)
@@ -120,10 +111,6 @@ class RemoteFile(FrameFile):
     def state(self) -> str:
         """Size and modification time when the folder was listed."""
         return self.listed
-
-    def opened(self) -> BinaryIO:
-        """The file, to read its head; one that cannot be read is a ValueError."""
-        return io.BytesIO(self.read())
 
     def _content(self) -> bytes:
         with _file_system(self.uri).open_input_file(str(self.path)) as source:

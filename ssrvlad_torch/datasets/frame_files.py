@@ -2,10 +2,12 @@
 ahead."""
 
 import glob
+import io
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cache
 from os import PathLike
 from pathlib import Path
 from typing import Any, TypeVar
@@ -16,9 +18,9 @@ from numpy.lib.format import open_memmap
 from ..files import check_regular, is_uri, naming, natural_key, npy_header
 from .bags import bag_files, is_bag
 from .frame_file import FrameFile, RemoteFile, remote_files
-from .names import KnownFolders, absolute, sequence_names
-from .pose_tables import PoseTable
-from .poses import UNKNOWN, Fix, Pose, Projection, read_exif, read_name, read_poses
+from .names import SequenceFolders, absolute, sequence_names
+from .pose_tables import PoseTable, read_poses
+from .poses import UNKNOWN, Pose, Projection, read_exif, read_name
 from .trajectories import read_trajectory
 from .videos import is_video, video_files
 from .workers import in_order
@@ -44,7 +46,7 @@ def find_frames(
     sequence: str | None = None,
     every: int = 1,
     start: int = 0,
-    known: KnownFolders = (),
+    map_folders: SequenceFolders = (),
     poses: str | None = None,
     topic: str | None = None,
     fps: float | None = None,
@@ -63,8 +65,8 @@ def find_frames(
             not supported.
         sequence: name of the sequence, instead of the folder's.
         every, start: of each sequence keep frame ``start`` and every ``every``-th after it.
-        known: folders that have a name already, see `sequence_names`.
-        poses: source of the poses, see `_poses_by`; if ``None``, the ``poses.csv`` in or beside a
+        map_folders: folders that have a name already, see `sequence_names`.
+        poses: source of the poses, see `_with_poses`; if ``None``, the ``poses.csv`` in or beside a
             folder, or file names as `read_name` reads them.
         topic: topic of a bag with several topics of images, see `bag_files`.
         fps: most frames in a second, see `at_rate`; then ``every`` and ``start`` count these.
@@ -78,18 +80,10 @@ def find_frames(
     """
     if isinstance(sources, str | PathLike) or not sources:
         raise ValueError(f"expected a list of folders, files or globs, got {sources!r}")
-    files = [file for source in sources for file in _expand(str(source), kind, topic)]
-    sequences, projection = _sequences(files, sequence, known), projection or Projection()
+    files = [file for source in sources for file in _expand(str(source), kind, topic, note)]
+    sequences, projection = _sequences(files, sequence, map_folders), projection or Projection()
     if poses:
-        sequences = [
-            [
-                replace(file, pose=pose, placed=True)
-                for file, pose in zip(frames, posed, strict=True)
-            ]
-            for frames, posed in zip(
-                sequences, _poses_by(poses, sequences, projection), strict=True
-            )
-        ]
+        sequences = _with_poses(poses, sequences, projection)
     selected = list[FrameFile]()
     for frames in sequences:
         selected += every_nth(frames if fps is None else at_rate(frames, fps), every, start)
@@ -100,90 +94,93 @@ def find_frames(
 
 
 def _sequences(
-    files: Sequence[FrameFile], sequence: str | None, known: KnownFolders
+    files: Sequence[FrameFile], sequence: str | None, map_folders: SequenceFolders
 ) -> list[list[FrameFile]]:
     """The files of each sequence in natural order, each frame once, with the sequence's name; two
     files that are the same frame are a ValueError."""
-    names = {} if sequence else sequence_names(dict.fromkeys(file.folder for file in files), known)
+    folders = dict.fromkeys(file.folder for file in files)
+    names = {} if sequence else sequence_names(folders, map_folders)
     frames: dict[str, FrameFile] = {}
-    drives: dict[str, list[FrameFile]] = {}
+    sequences: dict[str, list[FrameFile]] = {}
     for file in files:
-        named = replace(file, sequence=sequence or names[file.folder], named=bool(sequence))
-        earlier = frames.setdefault(named.frame, named)
-        if earlier is named:
-            drives.setdefault(named.sequence, []).append(named)
-        elif earlier.row != named.row or earlier.path.resolve() != named.path.resolve():
+        name = sequence or names[file.folder]
+        frame = replace(file, sequence=name, is_named=bool(sequence))
+        earlier = frames.setdefault(frame.frame, frame)
+        if earlier is frame:
+            sequences.setdefault(name, []).append(frame)
+        elif earlier.row != frame.row or earlier.path.resolve() != frame.path.resolve():
             raise ValueError(
-                f"frame {named.frame!r} is both {earlier.location} and {named.location}; "
+                f"frame {frame.frame!r} is both {earlier.location} and {frame.location}; "
                 "give one of them another --sequence"
             )
-    return [sorted(drive, key=lambda file: natural_key(file.name)) for drive in drives.values()]
+    return [sorted(files, key=lambda file: natural_key(file.name)) for files in sequences.values()]
 
 
-def every_nth(drive: list[FrameFile], every: int, start: int) -> list[FrameFile]:
+def every_nth(sequence: list[FrameFile], every: int, start: int) -> list[FrameFile]:
     """Frame ``start`` of a sequence and every ``every``-th after it; out of range, a ValueError."""
     if every < 1 or start < 0:
         raise ValueError(f"expected every >= 1 and start >= 0, got {every} and {start}")
-    return drive[start::every]
+    return sequence[start::every]
 
 
-def at_rate(drive: list[FrameFile], fps: float) -> list[FrameFile]:
+def at_rate(sequence: list[FrameFile], fps: float) -> list[FrameFile]:
     """The first frame in each interval of ``1 / fps`` seconds since the first frame of a sequence;
     a ValueError if ``fps`` is not above 0, or a frame has no time."""
     if not 0 < fps < math.inf:
         raise ValueError(f"expected fps above 0, got {fps}")
     chosen = dict[int, FrameFile]()
-    for file in drive:
+    for file in sequence:
         if math.isnan(file.stamp):
             raise ValueError(f"fps needs frames of videos or bags; {file.location} has no time")
         # 1e-5: times lie up to half a microsecond beside a multiple of the interval
-        chosen.setdefault(math.floor((file.stamp - drive[0].stamp) * fps + 1e-5 * fps), file)
+        chosen.setdefault(math.floor((file.stamp - sequence[0].stamp) * fps + 1e-5 * fps), file)
     return [*chosen.values()]
 
 
-def _poses_by(
+def _with_poses(
     source: str, sequences: Sequence[list[FrameFile]], projection: Projection
-) -> list[list[Pose]]:
-    """The poses of all frames of each sequence in a CSV file, see `read_poses`, in a file of KITTI,
-    TUM or GPX, see `read_trajectory`, or with ``exif`` in their EXIF tags."""
-    if source == "exif":
-        return [_poses_of_exif(files, projection) for files in sequences]
+) -> list[list[FrameFile]]:
+    """The files with their poses in a CSV file, see `read_poses`, in a file of KITTI, TUM or GPX,
+    see `read_trajectory`, or with ``exif`` in their EXIF tags."""
     path = Path(source)
-    if not path.is_file():
+    if source == "exif":
+        poses = [_poses_of_exif(files, projection) for files in sequences]
+    elif not path.is_file():
         raise ValueError(f"{source} is no file; expected a file of poses, or exif")
-    if path.suffix.lower() == ".csv":
+    elif path.suffix.lower() == ".csv":
         table = PoseTable(path, read_poses(path, projection))
         poses = [[table.pose_of(file) or UNKNOWN for file in files] for files in sequences]
         if all(pose is UNKNOWN for of_sequence in poses for pose in of_sequence):
-            raise ValueError(_misfit(table, sequences[0]))
-        return poses
-    if len(sequences) > 1:
+            raise ValueError(table.misfit(sequences[0][0]))
+    elif len(sequences) > 1:
         raise ValueError(f"{source} holds the poses of one sequence, got {len(sequences)}")
-    trajectory = read_trajectory(path, projection)
-    names, stamps = zip(*((file.name, file.stamp) for file in sequences[0]), strict=True)
-    with naming(source):
-        return [trajectory.of_frames(names, stamps)]
-
-
-def _misfit(table: PoseTable, files: Sequence[FrameFile]) -> str:
-    """Why frames have no poses although there is a table."""
-    row = f"it has, for example, {next(iter(table.poses))!r}" if table.poses else "it is empty"
-    return f"{table.path} has none of the frames, for example {files[0].frame}; {row}"
+    else:
+        trajectory = read_trajectory(path, projection)
+        names, stamps = zip(*((file.name, file.stamp) for file in sequences[0]), strict=True)
+        with naming(source):
+            poses = [trajectory.of_frames(names, stamps)]
+    return [
+        [
+            replace(file, pose=pose, has_pose_source=True)
+            for file, pose in zip(files, of_files, strict=True)
+        ]
+        for files, of_files in zip(sequences, poses, strict=True)
+    ]
 
 
 def _poses_of_exif(files: Sequence[FrameFile], projection: Projection) -> list[Pose]:
-    fixes = list(map(_fix_of, files))
+    fixes = []
+    for file in files:
+        with suppress(ValueError, OSError):
+            if not isinstance(file, RemoteFile):
+                check_regular(file.path)  # to open a pipe can block for ever
+            content = io.BytesIO(file.read()) if isinstance(file, RemoteFile) else file.path
+            fixes.append(read_exif(content))
+            continue
+        fixes.append(None)
     if not any(fixes):
         raise ValueError(f"no image of {files[0].sequence} has a position in its EXIF tags")
     return [projection.pose(fix) if fix else UNKNOWN for fix in fixes]
-
-
-def _fix_of(file: FrameFile) -> Fix | None:
-    try:
-        with file.opened() as opened:
-            return read_exif(opened)
-    except ValueError:
-        return None
 
 
 def read_ahead(
@@ -208,7 +205,9 @@ def found_by(find: Callable[..., list[FrameFile]], *arguments: object) -> list[F
     return []
 
 
-def _expand(source: str, kind: FileKind, topic: str | None) -> list[FrameFile]:
+def _expand(
+    source: str, kind: FileKind, topic: str | None, note: Callable[[str], object]
+) -> list[FrameFile]:
     if is_uri(source):
         return remote_files(source, kind.name, kind.suffixes)
     if not source:
@@ -220,35 +219,36 @@ def _expand(source: str, kind: FileKind, topic: str | None) -> list[FrameFile]:
     for folders in (False, True):
         paths = [match for match in matches if match.is_dir() == folders]
         paths.sort(key=lambda path: natural_key(str(path)))
-        files = [file for path in paths for file in _frames_at(path, kind, topic)]
+        files = [file for path in paths for file in _frames_at(path, kind, topic, note)]
         if files:
             return files
     raise ValueError(f"{source} holds no {kind.name}; expected {', '.join(kind.suffixes)} files")
 
 
-def _frames_at(path: Path, kind: FileKind, topic: str | None) -> Iterator[FrameFile]:
+def _frames_at(
+    path: Path, kind: FileKind, topic: str | None, note: Callable[[str], object]
+) -> Iterator[FrameFile]:
     """The frames of a folder, file, bag or video. A broken link is a frame, skipped when read; a
     stack outside a folder of frames is a sequence."""
     if kind.name == "images" and is_bag(path):
         yield from bag_files(path, topic)
         return
     if kind.name == "images" and is_video(path):
-        yield from video_files(path)
+        yield from video_files(path, note)
         return
     is_folder = path.is_dir()
-    folder = absolute(path if is_folder else path.parent)
+    home = absolute(path if is_folder else path.parent)
     for entry in path.iterdir() if is_folder else (path,):
         is_shown = not entry.name.startswith(".") and (entry.is_file() or not entry.exists())
         if entry.suffix.lower() not in kind.suffixes or (is_folder and not is_shown):
             continue
-        is_array = entry.suffix.lower() == ".npy"
-        length = _stack_length(entry, kind) if is_array else None
+        length = _stack_length(entry, kind) if entry.suffix.lower() == ".npy" else None
         if length is None:
-            yield FrameFile("", entry.stem, entry, folder=folder)
+            yield FrameFile("", entry.stem, entry, folder=home)
             continue
-        place = folder if is_folder else absolute(path)
+        folder = home if is_folder else absolute(path)
         for row in range(length):
-            yield FrameFile("", f"{entry.stem}-{row:06d}", entry, row, folder=place)
+            yield FrameFile("", f"{entry.stem}-{row:06d}", entry, row, folder=folder)
 
 
 def _stack_length(path: Path, kind: FileKind) -> int | None:
@@ -274,21 +274,16 @@ def _posed(
 ) -> list[FrameFile]:
     """Files with the poses that are found without a word of the user, see `with_pose`; a table
     that fits no frame is noted."""
-    tables, listed = dict[Path, PoseTable | None](), dict[Path, list[FrameFile]]()
-
-    def find(folder: Path) -> PoseTable | None:
-        if folder not in tables:
-            tables[folder] = PoseTable.of_folder(folder, projection)
-        return tables[folder]
-
+    find = cache(lambda folder: PoseTable.of_folder(folder, projection))
     posed = [with_pose(file, find) for file in files]
+    folders = dict[Path, list[FrameFile]]()
     for file in posed:
-        listed.setdefault(file.path.parent, []).append(file)
-    for folder, table in tables.items():
-        neighbours = listed[folder]
+        folders.setdefault(file.path.parent, []).append(file)
+    for folder, neighbours in folders.items():
+        table = None if isinstance(neighbours[0], RemoteFile) else find(folder)
         is_posed = any(not math.isnan(file.pose.x) for file in neighbours)
         if table and not is_posed and not any(map(table.pose_of, neighbours)):
-            note(_misfit(table, neighbours))
+            note(table.misfit(neighbours[0]))
     return posed
 
 
@@ -301,4 +296,5 @@ def with_pose(file: FrameFile, find: Callable[[Path], PoseTable | None]) -> Fram
     table = find(file.path.parent)
     pose = (table and table.pose_of(file)) or pose
     stamp = stamp if math.isnan(file.stamp) else file.stamp
-    return replace(file, pose=pose, stamp=stamp, placed=bool(table) or not math.isnan(pose.x))
+    has_source = bool(table) or not math.isnan(pose.x)
+    return replace(file, pose=pose, stamp=stamp, has_pose_source=has_source)

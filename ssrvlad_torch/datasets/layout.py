@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 
 from ..files import natural_key
-from ..taxonomy import label_space
+from ..taxonomy import LabelSpace
 from .dataset import Dataset, DatasetFrame, GroundTruth, LabelsAs, Role
 from .label_files import SUFFIXES as LABEL_SUFFIXES
 from .names import IMAGE_SUFFIXES, absolute_folder
@@ -80,10 +80,9 @@ class Layout:
         origin: where the data set can be downloaded; empty for custom data.
         expected: description of the folders and files.
         images: patterns of images, see `files_of`.
-        labels: patterns of label maps, and their label spaces.
+        labels: patterns of label maps, and their label spaces; the first on disk counts, or that
+            which the user names.
         signs: alternatives: patterns which all have files; by default each pattern alone.
-        encodings: the label spaces are of the same label maps: the first on disk counts. Otherwise
-            two are a ValueError.
         sequence: name of the sequence by the fields of a file; ``None`` for what is no frame.
         role: of a sequence, by the fields of a file.
         poses: poses by the keys of the frames, of which a folder and the files are given.
@@ -97,7 +96,6 @@ class Layout:
     images: tuple[str, ...] = ()
     labels: Mapping[str, str] = field(default_factory=dict)
     signs: tuple[tuple[str, ...], ...] = ()
-    encodings: bool = False
     sequence: Callable[[Fields], str | None] = joined
     role: Callable[[Fields], Role | None] = lambda fields: None
     poses: Callable[[Path, Files], Mapping[Key, Pose]] = lambda root, files: {}
@@ -144,23 +142,11 @@ class Layout:
         return Dataset(self.name, root, frames, labels_as or space, truth, tuple(notes))
 
     def _labels(self, root: Path, labels_as: LabelsAs) -> tuple[str | None, Files]:
-        """The label space, and the label maps of it."""
+        """The label space that the user named, or the first that has label maps, and these."""
         spaces = [*dict.fromkeys(self.labels.values())]
-        if self.encodings and labels_as:
-            name = label_space(labels_as).name
-            spaces = [name if name in spaces else spaces[0]]
-        of_space = {
-            space: files_of(
-                root,
-                [pattern for pattern, of in self.labels.items() if of == space],
-                LABEL_SUFFIXES,
-                self.sequence,
-            )
-            for space in spaces
-        }
-        there = [space for space in spaces if of_space[space]]
-        if len(there) > 1 and not self.encodings:
-            names = " and ".join(sorted(there))
-            raise ValueError(f"{root} holds label maps of {names}; expected one layout only")
-        space = next(iter(there or spaces), None)
-        return space, of_space[space] if space else {}
+        name = labels_as.name if isinstance(labels_as, LabelSpace) else labels_as
+        for space in [name] if name in spaces else spaces:
+            patterns = [pattern for pattern, of in self.labels.items() if of == space]
+            if files := files_of(root, patterns, LABEL_SUFFIXES, self.sequence):
+                return space, files
+        return next(iter(spaces), None), {}

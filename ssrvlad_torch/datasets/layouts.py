@@ -138,7 +138,6 @@ LAYOUTS: tuple[Layout, ...] = (
             )
             for kind in ("gtFine", "gtCoarse")
         },
-        encodings=True,
         poses=_poses_by("vehicle/{split}/{city}/{name}_vehicle", ".json", read_fix),
         posed_by="vehicle/, which is vehicle_trainvaltest.zip at cityscapes-dataset.com",
     ),
@@ -195,7 +194,7 @@ def open_dataset(
     Examples:
         >>> city = open_dataset("/data/SYNTHIA", labels_as="synthia")  # doctest: +SKIP
         >>> night = city.select(["SYNTHIA-SEQS-04-NIGHT-Stereo_Left-Omni_F"])  # doctest: +SKIP
-        >>> night.label_files()[0].frame  # doctest: +SKIP
+        >>> night.files("label")[0].frame  # doctest: +SKIP
         'SYNTHIA-SEQS-04-NIGHT-Stereo_Left-Omni_F/000000'
     """
     root = Path(path)

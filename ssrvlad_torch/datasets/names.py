@@ -3,7 +3,7 @@
 import os
 import sys
 from collections import Counter, defaultdict
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from pathlib import Path, PurePath
 from urllib.parse import unquote
 
@@ -13,19 +13,20 @@ IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff", ".p
 BAG_SUFFIXES = (".bag", ".mcap", ".db3")
 VIDEO_SUFFIXES = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi", ".ts", ".mts")
 
-KnownFolders = Collection[tuple[str, str]]
-"""Named folders, stacks, bags and videos, ``(folder, sequence)``; an unknown folder is empty."""
+SequenceFolders = Collection[tuple[str, str]]
+"""Pairs of a folder, stack, bag or video and the name of its sequence; an unknown folder is
+empty."""
 
 
-def sequence_names(folders: Collection[str], known: KnownFolders = ()) -> dict[str, str]:
+def sequence_names(folders: Collection[str], map_folders: SequenceFolders = ()) -> dict[str, str]:
     """A name for each folder.
 
-    A known folder, or a link to one, keeps its name. Any other folder has the shortest end of its
-    path that no other folder's path ends in.
+    A folder of the map, or a link to one, keeps its name. Any other folder has the shortest end of
+    its path that no other folder's path ends in.
 
     Args:
         folders: absolute paths, or URIs.
-        known: folders that have a name.
+        map_folders: folders that have a name.
 
     Raises:
         ValueError: a folder has several names, or no name is free; or its name belongs to a
@@ -37,15 +38,15 @@ def sequence_names(folders: Collection[str], known: KnownFolders = ()) -> dict[s
         >>> sequence_names(["/data/park"], [("/data/park", "garden")])
         {'/data/park': 'garden'}
     """
-    known_names, owners = defaultdict[str, set[str]](set), defaultdict[str, set[str]](set)
-    for folder, name in known:
-        owners[name].add(folder)
+    names_of, owners = defaultdict[str, set[str]](set), _owners(map_folders)
+    for folder, name in map_folders:
         if folder:
-            known_names[_real(folder)].add(name)
-    ends = Counter(end for path in {*folders, *(f for f, _ in known)} for end in path_ends(path))
+            names_of[_real(folder)].add(name)
+    paths = {*folders, *(folder for folder, _ in map_folders)}
+    ends = Counter(end for path in paths for end in path_ends(path))
     chosen: dict[str, str] = {}
     for folder in folders:
-        if names := sorted(known_names.get(_real(folder), ())):
+        if names := sorted(names_of.get(_real(folder), ())):
             if len(names) > 1:
                 raise ValueError(
                     f"{folder} is sequence {names[0]!r} and sequence {names[1]!r} of the database: "
@@ -66,18 +67,23 @@ def sequence_names(folders: Collection[str], known: KnownFolders = ()) -> dict[s
     return chosen
 
 
-def check_sequences(folders: KnownFolders, known: KnownFolders) -> None:
-    """Raises a ValueError for a sequence with the name of a known sequence of another folder."""
-    owners = defaultdict[str, set[str]](set)
-    for folder, name in known:
-        if folder:
-            owners[name].add(_real(folder))
+def check_sequences(folders: SequenceFolders, map_folders: SequenceFolders) -> None:
+    """Raises a ValueError for a sequence with the name of one of the map, of another folder."""
+    owners = _owners((_real(folder), name) for folder, name in map_folders if folder)
     for folder, name in folders:
         if folder and name in owners and _real(folder) not in owners[name]:
             raise ValueError(
                 f"sequence {name!r} of the database is {min(owners[name])}, not {folder}: give "
                 f"--sequence {name} if the folder was moved, else another name"
             )
+
+
+def _owners(folders: Iterable[tuple[str, str]]) -> dict[str, set[str]]:
+    """The folders of each sequence."""
+    owners: dict[str, set[str]] = {}
+    for folder, name in folders:
+        owners.setdefault(name, set()).add(folder)
+    return owners
 
 
 def is_same_folder(folder: str, other: str) -> bool:

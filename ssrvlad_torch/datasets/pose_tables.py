@@ -1,16 +1,65 @@
-"""Tables of poses, and which row of them is the pose of a frame."""
+"""Tables of poses, ``poses.csv`` and its like, and which row of them is the pose of a frame."""
 
 from __future__ import annotations
 
+import csv
+import io
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from unicodedata import normalize
 
+from ..files import read_text, replacing
 from .frame_file import FrameFile
 from .names import IMAGE_SUFFIXES, absolute, absolute_folder, is_same_folder, path_ends
-from .poses import FILE_NAME, Pose, Projection, read_poses
+from .poses import Fix, Pose, Projection, parse_number
+
+FILE_NAME = "poses.csv"
+
+
+def read_poses(path: Path, projection: Projection | None = None) -> dict[str, Pose]:
+    """Poses by frame, an id ``<sequence>/<name>`` or only a name, without the suffix of a picture
+    and in Unicode's form NFC. The columns are ``frame``, ``x``, ``y`` and optionally ``heading`` in
+    metres and radians; or ``frame``, ``latitude`` and ``longitude`` in degrees and optionally
+    ``course``, in degrees clockwise from north. A missing column, more cells than columns, a value
+    that is no number, and one NaN of two coordinates are a ValueError that names file and line."""
+    rows = csv.DictReader(io.StringIO(read_text(path)), restval="", skipinitialspace=True)
+    poses, projection = dict[str, Pose](), projection or Projection()
+    try:
+        columns = rows.fieldnames or ()
+        if repeated := next((column for column in columns if columns.count(column) > 1), ""):
+            raise ValueError(f"two columns {repeated!r}")
+        is_gps = {"frame", "latitude", "longitude"} <= set(columns)
+        missing = {"frame", "x", "y"} - set(columns)
+        if missing and not is_gps:
+            raise ValueError(f"no column {min(missing)!r}; expected frame,x,y,heading")
+        first, second, third = Fix._fields if is_gps else Pose._fields
+        for row in rows:
+            if any(more := row.get(None, ())):  # as by decimal commas, not by one at the end
+                raise ValueError(f"more cells than columns: {','.join(more)}")
+            x, y = parse_number(row[first]), parse_number(row[second])
+            direction = parse_number(row.get(third) or "nan")
+            if math.isnan(x) != math.isnan(y):
+                raise ValueError(
+                    f"{first} is {row[first]} and {second} is {row[second]}; "
+                    "expected two numbers, or nan twice"
+                )
+            pose = projection.pose(Fix(x, y, direction)) if is_gps else Pose(x, y, direction)
+            if repr(poses.setdefault(_key(row["frame"]), pose)) != repr(pose):  # NaN equals NaN
+                raise ValueError(f"frame {row['frame']!r} has two positions")
+    except (csv.Error, ValueError) as error:
+        raise ValueError(f"{path} line {rows.line_num}: {error}") from error
+    return poses
+
+
+def write_poses(path: Path, poses: Mapping[str, Pose]) -> None:
+    """Writes a table ``frame,x,y,heading`` that `read_poses` reads."""
+    with replacing(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
+        rows = csv.writer(file, lineterminator="\n")
+        rows.writerow(("frame", *Pose._fields))
+        rows.writerows((frame, *pose) for frame, pose in poses.items())
 
 
 @dataclass(frozen=True)
@@ -18,12 +67,12 @@ class PoseTable:
     """Poses of frames, and the file that holds them.
 
     A row is an id ``<folder>/<name>``, where the folder is any end of the path of the frame's
-    folder or the name of its sequence, or only a name; with or without a suffix of pictures. An id
-    that names another folder beside the table is not the frame's.
+    folder or the name of its sequence, or only a name. An id that names another folder beside the
+    table is not the frame's.
 
     Attributes:
         path: the file.
-        poses: by frame.
+        poses: by frame, see `read_poses`.
         folder: the folder for which the table was found, ``None`` if the user named the table.
     """
 
@@ -44,24 +93,26 @@ class PoseTable:
     def pose_of(self, file: FrameFile) -> Pose | None:
         """The pose of a frame; ``None`` if it has no row. Rows that differ, and one that can be
         that of another folder, are a ValueError."""
-        folders = path_ends(normalize("NFC", file.folder))[::-1]
+        name, folders = _key(file.name), path_ends(normalize("NFC", file.folder))[::-1]
         other = self.path.parent / file.sequence
-        if file.sequence not in folders and (
-            not other.is_dir() or is_same_folder(str(other), file.folder)
-        ):
+        if not other.is_dir() or is_same_folder(str(other), file.folder):
             folders.append(file.sequence)
-        rows, name = list[str](), normalize("NFC", file.name)
-        for suffixes in (("", file.path.suffix), IMAGE_SUFFIXES):
-            names = [name + suffix for suffix in suffixes if not rows]
-            rows += [row for f in folders for n in names if (row := f"{f}/{n}") in self.poses]
-            if not rows and (rows := [name for name in names if name in self.poses]):
-                self._require_one_folder(file, rows[0])
-        if len({repr(self.poses[row]) for row in rows}) > 1:  # as text, NaN equals NaN
+        rows = [row for folder in folders if (row := f"{folder}/{name}") in self.poses]
+        if not rows and name in self.poses:
+            self._require_one_folder(file, name)
+            rows = [name]
+        poses = {repr(self.poses[row]): self.poses[row] for row in rows}  # by text NaN equals NaN
+        if len(poses) > 1:
             raise ValueError(
                 f"{self.path} has {rows[0]!r} and {rows[-1]!r} for {file.location}; expected one "
                 "pose of a frame"
             )
-        return self.poses[rows[0]] if rows else None
+        return next(iter(poses.values()), None)
+
+    def misfit(self, file: FrameFile) -> str:
+        """That the table has no frame of a sequence, of which one is given, in words."""
+        row = f"it has, for example, {next(iter(self.poses))!r}" if self.poses else "it is empty"
+        return f"{self.path} has none of the frames, for example {file.frame}; {row}"
 
     def _require_one_folder(self, file: FrameFile, row: str) -> None:
         """Raises a ValueError if a row that is a bare name fits two frames: this one, and one that
@@ -69,9 +120,9 @@ class PoseTable:
         its own."""
         users = [self._users.setdefault(row, file.folder)]
         for folder in self._beside:
-            ids = {f"{folder.name}/{name}" for name in (row, file.name, file.path.name)}
-            if (folder / file.path.relative_to(self.folder or "")).exists():
-                users += [] if ids & self.poses.keys() else [absolute(folder)]
+            is_there = (folder / file.path.relative_to(self.folder or "")).exists()
+            if is_there and f"{folder.name}/{row}" not in self.poses:
+                users.append(absolute(folder))
         for user in users:
             if user != file.folder:
                 raise ValueError(
@@ -87,3 +138,10 @@ class PoseTable:
         home = absolute_folder(self.folder)
         folders = (home.parent, *home.parent.iterdir())
         return [folder for folder in folders if folder != home and folder.is_dir()]
+
+
+def _key(frame: str) -> str:
+    """An id or a name without the suffix of a picture, in Unicode's form NFC."""
+    path = PurePosixPath(frame)
+    is_picture = path.suffix.lower() in IMAGE_SUFFIXES
+    return normalize("NFC", frame.removesuffix(path.suffix) if is_picture else frame)

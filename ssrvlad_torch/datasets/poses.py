@@ -1,26 +1,21 @@
-"""Poses of frames: ``poses.csv``, names of files that hold the position of an image, and positions
-of GPS (WGS 84) as metres of UTM, which need the extra ``gps``.
+"""Poses of frames: positions of GPS (WGS 84) as metres of UTM, which need the extra ``gps``, also
+from EXIF tags, and names of files that hold the position of an image.
 
-``poses.csv`` has ``frame,x,y,heading`` in metres and radians. Names have the form of
-VPR-methods-evaluation: ``@ UTM east @ UTM north @ zone number @ zone letter @ latitude @ longitude
-@ panorama @ tile @ heading @ pitch @ roll @ height @ time stamp @ note @.jpg``; all but the first
-two may be empty or missing. The heading is in degrees clockwise from north.
+Names have the form of VPR-methods-evaluation: ``@ UTM east @ UTM north @ zone number @ zone letter
+@ latitude @ longitude @ panorama @ tile @ heading @ pitch @ roll @ height @ time stamp @ note
+@.jpg``; all but the first two may be empty or missing. The heading is in degrees clockwise from
+north.
 """
 
-import csv
-import io
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
-from unicodedata import normalize
 
 from PIL import ExifTags, Image
 
-from ..files import read_text, replacing, requiring
-
-FILE_NAME = "poses.csv"
+from ..files import requiring
 
 
 class Pose(NamedTuple):
@@ -88,57 +83,13 @@ def _utm(latitude: float, longitude: float, zone: tuple[int, bool]) -> tuple[flo
     return float(east), float(north)
 
 
-def read_poses(path: Path, projection: Projection | None = None) -> dict[str, Pose]:
-    """Poses by frame, an id ``<sequence>/<name>`` or only a name, in Unicode's form NFC; of the
-    columns ``frame``, ``x``, ``y`` and optionally ``heading``; or ``frame``, ``latitude`` and
-    ``longitude`` in degrees and optionally ``course``, in degrees clockwise from north. A missing
-    column, more cells than columns, a value that is no number, and one NaN of two coordinates are a
-    ValueError that names file and line."""
-    rows = csv.DictReader(io.StringIO(read_text(path)), restval="", skipinitialspace=True)
-    poses, projection = dict[str, Pose](), projection or Projection()
-    try:
-        columns = rows.fieldnames or ()
-        if repeated := next((column for column in columns if columns.count(column) > 1), ""):
-            raise ValueError(f"two columns {repeated!r}")
-        is_gps = {"frame", "latitude", "longitude"} <= set(columns)
-        missing = {"frame", "x", "y"} - set(columns)
-        if missing and not is_gps:
-            raise ValueError(f"no column {min(missing)!r}; expected frame,x,y,heading")
-        first, second, third = Fix._fields if is_gps else Pose._fields
-        for row in rows:
-            if any(more := row.get(None, ())):  # as by decimal commas, not by one at the end
-                raise ValueError(f"more cells than columns: {','.join(more)}")
-            x, y = parse_number(row[first]), parse_number(row[second])
-            direction = parse_number(row.get(third) or "nan")
-            if math.isnan(x) != math.isnan(y):
-                raise ValueError(
-                    f"{first} is {row[first]} and {second} is {row[second]}; "
-                    "expected two numbers, or nan twice"
-                )
-            pose = projection.pose(Fix(x, y, direction)) if is_gps else Pose(x, y, direction)
-            earlier = poses.setdefault(normalize("NFC", row["frame"]), pose)
-            if repr(earlier) != repr(pose):  # as text, NaN equals NaN
-                raise ValueError(f"frame {row['frame']!r} has two positions")
-    except (csv.Error, ValueError) as error:
-        raise ValueError(f"{path} line {rows.line_num}: {error}") from error
-    return poses
-
-
-def write_poses(path: Path, poses: Mapping[str, Pose]) -> None:
-    """Writes a table ``frame,x,y,heading`` that `read_poses` reads."""
-    with replacing(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
-        rows = csv.writer(file, lineterminator="\n")
-        rows.writerow(("frame", *Pose._fields))
-        rows.writerows((frame, *pose) for frame, pose in poses.items())
-
-
 def heading_of_course(course: float) -> float:
     """The heading in radians, counter-clockwise from +x (east), of a course in degrees clockwise
     from north. The difference between grid north and true north, up to 3 degrees, is ignored."""
     return math.remainder(math.radians(90 - course), math.tau)
 
 
-def read_exif(file: BinaryIO) -> Fix | None:
+def read_exif(file: Path | BinaryIO) -> Fix | None:
     """The position and direction in the EXIF tags of an image; ``None`` without a valid position. A
     direction from magnetic north is ignored."""
     tag = ExifTags.GPS
@@ -152,14 +103,7 @@ def read_exif(file: BinaryIO) -> Fix | None:
         is_true = tags.get(tag.GPSImgDirectionRef, "T") == "T"
         course = float(tags.get(tag.GPSImgDirection, "nan")) if is_true else math.nan
         return Fix(latitude, longitude, course)
-    except (
-        OSError,
-        LookupError,
-        TypeError,
-        ValueError,
-        ZeroDivisionError,
-        Image.DecompressionBombError,
-    ):
+    except Exception:  # damaged files raise any exception
         return None
 
 

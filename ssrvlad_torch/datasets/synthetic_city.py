@@ -1,9 +1,9 @@
-"""A deterministic synthetic city: label maps and poses of several drives along the same route.
+"""A deterministic synthetic city: label maps and poses of several sequences along one route.
 
 The city is an infinite grid of streets at irregular distances, with blocks between them. Each side
 of a block has its own random generator, which chooses its buildings, kerb, trees, lamps and signs,
 so any part of the city can be computed alone. The default route goes east, north and south, never
-west: it never crosses itself, and a longer drive begins like a shorter one. A route can also be
+west: it never crosses itself, and a longer sequence begins like a shorter one. A route can also be
 given as turns; the route `TOUR` returns to its streets.
 
 Every object is a convex body of eight corners, drawn as the convex hull of the projected corners.
@@ -35,7 +35,8 @@ from .city.conditions import Conditions, generator, require
 from .city.rendering import background, paint
 from .city.streets import camera_poses, nearby_blocks
 from .city.traffic import changing_bodies, vehicles
-from .poses import Pose, write_poses
+from .pose_tables import write_poses
+from .poses import Pose
 from .segmentation_noise import add_errors
 
 LABEL_SPACES = ("cityscapes-trainids", "cityscapes-ids")
@@ -55,14 +56,14 @@ QUERY = Conditions(
 
 LEFT, STRAIGHT, RIGHT = 1, 0, -1
 TOUR = tuple("R-L".index(turn) - 1 for turn in "----L-L----L-L--L-R-R-R---R-LL-L----LL---")
-"""Turns of a drive of 3.3 km with loops, left, right or straight on: around ten blocks, then along
+"""Turns of a route of 3.3 km with loops, left, right or straight on: around ten blocks, then along
 some of these streets again in the same direction and in the opposite one."""
 TOUR_ESTATES = (2,)
 """The estate of the tour: 400 m of street that look alike."""
 
 
 class CityFrame(NamedTuple):
-    """One frame of a traverse: label ids ``(H, W)`` uint8, camera pose, name ``000000``..."""
+    """One frame: label ids ``(H, W)`` uint8, camera pose, name ``000000``..."""
 
     labels: NDArray[np.uint8]
     pose: Pose
@@ -87,9 +88,6 @@ class SyntheticCity:
     seed: int = 0
     estates: tuple[int, ...] = ()
 
-    def __post_init__(self) -> None:
-        require(self.seed >= 0, "seed", self.seed, "an integer >= 0")
-
     def traverse(
         self,
         frames: int,
@@ -98,8 +96,8 @@ class SyntheticCity:
         labels_as: str = "cityscapes-trainids",
         turns: Iterable[int] | None = None,
     ) -> Iterator[CityFrame]:
-        """The frames of a drive along the route, computed lazily; fewer than ``frames`` (>= 1) if
-        the route ends earlier.
+        """The frames of a sequence along the route, rendered one by one; fewer than ``frames``
+        (>= 1) if the route ends earlier.
 
         Height and width in pixels are at least 16; the field of view is 85 degrees wide. Labels are
         "cityscapes-trainids", with 255 for classes without a train id (guard rail, parking, ground,
@@ -109,10 +107,10 @@ class SyntheticCity:
         require(frames >= 1, "frames", frames, "at least 1")
         require(min(size) >= MINIMUM_SIZE, "size", size, f"at least {MINIMUM_SIZE} pixels a side")
         require(labels_as in LABEL_SPACES, "labels_as", labels_as, f"one of {LABEL_SPACES}")
-        poses = camera_poses(self.seed, conditions, turns)
-        return itertools.islice(self._drive(poses, conditions, size, labels_as), frames)
+        poses = itertools.islice(camera_poses(self.seed, conditions, turns), frames)
+        return self._frames(poses, conditions, size, labels_as)
 
-    def _drive(
+    def _frames(
         self, poses: Iterable[Pose], conditions: Conditions, size: tuple[int, int], labels_as: str
     ) -> Iterator[CityFrame]:
         names = {label.name: label.id for label in label_space(labels_as).classes}
@@ -144,29 +142,25 @@ def write_city(
     frames: int,
     seed: int = 0,
     size: tuple[int, int] = (240, 320),
-    query: Conditions = QUERY,
     labels_as: str = "cityscapes-trainids",
     progress: Callable[[int], object] = lambda _: None,
 ) -> Path:
-    """Write two traverses of one city, of ``frames`` frames each, their poses and their true
+    """Writes two sequences of one city, of ``frames`` frames each, their poses and their true
     matches into a new or empty folder, which it returns; another folder, and a value out of range,
     are a ValueError.
 
-    The label maps in ``reference`` and ``query`` are 8-bit palette PNGs of ids, in the colours of
-    the label space. ``poses.csv``
-    has a line ``frame,x,y,heading`` for each frame, named ``<sequence>/<name>``.
-    ``ground_truth.json`` maps every query frame to the reference frames within `RADIUS` metres
-    whose headings differ by less than 45 degrees. Each file is written whole or not at all. The
-    reference traverse has the conditions `REFERENCE`; a query traverse with a `spacing` up to its
-    stays on the mapped part of the route. For ``seed``, ``size`` and ``labels_as`` see
-    `SyntheticCity.traverse`. ``progress`` is called with 1 after each written frame.
+    ``reference`` and ``query``, in the conditions `REFERENCE` and `QUERY`, are 8-bit palette PNGs
+    of ids, in the colours of the label space. ``poses.csv`` has a line ``frame,x,y,heading`` for
+    each frame, named ``<sequence>/<name>``. ``ground_truth.json`` maps every query frame to the
+    reference frames within `RADIUS` metres whose headings differ by less than 45 degrees. For
+    ``seed``, ``size`` and ``labels_as`` see `SyntheticCity.traverse`. ``progress`` is called with 1
+    after each written frame.
     """
-    require(frames >= 1, "frames", frames, "at least 1")
     city, out = SyntheticCity(seed), empty_folder(Path(out))
     colours, poses = palette(labels_as), dict[str, dict[str, Pose]]()
-    for name, conditions in (("reference", REFERENCE), ("query", query)):
-        traverse = city.traverse(frames, conditions, size, labels_as)
-        poses[name] = _write_frames(out / name, traverse, colours, progress)
+    for name, conditions in (("reference", REFERENCE), ("query", QUERY)):
+        sequence = city.traverse(frames, conditions, size, labels_as)
+        poses[name] = _write_frames(out / name, sequence, colours, progress)
     names, references = list(poses["reference"]), np.array(list(poses["reference"].values()))
     matches = {}
     for name, pose in poses["query"].items():
@@ -186,14 +180,14 @@ def write_tour(
     size: tuple[int, int] = (240, 320),
     progress: Callable[[int], object] = lambda _: None,
 ) -> Path:
-    """Write one drive along `TOUR`, which closes loops, into a new or empty folder: ``poses.csv``,
-    and label PNGs in the folder ``tour``, which it returns. At most ``frames`` are written, without
-    it the whole tour of about 1100. ``seed``, ``size``, ``progress`` and errors as for
-    `write_city`."""
+    """Writes one sequence along `TOUR`, which closes loops, into a new or empty folder:
+    ``poses.csv``, and label PNGs in the folder ``tour``, which it returns. At most ``frames`` are
+    written, without it the whole tour of about 1100. ``seed``, ``size``, ``progress`` and errors as
+    for `write_city`."""
     folder = empty_folder(Path(out)) / "tour"
     city = SyntheticCity(seed, TOUR_ESTATES)
-    traverse = city.traverse(sys.maxsize if frames is None else frames, size=size, turns=TOUR)
-    poses = _write_frames(folder, traverse, palette("cityscapes-trainids"), progress)
+    sequence = city.traverse(sys.maxsize if frames is None else frames, size=size, turns=TOUR)
+    poses = _write_frames(folder, sequence, palette("cityscapes-trainids"), progress)
     write_poses(folder.with_name("poses.csv"), poses)
     return folder
 

@@ -2,7 +2,7 @@
 
 import math
 from bisect import bisect_right
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
@@ -10,20 +10,20 @@ from fractions import Fraction
 from functools import lru_cache
 from itertools import chain
 from pathlib import Path
-from threading import Lock
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from ..files import check_pixels, npy_bytes, one_line, requiring
+from .forward_reader import ForwardReader
 from .frame_file import FrameFile
 from .names import VIDEO_SUFFIXES, absolute
 
 _FORMATS = "mov,matroska,avi,mpegts"
 """No format that names other files, as playlists do."""
-_BUFFERED = 16
-"""Decoded frames in memory: threads ask for neighbours in another order."""
+_MISSING_SECONDS = 1.0
+"""Between the last frame and the end that the file states, from which on it is noted."""
 
 
 @dataclass(frozen=True)
@@ -45,8 +45,9 @@ def is_video(path: Path) -> bool:
     return path.suffix.lower() in VIDEO_SUFFIXES and not path.is_dir()
 
 
-def video_files(path: Path) -> list[FrameFile]:
-    """The frames of a video in order of presentation; their sequence has no name yet.
+def video_files(path: Path, note: Callable[[str], object] = lambda _: None) -> list[FrameFile]:
+    """The frames of a video in order of presentation; their sequence has no name yet. ``note`` is
+    told of a file that ends before the time that it states.
 
     A frame is named by its time after the first frame, in microseconds: the name does not depend
     on which other frames are used. Its stamp is this time in seconds, after the file's creation
@@ -55,7 +56,10 @@ def video_files(path: Path) -> list[FrameFile]:
     extra ``video``, an ImportError.
     """
     folder, video = absolute(path), _open(path, FrameFile("", "", path).state)
-    files = list[FrameFile]()
+    files, last = list[FrameFile](), float(video.times[-1] * video.unit)
+    if video.end - last > _MISSING_SECONDS:
+        ends = f"lasts {video.end:.1f} s, and its last frame is at {last:.1f} s"
+        note(f"{path} {ends}: its end may be missing")
     for time in video.times:
         seconds = (time - video.times[0]) * video.unit
         name, stamp = f"{round(seconds * 10**6):010d}", video.created + float(seconds)
@@ -64,18 +68,18 @@ def video_files(path: Path) -> list[FrameFile]:
 
 
 class _Video:
-    """The frames of the first video stream of a file, decoded in the order of showing; a frame
-    before the last ones is read again from the key frame before it.
+    """The frames of the first video stream of a file, decoded in the order of showing.
 
     Attributes:
         times: presentation times of all frames, increasing, in units of ``unit`` seconds.
+        end: seconds at which the file says that it ends, or 0.
         created: time of the first frame in seconds since 1970, or 0 if the file does not say it.
     """
 
     def __init__(self, path: Path) -> None:
         with requiring("video", f"{path} needs"):
             import av
-        self._path, self._error, self._lock = path, av.error.FFmpegError, Lock()
+        self._path, self._error = path, av.error.FFmpegError
         # a title that is not UTF-8 is no damage; PyAV 19 says so itself
         is_strict = int(av.__version__.partition(".")[0]) < 19
         self._settings: dict[str, Any] = {"metadata_errors": "replace"} if is_strict else {}
@@ -91,37 +95,19 @@ class _Video:
             raise ValueError(f"{path} holds no frames with presentation times")
         # AVI has the order of decoding alone: where pictures are shown in another, they are counted
         self._counts = container.format.name == "avi" and stream.codec_context.has_b_frames
-        self.created = 0.0
+        self.end, self.created = (container.duration or 0) / 1e6, 0.0
         with suppress(KeyError, ValueError):
             created = datetime.fromisoformat(container.metadata["creation_time"])
             self.created = created.timestamp()
-        self._start(None)
+        self._frames = ForwardReader(self._decoded)
 
     def pixels(self, time: int) -> npt.NDArray[np.uint8]:
         """``(H, W, 3)`` uint8 of the frame at a time, upright; a ValueError if it is damaged."""
-        with self._lock:
-            if time not in self._buffer and time <= self._reached:
-                self._start(time)
-            self._read_to(time)
-            if time not in self._buffer and self._from is not None:  # it began too late
-                self._start(None)
-                self._read_to(time)
-            frame = self._buffer.get(time)
+        frame = self._frames.item(time)
         if frame is None:
             raise ValueError("the frame does not decode: the video is damaged")
         check_pixels(frame.height, frame.width)
         return _upright(frame)
-
-    def _start(self, time: int | None) -> None:
-        self._from, self._frames, self._reached = time, self._decoded(time), -math.inf
-        self._buffer = dict[float, Any]()
-
-    def _read_to(self, time: int) -> None:
-        while self._reached < time:
-            self._reached, frame = next(self._frames, (math.inf, None))
-            self._buffer[self._reached] = frame
-            if len(self._buffer) > _BUFFERED:
-                del self._buffer[next(iter(self._buffer))]
 
     def _decoded(self, start: int | None) -> Iterator[tuple[float, Any]]:
         """Times and frames, from the key frame before a time or from the first. A decoder conceals

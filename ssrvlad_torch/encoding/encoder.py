@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
 from typing import Any, NamedTuple
@@ -179,23 +179,22 @@ def encode_to_memory(
     """The frames of a label space that could be encoded and those that were skipped, in order, see
     `encode`. ``columns`` are the anchors of channels that can sweep, see `Channel.describe`;
     ``progress`` is called with 1 for each frame."""
-    frames: list[Encoded] = []
-    skipped: list[Skipped] = []
-    for frame in encode(Describer(channels, space, columns), files, workers, segmenter):
-        if isinstance(frame, Skipped):
-            skipped.append(frame)
+    frames, skipped = list[Encoded](), list[Skipped]()
+    for result in encode(Describer(channels, space, columns), files, workers, segmenter):
+        if isinstance(result, Skipped):
+            skipped.append(result)
         else:
-            frames.append(frame)
+            frames.append(result)
         progress(1)
     records = [frame.record for frame in frames]
-    stored = [channel.column for channel in channels]
-    nothing = {column.name: column.zeros(0) for column in stored}
-    descriptors = stacked(frames) if frames else nothing
+    none = {channel.column.name: channel.column.zeros(0) for channel in channels}
+    descriptors = stacked(frames) if frames else none
+    poses = [(record.x, record.y, record.heading) for record in records]
     return FrameSet(
         frames=tuple(record.frame for record in records),
         sequences=tuple(record.sequence for record in records),
         channels={name: torch.from_numpy(values) for name, values in descriptors.items()},
-        poses=np.array([record[2:5] for record in records], np.float64).reshape(-1, 3),
+        poses=np.array(poses, np.float64).reshape(-1, 3),
         stamps=np.array([record.stamp for record in records], np.float64),
         empty=np.array([frame.is_empty for frame in frames], np.bool_),
     ), skipped
@@ -225,12 +224,12 @@ def encode(
         workers = min([workers, *limits])
     work: Callable[[list[Item]], Any] = partial(read, describer.space) if reads_only else describer
     threads = torch.get_num_threads()
-    done: Iterator[Any] = map(work, batches)
+    results: Iterator[Any] = map(work, batches)
     if workers > 1:
-        alone = partial(torch.set_num_threads, 1)
-        done = in_order(work, batches, workers, AHEAD * workers, alone)
+        one_thread = partial(torch.set_num_threads, 1)
+        results = in_order(work, batches, workers, AHEAD * workers, one_thread)
     try:
-        for batch in done:
+        for batch in results:
             yield from describer(batch) if reads_only else batch
     finally:
         torch.set_num_threads(threads)  # for later threads
@@ -281,19 +280,15 @@ def read(space: LabelSpace, items: Sequence[Item]) -> list[Item]:
     return list(in_order(read_one, items, readers, readers))
 
 
+@dataclass(frozen=True)
 class Describer:
     """Items of a label space -> descriptors by some channels, from anchors, the ``columns``, if
     any, with an origin for their records, see `Database.add_origin`. It can be pickled."""
 
-    def __init__(
-        self,
-        channels: Sequence[Channel],
-        space: LabelSpace,
-        columns: Sequence[int] = (),
-        origin: str = "",
-    ) -> None:
-        self.channels, self.space = tuple(channels), space
-        self.columns, self.origin = tuple(columns), origin
+    channels: Sequence[Channel]
+    space: LabelSpace
+    columns: Sequence[int] = ()
+    origin: str = ""
 
     def needs(self, what: str) -> bool:
         """Whether a channel needs labels, the picture or features of a view."""
@@ -304,17 +299,17 @@ class Describer:
         items = read(self.space, items)
         results: dict[int, Encoded | Skipped] = {}
         groups: dict[object, list[int]] = {}
-        for number, item in enumerate(items):
+        for row, item in enumerate(items):
             if isinstance(item.labels, np.ndarray):
-                groups.setdefault((item.labels.shape, item.labels.dtype), []).append(number)
+                groups.setdefault((item.labels.shape, item.labels.dtype), []).append(row)
             else:
-                results[number] = _skipped(item, item.labels)
+                results[row] = _skipped(item, item.labels)
         for group in groups.values():
             for first in range(0, len(group), BATCH):
-                numbers = group[first : first + BATCH]
-                batch = [items[number] for number in numbers]
-                results.update(zip(numbers, self._results(batch), strict=True))
-        return [results[number] for number in range(len(items))]
+                rows = group[first : first + BATCH]
+                batch = self._results([items[row] for row in rows])
+                results.update(zip(rows, batch, strict=True))
+        return [results[row] for row in range(len(items))]
 
     def _results(self, batch: Sequence[Item]) -> list[Encoded | Skipped]:
         """The results of frames of one size, which are described one by one if they fail."""
@@ -343,9 +338,11 @@ class Describer:
         }
 
     def _record(self, item: Item) -> FrameRecord:
-        file, size = item.file, np.asarray(item.labels).shape
-        fields = (*file.pose, file.stamp, item.signature, item.digest, *size, self.origin)
-        return FrameRecord(file.sequence, file.name, *fields)
+        file, (height, width) = item.file, np.asarray(item.labels).shape
+        return FrameRecord(
+            file.sequence, file.name, *file.pose, file.stamp, item.signature, item.digest,
+            height, width, self.origin,
+        )  # fmt: skip
 
 
 def _skipped(item: Item, reason: object) -> Skipped:

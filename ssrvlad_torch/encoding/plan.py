@@ -53,32 +53,23 @@ class Plan:
     def of(cls, files: Sequence[FrameFile], database: Database, origin: Origin) -> Plan:
         """The plan for files whose label maps have an origin; errors as for `check_folders`, or a
         file is a frame of another sequence."""
-        records, changes = database.known(), dict[str, str]()
-        digest = origin.label_space and origin.label_space.digest
-        for key, stored in database.origins.items():
-            if stored.label_space is None or stored.label_space.digest != digest:
-                changes[key] = LABEL_SPACE
-            else:
-                changes[key] = SEGMENTER if stored.segmenter != origin.segmenter else ""
+        records = database.known()
         check_folders(files, records)
-        if any(file.named for file in files):
-            _check_names(files, records)
+        _check_names(files, records)
+        changes = {key: _why_origin(stored, origin) for key, stored in database.origins.items()}
         todo, reasons, digests = list[FrameFile](), dict[str, str](), dict[str, str]()
         refused = list[Skipped]()
         for file in files:
             record = records.get(file.frame)
-            if record is None:
-                if any(name != name.strip() for name in (file.sequence, file.name)):
-                    blank = f"{file.location}: its name, or its folder's, ends in a blank"
-                    refused.append(Skipped(file.frame, blank))
-                else:
-                    reasons[file.frame] = NEW
-                    todo.append(file)
-                continue
-            reason = changes.get(record.origin, LABEL_SPACE) or _why_file(file, record)
-            if reason:
+            if record is None and any(n != n.strip() for n in (file.sequence, file.name)):
+                blank = f"{file.location}: its name, or its folder's, ends in a blank"
+                refused.append(Skipped(file.frame, blank))
+            elif record is None:
+                reasons[file.frame] = NEW
+                todo.append(file)
+            elif reason := changes.get(record.origin, LABEL_SPACE) or _why_file(file, record):
                 reasons[file.frame], digests[file.frame] = reason, record.digest
-                todo.append(file if file.placed else replace(file, pose=Pose(*record[2:5])))
+                todo.append(file if file.has_pose_source else replace(file, pose=_pose_of(record)))
         present, folders = {file.frame for file in files}, {file.folder for file in files}
         rows = zip(*(records.table[n].to_pylist() for n in ("frame", "signature")), strict=True)
         gone = [f for f, s in rows if folder_of(s) in folders and f not in present]
@@ -92,23 +83,35 @@ class Plan:
         return TOUCHED if same else reason
 
 
-def _why_file(file: FrameFile, record: FrameRecord) -> str | None:
-    """Why a frame must be encoded again for its file or pose; ``None`` if its record fits."""
+def _why_origin(stored: Origin, origin: Origin) -> str:
+    """Why frames of a stored origin must be encoded again with another; empty if they fit it."""
+    digests = [o.label_space and o.label_space.digest for o in (stored, origin)]
+    if stored.label_space is None or digests[0] != digests[1]:
+        return LABEL_SPACE
+    return SEGMENTER if stored.segmenter != origin.segmenter else ""
+
+
+def _why_file(file: FrameFile, record: FrameRecord) -> str:
+    """Why a frame must be encoded again for its file or pose; empty if its record fits."""
     signature = file.signature()
     if record.signature != signature:
         state = record.signature.rpartition("|")[2]
         return FILE if state != signature.rpartition("|")[2] else MOVED
-    same = np.array_equal(file.pose, record[2:5], equal_nan=True)
-    return POSE if file.placed and not same else None
+    same = np.array_equal(file.pose, _pose_of(record), equal_nan=True)
+    return POSE if file.has_pose_source and not same else ""
+
+
+def _pose_of(record: FrameRecord) -> Pose:
+    return Pose(record.x, record.y, record.heading)
 
 
 def check_folders(files: Sequence[FrameFile], records: StoredRecords) -> None:
     """Raises a ValueError for a file with the sequence, or the frame id, of another folder, whose
     frames it would overwrite or join. A sequence that the user named may have several folders."""
-    folders = {(file.folder, file.sequence) for file in files if not file.named}
+    folders = {(file.folder, file.sequence) for file in files if not file.is_named}
     check_sequences(folders, folders_of(records.table))
     for file in files:
-        if file.named and (record := records.get(file.frame)):
+        if file.is_named and (record := records.get(file.frame)):
             check_folder(file, record)
 
 
@@ -123,16 +126,19 @@ def check_folder(file: FrameFile, record: FrameRecord) -> None:
 
 
 def _check_names(files: Sequence[FrameFile], records: StoredRecords) -> None:
-    """Requires that no file is stored already as a frame of another sequence."""
-    stored = folders_of(records.table)
-    for folder, name in {(file.folder, file.sequence) for file in files if file.named}:
-        names = {other for of, other in stored if of and is_same_folder(of, folder)} - {name}
-        for file in files if names else ():
-            frames = [f"{other}/{file.name}" for other in names]
-            if file.folder == folder and (there := next((f for f in frames if f in records), "")):
+    """Requires that no file of a sequence that the user named is a frame of another sequence."""
+    named = [file for file in files if file.is_named]
+    stored = folders_of(records.table) if named else ()
+    others = {
+        (folder, name): [n for f, n in stored if n != name and f and is_same_folder(f, folder)]
+        for folder, name in {(file.folder, file.sequence) for file in named}
+    }
+    for file in named:
+        for sequence in others[file.folder, file.sequence]:
+            if (frame := f"{sequence}/{file.name}") in records:
                 raise ValueError(
-                    f"{file.location} is frame {there!r} of the database: expected --sequence "
-                    f"{there.removesuffix(f'/{file.name}')}, got {name}"
+                    f"{file.location} is frame {frame!r} of the database: expected --sequence "
+                    f"{sequence}, got {file.sequence}"
                 )
 
 
@@ -145,11 +151,8 @@ class Writer(AbstractContextManager["Writer"]):
 
     def __init__(self, database: Database, plan: Plan, options: EncodeOptions) -> None:
         self.summary = Summary(already_there=plan.already_there)
-        self._database = database
-        self._plan = plan
-        self._options = options
-        self._waiting: list[Encoded] = []
-        self._staged: list[StagedRows] = []
+        self._database, self._plan, self._options = database, plan, options
+        self._waiting, self._staged = list[Encoded](), list[StagedRows]()
         self._due = time.monotonic() + COMMIT_SECONDS
         for frame in plan.refused:
             self.add(frame)
@@ -185,8 +188,8 @@ class Writer(AbstractContextManager["Writer"]):
 
     def commit(self) -> None:
         """Commits the waiting frames."""
-        frames, self._waiting = self._waiting, []
-        staged, self._staged = self._staged, []
+        frames, staged = self._waiting, self._staged
+        self._waiting, self._staged = [], []
         check = partial(check_folders, self._plan.files)
         self._database.adopt(staged, check)
         if frames:

@@ -21,17 +21,17 @@ from .encoder import Describer, Item, prepared, segmented_items
 from .plan import NEW, Plan, Writer
 from .results import Encoded, EncodeOptions, Skipped, Summary, cores, stacked
 
-PART = 1024
+CHUNK_FRAMES = 1024
 """Number of frames that are encoded and written together."""
 
-PART_OF_PICTURES = 32
+CHUNK_PICTURES = 32
 """The same where a network labels the frames: about ten seconds of work."""
 
 _Batch = dict[str, Any]
 
 
-class Part(NamedTuple):
-    """The results of one part of the frames: new frames are staged, written to files of the
+class Chunk(NamedTuple):
+    """The results of one chunk of the frames: new frames are staged, written to files of the
     database but not committed, ``empty`` of them empty; the others are in ``results``."""
 
     results: list[Encoded | Skipped]
@@ -61,18 +61,18 @@ def encode_with_ray(
     options = options or EncodeOptions()
     plan, describer = prepared(head, files, database, options, segmenter)
     path = database.path if is_uri(database.path) else absolute(Path(database.path))
-    encoder = PartEncoder(describer, path, segmenter, options.gpus)
+    encoder = ChunkEncoder(describer, path, segmenter, options.gpus)
     with Writer(database, plan, options) as writer:
-        for part in _parts(encoder, plan, options):
-            if part.staged:
-                writer.add_staged(part.staged, part.empty)
-            for result in part.results:
+        for chunk in _chunks(encoder, plan, options):
+            if chunk.staged:
+                writer.add_staged(chunk.staged, chunk.empty)
+            for result in chunk.results:
                 writer.add(result)
     return writer.summary
 
 
-class PartEncoder:
-    """Encodes the files of a part, and stages new frames in the database at a path. An actor loads
+class ChunkEncoder:
+    """Encodes the files of a chunk, and stages new frames in the database at a path. An actor loads
     a segmenter that has a name by it; another one is sent with its weights."""
 
     def __init__(
@@ -87,8 +87,8 @@ class PartEncoder:
             self.load = by_name if segmenter.name else lambda: segmenter
             self._key = segmenter.key()
 
-    def __call__(self, files: Sequence[FrameFile], new: bool) -> Part:
-        """The results of the files of a part; ``new``: none of its frames is in the database."""
+    def __call__(self, files: Sequence[FrameFile], new: bool) -> Chunk:
+        """The results of the files of a chunk; ``new``: none of its frames is in the database."""
         items = list(map(Item, files))
         if self.load:
             if self._segmenter is None:
@@ -104,38 +104,38 @@ class PartEncoder:
         results = self.describer(items)
         described = [result for result in results if isinstance(result, Encoded)]
         if not new or not described:
-            return Part(results)
+            return Chunk(results)
         records = [result.record for result in described]
         staged = Database.open(self.database).write_apart(records, stacked(described))
         skipped = [result for result in results if isinstance(result, Skipped)]
-        return Part([*skipped], staged, sum(result.is_empty for result in described))
+        return Chunk([*skipped], staged, sum(result.is_empty for result in described))
 
 
 class Actor:
-    """An actor for `map_batches`: takes pickled files, returns a pickled `Part` or an error."""
+    """An actor for `map_batches`: takes pickled files, returns a pickled `Chunk` or an error."""
 
     def __init__(self, encoder: bytes) -> None:
         torch.set_num_threads(1)
-        self.encode: PartEncoder = pickle.loads(encoder)
+        self.encode: ChunkEncoder = pickle.loads(encoder)
 
     def __call__(self, batch: _Batch) -> _Batch:
-        """The batch holds one part."""
+        """The batch holds one chunk."""
         [files], [new] = batch["files"], batch["new"]
         try:
-            part: Part | OSError = self.encode(pickle.loads(files), bool(new))
+            chunk: Chunk | OSError = self.encode(pickle.loads(files), bool(new))
         except OSError as error:  # a disk error: Ray must not retry
-            part = OSError(one_line(error))
+            chunk = OSError(one_line(error))
         except Exception as error:  # the report of Ray would not show it
-            part = OSError(f"Ray failed: {one_line(error)}")
-        return {"part": [pickle.dumps(part)]}
+            chunk = OSError(f"Ray failed: {one_line(error)}")
+        return {"chunk": [pickle.dumps(chunk)]}
 
 
-def _parts(encoder: PartEncoder, plan: Plan, options: EncodeOptions) -> Iterator[Part]:
+def _chunks(encoder: ChunkEncoder, plan: Plan, options: EncodeOptions) -> Iterator[Chunk]:
     """The results for the files of a plan, as they arrive."""
     import ray.cloudpickle
     import ray.data
 
-    length = PART_OF_PICTURES if encoder.load else PART
+    length = CHUNK_PICTURES if encoder.load else CHUNK_FRAMES
     rows = [
         {"files": pickle.dumps(files[first : first + length]), "new": new}
         for new in (True, False)
@@ -156,7 +156,7 @@ def _parts(encoder: PartEncoder, plan: Plan, options: EncodeOptions) -> Iterator
     if gpus > (there := ray.cluster_resources().get("GPU", 0)):
         raise ValueError(f"the cluster has {there:g} GPUs, expected {gpus:g} for each worker")
     workers = max(1, min(options.workers or cores(), len(rows)))
-    parts = ray.data.from_items(rows, override_num_blocks=len(rows)).map_batches(
+    chunks = ray.data.from_items(rows, override_num_blocks=len(rows)).map_batches(
         Actor,
         fn_constructor_args=(ray.cloudpickle.dumps(encoder),),
         batch_size=1,
@@ -165,11 +165,11 @@ def _parts(encoder: PartEncoder, plan: Plan, options: EncodeOptions) -> Iterator
         num_gpus=gpus or None,
     )
     try:
-        for row in parts.iter_rows():
-            part = pickle.loads(row["part"])
-            if isinstance(part, OSError):
-                raise part
-            yield part
+        for row in chunks.iter_rows():
+            chunk = pickle.loads(row["chunk"])
+            if isinstance(chunk, OSError):
+                raise chunk
+            yield chunk
     except ray.exceptions.RayError as error:
         cause = error.cause if isinstance(error, ray.exceptions.RayTaskError) else error
         raise OSError(f"Ray failed: {one_line(cause)}") from error

@@ -75,6 +75,6 @@ class FrameSelection:
     )
     posed: bool | None = False
 
-    def given(self, *names: str) -> list[str]:
+    def changed(self, *names: str) -> list[str]:
         """Those of these fields that are not at their defaults."""
         return [name for name in names if getattr(self, name) != getattr(FrameSelection, name)]

@@ -11,12 +11,12 @@ import numpy as np
 
 from ..database.database import Database
 from ..database.metadata import Origin
-from ..datasets.dataset import Dataset
+from ..datasets.dataset import Dataset, Kind
 from ..datasets.frame_files import FrameFile, found_by
 from ..datasets.image_files import find_image_files, read_image
 from ..datasets.label_files import find_label_files, read_label_map
 from ..datasets.layouts import open_dataset
-from ..datasets.names import KnownFolders
+from ..datasets.names import SequenceFolders
 from ..datasets.poses import UNKNOWN, Pose, Projection
 from ..segmentation.networks import ACCEPT, AUTO, open_network, runs_code
 from ..segmentation.preparation import channels
@@ -40,7 +40,7 @@ class SelectedFrames:
         segmenter: labels images.
         database: holds the frames, in place of files.
         dataset: of which the frames are, with all its sequences.
-        known: folders whose sequences already have a name, see `sequence_names`.
+        map_folders: folders whose sequences already have a name, see `sequence_names`.
     """
 
     selection: FrameSelection
@@ -49,7 +49,7 @@ class SelectedFrames:
     segmenter: Segmenter | None = None
     database: Database | None = None
     dataset: Dataset | None = None
-    known: KnownFolders = ()
+    map_folders: SequenceFolders = ()
 
 
 def open_frames(
@@ -84,47 +84,38 @@ def open_frames(
     if selection.segmenter or selection.labels_as:
         network, labels_as = selection.segmenter, selection.labels_as
     dataset = _dataset_of(selection, labels_as, note)
-    known = database.folders() if database else ()
-    frames = SelectedFrames(selection, dataset=dataset, known=known)
-    if compared and len(selection.paths) == 1 and Database.exists(selection.paths[0]):
-        if unused := [f"--{name.replace('_', '-')}" for name in selection.given(*_OF_FILES)]:
-            raise ValueError(f"{selection.paths[0]} is a database: expected no {', '.join(unused)}")
-        space = labels_as or _space_of_database(database, compared)
-        return replace(frames, labels_as=space or "", database=Database.open(selection.paths[0]))
-    projection = Projection(partial(_pose_in, database))
-    find = partial(_files_of, selection, dataset, known, projection)
+    folders = database.folders() if database else ()
+    frames = SelectedFrames(selection, dataset=dataset, map_folders=folders)
+    if compared and len(selection.paths) == 1 and Database.exists(path := selection.paths[0]):
+        if unused := [f"--{name.replace('_', '-')}" for name in selection.changed(*_OF_FILES)]:
+            raise ValueError(f"{path} is a database: expected no {', '.join(unused)}")
+        space = labels_as or _space_of_database(database, compared) or ""
+        return replace(frames, labels_as=space, database=Database.open(path))
+    find = partial(_files_of, frames, Projection(partial(_pose_in, database)))
     space, segmenter = _labelling(
-        selection, database, dataset, network, labels_as, compared, images, opened,
-        lambda: found_by(find, find_image_files), note,
+        frames, database, network, labels_as, compared, images, opened,
+        partial(found_by, find, find_image_files), note,
     )  # fmt: skip
     frames = replace(frames, labels_as=space or "", segmenter=segmenter)
     if live:
         return frames
     try:
-        kind = find_image_files if images or segmenter else find_label_files
-        frames = replace(frames, files=find(kind, note))
+        files = find(find_image_files if images or segmenter else find_label_files, note)
     except ValueError:
-        paths = selection.paths
-        only_images = (
-            not (dataset or segmenter or images)
-            and not any(found_by(find_label_files, [path]) for path in paths)
-            and found_by(find_image_files, paths)
-        )
-        if only_images:
-            raise ValueError(
-                f"{' '.join(paths)} holds images and no label maps; name the network that "
-                "labels them with --segmenter"
-            ) from None
-        raise
-    if not dataset and any(file.name.endswith(_OF_GT_FINE) for file in frames.files):
+        if dataset or segmenter or images or not _are_only_images(selection.paths):
+            raise
+        raise ValueError(
+            f"{' '.join(selection.paths)} holds images and no label maps; name the network that "
+            "labels them with --segmenter"
+        ) from None
+    if not dataset and any(file.name.endswith(_OF_GT_FINE) for file in files):
         note("files of gtFine are several frames of one place; --layout cityscapes joins them")
-    return frames
+    return replace(frames, files=files)
 
 
 def _labelling(
-    selection: FrameSelection,
+    frames: SelectedFrames,
     database: Database | None,
-    dataset: Dataset | None,
     network: str | Segmenter | None,
     labels_as: str | LabelSpace | None,
     compared: bool,
@@ -138,7 +129,8 @@ def _labelling(
     data set, or the database, whose network labels what are no label maps."""
     if isinstance(network, Segmenter):
         return network.label_space if labels_as in (None, AUTO) else labels_as, network
-    is_users, classes = network is not None, channels(selection.classes)
+    selection, dataset = frames.selection, frames.dataset
+    classes = channels(selection.classes)
     named = open_network(network) if network else None
     if named and labels_as in (None, AUTO):
         has_names = labels_as or named.class_names or named.labels_as is not None
@@ -147,7 +139,7 @@ def _labelling(
     if database and not named and (images or (not labels_as and _are_of(database, pictures))):
         origin = origin_of(database)
         labels_as = origin.label_space or label_space(database.config.labels_as)
-        if opened and not selection.given("segmenter_cache", "classes"):
+        if opened and not selection.changed("segmenter_cache", "classes"):
             require_network(database, opened)
             note(f"{opened.name}, the network of {database.path}, labels the pictures")
             return labels_as, opened
@@ -168,7 +160,7 @@ def _labelling(
             f"{named.name} does not say how it wants pictures; assumed: {named.preparation} "
             f"({ACCEPT}: true in a YAML file accepts that)"
         )
-    if database and not is_users:
+    if database and not network:
         require_network(database, segmenter)
         note(f"{segmenter.name}, the network of {database.path}, labels the pictures")
     return labels_as, segmenter
@@ -222,7 +214,7 @@ def _dataset_of(
         if selection.split or selection.role or selection.labels:
             raise ValueError("--split, --role and --labels need --layout, such as --layout auto")
         return None
-    if selection.given("sequence", "poses", "topic", "fps"):
+    if selection.changed("sequence", "poses", "topic", "fps"):
         raise ValueError("--sequence, --poses, --topic and --fps do not go with --layout")
     if len(selection.paths) != 1:
         raise ValueError(
@@ -235,24 +227,29 @@ def _dataset_of(
 
 
 def _files_of(
-    selection: FrameSelection,
-    dataset: Dataset | None,
-    known: KnownFolders,
+    frames: SelectedFrames,
     projection: Projection,
     find: Callable[..., list[FrameFile]],
     note: Note = do_nothing,
 ) -> list[FrameFile]:
     """The frames that ``find`` finds, or those of the data set."""
+    selection, dataset = frames.selection, frames.dataset
     if dataset:
         chosen, truth = dataset.select(selection.split or (), selection.role), dataset.truth
         by_poses = truth is not None and truth.metres is not None
         if selection.posed or (selection.posed is None and by_poses):
             chosen = chosen.posed()
-        of = chosen.image_files if find is find_image_files else chosen.label_files
-        return of(selection.every, selection.start)
+        kind: Kind = "image" if find is find_image_files else "label"
+        return chosen.files(kind, selection.every, selection.start)
     names = ("sequence", "every", "start", "poses", "topic", "fps")
     settings = {name: getattr(selection, name) for name in names}
-    return find([*selection.paths], known=known, projection=projection, note=note, **settings)
+    settings |= {"map_folders": frames.map_folders, "projection": projection, "note": note}
+    return find([*selection.paths], **settings)
+
+
+def _are_only_images(paths: Sequence[str]) -> bool:
+    has_labels = any(found_by(find_label_files, [path]) for path in paths)
+    return not has_labels and bool(found_by(find_image_files, paths))
 
 
 def _pose_in(database: Database | None) -> Pose:

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from ..database.frames import FrameSet
 from ..datasets.dataset import Dataset, DatasetFrame, GroundTruth
 from ..datasets.frame_files import FrameFile
-from ..datasets.names import KnownFolders, sequence_of, split_id
+from ..datasets.names import SequenceFolders, sequence_of, split_id
 from ..files import natural_key
 from .ground_truth import from_frame_numbers, from_poses
 from .ground_truth_files import PartialTruth, from_file
@@ -33,7 +33,7 @@ class Viewpoints:
     frames: tuple[str, ...]
     poses: npt.NDArray[np.float64]
     counted: tuple[str, ...]
-    folders: KnownFolders = ()
+    folders: SequenceFolders = ()
 
     @classmethod
     def of(
@@ -51,7 +51,7 @@ class Viewpoints:
         cls,
         encoded: FrameSet,
         dataset: Dataset | None,
-        folders: KnownFolders,
+        folders: SequenceFolders,
         skipped: Iterable[str] = (),
     ) -> Viewpoints:
         """The places of encoded frames, counted together with the skipped ones."""

@@ -11,7 +11,7 @@ import torch
 
 from ..database.frames import FrameSet
 from ..datasets.frame_file import Skipped
-from ..datasets.names import KnownFolders
+from ..datasets.names import SequenceFolders
 from ..datasets.poses import Pose
 from ..evaluation.ground_truth_files import PartialTruth, known_matches
 from ..evaluation.thresholds import SURE_PRECISION
@@ -66,7 +66,7 @@ class Answers:
     recognised: Recognised
     temporal: int = 0
     skipped: tuple[Skipped, ...] = ()
-    folders: KnownFolders = ()
+    folders: SequenceFolders = ()
     min_confidence: float = 0.0
     max_wrong: float | None = None
     matches: Matches = field(init=False)

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from ..channels.channel import Channel, View, channels_of, refuse_text
 from ..database.database import Database
 from ..database.frames import FrameSet
-from ..datasets.names import KnownFolders, check_sequences, name_of
+from ..datasets.names import SequenceFolders, check_sequences, name_of
 from ..descriptor import SSRVLAD
 from ..encoding.encoder import check_segmenter, encode_to_memory
 from ..encoding.results import Progress, Skipped, do_nothing
@@ -170,7 +170,7 @@ def queries_of(
     channels: Sequence[Channel],
     columns: Sequence[int] = (),
     progress: Progress = do_nothing,
-) -> tuple[FrameSet, list[Skipped], KnownFolders]:
+) -> tuple[FrameSet, list[Skipped], SequenceFolders]:
     """The frames of a source, the skipped frames, and the folders of the sequences. Frames are
     described by some channels of the database, from anchors, if any; a source that is a database is
     loaded."""
@@ -200,7 +200,7 @@ def no_channels(database: Database, channels: Sequence[Channel]) -> ValueError:
 
 def _loaded(
     database: Database, source: SelectedFrames, other: Database, channels: Sequence[Channel]
-) -> tuple[FrameSet, list[Skipped], KnownFolders]:
+) -> tuple[FrameSet, list[Skipped], SequenceFolders]:
     """The frames of another database, by some channels."""
     if other.fingerprint != database.fingerprint:
         raise ValueError(
@@ -214,7 +214,7 @@ def _loaded(
     frames = dataclasses.replace(frames, channels=used)
     if name is None:
         folders = other.folders()
-        check_sequences(folders, source.known)
+        check_sequences(folders, source.map_folders)
         return frames, [], folders
     if len(set(frames.sequences)) > 1:
         raise ValueError(f"--sequence names one sequence, {other.path} holds several")

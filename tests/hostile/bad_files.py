@@ -7,7 +7,6 @@ import zipfile
 import zlib
 from pathlib import Path
 
-import numpy as np
 from helpers import png_bytes, tiff_bytes
 from numpy.lib import format as npy
 from trees import write as text
@@ -81,21 +80,15 @@ def archive(path: Path, size: int = 6_000_000_000) -> Path:
     return path
 
 
-def ones(path: Path, shape: tuple[int, ...], dtype: str = "uint8") -> Path:
-    """A valid array."""
-    np.save(made(path), np.ones(shape, dtype))
-    return path
-
-
 def zeros(size: int) -> bytes:
     """``size`` zeros in zlib's format: one packed block, repeated."""
     block, packer = b"\0" * (1 << 20), zlib.compressobj(9, wbits=-15)
     packed = packer.compress(block) + packer.flush(zlib.Z_FULL_FLUSH)
-    count, rest = divmod(size, len(block))
+    count, remainder = divmod(size, len(block))
     checksum = 1
     for _ in range(count):
         checksum = zlib.adler32(block, checksum)
-    checksum = zlib.adler32(block[:rest], checksum)
+    checksum = zlib.adler32(block[:remainder], checksum)
     packer = zlib.compressobj(9, wbits=-15)
-    end = packer.compress(block[:rest]) + packer.flush()
+    end = packer.compress(block[:remainder]) + packer.flush()
     return b"\x78\xda" + count * packed + end + struct.pack(">I", checksum)

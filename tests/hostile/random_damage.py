@@ -23,7 +23,7 @@ from ssrvlad_torch import SSRVLADConfig, export_head
 from ssrvlad_torch.datasets.frame_file import FrameFile
 from ssrvlad_torch.datasets.image_files import read_image
 from ssrvlad_torch.datasets.label_files import read_label_map
-from ssrvlad_torch.datasets.poses import read_poses
+from ssrvlad_torch.datasets.pose_tables import read_poses
 from ssrvlad_torch.datasets.trajectories import read_trajectory
 from ssrvlad_torch.datasets.videos import video_files
 from ssrvlad_torch.deployment.metadata import Metadata
@@ -71,19 +71,19 @@ def damaged(random_: random.Random, good: list[bytes]) -> bytes:
 
 def _images(folder: Path, formats: tuple[str, ...], mode: str) -> list[bytes]:
     pixels = np.random.default_rng(0).integers(0, 12, (24, 32), dtype=np.uint8)
-    image, found = Image.fromarray(pixels).convert(mode), []
+    image, contents = Image.fromarray(pixels).convert(mode), []
     for suffix in formats:
         image.save(folder / f"a.{suffix}")
-        found.append((folder / f"a.{suffix}").read_bytes())
-    return found
+        contents.append((folder / f"a.{suffix}").read_bytes())
+    return contents
 
 
 def _arrays(folder: Path, *arrays: np.ndarray) -> list[bytes]:
-    found = []
+    contents = []
     for array in arrays:
         np.save(folder / "a.npy", array)
-        found.append((folder / "a.npy").read_bytes())
-    return found
+        contents.append((folder / "a.npy").read_bytes())
+    return contents
 
 
 def label_map(folder: Path) -> Reader:

@@ -55,7 +55,7 @@ def test_refused_files_need_little_memory(tmp_path):
     large, none = "has 13000 x 13000 pixels; expected at most 64000000", "has 0 bytes for an array"
     device, aliases = "is a device; expected a file", "an alias in line 2"
     huge = bad.array(tmp_path / "huge.npy", (1 << 30, 1 << 30, 3))
-    given = [
+    files = [
         ("label map", bad.png(tmp_path / "gray.png"), large),
         ("label map", bad.tiff(tmp_path / "gray.tif"), large),
         ("label map", bad.endless(tmp_path / "zero.png"), device),
@@ -72,10 +72,10 @@ def test_refused_files_need_little_memory(tmp_path):
         ("golden", tmp_path, ""),
         ("size", tmp_path, "SSRVLAD_PIXEL_LIMIT"),
     ]
-    table = json.dumps([(reader, str(path)) for reader, path, _ in given])
+    table = json.dumps([(reader, str(path)) for reader, path, _ in files])
     command = [sys.executable, "-c", PROGRAM, table]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     rows = [json.loads(line) for line in done.stdout.splitlines()]
-    for (reader, path, megabytes, refused), (*_, message) in zip(rows, given, strict=True):
+    for (reader, path, megabytes, refused), (*_, message) in zip(rows, files, strict=True):
         assert refused and message in refused, (reader, path, refused)
         assert megabytes <= 300, (reader, path, megabytes)

@@ -50,11 +50,7 @@ def one_line(ssrvlad, command: str, message: str) -> str:
 
 LABEL_MAPS: list[tuple[Make, str]] = [
     (lambda p: bad.png(p / "x.png"), "has 13000 x 13000 pixels; expected at most 64000000"),
-    (lambda p: bad.tiff(p / "x.tif"), "has 13000 x 13000 pixels"),
     (lambda p: bad.array(p / "x.npy", (4000, 5000), b"1"), "has 1 bytes for an array"),
-    (lambda p: bad.array(p / "x.npy", (1 << 40, 1 << 40)), "has 0 bytes for an array"),
-    (lambda p: bad.array(p / "x.npy", (2, 2), b"1234", "|O"), "holds Python objects"),
-    (lambda p: bad.ones(p / "x.npy", (2, 2), "complex128"), "expected an (H, W) integer label map"),
     (lambda p: bad.text(p / "x.png", "no picture"), "cannot identify the image"),
     (lambda p: (p / "x.png").symlink_to("nowhere"), "No such file"),
 ]
@@ -133,16 +129,16 @@ TRUTHS: list[tuple[str, Make, str]] = [
 ]
 
 
-def own(content: str) -> Make:
+def yaml(content: str) -> Make:
     return lambda folder: bad.text(folder / "own.yaml", content)
 
 
 LABELS, ENCODE = "labels own.yaml", "encode maps -o new.ssrdb --labels-as own.yaml"
 SEGMENT = "encode photos -o new.ssrdb --labels-as camvid-11 --segmenter own.yaml"
 REFUSED = [
-    *((LABELS, own(content), message) for content, message in YAML),
-    *((SEGMENT, own(content), message) for content, message in YAML[:5]),
-    *((SEGMENT, own(f"network: net.onnx\nsize: {size}\n"), "own.yaml: ") for size in SIZES),
+    *((LABELS, yaml(content), message) for content, message in YAML),
+    *((SEGMENT, yaml(content), message) for content, message in YAML[:5]),
+    *((SEGMENT, yaml(f"network: net.onnx\nsize: {size}\n"), "own.yaml: ") for size in SIZES),
     *((command, make, message) for command in (LABELS, ENCODE) for make, message in NO_FILES),
     *(
         (

@@ -47,7 +47,7 @@ def encode(
 
     folders = all(is_uri(path) or Path(path).is_dir() for path in source.paths)
     # all frames of the folders are used, so that one without a file is gone
-    complete = folders and not source.given("fps", "every", "start", "layout")
+    complete = folders and not source.changed("fps", "every", "start", "layout")
     if prune and not complete:
         raise ValueError(f"--prune needs {_COMPLETE}")
     if gpus and engine != "ray":

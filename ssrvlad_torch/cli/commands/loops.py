@@ -62,7 +62,7 @@ def loops(
     from ...loops import stream
 
     live = STDIN in source.paths
-    if live and (len(source.paths) > 1 or source.given(*LEFT_OUT)):
+    if live and (len(source.paths) > 1 or source.changed(*LEFT_OUT)):
         raise ValueError(
             f"SOURCE {STDIN} takes no other SOURCE, no --layout, --poses, --topic, "
             "--fps, --every and --start"

@@ -25,7 +25,7 @@ def poses(
     import math
 
     from ...datasets.image_files import write_pictures
-    from ...datasets.poses import write_poses
+    from ...datasets.pose_tables import write_poses
     from ...encoding.source import open_frames
 
     files = open_frames(source, images=True, note=note).files
