@@ -23,8 +23,6 @@ def test_the_files_of_a_folder_are_a_sequence_in_the_order_of_a_person(tmp_path)
     expected = ["monday/f01", "monday/f1", "monday/f2", "monday/f3", "monday/f10"]
     assert ids(find_label_files([str(folder)])) == expected
     assert ids(find_label_files([f"{folder}/"])) == ids(find_label_files([folder])) == expected
-    for wrong in (str(folder), folder, []):
-        refuses("expected a list of folders, files or globs, got ", find_label_files, wrong)
 
 
 def test_hidden_and_partial_files_are_no_frames_and_any_name_is_kept(tmp_path):
@@ -99,8 +97,6 @@ def test_every_and_start_count_in_each_sequence(tmp_path):
     files = find_label_files(sources, every=3, start=1)
     assert ids(files) == ["a/1", "a/4", "a/7", "b/1", "b/4", "b/7"]
     assert ids(find_label_files(sources[:1], every=100)) == ["a/0"]
-    for every, start in ((0, 0), (-1, 0), (1, -1)):
-        refuses(f"got {every} and {start}", find_label_files, sources, every=every, start=start)
 
 
 def test_one_frame_of_two_files_is_refused(tmp_path):

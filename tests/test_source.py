@@ -1,11 +1,12 @@
 """What frames are read with: data sets, and the network that the user or the database names."""
 
 import json
+import math
 
 import numpy as np
 import pytest
 from drawings import SPACE
-from helpers import street, write_image
+from helpers import refuses, street, write_image
 from networks import photo
 
 from ssrvlad_torch import Database, LabelSpace
@@ -126,17 +127,32 @@ def test_roles_and_truth_come_from_the_data_set(ssrvlad, city, reference, tmp_pa
         assert json.loads(out)["queries_with_match"] == count, "headings can count"
 
 
+@pytest.mark.parametrize(
+    ("paths", "settings", "message"),
+    [
+        ("monday", {}, "expected a list of folders, files or globs, got 'monday'"),
+        ([], {}, r"expected a list of folders, files or globs, got \[\]"),
+        (["a"], {"every": 0}, "every >= 1 and start >= 0, got 0 and 0"),
+        (["a"], {"start": -1}, "every >= 1 and start >= 0, got 1 and -1"),
+        *((["a"], {"fps": fps}, "expected fps above 0") for fps in (0, -1, math.nan, math.inf)),
+        (["a"], {"split": ["b"]}, "--split, --role and --labels need --layout, such as --layout"),
+        (["a"], {"role": "query"}, "need --layout"),
+        (["a"], {"labels": "maps"}, "need --layout"),
+        (["a"], {"layout": "auto", "sequence": "b"}, "--sequence, --poses, --topic and --fps do"),
+        (["a", "b"], {"layout": "auto"}, "--layout: expected the folder of one data set, got 2"),
+    ],
+)
+def test_a_selection_that_means_nothing_is_refused(paths, settings, message):
+    refuses(message, FrameSelection, paths, **settings)
+
+
 WRONG = [
     ("--layout auto --split nope", "city has no sequence 'nope'; it has query, ref"),
     ("--split query", "--split, --role and --labels need --layout, such as --layout auto"),
-    ("--role query", "need --layout"),
-    ("--layout auto --sequence foo", "--sequence, --poses, --topic and --fps do no"),
-    ("--labels maps", "need --layout"),
     ("--layout synthia", "city is not in the layout synthia: expected"),
     ("--layout kitti", "unknown layout 'kitti'; expected one of extended-cmu"),
     ("--layout auto --role loop", "'loop' is not one of 'reference', 'query'"),
     ("--layout auto --labels nowhere", "label maps in nowhere need a label space"),
-    ("other --layout auto", "--layout: expected the folder of one data set, got 2 sources"),
 ]
 
 

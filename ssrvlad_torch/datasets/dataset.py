@@ -7,14 +7,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import cache, partial
-from itertools import groupby
+from itertools import groupby, islice
 from pathlib import Path
 from typing import Literal
 
 from natsort import natsorted
 
 from ..taxonomy import LabelSpace, label_space
-from .frame_files import FrameFile, every_nth
+from .frame_file import FrameFile
 from .label_files import SUFFIXES as LABEL_SUFFIXES
 from .names import IMAGE_SUFFIXES, id_of
 from .poses import UNKNOWN, Pose
@@ -216,7 +216,7 @@ class Dataset:
         if not files:
             raise ValueError(f"{self.root} ({self.layout}) has {_MISSING[kind]}")
         sequences = groupby(files, key=lambda file: file.sequence)
-        selected = [file for _, of in sequences for file in every_nth([*of], every, start)]
+        selected = [file for _, of in sequences for file in islice(of, start, None, every)]
         if not selected:
             raise ValueError(f"no sequence of {self.root} has a frame {start}")
         return selected

@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
-from os import PathLike
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -20,7 +19,7 @@ from .bags import bag_files, is_bag
 from .frame_file import FrameFile, RemoteFile, remote_files
 from .names import SequenceFolders, absolute, sequence_names
 from .pose_tables import PoseTable, read_poses
-from .poses import UNKNOWN, Pose, Projection, read_exif, read_name
+from .poses import UNKNOWN, Fix, Pose, Projection, read_exif, read_name
 from .trajectories import read_trajectory
 from .videos import is_video, video_files
 from .workers import in_order
@@ -64,29 +63,27 @@ def find_frames(
             matches. A ``.npy`` stack that is a source is a sequence; in the folder of a URI it is
             not supported.
         sequence: name of the sequence, instead of the folder's.
-        every, start: of each sequence keep frame ``start`` and every ``every``-th after it.
+        every, start: of each sequence keep frame ``start`` and every ``every``-th (>= 1) after it.
         map_folders: folders that have a name already, see `sequence_names`.
         poses: source of the poses, see `_with_poses`; if ``None``, the ``poses.csv`` in or beside a
             folder, or file names as `read_name` reads them.
         topic: topic of a bag with several topics of images, see `bag_files`.
-        fps: most frames in a second, see `at_rate`; then ``every`` and ``start`` count these.
+        fps: most frames in a second (> 0), see `at_rate`; then ``every`` and ``start`` count these.
         projection: of positions of GPS.
         note: gets what the user should know.
 
     Raises:
-        ValueError: a source holds no frames, two files are the same frame, ``every``, ``start`` or
-            ``fps`` is out of range, or pyarrow does not support the URI's scheme.
+        ValueError: a source holds no frames, two files are the same frame, or pyarrow does not
+            support the URI's scheme.
         OSError: the folder of a URI cannot be read.
     """
-    if isinstance(sources, str | PathLike) or not sources:
-        raise ValueError(f"expected a list of folders, files or globs, got {sources!r}")
     files = [file for source in sources for file in _expand(str(source), kind, topic, note)]
     sequences, projection = _sequences(files, sequence, map_folders), projection or Projection()
     if poses:
         sequences = _with_poses(poses, sequences, projection)
     selected = list[FrameFile]()
     for frames in sequences:
-        selected += every_nth(frames if fps is None else at_rate(frames, fps), every, start)
+        selected += (frames if fps is None else at_rate(frames, fps))[start::every]
     if not selected:
         longest = max(map(len, sequences))
         raise ValueError(f"no sequence has a frame {start}; the longest has {longest} frames")
@@ -116,18 +113,9 @@ def _sequences(
     return [sorted(files, key=lambda file: natural_key(file.name)) for files in sequences.values()]
 
 
-def every_nth(sequence: list[FrameFile], every: int, start: int) -> list[FrameFile]:
-    """Frame ``start`` of a sequence and every ``every``-th after it; out of range, a ValueError."""
-    if every < 1 or start < 0:
-        raise ValueError(f"expected every >= 1 and start >= 0, got {every} and {start}")
-    return sequence[start::every]
-
-
 def at_rate(sequence: list[FrameFile], fps: float) -> list[FrameFile]:
     """The first frame in each interval of ``1 / fps`` seconds since the first frame of a sequence;
-    a ValueError if ``fps`` is not above 0, or a frame has no time."""
-    if not 0 < fps < math.inf:
-        raise ValueError(f"expected fps above 0, got {fps}")
+    a ValueError if a frame has no time."""
     chosen = dict[int, FrameFile]()
     for file in sequence:
         if math.isnan(file.stamp):
@@ -169,18 +157,20 @@ def _with_poses(
 
 
 def _poses_of_exif(files: Sequence[FrameFile], projection: Projection) -> list[Pose]:
-    fixes = []
-    for file in files:
-        with suppress(ValueError, OSError):
-            if not isinstance(file, RemoteFile):
-                check_regular(file.path)  # to open a pipe can block for ever
-            content = io.BytesIO(file.read()) if isinstance(file, RemoteFile) else file.path
-            fixes.append(read_exif(content))
-            continue
-        fixes.append(None)
+    fixes = list(map(_fix_of, files))
     if not any(fixes):
         raise ValueError(f"no image of {files[0].sequence} has a position in its EXIF tags")
     return [projection.pose(fix) if fix else UNKNOWN for fix in fixes]
+
+
+def _fix_of(file: FrameFile) -> Fix | None:
+    try:
+        if isinstance(file, RemoteFile):
+            return read_exif(io.BytesIO(file.read()))
+        check_regular(file.path)  # to open a pipe can block for ever
+        return read_exif(file.path)
+    except (ValueError, OSError):
+        return None
 
 
 def read_ahead(

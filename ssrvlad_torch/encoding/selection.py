@@ -1,5 +1,6 @@
 """FrameSelection: the frames that a user means. This module imports no torch."""
 
+import math
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -17,7 +18,8 @@ def _option(help: str, default: object = None, **settings: Any) -> Any:
 class FrameSelection:
     """Where frames come from, which of them are used, and how images become label maps. Each field
     is an option of the command line, whose help says what it means; but ``posed``: leave out frames
-    of a data set without a pose, ``None`` if its ground truth is by poses.
+    of a data set without a pose, ``None`` if its ground truth is by poses. Options that do not go
+    together, and numbers out of range, are a ValueError.
 
     Examples:
         >>> town.query(FrameSelection(["drive.mp4"], fps=2.0, poses="drive.gpx"))  # doctest: +SKIP
@@ -74,6 +76,24 @@ class FrameSelection:
         "Number of frames to encode at the same time. Default: one for each core.", min=1
     )
     posed: bool | None = False
+
+    def __post_init__(self) -> None:
+        if isinstance(self.paths, str) or not self.paths:
+            raise ValueError(f"expected a list of folders, files or globs, got {self.paths!r}")
+        if self.every < 1 or self.start < 0:
+            raise ValueError(
+                f"expected every >= 1 and start >= 0, got {self.every} and {self.start}"
+            )
+        if self.fps is not None and not 0 < self.fps < math.inf:
+            raise ValueError(f"expected fps above 0, got {self.fps}")
+        if self.layout is None and (self.split or self.role or self.labels):
+            raise ValueError("--split, --role and --labels need --layout, such as --layout auto")
+        if self.layout is not None and self.changed("sequence", "poses", "topic", "fps"):
+            raise ValueError("--sequence, --poses, --topic and --fps do not go with --layout")
+        if self.layout is not None and len(self.paths) != 1:
+            raise ValueError(
+                f"--layout: expected the folder of one data set, got {len(self.paths)} sources"
+            )
 
     def changed(self, *names: str) -> list[str]:
         """Those of these fields that are not at their defaults."""

@@ -211,15 +211,7 @@ def _dataset_of(
 ) -> Dataset | None:
     """The data set of the selection; none without a layout."""
     if selection.layout is None:
-        if selection.split or selection.role or selection.labels:
-            raise ValueError("--split, --role and --labels need --layout, such as --layout auto")
         return None
-    if selection.changed("sequence", "poses", "topic", "fps"):
-        raise ValueError("--sequence, --poses, --topic and --fps do not go with --layout")
-    if len(selection.paths) != 1:
-        raise ValueError(
-            f"--layout: expected the folder of one data set, got {len(selection.paths)} sources"
-        )
     whole = open_dataset(selection.paths[0], selection.layout, selection.labels, labels_as)
     for warning in whole.select(selection.split or (), selection.role).warnings:
         note(warning)
