@@ -1,26 +1,22 @@
-"""Finding frames in folders, globs, stacks, bags and videos, with their poses, and reading them
-ahead."""
+"""Finding frames in folders, globs, stacks, bags and videos, and reading them ahead."""
 
 import glob
-import io
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy.typing as npt
 from numpy.lib.format import open_memmap
 
-from ..files import check_regular, is_uri, naming, natural_key, npy_header
+from ..files import check_regular, is_uri, natural_key, npy_header
 from .bags import bag_files, is_bag
-from .frame_file import FrameFile, RemoteFile, remote_files
+from .frame_file import FrameFile, remote_files
+from .frame_poses import with_poses_beside, with_poses_of
 from .names import SequenceFolders, absolute, sequence_names
-from .pose_tables import PoseTable, read_poses
-from .poses import UNKNOWN, Fix, Pose, Projection, read_exif, read_name
-from .trajectories import read_trajectory
+from .poses import Projection
 from .videos import is_video, video_files
 from .workers import in_order
 
@@ -65,7 +61,7 @@ def find_frames(
         sequence: name of the sequence, instead of the folder's.
         every, start: of each sequence keep frame ``start`` and every ``every``-th (>= 1) after it.
         map_folders: folders that have a name already, see `sequence_names`.
-        poses: source of the poses, see `_with_poses`; if ``None``, the ``poses.csv`` in or beside a
+        poses: source of the poses, see `with_poses_of`; by default the ``poses.csv`` in or beside a
             folder, or file names as `read_name` reads them.
         topic: topic of a bag with several topics of images, see `bag_files`.
         fps: most frames in a second (> 0), see `at_rate`; then ``every`` and ``start`` count these.
@@ -80,14 +76,14 @@ def find_frames(
     files = [file for source in sources for file in _expand(str(source), kind, topic, note)]
     sequences, projection = _sequences(files, sequence, map_folders), projection or Projection()
     if poses:
-        sequences = _with_poses(poses, sequences, projection)
+        sequences = with_poses_of(poses, sequences, projection)
     selected = list[FrameFile]()
     for frames in sequences:
         selected += (frames if fps is None else at_rate(frames, fps))[start::every]
     if not selected:
         longest = max(map(len, sequences))
         raise ValueError(f"no sequence has a frame {start}; the longest has {longest} frames")
-    return selected if poses else _posed(selected, projection, note)
+    return selected if poses else with_poses_beside(selected, projection, note)
 
 
 def _sequences(
@@ -123,54 +119,6 @@ def at_rate(sequence: list[FrameFile], fps: float) -> list[FrameFile]:
         # 1e-5: times lie up to half a microsecond beside a multiple of the interval
         chosen.setdefault(math.floor((file.stamp - sequence[0].stamp) * fps + 1e-5 * fps), file)
     return [*chosen.values()]
-
-
-def _with_poses(
-    source: str, sequences: Sequence[list[FrameFile]], projection: Projection
-) -> list[list[FrameFile]]:
-    """The files with their poses in a CSV file, see `read_poses`, in a file of KITTI, TUM or GPX,
-    see `read_trajectory`, or with ``exif`` in their EXIF tags."""
-    path = Path(source)
-    if source == "exif":
-        poses = [_poses_of_exif(files, projection) for files in sequences]
-    elif not path.is_file():
-        raise ValueError(f"{source} is no file; expected a file of poses, or exif")
-    elif path.suffix.lower() == ".csv":
-        table = PoseTable(path, read_poses(path, projection))
-        poses = [[table.pose_of(file) or UNKNOWN for file in files] for files in sequences]
-        if all(pose is UNKNOWN for of_sequence in poses for pose in of_sequence):
-            raise ValueError(table.misfit(sequences[0][0]))
-    elif len(sequences) > 1:
-        raise ValueError(f"{source} holds the poses of one sequence, got {len(sequences)}")
-    else:
-        trajectory = read_trajectory(path, projection)
-        names, stamps = zip(*((file.name, file.stamp) for file in sequences[0]), strict=True)
-        with naming(source):
-            poses = [trajectory.of_frames(names, stamps)]
-    return [
-        [
-            replace(file, pose=pose, has_pose_source=True)
-            for file, pose in zip(files, of_files, strict=True)
-        ]
-        for files, of_files in zip(sequences, poses, strict=True)
-    ]
-
-
-def _poses_of_exif(files: Sequence[FrameFile], projection: Projection) -> list[Pose]:
-    fixes = list(map(_fix_of, files))
-    if not any(fixes):
-        raise ValueError(f"no image of {files[0].sequence} has a position in its EXIF tags")
-    return [projection.pose(fix) if fix else UNKNOWN for fix in fixes]
-
-
-def _fix_of(file: FrameFile) -> Fix | None:
-    try:
-        if isinstance(file, RemoteFile):
-            return read_exif(io.BytesIO(file.read()))
-        check_regular(file.path)  # to open a pipe can block for ever
-        return read_exif(file.path)
-    except (ValueError, OSError):
-        return None
 
 
 def read_ahead(
@@ -257,34 +205,3 @@ def _stack_length(path: Path, kind: FileKind) -> int | None:
         return len(array) if kind.is_stack(array) else None
     except Exception:  # damaged files raise any exception
         return None
-
-
-def _posed(
-    files: Sequence[FrameFile], projection: Projection, note: Callable[[str], object]
-) -> list[FrameFile]:
-    """Files with the poses that are found without a word of the user, see `with_pose`; a table
-    that fits no frame is noted."""
-    find = cache(lambda folder: PoseTable.of_folder(folder, projection))
-    posed = [with_pose(file, find) for file in files]
-    folders = dict[Path, list[FrameFile]]()
-    for file in posed:
-        folders.setdefault(file.path.parent, []).append(file)
-    for folder, neighbours in folders.items():
-        table = None if isinstance(neighbours[0], RemoteFile) else find(folder)
-        is_posed = any(not math.isnan(file.pose.x) for file in neighbours)
-        if table and not is_posed and not any(map(table.pose_of, neighbours)):
-            note(table.misfit(neighbours[0]))
-    return posed
-
-
-def with_pose(file: FrameFile, find: Callable[[Path], PoseTable | None]) -> FrameFile:
-    """A file with the pose of the table that ``find`` gives for its folder, or of its name, see
-    `read_name`; a ValueError if a table is damaged, or can mean two frames."""
-    if isinstance(file, RemoteFile):
-        return file
-    pose, stamp = read_name(file.name)
-    table = find(file.path.parent)
-    pose = (table and table.pose_of(file)) or pose
-    stamp = stamp if math.isnan(file.stamp) else file.stamp
-    has_source = bool(table) or not math.isnan(pose.x)
-    return replace(file, pose=pose, stamp=stamp, has_pose_source=has_source)

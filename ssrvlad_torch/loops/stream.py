@@ -11,7 +11,8 @@ import torch
 
 from ..channels.channel import Network
 from ..database.database import Database
-from ..datasets.frame_files import FrameFile, with_pose
+from ..datasets.frame_file import FrameFile
+from ..datasets.frame_poses import with_pose
 from ..datasets.names import absolute, sequence_names
 from ..datasets.pose_tables import PoseTable
 from ..datasets.poses import Projection
