@@ -189,13 +189,7 @@ def open_dataset(
     Raises:
         ValueError: the folder or the layout does not exist, no layout recognises the folder, it
             lacks files that the layout requires, a file is damaged, or ``labels`` is given without
-            ``labels_as``. The message is one line.
-
-    Examples:
-        >>> city = open_dataset("/data/SYNTHIA", labels_as="synthia")  # doctest: +SKIP
-        >>> night = city.select(["SYNTHIA-SEQS-04-NIGHT-Stereo_Left-Omni_F"])  # doctest: +SKIP
-        >>> night.files("label")[0].frame  # doctest: +SKIP
-        'SYNTHIA-SEQS-04-NIGHT-Stereo_Left-Omni_F/000000'
+            ``labels_as``.
     """
     root = Path(path)
     if not root.is_dir():

@@ -64,11 +64,9 @@ def write_poses(path: Path, poses: Mapping[str, Pose]) -> None:
 
 @dataclass(frozen=True)
 class PoseTable:
-    """Poses of frames, and the file that holds them.
-
-    A row is an id ``<folder>/<name>``, where the folder is any end of the path of the frame's
-    folder or the name of its sequence, or only a name. An id that names another folder beside the
-    table is not the frame's.
+    """Poses of frames, and the file that holds them. A row is an id ``<folder>/<name>``, where the
+    folder is any end of the path of the frame's folder or the name of its sequence, or only a name.
+    An id that names another folder beside the table is not the frame's.
 
     Attributes:
         path: the file.

@@ -76,11 +76,6 @@ def encode_to_database(
         ValueError: the settings or the segmenter do not fit the database, see `Database.require`
             and `encode`, or a sequence of the database comes from another folder.
         OSError: the database cannot be written.
-
-    Examples:
-        >>> database = Database.create("town.ssrdb", head.config)
-        >>> encode_to_database(head, find_label_files(["maps/monday"]), database).encoded
-        1000
     """
     options = options or EncodeOptions()
     plan, describer = prepared(head, files, database, options, segmenter)
