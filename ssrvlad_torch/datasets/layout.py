@@ -145,7 +145,7 @@ class Layout:
         """The label space that the user named, or the first that has label maps, and these."""
         spaces = [*dict.fromkeys(self.labels.values())]
         name = labels_as.name if isinstance(labels_as, LabelSpace) else labels_as
-        for space in [name] if name in spaces else spaces:
+        for space in [space for space in spaces if space == name] or spaces:
             patterns = [pattern for pattern, of in self.labels.items() if of == space]
             if files := files_of(root, patterns, LABEL_SUFFIXES, self.sequence):
                 return space, files
