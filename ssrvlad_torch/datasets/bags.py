@@ -92,8 +92,11 @@ class _Topic:
             yield time, raw
 
     def message(self, row: int) -> Any:
-        """A message by its number."""
-        return self.bag.deserialize(self._raw.item(row), self.connection.msgtype)
+        """A message by its number; a ValueError if the bag ends before it."""
+        raw = self._raw.item(row)
+        if raw is None:
+            raise ValueError(f"the bag has no message {row} of the topic")
+        return self.bag.deserialize(raw, self.connection.msgtype)
 
 
 @lru_cache(maxsize=4)

@@ -89,8 +89,8 @@ def open_frames(
     if compared and len(selection.paths) == 1 and Database.exists(path := selection.paths[0]):
         if unused := [f"--{name.replace('_', '-')}" for name in selection.changed(*_OF_FILES)]:
             raise ValueError(f"{path} is a database: expected no {', '.join(unused)}")
-        space = labels_as or _space_of_database(database, compared) or ""
-        return replace(frames, labels_as=space, database=Database.open(path))
+        labels_as = labels_as or _space_of_database(database, compared)
+        return replace(frames, labels_as=labels_as or "", database=Database.open(path))
     find = partial(_files_of, frames, Projection(partial(_pose_in, database)))
     space, segmenter = _labelling(
         frames, database, network, labels_as, compared, images, opened,
