@@ -12,43 +12,6 @@ namespace {
 
 constexpr Size IN_MEMORY = Size{1} << 26;  // scores at once
 
-// Nearness, NONE where there is none; its mean and deviation over the rows that have one.
-struct Scaled {
-  std::vector<float> near;
-  double mean = 0, deviation = 0;
-
-  Scaled(std::vector<float> scores, const Listing &listing) : near(std::move(scores)) {
-    const auto count = static_cast<Size>(near.size());
-    nearness(near.data(), count, near.data());
-    const Spread spread = listing.spread(near.data());
-    mean = spread.mean;
-    deviation = spread.deviation;
-    if (deviation > MIN_SPREAD) return;
-    const auto [of_equals, apart] = plain_spread(near.data(), count);
-    mean = of_equals;
-    deviation = apart;
-  }
-
-  double unit() const { return std::max(deviation, MIN_SPREAD); }
-};
-
-std::vector<float> scores_of(const Scores &member, Size query) {
-  std::vector<float> scores(static_cast<std::size_t>(member.rows()));
-  member.of(query, scores.data());
-  return scores;
-}
-
-// How many deviations the first candidate is ahead of the best row elsewhere.
-double lead(const Scaled &scaled, const Listing &listing) {
-  const auto rows = static_cast<Size>(scaled.near.size());
-  if (rows <= 2 * ELSEWHERE + 1) return 0;
-  std::vector<double> z(scaled.near.size());
-  add_scaled(scaled.near.data(), rows, scaled.mean, 1 / scaled.unit(), z.data());
-  const auto [best, other] =
-      leading(z.data(), rows, [&](Size row) { return listing.around(row, ELSEWHERE); });
-  return best - other;
-}
-
 }  // namespace
 
 std::vector<Shared> sharing(const Drives &drives) {
@@ -112,52 +75,93 @@ std::unique_ptr<Comparison> comparison_of_scores(const float *scores, Size count
   return std::make_unique<Matrix>(scores, count, rows);
 }
 
-void Candidates::of(Size query, float *scores) const {
-  scores_.of(query, scores);
-  for (Size place = 0; allowed_ && place < rows(); ++place)
-    if (!allowed_[place]) scores[place] = NONE;
-  if (excluded_ && excluded_[2 * query] < excluded_[2 * query + 1])
-    std::fill(scores + listing_.rows.from(excluded_[2 * query]),
-              scores + listing_.rows.from(excluded_[2 * query + 1]), NONE);
+void mask(const Listing &listing, const std::uint8_t *allowed, const Size *excluded, float *scores) {
+  for (Size place = 0; allowed && place < listing.count(); ++place)
+    if (!allowed[place]) scores[place] = NONE;
+  if (excluded && excluded[0] < excluded[1])
+    std::fill(scores + listing.rows.from(excluded[0]), scores + listing.rows.from(excluded[1]), NONE);
 }
 
-Fused::Fused(std::vector<const Scores *> members, const std::vector<double> &trust,
-             const Listing &listing)
-    : Blocks(members.front()->queries(), members.front()->rows()), members_(std::move(members)),
-      weights_(trust), listing_(listing) {
-  double sum = 0;
-  if (queries() >= MIN_FRAMES) {
-    std::vector<double> known(trust);
-    for (std::size_t member = 0; member < members_.size(); ++member) {
-      double leads = 0;
-      Size sampled = 0;
-      for (Size query = 0; query < queries(); query += std::max<Size>(1, queries() / SAMPLE), ++sampled)
-        leads += lead(Scaled(scores_of(*members_[member], query), listing), listing);
-      known[member] *= std::max(0.0, leads / static_cast<double>(sampled));
-      sum += known[member];
-    }
-    if (sum > 0) weights_ = known;
+void Candidates::of(Size query, float *scores) const {
+  scores_.of(query, scores);
+  mask(listing_, allowed_, excluded_ ? excluded_ + 2 * query : nullptr, scores);
+}
+
+Fusion::Fusion(std::vector<std::vector<float>> scores, const Listing &listing) : listing_(listing) {
+  for (std::vector<float> &member : scores) {
+    const auto count = static_cast<Size>(member.size());
+    nearness(member.data(), count, member.data());
+    Spread spread = listing.spread(member.data());
+    if (spread.deviation <= MIN_SPREAD) spread = plain_spread(member.data(), count);
+    members_.push_back({std::move(member), spread});
   }
-  sum = std::accumulate(weights_.begin(), weights_.end(), 0.0);
-  for (double &weight : weights_) weight /= sum;
+}
+
+std::vector<double> Fusion::leads() const {
+  std::vector<double> leads;
+  for (const Member &member : members_) {
+    leads.push_back(0);
+    const Size rows = listing_.count();
+    if (rows <= 2 * ELSEWHERE + 1) continue;
+    std::vector<double> z(member.near.size());
+    add_scaled(member.near.data(), rows, member.spread.mean, 1 / member.unit(), z.data());
+    const auto [best, other] =
+        leading(z.data(), rows, [&](Size row) { return listing_.around(row, ELSEWHERE); });
+    leads.back() = best - other;
+  }
+  return leads;
+}
+
+void Fusion::of(const std::vector<double> &weights, float *scores) const {
+  const Size rows = listing_.count();
+  std::vector<double> z(static_cast<std::size_t>(rows));
+  std::fill_n(scores, rows, NONE);
+  double mean = 0, deviation = 0;
+  for (std::size_t number = 0; number < members_.size(); ++number) {
+    const Member &member = members_[number];
+    add_scaled(member.near.data(), rows, member.spread.mean, weights[number] / member.unit(), z.data());
+    for (Size row = 0; row < rows; ++row)  // a NaN stays one
+      scores[row] = std::max(member.near[static_cast<std::size_t>(row)], scores[row]);
+    mean += weights[number] * member.spread.mean;
+    deviation += weights[number] * member.spread.deviation;
+  }
+  as_cosines(z.data(), rows, mean, deviation, scores);
+}
+
+std::vector<double> weights_of(const std::vector<double> &trust, const std::vector<double> &leads, Size queries) {
+  std::vector<double> weights = trust;
+  if (queries >= MIN_FRAMES) {
+    for (std::size_t number = 0; number < trust.size(); ++number) weights[number] *= std::max(0.0, leads[number]);
+    if (!(std::accumulate(weights.begin(), weights.end(), 0.0) > 0)) weights = trust;
+  }
+  const double sum = std::accumulate(weights.begin(), weights.end(), 0.0);
+  for (double &weight : weights) weight /= sum;
+  return weights;
+}
+
+Fused::Fused(std::vector<const Scores *> members, const std::vector<double> &trust, const Listing &listing)
+    : Blocks(members.front()->queries(), members.front()->rows()), members_(std::move(members)), listing_(listing) {
+  std::vector<double> leads(trust.size());
+  const Size step = std::max<Size>(1, queries() / SAMPLE), sampled = (queries() + step - 1) / step;
+  for (Size query = 0; queries() >= MIN_FRAMES && query < queries(); query += step) {
+    const std::vector<double> more = of_query(query).leads();
+    for (std::size_t member = 0; member < leads.size(); ++member) leads[member] += more[member];
+  }
+  for (double &lead : leads) lead /= static_cast<double>(std::max<Size>(1, sampled));
+  weights_ = weights_of(trust, leads, queries());
+}
+
+Fusion Fused::of_query(Size query) const {
+  std::vector<std::vector<float>> scores;
+  for (const Scores *member : members_) {
+    scores.emplace_back(static_cast<std::size_t>(rows()));
+    member->of(query, scores.back().data());
+  }
+  return {std::move(scores), listing_};
 }
 
 void Fused::compute(Size first, Size last, float *scores) const {
-  std::vector<double> z(static_cast<std::size_t>(rows()));
-  for (Size query = first; query < last; ++query, scores += rows()) {
-    std::fill(z.begin(), z.end(), 0);
-    std::fill_n(scores, rows(), NONE);
-    double mean = 0, deviation = 0;
-    for (std::size_t member = 0; member < members_.size(); ++member) {
-      const Scaled scaled(scores_of(*members_[member], query), listing_);
-      add_scaled(scaled.near.data(), rows(), scaled.mean, weights_[member] / scaled.unit(), z.data());
-      for (Size row = 0; row < rows(); ++row)  // a NaN stays one
-        scores[row] = std::max(scaled.near[static_cast<std::size_t>(row)], scores[row]);
-      mean += weights_[member] * scaled.mean;
-      deviation += weights_[member] * scaled.deviation;
-    }
-    as_cosines(z.data(), rows(), mean, deviation, scores);
-  }
+  for (Size query = first; query < last; ++query, scores += rows()) of_query(query).of(weights_, scores);
 }
 
 }  // namespace places

@@ -61,6 +61,16 @@ struct Queries {
   Size count, anchors;
 };
 
+// A sequence of which the queries come one by one, by one channel: each is compared without the mean of those
+// so far, itself among them, and of `BEFORE` frames like the mean of the map. It must not outlive its channel.
+class Running {
+ public:
+  virtual ~Running() = default;
+  // Takes the next query, its descriptors from all anchors, and fills the scores of all rows.
+  virtual void next(const void *query, int threads, float *scores) = 0;
+  Size width = 0;  // of the sweep, in anchors to each side, by the queries so far
+};
+
 // The descriptors of the listed rows of a map, which must outlive it.
 class Channel {
  public:
@@ -69,6 +79,8 @@ class Channel {
   // to both sides if swept. The channel must outlive the comparison; the queries need not.
   virtual std::unique_ptr<Comparison> compare(const Queries &queries, bool standardised, bool swept,
                                               int threads) = 0;
+  // The same for queries that come one by one, from so many anchors.
+  virtual std::unique_ptr<Running> running(Size anchors, bool standardised, bool swept, int threads) = 0;
 };
 
 // Vectors (rows, length) of the listed rows; zeros are an empty frame. The means of the drives of the list,
@@ -83,6 +95,9 @@ std::unique_ptr<Channel> channel_of_signs(const std::uint8_t *rows, Size columns
 
 // The scores of the queries of a drive by another method, (count, rows), which must outlive it.
 std::unique_ptr<Comparison> comparison_of_scores(const float *scores, Size count, Size rows);
+
+// Makes NONE of the scores of a query at rows that are no candidates; as below.
+void mask(const Listing &listing, const std::uint8_t *allowed, const Size *excluded, float *scores);
 
 // Scores without those of rows that are no candidates: rows of the list that are not `allowed`, if given, and
 // for each query the rows of the map from the first of a pair to before the second, if pairs are given.
@@ -101,7 +116,32 @@ class Candidates : public Scores {
   const Size *excluded_;
 };
 
-// By several channels, which must outlive it: the weighted mean of their z-scores of nearness.
+// One query by several channels.
+class Fusion {
+ public:
+  Fusion(std::vector<std::vector<float>> scores, const Listing &listing);
+
+  // By how many deviations the first candidate of each channel is ahead of the best row elsewhere.
+  std::vector<double> leads() const;
+  // The weighted mean of their z-scores of nearness, as cosines.
+  void of(const std::vector<double> &weights, float *scores) const;
+
+ private:
+  struct Member {
+    std::vector<float> near;  // NONE where there is none
+    Spread spread;            // of the rows that have one
+
+    double unit() const { return std::max(spread.deviation, MIN_SPREAD); }
+  };
+
+  std::vector<Member> members_;
+  const Listing &listing_;
+};
+
+// The weights of channels, whose sum is 1, by their trust and their mean leads over so many queries.
+std::vector<double> weights_of(const std::vector<double> &trust, const std::vector<double> &leads, Size queries);
+
+// By several channels, which must outlive it.
 class Fused : public Blocks {
  public:
   Fused(std::vector<const Scores *> members, const std::vector<double> &trust, const Listing &listing);
@@ -113,6 +153,8 @@ class Fused : public Blocks {
   void compute(Size first, Size last, float *scores) const override;
 
  private:
+  Fusion of_query(Size query) const;
+
   std::vector<const Scores *> members_;
   std::vector<double> weights_;
   const Listing &listing_;

@@ -160,6 +160,12 @@ class SignComparison : public Comparison {
     for (std::size_t each = 0; each < levels_.size(); ++each) add_levels(each, mean);
   }
 
+  const SignGrid &grid() const { return grid_; }
+  const Word *row(Size row) const { return signs_ + row * grid_.size(); }
+  // Of all rows in a move: their products with the mean of the queries, and their lengths without their mean.
+  const float *of_mean(Size move) const { return of_mean_.data() + move * rows(); }
+  const float *row_lengths(Size move) const { return row_lengths_.data() + move * rows(); }
+
  protected:
   void compute(Size first, Size last, float *scores) const override {
     over_blocks(rows(), ROWS_AT_ONCE, threads_, [&](Size start, Size end) {
@@ -231,6 +237,83 @@ class SignComparison : public Comparison {
   std::vector<Floats> levels_;              // by mean: by query and move
 };
 
+// Signs that come one by one. The products of each row with the signs so far are sums of whole numbers.
+class RunningSigns : public Running {
+ public:
+  // `before` compares no queries without the mean of the map, or nothing.
+  RunningSigns(std::unique_ptr<SignComparison> before, Floats prior, const Shape &shape, const Held &held, Size rows)
+      : before_(std::move(before)), prior_(std::move(prior)), shape_(shape), held_(held), rows_(rows),
+        sums_(prior_.size()), with_rows_(static_cast<std::size_t>(grid().moves() * rows)) {}
+
+  void next(const void *query, int threads, float *scores) override {
+    const Words words = packed(static_cast<const std::uint8_t *>(query), 1, shape_);
+    Floats signs;
+    for (Size column = 0; column < shape_.columns; ++column)
+      for (Size bit = 0; bit < shape_.bits(); ++bit)
+        signs.push_back(bytes_of(words.data() + column * shape_.words())[bit / 8] >> bit % 8 & 1 ? 1.0F : -1.0F);
+    const Size moves = grid().moves();
+    std::vector<std::int32_t> differing(static_cast<std::size_t>(moves * rows_));
+    over_blocks(rows_, ROWS_AT_ONCE, threads, [&](Size first, Size last) {
+      std::vector<std::int32_t> some(static_cast<std::size_t>(moves * (last - first)));
+      count_moves(words.data(), before_->row(first), last - first, grid(), some.data());
+      for (Size move = 0; move < moves; ++move)
+        std::copy_n(some.data() + move * (last - first), last - first, differing.data() + move * rows_ + first);
+    });
+    const std::vector<double> with_means = products_with_means(signs);
+    if (!prior_.empty()) add(signs, differing);
+    const double frames = prior_.empty() ? 1 : frames_ + static_cast<double>(BEFORE);
+    Floats mean(signs.size()), of_mean(static_cast<std::size_t>(rows_));
+    for (std::size_t bit = 0; bit < sums_.size(); ++bit)
+      mean[bit] = static_cast<float>((sums_[bit] + static_cast<double>(BEFORE) * static_cast<double>(prior_[bit])) / frames);
+    for (std::size_t bit = 0; bit < sums_.size(); ++bit) signs[bit] -= mean[bit];
+    std::fill_n(scores, rows_, NONE);
+    for (Size move = 0; move < moves; ++move) {
+      const Size ours = grid().ours(move), theirs = grid().theirs(move), columns = grid().overlapping(move);
+      const float *part = signs.data() + ours * shape_.bits();
+      const auto length = static_cast<float>(std::sqrt(dot(part, part, columns * shape_.bits())));
+      for (Size row = 0; row < rows_ && !prior_.empty(); ++row)
+        of_mean[row] = static_cast<float>((with_rows_[move * rows_ + row] + static_cast<double>(BEFORE) * static_cast<double>(before_->of_mean(move)[row])) / frames);
+      for (std::size_t number = 0; number < held_.means.size(); ++number) {
+        const auto [first, last, from, to] = held_.shared[number];
+        const double both = product(mean, ours, held_.means[number], theirs, columns, shape_);
+        const double level = both - with_means[number * moves + move] + static_cast<double>(columns * shape_.bits());
+        raise(scores + first, differing.data() + move * rows_ + first, of_mean.data() + first,
+              before_->row_lengths(move) + first, static_cast<float>(level), length, last - first);
+      }
+    }
+  }
+
+ private:
+  const SignGrid &grid() const { return before_->grid(); }
+
+  // With the means of the rows, by mean and move.
+  std::vector<double> products_with_means(const Floats &signs) const {
+    std::vector<double> products;
+    for (const Floats &mean : held_.means)
+      for (Size move = 0; move < grid().moves(); ++move)
+        products.push_back(product(signs, grid().ours(move), mean, grid().theirs(move), grid().overlapping(move), shape_));
+    return products;
+  }
+
+  void add(const Floats &signs, const std::vector<std::int32_t> &differing) {
+    for (std::size_t bit = 0; bit < signs.size(); ++bit) sums_[bit] += static_cast<double>(signs[bit]);
+    for (Size move = 0; move < grid().moves(); ++move) {
+      const Size bits = grid().overlapping(move) * shape_.bits();
+      for (Size row = 0; row < rows_; ++row)
+        with_rows_[move * rows_ + row] += static_cast<double>(bits - 2 * static_cast<Size>(differing[move * rows_ + row]));
+    }
+    ++frames_;
+  }
+
+  std::unique_ptr<SignComparison> before_;
+  Floats prior_;  // the mean of the map
+  Shape shape_;
+  const Held &held_;
+  Size rows_;
+  double frames_ = 0;
+  std::vector<double> sums_, with_rows_;  // of the signs so far; of their products with each row, by move
+};
+
 class SignChannel : public Channel {
  public:
   SignChannel(const std::uint8_t *rows, const Shape &shape, const Listing &listing, const float *means)
@@ -249,6 +332,15 @@ class SignChannel : public Channel {
     if (standardised && queries.count) mean = mean_of(words.data(), queries.count, shape_);
     return std::make_unique<SignComparison>(std::move(words), queries.count, signs_, drives_.rows, shape_,
                                             rows, mean, reach, threads);
+  }
+
+  std::unique_ptr<Running> running(Size, bool standardised, bool swept, int threads) override {
+    const Held &rows = held(standardised, threads);
+    const Size reach = swept ? std::min(REACH, shape_.columns - 1) : 0;
+    Floats prior;
+    if (standardised) prior = mean_of(signs_, drives_.rows, shape_);
+    auto before = std::make_unique<SignComparison>(Words(), 0, signs_, drives_.rows, shape_, rows, prior, reach, threads);
+    return std::make_unique<RunningSigns>(std::move(before), std::move(prior), shape_, rows, drives_.rows);
   }
 
  private:

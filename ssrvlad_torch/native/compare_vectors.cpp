@@ -80,6 +80,22 @@ void standardise(const float *vector, const float *mean, Size length, float *aft
     std::copy(unit.begin(), unit.end(), after);
 }
 
+// What is subtracted from a product of a vector, in products with a mean, and what it is then multiplied with;
+// nothing of zeros.
+std::array<float, 2> factors_of(const float *vector, const float *mean, Size length) {
+  Floats centred(static_cast<std::size_t>(length));
+  if (!length_of(vector, length)) return {0, 0};
+  const bool differs = centre(vector, mean, length, centred.data());
+  return {differs ? 1.0F : 0.0F, 1 / length_of(centred.data(), length)};
+}
+
+// How much nearer the best row is than the best elsewhere; not finite without one.
+double lead_of(const float *scores, const Listing &listing) {
+  const auto [best, other] =
+      leading(scores, listing.count(), [&](Size row) { return listing.around(row, ELSEWHERE); });
+  return nearness(static_cast<double>(best)) - nearness(static_cast<double>(other));
+}
+
 // Rows as they are compared, and their lengths.
 struct Held {
   const float *vectors;
@@ -186,23 +202,14 @@ class Narrowing {
     });
   }
 
-  // What is subtracted from a product of a vector at a width, in means, and what it is then multiplied
-  // with; nothing of zeros.
-  std::array<float, 2> factors(Size width, const float *vector) const {
-    Floats centred(static_cast<std::size_t>(length_));
-    if (!length_of(vector, length_)) return {0, 0};
-    const bool differs = centre(vector, means_.data() + width * length_, length_, centred.data());
-    return {differs ? 1.0F : 0.0F, 1 / length_of(centred.data(), length_)};
-  }
-
   void add_leads(const Size *queries, Size count) {
     Floats vectors, scores(static_cast<std::size_t>(count * widths_ * references()));
-    std::vector<std::array<float, 2>> factors_of;
+    std::vector<std::array<float, 2>> factors;
     for (Size each = 0; each < count; ++each) {
       vectors.insert(vectors.end(), unit(queries[each], 0), unit(queries[each] + 1, 0));
       for (Size width = 0; width < widths_; ++width)
         for (Size anchor = 0; anchor < anchors_; ++anchor)
-          factors_of.push_back(factors(width, unit(queries[each], anchor)));
+          factors.push_back(factors_of(unit(queries[each], anchor), means_.data() + width * length_, length_));
     }
     const Panels panels(vectors.data(), count * anchors_, 1, length_);
     over_blocks(references(), ROWS_AT_ONCE, threads_, [&](Size first, Size last) {
@@ -210,11 +217,11 @@ class Narrowing {
       panels.best(rows_.vectors + first * length_, last - first, products.data(), ROWS_AT_ONCE);
       for (Size each = 0; each < count * widths_; ++each)
         best_of(products.data() + each / widths_ * anchors_ * ROWS_AT_ONCE,
-                factors_of.data() + each * anchors_, each % widths_, first, last,
+                factors.data() + each * anchors_, each % widths_, first, last,
                 scores.data() + each * references() + first);
     });
     for (Size each = 0; each < count * widths_; ++each) {
-      const double lead = lead_of(scores.data() + each * references());
+      const double lead = lead_of(scores.data() + each * references(), listing_);
       if (!std::isfinite(lead)) continue;
       leads_[static_cast<std::size_t>(each % widths_)] += lead;
       ++known_[static_cast<std::size_t>(each % widths_)];
@@ -222,23 +229,16 @@ class Narrowing {
   }
 
   // The scores of some rows by the best anchor at a width.
-  void best_of(const float *products, const std::array<float, 2> *factors_of, Size width, Size first,
+  void best_of(const float *products, const std::array<float, 2> *factors, Size width, Size first,
                Size last, float *best) const {
     std::fill_n(best, last - first, NONE);
     const float *mean = of_means_.data() + width * references() + first;
     for (Size anchor = anchors_ / 2 - width; anchor <= anchors_ / 2 + width; ++anchor) {
-      const auto [part, factor] = factors_of[anchor];
+      const auto [part, factor] = factors[anchor];
       if (factor > 0)
         raise(best, products + anchor * ROWS_AT_ONCE, mean, part, factor, last - first);
     }
     divide(best, rows_.lengths.data() + first, last - first);
-  }
-
-  // How much nearer the best row is than the best elsewhere; not finite without one.
-  double lead_of(const float *scores) const {
-    const auto [best, other] =
-        leading(scores, references(), [&](Size row) { return listing_.around(row, ELSEWHERE); });
-    return nearness(static_cast<double>(best)) - nearness(static_cast<double>(other));
   }
 
   const Floats &units_;
@@ -248,6 +248,105 @@ class Narrowing {
   int threads_;
   Size widths_;
   Floats means_, of_means_;
+  std::vector<double> leads_, known_;
+};
+
+// Vectors that come one by one. The sums of the vectors so far, and of their products with each row, are kept
+// by the distance of their anchors from the usual one: those up to a width make the mean at this width.
+class RunningVectors : public Running {
+ public:
+  RunningVectors(Size anchors, bool swept, Size length, const Held &rows, const Listing &listing, Floats prior)
+      : anchors_(anchors), widths_(swept ? anchors / 2 + 1 : 1), length_(length), rows_(rows), listing_(listing),
+        prior_(std::move(prior)), sums_(static_cast<std::size_t>(widths_)), leads_(sums_.size()),
+        known_(sums_.size()) {
+    if (prior_.empty()) return;
+    of_prior_ = products(prior_.data(), 1, 1);
+    for (Sum &sum : sums_) {
+      sum.vectors.resize(prior_.size());
+      sum.products.resize(of_prior_.size());
+    }
+  }
+
+  void next(const void *query, int threads, float *scores) override {
+    const Size reach = widths_ - 1, rows = listing_.count(), count = 2 * reach + 1;
+    const float *first = static_cast<const float *>(query) + (anchors_ / 2 - reach) * length_;
+    Floats units(static_cast<std::size_t>(count * length_));
+    for (Size anchor = 0; anchor < count; ++anchor)
+      normalise(first + anchor * length_, length_, units.data() + anchor * length_);
+    const Floats of_rows = products(units.data(), count, threads);
+    if (!prior_.empty()) add(units, of_rows);
+    Sum sum{std::vector<double>(static_cast<std::size_t>(length_)), std::vector<double>(static_cast<std::size_t>(rows))};
+    Floats best(static_cast<std::size_t>(rows));
+    double most = -std::numeric_limits<double>::infinity();
+    for (Size at = 0; at < widths_; ++at) {
+      const auto [mean, of_mean] = means(at, sum);
+      std::fill(best.begin(), best.end(), NONE);
+      for (Size anchor = reach - at; anchor <= reach + at; ++anchor) {
+        const auto [part, factor] = factors_of(units.data() + anchor * length_, mean.data(), length_);
+        if (factor > 0) raise(best.data(), of_rows.data() + anchor * rows, of_mean.data(), part, factor, rows);
+      }
+      divide(best.data(), rows_.lengths.data(), rows);
+      const double lead = lead_so_far(best, at);
+      if (at && !(lead > most + WIDER)) continue;
+      most = lead;
+      width = at;
+      std::copy(best.begin(), best.end(), scores);
+    }
+  }
+
+ private:
+  struct Sum {
+    std::vector<double> vectors, products;
+    double count = 0;
+  };
+
+  Floats products(const float *vectors, Size count, int threads) const {
+    const Size rows = listing_.count();
+    Floats products(static_cast<std::size_t>(count * rows));
+    const Panels panels(vectors, count, 1, length_);
+    over_blocks(rows, ROWS_AT_ONCE, threads, [&](Size first, Size last) {
+      panels.best(rows_.vectors + first * length_, last - first, products.data() + first, rows);
+    });
+    return products;
+  }
+
+  void add(const Floats &units, const Floats &of_rows) {
+    const Size reach = widths_ - 1, rows = listing_.count();
+    for (Size anchor = 0; anchor <= 2 * reach; ++anchor) {
+      Sum &sum = sums_[static_cast<std::size_t>(std::abs(anchor - reach))];
+      if (!length_of(units.data() + anchor * length_, length_)) continue;
+      for (Size n = 0; n < length_; ++n) sum.vectors[n] += static_cast<double>(units[anchor * length_ + n]);
+      for (Size row = 0; row < rows; ++row) sum.products[row] += static_cast<double>(of_rows[anchor * rows + row]);
+      ++sum.count;
+    }
+  }
+
+  // The mean at a width, and the products of the rows with it; `sum` is of all narrower ones.
+  std::pair<Floats, Floats> means(Size at, Sum &sum) const {
+    Floats mean(sum.vectors.size()), of_mean(sum.products.size());
+    if (prior_.empty()) return {mean, of_mean};
+    const Sum &next = sums_[static_cast<std::size_t>(at)];
+    const double before = static_cast<double>(BEFORE * (2 * at + 1)), count = (sum.count += next.count) + before;
+    for (std::size_t n = 0; n < mean.size(); ++n)
+      mean[n] = static_cast<float>(((sum.vectors[n] += next.vectors[n]) + before * static_cast<double>(prior_[n])) / count);
+    for (std::size_t row = 0; row < of_mean.size(); ++row)
+      of_mean[row] = static_cast<float>(((sum.products[row] += next.products[row]) + before * static_cast<double>(of_prior_[row])) / count);
+    return {std::move(mean), std::move(of_mean)};
+  }
+
+  // The mean lead of the queries so far at a width, with a query of these scores.
+  double lead_so_far(const Floats &scores, Size at) {
+    if (listing_.count() <= 2 * ELSEWHERE + 1) return 0;
+    const double lead = lead_of(scores.data(), listing_);
+    if (std::isfinite(lead)) leads_[static_cast<std::size_t>(at)] += lead, ++known_[static_cast<std::size_t>(at)];
+    return leads_[static_cast<std::size_t>(at)] / std::max(1.0, known_[static_cast<std::size_t>(at)]);
+  }
+
+  Size anchors_, widths_, length_;
+  const Held &rows_;
+  const Listing &listing_;
+  Floats prior_, of_prior_;  // the mean of the map, and the products of its rows with it
+  std::vector<Sum> sums_;    // by distance from the usual anchor
   std::vector<double> leads_, known_;
 };
 
@@ -277,6 +376,12 @@ class VectorChannel : public Channel {
                                                     rows, threads);
     found->width = width;
     return found;
+  }
+
+  std::unique_ptr<Running> running(Size anchors, bool standardised, bool swept, int threads) override {
+    Floats prior;
+    if (standardised) prior = mean_of(vectors_, drives_.rows, length_);
+    return std::make_unique<RunningVectors>(anchors, swept, length_, held(standardised, threads), listing_, std::move(prior));
   }
 
  private:

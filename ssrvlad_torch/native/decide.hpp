@@ -23,9 +23,6 @@ constexpr double HIGHEST_SCORE = 1.001;  // that rounding can give
 // Scores are NaN or higher than HIGHEST_SCORE.
 struct WrongScores {};
 
-// Each query alone; by the queries before it, and `delay` later ones; by all queries.
-enum class Mode { ALONE = 0, ONLINE = 1, OFFLINE = 2 };
-
 // How queries run a map: the way, the rate of `Motion`, and as how many streams whose frames alternate.
 struct Course {
   int way = FORWARDS;
@@ -64,8 +61,9 @@ struct Decision : Matches {
   using Matches::Matches;
 };
 
-// The scores are those of the listed rows. A mode, delay or top out of range is not looked for.
-Decision decide(const Listing &listing, const Scores &scores, Mode mode, Size delay, Size top);
+// The scores are those of the listed rows. Each query is judged alone, or by all queries of its sequence if it is
+// `followed`. A top out of range is not looked for.
+Decision decide(const Listing &listing, const Scores &scores, bool follow, Size top);
 
 }  // namespace places
 

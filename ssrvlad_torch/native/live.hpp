@@ -10,11 +10,11 @@
 #include <memory>
 #include <vector>
 
+#include "scores.hpp"
 #include "signs.hpp"
 
 namespace places {
 
-constexpr Size BEFORE = 10;  // what the first frames of a stretch have in common is their place
 constexpr int REACH = 2;     // columns of cells by which signs are moved to each side
 
 // Rows of numbers in blocks that never move, so that growing copies nothing.

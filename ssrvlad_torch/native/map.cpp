@@ -3,10 +3,23 @@
 #include "map.hpp"
 
 #include "interface.hpp"
+#include "tracker.hpp"
 
 namespace places {
 
 namespace {
+
+// Scores of another method that come query by query.
+class RunningScores : public Running {
+ public:
+  explicit RunningScores(Size rows) : rows_(rows) {}
+  void next(const void *query, int, float *scores) override {
+    std::copy_n(static_cast<const float *>(query), rows_, scores);
+  }
+
+ private:
+  Size rows_;
+};
 
 // What a map is compared by, and what this is made of.
 class Together : public Scores {
@@ -46,8 +59,8 @@ void Map::add(const ssrvlad_channel &channel) {
   channels_.push_back(std::move(member));
 }
 
-std::unique_ptr<Comparison> Map::compare(const Member &member, const ssrvlad_queries &queries, Size count,
-                                         bool standardised, bool swept, int threads) const {
+void Map::check(Size number, const ssrvlad_queries &queries, Size count) const {
+  const Member &member = channels_[static_cast<std::size_t>(number)];
   const Size size = member.channel ? member.of_mean : listing_.count();
   require((queries.descriptors || !count || !size) && queries.anchors >= 1 && queries.anchors % 2 == 1 &&
           may_be({count, queries.anchors, size}));
@@ -55,10 +68,30 @@ std::unique_ptr<Comparison> Map::compare(const Member &member, const ssrvlad_que
   if (!member.channel) {
     require(!std::isnan(sum(numbers, count * size)) && highest(numbers, count * size) <= HIGHEST_SCORE,
             "scores of at most 1.001, got a higher one or NaN");
-    return comparison_of_scores(numbers, count, size);
+    return;
   }
   require(member.length ? are_finite(numbers, count * queries.anchors * member.length) : queries.anchors == 1,
           "finite queries, and signs from one anchor");
+}
+
+std::vector<double> Map::trust() const {
+  std::vector<double> trust;
+  for (const Member &member : channels_) trust.push_back(member.trust);
+  return trust;
+}
+
+std::unique_ptr<Running> Map::running(Size number, Size anchors, bool standardised, bool swept, int threads) const {
+  const Member &member = channels_[static_cast<std::size_t>(number)];
+  if (!member.channel) return std::make_unique<RunningScores>(listing_.count());
+  return member.channel->running(anchors, standardised, swept, threads);
+}
+
+std::unique_ptr<Comparison> Map::compare(Size number, const ssrvlad_queries &queries, Size count, bool standardised,
+                                         bool swept, int threads) const {
+  check(number, queries, count);
+  const Member &member = channels_[static_cast<std::size_t>(number)];
+  const auto *numbers = static_cast<const float *>(queries.descriptors);
+  if (!member.channel) return comparison_of_scores(numbers, count, listing_.count());
   return member.channel->compare({numbers, count, queries.anchors}, standardised, swept, threads);
 }
 
@@ -70,18 +103,16 @@ std::unique_ptr<Scores> Map::compare(const ssrvlad_queries *queries, Size count,
   taken.width = 0;
   auto together = std::make_unique<Together>();
   std::vector<const Scores *> candidates;
-  std::vector<double> trust;
-  for (const Member &member : channels_) {
-    auto compared = compare(member, *queries++, count, taken.standardised, steps.sweep, threads);
+  for (Size number = 0; number < channels(); ++number) {
+    auto compared = compare(number, *queries++, count, taken.standardised, steps.sweep, threads);
     taken.width = std::max(taken.width, compared->width);
     together->parts.push_back(std::move(compared));
     together->parts.push_back(std::make_unique<Candidates>(*together->parts.back(), listing_, steps.allowed, steps.excluded));
     candidates.push_back(together->parts.back().get());
-    trust.push_back(member.trust);
   }
   std::vector<double> weights = {1};
   if (candidates.size() > 1) {
-    auto fused = std::make_unique<Fused>(candidates, trust, listing_);
+    auto fused = std::make_unique<Fused>(candidates, trust(), listing_);
     weights = fused->weights();
     together->parts.push_back(std::move(fused));
   }
@@ -92,8 +123,43 @@ std::unique_ptr<Scores> Map::compare(const ssrvlad_queries *queries, Size count,
 
 Decision Map::query(const ssrvlad_queries *queries, Size count, const ssrvlad_steps &steps, int threads,
                     ssrvlad_taken &taken) const {
+  if (steps.follow == SSRVLAD_ONLINE) return track(queries, count, steps, threads, taken);
   const auto scores = compare(queries, count, steps, threads, taken);
-  return decide(listing_, *scores, static_cast<Mode>(steps.follow), steps.delay, steps.top);
+  return decide(listing_, *scores, steps.follow == SSRVLAD_OFFLINE, steps.top);
+}
+
+Decision Map::track(const ssrvlad_queries *queries, Size count, const ssrvlad_steps &steps, int threads,
+                    ssrvlad_taken &taken) const {
+  Tracker tracker(*this, steps, threads);
+  Decision decision(count, steps.top);
+  std::vector<ssrvlad_queries> next(queries, queries + channels());
+  for (std::vector<float> *values : {&decision.right, &decision.spread, &decision.together}) values->resize(static_cast<std::size_t>(count));
+  const auto take = [&] {
+    const Answer answer = tracker.answer();
+    const auto at = static_cast<std::size_t>(answer.query);
+    std::copy(answer.scores.begin(), answer.scores.end(), decision.scores.begin() + answer.query * steps.top);
+    std::copy(answer.rows.begin(), answer.rows.end(), decision.rows.begin() + answer.query * steps.top);
+    decision.right[at] = answer.right.front();
+    decision.spread[at] = answer.spread.front();
+    decision.together[at] = answer.together.front();
+    decision.followed = answer.followed;
+    decision.course = answer.course;
+    decision.gain = answer.gain;
+    taken.width = answer.width;
+    std::copy(answer.weights.begin(), answer.weights.end(), taken.weights);
+  };
+  taken.standardised = steps.standardise && listing_.map.rows >= MIN_FRAMES;
+  for (Size query = 0; query < count; ++query) {
+    tracker.update(next.data(), steps.excluded ? steps.excluded + 2 * query : nullptr);
+    if (tracker.waiting() > steps.delay) take();
+    for (Size number = 0; number < channels(); ++number) {
+      const Member &member = channels_[static_cast<std::size_t>(number)];
+      const Size bytes = !member.channel ? 4 * listing_.count() : member.length ? 4 * member.length * next[number].anchors : member.of_mean / 8;
+      next[number].descriptors = static_cast<const char *>(next[number].descriptors) + bytes;
+    }
+  }
+  while (tracker.waiting()) take();
+  return decision;
 }
 
 }  // namespace places

@@ -20,6 +20,12 @@ class Map {
   // steps that were taken.
   std::unique_ptr<Scores> compare(const ssrvlad_queries *queries, Size count, const ssrvlad_steps &steps,
                                   int threads, ssrvlad_taken &taken) const;
+  const Listing &listing() const { return listing_; }
+  std::vector<double> trust() const;
+  // Refuses queries that are not of a channel.
+  void check(Size number, const ssrvlad_queries &queries, Size count) const;
+  // What compares queries that come one by one with a channel.
+  std::unique_ptr<Running> running(Size number, Size anchors, bool standardised, bool swept, int threads) const;
   Decision query(const ssrvlad_queries *queries, Size count, const ssrvlad_steps &steps, int threads,
                  ssrvlad_taken &taken) const;
 
@@ -32,8 +38,11 @@ class Map {
     double trust;
   };
 
-  std::unique_ptr<Comparison> compare(const Member &member, const ssrvlad_queries &queries, Size count,
-                                      bool standardised, bool swept, int threads) const;
+  std::unique_ptr<Comparison> compare(Size number, const ssrvlad_queries &queries, Size count, bool standardised,
+                                      bool swept, int threads) const;
+
+  Decision track(const ssrvlad_queries *queries, Size count, const ssrvlad_steps &steps, int threads,
+                 ssrvlad_taken &taken) const;
 
   Listing listing_;
   std::vector<Member> channels_;

@@ -1,0 +1,126 @@
+// The parts of decisions of evidence.hpp.
+
+#include "evidence.hpp"
+
+namespace places {
+
+namespace {
+// Courses that are tried, both ways.
+constexpr Course COURSES[] = {
+    {FORWARDS, 1, 1}, {FORWARDS, 3, 1}, {FORWARDS, 0.25, 1}, {FORWARDS, 1, Likeness::STREAMS}};
+
+// The places of the highest of values above NONE, the first of equals first.
+std::vector<Size> best_of(const std::vector<float> &values, Size top) {
+  std::vector<Size> best;
+  const auto higher = [&](Size some, Size other) {
+    return values[some] > values[other] || (values[some] == values[other] && some < other);
+  };
+  for (Size place = 0; place < static_cast<Size>(values.size()); ++place) {
+    if (static_cast<Size>(best.size()) == top) {
+      if (!(values[place] > values[best.front()])) continue;
+      std::pop_heap(best.begin(), best.end(), higher);
+      best.pop_back();
+    }
+    if (!(values[place] > NONE)) continue;
+    best.push_back(place);
+    std::push_heap(best.begin(), best.end(), higher);
+  }
+  std::sort_heap(best.begin(), best.end(), higher);
+  return best;
+}
+
+// How a row compares with its rivals by values of the rows of a sight; 1 if a row elsewhere is better
+// than all that are NEAR it.
+double chance_near(const std::vector<float> &values, const Sight &sight, const Drives &drives,
+                   Size row) {
+  std::vector<double> known(values.begin(), values.end());
+  double near = static_cast<double>(NONE), best = near;
+  for (const Run &run : sight.rows.runs)
+    for (Size each = run.first; each < run.last; ++each) {
+      double &value = known[run.at + each - run.first];
+      if (sight.scores[run.at + each - run.first] == NONE) value = static_cast<double>(NONE);
+      best = std::max(best, value);
+      if (std::abs(each - row) <= NEAR && run.drive == drives.of(row)) near = std::max(near, value);
+    }
+  return near < best ? 1 : chance_of(known.data(), sight.rows, sight.matching).chance;
+}
+
+}  // namespace
+
+void put(const std::vector<float> &values, const Rows &rows, Size query, Matches &matches) {
+  Size at = query * matches.top;
+  for (const Size place : best_of(values, matches.top)) {
+    matches.scores[at] = values[place];
+    matches.rows[at++] = rows.at(place);
+  }
+}
+
+// Of one query by the beliefs in its listed rows. Rows without a score are no candidates, unless none has
+// one: any row may be the place of an empty query.
+void place(const Filter &filter, const Sight &sight,
+           const std::pair<std::vector<float>, double> &found, Size query, Places &places) {
+  const auto &[beliefs, unmapped] = found;
+  std::vector<float> masked = beliefs;
+  if (highest(sight.scores.data(), sight.rows.count) > NONE)
+    for (Size row = 0; row < sight.rows.count; ++row)
+      if (sight.scores[row] == NONE) masked[row] = NONE;
+  put(masked, sight.rows, query, places);
+  places.unmapped[query] = static_cast<float>(unmapped);
+  const Size row = places.rows[query * places.top];
+  if (row >= 0) {
+    const Drives &drives = filter.drives();
+    const Size drive = drives.of(row);
+    const Size first = std::max(row - NEAR, drives.starts[drive]);
+    const Size last = std::min(row + NEAR + 1, drives.last(drive));
+    for (const Run &run : sight.rows.runs)
+      for (Size each = std::max(first, run.first); each < std::min(last, run.last); ++each)
+        places.near[query] += beliefs[run.at + each - run.first];
+  }
+  places.chance[query] =
+      chance_of_beliefs(beliefs.data(), sight.scores.data(), sight.rows, sight.matching).chance;
+}
+
+std::pair<double, double> chances_around(const Filter &filter, const std::deque<std::shared_ptr<const Sight>> &sights,
+                                         const std::vector<Size> &rows, Size at, Size later) {
+  if (rows[at] < 0) return {1, 1};
+  const Drives &drives = filter.drives();
+  const auto [least, most] = filter.reach();
+  const Size longest = std::max(-least, most);
+  const Sight &here = *sights[at];
+  std::vector<float> total = here.z;
+  const auto take = [&](Size other) {
+    const Sight &sight = *sights[other];
+    const Size moved = rows[other] - rows[at];
+    for (const Run &run : here.rows.runs)
+      visit(
+          run.first + moved, run.last + moved, run.drive, sight.rows, drives,
+          [&](Size row, Size place, Size number) {
+            add(total.data() + run.at + row - moved - run.first, sight.z.data() + place, 1, number);
+          },
+          [](Size, Size) {}, [](Size, Size) {});
+  };
+  const Size first = std::max<Size>(0, at - AROUND), last = std::min(static_cast<Size>(sights.size()) - 1, at + later);
+  for (const Size way : {Size{-1}, Size{1}})
+    for (Size other = at + way; other >= first && other <= last; other += way) {
+      if (rows[other] < 0 || std::abs(rows[other] - rows[other - way]) > longest) break;
+      take(other);
+    }
+  return {chance_near(total, here, drives, rows[at]), chance_near(here.z, here, drives, rows[at])};
+}
+
+std::vector<Course> courses() {
+  std::vector<Course> courses;
+  for (const Course &kind : COURSES)
+    for (const int way : {FORWARDS, BACKWARDS}) courses.push_back({way, kind.rate, kind.streams});
+  return courses;
+}
+
+std::size_t likeliest(const std::vector<double> &gains) {
+  const auto likely = [&](std::size_t course) { return gains[course] - (course ? UNUSUAL : 0); };
+  std::size_t best = 0;
+  for (std::size_t course = 1; course < gains.size(); ++course)
+    if (likely(course) > likely(best)) best = course;
+  return best;
+}
+
+}  // namespace places

@@ -1,0 +1,206 @@
+// The queries of a sequence, and how they fit a map: what decisions are made of.
+
+#ifndef SSRVLAD_EVIDENCE_HPP
+#define SSRVLAD_EVIDENCE_HPP
+
+#include <deque>
+#include <memory>
+#include <utility>
+#include <vector>
+
+#include "confidence.hpp"
+#include "decide.hpp"
+#include "filter.hpp"
+#include "progress.hpp"
+#include "scores.hpp"
+
+namespace places {
+
+constexpr Size AROUND = Likeness::AROUND;
+constexpr double BEST = 1.0 / 3;  // how often a wrong answer of a followed sequence is the best of its query
+// The gain a query that only sequences have, and a difference of mean confidences.
+constexpr double SEQUENCE = 0.5, MARGIN = 0.05;
+// The gain of a course, and how much more another than forwards at the rate of the map must have: before
+// anything is known, one sequence in twenty takes it. Gains a query: real sequences and two streams in turn 0.3
+// to 1.0, three to six streams 0.03 to 0.35, sequences in foreign maps 0.05 to 0.4, random frames 0.0 to 0.1.
+constexpr double LEAST_GAIN = 1, UNUSUAL = 3;
+// How much of its gain a sequence may have in a random order: a row like every query gains all of it.
+constexpr double BY_ROWS = 0.5;
+
+std::vector<Size> in_order(Size count);
+
+// What is known of one query: its scores at the listed rows, and how many rows of the map could match, less
+// than 0 for those that have a score.
+struct Sight {
+  const Rows &rows;
+  std::vector<float> scores;
+  Size matching;
+  Likelihood likelihood;  // if the query is followed
+  std::vector<float> z;   // beside others: by how many deviations each row is nearer than the mean of all
+};
+
+// The queries of one drive, and how they fit a map. Not to be shared by threads.
+class Evidence {
+ public:
+  Evidence(const Listing &listing, const Scores &scores) : listing_(listing), scores_(scores) {
+    std::vector<Size> sample;  // of rows that represent all
+    for (Size place = 0; place < listing.count(); ++place)
+      if (listing.weights.empty() || listing.weights[place] > 1) sample.push_back(place);
+    if (sample.empty()) sample = in_order(listing.count());
+    const std::size_t most = Likeness::COMPARED, step = std::max<std::size_t>(1, (sample.size() + most - 1) / most);
+    for (std::size_t at = 0; at < sample.size(); at += step) compared_.push_back(sample[at]);
+  }
+
+  Size queries() const { return scores_.queries(); }
+  const Drives &map() const { return listing_.map; }
+
+  // A query by itself.
+  Sight alone(Size query) const {
+    Sight sight{listing_.rows, std::vector<float>(static_cast<std::size_t>(listing_.count())), -1, {}, {}};
+    scores_.of(query, sight.scores.data());
+    const Size count = listing_.count();
+    if (std::isnan(sum(sight.scores.data(), count)) || highest(sight.scores.data(), count) > HIGHEST_SCORE)
+      throw WrongScores();
+    double matching = 0;
+    for (std::size_t place = 0; place < listing_.weights.size(); ++place)
+      if (sight.scores[place] != NONE) matching += listing_.weights[place];
+    if (!listing_.weights.empty()) sight.matching = std::llround(matching);
+    return sight;
+  }
+
+  // A query with others; 0 deviations where there is no score.
+  std::shared_ptr<const Sight> beside(Size query) const {
+    const auto sight = std::make_shared<Sight>(alone(query));
+    const Spread spread = spread_of(*sight);
+    sight->z.resize(sight->scores.size());
+    if (spread.deviation <= MIN_SPREAD) return sight;  // equal scores say nothing
+    for (std::size_t place = 0; place < sight->z.size(); ++place) {
+      const double near = nearness(static_cast<double>(sight->scores[place]));
+      if (sight->scores[place] != NONE)
+        sight->z[place] = static_cast<float>((near - spread.mean) / spread.deviation);
+    }
+    return sight;
+  }
+
+  // A query that is followed.
+  std::shared_ptr<const Sight> followed(const Motion &motion, Size query) const {
+    if (last_ && query == query_ && motion.weight == weight_ && motion.level == level_) return last_;
+    const auto sight = std::make_shared<Sight>(alone(query));
+    std::vector<float> &rows = sight->likelihood.rows;
+    rows = likelihoods(sight->scores.data(), listing_.count(), motion, spread_of(*sight));
+    // The rows that are not listed are like those of the sample, which stand for them.
+    const Size others = listing_.map.rows - listing_.count();
+    double elsewhere = 0;
+    for (std::size_t place = 0; place < listing_.weights.size(); ++place)
+      elsewhere += (listing_.weights[place] - 1) * static_cast<double>(rows[place]);
+    if (others > 0) sight->likelihood.elsewhere = elsewhere / static_cast<double>(others);
+    query_ = query, weight_ = motion.weight, level_ = motion.level;
+    return last_ = sight;
+  }
+
+  // The scores of a query at rows that represent all, the same for each query.
+  std::vector<float> profile(const Sight &sight) const {
+    std::vector<float> scores;
+    for (const Size place : compared_) scores.push_back(sight.scores[place]);
+    return scores;
+  }
+
+ private:
+  Spread spread_of(const Sight &sight) const {
+    std::vector<float> near(sight.scores.size());
+    nearness(sight.scores.data(), listing_.count(), near.data());
+    return listing_.spread(near.data());
+  }
+
+  const Listing &listing_;
+  const Scores &scores_;
+  std::vector<Size> compared_;
+  mutable std::shared_ptr<const Sight> last_;  // of the query, weight and level
+  mutable Size query_ = -1;
+  mutable double weight_ = 0, level_ = 0;
+};
+
+// A query, and the belief after it.
+struct Seen {
+  std::shared_ptr<const Sight> sight;
+  std::shared_ptr<const Belief> belief;
+};
+
+// The forward algorithm.
+struct Walk {
+  const Filter &filter;
+  Seen now;
+
+  // Takes the next query: the logarithm of how much likelier it is so than alone.
+  double step(const Evidence &evidence, Size query) {
+    const Belief *before = now.belief.get();
+    now.sight = evidence.followed(filter.motion(), query);
+    const Rows &rows = now.sight->rows;
+    const auto belief =
+        std::make_shared<Belief>(before ? filter.predicted(*before, rows) : filter.start(rows));
+    const double gain = filter.update(*belief, now.sight->likelihood);
+    now.belief = belief;
+    return gain;
+  }
+};
+
+// Puts the highest of values above NONE among the candidates of a query, of equals the first one first.
+void put(const std::vector<float> &values, const Rows &rows, Size query, Matches &matches);
+
+// Of one query by the beliefs in its listed rows. Rows without a score are no candidates, unless none has
+// one: any row may be the place of an empty query.
+void place(const Filter &filter, const Sight &sight,
+           const std::pair<std::vector<float>, double> &beliefs, Size query, Places &places);
+
+// How the row of an answer compares with its rivals by the sights of the neighbouring queries of a stream, as far
+// as no step between the rows of their answers is longer than the filter can make: AROUND earlier ones, and so
+// many later. The value of a row is the sum of the deviations of these queries along the same path, moved to it.
+// And by the query alone. 1 if a row elsewhere is better.
+std::pair<double, double> chances_around(const Filter &filter, const std::deque<std::shared_ptr<const Sight>> &sights,
+                                         const std::vector<Size> &rows, Size at, Size later);
+
+// The courses that are tried.
+std::vector<Course> courses();
+
+// Courses that are tried at once, so that each query is scored once.
+class Trial {
+ public:
+  Trial(const Drives &drives, const std::vector<Course> &courses) : gains_(courses.size()) {
+    for (const Course &course : courses) {
+      Motion motion;
+      motion.unmapped = 0;
+      motion.rate = course.rate;
+      filters_.push_back(std::make_unique<Filter>(drives, motion, std::vector<int>{course.way}));
+      walks_.emplace_back(course.streams, Walk{*filters_.back(), {}});
+    }
+  }
+
+  void step(const Evidence &evidence, Size query) {
+    for (std::size_t course = 0; course < walks_.size(); ++course) {
+      std::vector<Walk> &streams = walks_[course];
+      const double gain = streams[static_cast<std::size_t>(count_) % streams.size()].step(evidence, query);
+      gains_[course] += streams.size() > 1 ? OF_TWO * gain : gain;
+    }
+    ++count_;
+  }
+
+  // Of the queries by each course: the logarithm of how much likelier they are so than alone; what counts of it.
+  const std::vector<double> &gains() const { return gains_; }
+  Size count() const { return count_; }
+
+ private:
+  // What counts of the gain of two streams: a slow one is hardly less likely as two in turn.
+  static constexpr double OF_TWO = 0.75;
+
+  Size count_ = 0;
+  std::vector<double> gains_;
+  std::vector<std::unique_ptr<Filter>> filters_;
+  std::vector<std::vector<Walk>> walks_;
+};
+
+// The number of the likeliest of the courses.
+std::size_t likeliest(const std::vector<double> &gains);
+
+}  // namespace places
+
+#endif
