@@ -90,15 +90,15 @@ class Database:
         threads = os.cpu_count() or 1
         found = self._map.query(queries, follow=follow, delay=delay, top=top, threads=threads)
         alone = "fused score" if len(queries) > 1 else "cosine"
-        score_is = "probability" if found.followed else alone
         answers = []
-        for scores, rows, right in zip(found.scores, found.rows, found.right, strict=True):
+        columns = found.scores, found.rows, found.right, found.follows
+        for scores, rows, right, follows in zip(*columns, strict=True):
             ranked = [
                 (self.frames[row], min(1.0, float(score)))
                 for row, score in zip(rows, scores, strict=True)
                 if row >= 0
             ]
-            answers.append(Answer(ranked, score_is, float(right)))
+            answers.append(Answer(ranked, "probability" if follows else alone, float(right)))
         return answers
 
     @cached_property

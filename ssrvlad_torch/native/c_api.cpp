@@ -11,6 +11,7 @@
 #include "map.hpp"
 #include "products.hpp"
 #include "signs.hpp"
+#include "tracker.hpp"
 #include "ssrvlad_loops.h"
 #include "ssrvlad_map.h"
 
@@ -24,6 +25,10 @@ struct ssrvlad_head : Head {
 
 struct ssrvlad_map : Map {
   using Map::Map;
+};
+
+struct ssrvlad_tracker : Tracker {
+  using Tracker::Tracker;
 };
 
 struct ssrvlad_loops {
@@ -83,6 +88,19 @@ void give(const Decision &decided, ssrvlad_decision &decision) {
   decision.rate = decided.course.rate;
   decision.streams = decided.course.streams;
   decision.gain = decided.gain;
+  if (!decision.follows) return;
+  if (decided.follows.empty())
+    std::fill_n(decision.follows, decided.right.size(), static_cast<std::uint8_t>(decided.followed));
+  else
+    give(decided.follows, decision.follows);
+}
+
+void give(const Answer &answer, bool standardised, ssrvlad_decision &decision, ssrvlad_taken &taken, int64_t &query) {
+  give(answer, decision);
+  taken.standardised = standardised;
+  taken.width = answer.width;
+  give(answer.weights, taken.weights);
+  query = answer.query;
 }
 
 }  // namespace
@@ -288,6 +306,53 @@ int ssrvlad_map_compare(const ssrvlad_map *map, const ssrvlad_queries *queries, 
     require(scores || !count);
     const auto compared = map->compare(queries, count, *steps, threads, *taken);
     for (Size query = 0; query < count; ++query) compared->of(query, scores + query * compared->rows());
+  });
+}
+
+ssrvlad_tracker *ssrvlad_tracker_new_for(int program, const ssrvlad_map *map, const ssrvlad_steps *steps) {
+  return made(program, [&] {
+    require(map && steps && map->channels() && steps->delay >= 0 && steps->delay < MOST_NUMBERS && steps->top >= 1,
+            "a map of one channel or more, and steps in range");
+    return new ssrvlad_tracker(*map, *steps);
+  });
+}
+
+void ssrvlad_tracker_free(ssrvlad_tracker *tracker) { delete tracker; }
+
+int ssrvlad_tracker_update(ssrvlad_tracker *tracker, const ssrvlad_queries *queries, int threads,
+                           ssrvlad_decision *decision, ssrvlad_taken *taken, int64_t *query) {
+  return guarded([&] {
+    require(tracker && queries && decision && taken && query);
+    *query = -1;
+    tracker->update(queries, nullptr, threads);
+    if (tracker->waits_long_enough()) give(tracker->answer(), tracker->standardised(), *decision, *taken, *query);
+  });
+}
+
+int ssrvlad_tracker_finish(ssrvlad_tracker *tracker, ssrvlad_decision *decision, ssrvlad_taken *taken,
+                           int64_t *query) {
+  return guarded([&] {
+    require(tracker && decision && taken && query);
+    *query = -1;
+    if (tracker->waiting()) give(tracker->answer(), tracker->standardised(), *decision, *taken, *query);
+  });
+}
+
+int64_t ssrvlad_tracker_save(ssrvlad_tracker *tracker, void *state, int64_t size) {
+  int64_t bytes = -1;
+  guarded([&] {
+    require(tracker && (state || size <= 0));
+    const std::vector<std::uint8_t> saved = tracker->save();
+    bytes = static_cast<int64_t>(saved.size());
+    if (bytes <= size) std::copy(saved.begin(), saved.end(), static_cast<std::uint8_t *>(state));
+  });
+  return bytes;
+}
+
+int ssrvlad_tracker_load(ssrvlad_tracker *tracker, const void *state, int64_t size) {
+  return guarded([&] {
+    require(tracker && state && size >= 0);
+    tracker->load(static_cast<const std::uint8_t *>(state), size);
   });
 }
 

@@ -9,6 +9,7 @@
 #include <memory>
 #include <vector>
 
+#include "archive.hpp"
 #include "filter.hpp"
 #include "scores.hpp"
 
@@ -68,6 +69,8 @@ class Running {
   virtual ~Running() = default;
   // Takes the next query, its descriptors from all anchors, and fills the scores of all rows.
   virtual void next(const void *query, int threads, float *scores) = 0;
+  // Writes or reads what is of the queries so far.
+  virtual void keep(Archive &archive) = 0;
   Size width = 0;  // of the sweep, in anchors to each side, by the queries so far
 };
 

@@ -4,6 +4,7 @@
 #include <numeric>
 
 #include "compare.hpp"
+#include "interface.hpp"
 #include "parallel.hpp"
 #include "signs.hpp"
 
@@ -281,6 +282,12 @@ class RunningSigns : public Running {
               before_->row_lengths(move) + first, static_cast<float>(level), length, last - first);
       }
     }
+  }
+
+  void keep(Archive &archive) override {
+    const std::size_t bits = sums_.size(), products = with_rows_.size();
+    archive(frames_), archive(sums_), archive(with_rows_);
+    require(sums_.size() == bits && with_rows_.size() == products);
   }
 
  private:

@@ -4,6 +4,7 @@
 
 #include "compare.hpp"
 #include "fusion.hpp"
+#include "interface.hpp"
 #include "parallel.hpp"
 #include "products.hpp"
 
@@ -292,6 +293,13 @@ class RunningVectors : public Running {
       width = at;
       std::copy(best.begin(), best.end(), scores);
     }
+  }
+
+  void keep(Archive &archive) override {
+    for (Sum &sum : sums_) archive(sum.vectors), archive(sum.products), archive(sum.count);
+    archive(leads_), archive(known_), archive(width);
+    for (const Sum &sum : sums_) require(sum.vectors.size() == prior_.size() && sum.products.size() == of_prior_.size());
+    require(leads_.size() == sums_.size() && known_.size() == sums_.size());
   }
 
  private:

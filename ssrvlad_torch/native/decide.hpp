@@ -54,7 +54,8 @@ struct Places : Matches {
 // and how many neighbouring queries err together.
 struct Decision : Matches {
   std::vector<float> right, spread, together;
-  bool followed = false;
+  bool followed = false;                // any query
+  std::vector<std::uint8_t> follows;    // Q, by a tracker: whether each is; else all are as `followed` says
   Course course;    // that was taken, or would have been
   double gain = 0;  // a query of the course; 0 without one
 

@@ -124,6 +124,17 @@ class Evidence {
 struct Seen {
   std::shared_ptr<const Sight> sight;
   std::shared_ptr<const Belief> belief;
+
+  // Writes or reads the belief in some rows, if there is one.
+  template <typename Archive>
+  void keep(Archive &archive, const Rows &rows) {
+    bool exists = belief != nullptr;
+    archive(exists);
+    if (!exists) return;
+    Belief all = belief ? *belief : Belief{rows, {}, 0, 1};
+    archive(all.mapped), archive(all.elsewhere), archive(all.unmapped);
+    if (archive.reads()) belief = std::make_shared<Belief>(std::move(all));
+  }
 };
 
 // The forward algorithm.
@@ -187,6 +198,13 @@ class Trial {
   // Of the queries by each course: the logarithm of how much likelier they are so than alone; what counts of it.
   const std::vector<double> &gains() const { return gains_; }
   Size count() const { return count_; }
+
+  template <typename Archive>
+  void keep(Archive &archive, const Rows &rows) {
+    archive(count_), archive(gains_);
+    for (std::vector<Walk> &streams : walks_)
+      for (Walk &walk : streams) walk.now.keep(archive, rows);
+  }
 
  private:
   // What counts of the gain of two streams: a slow one is hardly less likely as two in turn.

@@ -16,6 +16,7 @@ class RunningScores : public Running {
   void next(const void *query, int, float *scores) override {
     std::copy_n(static_cast<const float *>(query), rows_, scores);
   }
+  void keep(Archive &) override {}
 
  private:
   Size rows_;
@@ -130,10 +131,12 @@ Decision Map::query(const ssrvlad_queries *queries, Size count, const ssrvlad_st
 
 Decision Map::track(const ssrvlad_queries *queries, Size count, const ssrvlad_steps &steps, int threads,
                     ssrvlad_taken &taken) const {
-  Tracker tracker(*this, steps, threads);
+  Tracker tracker(*this, steps);
   Decision decision(count, steps.top);
   std::vector<ssrvlad_queries> next(queries, queries + channels());
-  for (std::vector<float> *values : {&decision.right, &decision.spread, &decision.together}) values->resize(static_cast<std::size_t>(count));
+  for (std::vector<float> *values : {&decision.right, &decision.spread, &decision.together})
+    values->resize(static_cast<std::size_t>(count));
+  decision.follows.resize(static_cast<std::size_t>(count));
   const auto take = [&] {
     const Answer answer = tracker.answer();
     const auto at = static_cast<std::size_t>(answer.query);
@@ -142,7 +145,8 @@ Decision Map::track(const ssrvlad_queries *queries, Size count, const ssrvlad_st
     decision.right[at] = answer.right.front();
     decision.spread[at] = answer.spread.front();
     decision.together[at] = answer.together.front();
-    decision.followed = answer.followed;
+    decision.follows[at] = answer.followed;
+    decision.followed |= answer.followed;
     decision.course = answer.course;
     decision.gain = answer.gain;
     taken.width = answer.width;
@@ -150,7 +154,7 @@ Decision Map::track(const ssrvlad_queries *queries, Size count, const ssrvlad_st
   };
   taken.standardised = steps.standardise && listing_.map.rows >= MIN_FRAMES;
   for (Size query = 0; query < count; ++query) {
-    tracker.update(next.data(), steps.excluded ? steps.excluded + 2 * query : nullptr);
+    tracker.update(next.data(), steps.excluded ? steps.excluded + 2 * query : nullptr, threads);
     if (tracker.waiting() > steps.delay) take();
     for (Size number = 0; number < channels(); ++number) {
       const Member &member = channels_[static_cast<std::size_t>(number)];

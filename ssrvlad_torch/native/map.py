@@ -47,11 +47,12 @@ class Decision(NamedTuple):
 
     Attributes:
         scores: ``(Q, top)`` float32, of the candidates; -inf for none. Probabilities of rows if the
-            sequence is followed, of the first candidate with the rows beside it; else their scores.
+            query is followed, of the first candidate with the rows beside it; else their scores.
         rows: ``(Q, top)`` int64; -1 for none.
         right, spread, together: ``(Q,)`` float32, the probability that the first candidate is
             right, its standard deviation, and how many neighbouring queries err together.
-        followed: whether the sequence is followed.
+        follows: ``(Q,)`` bool, whether each query is followed; online that depends on the queries
+            before it.
         way, rate, streams: the course that was taken, or would have been: the way, the rate in rows
             of the map a frame, the number of streams whose frames alternate.
         gain: of the course, a query; 0 if there is none.
@@ -63,12 +64,17 @@ class Decision(NamedTuple):
     right: Floats
     spread: Floats
     together: Floats
-    followed: bool
+    follows: npt.NDArray[np.bool_]
     way: int
     rate: float
     streams: int
     gain: float
     taken: Taken
+
+    @property
+    def followed(self) -> bool:
+        """Whether any query is followed."""
+        return bool(self.follows.any())
 
 
 class Shortlist(NamedTuple):
@@ -216,16 +222,10 @@ class DescriptorMap:
             ValueError: the channels are not those of the map, or an argument is out of range.
             MemoryError: memory is short.
         """
-        call = _Call(self, queries, (standardise, sweep, follow, delay, top), allowed, excluded)
-        matches = np.empty((call.count, top), np.float32), np.empty((call.count, top), np.int64)
-        sure, decided = np.empty((3, call.count), np.float32), struct("decision")()
-        names = "scores", "rows", "right", "spread", "together"
-        for name, array in zip(names, (*matches, *sure), strict=True):
-            setattr(decided, name, address(array, array.shape, "float32", "int64"))
-        taken = call.run("ssrvlad_map_query", threads, ctypes.byref(decided))
-        course = bool(decided.followed), decided.way, decided.rate, decided.streams, decided.gain
-        right, spread, together = sure
-        return Decision(*matches, right, spread, together, *course, taken)
+        call = Call(self, queries, (standardise, sweep, follow, delay, top), allowed, excluded)
+        target = Target(call.count, top, self.channels)
+        call.run("ssrvlad_map_query", threads, ctypes.byref(target.decision), target)
+        return target.decided()
 
     def compare(
         self,
@@ -238,13 +238,65 @@ class DescriptorMap:
     ) -> tuple[Floats, Taken]:
         """The scores ``(Q, R)`` float32 by which `query` decides, of all channels, -inf where there
         can be no match."""
-        call = _Call(self, queries, (standardise, sweep, None, 0, 1), allowed, excluded)
+        call = Call(self, queries, (standardise, sweep, None, 0, 1), allowed, excluded)
         scores = np.empty((call.count, self._count), np.float32)
-        target = address(scores, (call.count, self._count), "float32")
-        return scores, call.run("ssrvlad_map_compare", threads, target)
+        steps = Target(0, 1, self.channels)
+        into = address(scores, (call.count, self._count), "float32")
+        call.run("ssrvlad_map_compare", threads, into, steps)
+        return scores, steps.taken()
+
+    @property
+    def channels(self) -> list[str]:
+        """Their names."""
+        return [*self._channels]
+
+    @property
+    def address(self) -> int:
+        """Of the map in the core."""
+        return int(self._map)
+
+    def no_queries(self, name: str) -> Array:
+        """An array of no queries of a channel."""
+        rows = self._channels[name]
+        return np.empty((0, len(self)), np.float32) if rows is None else rows[:0]
 
 
-class _Call:
+class Target:
+    """Memory for what the core decides of some queries.
+
+    Attributes:
+        decision, steps: for the core, ``ssrvlad_decision`` and ``ssrvlad_taken``.
+    """
+
+    def __init__(self, count: int, top: int, channels: Sequence[str]) -> None:
+        self._arrays = {
+            "scores": np.empty((count, top), np.float32),
+            "rows": np.empty((count, top), np.int64),
+            "right": np.empty(count, np.float32),
+            "spread": np.empty(count, np.float32),
+            "together": np.empty(count, np.float32),
+            "follows": np.empty(count, np.uint8),
+        }
+        self._channels, self._weights = channels, (ctypes.c_double * len(channels))()
+        self.decision = struct("decision")()
+        self.steps = struct("taken")(weights=ctypes.addressof(self._weights))
+        for name, array in self._arrays.items():
+            setattr(self.decision, name, address(array, array.shape, "float32", "int64", "uint8"))
+
+    def taken(self) -> Taken:
+        """The steps that were taken."""
+        weights = dict(zip(self._channels, self._weights, strict=True))
+        return Taken(bool(self.steps.standardised), self.steps.width, weights)
+
+    def decided(self) -> Decision:
+        """The decision."""
+        of = self.decision
+        follows = self._arrays.pop("follows").astype(bool)
+        course = {"way": of.way, "rate": of.rate, "streams": of.streams, "gain": of.gain}
+        return Decision(**self._arrays, follows=follows, **course, taken=self.taken())
+
+
+class Call:
     """The queries of one sequence and the steps, as the core takes them."""
 
     def __init__(
@@ -269,31 +321,30 @@ class _Call:
         _expect("queries", counts, len(set(counts.values())) == 1, "one number by all channels")
         self._allowed = _of_shape("allowed", allowed, np.uint8, (len(town),))
         self._excluded = _of_shape("excluded", excluded, np.int64, (self.count, 2))
-        self._steps = struct("steps")(
+        self.steps = struct("steps")(
             standardise, sweep, MODES[follow], delay, top,
             address(self._allowed, (len(town),), "uint8"),
             address(self._excluded, (self.count, 2), "int64"),
         )  # fmt: skip
 
-    def run(self, name: str, threads: int, target: Any) -> Taken:
-        """Calls a function of the core that fills a target."""
-        weights = (ctypes.c_double * len(self._arrays))()
-        taken = struct("taken")(weights=ctypes.addressof(weights))
-        asked = (struct("queries") * len(self._arrays))(
+    def queries(self) -> Any:
+        """The queries by each channel, for the core."""
+        return (struct("queries") * len(self._arrays))(
             *(
                 (address(array, array.shape, "float32", "uint8"), self._anchors(name))
                 for name, array in self._arrays.items()
             )
         )
+
+    def run(self, name: str, threads: int, results: Any, target: Target) -> None:
+        """Calls a function of the core that fills results, and the steps of a target."""
         call = getattr(required(), name)
         require(
             call(
-                self._town._map, asked, self.count, ctypes.byref(self._steps), threads, target,
-                ctypes.byref(taken),
+                self._town.address, self.queries(), self.count, ctypes.byref(self.steps), threads,
+                results, ctypes.byref(target.steps),
             )
         )  # fmt: skip
-        by_name = dict(zip(self._arrays, weights, strict=True))
-        return Taken(bool(taken.standardised), taken.width, by_name)
 
     def _array(self, name: str, queries: Array) -> Array:
         rows = self._town._channels[name]

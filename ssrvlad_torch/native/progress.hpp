@@ -22,11 +22,22 @@ class Likeness {
   // can be no match.
   void add(const std::vector<float> &scores);
   // The correlation of a query with one before it, at most AROUND * STREAMS.
-  double of(Size query, Size before) const { return each_[query][query - before - 1]; }
+  double of(Size query, Size before) const {
+    return each_[static_cast<std::size_t>(query - first_)][static_cast<std::size_t>(query - before - 1)];
+  }
+  // Forgets all queries but so many.
+  void forget(Size most) {
+    for (; static_cast<Size>(each_.size()) > most; ++first_) each_.pop_front();
+  }
+  template <typename Archive>
+  void keep(Archive &archive) {
+    archive(first_), archive(each_), archive(recent_);
+  }
 
  private:
   std::deque<std::vector<double>> recent_;  // profiles, the newest first
-  std::vector<std::array<double, AROUND * STREAMS>> each_;
+  std::deque<std::array<double, AROUND * STREAMS>> each_;  // of the queries from `first_` on
+  Size first_ = 0;
 };
 
 // Which answers of a stream of queries, their rows, -1 for none, linger at one place while the frames go

@@ -39,7 +39,8 @@ typedef struct ssrvlad_drives {
  * rows if the drive is `followed`, of the first candidate with the rows beside it, else the scores of the
  * rows. The course that was taken, or was found and left because the answers are surer without: the way,
  * the rate in rows of the map a frame, the number of streams whose frames alternate; and its gain a
- * query, 0 if there is no course. */
+ * query, 0 if there is no course. `follows` is NULL, or says of each query whether it is followed: online that
+ * depends on the queries before it. */
 typedef struct ssrvlad_decision {
   float *scores;
   int64_t *rows;
@@ -47,6 +48,7 @@ typedef struct ssrvlad_decision {
   int32_t followed, way;
   int64_t streams;
   double rate, gain;
+  uint8_t *follows;
 } ssrvlad_decision;
 
 typedef struct ssrvlad_map ssrvlad_map;
@@ -131,6 +133,33 @@ SSRVLAD_API int ssrvlad_map_query(const ssrvlad_map *map, const ssrvlad_queries 
 SSRVLAD_API int ssrvlad_map_compare(const ssrvlad_map *map, const ssrvlad_queries *queries, int64_t count,
                                     const ssrvlad_steps *steps, int threads, float *scores,
                                     ssrvlad_taken *taken);
+
+/* A sequence whose queries come one by one, in a map that stays as it is and must outlive it: what
+ * `ssrvlad_map_query` finds with SSRVLAD_ONLINE. The mean of the queries, the width of the sweep, the weights of the
+ * channels and the course are those of the queries so far; to the mean ten frames like the map's are added. */
+typedef struct ssrvlad_tracker ssrvlad_tracker;
+
+/* `ssrvlad_tracker_new(map, steps)` creates a tracker, or returns NULL. It copies the steps; `follow` and `excluded`
+ * do not matter. */
+#define ssrvlad_tracker_new(...) ssrvlad_tracker_new_for(SSRVLAD_INTERFACE, __VA_ARGS__)
+SSRVLAD_API ssrvlad_tracker *ssrvlad_tracker_new_for(int program, const ssrvlad_map *map,
+                                                     const ssrvlad_steps *steps);
+SSRVLAD_API void ssrvlad_tracker_free(ssrvlad_tracker *tracker);
+
+/* Takes the next query, given for each channel of the map. If a query has as many later ones as the delay,
+ * `decision` and `taken` are its answer, and `query` its number, from 0; else `query` is -1. `ssrvlad_tracker_finish`
+ * takes none: it answers the first query that waits for later ones, by those that there are. After SSRVLAD_NO_MEMORY
+ * a tracker can only be freed. */
+SSRVLAD_API int ssrvlad_tracker_update(ssrvlad_tracker *tracker, const ssrvlad_queries *queries, int threads,
+                                       ssrvlad_decision *decision, ssrvlad_taken *taken, int64_t *query);
+SSRVLAD_API int ssrvlad_tracker_finish(ssrvlad_tracker *tracker, ssrvlad_decision *decision, ssrvlad_taken *taken,
+                                       int64_t *query);
+
+/* Writes the state of a tracker, if it has at most `size` bytes; returns its number of bytes, -1 if memory is
+ * short. `ssrvlad_tracker_load` puts it into a new tracker, of the same map with the same steps; the answers to later
+ * queries are the same to the bit. What is no such state is refused, and the tracker can then only be freed. */
+SSRVLAD_API int64_t ssrvlad_tracker_save(ssrvlad_tracker *tracker, void *state, int64_t size);
+SSRVLAD_API int ssrvlad_tracker_load(ssrvlad_tracker *tracker, const void *state, int64_t size);
 
 #ifdef __cplusplus
 }

@@ -7,9 +7,9 @@
 namespace places {
 
 namespace {
-constexpr Size MEMORY = 200;    // answers by which the others are judged
-constexpr Size SHUFFLED = 30;   // queries from which a random one is taken
-constexpr Size KEPT = 2 * SHUFFLED;  // queries whose scores are kept
+constexpr Size MEMORY = 200;         // answers by which an answer is judged
+constexpr Size SHUFFLED = 30;        // queries of which a random one is taken
+constexpr Size KEPT = 2 * SHUFFLED;  // queries after which it is taken in any case
 
 constexpr double NO_ANSWER = std::numeric_limits<double>::quiet_NaN();
 
@@ -17,6 +17,10 @@ template <typename Value>
 void push(std::deque<Value> &values, Value value, Size most) {
   values.push_back(value);
   if (static_cast<Size>(values.size()) > most) values.pop_front();
+}
+
+bool same(const Course &one, const Course &other) {
+  return one.way == other.way && one.rate == other.rate && one.streams == other.streams;
 }
 }  // namespace
 
@@ -26,202 +30,292 @@ void Recent::push(std::vector<float> scores, Size most) {
 }
 
 void Recent::of(Size query, float *scores) const {
-  const std::vector<float> &some = scores_[static_cast<std::size_t>(query - first_)];
-  std::copy(some.begin(), some.end(), scores);
+  const std::vector<float> &row = scores_[static_cast<std::size_t>(query - first_)];
+  std::copy(row.begin(), row.end(), scores);
 }
 
-Tracker::Tracker(const Map &map, const ssrvlad_steps &steps, int threads)
+void Recent::keep(Archive &archive) {
+  archive(first_), archive(scores_);
+  for (const std::vector<float> &row : scores_) require(static_cast<Size>(row.size()) == rows_);
+}
+
+Tracker::Tracker(const Map &map, const ssrvlad_steps &steps)
     : map_(map), listing_(map.listing()), top_(steps.top), delay_(steps.delay),
-      standardised_(steps.standardise && listing_.map.rows >= MIN_FRAMES), swept_(steps.sweep), threads_(threads),
+      standardised_(steps.standardise && listing_.map.rows >= MIN_FRAMES), swept_(steps.sweep),
       leads_(static_cast<std::size_t>(map.channels())), recent_(listing_.count()), evidence_(listing_, recent_),
       courses_(courses()), trial_(listing_.map, courses_), shuffled_(listing_.map, courses_) {
   if (steps.allowed) allowed_.assign(steps.allowed, steps.allowed + listing_.count());
 }
 
-void Tracker::score(const ssrvlad_queries *queries, const Size *excluded) {
-  if (channels_.empty())
-    for (Size number = 0; number < map_.channels(); ++number)
-      channels_.push_back(map_.running(number, queries[number].anchors, standardised_, swept_, threads_));
+void Tracker::open(const std::vector<Size> &anchors, int threads) {
+  anchors_ = anchors;
+  for (Size number = 0; number < map_.channels(); ++number)
+    channels_.push_back(map_.running(number, anchors[static_cast<std::size_t>(number)], standardised_, swept_, threads));
+}
+
+std::vector<float> Tracker::scores_of(const ssrvlad_queries *queries, const Size *excluded, int threads) {
+  std::vector<Size> anchors;
+  for (Size number = 0; number < map_.channels(); ++number) {
+    map_.check(number, queries[number], 1);
+    anchors.push_back(queries[number].anchors);
+  }
+  if (channels_.empty()) open(anchors, threads);
+  require(anchors == anchors_, "as many anchors of each query");
   std::vector<std::vector<float>> scores;
   width_ = 0;
   for (const auto &channel : channels_) {
-    map_.check(static_cast<Size>(scores.size()), queries[scores.size()], 1);
     std::vector<float> of_channel(static_cast<std::size_t>(listing_.count()));
-    channel->next(queries[scores.size()].descriptors, threads_, of_channel.data());
+    channel->next(queries[scores.size()].descriptors, threads, of_channel.data());
     mask(listing_, allowed_.empty() ? nullptr : allowed_.data(), excluded, of_channel.data());
     width_ = std::max(width_, channel->width);
     scores.push_back(std::move(of_channel));
   }
   weights_ = {1};
-  if (channels_.size() > 1) {
-    const Fusion fusion(std::move(scores), listing_);
-    const std::vector<double> leads = fusion.leads();
-    for (std::size_t number = 0; number < leads.size(); ++number) leads_[number] += leads[number];
-    weights_ = weights_of(map_.trust(), leads_, count_ + 1);
-    scores.assign(1, std::vector<float>(static_cast<std::size_t>(listing_.count())));
-    fusion.of(weights_, scores.front().data());
-  }
-  recent_.push(std::move(scores.front()), KEPT + (delay_ + AROUND) * Likeness::STREAMS);
+  if (channels_.size() == 1) return std::move(scores.front());
+  const Fusion fusion(std::move(scores), listing_);
+  const std::vector<double> leads = fusion.leads();
+  for (std::size_t number = 0; number < leads.size(); ++number) leads_[number] += leads[number];
+  weights_ = weights_of(map_.trust(), leads_, count_ + 1);
+  std::vector<float> fused(static_cast<std::size_t>(listing_.count()));
+  fusion.of(weights_, fused.data());
+  return fused;
 }
 
-void Tracker::update(const ssrvlad_queries *queries, const Size *excluded) {
-  score(queries, excluded);
+void Tracker::update(const ssrvlad_queries *queries, const Size *excluded, int threads) {
+  const Size around = (delay_ + AROUND + 1) * Likeness::STREAMS;
+  recent_.push(scores_of(queries, excluded, threads), KEPT + around);
   const Size query = count_++;
   const Sight sight = evidence_.alone(query);
   likeness_.add(evidence_.profile(sight));
-  Answer answer(1, top_);
+  likeness_.forget(MEMORY + around);
+  Answer answer(top_);
   answer.query = query;
   answer.width = width_;
   answer.weights = weights_;
   put(sight.scores, sight.rows, 0, answer);
-  Chance chance{NO_ANSWER, -1};
-  if (answer.rows.front() >= 0) chance = chance_of_scores(sight.scores.data(), sight.rows, sight.matching);
-  push(rows_alone_, answer.rows.front(), MEMORY + delay_);
+  const bool empty = answer.rows.front() < 0;
+  chance_.push_back(empty ? Chance{NO_ANSWER, -1} : chance_of_scores(sight.scores.data(), sight.rows, sight.matching));
+  push(row_alone_, answer.rows.front(), MEMORY + delay_);
   alone_.push_back(std::move(answer));
-  chances_.push_back(chance);
-
   trial_.step(evidence_, query);
-  pending_.push_back(query);
-  if (pending_.front() + KEPT <= query || static_cast<Size>(pending_.size()) > std::min(SHUFFLED, query / 2)) {
-    const std::size_t number =
-        pending_.front() + KEPT <= query ? 0 : static_cast<std::size_t>(random_()) % pending_.size();
-    shuffled_.step(evidence_, pending_[number]);
-    pending_.erase(pending_.begin() + static_cast<std::ptrdiff_t>(number));
-  }
+  shuffle(query);
   choose_course();
   if (way_) follow(query);
+}
+
+// Takes a random one of the last queries, each once.
+void Tracker::shuffle(Size query) {
+  pending_.push_back(query);
+  const bool is_old = pending_.front() + KEPT <= query;
+  if (!is_old && static_cast<Size>(pending_.size()) <= std::min(SHUFFLED, query / 2)) return;
+  random_ = random_ * 1664525U + 1013904223U;  // Numerical Recipes' generator
+  const std::size_t number = is_old ? 0 : (random_ >> 16) % pending_.size();
+  shuffled_.step(evidence_, pending_[number]);
+  pending_.erase(pending_.begin() + static_cast<std::ptrdiff_t>(number));
 }
 
 // The likeliest course so far; none if there is hardly any gain, or as much in a random order.
 void Tracker::choose_course() {
   const std::size_t best = likeliest(trial_.gains());
-  const double gain = trial_.gains()[best], count = static_cast<double>(count_);
-  const double at_random = shuffled_.count() ? shuffled_.gains()[best] / static_cast<double>(shuffled_.count()) : 0;
-  gain_ = gain / count;
-  const bool runs = gain > LEAST_GAIN && at_random <= BY_ROWS * gain_;
-  if (!runs) {
+  const double gain = trial_.gains()[best];
+  gain_ = gain / static_cast<double>(count_);
+  const double at_random = shuffled_.gains()[best] / static_cast<double>(std::max<Size>(1, shuffled_.count()));
+  if (gain <= LEAST_GAIN || at_random > BY_ROWS * gain_) {
     way_ = nullptr;
-    gain_ = 0;
-    return;
+  } else if (!way_ || !same(way_->course, courses_[best])) {
+    set_course(courses_[best]);
+    for (Size query = recent_.first(); query + 1 < count_; ++query) follow(query);
   }
-  const Course &course = courses_[best];
-  if (way_ && way_->course.way == course.way && way_->course.rate == course.rate && way_->course.streams == course.streams)
-    return;
+}
+
+void Tracker::set_course(const Course &course) {
   way_.reset(new Way{course, Filter(listing_.map, Motion().at(course.rate), {course.way}), {}});
   way_->streams.resize(static_cast<std::size_t>(course.streams));
-  for (Size query = recent_.first(); query + 1 < count_; ++query) follow(query);
 }
 
 void Tracker::follow(Size query) {
-  std::deque<Place> &stream = way_->streams[static_cast<std::size_t>(query) % way_->streams.size()];
+  std::deque<Place> &stream = way_->stream(query);
   Walk walk{way_->filter, stream.empty() ? Seen{} : stream.back().seen};
   walk.step(evidence_, query);
   Places places(1, 1);
   place(way_->filter, *walk.now.sight, {walk.now.belief->of_rows(), walk.now.belief->unmapped}, 0, places);
-  stream.push_back({query, walk.now, evidence_.beside(query), places.rows.front()});
-  while (stream.size() > 1 && stream.front().query + (AROUND + delay_ + 1) * Likeness::STREAMS < query) stream.pop_front();
+  stream.push_back({query, places.rows.front(), walk.now, evidence_.beside(query)});
+  while (stream.front().query + (delay_ + AROUND) * way_->course.streams < query) stream.pop_front();
 }
 
-// Of a query by its course: places, with the chance by the queries around it; `near` and `unmapped` as always.
+// The places of a query by its course and the later queries.
 Places Tracker::place_of(Size query) {
-  std::deque<Place> &stream = way_->streams[static_cast<std::size_t>(query) % way_->streams.size()];
+  std::deque<Place> &stream = way_->stream(query);
   const Filter &filter = way_->filter;
-  Size at = 0;
-  while (stream[static_cast<std::size_t>(at)].query != query) ++at;
-  const auto last = static_cast<Size>(stream.size()) - 1;
-  const Seen &now = stream[static_cast<std::size_t>(at)].seen;
+  const auto here = std::find_if(stream.begin(), stream.end(), [&](const Place &place) { return place.query == query; });
+  Future future = filter.none(*stream.back().seen.belief);
+  for (auto later = std::prev(stream.end()); later != here; --later)
+    future = filter.before(*std::prev(later)->seen.belief, later->seen.sight->rows, later->seen.sight->likelihood, future);
   Places places(1, top_);
-  if (at == last) {
-    place(filter, *now.sight, {now.belief->of_rows(), now.belief->unmapped}, 0, places);
-  } else {
-    Future future = filter.none(*stream[static_cast<std::size_t>(last)].seen.belief);
-    for (Size later = last; later > at; --later) {
-      const Seen &seen = stream[static_cast<std::size_t>(later)].seen;
-      future = filter.before(*stream[static_cast<std::size_t>(later - 1)].seen.belief, seen.sight->rows, seen.sight->likelihood, future);
-    }
-    place(filter, *now.sight, filter.smoothed(*now.belief, future), 0, places);
-  }
-  stream[static_cast<std::size_t>(at)].row = places.rows.front();
+  place(filter, *here->seen.sight, filter.smoothed(*here->seen.belief, future), 0, places);
+  here->row = places.rows.front();
   return places;
+}
+
+bool Tracker::lingers(Size query, const std::vector<Size> &queries, const std::vector<Size> &rows) const {
+  const auto at = std::find(queries.begin(), queries.end(), query) - queries.begin();
+  return lingering(likeness_, queries, rows, std::min(AROUND, delay_))[static_cast<std::size_t>(at)];
+}
+
+// By the course; the answers around a query are those that its stream has so far.
+Tracker::Chances Tracker::chances_of(Size query, Places &places) {
+  Chances chances{chance_.front().chance, NO_ANSWER, NO_ANSWER, chance_.front().rival};
+  if (!way_) return chances;
+  const Size streams = way_->course.streams, first = count_ - static_cast<Size>(row_alone_.size());
+  std::vector<Size> queries, rows;
+  for (Size other = first + ((query - first) % streams + streams) % streams; other < count_; other += streams) {
+    queries.push_back(other);
+    rows.push_back(row_alone_[static_cast<std::size_t>(other - first)]);
+  }
+  if (lingers(query, queries, rows)) chances.alone = 1;
+  places = place_of(query);
+  std::deque<std::shared_ptr<const Sight>> sights;
+  queries.clear(), rows.clear();
+  for (const Place &place : way_->stream(query)) {
+    sights.push_back(place.sight);
+    queries.push_back(place.query);
+    rows.push_back(place.row);
+  }
+  const auto at = static_cast<Size>(std::find(queries.begin(), queries.end(), query) - queries.begin());
+  const auto [around, itself] = chances_around(way_->filter, sights, rows, at, std::min(AROUND, delay_));
+  const bool stays = lingers(query, queries, rows);
+  chances.around = stays ? 1 : std::max(places.chance.front(), around);
+  chances.itself = stays ? 1 : itself;
+  return chances;
 }
 
 Answer Tracker::answer() {
   Answer answer = std::move(alone_.front());
-  const Chance chance = chances_.front();
+  Places places(1, top_);
+  Chances chances = chances_of(answer.query, places);
+  if (answer.rows.front() < 0) chances.alone = chances.around = chances.itself = NO_ANSWER;
   alone_.pop_front();
-  chances_.pop_front();
-  judge(answer, chance);
-  ++answered_;
+  chance_.pop_front();
+  push(history_, chances, MEMORY);
+  judge(chances, places, answer);
   if (listing_.map.rows < MIN_FRAMES) answer.right = {0};
   return answer;
 }
 
-void Tracker::judge(Answer &answer, const Chance &chance) {
-  const Size query = answer.query, later = std::min(AROUND, delay_);
-  const bool is_empty = answer.rows.front() < 0;
-  double alone = chance.chance, followed = NO_ANSWER, by_itself = NO_ANSWER;
-  std::optional<Places> places;
-  if (way_) {
-    const Size streams = way_->course.streams;
-    const auto lingers = [&](const auto &row_of, Size first) {
-      std::vector<Size> queries, rows;
-      for (Size other = query % streams; other < count_; other += streams)
-        if (other >= first && (row_of(other) != -2)) queries.push_back(other), rows.push_back(row_of(other));
-      const std::vector<bool> found = lingering(likeness_, queries, rows, later);
-      const auto at = std::find(queries.begin(), queries.end(), query) - queries.begin();
-      return static_cast<bool>(found[static_cast<std::size_t>(at)]);
-    };
-    const Size first = count_ - static_cast<Size>(rows_alone_.size());
-    if (lingers([&](Size other) { return rows_alone_[static_cast<std::size_t>(other - first)]; }, first)) alone = 1;
-    places = place_of(query);
-    const std::deque<Place> &stream = way_->streams[static_cast<std::size_t>(query) % way_->streams.size()];
-    std::deque<std::shared_ptr<const Sight>> sights;
-    std::vector<Size> rows;
-    Size at = 0;
-    for (const Place &place : stream) {
-      if (place.query == query) at = static_cast<Size>(rows.size());
-      sights.push_back(place.sight);
-      rows.push_back(place.row);
-    }
-    const auto [around, itself] = chances_around(way_->filter, sights, rows, at, later);
-    const bool stays = lingers([&](Size other) {
-      const Size offset = (other - stream.front().query) / streams;
-      return offset >= 0 && offset < static_cast<Size>(rows.size()) ? rows[static_cast<std::size_t>(offset)] : -2;
-    }, stream.front().query);
-    followed = stays ? 1 : std::max(places->chance.front(), around);
-    by_itself = stays ? 1 : itself;
-  }
-  if (is_empty) alone = followed = by_itself = NO_ANSWER;
-  push(history_.alone, alone, MEMORY);
-  push(history_.followed, followed, MEMORY);
-  push(history_.by_itself, by_itself, MEMORY);
-  push(history_.rivals, is_empty ? Size{-1} : chance.rival, MEMORY);
-
+// How sure an answer is beside those before it.
+void Tracker::judge(const Chances &chances, Places &places, Answer &answer) {
+  std::vector<double> alone, around, itself;
   std::vector<Size> rivals;
-  for (std::size_t each = 0; each < history_.rivals.size(); ++each)
-    if (!std::isnan(history_.alone[each])) rivals.push_back(history_.rivals[each]);
-  const double together = answers_together(rivals);
-  const std::vector<double> chances(history_.alone.begin(), history_.alone.end());
-  Confidence sure = Confidence::of(chances, mapped(chances, together, 1), together, false);
-  answer.together = {static_cast<float>(together)};
-  if (way_) {
-    answer.course = way_->course;
-    answer.gain = gain_;
-    const std::vector<double> chances_followed(history_.followed.begin(), history_.followed.end());
-    const std::vector<double> itself(history_.by_itself.begin(), history_.by_itself.end());
-    const std::vector<double> has = mapped(itself, together, BEST);
-    if (!is_empty) {
-      answer.followed = true;
-      const double least = std::max(static_cast<double>(AROUND), together);
-      sure = Confidence::of(chances_followed, has, least, true);
-      answer.together = {static_cast<float>(least)};
-      answer.scores = places->scores;
-      answer.rows = places->rows;
-      if (places->rows.front() >= 0) answer.scores.front() = places->near.front();
-    }
+  for (const Chances &before : history_) {
+    alone.push_back(before.alone);
+    around.push_back(before.around);
+    itself.push_back(before.itself);
+    if (!std::isnan(before.alone)) rivals.push_back(before.rival);
   }
+  double together = answers_together(rivals);
+  answer.followed = way_ && !std::isnan(chances.alone);
+  std::vector<double> has;
+  if (answer.followed) {
+    has = mapped(itself, together, BEST);
+    together = std::max(static_cast<double>(AROUND), together);
+    answer.scores = places.scores;
+    answer.rows = places.rows;
+    if (places.rows.front() >= 0) answer.scores.front() = places.near.front();
+  } else {
+    has = mapped(alone, together, 1);
+  }
+  if (way_) answer.course = way_->course, answer.gain = gain_;
+  const Confidence sure = Confidence::of(answer.followed ? around : alone, has, together, answer.followed);
   answer.right = {sure.right.back()};
   answer.spread = {sure.spread.back()};
+  answer.together = {static_cast<float>(together)};
+}
+
+namespace {
+// FNV-1a.
+std::uint64_t digest_of(const std::uint8_t *bytes, Size size, std::uint64_t digest) {
+  for (Size i = 0; i < size; ++i) digest = (digest ^ bytes[i]) * 0x100000001b3;
+  return digest;
+}
+}  // namespace
+
+// Of the map and the steps.
+std::uint64_t Tracker::digest() const {
+  std::vector<std::uint8_t> bytes;
+  Archive archive(bytes);
+  std::vector<Size> starts = listing_.map.starts;
+  std::vector<double> trust = map_.trust();
+  Size rows = listing_.map.rows, top = top_, delay = delay_;
+  bool standardised = standardised_, swept = swept_;
+  archive(starts), archive(trust), archive(rows), archive(top), archive(delay), archive(standardised), archive(swept);
+  return digest_of(bytes.data(), static_cast<Size>(bytes.size()), 0xcbf29ce484222325);
+}
+
+// The state, and after it the digest of all this.
+std::vector<std::uint8_t> Tracker::save() {
+  std::vector<std::uint8_t> bytes;
+  Archive archive(bytes);
+  keep(archive);
+  std::uint64_t digest = digest_of(bytes.data(), static_cast<Size>(bytes.size()), this->digest());
+  archive(digest);
+  return bytes;
+}
+
+void Tracker::load(const std::uint8_t *state, Size size) {
+  const Size bytes = size - static_cast<Size>(sizeof(std::uint64_t));
+  const char *expected = "a whole state of a tracker of this map and these steps, and a new tracker";
+  require(!count_ && bytes >= 0, expected);
+  std::uint64_t digest;
+  std::memcpy(&digest, state + bytes, sizeof digest);
+  require(digest == digest_of(state, bytes, this->digest()), expected);
+  Archive archive(state, bytes);
+  keep(archive);
+  require(!archive.left(), expected);
+}
+
+void Tracker::keep(Archive &archive) {
+  archive(anchors_), archive(leads_), archive(weights_), archive(width_), archive(count_);
+  require(leads_.size() == static_cast<std::size_t>(map_.channels()) &&
+          (anchors_.empty() || anchors_.size() == leads_.size()));
+  if (archive.reads() && !anchors_.empty()) {
+    for (const Size anchors : anchors_) require(anchors >= 1 && anchors % 2 == 1 && anchors < MOST_NUMBERS);
+    open(anchors_, 1);
+  }
+  for (const auto &channel : channels_) channel->keep(archive);
+  recent_.keep(archive);
+  likeness_.keep(archive);
+  trial_.keep(archive, listing_.rows);
+  shuffled_.keep(archive, listing_.rows);
+  archive(pending_), archive(random_), archive(gain_), archive(chance_), archive(row_alone_), archive(history_);
+  auto waiting = static_cast<Size>(alone_.size());
+  archive(waiting);
+  for (Size number = 0; number < waiting; ++number) {
+    if (archive.reads()) alone_.emplace_back(top_);
+    Answer &answer = alone_[static_cast<std::size_t>(number)];
+    archive(answer.query), archive(answer.width), archive(answer.weights), archive(answer.scores), archive(answer.rows);
+  }
+  bool runs = way_ != nullptr;
+  archive(runs);
+  if (!runs) return;
+  Course course = way_ ? way_->course : Course{};
+  archive(course);
+  if (archive.reads()) {
+    require(std::any_of(courses_.begin(), courses_.end(), [&](const Course &other) { return same(course, other); }));
+    set_course(course);
+  }
+  for (std::deque<Place> &stream : way_->streams) {
+    auto count = static_cast<Size>(stream.size());
+    archive(count);
+    for (Size number = 0; number < count; ++number) {
+      Place place = archive.reads() ? Place{} : stream[static_cast<std::size_t>(number)];
+      archive(place.query), archive(place.row);
+      place.seen.keep(archive, listing_.rows);
+      if (!archive.reads()) continue;
+      place.seen.sight = evidence_.followed(way_->filter.motion(), place.query);
+      place.sight = evidence_.beside(place.query);
+      stream.push_back(std::move(place));
+    }
+  }
 }
 
 }  // namespace places

@@ -2,15 +2,14 @@
 // queries before it, and on so many later ones as it waits for.
 //
 // What decide.hpp knows of a whole sequence is known here of the queries so far: the mean of the descriptors,
-// the width of the sweep, the weights of the channels, the course, and how many answers are wrong.
+// the width of the sweep, the weights of the channels, the course, and how many answers are wrong. A sequence
+// is followed as soon as it has a course.
 
 #ifndef SSRVLAD_TRACKER_HPP
 #define SSRVLAD_TRACKER_HPP
 
 #include <deque>
 #include <memory>
-#include <optional>
-#include <random>
 #include <vector>
 
 #include "evidence.hpp"
@@ -28,41 +27,48 @@ class Recent : public Scores {
   Size queries() const override { return first_ + static_cast<Size>(scores_.size()); }
   Size rows() const override { return rows_; }
   void of(Size query, float *scores) const override;
+  void keep(Archive &archive);
 
  private:
   Size rows_, first_ = 0;
   std::deque<std::vector<float>> scores_;
 };
 
-// What is decided of one query: `Decision` of this query, and the steps that were taken.
+// What is decided of one query, and the steps that were taken.
 struct Answer : Decision {
   Size query = 0, width = 0;
   std::vector<double> weights;
 
-  using Decision::Decision;
+  explicit Answer(Size top) : Decision(1, top) {}
 };
 
 class Tracker {
  public:
-  // The map must outlive it. `top`, `delay` and the rows that are `allowed` are those of the steps.
-  Tracker(const Map &map, const ssrvlad_steps &steps, int threads);
+  // The map must outlive it. `standardise`, `sweep`, `delay`, `top` and `allowed` are those of the steps.
+  Tracker(const Map &map, const ssrvlad_steps &steps);
 
   // Takes the next query, by its descriptors by each channel of the map; `excluded` are the first row that is no
   // candidate and the one after the last, or NULL.
-  void update(const ssrvlad_queries *queries, const Size *excluded);
+  void update(const ssrvlad_queries *queries, const Size *excluded, int threads);
   // How many queries have no answer yet.
-  Size waiting() const { return count_ - answered_; }
-  Size delay() const { return delay_; }
+  Size waiting() const { return static_cast<Size>(alone_.size()); }
   // The answer to the first query that waits for one.
   Answer answer();
 
+  // Whether the first query that waits has as many later ones as the delay.
+  bool waits_long_enough() const { return waiting() > delay_; }
+  bool standardised() const { return standardised_; }
+
+  // The state. `load` puts it into a new tracker of the same map, made with the same steps; any other is refused.
+  std::vector<std::uint8_t> save();
+  void load(const std::uint8_t *state, Size size);
+
  private:
-  // A query in a stream of the course: the belief after it, and the row of its answer so far.
+  // A query in a stream of the course, and the row of its answer so far.
   struct Place {
-    Size query;
+    Size query, row;
     Seen seen;
-    std::shared_ptr<const Sight> sight;
-    Size row;
+    std::shared_ptr<const Sight> sight;  // beside others
   };
 
   // The sequence as it runs the map by a course.
@@ -70,42 +76,52 @@ class Tracker {
     Course course;
     Filter filter;
     std::vector<std::deque<Place>> streams;
+
+    std::deque<Place> &stream(Size query) { return streams[static_cast<std::size_t>(query) % streams.size()]; }
   };
 
-  // Each of the last queries that have an answer, by itself and as it is followed.
-  struct History {
-    std::deque<double> alone, followed, by_itself;  // chances, NaN without an answer
-    std::deque<Size> rivals;
+  // The chances of the answer to a query, NaN without one: by the query alone; followed, by the queries around it
+  // and by itself.
+  struct Chances {
+    double alone, around, itself;
+    Size rival;
   };
 
-  void score(const ssrvlad_queries *queries, const Size *excluded);
+  void keep(Archive &archive);
+  std::uint64_t digest() const;
+  std::vector<float> scores_of(const ssrvlad_queries *queries, const Size *excluded, int threads);
+  void open(const std::vector<Size> &anchors, int threads);
+  void shuffle(Size query);
   void choose_course();
+  void set_course(const Course &course);
   void follow(Size query);
   Places place_of(Size query);
-  void judge(Answer &answer, const Chance &chance);
+  bool lingers(Size query, const std::vector<Size> &queries, const std::vector<Size> &rows) const;
+  Chances chances_of(Size query, Places &places);
+  void judge(const Chances &chances, Places &places, Answer &answer);
 
   const Map &map_;
   const Listing &listing_;
   Size top_, delay_;
   bool standardised_, swept_;
-  int threads_;
   std::vector<std::uint8_t> allowed_;
+  std::vector<Size> anchors_;
   std::vector<std::unique_ptr<Running>> channels_;
   std::vector<double> leads_, weights_;
-  Size width_ = 0, count_ = 0, answered_ = 0;
+  Size width_ = 0, count_ = 0;
   Recent recent_;
   Evidence evidence_;
   Likeness likeness_;
   std::vector<Course> courses_;
-  Trial trial_, shuffled_;
+  Trial trial_, shuffled_;     // the queries in their order, and in a random one
   std::vector<Size> pending_;  // queries that the random order has not reached
-  std::mt19937 random_{0};
+  std::uint32_t random_ = 1;
   double gain_ = 0;  // of the course, a query
   std::unique_ptr<Way> way_;
-  std::deque<Answer> alone_;  // of the queries that wait, each judged by itself
-  std::deque<Chance> chances_;
-  std::deque<Size> rows_alone_;  // of the first candidates of the last queries
-  History history_;
+  std::deque<Answer> alone_;    // of the queries that wait, each judged by itself
+  std::deque<Chance> chance_;   // and their chances
+  std::deque<Size> row_alone_;  // of the first candidate of each of the last queries, judged by itself
+  std::deque<Chances> history_;
 };
 
 }  // namespace places

@@ -72,25 +72,27 @@ class Recognised(NamedTuple):
             it was standardised, the width of its sweep, in words how it was followed, and the
             weights of fused channels.
         courses: by sequence, how it runs the map if it was followed.
+        follows: ``(Q,)`` bool, whether each query was followed.
     """
 
     matches: Matches
     sure: Confidence
     used: dict[str, Any]
     courses: dict[str, Course | None]
+    follows: Tensor
 
     @property
     def confidence(self) -> Tensor:
         """``(Q,)`` float32, the probability that the first candidate is right; see `Confidence`."""
         return self.sure.right
 
-    def score_is(self, sequence: str | None = None) -> str:
-        """What the scores of candidates are, of one sequence of queries or of all: cosines of
-        queries that were judged alone, fused scores if several channels judged them, probabilities
-        of queries that were followed."""
+    def score_is(self, query: int | None = None) -> str:
+        """What the scores of candidates are, of one query or of all: cosines of queries that were
+        judged alone, fused scores if several channels judged them, probabilities of queries that
+        were followed."""
         alone = "fused score" if any(self.used["weights"].values()) else "cosine"
-        courses = self.courses.values() if sequence is None else [self.courses[sequence]]
-        return " or ".join(sorted({"probability" if course else alone for course in courses}))
+        follows = self.follows if query is None else self.follows[query : query + 1]
+        return " or ".join(sorted({"probability" if of else alone for of in follows.tolist()}))
 
     def _repr_html_(self) -> str:
         return candidates_table(*self.matches, confidence=self.confidence)
@@ -236,12 +238,13 @@ def _joined(
             ("scores", np.zeros((0, top), np.float32)),
             ("rows", np.zeros((0, top), np.int64)),
             *((name, np.zeros(0, np.float32)) for name in ("right", "spread", "together")),
+            ("follows", np.zeros(0, bool)),
         )
     }
     matches = Matches(columns["scores"], columns["rows"])
     together = columns["together"].masked_fill(matches.indices[:, 0] < 0, 0)
     confidence = Confidence(columns["right"], columns["spread"], together)
-    return Recognised(matches, confidence, used, courses)
+    return Recognised(matches, confidence, used, courses, columns["follows"])
 
 
 def _course_in_words(course: Course | None, steps: Steps) -> str:

@@ -90,16 +90,14 @@ class Answers:
 
     def __iter__(self) -> Iterator[Answer]:
         sure, poses = self.recognised.confidence.tolist(), self.references.poses.tolist()
-        for number, (query, sequence) in enumerate(
-            zip(self.queries.frames, self.queries.sequences, strict=True)
-        ):
+        for number, query in enumerate(self.queries.frames):
             scores, rows = (part[number].tolist() for part in self.matches)
             candidates = [
                 Candidate(self.references.frames[row], score, Pose(*poses[row]))
                 for row, score in zip(rows, scores, strict=True)
                 if row >= 0
             ]
-            yield Answer(query, candidates, self.recognised.score_is(sequence), sure[number])
+            yield Answer(query, candidates, self.recognised.score_is(number), sure[number])
 
     def __repr__(self) -> str:
         return f"<Answers: {len(self)} queries, {self.estimate.accepted} accepted>"

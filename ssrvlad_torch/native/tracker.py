@@ -1,0 +1,124 @@
+"""The tracker of the core, ``ssrvlad_map.h``, on arrays: a sequence whose queries come one by one."""
+
+from __future__ import annotations
+
+import ctypes
+import weakref
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from . import last_error, require, required
+from .addresses import address
+from .headers import number
+from .map import Array, Call, Decision, DescriptorMap, Target
+
+
+class DescriptorTracker:
+    """Places the queries of a sequence as they come. `DescriptorMap.query` with ``follow="online"``
+    is a tracker that runs over all of them.
+
+    Args:
+        town: the map; it must not change.
+        standardise, sweep, delay, top, allowed: see `DescriptorMap.query`.
+        threads: that share the rows.
+
+    Raises:
+        ValueError: the map has no channel, or a setting is out of range.
+        MemoryError: memory is short.
+
+    Examples:
+        >>> import numpy as np
+        >>> from ssrvlad_torch.native.map import DescriptorMap
+        >>> from ssrvlad_torch.native.tracker import DescriptorTracker
+        >>> frames = np.eye(40, dtype=np.float32)
+        >>> town = DescriptorMap([40])
+        >>> town.add("shapes", frames)
+        >>> tracker = DescriptorTracker(town)
+        >>> tracker.update({"shapes": frames[5]})[1].rows[0, 0]
+        5
+    """
+
+    def __init__(
+        self,
+        town: DescriptorMap,
+        standardise: bool = True,
+        sweep: bool = True,
+        delay: int = 0,
+        top: int = 5,
+        allowed: Array | None = None,
+        threads: int = 1,
+    ) -> None:
+        self._settings = standardise, sweep, "online", delay, top
+        self._town, self._threads = town, threads
+        nothing = {name: town.no_queries(name) for name in town.channels}
+        call = Call(town, nothing, self._settings, allowed, None)
+        core = required()
+        self._tracker = core.ssrvlad_tracker_new_for(
+            number("INTERFACE"), town.address, ctypes.byref(call.steps)
+        )
+        if not self._tracker:
+            raise ValueError(last_error())
+        weakref.finalize(self, core.ssrvlad_tracker_free, ctypes.c_void_p(self._tracker))
+
+    def update(self, queries: Mapping[str, Array]) -> tuple[int, Decision] | None:
+        """Takes the next query.
+
+        Args:
+            queries: its descriptors by the name of each channel of the map, ``(*shape,)``; of
+                vectors also from several anchors, ``(S, D)``, as many for each query.
+
+        Returns:
+            The number of a query, from 0, and what is decided of it: of the newest one, or with a
+            delay of the one so many queries before; ``None`` if there is none yet.
+
+        Raises:
+            ValueError: the channels are not those of the map.
+            MemoryError: memory is short; the tracker cannot go on.
+        """
+        one = {name: np.asarray(array)[None] for name, array in queries.items()}
+        call = Call(self._town, one, self._settings, None, None)
+        return self._answer(
+            "ssrvlad_tracker_update", call.queries(), ctypes.c_int(self._threads)
+        )
+
+    def finish(self) -> list[tuple[int, Decision]]:
+        """The answers to the queries that wait for later ones, by those that there are."""
+        answers = []
+        while answer := self._answer("ssrvlad_tracker_finish"):
+            answers.append(answer)
+        return answers
+
+    def save(self) -> bytes:
+        """The state. A new tracker of this map with these settings that loads it gives the same
+        answers to later queries, to the bit."""
+        save = required().ssrvlad_tracker_save
+        size = save(self._tracker, None, 0)
+        if size < 0:
+            raise MemoryError(last_error())
+        state = np.empty(size, np.uint8)
+        save(self._tracker, address(state, (size,), "uint8"), size)
+        return state.tobytes()
+
+    def load(self, state: bytes) -> None:
+        """Goes on from a state that `save` gave. One of another map or with other settings, a
+        damaged one, and a tracker that has seen a query are a ValueError."""
+        array = np.frombuffer(state, np.uint8)
+        load = required().ssrvlad_tracker_load
+        require(load(self._tracker, address(array, array.shape, "uint8"), len(array)), "the state")
+
+    def _answer(self, name: str, *arguments: Any) -> tuple[int, Decision] | None:
+        target = Target(1, self._settings[-1], self._town.channels)
+        query = ctypes.c_int64()
+        call = getattr(required(), name)
+        require(
+            call(
+                self._tracker,
+                *arguments,
+                ctypes.byref(target.decision),
+                ctypes.byref(target.steps),
+                ctypes.byref(query),
+            )
+        )
+        return None if query.value < 0 else (query.value, target.decided())
