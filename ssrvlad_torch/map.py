@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Literal, overload
 
 import numpy as np
+import torch
 
 from .channels.channel import Channel, View
 from .config import SSRVLADConfig
@@ -18,8 +19,8 @@ from .database.database import Database
 from .database.engine import discard_empty
 from .database.frames import FrameSet
 from .datasets.dataset import GroundTruth
-from .datasets.image_files import Picture, pixels_of
-from .datasets.label_files import read_label_map
+from .datasets.image_files import Picture, Pixels, pixels_of
+from .datasets.label_files import LabelMap, read_label_map
 from .descriptor import SSRVLAD
 from .encoding.encoder import (
     channels_to_store,
@@ -43,13 +44,14 @@ from .evaluation.true_matches import Viewpoints, true_matches
 from .recognition.matching import checked_number
 from .recognition.recognise import Steps
 from .search.answers import Answer, Answers
-from .search.exact import chosen_channels, locate_view, search
+from .search.exact import chosen_channels, locate_view, no_channels, search
 from .search.index import grow
 from .search.material import Material
 from .search.near import Near, Posed
 from .search.shortlist import Shortlist, open_shortlist
+from .search.tracker import Tracker
 from .segmentation.segmenter import Segmenter
-from .taxonomy import VOID, LabelSpace
+from .taxonomy import VOID, LabelSpace, label_space
 
 Frames = str | os.PathLike[str] | Sequence[str | os.PathLike[str]] | FrameSelection
 """Folders, globs or files, each folder a sequence; or `FrameSelection`, which says more."""
@@ -315,15 +317,70 @@ class Map:
         references, channels = self._loaded()
         known = references if isinstance(references, FrameSet) else references.frames
         where = circle.rows(known.poses, self.path) if circle else np.ones(len(known), bool)
-        features = any("features" in channel.needs for channel in channels)
-        said = self._segmenter().segment(frames, features=features)
-        space = self._segmenter().label_space
-        views = [
-            View(f"picture/{number}", labels.labels, space, frame, labels.features)
-            for number, (frame, labels) in enumerate(zip(frames, said, strict=True))
-        ]
+        names = [f"picture/{number}" for number in range(len(frames))]
+        views = self._views(frames, names, channels)
         answers = [locate_view(view, references, channels, top, where) for view in views]
         return answers if several else answers[0]
+
+    def tracker(
+        self,
+        steps: Steps | None = None,
+        top: int = 5,
+        near: Circle | None = None,
+        channels: Sequence[str] | None = None,
+    ) -> Tracker:
+        """Localises a sequence while it comes: pictures or label maps, one by one. The map is
+        loaded, and stays as it is.
+
+        Args:
+            steps: between descriptors and a decision; ``follow`` must be online, with a ``delay``
+                of so many later frames that an answer waits for. By default all, without a delay.
+            top: number of candidates of each frame.
+            near: only frames whose pose is in this circle are candidates.
+            channels: names of those that are used; by default all of the map.
+
+        Raises:
+            ValueError: the map has no frames, or none in the circle.
+        """
+        steps = steps or Steps(follow="online")
+        if steps.follow != "online":
+            raise ValueError(f"follow: expected online, got {steps.follow}")
+        if not len(self):
+            raise ValueError(f"{self.path} holds no frames yet")
+        used, references = chosen_channels(self.database, channels), self.database.load()
+        where = np.ones(len(references), bool)
+        if near is not None:
+            where = Near.of(near).rows(references.poses, self.path)
+        checked: list[Segmenter] = []
+
+        def view_of(frame: Picture | LabelMap, name: str) -> View:
+            if isinstance(frame, np.ndarray) and frame.ndim == 2:
+                if any(channel.lacks(None) for channel in used):
+                    raise no_channels(self.database, used)
+                return View(
+                    name, frame, label_space(self.labels_as or self.database.config.labels_as)
+                )
+            if not checked:
+                checked.append(self._segmenter())
+                config = replace(self.database.config, labels_as=checked[0].label_space)
+                check_segmenter(checked[0], SSRVLAD(config), used)
+            return self._views([pixels_of(frame)], [name], used)[0]
+
+        threads = torch.get_num_threads()
+        top = checked_number("top", top, 1)
+        return Tracker(references, used, view_of, steps, top, where, threads)
+
+    def _views(
+        self, frames: Sequence[Pixels], names: Sequence[str], channels: Sequence[Channel]
+    ) -> list[View]:
+        """Pictures with what the network says of them."""
+        features = any("features" in channel.needs for channel in channels)
+        segmenter = self._segmenter()
+        segmented = segmenter.segment(frames, features=features)
+        return [
+            View(name, labels.labels, segmenter.label_space, frame, labels.features)
+            for name, frame, labels in zip(names, frames, segmented, strict=True)
+        ]
 
     def evaluate(
         self,

@@ -8,8 +8,10 @@ namespace places {
 
 namespace {
 constexpr Size MEMORY = 200;         // answers by which an answer is judged
-constexpr Size SHUFFLED = 30;        // queries of which a random one is taken
-constexpr Size KEPT = 2 * SHUFFLED;  // queries after which it is taken in any case
+constexpr Size REPLAYED = 60;        // queries that a new course is tried with
+// Of a sequence that is followed: the gain a query, and how much less ahead of its rivals, as the logarithm of a
+// chance, an answer may be on average than alone. Random frames gain 0.0 to 0.1 a query.
+constexpr double LEAST_RATE = 0.1, LEAST_AHEAD = 1;
 
 constexpr double NO_ANSWER = std::numeric_limits<double>::quiet_NaN();
 
@@ -18,6 +20,8 @@ void push(std::deque<Value> &values, Value value, Size most) {
   values.push_back(value);
   if (static_cast<Size>(values.size()) > most) values.pop_front();
 }
+
+double ahead(double chance) { return -log_of(std::max(chance, 2e-9)); }
 
 bool same(const Course &one, const Course &other) {
   return one.way == other.way && one.rate == other.rate && one.streams == other.streams;
@@ -43,7 +47,7 @@ Tracker::Tracker(const Map &map, const ssrvlad_steps &steps)
     : map_(map), listing_(map.listing()), top_(steps.top), delay_(steps.delay),
       standardised_(steps.standardise && listing_.map.rows >= MIN_FRAMES), swept_(steps.sweep),
       leads_(static_cast<std::size_t>(map.channels())), recent_(listing_.count()), evidence_(listing_, recent_),
-      courses_(courses()), trial_(listing_.map, courses_), shuffled_(listing_.map, courses_) {
+      courses_(courses()), trial_(listing_.map, courses_) {
   if (steps.allowed) allowed_.assign(steps.allowed, steps.allowed + listing_.count());
 }
 
@@ -83,7 +87,7 @@ std::vector<float> Tracker::scores_of(const ssrvlad_queries *queries, const Size
 
 void Tracker::update(const ssrvlad_queries *queries, const Size *excluded, int threads) {
   const Size around = (delay_ + AROUND + 1) * Likeness::STREAMS;
-  recent_.push(scores_of(queries, excluded, threads), KEPT + around);
+  recent_.push(scores_of(queries, excluded, threads), REPLAYED + around);
   const Size query = count_++;
   const Sight sight = evidence_.alone(query);
   likeness_.add(evidence_.profile(sight));
@@ -98,29 +102,16 @@ void Tracker::update(const ssrvlad_queries *queries, const Size *excluded, int t
   push(row_alone_, answer.rows.front(), MEMORY + delay_);
   alone_.push_back(std::move(answer));
   trial_.step(evidence_, query);
-  shuffle(query);
   choose_course();
   if (way_) follow(query);
 }
 
-// Takes a random one of the last queries, each once.
-void Tracker::shuffle(Size query) {
-  pending_.push_back(query);
-  const bool is_old = pending_.front() + KEPT <= query;
-  if (!is_old && static_cast<Size>(pending_.size()) <= std::min(SHUFFLED, query / 2)) return;
-  random_ = random_ * 1664525U + 1013904223U;  // Numerical Recipes' generator
-  const std::size_t number = is_old ? 0 : (random_ >> 16) % pending_.size();
-  shuffled_.step(evidence_, pending_[number]);
-  pending_.erase(pending_.begin() + static_cast<std::ptrdiff_t>(number));
-}
-
-// The likeliest course so far; none if there is hardly any gain, or as much in a random order.
+// The likeliest course so far; none if there is hardly any gain.
 void Tracker::choose_course() {
   const std::size_t best = likeliest(trial_.gains());
   const double gain = trial_.gains()[best];
   gain_ = gain / static_cast<double>(count_);
-  const double at_random = shuffled_.gains()[best] / static_cast<double>(std::max<Size>(1, shuffled_.count()));
-  if (gain <= LEAST_GAIN || at_random > BY_ROWS * gain_) {
+  if (gain <= LEAST_GAIN || gain_ < LEAST_RATE) {
     way_ = nullptr;
   } else if (!way_ || !same(way_->course, courses_[best])) {
     set_course(courses_[best]);
@@ -202,6 +193,15 @@ Answer Tracker::answer() {
   return answer;
 }
 
+// Whether the last answers are not much less ahead of their rivals by the course than alone.
+bool Tracker::is_surer_followed() const {
+  double gained = 0;
+  Size asked = 0;
+  for (auto before = history_.rbegin(); before != history_.rend() && asked < MIN_FRAMES; ++before, ++asked)
+    if (!std::isnan(before->around)) gained += ahead(before->around) - ahead(before->alone);
+  return gained > -LEAST_AHEAD * static_cast<double>(asked);
+}
+
 // How sure an answer is beside those before it.
 void Tracker::judge(const Chances &chances, Places &places, Answer &answer) {
   std::vector<double> alone, around, itself;
@@ -213,7 +213,7 @@ void Tracker::judge(const Chances &chances, Places &places, Answer &answer) {
     if (!std::isnan(before.alone)) rivals.push_back(before.rival);
   }
   double together = answers_together(rivals);
-  answer.followed = way_ && !std::isnan(chances.alone);
+  answer.followed = way_ && !std::isnan(chances.alone) && is_surer_followed();
   std::vector<double> has;
   if (answer.followed) {
     has = mapped(itself, together, BEST);
@@ -285,8 +285,7 @@ void Tracker::keep(Archive &archive) {
   recent_.keep(archive);
   likeness_.keep(archive);
   trial_.keep(archive, listing_.rows);
-  shuffled_.keep(archive, listing_.rows);
-  archive(pending_), archive(random_), archive(gain_), archive(chance_), archive(row_alone_), archive(history_);
+  archive(gain_), archive(chance_), archive(row_alone_), archive(history_);
   auto waiting = static_cast<Size>(alone_.size());
   archive(waiting);
   for (Size number = 0; number < waiting; ++number) {

@@ -3,7 +3,7 @@
 //
 // What decide.hpp knows of a whole sequence is known here of the queries so far: the mean of the descriptors,
 // the width of the sweep, the weights of the channels, the course, and how many answers are wrong. A sequence
-// is followed as soon as it has a course.
+// is followed where it has a course, and that makes its answers hardly less sure.
 
 #ifndef SSRVLAD_TRACKER_HPP
 #define SSRVLAD_TRACKER_HPP
@@ -91,13 +91,13 @@ class Tracker {
   std::uint64_t digest() const;
   std::vector<float> scores_of(const ssrvlad_queries *queries, const Size *excluded, int threads);
   void open(const std::vector<Size> &anchors, int threads);
-  void shuffle(Size query);
   void choose_course();
   void set_course(const Course &course);
   void follow(Size query);
   Places place_of(Size query);
   bool lingers(Size query, const std::vector<Size> &queries, const std::vector<Size> &rows) const;
   Chances chances_of(Size query, Places &places);
+  bool is_surer_followed() const;
   void judge(const Chances &chances, Places &places, Answer &answer);
 
   const Map &map_;
@@ -113,9 +113,7 @@ class Tracker {
   Evidence evidence_;
   Likeness likeness_;
   std::vector<Course> courses_;
-  Trial trial_, shuffled_;     // the queries in their order, and in a random one
-  std::vector<Size> pending_;  // queries that the random order has not reached
-  std::uint32_t random_ = 1;
+  Trial trial_;
   double gain_ = 0;  // of the course, a query
   std::unique_ptr<Way> way_;
   std::deque<Answer> alone_;    // of the queries that wait, each judged by itself

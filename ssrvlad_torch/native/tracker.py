@@ -1,4 +1,4 @@
-"""The tracker of the core, ``ssrvlad_map.h``, on arrays: a sequence whose queries come one by one."""
+"""The tracker of the core, ``ssrvlad_map.h``, on arrays: queries of a sequence one by one."""
 
 from __future__ import annotations
 
@@ -79,9 +79,7 @@ class DescriptorTracker:
         """
         one = {name: np.asarray(array)[None] for name, array in queries.items()}
         call = Call(self._town, one, self._settings, None, None)
-        return self._answer(
-            "ssrvlad_tracker_update", call.queries(), ctypes.c_int(self._threads)
-        )
+        return self._answer("ssrvlad_tracker_update", call.queries(), ctypes.c_int(self._threads))
 
     def finish(self) -> list[tuple[int, Decision]]:
         """The answers to the queries that wait for later ones, by those that there are."""

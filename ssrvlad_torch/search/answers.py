@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -38,12 +38,29 @@ class Answer(NamedTuple):
         candidates: best first; none if the query is empty or not accepted.
         score_is: ``"cosine"``, ``"fused score"`` or ``"probability"``, see `Recognised`.
         confidence: probability that the first candidate is right, 0 to 1.
+        stamp: the time that was given with the frame.
+        settled: whether the mean of its sequence was known, online that of 30 frames before.
     """
 
     query: str
     candidates: list[Candidate]
     score_is: str
     confidence: float
+    stamp: float | None = None
+    settled: bool = True
+
+
+def candidates_of(
+    references: FrameSet, scores: Iterable[float], rows: Iterable[int]
+) -> list[Candidate]:
+    """The frames of a map at rows, -1 for none. Scores that are rounded above 1 are 1."""
+    return [
+        Candidate(
+            references.frames[row], min(1.0, float(score)), Pose(*references.poses[row].tolist())
+        )
+        for row, score in zip(rows, scores, strict=True)
+        if row >= 0
+    ]
 
 
 @dataclass(frozen=True, repr=False)
@@ -89,14 +106,10 @@ class Answers:
         return len(self.queries)
 
     def __iter__(self) -> Iterator[Answer]:
-        sure, poses = self.recognised.confidence.tolist(), self.references.poses.tolist()
+        sure = self.recognised.confidence.tolist()
         for number, query in enumerate(self.queries.frames):
-            scores, rows = (part[number].tolist() for part in self.matches)
-            candidates = [
-                Candidate(self.references.frames[row], score, Pose(*poses[row]))
-                for row, score in zip(rows, scores, strict=True)
-                if row >= 0
-            ]
+            scores, rows = (column[number].tolist() for column in self.matches)
+            candidates = candidates_of(self.references, scores, rows)
             yield Answer(query, candidates, self.recognised.score_is(number), sure[number])
 
     def __repr__(self) -> str:

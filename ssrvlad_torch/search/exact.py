@@ -69,7 +69,8 @@ def search(
         raise ValueError(f"{database.path} holds no frames yet")
     columns = COLUMNS if steps.sweep else ()
     queries, skipped, folders = queries_of(database, source, used, columns, progress)
-    shortlist, reason = (None, "") if temporal else open_shortlist(database, used)
+    exact = temporal or steps.follow == "online"  # a shortlist is made of all queries
+    shortlist, reason = (None, "") if exact else open_shortlist(database, used)
     references = shortlist.frames if shortlist else database.load()
     where = select(references, sequences)
     if near:
