@@ -168,6 +168,7 @@ class Map:
         *,
         compared: bool = False,
         images: bool = False,
+        live: bool = False,
         note: Note = do_nothing,
     ) -> SelectedFrames:
         """The frames on disk, before the first is read; see `open_frames`."""
@@ -179,6 +180,7 @@ class Map:
             labels_as=self.labels_as,
             compared=compared,
             images=images,
+            live=live,
             opened=None if self.network else self._opened,
             note=note,
         )

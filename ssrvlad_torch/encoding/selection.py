@@ -4,6 +4,11 @@ import math
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+STDIN = "-"
+"""The source whose names arrive on standard input."""
+
+_LEFT_OUT = ("layout", "poses", "topic", "fps", "every", "start")
+
 NETWORK = (
     "FILE.onnx, FILE.yaml (a network and its settings), hf:ORG/NAME[@REVISION], a folder or "
     "MODULE:NAME."
@@ -94,6 +99,18 @@ class FrameSelection:
             raise ValueError(
                 f"--layout: expected the folder of one data set, got {len(self.paths)} sources"
             )
+
+    @property
+    def is_live(self) -> bool:
+        """Whether the names of the files arrive on standard input; what does not go with that is a
+        ValueError."""
+        live = STDIN in self.paths
+        if live and (len(self.paths) > 1 or self.changed(*_LEFT_OUT)):
+            raise ValueError(
+                f"SOURCE {STDIN} takes no other SOURCE, no --layout, --poses, --topic, "
+                "--fps, --every and --start"
+            )
+        return live
 
     def changed(self, *names: str) -> list[str]:
         """Those of these fields that are not at their defaults."""

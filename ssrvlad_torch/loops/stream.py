@@ -1,6 +1,5 @@
 """Loop closures over files: folders of frames, or names that arrive one by one."""
 
-import functools
 from collections import Counter
 from collections.abc import Generator, Iterable, Iterator, Sequence
 from pathlib import Path
@@ -12,13 +11,9 @@ import torch
 from ..channels.channel import Network
 from ..database.database import Database
 from ..datasets.frame_file import FrameFile
-from ..datasets.frame_poses import with_pose
-from ..datasets.names import absolute, sequence_names
-from ..datasets.pose_tables import PoseTable
-from ..datasets.poses import Projection
 from ..descriptor import SSRVLAD
 from ..encoding.encoder import Describer, channels_to_store, check_segmenter, config_for, encode
-from ..encoding.plan import check_folder
+from ..encoding.named import encode_names
 from ..encoding.results import Encoded, Note, Skipped, do_nothing
 from ..evaluation.loops import loop_curve, loop_errors, score_loops, surest_point
 from ..evaluation.outcomes import Rows
@@ -80,37 +75,9 @@ def encode_as_they_come(
     segmenter: Segmenter | None = None,
     database: Database | None = None,
 ) -> Iterator[Encoded | Skipped]:
-    """Encodes files one by one, each as soon as the line with its name arrives; empty lines are
-    ignored. Frames that the detector knew at the start are omitted. A ``poses.csv`` in or beside a
-    file's folder is read once. The sequence is named by the folder, as in the database from which
-    the detector was loaded. A segmenter labels images; without one, the files are label maps."""
-    at_start, describer = frozenset(detector.frames), _describer(detector, segmenter)
-    records, folders = (database.known(), database.folders()) if database else ({}, set())
-    projection = Projection()
-    find = functools.cache(lambda folder: PoseTable.of_folder(folder, projection))
-
-    @functools.cache
-    def sequence_of(folder: str) -> str:
-        name = sequence or sequence_names([folder], folders)[folder]
-        folders.add((folder, name))
-        return name
-
-    for line in names:
-        if not line.strip():
-            continue
-        path = Path(line.rstrip("\r\n"))
-        frame = str(path)
-        try:
-            file = FrameFile(sequence_of(absolute(path.parent)), path.stem, path)
-            if (frame := file.frame) in records:
-                check_folder(file, records[frame])
-            if frame in at_start:
-                continue
-            posed = [with_pose(file, find)]
-        except ValueError as error:
-            yield Skipped(frame, str(error))
-            continue
-        yield from encode(describer, posed, 1, segmenter)
+    """Encodes files that the detector did not know at the start, see `encode_names`."""
+    describer, at_start = _describer(detector, segmenter), frozenset(detector.frames)
+    return encode_names(describer, names, sequence, segmenter, database, at_start)
 
 
 def detect_loops(

@@ -27,6 +27,9 @@ from .exact import map_of
 class Tracker:
     """Localises a sequence while it comes; the map stays as it is. Made by `Map.tracker`.
 
+    Attributes:
+        channels, columns: by which frames are described, and from which anchors.
+
     Examples:
         >>> tracker = town.tracker()  # doctest: +SKIP
         >>> for picture in camera:  # doctest: +SKIP
@@ -45,8 +48,8 @@ class Tracker:
         where: npt.NDArray[np.bool_],
         threads: int,
     ) -> None:
-        self._references, self._channels, self._view_of = references, channels, view_of
-        self._columns = COLUMNS if steps.sweep else ()
+        self.channels, self.columns = tuple(channels), COLUMNS if steps.sweep else ()
+        self._references, self._view_of = references, view_of
         allowed = None if where.all() else where
         self._tracker = DescriptorTracker(
             map_of(references, channels),
@@ -76,8 +79,8 @@ class Tracker:
         """
         view = self._view_of(frame, str(self._count) if name is None else name)
         described = {
-            channel.column.name: channel.describe([view], self._columns)[0].numpy()
-            for channel in self._channels
+            channel.column.name: channel.describe([view], self.columns)[0].numpy()
+            for channel in self.channels
         }
         return self.take(described, view.frame, stamp)
 
@@ -115,7 +118,7 @@ class Tracker:
 
     def _answer(self, number: int, decision: Decision) -> Answer:
         name, stamp = self._waiting.pop(number, (str(number), None))
-        alone = "fused score" if len(self._channels) > 1 else "cosine"
+        alone = "fused score" if len(self.channels) > 1 else "cosine"
         return Answer(
             name,
             candidates_of(self._references, decision.scores[0], decision.rows[0]),

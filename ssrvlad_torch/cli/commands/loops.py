@@ -24,10 +24,6 @@ if TYPE_CHECKING:
     from ...loops.detector import LoopDetector
     from ...loops.result import LoopResult
 
-STDIN = "-"
-LEFT_OUT = ("layout", "poses", "topic", "fps", "every", "start")
-"""Options that do not go with names on stdin."""
-
 _MEMORY = "Database to store the frames in; one that exists is continued where it was."
 
 
@@ -61,12 +57,7 @@ def loops(
     from ...files import require_picture
     from ...loops import stream
 
-    live = STDIN in source.paths
-    if live and (len(source.paths) > 1 or source.changed(*LEFT_OUT)):
-        raise ValueError(
-            f"SOURCE {STDIN} takes no other SOURCE, no --layout, --poses, --topic, "
-            "--fps, --every and --start"
-        )
+    live = source.is_live
     config = LoopConfig(exclude, threshold, sweep)
     stored = Database.open(memory) if memory and Database.exists(memory) else None
     if picture:

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+import os
+import sys
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
-from ...encoding.selection import FrameSelection
+from ...encoding.selection import STDIN, FrameSelection
 from ..options import AsOf, DatabaseFolder, Json, RecognitionOptions, option
 from ..output import encoding_bar, finish, note, print_json, say
 
 if TYPE_CHECKING:
-    from ...search.answers import Answers
+    from ...map import Map
+    from ...search.answers import Answer, Answers, Candidate
 
 
 def query(
@@ -41,10 +45,19 @@ def query(
     what the scores are. With --json they are score, and score_is is cosine, fused score or
     probability.
 
+    SOURCE - reads file names from stdin, one a line, and with --follow online prints the answer to
+    each as soon as it is known.
+
     Example: ssrvlad query town.ssrdb maps/today --top 3
     """
     from ...map import Map
 
+    if source.is_live:
+        for name, value in (("--from-sequence", from_sequence), ("--exclude", exclude)):
+            if value is not None:
+                raise ValueError(f"SOURCE {STDIN} takes no {name}")
+        _track(Map.open(database, version=as_of), source, recognition, top, threshold, as_json)
+        return
     settings = {**recognition.settings(), "sequences": from_sequence, "exclude": exclude}
     town = Map.open(database, version=as_of)
     frames = town.source(source, compared=True, note=note)
@@ -59,21 +72,83 @@ def _print(answers: Answers, threshold: float | None, as_json: bool) -> None:
     from ...search.answers import estimate_in_json
     from ..words import steps_in_words
 
-    least = -math.inf if threshold is None else threshold
     used, t = answers.recognised.used, answers.temporal
     for answer in answers:
-        ranked = [candidate for candidate in answer.candidates if candidate.score > least]
-        if as_json:
-            candidates = [{"frame": frame, "score": score} for frame, score, _ in ranked]
-            details = {"confidence": answer.confidence, "temporal": t, "steps": used}
-            details["estimate"] = estimate_in_json(answers.estimate)
-            named = {"query": answer.query, "candidates": candidates, "score_is": answer.score_is}
-            print_json({**named, **details})
-        else:
-            listed = ", ".join(f"{frame} {score:.4f}" for frame, score, _ in ranked)
-            sure = f"{answer.score_is}, confidence {answer.confidence:.2f}"
-            say(f"{answer.query}: {listed or 'no candidate'} ({sure})")
+        details = {"temporal": t, "steps": used, "estimate": estimate_in_json(answers.estimate)}
+        _print_answer(answer, threshold, details if as_json else None)
     if not as_json:
         is_before = threshold is not None and answers.estimate.accepted
         before = ", before --threshold" if is_before else ""
         note(steps_in_words(used, t, answers.estimate) + before)
+
+
+def _print_answer(
+    answer: Answer, threshold: float | None, details: Mapping[str, Any] | None
+) -> None:
+    """Prints the candidates whose score is above a threshold; with details as JSON."""
+    least = -math.inf if threshold is None else threshold
+    ranked = [candidate for candidate in answer.candidates if candidate.score > least]
+    if details is not None:
+        candidates = [{"frame": frame, "score": score} for frame, score, _ in ranked]
+        named = {"query": answer.query, "candidates": candidates, "score_is": answer.score_is}
+        print_json({**named, "confidence": answer.confidence, **details})
+        return
+    listed = ", ".join(f"{frame} {score:.4f}" for frame, score, _ in ranked)
+    sure = f"{answer.score_is}, confidence {answer.confidence:.2f}"
+    say(f"{answer.query}: {listed or 'no candidate'} ({sure})")
+
+
+def _track(
+    town: Map,
+    source: FrameSelection,
+    recognition: RecognitionOptions,
+    top: int,
+    threshold: float | None,
+    as_json: bool,
+) -> None:
+    """Prints the answers to frames whose names arrive on stdin."""
+    from ...encoding.encoder import Describer
+    from ...encoding.named import encode_names
+    from ...encoding.results import Skipped
+    from ...taxonomy import label_space
+
+    if recognition.follow != "online":
+        raise ValueError(
+            f"SOURCE {STDIN} answers as frames come: expected --follow online, got "
+            f"{recognition.follow}"
+        )
+    for name, value in (
+        ("--temporal", recognition.temporal),
+        ("--max-wrong", recognition.max_wrong),
+    ):
+        if value is not None:
+            raise ValueError(f"SOURCE {STDIN} takes no {name}")
+    frames = town.source(source, compared=True, live=True, note=note)
+    settings = recognition.steps(), top, recognition.near, recognition.channel
+    tracker = town.tracker(*settings)
+    describer = Describer(tracker.channels, label_space(frames.labels_as), tracker.columns)
+    count, skipped = 0, []
+    names = map(os.fsdecode, sys.stdin.buffer)
+
+    def show(answer: Answer | None) -> None:
+        if answer:
+            sure = answer.confidence >= recognition.min_confidence
+            shown = answer if sure else answer._replace(candidates=[])
+            details = {"settled": answer.settled, "poses": [_pose(c) for c in shown.candidates]}
+            _print_answer(shown, threshold, details if as_json else None)
+
+    for frame in encode_names(describer, names, source.sequence, frames.segmenter, town.database):
+        if isinstance(frame, Skipped):
+            skipped.append(frame)
+            continue
+        count += 1
+        show(tracker.take(frame.descriptors, frame.record.frame))
+    for answer in tracker.finish():
+        show(answer)
+    finish(skipped, count)
+
+
+def _pose(candidate: Candidate) -> dict[str, float | None]:
+    """The pose of a candidate for JSON, ``None`` where unknown."""
+    pose = candidate.pose._asdict()
+    return {name: None if math.isnan(value) else value for name, value in pose.items()}

@@ -1,0 +1,56 @@
+"""Encoding of files whose names arrive one by one."""
+
+import functools
+from collections.abc import Collection, Iterable, Iterator
+from pathlib import Path
+
+from ..database.database import Database
+from ..datasets.frame_file import FrameFile
+from ..datasets.frame_poses import with_pose
+from ..datasets.names import absolute, sequence_names
+from ..datasets.pose_tables import PoseTable
+from ..datasets.poses import Projection
+from ..segmentation.segmenter import Segmenter
+from .encoder import Describer, encode
+from .plan import check_folder
+from .results import Encoded, Skipped
+
+
+def encode_names(
+    describer: Describer,
+    names: Iterable[str],
+    sequence: str | None = None,
+    segmenter: Segmenter | None = None,
+    database: Database | None = None,
+    known: Collection[str] = (),
+) -> Iterator[Encoded | Skipped]:
+    """Encodes files one by one, each as soon as the line with its name arrives; empty lines are
+    ignored, and so are the frames ``known``. A ``poses.csv`` in or beside a file's folder is read
+    once. The sequence is named by the folder, as in the database. A segmenter labels images; else
+    the files are label maps."""
+    records, folders = (database.known(), database.folders()) if database else ({}, set())
+    projection = Projection()
+    find = functools.cache(lambda folder: PoseTable.of_folder(folder, projection))
+
+    @functools.cache
+    def sequence_of(folder: str) -> str:
+        name = sequence or sequence_names([folder], folders)[folder]
+        folders.add((folder, name))
+        return name
+
+    for line in names:
+        if not line.strip():
+            continue
+        path = Path(line.rstrip("\r\n"))
+        frame = str(path)
+        try:
+            file = FrameFile(sequence_of(absolute(path.parent)), path.stem, path)
+            if (frame := file.frame) in records:
+                check_folder(file, records[frame])
+            if frame in known:
+                continue
+            posed = [with_pose(file, find)]
+        except ValueError as error:
+            yield Skipped(frame, str(error))
+            continue
+        yield from encode(describer, posed, 1, segmenter)
