@@ -356,7 +356,7 @@ class Map:
         checked: list[Segmenter] = []
 
         def view_of(frame: Picture | LabelMap, name: str) -> View:
-            if isinstance(frame, np.ndarray) and frame.ndim == 2:
+            if isinstance(frame, np.ndarray) and frame.ndim == 2:  # a label map
                 if any(channel.lacks(None) for channel in used):
                     raise no_channels(self.database, used)
                 return View(
@@ -366,7 +366,8 @@ class Map:
                 checked.append(self._segmenter())
                 config = replace(self.database.config, labels_as=checked[0].label_space)
                 check_segmenter(checked[0], SSRVLAD(config), used)
-            return self._views([pixels_of(frame)], [name], used)[0]
+            picture: Any = frame
+            return self._views([pixels_of(picture)], [name], used)[0]
 
         threads = torch.get_num_threads()
         top = checked_number("top", top, 1)

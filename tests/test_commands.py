@@ -191,3 +191,25 @@ def test_show_takes_an_image(network, ssrvlad, tmp_path):
     assert (np.abs(np.asarray(shown)[..., :3] - sky) < 2).all(-1).any()
     assert len([*(tmp_path / "cache").rglob("*.npz")]) == 1
     assert "--labels-as" in ssrvlad("show", frame, "-o", picture)[2][0]
+
+
+def test_frames_whose_names_arrive_are_answered_as_a_folder_online(city, ssrvlad, tmp_path):
+    """The same candidates and confidences, and the poses."""
+    town, today = tmp_path / "town.ssrdb", city / "query"
+    assert ssrvlad("encode", city / "reference", "-o", town, "--labels-as", SPACE)[0] == 0
+    given = ("--labels-as", SPACE, "--follow", "online", "--json")
+    lines = ssrvlad("query", town, today, *given)[1].splitlines()
+    names = "".join(f"{path}\n" for path in sorted(today.glob("*.png")))
+    live = ssrvlad("query", town, "-", *given, "--delay", "0", stdin=names)[1].splitlines()
+    assert len(lines) == len(live) > 0
+    for whole, one in zip(map(json.loads, lines), map(json.loads, live), strict=True):
+        assert {name: whole[name] for name in ("query", "candidates", "score_is", "confidence")} == {
+            name: one[name] for name in ("query", "candidates", "score_is", "confidence")
+        }
+        assert len(one["poses"]) == len(one["candidates"]) and {*one["poses"][0]} == {
+            "x",
+            "y",
+            "heading",
+        }
+    refused = ssrvlad("query", town, "-", "--labels-as", SPACE, stdin="")[2]
+    assert "SOURCE - answers as frames come: expected --follow online, got offline" in refused[0]

@@ -21,7 +21,6 @@ TRACKS = {
     "with a stop": [*range(20, 50), *[50] * 20, *range(51, 80)],
     "with a jump": [*range(20, 60), *range(130, 170)],
 }
-MODES = st.sampled_from([("offline", 0), ("online", 0), ("online", 3)])
 
 
 def decide(scores, frames=None, mode="offline", delay=0, top=5, shortlist=None):
@@ -98,18 +97,17 @@ def test_a_query_alone_has_the_best_rows_and_the_confidence_of_the_oracle(sequen
     np.testing.assert_allclose(decision.together, together, rtol=1e-6)
 
 
-@given(sequence=sequences(), mode=MODES)
+@given(sequence=sequences())
 @settings(max_examples=60)
-def test_a_followed_sequence_has_the_beliefs_of_forward_and_backward(sequence, mode):
+def test_a_followed_sequence_has_the_beliefs_of_forward_and_backward(sequence):
     scores, frames = sequence
     rows, names = sum(frames), names_of(frames)
-    decision = decide(scores, frames, *mode, rows)
+    decision = decide(scores, frames, top=rows)
     if not decision.followed:
         return
     motion = Motion().at(decision.rate)
-    later = len(scores) if mode[0] == "offline" else mode[1]
     for stream in streams_of(decision, scores):
-        beliefs = oracle.follow(scores[stream], names, motion, decision.way, later)
+        beliefs = oracle.follow(scores[stream], names, motion, decision.way, len(scores))
         for query, belief in zip(stream, beliefs, strict=True):
             places = decision.rows[query][decision.rows[query] >= 0]
             values = belief[places]
@@ -119,11 +117,11 @@ def test_a_followed_sequence_has_the_beliefs_of_forward_and_backward(sequence, m
             np.testing.assert_allclose(decision.scores[query][: len(places)], values, atol=2e-5)
 
 
-@given(sequence=sequences(), mode=MODES)
+@given(sequence=sequences())
 @settings(max_examples=40)
-def test_the_gain_of_a_course_is_that_of_the_oracle(sequence, mode):
+def test_the_gain_of_a_course_is_that_of_the_oracle(sequence):
     scores, frames = sequence
-    decision = decide(scores, frames, *mode)
+    decision = decide(scores, frames)
     if not decision.gain:
         return
     motion = Motion(unmapped=0.0, rate=decision.rate)
@@ -135,14 +133,14 @@ def test_the_gain_of_a_course_is_that_of_the_oracle(sequence, mode):
     assert decision.gain == pytest.approx(gain / len(scores), abs=1e-5)
 
 
-@given(sequence=sequences(), mode=MODES)
+@given(sequence=sequences())
 @settings(max_examples=30)
-def test_a_shortlist_of_all_rows_decides_as_all_rows_do(sequence, mode):
+def test_a_shortlist_of_all_rows_decides_as_all_rows_do(sequence):
     scores, frames = sequence
     rows = np.arange(sum(frames))
     starts = np.cumsum([0, *frames[:-1]])
-    listed = decide(scores, frames, *mode, shortlist=Shortlist(rows, np.ones(len(rows)), starts))
-    whole = decide(scores, frames, *mode)
+    listed = decide(scores, frames, shortlist=Shortlist(rows, np.ones(len(rows)), starts))
+    whole = decide(scores, frames)
     np.testing.assert_array_equal(listed.rows, whole.rows)
     for name in ("scores", "right", "spread", "together"):
         np.testing.assert_allclose(getattr(listed, name), getattr(whole, name), atol=1e-5)
@@ -191,11 +189,10 @@ def test_a_query_of_scores_that_are_equal_but_for_rounding_says_nothing():
     np.testing.assert_allclose(nearly.scores, equal.scores, atol=1e-5)
 
 
-@pytest.mark.parametrize("mode", ["online", "offline"])
-def test_a_row_without_a_score_is_no_candidate(mode):
+def test_a_row_without_a_score_is_no_candidate():
     scores = noisy([*range(10, 50)], 100, strength=0.4)
     scores[:, 15] = -np.inf
-    decision = decide(scores, mode=mode, top=100)
+    decision = decide(scores, top=100)
     assert decision.followed
     assert (decision.rows != 15).all() and decision.rows[4, 0] == 14
 
@@ -249,12 +246,11 @@ def seen_in_a_street(queries, rows):
     return torch.cosine_similarity(here[:, None], there, 2).float().numpy()
 
 
-@pytest.mark.parametrize("mode", ["online", "offline"])
-def test_answers_that_linger_where_the_map_has_a_hole_are_not_believed(mode):
+def test_answers_that_linger_where_the_map_has_a_hole_are_not_believed():
     queries, whole = np.arange(20, 120), np.arange(150)
-    decision = decide(seen_in_a_street(queries, whole), mode=mode)
+    decision = decide(seen_in_a_street(queries, whole))
     assert decision.followed and decision.right.mean() > 0.95
-    lacking = decide(seen_in_a_street(queries, whole[(whole < 60) | (whole >= 70)]), mode=mode)
+    lacking = decide(seen_in_a_street(queries, whole[(whole < 60) | (whole >= 70)]))
     assert lacking.followed and lacking.right[43:47].mean() < 0.05
     assert lacking.right[:36].mean() > 0.95 and lacking.right[56:].mean() > 0.95
 

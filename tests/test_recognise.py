@@ -54,7 +54,7 @@ def test_each_step_finds_more():
     queries, references = two_sequences(80, 1.6)
     rates = [
         right(whole(queries, references, steps))
-        for steps in (AS_PAPER, Steps(follow=None), Steps(follow="online"), Steps())
+        for steps in (AS_PAPER, Steps(follow=None), Steps())
     ]
     assert rates == sorted(rates) and rates[0] < 0.9 * rates[-1] and rates[-1] > 0.97
 
@@ -82,24 +82,22 @@ SHUFFLED = torch.randperm(80, generator=torch.Generator().manual_seed(0))
 FOLDERS = [f"{row // 5:02d}" for row in range(80)]
 
 
-@pytest.mark.parametrize("mode", ["online", "offline"])
 @pytest.mark.parametrize(
     ("order", "names", "likeness"),
     [(SHUFFLED, ["r"] * 80, {}), (ORDER, FOLDERS, {"common": 0.0, "near": 8})],
 )
-def test_queries_that_are_no_sequence_are_judged_one_by_one(order, names, likeness, mode):
+def test_queries_that_are_no_sequence_are_judged_one_by_one(order, names, likeness):
     """Shuffled ones, and those of a map in folders too short to be followed."""
     queries, references = two_sequences(80, 0.8, **likeness)
     answers, alone = (
         by_vectors(queries[order], references, ["q"] * 80, names, Steps(follow=follow))
-        for follow in (mode, None)
+        for follow in ("offline", None)
     )
     assert answers.used["follow"] == {"q": "no, following is no surer"}
     assert torch.equal(answers.matches.indices, alone.matches.indices)
     assert right(answers, order) > 0.6
 
 
-@pytest.mark.parametrize("mode", ["online", "offline"])
 @pytest.mark.parametrize(
     ("order", "course"),
     [
@@ -108,11 +106,11 @@ def test_queries_that_are_no_sequence_are_judged_one_by_one(order, names, likene
         (ORDER.flip(0), ", backwards"),
     ],
 )
-def test_queries_are_followed_in_the_order_that_they_have(order, mode, course):
+def test_queries_are_followed_in_the_order_that_they_have(order, course):
     queries, references = two_sequences(80, 1.6)
-    answers = whole(queries[order], references, Steps(follow=mode))
-    assert answers.used["follow"] == {"q": mode + course}
-    assert right(answers, order) > (0.97 if mode == "offline" else 0.9)
+    answers = whole(queries[order], references, Steps())
+    assert answers.used["follow"] == {"q": "offline" + course}
+    assert right(answers, order) > 0.97
 
 
 def test_a_single_query_is_never_followed():

@@ -269,7 +269,7 @@ class Target:
     """
 
     def __init__(self, count: int, top: int, channels: Sequence[str]) -> None:
-        self._arrays = {
+        self._arrays: dict[str, Array] = {
             "scores": np.empty((count, top), np.float32),
             "rows": np.empty((count, top), np.int64),
             "right": np.empty(count, np.float32),
@@ -291,9 +291,11 @@ class Target:
     def decided(self) -> Decision:
         """The decision."""
         of = self.decision
-        follows = self._arrays.pop("follows").astype(bool)
-        course = {"way": of.way, "rate": of.rate, "streams": of.streams, "gain": of.gain}
-        return Decision(**self._arrays, follows=follows, **course, taken=self.taken())
+        scores, rows, right, spread, together, follows = self._arrays.values()
+        return Decision(
+            scores, rows, right, spread, together, follows.astype(bool),
+            of.way, of.rate, of.streams, of.gain, self.taken(),
+        )  # fmt: skip
 
 
 class Call:

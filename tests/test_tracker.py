@@ -1,0 +1,210 @@
+"""The tracker: a sequence in a known map, frame by frame."""
+
+import core  # noqa: F401 - skips without the native core
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from oracles import recognition as oracle
+from test_decide import decide, noisy
+
+from ssrvlad_torch.native.map import DescriptorMap
+from ssrvlad_torch.native.tracker import DescriptorTracker
+
+pytestmark = pytest.mark.usefixtures("core")
+
+ROWS, QUERIES, FIRST = [33, 67, 40], 70, 40
+FIELDS = ("scores", "rows", "right", "spread", "together", "follows")
+BEFORE = 10
+"""Frames like the mean of the map that are added to the mean of a sequence."""
+
+
+def unit(vectors):
+    return (vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)).astype(np.float32)
+
+
+def town_and_queries(seed=0, strength=0.5):
+    """A map of vectors and signs, and a sequence along its rows that sees them changed."""
+    rng = np.random.default_rng(seed)
+    rows = unit(rng.normal(size=(sum(ROWS), 48)))
+    signs = rng.integers(0, 256, (sum(ROWS), 6, 16), dtype=np.uint8)
+    here = slice(FIRST, FIRST + QUERIES)
+    noise = strength * rng.normal(size=(QUERIES, 3, 48)) / np.sqrt(48)
+    flips = rng.integers(0, 256, (2, QUERIES, 6, 16), dtype=np.uint8)
+    queries = {"v": unit(rows[here, None] + noise), "s": signs[here] ^ flips[0] & flips[1]}
+    town = DescriptorMap(ROWS)
+    town.add("v", rows)
+    town.add("s", signs, 6.0)
+    return town, queries
+
+
+def tracked(tracker, queries, rows=range(QUERIES)):
+    """The decisions about queries, by their numbers."""
+    answers = [
+        tracker.update({name: array[row] for name, array in queries.items()}) for row in rows
+    ]
+    return dict([answer for answer in answers if answer] + tracker.finish())
+
+
+def equal(decision, answers):
+    for name in FIELDS:
+        values = [getattr(answer, name) for _, answer in sorted(answers.items())]
+        np.testing.assert_array_equal(np.concatenate(values), getattr(decision, name))
+
+
+@pytest.mark.parametrize("delay", [0, 3, 12])
+@pytest.mark.parametrize("strength", [0.5, 3.0])
+def test_online_is_the_tracker_run_over_a_sequence(delay, strength):
+    town, queries = town_and_queries(strength=strength)
+    decision = town.query(queries, follow="online", delay=delay, top=3)
+    answers = tracked(DescriptorTracker(town, delay=delay, top=3), queries)
+    assert [*answers] == [*range(QUERIES)]
+    equal(decision, answers)
+
+
+@given(
+    seed=st.integers(0, 1000), length=st.integers(1, QUERIES), delay=st.sampled_from((0, 1, 5, 30))
+)
+@settings(max_examples=20)
+def test_an_answer_never_depends_on_frames_later_than_its_delay(seed, length, delay):
+    town, queries = town_and_queries(seed, 2.0)
+    whole = town.query(queries, follow="online", delay=delay)
+    first = town.query(
+        {n: array[:length] for n, array in queries.items()}, follow="online", delay=delay
+    )
+    known = max(0, length - delay)
+    for name in FIELDS:
+        np.testing.assert_array_equal(
+            getattr(whole, name)[:known], getattr(first, name)[:known], err_msg=name
+        )
+
+
+@pytest.mark.parametrize("stop", [0, 1, 20, 45])
+def test_saving_and_going_on_changes_no_bit(stop):
+    town, queries = town_and_queries(strength=2.0)
+    tracker = DescriptorTracker(town, delay=4, top=3)
+    rows = [{name: array[row] for name, array in queries.items()} for row in range(QUERIES)]
+    answers = [tracker.update(row) for row in rows[:stop]]
+    other = DescriptorTracker(town, delay=4, top=3)
+    other.load(tracker.save())
+    answers += [other.update(row) for row in rows[stop:]]
+    equal(
+        town.query(queries, follow="online", delay=4, top=3),
+        dict([answer for answer in answers if answer] + other.finish()),
+    )
+
+
+def test_a_state_is_of_its_map_and_its_settings_and_whole():
+    town, queries = town_and_queries()
+    tracker = DescriptorTracker(town)
+    tracked(tracker, queries, range(5))
+    state = tracker.save()
+    smaller = DescriptorMap([30])
+    smaller.add("v", np.eye(30, 48, dtype=np.float32))
+    smaller.add("s", np.zeros((30, 6, 16), np.uint8), 6.0)
+    damaged = bytearray(state)
+    damaged[len(state) // 2] ^= 1
+    for other, content in (
+        (DescriptorTracker(smaller), state),
+        (DescriptorTracker(town, delay=1), state),
+        (DescriptorTracker(town, sweep=False), state),
+        (DescriptorTracker(town), state[:-9]),
+        (DescriptorTracker(town), bytes(damaged)),
+        (DescriptorTracker(town), b""),
+        (tracker, state),
+    ):
+        with pytest.raises(ValueError, match="expected a whole state of a tracker of this map"):
+            other.load(content)
+
+
+def without(vectors, mean):
+    return unit(unit(vectors) - mean)
+
+
+@given(seed=st.integers(0, 1000))
+@settings(max_examples=10)
+def test_vectors_lose_the_mean_of_the_queries_so_far_and_of_ten_frames_like_the_map(seed):
+    """Judged alone, the score of the first candidate is its cosine."""
+    rng = np.random.default_rng(seed)
+    rows, queries = (unit(rng.normal(size=(count, 32)) + 0.5) for count in (80, 12))
+    town = DescriptorMap([50, 30])
+    town.add("v", rows)
+    decision = town.query({"v": queries}, follow="online", top=80)
+    sides = np.concatenate([without(part, part.mean(0)) for part in (rows[:50], rows[50:])])
+    for query in range(len(queries)):
+        if decision.follows[query]:
+            continue
+        total = queries[: query + 1].sum(0) + BEFORE * rows.mean(0)
+        expected = sides @ without(queries[query], total / (query + 1 + BEFORE))
+        scores = np.empty(80)
+        scores[decision.rows[query]] = decision.scores[query]
+        np.testing.assert_allclose(scores, expected, atol=2e-6)
+
+
+@given(seed=st.integers(0, 1000))
+@settings(max_examples=10)
+def test_signs_lose_the_mean_of_the_queries_so_far_and_of_ten_frames_like_the_map(seed):
+    rng = np.random.default_rng(seed)
+    rows, queries = (rng.integers(0, 256, (count, 4, 8), dtype=np.uint8) | 1 for count in (80, 12))
+    town = DescriptorMap([50, 30])
+    town.add("s", rows)
+    decision = town.query({"s": queries}, sweep=False, follow="online", top=80)
+    plain, here = (
+        2.0 * np.unpackbits(signs.reshape(len(signs), -1), axis=1) - 1 for signs in (rows, queries)
+    )
+    sides = np.concatenate([part - part.mean(0) for part in (plain[:50], plain[50:])])
+    for query in range(len(queries)):
+        if decision.follows[query]:
+            continue
+        total = here[: query + 1].sum(0) + BEFORE * plain.mean(0)
+        expected = oracle.cosines((here[query] - total / (query + 1 + BEFORE))[None], sides)[0]
+        scores = np.empty(80)
+        scores[decision.rows[query]] = decision.scores[query]
+        np.testing.assert_allclose(scores, expected, atol=2e-6)
+
+
+@pytest.mark.parametrize("delay", [0, 10])
+@pytest.mark.parametrize(
+    "track",
+    [[*range(40, 140)], [*range(140, 40, -1)], [*range(10, 190, 3)], [*range(20, 50), *[50] * 20]],
+)
+def test_a_sequence_is_found_better_than_its_frames_alone(track, delay):
+    scores = noisy(track, 200, strength=0.4)
+    followed, alone = decide(scores, mode="online", delay=delay), decide(scores, mode=None)
+    near = [np.abs(decision.rows[:, 0] - track) <= 1 for decision in (followed, alone)]
+    assert near[0].mean() > near[1].mean() + 0.05 and followed.follows.any()
+    assert followed.right[near[0]].mean() > 0.5
+
+
+def test_frames_in_no_order_are_judged_alone():
+    track = np.random.default_rng(0).permutation(200)[:100]
+    scores = noisy([*track], 200, strength=0.5)
+    followed, alone = decide(scores, mode="online"), decide(scores, mode=None)
+    assert followed.follows.mean() < 0.1
+    np.testing.assert_array_equal(followed.rows[~followed.follows], alone.rows[~followed.follows])
+
+
+def test_a_followed_query_is_near_what_forward_and_backward_over_the_same_frames_say():
+    """At the end of the sequence, where both know the same."""
+    scores = noisy([*range(40, 140)], 200, strength=0.4)
+    online, offline = (decide(scores, mode=mode) for mode in ("online", "offline"))
+    assert online.followed and offline.followed
+    assert online.rows[-1, 0] == offline.rows[-1, 0]
+    np.testing.assert_allclose(online.scores[-1, 0], offline.scores[-1, 0], atol=0.02)
+
+
+def test_excluded_rows_are_no_candidates_of_their_query():
+    town, queries = town_and_queries()
+    excluded = np.tile([0, 0], (QUERIES, 1))
+    excluded[30] = FIRST + 25, FIRST + 35
+    decision = town.query(queries, follow="online", excluded=excluded)
+    assert not ((decision.rows[30] >= FIRST + 25) & (decision.rows[30] < FIRST + 35)).any()
+    assert (decision.rows[31:, 0] == FIRST + np.arange(31, QUERIES)).mean() > 0.9
+
+
+def test_other_anchors_than_those_of_the_first_query_are_refused():
+    town, queries = town_and_queries()
+    tracker = DescriptorTracker(town)
+    tracker.update({"v": queries["v"][0], "s": queries["s"][0]})
+    with pytest.raises(ValueError, match="expected as many anchors of each query"):
+        tracker.update({"v": queries["v"][1, :1], "s": queries["s"][1]})
