@@ -7,7 +7,6 @@ Whatever a parser raises on damaged or hostile bytes becomes an `InputError` tha
 from __future__ import annotations
 
 import base64
-import errno
 import io
 import json
 import math
@@ -47,7 +46,6 @@ _KINDS = {
     stat.S_IFCHR: "a device",
     stat.S_IFBLK: "a device",
 }
-_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 class InputError(ValueError):
@@ -243,37 +241,23 @@ def check_output(path: Path) -> Path:
 def replacing(path: Path) -> Iterator[Path]:
     """A temporary file that replaces ``path`` at the end of the block, not after an error.
 
-    The file is flushed to disk, renamed, and the folder is flushed, in this order; if the folder
-    cannot be flushed, the old file is restored. The temporary file's name starts with a dot and the
-    name of ``path``. A link stays a link; its target is replaced. An error of the disk is an
-    OSError with the name of the file.
+    The file is flushed to disk, renamed, and the folder is flushed, in this order. The temporary
+    file's name starts with a dot and the name of ``path``. A link stays a link; its target is
+    replaced. An error of the disk is an OSError with the name of the file.
     """
     target = check_output(path)
     temporary = target.with_name(f".{target.name}.{os.getpid()}.{secrets.token_hex(4)}")
-    before = temporary.with_name(f"{temporary.name}.before")
     try:
         yield temporary
         flush(temporary)
-        if target.exists():
-            before.hardlink_to(target)
         temporary.replace(target)
-        try:
-            flush(target.parent)
-        except OSError:
-            if before.exists():
-                before.replace(target)
-            else:
-                target.unlink()
-            raise
+        flush(target.parent)
     except OSError as error:
-        if error.filename in (str(temporary), temporary) or (
-            error.errno in _FULL and error.filename is None
-        ):
-            raise OSError(error.errno, error.strerror, str(path)) from error
+        if error.errno and error.filename in (None, str(temporary), temporary):
+            raise OSError(error.errno, os.strerror(error.errno), str(path)) from error
         raise
     finally:
         temporary.unlink(missing_ok=True)
-        before.unlink(missing_ok=True)
 
 
 def flush(path: Path) -> None:

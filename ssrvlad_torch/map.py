@@ -275,11 +275,11 @@ class Map:
             raise ValueError(f"expected steps as Steps, got {steps!r}")
         most = max(TOP, len(self))
         top = most if isinstance(top, int) and top > most else checked_number("top", top, least=1)
-        found = search(
+        answers = search(
             self.database, source, steps, top, temporal, channels, sequences, exclude, circle,
             progress,
         )  # fmt: skip
-        return found.accepted(min_confidence, max_wrong)
+        return answers.accepted(min_confidence, max_wrong)
 
     @overload
     def locate(  # type: ignore[overload-overlap]
@@ -314,11 +314,11 @@ class Map:
         circle = near if near is None or isinstance(near, Posed) else Near.of(near)
         top = checked_number("top", top, 1)
         several = isinstance(pictures, Sequence) and not isinstance(pictures, str)
-        given: Sequence[Picture] = pictures if several else [pictures]  # type: ignore[assignment,list-item]
-        frames = [pixels_of(picture) for picture in given]
+        listed: Sequence[Picture] = pictures if several else [pictures]  # type: ignore[assignment,list-item]
+        frames = [pixels_of(picture) for picture in listed]
         references, channels = self._loaded()
-        known = references if isinstance(references, FrameSet) else references.frames
-        where = circle.rows(known.poses, self.path) if circle else np.ones(len(known), bool)
+        places = references if isinstance(references, FrameSet) else references.frames
+        where = circle.rows(places.poses, self.path) if circle else np.ones(len(places), bool)
         names = [f"picture/{number}" for number in range(len(frames))]
         views = self._views(frames, names, channels)
         answers = [locate_view(view, references, channels, top, where) for view in views]
@@ -419,9 +419,9 @@ class Map:
         )
         if definition.metres is not None and settings.get("near") is None:
             posed = Posed(definition.degrees is not None)
-            known = posed.rows(self.database.placed()[0].poses, self.path)
-            if unknown := np.count_nonzero(~known):
-                note(f"{unknown} of {len(known)} references are left out: their pose is unknown")
+            is_posed = posed.rows(self.database.placed()[0].poses, self.path)
+            if unknown := np.count_nonzero(~is_posed):
+                note(f"{unknown} of {len(is_posed)} references are left out: their pose is unknown")
                 settings["near"] = posed
         answers, config = self.query(source, steps, TOP, **settings), self.database.config
         dataset, skipped = source.dataset, [frame.frame for frame in answers.skipped]
@@ -460,13 +460,13 @@ class Map:
                     note(f"{file.location}: {share:.0%} is void in {name}; is --labels-as right?")
                 return
 
-    def _note_other_spaces(self, own: LabelSpace, note: Note) -> None:
+    def _note_other_spaces(self, used: LabelSpace, note: Note) -> None:
         """Notes which other label spaces the map holds."""
         several = len(self.database.origins) > 1
         others = [
-            f"another {space.name}" if space.name == own.name else space.name
+            f"another {space.name}" if space.name == used.name else space.name
             for space in (self.database.label_spaces() if several else ())
-            if space.digest != own.digest
+            if space.digest != used.digest
         ]
         if others:
             note(f"{self.path} also holds frames of {' and '.join(others)}")

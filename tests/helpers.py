@@ -18,6 +18,7 @@ from drawings import blobs
 from PIL import Image
 from torch import Tensor
 
+from ssrvlad_torch import Database, SSRVLADConfig
 from ssrvlad_torch.database.frames import FrameRecord
 
 GRAY, COLOUR, GRAY_ALPHA, COLOUR_ALPHA = 0, 2, 4, 6
@@ -208,3 +209,24 @@ def touch(*paths):
     for path in paths:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.touch()
+
+
+CONFIG = SSRVLADConfig.from_preset("default", labels_as="camvid-11")
+FRAMES = ["day/10", "day/2", "night/1", "day/9"]
+SORTED = ("day/2", "day/9", "day/10", "night/1")
+"""The frames of `filled`, as they were added and in natural order."""
+
+
+def fill(into, frames, seed=0):
+    into.append([record(frame) for frame in frames], descriptors(seed, len(frames)))
+
+
+def loaded(path, **which):
+    frames = Database.open(path, **which).load()
+    return dict(zip(frames.frames, frames.descriptors.tolist(), strict=True))
+
+
+def filled(folder):
+    """The path of a database with `FRAMES`."""
+    fill(Database.create(folder / "town.ssrdb", CONFIG), FRAMES)
+    return folder / "town.ssrdb"

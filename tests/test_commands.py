@@ -12,7 +12,7 @@ from networks import write_graph, write_street
 from PIL import Image
 
 from ssrvlad_torch import Database
-from ssrvlad_torch.cli.words import by_sequence
+from ssrvlad_torch.cli.summaries import by_sequence
 from ssrvlad_torch.datasets.synthetic_city import write_city
 
 

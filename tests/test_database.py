@@ -9,15 +9,27 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pytest
 import torch
-from four_frames import CONFIG, FRAMES, SORTED, fill, filled, loaded
-from helpers import descriptors, flip_byte, record, refused, refuses, spoil
+from helpers import (
+    CONFIG,
+    FRAMES,
+    SORTED,
+    descriptors,
+    fill,
+    filled,
+    flip_byte,
+    loaded,
+    record,
+    refused,
+    refuses,
+    spoil,
+)
 from hypothesis import given
 from hypothesis import strategies as st
 
 import ssrvlad_torch.config as config_module
 from ssrvlad_torch import Database, SSRVLADConfig
 from ssrvlad_torch.database import engine
-from ssrvlad_torch.database.reading import order_of
+from ssrvlad_torch.database.rows import order_of
 from ssrvlad_torch.files import natural_key
 from ssrvlad_torch.taxonomy import LabelClass, LabelSpace, label_space
 
@@ -64,7 +76,7 @@ def test_custom_descriptors_need_only_ids_and_have_no_settings(tmp_path):
     opened = Database.open(tmp_path / "db")
     assert opened.load().frames == names
     assert torch.equal(opened.load().descriptors, numbers)
-    assert (opened.fingerprint, opened.width, opened.info()["config"]) == ("", 7, None)
+    assert (opened.fingerprint, opened.info()["width"], opened.info()["config"]) == ("", 7, None)
     refuses("without settings", opened.require, CONFIG)
 
 
@@ -251,16 +263,14 @@ def test_a_missing_or_truncated_file_is_reported_and_its_rows_are_dropped(path, 
     assert list(loaded(path)) == ["other/1"]
 
 
-def test_a_manifest_that_a_power_cut_left_half_written_is_named(path):
+def test_of_a_database_whose_newest_manifests_are_half_written_an_earlier_version_is_named(path):
     before = loaded(path)
     fill(Database.open(path), ["lost/1"])
     fill(Database.open(path), ["lost/2"])
     newest = sorted(path.glob("_versions/*.manifest"))[:2]
     for manifest, size in zip(newest, (0, 60), strict=True):
         manifest.write_bytes(manifest.read_bytes()[:size])
-    names = ", ".join(f"_versions/{manifest.name}" for manifest in newest)
-    message = f"cannot be opened: .*; --as-of 2 reads .*without {names}"
-    refuses(message, Database.open, path)
+    refuses("cannot be opened: .*; --as-of 2 reads an earlier version", Database.open, path)
     assert loaded(path, version=2) == before
     for manifest in newest:
         manifest.unlink()

@@ -11,8 +11,16 @@ import lance
 import pyarrow as pa
 import pytest
 import torch
-from four_frames import CONFIG, FRAMES, fill, filled, loaded
-from helpers import descriptors, refused, refuses
+from helpers import (
+    CONFIG,
+    FRAMES,
+    descriptors,
+    fill,
+    filled,
+    loaded,
+    refused,
+    refuses,
+)
 
 from ssrvlad_torch import Database
 from ssrvlad_torch.database import engine

@@ -30,7 +30,7 @@ from ssrvlad_place.frames import _natural
 from ssrvlad_place.model import Seen
 
 from ssrvlad_torch import SSRVLAD, Segmenter, SSRVLADConfig, export_head, match
-from ssrvlad_torch.cli.words import steps_in_words
+from ssrvlad_torch.cli.summaries import steps_in_words
 from ssrvlad_torch.datasets.synthetic_city import write_city
 from ssrvlad_torch.deployment.fuse import fuse
 from ssrvlad_torch.native.map import DescriptorMap

@@ -1,30 +1,147 @@
-"""The page of an evaluation, taken apart: what it says, and that it needs nothing but itself."""
+"""The page of an evaluation, taken apart: what it says, that it needs nothing but itself, and
+`ssrvlad evaluate --report`."""
 
+import base64
 import dataclasses
+import io
+import json
 import re
-from itertools import pairwise
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from html.parser import HTMLParser
+from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 import torch
-from helpers import street
-from matplotlib.figure import Figure
-from reports import Drawn, Page, evaluation_of, frame_set, noisy, page_of
+from drives import write_maps, write_photos, write_truth
+from helpers import descriptors, street, write_street
+from PIL import Image
+from segmenting import write_photos as street_photos
+from segmenting import write_settings
 
-from ssrvlad_torch.evaluation import report as evaluation_report
-from ssrvlad_torch.evaluation.metrics import figure_rows, fraction
+from ssrvlad_torch.database.frames import FrameSet
+from ssrvlad_torch.datasets.image_files import Pixels
+from ssrvlad_torch.evaluation.measure import Evaluation, Recognition, measure
+from ssrvlad_torch.evaluation.metrics import Convention, figure_rows, fraction
 from ssrvlad_torch.evaluation.outcomes import judge
 from ssrvlad_torch.evaluation.report import (
     RIGHT_MATCHES,
     WRONG_MATCHES,
     Match,
     chosen_matches,
-    reduced_cosines,
     render,
-    score_groups,
     write_report,
 )
+from ssrvlad_torch.recognition.matching import match
+from ssrvlad_torch.recognition.sweep import score
 from ssrvlad_torch.taxonomy import colourise
+
+VOID = {"meta", "link", "img", "input", "br"}
+
+
+def frame_set(vectors: torch.Tensor, sequence: str = "drive") -> FrameSet:
+    """Frames of one sequence, ten metres apart on a line."""
+    count = len(vectors)
+    poses = np.stack([np.arange(count) * 10.0, np.zeros(count), np.zeros(count)], 1)
+    return FrameSet(
+        frames=tuple(f"{sequence}/{row:04d}" for row in range(count)),
+        sequences=(sequence,) * count,
+        channels={"descriptor": vectors},
+        poses=poses,
+        stamps=np.full(count, np.nan),
+        empty=~vectors.any(dim=1).numpy(),
+    )
+
+
+def noisy(queries: int, references: int, noise: float = 2.0, seed: int = 0, length: int = 24):
+    """Queries and references; query n looks like reference n, the more noise the less."""
+    there = descriptors(seed, references, length)
+    here = there[torch.arange(queries) % max(references, 1)] if references else there[:0]
+    wander = descriptors(seed + 1, len(here), length)
+    amount = torch.linspace(0, noise, len(here))[:, None]
+    return frame_set(here + amount * wander, "query"), frame_set(there, "reference")
+
+
+class Drawn(NamedTuple):
+    """The material of a report: the cosines of all pairs, and pictures of any frame."""
+
+    pairs: npt.NDArray[np.float32]
+    query: Callable[[str], Mapping[str, Pixels]] = lambda _: {}
+
+    def part(self, queries):
+        return self._replace(pairs=self.pairs[queries])
+
+    def cosines(self, queries, references):
+        return self.pairs[np.ix_(queries, references)]
+
+    def reference(self, frame):
+        return self.query(frame)
+
+
+def evaluation_of(
+    queries: FrameSet,
+    references: FrameSet,
+    truth: Sequence[Sequence[int]],
+    convention: Convention = "exact",
+    pictures: Callable[[str], Mapping[str, Pixels]] = lambda _: {},
+) -> Evaluation:
+    """Matching by cosine, measured."""
+    pairs = score(queries.descriptors, references.descriptors).numpy()
+    matches = match(queries.descriptors, references.descriptors, 10)
+    truth = [np.array(rows, np.int64) for rows in truth]
+    recognition = Recognition(references, queries, matches, Drawn(pairs, pictures))
+    return measure(recognition, truth, convention)
+
+
+class Page(HTMLParser):
+    """A page taken apart; elements that are not closed where they should be are an error.
+
+    Attributes:
+        tags: ``(name, attributes)`` in order.
+        texts: ``(names of the elements around, text)`` in order, without blank ones.
+    """
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str]]] = []
+        self.texts: list[tuple[tuple[str, ...], str]] = []
+        self._open: list[str] = []
+        self.feed(html)
+        self.close()
+        assert self._open == []
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self._open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag):
+        assert self._open.pop() == tag, f"{tag} closed inside another element"
+
+    def handle_data(self, data):
+        if data.strip():
+            self.texts.append((tuple(self._open), data))
+
+    def all(self, tag: str, kind: str | None = None) -> list[dict[str, str]]:
+        """Attributes of the elements of a name, and of a class."""
+        found = (attributes for name, attributes in self.tags if name == tag)
+        return [a for a in found if kind is None or kind in a.get("class", "").split()]
+
+    @property
+    def words(self) -> str:
+        """All that is read, in order."""
+        shown = (text for around, text in self.texts if not {"style", "script"} & {*around})
+        return " ".join(" ".join(shown).split())
+
+
+def page_of(evaluation: Evaluation, title="town", settings=None, notes=()) -> Page:
+    """The page of an evaluation."""
+    return Page(render(evaluation, title, settings or {}, notes))
 
 
 def pictures(frame):
@@ -69,16 +186,8 @@ def test_the_page_needs_no_other_file_and_no_network(html, page):
     assert page.all("html")[0]["lang"] == "en"
 
 
-@pytest.mark.parametrize("name", ["_precision_recall", "_scores", "_matrix"])
-def test_no_legend_covers_what_is_drawn(report, name):
-    figure = Figure(figsize=(6, 4.2), layout="constrained")
-    axes = figure.add_subplot()
-    getattr(evaluation_report, name)(axes, report)
-    figure.draw_without_rendering()
-    (legend,) = [*figure.legends, *filter(None, [axes.get_legend()])]
-    assert not legend.get_window_extent().overlaps(axes.get_window_extent())
-    assert figure.bbox.x0 <= legend.get_window_extent().x0
-    assert legend.get_window_extent().x1 <= figure.bbox.x1
+def test_the_curve_is_drawn(page):
+    assert next(a["alt"] for a in page.all("img")) == "Precision against recall"
 
 
 def test_the_page_has_every_figure_and_threshold(report, page):
@@ -162,26 +271,6 @@ def test_the_surest_matches_come_first(outcomes):
     assert [len(kind) for kind in kinds] == [WRONG_MATCHES, RIGHT_MATCHES]
 
 
-def test_scores_are_grouped_by_what_became_of_the_query(outcomes):
-    groups = {name: sorted(scores.tolist()) for name, scores in score_groups(outcomes).items()}
-    assert groups == {
-        "right": [0.9, 0.99],
-        "wrong": [0.6, 0.6, 0.8],
-        "wrong, place not in the database": [0.95],
-    }
-
-
-@pytest.mark.parametrize("most", [(1, 1), (2, 3), (5, 2), (9, 9)])
-def test_a_cell_of_the_matrix_is_its_highest_cosine(most):
-    cells = reduced_cosines(Drawn(SIMILARITY), 7, 4, most)
-    counts = zip((7, 4), most, strict=True)
-    rows, columns = (np.linspace(0, n, min(n, m) + 1).astype(int) for n, m in counts)
-    expected = [
-        [SIMILARITY[a:b, c:d].max() for c, d in pairwise(columns)] for a, b in pairwise(rows)
-    ]
-    np.testing.assert_array_equal(cells, np.float32(expected))
-
-
 def test_a_place_that_is_not_there_has_no_true_match_and_an_empty_frame_no_candidate():
     page = page_of(evaluation_of(*noisy(4, 4), [[]] * 4))
     assert page.words.count("No reference shows this place") == 4
@@ -239,3 +328,130 @@ def test_a_page_of_few_frames_is_written(queries, references, truth):
     html = without_images(render(found, "town", {}))
     assert f"{queries} queries" in Page(html).words
     assert not re.search(r"\bnan\b|\binf\b|NaN|Infinity", html)
+
+
+CAMVID = ("--labels-as", "camvid-11")
+
+
+@pytest.fixture
+def out(tmp_path):
+    return tmp_path / "out.html"
+
+
+@pytest.fixture
+def written(evaluate, out):
+    """The page of an evaluation."""
+
+    def run(*arguments: object) -> Page:
+        code, _, err = evaluate("--report", out, *arguments)
+        assert (code, err) == (0, [])
+        return Page(out.read_text("utf-8"))
+
+    return run
+
+
+def shown(page: Page, what: str) -> np.ndarray:
+    """The picture with a description."""
+    address = next(a["src"] for a in page.all("img") if a["alt"] == what)
+    content = base64.b64decode(address.partition("base64,")[2])
+    return np.asarray(Image.open(io.BytesIO(content)).convert("RGB"))
+
+
+def described(page: Page) -> set[str]:
+    return {a["alt"] for a in page.all("img") if re.match("photo|label map", a["alt"])}
+
+
+def assert_shows(page: Page, what: str, seed: int) -> None:
+    """Expects that the picture with a description is the label map of a seed."""
+    np.testing.assert_array_equal(shown(page, what), colourise(street(seed), "camvid-11"))
+
+
+def test_a_page_comes_beside_the_figures(evaluate, written, out):
+    page = written("--tolerance-frames", 0)
+    for words in (
+        "6 queries, 6 of them with a true match, against 6 references.",
+        "/tuesday against town.ssrdb ",
+        "true matches at most 0 frames away",
+        "preset default",
+    ):
+        assert words in page.words
+    assert "steps standardised, sweep" in page.words or "steps not standardised" in page.words
+    days = {name[:-4] for name in described(page)}
+    assert days == {"label map of monday", "label map of tuesday"}
+    assert len(described(page)) == 8
+    for picture in described(page):
+        assert_shows(page, picture, int(picture[-3:]))
+
+    near, page = ("--tolerance-frames", 1), ("--report", out)
+    plain, reported = (evaluate(*near, *rest)[1] for rest in ((), page))
+    assert reported == f"{plain}report: {out}\n"
+    metrics = json.loads(evaluate(*near, "--json")[1])
+    assert json.loads(evaluate(*near, "--json", *page)[1]) == metrics
+    page = Page(out.read_text("utf-8"))
+    assert f"fingerprint {metrics['fingerprint']}" in page.words
+    low, high = metrics["intervals"]["auc_pr"]
+    assert f"AUC-PR {metrics['auc_pr']:.3f} {low:.3f} to {high:.3f}" in page.words
+
+
+def test_only_the_file_that_was_encoded_is_shown(written, tmp_path):
+    for number in range(6):
+        shutil.copy(tmp_path / "tuesday" / "000.png", tmp_path / "monday" / f"{number:03d}.png")
+    page = written("--tolerance-frames", 0)
+    assert not any("monday" in name for name in described(page))
+    (tmp_path / "monday").rename(tmp_path / "moved")
+    assert written("--tolerance-frames", 0).words.count("no picture") == 4
+
+
+def test_the_page_counts_queries_that_were_left_out_or_skipped(evaluate, tmp_path, out):
+    truth = {f"tuesday/{n:03d}": [f"monday/{n:03d}"] for n in (0, 2, 3)}
+    (tmp_path / "tuesday" / "005.png").write_text("no image")
+    truth = write_truth(tmp_path / "truth.json", truth)
+    code, _, err = evaluate("--report", out, "--ground-truth", truth)
+    assert (code, len(err)) == (3, 2)
+    page = Page(out.read_text("utf-8"))
+    assert "3 queries, 3 of them with a true match" in page.words
+    assert "2 of 5 queries are left out: no true matches are known" in page.words
+    assert "1 more queries were skipped, the first is tuesday/005: " in page.words
+    assert {"label map of tuesday/002", "label map of tuesday/003"} <= described(page)
+
+
+@pytest.mark.parametrize("predicted", [False, True])
+def test_a_data_set_has_photos_too(ssrvlad, tmp_path, out, predicted):
+    """Queries with a network's label maps against references with the data set's own, CamVid."""
+    drive, folder = tmp_path / "camvid", tmp_path / "camvid" / "0016E5"
+    write_maps(folder / "labels", range(8))
+    for number in range(8):
+        write_street(folder / "predicted" / f"{number:03d}.png", number + 1)
+    write_photos(folder / "images", range(8), ".jpg")
+    db, layout = tmp_path / "drive.ssrdb", ("--layout", "camvid", "--every", 2)
+    assert ssrvlad("encode", drive, "-o", db, *layout)[0] == 0
+    labels = ("--labels", "predicted", *CAMVID) if predicted else ()
+    code, _, err = ssrvlad("evaluate", db, drive, *layout, "--start", 1, *labels, "--report", out)
+    assert (code, err) == (0, [])
+    page = Page(out.read_text("utf-8"))
+    assert "no picture" not in page.words
+    frames = {name.partition(" of ")[2] for name in described(page)}
+    assert {int(frame[-3:]) % 2 for frame in frames} == {0, 1}
+    for frame in frames:
+        number = int(frame[-3:])
+        assert_shows(page, f"label map of {frame}", number + (predicted and number % 2))
+        image = Image.open(folder / "images" / f"{number:03d}.jpg")
+        difference = np.abs(np.asarray(image, int) - shown(page, f"photo of {frame}"))
+        assert difference.mean() < 12
+
+
+def test_with_a_segmenter_photos_and_label_maps_are_shown(ssrvlad, tmp_path, out):
+    for day in ("monday", "tuesday"):
+        street_photos(tmp_path / day, range(4))
+    network = ("--segmenter", write_settings(tmp_path))
+    db = tmp_path / "photos.ssrdb"
+    assert ssrvlad("encode", tmp_path / "monday", "-o", db, *CAMVID, *network)[0] == 0
+    arguments = (db, tmp_path / "tuesday", *network, "--tolerance-frames", 0)
+    assert ssrvlad("evaluate", *arguments, "--report", out)[0] == 0
+    page = Page(out.read_text("utf-8"))
+    days = {name.rpartition("/")[0] for name in described(page)}
+    kinds = ("photo", "label map")
+    assert days == {f"{kind} of {day}" for kind in kinds for day in ("monday", "tuesday")}
+    for name in described(page):
+        if name.startswith("label map"):
+            assert_shows(page, name, int(name.rpartition("/")[2]))

@@ -15,8 +15,8 @@ from helpers import outcome
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "scripts"))
 
-from _published_core import Cores  # noqa: E402 - of no package
 from _wheels import FOLDER, WHEELS, problems_of, wheels  # noqa: E402
+from hatch_build import SHARED, ZIG, compile_core, compiler  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -101,13 +101,29 @@ def test_every_wheel_has_its_tag_and_library(name, tmp_path):
     assert built.name.endswith(f"-py3-none-{WHEELS[name].tag}.whl")
 
 
+def printed_by(folder, *arguments):
+    """What ``bits.cpp`` prints with the library in a folder."""
+    if not (folder / "bits").exists():
+        flags = ["-std=c++17", "-O1", f"-I{ROOT / FOLDER}", f"-Wl,-rpath,{folder}"]
+        sources = [ROOT / "tests" / "bits.cpp", folder / "libssrvlad.so"]
+        subprocess.run([*compiler(), *flags, *sources, "-o", folder / "bits"], check=True)
+    return subprocess.check_output([folder / "bits", *arguments], text=True)
+
+
 @pytest.mark.slow
 def test_the_published_core_has_the_bits_of_a_local_build(tmp_path, capsys):
     """Its time is printed, beside that of a local build."""
     pytest.importorskip("ziglang")
-    cores = Cores(tmp_path)
-    assert cores.output("wheel") == cores.output("local")
-    least = {name: min(each) for name, each in cores.seconds(3).items()}
+    target = ["-target", WHEELS["linux_x86_64"].target]
+    commands = {"local": [*compiler(), *SHARED], "wheel": [*ZIG, *target, *SHARED]}
+    bits, least = {}, {}
+    for name, command in commands.items():
+        folder = tmp_path / name
+        folder.mkdir()
+        assert not compile_core(ROOT / FOLDER, command, folder / "libssrvlad.so")
+        bits[name] = printed_by(folder)
+        least[name] = min(float(printed_by(folder, "time")) for _ in range(3))
+    assert bits["wheel"] == bits["local"]
     with capsys.disabled():
         ratio = least["wheel"] / least["local"]
         print(f"query: {least['local']:.3f} s by a local build, {ratio:.2f} times that by a wheel")

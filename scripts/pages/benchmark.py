@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes docs/benchmark.md: time and memory of the method, in one run.
+"""Writes docs/benchmark.md: the time of the method, in one run.
 
     .venv/bin/python scripts/pages/benchmark.py --camvid ../shared/data/camvid \
         --networks ../shared/data/networks
@@ -12,23 +12,17 @@ extra `dev`.
 from __future__ import annotations
 
 import argparse
-import os
 import platform
-import subprocess
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from _encoding_costs import encoding_table
 from _loops_cost import loops_table
 from _markdown import Page, head_row, paragraph, row, save, span
 from _picture_costs import pictures_table
-from _published_core import published_table
 from _timing import heads, onnx_head, threads, time_in_turn
 from matplotlib.figure import Figure
 from PIL import Image
@@ -41,7 +35,6 @@ from ssrvlad_torch.datasets.synthetic_city import SyntheticCity
 SIZES = [(512, 512), (1024, 1024)]
 LARGE = (1024, 1024)
 BATCH = 16
-EVERY_BUFFER_GIVEN_BACK = {"MALLOC_MMAP_THRESHOLD_": "65536", "MALLOC_TRIM_THRESHOLD_": "65536"}
 
 
 class Maps:
@@ -115,50 +108,6 @@ def draw(timings: dict[str, dict[str, dict[str, float]]], path: Path) -> None:
     save(figure, path)
 
 
-def batch_table(maps: Maps, repetitions: int) -> Iterator[str]:
-    yield from head_row("preset", "way", "batch", "one thread", "two threads", "speed-up")
-    for preset in PRESETS:
-        for (name, head), count in product(heads(maps.config(preset)).items(), (1, BATCH)):
-            labels = maps.batch(LARGE, count)
-            ways = {n: partial(with_threads, n, head, labels) for n in (1, 2)}
-            one, two = time_in_turn(ways, 3 if preset == "paper" else repetitions).values()
-            each = ({k: v / count for k, v in of.milliseconds.items()} for of in (one, two))
-            ratio = span(two.times_faster_than(one), 2)
-            yield row(preset, name, str(count), *(span(times, 2) for times in each), ratio)
-
-
-def with_threads(count: int, head: SSRVLAD, labels: Tensor) -> Tensor:
-    with threads(count):
-        return head(labels)
-
-
-def memory_table(options: argparse.Namespace) -> Iterator[str]:
-    yield from head_row("preset", "way", "size", "batch", "bytes a pixel")
-    camvid = ["--camvid", str(options.camvid)] if options.camvid else []
-    environment = {**os.environ, **EVERY_BUFFER_GIVEN_BACK}
-    for preset, name, count in product(PRESETS, ("torch", "native core"), (1, BATCH)):
-        command = [sys.executable, __file__, *camvid, "--memory", preset, name, str(count)]
-        done = subprocess.run(command, check=True, capture_output=True, text=True, env=environment)
-        yield row(preset, name, by(LARGE), str(count), done.stdout.strip())
-
-
-def print_memory(maps: Maps, preset: str, name: str, count: str) -> None:
-    """The peak of resident memory of a batch minus what was resident before it, in bytes a pixel.
-    In a new process: what earlier calls have freed would be used again."""
-    head, labels = heads(maps.config(preset))[name], maps.batch(LARGE, int(count))
-    head(maps.batch((64, 96), 2))
-    Path("/proc/self/clear_refs").write_text("5")
-    before = status_bytes("VmRSS")
-    with threads(1):
-        head(labels)
-    print(f"{(status_bytes('VmHWM') - before) / labels.numel():.0f}")
-
-
-def status_bytes(field: str) -> int:
-    lines = Path("/proc/self/status").read_text().splitlines()
-    return next(int(entry.split()[1]) * 1024 for entry in lines if entry.startswith(field))
-
-
 def by(size: Sequence[int]) -> str:
     return f"{size[0]} x {size[1]}"
 
@@ -171,12 +120,8 @@ def main() -> None:
     arguments.add_argument("--repetitions", type=int, default=5)
     arguments.add_argument("--only", nargs="+", help="sections of the page; without, all")
     arguments.add_argument("--here", action="store_true", help="print the first table only")
-    arguments.add_argument("--memory", nargs=3, default=None, help=argparse.SUPPRESS)
     options = arguments.parse_args()
     maps = Maps(options.camvid)
-    if options.memory:
-        print_memory(maps, *options.memory)
-        return
     if options.here:
         with threads(1):
             for line in size_table(maps, options.repetitions):
@@ -185,17 +130,13 @@ def main() -> None:
     page = Page("benchmark.md", options.output, whole=not options.only)
     pictures = sorted(options.camvid.glob("0001TP/images/*.jpg")) if options.camvid else []
     figure = options.output.parent / "figures" / "benchmark.svg"
-    again, config = options.repetitions, maps.config("default")
+    again = options.repetitions
     tables = {
         "## One image, one thread": partial(size_table, maps, again, figure),
-        "## Peak memory": partial(memory_table, options),
         "## From the picture to the place": partial(
             pictures_table, options.networks, pictures, again
         ),
         "## Loop closures, online": partial(loops_table),
-        "## Batches and threads": partial(batch_table, maps, again),
-        "## The core of a wheel": partial(published_table, again),
-        "## Encoding": partial(encoding_table, maps.batch((360, 480), BATCH), config, again),
     }
     if options.networks is None or not pictures:
         del tables["## From the picture to the place"]

@@ -8,7 +8,7 @@ import os
 import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager, redirect_stdout
+from contextlib import ExitStack, contextmanager, redirect_stdout
 from typing import TYPE_CHECKING, Any, TextIO
 
 import typer
@@ -16,7 +16,6 @@ import typer
 if TYPE_CHECKING:
     import rich.progress
 
-    from ..datasets.frame_file import FrameFile
     from ..encoding.results import Skipped
 
 SOME_SKIPPED = 3
@@ -26,11 +25,9 @@ _WIDE = 200
 _NAMED = 20
 """Largest number of skipped frames that are named."""
 
-_SECONDS = 0.2
-"""Time between two updates of a progress bar. Frames come in batches, so a rate needs several."""
-
-_LINE_SECONDS = 15.0
-"""Time between two lines of progress where there is no terminal."""
+_SECONDS, _LINE_SECONDS = 0.2, 15.0
+"""Time between two updates of a progress bar, which come in batches, and between two lines of
+progress where there is no terminal."""
 
 
 class _Stderr:
@@ -45,28 +42,22 @@ class _Stderr:
 
 @contextmanager
 def results_alone() -> Iterator[None]:
-    """While it lasts, only this module prints on stdout, also by its file descriptor."""
-    with _moved(_results()) as results, redirect_stdout(_Stderr(results)):
-        yield
-
-
-@contextmanager
-def _moved(results: TextIO) -> Iterator[TextIO]:
-    """Stdout by another descriptor, while its own is that of stderr; anything else as it is."""
+    """While it lasts, only this module prints on stdout, also by its file descriptor: that is then
+    stderr, and results go to a copy of it."""
+    results = _results()
     try:
         is_stdout = results.fileno() == 1
     except (AttributeError, OSError):  # none, or a stream in memory
         is_stdout = False
-    if not is_stdout:
-        yield results
-        return
-    results.flush()
-    with os.fdopen(os.dup(1), "w", encoding=results.encoding, errors=results.errors) as moved:
-        os.dup2(2, 1)
-        try:
-            yield moved
-        finally:
-            os.dup2(moved.fileno(), 1)
+    with ExitStack() as stack:
+        if is_stdout:
+            results.flush()
+            settings = {"encoding": results.encoding, "errors": results.errors}
+            results = stack.enter_context(os.fdopen(os.dup(1), "w", **settings))
+            os.dup2(2, 1)
+            stack.callback(os.dup2, results.fileno(), 1)
+        stack.enter_context(redirect_stdout(_Stderr(results)))
+        yield
 
 
 def _results() -> TextIO:
@@ -149,11 +140,6 @@ def progress_bar(what: str, total: int, then: str = "") -> Iterator[Bar]:
         finally:
             if console.is_terminal:
                 bar.show()
-
-
-def encoding_bar(files: Sequence[FrameFile], then: str = "") -> AbstractContextManager[Bar]:
-    """The progress bar of encoding files."""
-    return progress_bar("encoding", len(files), then)
 
 
 def print_table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> None:

@@ -1,8 +1,6 @@
 """A database of descriptors on disk: a Lance table (https://lance.org) with one row per frame.
 
-Every change is one commit and makes a new version. A reader keeps the version that it opened while
-others write. The table's metadata hold the settings that made the descriptors and their
-fingerprint, the columns of descriptors, and every label space and segmenter that made label maps.
+Every change is one commit and makes a new version; a reader keeps the version that it opened.
 """
 
 from __future__ import annotations
@@ -28,10 +26,10 @@ from ..channels import LABEL_SHAPES, Column
 from ..config import SSRVLADConfig
 from ..files import is_uri
 from ..taxonomy import LabelSpace, label_space, label_space_names
-from . import engine, reading, rows
+from . import engine, rows
 from .frames import FrameRecord, FrameSet, require_list
 from .metadata import Origin, TableMetadata
-from .rows import DESCRIPTOR, RECORD_COLUMNS, StoredRecords, schema
+from .rows import DESCRIPTOR, FRAME_SET_COLUMNS, RECORD_COLUMNS, Damage, StoredRecords, schema
 
 if TYPE_CHECKING:
     from lance import LanceDataset
@@ -100,9 +98,7 @@ class Database:
         self._checked = self.version
 
     def _use(self, table: LanceDataset) -> None:
-        metadata = TableMetadata.of(table.schema.metadata or {}, self.path)
-        if not table.schema.equals(schema(metadata.columns)):
-            raise ValueError(f"{self.path} has other columns than a database of this version")
+        metadata = TableMetadata.of(table.schema, self.path)
         self._table, self.version = table, int(table.version)
         self._config, self.columns, self.origins = metadata
 
@@ -152,8 +148,8 @@ class Database:
         if cls.exists(path):
             raise ValueError(f"{path} is a database already")
         folder = Path(path)
-        inside = folder.iterdir() if folder.is_dir() else [folder]
-        if folder.exists() and {entry.name for entry in inside} - _REMAINS:
+        foreign = folder.is_dir() and {entry.name for entry in folder.iterdir()} - _REMAINS
+        if foreign or folder.is_file():
             raise ValueError(f"{path} exists and is not a database; expected a new or empty folder")
         if config and config.labels_as not in label_space_names():
             config = dataclasses.replace(config, labels_as=label_space(config.labels_as))
@@ -181,7 +177,8 @@ class Database:
             if isinstance(error, engine.PanicError) or "too many open files" in str(error).lower():
                 raise
             if version is None:
-                hint = engine.hint_of_damage(text)
+                earlier = engine.readable_version(text)
+                hint = f"; --as-of {earlier} reads an earlier version" if earlier else ""
                 raise ValueError(f"{text} cannot be opened: {error}{hint}") from error
             stored = engine.local_versions(text) or [v.version for v in cls.open(text).history()]
             if version in stored:
@@ -215,22 +212,13 @@ class Database:
         return True
 
     def __repr__(self) -> str:
-        kind = f"fingerprint {self.fingerprint}" if self.fingerprint else "without settings"
         names = " and ".join(column.name for column in self.columns)
-        return (
-            f"<Database {self.path}: {len(self)} frames, {names} of {self.width}, {kind}, "
-            f"version {self.version}>"
-        )
+        return f"<Database {self.path}: {len(self)} frames by {names}, version {self.version}>"
 
     @property
     def fingerprint(self) -> str:
         """Of the first channel; empty if the descriptors are custom."""
         return self.columns[0].fingerprint
-
-    @property
-    def width(self) -> int:
-        """Length of a descriptor of the first channel."""
-        return self.columns[0].shape[0]
 
     @property
     def config(self) -> SSRVLADConfig:
@@ -250,12 +238,10 @@ class Database:
         with both fingerprints, or if frames lack one of these further columns."""
         for column in columns:
             if column not in self.columns:
-                others = ", ".join(
-                    f"{other.name}, {other.fingerprint}" for other in self.columns[1:]
-                )
+                others = ", ".join(f"{c.name}, {c.fingerprint}" for c in self.columns[1:]) or "none"
                 raise ValueError(
                     f"{self.path} has no descriptors by {column.name}, {column.fingerprint}, but "
-                    f"{others or 'none'}: they can only be added when a database is created"
+                    f"{others}: they can only be added when a database is created"
                 )
         if config.fingerprint == self.fingerprint:
             return
@@ -281,9 +267,9 @@ class Database:
     def placed(self) -> tuple[FrameSet, npt.NDArray[np.int64]]:
         """All frames as from `load`, but without descriptors and not verified, and ``(R,)`` the
         row of each in the order in which rows are stored."""
-        table = self._columns(reading.FRAME_SET_COLUMNS)
-        order = reading.order_of(table)
-        return reading.frame_set(table.take(order)), order
+        table = self._columns(FRAME_SET_COLUMNS)
+        order = rows.order_of(table)
+        return rows.frame_set(table.take(order)), order
 
     def load(self) -> FrameSet:
         """Loads all frames into memory and verifies every byte; damage is a ValueError that names
@@ -293,17 +279,17 @@ class Database:
         frames, order = self.placed()
         if twice := len(order) - len(set(frames.frames)):
             raise ValueError(f"{self.path} is damaged: it holds {twice} frames twice")
-        arrays = reading.load_descriptors(self.table(), self.columns, order)
+        arrays = rows.load_descriptors(self.table(), self.columns, order)
         channels = {name: torch.from_numpy(values) for name, values in arrays.items()}
         return dataclasses.replace(frames, channels=channels)
 
-    def damage(self, progress: Callable[[int], object] = lambda _: None) -> list[reading.Damage]:
+    def damage(self, progress: Callable[[int], object] = lambda _: None) -> list[Damage]:
         """Reads everything and reports all damage. ``progress`` is called with the number of frames
         done since the last call."""
-        damages = list[reading.Damage]()
-        for batch in reading.read_rows(self.table(), damages):
+        damage = list[Damage]()
+        for batch in rows.read_rows(self.table(), damage):
             progress(len(batch))
-        return damages
+        return damage
 
     def table(self) -> LanceDataset:
         """The version that is read, as a table of Lance, for what this class does not offer."""
@@ -312,14 +298,18 @@ class Database:
 
     def history(self) -> list[Version]:
         """The versions that are stored, the oldest first."""
-        table, versions = self.table(), list[Version]()
+        table = self.table()
         with self._reading():
             entries: list[Any] = table.versions()
-            for entry in entries:
-                number, frames = entry["version"], int(entry["metadata"]["total_rows"])
-                change = engine.change_of(table, number)
-                versions.append(Version(number, entry["timestamp"], frames, change))
-        return versions
+            return [
+                Version(
+                    entry["version"],
+                    entry["timestamp"],
+                    int(entry["metadata"]["total_rows"]),
+                    engine.change_of(table, entry["version"]),
+                )
+                for entry in entries
+            ]
 
     def info(self) -> dict[str, Any]:
         """Counts and settings of the database, ready for JSON; rows are not verified."""
@@ -332,7 +322,7 @@ class Database:
             "empty": int(np.count_nonzero(table["empty"].to_numpy())),
             "with_pose": int(np.count_nonzero(~np.isnan(table["x"].to_numpy()))),
             "label_spaces": {str(self.origins.get(k, Origin())): n for k, n in origins.items()},
-            "width": self.width,
+            "width": self.columns[0].shape[0],
             "preset": config.preset if config else None,
             "fingerprint": self.fingerprint,
             "channels": {column.name: column.fingerprint for column in self.columns},
@@ -434,11 +424,11 @@ class Database:
         if len(ids):
             self._apply(partial(engine.commit, plan=plan, message=f"{verb} {len(ids)} frames"))
 
-    def drop_damaged(self) -> list[reading.Damage]:
+    def drop_damaged(self) -> list[Damage]:
         """Drops damaged rows, and those after a place that cannot be read in the same file, in one
         commit, and returns the damage; `encode` restores them."""
-        damage = list[reading.Damage]()
-        plan = partial(reading.without_damage, damage=damage)
+        damage = list[Damage]()
+        plan = partial(rows.without_damage, damage=damage)
         self._apply(partial(engine.commit, plan=plan, message="drop damaged rows"))
         return damage
 

@@ -1,6 +1,6 @@
 """The operations of Lance that a `Database` uses, and its errors in one line.
 
-Lance 14 flushes no files, commits files of which not all was written, and lets two writers add one
+Lance flushes no files, commits files of which not all was written, and lets two writers add one
 frame: `flush_fragments`, `_flush_version` and `commit` see to it. In an object store, files are
 whole once they are there.
 """
@@ -74,8 +74,8 @@ def lance_errors(kind: type[Exception], problem: str = "", values: bool = True) 
     """Turns an error of Lance, or of Arrow that reads by it, into one of another kind: "PROBLEM:
     REASON" in one line. Without ``values``, a ValueError passes.
 
-    An interrupt while Lance works also comes as an error, and so does a panic of Lance: the first
-    is raised as a KeyboardInterrupt, the second as a PanicError. Neither means damage.
+    An interrupt while Lance works, which also comes as an error, is a KeyboardInterrupt, and a
+    panic of Lance a PanicError. Neither means damage.
     """
     kinds: tuple[type[Exception], ...] = (OSError, RuntimeError, pa.ArrowException)
     kinds += (lance().commit.CommitConflictError, *((ValueError, OverflowError) * values))
@@ -100,20 +100,12 @@ def open_table(uri: str, version: int | None = None) -> LanceDataset:
     return table
 
 
-def hint_of_damage(uri: str) -> str:
-    """How to read a local table whose newest version cannot be read, "" if no version can."""
-    unreadable: list[str] = []
+def readable_version(uri: str) -> int | None:
+    """The newest version of a local table that can be read, if any can."""
     for version in reversed(local_versions(uri)):
-        try:
-            open_table(uri, version)
-        except PanicError:
-            raise
-        except OSError:
-            unreadable.append(f"_versions/{_manifest(uri, version).name}")
-        else:
-            later = ", ".join(unreadable)
-            return f"; --as-of {version} reads the version before, without {later} it is the newest"
-    return ""
+        with contextlib.suppress(OSError):
+            return int(open_table(uri, version).version)
+    return None
 
 
 def local_versions(uri: str) -> list[int]:
@@ -160,10 +152,10 @@ def discard_empty(uri: str) -> None:
         folder.rename(apart)
         if open_table(str(apart)).count_rows():
             apart.rename(folder)
-        else:
-            shutil.rmtree(apart)
-            if Path(uri).is_symlink():
-                folder.mkdir()
+            return
+        shutil.rmtree(apart)
+        if Path(uri).is_symlink():
+            folder.mkdir()
 
 
 def add_metadata(table: LanceDataset, entries: dict[str, str]) -> LanceDataset:
@@ -254,8 +246,8 @@ def change_of(table: LanceDataset, version: int) -> str:
 
 def flush_fragments(uri: str, fragments: Iterable[FragmentMetadata]) -> None:
     """Flushes the files of fragments; an OSError unless a data file has the size, and a file of
-    deleted rows the number of rows, that Lance recorded. Without this, what a full disk cut off is
-    committed (`test_a_writer_loses_nothing_at_any_call`)."""
+    deleted rows the number of rows, that Lance recorded
+    (`test_a_writer_loses_nothing_at_any_call`)."""
     if is_uri(uri):
         return
     whole = dict[Path, bool]()

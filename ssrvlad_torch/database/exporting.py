@@ -4,21 +4,21 @@ import errno
 import json
 import os
 import posixpath
-import re
 import shutil
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from ..files import path_within, read_json, replacing, requiring
+from ..channels import CHANNELS
+from ..files import replacing, requiring
 from .database import Database
 from .frames import FrameSet
 
 Format = Literal["npy", "hloc"]
 
+_FINGERPRINT = ".fingerprint.txt"
 _GROUP_BYTES = 1024
 
 
@@ -27,10 +27,11 @@ def export_database(database: Database, form: Format, file: Path) -> list[Path]:
 
     ``npy`` is an ``(R, D)`` float32 array, a text file with one frame id per line, a JSON file with
     fingerprint and settings, and an array for each further channel, with its fingerprint in a text
-    file. ``hloc`` is an HDF5 file with one group per frame, named by its id: ``global_descriptor``,
-    ``(D,)`` float32, as hloc's ``extract_features`` writes it
-    (https://github.com/cvg/Hierarchical-Localization), and a data set for each further channel.
-    Fingerprint and settings are in the file's attribute ``ssrvlad``.
+    file; those of an earlier export that are not written again are deleted. ``hloc`` is an HDF5
+    file with one group per frame, named by its id: ``global_descriptor``, ``(D,)`` float32, as
+    hloc's ``extract_features`` writes it (https://github.com/cvg/Hierarchical-Localization), and a
+    data set for each further channel. Fingerprint and settings are in the file's attribute
+    ``ssrvlad``.
 
     Returns:
         The files that were written: ``file``, the array or the HDF5 file, and others beside it.
@@ -50,59 +51,27 @@ def export_database(database: Database, form: Format, file: Path) -> list[Path]:
             f"the form npy holds one id per line, and {len(broken)} of the ids have several "
             f"lines, the first is {broken[0]!r}"
         )
+    first, *others = database.columns
+    arrays = {"": first, **{f".{column.name}.npy": column for column in others}}
     texts = {
         ".frames.txt": "".join(f"{frame}\n" for frame in frames.frames),
         ".json": json.dumps(about, indent=1) + "\n",
     }
-    if database.fingerprint:
-        texts[".fingerprint.txt"] = f"{database.fingerprint}\n"
-    first, *others = database.columns
-    arrays = {file.with_name(f"{file.name}.{c.name}.npy"): frames.channels[c.name] for c in others}
-    for column in others:
-        texts[f".{column.name}.npy.fingerprint.txt"] = f"{column.fingerprint}\n"
-    text_files = {file.with_name(file.name + suffix): text for suffix, text in texts.items()}
-    written, earlier = [file, *arrays, *text_files], _channel_files(file)
+    for end, column in arrays.items():
+        if column.fingerprint:
+            texts[end + _FINGERPRINT] = f"{column.fingerprint}\n"
     with ExitStack() as stack:  # all files are whole before the first replaces an earlier one
-        for path, values in {file: frames.channels[first.name], **arrays}.items():
-            with stack.enter_context(_replacing(path)).open("wb") as stream:
-                np.save(stream, values.numpy())
-        for path, text in text_files.items():
-            stack.enter_context(_replacing(path)).write_text(text, encoding="utf-8", newline="\n")
-    for path in {file.with_name(f"{file.name}.fingerprint.txt"), *earlier} - {*written}:
-        if path.is_file():
-            path.unlink()
-    return written
-
-
-def _channel_files(file: Path) -> set[Path]:
-    """The files of further channels that the JSON of an earlier export lists; none if that file is
-    missing, damaged or of something else."""
-    try:
-        match read_json(file.with_name(f"{file.name}.json")):
-            case {"fingerprint": _, "config": _, "channels": dict(names), "label_spaces": _}:
-                form = re.escape(file.name) + r"\.[^/\\]+\.npy"
-                arrays = {
-                    path_within(file.parent, f"{file.name}.{name}.npy", form) for name in names
-                }
-                return arrays | {path.with_name(f"{path.name}.fingerprint.txt") for path in arrays}
-    except (OSError, ValueError):
-        pass
-    return set()
-
-
-@contextmanager
-def _replacing(file: Path) -> Iterator[Path]:
-    """As `replacing`, but errors of HDF5 and of the system are one line that names the file."""
-    try:
-        with replacing(file) as temporary:
-            yield temporary
-    except (OSError, RuntimeError) as error:
-        text = " ".join(str(error).split())
-        if text.startswith("cannot write ") or " cannot be written: " in text:  # names a file
-            raise
-        number = getattr(error, "errno", None)
-        reason = os.strerror(number) if number else text
-        raise OSError(f"{file} cannot be written: {reason}") from error
+        for end, column in arrays.items():
+            target = stack.enter_context(replacing(file.with_name(file.name + end)))
+            with target.open("wb") as stream:
+                np.save(stream, frames.channels[column.name].numpy())
+        for end, text in texts.items():
+            target = stack.enter_context(replacing(file.with_name(file.name + end)))
+            target.write_text(text, encoding="utf-8", newline="\n")
+    for end in ("", *(f".{name}.npy" for name in CHANNELS)):
+        for earlier in {end, end + _FINGERPRINT} - {*arrays, *texts}:
+            file.with_name(file.name + earlier).unlink(missing_ok=True)
+    return [file.with_name(file.name + end) for end in (*arrays, *texts)]
 
 
 def _write_hloc(frames: FrameSet, about: dict[str, object], file: Path) -> None:
@@ -117,7 +86,7 @@ def _write_hloc(frames: FrameSet, about: dict[str, object], file: Path) -> None:
     groups = len(arrays) * _GROUP_BYTES * (len(frames.frames) + 1)
     names = sum(len(frame.encode()) for frame in frames.frames)
     expected = sum(values.nbytes for values in arrays.values()) + groups + names
-    with _replacing(file) as temporary:
+    with replacing(file) as temporary:
         if shutil.disk_usage(temporary.parent).free < expected:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         with temporary.open("wb") as stream:  # HDF5 aborts the process on a full disk

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import hashlib
 import json
-import math
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple, cast
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
 
 from ..channels import Column
 from ..config import SSRVLADConfig
 from ..files import InputError, input_errors
 from ..taxonomy import LabelSpace, label_space_names
+from .rows import schema
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 FORMAT = "ssrvlad-database-6"
 
-_MAX_WIDTH = 1 << 31
 _META, _DIGEST, _ORIGIN = "ssrvlad", "ssrvlad-digest", "origin:"
 
 
@@ -64,60 +66,52 @@ class TableMetadata(NamedTuple):
     @staticmethod
     def to_dict(config: SSRVLADConfig | None, columns: Sequence[Column]) -> dict[str, str]:
         """The entries of a new table, which has no origins."""
-        text = json.dumps(
-            {
-                "format": FORMAT,
-                "config": config and config.to_dict(),
-                "columns": [column._asdict() for column in columns],
-            }
-        )
+        content = {
+            "format": FORMAT,
+            "config": config and config.to_dict(),
+            "columns": [column._asdict() for column in columns],
+        }
+        text = json.dumps(content)
         return {_META: text, _DIGEST: _digest(text)}
 
     @classmethod
-    def of(cls, entries: Mapping[bytes, bytes], path: str) -> TableMetadata:
-        """The metadata in the entries of the table at ``path``. A table that is no database of this
+    def of(cls, stored: pa.Schema, path: str) -> TableMetadata:
+        """The metadata in the schema of the table at ``path``. A table that is no database of this
         format, is damaged, or was made by another version of the method is a ValueError."""
         with input_errors(path, "damaged, or a database of another version"):
-            texts = {key.decode(): text.decode() for key, text in entries.items()}
-            text = texts.get(_META, "{}")
+            entries = {
+                key.decode(): value.decode() for key, value in (stored.metadata or {}).items()
+            }
+            text = entries.get(_META, "{}")
             content = json.loads(text)
             form = content.get("format", "")
             if form != FORMAT and form.startswith("ssrvlad-"):
                 raise InputError(f"{path} has another format, {form}: encode it again")
             if form != FORMAT:
                 raise InputError(f"{path} is a table of Lance, but not a database of {FORMAT}")
-            if texts.get(_DIGEST) != _digest(text):  # Lance does not notice a flipped byte
+            if entries.get(_DIGEST) != _digest(text):  # Lance does not notice a flipped byte
                 raise InputError(f"{path} is damaged: the checksum of its settings does not match")
-            origins = {}
-            for name, entry in texts.items():
-                if name.startswith(_ORIGIN):
-                    key = name.removeprefix(_ORIGIN)
-                    origins[key] = Origin.of_entry(key, entry)
-            columns = tuple(_column(**column) for column in content["columns"])
-            first, *_ = columns
-            config, settings = None, content["config"]
-            if settings is not None:
-                config = SSRVLADConfig.from_dict(settings)
-            space = config.labels_as if config else None
+            columns = tuple(
+                Column(**{**column, "shape": tuple(column["shape"])})
+                for column in content["columns"]
+            )
+            if not stored.equals(schema(columns)):
+                raise InputError(f"{path} has other columns than a database of this version")
+            config = content["config"] and SSRVLADConfig.from_dict(content["config"])
+            space = config and config.labels_as
             if isinstance(space, str) and space not in label_space_names():
                 raise ValueError(f"label space {space!r}; expected a built-in one")
-            if config and config.fingerprint != first.fingerprint:
+            if config and config.fingerprint != columns[0].fingerprint:
                 raise InputError(
-                    f"{path} has fingerprint {first.fingerprint}, made by another version of the "
-                    f"method; the same settings have {config.fingerprint} here: encode it again"
+                    f"{path} has fingerprint {columns[0].fingerprint}, made by another version of "
+                    f"the method; the same settings have {config.fingerprint} here: encode it again"
                 )
+            origins = {
+                key: Origin.of_entry(key, entries[name])
+                for name in entries
+                if (key := name.removeprefix(_ORIGIN)) != name
+            }
         return cls(config, columns, origins)
-
-
-def _column(name: str, fingerprint: str, shape: Sequence[int], dtype: str) -> Column:
-    """A column that `TableMetadata.to_dict` wrote."""
-    texts = isinstance(name, str) and isinstance(fingerprint, str)
-    sides = all(isinstance(side, int) and side > 0 for side in shape)
-    if not (texts and sides and len(shape) > 0 and math.prod(shape) < _MAX_WIDTH):
-        raise ValueError(f"column {name!r} of shape {shape!r}")
-    if dtype not in ("float32", "uint8"):
-        raise ValueError(f"column {name!r} of {dtype!r}")
-    return Column(name, fingerprint, tuple(shape), cast(Any, dtype))
 
 
 def _digest(text: str) -> str:

@@ -29,18 +29,18 @@ def bootstrap(
     """
     rng = np.random.default_rng(seed)
     at_once = max(1, _CELLS // max(1, queries))
-    found = []
+    batches = []
     for start in range(0, resamples, at_once):
         rows = min(at_once, resamples - start)
         begins = rng.integers(0, queries, (rows, -(-queries // block), 1))
         drawn = (begins + np.arange(block)).reshape(rows, -1)[:, :queries] % max(1, queries)
         drawn += queries * np.arange(rows)[:, None]
         counts = np.bincount(drawn.ravel(), minlength=rows * queries)
-        found.append(figures(counts.reshape(rows, queries).astype(np.float64)))
+        batches.append(figures(counts.reshape(rows, queries).astype(np.float64)))
     tail = 50 * (1 - LEVEL)
     intervals = dict[str, Interval]()
-    for name in found[0]:
-        values = np.concatenate([each[name] for each in found])
+    for name in batches[0]:
+        values = np.concatenate([batch[name] for batch in batches])
         defined = values[~np.isnan(values)]
         ends = np.percentile(defined, (tail, 100 - tail)) if len(defined) else (np.nan, np.nan)
         intervals[name] = float(ends[0]), float(ends[1])

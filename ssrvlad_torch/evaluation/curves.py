@@ -44,14 +44,14 @@ class PrecisionRecall:
         """AUC-PR, the area by the trapezoid rule, from recall 0 to the highest reached."""
         precision = np.concatenate((self._at_recall_zero[..., None], self.precision), axis=-1)
         heights = (precision[..., 1:] + precision[..., :-1]) / 2
-        return _divide((self._found * heights).sum(axis=-1), self.positives)
+        return _divide((self._added * heights).sum(axis=-1), self.positives)
 
     @property
     def average_precision(self) -> Floats:
         """The mean precision over the thresholds, weighted by the recall that each adds. Unlike
         `auc` it does not interpolate between points. It equals scikit-learn's
         ``average_precision_score`` if the positives are the right candidates."""
-        return _divide((self._found * self.precision).sum(axis=-1), self.positives)
+        return _divide((self._added * self.precision).sum(axis=-1), self.positives)
 
     @property
     def recall_at_full_precision(self) -> Floats:
@@ -66,7 +66,7 @@ class PrecisionRecall:
         return (self._at_highest_threshold + self.recall_at_full_precision) / 2
 
     @property
-    def _found(self) -> Floats:
+    def _added(self) -> Floats:
         """True positives that each threshold adds."""
         return np.diff(self.true_positives, prepend=0.0, axis=-1)
 

@@ -38,12 +38,12 @@ def from_poses(
     require_poses("references", references, by_heading)
     limit = math.inf if degrees is None else math.radians(degrees) + _ROUNDING
     truth: list[Rows | None] = []
-    for query, known in zip(queries, posed, strict=True):
+    for query, is_posed in zip(queries, posed, strict=True):
         rows = np.flatnonzero(np.hypot(*(references[:, :2] - query[:2]).T) <= metres)
         if by_heading:
             turn = (references[rows, 2] - query[2] + math.pi) % math.tau - math.pi
             rows = rows[np.abs(turn) <= limit]
-        truth.append(rows if known else None)
+        truth.append(rows if is_posed else None)
     return truth
 
 

@@ -32,9 +32,9 @@ def from_file(
 
     | file | holds |
     |---|---|
-    | ``.json`` | ``{"<query>": ["<reference>", ...]}`` or ``[["<query>", "<reference>"], ...]`` |
+    | ``.json`` | ``{"<query>": ["<reference>", ...]}`` |
     | ``.json`` | VPR-Bench's ``ground_truth_new.npy``, converted: ``[[0, [0, 1, ...]], ...]`` |
-    | ``.csv`` | a first line ``query,reference`` and a line for each pair, or a 0/1 matrix |
+    | ``.csv`` | a first line ``query,reference`` and a line for each pair |
     | ``.npy``, ``.npz`` | a 0/1 matrix ``(Q, R)``; ``GThard`` ``(R, Q)`` as in VPR-Tutorial |
 
     An entry names a frame by its id, or by the end of its path if only one path ends so; after
@@ -71,8 +71,8 @@ def _read(path: Path) -> Pairs | Numbers | Matrix:
 
 def known_matches(truth: PartialTruth) -> tuple[list[int], list[Rows]]:
     """Rows of the queries that the ground truth covers, and their true matches."""
-    known = {query: matches for query, matches in enumerate(truth) if matches is not None}
-    return list(known), list(known.values())
+    covered = {query: matches for query, matches in enumerate(truth) if matches is not None}
+    return list(covered), list(covered.values())
 
 
 def _read_json(path: Path) -> Pairs | Numbers:
@@ -81,46 +81,37 @@ def _read_json(path: Path) -> Pairs | Numbers:
         return content
     if isinstance(content, dict) and all(map(_is_ids, content.values())):
         return content
-    if isinstance(content, list) and all(_is_ids(pair) and len(pair) == 2 for pair in content):
-        return _grouped(content)
     raise ValueError(
-        'expected {"<query id>": ["<reference id>", ...], ...}, '
-        '[["<query id>", "<reference id>"], ...] or [[0, [0, 1, ...]], ...] of whole numbers'
+        'expected {"<query id>": ["<reference id>", ...], ...}, or [[0, [0, 1, ...]], ...] of '
+        "whole numbers"
     )
 
 
-def _read_csv(path: Path) -> Pairs | Matrix:
+def _read_csv(path: Path) -> Pairs:
+    """References by query; an empty reference stands for a query without a true match."""
+    pairs: Pairs = {}
     with path.open(newline="", encoding="utf-8-sig") as file:
         lines = csv.DictReader(file, restval="", skipinitialspace=True)
-        first = lines.fieldnames or ()
-        if {"query", "reference"} <= set(first):
-            rows = list[tuple[str, str]]()
-            for row in lines:
-                if any(more := row.get(None, ())):
-                    cells = ",".join(more)
-                    raise ValueError(f"line {lines.line_num}: more cells than columns: {cells}")
-                rows.append((row["query"], row["reference"]))
-            return _grouped(rows)
-    try:
-        [float(text) for text in first or ("",)]
-    except ValueError:
-        raise ValueError("expected a first line query,reference or a matrix of 0 and 1") from None
-    return np.loadtxt(path, delimiter=",", ndmin=2, encoding="utf-8-sig")
+        if not {"query", "reference"} <= set(lines.fieldnames or ()):
+            raise ValueError("expected a first line query,reference")
+        for row in lines:
+            if any(row.get(None, ())):
+                raise ValueError(f"line {lines.line_num}: more cells than columns")
+            pairs.setdefault(row["query"], []).extend([row["reference"]] * bool(row["reference"]))
+    return pairs
 
 
 def _read_npy(path: Path) -> Matrix:
     with path.open("rb") as file:
         if npy_header(file)[2].hasobject:
-            raise ValueError(f"it is a pickle, which can run any code; {_convert(path)}")
+            rows = f"np.load({str(path)!r}, allow_pickle=True)"
+            numbers = f"[[int(query), [*map(int, matches)]] for query, matches in {rows}]"
+            program = f"import json, numpy as np; print(json.dumps({numbers}))"
+            raise ValueError(
+                "it is a pickle, which can run any code; if you trust it: "
+                f'python -c "{program}" > "{path.with_suffix(".json")}"'
+            )
     return parse_npy(read_bytes(path))
-
-
-def _convert(path: Path) -> str:
-    """How to convert VPR-Bench's ``ground_truth_new.npy``."""
-    rows = f"np.load({str(path)!r}, allow_pickle=True)"
-    numbers = f"[[int(query), [*map(int, matches)]] for query, matches in {rows}]"
-    program = f"import json, numpy as np; print(json.dumps({numbers}))"
-    return f'if you trust it: python -c "{program}" > "{path.with_suffix(".json")}"'
 
 
 def _read_npz(path: Path) -> Matrix:
@@ -145,14 +136,6 @@ def _is_numbers(row: object) -> bool:
 
 def _is_ids(value: object) -> bool:
     return isinstance(value, list) and all(isinstance(frame, str) for frame in value)
-
-
-def _grouped(pairs: Iterable[Sequence[str]]) -> Pairs:
-    """References by query; an empty reference stands for a query without a true match."""
-    grouped: Pairs = {}
-    for query, reference in pairs:
-        grouped.setdefault(query, []).extend([reference] if reference else [])
-    return grouped
 
 
 def _from_pairs(

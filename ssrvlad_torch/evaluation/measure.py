@@ -105,12 +105,12 @@ class Evaluation:
 
 def measure(recognition: Recognition, truth: PartialTruth, convention: Convention) -> Evaluation:
     """Measures the queries whose true matches are known."""
-    known, true = known_matches(truth)
-    part = recognition.part(np.array(known, np.int64))
-    scores, rows = (column.numpy() for column in part.matches)
+    covered, true = known_matches(truth)
+    judged = recognition.part(np.array(covered, np.int64))
+    scores, rows = (column.numpy() for column in judged.matches)
     metrics = evaluate(scores, rows, true, convention=convention, resamples=RESAMPLES)
     outcomes = judge(scores, rows, true)
     metrics["thresholds"] = operating_points(precision_recall_curve(outcomes))
-    metrics["references"] = len(part.references.frames)
-    metrics |= part.details
-    return Evaluation(metrics, part, true, outcomes, len(truth) - len(known))
+    metrics["references"] = len(judged.references.frames)
+    metrics |= judged.details
+    return Evaluation(metrics, judged, true, outcomes, len(truth) - len(covered))

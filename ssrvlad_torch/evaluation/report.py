@@ -3,32 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from PIL import Image
 
 from ..datasets.image_files import Pixels
 from ..files import new_figure, png_address, replacing, requiring
 from .measure import Evaluation, Material
 from .metrics import figure_rows, fraction, precision_recall_curve
-from .outcomes import Bools, Floats, Outcomes, Truth
+from .outcomes import Bools, Outcomes, Truth
 from .thresholds import operating_rows
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
 WRONG_MATCHES, RIGHT_MATCHES = 8, 4
-MOST_CELLS = (400, 800)
-"""Largest number of rows and columns of the similarity matrix that the page draws."""
 
-_SCORES_AT_ONCE = 1 << 24
 _WIDTH = 400
-_RIGHT, _WRONG, _UNKNOWN, _TRUE = "#1a73c7", "#d4501e", "#8a3a6a", "#26c281"
 
 
 class Match(NamedTuple):
@@ -69,11 +61,7 @@ def render(
         figures=figure_rows(evaluation.metrics),
         operating=operating_rows(evaluation.metrics["thresholds"]),
         empty=int((evaluation.outcomes.candidate < 0).sum()),
-        drawings=[
-            (_drawn(_precision_recall, evaluation), "Precision against recall"),
-            (_drawn(_scores, evaluation), f"The {evaluation.score} of the best candidates"),
-            (_drawn(_matrix, evaluation), "Cosines of single frames"),
-        ],
+        curves=_drawn(evaluation),
         matches=[[_row(evaluation, match) for match in kind] for kind in matches],
     )
 
@@ -96,35 +84,11 @@ def chosen_matches(
     return highest(outcomes.wrong, WRONG_MATCHES), highest(outcomes.correct, RIGHT_MATCHES)
 
 
-def reduced_cosines(
-    material: Material, queries: int, references: int, most: tuple[int, int] = MOST_CELLS
-) -> npt.NDArray[np.float32]:
-    """The similarity matrix with at most ``most`` rows and columns of cells; a cell is the highest
-    cosine of its pairs, -inf where no pair can match."""
-    rows, columns = (
-        np.linspace(0, count, min(count, cells) + 1).astype(np.int64)
-        for count, cells in zip((queries, references), most, strict=True)
-    )
-    cells = np.full((len(rows) - 1, len(columns) - 1), -np.inf, np.float32)
-    if not cells.size:
-        return cells
-    step, every = max(1, _SCORES_AT_ONCE // references), np.arange(references)
-    for first in range(0, queries, step):
-        chunk = np.arange(first, min(first + step, queries))
-        lines = np.maximum.reduceat(material.cosines(chunk, every), columns[:-1], axis=1)
-        np.maximum.at(cells, np.searchsorted(rows, chunk, side="right") - 1, lines)
-    return cells
-
-
-def _drawn(draw: Callable[[Axes, Evaluation], None], evaluation: Evaluation) -> str:
-    """A figure as the address of a PNG."""
+def _drawn(evaluation: Evaluation) -> str:
+    """Precision over recall as the address of a PNG: the curves by the convention and by ``exact``,
+    of which the operating points are."""
     figure = new_figure(6, 4.2)
-    draw(figure.add_subplot(), evaluation)
-    return png_address(partial(figure.savefig, format="png", dpi=150))
-
-
-def _precision_recall(axes: Axes, evaluation: Evaluation) -> None:
-    """The curves by the convention and by ``exact``, of which the operating points are."""
+    axes = figure.add_subplot()
     convention = evaluation.metrics["convention"]
     for name in dict.fromkeys(("exact", convention)):
         curve = precision_recall_curve(evaluation.outcomes, name)
@@ -137,53 +101,8 @@ def _precision_recall(axes: Axes, evaluation: Evaluation) -> None:
             axes.plot(point["recall"], point["precision"], "o", label=name, clip_on=False)
     axes.set(xlabel="recall", ylabel="precision", xlim=(0, 1), ylim=(0, 1.02))
     if axes.has_data():
-        axes.figure.legend(loc="outside upper center", ncols=3)
-
-
-def score_groups(outcomes: Outcomes) -> dict[str, Floats]:
-    """Scores of best candidates: right, wrong, and of places that no reference shows."""
-    groups = {
-        "right": outcomes.correct,
-        "wrong": outcomes.wrong & outcomes.has_match,
-        "wrong, place not in the database": outcomes.wrong & ~outcomes.has_match,
-    }
-    return {name: outcomes.score[queries] for name, queries in groups.items()}
-
-
-def _scores(axes: Axes, evaluation: Evaluation) -> None:
-    groups = score_groups(evaluation.outcomes)
-    labels = [f"{name} ({len(scores)})" for name, scores in groups.items()]
-    colours = (_RIGHT, _WRONG, _UNKNOWN)
-    axes.hist([*groups.values()], bins=40, stacked=True, label=labels, color=colours)
-    if suggested := evaluation.metrics["thresholds"]["suggested"]:
-        axes.axvline(suggested["score"], color="black", ls="--", label="suggested threshold")
-    axes.set(xlabel=f"{evaluation.score} of the best candidate", ylabel="queries")
-    axes.figure.legend(loc="outside upper center", ncols=2)
-
-
-def _matrix(axes: Axes, evaluation: Evaluation) -> None:
-    found = evaluation.recognition
-    queries, references = len(found.queries.frames), len(found.references.frames)
-    cells = reduced_cosines(evaluation.material, queries, references)
-    if not np.isfinite(cells).any():
-        axes.text(0.5, 0.5, "no pairs", ha="center", va="center")
-        axes.set_axis_off()
-        return
-    shown = np.where(np.isfinite(cells), cells, np.nan)
-    extent = (-0.5, references - 0.5, queries - 0.5, -0.5)
-    image = axes.imshow(shown, "gray", aspect="auto", extent=extent, interpolation="nearest")
-    axes.figure.colorbar(image, label="cosine, the highest of each cell")
-    outcomes, query = evaluation.outcomes, np.arange(queries)
-    counts = [len(rows) for rows in evaluation.truth]
-    true = np.concatenate((np.zeros(0, np.int64), *evaluation.truth))
-    for name, colour, down, across in (
-        ("true match", _TRUE, np.repeat(query, counts), true),
-        ("right", _RIGHT, query[outcomes.correct], outcomes.candidate[outcomes.correct]),
-        ("wrong", _WRONG, query[outcomes.wrong], outcomes.candidate[outcomes.wrong]),
-    ):
-        axes.plot(across, down, ".", ms=2, color=colour, label=name)
-    axes.set(xlabel="references", ylabel="queries")
-    axes.figure.legend(loc="outside upper center", ncols=3, markerscale=4)
+        figure.legend(loc="outside upper center", ncols=3)
+    return png_address(partial(figure.savefig, format="png", dpi=150))
 
 
 def _row(evaluation: Evaluation, match: Match) -> dict[str, Any]:

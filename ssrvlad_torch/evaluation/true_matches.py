@@ -79,7 +79,7 @@ def true_matches(
     """The rows of the references that are true matches of each query; ``None`` if they are not
     known. ``note`` gets the number of these queries, of queries with the id of a reference, and of
     names in the file that are not there."""
-    truth = _found(definition, references, queries, note) if queries.frames else []
+    truth = _matches(definition, references, queries, note) if queries.frames else []
     unknown = sum(rows is None for rows in truth)
     if unknown:
         reason = "their pose is unknown"
@@ -92,7 +92,7 @@ def true_matches(
     return truth
 
 
-def _found(
+def _matches(
     definition: GroundTruth,
     references: Viewpoints,
     queries: Viewpoints,

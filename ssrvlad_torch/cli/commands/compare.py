@@ -116,7 +116,7 @@ def _make(names: Sequence[str], pairs: Sequence[str]) -> dict[str, Method | str]
 
 
 def _print(rows: Sequence[Row]) -> None:
-    from ..words import steps_in_words
+    from ..summaries import steps_in_words
 
     done = [row for row in rows if "reason" not in row]
     rates = (f"RecallRate\n@{n}" for n in AT)

@@ -20,7 +20,7 @@ def demo(
     from ...evaluation.metrics import fraction
     from ..demo import STEPS, run_demo
     from ..output import print_table, progress_bar
-    from ..words import counts
+    from ..summaries import counts
 
     with progress_bar("demo", STEPS * frames) as bar:
         metrics, picture = run_demo(out, frames, seed, bar.advance)

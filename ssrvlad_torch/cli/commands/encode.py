@@ -6,7 +6,7 @@ from typing import Literal
 
 from ...encoding.selection import FrameSelection
 from ..options import Json, MaybePreset, StoredChannels, option, switch
-from ..output import encoding_bar, finish, note, print_json, say
+from ..output import finish, note, print_json, progress_bar, say
 
 Engine = Literal["local", "ray"]
 
@@ -54,7 +54,7 @@ def encode(
         raise ValueError("--gpus needs --engine ray and --segmenter")
     town = Map.open(output, preset=preset, channels=channel)
     frames = town.source(source, note=note)
-    with encoding_bar(frames.files) as bar:
+    with progress_bar("encoding", len(frames.files)) as bar:
         options = EncodeOptions(source.workers, complete, prune, bar.advance, bar.skip, gpus)
         summary = town.add(frames, options, engine, note)
     if as_json:

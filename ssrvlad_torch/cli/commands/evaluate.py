@@ -12,7 +12,7 @@ from ..options import (
     TruthOptions,
     option,
 )
-from ..output import encoding_bar, finish, note, print_json, say
+from ..output import finish, note, print_json, progress_bar, say
 
 
 def evaluate(
@@ -24,8 +24,7 @@ def evaluate(
     as_of: AsOf = None,
     as_json: Json = False,
     report: Path | None = option(
-        "Page to write (.html): metrics, curves, the similarity matrix, and matches with their "
-        "pictures."
+        "Page to write (.html): metrics, the curve, and matches with their pictures."
     ),
 ) -> None:
     """Measure place recognition: RecallRate@N, AUC-PR, Recall@100%Precision and more, with 95 %
@@ -39,15 +38,14 @@ def evaluate(
     """
     from ...files import check_output
     from ...map import Map
-    from ..report import write_page
-    from ..words import print_metrics
+    from ..summaries import print_metrics, write_page
 
     if report:
         check_output(report)
     town = Map.open(database, version=as_of)
     by_poses = None if truth.definition == (None,) * 4 else truth.tolerance_metres is not None
     frames = town.source(replace(source, posed=by_poses), compared=True, note=note)
-    with encoding_bar(frames.files, then="recognising") as bar:
+    with progress_bar("encoding", len(frames.files), "recognising") as bar:
         evaluation = town.evaluate(
             frames,
             recognition.steps(),

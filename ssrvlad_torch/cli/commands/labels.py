@@ -24,7 +24,7 @@ def labels(
         "Of a network: the label space of its classes. Default: the one of its YAML file, else the "
         "one of its class names."
     ),
-    every: bool = switch(
+    with_activations: bool = switch(
         "--all",
         "Of a network: print all activations with channels and strides, and mark those that are "
         "features. A YAML file chooses others by their names, features: [NAME].",
@@ -42,7 +42,7 @@ def labels(
     from ...taxonomy import label_space, label_space_names
 
     of_network = name not in label_space_names() and _is_network(name)
-    if not of_network and (labels_as or every):
+    if not of_network and (labels_as or with_activations):
         raise ValueError(f"{name} is a label space; --labels-as and --all are for networks")
     segmenter = Segmenter.load(name, labels_as or AUTO) if of_network else None
     space = segmenter.label_space if segmenter else label_space(name)
@@ -52,16 +52,18 @@ def labels(
         features, problem = None, str(error)
     rows = _classes(space, of_names=bool(segmenter and not labels_as))
     names = features.names if features else []
-    activations = _activations(segmenter, names) if segmenter and every else None
+    activations = _activations(segmenter, names) if segmenter and with_activations else None
     if as_json:
         classes = [dict(zip(("id", "name", "category"), row, strict=True)) for row in rows]
-        known = {"name": space.name, "classes": classes, "features": features and names}
-        print_json(known | ({"activations": activations} if every else {}))
+        report = {"name": space.name, "classes": classes, "features": features and names}
+        print_json(report | ({"activations": activations} if with_activations else {}))
         return
     _print(space.name, rows, activations)
     if segmenter:
-        taken = ", ".join(map(str, features.activations)) if features else f"none: {problem}"
-        say(f"features: {taken}")
+        activations_line = (
+            ", ".join(map(str, features.activations)) if features else f"none: {problem}"
+        )
+        say(f"features: {activations_line}")
 
 
 def _print(

@@ -4,7 +4,7 @@ import math
 
 from ...encoding.selection import FrameSelection
 from ..options import Json, RecognitionOptions, option
-from ..output import encoding_bar, finish, note, print_json, say
+from ..output import finish, note, print_json, progress_bar, say
 
 
 def locate(
@@ -23,11 +23,11 @@ def locate(
     from ...datasets.poses import UNKNOWN
     from ...map import Map
     from ...search.answers import estimate_in_json
-    from ..words import steps_in_words
+    from ..summaries import steps_in_words
 
     town = Map.open(database)
     frames = town.source(source, compared=True, images=True, note=note)
-    with encoding_bar(frames.files, then="recognising") as bar:
+    with progress_bar("encoding", len(frames.files), "recognising") as bar:
         settings = recognition.settings()
         answers = town.query(frames, recognition.steps(), 1, progress=bar.advance, **settings)
     for answer in answers:

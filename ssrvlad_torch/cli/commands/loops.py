@@ -71,8 +71,8 @@ def loops(
         summary = stream.report(detector, results, tolerance_metres)
         _print_report(summary, results, config, as_json)
     else:
-        known = f"{len(opened.files)} frames" if opened.files else "frames"  # none of stdin
-        say(f"all {known} are in the memory already")
+        count = f"{len(opened.files)} frames" if opened.files else "frames"  # none of stdin
+        say(f"all {count} are in the memory already")
     if picture:
         _draw(picture, detector, results, tolerance_metres)
     finish(skipped, len(results))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from ...encoding.selection import STDIN, FrameSelection
 from ..options import AsOf, DatabaseFolder, Json, RecognitionOptions, option
-from ..output import encoding_bar, finish, note, print_json, say
+from ..output import finish, note, print_json, progress_bar, say
 
 if TYPE_CHECKING:
     from ...map import Map
@@ -61,7 +61,7 @@ def query(
     settings = {**recognition.settings(), "sequences": from_sequence, "exclude": exclude}
     town = Map.open(database, version=as_of)
     frames = town.source(source, compared=True, note=note)
-    with encoding_bar(frames.files, then="recognising") as bar:
+    with progress_bar("encoding", len(frames.files), "recognising") as bar:
         answers = town.query(frames, recognition.steps(), top, **settings, progress=bar.advance)
     _print(answers, threshold, as_json)
     finish(answers.skipped, len(answers))
@@ -70,7 +70,7 @@ def query(
 def _print(answers: Answers, threshold: float | None, as_json: bool) -> None:
     """Prints the candidates of each query whose score is above a threshold, and the steps."""
     from ...search.answers import estimate_in_json
-    from ..words import steps_in_words
+    from ..summaries import steps_in_words
 
     used, t = answers.recognised.used, answers.temporal
     for answer in answers:

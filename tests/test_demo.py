@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ssrvlad_torch.cli.pairs import Pair, chosen, draw_pairs
+from ssrvlad_torch.cli.demo import Pair, chosen, draw_pairs
 from ssrvlad_torch.taxonomy import label_space
 
 
@@ -19,11 +19,6 @@ from ssrvlad_torch.taxonomy import label_space
 )
 def test_a_wrong_match_is_among_them_if_there_is_one(right, matched, expected):
     assert chosen(right, matched, 3) == expected
-
-
-def test_a_name_is_cut_to_the_width_of_its_picture():
-    narrow, space = np.full((240, 5), 10), label_space("cityscapes-trainids")
-    assert draw_pairs([Pair(narrow, narrow, "query/000000", "b", True)], space, "a", "b").width
 
 
 def test_right_is_green_and_wrong_is_red():
