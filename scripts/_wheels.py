@@ -65,15 +65,17 @@ def _checked(wheel: Path, name: str) -> str:
     import lief
 
     with zipfile.ZipFile(wheel) as archive:
-        found = [file for file in archive.namelist() if Path(file).name.startswith("libssrvlad")]
+        libraries = [
+            file for file in archive.namelist() if Path(file).name.startswith("libssrvlad")
+        ]
         expected = [str(FOLDER / WHEELS[name].library)]
-        if found != expected:
-            raise ValueError(f"{wheel.name}: expected {expected}, got {found}")
-        content = archive.read(found[0])
+        if libraries != expected:
+            raise ValueError(f"{wheel.name}: expected {expected}, got {libraries}")
+        content = archive.read(libraries[0])
     lief.logging.disable()  # it reports what other systems lack
     library = lief.parse(content)
     if problem := next(problems_of(library, *name.split("_", 1)), None):
-        raise ValueError(f"{wheel.name}: {found[0]} {problem}")
+        raise ValueError(f"{wheel.name}: {libraries[0]} {problem}")
     if name.startswith("linux"):
         _audit(wheel)
     return f"native core of {len(content) // 1024} kB"

@@ -1,4 +1,4 @@
-"""Map: known places. Add drives, find others in it, measure how well that goes."""
+"""Map: known places. Add sequences, find others in it, measure how well that goes."""
 
 from __future__ import annotations
 
@@ -254,7 +254,7 @@ class Map:
         max_wrong: float | None = None,
         progress: Progress = do_nothing,
     ) -> Answers:
-        """Finds a drive, or any frames, in the map. A drive is found far better as a whole: give
+        """Finds a sequence, or any frames, in the map. It is found far better as a whole: give
         its folder, not its pictures one by one.
 
         Args:
@@ -292,7 +292,7 @@ class Map:
     def locate(
         self, pictures: Picture | Sequence[Picture], top: int = 5, near: Circle | None = None
     ) -> Answer | list[Answer]:
-        """The places of pictures, each judged alone; of a drive, use `query`. The map is loaded,
+        """The places of pictures, each judged alone; of a sequence, use `query`. The map is loaded,
         unless it is large and has an index, see ``ssrvlad db index``.
 
         Args:
@@ -405,7 +405,8 @@ class Map:
             ground_truth: a file of true matches, see ``ssrvlad evaluate --help``; by default that
                 of the data set.
             tolerance_metres, tolerance_degrees, tolerance_frames: instead of it, the largest
-                distance of a true match, by the poses or in frames.
+                distance of a true match, by the poses or in frames. By the poses, frames of unknown
+                pose are left out.
             convention: of the metrics.
             note: gets what is left out.
 

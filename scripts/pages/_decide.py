@@ -35,17 +35,17 @@ class Decisions(NamedTuple):
 
     def figures(self) -> dict[str, tuple[float, float, float]]:
         """Each of `FIGURES` with the ends of its 95 % bootstrap interval."""
-        found = evaluate(*self, at=(1, 5), resamples=RESAMPLES)
-        ends = found["intervals"]
-        rates = {f"RecallRate@{n}": (found["recall_at"][n], ends["recall_at"][n]) for n in "15"}
+        measured = evaluate(*self, at=(1, 5), resamples=RESAMPLES)
+        ends = measured["intervals"]
+        rates = {f"RecallRate@{n}": (measured["recall_at"][n], ends["recall_at"][n]) for n in "15"}
         others = {"AUC-PR": "auc_pr", "Recall@100%Precision": "recall_at_100_precision"}
-        rates |= {name: (found[key], ends[key]) for name, key in others.items()}
+        rates |= {name: (measured[key], ends[key]) for name, key in others.items()}
         return {name: (value, *low_high) for name, (value, low_high) in rates.items()}
 
 
 def decide(described: Described, condition: Condition, method: str, steps: Steps) -> Decisions:
     """Finds candidates for the queries of a condition."""
-    found, truth = [], []
+    recognised, truth = [], []
     for number, search in enumerate(condition.searches):
         names = described.sequences(search)
         if steps == ALONE:
@@ -55,10 +55,10 @@ def decide(described: Described, condition: Condition, method: str, steps: Steps
         else:
             queries, town = described.members(search, method, names[1])
             one = recognise(queries, names[0], town, steps, 5)
-        found.append(one)
+        recognised.append(one)
         truth += [places + number * OFFSET for places in search.truth]
     return Decisions(
-        torch.cat([one.matches.scores for one in found]).numpy(),
-        torch.cat([one.matches.indices + n * OFFSET for n, one in enumerate(found)]).numpy(),
+        torch.cat([one.matches.scores for one in recognised]).numpy(),
+        torch.cat([one.matches.indices + n * OFFSET for n, one in enumerate(recognised)]).numpy(),
         truth,
     )

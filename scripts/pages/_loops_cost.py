@@ -34,14 +34,14 @@ def loops_table(sizes: Sequence[int] = SIZES) -> Iterator[str]:
 def timed(size: int, channels: Sequence[Channel], scan_above: int) -> float:
     """The median of the seconds of a step by some channels, of random values."""
     stream = Loops(channels, scan_above=scan_above)
-    rng, known = np.random.default_rng(0), dict[str, np.ndarray]()
+    rng, stored = np.random.default_rng(0), dict[str, np.ndarray]()
     for first in range(0, size, BLOCK):
         count = min(BLOCK, size - first)
-        known = {channel.name: drawn(rng, count, channel) for channel in channels}
-        stream.extend(known, None, (first + np.arange(count)) % (size // DRIVES) == 0)
+        stored = {channel.name: drawn(rng, count, channel) for channel in channels}
+        stream.extend(stored, None, (first + np.arange(count)) % (size // DRIVES) == 0)
     times: list[float] = []
     for number in range(WARM_UP + FRAMES):
-        one = {name: values[number] for name, values in known.items()}
+        one = {name: values[number] for name, values in stored.items()}
         one["ssr-vlad"] = np.repeat(one["ssr-vlad"][None], ANCHORS, axis=0)
         began = time.process_time()
         stream.update(one, starts=number == 0, threads=torch.get_num_threads())

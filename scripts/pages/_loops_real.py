@@ -94,9 +94,9 @@ def one_stream(pairs: Sequence[Pair]) -> Iterator[str]:
             if not set(beside) <= set(pair.first.beside):
                 cells.append("")
                 continue
-            found = detect(pair, beside, way)
-            wrong = f", {found.elsewhere} elsewhere" if found.elsewhere else ""
-            cells.append(f"{found.right.mean():.2f}{wrong}")
+            outcome = detect(pair, beside, way)
+            wrong = f", {outcome.elsewhere} elsewhere" if outcome.elsewhere else ""
+            cells.append(f"{outcome.right.mean():.2f}{wrong}")
         yield row(pair.name, *cells)
         print(pair.name, *cells, flush=True)
 
@@ -107,10 +107,10 @@ def left(pairs: Sequence[Pair]) -> Iterator[str]:
     for (name, names), way in product(ONE_STREAM.items(), (ONE_NAME, TWO_NAMES)):
         real = [pair for pair in pairs if set(WITH_HOG) <= set(pair.first.beside)]
         cut = [without(pair, *hole) for pair, hole in product(real, HOLES)]
-        found = [detect(pair, names, way) for pair in cut]
+        outcomes = [detect(pair, names, way) for pair in cut]
         places = sum(len(rows) > 0 for pair in cut for rows in pair.truth)
-        right, wrong = (sum(int(np.sum(each[of])) for each in found) for of in (0, 1))
-        elsewhere = sum(each.elsewhere for each in found)
+        right, wrong = (sum(int(np.sum(outcome[of])) for outcome in outcomes) for of in (0, 1))
+        elsewhere = sum(outcome.elsewhere for outcome in outcomes)
         counts = str(right + wrong), str(wrong), str(elsewhere)
         yield row(f"{name}: {way}", str(len(cut)), str(places), f"{right / places:.2f}", *counts)
         print(name, way, *counts, flush=True)
@@ -119,23 +119,25 @@ def left(pairs: Sequence[Pair]) -> Iterator[str]:
 def without(pair: Pair, begin: float, end: float) -> Pair:
     """A pair without a part of the first drive."""
     count = len(pair.first.vectors)
-    kept = np.r_[: int(begin * count), int(end * count) : count]
+    remaining = np.r_[: int(begin * count), int(end * count) : count]
     new = np.full(count, -1)
-    new[kept] = np.arange(len(kept))
-    beside = {name: each[kept] for name, each in pair.first.beside.items()}
+    new[remaining] = np.arange(len(remaining))
+    beside = {name: vectors[remaining] for name, vectors in pair.first.beside.items()}
     inside = (rows[(rows >= 0) & (rows < count)] for rows in map(np.asarray, pair.truth))
     truth = [new[rows][new[rows] >= 0] for rows in inside]
-    return pair._replace(first=Drive(pair.first.vectors[kept], beside), truth=truth)
+    return pair._replace(first=Drive(pair.first.vectors[remaining], beside), truth=truth)
 
 
 def nothing(name: str, pairs: Sequence[Pair], beside: tuple[str, ...], way: str = TWO_NAMES) -> str:
     """A row on streams that should close no loop."""
-    found = [detect(pair, beside, way) for pair in pairs if set(beside) <= set(pair.first.beside)]
-    wrong = [each.wrong for each in found]
-    loops = sum(wrong) + sum(int(each.right.sum()) for each in found)
+    outcomes = [
+        detect(pair, beside, way) for pair in pairs if set(beside) <= set(pair.first.beside)
+    ]
+    wrong = [outcome.wrong for outcome in outcomes]
+    loops = sum(wrong) + sum(int(outcome.right.sum()) for outcome in outcomes)
     frames = sum(len(pair.second.vectors) for pair in pairs)
     print(name, wrong, flush=True)
-    counts = len(found), frames, loops, sum(wrong), np.count_nonzero(wrong)
+    counts = len(outcomes), frames, loops, sum(wrong), np.count_nonzero(wrong)
     return row(name, *map(str, counts))
 
 

@@ -123,8 +123,8 @@ def quote(file: Path, mark: str, text: str) -> None:
     Raises:
         ValueError: the file has no such marks.
     """
-    before, begin, rest = file.read_text(encoding="utf-8").partition(f"<!-- {mark} -->")
-    _, end, after = rest.partition(f"<!-- /{mark} -->")
+    before, begin, after_mark = file.read_text(encoding="utf-8").partition(f"<!-- {mark} -->")
+    _, end, after = after_mark.partition(f"<!-- /{mark} -->")
     if not end:
         raise ValueError(f"{file}: expected <!-- {mark} --> and <!-- /{mark} -->, found not both")
     write(file, f"{before}{begin}{text}{end}{after}")

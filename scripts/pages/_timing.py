@@ -51,7 +51,7 @@ def time_in_turn(
             begin = time.perf_counter()
             way()
             seconds[name].append(time.perf_counter() - begin)
-    return {name: Timing(tuple(taken)) for name, taken in seconds.items()}
+    return {name: Timing(tuple(durations)) for name, durations in seconds.items()}
 
 
 @contextmanager

@@ -70,7 +70,7 @@ def render(city: int, condition: str) -> Tour:
 def swept(frames: Iterable[CityFrame]) -> Tensor:
     """``(N, S, 480)``, from the anchors of a detector."""
     labels = torch.from_numpy(np.stack([frame.labels for frame in frames]))
-    return torch.cat([head().sweep(part, COLUMNS) for part in labels.split(BATCH)])
+    return torch.cat([head().sweep(batch, COLUMNS) for batch in labels.split(BATCH)])
 
 
 @cache

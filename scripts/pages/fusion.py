@@ -49,27 +49,28 @@ def main() -> None:
 
 def table(described: Described, steps: Steps) -> Iterator[str]:
     """A row for each condition, and their means; *against the best* of the members."""
-    every = (*real_conditions(described), *camvid_conditions(described))
-    conditions = [condition for condition in every if condition.suits(FEATURES)]
+    available = (*real_conditions(described), *camvid_conditions(described))
+    conditions = [condition for condition in available if condition.suits(FEATURES)]
     yield from head_row("condition", *SUMMED, "against the best")
     decided = (
-        (decide(described, each, m, steps).right.mean() for m in SUMMED) for each in conditions
+        (decide(described, condition, m, steps).right.mean() for m in SUMMED)
+        for condition in conditions
     )
     rates = np.array([list(line) for line in decided])
     ahead = rates[:, -1] - rates[:, : len(MEMBERS)].max(axis=1)
-    names = [*(f"{each.dataset}, {each.name}" for each in conditions), "mean"]
+    names = [*(f"{condition.dataset}, {condition.name}" for condition in conditions), "mean"]
     figures = np.column_stack([rates, ahead])
-    for name, (*own, best) in zip(names, [*figures, figures.mean(axis=0)], strict=True):
-        yield row(name, *(f"{figure:.3f}" for figure in own), f"{best:+.3f}")
+    for name, (*rates_alone, best) in zip(names, [*figures, figures.mean(axis=0)], strict=True):
+        yield row(name, *(f"{figure:.3f}" for figure in rates_alone), f"{best:+.3f}")
 
 
 def excerpt(page: str) -> str:
     """The means of single pictures, for README.md."""
     names, *_, means = first_table(page, "## Picture by picture")
-    found = dict(zip(names, means, strict=True))
+    means_by = dict(zip(names, means, strict=True))
     return (
-        f"`default` alone {found[OURS]}, HOG {found['HOG']},\n  features {found[FEATURES]}, "
-        f"all three {found[TOGETHER]}"
+        f"`default` alone {means_by[OURS]}, HOG {means_by['HOG']},\n  features "
+        f"{means_by[FEATURES]}, all three {means_by[TOGETHER]}"
     )
 
 

@@ -29,14 +29,14 @@ FRAME = 4
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--output", type=Path, default=Path("docs/figures"))
-    given = parser.parse_args()
+    options = parser.parse_args()
     *_, frame = SyntheticCity().traverse(FRAME + 1)
     for preset in PRESETS:
         view = SSRVLAD.from_preset(preset, labels_as=SPACE).explain(frame.labels[None])
-        save(view.show(), given.output / f"stages-{preset}.png")
+        save(view.show(), options.output / f"stages-{preset}.png")
     with TemporaryDirectory() as folder:
         _, shown = run_demo(Path(folder) / "demo", FRAMES, 0, lambda _: None)
-        shutil.copy(shown, given.output / "demo.png")
+        shutil.copy(shown, options.output / "demo.png")
 
 
 if __name__ == "__main__":

@@ -44,8 +44,8 @@ def table(described: Described, method: str) -> Iterator[str]:
     yield from head_row("condition", *STEPS)
     for condition in all_conditions(described):
         if condition.suits(method):
-            found = [decide(described, condition, method, steps) for steps in STEPS.values()]
-            rates = (each.figures()["RecallRate@1"] for each in found)
+            decisions = [decide(described, condition, method, steps) for steps in STEPS.values()]
+            rates = (decision.figures()["RecallRate@1"] for decision in decisions)
             yield row(condition.name, *(interval(value, ends) for value, *ends in rates))
 
 

@@ -18,16 +18,16 @@ LABELS_AS = "cityscapes-ids"
 
 def golden() -> dict[str, np.ndarray]:
     """``(2, H, W)`` labels and ``(2, D)`` descriptors by the fingerprint of the settings."""
-    found: dict[str, np.ndarray] = {}
+    arrays: dict[str, np.ndarray] = {}
     for preset in ("default", "paper"):
         head = SSRVLAD.from_preset(preset, labels_as=LABELS_AS)
         labels = golden_pair(head, "labels", "uint8")["labels"]
-        known = [each.id for each in head.label_space.classes]
-        labels = np.where(np.isin(labels, known), labels, 0).astype(np.uint8)
-        described = np.stack([describe(each, head.config) for each in labels])
-        found[f"{head.config.fingerprint} labels"] = labels
-        found[f"{head.config.fingerprint} descriptor"] = described.astype(np.float32)
-    return found
+        ids = [item.id for item in head.label_space.classes]
+        labels = np.where(np.isin(labels, ids), labels, 0).astype(np.uint8)
+        described = np.stack([describe(item, head.config) for item in labels])
+        arrays[f"{head.config.fingerprint} labels"] = labels
+        arrays[f"{head.config.fingerprint} descriptor"] = described.astype(np.float32)
+    return arrays
 
 
 if __name__ == "__main__":

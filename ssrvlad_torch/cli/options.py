@@ -227,7 +227,8 @@ class TruthOptions:
         "0/1 matrix (.npy, .npz). Default: the ground truth of the data set."
     )
     tolerance_metres: float | None = option(
-        "Instead of a ground truth: largest distance of a true match in metres, by the poses."
+        "Instead of a ground truth: largest distance of a true match in metres, by the poses. "
+        "Frames of unknown pose are left out."
     )
     tolerance_degrees: float | None = option(
         "With --tolerance-metres: largest difference of the headings of a true match."

@@ -167,7 +167,7 @@ def weights_in_words(weights: Sequence[Mapping[str, float]]) -> list[str]:
     """The weights of fused methods in each sequence; an empty list for a single method."""
     if not any(weights):
         return []
-    names = (f"{name} {'/'.join(f'{drive[name]:.2f}' for drive in weights)}" for name in weights[0])
+    names = (f"{name} {'/'.join(f'{of[name]:.2f}' for of in weights)}" for name in weights[0])
     return [f"fused: {' + '.join(names)}"]
 
 

@@ -67,11 +67,11 @@ def require_poses(
 def from_frame_numbers(
     queries: Sequence[str], references: Sequence[str], frames: int
 ) -> list[Rows]:
-    """True matches of each query: the references at most ``frames`` frames away in the drive.
+    """True matches of each query: the references at most ``frames`` frames away in the sequence.
 
     The frames of a sequence, queries and references together, of the ids ``<sequence>/<name>``, are
     numbered in the order of their names. If the queries' sequences are not among those of the
-    references, queries and references must be one sequence each: aligned traverses of equal length,
+    references, queries and references must be one sequence each: aligned ones of equal length,
     whose n-th frames match. Others, and a negative number, are a ValueError.
     """
     if frames < 0:
@@ -86,7 +86,7 @@ def from_frame_numbers(
         query_numbers, reference_numbers = _numbers({*queries}), _numbers({*references})
         if len(query_numbers) != len(reference_numbers):
             raise ValueError(
-                "a tolerance in frames requires two traverses of equal length, got "
+                "a tolerance in frames requires two sequences of equal length, got "
                 f"{len(query_numbers)} query frames and {len(reference_numbers)} reference frames"
             )
     else:

@@ -88,7 +88,7 @@ def loop_curve(probabilities: Floats, right: Bools, revisits: int) -> PrecisionR
 def surest_point(curve: PrecisionRecall) -> OperatingPoint | None:
     """The threshold with the highest lower bound of the precision, see `suggested_point`;
     ``None`` if no loop is right. If a right loop has a probability of at least `EVEN`, less
-    probable loops are not considered: one drive without a mistake does not show that they are
+    probable loops are not considered: one sequence without a mistake does not show that they are
     right on the next."""
     likely = int((curve.thresholds >= EVEN).sum())
     if likely and curve.true_positives[likely - 1]:

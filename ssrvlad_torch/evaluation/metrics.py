@@ -78,7 +78,7 @@ def evaluate(
     Raises:
         ValueError: the shapes do not fit, a score is NaN, or the convention is unknown.
 
-    Neighbouring queries of a drive are alike: the bootstrap draws blocks of `BLOCK` of them, in
+    Neighbouring queries of a sequence are alike: the bootstrap draws blocks of `BLOCK` of them, in
     their order. Where all resamples agree, as where all queries are right, RecallRate@N, and
     Recall@100%Precision of 1, have Wilson's interval of queries / block independent ones. Other
     figures, such as AUC-PR, have both ends at one value there, which does not mean that they are

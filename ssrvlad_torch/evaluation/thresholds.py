@@ -48,7 +48,7 @@ def suggested_point(
     The lower bound is the lower end of Wilson's 95 % interval: for 0.95, 73 queries must be
     accepted without a mistake. If no threshold reaches it, the result is the one with the highest
     lower bound, or ``None`` if no accepted query is right. The bound would hold if queries were
-    independent and the threshold were fixed before; for alike neighbours of a drive, and for the
+    independent and the threshold were fixed before; for alike neighbours of a sequence, and for the
     best of many thresholds, it is too high.
 
     The threshold lies halfway to the next lower score, or is the next lower float32 if no score is

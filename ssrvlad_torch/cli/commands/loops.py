@@ -126,9 +126,9 @@ def _draw(
 
     pairs = stream.loops_of(detector, results)
     candidates = stream.candidates_of(detector, results)
-    drives = [sequence_of(frame) for frame in detector.frames]
-    title = ", ".join(dict.fromkeys(drives))
-    figure = draw_loops(pairs, detector.poses, title, metres, drives, candidates)
+    sequences = [sequence_of(frame) for frame in detector.frames]
+    title = ", ".join(dict.fromkeys(sequences))
+    figure = draw_loops(pairs, detector.poses, title, metres, sequences, candidates)
     write_picture(figure, picture)
 
 
@@ -173,7 +173,7 @@ def _print_report(
         f"({summary['right']} of {summary['revisits']} revisits)"
     )
     if not summary["suggested"]:
-        say("no threshold to suggest: no candidate is right; a drive with revisits is needed")
+        say("no threshold to suggest: no candidate is right; a sequence with revisits is needed")
         return
     point = summary["suggested"]
     say(
