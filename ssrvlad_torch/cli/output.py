@@ -52,8 +52,9 @@ def results_alone() -> Iterator[None]:
     with ExitStack() as stack:
         if is_stdout:
             results.flush()
-            settings = {"encoding": results.encoding, "errors": results.errors}
-            results = stack.enter_context(os.fdopen(os.dup(1), "w", **settings))
+            encoding, errors = results.encoding, results.errors
+            copy = os.fdopen(os.dup(1), "w", encoding=encoding, errors=errors)
+            results = stack.enter_context(copy)
             os.dup2(2, 1)
             stack.callback(os.dup2, results.fileno(), 1)
         stack.enter_context(redirect_stdout(_Stderr(results)))
