@@ -90,6 +90,7 @@ class Map {
     const auto count = drive.size();
     std::vector<float> scores(count * top), sure(3 * count);
     std::vector<std::int64_t> rows(count * top);
+    std::vector<std::uint8_t> follows(count);
     std::vector<double> weights(channels_.size());
     ssrvlad_decision decision{};
     decision.scores = scores.data();
@@ -97,6 +98,7 @@ class Map {
     decision.right = sure.data();
     decision.spread = sure.data() + count;
     decision.together = sure.data() + 2 * count;
+    decision.follows = follows.data();
     ssrvlad_taken taken{};
     taken.weights = weights.data();
     ssrvlad_steps steps{};
@@ -110,7 +112,7 @@ class Map {
     const char* alone = channels_.size() > 1 ? "fused score" : "cosine";
     std::vector<Answer> answers;
     for (std::size_t query = 0; query < count; ++query) {
-      answers.push_back({{}, decision.followed ? "probability" : alone, sure[query]});
+      answers.push_back({{}, follows[query] ? "probability" : alone, sure[query]});
       for (auto at = query * top; at < (query + 1) * top && rows[at] >= 0; ++at)
         answers.back().candidates.push_back(
             {frames_[static_cast<std::size_t>(rows[at])], std::min(1.0F, scores[at])});

@@ -15,7 +15,7 @@ const STEPS = new Struct({
 const TAKEN = new Struct({ standardised: INT, width: LONG, weights: ADDRESS });
 const DECISION = new Struct({
   ...{ scores: ADDRESS, rows: ADDRESS, right: ADDRESS, spread: ADDRESS, together: ADDRESS },
-  ...{ followed: INT, way: INT, streams: LONG, rate: DOUBLE, gain: DOUBLE },
+  ...{ followed: INT, way: INT, streams: LONG, rate: DOUBLE, gain: DOUBLE, follows: ADDRESS },
 });
 
 /** By name: the name in `ssrvlad query`, how much it counts before anything is known, and its array. */
