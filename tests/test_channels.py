@@ -47,7 +47,7 @@ def test_descriptors_of_all_channels_are_loaded_bit_for_bit_and_in_order(made):
     assert torch.equal(frames.channels["own"], descriptors(1, 3, 7)[[1, 0, 2]])
     assert opened.columns[1:] == (OWN,)
     assert opened.info()["channels"] == {"ssr-vlad": CONFIG.fingerprint, "own": "seven numbers"}
-    assert "ssr-vlad and own of 480" in repr(opened)
+    assert "3 frames by ssr-vlad and own" in repr(opened)
     assert "ssr-vlad and own" in repr(frames)
     opened.merge(["day/2"], both(2, 3, 1))
     assert torch.equal(opened.load().channels["own"][0], descriptors(3, 1, 7)[0])

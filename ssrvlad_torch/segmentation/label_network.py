@@ -58,8 +58,13 @@ class LabelNetwork(nn.Module):
         if missing := [name for name in names if name not in values]:
             raise ValueError(f"features: the network did not compute {missing[0]}")
         if self.output is None:
-            name = choose_output(outputs, self.space, self.config.output, self.config.classes)
-            self.axis = self._axis_of(outputs[name], *numbers.shape[2:])
+            try:
+                name = choose_output(outputs, self.space, self.config.output, self.config.classes)
+                self.axis = self._axis_of(outputs[name], *numbers.shape[2:])
+            except ValueError as error:
+                if not isinstance(self.network, OnnxNetwork):
+                    raise
+                raise type(error)(f"{self.network.path}: {error}") from error
             self.output = name
         return self.scores_of(outputs[self.output]), [values[name] for name in names]
 
