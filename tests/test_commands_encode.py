@@ -207,7 +207,7 @@ def test_a_network_of_other_classes_is_refused_at_its_first_picture(ssrvlad, pho
     network = ("--segmenter", tmp_path / "net.onnx", "--labels-as", "synthia")
     code, out, lines = ssrvlad("encode", photos, "-o", tmp_path / "db", *network)
     assert (code, out) == (2, "") and not (tmp_path / "db").exists()
-    assert "net.onnx: no output fits label space synthia: got scores (1, 12, 224, 448)" in lines[-1]
+    assert "net.onnx: no output fits label space synthia: got found (6, 12, 24, 32)" in lines[-1]
 
 
 def test_a_uri_is_a_source_and_an_unknown_scheme_is_refused(encode, maps, tmp_path):
