@@ -132,15 +132,15 @@ def by_the_core(scene: Scene, mode: str) -> Lines:
         arrays = {name: array.numpy() for name, array in queries.channels.items()}
         found = town.query(arrays, follow=follow, delay=delay, top=3)
         alone = "fused score" if len(arrays) > 1 else "cosine"
-        for query, rows, scores, sure in zip(
-            queries.frames, found.rows, found.scores, found.right, strict=True
+        for query, rows, scores, sure, follows in zip(
+            queries.frames, found.rows, found.scores, found.right, found.follows, strict=True
         ):
             ranked = [
                 {"frame": frames[row], "score": float(score)}
                 for row, score in zip(rows, scores, strict=True)
                 if row >= 0
             ]
-            score_is = "probability" if found.followed else alone
+            score_is = "probability" if follows else alone
             line = {"query": query, "candidates": ranked, "score_is": score_is}
             lines.append({**line, "confidence": float(sure)})
     return lines
