@@ -166,7 +166,11 @@ class Turned(Coloured):
 
 
 @pytest.mark.parametrize(
-    ("network", "problem"), [(Turned(), "pixels have another label"), (Pooled(), "the graph fails")]
+    ("network", "problem"),
+    [
+        pytest.param(Turned(), "pixels have another label", marks=pytest.mark.slow),
+        (Pooled(), "the graph fails"),
+    ],
 )
 def test_fuse_says_that_a_traced_graph_depends_on_the_size(network, problem, tmp_path):
     config = SSRVLADConfig(labels_as=SPACE)

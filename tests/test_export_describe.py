@@ -64,13 +64,7 @@ def headers(folder):
     return f"-I{folder}"
 
 
-def others():
-    """All but one are slow: the library takes long to compile, with zig that of C++ too."""
-    for name in OTHERS:
-        yield pytest.param(name, marks=() if name == "aarch64" else pytest.mark.slow)
-
-
-@pytest.fixture(scope="module", params=others())
+@pytest.fixture(scope="module", params=OTHERS)
 def other(request, tmp_path_factory):
     """The program and the library, compiled for another platform."""
     compiler, runner, suffix = OTHERS[request.param]
@@ -118,6 +112,7 @@ def assert_the_same_bits(describe, other, preset, space, maps, folder):
         assert here[0] == 0 and here[:2] == there[:2], there[2]  # Wine fills stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("preset", PRESETS)
 def test_other_platforms(describe, other, preset, tmp_path):
     drawn = {**degenerate(), **hand_drawn()}

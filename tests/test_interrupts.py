@@ -102,7 +102,9 @@ def places(answers):
     ]
 
 
-@pytest.mark.parametrize(("files", "stored"), [(ADD, 0), (INDEX, 2)])
+@pytest.mark.parametrize(
+    ("files", "stored"), [(ADD, 0), pytest.param(INDEX, 2, marks=pytest.mark.slow)]
+)
 def test_after_an_interrupted_add_the_map_goes_on(tmp_path, files, stored):
     """A new one, or one of two frames with an index: it has what is stored, and the next `add` adds
     what is missing."""
