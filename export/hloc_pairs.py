@@ -54,8 +54,10 @@ class ImageNames:
             if path.absolute().with_suffix("").as_posix().endswith(f"/{frame}")
         ]
         if len(names) != 1:
-            found = " and ".join(names) or "none"
-            raise ValueError(f"expected one image of frame {frame!r} in {self.folder}, got {found}")
+            matches = " and ".join(names) or "none"
+            raise ValueError(
+                f"expected one image of frame {frame!r} in {self.folder}, got {matches}"
+            )
         return names[0]
 
 
@@ -67,13 +69,13 @@ def pairs_of(lines: Iterable[str]) -> Iterator[Pair]:
     """
     for number, line in enumerate(lines, 1):
         try:
-            found: dict[str, Any] = json.loads(line)
-            if "reason" in found:
-                if found["reason"] == ACCEPTED:
-                    yield found["frame"], found["candidate"]
-            elif "candidates" in found:
-                yield from ((found["query"], each["frame"]) for each in found["candidates"])
-            elif "precision" not in found:
+            result: dict[str, Any] = json.loads(line)
+            if "reason" in result:
+                if result["reason"] == ACCEPTED:
+                    yield result["frame"], result["candidate"]
+            elif "candidates" in result:
+                yield from ((result["query"], place["frame"]) for place in result["candidates"])
+            elif "precision" not in result:
                 raise KeyError("candidates")
         except (ValueError, TypeError, KeyError) as error:
             raise ValueError(

@@ -8,10 +8,8 @@ Prints a JSON object a line for every frame, as `ssrvlad loops --json` does: `fr
 `candidate`, `score`, `probability`, `ahead`, `candidates`. `-` reads names of files on stdin, one a
 line, and answers each at once. The rules and thresholds are those of `ssrvlad_torch.LoopDetector`:
 with one anchor a frame, those of `ssrvlad loops --no-sweep`, and of a fused file, which gives all
-channels, the same with the network. Needs numpy, onnxruntime, `ssrvlad-torch` without what it
-depends on (`pip install --no-deps ssrvlad-torch`), and the folder `ssrvlad_place` beside it;
-`run_onnx.py` lists the formats of frames. Exit code 0 for success, 2 for wrong use, 3 for finished
-with some frames skipped.
+channels, the same with the network. It needs what `run_onnx.py` needs. Exit code 0 for success, 2
+for wrong use, 3 for finished with some frames skipped.
 """
 
 from __future__ import annotations
@@ -24,38 +22,31 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from ssrvlad_place.frames import find_frames
-from ssrvlad_place.model import LABEL_SHAPES, TRUST, Model, Seen, add_model, open_model
-from ssrvlad_place.output import finished, note, one_line, run_program
+from ssrvlad_place.model import LABEL_SHAPES, TRUST, Description, Model, add_model, open_model
+from ssrvlad_place.output import finished, note, run_program
 
-try:
-    from ssrvlad_torch.loops.config import LoopConfig
-    from ssrvlad_torch.native.loops import Channel, Loops, LoopStep
-except ImportError:
-    sys.exit("loops_onnx: loops need: pip install --no-deps ssrvlad-torch")
+from ssrvlad_torch.datasets.frame_file import FrameFile
+from ssrvlad_torch.loops.config import LoopConfig
+from ssrvlad_torch.native.loops import Channel, Loops, LoopStep
 
 STDIN = Path("-")
 
 
-def frames_of(sources: list[Path], suffixes: tuple[str, ...]) -> Iterator[tuple[str, Path]]:
-    """Ids and files of the frames of folders, see `find_frames`, or of the names on stdin.
-
-    Raises:
-        ValueError: a source does not exist or holds no frame.
-    """
+def frames_of(sources: list[Path], model: Model) -> Iterator[FrameFile]:
+    """The frames of folders, see `Model.frames`, or of the names on stdin."""
     if sources != [STDIN]:
-        yield from find_frames(sources, suffixes)
+        yield from model.frames(sources)
         return
     for line in map(os.fsdecode, sys.stdin.buffer):
         if line.strip():
             path = Path(line.rstrip("\r\n"))
-            yield f"{path.absolute().parent.name}/{path.stem}", path
+            yield FrameFile(path.absolute().parent.name, path.stem, path)
 
 
-def stream_of(seen: Seen, model: Model, config: LoopConfig) -> Loops:
+def stream_of(frame: Description, model: Model, config: LoopConfig) -> Loops:
     """A stream without frames, whose frames have the channels of this one."""
     channels = []
-    for name, array in seen.channels.items():
+    for name, array in frame.channels.items():
         shape = array.shape[1:] if name == LABEL_SHAPES and model.anchors else array.shape
         channels.append(Channel(name, shape, str(array.dtype), TRUST[name]))
     return Loops(channels, config.exclude, config.threshold)
@@ -73,26 +64,24 @@ def run(options: argparse.Namespace) -> int:
     """Runs the detector over a stream; the exit code."""
     model, config = open_model(options), LoopConfig(options.exclude, options.threshold)
     stream: Loops | None = None
-    frames, done, skipped = list[str](), set[str](), 0
-    for frame, path in frames_of(options.source, model.suffixes):
+    frames, ids, last, total = list[str](), set[str](), "", 0
+    for file in frames_of(options.source, model):
+        total += 1
         try:
-            if frame in done:
-                raise ValueError(f"frame {frame} was there before")
-            seen = model.see(path)
+            if file.frame in ids:
+                raise ValueError(f"frame {file.frame} was there before")
+            frame = model.see(file)
             if stream is None:
-                stream = stream_of(seen, model, config)
-            # before the core gets the frame, so that its rows and these ids never part
-            frames[len(stream) :] = [frame]
-            last = frames[-2] if len(frames) > 1 else "/"
-            starts = frame.rpartition("/")[0] != last.rpartition("/")[0]
-            step = stream.update(seen.channels, starts=starts)
+                stream = stream_of(frame, model, config)
+            step = stream.update(frame.channels, starts=file.sequence != last)
         except ValueError as error:
-            note(f"{path}: {one_line(error)}")
-            skipped += 1
+            note(f"{file.location}: {error}")
             continue
-        done.add(frame)
-        print(json.dumps(line_of(frame, step, frames)), flush=True)
-    return finished(skipped, len(done))
+        frames.append(file.frame)
+        ids.add(file.frame)
+        last = file.sequence
+        print(json.dumps(line_of(file.frame, step, frames)), flush=True)
+    return finished(total - len(frames), total)
 
 
 def main() -> int:

@@ -175,7 +175,7 @@ def in_front(poses: Floats, row: int, metres: float) -> Floats:
 
 def measured(poses: Floats, loop: Loop, drives: Sequence[slice]) -> Floats:
     """``(3,)``, the pose of a loop's frame as seen from its candidate."""
-    [drive] = (each for each in drives if each.start <= loop.candidate < each.stop)
+    [drive] = (rows for rows in drives if rows.start <= loop.candidate < rows.stop)
     row = loop.candidate - drive.start
     there = relative(poses[loop.candidate], in_front(poses[drive], row, loop.ahead or 0.0))
     if loop.turn is not None:
@@ -335,7 +335,7 @@ def write(
     poses = [Pose(*map(float, pose)) for pose in after.poses]
     write_poses(folder / "poses.csv", dict(zip(frames, poses, strict=True)))
     with replacing(folder / "poses.tum") as temporary:
-        lines = [tum_line(*each) for each in zip(stamps, poses, strict=True)]
+        lines = [tum_line(*pair) for pair in zip(stamps, poses, strict=True)]
         temporary.write_text("".join(lines), encoding="utf-8")
     values = gtsam.Values()
     for row, pose in enumerate(after.poses):
@@ -376,11 +376,11 @@ def run(options: argparse.Namespace) -> str:
     poses, stamps = read_odometry(options.odometry, frames)
     known = np.flatnonzero(np.isfinite(poses).all(axis=1))
     row = {frames[number]: place for place, number in enumerate(known.tolist())}
-    closed = [each for each in closed if each[0] in row and each[1] in row]
+    closed = [loop for loop in closed if loop[0] in row and loop[1] in row]
     loops = [Loop(row[frame], row[there], ahead) for frame, there, ahead in closed]
     if options.pictures:
         for number, (frame, there, _) in enumerate(closed):
-            files = (picture_of(options.pictures, each) for each in (there, frame))
+            files = (picture_of(options.pictures, name) for name in (there, frame))
             loops[number] = verified(loops[number], tuple(files), options.intrinsics)
     names = [frames[number] for number in known]
     ends = np.cumsum([len([*drive]) for _, drive in groupby(n.rpartition("/")[0] for n in names)])

@@ -7,7 +7,7 @@ rtabmap --Mem/GlobalDescriptorStrategy 1 --Kp/TfIdfLikelihoodUsed false \
         --Mem/RehearsalSimilarity 1 --PyDescriptor/Dim 480 \
         --PyDescriptor/Path export/rtabmap_ssrvlad.py
 
-Needs numpy, onnxruntime and the folder `ssrvlad_place` beside it, and a file of `ssrvlad fuse`:
+Needs what `run_onnx.py` needs, and a file of `ssrvlad fuse`:
 `place.onnx` beside it, or the one that `rtabmap_ssrvlad.json` beside it names:
 {"model": "other.onnx"}.
 """
@@ -27,7 +27,9 @@ if not hasattr(sys, "argv"):  # as in an embedded interpreter
     sys.argv = [""]
 
 from ssrvlad_place.model import Model
-from ssrvlad_place.output import note, one_line
+from ssrvlad_place.output import note
+
+from ssrvlad_torch.files import one_line
 
 SETTINGS = Path(__file__).resolve().with_suffix(".json")
 

@@ -2,31 +2,36 @@
 """Describes frames with an exported or fused file, and finds them in an exported database.
 
 python export/run_onnx.py head.onnx maps/today --database town.npy --top 3
+python export/run_onnx.py place.onnx photos/today --database photos.npy --follow offline
 python export/run_onnx.py head.onnx photos --network net.onnx --provider CUDAExecutionProvider
 
-Needs numpy, onnxruntime and the folder `ssrvlad_place` beside it, Pillow for pictures, but not for
-`.npy` arrays, and for --database the package without torch: `pip install --no-deps ssrvlad-torch`.
-A file of `ssrvlad export` takes label maps: gray or palette images as PNG,
-TIFF or BMP, or `.npy` (H, W); with `--input logits` class scores as `.npy` (C, H, W). A file of
-`ssrvlad fuse` takes photographs: JPEG, PNG, WebP, BMP, TIFF, PPM or `.npy` (H, W, 3). With the two
-files of `ssrvlad fuse --split` the network runs on --provider and the head on the CPU. Every file
-is run on its golden pair when it is loaded, and refused if this runtime gives other outputs. A
-database is written by `ssrvlad db export --format npy` or by --save-descriptors. Where the file and
-the database have features and HOG, they are fused with the descriptors of label maps. Each frame is
-judged alone, without the steps of `ssrvlad query`; `follow_onnx.py` takes them for drives. Exit
-code 0 for success, 1 if --check finds the golden pair wrong, 2 for wrong use, 3 for finished with
-some frames skipped.
+Needs the folder `ssrvlad_place` beside it, and the package without torch, as README.md says. A file
+of `ssrvlad export` takes label maps, or with `--input logits` class scores as `.npy` (C, H, W); a
+file of `ssrvlad fuse` takes photographs; both as `ssrvlad encode` reads them. With the two files of
+`ssrvlad fuse --split` the network runs on --provider and the head on the CPU. Every file is run on
+its golden pair when it is loaded, and refused if this runtime gives other outputs.
+
+A database is written by `ssrvlad db export --format npy` or by --save-descriptors. All channels are
+used that the file and the database have. Each frame is found by itself, as by `ssrvlad locate`, or
+with --follow each folder as a sequence, as by `ssrvlad query`: offline by all its frames, online by
+those before it and --delay later ones, or by none (no). A fused file describes label maps from one
+anchor, where `ssrvlad query` takes several; `ssrvlad export --sweep` writes a head that does too.
+
+Exit code 0 for success, 1 if --check finds the golden pair wrong, 2 for wrong use, 3 for finished
+with some frames skipped.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Iterable
+from itertools import groupby, repeat
+from operator import attrgetter
 from pathlib import Path
 
-from ssrvlad_place.database import Database, require_one_line, save
-from ssrvlad_place.frames import find_frames
-from ssrvlad_place.model import Seen, add_model, open_model
+from ssrvlad_place.database import Answer, Database, require_one_line, save
+from ssrvlad_place.model import Description, add_model, open_model
 from ssrvlad_place.output import finished, note, report, run_program
 
 
@@ -36,34 +41,36 @@ def run(options: argparse.Namespace) -> int:
     if options.check:
         golden = model.golden()
         print(golden)
-        return int(not golden.holds)
+        return int(bool(golden.problem))
     if options.save_descriptors and model.anchors:
         raise ValueError("--save-descriptors: expected a file without --sweep")
-    given, out = options.database, options.save_descriptors
-    database = given and Database(given, model.fingerprints)
+    out = options.save_descriptors
+    database = options.database and Database(options.database, model.fingerprints)
     if out and not out.parent.is_dir():
         raise ValueError(f"--save-descriptors: {out.parent} is no folder")
-    files: dict[str, Path] = {}
-    for frame, path in find_frames(options.source, model.suffixes):
-        if frame in files:
-            raise ValueError(f"{path} is a second frame {frame}")
-        if out:
-            require_one_line(frame)
-        files[frame] = path
-    seen: dict[str, Seen] = {}
-    skipped = 0
-    for frame, path in files.items():
-        try:
-            seen[frame] = model.see(path)
-        except ValueError as error:
-            note(f"{path}: {error}")
-            skipped += 1
-            continue
-        [answer] = database.find([seen[frame]], top=options.top) if database else [None]
-        report(frame, not seen[frame].descriptor.any(), answer, options.json)
-    if out and seen:
-        save(out, list(seen.values()), list(seen), model.fingerprints)
-    return finished(skipped, len(seen))
+    frames_described: dict[str, Description] = {}
+    files = model.frames(options.source)
+    for file in files if out else ():
+        require_one_line(file.frame)
+    follow = None if options.follow == "no" else options.follow
+    together = attrgetter("sequence" if options.follow else "frame")
+    for _, group in groupby(files, together):
+        described: dict[str, Description] = {}
+        for file in group:
+            try:
+                described[file.frame] = model.see(file)
+            except ValueError as error:
+                note(f"{file.location}: {error}")
+        frames = [*described.values()]
+        answers: Iterable[Answer | None] = repeat(None, len(frames))
+        if database and frames:
+            answers = database.find(frames, follow, options.delay, options.top)
+        for (frame, channels), answer in zip(described.items(), answers, strict=True):
+            report(frame, not channels.descriptor.any(), answer, options.json)
+        frames_described |= described
+    if out and frames_described:
+        save(out, list(frames_described.values()), list(frames_described), model.fingerprints)
+    return finished(len(files) - len(frames_described), len(files))
 
 
 def main() -> int:
@@ -74,14 +81,19 @@ def main() -> int:
     add_model(parser)
     parser.add_argument("source", type=Path, nargs="*", help="files or folders of frames")
     parser.add_argument("--database", type=Path, help=".npy file of reference descriptors")
+    parser.add_argument(
+        "--follow", choices=("offline", "online", "no"), help="folders as sequences"
+    )
+    parser.add_argument("--delay", type=int, default=0, help="later frames of an online answer")
     parser.add_argument("--top", type=int, default=5, help="candidates of each frame")
     parser.add_argument("--save-descriptors", type=Path, metavar="OUT.npy")
     parser.add_argument("--json", action="store_true", help="a JSON object a line")
     parser.add_argument("--check", action="store_true", help="run the golden pair and stop")
     options = parser.parse_args()
-    usable = bool(options.source) != options.check and options.top > 0
-    if options.model.exists() and not usable:
-        parser.error("expected frames or --check, and --top of at least 1")
+    if options.top < 1 or options.delay < 0 or (options.delay and options.follow != "online"):
+        parser.error("expected --top of at least 1, and --delay from 0 with --follow online")
+    if options.model.exists() and bool(options.source) == options.check:
+        parser.error("expected frames or --check")
     return run_program("run_onnx", run, options)
 
 

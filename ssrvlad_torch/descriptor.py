@@ -163,7 +163,7 @@ class SSRVLAD(nn.Module):
         """The outputs of exported files, which cannot raise an error: the descriptors of a batch as
         a call gives them, and ``(B,)`` int64, the number of pixels of each image with an unknown
         id, which belong to no layer; of ``paper`` also ``(B, 8)`` int64, the number of keypoints of
-        each layer, and ``(B, h, w)`` uint8, the skeletons as bit-planes."""
+        each layer."""
         layers, unknown = self._front_end.counted(label_map(labels, self.label_space))
         if self.columns:
             assert isinstance(self._aggregation, Harmonics)
@@ -171,7 +171,7 @@ class SSRVLAD(nn.Module):
         histograms = self._aggregation.histograms(layers)
         descriptor = self._aggregation.descriptor(histograms)
         if isinstance(histograms, ResidualHistograms):
-            return descriptor, unknown, histograms.counts, histograms.skeleton
+            return descriptor, unknown, histograms.counts
         return descriptor, unknown
 
     def explain(self, labels: Tensor | npt.NDArray[Any]) -> Explanation:

@@ -18,7 +18,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig
 from ssrvlad_torch.config import CHOICES, PRESETS
-from ssrvlad_torch.datasets.synthetic_city import QUERY, SyntheticCity
+from ssrvlad_torch.datasets.synthetic_city import SyntheticCity
 from ssrvlad_torch.stages.harmonics import waves
 from ssrvlad_torch.stages.shape_context import PAIRS_AT_ONCE
 from ssrvlad_torch.taxonomy import label_space
@@ -86,14 +86,6 @@ def test_equals_the_reference_on_blobs_with_any_settings(seed, height, width, gr
     assert_equals_reference(blobs(seed, height, width, grain), config)
 
 
-@presets
-def test_equals_the_reference_in_the_synthetic_city(preset):
-    config = SSRVLADConfig.from_preset(preset, labels_as="cityscapes-ids")
-    city = SyntheticCity(seed=3)
-    for frame in city.traverse(2, QUERY, (180, 240), "cityscapes-ids"):
-        assert_equals_reference(frame.labels, config)
-
-
 @needs_camvid
 @pytest.mark.parametrize(
     ("preset", "step"),
@@ -105,15 +97,6 @@ def test_equals_the_reference_in_the_synthetic_city(preset):
 def test_equals_the_reference_on_camvid(preset, step):
     for labels in camvid_labels(step):
         assert_equals_reference(labels, SSRVLADConfig.from_preset(preset, labels_as=SPACE))
-
-
-@presets
-def test_a_batch_equals_its_images(preset):
-    head, batch = SSRVLAD.from_preset(preset, labels_as=SPACE), batch_of_blobs()
-    descriptors = head(batch)
-    assert torch.equal(descriptors, torch.cat([head(image[None]) for image in batch]))
-    assert (descriptors.shape, descriptors.dtype) == ((3, 480), torch.float32)
-    torch.testing.assert_close(descriptors.norm(dim=1), torch.ones(3))
 
 
 def test_every_integer_dtype_array_and_view_gives_the_same():

@@ -1,4 +1,4 @@
-"""The adapters for RTAB-Map and hloc, called as their hosts call them, and COLMAP itself on pairs
+"""The adapter for RTAB-Map, called as its host calls it; pairs for hloc, and COLMAP itself on pairs
 of ours."""
 
 import importlib
@@ -28,7 +28,7 @@ HEAD = SSRVLAD(CONFIG)
 
 AS_THE_HOST = """
 import importlib, sys
-for name in ("torch", "ssrvlad_torch"):
+for name in ("torch", "kornia", "lance"):
     sys.modules[name] = None
 del sys.argv
 sys.path.append(".")
@@ -231,69 +231,6 @@ def test_wrong_lines_and_missing_images_are_told(tmp_path, hloc, stdin, message)
     code, said, (error,) = hloc(stdin, "--images", images, "-o", out)
     assert (code, said, out.exists()) == (2, "", False)
     assert message.format(images=images) in error
-
-
-HOST = """
-import inspect
-from abc import ABCMeta, abstractmethod
-
-from torch import nn
-
-
-class BaseModel(nn.Module, metaclass=ABCMeta):
-    default_conf = {}
-    required_inputs = []
-
-    def __init__(self, conf):
-        super().__init__()
-        self.conf = conf = {**self.default_conf, **conf}
-        self._init(conf)
-
-    def forward(self, data):
-        assert all(key in data for key in self.required_inputs)
-        return self._forward(data)
-
-    @abstractmethod
-    def _init(self, conf): ...
-
-    @abstractmethod
-    def _forward(self, data): ...
-
-
-def dynamic_load(root, name):
-    module = __import__(f"{root.__name__}.{name}", fromlist=[""])
-    found = [c for _, c in inspect.getmembers(module, inspect.isclass)]
-    (model,) = [c for c in found if c.__module__ == module.__name__ and issubclass(c, BaseModel)]
-    return model
-"""
-"""The interface of `hloc.utils.base_model`, in other words."""
-
-
-@pytest.fixture
-def extractor(tmp_path, monkeypatch):
-    """What hloc makes of the file when it is one of its extractors."""
-    utils, extractors = tmp_path / "hloc" / "utils", tmp_path / "hloc" / "extractors"
-    shutil.copytree(EXPORT / "ssrvlad_place", extractors / "ssrvlad_place")
-    shutil.copy(EXPORT / "hloc_extractor.py", extractors / "ssrvlad.py")
-    utils.mkdir()
-    (utils / "base_model.py").write_text(HOST)
-    monkeypatch.syspath_prepend(tmp_path)
-    for name in [name for name in sys.modules if name.partition(".")[0] == "hloc"]:
-        del sys.modules[name]
-    folder = importlib.import_module("hloc.extractors")
-    load_model = importlib.import_module("hloc.utils.base_model").dynamic_load
-    return lambda conf: load_model(folder, conf["name"])(conf).eval()
-
-
-def test_hloc_gets_global_descriptors(extractor, place, head):
-    """Of images as `hloc.extract_features` has them: float32 from 0 to 1, channels first."""
-    model = extractor({"name": "ssrvlad", "file": str(place)})
-    colours = np.eye(3, dtype=np.float32)[LABELS]
-    found = model({"image": torch.from_numpy(colours.transpose(2, 0, 1))[None]})
-    assert list(found) == ["global_descriptor"]
-    np.testing.assert_allclose(found["global_descriptor"].numpy(), WANTED, atol=1e-6)
-    with pytest.raises(ValueError, match=r"expected a file of `ssrvlad fuse`, got input labels"):
-        extractor({"name": "ssrvlad", "file": str(head)})
 
 
 def test_colmap_matches_the_pairs(tmp_path, hloc):

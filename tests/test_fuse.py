@@ -32,9 +32,10 @@ from ssrvlad_torch import SSRVLAD, SSRVLADConfig
 from ssrvlad_torch.channels.channel import View, new_channels
 from ssrvlad_torch.channels.hog import HOG
 from ssrvlad_torch.datasets.image_files import find_image_files, read_image
+from ssrvlad_torch.deployment.differences import difference_of, other_signs
 from ssrvlad_torch.deployment.export import export_head
-from ssrvlad_torch.deployment.fuse import NETWORK, fuse, other_signs
-from ssrvlad_torch.deployment.golden import difference_of, outputs_of
+from ssrvlad_torch.deployment.fuse import NETWORK, fuse
+from ssrvlad_torch.deployment.golden import outputs_of
 from ssrvlad_torch.deployment.metadata import Metadata
 from ssrvlad_torch.deployment.runtimes import runtime_of
 from ssrvlad_torch.deployment.verify import verify

@@ -15,7 +15,7 @@ from ros_images import CAMVID, CONFIG, SECOND, picture, seen, updates
 from ssrvlad_ros import label_table, live_loops
 from ssrvlad_ros.place_model import PlaceModel
 
-from ssrvlad_torch import SSRVLAD, Database, LoopDetector, SSRVLADConfig
+from ssrvlad_torch import SSRVLAD, Database, SSRVLADConfig
 from ssrvlad_torch.channels.features import Features
 from ssrvlad_torch.datasets.label_files import digest
 from ssrvlad_torch.loops.config import LoopConfig
@@ -53,16 +53,6 @@ def labelled(*given, **settings):
     core = live_loops.LiveLoops(CONFIG, *given, **settings)
     core.set_labels(CAMVID)
     return core
-
-
-def test_the_node_finds_what_the_detector_finds():
-    detector = LoopDetector(CONFIG, SSRVLAD.from_preset("default", labels_as="camvid-11"))
-    expected = [
-        detector.update(street(seed), f"monday/{number * SECOND:019d}", number, (number, -1.0, 0.5))
-        for number, seed in enumerate(SEEDS)
-    ]
-    assert sum(result.accepted for result in expected) == 12
-    assert seen(labelled("monday")) == expected
 
 
 def test_without_a_table_nothing_is_seen_and_a_wrong_one_changes_nothing():
@@ -176,22 +166,6 @@ def live(model, start=0, end=None, **given):
         for number, pixels in list(enumerate(photos()))[start:end]
     ]
     return core, results
-
-
-@pytest.mark.parametrize("file", ["place.onnx", "net.onnx"])
-def test_with_a_model_it_finds_what_the_detector_finds(drives, file):
-    """By all channels, of one file or of the network's file."""
-    detector = LoopDetector.from_pretrained(drives / "net.yaml", config=LoopConfig(exclude=5))
-    expected = [
-        detector.update(pixels, f"drive/{number * SECOND:019d}", number)
-        for number, pixels in enumerate(photos())
-    ]
-    assert sum(result.accepted for result in expected) > 5
-    core, results = live(PlaceModel(drives / file))
-    assert [each.column for each in core._detector.channels] == [
-        each.column for each in detector.channels
-    ]
-    assert results == expected
 
 
 def test_frames_of_a_model_are_kept_and_gone_on_from(drives, tmp_path):

@@ -12,7 +12,7 @@ from torch import nn
 from ssrvlad_torch import SSRVLAD, reference
 from ssrvlad_torch.channels.channel import new_channels
 from ssrvlad_torch.datasets.image_files import find_image_files
-from ssrvlad_torch.deployment.fuse import other_signs
+from ssrvlad_torch.deployment.differences import other_signs
 from ssrvlad_torch.segmentation.activations import captured
 from ssrvlad_torch.segmentation.features import NOISE, PROBES, pink_noise
 from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork

@@ -322,19 +322,6 @@ def write_photos(folder, seeds, name="{:010d}000000007"):
     return folder
 
 
-@pytest.mark.parametrize("file", ["place.onnx", "net.onnx"])
-def test_its_answers_of_pictures_are_those_of_the_command_line(
-    node_with, ssrvlad, drives, tmp_path, file
-):
-    """By all channels, with one file, or the network's of two."""
-    given = ("--segmenter", drives / "net.yaml", "--exclude", 5, "--json")
-    code, out, _ = ssrvlad("loops", write_photos(tmp_path / "drive", SECOND_DRIVE), *given)
-    assert code == 0
-    answers = lines(node_with(SECOND_DRIVE, model=str(drives / file)))
-    assert sum(line["reason"] == "accepted" for line in answers) > 5
-    assert_same_answers(answers, objects(out))
-
-
 def saved_by_a_detector(path, drives, folder):
     """A memory of photos as users of `LoopDetector` make it."""
     detector = LoopDetector.from_pretrained(drives / "net.yaml")

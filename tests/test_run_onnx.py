@@ -5,39 +5,36 @@ import sys
 from functools import partial
 from pathlib import Path
 
-import follow_onnx
 import loops_onnx
 import numpy as np
 import pytest
 import run_onnx
+from cases import REAL, needs_real
 from drives import write_maps
+from graphs import without_property
 from helpers import (
-    COLOUR,
-    GRAY,
-    PALETTES,
     assert_each_is_one_line,
     assert_no_reader_is_no_error,
     flip_byte,
     outcome,
     without,
-    write_palette,
-    write_png,
 )
 from loop_streams import objects
 from networks import write_graph
 from PIL import Image
+from segmenting import write_map
 from ssrvlad_place.database import Database, save
-from ssrvlad_place.model import Seen
+from ssrvlad_place.model import Description
 
-from ssrvlad_torch import SSRVLAD, SSRVLADConfig, export_head
+from ssrvlad_torch import SSRVLAD, SSRVLADConfig, export_head, native
 
 SCRIPT = Path(run_onnx.__file__)
 CONFIG = SSRVLADConfig(labels_as="camvid-11")
 
 
-def alone(*arguments, blocked=("torch", "ssrvlad_torch")):
-    """Runs the script in a new process that cannot import the blocked modules."""
-    return outcome(*without(blocked, SCRIPT, *arguments))
+def alone(*arguments):
+    """Runs the script in a new process that has only what the page says."""
+    return outcome(*without(DEPENDENCIES, SCRIPT, *arguments))
 
 
 @pytest.fixture
@@ -61,6 +58,8 @@ def assert_same(got, expected):
             assert one["score"] == pytest.approx(other["score"], abs=1e-5)
 
 
+DEPENDENCIES = ("torch", "kornia", "lance", "pyarrow", "rich", "typer")
+"""Of the package, which the programs do not need."""
 SINGLE = ("--no-standardise", "--no-sweep", "--follow", "no")
 
 
@@ -69,31 +68,9 @@ def test_without_torch_it_finds_what_the_command_line_finds(ssrvlad, head, datab
     assert ssrvlad("db", "export", database, "--format", "npy", "-o", tmp_path / "t.npy")[0] == 0
     expected_lines = ssrvlad("query", database, queries, *SINGLE, "--top", 3, "--json")[1]
     arguments = (queries, "--database", tmp_path / "t.npy", "--top", 3, "--json")
-    code, lines, errors = alone(head, *arguments, blocked=("torch",))
+    code, lines, errors = alone(head, *arguments)
     assert code == 0, errors
     assert_same("\n".join(lines), expected_lines)
-
-
-def test_with_all_channels_it_finds_what_the_command_line_finds(drives, ssrvlad, tmp_path, run):
-    """In a database of the command line and in its own, with one file and with two."""
-    given = ("--segmenter", drives / "net.yaml", "--workers", 1)
-    for drive in ("monday", "today"):
-        assert ssrvlad("encode", drives / drive, "-o", tmp_path / drive, *given)[0] == 0
-    alone = ("--no-standardise", "--follow", "no", "--top", 12, "--json")
-    expected = ssrvlad("query", tmp_path / "monday", tmp_path / "today", *alone)[1]
-    assert '"score_is": "fused score"' in expected
-    town = tmp_path / "town.npy"
-    assert ssrvlad("db", "export", tmp_path / "monday", "--format", "npy", "-o", town)[0] == 0
-    own = tmp_path / "own.npy"
-    assert run(drives / "place.onnx", drives / "monday", "--save-descriptors", own)[0] == 0
-    np.testing.assert_array_equal(*(np.load(f"{each}.features.npy") for each in (town, own)))
-    np.testing.assert_allclose(*(np.load(f"{each}.hog.npy") for each in (town, own)), atol=1e-6)
-    two = ("--network", drives / "net.onnx")
-    for model, database, network in (("place", town, ()), ("head", own, two)):
-        arguments = (drives / "today", "--database", database, "--top", 12, "--json", *network)
-        code, out, err = run(drives / f"{model}.onnx", *arguments)
-        assert (code, err) == (0, [])
-        assert_same(out, expected)
 
 
 def test_features_of_one_side_only_and_of_another_network(drives, tmp_path, run):
@@ -110,17 +87,9 @@ def test_features_of_one_side_only_and_of_another_network(drives, tmp_path, run)
     code, out, (line,) = run(drives / "place.onnx", *frames, "--database", town)
     assert (code, out.startswith("today/5: monday/")) == (0, True)
     assert line == "only the model has features: frames are matched without"
-    assert alone(drives / "place.onnx", *frames)[0] == 0
-    problem = "run_onnx: databases need: pip install --no-deps ssrvlad-torch"
-    assert alone(drives / "place.onnx", *frames, "--database", town)[2][-1] == problem
-
-
-def test_arrays_need_no_pillow_and_pictures_say_so(head, maps, tmp_path):
-    np.save(tmp_path / "map.npy", np.asarray(Image.open(min(maps.iterdir()))))
-    blocked = ("torch", "ssrvlad_torch", "PIL")
-    assert alone(head, tmp_path / "map.npy", blocked=blocked)[0] == 0
-    code, _, errors = alone(head, maps, blocked=blocked)
-    assert code == 2 and errors[-1].endswith("pip install pillow; or give .npy arrays")
+    plain = without_property(drives / "place.onnx", tmp_path / "plain.onnx", "hog")
+    line = run(plain, *frames, "--database", town)[2][-1]
+    assert line == f"only {town} has hog: frames are matched without; fuse the file again"
 
 
 def test_descriptors_are_those_of_the_module(head, maps, town):
@@ -162,45 +131,12 @@ def test_unknown_ids_are_counted_and_skipped(head, maps, tmp_path, run):
     [
         (np.full((5, 6), -1), "30 of 30 pixels have an id outside uint8"),
         (np.full((5, 6), 256), "30 of 30 pixels have an id outside uint8"),
-        (np.zeros((5, 6), np.float32), "expected an (H, W) label map, got (5, 6) float32"),
-        (np.zeros((2, 5, 6), int), "expected an (H, W) label map, got (2, 5, 6) int64"),
-        (np.zeros((0, 6), int), "expected an (H, W) label map, got (0, 6) int64"),
     ],
 )
 def test_arrays_that_are_no_label_map(head, tmp_path, run, labels, message):
     np.save(tmp_path / "map.npy", labels)
     code, _, errors = run(head, tmp_path / "map.npy")
     assert (code, errors[0]) == (3, f"{tmp_path / 'map.npy'}: {message}")
-
-
-def test_pictures_that_are_no_label_map(head, tmp_path, run):
-    write_png(tmp_path / "a.png", np.zeros((5, 6, 3), int), COLOUR, 8)
-    write_png(tmp_path / "b.png", np.zeros((5, 6), int), GRAY, 4)
-    write_png(tmp_path / "c.png", np.zeros((5, 6), int), GRAY, 16)
-    (tmp_path / "d.png").write_bytes((tmp_path / "c.png").read_bytes()[:40])
-    Image.fromarray(np.zeros((5, 6), np.uint8)).save(tmp_path / "e.png", "JPEG")
-    (tmp_path / "f.png").write_bytes((tmp_path / "c.png").read_bytes())
-    flip_byte(tmp_path / "f.png", (tmp_path / "f.png").read_bytes().index(b"IEND") - 6)
-    code, out, errors = run(head, *(tmp_path / f"{n}.png" for n in "abcdef"))
-    assert (code, len(out.splitlines()), errors[-1]) == (3, 1, "skipped 5 of 6 frames")
-    assert "got RGB" in errors[0]
-    assert "got L L;4" in errors[1]
-    assert errors[3].endswith("e.png: cannot identify the image; expected PNG, TIFF, BMP")
-    assert "f.png: " in errors[4]
-
-
-@pytest.mark.parametrize(("pixels", "colours", "ids"), PALETTES.values(), ids=PALETTES)
-def test_a_palette_is_read_as_by_encode(head, tmp_path, run, pixels, colours, ids):
-    write_palette(tmp_path / "a.png", pixels, colours)
-    np.save(tmp_path / "b.npy", np.array([ids if isinstance(ids, list) else pixels]))
-    code, _, errors = run(head, tmp_path, "--save-descriptors", tmp_path / "o.npy")
-    if isinstance(ids, list):
-        one, other = np.load(tmp_path / "o.npy")
-        assert one.any()
-        np.testing.assert_array_equal(one, other)
-    else:
-        assert code == 3
-        assert f"the palette shows index {ids} as " in errors[0]
 
 
 def test_an_id_of_several_lines_is_refused_where_ids_are_lines(head, maps, tmp_path, run):
@@ -214,7 +150,7 @@ def test_an_id_of_several_lines_is_refused_where_ids_are_lines(head, maps, tmp_p
     assert "a database has one id a line; frame 'day/a\\nb' has several" in errors[0]
     assert run(head, folder)[0] == 0
     with pytest.raises(ValueError, match="has several lines"):
-        save(out, [Seen(np.ones(3))], ["a\x85b"], {"ssr-vlad": ""})
+        save(out, [Description(np.ones(3))], ["a\x85b"], {"ssr-vlad": ""})
     assert not list(tmp_path.glob("town*"))
 
 
@@ -237,13 +173,13 @@ def test_equal_scores_go_to_the_earlier_frame(tmp_path):
     vectors = rng.integers(-1, 2, (20, 4)).astype(np.float32)
     frames = [f"s/{row}" for row in range(20)]
     fingerprints = {"ssr-vlad": "f"}
-    save(tmp_path / "d.npy", list(map(Seen, vectors)), frames, fingerprints)
+    save(tmp_path / "d.npy", list(map(Description, vectors)), frames, fingerprints)
     database = Database(tmp_path / "d.npy", fingerprints)
     query = np.array([1, 0, 0, 0], np.float32)
     pairs = zip(frames, vectors, strict=True)
     scores = {frame: vector[0] / np.linalg.norm(vector) for frame, vector in pairs if vector.any()}
     best = sorted(scores, key=lambda frame: -scores[frame])[:7]
-    [answer] = database.find([Seen(query)], top=7)
+    [answer] = database.find([Description(query)], top=7)
     assert [frame for frame, _ in answer.candidates] == best
     assert answer.score_is == "cosine"
 
@@ -263,12 +199,8 @@ def test_class_scores_and_wide_labels(maps, tmp_path, run):
         found.append(np.load(out))
     np.testing.assert_array_equal(*found)
     code, _, errors = run(tmp_path / "head.onnx", file)
-    message = "expected scores (C, H, W) in a .npy file, got another kind of file"
+    message = "expected scores (C, H, W) in a .npy file, got another kind"
     assert (code, errors[0]) == (3, f"{file}: {message}")
-    shutil.copy(file, tmp_path / "picture.npy")
-    errors = run(tmp_path / "head.onnx", tmp_path / "picture.npy")[2]
-    message = "expected an array in a .npy file, got another kind of file"
-    assert errors[0] == f"{tmp_path / 'picture.npy'}: {message}"
 
 
 def test_wrong_use_is_one_line(head, maps, town, tmp_path, run):
@@ -287,15 +219,14 @@ def test_wrong_use_is_one_line(head, maps, town, tmp_path, run):
     table = [
         ((tmp_path / "none.onnx", maps), "none.onnx does not exist"),
         ((tmp_path / "none.onnx",), "none.onnx does not exist"),
-        ((other, maps), "no metadata ssrvlad.*"),
+        ((other, maps), "no metadata ssrvlad.version: not a file of"),
         ((cut, maps), str(cut)),
-        ((head, tmp_path / "nowhere"), "nowhere does not exist; expected a file or a folder of fr"),
-        ((head, tmp_path / "empty"), "empty holds no frames"),
+        ((head, tmp_path / "nowhere"), "nowhere does not exist and matches no file"),
+        ((head, tmp_path / "empty"), "empty holds no label maps; expected .png"),
         ((head, maps, "--database", tmp_path / "no.npy"), "no.npy does not exist"),
         ((head, maps, "--database", lonely), "lonely.npy.frames.txt does not exist; expected the"),
-        ((head, maps, "--database", damaged), "expected an array in a .npy file"),
-        ((head, maps, "--database", head), f"{head}: expected an array in a .npy file"),
-        ((head, *sorted(maps.iterdir()), maps), "is a second frame monday/"),
+        ((head, maps, "--database", damaged), "damaged.npy: the magic string is not correct"),
+        ((head, maps, "--database", head), f"{head}: the magic string is not correct"),
         ((head, maps, "--save-descriptors", tmp_path / "none" / "o.npy"), "none is no folder"),
         ((head, maps, "--provider", "Abacus"), "no provider Abacus; expected one of "),
     ]
@@ -305,7 +236,62 @@ def test_wrong_use_is_one_line(head, maps, town, tmp_path, run):
     assert run(head)[0] == run(head, maps, "--check")[0] == run(head, maps, "--top", 0)[0] == 2
 
 
-@pytest.mark.parametrize("program", [run_onnx, loops_onnx, follow_onnx])
+def test_a_library_of_another_version_is_one_line(head, maps, town, tmp_path):
+    package = tmp_path / "other" / "ssrvlad_torch"
+    shutil.copytree(native.FOLDER.parent, package)
+    with (package / "native" / "map.cpp").open("a") as source:
+        source.write("// changed\n")
+    command = (sys.executable, SCRIPT, head, maps, "--database", town)
+    code, out, (line,) = outcome("env", f"PYTHONPATH={package.parent}", *command)
+    assert (code, out) == (2, [])
+    assert line.startswith("run_onnx: the native core is of another version: install ")
+
+
+@pytest.mark.parametrize("program", [run_onnx, loops_onnx])
 def test_a_reader_that_has_enough_is_no_error(head, maps, town, program):
     given = () if program is loops_onnx else ("--database", town)
     assert_no_reader_is_no_error(sys.executable, program.__file__, head, maps, *given)
+
+
+def first(out):
+    return {line["query"]: line["candidates"][0]["frame"] for line in objects(out)}
+
+
+def recall(answers):
+    rows = {frame.rpartition("/")[2]: row for row, frame in enumerate(answers)}
+    places = {query: place.rpartition("/")[2] for query, place in answers.items()}
+    return np.mean([abs(row - rows[places[query]]) <= 1 for row, query in enumerate(places)])
+
+
+@pytest.mark.slow
+@needs_real
+def test_following_finds_the_figures_of_the_readme(run, ssrvlad, tmp_path):
+    """UofA, evening against day, one row to each side."""
+    day, evening = (REAL / "uofa" / light / "predicted_espnetv2" for light in ("day", "evening"))
+    head, town = tmp_path / "head.onnx", tmp_path / "town.npy"
+    export_head(SSRVLADConfig(), head, dtype="int64")
+    database = write_map(ssrvlad, town, day)
+    words = (head, evening, "--database", town, "--json")
+    outputs = [run(*words, *follow)[1] for follow in ((), ("--follow", "offline"))]
+    outputs.append(ssrvlad("query", database, evening, "--no-sweep", "--json")[1])
+    assert [f"{recall(first(out)):.2f}" for out in outputs] == ["0.53", "1.00", "1.00"]
+
+
+@pytest.mark.slow
+@needs_real
+def test_features_find_the_figures_of_the_readme(run, ssrvlad, tmp_path):
+    """UofA, evening against day, by pictures."""
+    network, space = REAL / "networks" / "espnetv2.yaml", ("--labels-as", "cityscapes-trainids")
+    day, evening = (REAL / "uofa" / light / "images" for light in ("day", "evening"))
+    database, exported, place = tmp_path / "town", tmp_path / "town.npy", tmp_path / "place.onnx"
+    segmenter = ("--segmenter", network, "--segmenter-cache", tmp_path / "cache")
+    code, _, _ = ssrvlad("encode", day, "-o", database, *segmenter, *space, "--sequence", "day")
+    assert code == 0
+    ssrvlad("db", "export", database, "--format", "npy", "-o", exported)
+    ssrvlad("fuse", network, "-o", place, *space)
+    words = (place, evening, "--database", exported, "--follow", "offline", "--json")
+    followed, same = first(run(*words)[1]), []
+    for options in ((), ("--no-sweep",)):
+        answers = first(ssrvlad("query", database, evening, *segmenter, *options, "--json")[1])
+        same.append(sum(followed[query] == place for query, place in answers.items()))
+    assert same == [150, 129]

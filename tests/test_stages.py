@@ -329,7 +329,7 @@ def test_the_descriptor_is_equation_2_in_numpy():
     points[1], counts[1] = 0, 0
     points[2, 5] = counts[2, 5] * centre[2, 5]
     bins = (torch.from_numpy(counted).view(4, 8, 5, 12) for counted in (points, centre))
-    histograms = ResidualHistograms(*bins, torch.from_numpy(counts), torch.empty(0))
+    histograms = ResidualHistograms(*bins, torch.from_numpy(counts))
     descriptor = Residuals(PAPER).descriptor(histograms)
     assert descriptor.dtype == torch.float32
     for result, *image in zip(descriptor, points, counts, centre, strict=True):

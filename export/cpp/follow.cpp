@@ -12,7 +12,7 @@ namespace {
 
 const program::Usage usage{
     "follow", "[--online DELAY | --alone] place.onnx town.npy TOP FOLDER...",
-    R"(Prints one JSON object a line, as `follow_onnx.py --json` does: the places of `ssrvlad query`.
+    R"(Prints one JSON object a line, as `run_onnx.py --follow --json` does: the places of `ssrvlad query`.
 
 Each FOLDER is a drive of label maps, .npy or PGM, or photographs, .npy or PPM, in natural order. Each frame
 is found by all frames of its drive; by those before it and DELAY later ones; or alone. Exit code 0 for

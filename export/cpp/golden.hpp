@@ -6,13 +6,14 @@
 #include <zlib.h>
 
 #include <bitset>
-#include <cctype>
 #include <cstdint>
 #include <map>
 #include <stdexcept>
 #include <string>
 #include <utility>
 #include <vector>
+
+#include "npy.hpp"
 
 namespace ssrvlad {
 
@@ -64,53 +65,22 @@ inline std::size_t different(const std::uint8_t* one, const std::uint8_t* other,
   return count;
 }
 
-// Reads the JSON of the golden pair: objects, arrays of numbers, and strings without escapes.
-class Reader {
+[[noreturn]] inline void refuse_golden() { throw std::runtime_error("the golden pair is damaged"); }
+
+// Takes what stands between two marks of a text, from left to right.
+class Cursor {
  public:
-  explicit Reader(const std::string& text) : text_(text) {}
+  explicit Cursor(const std::string& text) : text_(text) {}
 
-  bool accept(char letter) {
-    while (at_ < text_.size() && std::isspace(static_cast<unsigned char>(text_[at_]))) ++at_;
-    if (at_ >= text_.size() || text_[at_] != letter) return false;
-    ++at_;
-    return true;
+  bool sees(const char* mark) const { return text_.find(mark, at_) != text_.npos; }
+
+  std::string between(const std::string& open, const std::string& close) {
+    const auto mark = text_.find(open, at_), first = mark + open.size();
+    const auto last = mark == text_.npos ? mark : text_.find(close, first);
+    if (last == text_.npos) refuse_golden();
+    at_ = last + close.size();
+    return text_.substr(first, last - first);
   }
-
-  void expect(char letter) {
-    if (!accept(letter)) fail();
-  }
-
-  std::string text() {
-    expect('"');
-    const auto end = text_.find('"', at_);
-    if (end == std::string::npos) fail();
-    const auto content = text_.substr(at_, end - at_);
-    at_ = end + 1;
-    return content;
-  }
-
-  std::int64_t number() {
-    std::size_t length = 0;
-    std::int64_t value = 0;
-    try {
-      value = std::stoll(text_.substr(at_, 24), &length);
-    } catch (const std::exception&) {
-      fail();
-    }
-    at_ += length;
-    return value;
-  }
-
-  template <typename Entry>
-  void entries(char open, char close, const Entry& entry) {
-    expect(open);
-    if (accept(close)) return;
-    do entry();
-    while (accept(','));
-    expect(close);
-  }
-
-  [[noreturn]] static void fail() { throw std::runtime_error("the golden pair is damaged"); }
 
  private:
   const std::string& text_;
@@ -126,7 +96,7 @@ inline std::string from_base64(const std::string& text) {
   for (char letter : text) {
     if (letter == '=') break;
     const auto digit = digits.find(letter);
-    if (digit == std::string::npos) Reader::fail();
+    if (digit == std::string::npos) refuse_golden();
     buffer = buffer << 6 | static_cast<std::uint32_t>(digit);
     bits += 6;
     if (bits < 8) continue;
@@ -141,7 +111,7 @@ inline std::pair<ONNXTensorElementDataType, std::size_t> type_of(const std::stri
   if (dtype == "int32") return {ONNX_TENSOR_ELEMENT_DATA_TYPE_INT32, 4};
   if (dtype == "int64") return {ONNX_TENSOR_ELEMENT_DATA_TYPE_INT64, 8};
   if (dtype == "float32") return {ONNX_TENSOR_ELEMENT_DATA_TYPE_FLOAT, 4};
-  Reader::fail();
+  refuse_golden();
 }
 
 inline const char* name_of(ONNXTensorElementDataType type) {
@@ -149,43 +119,33 @@ inline const char* name_of(ONNXTensorElementDataType type) {
   return type == ONNX_TENSOR_ELEMENT_DATA_TYPE_INT32 ? "int32" : "int64";
 }
 
-inline Tensor golden_tensor(Reader& reader) {
-  Tensor tensor;
-  std::string data, dtype;
-  reader.entries('{', '}', [&] {
-    const auto key = reader.text();
-    reader.expect(':');
-    if (key == "shape")
-      reader.entries('[', ']', [&] { tensor.shape.push_back(reader.number()); });
-    else
-      (key == "data" ? data : dtype) = reader.text();
-  });
+inline Tensor tensor_of(const std::string& data, const std::string& dtype, const std::string& shape) {
   const auto [type, width] = type_of(dtype);
+  Tensor tensor{type, npy::lengths(shape), {}};
   std::uint64_t size = width;
   for (const auto axis : tensor.shape) {
-    if (axis < 0 || (axis > 0 && size > kMaxGoldenBytes / static_cast<std::uint64_t>(axis)))
+    if (axis > 0 && size > kMaxGoldenBytes / static_cast<std::uint64_t>(axis))
       throw std::runtime_error("the golden pair is larger than 64 MiB");
     size *= static_cast<std::uint64_t>(axis);
   }
-  tensor.type = type;
   tensor.bytes.resize(size);
   const auto compressed = from_base64(data);
   uLongf length = size;
   if (uncompress(reinterpret_cast<Bytef*>(tensor.bytes.data()), &length,
                  reinterpret_cast<const Bytef*>(compressed.data()), compressed.size()) != Z_OK ||
       length != size)
-    Reader::fail();
+    refuse_golden();
   return tensor;
 }
 
+// The arrays in the JSON that `ssrvlad export` writes: {"name": {"data": "...", "dtype": "uint8", "shape": [2, 9]}}.
 inline Tensors golden_tensors(const std::string& json) {
   Tensors tensors;
-  Reader reader(json);
-  reader.entries('{', '}', [&] {
-    const auto name = reader.text();
-    reader.expect(':');
-    tensors.emplace(name, golden_tensor(reader));
-  });
+  for (Cursor cursor(json); cursor.sees("\"data\"");) {
+    const auto name = cursor.between("\"", "\": {"), data = cursor.between("\"data\": \"", "\"");
+    const auto dtype = cursor.between("\"dtype\": \"", "\""), shape = cursor.between("\"shape\": [", "]");
+    tensors.emplace(name, tensor_of(data, dtype, shape));
+  }
   return tensors;
 }
 

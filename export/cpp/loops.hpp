@@ -23,10 +23,8 @@
 #include <cstring>
 #include <filesystem>
 #include <fstream>
-#include <iterator>
 #include <limits>
 #include <memory>
-#include <regex>
 #include <stdexcept>
 #include <string>
 #include <unordered_map>
@@ -34,6 +32,7 @@
 #include <vector>
 
 #include "described.hpp"
+#include "npy.hpp"
 #include <ssrvlad/ssrvlad_loops.h>
 
 namespace ssrvlad {
@@ -97,6 +96,8 @@ class Loops {
  private:
   static constexpr std::size_t kReplayed = 100;
   using Channel = detail::Channel;
+
+  static Loops restored(const std::string& content, const Fingerprints& model, LoopSettings settings);
 
   // A channel in the header of a saved stream, as NumPy writes it.
   static std::string field(const Channel& channel) {
@@ -234,36 +235,31 @@ inline void Loops::save(const std::string& path) const {
 
 namespace detail {
 
-// The header of a saved stream, and its records.
+// The records of a saved stream.
 class Records {
  public:
-  explicit Records(const std::string& path) : path_(path) {
-    std::ifstream file(path, std::ios::binary);
-    if (!file) throw std::runtime_error(path + ": cannot be read");
-    content_.assign(std::istreambuf_iterator<char>(file), {});
-    const auto byte = [&](std::size_t at) {
-      return std::size_t{static_cast<unsigned char>(content_[at])};
-    };
-    if (content_.size() < 12 || content_.compare(0, 7, "\x93NUMPY\x02") != 0) fail("not a saved stream");
-    const auto length = byte(8) + (byte(9) << 8) + (byte(10) << 16) + (byte(11) << 24);
-    if (content_.size() - 12 < length) fail("ends too early");
-    header_ = content_.substr(12, length);
-    first_ = 12 + length;
-    width_ = number("'frame', '[|]S(\\d{1,6})'\\), \\('stamp', '<f8'");
-    count_ = number("'shape': \\((\\d{1,12}),\\)");
+  explicit Records(const std::string& content) : content_(content) {
+    const auto [text, end] = npy::header_of(content);
+    header_ = text;
+    first_ = end;
+    const auto shape = npy::lengths(npy::field(header_, "shape", '(', ')'));
+    width_ = behind("'frame', '|S");
+    if (!width_ || shape.size() != 1) throw std::runtime_error("not a saved stream");
+    count_ = static_cast<std::size_t>(shape[0]);
   }
 
   std::size_t count() const { return count_; }
-  std::size_t numbers(const std::string& channel) const {  // of its first axis; 0 without it
-    const auto found = number("'" + channel + "'\\), '(?:<f4|[|]u1)', \\((\\d{1,9})", "0");
-    if (found > content_.size()) fail("the length does not fit the shape");
-    return found;
+  // The length of the first axis of a channel; 0 without it.
+  std::size_t numbers(const std::string& channel, const std::string& dtype = "<f4") const {
+    const auto length = behind("'" + channel + "'), '" + dtype + "', (");
+    if (length > content_.size()) throw std::runtime_error("the length does not fit the shape");
+    return length;
   }
   bool holds(const std::string& field) const { return header_.find(field) != header_.npos; }
 
   void require_size(std::size_t bytes) {
     size_ = width_ + sizeof(double) + bytes;
-    if (content_.size() - first_ != count_ * size_) fail("the length does not fit the shape");
+    if (content_.size() - first_ != count_ * size_) throw std::runtime_error("the length does not fit the shape");
   }
   std::string frame(std::size_t row) const {
     return content_.substr(first_ + row * size_, width_).c_str();
@@ -272,40 +268,46 @@ class Records {
   const char* numbers(std::size_t row) const { return content_.data() + first_ + row * size_ + width_; }
 
  private:
-  [[noreturn]] void fail(const std::string& why) const { throw std::runtime_error(path_ + ": " + why); }
-  std::size_t number(const std::string& pattern, const char* otherwise = nullptr) const {
-    std::smatch match;
-    if (std::regex_search(header_, match, std::regex(pattern))) return std::stoul(match[1]);
-    if (!otherwise) fail("not a saved stream");
-    return std::stoul(otherwise);
+  // The number in the header behind a text; 0 without the text.
+  std::size_t behind(const std::string& text) const {
+    const auto at = header_.find(text);
+    if (at == header_.npos) return 0;
+    const auto lengths = npy::lengths(header_.substr(at + text.size(), 9));
+    return lengths.empty() ? 0 : static_cast<std::size_t>(lengths[0]);
   }
 
-  std::string path_, content_, header_;
+  const std::string& content_;
+  std::string header_;
   std::size_t first_ = 0, width_ = 0, count_ = 0, size_ = 0;
 };
 
 }  // namespace detail
 
 inline Loops Loops::load(const std::string& path, const Fingerprints& model, LoopSettings settings) {
-  detail::Records records(path);
+  return npy::of_content(path, [&](const std::string& content) { return restored(content, model, settings); });
+}
+
+inline Loops Loops::restored(const std::string& content, const Fingerprints& model, LoopSettings settings) {
+  detail::Records records(content);
   Loops loops(model, settings);
   Described seen;
   seen.length = records.numbers("ssr-vlad");
   seen.descriptor.resize(seen.length);
-  seen.features.resize(records.numbers("features") ? 16 * 16 * 16 : 0);
+  seen.features.resize(records.numbers("features", "|u1") ? 16 * 16 * 16 : 0);
   seen.hog.resize(records.numbers("hog"));
   const std::pair<const char*, bool> lacking[] = {
       {"features", seen.features.empty() && !model.features.empty()},
       {"hog", seen.hog.empty() && !model.hog.empty()}};
   for (const auto& [name, lacks] : lacking)
     if (records.count() && lacks)
-      throw std::runtime_error(path + " has other channels than the model: no " + name);
+      throw std::runtime_error(std::string("other channels than the model has: no ") + name);
   std::size_t bytes = 0;
   if (!records.count()) seen.length = 0;
-  for (const auto& channel : seen.length ? detail::channels_of(path, seen, model) : std::vector<Channel>{}) {
+  for (const auto& channel :
+       seen.length ? detail::channels_of("a saved frame", seen, model) : std::vector<Channel>{}) {
     if (!records.holds(field(channel)))
-      throw std::runtime_error(path + " has other " + channel.name + " than the model, " +
-                               channel.fingerprint + ": they do not compare");
+      throw std::runtime_error("other " + channel.name + " than the model has, " + channel.fingerprint +
+                               ": they do not compare");
     bytes += channel.bytes();
   }
   records.require_size(bytes);

@@ -59,8 +59,13 @@ inline std::vector<std::int64_t> lengths(const std::string& text) {
   return values;
 }
 
-// The array in the content of a file; see `load`.
-inline Array parsed(const std::string& content) {
+// The header in the content of a file, and where the numbers begin.
+struct Header {
+  std::string text;
+  std::size_t end;
+};
+
+inline Header header_of(const std::string& content) {
   if (content.size() < 12 || content.compare(0, 6, "\x93NUMPY") != 0)
     throw std::runtime_error("not a .npy file");
   const auto byte = [&](std::size_t at) { return static_cast<unsigned char>(content[at]); };
@@ -70,7 +75,12 @@ inline Array parsed(const std::string& content) {
     length += (std::size_t{byte(10)} << 16) + (std::size_t{byte(11)} << 24);
   }
   if (content.size() < begin + length) throw std::runtime_error("ends too early");
-  const std::string header = content.substr(begin, length);
+  return {content.substr(begin, length), begin + length};
+}
+
+// The array in the content of a file; see `load`.
+inline Array parsed(const std::string& content) {
+  const auto [header, begin] = header_of(content);
   Array array;
   array.shape = lengths(field(header, "shape", '(', ')'));
   if (behind(header, "descr")[0] == '[')
@@ -81,7 +91,7 @@ inline Array parsed(const std::string& content) {
     throw std::runtime_error("expected numbers of up to 8 bytes, little-endian, got " + array.dtype);
   if (behind(header, "fortran_order").compare(0, 5, "False") != 0)
     throw std::runtime_error("expected C order");
-  array.bytes.assign(content.begin() + static_cast<std::ptrdiff_t>(begin + length), content.end());
+  array.bytes.assign(content.begin() + static_cast<std::ptrdiff_t>(begin), content.end());
   std::size_t size = static_cast<std::size_t>(array.dtype[2] - '0');
   for (const auto axis : array.shape) {
     if (axis && size > array.bytes.size() / static_cast<std::size_t>(axis))
@@ -97,16 +107,20 @@ inline void require(const std::string& path) {
   if (!std::ifstream(path)) throw std::runtime_error(path + ": cannot be read");
 }
 
-// Throws std::runtime_error if the file is not such an array or is too short.
-inline Array load(const std::string& path) {
+// What a job makes of the content of a file; its error names the file.
+template <typename Job>
+auto of_content(const std::string& path, const Job& job) {
   std::ifstream file(path, std::ios::binary);
   if (!file) throw std::runtime_error(path + ": cannot be read");
   const std::string content((std::istreambuf_iterator<char>(file)), {});
   try {
-    return parsed(content);
+    return job(content);
   } catch (const std::runtime_error& error) {
     throw std::runtime_error(path + ": " + error.what());
   }
 }
+
+// Throws std::runtime_error if the file is not such an array or is too short.
+inline Array load(const std::string& path) { return of_content(path, parsed); }
 
 }  // namespace npy

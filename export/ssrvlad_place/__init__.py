@@ -1,1 +1,1 @@
-"""What the programs of this folder share. It needs numpy and onnxruntime."""
+"""What the programs of this folder share. They need the package without torch."""

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from functools import cached_property
 from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from numpy.lib.format import open_memmap
 
-from .frames import read_npy
-from .model import FEATURES, HOG, LABEL_SHAPES, TRUST, Seen
+from ssrvlad_torch.files import naming, replacing
+from ssrvlad_torch.native.map import DescriptorMap
+
+from .model import FEATURES, HOG, LABEL_SHAPES, TRUST, Description
 from .output import note
 
 Array = npt.NDArray[Any]
@@ -33,7 +35,7 @@ class Answer(NamedTuple):
 
 
 class Database:
-    """Descriptors of reference frames in a `.npy` file, read block by block, and the frames' ids.
+    """Descriptors of reference frames in a `.npy` file, and the frames' ids.
 
     ``FILE.frames.txt`` holds the ids, one a line, ``FILE.fingerprint.txt`` the fingerprint, and
     ``FILE.features.npy`` and ``FILE.hog.npy`` the other channels, with fingerprints of their own.
@@ -64,12 +66,22 @@ class Database:
         if not (ids := beside(path, "frames")).exists():
             raise ValueError(f"{ids} does not exist; expected the ids of {path}, one a line")
         self.frames = ids.read_text(encoding="utf-8").splitlines()
+        if not self.frames:
+            raise ValueError(f"{path} holds no frames")
         for rows in self.channels.values():
             if len(rows) != len(self.frames):
                 raise ValueError(f"{path}: {rows.shape} for {len(self.frames)} frames")
+        sequences = groupby(self.frames, lambda frame: frame.rpartition("/")[0])
+        self._map = DescriptorMap([len(list(sequence)) for _, sequence in sequences])
+        for name, rows in self.channels.items():
+            self._map.add(name, rows, TRUST[name])
 
     def find(
-        self, drive: Sequence[Seen], follow: str | None = None, delay: int = 0, top: int = 5
+        self,
+        sequence: Sequence[Description],
+        follow: str | None = None,
+        delay: int = 0,
+        top: int = 5,
     ) -> list[Answer]:
         """The places of the frames of a drive, or of one frame, as `ssrvlad query` finds them, by
         all channels that both sides have.
@@ -85,13 +97,13 @@ class Database:
             RuntimeError: the core of the package is missing or of another version.
         """
         queries = {
-            name: np.stack([seen.channels[name] for seen in drive]) for name in self.channels
+            name: np.stack([frame.channels[name] for frame in sequence]) for name in self.channels
         }
         threads = os.cpu_count() or 1
-        found = self._map.query(queries, follow=follow, delay=delay, top=top, threads=threads)
+        decision = self._map.query(queries, follow=follow, delay=delay, top=top, threads=threads)
         alone = "fused score" if len(queries) > 1 else "cosine"
         answers = []
-        columns = found.scores, found.rows, found.right, found.follows
+        columns = decision.scores, decision.rows, decision.right, decision.follows
         for scores, rows, right, follows in zip(*columns, strict=True):
             ranked = [
                 (self.frames[row], min(1.0, float(score)))
@@ -101,58 +113,27 @@ class Database:
             answers.append(Answer(ranked, "probability" if follows else alone, float(right)))
         return answers
 
-    @cached_property
-    def _map(self) -> Any:
-        try:
-            from ssrvlad_torch.native.map import DescriptorMap
-        except ImportError as error:
-            problem = "databases need: pip install --no-deps ssrvlad-torch"
-            raise ImportError(problem) from error
-        names = [frame.rpartition("/")[0] for frame in self.frames]
-        town = DescriptorMap([len(list(drive)) for _, drive in groupby(names)])
-        for name, rows in self.channels.items():
-            town.add(name, rows, TRUST[name])
-        return town
-
 
 def save(
-    path: Path, seen: Sequence[Seen], frames: Sequence[str], fingerprints: Mapping[str, str]
+    path: Path,
+    descriptions: Sequence[Description],
+    frames: Sequence[str],
+    fingerprints: Mapping[str, str],
 ) -> None:
-    """Writes frames as a database: the arrays, and files with ids and fingerprints beside them.
-
-    The array of descriptors is written last, every array whole or not at all.
-
-    Args:
-        path: the array of descriptors.
-        seen: the frames.
-        frames: their ids.
-        fingerprints: of the channels that the frames have, by name.
-
-    Raises:
-        ValueError: an id has several lines.
-        OSError: a file cannot be written.
-    """
+    """Writes frames as a database: the array of descriptors, those of the other channels, each with
+    its fingerprint, and the ids beside them. An id of several lines is a ValueError."""
     for frame in frames:
         require_one_line(frame)
     text = "".join(f"{frame}\n" for frame in frames)
     beside(path, "frames").write_text(text, encoding="utf-8", newline="\n")
     for name in reversed(TRUST):
         array = array_of(path, name)
-        if name in fingerprints:
-            _save(array, [each.channels[name] for each in seen], fingerprints[name])
-        else:
+        if name not in fingerprints:
             array.unlink(missing_ok=True)
-
-
-def _save(path: Path, rows: Sequence[Any], fingerprint: str) -> None:
-    beside(path, "fingerprint").write_text(f"{fingerprint}\n", newline="\n")
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        with temporary.open("wb") as file:
-            np.save(file, np.stack(rows))
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+            continue
+        beside(array, "fingerprint").write_text(f"{fingerprints[name]}\n", newline="\n")
+        with replacing(array) as temporary, temporary.open("wb") as file:
+            np.save(file, np.stack([frame.channels[name] for frame in descriptions]))
 
 
 def beside(path: Path, what: str) -> Path:
@@ -167,17 +148,17 @@ def array_of(path: Path, channel: str) -> Path:
 
 def _rows(path: Path, fingerprint: str, axes: int) -> Array:
     """An array of frames with a fingerprint."""
-    try:
-        rows = read_npy(path, "r")
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
+    if not path.exists():
+        raise ValueError(f"{path} does not exist")
+    with naming(path):
+        rows = open_memmap(path, mode="r")
     if rows.ndim != axes:
         raise ValueError(f"{path}: expected an array of {axes} axes, got {rows.shape}")
     if not beside(path, "fingerprint").exists():
         note(f"{path} has no fingerprint: it may not fit the model")
-    elif (own := beside(path, "fingerprint").read_text().strip()) != fingerprint:
+    elif (stored := beside(path, "fingerprint").read_text().strip()) != fingerprint:
         raise ValueError(
-            f"{path} has fingerprint {own}, the model {fingerprint}: they do not compare"
+            f"{path} has fingerprint {stored}, the model {fingerprint}: they do not compare"
         )
     return rows
 

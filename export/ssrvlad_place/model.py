@@ -3,33 +3,34 @@
 from __future__ import annotations
 
 import argparse
-import json
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import onnxruntime
+from numpy.lib.format import MAGIC_PREFIX
 
-from .frames import SUFFIXES, SUFFIXES_OF_MAPS, read_labels, read_photograph, read_scores
-from .golden import TOLERANCE, Golden, require_golden, run_golden
-from .output import one_line
+from ssrvlad_torch.datasets.frame_file import FrameFile
+from ssrvlad_torch.datasets.image_files import find_image_files, read_image
+from ssrvlad_torch.datasets.label_files import find_label_files, read_label_map
+from ssrvlad_torch.deployment.differences import TOLERANCE
+from ssrvlad_torch.deployment.metadata import PREFIX, Metadata
+from ssrvlad_torch.files import naming, parse_npy
+from ssrvlad_torch.segmentation.onnx_files import CPU, open_session
+from ssrvlad_torch.taxonomy import LabelSpace
+
+from .golden import Golden, require_golden, run_golden
 
 Array = npt.NDArray[Any]
 
 LABEL_SHAPES, FEATURES, HOG = "ssr-vlad", "features", "hog"
 TRUST = {LABEL_SHAPES: 1.0, FEATURES: 6.0, HOG: 2.0}
-"""How much each channel counts before anything is known of a drive, as in `ssrvlad query`."""
-
-CPU = "CPUExecutionProvider"
-FORMAT = "2"
-
-_ONLY_FATAL = 4
+"""How much each channel counts before anything is known of a sequence, as in `ssrvlad query`."""
 
 
-class Seen(NamedTuple):
+class Description(NamedTuple):
     """A frame: its descriptor ``(D,)`` float32 of length 1, or zeros for an empty frame, with
     `ssrvlad export --sweep` ``(S, D)``, one for each anchor; its features ``(16, 16, 16)`` uint8
     and its HOG ``(480,)`` float32, or ``None`` if the file does not give them."""
@@ -59,55 +60,53 @@ class Model:
     """
 
     def __init__(self, path: Path, provider: str = CPU, check: bool = True) -> None:
-        self.session = _session(path, provider)
-        self.properties = _properties(path, self.session)
+        self.session, self.metadata, properties = _opened(path, provider)
+        self.space = LabelSpace.from_dict({"source": PREFIX, **self.metadata.label_space})
         self.input = _input(path, self.session)
-        self.dtype = _dtype(self.input.type)
+        self.fingerprints = _fingerprints(self.metadata, properties)
         if check:
             require_golden(path, self.golden())
 
     @property
-    def fingerprint(self) -> str:
-        """Fingerprint of the settings; descriptors of another one do not compare."""
-        return str(self.properties["ssrvlad.fingerprint"])
-
-    @property
-    def fingerprints(self) -> dict[str, str]:
-        """Fingerprints of the channels that the file gives, by name; that of label maps first."""
-        return {LABEL_SHAPES: self.fingerprint, **_of_pictures(self.properties)}
-
-    @property
     def anchors(self) -> list[int]:
         """Columns of the anchors of a sweep; empty for single descriptors."""
-        return list(json.loads(self.properties.get("ssrvlad.interface", "{}")).get("sweep", []))
+        return list(self.metadata.interface.get("sweep", []))
 
-    @property
-    def suffixes(self) -> tuple[str, ...]:
-        """Suffixes of the files that it takes."""
-        if len(self.input.shape) == 3:
-            return SUFFIXES_OF_MAPS
-        return (".npy",) if self.input.name == "logits" else SUFFIXES
+    def frames(self, sources: Iterable[Path]) -> list[FrameFile]:
+        """The frames of folders and files, as `ssrvlad encode` finds them.
 
-    def see(self, path: Path) -> Seen:
-        """The channels of the frame in a file.
+        Raises:
+            ValueError: a source does not exist or holds no frame, or two frames have one id.
+        """
+        find = find_image_files if self.input.name == "image" else find_label_files
+        return list(find([*map(str, sources)]))
+
+    def see(self, file: FrameFile) -> Description:
+        """The channels of a frame: a label map, class scores in a ``.npy`` file, or a picture.
 
         Raises:
             ValueError: it cannot be read, or as of `see_array`.
         """
-        read: Callable[[Path], Array] = read_photograph
-        if len(self.input.shape) == 3:
-            classes = json.loads(self.properties["ssrvlad.label_space"])["classes"]
-            read = partial(read_labels, classes=classes, dtype=self.dtype)
-        elif self.input.name == "logits":
-            read = partial(read_scores, dtype=self.dtype)
-        try:
-            return self.see_array(read(path))
-        except ImportError:
-            raise
-        except Exception as error:  # decoders raise anything on damaged bytes
-            raise ValueError(one_line(error)) from error
+        if self.input.name == "image":
+            return self.see_array(read_image(file))
+        if self.input.name == "logits":
+            content = file.read()
+            if not content.startswith(MAGIC_PREFIX):
+                raise ValueError("expected scores (C, H, W) in a .npy file, got another kind")
+            scores = parse_npy(content)
+            if scores.ndim != 3 or scores.dtype.kind != "f" or not np.isfinite(scores).all():
+                raise ValueError(
+                    f"expected finite scores (C, H, W), got {scores.shape} {scores.dtype}"
+                )
+            return self.see_array(scores.astype(np.float32))
+        labels = read_label_map(file, self.space)
+        dtype = np.dtype(self.metadata.interface["inputs"]["labels"]["dtype"])
+        changed = int((labels.astype(dtype) != labels).sum())
+        if changed:
+            raise ValueError(f"{changed} of {labels.size} pixels have an id outside {dtype}")
+        return self.see_array(labels.astype(dtype))
 
-    def see_array(self, array: Array) -> Seen:
+    def see_array(self, array: Array) -> Description:
         """The channels of a frame in memory: the input of the file without the batch axis.
 
         Raises:
@@ -117,24 +116,23 @@ class Model:
         expected, shape = self.input.shape, (1, *array.shape)
         if any(isinstance(n, int) and n != m for n, m in zip(expected, shape, strict=True)):
             raise ValueError(f"the file takes {self.input.name} of {tuple(expected)}, got {shape}")
-        descriptor, unknown, *others = self._run(array[None])
+        descriptor, unknown, *batches = self._run(array[None])
         if unknown[0]:
-            space = json.loads(self.properties["ssrvlad.label_space"])["name"]
             channels = {"labels": 1, "logits": array.shape[0]}.get(self.input.name, 3)
             raise ValueError(
                 f"{unknown[0]} of {array.size // channels} pixels have an id outside label space "
-                f"{space}"
+                f"{self.space.name}"
             )
         if not np.isfinite(descriptor).all():
             raise ValueError(
                 "the frame is too wide, or has too many keypoints, for an exported file"
             )
-        seen = {name: each[0] for name, each in zip([*self.fingerprints][1:], others, strict=True)}
-        if FEATURES in seen and not seen[FEATURES].any():
+        of_pictures = {name: batch[0] for name, batch in zip(self.pictures, batches, strict=True)}
+        if FEATURES in of_pictures and not of_pictures[FEATURES].any():
             raise ValueError(
                 "the activations of the network are not finite, or the same everywhere"
             )
-        return Seen(np.asarray(descriptor[0]), **seen)
+        return Description(np.asarray(descriptor[0]), **of_pictures)
 
     def golden(self) -> Golden:
         """Runs the golden pair.
@@ -142,10 +140,15 @@ class Model:
         Raises:
             ValueError: the file has no golden pair for its input, or cannot run it.
         """
-        return run_golden(self.session, self.input.name, self.properties)
+        return run_golden(self.session, self.input.name, self.metadata)
+
+    @property
+    def pictures(self) -> list[str]:
+        """The channels of pictures that the file gives."""
+        return [name for name in self.fingerprints if name != LABEL_SHAPES]
 
     def _run(self, batch: Array) -> list[Array]:
-        names = ["descriptor", "unknown", *[*self.fingerprints][1:]]
+        names = ["descriptor", "unknown", *self.pictures]
         return list(self.session.run(names, {self.input.name: batch}))
 
 
@@ -166,38 +169,31 @@ class Split(Model):
 
     def __init__(self, network: Path, head: Path, provider: str = CPU, check: bool = True) -> None:
         super().__init__(head, CPU, check=False)
-        self.network = _session(network, provider)
-        self.network_properties = _properties(network, self.network)
-        for name in ("ssrvlad.fingerprint", "ssrvlad.label_space"):
-            if self.network_properties[name] != self.properties[name]:
+        self.network, self.of_network, properties = _opened(network, provider)
+        for name in ("fingerprint", "label_space"):
+            if getattr(self.of_network, name) != getattr(self.metadata, name):
                 raise ValueError(f"{network} and {head} differ in {name}: expected the two files")
         labels, self.input = self.input, _input(network, self.network)
         outputs = [(output.name, output.type) for output in self.network.get_outputs()]
         if outputs[:1] != [("labels", labels.type)] or labels.name != "labels":
             raise ValueError(f"{network} gives {outputs}, {head} takes {labels.name} {labels.type}")
+        self.fingerprints = _fingerprints(self.of_network, properties)
         if check:
             golden = self.golden()
             require_golden(network if golden.difference <= TOLERANCE else head, golden)
 
-    @property
-    def fingerprints(self) -> dict[str, str]:
-        """As of `Model`; the file of the network gives the channels of pictures."""
-        return {LABEL_SHAPES: self.fingerprint, **_of_pictures(self.network_properties)}
-
     def golden(self) -> Golden:
         """Runs the golden pairs of both files."""
-        head = run_golden(self.session, "labels", self.properties)
-        network = run_golden(self.network, "image", self.network_properties)
-        others = {"other_pixels": network.other_pixels, "other_signs": network.other_signs}
-        hog = max(head.hog, network.hog)
-        return head._replace(**others, hog=hog) if head.holds else head
+        head = run_golden(self.session, "labels", self.metadata)
+        network = run_golden(self.network, "image", self.of_network)
+        return Golden(head.difference, head.problem or network.problem)
 
     def _run(self, batch: Array) -> list[Array]:
         image = onnxruntime.OrtValue.ortvalue_from_numpy(batch)
-        names = ["labels", *[*self.fingerprints][1:]]
-        labels, *others = self.network.run_with_ort_values(names, {"image": image})
+        names = ["labels", *self.pictures]
+        labels, *batches = self.network.run_with_ort_values(names, {"image": image})
         outputs = self.session.run_with_ort_values(["descriptor", "unknown"], {"labels": labels})
-        return [output.numpy() for output in [*outputs, *others]]
+        return [output.numpy() for output in [*outputs, *batches]]
 
 
 def open_model(options: argparse.Namespace) -> Model:
@@ -216,45 +212,28 @@ def add_model(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--unchecked", action="store_true", help="do not run the golden pair first")
 
 
-def _session(path: Path, provider: str) -> Any:
-    path.open("rb").close()
+def _opened(path: Path, provider: str) -> tuple[Any, Metadata, dict[str, str]]:
+    """The session of a file, its metadata, and all its properties."""
+    if not path.exists():
+        raise ValueError(f"{path} does not exist")
     available = onnxruntime.get_available_providers()
     if provider not in available:
         raise ValueError(f"no provider {provider}; expected one of {', '.join(available)}")
-    options = onnxruntime.SessionOptions()
-    options.log_severity_level = _ONLY_FATAL
-    providers = [*dict.fromkeys((provider, CPU))]
-    try:
-        return onnxruntime.InferenceSession(str(path), options, providers=providers)
-    except Exception as error:  # ONNX Runtime has no common error type
-        raise ValueError(f"{path}: {one_line(error)}") from error
+    session = open_session(path, path, provider)
+    properties = session.get_modelmeta().custom_metadata_map
+    with naming(path):
+        return session, Metadata.from_properties(properties), properties
 
 
-def _properties(path: Path, session: Any) -> dict[str, str]:
-    properties = dict(session.get_modelmeta().custom_metadata_map)
-    if "ssrvlad.fingerprint" not in properties or "ssrvlad.label_space" not in properties:
-        raise ValueError(f"{path}: no metadata ssrvlad.*: not a file of `ssrvlad export` or `fuse`")
-    number = properties.get("ssrvlad.format", "1")
-    if number != FORMAT:
-        raise ValueError(f"{path}: a file of format {number}; expected {FORMAT}: export it again")
-    return properties
-
-
-def _of_pictures(properties: dict[str, str]) -> dict[str, str]:
-    """Fingerprints of the channels of pictures in a file."""
-    named = {name: properties.get(f"ssrvlad.{name}", "") for name in (FEATURES, HOG)}
-    return {name: fingerprint for name, fingerprint in named.items() if fingerprint}
+def _fingerprints(metadata: Metadata, properties: dict[str, str]) -> dict[str, str]:
+    """Of the channels that a file gives, by name; that of label maps first."""
+    named = {name: properties.get(PREFIX + name, "") for name in (FEATURES, HOG)}
+    return {LABEL_SHAPES: metadata.fingerprint} | {name: key for name, key in named.items() if key}
 
 
 def _input(path: Path, session: Any) -> Any:
     inputs = session.get_inputs()
-    if len(inputs) != 1 or len(inputs[0].shape) not in (3, 4):
-        names = ", ".join(f"{each.name} {each.shape}" for each in inputs)
+    if len(inputs) != 1 or inputs[0].name not in ("labels", "logits", "image"):
+        names = ", ".join(f"{value.name} {value.shape}" for value in inputs)
         raise ValueError(f"{path}: expected one input of labels, scores or images, got {names}")
     return inputs[0]
-
-
-def _dtype(onnx_type: str) -> Any:
-    """``tensor(uint8)`` -> ``uint8``."""
-    name = onnx_type.removeprefix("tensor(").removesuffix(")")
-    return np.dtype({"float": "float32", "double": "float64"}.get(name, name))

@@ -9,6 +9,8 @@ import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from ssrvlad_torch.files import one_line
+
 if TYPE_CHECKING:
     from .database import Answer
 
@@ -16,13 +18,6 @@ if TYPE_CHECKING:
 def note(line: str) -> None:
     """Prints one line on stderr."""
     print(line, file=sys.stderr)
-
-
-def one_line(error: Exception) -> str:
-    """The message of an error as one line, never empty."""
-    if isinstance(error, FileNotFoundError) and error.filename:
-        return f"{error.filename} does not exist"
-    return " ".join(str(error).split()) or type(error).__name__
 
 
 def run_program(
@@ -37,15 +32,16 @@ def run_program(
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except (ValueError, OSError, ImportError, RuntimeError) as error:
-        note(f"{name}: {one_line(error)}")
+        file = getattr(error, "filename", None)
+        note(f"{name}: {file + ': ' if file else ''}{one_line(error)}")
         return 2
 
 
-def finished(skipped: int, described: int) -> int:
-    """Says how many frames were skipped; the exit code, 3 if there are some."""
+def finished(skipped: int, frames: int) -> int:
+    """Says how many of the frames were skipped; the exit code, 3 if there are some."""
     if not skipped:
         return 0
-    note(f"skipped {skipped} of {skipped + described} frames")
+    note(f"skipped {skipped} of {frames} frames")
     return 3
 
 
@@ -54,9 +50,9 @@ def report(frame: str, empty: bool, answer: Answer | None, as_json: bool) -> Non
     candidates, score_is, confidence = answer or ([], "", 0.0)
     if as_json:
         ranked = [{"frame": name, "score": score} for name, score in candidates]
-        told = {"score_is": score_is, "confidence": confidence} if answer else {}
-        print(json.dumps({"query": frame, "candidates": ranked, "empty": empty, **told}))
+        facts = {"score_is": score_is, "confidence": confidence} if answer else {}
+        print(json.dumps({"query": frame, "candidates": ranked, "empty": empty, **facts}))
         return
     names = ", ".join(f"{name} {score:.4f}" for name, score in candidates) or "no candidate"
-    found = f"{names} ({score_is}, confidence {confidence:.2f})" if answer else "described"
-    print(f"{frame}: " + ("empty" if empty else found))
+    text = f"{names} ({score_is}, confidence {confidence:.2f})" if answer else "described"
+    print(f"{frame}: " + ("empty" if empty else text))

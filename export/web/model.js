@@ -2,7 +2,7 @@
 
 import * as ort from "./node_modules/onnxruntime-web/dist/ort.wasm.min.mjs";
 import { inflated } from "./label_png.js";
-import { metadataOf, skeletonTensor, withOutput } from "./onnx_file.js";
+import { metadataOf } from "./onnx_file.js";
 
 ort.env.wasm.numThreads = 1;
 
@@ -31,10 +31,8 @@ export class Model {
     const { format = "1" } = metadata;
     if (format !== FORMAT)
       throw new Error(`a file of format ${format}; expected ${FORMAT}: export it again`);
-    const skeleton = skeletonTensor(file);
-    const bytes = skeleton ? withOutput(file, skeleton) : file;
-    const session = await ort.InferenceSession.create(bytes, { logSeverityLevel: 3 });
-    const model = new Model(session, metadata, skeleton);
+    const session = await ort.InferenceSession.create(file, { logSeverityLevel: 3 });
+    const model = new Model(session, metadata);
     if (check) {
       model.checked = await model.runGoldenPair();
       if (!model.checked.holds)
@@ -43,9 +41,8 @@ export class Model {
     return model;
   }
 
-  constructor(session, metadata, skeleton) {
+  constructor(session, metadata) {
     this.session = session;
-    this.skeleton = skeleton;
     this.fingerprint = metadata.fingerprint;
     /** Fingerprints of the channels that the file gives, by name. */
     this.channels = { descriptor: metadata.fingerprint, features: metadata.features, hog: metadata.hog };
@@ -67,13 +64,11 @@ export class Model {
   /** The result of `describe` for a photograph of RGB bytes, and the `labels` of the network. */
   async describePhoto({ pixels, height, width }) {
     const outputs = await this.#run(new ort.Tensor("uint8", pixels, [1, height, width, 3]));
-    return this.#described(outputs, height, width);
+    return this.#described(outputs);
   }
 
-  /**
-   * Of a label map: `descriptor`, that of all anchors if there are several, `usual`, that of the usual
-   * anchor, and, if the graph has one, `skeleton`; rows * columns bytes, bit k is layer k.
-   */
+  /** Of a label map: `descriptor`, that of all anchors if there are several, and `usual`, that of the usual
+   * anchor. */
   async describe({ labels, height, width }) {
     if (this.input !== "labels") throw new Error("label maps need a file of --input labels");
     const shape = [1, height, width];
@@ -82,11 +77,10 @@ export class Model {
     const ids = this.dtype === "int64" ? BigInt64Array.from(labels, BigInt) : ARRAYS[this.dtype].from(labels);
     if (this.dtype === "uint8" && labels.some((id) => id > 255))
       throw new Error("the file takes ids up to 255");
-    const outputs = await this.#run(new ort.Tensor(this.dtype, ids, shape));
-    return this.#described(outputs, height, width);
+    return this.#described(await this.#run(new ort.Tensor(this.dtype, ids, shape)));
   }
 
-  #described(outputs, height, width) {
+  #described(outputs) {
     const { unknown, descriptor, features, hog = [] } = outputs;
     if (unknown[0])
       throw new Error(`${unknown[0]} pixels have an id outside label space ${this.space.name}`);
@@ -95,10 +89,9 @@ export class Model {
     if (features && !features.some((signs) => signs))
       throw new Error("the activations of the network are not finite, or the same everywhere");
     if (!hog.every(Number.isFinite)) throw new Error("the HOG of the picture is not finite");
-    const grid = workingGrid(this.config.working_size, height, width);
     const length = descriptor.length / (this.columns.length || 1);
     const middle = (descriptor.length - length) / 2;
-    return { ...outputs, ...grid, usual: descriptor.subarray(middle, middle + length) };
+    return { ...outputs, usual: descriptor.subarray(middle, middle + length) };
   }
 
   /**
@@ -138,11 +131,9 @@ export class Model {
   }
 
   async #run(input) {
-    const { descriptor, ...others } = await this.session.run({ [this.input]: input });
-    const skeleton = this.skeleton && others[this.skeleton].data;
+    const outputs = Object.entries(await this.session.run({ [this.input]: input }));
     const numbers = (data) => (data instanceof BigInt64Array ? Array.from(data, Number) : data);
-    const values = Object.entries(others).map(([name, { data }]) => [name, numbers(data)]);
-    return { ...Object.fromEntries(values), descriptor: descriptor.data, skeleton };
+    return Object.fromEntries(outputs.map(([name, { data }]) => [name, numbers(data)]));
   }
 
   async #array(name) {
@@ -189,12 +180,4 @@ function smallestCosine(got, expected, images) {
     return sum;
   });
   return Math.min(...cosines);
-}
-
-/** The working grid, by the rule of `SSRVLADConfig.grid`. */
-function workingGrid(size, height, width) {
-  const shorter = Math.min(height, width);
-  if (size === null || size >= shorter) return { rows: height, columns: width };
-  const rounded = (side) => Math.floor((2 * side * size + shorter) / (2 * shorter));
-  return { rows: rounded(height), columns: rounded(width) };
 }

@@ -167,14 +167,14 @@ async function show(drive, found, shown) {
   const { model } = open;
   element("frame").textContent = lastOf(drive[shown].frame.name);
   const { picture, described } = drive[shown].seen ?? (await see(drive[shown].frame));
-  drawMap(model, picture, described);
+  drawMap(model, picture);
   drawTargets(model, described.usual);
   listMatches(found, shown);
   for (const [at, row] of [...element("places").tBodies[0].rows].entries())
     row.classList.toggle("shown", at === shown);
 }
 
-function drawMap({ space }, { labels, height, width }, { skeleton, rows, columns }) {
+function drawMap({ space }, { labels, height, width }) {
   const colours = Object.fromEntries(space.classes.map(({ id, category }) => [id, CATEGORIES[category]]));
   const canvas = element("map");
   [canvas.height, canvas.width] = [height, width];
@@ -187,12 +187,6 @@ function drawMap({ space }, { labels, height, width }, { skeleton, rows, columns
   };
   labels.forEach((id, at) => (pixels[at] = packed(colours[id] ?? NO_LAYER)));
   context.putImageData(picture, 0, 0);
-  context.fillStyle = "#000";
-  const [tall, wide] = [height / rows, width / columns];
-  skeleton?.forEach((layers, at) => {
-    const [y, x] = [Math.floor(at / columns), at % columns];
-    if (layers) context.fillRect(x * wide + wide / 4, y * tall + tall / 4, wide / 2, tall / 2);
-  });
 }
 
 function drawTargets({ config }, descriptor) {

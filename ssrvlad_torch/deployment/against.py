@@ -1,8 +1,4 @@
-"""Against: compares a network's ONNX file with the network in PyTorch, at several sizes.
-
-A graph that is right at the size at which it was traced can be wrong at others: what Python
-computes of a size while it is traced becomes a constant. Comparing files with files misses that.
-"""
+"""Against: compares a network's ONNX file with the network in PyTorch, at several sizes."""
 
 import math
 from dataclasses import replace
@@ -11,9 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from torch import Tensor
 
-from ..encoding.results import Progress, do_nothing
 from ..files import naming, one_line
 from ..segmentation.features import probed
 from ..segmentation.label_network import LabelNetwork
@@ -22,7 +16,8 @@ from ..segmentation.networks import NamedNetwork, open_network
 from ..segmentation.onnx_network import OnnxNetwork
 from ..segmentation.preparation import SegmenterConfig
 from ..taxonomy import DYNAMIC, LabelClass, LabelSpace, label_space
-from .fuse import LABELS, MAX_OTHER_PIXELS, network_in
+from .differences import LABELS, MAX_OTHER_PIXELS
+from .fuse import network_in
 from .golden import photograph
 
 SIZES = ((128, 128), (256, 384), (512, 768))
@@ -33,20 +28,17 @@ _BYTES = SegmenterConfig(white=255, mean=(0, 0, 0), std=(1, 1, 1), output=LABELS
 
 
 class SizeCheck(NamedTuple):
-    """The comparison at one size: height and width of the picture, and of the network's input for
-    it; the fraction of the pixels with another label, NaN if the file gives none; what is wrong, or
-    ``""``."""
+    """The comparison at one size: height and width of the picture and of the network's input; the
+    fraction of pixels with another label, NaN if the file gives none; what is wrong, or ``""``."""
 
     size: tuple[int, int]
     fed: tuple[int, int]
-    others: float
+    other_labels: float
     problem: str = ""
 
 
 @torch.inference_mode()
-def verify_against(
-    file: str | Path, network: str, progress: Progress = do_nothing
-) -> list[SizeCheck]:
+def verify_against(file: str | Path, network: str) -> list[SizeCheck]:
     """Compares the label maps of an ONNX file, of a network's own, named in a YAML file, or of
     `fuse`, with those of the network in PyTorch of which it was made, on a drawn picture of each of
     `SIZES` that it takes. If only one of the two has settings, they prepare the pictures of both.
@@ -63,9 +55,8 @@ def verify_against(
         raise ValueError(f"{network} is an ONNX file; expected the network in PyTorch")
     plain, fused = SegmenterConfig(), network_in(graph.network.metadata)
     of_file = SegmenterConfig.of(fused.settings) if fused else graph.config
-    # outputs of the two forms have other names
     settings = module.config
-    if settings == plain:
+    if settings == plain:  # outputs of the two forms have other names
         settings = replace(of_file, output=None, features=None)
     elif of_file == plain:
         of_file = replace(settings, output=None, features=None)
@@ -80,21 +71,18 @@ def verify_against(
             expected = original(picture).cpu()
         except Exception as error:  # networks raise many kinds of errors
             reason = one_line(error)
-        else:
-            fed = settings.network_size(*size)
-            checks.append(SizeCheck(size, fed, *_others(exported, picture, expected)))
-        progress(1)
+            continue
+        fraction, problem = math.nan, ""
+        try:
+            fraction = float((exported(picture).cpu() != expected).double().mean())
+        except Exception as error:  # runtimes too
+            problem = f"the file fails: {one_line(error)}"
+        if fraction > MAX_OTHER_PIXELS:
+            problem = "other labels"
+        checks.append(SizeCheck(size, settings.network_size(*size), fraction, problem))
     if not checks:
         raise ValueError(f"{network} takes none of the sizes: {reason}")
     return checks
-
-
-def _others(exported: LabelNetwork, picture: Tensor, expected: Tensor) -> tuple[float, str]:
-    try:
-        others = float((exported(picture).cpu() != expected).double().mean())
-    except Exception as error:  # runtimes raise many kinds of errors
-        return math.nan, f"the file fails: {one_line(error)}"
-    return others, "other labels" if others > MAX_OTHER_PIXELS else ""
 
 
 def _channels(module: NamedNetwork, config: SegmenterConfig) -> LabelSpace:

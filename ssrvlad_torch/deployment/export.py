@@ -23,10 +23,6 @@ if TYPE_CHECKING:
 INPUTS = ("labels", "logits")
 DTYPES = ("uint8", "int32", "int64")
 
-SKELETON = "skeleton"
-"""Of ``paper``: a tensor that is no output, for programs that draw it, ``(B, h, w)`` uint8
-bit-planes."""
-
 
 def export_head(
     config: SSRVLADConfig,
@@ -38,15 +34,12 @@ def export_head(
 ) -> None:
     """Writes the head as one ONNX file: label ids or class scores to descriptors.
 
-    The file is `SSRVLAD`, traced to standard operators. For ``default`` these are additions,
-    multiplications, comparisons and table look-ups of float32, no loop, no shape that depends on
-    the labels. For ``paper`` it also has loops and bitwise operators. Counts equal those of
-    `SSRVLAD`, descriptors differ by less than 1e-6 (1.4e-6 on maps of 2 to 6 pixels); settings that
-    enlarge rounding errors of numbers near zero make that 2e-5 (``power`` 0.5), 1e-5
-    (``spectral_weight`` 4) or 3e-4 (both). Where the graph cannot count exactly the descriptor is
-    NaN: on a grid of more than 960 columns (harmonics), or for 2 ** 31 pairs of points in a layer
-    (residuals). A graph cannot raise an error: pixels with an id outside the label space belong to
-    no layer, and the output ``unknown`` counts them. NaN scores are not noticed.
+    The file is `SSRVLAD`, traced to standard operators; ``default`` needs no loop. Counts equal
+    those of `SSRVLAD`, descriptors differ by less than 1e-6; export/README.md has the exceptions.
+    Where the graph cannot count exactly the descriptor is NaN: on a grid of more than 960 columns
+    (harmonics), or for 2 ** 31 pairs of points in a layer (residuals). A graph cannot raise an
+    error: pixels with an id outside the label space belong to no layer, and the output ``unknown``
+    counts them. NaN scores are not noticed.
 
     Shape:
         - input: ``labels (B, H, W)`` or ``logits (B, C, H, W)`` float32 (the first of the largest
@@ -66,9 +59,8 @@ def export_head(
             of the label space.
 
     Raises:
-        ValueError: an unknown input, dtype or label space, other columns, class scores for a label
-            space whose ids have gaps, a sweep of descriptors without an anchor, or a shape that
-            these settings do not have or whose sums are not exact.
+        ValueError: an argument is none of the above, or does not fit the settings or the label
+            space.
         ImportError: the extra ``onnx`` is not installed.
         OSError: the file cannot be written.
     """
@@ -135,12 +127,8 @@ def _graph(
         "unknown": [axes[0]],
     }
     if config.aggregation == "residuals":
-        outputs |= {"keypoints": [axes[0], CATEGORY_COUNT], SKELETON: [axes[0], None, None]}
-    model = traced(_Counted(head), {input: (example, axes)}, outputs)
-    shown = [value for value in model.graph.output if value.name != SKELETON]
-    del model.graph.output[:]
-    model.graph.output.extend(shown)
-    return model
+        outputs["keypoints"] = [axes[0], CATEGORY_COUNT]
+    return traced(_Counted(head), {input: (example, axes)}, outputs)
 
 
 def _check(head: SSRVLAD, input: str, dtype: str, shape: tuple[int, int, int] | None) -> None:

@@ -9,9 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
-from ..channels import channel
 from ..channels.channel import View
 from ..channels.hog import HOG
 from ..config import SSRVLADConfig
@@ -21,9 +19,16 @@ from ..segmentation.features import PROBES
 from ..segmentation.onnx_files import load_model, save_model
 from ..segmentation.onnx_network import OnnxNetwork
 from ..segmentation.segmenter import Segmenter
+from .differences import (
+    FEATURES,
+    IMAGE,
+    LABELS,
+    difference_of,
+    problem_of_network,
+)
 from .export import head_model
-from .golden import difference_of, outputs_of, photograph
-from .label_graph import EXAMPLE, label_graph
+from .golden import outputs_of, photograph
+from .label_graph import label_graph
 from .metadata import PREFIX, Arrays, Metadata
 from .runtimes import Run, runtime_of
 from .trace import interface, join, opset, with_opset
@@ -34,23 +39,17 @@ if TYPE_CHECKING:
 NETWORK = f"{PREFIX}network"
 """The property of a fused file that holds its `FusedNetwork`."""
 
-IMAGE, LABELS, FEATURES = "image", "labels", channel.FEATURES
 OF_PICTURES = (FEATURES, HOG.name)
 """Channels of a fused file, in which they are outputs and properties with their fingerprints."""
 
 HEAD = "ssrvlad/"
 """Prefix of the names of the head's nodes and tables."""
 
-MAX_OTHER_PIXELS = 0.01
-"""Fraction of a golden image's pixels whose label may differ where another library or processor
-computes the network in another order."""
 
-MAX_OTHER_SIGNS = 0.01
-"""The same of the signs of the features. A sign can only turn where its projection is near zero, so
-in single precision about one of 10,000 does."""
-
-MAX_OTHER_HOG = 1e-6
-"""By how much a number of HOG may differ: all but its last steps are in whole numbers."""
+OF_TRACES = (
+    "; a network that computes with the size in Python becomes a graph for the traced size; a "
+    "fixed size mends it, size: [H, W] in a YAML file"
+)
 
 
 @dataclass(frozen=True)
@@ -89,12 +88,10 @@ def fuse(
     head_path: str | Path | None = None,
     features: bool | None = None,
 ) -> FusedNetwork:
-    """Joins a segmentation network and the head in one ONNX file that needs ONNX Runtime only; or
-    writes them as two files, so that the network can run on an accelerator and the head on the
-    CPU.
+    """Joins a segmentation network and the head in one ONNX file, or writes them as two, so that
+    the network can run on an accelerator and the head on the CPU.
 
-    The file holds the preparation of pictures, the network, the decision which class wins, and the
-    head. It labels pictures as `Segmenter` does and describes label maps as `SSRVLAD` does. It is
+    The file labels pictures as `Segmenter` does and describes label maps as `SSRVLAD` does. It is
     run on a golden image before it is saved, and must agree with both.
 
     Shape:
@@ -108,8 +105,7 @@ def fuse(
     Args:
         network: a segmenter, or the name of a network; see `open_network`.
         config: the settings of the head; ``labels_as`` is the label space of the network.
-        path: the file; an existing one is replaced, whole or not at all. Above 2 GB the weights
-            go to a second file beside it.
+        path: the file; an existing one is replaced. Above 2 GB the weights go to a second file.
         head_path: of two files, that of the head.
         features: whether the file gives features; ``None`` if the network has some, by the rule
             of `find_activations` or by its setting ``features``.
@@ -126,9 +122,9 @@ def fuse(
     else:
         segmenter = Segmenter.load(network, config.labels_as)
         name = Path(network).name if Path(network).exists() else str(network)
+    head_file = Path(head_path) if head_path else None
     try:
-        both = Path(path), Path(head_path) if head_path else None
-        return _fuse(segmenter, name, config, *both, features)
+        return _fuse(segmenter, name, config, Path(path), head_file, features)
     except ValueError as error:
         raise ValueError(str(error) if name in str(error) else f"{name}: {error}") from error
 
@@ -139,12 +135,12 @@ def _fuse(
     config: SSRVLADConfig,
     path: Path,
     head_path: Path | None,
-    wanted: bool | None,
+    with_features: bool | None,
 ) -> FusedNetwork:
     with requiring("onnx", "ONNX graphs need"):
         from onnx import TensorProto
     features = None
-    if wanted or (wanted is None and not segmenter.problem_of_features):
+    if with_features or (with_features is None and not segmenter.problem_of_features):
         features = segmenter.features
     head = SSRVLAD(config)
     if segmenter.label_space != head.label_space:
@@ -214,14 +210,14 @@ def _golden_image(segmenter: Segmenter, features: bool) -> Arrays:
         rng = np.random.default_rng(0)
         pictures = [photograph(rng, height, width) for _ in range(count)]
         try:
-            said = segmenter.segment(pictures, features)
+            frames = segmenter.segment(pictures, features)
         except ValueError as reason:
             error = reason
             continue
         views = [View("golden", picture=picture) for picture in pictures]
-        golden = {IMAGE: np.stack(pictures), LABELS: np.stack([each.labels for each in said])}
+        golden = {IMAGE: np.stack(pictures), LABELS: np.stack([frame.labels for frame in frames])}
         golden[HOG.name] = HOG().describe(views).numpy()
-        signs = [each.features for each in said if each.features is not None]
+        signs = [frame.features for frame in frames if frame.features is not None]
         return golden | ({FEATURES: np.stack(signs)} if signs else {})
     raise error
 
@@ -236,7 +232,9 @@ def _golden(run: Run, expected: Arrays, head: SSRVLAD, segmenter: Segmenter) -> 
     except Exception as error:  # runtimes have no common error type
         problem = f"the graph fails: {one_line(error)}"
     if problem:
-        raise ValueError(f"of a golden image, {problem}{_cause(run, segmenter)}")
+        traced = not isinstance(segmenter.network, OnnxNetwork)
+        sized = isinstance(segmenter.config.size, tuple)
+        raise ValueError(f"of a golden image, {problem}{OF_TRACES if traced and not sized else ''}")
     golden = {name: outputs.get(name, array) for name, array in expected.items()}
     if "descriptor" not in outputs:
         return golden
@@ -244,44 +242,3 @@ def _golden(run: Run, expected: Arrays, head: SSRVLAD, segmenter: Segmenter) -> 
     if problem := difference_of(outputs, module)[1]:
         raise ValueError(f"the fused head is not the PyTorch module: {problem}")
     return golden | module
-
-
-def _cause(run: Run, segmenter: Segmenter) -> str:
-    """Why a graph gives other labels than the module of which it was traced: if it is right at the
-    traced size, what Python computed of this size has become a constant."""
-    fixed = isinstance(segmenter.config.size, tuple)
-    if fixed or isinstance(segmenter.network, OnnxNetwork):
-        return ""
-    picture = photograph(np.random.default_rng(0), *EXAMPLE)
-    traced, [labels] = run({IMAGE: picture[None]})[LABELS], segmenter([picture])
-    if (traced[0] != labels).mean() > MAX_OTHER_PIXELS:
-        return ""
-    return (
-        f"; at {EXAMPLE[0]}x{EXAMPLE[1]} it is right: the network computes with the size in "
-        "Python, and the traced graph has the result for that size as a constant; a fixed size "
-        "mends it, size: [H, W] in a YAML file"
-    )
-
-
-def problem_of_network(got: Arrays, expected: Arrays) -> str:
-    """What is wrong with labels and features of a golden image; empty if they are near enough."""
-    if got[LABELS].shape != expected[LABELS].shape:
-        return f"labels are {got[LABELS].shape}, not {expected[LABELS].shape}"
-    fraction = float((got[LABELS] != expected[LABELS]).mean())
-    if fraction > MAX_OTHER_PIXELS:
-        return f"{fraction:.1%} of the pixels have another label"
-    if FEATURES in expected:
-        fraction = other_signs(got[FEATURES], expected[FEATURES])
-        if fraction > MAX_OTHER_SIGNS:
-            return f"{fraction:.1%} of the signs of the features are others"
-    if HOG.name in expected:
-        difference = np.abs(got[HOG.name].astype(np.float64) - expected[HOG.name]).max(initial=0)
-        if not difference <= MAX_OTHER_HOG:
-            return f"hog differs by {difference:.2g}"
-    return ""
-
-
-def other_signs(signs: npt.NDArray[np.uint8], others: npt.NDArray[np.uint8]) -> float:
-    """The fraction of signs that differ; 1 for another shape."""
-    same_shape = signs.shape == others.shape
-    return float(np.unpackbits(signs ^ others).mean()) if same_shape else 1.0

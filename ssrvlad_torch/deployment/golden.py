@@ -11,15 +11,11 @@ import torch
 from ..descriptor import SSRVLAD
 from ..stages.vanishing_column import OPEN_LAYERS
 from ..taxonomy import CATEGORIES, VOID, LabelClass
-from .metadata import Arrays
 
 Array = npt.NDArray[Any]
 
 SIZE = (133, 171)
 """Rows and columns: above the working size of every preset, and not multiples of it."""
-
-TOLERANCE = 1e-6
-"""Largest difference of a number of a descriptor. Counts must be equal."""
 
 _IMAGES = 2
 """At least; more if they have too few patches for all ids of a label space."""
@@ -86,22 +82,6 @@ def outputs_of(head: SSRVLAD, array: Array) -> dict[str, Array]:
     if head.config.aggregation == "residuals":
         outputs["keypoints"] = head.explain(labels).keypoints.sum((2, 3)).numpy()
     return outputs
-
-
-def difference_of(got: Arrays, expected: Arrays) -> tuple[float, str]:
-    """The largest difference of two descriptors, and what is wrong or ``""``: counts must be equal,
-    descriptors agree within `TOLERANCE`."""
-    for name, array in expected.items():
-        if got[name].shape != array.shape:
-            return np.inf, f"{name} is {got[name].shape}, not {array.shape}"
-    if not expected:
-        return 0.0, ""
-    steps = np.abs(got["descriptor"].astype(np.float64) - expected["descriptor"])
-    largest = float(np.nan_to_num(steps, nan=np.inf).max(initial=0))
-    far = [f"descriptors differ by {largest:.2g}"] if largest > TOLERANCE else []
-    counts = [name for name in expected if name != "descriptor"]
-    differ = [f"{name} differ" for name in counts if (got[name] != expected[name]).any()]
-    return largest, ", ".join([*far, *differ])
 
 
 def as_input(labels: Array, channels: int, input: str, dtype: str) -> Array:

@@ -36,11 +36,8 @@ EXAMPLE = (66, 98)
 
 def label_graph(labels: LabelNetwork, features: NetworkFeatures | None = None) -> onnx.ModelProto:
     """A graph from ``image (B, H, W, 3)`` uint8 to ``labels (B, H, W)`` uint8 or int64, to
-    ``hog (B, 480)`` float32, and with features to ``features (B, 16, 16, 16)`` uint8.
-
-    A PyTorch network is traced together with preparation, decision and features. For an ONNX graph
-    these are traced and joined to it; a graph below the head's opset is converted to it. A network
-    that cannot be traced, and a graph that cannot be converted, are a ValueError.
+    ``hog (B, 480)`` float32, and with features to ``features (B, 16, 16, 16)`` uint8. A network
+    that cannot be traced, and a graph that cannot be converted to `OPSET`, are a ValueError.
     """
     if not isinstance(labels.network, OnnxNetwork):
         return _traced_network(labels, features)

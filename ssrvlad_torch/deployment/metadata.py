@@ -56,8 +56,7 @@ class Metadata:
     def of(
         cls, config: SSRVLADConfig, space: LabelSpace, interface: dict[str, Any], golden: Arrays
     ) -> Metadata:
-        """The metadata of a head with these settings; a golden array above 64 MiB is a
-        ValueError."""
+        """The metadata of a head; a golden array above 64 MiB is a ValueError."""
         entries = {}
         for name, array in golden.items():
             if array.nbytes > _MAX_GOLDEN_BYTES:
@@ -65,14 +64,8 @@ class Metadata:
             little = array.astype(array.dtype.newbyteorder("<"))
             data = base64.b64encode(zlib.compress(little.tobytes(), 9)).decode()
             entries[name] = {"dtype": array.dtype.name, "shape": list(array.shape), "data": data}
-        return cls(
-            version=package_version(),
-            config=config.to_dict(),
-            fingerprint=config.fingerprint,
-            label_space=space.to_dict(),
-            interface=interface,
-            golden=entries,
-        )
+        settings = config.to_dict(), config.fingerprint
+        return cls(package_version(), *settings, space.to_dict(), interface, entries)
 
     @classmethod
     def from_properties(cls, properties: Mapping[str, str]) -> Metadata:

@@ -26,9 +26,9 @@ class Runtime:
 
     Attributes:
         name: name, version, and device or execution provider.
-        open: makes a function that runs a file, given by path or content. If this or the function
-            raises any error, the runtime cannot run the file.
-        provider: of ONNX Runtime; others are compared with the CPU's. Empty for OpenVINO.
+        open: makes a function that runs a file, by path or content; what either raises means that
+            the runtime cannot run the file.
+        provider: of ONNX Runtime; empty for OpenVINO.
     """
 
     name: str

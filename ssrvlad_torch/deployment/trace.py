@@ -84,11 +84,11 @@ def traced(
     model: onnx.ModelProto = program.model_proto
     ends = {**outputs, **{name: axes for name, (_, axes) in inputs.items()}}
     for value in (*model.graph.output, *model.graph.input):
-        for axis, given in zip(value.type.tensor_type.shape.dim, ends[value.name], strict=True):
-            if isinstance(given, int):
-                axis.dim_value = given
-            elif given is not None:
-                axis.dim_param = given
+        for axis, form in zip(value.type.tensor_type.shape.dim, ends[value.name], strict=True):
+            if isinstance(form, int):
+                axis.dim_value = form
+            elif form is not None:
+                axis.dim_param = form
     return model
 
 
@@ -176,7 +176,7 @@ def with_opset(model: onnx.ModelProto, version: int) -> onnx.ModelProto:
 
 def opset(model: onnx.ModelProto) -> int:
     """Version of the standard operators that a model uses."""
-    versions = [each.version for each in model.opset_import if each.domain in ("", "ai.onnx")]
+    versions = [entry.version for entry in model.opset_import if entry.domain in ("", "ai.onnx")]
     return int(max(versions, default=1))
 
 

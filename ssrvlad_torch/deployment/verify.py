@@ -16,11 +16,12 @@ from ..datasets.frame_file import FrameFile, Skipped
 from ..datasets.label_files import LabelMap, read_label_map
 from ..descriptor import SSRVLAD
 from ..encoding.results import Progress, do_nothing
-from ..files import one_line
+from ..files import naming, one_line
 from ..segmentation.onnx_files import CPU, load_model
 from ..taxonomy import LabelSpace
-from .fuse import IMAGE, LABELS, head_of, network_in, problem_of_network
-from .golden import as_input, difference_of, outputs_of
+from .differences import IMAGE, LABELS, difference_of, problem_of_network
+from .fuse import head_of, network_in
+from .golden import as_input, outputs_of
 from .metadata import PREFIX, Arrays, Metadata
 from .runtimes import Runtime, runtime_of
 
@@ -31,8 +32,9 @@ CANNOT = "cannot run"
 
 
 class Check(NamedTuple):
-    """A comparison: a frame's id or ``"golden pair"`` or ``"golden image"``, the largest difference
-    of two descriptors, infinite for NaN or another shape, and what is wrong, or ``""``."""
+    """A comparison: a frame's id, ``"golden pair"``, ``"golden image"`` or ``"fingerprint"``; the
+    largest difference of two descriptors, infinite for NaN or another shape; what is wrong, or
+    ``""``."""
 
     name: str
     difference: float
@@ -41,17 +43,16 @@ class Check(NamedTuple):
 
 @dataclass
 class Verification:
-    """The result of `verify`: what runs the file; the version, fingerprint, label space, network
-    (``None`` for a head alone) and fingerprints of channels in the file; problems of the file as a
-    whole; comparisons; and frames that were not compared."""
+    """The result of `verify`: what runs the file; of the file, the version, fingerprint, label
+    space, network (``None`` for a head alone), and fingerprints of channels; comparisons; and
+    frames that were not compared."""
 
     runtime: str
     version: str
     fingerprint: str
     labels_as: str
-    network: str | None
-    channels: dict[str, str]
-    problems: list[str] = field(default_factory=list)
+    network: str | None = None
+    channels: dict[str, str] = field(default_factory=dict)
     checks: list[Check] = field(default_factory=list)
     skipped: list[Skipped] = field(default_factory=list)
 
@@ -59,7 +60,7 @@ class Verification:
     def verdict(self) -> str:
         """How the runtime computes the file: ``"exact"``, ``"wrong"`` or ``"cannot run"``."""
         problem = next((check.problem for check in self.checks if check.problem), "")
-        return ("cannot run" if problem.startswith(CANNOT) else "wrong") if problem else "exact"
+        return (CANNOT if problem.startswith(CANNOT) else "wrong") if problem else "exact"
 
     @property
     def difference(self) -> float:
@@ -68,8 +69,8 @@ class Verification:
 
     @property
     def passed(self) -> bool:
-        """Whether the file has no problem and the runtime computes it exactly."""
-        return not self.problems and self.verdict == "exact"
+        """Whether the runtime computes the file exactly."""
+        return self.verdict == "exact"
 
 
 def verify(
@@ -78,33 +79,20 @@ def verify(
     provider: str = CPU,
     progress: Progress = do_nothing,
 ) -> Verification:
-    """Compares a file of `export_head` or `fuse` on a runtime with the module: on its golden pair
-    or image, and its head on label maps. Of the golden image 1 % of the labels and of the signs of
-    features may differ, as runtimes compute networks differently; HOG and the descriptor of these
-    labels must be those of the module.
-
-    Args:
-        path: the file.
-        labels: label maps in the file's label space; a file of class scores gets 1 for a pixel's
-            class and 0 for others.
-        provider: execution provider of ONNX Runtime, or ``"openvino"``.
-        progress: is called with 1 for each frame.
+    """Compares a file of `export_head` or `fuse` on a runtime, a provider of ONNX Runtime or
+    ``"openvino"``, with the module: on its golden pair or image, and its head on label maps of its
+    label space. Of the golden image 1 % of the labels and of the signs of features may differ; HOG
+    and the descriptor of these labels must be those of the module.
 
     Raises:
         ValueError: the file is damaged, was not written by `export_head` or `fuse`, has settings
             that this version lacks, or cannot run in ONNX Runtime on the CPU.
         ImportError: the runtime is not installed.
     """
-    path = Path(path)
+    path, runtime = Path(path), runtime_of(provider)
     model = load_model(path)
-    try:
-        return _verify(path, model, labels, runtime_of(provider), progress)
-    except ImportError:
-        raise
-    except Exception as error:  # damaged metadata and graphs can raise anything
-        reason = f"metadata lacks {error}" if isinstance(error, KeyError) else one_line(error)
-        prefix = "" if reason.startswith(str(path)) else f"{path}: "
-        raise ValueError(prefix + reason) from error
+    with naming(path):
+        return _verify(path, model, labels, runtime, progress)
 
 
 def _verify(
@@ -119,26 +107,27 @@ def _verify(
     space = LabelSpace.from_dict({"source": PREFIX, **metadata.label_space})
     config = replace(SSRVLADConfig.from_dict(metadata.config), labels_as=space)
     module = SSRVLAD(config, metadata.interface.get("sweep", ()))
-    name, channels = (network.name, network.channels) if network else (None, {})
-    facts = metadata.version, metadata.fingerprint, space.name, name, channels
-    result, golden = Verification(runtime.name, *facts), metadata.golden_arrays()
+    result = Verification(runtime.name, metadata.version, metadata.fingerprint, space.name)
+    golden = metadata.golden_arrays()
     if config.fingerprint != metadata.fingerprint:
-        result.problems.append(
+        problem = (
             f"fingerprint {metadata.fingerprint} is not that of its settings in this version, "
             f"{config.fingerprint}"
         )
+        result.checks.append(Check("fingerprint", 0.0, problem))
+    name = IMAGE if network else model.graph.input[0].name
+    array, check = golden.pop(name), _checker(result, runtime, path)
     if network:
-        check = _checker(result, runtime, path)
-        check("golden image", {IMAGE: golden[IMAGE]}, lambda got: _of_image(got, golden, module))
+        result.network, result.channels = network.name, network.channels
+        check("golden image", {name: array}, partial(_of_image, golden, module))
         if "descriptor" not in golden:
             return result
         model = head_of(model)
-    check = _checker(result, runtime, model.SerializeToString() if network else path)
-    value = model.graph.input[0]
-    if not network:
-        array = golden.pop(value.name)
+        check = _checker(result, runtime, model.SerializeToString())
+    else:
         expected = golden or outputs_of(module, array)
-        check("golden pair", {value.name: array}, lambda got: difference_of(got, expected))
+        check("golden pair", {name: array}, partial(difference_of, expected=expected))
+    value = model.graph.input[0]
     for frame in labels:
         try:
             array = _input_of(read_label_map(frame, space), value, space)
@@ -160,22 +149,20 @@ def _checker(result: Verification, runtime: Runtime, source: Path | bytes) -> Ca
 
     def check(name: str, inputs: Arrays, judge: Callable[[Arrays], tuple[float, str]]) -> None:
         try:
-            outputs = opened()(inputs)
+            result.checks.append(Check(name, *judge(opened()(inputs))))
         except Exception as error:  # runtimes have no common error type
             if runtime.provider == CPU:
                 raise
             result.checks.append(Check(name, np.inf, f"{CANNOT}: {one_line(error)}"))
-        else:
-            result.checks.append(Check(name, *judge(outputs)))
 
     return check
 
 
-def _of_image(got: Arrays, golden: Arrays, module: SSRVLAD) -> tuple[float, str]:
-    if problem := problem_of_network(got, golden):
+def _of_image(golden: Arrays, module: SSRVLAD, outputs: Arrays) -> tuple[float, str]:
+    if problem := problem_of_network(outputs, golden):
         return np.inf, problem
-    expected = outputs_of(module, got[LABELS]) if "descriptor" in golden else {}
-    return difference_of(got, expected)
+    expected = outputs_of(module, outputs[LABELS]) if "descriptor" in golden else {}
+    return difference_of(outputs, expected)
 
 
 def _input_of(labels: LabelMap, value: onnx.ValueInfoProto, space: LabelSpace) -> npt.NDArray[Any]:

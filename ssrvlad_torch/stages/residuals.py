@@ -30,13 +30,11 @@ class ResidualHistograms(NamedTuple):
         points: ``(B, 8, N, M)``, the sum of all d_i of each layer.
         centre: ``(B, 8, N, M)``, d_c of each layer.
         counts: ``(B, 8)``, the number of keypoints of each layer.
-        skeleton: ``(B, h, w)`` uint8 bit-planes, what was counted.
     """
 
     points: Tensor
     centre: Tensor
     counts: Tensor
-    skeleton: Tensor
 
 
 class Residuals:
@@ -62,12 +60,12 @@ class Residuals:
             for references in (keypoints, centres)
         )
         counts = by_image(count_groups(keypoints, images), images)
-        return ResidualHistograms(around_points, around_centre, counts, skeleton)
+        return ResidualHistograms(around_points, around_centre, counts)
 
     def descriptor(self, histograms: ResidualHistograms) -> Tensor:
         """``(B, 8 * N * M)`` float32: the layers' vectors, each of length 1 or exactly zero,
         concatenated and normalised; exact zeros for an image in which every layer is zero."""
-        points, centre, counts, _ = histograms
+        points, centre, counts = histograms
         residuals = points.flatten(2) - counts[..., None] * centre.flatten(2)  # Eq. 2, numerator
         layers = F.normalize(residuals.to(real()), dim=-1)  # Eq. 2; zeros stay zeros
         descriptor = F.normalize(layers.flatten(1), dim=-1).float()

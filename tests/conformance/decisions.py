@@ -6,9 +6,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import follow_onnx
 import loops_onnx
 import numpy as np
+import run_onnx
 from built import Fixtures
 from drawings import SPACE
 from drives import write_maps
@@ -40,7 +40,8 @@ CITY = "cityscapes-trainids"
 
 class Scene(NamedTuple):
     """Files: a model, folders of frames, a map in NumPy's form and the folders of its frames; the
-    columns of a sweep, and the label space, if it is another than ``SPACE``."""
+    columns of a sweep, and the label space, if it is another than ``SPACE``. Maps are in the order
+    of a database, by name."""
 
     model: Path
     folders: Sequence[Path]
@@ -100,10 +101,13 @@ PLACES: dict[str, Callable[[Path, Fixtures], Scene]] = {
     "swept label maps": partial(of_label_maps, swept=True),
     "pictures": of_pictures,
 }
+SINGLE = "single frames"
+"""A mode of programs that know of no sequence."""
 MODES: dict[str, tuple[object, ...]] = {
-    "offline": (),
+    "offline": ("--follow", "offline"),
     "online": ("--follow", "online", "--delay", 3),
     "alone": ("--follow", "no"),
+    SINGLE: (),
 }
 
 
@@ -126,23 +130,32 @@ def by_the_core(scene: Scene, mode: str) -> Lines:
     for name in maps[0].channels:
         rows = np.concatenate([part.channels[name].numpy() for part in maps])
         town.add(name, rows, TRUST[name])
-    follow, delay = {"offline": ("offline", 0), "online": ("online", 3), "alone": (None, 0)}[mode]
+    follow, delay = {"offline": ("offline", 0), "online": ("online", 3)}.get(mode, (None, 0))
     for folder in scene.folders:
         queries = channels_of(scene, folder, scene.columns)
         arrays = {name: array.numpy() for name, array in queries.channels.items()}
-        found = town.query(arrays, follow=follow, delay=delay, top=3)
-        alone = "fused score" if len(arrays) > 1 else "cosine"
-        for query, rows, scores, sure, follows in zip(
-            queries.frames, found.rows, found.scores, found.right, found.follows, strict=True
-        ):
-            ranked = [
-                {"frame": frames[row], "score": float(score)}
-                for row, score in zip(rows, scores, strict=True)
-                if row >= 0
-            ]
-            score_is = "probability" if follows else alone
-            line = {"query": query, "candidates": ranked, "score_is": score_is}
-            lines.append({**line, "confidence": float(sure)})
+        count = len(queries.frames)
+        for first in range(0, count, 1 if mode == SINGLE else count):
+            asked = slice(first, first + 1 if mode == SINGLE else count)
+            part = {name: array[asked] for name, array in arrays.items()}
+            decision = town.query(part, follow=follow, delay=delay, top=3)
+            lines += lines_of(queries.frames[asked], frames, decision, len(arrays))
+    return lines
+
+
+def lines_of(queries: Sequence[str], frames: list[str], decision: Any, channels: int) -> Lines:
+    """A decision as the programs print it."""
+    alone, lines = "fused score" if channels > 1 else "cosine", []
+    columns = queries, decision.rows, decision.scores, decision.right, decision.follows
+    for query, rows, scores, sure, follows in zip(*columns, strict=True):
+        ranked = [
+            {"frame": frames[row], "score": min(1, float(score))}
+            for row, score in zip(rows, scores, strict=True)
+            if row >= 0
+        ]
+        score_is = "probability" if follows else alone
+        line = {"query": query, "candidates": ranked, "score_is": score_is}
+        lines.append({**line, "confidence": float(sure)})
     return lines
 
 
@@ -162,21 +175,32 @@ def files_of(scene: Scene, split: bool) -> tuple[object, ...]:
 
 
 def by_python(scene: Scene, mode: str, fixtures: Fixtures, split: bool = False) -> Lines:
-    """`follow_onnx.py`."""
+    """`run_onnx.py`."""
     files = (*files_of(scene, split), *scene.folders, "--database", scene.town)
     words = (*files, *MODES[mode], "--top", 3, "--json")
-    code, out, err = fixtures("main_of")(follow_onnx.main, "follow_onnx.py", *words)
+    code, out, err = fixtures("main_of")(run_onnx.main, "run_onnx.py", *words)
     assert (code, err) == (0, [])
     return objects(out)
 
 
 def by_cpp(scene: Scene, mode: str, fixtures: Fixtures, split: bool = False) -> Lines:
-    """`follow` of C++."""
-    options = {"offline": (), "online": ("--online", 3), "alone": ("--alone",)}[mode]
-    files = (*files_of(scene, split), scene.town, 3, *arrays_of(scene))
-    code, lines, errors = outcome(fixtures("user") / "build" / "follow", *options, *files)
-    assert (code, errors) == (0, [])
-    return objects("\n".join(lines))
+    """`follow` of C++, or `place`, of a few frames."""
+    build, model, folders = fixtures("user") / "build", files_of(scene, split), arrays_of(scene)
+    if mode != SINGLE:
+        options = {"online": ("--online", 3), "alone": ("--alone",)}.get(mode, ())
+        words = (*options, *model, scene.town, 3, *folders)
+        code, lines, errors = outcome(build / "follow", *words)
+        assert (code, errors) == (0, [])
+        return objects("\n".join(lines))
+    answers = []
+    for folder in folders:
+        for file in sorted(folder.iterdir())[:4]:
+            code, [_, *ranked], errors = outcome(build / "place", *model, file, scene.town, 3)
+            assert (code, errors) == (0, [])
+            pairs = [line.split() for line in ranked]
+            found = [{"frame": frame, "score": float(score)} for frame, score in pairs]
+            answers.append({"query": f"{folder.name}/{file.stem}", "candidates": found})
+    return answers
 
 
 SHOWN = """Array.from(document.querySelectorAll('#places tbody tr'),
@@ -203,20 +227,21 @@ def by_page(scene: Scene, mode: str, fixtures: Fixtures) -> Lines:
     return lines
 
 
-FOLLOWERS = {"follow_onnx.py": by_python, "C++": by_cpp}
+FOLLOWERS = {
+    "run_onnx.py": by_python,
+    "run_onnx.py, two files": partial(by_python, split=True),
+    "C++": by_cpp,
+    "C++, two files": partial(by_cpp, split=True),
+    "ssrvlad query": by_query,
+    "page": by_page,
+}
 ASKED = [
-    *(
-        ("ssrvlad query", scene, mode)
-        for scene in ("label maps", "swept label maps")
-        for mode in MODES
-    ),
-    *((name, scene, mode) for name in FOLLOWERS for scene in PLACES for mode in MODES),
-    *((f"{name}, two files", "pictures", "offline") for name in FOLLOWERS),
+    *((name, scene, mode) for name in ("run_onnx.py", "C++") for scene in PLACES for mode in MODES),
+    *((f"{name}, two files", "pictures", "offline") for name in ("run_onnx.py", "C++")),
+    *(("ssrvlad query", scene, mode) for scene in [*PLACES][:2] for mode in [*MODES][:3]),
     *(("page", scene, "offline") for scene in PLACES),
 ]
 """Programs, scenes and modes."""
-FOLLOWERS |= {f"{name}, two files": partial(run, split=True) for name, run in FOLLOWERS.items()}
-FOLLOWERS |= {"ssrvlad query": by_query, "page": by_page}
 
 
 # ---- loops
@@ -302,9 +327,10 @@ def loops_by_cpp(scene: Scene, fixtures: Fixtures, split: bool = False) -> Lines
     return objects("\n".join(lines))
 
 
-def loops_by_ros(scene: Scene, fixtures: Fixtures) -> Lines:
-    """The core of the ROS 2 node, of one sequence a folder."""
-    model = PlaceModel(scene.model) if scene.model.name == "place.onnx" else None
+def loops_by_ros(scene: Scene, fixtures: Fixtures, split: bool = False) -> Lines:
+    """The core of the ROS 2 node, of one sequence a folder; of two files it takes the network's."""
+    file = scene.model.with_name("net.onnx") if split else scene.model
+    model = None if file.name == "head.onnx" else PlaceModel(file)
     node, number, lines, names = LiveLoops(CONFIG, model=model), 0, [], {}
     if model is None:
         node.set_labels(CAMVID)
@@ -335,6 +361,7 @@ CLOSERS = {
 }
 CLOSED = [(name, scene) for name in CLOSERS for scene in LOOPS]
 """Programs and scenes."""
-for name, run in {"loops_onnx.py": loops_by_python, "C++": loops_by_cpp}.items():
+SPLIT = {"loops_onnx.py": loops_by_python, "C++": loops_by_cpp, "ROS 2": loops_by_ros}
+for name, run in SPLIT.items():
     CLOSERS[f"{name}, two files"] = partial(run, split=True)
     CLOSED.append((f"{name}, two files", "pictures"))

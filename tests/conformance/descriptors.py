@@ -210,10 +210,8 @@ IN_BROWSER = """(async () => {{
     for (let number = 0; number < {count}; number++)
         try {{
             const labels = await readLabels(await bytes(`cases/${{number}}.png`), []);
-            const {{ descriptor, keypoints, skeleton, rows, columns }} =
-                await model.describe(labels);
-            const layers = skeleton && Array.from(skeleton);
-            described.push([Array.from(descriptor), keypoints, layers, rows, columns]);
+            const {{ descriptor, keypoints }} = await model.describe(labels);
+            described.push([Array.from(descriptor), keypoints]);
         }} catch (error) {{ described.push(error.message); }}
     return described;
 }})()"""
@@ -236,13 +234,9 @@ def in_browser(preset: str, maps: Maps, fixtures: Fixtures) -> list[Description]
         if isinstance(said, str):
             described.append(refused(said))
             continue
-        descriptor, keypoints, layers, rows, columns = said
-        planes = None
-        if layers is not None:
-            packed = np.array(layers, np.uint8).reshape(rows, columns)
-            planes = (packed >> np.arange(8)[:, None, None] & 1).astype(bool)
-        descriptor = np.array(descriptor, np.float32)
-        described.append(Description(descriptor, keypoints and np.array(keypoints), planes))
+        numbers, counts = said
+        keypoints = None if counts is None else np.array(counts)
+        described.append(Description(np.array(numbers, np.float32), keypoints))
     return described
 
 

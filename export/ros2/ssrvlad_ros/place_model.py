@@ -11,13 +11,8 @@ import numpy.typing as npt
 
 from ssrvlad_torch.channels.channel import View
 from ssrvlad_torch.channels.hog import HOG
-from ssrvlad_torch.deployment.fuse import (
-    FEATURES,
-    IMAGE,
-    LABELS,
-    OF_PICTURES,
-    problem_of_network,
-)
+from ssrvlad_torch.deployment.differences import FEATURES, IMAGE, LABELS, problem_of_network
+from ssrvlad_torch.deployment.fuse import OF_PICTURES
 from ssrvlad_torch.deployment.metadata import PREFIX, Metadata
 from ssrvlad_torch.files import one_line
 from ssrvlad_torch.segmentation.onnx_files import open_session
@@ -50,12 +45,12 @@ class PlaceModel:
     def __init__(self, path: Path, features: bool = True, check: bool = True) -> None:
         path.open("rb").close()
         self._path, self._session = path, open_session(path, path)
-        given = [each.name for each in self._session.get_inputs()]
-        names = [each.name for each in self._session.get_outputs()]
-        if given != [IMAGE] or LABELS not in names:
+        inputs = [value.name for value in self._session.get_inputs()]
+        names = [value.name for value in self._session.get_outputs()]
+        if inputs != [IMAGE] or LABELS not in names:
             raise ValueError(
                 f"{path}: expected a file of `ssrvlad fuse`, which takes {IMAGE} and gives "
-                f"{LABELS}; got one that takes {', '.join(given)}"
+                f"{LABELS}; got one that takes {', '.join(inputs)}"
             )
         properties = self._session.get_modelmeta().custom_metadata_map
         try:
@@ -65,19 +60,19 @@ class PlaceModel:
         except (ValueError, KeyError) as error:
             raise ValueError(f"{path}: {one_line(error)}") from error
         self.fingerprint = metadata.fingerprint
-        given = [each for each in OF_PICTURES if each in names and properties.get(PREFIX + each)]
-        if features and FEATURES not in given:
+        channels = [name for name in OF_PICTURES if name in names and properties.get(PREFIX + name)]
+        if features and FEATURES not in channels:
             raise ValueError(
                 f"{path} gives no features: fuse it again without --no-features, or set the "
                 "parameter features to false"
             )
-        self.channels = [each for each in given if features or each != FEATURES]
+        self.channels = [name for name in channels if features or name != FEATURES]
         self.fingerprint_of_features = properties[PREFIX + FEATURES] if features else ""
         self.problem_of_features = ""
         if check:
             got = self._run(golden[IMAGE], features)
             if HOG.name in self.channels:
-                views = [View("golden", picture=each) for each in golden[IMAGE]]
+                views = [View("golden", picture=picture) for picture in golden[IMAGE]]
                 got[HOG.name] = HOG().describe(views).numpy()
             if problem := problem_of_network(got, {name: golden[name] for name in got}):
                 raise ValueError(f"{path} is computed wrong on this machine: {problem}")
@@ -96,7 +91,7 @@ class PlaceModel:
             raise ValueError(
                 "the activations of the network are not finite, or the same everywhere"
             )
-        return [Segmented(*said) for said in zip(*outputs.values(), strict=True)]
+        return [Segmented(*frame) for frame in zip(*outputs.values(), strict=True)]
 
     def _run(self, images: npt.NDArray[np.uint8], features: bool) -> dict[str, npt.NDArray[Any]]:
         names = [LABELS, FEATURES] if features else [LABELS]

@@ -71,8 +71,6 @@ def verify(
 def _print(model: Path, result: Verification) -> None:
     rows = ((c.name, f"{c.difference:.2g}", c.problem or "equal") for c in result.checks)
     print_table(("compared", "largest difference", "result"), rows)
-    for problem in result.problems:
-        say(problem)
     network = f" with {result.network}" if result.network else ""
     say(
         f"{model}: {'as expected' if result.passed else 'WRONG'}, "
@@ -82,17 +80,18 @@ def _print(model: Path, result: Verification) -> None:
 
 
 def _verify_against(model: Path, network: str, as_json: bool) -> None:
-    from ...deployment.against import SIZES, verify_against
+    from ...deployment.against import verify_against
 
-    with progress_bar("verifying", len(SIZES)) as bar:
-        checks = verify_against(model, network, bar.advance)
+    checks = verify_against(model, network)
     wrong = [_by(check.size) for check in checks if check.problem]
     if as_json:
         sizes = [check._asdict() for check in checks]
         report = {"file": str(model), "against": network, "sizes": sizes, "passed": not wrong}
         print_json(report)
     else:
-        rows = ((_by(c.size), _by(c.fed), _share(c.others), c.problem or "equal") for c in checks)
+        rows = (
+            (_by(c.size), _by(c.fed), _share(c.other_labels), c.problem or "equal") for c in checks
+        )
         print_table(("picture", "fed at", "other labels", "result"), rows)
         right = ", ".join(_by(check.size) for check in checks)
         verdict = f"as expected, gives the labels of {network} at {right}"
