@@ -286,7 +286,7 @@ def test_features_of_one_side_only_and_of_another_network(page, site, drives):
 
 def test_steps_are_told_as_by_query(page, site, ssrvlad, tmp_path):
     """Of a folder, of a few files and of one; then of the way back with a camera that is turned."""
-    city = write_city(tmp_path / "city", frames=32, size=(60, 80), seed=3)
+    city = write_city(tmp_path / "city", frames=40, size=(60, 80), seed=3)
     database = write_map(ssrvlad, site / "city.npy", city / "reference")
     write_heads(site / "city")
     files = sorted((city / "query").iterdir())
