@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, overload
@@ -13,23 +13,25 @@ from typing import Any, Literal, overload
 import numpy as np
 import torch
 
-from .channels.channel import Channel, View
+from .channels.channel import Channel
 from .config import SSRVLADConfig
 from .database.database import Database
 from .database.engine import discard_empty
 from .database.frames import FrameSet
 from .datasets.dataset import GroundTruth
-from .datasets.image_files import Picture, Pixels, pixels_of
-from .datasets.label_files import LabelMap, read_label_map
+from .datasets.image_files import Picture, pixels_of
+from .datasets.label_files import read_label_map
 from .descriptor import SSRVLAD
 from .encoding.encoder import (
+    Describer,
     channels_to_store,
     check_segmenter,
     config_for,
     encode_to_database,
 )
+from .encoding.named import encode_names
 from .encoding.ray_engine import encode_with_ray
-from .encoding.results import EncodeOptions, Note, Progress, Summary, do_nothing
+from .encoding.results import EncodeOptions, Note, Progress, Skipped, Summary, do_nothing
 from .encoding.selection import FrameSelection
 from .encoding.source import (
     SelectedFrames,
@@ -44,7 +46,13 @@ from .evaluation.true_matches import Viewpoints, true_matches
 from .recognition.matching import checked_number
 from .recognition.recognise import Steps
 from .search.answers import Answer, Answers
-from .search.exact import chosen_channels, locate_view, no_channels, search
+from .search.exact import (
+    chosen_channels,
+    locate_view,
+    search,
+    space_of_queries,
+    views_of,
+)
 from .search.index import grow
 from .search.material import Material
 from .search.near import Near, Posed
@@ -311,8 +319,7 @@ class Map:
             ValueError: something is no picture, the network fails, or the map has no frames, or
                 none in the circle.
         """
-        circle = near if near is None or isinstance(near, Posed) else Near.of(near)
-        top = checked_number("top", top, 1)
+        circle, top = _circle(near), checked_number("top", top, 1)
         several = isinstance(pictures, Sequence) and not isinstance(pictures, str)
         listed: Sequence[Picture] = pictures if several else [pictures]  # type: ignore[assignment,list-item]
         frames = [pixels_of(picture) for picture in listed]
@@ -320,7 +327,7 @@ class Map:
         places = references if isinstance(references, FrameSet) else references.frames
         where = circle.rows(places.poses, self.path) if circle else np.ones(len(places), bool)
         names = [f"picture/{number}" for number in range(len(frames))]
-        views = self._views(frames, names, channels)
+        views = views_of(self._segmenter(), frames, names, channels)
         answers = [locate_view(view, references, channels, top, where) for view in views]
         return answers if several else answers[0]
 
@@ -350,40 +357,49 @@ class Map:
         if not len(self):
             raise ValueError(f"{self.path} holds no frames yet")
         used, references = chosen_channels(self.database, channels), self.database.load()
-        where = np.ones(len(references), bool)
-        if near is not None:
-            where = Near.of(near).rows(references.poses, self.path)
-        checked: list[Segmenter] = []
+        circle, where = _circle(near), np.ones(len(references), bool)
+        if circle:
+            where = circle.rows(references.poses, self.path)
+        return Tracker(
+            references,
+            used,
+            lambda: self._fitting_segmenter(used),
+            label_space(self.labels_as or self.database.config.labels_as),
+            steps,
+            min(checked_number("top", top, 1), len(self)),
+            where,
+            torch.get_num_threads(),
+        )
 
-        def view_of(frame: Picture | LabelMap, name: str) -> View:
-            if isinstance(frame, np.ndarray) and frame.ndim == 2:  # a label map
-                if any(channel.lacks(None) for channel in used):
-                    raise no_channels(self.database, used)
-                return View(
-                    name, frame, label_space(self.labels_as or self.database.config.labels_as)
-                )
-            if not checked:
-                checked.append(self._segmenter())
-                config = replace(self.database.config, labels_as=checked[0].label_space)
-                check_segmenter(checked[0], SSRVLAD(config), used)
-            picture: Any = frame
-            return self._views([pixels_of(picture)], [name], used)[0]
+    def track(
+        self,
+        frames: FrameSelection,
+        names: Iterable[str],
+        steps: Steps | None = None,
+        top: int = 5,
+        near: Circle | None = None,
+        channels: Sequence[str] | None = None,
+        note: Note = do_nothing,
+    ) -> Iterator[Answer | Skipped]:
+        """The answers to files whose names come one by one, each as soon as it is known, and the
+        files that could not be read.
 
-        threads = torch.get_num_threads()
-        top = checked_number("top", top, 1)
-        return Tracker(references, used, view_of, steps, top, where, threads)
+        Args:
+            frames: how files are read, see `FrameSelection.is_live`.
+            names: of the files.
+            steps, top, near, channels: see `tracker`.
+            note: gets what the user should know.
 
-    def _views(
-        self, frames: Sequence[Pixels], names: Sequence[str], channels: Sequence[Channel]
-    ) -> list[View]:
-        """Pictures with what the network says of them."""
-        features = any("features" in channel.needs for channel in channels)
-        segmenter = self._segmenter()
-        segmented = segmenter.segment(frames, features=features)
-        return [
-            View(name, labels.labels, segmenter.label_space, frame, labels.features)
-            for name, frame, labels in zip(names, frames, segmented, strict=True)
-        ]
+        Raises:
+            ValueError: as for `tracker`, or the files cannot fit the map.
+        """
+        tracker = self.tracker(steps, top, near, channels)
+        pictured = any(channel.lacks(None) for channel in tracker.channels)
+        source = self.source(frames, compared=True, images=pictured, live=True, note=note)
+        space = space_of_queries(self.database, source, tracker.channels)
+        describer = Describer(tracker.channels, space, tracker.columns)
+        described = encode_names(describer, names, frames.sequence, source.segmenter, self.database)
+        return tracker.follow(described)
 
     def evaluate(
         self,
@@ -484,22 +500,32 @@ class Map:
             self._opened = segmenter
         return self._opened
 
+    def _fitting_segmenter(self, channels: Sequence[Channel]) -> Segmenter:
+        """The network; one that did not label the map, or has other features, is a ValueError."""
+        segmenter = self._segmenter()
+        require_network(self.database, segmenter)
+        config = replace(self.database.config, labels_as=segmenter.label_space)
+        check_segmenter(segmenter, SSRVLAD(config), channels)
+        return segmenter
+
     def _loaded(self) -> tuple[FrameSet | Shortlist, list[Channel]]:
         """The frames and the channels, loaded anew after a change; the network must fit them."""
         version = self.database.version
         if self._located is None or self._located[0] != version:
             if not len(self.database):
                 raise ValueError(f"{self.path} holds no frames yet")
-            segmenter, channels = self._segmenter(), chosen_channels(self.database)
+            channels = chosen_channels(self.database)
             shortlist, reason = open_shortlist(self.database, channels)
             if reason:
                 warnings.warn(f"{reason}; all frames are loaded", stacklevel=3)
             frames = shortlist or self.database.load()
-            require_network(self.database, segmenter)
-            config = replace(self.database.config, labels_as=segmenter.label_space)
-            check_segmenter(segmenter, SSRVLAD(config), channels)
+            self._fitting_segmenter(channels)
             self._located = version, frames, channels
         return self._located[1:]
+
+
+def _circle(near: Circle | None) -> Near | Posed | None:
+    return near if near is None or isinstance(near, Posed) else Near.of(near)
 
 
 def _selection(frames: Frames) -> FrameSelection:

@@ -87,6 +87,30 @@ std::vector<int64_t> drives_of(int64_t rows) {
   return starts;
 }
 
+// A tracker sees one query again and again; its state goes into another, and damaged into none.
+void tracks(const ssrvlad_map *map, const std::vector<ssrvlad_queries> &asked, ssrvlad_steps steps, ssrvlad_decision &decision, ssrvlad_taken &taken) {
+  steps.delay = between(0, 12);
+  ssrvlad_tracker *tracker = ssrvlad_tracker_new(map, &steps), *other = ssrvlad_tracker_new(map, &steps), *third = ssrvlad_tracker_new(map, &steps);
+  int64_t query = -1;
+  const int64_t frames = between(0, 40);
+  for (int64_t frame = 0; frame < frames; ++frame) {
+    expect(!ssrvlad_tracker_update(tracker, asked.data(), 1, &decision, &taken, &query), "an update");
+    expect(query == (frame < steps.delay ? -1 : frame - steps.delay), "the number of a query", static_cast<double>(query));
+  }
+  std::vector<unsigned char> state(static_cast<std::size_t>(ssrvlad_tracker_save(tracker, nullptr, 0)));
+  ssrvlad_tracker_save(tracker, state.data(), static_cast<int64_t>(state.size()));
+  expect(!ssrvlad_tracker_load(other, state.data(), static_cast<int64_t>(state.size())), "a state");
+  expect(ssrvlad_tracker_count(other) == frames, "the count of queries");
+  state[static_cast<std::size_t>(noise() % state.size())] ^= 1;
+  expect(ssrvlad_tracker_load(third, state.data(), between(0, static_cast<int64_t>(state.size()))) == SSRVLAD_WRONG_ARGUMENT, "a damaged state is refused");
+  for (ssrvlad_tracker *each : {tracker, other})
+    for (int64_t waiting = std::min(frames, steps.delay); waiting >= 0; --waiting) {
+      expect(!ssrvlad_tracker_finish(each, &decision, &taken, &query), "the end");
+      expect(query == (waiting ? frames - waiting : -1), "the number of a late query", static_cast<double>(query));
+    }
+  for (ssrvlad_tracker *each : {tracker, other, third}) ssrvlad_tracker_free(each);
+}
+
 void finds() {
   const int64_t rows = one_in(5) ? between(0, 3) : between(1, 160), queries = one_in(5) ? between(0, 2) : between(0, 70);
   const auto starts = drives_of(rows);
@@ -156,6 +180,7 @@ void finds() {
       expect(found[place] >= -1 && found[place] < rows, "a row", static_cast<double>(found[place]));
     }
   }
+  if (queries && decision.scores) tracks(map, asked, steps, decision, taken);
   std::vector<float> cosines(static_cast<std::size_t>(queries * count + 1));
   if (called([&] { return ssrvlad_map_compare(map, asked.data(), queries, &steps, threads, cosines.data(), &taken); }))
     for (int64_t each = 0; each < queries * count; ++each) expect(cosines[each] <= 1.001F, "a cosine", cosines[each]);
@@ -163,19 +188,6 @@ void finds() {
   if (queries && count && asked[0].descriptors == by_scores.data())
     expect(ssrvlad_map_query(map, asked.data(), queries, &steps, threads, &decision, &taken) == SSRVLAD_WRONG_ARGUMENT, "NaN is refused");
   ssrvlad_map_free(map);
-}
-
-void scans() {
-  const int64_t rows = between(1, 140), columns = between(1, 6), words = between(1, 4), queries = between(0, 3), length = between(1, 9), blocks = (rows + 63) / 64;
-  std::vector<uint64_t> signs, asked;
-  for (int64_t word = 0; word < rows * columns * words; ++word) signs.push_back(noise());
-  for (int64_t word = 0; word <= queries * columns * words; ++word) asked.push_back(noise());
-  std::vector<float> scores(static_cast<std::size_t>(queries * blocks * SSRVLAD_LANES + 1)), weights(static_cast<std::size_t>(queries * 3 * length + 1), 0.5F), offsets(static_cast<std::size_t>(3 * queries + 1));
-  for (int64_t reach = 0; reach <= columns; ++reach)
-    expect(ssrvlad_scan_signs(asked.data(), queries, signs.data(), rows, columns, words, 64 * words, reach, 2, scores.data()) == (reach < columns ? SSRVLAD_OK : SSRVLAD_WRONG_ARGUMENT), "a scan of signs");
-  std::vector<int8_t> codes(static_cast<std::size_t>(blocks * length * SSRVLAD_LANES));
-  for (auto &code : codes) code = static_cast<int8_t>(noise());
-  expect(!ssrvlad_scan_vectors(weights.data(), offsets.data(), queries, 3, codes.data(), blocks, length, 2, scores.data()), "a scan of vectors");
 }
 
 void closes() {
@@ -261,7 +273,7 @@ int main(int, char **arguments) {
   const long long first = std::atoll(arguments[1]), count = std::atoll(arguments[2]);
   for (seed = first; seed < first + count; ++seed) {
     noise.seed(static_cast<std::uint64_t>(seed));
-    finds(), closes(), describes(), scans();
+    finds(), closes(), describes();
   }
   std::puts("clean");
 }

@@ -1,6 +1,5 @@
 """The tracker: a sequence in a known map, frame by frame."""
 
-import core  # noqa: F401 - skips without the native core
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -102,10 +101,15 @@ def test_a_state_is_of_its_map_and_its_settings_and_whole():
     smaller = DescriptorMap([30])
     smaller.add("v", np.eye(30, 48, dtype=np.float32))
     smaller.add("s", np.zeros((30, 6, 16), np.uint8), 6.0)
+    changed = DescriptorMap(ROWS)
+    changed.add("v", np.eye(sum(ROWS), 48, dtype=np.float32))
+    changed.add("s", np.zeros((sum(ROWS), 6, 16), np.uint8), 6.0)
     damaged = bytearray(state)
     damaged[len(state) // 2] ^= 1
     for other, content in (
         (DescriptorTracker(smaller), state),
+        (DescriptorTracker(changed), state),
+        (DescriptorTracker(town, allowed=np.arange(sum(ROWS)) > 50), state),
         (DescriptorTracker(town, delay=1), state),
         (DescriptorTracker(town, sweep=False), state),
         (DescriptorTracker(town), state[:-9]),
@@ -131,9 +135,8 @@ def test_vectors_lose_the_mean_of_the_queries_so_far_and_of_ten_frames_like_the_
     town.add("v", rows)
     decision = town.query({"v": queries}, follow="online", top=80)
     sides = np.concatenate([without(part, part.mean(0)) for part in (rows[:50], rows[50:])])
-    for query in range(len(queries)):
-        if decision.follows[query]:
-            continue
+    assert not decision.follows.all()
+    for query in np.flatnonzero(~decision.follows):
         total = queries[: query + 1].sum(0) + BEFORE * rows.mean(0)
         expected = sides @ without(queries[query], total / (query + 1 + BEFORE))
         scores = np.empty(80)
@@ -153,9 +156,8 @@ def test_signs_lose_the_mean_of_the_queries_so_far_and_of_ten_frames_like_the_ma
         2.0 * np.unpackbits(signs.reshape(len(signs), -1), axis=1) - 1 for signs in (rows, queries)
     )
     sides = np.concatenate([part - part.mean(0) for part in (plain[:50], plain[50:])])
-    for query in range(len(queries)):
-        if decision.follows[query]:
-            continue
+    assert not decision.follows.all()
+    for query in np.flatnonzero(~decision.follows):
         total = here[: query + 1].sum(0) + BEFORE * plain.mean(0)
         expected = oracle.cosines((here[query] - total / (query + 1 + BEFORE))[None], sides)[0]
         scores = np.empty(80)

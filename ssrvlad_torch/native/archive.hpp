@@ -13,6 +13,16 @@
 
 namespace places {
 
+// FNV-1a of words of eight bytes.
+inline std::uint64_t digest_of(const void *bytes, std::size_t size, std::uint64_t digest) {
+  for (std::size_t i = 0; i < size; i += sizeof(std::uint64_t)) {
+    std::uint64_t word = 0;
+    std::memcpy(&word, static_cast<const std::uint8_t *>(bytes) + i, std::min(sizeof word, size - i));
+    digest = (digest ^ word) * 0x100000001b3;
+  }
+  return digest ^ (digest >> 32);
+}
+
 class Archive {
  public:
   using Bytes = std::vector<std::uint8_t>;

@@ -88,11 +88,7 @@ void give(const Decision &decided, ssrvlad_decision &decision) {
   decision.rate = decided.course.rate;
   decision.streams = decided.course.streams;
   decision.gain = decided.gain;
-  if (!decision.follows) return;
-  if (decided.follows.empty())
-    std::fill_n(decision.follows, decided.right.size(), static_cast<std::uint8_t>(decided.followed));
-  else
-    give(decided.follows, decision.follows);
+  if (decision.follows) give(decided.follows, decision.follows);
 }
 
 void give(const Answer &answer, bool standardised, ssrvlad_decision &decision, ssrvlad_taken &taken, int64_t &query) {
@@ -216,26 +212,6 @@ int64_t ssrvlad_describe(ssrvlad_head *head, const ssrvlad_labels *labels,
   return code ? code : unknown;
 }
 
-int ssrvlad_scan_signs(const uint64_t *queries, int64_t count, const uint64_t *rows,
-                       int64_t references, int64_t columns, int64_t words, int64_t bits,
-                       int64_t reach, int threads, float *scores) {
-  return guarded([&] {
-    require(queries && rows && scores && count >= 0 && references >= 0 && words >= 1 && bits >= 1 &&
-            reach >= 0 && reach < columns);
-    scan_signs(queries, count, rows, references, {columns, words, reach}, bits, threads, scores);
-  });
-}
-
-int ssrvlad_scan_vectors(const float *weights, const float *offsets, int64_t count, int64_t anchors,
-                         const int8_t *codes, int64_t blocks, int64_t length, int threads,
-                         float *scores) {
-  return guarded([&] {
-    require(weights && offsets && codes && scores && count >= 0 && anchors >= 1 && blocks >= 0 &&
-            length >= 1);
-    scan_vectors(weights, offsets, count, anchors, codes, blocks, length, threads, scores);
-  });
-}
-
 // ---------------------------------------------------------------------------------- ssrvlad_map.h
 
 namespace {
@@ -311,13 +287,15 @@ int ssrvlad_map_compare(const ssrvlad_map *map, const ssrvlad_queries *queries, 
 
 ssrvlad_tracker *ssrvlad_tracker_new_for(int program, const ssrvlad_map *map, const ssrvlad_steps *steps) {
   return made(program, [&] {
-    require(map && steps && map->channels() && steps->delay >= 0 && steps->delay < MOST_NUMBERS && steps->top >= 1,
+    require(map && steps && map->channels() && steps->delay >= 0 && steps->top >= 1,
             "a map of one channel or more, and steps in range");
     return new ssrvlad_tracker(*map, *steps);
   });
 }
 
 void ssrvlad_tracker_free(ssrvlad_tracker *tracker) { delete tracker; }
+
+int64_t ssrvlad_tracker_count(const ssrvlad_tracker *tracker) { return tracker ? tracker->count() : -1; }
 
 int ssrvlad_tracker_update(ssrvlad_tracker *tracker, const ssrvlad_queries *queries, int threads,
                            ssrvlad_decision *decision, ssrvlad_taken *taken, int64_t *query) {

@@ -64,9 +64,9 @@ struct Queries {
 
 // A sequence of which the queries come one by one, by one channel: each is compared without the mean of those
 // so far, itself among them, and of `BEFORE` frames like the mean of the map. It must not outlive its channel.
-class Running {
+class LiveComparison {
  public:
-  virtual ~Running() = default;
+  virtual ~LiveComparison() = default;
   // Takes the next query, its descriptors from all anchors, and fills the scores of all rows.
   virtual void next(const void *query, int threads, float *scores) = 0;
   // Writes or reads what is of the queries so far.
@@ -83,7 +83,7 @@ class Channel {
   virtual std::unique_ptr<Comparison> compare(const Queries &queries, bool standardised, bool swept,
                                               int threads) = 0;
   // The same for queries that come one by one, from so many anchors.
-  virtual std::unique_ptr<Running> running(Size anchors, bool standardised, bool swept, int threads) = 0;
+  virtual std::unique_ptr<LiveComparison> live(Size anchors, bool standardised, bool swept, int threads) = 0;
 };
 
 // Vectors (rows, length) of the listed rows; zeros are an empty frame. The means of the drives of the list,

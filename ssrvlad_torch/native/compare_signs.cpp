@@ -239,10 +239,10 @@ class SignComparison : public Comparison {
 };
 
 // Signs that come one by one. The products of each row with the signs so far are sums of whole numbers.
-class RunningSigns : public Running {
+class LiveSignComparison : public LiveComparison {
  public:
   // `before` compares no queries without the mean of the map, or nothing.
-  RunningSigns(std::unique_ptr<SignComparison> before, Floats prior, const Shape &shape, const Held &held, Size rows)
+  LiveSignComparison(std::unique_ptr<SignComparison> before, Floats prior, const Shape &shape, const Held &held, Size rows)
       : before_(std::move(before)), prior_(std::move(prior)), shape_(shape), held_(held), rows_(rows),
         sums_(prior_.size()), with_rows_(static_cast<std::size_t>(grid().moves() * rows)) {}
 
@@ -341,13 +341,13 @@ class SignChannel : public Channel {
                                             rows, mean, reach, threads);
   }
 
-  std::unique_ptr<Running> running(Size, bool standardised, bool swept, int threads) override {
+  std::unique_ptr<LiveComparison> live(Size, bool standardised, bool swept, int threads) override {
     const Held &rows = held(standardised, threads);
     const Size reach = swept ? std::min(REACH, shape_.columns - 1) : 0;
     Floats prior;
     if (standardised) prior = mean_of(signs_, drives_.rows, shape_);
     auto before = std::make_unique<SignComparison>(Words(), 0, signs_, drives_.rows, shape_, rows, prior, reach, threads);
-    return std::make_unique<RunningSigns>(std::move(before), std::move(prior), shape_, rows, drives_.rows);
+    return std::make_unique<LiveSignComparison>(std::move(before), std::move(prior), shape_, rows, drives_.rows);
   }
 
  private:

@@ -254,9 +254,9 @@ class Narrowing {
 
 // Vectors that come one by one. The sums of the vectors so far, and of their products with each row, are kept
 // by the distance of their anchors from the usual one: those up to a width make the mean at this width.
-class RunningVectors : public Running {
+class LiveVectorComparison : public LiveComparison {
  public:
-  RunningVectors(Size anchors, bool swept, Size length, const Held &rows, const Listing &listing, Floats prior)
+  LiveVectorComparison(Size anchors, bool swept, Size length, const Held &rows, const Listing &listing, Floats prior)
       : anchors_(anchors), widths_(swept ? anchors / 2 + 1 : 1), length_(length), rows_(rows), listing_(listing),
         prior_(std::move(prior)), sums_(static_cast<std::size_t>(widths_)), leads_(sums_.size()),
         known_(sums_.size()) {
@@ -386,10 +386,10 @@ class VectorChannel : public Channel {
     return found;
   }
 
-  std::unique_ptr<Running> running(Size anchors, bool standardised, bool swept, int threads) override {
+  std::unique_ptr<LiveComparison> live(Size anchors, bool standardised, bool swept, int threads) override {
     Floats prior;
     if (standardised) prior = mean_of(vectors_, drives_.rows, length_);
-    return std::make_unique<RunningVectors>(anchors, swept, length_, held(standardised, threads), listing_, std::move(prior));
+    return std::make_unique<LiveVectorComparison>(anchors, swept, length_, held(standardised, threads), listing_, std::move(prior));
   }
 
  private:

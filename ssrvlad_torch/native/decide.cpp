@@ -2,18 +2,11 @@
 
 #include "decide.hpp"
 
-#include <numeric>
 #include <random>
 
 #include "evidence.hpp"
 
 namespace places {
-
-std::vector<Size> in_order(Size count) {
-  std::vector<Size> order(count);
-  std::iota(order.begin(), order.end(), 0);
-  return order;
-}
 
 namespace {
 constexpr Size KEPT = Size{1} << 24;  // numbers of beliefs that are kept rather than computed again
@@ -228,6 +221,7 @@ Decision decide(const Listing &listing, const Scores &scores, bool follow, Size 
     const Course course = decision.course;
     take(follow_course(evidence, judged.likeness, course, top), together, decision);
   }
+  decision.follows.assign(decision.right.size(), decision.followed);
   if (listing.map.rows < MIN_FRAMES) std::fill(decision.right.begin(), decision.right.end(), 0.0F);
   return decision;
 }

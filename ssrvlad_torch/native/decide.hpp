@@ -55,7 +55,7 @@ struct Places : Matches {
 struct Decision : Matches {
   std::vector<float> right, spread, together;
   bool followed = false;                // any query
-  std::vector<std::uint8_t> follows;    // Q, by a tracker: whether each is; else all are as `followed` says
+  std::vector<std::uint8_t> follows;    // Q: whether each is
   Course course;    // that was taken, or would have been
   double gain = 0;  // a query of the course; 0 without one
 

@@ -2,7 +2,15 @@
 
 #include "evidence.hpp"
 
+#include <numeric>
+
 namespace places {
+
+std::vector<Size> in_order(Size count) {
+  std::vector<Size> order(count);
+  std::iota(order.begin(), order.end(), 0);
+  return order;
+}
 
 namespace {
 // Courses that are tried, both ways.

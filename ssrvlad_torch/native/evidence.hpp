@@ -27,6 +27,7 @@ constexpr double LEAST_GAIN = 1, UNUSUAL = 3;
 // How much of its gain a sequence may have in a random order: a row like every query gains all of it.
 constexpr double BY_ROWS = 0.5;
 
+// The numbers from 0 on.
 std::vector<Size> in_order(Size count);
 
 // What is known of one query: its scores at the listed rows, and how many rows of the map could match, less

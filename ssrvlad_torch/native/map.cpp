@@ -10,9 +10,9 @@ namespace places {
 namespace {
 
 // Scores of another method that come query by query.
-class RunningScores : public Running {
+class LiveScores : public LiveComparison {
  public:
-  explicit RunningScores(Size rows) : rows_(rows) {}
+  explicit LiveScores(Size rows) : rows_(rows) {}
   void next(const void *query, int, float *scores) override {
     std::copy_n(static_cast<const float *>(query), rows_, scores);
   }
@@ -38,11 +38,12 @@ void Map::add(const ssrvlad_channel &channel) {
   const Size rows = listing_.count();
   require(channel.trust > 0 && std::isfinite(channel.trust) && channel.columns >= 1 && channel.size >= 1,
           "a trust above 0, and columns and a size from 1");
-  Member member{nullptr, 0, 0, channel.trust};
+  Member member{nullptr, 0, 0, channel.trust, static_cast<const std::uint8_t *>(channel.rows), 0};
   if (channel.kind != SSRVLAD_SCORES) {
     const bool are_signs = channel.kind == SSRVLAD_SIGNS;
     require((channel.rows || !rows) && may_be({rows, channel.columns, channel.size}));
     member.of_mean = channel.columns * channel.size * (are_signs ? 8 : 1);
+    member.bytes = channel.columns * channel.size * (are_signs ? 1 : static_cast<Size>(sizeof(float)));
     require(member.of_mean <= MOST_NUMBERS, "descriptors of up to 2^31 numbers");
     const auto means = static_cast<Size>(listing_.drives.starts.size());
     require(!channel.means || are_finite(channel.means, means * member.of_mean), "finite means");
@@ -81,10 +82,19 @@ std::vector<double> Map::trust() const {
   return trust;
 }
 
-std::unique_ptr<Running> Map::running(Size number, Size anchors, bool standardised, bool swept, int threads) const {
+std::uint64_t Map::digest() const {
+  std::uint64_t digest = digest_of(listing_.map.starts.data(), listing_.map.starts.size() * sizeof(Size), listing_.map.rows);
+  for (const Member &member : channels_) {
+    digest = digest_of(&member.trust, sizeof member.trust, digest + static_cast<std::uint64_t>(member.of_mean));
+    digest = digest_of(member.rows, static_cast<std::size_t>(member.bytes * listing_.count()), digest);
+  }
+  return digest;
+}
+
+std::unique_ptr<LiveComparison> Map::live(Size number, Size anchors, bool standardised, bool swept, int threads) const {
   const Member &member = channels_[static_cast<std::size_t>(number)];
-  if (!member.channel) return std::make_unique<RunningScores>(listing_.count());
-  return member.channel->running(anchors, standardised, swept, threads);
+  if (!member.channel) return std::make_unique<LiveScores>(listing_.count());
+  return member.channel->live(anchors, standardised, swept, threads);
 }
 
 std::unique_ptr<Comparison> Map::compare(Size number, const ssrvlad_queries &queries, Size count, bool standardised,
@@ -158,7 +168,7 @@ Decision Map::track(const ssrvlad_queries *queries, Size count, const ssrvlad_st
     if (tracker.waiting() > steps.delay) take();
     for (Size number = 0; number < channels(); ++number) {
       const Member &member = channels_[static_cast<std::size_t>(number)];
-      const Size bytes = !member.channel ? 4 * listing_.count() : member.length ? 4 * member.length * next[number].anchors : member.of_mean / 8;
+      const Size bytes = member.channel ? member.bytes * next[number].anchors : listing_.count() * static_cast<Size>(sizeof(float));
       next[number].descriptors = static_cast<const char *>(next[number].descriptors) + bytes;
     }
   }

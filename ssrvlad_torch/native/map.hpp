@@ -22,10 +22,12 @@ class Map {
                                   int threads, ssrvlad_taken &taken) const;
   const Listing &listing() const { return listing_; }
   std::vector<double> trust() const;
+  // Of the rows of all channels, byte by byte, and of what decisions take from them.
+  std::uint64_t digest() const;
   // Refuses queries that are not of a channel.
   void check(Size number, const ssrvlad_queries &queries, Size count) const;
   // What compares queries that come one by one with a channel.
-  std::unique_ptr<Running> running(Size number, Size anchors, bool standardised, bool swept, int threads) const;
+  std::unique_ptr<LiveComparison> live(Size number, Size anchors, bool standardised, bool swept, int threads) const;
   Decision query(const ssrvlad_queries *queries, Size count, const ssrvlad_steps &steps, int threads,
                  ssrvlad_taken &taken) const;
 
@@ -36,6 +38,8 @@ class Map {
     Size length;  // of vectors; 0 for signs
     Size of_mean;
     double trust;
+    const std::uint8_t *rows;
+    Size bytes;  // of a row
   };
 
   std::unique_ptr<Comparison> compare(Size number, const ssrvlad_queries &queries, Size count, bool standardised,

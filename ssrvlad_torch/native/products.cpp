@@ -99,24 +99,6 @@ void tile(Base, const float *panel, const float *const *rows, Size length, Size,
 }
 #endif
 
-// The score of each of SSRVLAD_LANES rows by the best of several vectors of weights. Number n of `length` of
-// row r is numbers[n * SSRVLAD_LANES + r].
-void best_anchors(const float *weights, const float *offsets, Size anchors,
-                  const float *numbers, Size length, float *scores) {
-  on_cpu([=](auto) {
-    for (Size lane = 0; lane < SSRVLAD_LANES; ++lane) scores[lane] = -std::numeric_limits<float>::infinity();
-    for (Size anchor = 0; anchor < anchors; ++anchor) {
-      float sums[SSRVLAD_LANES];
-      for (Size lane = 0; lane < SSRVLAD_LANES; ++lane) sums[lane] = offsets[anchor];
-      for (Size n = 0; n < length; ++n) {
-        const float weight = weights[anchor * length + n], *number = numbers + n * SSRVLAD_LANES;
-        for (Size lane = 0; lane < SSRVLAD_LANES; ++lane) sums[lane] += weight * number[lane];
-      }
-      for (Size lane = 0; lane < SSRVLAD_LANES; ++lane) scores[lane] = std::max(scores[lane], sums[lane]);
-    }
-  });
-}
-
 }  // namespace
 
 Panels::Panels(const float *vectors, Size count, Size anchors, Size length)
@@ -167,20 +149,6 @@ void Panels::best(const float *rows, Size count, float *scores, Size pitch) cons
       }
     }
   }
-}
-
-void scan_vectors(const float *weights, const float *offsets, Size count, Size anchors,
-                  const std::int8_t *codes, Size blocks, Size length, int threads, float *scores) {
-  in_parallel(blocks, threads, [&](std::atomic<Size> &next) {
-    std::vector<float> numbers(static_cast<std::size_t>(length * SSRVLAD_LANES));
-    for (Size block; (block = next++) < blocks;) {
-      const std::int8_t *code = codes + block * length * SSRVLAD_LANES;
-      for (Size i = 0; i < length * SSRVLAD_LANES; ++i) numbers[static_cast<std::size_t>(i)] = code[i];
-      for (Size query = 0; query < count; ++query)
-        best_anchors(weights + query * anchors * length, offsets + query * anchors, anchors,
-                     numbers.data(), length, scores + (query * blocks + block) * SSRVLAD_LANES);
-    }
-  });
 }
 
 }  // namespace places

@@ -29,10 +29,6 @@ class Panels {
   std::vector<float> packed_;
 };
 
-// The scores of ssrvlad_scan_vectors: (count, blocks, lanes).
-void scan_vectors(const float *weights, const float *offsets, Size count, Size anchors,
-                  const std::int8_t *codes, Size blocks, Size length, int threads, float *scores);
-
 }  // namespace places
 
 #endif

@@ -8,8 +8,6 @@ namespace places {
 
 namespace {
 
-constexpr Size SCANNED_ROWS = 1024;
-
 SSRVLAD_INLINE int ones(Word word) { return __builtin_popcountll(word); }
 
 // The bits in which some words differ from others.
@@ -63,24 +61,6 @@ void count_moves(const Word *query, const Word *rows, Size count, const SignGrid
         differing[move * count + number] = static_cast<std::int32_t>(differing_bits(
             processor, query + grid.ours(move) * grid.words, row + grid.theirs(move) * grid.words,
             grid.overlapping(move) * grid.words));
-  });
-}
-
-void scan_signs(const Word *queries, Size count, const Word *rows, Size references,
-                const SignGrid &grid, Size bits, int threads, float *scores) {
-  over_blocks(references, SCANNED_ROWS, threads, [&](Size first, Size last) {
-    std::vector<std::int32_t> differing(static_cast<std::size_t>(grid.moves() * (last - first)));
-    for (Size query = 0; query < count; ++query) {
-      count_moves(queries + query * grid.size(), rows + first * grid.size(), last - first, grid, differing.data());
-      float *best = scores + query * references + first;
-      std::fill_n(best, last - first, -1.0F);
-      const std::int32_t *bits_of_row = differing.data();
-      for (Size move = 0; move < grid.moves(); ++move) {
-        const auto compared = static_cast<float>(grid.overlapping(move) * bits);
-        for (Size row = 0; row < last - first; ++row)
-          best[row] = std::max(best[row], 1 - 2 * static_cast<float>(*bits_of_row++) / compared);
-      }
-    }
   });
 }
 

@@ -30,10 +30,6 @@ struct SignGrid {
 void count_moves(const Word *query, const Word *rows, Size count, const SignGrid &grid,
                  std::int32_t *differing);
 
-// The scores of ssrvlad_scan_signs: (count, references).
-void scan_signs(const Word *queries, Size count, const Word *rows, Size references,
-                const SignGrid &grid, Size bits, int threads, float *scores);
-
 // Sums, for each of `groups` groups of the bytes of a row, the weights (bytes, 2, NIBBLES) of their low
 // and high nibbles.
 void weigh(const std::uint8_t *row, Size bytes, Size groups, const float *weights, float *sums);

@@ -33,7 +33,6 @@ enum { SSRVLAD_LAYERS = 8, SSRVLAD_NO_LAYER = 8, SSRVLAD_UNKNOWN = 255 };
 enum { SSRVLAD_ZHANG_SUEN = 0, SSRVLAD_GUO_HALL = 1 };
 enum { SSRVLAD_SKELETON = 0, SSRVLAD_KEYPOINTS = 1 };
 enum { SSRVLAD_RESIDUALS = 0, SSRVLAD_HARMONICS = 1 };
-enum { SSRVLAD_LANES = 64 };
 enum { SSRVLAD_VANISHING_COLUMN = 0, SSRVLAD_MIDDLE = 1 };
 
 /* Kinds of descriptors: float numbers of length 1, or zeros where nothing is seen; and bits of cells,
@@ -99,21 +98,6 @@ SSRVLAD_API const char *ssrvlad_fingerprint(const ssrvlad_head *head);
  * negative code; unless SSRVLAD_OK, the descriptors are undefined. */
 SSRVLAD_API int64_t ssrvlad_describe(ssrvlad_head *head, const ssrvlad_labels *labels,
                                      const ssrvlad_table *table, int threads, float *descriptors);
-
-/* Scores, for each of `count` queries, each of `references` rows of signs by the best of the moves of
- * the query by up to `reach` columns to each side: (count, references). A score is 1 less twice the
- * fraction of the bits, in the columns that overlap, that differ. A row is `columns` columns of
- * `words` words, of which `bits` bits count and others are 0. */
-SSRVLAD_API int ssrvlad_scan_signs(const uint64_t *queries, int64_t count, const uint64_t *rows,
-                                   int64_t references, int64_t columns, int64_t words, int64_t bits,
-                                   int64_t reach, int threads, float *scores);
-
-/* Scores, for each of `count` queries, rows of `length` numbers by the best of `anchors` sums of an
- * offset and the numbers times weights: offsets (count, anchors), weights (count, anchors, length). The
- * rows stand in blocks of SSRVLAD_LANES: codes (blocks, length, lanes), scores (count, blocks, lanes). */
-SSRVLAD_API int ssrvlad_scan_vectors(const float *weights, const float *offsets, int64_t count,
-                                     int64_t anchors, const int8_t *codes, int64_t blocks,
-                                     int64_t length, int threads, float *scores);
 
 #ifdef __cplusplus
 }

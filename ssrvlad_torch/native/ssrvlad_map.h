@@ -146,10 +146,13 @@ SSRVLAD_API ssrvlad_tracker *ssrvlad_tracker_new_for(int program, const ssrvlad_
                                                      const ssrvlad_steps *steps);
 SSRVLAD_API void ssrvlad_tracker_free(ssrvlad_tracker *tracker);
 
+/* How many queries it has taken: the number that the next one gets. -1 for NULL. */
+SSRVLAD_API int64_t ssrvlad_tracker_count(const ssrvlad_tracker *tracker);
+
 /* Takes the next query, given for each channel of the map. If a query has as many later ones as the delay,
  * `decision` and `taken` are its answer, and `query` its number, from 0; else `query` is -1. `ssrvlad_tracker_finish`
  * takes none: it answers the first query that waits for later ones, by those that there are. After SSRVLAD_NO_MEMORY
- * a tracker can only be freed. */
+ * a tracker refuses all but to be freed. */
 SSRVLAD_API int ssrvlad_tracker_update(ssrvlad_tracker *tracker, const ssrvlad_queries *queries, int threads,
                                        ssrvlad_decision *decision, ssrvlad_taken *taken, int64_t *query);
 SSRVLAD_API int ssrvlad_tracker_finish(ssrvlad_tracker *tracker, ssrvlad_decision *decision, ssrvlad_taken *taken,

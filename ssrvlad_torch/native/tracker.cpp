@@ -11,7 +11,7 @@ constexpr Size MEMORY = 200;         // answers by which an answer is judged
 constexpr Size REPLAYED = 60;        // queries that a new course is tried with
 // Of a sequence that is followed: the gain a query, and how much less ahead of its rivals, as the logarithm of a
 // chance, an answer may be on average than alone. Random frames gain 0.0 to 0.1 a query.
-constexpr double LEAST_RATE = 0.1, LEAST_AHEAD = 1;
+constexpr double LEAST_RATE = 0.1, MOST_BEHIND = 1;
 
 constexpr double NO_ANSWER = std::numeric_limits<double>::quiet_NaN();
 
@@ -44,7 +44,7 @@ void Recent::keep(Archive &archive) {
 }
 
 Tracker::Tracker(const Map &map, const ssrvlad_steps &steps)
-    : map_(map), listing_(map.listing()), top_(steps.top), delay_(steps.delay),
+    : map_(map), listing_(map.listing()), top_(steps.top), delay_(std::min(steps.delay, MOST_NUMBERS)),
       standardised_(steps.standardise && listing_.map.rows >= MIN_FRAMES), swept_(steps.sweep),
       leads_(static_cast<std::size_t>(map.channels())), recent_(listing_.count()), evidence_(listing_, recent_),
       courses_(courses()), trial_(listing_.map, courses_) {
@@ -54,17 +54,10 @@ Tracker::Tracker(const Map &map, const ssrvlad_steps &steps)
 void Tracker::open(const std::vector<Size> &anchors, int threads) {
   anchors_ = anchors;
   for (Size number = 0; number < map_.channels(); ++number)
-    channels_.push_back(map_.running(number, anchors[static_cast<std::size_t>(number)], standardised_, swept_, threads));
+    channels_.push_back(map_.live(number, anchors[static_cast<std::size_t>(number)], standardised_, swept_, threads));
 }
 
 std::vector<float> Tracker::scores_of(const ssrvlad_queries *queries, const Size *excluded, int threads) {
-  std::vector<Size> anchors;
-  for (Size number = 0; number < map_.channels(); ++number) {
-    map_.check(number, queries[number], 1);
-    anchors.push_back(queries[number].anchors);
-  }
-  if (channels_.empty()) open(anchors, threads);
-  require(anchors == anchors_, "as many anchors of each query");
   std::vector<std::vector<float>> scores;
   width_ = 0;
   for (const auto &channel : channels_) {
@@ -86,7 +79,16 @@ std::vector<float> Tracker::scores_of(const ssrvlad_queries *queries, const Size
 }
 
 void Tracker::update(const ssrvlad_queries *queries, const Size *excluded, int threads) {
+  std::vector<Size> anchors;
+  for (Size number = 0; number < map_.channels(); ++number) {
+    map_.check(number, queries[number], 1);
+    anchors.push_back(queries[number].anchors);
+  }
+  require(anchors_.empty() || anchors == anchors_, "as many anchors of each query");
   const Size around = (delay_ + AROUND + 1) * Likeness::STREAMS;
+  require(is_whole_, "a tracker that memory was enough for");
+  is_whole_ = false;
+  if (channels_.empty()) open(anchors, threads);
   recent_.push(scores_of(queries, excluded, threads), REPLAYED + around);
   const Size query = count_++;
   const Sight sight = evidence_.alone(query);
@@ -103,7 +105,8 @@ void Tracker::update(const ssrvlad_queries *queries, const Size *excluded, int t
   alone_.push_back(std::move(answer));
   trial_.step(evidence_, query);
   choose_course();
-  if (way_) follow(query);
+  if (course_) follow(query);
+  is_whole_ = true;
 }
 
 // The likeliest course so far; none if there is hardly any gain.
@@ -112,32 +115,32 @@ void Tracker::choose_course() {
   const double gain = trial_.gains()[best];
   gain_ = gain / static_cast<double>(count_);
   if (gain <= LEAST_GAIN || gain_ < LEAST_RATE) {
-    way_ = nullptr;
-  } else if (!way_ || !same(way_->course, courses_[best])) {
+    course_ = nullptr;
+  } else if (!course_ || !same(course_->course, courses_[best])) {
     set_course(courses_[best]);
     for (Size query = recent_.first(); query + 1 < count_; ++query) follow(query);
   }
 }
 
 void Tracker::set_course(const Course &course) {
-  way_.reset(new Way{course, Filter(listing_.map, Motion().at(course.rate), {course.way}), {}});
-  way_->streams.resize(static_cast<std::size_t>(course.streams));
+  course_.reset(new FollowedCourse{course, Filter(listing_.map, Motion().at(course.rate), {course.way}), {}});
+  course_->streams.resize(static_cast<std::size_t>(course.streams));
 }
 
 void Tracker::follow(Size query) {
-  std::deque<Place> &stream = way_->stream(query);
-  Walk walk{way_->filter, stream.empty() ? Seen{} : stream.back().seen};
+  std::deque<Place> &stream = course_->stream(query);
+  Walk walk{course_->filter, stream.empty() ? Seen{} : stream.back().seen};
   walk.step(evidence_, query);
   Places places(1, 1);
-  place(way_->filter, *walk.now.sight, {walk.now.belief->of_rows(), walk.now.belief->unmapped}, 0, places);
+  place(course_->filter, *walk.now.sight, {walk.now.belief->of_rows(), walk.now.belief->unmapped}, 0, places);
   stream.push_back({query, places.rows.front(), walk.now, evidence_.beside(query)});
-  while (stream.front().query + (delay_ + AROUND) * way_->course.streams < query) stream.pop_front();
+  while (stream.front().query + (delay_ + AROUND) * course_->course.streams < query) stream.pop_front();
 }
 
 // The places of a query by its course and the later queries.
 Places Tracker::place_of(Size query) {
-  std::deque<Place> &stream = way_->stream(query);
-  const Filter &filter = way_->filter;
+  std::deque<Place> &stream = course_->stream(query);
+  const Filter &filter = course_->filter;
   const auto here = std::find_if(stream.begin(), stream.end(), [&](const Place &place) { return place.query == query; });
   Future future = filter.none(*stream.back().seen.belief);
   for (auto later = std::prev(stream.end()); later != here; --later)
@@ -156,8 +159,8 @@ bool Tracker::lingers(Size query, const std::vector<Size> &queries, const std::v
 // By the course; the answers around a query are those that its stream has so far.
 Tracker::Chances Tracker::chances_of(Size query, Places &places) {
   Chances chances{chance_.front().chance, NO_ANSWER, NO_ANSWER, chance_.front().rival};
-  if (!way_) return chances;
-  const Size streams = way_->course.streams, first = count_ - static_cast<Size>(row_alone_.size());
+  if (!course_) return chances;
+  const Size streams = course_->course.streams, first = count_ - static_cast<Size>(row_alone_.size());
   std::vector<Size> queries, rows;
   for (Size other = first + ((query - first) % streams + streams) % streams; other < count_; other += streams) {
     queries.push_back(other);
@@ -167,13 +170,13 @@ Tracker::Chances Tracker::chances_of(Size query, Places &places) {
   places = place_of(query);
   std::deque<std::shared_ptr<const Sight>> sights;
   queries.clear(), rows.clear();
-  for (const Place &place : way_->stream(query)) {
+  for (const Place &place : course_->stream(query)) {
     sights.push_back(place.sight);
     queries.push_back(place.query);
     rows.push_back(place.row);
   }
   const auto at = static_cast<Size>(std::find(queries.begin(), queries.end(), query) - queries.begin());
-  const auto [around, itself] = chances_around(way_->filter, sights, rows, at, std::min(AROUND, delay_));
+  const auto [around, itself] = chances_around(course_->filter, sights, rows, at, std::min(AROUND, delay_));
   const bool stays = lingers(query, queries, rows);
   chances.around = stays ? 1 : std::max(places.chance.front(), around);
   chances.itself = stays ? 1 : itself;
@@ -199,7 +202,7 @@ bool Tracker::is_surer_followed() const {
   Size asked = 0;
   for (auto before = history_.rbegin(); before != history_.rend() && asked < MIN_FRAMES; ++before, ++asked)
     if (!std::isnan(before->around)) gained += ahead(before->around) - ahead(before->alone);
-  return gained > -LEAST_AHEAD * static_cast<double>(asked);
+  return gained > -MOST_BEHIND * static_cast<double>(asked);
 }
 
 // How sure an answer is beside those before it.
@@ -213,7 +216,8 @@ void Tracker::judge(const Chances &chances, Places &places, Answer &answer) {
     if (!std::isnan(before.alone)) rivals.push_back(before.rival);
   }
   double together = answers_together(rivals);
-  answer.followed = way_ && !std::isnan(chances.alone) && is_surer_followed();
+  answer.followed = course_ && !std::isnan(chances.alone) && is_surer_followed();
+  answer.follows = {answer.followed};
   std::vector<double> has;
   if (answer.followed) {
     has = mapped(itself, together, BEST);
@@ -224,31 +228,17 @@ void Tracker::judge(const Chances &chances, Places &places, Answer &answer) {
   } else {
     has = mapped(alone, together, 1);
   }
-  if (way_) answer.course = way_->course, answer.gain = gain_;
+  if (course_) answer.course = course_->course, answer.gain = gain_;
   const Confidence sure = Confidence::of(answer.followed ? around : alone, has, together, answer.followed);
   answer.right = {sure.right.back()};
   answer.spread = {sure.spread.back()};
   answer.together = {static_cast<float>(together)};
 }
 
-namespace {
-// FNV-1a.
-std::uint64_t digest_of(const std::uint8_t *bytes, Size size, std::uint64_t digest) {
-  for (Size i = 0; i < size; ++i) digest = (digest ^ bytes[i]) * 0x100000001b3;
-  return digest;
-}
-}  // namespace
-
-// Of the map and the steps.
+// Of the map, its rows, and the steps.
 std::uint64_t Tracker::digest() const {
-  std::vector<std::uint8_t> bytes;
-  Archive archive(bytes);
-  std::vector<Size> starts = listing_.map.starts;
-  std::vector<double> trust = map_.trust();
-  Size rows = listing_.map.rows, top = top_, delay = delay_;
-  bool standardised = standardised_, swept = swept_;
-  archive(starts), archive(trust), archive(rows), archive(top), archive(delay), archive(standardised), archive(swept);
-  return digest_of(bytes.data(), static_cast<Size>(bytes.size()), 0xcbf29ce484222325);
+  const Size steps[] = {top_, delay_, standardised_, swept_};
+  return digest_of(allowed_.data(), allowed_.size(), digest_of(steps, sizeof steps, map_.digest()));
 }
 
 // The state, and after it the digest of all this.
@@ -256,7 +246,7 @@ std::vector<std::uint8_t> Tracker::save() {
   std::vector<std::uint8_t> bytes;
   Archive archive(bytes);
   keep(archive);
-  std::uint64_t digest = digest_of(bytes.data(), static_cast<Size>(bytes.size()), this->digest());
+  std::uint64_t digest = digest_of(bytes.data(), bytes.size(), this->digest());
   archive(digest);
   return bytes;
 }
@@ -267,7 +257,7 @@ void Tracker::load(const std::uint8_t *state, Size size) {
   require(!count_ && bytes >= 0, expected);
   std::uint64_t digest;
   std::memcpy(&digest, state + bytes, sizeof digest);
-  require(digest == digest_of(state, bytes, this->digest()), expected);
+  require(digest == digest_of(state, static_cast<std::size_t>(bytes), this->digest()), expected);
   Archive archive(state, bytes);
   keep(archive);
   require(!archive.left(), expected);
@@ -292,25 +282,29 @@ void Tracker::keep(Archive &archive) {
     if (archive.reads()) alone_.emplace_back(top_);
     Answer &answer = alone_[static_cast<std::size_t>(number)];
     archive(answer.query), archive(answer.width), archive(answer.weights), archive(answer.scores), archive(answer.rows);
+    require(static_cast<Size>(answer.scores.size()) == top_ && answer.rows.size() == answer.scores.size() &&
+            static_cast<Size>(answer.weights.size()) == map_.channels());
   }
-  bool runs = way_ != nullptr;
+  bool runs = course_ != nullptr;
   archive(runs);
   if (!runs) return;
-  Course course = way_ ? way_->course : Course{};
+  Course course = course_ ? course_->course : Course{};
   archive(course);
   if (archive.reads()) {
     require(std::any_of(courses_.begin(), courses_.end(), [&](const Course &other) { return same(course, other); }));
     set_course(course);
   }
-  for (std::deque<Place> &stream : way_->streams) {
+  for (std::deque<Place> &stream : course_->streams) {
     auto count = static_cast<Size>(stream.size());
     archive(count);
     for (Size number = 0; number < count; ++number) {
       Place place = archive.reads() ? Place{} : stream[static_cast<std::size_t>(number)];
       archive(place.query), archive(place.row);
+      require(place.query >= recent_.first() && place.query < count_ && place.row >= -1 &&
+              place.row < listing_.map.rows);
       place.seen.keep(archive, listing_.rows);
       if (!archive.reads()) continue;
-      place.seen.sight = evidence_.followed(way_->filter.motion(), place.query);
+      place.seen.sight = evidence_.followed(course_->filter.motion(), place.query);
       place.sight = evidence_.beside(place.query);
       stream.push_back(std::move(place));
     }

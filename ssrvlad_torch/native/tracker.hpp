@@ -50,7 +50,8 @@ class Tracker {
   // Takes the next query, by its descriptors by each channel of the map; `excluded` are the first row that is no
   // candidate and the one after the last, or NULL.
   void update(const ssrvlad_queries *queries, const Size *excluded, int threads);
-  // How many queries have no answer yet.
+  // How many queries it has taken, and how many of them have no answer yet.
+  Size count() const { return count_; }
   Size waiting() const { return static_cast<Size>(alone_.size()); }
   // The answer to the first query that waits for one.
   Answer answer();
@@ -72,7 +73,7 @@ class Tracker {
   };
 
   // The sequence as it runs the map by a course.
-  struct Way {
+  struct FollowedCourse {
     Course course;
     Filter filter;
     std::vector<std::deque<Place>> streams;
@@ -103,10 +104,10 @@ class Tracker {
   const Map &map_;
   const Listing &listing_;
   Size top_, delay_;
-  bool standardised_, swept_;
+  bool standardised_, swept_, is_whole_ = true;  // false after memory was short
   std::vector<std::uint8_t> allowed_;
   std::vector<Size> anchors_;
-  std::vector<std::unique_ptr<Running>> channels_;
+  std::vector<std::unique_ptr<LiveComparison>> channels_;
   std::vector<double> leads_, weights_;
   Size width_ = 0, count_ = 0;
   Recent recent_;
@@ -115,7 +116,7 @@ class Tracker {
   std::vector<Course> courses_;
   Trial trial_;
   double gain_ = 0;  // of the course, a query
-  std::unique_ptr<Way> way_;
+  std::unique_ptr<FollowedCourse> course_;
   std::deque<Answer> alone_;    // of the queries that wait, each judged by itself
   std::deque<Chance> chance_;   // and their chances
   std::deque<Size> row_alone_;  // of the first candidate of each of the last queries, judged by itself

@@ -62,6 +62,11 @@ class DescriptorTracker:
             raise ValueError(last_error())
         weakref.finalize(self, core.ssrvlad_tracker_free, ctypes.c_void_p(self._tracker))
 
+    @property
+    def count(self) -> int:
+        """How many queries it has taken: the number that the next one gets."""
+        return int(required().ssrvlad_tracker_count(self._tracker))
+
     def update(self, queries: Mapping[str, Array]) -> tuple[int, Decision] | None:
         """Takes the next query.
 
@@ -75,7 +80,7 @@ class DescriptorTracker:
 
         Raises:
             ValueError: the channels are not those of the map.
-            MemoryError: memory is short; the tracker cannot go on.
+            MemoryError: memory is short; the tracker refuses to go on.
         """
         one = {name: np.asarray(array)[None] for name, array in queries.items()}
         call = Call(self._town, one, self._settings, None, None)

@@ -17,6 +17,7 @@ from .display import candidates_table
 from .matching import Matches, Vectors, checked_number, real_tensor
 from .motion import Course
 from .sequences import runs
+from .standardise import MIN_FRAMES
 from .sweep import COLUMNS
 
 
@@ -73,6 +74,8 @@ class Recognised(NamedTuple):
             weights of fused channels.
         courses: by sequence, how it runs the map if it was followed.
         follows: ``(Q,)`` bool, whether each query was followed.
+        settled: ``(Q,)`` bool, online whether `standardise.MIN_FRAMES` queries of its sequence came
+            before; else all.
     """
 
     matches: Matches
@@ -80,6 +83,7 @@ class Recognised(NamedTuple):
     used: dict[str, Any]
     courses: dict[str, Course | None]
     follows: Tensor
+    settled: Tensor
 
     @property
     def confidence(self) -> Tensor:
@@ -90,12 +94,17 @@ class Recognised(NamedTuple):
         """What the scores of candidates are, of one query or of all: cosines of queries that were
         judged alone, fused scores if several channels judged them, probabilities of queries that
         were followed."""
-        alone = "fused score" if any(self.used["weights"].values()) else "cosine"
+        fused = any(self.used["weights"].values())
         follows = self.follows if query is None else self.follows[query : query + 1]
-        return " or ".join(sorted({"probability" if of else alone for of in follows.tolist()}))
+        return " or ".join(sorted({score_is(followed, fused) for followed in follows.tolist()}))
 
     def _repr_html_(self) -> str:
         return candidates_table(*self.matches, confidence=self.confidence)
+
+
+def score_is(followed: bool, fused: bool) -> str:
+    """What the scores of the candidates of a query are, which several channels judged if fused."""
+    return "probability" if followed else "fused score" if fused else "cosine"
 
 
 def references_of(
@@ -244,7 +253,11 @@ def _joined(
     matches = Matches(columns["scores"], columns["rows"])
     together = columns["together"].masked_fill(matches.indices[:, 0] < 0, 0)
     confidence = Confidence(columns["right"], columns["spread"], together)
-    return Recognised(matches, confidence, used, courses, columns["follows"])
+    settled = columns["follows"] | True
+    if steps.follow == "online":
+        numbers = (np.arange(len(of.follows)) >= MIN_FRAMES for of in decisions.values())
+        settled = torch.from_numpy(np.concatenate([np.zeros(0, bool), *numbers]))
+    return Recognised(matches, confidence, used, courses, columns["follows"], settled)
 
 
 def _course_in_words(course: Course | None, steps: Steps) -> str:

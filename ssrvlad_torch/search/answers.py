@@ -39,7 +39,7 @@ class Answer(NamedTuple):
         score_is: ``"cosine"``, ``"fused score"`` or ``"probability"``, see `Recognised`.
         confidence: probability that the first candidate is right, 0 to 1.
         stamp: the time that was given with the frame.
-        settled: whether the mean of its sequence was known, online that of 30 frames before.
+        settled: online, whether 30 frames came before, whose mean stands for that of the sequence.
     """
 
     query: str
@@ -92,15 +92,15 @@ class Answers:
     def __post_init__(self) -> None:
         sure, least = self.recognised.sure, self.min_confidence
         if self.max_wrong is None:
-            found = estimate(sure, least)
+            wrong = estimate(sure, least)
         else:
-            found = accept(sure, self.max_wrong)
-            least = found.confidence
+            wrong = accept(sure, self.max_wrong)
+            least = wrong.confidence
         unsure = self.recognised.confidence < least
         scores, indices = self.recognised.matches
         scores = scores.clamp(max=1).masked_fill(unsure[:, None], -torch.inf)
         matches = Matches(scores, indices.masked_fill(unsure[:, None], -1))
-        vars(self).update(matches=matches, estimate=found)
+        vars(self).update(matches=matches, estimate=wrong)
 
     def __len__(self) -> int:
         return len(self.queries)
@@ -110,7 +110,8 @@ class Answers:
         for number, query in enumerate(self.queries.frames):
             scores, rows = (column[number].tolist() for column in self.matches)
             candidates = candidates_of(self.references, scores, rows)
-            yield Answer(query, candidates, self.recognised.score_is(number), sure[number])
+            kind, settled = self.recognised.score_is(number), bool(self.recognised.settled[number])
+            yield Answer(query, candidates, kind, sure[number], settled=settled)
 
     def __repr__(self) -> str:
         return f"<Answers: {len(self)} queries, {self.estimate.accepted} accepted>"
@@ -129,25 +130,25 @@ class Answers:
         """What is expected without ground truth, beside the true matches of each query, ready for
         JSON: the mean confidence, and how many answers are wrong of the accepted ones, and of those
         that have a precision of `SURE_PRECISION`."""
-        known, true_rows = known_matches(truth)
-        sure = self.recognised.confidence.numpy()[known]
-        there = answered(self.recognised.sure).numpy()[known]
-        answers = self.recognised.matches.indices[:, 0].numpy()[known]
+        judged, true_rows = known_matches(truth)
+        sure = self.recognised.confidence.numpy()[judged]
+        there = answered(self.recognised.sure).numpy()[judged]
+        answers = self.recognised.matches.indices[:, 0].numpy()[judged]
         right = np.array([row in true for row, true in zip(answers, true_rows, strict=True)], bool)
         suggested = accept(self.recognised.sure, 1 - SURE_PRECISION)
         expected = {"accepted": self.estimate, "suggested_without_truth": suggested}
         estimates = {
             name: {
-                **estimate_in_json(found),
+                **estimate_in_json(wrong),
                 "of_known_truth": int(accepted.sum()),
                 "truly_wrong": float(1 - right[accepted].mean()) if accepted.any() else None,
             }
-            for name, found in expected.items()
-            for accepted in [(sure >= found.confidence) & there]
+            for name, wrong in expected.items()
+            for accepted in [(sure >= wrong.confidence) & there]
         }
         return {"mean_confidence": float(sure.mean()), "estimates": estimates}
 
 
-def estimate_in_json(found: Estimate) -> dict[str, Any]:
+def estimate_in_json(wrong: Estimate) -> dict[str, Any]:
     """The estimate as a mapping; its confidence is ``None`` where no answer is accepted."""
-    return {**found._asdict(), "confidence": found.confidence if found.accepted else None}
+    return {**wrong._asdict(), "confidence": wrong.confidence if wrong.accepted else None}

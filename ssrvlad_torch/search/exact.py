@@ -7,9 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from ..channels.channel import Channel, View, channels_of, refuse_text
+from ..channels.channel import FEATURES, Channel, View, channels_of, refuse_text
 from ..database.database import Database
 from ..database.frames import FrameSet
+from ..datasets.image_files import Pixels
 from ..datasets.names import SequenceFolders, check_sequences, name_of
 from ..descriptor import SSRVLAD
 from ..encoding.encoder import check_segmenter, encode_to_memory
@@ -21,7 +22,8 @@ from ..recognition.sequences import runs
 from ..recognition.standardise import MIN_FRAMES
 from ..recognition.sweep import COLUMNS
 from ..recognition.temporal import temporal_sum
-from ..taxonomy import label_space
+from ..segmentation.segmenter import Segmenter
+from ..taxonomy import LabelSpace, label_space
 from .answers import Answer, Answers
 from .near import Near, Posed
 from .selection import neighbours, select
@@ -90,9 +92,9 @@ def _sum_over_time(references: FrameSet, channels: Sequence[Channel], temporal: 
     """Replaces the descriptors of a map by their temporal sums, if any."""
     for channel in channels if temporal else ():
         for run in runs(references.sequences):
-            part = slice(run.start, run.stop)
-            rows = references.channels[channel.column.name][part]
-            temporal_sum(rows, references.sequences[part], temporal, out=rows)
+            rows = slice(run.start, run.stop)
+            summed = references.channels[channel.column.name][rows]
+            temporal_sum(summed, references.sequences[rows], temporal, out=summed)
 
 
 def chosen_channels(database: Database, names: Sequence[str] | None = None) -> list[Channel]:
@@ -119,19 +121,19 @@ def recognise_in(
 ) -> Recognised:
     """Candidates of queries among the frames of a map, by some channels; see `recognise`. ``where``
     ``(R,)`` bool are the rows that may be candidates."""
-    arrays = {each.column.name: queries.channels[each.column.name] for each in channels}
+    arrays = {name: queries.channels[name] for name in (c.column.name for c in channels)}
     if isinstance(references, FrameSet):
         allowed = None if where is None or where.all() else where
         town = map_of(references, channels)
         return recognise(arrays, queries.sequences, town, steps, top, allowed, excluded)
     allowed = np.ones(len(references.frames), bool) if where is None else where
 
-    def shortlisted(part: slice) -> DescriptorMap:
-        some = {name: values[part] for name, values in arrays.items()}
-        standardise = steps.standardise and part.stop - part.start >= MIN_FRAMES
-        outside = None if excluded is None else excluded[part]
+    def shortlisted(rows: slice) -> DescriptorMap:
+        sequence = {name: values[rows] for name, values in arrays.items()}
+        standardise = steps.standardise and rows.stop - rows.start >= MIN_FRAMES
+        outside = None if excluded is None else excluded[rows]
         followed = bool(steps.follow)
-        return references.of(some, standardise, steps.sweep, followed, top, allowed, outside)
+        return references.of(sequence, standardise, steps.sweep, followed, top, allowed, outside)
 
     return recognise(arrays, queries.sequences, shortlisted, steps, top, excluded=excluded)
 
@@ -146,6 +148,21 @@ def map_of(references: FrameSet, channels: Sequence[Channel]) -> DescriptorMap:
     )
 
 
+def views_of(
+    segmenter: Segmenter,
+    pictures: Sequence[Pixels],
+    names: Sequence[str],
+    channels: Sequence[Channel],
+) -> list[View]:
+    """Pictures with what the network says of them, as far as channels need it."""
+    features = any(FEATURES in channel.needs for channel in channels)
+    segmented = segmenter.segment(pictures, features=features)
+    return [
+        View(name, result.labels, segmenter.label_space, picture, result.features)
+        for name, picture, result in zip(names, pictures, segmented, strict=True)
+    ]
+
+
 def locate_view(
     view: View,
     references: FrameSet | Shortlist,
@@ -154,7 +171,7 @@ def locate_view(
     where: npt.NDArray[np.bool_],
 ) -> Answer:
     """The answer to one picture alone, among the rows ``where`` ``(R,)`` bool of a map."""
-    descriptors = {each.column.name: each.describe([view], COLUMNS) for each in channels}
+    descriptors = {channel.column.name: channel.describe([view], COLUMNS) for channel in channels}
     unknown, empty = np.full((1, 3), np.nan), not bool(next(iter(descriptors.values())).any())
     queries = FrameSet(
         (view.frame,), (view.sequence,), descriptors, unknown, unknown[:, 0], np.array([empty])
@@ -177,12 +194,7 @@ def queries_of(
     loaded."""
     if source.database:
         return _loaded(database, source, source.database, channels)
-    no_pictures = no_channels(database, channels)
-    if not source.segmenter and any(channel.lacks(None) for channel in channels):
-        raise no_pictures
-    space, segmenter = label_space(source.labels_as), source.segmenter
-    head = SSRVLAD(dataclasses.replace(database.config, labels_as=space))
-    check_segmenter(segmenter, head, channels)
+    space, segmenter = space_of_queries(database, source, channels), source.segmenter
     files, workers = source.files, source.selection.workers
     frames, skipped = encode_to_memory(
         channels, space, files, workers, progress, segmenter, columns
@@ -190,9 +202,22 @@ def queries_of(
     return frames, skipped, {(file.folder, file.sequence) for file in files}
 
 
+def space_of_queries(
+    database: Database, source: SelectedFrames, channels: Sequence[Channel]
+) -> LabelSpace:
+    """The label space of a source that is to be described by some channels of a database. One that
+    lacks a channel, and a network whose features are others, are a ValueError."""
+    if not source.segmenter and any(channel.lacks(None) for channel in channels):
+        raise no_channels(database, channels)
+    space = label_space(source.labels_as)
+    head = SSRVLAD(dataclasses.replace(database.config, labels_as=space))
+    check_segmenter(source.segmenter, head, channels)
+    return space
+
+
 def no_channels(database: Database, channels: Sequence[Channel]) -> ValueError:
     """What is raised where a source lacks channels of pictures."""
-    able = " ".join(f"--channel {each.column.name}" for each in channels if not each.lacks(None))
+    able = " ".join(f"--channel {c.column.name}" for c in channels if not c.lacks(None))
     return ValueError(
         f"{database.path} holds descriptors of pictures; expected images and --segmenter, or "
         f"{able or 'channels of label maps'}"
@@ -200,25 +225,25 @@ def no_channels(database: Database, channels: Sequence[Channel]) -> ValueError:
 
 
 def _loaded(
-    database: Database, source: SelectedFrames, other: Database, channels: Sequence[Channel]
+    database: Database, source: SelectedFrames, queries: Database, channels: Sequence[Channel]
 ) -> tuple[FrameSet, list[Skipped], SequenceFolders]:
     """The frames of another database, by some channels."""
-    if other.fingerprint != database.fingerprint:
+    if queries.fingerprint != database.fingerprint:
         raise ValueError(
-            f"{other.path} has fingerprint {other.fingerprint or 'none'}, {database.path} has "
+            f"{queries.path} has fingerprint {queries.fingerprint or 'none'}, {database.path} has "
             f"{database.fingerprint or 'none'}: their descriptors do not compare"
         )
-    if not {channel.column for channel in channels} <= set(other.columns):
+    if not {channel.column for channel in channels} <= set(queries.columns):
         raise no_channels(database, channels)
-    frames, name = other.load(), source.selection.sequence
-    used = {each.column.name: frames.channels[each.column.name] for each in channels}
+    frames, name = queries.load(), source.selection.sequence
+    used = {name: frames.channels[name] for name in (c.column.name for c in channels)}
     frames = dataclasses.replace(frames, channels=used)
     if name is None:
-        folders = other.folders()
+        folders = queries.folders()
         check_sequences(folders, source.map_folders)
         return frames, [], folders
     if len(set(frames.sequences)) > 1:
-        raise ValueError(f"--sequence names one sequence, {other.path} holds several")
+        raise ValueError(f"--sequence names one sequence, {queries.path} holds several")
     ids = tuple(f"{name}/{name_of(frame)}" for frame in frames.frames)
     named = dataclasses.replace(frames, frames=ids, sequences=(name,) * len(frames))
     return named, [], ()

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import shutil
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -26,7 +27,7 @@ from ..database import engine
 from ..database.database import Database
 from ..database.frames import FrameSet
 from ..database.rows import checksums, intact, matrix
-from ..files import is_uri, read_npz, replacing
+from ..files import is_uri, path_within, read_npz, replacing
 from .codes import Coder
 
 if TYPE_CHECKING:
@@ -80,7 +81,7 @@ def build(database: Database) -> Report:
     if is_uri(database.path):
         raise ValueError(f"an index needs a folder on this machine, {database.path} is a URI")
     began, rows = time.perf_counter(), MapRows.of(database)
-    folder = Path(database.path, FOLDER)
+    folder = _folder(database)
     try:
         index = Index(database, rows)
         is_old = bool(damaged(database)) or len(rows.keys) > _GROWTH * index.learnt_of
@@ -105,12 +106,17 @@ def is_indexed(database: Database) -> bool:
     return not is_uri(database.path) and Path(database.path, FOLDER).exists()
 
 
+def _folder(database: Database) -> Path:
+    """The folder of the index; a link is a ValueError."""
+    return path_within(Path(database.path), FOLDER, FOLDER)
+
+
 def damaged(database: Database) -> list[str]:
     """What of the index of a database is not as it was written, below its folder; nothing without
     an index."""
     if not is_indexed(database):
         return []
-    folder, names = Path(database.path, FOLDER), list[str]()
+    folder, names = _folder(database), list[str]()
     try:
         with engine.lance_errors(ValueError):
             batches = engine.open_table(str(folder / _CODES)).to_batches(batch_size=_READ)
@@ -137,7 +143,7 @@ class Index:
     def __init__(self, database: Database, rows: MapRows) -> None:
         """Raises a ValueError in one line if there is no index, or one that is damaged or of other
         channels."""
-        path, folder = database.path, Path(database.path, FOLDER)
+        path, folder = database.path, _folder(database)
         if not is_indexed(database):
             raise ValueError(f"{path} has no index; ssrvlad db index builds one")
         self.rows, self._database = rows, database
@@ -147,7 +153,9 @@ class Index:
                 raise ValueError
             self.learnt_of = int(learnt["rows"])
             self.coders = {
-                name: Coder(*(torch.from_numpy(learnt[f"{name}.{part}"]) for part in Coder._fields))
+                name: Coder(
+                    *(torch.from_numpy(learnt[f"{name}.{kind}"]) for kind in Coder._fields)
+                )
                 for name, *_ in database.columns
             }
             self._table = engine.open_table(str(folder / _CODES))
@@ -197,19 +205,21 @@ class Index:
 
 def _learn(database: Database, rows: MapRows) -> None:
     """Begins an index: learns codes from a sample of the rows."""
-    folder, columns = Path(database.path, FOLDER), database.columns
+    folder, columns = _folder(database), database.columns
     size = sum(math.prod(column.shape) * np.dtype(column.dtype).itemsize for column in columns)
     count = min(len(rows.keys), _SAMPLE, max(1, _SAMPLE_BYTES // size))
     chosen = np.random.default_rng(0).choice(rows.stored, count, replace=False)
     sample = read_rows(database, np.sort(chosen), columns, verified=True)
-    shutil.rmtree(folder, ignore_errors=True)
+    shutil.rmtree(path_within(folder, _CODES, _CODES), ignore_errors=True)
+    path_within(folder, _LEARNT, re.escape(_LEARNT)).unlink(missing_ok=True)
+    folder.mkdir(exist_ok=True)
     about = np.frombuffer(_described(columns), np.uint8)
     learnt: dict[str, Any] = {"rows": np.array(len(rows.keys)), "columns": about}
     codes = {}
     for name, values in sample.items():
         coder = Coder.learn(values)
         codes[name] = coder.codes(values[:0])
-        learnt |= {f"{name}.{part}": array.numpy() for part, array in coder._asdict().items()}
+        learnt |= {f"{name}.{field}": array.numpy() for field, array in coder._asdict().items()}
     engine.create(str(folder / _CODES), _batch(rows.keys[:0], codes).schema)
     with replacing(folder / _LEARNT) as path, path.open("wb") as stream:
         np.savez(stream, **learnt)
@@ -226,11 +236,11 @@ def read_rows(
     table, path = database.table(), database.path
     names = table.schema.names if verified else [column.name for column in columns]
     with engine.lance_errors(ValueError, f"{path} is damaged"):
-        taken = table.take(rows.tolist(), columns=names)
-    if verified and not intact(taken).all():
+        read = table.take(rows.tolist(), columns=names)
+    if verified and not intact(read).all():
         raise ValueError(f"{path} is damaged; ssrvlad db verify shows where")
     return {
-        column.name: torch.from_numpy(matrix(taken[column.name]).copy()).view(-1, *column.shape)
+        column.name: torch.from_numpy(matrix(read[column.name]).copy()).view(-1, *column.shape)
         for column in columns
     }
 
@@ -257,5 +267,5 @@ def _places(table: LanceDataset, keys: Keys) -> npt.NDArray[np.int64]:
         return np.full(len(keys), -1)
     order = np.argsort(stored)
     places = order[np.searchsorted(stored, keys, sorter=order).clip(max=len(stored) - 1)]
-    found: npt.NDArray[np.int64] = np.where(stored[places] == keys, places, -1)
-    return found
+    places_of_keys: npt.NDArray[np.int64] = np.where(stored[places] == keys, places, -1)
+    return places_of_keys

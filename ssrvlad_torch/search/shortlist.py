@@ -42,7 +42,7 @@ SAMPLE = 1000
 MEAN_ROWS, MEANS = 64, 1000
 """Frames, at equal distances, of which the mean of a sequence is made; and means that are kept."""
 
-EVERY, SCANNED = 4, 32
+STEP, SCANNED = 4, 32
 """Of a sequence that is followed, every fourth query is compared with all codes, or more, so that
 it is so many of a shorter one: the others are beside their candidates."""
 
@@ -100,15 +100,15 @@ class Shortlist:
         """The rows for the queries of one sequence by their raw descriptors; the other arguments as
         for `recognise`."""
         likely = self._likely(queries, sweep, followed, top, allowed, excluded)
-        others = allowed.copy()
-        others[likely] = False
-        sample, rest = self._sample[others[self._sample]], int(others.sum())
-        if len(sample) < min(SAMPLE, rest) / 2:  # few of the fixed sample are allowed
-            rows = np.flatnonzero(others)
-            sample = np.random.default_rng(0).choice(rows, min(SAMPLE, rest), replace=False)
+        unlisted = allowed.copy()
+        unlisted[likely] = False
+        sample, count = self._sample[unlisted[self._sample]], int(unlisted.sum())
+        if len(sample) < min(SAMPLE, count) / 2:  # few of the fixed sample are allowed
+            rows = np.flatnonzero(unlisted)
+            sample = np.random.default_rng(0).choice(rows, min(SAMPLE, count), replace=False)
         rows = np.concatenate([likely, sample])
         weights = np.ones(len(rows))
-        weights[len(likely) :] = rest / max(1, len(sample))
+        weights[len(likely) :] = count / max(1, len(sample))
         order = np.argsort(rows)
         return self._map_of(rows[order], weights[order], standardise)
 
@@ -123,16 +123,16 @@ class Shortlist:
     ) -> npt.NDArray[np.int64]:
         """The rows that are most like some queries, rising, with those beside them."""
         count = len(next(iter(queries.values())))
-        step = min(EVERY, max(1, count // SCANNED)) if followed else 1
+        step = min(STEP, max(1, count // SCANNED)) if followed else 1
         scanned = np.unique([*range(0, count, step), count - 1])
         most = min(max(top, min(MOST, max(LEAST, ROWS // len(scanned)))), int(allowed.sum()))
         forbidden, best = torch.from_numpy(~allowed), list[npt.NDArray[np.int64]]()
         of_channel = min(OF_CHANNEL, most)
-        for some in np.array_split(scanned, -(-len(scanned) // _AT_ONCE)):
-            channels = self._scores({name: rows[some] for name, rows in queries.items()}, sweep)
+        for batch in np.array_split(scanned, -(-len(scanned) // _AT_ONCE)):
+            channels = self._scores({name: rows[batch] for name, rows in queries.items()}, sweep)
             for scores in channels:
                 scores.masked_fill_(forbidden, -torch.inf)
-                for query, row in zip(some.tolist(), scores, strict=True):
+                for query, row in zip(batch.tolist(), scores, strict=True):
                     if excluded is not None:
                         row[slice(*excluded[query])] = -torch.inf
             together = torch.stack(channels).sum(0).topk(most)
@@ -162,11 +162,11 @@ class Shortlist:
         self, rows: npt.NDArray[np.int64], weights: npt.NDArray[np.float64], standardise: bool
     ) -> DescriptorMap:
         """Rows with what they lose, as a map."""
-        parts, with_means = np.zeros(len(rows), np.int64), standardise and len(self._starts)
+        groups, with_means = np.zeros(len(rows), np.int64), standardise and len(self._starts)
         if with_means:
-            parts = np.searchsorted(self._starts, rows, side="right") - 1
-        changes = np.flatnonzero(np.diff(parts, prepend=-1))
-        means = [self._mean(part) for part in parts[changes].tolist()] if with_means else []
+            groups = np.searchsorted(self._starts, rows, side="right") - 1
+        changes = np.flatnonzero(np.diff(groups, prepend=-1))
+        means = [self._mean(group) for group in groups[changes].tolist()] if with_means else []
         town = DescriptorMap(self._lengths, Rows(rows, weights, changes))
         in_sample = np.isin(rows, self._sample)
         of_sample = np.searchsorted(self._sample, rows[in_sample])
@@ -179,14 +179,14 @@ class Shortlist:
             town.add(name, values, channel.trust, lost)
         return town
 
-    def _mean(self, part: int) -> dict[str, npt.NDArray[np.float32]]:
+    def _mean(self, group: int) -> dict[str, npt.NDArray[np.float32]]:
         """What the rows of a part of the map lose, by channel."""
-        if part not in self._means:
+        if group not in self._means:
             if len(self._means) >= MEANS:
                 self._means.clear()
-            read = self._read(np.unique(self._mean_rows[part]))
-            self._means[part] = {name: mean_of(values) for name, values in read.items()}
-        return self._means[part]
+            read = self._read(np.unique(self._mean_rows[group]))
+            self._means[group] = {name: mean_of(values) for name, values in read.items()}
+        return self._means[group]
 
     def _read(self, rows: npt.NDArray[np.int64]) -> dict[str, npt.NDArray[Any]]:
         """Descriptors of rows by channel."""

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -12,16 +14,19 @@ import numpy.typing as npt
 
 from ..channels.channel import Channel, View
 from ..database.frames import FrameSet
-from ..datasets.image_files import Picture
+from ..datasets.image_files import Picture, pixels_of
 from ..datasets.label_files import LabelMap
-from ..files import read_bytes, replacing
+from ..encoding.results import Encoded, Skipped
+from ..files import parse_json, read_bytes, replacing
 from ..native.map import Decision
 from ..native.tracker import DescriptorTracker
-from ..recognition.recognise import Steps
+from ..recognition.recognise import Steps, score_is
 from ..recognition.standardise import MIN_FRAMES
 from ..recognition.sweep import COLUMNS
+from ..segmentation.segmenter import Segmenter
+from ..taxonomy import LabelSpace
 from .answers import Answer, candidates_of
-from .exact import map_of
+from .exact import map_of, views_of
 
 
 class Tracker:
@@ -42,21 +47,26 @@ class Tracker:
         self,
         references: FrameSet,
         channels: Sequence[Channel],
-        view_of: Callable[[Picture | LabelMap, str], View],
+        open_segmenter: Callable[[], Segmenter],
+        labels_as: LabelSpace,
         steps: Steps,
         top: int,
         where: npt.NDArray[np.bool_],
         threads: int,
     ) -> None:
         self.channels, self.columns = tuple(channels), COLUMNS if steps.sweep else ()
-        self._references, self._view_of = references, view_of
+        self._references, self._labels_as = references, labels_as
+        self._open_segmenter = open_segmenter
         allowed = None if where.all() else where
         self._tracker = DescriptorTracker(
             map_of(references, channels),
             steps.standardise, steps.sweep, steps.delay, top, allowed, threads,
         )  # fmt: skip
-        self._count = 0
         self._waiting: dict[int, tuple[str, float | None]] = {}
+
+    @cached_property
+    def _segmenter(self) -> Segmenter:
+        return self._open_segmenter()
 
     def update(
         self, frame: Picture | LabelMap, name: str | None = None, stamp: float | None = None
@@ -77,21 +87,23 @@ class Tracker:
             ValueError: it is no picture and no label map, or the channels of the map need a
                 picture. The tracker can go on with the next frame.
         """
-        view = self._view_of(frame, str(self._count) if name is None else name)
+        name = str(self._tracker.count) if name is None else name
+        view = self._view(frame, name)
         described = {
             channel.column.name: channel.describe([view], self.columns)[0].numpy()
             for channel in self.channels
         }
-        return self.take(described, view.frame, stamp)
+        return self._take(described, name, stamp)
 
-    def take(
-        self, descriptors: Mapping[str, npt.NDArray[Any]], name: str, stamp: float | None = None
-    ) -> Answer | None:
-        """As `update`, by the descriptors of a frame by the columns of the channels."""
-        self._waiting[self._count] = name, stamp
-        answer = self._tracker.update(descriptors)
-        self._count += 1
-        return answer and self._answer(*answer)
+    def follow(self, frames: Iterable[Encoded | Skipped]) -> Iterator[Answer | Skipped]:
+        """The answers to frames that are described by the channels and columns, each as soon as it
+        is known, and the frames that could not be described."""
+        for frame in frames:
+            if isinstance(frame, Skipped):
+                yield frame
+            elif answer := self._take(frame.descriptors, frame.record.frame, frame.record.stamp):
+                yield answer
+        yield from self.finish()
 
     def finish(self) -> list[Answer]:
         """The answers to the frames that wait for later ones, by those that there are."""
@@ -99,30 +111,53 @@ class Tracker:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes the state to a file, which another tracker of this map goes on from."""
+        about = json.dumps([[number, *frame] for number, frame in self._waiting.items()])
         with replacing(Path(path)) as file:
-            file.write_bytes(self._tracker.save())
+            file.write_bytes(about.encode() + b"\n" + self._tracker.save())
 
     def load(self, path: str | os.PathLike[str]) -> None:
-        """Goes on from a file that `save` wrote; frames are numbered anew. Answers are the same as
-        if the sequence had not been interrupted.
+        """Goes on from a file that `save` wrote: answers are the same as if the sequence had not
+        been interrupted.
 
         Raises:
             OSError: the file cannot be read.
-            ValueError: it is of another map, or of other settings, or damaged; or this tracker has
-                taken a frame.
+            ValueError: it is of a map with other descriptors, or of other settings, or damaged; or
+                this tracker has taken a frame.
         """
+        about, _, state = read_bytes(path).partition(b"\n")
         try:
-            self._tracker.load(read_bytes(path))
-        except ValueError as error:
-            raise ValueError(f"{path}: {error}") from error
+            waiting = {
+                int(number): (str(name), None if stamp is None else float(stamp))
+                for number, name, stamp in parse_json(about.decode(), path)
+            }
+            self._tracker.load(state)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{path}: no state of a tracker of this map: {error}") from error
+        self._waiting = waiting
+
+    def _view(self, frame: Picture | LabelMap, name: str) -> View:
+        if not (isinstance(frame, np.ndarray) and frame.ndim == 2):
+            picture: Any = frame
+            return views_of(self._segmenter, [pixels_of(picture)], [name], self.channels)[0]
+        for channel in self.channels:
+            if problem := channel.lacks(None):
+                raise ValueError(f"{problem}, got a label map")
+        return View(name, frame, self._labels_as)
+
+    def _take(
+        self, descriptors: Mapping[str, npt.NDArray[Any]], name: str, stamp: float | None
+    ) -> Answer | None:
+        self._waiting[self._tracker.count] = name, stamp
+        answer = self._tracker.update(descriptors)
+        return answer and self._answer(*answer)
 
     def _answer(self, number: int, decision: Decision) -> Answer:
-        name, stamp = self._waiting.pop(number, (str(number), None))
-        alone = "fused score" if len(self.channels) > 1 else "cosine"
+        name, stamp = self._waiting[number]
+        self._waiting = {key: frame for key, frame in self._waiting.items() if key > number}
         return Answer(
             name,
             candidates_of(self._references, decision.scores[0], decision.rows[0]),
-            "probability" if decision.followed else alone,
+            score_is(decision.followed, len(self.channels) > 1),
             float(decision.right[0]),
             stamp,
             number >= MIN_FRAMES,

@@ -107,10 +107,7 @@ def _track(
     as_json: bool,
 ) -> None:
     """Prints the answers to frames whose names arrive on stdin."""
-    from ...encoding.encoder import Describer
-    from ...encoding.named import encode_names
     from ...encoding.results import Skipped
-    from ...taxonomy import label_space
 
     if recognition.follow != "online":
         raise ValueError(
@@ -123,29 +120,19 @@ def _track(
     ):
         if value is not None:
             raise ValueError(f"SOURCE {STDIN} takes no {name}")
-    frames = town.source(source, compared=True, live=True, note=note)
-    settings = recognition.steps(), top, recognition.near, recognition.channel
-    tracker = town.tracker(*settings)
-    describer = Describer(tracker.channels, label_space(frames.labels_as), tracker.columns)
-    count, skipped = 0, []
     names = map(os.fsdecode, sys.stdin.buffer)
-
-    def show(answer: Answer | None) -> None:
-        if answer:
-            sure = answer.confidence >= recognition.min_confidence
-            shown = answer if sure else answer._replace(candidates=[])
-            details = {"settled": answer.settled, "poses": [_pose(c) for c in shown.candidates]}
-            _print_answer(shown, threshold, details if as_json else None)
-
-    for frame in encode_names(describer, names, source.sequence, frames.segmenter, town.database):
-        if isinstance(frame, Skipped):
-            skipped.append(frame)
+    settings = recognition.steps(), top, recognition.near, recognition.channel
+    answered, skipped = 0, []
+    for answer in town.track(source, names, *settings, note=note):
+        if isinstance(answer, Skipped):
+            skipped.append(answer)
             continue
-        count += 1
-        show(tracker.take(frame.descriptors, frame.record.frame))
-    for answer in tracker.finish():
-        show(answer)
-    finish(skipped, count)
+        answered += 1
+        sure = answer.confidence >= recognition.min_confidence
+        shown = answer if sure else answer._replace(candidates=[])
+        details = {"settled": shown.settled, "poses": list(map(_pose, shown.candidates))}
+        _print_answer(shown, threshold, details if as_json else None)
+    finish(skipped, answered)
 
 
 def _pose(candidate: Candidate) -> dict[str, float | None]:

@@ -1,0 +1,163 @@
+"""`Map.tracker` and `ssrvlad query DB -`: pictures and label maps, frame by frame."""
+
+import io
+import json
+from functools import partial
+
+import numpy as np
+import pytest
+from drawings import SPACE
+from drives import write_maps
+from helpers import refuses
+from interrupting import Lines
+from PIL import Image
+from segmenting import write_photos, write_settings
+
+from ssrvlad_torch import Map
+from ssrvlad_torch.recognition.recognise import Steps
+
+LATE = Steps(follow="online", delay=2)
+
+
+@pytest.fixture
+def drawn(maps, tmp_path):
+    """A map of six label maps."""
+    drawn = Map.open(tmp_path / "drawn.ssrdb", labels_as=SPACE)
+    drawn.add(maps)
+    return drawn
+
+
+@pytest.fixture
+def photographed(tmp_path, monkeypatch):
+    """A map of eight photographs, in a folder beside it, with features and HOG."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    write_photos(tmp_path / "photos", range(8), (60, 80))
+    town = Map.open(tmp_path / "seen.ssrdb", write_settings(tmp_path, f"labels_as: {SPACE}\n"))
+    town.add(tmp_path / "photos")
+    return town
+
+
+def read(files):
+    return [np.asarray(Image.open(file)) for file in files]
+
+
+def labels_of(folder):
+    """A sequence of 32 label maps, the first of them in the map."""
+    return read(sorted(write_maps(folder, range(32)).glob("*.png")))
+
+
+def shown(tracker, frames, first=0):
+    """The answers to frames that are called by their numbers."""
+    answers = [tracker.update(frame, f"f{n}", n / 2) for n, frame in enumerate(frames, first)]
+    return [answer for answer in answers if answer]
+
+
+def test_the_answers_are_those_of_a_query_online_of_a_folder(drawn, tmp_path):
+    frames = labels_of(tmp_path / "today")
+    tracker = drawn.tracker(LATE, top=10**9)
+    answers = shown(tracker, frames) + tracker.finish()
+    assert [answer.query for answer in answers] == [f"f{n}" for n in range(32)]
+    assert [answer.stamp for answer in answers] == [n / 2 for n in range(32)]
+    assert [answer.settled for answer in answers] == [False] * 30 + [True] * 2
+    for answer, whole in zip(answers, drawn.query(tmp_path / "today", LATE, 10**9), strict=True):
+        assert answer[1:4] == whole[1:4] and answer.settled == whole.settled
+
+
+def test_pictures_find_their_places(photographed, tmp_path):
+    files = [tmp_path / "photos" / f"{number}.png" for number in range(8)]
+    tracker = photographed.tracker()
+    by_path = [tracker.update(file) for file in files]
+    assert [answer.query for answer in by_path] == [str(number) for number in range(8)]
+    assert [a.candidates[0].frame for a in by_path] == [f"photos/{n}" for n in range(8)]
+    in_memory = photographed.tracker()
+    assert [in_memory.update(picture)[1:4] for picture in read(files)] == [a[1:4] for a in by_path]
+    refuses(
+        "expected images and a segmenter, got a label map", tracker.update, read(files)[0][..., 0]
+    )
+    assert tracker.update(files[3]).candidates[0].frame == "photos/3", "it goes on"
+
+
+def test_a_tracker_goes_on_from_a_file_with_the_names_that_wait(drawn, tmp_path):
+    frames = labels_of(tmp_path / "today")
+    whole = drawn.tracker(LATE)
+    expected = shown(whole, frames) + whole.finish()
+    first, second = drawn.tracker(LATE), drawn.tracker(LATE)
+    answers = shown(first, frames[:11])
+    first.save(tmp_path / "state")
+    second.load(tmp_path / "state")
+    assert answers + shown(second, frames[11:], 11) + second.finish() == expected
+    for content in (b"", b"[]", b"[1]\n", b"\xff\n", (tmp_path / "state").read_bytes()[:-1]):
+        (tmp_path / "damaged").write_bytes(content)
+        refuses(
+            "damaged: no state of a tracker of this map",
+            drawn.tracker(LATE).load,
+            tmp_path / "damaged",
+        )
+
+
+def test_after_an_interrupted_update_later_answers_have_their_names(drawn, tmp_path):
+    """The frame was taken, or it was not; each later answer is to the frame of its name."""
+    frames = labels_of(tmp_path / "today")[:8]
+    lines = Lines(["search/tracker.py", "native/tracker.py"])
+    tracker = drawn.tracker()
+    shown(tracker, frames[:3])
+    lines.run(partial(tracker.update, frames[3], "f3"))
+    without = drawn.tracker()
+    expected = {
+        4: shown(drawn.tracker(), frames)[4:],
+        3: shown(without, frames[:3]) and shown(without, frames[4:], 4),
+    }
+    for at in range(1, lines.count + 1):
+        tracker = drawn.tracker()
+        shown(tracker, frames[:3])
+        assert Lines(["search/tracker.py", "native/tracker.py"], at).run(
+            partial(tracker.update, frames[3], "f3")
+        )
+        assert shown(tracker, frames[4:], 4) == expected[tracker._tracker.count - 4]
+
+
+def test_what_is_no_tracker_is_refused(drawn, photographed, tmp_path):
+    refuses("follow: expected online, got offline", drawn.tracker, Steps())
+    refuses("holds no frames yet", Map.open(tmp_path / "none.ssrdb", labels_as=SPACE).tracker)
+    settings = (tmp_path / "net.yaml").read_text()
+    (tmp_path / "other.yaml").write_text(settings.replace("std: [1, 1, 1]", "std: [2, 2, 2]"))
+    other = Map.open(photographed.path, tmp_path / "other.yaml")
+    refuses("was labelled by", other.tracker().update, tmp_path / "photos" / "0.png")
+
+
+@pytest.fixture
+def arrive(monkeypatch):
+    def names(*files):
+        lines = "".join(f"{file}\n" for file in files).encode()
+        monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(lines)))
+
+    return names
+
+
+def test_pictures_whose_names_arrive_are_labelled_by_the_network_of_the_map(
+    photographed, ssrvlad, arrive, tmp_path
+):
+    (tmp_path / "photos" / "9.png").write_text("no picture")
+    arrive(*(tmp_path / "photos" / f"{number}.png" for number in (2, 9, 5)))
+    given = ("query", photographed.path, "-", "--follow", "online", "--top", 10**12, "--json")
+    code, out, lines = ssrvlad(*given)
+    assert code == 3 and any("9.png" in line for line in lines)
+    answers = [json.loads(line) for line in out.splitlines()]
+    assert [a["candidates"][0]["frame"] for a in answers] == ["photos/2", "photos/5"]
+    assert [len(a["candidates"]) for a in answers] == [8, 8]
+    assert answers[0]["settled"] is False and {*answers[0]["poses"][0]} == {"x", "y", "heading"}
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ((), "SOURCE - answers as frames come: expected --follow online, got offline"),
+        (("--follow", "online", "--temporal", 2), "SOURCE - takes no --temporal"),
+        (("--follow", "online", "--max-wrong", 0.1), "SOURCE - takes no --max-wrong"),
+        (("--follow", "online", "--exclude", 2), "SOURCE - takes no --exclude"),
+        (("--follow", "online", "--every", 2), "SOURCE - takes no other SOURCE, no --layout"),
+    ],
+)
+def test_what_names_that_arrive_cannot_have_is_refused(drawn, refusal, arrive, options, message):
+    arrive()
+    assert message in refusal("query", drawn.path, "-", *options)
