@@ -46,6 +46,11 @@ def labels_of(folder):
     return read(sorted(write_maps(folder, range(32)).glob("*.png")))
 
 
+def the_same(answers, others):
+    """Whether they are equal; a pose may be unknown."""
+    return list(map(repr, answers)) == list(map(repr, others))
+
+
 def shown(tracker, frames, first=0):
     """The answers to frames that are called by their numbers."""
     answers = [tracker.update(frame, f"f{n}", n / 2) for n, frame in enumerate(frames, first)]
@@ -54,13 +59,15 @@ def shown(tracker, frames, first=0):
 
 def test_the_answers_are_those_of_a_query_online_of_a_folder(drawn, tmp_path):
     frames = labels_of(tmp_path / "today")
-    tracker = drawn.tracker(LATE, top=10**9)
+    tracker = drawn.tracker(LATE, top=10**6)
     answers = shown(tracker, frames) + tracker.finish()
     assert [answer.query for answer in answers] == [f"f{n}" for n in range(32)]
     assert [answer.stamp for answer in answers] == [n / 2 for n in range(32)]
     assert [answer.settled for answer in answers] == [False] * 30 + [True] * 2
-    for answer, whole in zip(answers, drawn.query(tmp_path / "today", LATE, 10**9), strict=True):
-        assert answer[1:4] == whole[1:4] and answer.settled == whole.settled
+    whole = drawn.query(tmp_path / "today", LATE, 10**6)
+    assert the_same(
+        [a._replace(query="", stamp=None) for a in answers], [a._replace(query="") for a in whole]
+    )
 
 
 def test_pictures_find_their_places(photographed, tmp_path):
@@ -70,11 +77,11 @@ def test_pictures_find_their_places(photographed, tmp_path):
     assert [answer.query for answer in by_path] == [str(number) for number in range(8)]
     assert [a.candidates[0].frame for a in by_path] == [f"photos/{n}" for n in range(8)]
     in_memory = photographed.tracker()
-    assert [in_memory.update(picture)[1:4] for picture in read(files)] == [a[1:4] for a in by_path]
+    assert the_same(map(in_memory.update, read(files)), by_path)
     refuses(
         "expected images and a segmenter, got a label map", tracker.update, read(files)[0][..., 0]
     )
-    assert tracker.update(files[3]).candidates[0].frame == "photos/3", "it goes on"
+    assert tracker.update(files[7]).candidates[0].frame == "photos/7", "it goes on"
 
 
 def test_a_tracker_goes_on_from_a_file_with_the_names_that_wait(drawn, tmp_path):
@@ -85,7 +92,7 @@ def test_a_tracker_goes_on_from_a_file_with_the_names_that_wait(drawn, tmp_path)
     answers = shown(first, frames[:11])
     first.save(tmp_path / "state")
     second.load(tmp_path / "state")
-    assert answers + shown(second, frames[11:], 11) + second.finish() == expected
+    assert the_same(answers + shown(second, frames[11:], 11) + second.finish(), expected)
     for content in (b"", b"[]", b"[1]\n", b"\xff\n", (tmp_path / "state").read_bytes()[:-1]):
         (tmp_path / "damaged").write_bytes(content)
         refuses(
@@ -103,17 +110,18 @@ def test_after_an_interrupted_update_later_answers_have_their_names(drawn, tmp_p
     shown(tracker, frames[:3])
     lines.run(partial(tracker.update, frames[3], "f3"))
     without = drawn.tracker()
-    expected = {
-        4: shown(drawn.tracker(), frames)[4:],
-        3: shown(without, frames[:3]) and shown(without, frames[4:], 4),
-    }
+    expected = [
+        shown(drawn.tracker(), frames)[4:],
+        shown(without, frames[:3]) and shown(without, frames[4:], 4),
+    ]
     for at in range(1, lines.count + 1):
         tracker = drawn.tracker()
         shown(tracker, frames[:3])
         assert Lines(["search/tracker.py", "native/tracker.py"], at).run(
             partial(tracker.update, frames[3], "f3")
         )
-        assert shown(tracker, frames[4:], 4) == expected[tracker._tracker.count - 4]
+        answers = shown(tracker, frames[4:], 4)
+        assert any(the_same(answers, possible) for possible in expected)
 
 
 def test_what_is_no_tracker_is_refused(drawn, photographed, tmp_path):
@@ -122,7 +130,7 @@ def test_what_is_no_tracker_is_refused(drawn, photographed, tmp_path):
     settings = (tmp_path / "net.yaml").read_text()
     (tmp_path / "other.yaml").write_text(settings.replace("std: [1, 1, 1]", "std: [2, 2, 2]"))
     other = Map.open(photographed.path, tmp_path / "other.yaml")
-    refuses("was labelled by", other.tracker().update, tmp_path / "photos" / "0.png")
+    refuses("gives other label maps", other.tracker().update, tmp_path / "photos" / "0.png")
 
 
 @pytest.fixture
@@ -139,7 +147,7 @@ def test_pictures_whose_names_arrive_are_labelled_by_the_network_of_the_map(
 ):
     (tmp_path / "photos" / "9.png").write_text("no picture")
     arrive(*(tmp_path / "photos" / f"{number}.png" for number in (2, 9, 5)))
-    given = ("query", photographed.path, "-", "--follow", "online", "--top", 10**12, "--json")
+    given = ("query", photographed.path, "-", "--follow", "online", "--top", 10**6, "--json")
     code, out, lines = ssrvlad(*given)
     assert code == 3 and any("9.png" in line for line in lines)
     answers = [json.loads(line) for line in out.splitlines()]

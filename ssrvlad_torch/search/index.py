@@ -153,9 +153,7 @@ class Index:
                 raise ValueError
             self.learnt_of = int(learnt["rows"])
             self.coders = {
-                name: Coder(
-                    *(torch.from_numpy(learnt[f"{name}.{kind}"]) for kind in Coder._fields)
-                )
+                name: Coder(*(torch.from_numpy(learnt[f"{name}.{kind}"]) for kind in Coder._fields))
                 for name, *_ in database.columns
             }
             self._table = engine.open_table(str(folder / _CODES))
