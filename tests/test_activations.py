@@ -1,8 +1,5 @@
 """Which activations of a network are features, and taking them."""
 
-from threading import Thread
-
-import numpy as np
 import pytest
 import torch
 from cases import REAL, needs_real
@@ -11,7 +8,6 @@ from networks import (
     Street,
     colour_network,
     shared_street,
-    write_graph,
     write_published,
     write_street,
 )
@@ -52,11 +48,6 @@ def test_the_ends_of_the_encoder_at_strides_8_and_16_are_chosen_of(street_graph)
     assert chosen_of(shared_street()) == [*zip(("act.0#3", "act.0#4"), shapes, strict=True)]
 
 
-def test_an_encoder_of_one_stride_has_one():
-    network = nn.Sequential(nn.Conv2d(3, 8, 16, 16), nn.Conv2d(8, 8, 1), nn.Conv2d(8, 12, 1))
-    assert chosen_of(network) == [("1", (1, 8, 14, 28))]
-
-
 def test_of_a_module_that_runs_several_times_the_chosen_call_is_taken():
     """Its calls have other sizes and other channels."""
     alone, shared = Street(), shared_street()
@@ -67,23 +58,6 @@ def test_of_a_module_that_runs_several_times_the_chosen_call_is_taken():
     assert torch.equal(values["act.0#3"], expected["act.2"])
     with pytest.raises(ValueError, match=r"no activation 'act\.0'; the nearest are act\.0#\d, act"):
         find_activations(shared, NUMBERS, ["act.0"])
-
-
-def test_another_thread_does_not_change_what_is_taken():
-    network, (one, other) = Street(), torch.rand(2, 1, 3, 64, 96)
-    with captured(network, ["act.2"]) as values:
-        network(one)
-        activation = values["act.2"]
-        thread = Thread(target=network, args=(other,))
-        thread.start()
-        thread.join()
-    assert values["act.2"] is activation
-
-
-def test_a_network_that_makes_every_picture_a_square():
-    network = nn.Sequential(nn.Upsample(size=(256, 256)), Street())
-    assert chosen_of(network) == [("1.act.2", (1, 32, 32, 32)), ("1.act.3", (1, 24, 16, 16))]
-    assert chosen_of(network, ["1.act.1"]) == [("1.act.1", (1, 16, 64, 64))]
 
 
 def test_a_module_and_its_graph_give_the_same_activations(street_graph):
@@ -158,18 +132,3 @@ FLAT = nn.Sequential(nn.Conv2d(3, 8, 8, 8), nn.Flatten(), nn.Hardtanh())
 )
 def test_what_cannot_be_features_is_refused(network, names, message):
     refuses(message, find_activations, network, NUMBERS, names)
-
-
-def test_a_graph_with_external_weights(tmp_path):
-    graph = OnnxNetwork(write_graph(tmp_path / "net.onnx", external=True))
-    assert graph.run_all(NUMBERS)["classes"].shape == (1, 12, 224, 448)
-    graph.take(["classes"])
-    values = graph(NUMBERS, ["classes", "found"])
-    np.testing.assert_array_equal(values["classes"], values["found"])
-
-
-def test_height_and_width_are_not_channels(tmp_path):
-    shape = ("b", "h", "w", 3)
-    graph = OnnxNetwork(write_graph(tmp_path / "net.onnx", channels_last=True, shape=shape))
-    with pytest.raises(ValueError, match="no activation at a stride from 4 to 32"):
-        find_activations(graph, torch.zeros(1, 3, 224, 448))

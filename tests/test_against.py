@@ -111,14 +111,6 @@ def test_other_weights_and_other_preparation_are_wrong(folder):
     assert all(by_size(verify_against("net.yaml", "test_against:half")).values())
 
 
-def test_ids_bytes_and_channels_last_are_compared(folder):
-    for settings in ({"labels": True}, {"channels_last": True, "shape": ("b", "h", "w", 3)}):
-        write_graph(folder / "net.onnx", **settings)
-        write_settings()
-        found = verify_against("net.yaml", "networks:colour_network")
-        assert not any(check.problem for check in found), settings
-
-
 def test_a_fused_file_is_compared_with_its_network(folder):
     config = SSRVLADConfig(labels_as=SPACE)
     fuse(Segmenter(colour_network(), SPACE, PLAIN), config, folder / "place.onnx")

@@ -9,7 +9,7 @@ from drawings import ROAD, SKY, SPACE, TREE, VOID, blobs
 from helpers import refuses, street
 from methods import frames, picture
 
-from ssrvlad_torch import SSRVLAD, match
+from ssrvlad_torch import SSRVLAD
 from ssrvlad_torch.baselines import make
 from ssrvlad_torch.baselines.run import run
 from ssrvlad_torch.channels.channel import View
@@ -123,36 +123,8 @@ def test_candidates_are_ranked_and_ties_keep_the_order():
     assert result.costs["bytes_a_reference"] == 4
 
 
-def test_the_first_query_is_done_twice_references_once_and_progress_counts_each():
-    method, done = Numbers(), []
-    run(method, numbered("q", 1, 2, 3), numbered("r", 5, 6, 7, 8), progress=done.append)
-    assert method.blocks == [4, 1, 1, 1, 1]
-    assert done == [1] * 7
-
-
-def test_costs_are_milliseconds_a_query(monkeypatch):
-    ticks = iter([0.0, 0.004, 0.006, 1.0, 1.002, 1.003])
-    monkeypatch.setattr("ssrvlad_torch.baselines.run.time.perf_counter", lambda: next(ticks))
-    result = run(Numbers(), numbered("q", 1, 2), numbered("r", 5))
-    assert result.costs["encode_ms"] == pytest.approx({"average": 3, "min": 2, "max": 4})
-    assert result.costs["match_ms"] == pytest.approx({"average": 1.5, "min": 1, "max": 2})
-
-
-def test_no_queries_are_refused():
-    refuses("method numbers: no frames to encode", run, Numbers(), [], numbered("r", 1))
-
-
 def streets(seeds, sequence="a"):
     return [View(f"{sequence}/{seed}", street(seed), SPACE) for seed in seeds]
-
-
-@pytest.mark.parametrize("preset", ["paper", "default"])
-def test_queries_are_encoded_as_the_head_does(preset):
-    head = SSRVLAD.from_preset(preset, labels_as=SPACE)
-    result = make("ssr-vlad", preset=preset).encode_query(iter(streets(range(20))))
-    expected = head(torch.stack([torch.from_numpy(street(seed)) for seed in range(20)]))
-    assert (result.shape, result.dtype) == ((20, 480), torch.float32)
-    assert torch.equal(result, expected)
 
 
 @pytest.mark.parametrize("temporal", [0, 1, 3])
@@ -164,20 +136,6 @@ def test_references_are_summed_inside_their_sequence(temporal):
     assert torch.equal(method.encode_reference(iter(drives)), expected)
 
 
-def test_scores_are_those_of_match():
-    method = make("ssr-vlad")
-    empty = View("a/void", np.full((24, 32), VOID, np.uint8), SPACE)
-    queries = method.encode_query([*streets(range(4)), empty])
-    references = method.encode_reference([*streets(range(10, 16)), empty])
-    scores = method.scores(queries, references)
-    result = match(queries, references, top=7)
-    ranked = scores.sort(dim=1, descending=True, stable=True)
-    torch.testing.assert_close(ranked.values, result.scores)
-    valid = result.indices >= 0
-    assert torch.equal(ranked.indices[valid], result.indices[valid])
-    assert scores[4].isneginf().all()
-
-
 def test_frames_of_several_label_spaces_are_read_each_as_its_own():
     camvid = streets([1])[0]
     cityscapes = View("a/2", np.where(street(2) > 5, 8, 0).astype(np.int32), "cityscapes-trainids")
@@ -185,12 +143,6 @@ def test_frames_of_several_label_spaces_are_read_each_as_its_own():
     for row, frame in zip(result, [camvid, cityscapes, camvid], strict=True):
         head = SSRVLAD.from_preset("default", labels_as=frame.labels_as)
         assert torch.equal(row, head(torch.from_numpy(frame.labels)[None])[0])
-
-
-def test_settings_of_the_method_are_taken():
-    method = make("ssr-vlad", preset="paper", rings=3)
-    assert method.encode_query(streets([0])).shape == (1, 8 * 3 * 12)
-    assert method.config.working_size is None
 
 
 def plain_grid(labels, rows=6, columns=10):

@@ -1,6 +1,5 @@
 """Channels: their columns stored, verified and exported, and the channels of columns and frames."""
 
-import json
 from functools import partial
 
 import numpy as np
@@ -99,31 +98,6 @@ def _changed(table, name):
     place, lists = table.schema.get_field_index(name), table[name].combine_chunks()
     column = type(lists).from_arrays(numbers, lists.type.list_size)
     return table.set_column(place, table.schema.field(place), column)
-
-
-@pytest.mark.parametrize("names", [["frame"], ["ssr-vlad"], ["own", "own"]])
-def test_names_of_columns_are_unique(tmp_path, names):
-    columns = [OWN._replace(name=name) for name in names]
-    with pytest.raises(ValueError, match="expected unique names of channels"):
-        Database.create(tmp_path / "town", CONFIG, columns=columns)
-
-
-def test_the_checksum_covers_all_channels(made):
-    table = made.table().to_table()
-    assert intact(table).all()
-    assert intact(_changed(table, "own")).tolist() == [True, False, True]
-
-
-def test_exports_hold_all_channels(made, tmp_path):
-    files, own = export_database(made, "npy", tmp_path / "out.npy"), made.load().channels["own"]
-    assert tmp_path / "out.npy.own.npy" in files
-    np.testing.assert_array_equal(np.load(tmp_path / "out.npy.own.npy"), own)
-    channels = {"ssr-vlad": CONFIG.fingerprint, "own": "seven numbers"}
-    assert json.loads((tmp_path / "out.npy.json").read_text())["channels"] == channels
-    h5py = pytest.importorskip("h5py", reason="needs the extra hloc")
-    export_database(made, "hloc", tmp_path / "out.h5")
-    with h5py.File(tmp_path / "out.h5", "r") as stored:
-        np.testing.assert_array_equal(stored["day/2"]["own"], own[0])
 
 
 def test_descriptors_of_another_version_are_refused(tmp_path):

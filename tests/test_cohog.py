@@ -1,7 +1,5 @@
 """CoHOG against OpenCV, scikit-image and loops, and against the stored result of VPR-Bench."""
 
-from itertools import pairwise
-
 import cv2
 import numpy as np
 import pytest
@@ -120,17 +118,3 @@ def test_some_pairs_of_the_corridor_have_the_stored_scores():
     expected = stored["sim"][::25, ::4]
     np.testing.assert_allclose(scores, expected, rtol=0, atol=3e-3)
     assert (scores.argmax(1) == expected.argmax(1)).mean() >= 0.8
-
-
-@pytest.mark.slow
-@needs_corridor
-def test_the_corridor_has_the_stored_result():
-    scores, stored = corridor_scores(step=1)
-    bounds = stored["gt_off"]
-    truth = [stored["gt_flat"][a:b] for a, b in pairwise(bounds)]
-    ranked = np.argsort(-scores, axis=1, kind="stable")
-    for n, expected in ((1, 0.622), (5, 0.892), (10, 0.937)):
-        hits = [np.isin(row[:n], right).any() for row, right in zip(ranked, truth, strict=True)]
-        assert abs(np.mean(hits) - expected) <= 0.01
-    assert (ranked[:, 0] == stored["match"]).mean() >= 0.95
-    np.testing.assert_allclose(scores, stored["sim"], rtol=0, atol=3e-3)

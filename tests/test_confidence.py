@@ -4,11 +4,8 @@ import numpy as np
 import pytest
 import torch
 from core import of_chances
-from oracles import recognition as oracle
-from scipy.stats import beta
 
 from ssrvlad_torch.recognition.confidence import (
-    _beta,
     accept,
     answered,
     estimate,
@@ -45,24 +42,6 @@ def test_answers_are_less_sure_where_those_around_look_wrong():
     assert here.right[90] < 0.5 < there.right[(order == 90).nonzero()[0]]
 
 
-def test_a_track_that_goes_on_shows_in_each_query():
-    """Its answers all look sure; those of the queries alone agree in the first half only."""
-    random = np.random.default_rng(2)
-    followed = np.full(120, 1e-6)
-    alone = np.r_[np.exp(-random.gamma(2, 2, 60)), np.ones(60)]
-    mapped = oracle.mapped(alone, 1.0, 1 / 3)
-    assert (mapped[:58] > 0.95).all() and (mapped[64:] < 0.05).all()
-    right, spread = oracle.confidence(followed, mapped, 10.0)
-    assert (right[:58] > 0.9).all() and (right[64:] < 0.05).all() and (spread < 0.5).all()
-    assert (oracle.confidence(followed, np.ones(120), 10.0)[0] > 0.95).all()
-
-
-@pytest.mark.parametrize("queries", [1, 30, 300])
-def test_a_track_that_no_query_shows_does_not_speak_for_the_map(queries):
-    mapped = oracle.mapped(np.ones(queries), 1.0, 1 / 3)
-    assert (mapped <= 1 - oracle.FOREIGN + 1e-9).all()
-
-
 def test_a_query_without_a_candidate_is_no_answer():
     chances, _ = drawn_chances(50, 0.5)
     sure = of_chances(chances, 1.0)
@@ -79,14 +58,6 @@ def test_accepts_as_many_as_the_estimate_permits(max_wrong):
     others = [estimate(sure, float(least)) for least in sure.right.unique()]
     assert estimated.accepted == max(one.accepted for one in others if one.wrong <= max_wrong)
     assert estimated in others and estimated.low <= estimated.wrong <= estimated.high
-
-
-def test_the_estimate_is_the_mean_doubt():
-    sure = of_chances(drawn_chances(300, 0.6)[0], 1.0)
-    for estimated in (estimate(sure), estimate(sure, 0.7), accept(sure, 0.05)):
-        accepted = sure.right[sure.right >= estimated.confidence]
-        assert len(accepted) == estimated.accepted
-        assert estimated.wrong == pytest.approx(1 - float(accepted.mean()), abs=1e-5)
 
 
 @pytest.mark.parametrize("level", [None, 0.2, 0.05])
@@ -135,11 +106,3 @@ def test_answers_that_err_together_widen_the_interval():
     many = estimate(one._replace(together=torch.full((300,), 5.0)))
     one = estimate(one)
     assert one.wrong == many.wrong and many.low < one.low and many.high > one.high
-
-
-@pytest.mark.parametrize("mean", [0.02, 0.3, 0.9])
-@pytest.mark.parametrize("deviation", [0.01, 0.1])
-def test_quantiles_are_those_of_scipy(mean, deviation):
-    size = mean * (1 - mean) / deviation**2 - 1
-    expected = beta.ppf([0.025, 0.975], mean * size, (1 - mean) * size)
-    np.testing.assert_allclose(_beta(mean, deviation**2), expected, atol=0.006)

@@ -6,7 +6,6 @@ from pathlib import Path
 import lance
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 import pytest
 import torch
 from helpers import (
@@ -23,14 +22,9 @@ from helpers import (
     refuses,
     spoil,
 )
-from hypothesis import given
-from hypothesis import strategies as st
 
 import ssrvlad_torch.config as config_module
 from ssrvlad_torch import Database, SSRVLADConfig
-from ssrvlad_torch.database import engine
-from ssrvlad_torch.database.rows import order_of
-from ssrvlad_torch.files import natural_key
 from ssrvlad_torch.taxonomy import LabelClass, LabelSpace, label_space
 
 ONE = torch.ones(1, 480)
@@ -80,31 +74,12 @@ def test_custom_descriptors_need_only_ids_and_have_no_settings(tmp_path):
     refuses("without settings", opened.require, CONFIG)
 
 
-def test_an_empty_database_is_a_database(tmp_path):
-    assert Database.create(tmp_path / "db", CONFIG)
-    frames = Database.open(tmp_path / "db").load()
-    assert (frames.frames, frames.descriptors.shape, frames.poses.shape) == ((), (0, 480), (0, 3))
-
-
 def test_frames_are_in_natural_order_however_they_were_added(path, tmp_path):
     assert Database.open(path).load().frames == SORTED
     one_by_one = Database.create(tmp_path / "other", CONFIG)
     for frame in reversed(FRAMES):
         fill(one_by_one, [frame])
     assert one_by_one.load().frames == one_by_one.placed()[0].frames == SORTED
-
-
-@given(
-    st.sampled_from(["{:03d}", "a{:06d}.{:02d}", "²{:04d}\n{:03d}"])
-    | st.sampled_from(["{}", "{}-{}"]),
-    st.lists(st.tuples(*[st.integers(0, 99)] * 2), min_size=1, max_size=9, unique=True),
-)
-def test_frames_whose_names_differ_only_in_digits_are_in_natural_order(form, numbers):
-    names = {f"{sequence}/{form.format(*pair)}" for pair in numbers for sequence in "ba"}
-    table = pa.table({"frame": sorted(names, reverse=True)})
-    table = table.append_column("sequence", pc.utf8_slice_codeunits(table["frame"], 0, 1))
-    expected = sorted(names, key=lambda frame: (frame[0], natural_key(frame[2:])))
-    assert table["frame"].take(order_of(table)).to_pylist() == expected
 
 
 def test_other_settings_are_refused_with_both_fingerprints_and_the_difference(path, monkeypatch):
@@ -297,27 +272,3 @@ def test_a_database_lives_in_a_bucket(bucket):
     assert [entry.frames for entry in opened.history()] == [0, 3, 3, 2]
     opened.compact(keep_days=0)
     assert len(Database.open(uri)) == 2
-
-
-def test_a_database_missing_in_a_bucket_is_one_line_after_one_attempt(bucket, monkeypatch):
-    uri, open_dataset, attempts = f"{bucket}/morning.ssrdb", engine.lance().dataset, []
-    database = Database.create(uri, width=8)
-    with refused(rf"^{uri} has no version 99; it has {database.version}$"):
-        Database.open(uri, version=99)
-
-    def counted(uri, **options):
-        attempts.append(uri)
-        return open_dataset(uri, **options)
-
-    monkeypatch.setattr(engine.lance(), "dataset", counted)
-    missing = [f"{bucket}/evening.ssrdb", "s3://village/morning.ssrdb"]
-    for one in missing:
-        assert not Database.exists(one)
-    assert attempts == missing
-    for one in missing:
-        with refused(f"^{one} cannot be opened: .*[nN]ot [fF]ound"):
-            Database.open(one)
-    assert attempts == 2 * missing
-    refuses(f"^{missing[0]} cannot be opened", Database.open, missing[0], version=1)
-    with refused("^s3://village/new cannot be written: [^<]*404 Not Found$", by=OSError):
-        Database.create("s3://village/new", width=8)

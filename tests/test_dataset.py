@@ -12,8 +12,6 @@ from ssrvlad_torch.datasets.dataset import (
     DatasetFrame,
     GroundTruth,
     files_in,
-    folders_in,
-    shortened,
 )
 from ssrvlad_torch.datasets.poses import UNKNOWN, Pose
 
@@ -56,11 +54,6 @@ DAYS = made(
 )
 def test_sequences_are_chosen_by_pattern_and_role(patterns, role, names):
     assert DAYS.select(patterns, role).sequences == names
-
-
-def test_an_unknown_or_ambiguous_sequence_is_refused():
-    refuses("no sequence 'DAWN'; it has dawn-rear, dawn-left, map-", DAYS.select, ["*", "DAWN"])
-    refuses("which of dawn-rear is a reference", DAYS.select, ["dawn-rear"], "reference")
 
 
 def test_frames_without_pose_are_dropped_when_asked():
@@ -150,18 +143,6 @@ def test_files_are_listed_by_name_without_suffix(tmp_path):
     assert list(files_in((".png",), tmp_path)) == ["1", "2", "3"]
     assert files_in((".png",), tmp_path / "nowhere") == {}
     refuses(r"one frame is both .*3\.jpg and 3\.png", files_in, (".png", ".jpg"), tmp_path)
-
-
-def test_folders_are_sorted_as_a_person_would(tmp_path):
-    touch(*(tmp_path / name for name in ("slice10/1", "slice9/1", ".hidden/1", "file")))
-    assert [folder.name for folder in folders_in(tmp_path)] == ["slice9", "slice10"]
-    assert folders_in(tmp_path / "file") == folders_in(tmp_path / "nowhere") == []
-
-
-def test_long_lists_are_shortened():
-    assert shortened([]) == "nothing"
-    assert shortened(list("ab"), 2) == "a, b"
-    assert shortened(list("01234"), 2) == "0, 1 and 3 more"
 
 
 @pytest.mark.parametrize(

@@ -7,10 +7,10 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles import recognition as oracle
-from oracles.filter import Model, Motion
+from oracles.filter import Motion
 
 from ssrvlad_torch.native.map import DescriptorMap, Shortlist
-from ssrvlad_torch.recognition.motion import BACKWARDS, FORWARDS, SAME_PLACE_ROWS, Course
+from ssrvlad_torch.recognition.motion import BACKWARDS, SAME_PLACE_ROWS, Course
 
 pytestmark = pytest.mark.usefixtures("core")
 
@@ -189,22 +189,6 @@ def test_a_query_of_scores_that_are_equal_but_for_rounding_says_nothing():
     np.testing.assert_allclose(nearly.scores, equal.scores, atol=1e-5)
 
 
-def test_a_row_without_a_score_is_no_candidate():
-    scores = noisy([*range(10, 50)], 100, strength=0.4)
-    scores[:, 15] = -np.inf
-    decision = decide(scores, top=100)
-    assert decision.followed
-    assert (decision.rows != 15).all() and decision.rows[4, 0] == 14
-
-
-def test_an_empty_query_among_followed_ones_has_no_candidate():
-    scores = noisy([*range(100, 130)], 300, strength=0.5)
-    scores[15] = -np.inf
-    decision = decide(scores)
-    assert decision.followed and decision.rows[[14, 16], 0].tolist() == [114, 116]
-    assert (decision.rows[15] == -1).all() and decision.right[15] == 0
-
-
 ROWS = 240
 RANDOM = np.random.default_rng(0)
 COURSES = {
@@ -310,32 +294,6 @@ def test_scores_that_are_no_cosines_are_refused(score, mode):
     scores[0, 3] = score
     with pytest.raises(ValueError, match="expected scores of at most"):
         decide(scores, mode=mode)
-
-
-@pytest.mark.parametrize("ways", [(FORWARDS,), (BACKWARDS,), (FORWARDS, BACKWARDS)])
-@pytest.mark.parametrize("rate", [1, 0.25, 3])
-def test_probabilities_of_states_stay_one_and_back_is_the_transpose(ways, rate):
-    motion = Motion(change=0.1, jump=0.05, unmapped=0.2, stay=0.8, rate=rate)
-    model = Model(tuple(names_of((6, 1, 4))), motion, ways)
-    states = np.eye(len(model.start()))
-    matrix = np.stack([model.after(state) for state in states])
-    np.testing.assert_allclose(matrix.sum(1), 1)
-    assert matrix.min() >= 0
-    back = np.stack([model.before(state) for state in states])
-    np.testing.assert_allclose(back, matrix.T, atol=1e-12)
-
-
-@given(seed=st.integers(0, 1000), rows=st.integers(1, 200), steps=st.sampled_from((0, 3, 100)))
-def test_the_chance_of_an_answer_beside_its_rivals_is_that_of_the_oracle(seed, rows, steps):
-    """Also of equal values."""
-    rng = np.random.default_rng(seed)
-    values = rng.uniform(-0.3, 0.9, rows)
-    values[rng.random(rows) < 0.2] = -np.inf
-    values = np.round(values * steps) / steps if steps else values
-    chance = single.chance_of(torch.from_numpy(values))
-    expected, rival = oracle.chance(values)
-    assert chance.chance == pytest.approx(expected, abs=1e-9)
-    assert steps or chance.rival == rival
 
 
 @given(

@@ -190,48 +190,6 @@ def test_an_interrupt_or_a_panic_of_lance_is_no_damage():
             raise RuntimeError("Task was aborted")
 
 
-INTERRUPTED = """
-import os, random, signal, sys, threading, time
-from ssrvlad_torch import Database
-database, ends = Database.open(sys.argv[1]), set()
-uses = [database.info, database.known, database.damage, lambda: Database.open(database.path)]
-for attempt in range(80):
-    timer = threading.Timer(random.uniform(0, 0.03), os.kill, (os.getpid(), signal.SIGINT))
-    try:
-        timer.start()
-        while timer.is_alive():
-            uses[attempt % len(uses)]()
-    except KeyboardInterrupt:
-        pass
-    except BaseException as error:
-        ends.add(repr(error))
-    try:
-        timer.join()
-        time.sleep(0.001)
-    except KeyboardInterrupt:
-        pass
-sys.exit(str(ends) if ends else 0)
-"""
-
-
-def test_ctrl_c_while_lance_works_is_an_interrupt(path):
-    fill(Database.open(path), [f"more/{number}" for number in range(5000)])
-    command = [sys.executable, "-c", INTERRUPTED, path]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
-    assert done.returncode == 0, done.stderr
-
-
-def test_two_threads_that_share_a_database_both_succeed(path):
-    database = Database.open(path)
-
-    def add(name):
-        for number in range(10):
-            fill(database, [f"{name}/{number}"], number)
-
-    assert in_threads(partial(add, "a"), partial(add, "b")) == []
-    assert len(loaded(path)) == len(database) == len(FRAMES) + 20
-
-
 @pytest.mark.parametrize("empty", [True, False])
 def test_of_several_writers_of_one_frame_one_succeeds(tmp_path, empty):
     path = tmp_path / "db"

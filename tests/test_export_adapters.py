@@ -15,7 +15,6 @@ import torch
 from drives import write_maps, write_photos
 from helpers import refuses, street, write_image
 from networks import PLAIN
-from PIL import Image
 from torch import nn
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig
@@ -89,15 +88,6 @@ def test_bytes_above_127_are_not_negative(rtabmap):
     rtabmap.init(480)
     np.testing.assert_array_equal(
         rtabmap.extract(image.view(np.int8)), rtabmap.extract(painted((image[..., 1] > 200) * 1))
-    )
-
-
-def test_gray_images_and_empty_ones(rtabmap):
-    """Where all colours are equal the first class, sky, is everywhere."""
-    rtabmap.init(480)
-    gray = np.random.default_rng(0).integers(0, 255, (24, 32, 1), np.uint8)
-    np.testing.assert_array_equal(
-        rtabmap.extract(gray.view(np.int8)), rtabmap.extract(gray.repeat(3, axis=2))
     )
 
 
@@ -231,35 +221,3 @@ def test_wrong_lines_and_missing_images_are_told(tmp_path, hloc, stdin, message)
     code, said, (error,) = hloc(stdin, "--images", images, "-o", out)
     assert (code, said, out.exists()) == (2, "", False)
     assert message.format(images=images) in error
-
-
-def test_colmap_matches_the_pairs(tmp_path, hloc):
-    """COLMAP itself, by its Python package: SIFT on photographs that overlap, and its matcher on
-    the pairs that were written."""
-    pycolmap = pytest.importorskip("pycolmap")
-    scene = np.random.default_rng(0).integers(0, 256, (60, 110), np.uint8)
-    scene = Image.fromarray(scene).resize((1100, 600), Image.Resampling.BICUBIC)
-    for name, left in {"monday/0": 0, "monday/1": 400, "today/0": 40, "today/1": 440}.items():
-        seen = scene.crop((left, 0, left + 400, 600)).convert("RGB")
-        write_image(tmp_path / "images" / f"{name}.png", np.asarray(seen))
-    pairs = tmp_path / "pairs.txt"
-    line = '{"query": "today/%d", "candidates": [{"frame": "monday/%d", "score": 0.9}]}\n'
-    lines = line % (0, 0) + line % (1, 1)
-    assert hloc(lines, "--images", tmp_path / "images", "-o", pairs)[0] == 0
-    database = tmp_path / "colmap.db"
-    sift = pycolmap.FeatureExtractionOptions(num_threads=1, use_gpu=False)
-    pycolmap.extract_features(database, tmp_path / "images", extraction_options=sift)
-    pycolmap.match_image_pairs(
-        database,
-        pycolmap.FeatureMatchingOptions(num_threads=1, use_gpu=False),
-        pycolmap.ImportedPairingOptions(match_list_path=str(pairs)),
-    )
-    stored = pycolmap.Database.open(database)
-    names = {image.image_id: image.name for image in stored.read_all_images()}
-    keys, matches = stored.read_all_matches()
-    matched = {
-        frozenset(names[image] for image in pycolmap.pair_id_to_image_pair(key)) for key in keys
-    }
-    stored.close()
-    assert min(map(len, matches)) > 50
-    assert matched == {frozenset(line.split()) for line in pairs.read_text().splitlines()}

@@ -3,7 +3,6 @@ needs CMake, zlib and the headers of ONNX Runtime: in the folder that ORT_ROOT n
 package."""
 
 import base64
-import ctypes
 import json
 import math
 import os
@@ -35,7 +34,6 @@ from ssrvlad_torch import SSRVLAD, SSRVLADConfig, export_head, match
 from ssrvlad_torch.datasets.synthetic_city import write_city
 from ssrvlad_torch.deployment.fuse import fuse
 
-ROOT = Path(__file__).parents[1]
 CONFIG = SSRVLADConfig(labels_as="camvid-11")
 
 
@@ -169,18 +167,6 @@ def test_wrong_use_is_one_line(build, head, bad, monkeypatch, program):
     assert_each_is_one_line(partial(outcome, build / program), table, silent=False)
 
 
-@pytest.mark.parametrize("program", ["place", "follow", "loops"])
-def test_help_says_how_a_program_is_called(build, program):
-    code, (first, *_), errors = outcome(build / program, "--help")
-    assert (code, errors) == (0, []) and first.startswith(f"usage: {program} [--network")
-
-
-def test_a_database_of_other_settings_is_refused(place, head, town, tmp_path):
-    (tmp_path / "town.npy.fingerprint.txt").write_text("0123456789abcdef")
-    code, _, (line,) = place(head, tmp_path / "map.npy", tmp_path / "town.npy")
-    assert code == 2 and "do not compare" in line
-
-
 def test_a_file_of_fixed_size_takes_no_other(place, town, tmp_path):
     labels = np.load(tmp_path / "map.npy")
     fixed = tmp_path / "fixed.onnx"
@@ -205,12 +191,6 @@ def drive(tmp_path_factory):
     fuse(network, CONFIG, folder / "net.onnx", folder / "head.onnx")
     np.save(folder / "photo.npy", photo(street(1, 60, 90)))
     return folder
-
-
-def test_a_photograph_of_fewer_steps_of_light_is_refused(place, drive, tmp_path):
-    (tmp_path / "dim.ppm").write_bytes(b"P6 1 1 100 abc")
-    code, _, (line,) = place(drive / "place.onnx", tmp_path / "dim.ppm")
-    assert code == 2 and "dim.ppm: expected a binary PPM whose largest value is 255, " in line
 
 
 def test_channels_of_another_network_or_of_one_side_only(place, drives, tmp_path):
@@ -459,41 +439,6 @@ int main() {
 """
 
 
-OLDER = """
-#include <ssrvlad/ssrvlad.h>
-#undef SSRVLAD_INTERFACE
-#define SSRVLAD_INTERFACE 3
-#include "loops.hpp"
-int main() {
-  const ssrvlad_settings settings = {};
-  std::puts(ssrvlad_new(&settings) ? "a head" : ssrvlad_last_error());
-  ssrvlad::Described frame;
-  frame.descriptor = {1, 0};
-  frame.length = 2;
-  try {
-    ssrvlad::Loops({"1234", "", ""}).update("a/1", frame);
-  } catch (const std::exception& error) {
-    std::puts(error.what());
-  }
-}
-"""
-
-
-def test_a_program_of_an_older_interface_is_refused_in_words(core, tmp_path):
-    """In C and in C++."""
-    library = Path(core.library._name)
-    (tmp_path / "ssrvlad").symlink_to(library.parent)
-    (tmp_path / "older.cpp").write_text(OLDER)
-    folders = f"-I{tmp_path}", f"-I{ROOT / 'export' / 'cpp'}", f"-Wl,-rpath,{library.parent}"
-    program = tmp_path / "older"
-    must("g++", "-std=c++17", *folders, tmp_path / "older.cpp", library, "-o", program)
-    code, lines, errors = outcome(program)
-    assert (code, errors) == (0, [])
-    assert len(lines) == 2
-    for line in lines:
-        assert line.endswith("has interface 4, the program is of 3: compile it again")
-
-
 def consumer(folder, program, *lines):
     """The compiled program of a project that takes the package, without ORT_ROOT."""
     folder.mkdir()
@@ -529,24 +474,6 @@ def test_a_project_finds_the_installed_core_by_pkg_config(user, tmp_path):
     (tmp_path / "main.cpp").write_text(HEAD_OF_CORE)
     must("g++", tmp_path / "main.cpp", *flags.split(), "-o", tmp_path / "program")
     assert outcome(tmp_path / "program") == (0, [CONFIG.fingerprint], [])
-
-
-def test_a_project_has_the_core_as_a_subproject(tmp_path):
-    """In a build by unity, shared, and without installing it."""
-    folder = ROOT / "ssrvlad_torch" / "native"
-    lines = (
-        *("set(BUILD_SHARED_LIBS ON)", f"add_subdirectory({folder} core)", PROGRAM),
-        *("target_link_libraries(consumer PRIVATE ssrvlad::core)", "install(TARGETS consumer)"),
-    )
-    program = consumer(tmp_path / "c", HEAD_OF_CORE, *lines)
-    assert outcome(program) == (0, [CONFIG.fingerprint], [])
-    (library,) = (tmp_path / "c").rglob("libssrvlad.so")
-    names = [line.split()[-1] for line in must("nm", "-D", "--defined-only", library)]
-    assert names and all(name.startswith("ssrvlad_") for name in names)
-    interface = ctypes.CDLL(str(library)).ssrvlad_interface()
-    assert (library.parent / f"libssrvlad.so.{interface}").exists()
-    must("cmake", "--install", tmp_path / "c" / "build", "--prefix", tmp_path / "i")
-    assert [file.name for file in (tmp_path / "i").rglob("*.*")] == []
 
 
 def test_a_project_finds_the_installed_place(user, tmp_path):

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from cases import camvid_labels
 from conformance.descriptors import cases
-from exported import hundreds_of_label_maps, write_categories
+from exported import write_categories
 from helpers import assert_each_is_one_line, outcome, street
 
 from ssrvlad_torch import SSRVLAD
@@ -103,13 +103,6 @@ def test_other_platforms(describe, other, preset, tmp_path):
     ]
     maps = [*cases().values(), first, *camvid_labels(300)]
     assert_the_same_bits(describe, other, preset, SPACE, maps, tmp_path)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("preset", PRESETS)
-def test_hundreds_of_label_maps_on_other_platforms(describe, other, preset, tmp_path):
-    for space, maps in hundreds_of_label_maps().items():
-        assert_the_same_bits(describe, other, preset, space, maps, tmp_path)
 
 
 def test_wrong_use_is_one_line(describe, inputs, tmp_path):

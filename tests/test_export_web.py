@@ -4,8 +4,6 @@ import json
 import os
 import re
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +13,7 @@ from drawings import SPACE
 from drives import write_maps
 from graphs import edit_golden, turned
 from helpers import COLOUR, GRAY, PALETTES, street, write_palette, write_png
-from loop_streams import objects, unit
+from loop_streams import objects
 from networks import PLAIN, colour_network, photo
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
@@ -28,7 +26,6 @@ from ssrvlad_torch.cli.summaries import steps_in_words
 from ssrvlad_torch.datasets.synthetic_city import write_city
 from ssrvlad_torch.deployment.fuse import fuse
 from ssrvlad_torch.files import natural_key
-from ssrvlad_torch.native.map import DescriptorMap
 from ssrvlad_torch.recognition.sweep import COLUMNS
 from ssrvlad_torch.stages.boundaries import AREA_LAYERS, DIRECTIONS
 from ssrvlad_torch.stages.harmonics import basis_table
@@ -119,70 +116,6 @@ def described(page, model, file):
         const targets = targetsOf(model.config, descriptor, {json.dumps(CATEGORIES)});
         return [Array.from(descriptor), targets.map(({{ values }}) => Array.from(values))];
     }})()""")
-
-
-QUERY = """(async () => {{
-    const {{ Core }} = await import('./core.js');
-    const {{ Database }} = await import('./database.js');
-    const read = async (name, Type) => new Type(await (await fetch(name)).arrayBuffer());
-    const channels = {{}}, drive = Array.from({{ length: {count} }}, () => ({{}}));
-    for (const name of ["descriptor", "features", "hog"]) {{
-        channels[name] = {{ bytes: await read(`rows.${{name}}.npy`, Uint8Array) }};
-        const Type = name === "features" ? Uint8Array : Float32Array;
-        const queries = await read(`queries.${{name}}`, Type), length = queries.length / {count};
-        for (const [at, frame] of drive.entries())
-            frame[name] = queries.subarray(at * length, (at + 1) * length);
-    }}
-    const database = new Database(await Core.load(), {ids}, channels);
-    const {{ answers, steps }} = database.query(drive, {columns}, 5);
-    database.free();
-    const found = answers.map(({{ confidence, candidates }}) => [confidence, candidates]);
-    return [found, steps.weights, steps.width];
-}})()"""
-
-
-@pytest.mark.parametrize("count", [1, 35])
-def test_the_map_gives_the_same_bits_as_the_native_one(page, site, count):
-    """Three channels of two drives: signs, vectors, and vectors from three anchors."""
-    rng = np.random.default_rng(0)
-    rows = {
-        "descriptor": noisy(np.zeros((80, 480), np.float32), rng),
-        "features": rng.integers(0, 256, (80, 16, 16, 16), np.uint8),
-        "hog": noisy(np.zeros((80, 480), np.float32), rng),
-    }
-    queries = {name: noisy(values[20 : 20 + count], rng) for name, values in rows.items()}
-    sides = [noisy(queries["descriptor"], rng) for _ in range(2)]
-    queries["descriptor"] = np.stack([sides[0], queries["descriptor"], sides[1]], 1)
-    town = DescriptorMap([50, 30])
-    for name, trust in (("descriptor", 1), ("features", 6), ("hog", 2)):
-        town.add(name, rows[name], trust)
-        np.save(site / f"rows.{name}.npy", rows[name])
-        queries[name].tofile(site / f"queries.{name}")
-    expected = town.query(queries, follow="offline" if count > 1 else None)
-    ids = [f"{'ab'[row >= 50]}/{row}" for row in range(80)]
-    open_page(page)
-    given = {"count": count, "ids": "".join(f"{each}\n" for each in ids), "columns": [-4, 0, 4]}
-    answers, weights, width = page.run(
-        QUERY.format(**{key: json.dumps(each) for key, each in given.items()})
-    )
-    assert expected.followed == (count > 1)
-    assert [confidence for confidence, _ in answers] == expected.right.tolist()
-    found = [[(each["frame"], each["score"]) for each in ranked] for _, ranked in answers]
-    decided = zip(expected.rows.tolist(), expected.scores.tolist(), strict=True)
-    assert found == [
-        [(ids[r], s) for r, s in zip(*each, strict=True) if r >= 0] for each in decided
-    ]
-    assert [weight for _, weight in weights] == [*expected.taken.weights.values()]
-    assert width == expected.taken.width
-
-
-def noisy(values, rng):
-    """Vectors of length 1, or signs, that are somewhat like others."""
-    if values.dtype == np.uint8:
-        return np.where(
-            rng.random(values.shape) < 0.3, rng.integers(0, 256, values.shape, np.uint8), values
-        )
-    return unit(values + rng.normal(size=values.shape, scale=0.05).astype(np.float32))
 
 
 def test_a_page_without_its_worker_says_so(page, site):
@@ -399,46 +332,6 @@ def test_what_is_no_drive_or_no_map_is_one_line(page, site, tmp_path):
     open_page(page, f"?model=default.onnx&database=default.npy{labels}")
     assert failure(page) == 'no ssrvlad.wasm beside the page: "npm run build" makes it'
     core.rename(site / "ssrvlad.wasm")
-
-
-@pytest.mark.parametrize(("function", "got"), [("ssrvlad_interface", 3), ("older", "none")])
-def test_a_core_of_another_interface_is_refused(page, site, function, got):
-    folder = site / function
-    folder.mkdir()
-    shutil.copy(site / "core.js", folder)
-    (folder / "core.c").write_text(f"int {function}(void) {{ return 3; }}")
-    target = ["-target", "wasm32-wasi", "-mexec-model=reactor", f"-Wl,--export={function}"]
-    build = [sys.executable, "-m", "ziglang", "cc", *target, "core.c", "-o", "ssrvlad.wasm"]
-    subprocess.run(build, cwd=folder, check=True)
-    open_page(page)
-    expected = f'ssrvlad.wasm: expected interface 4, got {got}; "npm run build" makes it again'
-    with pytest.raises(AssertionError, match=re.escape(expected)):
-        page.run(f"import('./{function}/core.js').then(({{ Core }}) => Core.load())")
-
-
-def test_unknown_ids_and_files_of_another_kind(page, site, tmp_path):
-    strange = np.full((6, 9), 11, np.uint8)
-    strange[0, :4] = 99
-    Image.fromarray(strange).save(tmp_path / "strange.png")
-    (tmp_path / "other.onnx").write_bytes((site / "paper.onnx").read_bytes()[:500])
-    open_page(page, "?model=paper.onnx", GOLDEN)
-    page.choose("#labels-file", tmp_path / "strange.png")
-    assert failure(page).startswith("strange.png: 4 pixels have an id outside")
-    page.choose("#model-file", tmp_path / "other.onnx")
-    page.wait_for(f"{FAILED} && {FAILED}.textContent.includes('cut short')")
-
-
-def test_a_file_of_fixed_size_takes_no_other(page, site, tmp_path):
-    file = files_of(site)[0]
-    shape = (1, *np.asarray(Image.open(file)).shape)
-    export_head(CONFIGS["default"], site / "fixed.onnx", "labels", "int32", (), shape)
-    Image.fromarray(np.zeros((6, 9), np.uint8)).save(tmp_path / "other.png")
-    open_page(page, "?model=fixed.onnx", GOLDEN)
-    descriptor, _ = described(page, "fixed", f"maps/{file.name}")
-    expected = view_of(site, "default").descriptor[0]
-    np.testing.assert_allclose(descriptor, expected, rtol=0, atol=1e-6)
-    page.choose("#labels-file", tmp_path / "other.png")
-    assert f"takes label maps of {shape}, got (1, 6, 9)" in failure(page)
 
 
 def test_label_pictures_are_read_bit_by_bit(page, site):

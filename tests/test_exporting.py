@@ -1,11 +1,10 @@
 """Exported databases, read back with NumPy and h5py."""
 
-import errno
 import json
 
 import numpy as np
 import pytest
-from helpers import descriptors, record, refused, touch
+from helpers import descriptors, record, touch
 
 from ssrvlad_torch import SSRVLADConfig
 from ssrvlad_torch.channels import Column
@@ -68,20 +67,6 @@ def test_an_export_deletes_the_files_of_an_earlier_one(database, tmp_path):
     bare = Database.create(tmp_path / "bare", width=480)
     left = {*export_database(bare, "npy", file)}
     assert {*tmp_path.glob("out*")} == stays | left and len(left) == 3
-
-
-def test_the_file_that_cannot_be_written_is_named(database, tmp_path, monkeypatch):
-    def flush(path):
-        if "json" in path.name:
-            raise OSError(errno.EIO, "damaged")
-
-    (tmp_path / "out.npy.json").mkdir()
-    with refused(r"^cannot write [^ ]*out\.npy\.json: it is a folder$", by=OSError):
-        export_database(database, "npy", tmp_path / "out.npy")
-    (tmp_path / "out.npy.json").rmdir()
-    monkeypatch.setattr("ssrvlad_torch.files.flush", flush)
-    with refused(r"Input/output error: '[^ ]*out\.npy\.json'$", by=OSError):
-        export_database(database, "npy", tmp_path / "out.npy")
 
 
 @pytest.mark.parametrize("form", ["npy", "hloc"])

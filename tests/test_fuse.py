@@ -10,7 +10,6 @@ import numpy.typing as npt
 import onnx
 import pytest
 import torch
-from cases import REAL, needs_real
 from drawings import SPACE, blobs
 from graphs import session
 from helpers import refuses, street
@@ -29,9 +28,8 @@ from test_segmentation import GRAPHS
 from torch import Tensor, nn
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig
-from ssrvlad_torch.channels.channel import View, new_channels
+from ssrvlad_torch.channels.channel import View
 from ssrvlad_torch.channels.hog import HOG
-from ssrvlad_torch.datasets.image_files import find_image_files, read_image
 from ssrvlad_torch.deployment.differences import difference_of, other_signs
 from ssrvlad_torch.deployment.export import export_head
 from ssrvlad_torch.deployment.fuse import NETWORK, fuse
@@ -39,7 +37,6 @@ from ssrvlad_torch.deployment.golden import outputs_of
 from ssrvlad_torch.deployment.metadata import Metadata
 from ssrvlad_torch.deployment.runtimes import runtime_of
 from ssrvlad_torch.deployment.verify import verify
-from ssrvlad_torch.encoding.encoder import encode_to_memory
 from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
 from ssrvlad_torch.segmentation.segmenter import Segmenter
 from ssrvlad_torch.stages.features import SHAPE
@@ -201,27 +198,6 @@ def test_what_cannot_be_fused_is_one_line_and_leaves_what_was_there(tmp_path):
     assert target.read_text() == "before"
     left = sorted(path.name for path in tmp_path.iterdir())
     assert left == ["head.onnx", "place.onnx", "seg.onnx"]
-
-
-@pytest.mark.slow
-@needs_real
-@pytest.mark.parametrize("name", ["espnetv2", "dabnet"])
-def test_a_real_network_gives_what_encoding_its_pictures_gives(name, tmp_path):
-    config = SSRVLADConfig()
-    segmenter = Segmenter.load(REAL / "networks" / f"{name}.yaml", config.labels_as)
-    fused = fuse(segmenter, config, tmp_path / "place.onnx")
-    folders = [REAL / "camvid" / "0001TP" / "images", REAL / "uofa" / "evening" / "images"]
-    files = [find_image_files([str(folder)])[7] for folder in folders]
-    channels = new_channels(["features", "hog"], SSRVLAD(config), segmenter)
-    space = segmenter.label_space
-    encoded, _ = encode_to_memory(channels, space, files, segmenter=segmenter)
-    assert fused.features == segmenter.fingerprint_of_features
-    for row, file in enumerate(files):
-        found = run_of(tmp_path / "place.onnx")({"image": read_image(file)[None]})
-        for output, channel in (("descriptor", "ssr-vlad"), ("hog", "hog")):
-            expected = encoded.channels[channel][row].numpy()
-            np.testing.assert_allclose(found[output][0], expected, rtol=0, atol=1e-6)
-        assert other_signs(found["features"][0], encoded.channels["features"][row].numpy()) < 1e-3
 
 
 RARE_FEATURES = [

@@ -1,16 +1,9 @@
-import threading
-
 import numpy as np
-import onnxruntime
 import pytest
 import torch
-from exported import presets
-from graphs import session
 
-from ssrvlad_torch import SSRVLAD, SSRVLADConfig
-from ssrvlad_torch.deployment import export
+from ssrvlad_torch import SSRVLAD
 from ssrvlad_torch.deployment.golden import SIZE, golden_pair, outputs_of
-from ssrvlad_torch.deployment.metadata import Metadata
 from ssrvlad_torch.taxonomy import label_space_names
 
 
@@ -60,67 +53,3 @@ def test_the_golden_input_is_changed_by_every_stage():
     assert view.intersections.any()
     counts = golden_pair(head, "labels", "uint8")["keypoints"]
     np.testing.assert_array_equal(counts[:1], view.keypoints.sum((2, 3)))
-
-
-OTHERS = {
-    "BitwiseAnd": "BitwiseOr",
-    "BitwiseOr": "BitwiseAnd",
-    "BitwiseXor": "BitwiseOr",
-    "Add": "Sub",
-    "Sub": "Add",
-    "Mul": "Add",
-    "Div": "Mul",
-    "Less": "GreaterOrEqual",
-    "LessOrEqual": "Greater",
-    "Greater": "LessOrEqual",
-    "GreaterOrEqual": "Less",
-    "Min": "Max",
-    "Max": "Min",
-}
-SECONDS = 1
-TRIES = 40
-
-
-def changeable(nodes) -> list:
-    """Nodes, also of loops, that `OTHERS` has another operator for."""
-    chosen = []
-    for node in nodes:
-        chosen += [node] if node.op_type in OTHERS else []
-        for attribute in node.attribute:
-            chosen += changeable(attribute.g.node)
-    return chosen
-
-
-def is_noticed(model, node, inputs, expected) -> bool:
-    """Whether another operator in a node changes an output, or stops the graph from running."""
-    operator, node.op_type = node.op_type, OTHERS[node.op_type]
-    run_options = onnxruntime.RunOptions()
-    run_options.log_severity_level = 4
-    clock = threading.Timer(SECONDS, setattr, (run_options, "terminate", True))
-    try:
-        runner = session(model.SerializeToString())
-        clock.start()
-        got = runner.run(list(expected), inputs, run_options)
-    except Exception:
-        return True
-    finally:
-        clock.cancel()
-        node.op_type = operator
-    return any(
-        array.shape != other.shape or np.abs(array - other).max() > 1e-6
-        for array, other in zip(got, expected.values(), strict=True)
-    )
-
-
-@pytest.mark.slow
-@presets
-def test_a_change_of_most_nodes_is_noticed(preset):
-    """Some nodes keep a loop within its bounds, correct a rounding that did not happen, or join
-    bits that are never both set."""
-    model = export.head_model(SSRVLADConfig.from_preset(preset, labels_as="cityscapes-trainids"))
-    properties = {entry.key: entry.value for entry in model.metadata_props}
-    expected = Metadata.from_properties(properties).golden_arrays()
-    inputs = {"labels": expected.pop("labels")}
-    nodes = changeable(model.graph.node)
-    tried = nodes[:: max(1, len(nodes) // TRIES)]
-    assert sum(is_noticed(model, node, inputs, expected) for node in tried) > 0.7 * len(tried)

@@ -1,14 +1,10 @@
 """Ground truth from files of every form, and what is wrong with others."""
 
 import json
-import shutil
-import subprocess
-import sys
 
 import numpy as np
 import pytest
 from helpers import refuses
-from vpr_bench import VPR_BENCH, needs_vpr_bench
 
 from ssrvlad_torch.evaluation.ground_truth_files import from_file
 
@@ -113,44 +109,27 @@ def test_an_entry_may_have_the_suffix_of_the_file_and_be_a_whole_path(read):
 REFUSED = [
     ("a.json", "{", "cannot read the ground truth .*a.json"),
     ("a.json", "", "cannot read the ground truth"),
-    ("a.json", b"\xff\xfe\x00", "cannot read the ground truth"),
     ("a.json", "[" * 100_000, "cannot read the ground truth"),
     ("a.json", 3, "a.json: expected .*query id.* or "),
     ("a.json", {"a": "day/1"}, "expected"),
-    ("a.json", {"a": {"day/1": 1}}, "expected"),
-    ("a.json", {"a": [["day/1"]]}, "expected"),
     ("a.json", {"a": [1]}, "expected"),
-    ("a.json", [["a", "day/1", "day/2"]], "expected"),
-    ("a.json", ["ab"], "expected"),
     ("a.json", {"c": []}, "has an entry for none of the 2 queries, as a"),
     ("a.json", {"a": ["day/3"]}, "names reference 'day/3', which is not in the database"),
     ("a.csv", "", "expected a first line query,reference"),
-    ("a.csv", "query,place\na,day/1\n", "expected a first line query,reference"),
     ("a.csv", "query,reference\na,day/1,day/2\n", "line 2: more cells than columns"),
-    ("a.csv", "query,reference\n", "has an entry for none of the 2 queries"),
     ("a.csv", "query,reference\na,day/3\n", "names reference 'day/3'"),
     ("a.npy", MATRIX.T, r"is a matrix of shape \(3, 2\), expected \(2, 3\)"),
-    ("a.npy", MATRIX[0], r"is a matrix of shape \(3,\)"),
     ("a.npy", MATRIX * 0.5, "is not a matrix of 0 and 1"),
     ("a.npy", MATRIX * np.nan, "is not a matrix of 0 and 1"),
-    ("a.npy", MATRIX.astype(str), "is not a matrix of 0 and 1"),
     ("a.json", '{"q/0": [], "q/1": [], "q/0": []}', "key 'q/0' is there more than once"),
     ("a.npy", b"", "cannot read the ground truth"),
-    ("a.npy", b"\x93NUMPY\x01\x00", "cannot read the ground truth"),
     ("a.npz", b"PK", "cannot read the ground truth"),
     ("a.npz", {"x": MATRIX, "y": MATRIX}, "expected one matrix, or GThard, got x, y"),
-    ("a.npz", {"x": np.array([[0, []]], object)}, "cannot read the ground truth"),
     ("a.json", [[0, []]], "has 1 rows, expected one for each of 2 queries"),
-    ("a.json", [[n, []] for n in range(3)], "has 3 rows"),
     ("a.json", [[0, []], [0, []]], "has query 0 in row 1, expected each of 2 once"),
-    ("a.json", [[1, []], [2, []]], "has query 2 in row 1"),
     ("a.json", [[0, []], [1, [0, 3]]], "names reference 3 of query 1; .* has 3"),
     ("a.json", [[0, [-1]], [1, []]], "names reference -1 of query 0"),
     ("a.json", [[0, [0.5]], [1, []]], "of whole numbers"),
-    ("a.json", [[0, [True]], [1, []]], "of whole numbers"),
-    ("a.json", [[0, 1], [1, []]], "of whole numbers"),
-    ("a.json", [[0, []], [None, []]], "of whole numbers"),
-    ("a.json", [[0, [[0]]], [1, []]], "of whole numbers"),
     ("a.npy", np.array([[0, [1]]], object), r"pickle, which can run any code; .*json\.dumps"),
     ("a.mat", b"", r"a\.mat: expected a file in \.json, \.csv, \.npy, \.npz"),
 ]
@@ -164,32 +143,3 @@ def test_other_files_are_refused(read, name, content, message):
 def test_a_missing_file_is_refused(tmp_path):
     for path in (tmp_path / "missing.json", tmp_path):
         refuses(r"No such file|expected a file", from_file, path, QUERIES, REFERENCES)
-
-
-@needs_vpr_bench
-@pytest.mark.parametrize(
-    ("name", "queries", "references", "first", "last"),
-    [
-        ("CrossSeason_CoHOG_Dataset", 191, 191, range(10), [190]),
-        ("SPEDTEST", 607, 607, [0], [606]),
-        ("Synthia-NightToFall", 813, 911, range(9), range(904, 911)),
-        ("corridor", 111, 111, range(3), [108, 109, 110]),
-    ],
-)
-def test_converted_files_of_vpr_bench_are_read(name, queries, references, first, last, tmp_path):
-    """By the conversion that the refusal says."""
-    shipped = tmp_path / f"{name}.ground_truth_new.npy"
-    shutil.copy(VPR_BENCH / shipped.name, shipped)
-    frames = [list(map(str, range(count))) for count in (queries, references)]
-    with pytest.raises(ValueError, match="which can run any code; if you trust it: ") as refusal:
-        from_file(shipped, *frames)
-    command = str(refusal.value).partition("if you trust it: ")[2]
-    subprocess.run(command.replace("python", sys.executable, 1), shell=True, check=True)
-    path = shipped.with_suffix(".json")
-    truth = as_lists(from_file(path, *frames)[0])
-    assert (truth[0], truth[-1]) == ([*first], [*last])
-    trusting = np.load(shipped, allow_pickle=True)
-    assert truth == [sorted(set(matches)) for _, matches in trusting]
-    refuses("expected one for each of", from_file, path, frames[0][1:], frames[1])
-    with pytest.raises(ValueError, match=f"the database has {references // 2}"):
-        from_file(path, frames[0], frames[1][: references // 2])

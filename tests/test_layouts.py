@@ -282,23 +282,6 @@ def test_train_ids_are_read_when_asked_for_or_alone(copy):
     ]
 
 
-@of(cityscapes)
-def test_coarse_annotations_fill_what_is_not_fine(copy):
-    fine, coarse, _ = CITIES["train/aachen"]
-    (copy / f"gtFine/train/aachen/{coarse}_gtFine_labelIds.png").unlink()
-    for name in (fine, coarse):
-        plant(copy, f"gtCoarse/train/aachen/{name}_gtCoarse_labelIds.png")
-    labels = {file.name: file.path.parents[2].name for file in open_dataset(copy).files("label")}
-    assert (labels[fine], labels[coarse]) == ("gtFine", "gtCoarse")
-
-
-@of(camvid_of_the_tutorial)
-def test_a_frame_without_a_drive_is_of_its_folder(copy):
-    plant(copy, "train/mine.png")
-    assert outline(open_dataset(copy))["train"] == ["mine"]
-    assert open_dataset(copy, labels_as="my.yaml").labels_as == "my.yaml"
-
-
 @of(camvid_of_the_tutorial)
 def test_label_maps_of_the_space_that_is_named_are_read(copy):
     """Of two, or of one that is not there: then none."""
@@ -350,23 +333,6 @@ def test_the_day_of_a_traverse_does_not_depend_on_the_time_zone(copy, monkeypatc
     finally:
         monkeypatch.undo()
         time.tzset()
-
-
-def test_undistorted_copies_have_the_poses_of_their_originals(tmp_path):
-    name = "img_00122_c0_1303398475046031us"
-    plant(tmp_path / "slice2/database", f"{name}_rect.png")
-    line = f"{name}.jpg 0.5 0.5 -0.5 0.5 -85.392177 55.2 -2.9"
-    write(tmp_path / "slice2/ground-truth-database-images-slice2.txt", [line])
-    frame = open_dataset(tmp_path).frames[0]
-    assert frame.frame == f"slice2-c0-2011-04-21/{name}_rect"
-    assert frame.pose.x == -85.392177
-
-
-@of(extended_cmu)
-def test_images_without_time_and_camera_in_their_name_are_no_frames(copy):
-    assert len(open_dataset(copy).posed().frames) == 8
-    plant(copy / "slice7/query", "overview.jpg", "img_00001_c0_12us.jpg")
-    assert len(open_dataset(copy).frames) == 12
 
 
 @of(vpr_bench)

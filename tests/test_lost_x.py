@@ -8,7 +8,6 @@ import torch
 import torch.nn.functional as F
 from helpers import refuses
 from methods import noise
-from networks import write_street
 from plain_layers import Array, unit
 from scipy.spatial.distance import cosine
 from torch import Tensor, nn
@@ -16,7 +15,6 @@ from torch import Tensor, nn
 from ssrvlad_torch.baselines import make
 from ssrvlad_torch.baselines.lost_x import LoSTX, dense_network, layout_cost
 from ssrvlad_torch.channels.channel import View
-from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
 from ssrvlad_torch.segmentation.preparation import SegmenterConfig
 from ssrvlad_torch.segmentation.segmenter import Segmenter
 
@@ -157,14 +155,6 @@ def test_the_layout_cost_is_the_authors_steps(seed):
     assert layout_cost((x, y), distances) == pytest.approx(expected, rel=1e-9)
 
 
-def test_an_image_with_itself_costs_nothing():
-    """All pairs are equally near, so the authors' weights are all zero and their cost 0 / 0."""
-    (x, _), distances = pairs(0)
-    for equal in (0 * distances, 0 * distances + 0.3):
-        assert layout_cost((x, x), equal) == pytest.approx(0, abs=1e-12)
-        assert layout_cost((x, x.flip(0)), equal) > 0
-
-
 def test_a_frame_finds_itself_and_its_mirror_image(space):
     drive = frames(12)
     mirrored = [View(f.frame, picture=f.picture[:, ::-1].copy()) for f in drive]
@@ -178,33 +168,6 @@ def test_a_frame_finds_itself_and_its_mirror_image(space):
         method = LoSTX(network=symmetric, labels_as=space, opposite=opposite)
         scores = method.scores(method.encode_query(queries), method.encode_query(drive))
         assert scores.argmax(dim=1).tolist() == list(range(12))
-
-
-def test_rows_do_not_depend_on_each_other_and_frames_may_differ_in_size(method):
-    queries, references = method.encode_query(frames(5)), method.encode_reference(frames(14))
-    whole = method.scores(queries, references)
-    torch.testing.assert_close(method.scores(queries[2:4], references), whole[2:4])
-    small, large = frames(2), [View("drive/9", picture=np.tile(frames(1)[0].picture, (2, 2, 1)))]
-    encoded = method.encode_query(small + large)
-    assert [frame.width for frame in encoded] == [6, 6, 12]
-    assert method.scores(encoded, encoded).isfinite().all()
-
-
-def test_candidates_without_key_points_stand_behind_the_ranked(space):
-    """Two references see other classes at every place, so no pair of keypoints is left."""
-
-    def blind(images: Tensor) -> tuple[Tensor, Tensor]:
-        features, scores = network(images)
-        shifted = torch.zeros_like(scores)
-        shifted[:, 2 if images.float().mean() > 178 else 0] = 1
-        return features, shifted
-
-    bright = [View(f.frame, picture=(f.picture // 4 + 191).astype(np.uint8)) for f in frames(2)]
-    method = LoSTX(network=blind, labels_as=space)
-    queries = method.encode_query(frames(1, seed=5))
-    scores = method.scores(queries, method.encode_query(bright + frames(5, seed=6)))[0]
-    assert scores.isfinite().all()
-    assert scores[:2].max() < scores[2:].min()
 
 
 def test_a_frame_without_the_classes_matches_nothing(space):
@@ -248,13 +211,3 @@ def test_a_segmentation_network_gives_features_and_probabilities(tmp_path, space
     several = SegmenterConfig(features=("0", "2"))
     with pytest.raises(ValueError, match="expected one activation for LoST-X, got 0, 2"):
         LoSTX(network=Segmenter(layers, space, several))
-
-
-@pytest.mark.parametrize(("features", "name"), [(("relu_1",), "relu_1"), (None, "relu_2")])
-def test_an_onnx_graph_gives_the_activation_that_is_named_or_the_finest(tmp_path, features, name):
-    config = SegmenterConfig(mean=(0, 0, 0), std=(1, 1, 1), features=features)
-    graph = OnnxNetwork(write_street(tmp_path / "net.onnx"))
-    picture = torch.from_numpy(noise(0, 64, 96))[None]
-    activation, _ = dense_network(Segmenter(graph, "camvid-11", config))(picture)
-    expected = graph.run_all(picture.permute(0, 3, 1, 2) / 255)[name]
-    torch.testing.assert_close(activation, expected)

@@ -9,17 +9,16 @@ import pytest
 import torch
 from drawings import SPACE
 from drives import write_maps
-from helpers import refuses, street, write_image
+from helpers import refuses, street
 from networks import PLAIN, Street, Strided, photo
 from PIL import Image
 from segmenting import counted, write_photos, write_settings
 from torch import nn
 
-from ssrvlad_torch import Database, Map, Segmenter
+from ssrvlad_torch import Map, Segmenter
 from ssrvlad_torch.datasets.image_files import pixels_of
 from ssrvlad_torch.encoding.results import EncodeOptions
 from ssrvlad_torch.recognition.recognise import AS_PAPER
-from ssrvlad_torch.segmentation.networks import open_network
 
 
 @pytest.fixture
@@ -89,21 +88,6 @@ def test_a_picture_without_layers_has_no_place(settings, photos, tmp_path):
     assert somewhere.confidence == 0, "two frames are nothing to go by"
 
 
-def test_frames_that_are_added_while_others_are_loaded_are_found(town, photos, monkeypatch):
-    town.add(photos / "1.png")
-    original = Database.load
-
-    def load(database):
-        monkeypatch.setattr(Database, "load", original)
-        frames = database.load()
-        town.add(photos / "7.png")
-        return frames
-
-    monkeypatch.setattr(Database, "load", load)
-    found = [town.locate(photos / "7.png").candidates[0].frame for _ in range(2)]
-    assert found == ["monday/1", "monday/7"]
-
-
 def test_a_drive_is_found_from_a_folder_files_or_a_database(drawn, tmp_path):
     today = write_maps(tmp_path / "today", range(2, 6))
     Map.open(tmp_path / "other.ssrdb", labels_as=SPACE).add(today)
@@ -145,25 +129,6 @@ def test_evaluate_measures_recall_by_a_tolerance(drawn, tmp_path):
     refuses("pose", drawn.evaluate, today, tolerance_metres=5.0)
 
 
-def test_frames_of_unknown_pose_are_left_out_of_a_tolerance_in_metres(tmp_path):
-    for name, lost in (("monday", 2), ("today", 4)):
-        folder = write_maps(tmp_path / name, range(6))
-        rows = [f"{n:03d},{'nan,nan' if n == lost else f'{9 * n},0'},nan" for n in range(6)]
-        (folder / "poses.csv").write_text("\n".join(["frame,x,y,heading", *rows]))
-    town, notes = Map.open(tmp_path / "town.ssrdb", labels_as=SPACE), []
-    town.add(tmp_path / "monday")
-    found = town.evaluate(tmp_path / "today", tolerance_metres=1, note=notes.append)
-    assert notes == [
-        "1 of 6 references are left out: their pose is unknown",
-        "1 of 6 queries are left out: their pose is unknown",
-    ]
-    assert [rows.tolist() for rows in found.truth] == [[0], [1], [], [3], [5]]
-    assert 2 not in found.recognition.matches.indices
-    assert found.metrics["recall_at"]["1"] == 1
-    refuses("none of 6 references .* has a heading", town.evaluate, tmp_path / "today",
-            tolerance_metres=1, tolerance_degrees=9)  # fmt: skip
-
-
 def test_a_network_runs_once_for_each_picture(tmp_path):
     photos = write_photos(tmp_path / "monday", range(6), (96, 128))
     network = counted(Street())
@@ -177,56 +142,6 @@ def test_a_network_runs_once_for_each_picture(tmp_path):
     assert int(network.images) == before + 2
 
 
-def test_the_network_of_a_map_is_loaded_once(settings, photos, tmp_path, monkeypatch):
-    opened = []
-
-    def opening(name):
-        opened.append(name)
-        return open_network(name)
-
-    monkeypatch.setattr("ssrvlad_torch.segmentation.segmenter.open_network", opening)
-    monkeypatch.setattr("ssrvlad_torch.encoding.source.open_network", opening)
-    town = Map.open(tmp_path / "town.ssrdb", network=settings)
-    town.add(photos)
-    town.add(photos)
-    town.locate(photos / "7.png")
-    town.query(photos / "7.png")
-    assert len(opened) == 1
-    today = tmp_path / "today" / "7.png"
-    write_image(today, pixels_of(photos / "7.png") ^ 1)  # no label map's colours
-    again = Map.open(town.path)
-    for _ in range(2):
-        again.query(today)
-    again.locate(today)
-    assert len(opened) == 2
-
-
-def test_label_maps_are_kept_after_a_picture_was_located(settings, photos, tmp_path, monkeypatch):
-    Map.open(tmp_path / "town.ssrdb", network=settings).add(photos)
-    today, town = tmp_path / "today" / "7.png", Map.open(tmp_path / "town.ssrdb")
-    write_image(today, pixels_of(photos / "7.png") ^ 1)
-    town.locate(photos / "3.png")
-    first = town.query(today)
-    monkeypatch.setattr(Segmenter, "_segment", None)
-    assert torch.equal(town.query(today).matches.scores, first.matches.scores)
-
-
-def test_a_network_that_does_not_fit_is_not_kept(settings, photos, tmp_path):
-    Map.open(tmp_path / "town.ssrdb", network=settings).add(photos)
-    town, before = Map.open(tmp_path / "town.ssrdb"), settings.read_text()
-    settings.write_text(before.replace("[1, 1, 1]", "[2, 2, 2]"))
-    refuses("gives other label maps", town.locate, photos / "7.png")
-    settings.write_text(before)
-    assert town.locate(photos / "7.png").candidates[0].frame == "monday/7"
-
-
-def test_locate_says_that_an_index_is_not_used(town, photos, monkeypatch):
-    town.add(photos)
-    monkeypatch.setattr("ssrvlad_torch.map.open_shortlist", lambda *_: (None, "the index is old"))
-    with pytest.warns(UserWarning, match="the index is old; all frames are loaded"):
-        town.locate(photos / "7.png")
-
-
 def test_pictures_in_memory_are_for_locate(town, photos):
     picture = pixels_of(photos / "7.png")
     for given in ([picture], picture):
@@ -234,15 +149,6 @@ def test_pictures_in_memory_are_for_locate(town, photos):
     refuses("got Image; locate takes pictures", town.add, Image.fromarray(picture))
     town.add(photos)
     assert town.locate(picture).candidates[0].frame.endswith("/7")
-
-
-def test_label_maps_are_queries_also_after_a_picture_was_located(town, photos, maps):
-    town.add(photos)
-    again = Map.open(town.path)
-    again.locate(photos / "7.png")
-    answers = again.query(maps, channels=["ssr-vlad"])
-    assert answers.queries.channels.keys() == {"ssr-vlad"} and not answers.skipped
-    refuses("expected images and --segmenter, or --channel ssr-vlad", again.query, maps)
 
 
 def test_a_map_is_made_by_its_first_frames(settings, photos, maps, tmp_path):

@@ -1,6 +1,5 @@
 """The native core against the stages in torch: the same descriptors, so the same bits."""
 
-import ctypes
 import json
 import shutil
 import subprocess
@@ -11,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from drawings import MASKS, ROAD, SPACE, VOID, blobs, every_neighbourhood, mask
+from drawings import ROAD, SPACE, VOID, blobs, every_neighbourhood
 from hatchling.builders.wheel import WheelBuilder
 from helpers import outcome
 from hypothesis import given
@@ -19,8 +18,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, native
-from ssrvlad_torch.config import CHOICES, PRESETS
-from ssrvlad_torch.native.headers import number, struct
+from ssrvlad_torch.config import CHOICES
 from ssrvlad_torch.native.operator import operator
 from ssrvlad_torch.stages.layers import category_table
 from ssrvlad_torch.taxonomy import label_space
@@ -92,13 +90,6 @@ def assert_stages(layer: Tensor, **settings: float) -> None:
         assert_described(labels, SSRVLADConfig.from_preset("paper", **chosen))
 
 
-@pytest.mark.parametrize("settings", [BARE, CLEANED], ids=["bare", "cleaned"])
-@pytest.mark.parametrize("name", MASKS)
-def test_drawn_masks_are_described_as_by_the_torch_stages(name, settings):
-    drawn = torch.from_numpy(mask(MASKS[name]))
-    assert_stages(torch.stack((drawn, ~drawn)), **settings)
-
-
 def test_every_neighbourhood_is_described_as_by_the_torch_stages():
     layers = every_neighbourhood()[:, None] >> torch.arange(8)[:, None, None] & 1
     assert_stages(layers.flatten(0, 1) > 0)
@@ -131,16 +122,6 @@ def test_many_points_are_counted_by_rows_and_equal_the_torch_stages():
     assert_described(maps(8, 1, 150, 260, grain=2), config)
 
 
-@configs
-def test_dtype_and_memory_layout_change_nothing(config):
-    labels = maps(5, 3, 133, 190)
-    expected = describe(labels, config)
-    for dtype in (torch.int8, torch.int16, torch.uint16, torch.int32, torch.int64):
-        assert torch.equal(describe(labels.to(dtype), config), expected)
-    turned = labels.permute(2, 0, 1).contiguous().permute(1, 2, 0)
-    assert torch.equal(describe(turned, config), expected)
-
-
 def test_threads_and_batches_change_nothing():
     config = SSRVLADConfig.from_preset("paper", labels_as=SPACE)
     labels = maps(6, 7, 60, 90)
@@ -156,34 +137,10 @@ def test_threads_and_batches_change_nothing():
         torch.set_num_threads(before)
 
 
-@pytest.mark.parametrize("bad", [12, 255, -1, 1 << 40, -(1 << 40)])
-@pytest.mark.parametrize("working_size", [None, 20])
-def test_an_unknown_id_is_refused_with_its_count(bad, working_size):
-    labels = maps(1, 2, 50, 60).to(torch.int64)
-    labels[1, 3, 4] = bad
-    config = SSRVLADConfig(labels_as=SPACE, working_size=working_size)
-    with pytest.raises(ValueError, match=f"label id {bad} is not .*; 1 pixels"):
-        describe(labels, config)
-
-
 def test_the_operator_passes_opcheck():
     """Schema, fake kernel and ahead-of-time dispatch."""
     arguments = arguments_of(maps(2, 2, 40, 50), SSRVLADConfig(labels_as=SPACE))
     torch.library.opcheck(operator, arguments)
-
-
-@pytest.mark.parametrize("preset", PRESETS)
-def test_the_library_has_the_presets_and_refuses_wrong_settings(preset, core):
-    settings, library = struct("settings")(), core.library
-    assert library.ssrvlad_preset(preset.encode(), ctypes.byref(settings)) == 0
-    config = SSRVLADConfig.from_preset(preset)
-    for name, _ in settings._fields_:
-        value = getattr(config, name)
-        if isinstance(value, (float, int)):
-            assert getattr(settings, name) == value
-    settings.rings = 0
-    assert library.ssrvlad_new_for(number("INTERFACE"), ctypes.byref(settings)) is None
-    assert library.ssrvlad_preset(b"other", ctypes.byref(settings)) < 0
 
 
 def test_a_few_seeds_are_in_range(core, tmp_path):

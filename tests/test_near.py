@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 from drawings import SPACE
 from drives import write_maps
-from helpers import refuses
 
 from ssrvlad_torch import Map
-from ssrvlad_torch.recognition.recognise import AS_PAPER
 from ssrvlad_torch.search.near import Near
 
 POSES = np.array([[0, 0, 0], [3, 4, math.nan], [6, 8, 1], [math.nan] * 3])
@@ -45,24 +43,6 @@ def test_a_circle_is_three_finite_numbers(given):
     assert str(given) in str(got.value)
 
 
-def test_an_empty_circle_is_refused():
-    with pytest.raises(ValueError, match="near: expected candidates with poses, town has none"):
-        Near.of((0, 0, 5)).rows(POSES[3:], "town")
-    nearest = "near: no candidate of town is within 2 m of 3, 0; the nearest is 3.0 m away"
-    refuses(nearest, Near.of((3, 0, 2)).rows, POSES, "town")
-
-
-def test_only_frames_inside_are_candidates(posed, tmp_path):
-    today = write_maps(tmp_path / "today", range(6))
-    for answer in posed.query(today, AS_PAPER, near=(20, 0, 10)):
-        assert {each.frame for each in answer.candidates} == {f"monday/00{n}" for n in (1, 2, 3)}
-    answers = posed.query(today, AS_PAPER, near="20,0,10", sequences=["monday"], top=1)
-    assert [answer.candidates[0].frame for answer in answers][1:4] == [
-        f"monday/00{n}" for n in (1, 2, 3)
-    ]
-    assert answers.recognised.used["near"] == "within 10 m of 20, 0: 3 frames"
-
-
 def test_commands_say_where_candidates_are(ssrvlad, posed, tmp_path):
     today, town = write_maps(tmp_path / "today", range(6)), posed.path
     near = ("--near", "20,0,10", "--follow", "no")
@@ -90,10 +70,3 @@ def test_commands_refuse_in_one_line(refusal, database, maps, posed, tmp_path):
     today = write_maps(tmp_path / "later" / "today", range(6))  # no table of poses beside it
     line = refusal("query", posed.path, today, "--near", "0,90,3")
     assert line.endswith("is within 3 m of 0, 90; the nearest is 90.0 m away")
-
-
-def test_locate_refuses_a_map_without_poses(ssrvlad, refusal, network, tmp_path):
-    photos, town, segmenter = tmp_path / "photos", tmp_path / "town", ("--segmenter", network)
-    assert ssrvlad("encode", photos, "-o", town, *segmenter)[0] == 0
-    line = refusal("locate", photos / "1.png", "--in", town, *segmenter, "--near", "1,2,3")
-    assert line == f"ssrvlad: near: expected candidates with poses, {town} has none"

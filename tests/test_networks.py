@@ -2,12 +2,11 @@
 
 import sys
 
-import numpy as np
 import pytest
 import torch
 from drawings import SPACE
 from helpers import refused, refuses
-from networks import NAMES, PLAIN, Street, colour_network, write_graph, write_published
+from networks import NAMES, PLAIN, colour_network, write_graph, write_published
 from segmenting import NOISE, PHOTOS, assert_right
 
 from ssrvlad_torch.segmentation.networks import open_network, runs_code
@@ -61,28 +60,6 @@ def test_a_function_makes_the_network(tmp_path, monkeypatch):
 @pytest.mark.parametrize("name", ["builtins:none", "nothing:mine", "torchhub:strided"])
 def test_a_function_that_is_not_there_is_named(name):
     refuses(f"no network '{name}'", open_network, name)
-
-
-def test_a_function_that_makes_no_module_is_named():
-    refuses("gives a list; expected an nn", open_network, "builtins:list")
-
-
-class WithModules(Street):
-    """A network whose own attribute hides a method of PyTorch."""
-
-    def __init__(self):
-        super().__init__()
-        self.modules = [8, 16]
-
-
-def test_a_network_with_an_attribute_named_modules_gives_labels_and_features():
-    picture = np.random.default_rng(0).integers(0, 256, (96, 128, 3), np.uint8)
-    [segmented], [expected] = (
-        Segmenter(network, SPACE, PLAIN).segment([picture], features=True)
-        for network in (WithModules(), Street())
-    )
-    np.testing.assert_array_equal(segmented.labels, expected.labels)
-    np.testing.assert_array_equal(segmented.features, expected.features)
 
 
 def test_a_module_and_its_weights_are_found_beside_the_settings(tmp_path, monkeypatch):

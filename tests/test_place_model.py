@@ -8,15 +8,13 @@ import onnx
 import pytest
 import run_onnx
 import torch
-from exported import COLUMNS
 from graphs import edit_golden, turned, without_property
 from helpers import street
 from networks import PLAIN, Then, photo, write_graph
 from onnx import TensorProto
 from PIL import Image
-from ssrvlad_place.database import save
 from ssrvlad_place.golden import run_golden
-from ssrvlad_place.model import TRUST, Description, Model, Split
+from ssrvlad_place.model import TRUST, Model, Split
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, export_head
 from ssrvlad_torch.channels.features import Features
@@ -175,23 +173,6 @@ def test_unknown_ids_of_a_network_are_counted_and_skipped(tmp_path, run):
     code, out, err = run(tmp_path / "place.onnx", *frames)
     assert (code, out.count("\n"), "plain" in out) == (3, 1, True)
     assert err[0].endswith("11 of 5400 pixels have an id outside label space camvid-11")
-
-
-def test_of_a_sweep_the_best_anchor_counts(tmp_path, run):
-    """One row is the descriptor of the query's first anchor, far from the rows of other places."""
-    drawn = np.random.default_rng(0).integers(0, 11, (30, 6, 9)).repeat(20, 1).repeat(20, 2)
-    np.save(tmp_path / "query.npy", drawn[0].astype(np.uint8))
-    export_head(CONFIG, tmp_path / "sweep.onnx", columns=COLUMNS)
-    model = Model(tmp_path / "sweep.onnx")
-    swept = model.see_array(drawn[0].astype(np.uint8)).descriptor
-    others = SSRVLAD(CONFIG)(torch.from_numpy(drawn[1:])).numpy()
-    names = ["left", *map(str, range(29))]
-    save(tmp_path / "town.npy", [*map(Description, [swept[0], *others])], names, model.fingerprints)
-    source = (tmp_path / "sweep.onnx", tmp_path / "query.npy")
-    code, out, _ = run(*source, "--database", tmp_path / "town.npy", "--top", 3)
-    assert (code, out.count("left"), out.count("1.0000")) == (0, 1, 1), out
-    code, _, err = run(*source, "--save-descriptors", tmp_path / "no.npy")
-    assert (code, "expected a file without --sweep" in err[0]) == (2, True)
 
 
 def test_network_and_head_in_two_files(fused, tmp_path, run):

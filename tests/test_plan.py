@@ -10,8 +10,7 @@ import time
 import numpy as np
 import pytest
 import torch
-import yaml
-from helpers import refuses, street, write_street
+from helpers import refuses, street
 from maps import HEAD, alone, assert_streets, counts, rewrite
 
 from ssrvlad_torch import SSRVLAD
@@ -20,7 +19,6 @@ from ssrvlad_torch.datasets.label_files import digest
 from ssrvlad_torch.encoding import encoder, plan
 from ssrvlad_torch.encoding.encoder import encode_to_database
 from ssrvlad_torch.encoding.results import EncodeOptions
-from ssrvlad_torch.taxonomy import label_space
 
 PRUNE = {"complete": True, "prune": True}
 
@@ -45,15 +43,6 @@ def test_running_again_reads_only_what_is_missing(town, reads):
     assert sorted(reads) == ["20", "3000"]
 
 
-@pytest.mark.parametrize("name", ["a ", "a"])
-def test_a_name_that_ends_in_a_blank_is_skipped_and_no_more(town, name):
-    town.add("a", range(2))
-    write_street(town.folder / f"{name}/9 .png", 9)
-    summary = town.encode("a", *{name} - {"a"})
-    assert counts(summary) == (2, 0, 1)
-    assert "ends in a blank" in summary.skipped[0].reason
-
-
 def test_another_label_space_encodes_all_frames_again(town):
     town.add("a", range(5))
     town.encode()
@@ -68,22 +57,6 @@ def test_another_label_space_encodes_all_frames_again(town):
     assert torch.equal(frames.descriptors[2], synthia(torch.from_numpy(street(2))[None])[0])
     assert counts(town.encode(head=synthia)) == (0, 5, 0)
     assert town.encode().anew == {"label space changed": 5}
-
-
-def test_a_changed_label_space_of_the_same_name_encodes_frames_again(town):
-    town.add("a", range(3))
-    mine = label_space("camvid-11").to_dict() | {"name": "mine"}
-
-    def encode():
-        (town.folder / "mine.yaml").write_text(yaml.safe_dump(mine), encoding="utf-8")
-        head = SSRVLAD.from_preset("default", labels_as=str(town.folder / "mine.yaml"))
-        return town.encode(head=head)
-
-    assert (counts(encode()), counts(encode())) == ((3, 0, 0), (0, 3, 0))
-    before = town.database().load().descriptors
-    mine["classes"][4]["category"] = "sky"
-    assert encode().anew == {"label space changed": 3}
-    assert not torch.equal(town.database().load().descriptors, before)
 
 
 def test_changed_files_are_read_again_and_replace_their_rows(town, reads):
@@ -222,18 +195,6 @@ def test_a_moved_folder_continues_its_sequence_if_the_name_is_given(town):
     folders = town.database().folders()
     assert town.encode("other/a", sequence="a", map_folders=folders).anew == {"file moved": 3}
     assert counts(town.encode("other/a", sequence="a", map_folders=folders)) == (0, 3, 0)
-
-
-def test_frames_are_committed_after_a_number_of_rows_and_after_a_time(town, monkeypatch):
-    monkeypatch.setattr(plan, "COMMIT_ROWS", 4)
-    town.add("a", range(10))
-    before = town.database().version
-    assert counts(town.encode()) == (10, 0, 0)
-    assert town.database().version == before + 4, "the origin, and 4, 4 and 2 frames"
-    monkeypatch.setattr(plan, "COMMIT_SECONDS", -1)
-    town.add("b", range(2))
-    town.encode()
-    assert town.database().version == before + 6
 
 
 @pytest.mark.parametrize("rows", [4, 8192])

@@ -14,9 +14,8 @@ from plain_layers import Array, convolve, local_response_norm, max_pool, relu, u
 from skimage.measure import label, regionprops
 
 from ssrvlad_torch.baselines import make
-from ssrvlad_torch.baselines.region_vlad import AlexNetPlaces365, RegionVLAD, regions_of, vlad
+from ssrvlad_torch.baselines.region_vlad import AlexNetPlaces365, RegionVLAD, regions_of
 from ssrvlad_torch.baselines.weights import read_vocabulary
-from ssrvlad_torch.channels.channel import View
 
 WORDS = np.random.default_rng(0).random((4, 384))
 
@@ -81,17 +80,6 @@ def test_regions_are_those_of_the_authors_code(seed, scale):
     np.testing.assert_allclose(got.numpy(), authors_way(maps, 60), rtol=1e-5)
 
 
-def test_equal_energies_come_in_the_order_of_maps_rows_and_columns():
-    maps = torch.zeros(40, 9, 9)
-    maps[:, ::2, ::2] = 2
-    marks = maps[:1] * torch.arange(81.0).reshape(1, 9, 9) / 2  # a map that tells the places
-    result = regions_of(torch.cat([maps, marks / 100]), 300)
-    place = (100 * result[:, -1]).round().long()
-    expected = (maps > 0)[:12].nonzero()
-    assert torch.equal(place, expected[:, 1] * 9 + expected[:, 2])
-    assert len(expected) == len(result) == 300
-
-
 def described(descriptors: Array, words: Array) -> Array:
     """Residuals to the nearest word, summed word by word, signed root, length 1."""
     sums = np.zeros_like(words)
@@ -100,16 +88,6 @@ def described(descriptors: Array, words: Array) -> Array:
         sums[nearest] += x - words[nearest]
     flat = sums.ravel()
     return unit(np.array([np.sign(v) * abs(v) ** 0.5 for v in flat]))
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_vlad_is_the_sum_of_residuals(seed):
-    rng = np.random.default_rng(seed)
-    descriptors, words = rng.random((30, 5)), rng.random((6, 5))
-    got = vlad(torch.from_numpy(descriptors), torch.from_numpy(words))
-    np.testing.assert_allclose(got.numpy(), described(descriptors, words), rtol=1e-9)
-    words = torch.from_numpy(words)
-    assert not vlad(words[:0], words).any() and not vlad(words, words).any()
 
 
 def write_caffe(path: Path, network: AlexNetPlaces365) -> None:
@@ -192,22 +170,11 @@ def test_a_missing_file_is_named_with_its_origin(file, message, folder):
         make("region-vlad", weights=folder, vocabulary=folder)
 
 
-def test_a_frame_without_a_picture_is_refused(folder):
-    method = RegionVLAD(folder, folder)
-    refuses(r"region-vlad needs pictures, but frame a/b", method.encode_query, [View("a/b")])
-
-
 @pytest.mark.parametrize("size", [10, 100_000])
 def test_a_caffemodel_that_is_cut_off_is_refused(size, folder):
     path = folder / "alexnet_places365.caffemodel"
     path.write_bytes(path.read_bytes()[:size])
     refuses(r"alexnet_places365\.caffemodel is no whole \.caffemodel", RegionVLAD, folder, folder)
-
-
-def test_another_network_is_refused(folder):
-    path = folder / "alexnet_places365.caffemodel"
-    path.write_bytes(b"")
-    refuses(r"lacks conv1\.weight \(96, 3, 11, 11\)", RegionVLAD, folder, folder)
 
 
 @pytest.mark.parametrize("protocol", [0, 2, 4])

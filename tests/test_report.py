@@ -18,8 +18,6 @@ import torch
 from drives import write_maps, write_photos, write_truth
 from helpers import descriptors, street, write_street
 from PIL import Image
-from segmenting import write_photos as street_photos
-from segmenting import write_settings
 
 from ssrvlad_torch.database.frames import FrameSet
 from ssrvlad_torch.datasets.image_files import Pixels
@@ -186,10 +184,6 @@ def test_the_page_needs_no_other_file_and_no_network(html, page):
     assert page.all("html")[0]["lang"] == "en"
 
 
-def test_the_curve_is_drawn(page):
-    assert next(a["alt"] for a in page.all("img")) == "Precision against recall"
-
-
 def test_the_page_has_every_figure_and_threshold(report, page):
     assert "40 queries, 35 of them with a true match, against 50 references." in page.words
     assert "Convention exact" in page.words
@@ -211,13 +205,6 @@ def test_the_page_has_every_figure_and_threshold(report, page):
         else:
             fractions = [f"{point[key]:.3f}" for key in ("precision", "precision_low", "recall")]
             assert row == [f"{point['score']:.4f}", *fractions, str(point["accepted"])]
-
-
-def test_scores_have_the_name_of_what_they_are(report):
-    metrics = {**report.metrics, "score_is": "probability"}
-    page = page_of(dataclasses.replace(report, metrics=metrics))
-    assert "best candidates whose probability is at least the threshold" in page.words
-    assert re.search(r"best candidate reference/\d+ probability \d\.\d{4}", page.words)
 
 
 def test_matches_come_with_their_pictures(report, page):
@@ -432,20 +419,3 @@ def test_a_data_set_has_photos_too(ssrvlad, tmp_path, out, predicted):
         image = Image.open(folder / "images" / f"{number:03d}.jpg")
         difference = np.abs(np.asarray(image, int) - shown(page, f"photo of {frame}"))
         assert difference.mean() < 12
-
-
-def test_with_a_segmenter_photos_and_label_maps_are_shown(ssrvlad, tmp_path, out):
-    for day in ("monday", "tuesday"):
-        street_photos(tmp_path / day, range(4))
-    network = ("--segmenter", write_settings(tmp_path))
-    db = tmp_path / "photos.ssrdb"
-    assert ssrvlad("encode", tmp_path / "monday", "-o", db, *CAMVID, *network)[0] == 0
-    arguments = (db, tmp_path / "tuesday", *network, "--tolerance-frames", 0)
-    assert ssrvlad("evaluate", *arguments, "--report", out)[0] == 0
-    page = Page(out.read_text("utf-8"))
-    days = {name.rpartition("/")[0] for name in described(page)}
-    kinds = ("photo", "label map")
-    assert days == {f"{kind} of {day}" for kind in kinds for day in ("monday", "tuesday")}
-    for name in described(page):
-        if name.startswith("label map"):
-            assert_shows(page, name, int(name.rpartition("/")[2]))

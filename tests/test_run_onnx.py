@@ -1,6 +1,5 @@
 """The script without torch against the command line."""
 
-import shutil
 import sys
 from functools import partial
 from pathlib import Path
@@ -9,7 +8,6 @@ import loops_onnx
 import numpy as np
 import pytest
 import run_onnx
-from cases import REAL, needs_real
 from drives import write_maps
 from graphs import without_property
 from helpers import (
@@ -22,11 +20,8 @@ from helpers import (
 from loop_streams import objects
 from networks import write_graph
 from PIL import Image
-from segmenting import write_map
-from ssrvlad_place.database import Database, save
-from ssrvlad_place.model import Description
 
-from ssrvlad_torch import SSRVLAD, SSRVLADConfig, export_head, native
+from ssrvlad_torch import SSRVLADConfig, export_head
 
 SCRIPT = Path(run_onnx.__file__)
 CONFIG = SSRVLADConfig(labels_as="camvid-11")
@@ -92,15 +87,6 @@ def test_features_of_one_side_only_and_of_another_network(drives, tmp_path, run)
     assert line == f"only {town} has hog: frames are matched without; fuse the file again"
 
 
-def test_descriptors_are_those_of_the_module(head, maps, town):
-    files = sorted(maps.iterdir())
-    labels = np.stack([np.asarray(Image.open(file)) for file in files])
-    np.testing.assert_allclose(np.load(town), SSRVLAD(CONFIG)(labels).numpy(), atol=1e-6)
-    names = [f"{file.parent.name}/{file.stem}" for file in files]
-    assert Path(f"{town}.frames.txt").read_text().splitlines() == names
-    assert Path(f"{town}.fingerprint.txt").read_text().strip() == CONFIG.fingerprint
-
-
 def test_a_database_of_another_fingerprint_is_refused(head, maps, town, run):
     marker = Path(f"{town}.fingerprint.txt")
     marker.write_text("0123456789abcdef\n")
@@ -126,34 +112,6 @@ def test_unknown_ids_are_counted_and_skipped(head, maps, tmp_path, run):
     assert len(np.load(tmp_path / "out.npy")) == 6
 
 
-@pytest.mark.parametrize(
-    ("labels", "message"),
-    [
-        (np.full((5, 6), -1), "30 of 30 pixels have an id outside uint8"),
-        (np.full((5, 6), 256), "30 of 30 pixels have an id outside uint8"),
-    ],
-)
-def test_arrays_that_are_no_label_map(head, tmp_path, run, labels, message):
-    np.save(tmp_path / "map.npy", labels)
-    code, _, errors = run(head, tmp_path / "map.npy")
-    assert (code, errors[0]) == (3, f"{tmp_path / 'map.npy'}: {message}")
-
-
-def test_an_id_of_several_lines_is_refused_where_ids_are_lines(head, maps, tmp_path, run):
-    """A database must be read back as it was written."""
-    folder = tmp_path / "day"
-    folder.mkdir()
-    shutil.copy(min(maps.iterdir()), folder / "a\nb.png")
-    out = tmp_path / "town.npy"
-    code, _, errors = run(head, folder, "--save-descriptors", out)
-    assert (code, len(errors), out.exists()) == (2, 1, False)
-    assert "a database has one id a line; frame 'day/a\\nb' has several" in errors[0]
-    assert run(head, folder)[0] == 0
-    with pytest.raises(ValueError, match="has several lines"):
-        save(out, [Description(np.ones(3))], ["a\x85b"], {"ssr-vlad": ""})
-    assert not list(tmp_path.glob("town*"))
-
-
 def test_an_empty_frame_matches_nothing_and_is_no_candidate(head, maps, tmp_path, run):
     Image.fromarray(np.full((9, 9), 11, np.uint8)).save(maps / "void.png")
     out = tmp_path / "out.npy"
@@ -166,22 +124,6 @@ def test_an_empty_frame_matches_nothing_and_is_no_candidate(head, maps, tmp_path
     assert said[-1] == "monday/void: empty"
     assert run(head, maps)[1].startswith("monday/000: described\n")
     assert all(len(line["candidates"]) == (0 if line["empty"] else 6) for line in lines)
-
-
-def test_equal_scores_go_to_the_earlier_frame(tmp_path):
-    rng = np.random.default_rng(0)
-    vectors = rng.integers(-1, 2, (20, 4)).astype(np.float32)
-    frames = [f"s/{row}" for row in range(20)]
-    fingerprints = {"ssr-vlad": "f"}
-    save(tmp_path / "d.npy", list(map(Description, vectors)), frames, fingerprints)
-    database = Database(tmp_path / "d.npy", fingerprints)
-    query = np.array([1, 0, 0, 0], np.float32)
-    pairs = zip(frames, vectors, strict=True)
-    scores = {frame: vector[0] / np.linalg.norm(vector) for frame, vector in pairs if vector.any()}
-    best = sorted(scores, key=lambda frame: -scores[frame])[:7]
-    [answer] = database.find([Description(query)], top=7)
-    assert [frame for frame, _ in answer.candidates] == best
-    assert answer.score_is == "cosine"
 
 
 def test_class_scores_and_wide_labels(maps, tmp_path, run):
@@ -236,62 +178,7 @@ def test_wrong_use_is_one_line(head, maps, town, tmp_path, run):
     assert run(head)[0] == run(head, maps, "--check")[0] == run(head, maps, "--top", 0)[0] == 2
 
 
-def test_a_library_of_another_version_is_one_line(head, maps, town, tmp_path):
-    package = tmp_path / "other" / "ssrvlad_torch"
-    shutil.copytree(native.FOLDER.parent, package)
-    with (package / "native" / "map.cpp").open("a") as source:
-        source.write("// changed\n")
-    command = (sys.executable, SCRIPT, head, maps, "--database", town)
-    code, out, (line,) = outcome("env", f"PYTHONPATH={package.parent}", *command)
-    assert (code, out) == (2, [])
-    assert line.startswith("run_onnx: the native core is of another version: install ")
-
-
 @pytest.mark.parametrize("program", [run_onnx, loops_onnx])
 def test_a_reader_that_has_enough_is_no_error(head, maps, town, program):
     given = () if program is loops_onnx else ("--database", town)
     assert_no_reader_is_no_error(sys.executable, program.__file__, head, maps, *given)
-
-
-def first(out):
-    return {line["query"]: line["candidates"][0]["frame"] for line in objects(out)}
-
-
-def recall(answers):
-    rows = {frame.rpartition("/")[2]: row for row, frame in enumerate(answers)}
-    places = {query: place.rpartition("/")[2] for query, place in answers.items()}
-    return np.mean([abs(row - rows[places[query]]) <= 1 for row, query in enumerate(places)])
-
-
-@pytest.mark.slow
-@needs_real
-def test_following_finds_the_figures_of_the_readme(run, ssrvlad, tmp_path):
-    """UofA, evening against day, one row to each side."""
-    day, evening = (REAL / "uofa" / light / "predicted_espnetv2" for light in ("day", "evening"))
-    head, town = tmp_path / "head.onnx", tmp_path / "town.npy"
-    export_head(SSRVLADConfig(), head, dtype="int64")
-    database = write_map(ssrvlad, town, day)
-    words = (head, evening, "--database", town, "--json")
-    outputs = [run(*words, *follow)[1] for follow in ((), ("--follow", "offline"))]
-    outputs.append(ssrvlad("query", database, evening, "--no-sweep", "--json")[1])
-    assert [f"{recall(first(out)):.2f}" for out in outputs] == ["0.53", "1.00", "1.00"]
-
-
-@pytest.mark.slow
-@needs_real
-def test_features_find_the_figures_of_the_readme(run, ssrvlad, tmp_path):
-    """UofA, evening against day, by pictures."""
-    network, space = REAL / "networks" / "espnetv2.yaml", ("--labels-as", "cityscapes-trainids")
-    day, evening = (REAL / "uofa" / light / "images" for light in ("day", "evening"))
-    database, exported, place = tmp_path / "town", tmp_path / "town.npy", tmp_path / "place.onnx"
-    segmenter = ("--segmenter", network, "--segmenter-cache", tmp_path / "cache")
-    code, _, _ = ssrvlad("encode", day, "-o", database, *segmenter, *space, "--sequence", "day")
-    assert code == 0
-    ssrvlad("db", "export", database, "--format", "npy", "-o", exported)
-    ssrvlad("fuse", network, "-o", place, *space)
-    words = (place, evening, "--database", exported, "--follow", "offline", "--json")
-    followed, same = first(run(*words)[1]), []
-    for options in ((), ("--no-sweep",)):
-        answers = first(ssrvlad("query", database, evening, *segmenter, *options, "--json")[1])
-        same.append(sum(followed[query] == place for query, place in answers.items()))
-    assert same == [150, 129]

@@ -22,14 +22,6 @@ def test_nothing_that_can_be_described(ssrvlad, database, tmp_path):
     ]
 
 
-def test_the_temporal_sum_is_told(ssrvlad, database, maps):
-    for options, told in (((), 0), (("--temporal", 2), 2), (("--as-paper",), 3)):
-        _, out, _ = ssrvlad("query", database, maps, *options, "--json")
-        assert json.loads(out.splitlines()[0])["temporal"] == told
-    code, _, err = ssrvlad("query", database, maps, "--temporal", "4.2m")
-    assert code == 2 and "--temporal" in err[0] and "a valid integer" in err[0]
-
-
 def test_enough_references_tell_how_sure(ssrvlad, database, maps):
     write_maps(maps, range(6, 30))
     ssrvlad("encode", maps, "-o", database)

@@ -10,10 +10,8 @@ import torch
 import yaml
 from drawings import SIGN, SKY, SPACE
 from helpers import refuses, street, write_image
-from kornia.enhance import Denormalize, Normalize
-from kornia.geometry import Resize
 from networks import PLAIN, Then, colour_network, photo, write_graph, write_street
-from segmenting import LABELS, PHOTOS, assert_right, write_photos
+from segmenting import LABELS, PHOTOS, assert_right
 from torch import nn
 
 from ssrvlad_torch import SSRVLAD
@@ -21,21 +19,12 @@ from ssrvlad_torch.channels.label_shapes import LabelShapes
 from ssrvlad_torch.datasets.image_files import find_image_files
 from ssrvlad_torch.datasets.label_files import find_label_files
 from ssrvlad_torch.encoding.encoder import check_segmenter, encode_to_memory
-from ssrvlad_torch.segmentation import segmenter as segmentation
 from ssrvlad_torch.segmentation.class_names import category_of_name, label_space_of_names
 from ssrvlad_torch.segmentation.onnx_files import external_files
 from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
 from ssrvlad_torch.segmentation.preparation import SegmenterConfig
 from ssrvlad_torch.segmentation.segmenter import Segmenter
 from ssrvlad_torch.taxonomy import VOID, label_space, label_space_names
-
-
-def test_kornia_a_network_and_the_head_compose():
-    head = SSRVLAD.from_preset("default", labels_as=SPACE)
-    whole = nn.Sequential(Resize((24, 32)), Normalize(0.5, 0.5), Denormalize(0.5, 0.5),
-                          colour_network(), head)  # fmt: skip
-    images = torch.from_numpy(np.stack(PHOTOS)).permute(0, 3, 1, 2) / 255
-    assert torch.equal(whole(images), head(torch.from_numpy(np.stack(LABELS))))
 
 
 def test_settings_are_keyword_arguments(tmp_path):
@@ -55,22 +44,6 @@ def test_settings_are_keyword_arguments(tmp_path):
     np.testing.assert_array_equal(other(one), LABELS[:1])
     with pytest.raises(ValueError, match="unknown setting 'means'; expected size, longest, mult"):
         Segmenter(colour_network(), SPACE, means=(0, 0, 0))
-
-
-def test_progress_moves_while_the_network_works(tmp_path):
-    """A frame is reported before the network gets the frame fifty later."""
-    files = find_image_files([str(write_photos(tmp_path / "a", range(80)))])
-    network, behind, done = colour_network(), [], [0]
-    network.register_forward_pre_hook(
-        lambda module, keywords: behind.append(len(behind) - sum(done)) or None
-    )
-    head = SSRVLAD.from_preset("default", labels_as=SPACE)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(segmentation, "PIXELS_AT_ONCE", 1)
-        keywords = [LabelShapes(head)], head.label_space, files, 1, done.append
-        encode_to_memory(*keywords, Segmenter(network, SPACE, PLAIN))
-    assert len(behind) == sum(done) == 80
-    assert max(behind) <= 50
 
 
 def test_images_give_the_descriptors_of_their_label_maps(tmp_path):
@@ -98,13 +71,6 @@ def test_images_give_the_descriptors_of_their_label_maps(tmp_path):
     other = Segmenter(colour_network(), "synthia", PLAIN)
     with pytest.raises(ValueError, match="gives labels of synthia, the head reads camvid-11"):
         check_segmenter(other, head, channels)
-
-
-def test_a_fixed_size_is_the_size_of_the_settings(tmp_path):
-    path = write_graph(tmp_path / "net.onnx", (1, 3, 24, 32))
-    segmenter = Segmenter(OnnxNetwork(path), SPACE)
-    assert segmenter.config.size == (24, 32)
-    assert segmenter([photo(street(0, 50, 70))])[0].shape == (50, 70)
 
 
 @pytest.mark.parametrize(
@@ -141,11 +107,6 @@ def test_the_network_is_in_evaluation_mode_and_takes_no_gradients():
     network[0].weight.requires_grad_(True)
     assert_right(Segmenter(network.train(), SPACE, PLAIN))
     assert not network.training
-
-
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no CUDA device")
-def test_the_network_runs_where_its_weights_lie():
-    assert_right(Segmenter(colour_network().cuda(), SPACE, PLAIN))
 
 
 @pytest.mark.parametrize("damage", ["text", "truncated", "weights gone", "missing"])
@@ -227,13 +188,6 @@ def test_classes_that_are_as_many_as_rows_or_columns_are_told_apart(tmp_path, op
     labels = [street(seed, height, width) for seed in range(2)]
     segmenter = Segmenter(OnnxNetwork(path), SPACE, PLAIN)
     assert_right(segmenter, [photo(one) for one in labels], labels)
-
-
-def test_of_squares_as_large_as_the_classes_the_layout_of_the_input_decides(tmp_path):
-    shape = (1, 12, 12, 3)
-    path = write_graph(tmp_path / "net.onnx", shape, channels_last=True)
-    labels = street(0, 12, 12)
-    assert_right(Segmenter(OnnxNetwork(path), SPACE, PLAIN), [photo(labels)], [labels])
 
 
 def graph_of(inputs, path):

@@ -11,7 +11,6 @@ from drawings import SPACE
 from drives import write_maps
 from helpers import descriptors, spoil
 from large_maps import ALL, CONFIG, ROWS, channels, large_town, queries_at
-from loop_streams import objects
 
 from ssrvlad_torch import Database, Map
 from ssrvlad_torch.recognition.recognise import Steps
@@ -102,13 +101,6 @@ def test_few_rows_that_may_match_are_found(town, allowed):
     torch.testing.assert_close(short.confidence, exact.confidence, atol=0.05, rtol=0)
 
 
-@pytest.mark.usefixtures("few")
-def test_as_many_candidates_as_are_wanted(town):
-    used, queries = channels(town, ALL), queries_at([*range(100, 140)])
-    short = recognise_in(Shortlist(town, used), queries, used, ALONE, 100)
-    assert bool((short.matches.indices >= 0).all())
-
-
 def test_means_are_of_the_frames_that_are_there(tmp_path, monkeypatch):
     """Without removed frames; short sequences have one together, and too few frames that of all.
     Where all rows are read, and all make the means, answers are those of exact search."""
@@ -140,13 +132,6 @@ def test_damaged_rows_are_refused(tmp_path):
     again = Database.open(tmp_path / "town.ssrdb")
     with pytest.raises(ValueError, match=r"is damaged; ssrvlad db verify shows where"):
         Shortlist(again, channels(again, ALL))
-
-
-def test_an_empty_query_has_no_answer(town):
-    used, queries = channels(town, ("ssr-vlad",)), queries_at([5, 6, 7], ("ssr-vlad",))
-    queries.channels["ssr-vlad"][1] = 0
-    short = recognise_in(Shortlist(town, used), queries, used, ALONE, 3)
-    assert first(short) == [5, -1, 7]
 
 
 def test_only_large_maps_with_an_index_have_a_shortlist(town, tmp_path, monkeypatch):
@@ -193,21 +178,3 @@ def test_commands_and_maps_take_the_index_by_themselves_and_say_so(ssrvlad, tmp_
     town.database.append(["late/0"], descriptors(0, 1))
     *_, line = ssrvlad("query", path, picture)[2]
     assert "lacks 1 of 41 frames; ssrvlad db index adds them" in line
-
-
-def test_a_command_takes_the_index_for_a_drive_and_says_so(ssrvlad, tmp_path, monkeypatch):
-    monkeypatch.setattr(shortlist, "LEAST_ROWS", 40)
-    maps, path = write_maps(tmp_path / "monday", range(40)), tmp_path / "drawn.ssrdb"
-    town = Map.open(path, labels_as="camvid-11")
-    town.add(maps)
-    build(town.database)
-    some = write_maps(tmp_path / "today", range(3, 38))
-    _, out, _ = ssrvlad("query", path, some, "--json")
-    exact = objects(out)
-    monkeypatch.setattr(Database, "load", None)
-    code, out, err = ssrvlad("query", path, some, "--json")
-    found = objects(out)
-    assert code == 0 and found[0]["steps"]["index"] == "candidates of the index"
-    assert not err
-    for one, other in zip(found, exact, strict=True):
-        assert one["candidates"][0]["frame"] == other["candidates"][0]["frame"]

@@ -30,8 +30,3 @@ def test_the_sweep_is_as_wide_as_the_view_is_shifted(true_anchor, width):
     found = recognise(queries, ["q"] * 40, town, Steps(follow=None))
     assert found.used["sweep"] == {"q": width}
     assert (found.matches.indices[:, 0] == torch.arange(40)).float().mean() > 0.9
-
-
-def test_refuses():
-    with pytest.raises(ValueError, match=r"got \(3, 2, 4\) and \(5, 3\)"):
-        score(torch.zeros(3, 2, 4), torch.zeros(5, 3))

@@ -70,24 +70,6 @@ def test_categories_have_the_ids_of_table_ii(name, expected):
         } == ids
 
 
-def test_train_ids_have_the_categories_of_their_ids():
-    categories = {label.name: label.category for label in label_space("cityscapes-ids").classes}
-    for label in label_space("cityscapes-trainids").classes:
-        if 0 <= label.id < 19:
-            assert label.category == categories[label.name]
-
-
-def test_channel_counts_and_ids_in_words():
-    counts = {
-        "camvid-11": [11, 12],
-        "cityscapes-trainids": [19],
-        "cityscapes-ids": [34],
-        "mapillary-vistas-1.2": [63, 64, 65, 66],
-    }
-    assert {name: list(label_space(name).channel_counts) for name in counts} == counts
-    assert label_space("cityscapes-trainids").describe_ids() == "-1 to 18, 255"
-
-
 def test_colourise_uses_the_palette_and_magenta_for_unknown_ids():
     assert palette("camvid-11").shape == (256, 3)
     assert palette("camvid-11")[3].tolist() == [128, 64, 128]

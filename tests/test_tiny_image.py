@@ -2,12 +2,10 @@
 
 import numpy as np
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
 from methods import frames, noise, picture
 
 from ssrvlad_torch.baselines import make, tiny_image
-from ssrvlad_torch.baselines.tiny_image import enhance, normalise_patches
+from ssrvlad_torch.baselines.tiny_image import enhance
 
 
 def image(seed):
@@ -38,24 +36,6 @@ def plain_scores(difference, sequences):
         z = (np.mean(around) - difference[q, i]) / deviation if deviation > 1e-9 else 0
         scores[q, i] = 1 - np.exp(-z)
     return scores
-
-
-def test_a_flat_patch_normalises_to_zero():
-    picture = torch.rand(1, 8, 16)
-    picture[..., 8:] = 0.7
-    normal = normalise_patches(picture)
-    assert not normal[..., 8:].any()
-    torch.testing.assert_close(normal[..., :8].mean(), torch.tensor(0.0), atol=1e-6, rtol=0)
-    torch.testing.assert_close(normal[..., :8].square().mean(), torch.tensor(1.0))
-
-
-@given(st.lists(st.integers(1, 6), max_size=4), st.integers(0, 2**32 - 1))
-def test_normalisation_equals_a_loop(lengths, seed):
-    sequence = np.repeat(np.arange(len(lengths)), lengths).astype(np.int64)
-    difference = np.random.default_rng(seed).uniform(0.2, 1.8, (3, len(sequence)))
-    result = enhance(torch.from_numpy(difference), torch.from_numpy(sequence))
-    expected = plain_scores(difference, sequence)
-    np.testing.assert_allclose(result.numpy(), expected, rtol=0, atol=1e-4)
 
 
 def test_scores_equal_loops_whatever_the_block(monkeypatch):
