@@ -1,10 +1,8 @@
 // Prints what the core finds in made-up drives, every bit of it: scores, decisions and loops. On all
-// processors it prints the same. With an argument it prints the least processor time of a larger query.
+// processors it prints the same.
 
-#include <algorithm>
 #include <cstdio>
 #include <cstdlib>
-#include <ctime>
 #include <random>
 #include <vector>
 
@@ -13,12 +11,7 @@
 
 namespace {
 
-struct Small {
-  static constexpr int64_t ROWS = 140, QUERIES = 60, LENGTH = 48, ANCHORS = 3, COLUMNS = 6, BYTES = 16;
-};
-struct Large {
-  static constexpr int64_t ROWS = 3000, QUERIES = 100, LENGTH = 480, ANCHORS = 9, COLUMNS = 16, BYTES = 256;
-};
+constexpr int64_t ROWS = 140, QUERIES = 60, LENGTH = 48, ANCHORS = 3, COLUMNS = 6, BYTES = 16;
 
 constexpr int64_t FIRST = 40, TOP = 3;
 
@@ -35,9 +28,8 @@ void print(const std::vector<float> &numbers) {
 }
 
 // Descriptors of a map, and of a drive along some of its rows that sees them changed.
-template <class Sizes>
-struct Town : Sizes {
-  static constexpr int64_t SIGNS = Sizes::COLUMNS * Sizes::BYTES, SWEPT = Sizes::ANCHORS * Sizes::LENGTH;
+struct Town {
+  static constexpr int64_t SIGNS = COLUMNS * BYTES, SWEPT = ANCHORS * LENGTH;
   std::vector<float> vectors, swept;
   std::vector<unsigned char> signs, seen;
   std::vector<int64_t> starts{0, 33, 100}, rows;
@@ -47,44 +39,44 @@ struct Town : Sizes {
   double weights[2];
   ssrvlad_taken taken{0, 0, weights};
 
-  Town() : vectors(Sizes::ROWS * Sizes::LENGTH), swept(Sizes::QUERIES * SWEPT), signs(Sizes::ROWS * SIGNS),
-           seen(Sizes::QUERIES * SIGNS), rows(Sizes::QUERIES * TOP), scores(rows.size()), sure(3 * Sizes::QUERIES) {
+  Town() : vectors(ROWS * LENGTH), swept(QUERIES * SWEPT), signs(ROWS * SIGNS),
+           seen(QUERIES * SIGNS), rows(QUERIES * TOP), scores(rows.size()), sure(3 * QUERIES) {
     for (float &each : vectors) each = number();
     for (unsigned char &each : signs) each = static_cast<unsigned char>(noise());
-    for (int64_t query = 0; query < Sizes::QUERIES; ++query) {
+    for (int64_t query = 0; query < QUERIES; ++query) {
       const int64_t row = FIRST + query;
       for (int64_t n = 0; n < SWEPT; ++n)
-        swept[query * SWEPT + n] = vectors[row * Sizes::LENGTH + n % Sizes::LENGTH] + number();
+        swept[query * SWEPT + n] = vectors[row * LENGTH + n % LENGTH] + number();
       for (int64_t n = 0; n < SIGNS; ++n)
         seen[query * SIGNS + n] = signs[row * SIGNS + n] ^ static_cast<unsigned char>(noise() & noise());
     }
-    const ssrvlad_drives drives = {starts.data(), 3, Sizes::ROWS};
+    const ssrvlad_drives drives = {starts.data(), 3, ROWS};
     map = ssrvlad_map_new(&drives);
     const ssrvlad_channel channels[] = {
-        {vectors.data(), SSRVLAD_VECTORS, 1, Sizes::LENGTH, 1, nullptr},
-        {signs.data(), SSRVLAD_SIGNS, Sizes::COLUMNS, Sizes::BYTES, 6, nullptr}};
+        {vectors.data(), SSRVLAD_VECTORS, 1, LENGTH, 1, nullptr},
+        {signs.data(), SSRVLAD_SIGNS, COLUMNS, BYTES, 6, nullptr}};
     for (const auto &channel : channels) expect_ok(ssrvlad_map_add_channel(map, &channel));
-    queries[0] = {swept.data(), Sizes::ANCHORS}, queries[1] = {seen.data(), 1};
+    queries[0] = {swept.data(), ANCHORS}, queries[1] = {seen.data(), 1};
   }
   ~Town() { ssrvlad_map_free(map); }
 
   ssrvlad_decision decide(int follow) {
-    float *right = sure.data(), *spread = right + Sizes::QUERIES;
-    ssrvlad_decision decision = {scores.data(), rows.data(), right, spread, spread + Sizes::QUERIES, 0, 0, 0, 0, 0};
+    float *right = sure.data(), *spread = right + QUERIES;
+    ssrvlad_decision decision = {scores.data(), rows.data(), right, spread, spread + QUERIES, 0, 0, 0, 0, 0};
     const ssrvlad_steps steps = {1, 1, follow, 0, TOP, nullptr, nullptr};
-    expect_ok(ssrvlad_map_query(map, queries, Sizes::QUERIES, &steps, 1, &decision, &taken));
+    expect_ok(ssrvlad_map_query(map, queries, QUERIES, &steps, 1, &decision, &taken));
     return decision;
   }
 };
 
-void find(Town<Small> &town) {
-  std::vector<float> scores(Small::QUERIES * Small::ROWS);
+void find(Town &town) {
+  std::vector<float> scores(QUERIES * ROWS);
   for (const int standardise : {0, 1})
     for (const int sweep : {0, 1}) {
       const ssrvlad_steps steps = {standardise, sweep, SSRVLAD_ALONE, 0, TOP, nullptr, nullptr};
-      expect_ok(ssrvlad_map_compare(town.map, town.queries, Small::QUERIES, &steps, 1, scores.data(), &town.taken));
-      for (int64_t query = 0; query < Small::QUERIES; query += 7)
-        print({scores.begin() + query * Small::ROWS, scores.begin() + (query + 1) * Small::ROWS});
+      expect_ok(ssrvlad_map_compare(town.map, town.queries, QUERIES, &steps, 1, scores.data(), &town.taken));
+      for (int64_t query = 0; query < QUERIES; query += 7)
+        print({scores.begin() + query * ROWS, scores.begin() + (query + 1) * ROWS});
     }
   for (const int follow : {SSRVLAD_ALONE, SSRVLAD_ONLINE, SSRVLAD_OFFLINE}) {
     const ssrvlad_decision decision = town.decide(follow);
@@ -94,14 +86,13 @@ void find(Town<Small> &town) {
   }
 }
 
-void close(const Town<Small> &town) {
-  constexpr int64_t LENGTH = Small::LENGTH, ROWS = Small::ROWS;
+void close(const Town &town) {
   const ssrvlad_loops_channel channels[] = {{SSRVLAD_VECTORS, {LENGTH, 1, 1}, 1},
-                                            {SSRVLAD_SIGNS, {Small::COLUMNS, Small::BYTES, 1}, 6}};
+                                            {SSRVLAD_SIGNS, {COLUMNS, BYTES, 1}, 6}};
   const ssrvlad_loops_settings settings = {20, 0.8, SSRVLAD_SCAN_ABOVE};
   ssrvlad_loops *loops = ssrvlad_loops_new(&settings, channels, 2);
   std::vector<float> unit(LENGTH);
-  for (int64_t frame = 0; frame < ROWS + Small::QUERIES; ++frame) {
+  for (int64_t frame = 0; frame < ROWS + QUERIES; ++frame) {
     const bool again = frame >= ROWS;
     const float *vector = again ? town.swept.data() + (frame - ROWS) * town.SWEPT : town.vectors.data() + frame * LENGTH;
     float squares = 0;
@@ -118,21 +109,9 @@ void close(const Town<Small> &town) {
   ssrvlad_loops_free(loops);
 }
 
-void time_queries() {
-  Town<Large> town;
-  double least = 1e9;
-  for (int time = 0; time < 3; ++time) {
-    const std::clock_t start = std::clock();
-    town.decide(SSRVLAD_OFFLINE);
-    least = std::min(least, static_cast<double>(std::clock() - start) / CLOCKS_PER_SEC);
-  }
-  std::printf("%.4f\n", least);
-}
-
 }  // namespace
 
-int main(int count, char **) {
-  if (count > 1) return time_queries(), 0;
-  Town<Small> town;
+int main() {
+  Town town;
   find(town), close(town);
 }

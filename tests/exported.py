@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 import torch
-from cases import camvid_labels, degenerate, hand_drawn
 from drawings import SPACE, blobs
 from graphs import session
 
@@ -158,13 +157,3 @@ def in_space(labels: Maps) -> Maps:
     for each in label_space("cityscapes-trainids").classes:
         ids[each.id] = first[each.category]
     return ids[labels]
-
-
-def hundreds_of_label_maps() -> dict[str, list[Maps]]:
-    """The maps of the fast tests and more, by label space: more than 300 without CamVid."""
-    maps = [random_blobs(seed) for seed in range(100, 240)] + [noise(s) for s in range(100, 180)]
-    maps += [*degenerate().values(), *hand_drawn().values(), *camvid_labels(4)]
-    streets = []
-    for seed, size in ((5, (60, 81)), (6, (121, 160)), (7, (240, 320)), (8, (303, 211))):
-        streets += city(20, seed, size)
-    return {SPACE: maps, "cityscapes-trainids": streets}

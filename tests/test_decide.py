@@ -162,23 +162,6 @@ def test_a_map_in_reverse_mirrors_the_way(sequence):
         assert np.mean((first == other) | (first < 0)) > 0.9
 
 
-@pytest.mark.parametrize("mode", ["online", "offline"])
-def test_few_rows_and_a_sample_find_what_the_whole_map_finds(mode):
-    scores, true = noisy([*range(1000, 1120)], 6000, strength=0.5), np.arange(1000, 1120)
-    best = np.unique(np.argsort(-scores, axis=1)[:, :15])
-    others = np.setdiff1d(np.arange(6000), best)
-    sample = np.random.default_rng(0).choice(others, 500, replace=False)
-    rows = np.sort(np.concatenate([best, sample]))
-    weights = np.where(np.isin(rows, best), 1, len(others) / len(sample))
-    shortlist = Shortlist(rows, weights, np.array([0]))
-    few = decide(np.ascontiguousarray(scores[:, rows]), [6000], mode, shortlist=shortlist)
-    whole = decide(scores, [6000], mode)
-    for decision in (whole, few):
-        assert decision.followed
-        assert (np.abs(decision.rows[:, 0] - true) <= 1)[40:].mean() > 0.95
-    assert np.abs(whole.right - few.right).mean() < 0.05
-
-
 def test_a_query_of_scores_that_are_equal_but_for_rounding_says_nothing():
     scores = noisy([*range(5, 25)], 80)
     scores[8] = -0.5
@@ -256,13 +239,6 @@ def test_answers_of_a_sequence_denser_than_the_map_do_not_linger(mode):
     there = torch.from_numpy(street[::10] + 0.5 * rng.normal(size=(140, 64)))
     decision = decide(torch.cosine_similarity(here[:, None], there, 2).float().numpy(), mode=mode)
     assert decision.followed and decision.right[20:].mean() > 0.9
-
-
-def test_queries_that_are_equal_are_at_one_place():
-    """More than half of a sequence stands; rounding must not tell how far its frames are apart."""
-    stops = np.array([*[20] * 80, *range(20, 60), *[60] * 80, *range(60, 100)])
-    decision = decide(seen_in_a_street(np.arange(150), np.arange(150))[stops])
-    assert decision.followed and decision.right[5:75].mean() > 0.9
 
 
 def test_a_long_sequence_computes_beliefs_again_with_the_same_places():

@@ -30,11 +30,3 @@ def test_the_figure_of_an_explanation_has_masks_histograms_and_classes(preset, s
     assert {"sky", "building"} <= {*classes} and "fence" not in classes
     with pytest.raises(IndexError, match="expected an image from 0 to 1, got 2"):
         view.show(2)
-
-
-def test_notebooks_show_the_stages_as_a_picture():
-    head = SSRVLAD.from_preset("default", labels_as="camvid-11")
-    view = head.explain(LABELS)
-    assert repr(view) == "Explanation(2 images of camvid-11, 32 x 24)"
-    page = view._repr_html_()
-    assert "data:image/png;base64," in page and "1 more" in page

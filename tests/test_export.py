@@ -16,7 +16,6 @@ from exported import (
     assert_parity,
     by_preset_and_input,
     city,
-    hundreds_of_label_maps,
     in_space,
     model_of,
     noise,
@@ -26,7 +25,7 @@ from exported import (
     run_of,
     write_space,
 )
-from graphs import in_onnxruntime, in_openvino, session
+from graphs import session
 from helpers import refuses
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig
@@ -35,17 +34,6 @@ from ssrvlad_torch.deployment.metadata import Metadata
 from ssrvlad_torch.deployment.trace import OPSET
 from ssrvlad_torch.deployment.verify import verify
 from ssrvlad_torch.stages.vanishing_column import MAX_WIDTH
-
-
-@pytest.mark.slow
-@presets
-@pytest.mark.parametrize("runtime", [in_onnxruntime, in_openvino])
-def test_the_file_and_the_module_agree_on_hundreds_of_label_maps(runtime, preset):
-    for space, maps in hundreds_of_label_maps().items():
-        config = of_preset(preset, labels_as=space)
-        run = runtime(model_of(config))
-        for labels in maps:
-            assert_equal(run(labels[None]), labels[None], config)
 
 
 @pytest.mark.parametrize(
@@ -101,21 +89,6 @@ def test_a_file_of_fixed_size_agrees(shape):
     descriptor, unknown = run(np.where(batch == 5, 12, batch))
     np.testing.assert_allclose(descriptor, run(np.where(batch == 5, VOID, batch))[0], atol=1e-6)
     assert unknown.tolist() == (batch == 5).sum((1, 2)).tolist()
-
-
-@presets
-def test_the_answer_is_that_of_the_unoptimised_graph(preset):
-    from onnxruntime import GraphOptimizationLevel
-
-    plainly = session(
-        model_of(of_preset(preset)).SerializeToString(),
-        graph_optimization_level=GraphOptimizationLevel.ORT_DISABLE_ALL,
-    )
-    batch = blobs(5, 144, 171, 17)[None]
-    for plain, got in zip(
-        plainly.run(None, {"labels": batch}), run_of(of_preset(preset))(batch), strict=True
-    ):
-        np.testing.assert_allclose(plain, got, rtol=0, atol=1e-7)
 
 
 @by_preset_and_input

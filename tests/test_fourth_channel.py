@@ -7,10 +7,9 @@ import pytest
 import torch
 import torch.nn.functional as F
 from drawings import SPACE
-from drives import write_maps
 from segmenting import write_photos, write_settings
 
-from ssrvlad_torch import Database, Map
+from ssrvlad_torch import Database
 from ssrvlad_torch.channels import CHANNELS
 from ssrvlad_torch.channels.channel import VectorChannel, picture_of
 
@@ -94,25 +93,6 @@ def test_loops_weigh_it(ssrvlad, settings, tmp_path):
     assert "brightness " in out.splitlines()[-1]
     columns = [column.name for column in Database.open(memory).columns]
     assert columns == ["ssr-vlad", "brightness"]
-
-
-def test_a_map_has_it_beside_all_others(settings, photos, tmp_path):
-    town = Map.open(tmp_path / "all.ssrdb", settings)
-    town.add(photos)
-    names = [column.name for column in town.database.columns]
-    assert names == ["ssr-vlad", "hog", "brightness"]
-    assert town.locate(photos / "7.png").candidates[0].frame == "monday/7"
-    answers = town.query(photos, channels=["brightness"])
-    assert {reply.query == reply.candidates[0].frame for reply in answers} == {True}
-
-
-def test_label_maps_lack_the_channel(stored, refusal, tmp_path):
-    maps = write_maps(tmp_path / "maps", range(3))
-    line = refusal("encode", maps, "-o", tmp_path / "b", "--labels-as", SPACE, "--channel",
-                   "brightness")  # fmt: skip
-    assert "--channel brightness needs images as SOURCE and --segmenter" in line
-    line = refusal("query", stored, maps, "--labels-as", SPACE)
-    assert line.endswith("expected images and --segmenter, or --channel ssr-vlad")
 
 
 def test_a_changed_one_is_refused(monkeypatch, stored, photos, refusal):

@@ -7,8 +7,7 @@ import pytest
 from helpers import refuses, street, touch
 
 from ssrvlad_torch.datasets.frame_files import FrameFile, read_ahead
-from ssrvlad_torch.datasets.label_files import find_label_files, read_label_map
-from ssrvlad_torch.taxonomy import label_space
+from ssrvlad_torch.datasets.label_files import find_label_files
 
 
 def ids(files):
@@ -50,15 +49,6 @@ def test_a_relative_folder_gives_its_real_name(tmp_path, monkeypatch, source, ex
     touch(maps / "monday" / "1.png", maps / "2.png", maps / "tuesday" / "3.png")
     monkeypatch.chdir(maps / "monday")
     assert ids(find_label_files([source])) == [expected]
-
-
-def test_a_link_is_named_by_itself_and_a_broken_one_is_refused(tmp_path):
-    touch(tmp_path / "0001" / "1.png")
-    (tmp_path / "0001" / "2.png").symlink_to(tmp_path / "gone.png")
-    (tmp_path / "monday").symlink_to(tmp_path / "0001")
-    files = find_label_files([str(tmp_path / "monday")])
-    assert ids(files) == ["monday/1", "monday/2"]
-    refuses("No such file", read_label_map, files[1], label_space("camvid-11"))
 
 
 def test_a_glob_gives_files_or_the_folders_that_it_matches(tmp_path):

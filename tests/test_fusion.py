@@ -31,10 +31,6 @@ def fuse_named(members, trust):
     return torch.from_numpy(scores), taken.weights
 
 
-def nearness(scores):
-    return -(1 - scores).clamp(min=1e-6).log()
-
-
 def recall(scores: torch.Tensor) -> float:
     return float((scores.argmax(1) == torch.arange(len(scores))).float().mean())
 
@@ -53,36 +49,6 @@ def test_a_method_without_information_hardly_weighs():
     assert recall(scores) == recall(good) == 1
 
 
-def test_one_method_alone_keeps_its_scores():
-    scores, weights = fuse(noisy(2, 0.05))
-    assert torch.equal(scores, noisy(2, 0.05)) and weights == {"0": 1.0}
-
-
-def test_the_unit_of_scores_does_not_matter():
-    one, other = noisy(3, 0.05), noisy(4, 0.05)
-    stretched = 1 - torch.exp(-(3 * nearness(other) - 1))
-    scores, weights = fuse(one, other)
-    again, weights_again = fuse(one, stretched)
-    assert weights_again == pytest.approx(weights, rel=1e-4)
-    assert torch.equal(again.argmax(1), scores.argmax(1))
-
-
-def test_a_frame_that_one_method_cannot_describe_is_left_to_the_other():
-    one, other = noisy(5, 0.02), noisy(6, 0.02)
-    one[3], one[:, 7], other[:, 8] = -torch.inf, -torch.inf, -torch.inf
-    one[:, 9] = other[:, 9] = -torch.inf
-    scores, _ = fuse(one, other)
-    assert scores[[3, 7]].argmax(1).tolist() == [3, 7]
-    assert (scores[:, 9] == -torch.inf).all()
-    assert scores.isfinite().sum() == scores.numel() - len(scores) - 1  # row 3, column 8
-
-
-@pytest.mark.parametrize("shape", [(4, 5), (3, 11), (29, 40)])
-def test_few_frames_weigh_alike(shape):
-    scores, weights = fuse(torch.rand(shape), torch.rand(shape))
-    assert scores.shape == shape and weights == {"0": 0.5, "1": 0.5}
-
-
 def test_trust_decides_until_frames_show_which_method_leads():
     alike = noisy(7, 0.05)
     _, few = fuse_named(dict.fromkeys(TRUST, torch.rand(3, 20)), TRUST)
@@ -91,8 +57,3 @@ def test_trust_decides_until_frames_show_which_method_leads():
     both = {"features": noisy(8, 10.0).clamp(max=0.99), "hog": noisy(9, 0.01)}
     _, blind = fuse_named(both, TRUST)
     assert blind["hog"] > 3 * blind["features"]
-
-
-def test_equal_scores_stay_finite_and_equal():
-    scores, _ = fuse(torch.full((3, 20), 0.25), torch.full((3, 20), 0.75))
-    assert scores.isfinite().all() and (scores == scores[:, :1]).all()

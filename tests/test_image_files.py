@@ -10,7 +10,6 @@ from PIL import Image
 from ssrvlad_torch.datasets.frame_files import FrameFile
 from ssrvlad_torch.datasets.image_files import (
     decode_image,
-    find_image_files,
     pixels_of,
     read_image,
 )
@@ -173,17 +172,6 @@ def test_gray_of_few_bits_in_pixels_of_sixteen_is_refused(bits):
 # ---- arrays
 
 
-def test_a_stack_holds_an_image_a_row(tmp_path):
-    stack = np.stack([PICTURE, SMOOTH])
-    np.save(tmp_path / "drive.npy", stack)
-    files = find_image_files([str(tmp_path / "drive.npy")])
-    assert [file.frame for file in files] == ["drive/drive-000000", "drive/drive-000001"]
-    for file, image in zip(files, stack, strict=True):
-        np.testing.assert_array_equal(read_image(file), image)
-        np.save(tmp_path / "alone.npy", image)
-        assert file.read() == (tmp_path / "alone.npy").read_bytes()
-
-
 # ---- which files are frames
 
 
@@ -211,11 +199,3 @@ def test_an_image_of_pillow_gives_the_pixels_of_its_file(tmp_path, orientation):
         with Image.open(path) as image:
             np.testing.assert_array_equal(pixels_of(image), pixels_of(path))
     refuses("got mode F", pixels_of, Image.fromarray(np.zeros((8, 6), np.float32)))
-
-
-@pytest.mark.parametrize("form", ["png", "npy"])
-def test_a_small_file_of_many_pixels_is_an_error(monkeypatch, form):
-    picture = np.zeros((60, 100, 3), np.uint8)
-    content = npy_bytes(picture) if form == "npy" else encoded(picture, "PNG")
-    monkeypatch.setenv("SSRVLAD_PIXEL_LIMIT", "5999")
-    refuses("60 x 100 pixels; expected at most 5999", decode_image, content)

@@ -21,7 +21,6 @@ CONFIG = LoopConfig(exclude=5, sweep=False)
 STREAM = ["loops", "native/loops.py", "native/addresses.py"]
 STORE = ["loops", "database/database.py", "database/engine.py"]
 ADD, INDEX = ["map.py", "database", "encoding/plan.py"], ["search"]
-QUERY = ["map.py", "database", "search"]
 VECTORS = views([*range(40), *range(10, 40)])
 
 
@@ -140,16 +139,3 @@ def test_after_an_interrupted_add_the_map_goes_on(tmp_path, files, stored):
         shutil.rmtree(town.path)
     assert 3 in sizes and (stored or 0 in sizes)
     assert [entry.name for entry in tmp_path.glob(".*")] == []
-
-
-def test_after_an_interrupted_query_the_map_answers_as_before(tmp_path):
-    maps = write_maps(tmp_path / "monday", range(3))
-    town = Map.open(tmp_path / "town", labels_as="camvid-11")
-    add(town, maps)
-    expected, lines = places(town.query(maps)), Lines(QUERY)
-    lines.run(lambda: town.query(maps))
-    for at in range(1, lines.count + 1):
-        Lines(QUERY, at).run(lambda: town.query(maps))
-        if at % 3 == 0:
-            assert places(town.query(maps)) == expected
-    assert len(town) == 3

@@ -10,7 +10,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from ssrvlad_torch.recognition import matching
-from ssrvlad_torch.recognition.matching import best_of, match
+from ssrvlad_torch.recognition.matching import match
 
 
 def coarse_vectors(seed, count):
@@ -101,11 +101,6 @@ def test_arrays_and_doubles_are_taken():
     assert matches.indices[:, 0].tolist() == [1, 0, 0]
 
 
-@pytest.mark.parametrize("top", [1, np.int64(1), torch.tensor(1)])
-def test_top_is_any_integer(top):
-    assert match(torch.eye(3), torch.eye(3), top).indices.tolist() == [[0], [1], [2]]
-
-
 ONES = torch.ones(1, 3)
 
 
@@ -134,26 +129,3 @@ def test_wrong_arguments_are_refused(wrong, message):
     arguments = {"queries": torch.eye(3), "references": torch.eye(3), **wrong}
     with pytest.raises(ValueError, match=message):
         match(**arguments)
-
-
-@given(
-    size=st.sampled_from([0, 1, 5, 1023, 1024, 1025, 5000]),
-    levels=st.sampled_from([1, 3, 10_000]),
-    count=st.integers(1, 7),
-)
-def test_the_highest_values_are_those_of_a_stable_sort(size, levels, count):
-    generator = torch.Generator().manual_seed(size + levels + count)
-    values = torch.randint(levels, (size,), generator=generator).float()
-    values[torch.rand(size, generator=generator) < 0.3] = -torch.inf
-    expected = values.sort(descending=True, stable=True).indices[:count]
-    matches = best_of(values, count).indices[: len(expected)]
-    assert torch.equal(matches, expected.masked_fill(values[expected] == -torch.inf, -1))
-
-
-def test_the_best_of_few_values_leave_places_empty():
-    values = torch.tensor([0.5, -torch.inf, 0.25, 0.5], dtype=torch.float64)
-    scores, indices = best_of(values, top=5)
-    assert indices.tolist() == [0, 3, 2, -1, -1]
-    assert scores.tolist() == [0.5, 0.5, 0.25, *[-torch.inf] * 2]
-    assert best_of(values, 2, torch.tensor([9, 8, 7, 6])).indices.tolist() == [9, 6]
-    assert best_of(torch.zeros(0), top=2).indices.tolist() == [-1, -1]

@@ -1,15 +1,11 @@
 """Names of sequences: short, and never two alike."""
 
 import pytest
-from helpers import refuses, touch
+from helpers import refuses
 
-from ssrvlad_torch.datasets.label_files import find_label_files
 from ssrvlad_torch.datasets.names import (
     check_sequences,
-    id_of,
-    name_of,
     sequence_names,
-    sequence_of,
 )
 
 
@@ -70,23 +66,3 @@ def test_sequences_of_two_databases_are_one_where_a_folder_is():
     check_sequences([("s3://a/day", "labels"), ("s3://c", "c"), ("s3://d", "own")], here)
     with pytest.raises(ValueError, match="'labels' of the database is s3://a/day, not s3://b/day"):
         check_sequences([("s3://b/day", "labels")], here)
-
-
-def test_sources_stay_in_the_order_in_which_they_are_given(tmp_path):
-    """It is the order of time; a glob is sorted as a person would."""
-    touch(*(tmp_path / folder / "1.png" for folder in ("morning", "evening", "day10", "day9")))
-    sources = [str(tmp_path / name) for name in ("morning", "evening", "day*")]
-    assert [file.sequence for file in find_label_files(sources)] == [
-        "morning",
-        "evening",
-        "day9",
-        "day10",
-    ]
-
-
-@pytest.mark.parametrize(
-    ("frame", "sequence", "name"),
-    [("monday/7", "monday", "7"), ("town/monday/7", "town/monday", "7"), ("7", "", "7")],
-)
-def test_an_id_is_cut_at_its_last_slash(frame, sequence, name):
-    assert (sequence_of(frame), name_of(frame), id_of(sequence, name)) == (sequence, name, frame)

@@ -1,12 +1,9 @@
 """OpenVINO in the place of a session of ONNX Runtime."""
 
-from concurrent.futures import ThreadPoolExecutor
-
-import numpy as np
 import pytest
 from drawings import SPACE
-from helpers import refuses, street
-from networks import PLAIN, photo, write_graph
+from helpers import refuses
+from networks import PLAIN, write_graph
 from segmenting import assert_right, write_settings
 from test_segmentation import GRAPHS
 
@@ -56,12 +53,3 @@ def test_what_openvino_cannot_run_is_named(tmp_path):
     path = write_graph(tmp_path / "net.onnx")
     refuses(r"^net cannot run in OpenVINO: .*no_such", OpenVinoSession, path, "net", ["no_such"])
     refuses(r"^net cannot run in OpenVINO: ", OpenVinoSession, b"no graph", "net")
-
-
-def test_threads_run_one_graph_at_the_same_time(tmp_path):
-    network = OnnxNetwork(write_graph(tmp_path / "net.onnx"), OPENVINO)
-    segmenter = Segmenter(network, SPACE, PLAIN)
-    labels = [street(seed, 24, 32) for seed in range(40)]
-    with ThreadPoolExecutor(4) as pool:
-        seen = list(pool.map(lambda label_map: segmenter([photo(label_map)])[0], labels))
-    assert all(map(np.array_equal, seen, labels))

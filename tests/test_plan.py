@@ -1,6 +1,5 @@
 """What a run encodes again, which folder a sequence is of, and when frames are committed."""
 
-import errno
 import os
 import signal
 import subprocess
@@ -14,7 +13,6 @@ from helpers import refuses, street
 from maps import HEAD, alone, assert_streets, counts, rewrite
 
 from ssrvlad_torch import SSRVLAD
-from ssrvlad_torch.database.database import Database
 from ssrvlad_torch.datasets.label_files import digest
 from ssrvlad_torch.encoding import encoder, plan
 from ssrvlad_torch.encoding.encoder import encode_to_database
@@ -215,25 +213,6 @@ def test_frames_encoded_before_an_interruption_are_in_the_database(town, monkeyp
     counted.clear()
     assert counts(town.encode(progress=counted.append)) == (20 - done, done, 0)
     assert counted == [done] + [1] * (20 - done), "progress counts every frame once"
-
-
-def test_a_full_disk_is_an_error_and_committed_frames_stay(town, monkeypatch):
-    monkeypatch.setattr(plan, "COMMIT_ROWS", 4)
-    town.add("a", range(10))
-    merge, merged = Database.merge, []
-
-    def fail_at_the_second(self, records, *descriptors):
-        merged.append(len(records))
-        if len(merged) > 1:
-            raise OSError(errno.ENOSPC, "No space left on device")
-        merge(self, records, *descriptors)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(Database, "merge", fail_at_the_second)
-        with pytest.raises(OSError, match="No space left"):
-            town.encode()
-    assert town.database().load().frames == ("a/0", "a/1", "a/2", "a/3")
-    assert counts(town.encode()) == (6, 4, 0)
 
 
 SCRIPT = """

@@ -6,7 +6,6 @@ import torch
 import torch.nn.functional as F
 from helpers import refuses
 
-from ssrvlad_torch.recognition.confidence import accept, estimate
 from ssrvlad_torch.recognition.recognise import (
     AS_PAPER,
     Steps,
@@ -98,28 +97,6 @@ def test_queries_that_are_no_sequence_are_judged_one_by_one(order, names, likene
     assert right(answers, order) > 0.6
 
 
-@pytest.mark.parametrize(
-    ("order", "course"),
-    [
-        (ORDER, ""),
-        (ORDER.view(2, 40).T.flatten(), ", 2 streams in turn"),
-        (ORDER.flip(0), ", backwards"),
-    ],
-)
-def test_queries_are_followed_in_the_order_that_they_have(order, course):
-    queries, references = two_sequences(80, 1.6)
-    answers = whole(queries[order], references, Steps())
-    assert answers.used["follow"] == {"q": "offline" + course}
-    assert right(answers, order) > 0.97
-
-
-def test_a_single_query_is_never_followed():
-    queries, references = two_sequences(80, 0.8)
-    answers = whole(queries[:1], references)
-    assert answers.courses == {"q": None}
-    assert answers.matches.scores[0, 0] == pytest.approx(float((references @ queries[0]).max()))
-
-
 @pytest.mark.parametrize("steps", [Steps(), AS_PAPER])
 def test_excluded_references_and_those_that_are_not_allowed_are_no_candidates(steps):
     queries, references = two_sequences(30, 0.3)
@@ -128,37 +105,6 @@ def test_excluded_references_and_those_that_are_not_allowed_are_no_candidates(st
     indices = whole(queries, references, steps, 3, **masks).matches.indices
     assert set(indices.unique().tolist()) <= {-1, *np.flatnonzero(allowed).tolist()}
     assert not (indices == torch.arange(30)[:, None]).any()
-
-
-@pytest.mark.parametrize("names", [["x"], ["x", "y"]])
-@pytest.mark.parametrize("steps", [Steps(follow=None), AS_PAPER])
-def test_rivals_tell_right_answers_from_wrong_ones(steps, names):
-    """By one channel, and by two that are fused."""
-    queries, references = two_sequences(120, 1.3 if steps.standardise else 0.8)
-    foreign = two_sequences(240, 1.3)[0][120:]
-
-    def first(queries):
-        town = references_of(dict.fromkeys(names, references), ["r"] * 120)
-        return recognise(dict.fromkeys(names, queries), ["q"] * len(queries), town, steps, 1)
-
-    answers = first(queries)
-    wrong = answers.matches.indices[:, 0] != torch.arange(120)
-    sure = answers.confidence
-    assert sure[wrong].mean() < sure[~wrong].mean() - 0.1 and wrong.float().mean() > 0.05
-    estimated = accept(answers.sure, 0.1)
-    assert estimated.accepted > 30 or (steps == AS_PAPER and not estimated.accepted)
-    assert wrong[sure >= estimated.confidence].sum() <= estimated.high * estimated.accepted
-    lost = first(foreign)
-    assert accept(lost.sure, 0.1).accepted == 0 and estimate(lost.sure).wrong > 0.85
-
-
-@pytest.mark.parametrize("follow", ["online", "offline"])
-def test_what_is_followed_in_a_foreign_map_is_not_accepted(follow):
-    for seed in range(3):
-        _, references = two_sequences(120, 0.8, near=6)
-        foreign = two_sequences(240 + seed, 0.8, near=6)[0][-60:]
-        answers = whole(foreign, references, Steps(follow=follow))
-        assert accept(answers.sure, 0.05).accepted == 0
 
 
 REFUSED = {

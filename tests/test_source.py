@@ -9,11 +9,9 @@ from drawings import SPACE
 from helpers import refuses, street, write_image
 from networks import photo
 
-from ssrvlad_torch import Database, LabelSpace
+from ssrvlad_torch import Database
 from ssrvlad_torch.datasets.synthetic_city import write_city
 from ssrvlad_torch.encoding.selection import FrameSelection
-from ssrvlad_torch.encoding.source import open_frames
-from ssrvlad_torch.taxonomy import label_space
 
 CITY = ("--labels-as", "cityscapes-trainids")
 
@@ -89,23 +87,6 @@ def reference(ssrvlad, city, tmp_path):
     code, out, _ = ssrvlad("encode", city, "-o", db, *options)
     assert (code, "8 frames encoded" in out) == (0, True)
     return db
-
-
-def test_a_folder_of_gtfine_is_noted(tmp_path):
-    for kind in ("color", "labelTrainIds"):
-        write_image(tmp_path / "aachen" / f"aachen_000000_000019_gtFine_{kind}.png", street(0))
-    notes = []
-    selection = FrameSelection([str(tmp_path / "aachen")], labels_as="cityscapes-trainids")
-    assert len(open_frames(selection, note=notes.append).files) == 2
-    assert "--layout cityscapes joins them" in notes[0]
-
-
-def test_a_label_space_of_ones_own_goes_with_label_maps_of_another_folder(city):
-    space = label_space("cityscapes-trainids").to_dict()
-    mine = LabelSpace.from_dict({**space, "name": "mine"})
-    selection = FrameSelection([str(city)], layout="folders", labels=str(city))
-    source = open_frames(selection, labels_as=mine)
-    assert source.labels_as is mine and len(source.files) == 16
 
 
 def test_roles_and_truth_come_from_the_data_set(ssrvlad, city, reference, tmp_path):

@@ -6,110 +6,23 @@ import numpy as np
 import pytest
 import torch
 from drawings import (
-    MASKS,
-    blobs,
-    every_neighbourhood,
-    mask,
-    pack,
-    planes,
     random_planes,
 )
 from graphs import by_runtime
 from helpers import refuses
-from hypothesis import given
-from hypothesis import strategies as st
 
-from ssrvlad_torch import SSRVLADConfig, reference
+from ssrvlad_torch import SSRVLADConfig
 from ssrvlad_torch.config import AREA_LAYERS
 from ssrvlad_torch.deployment.trace import traced
-from ssrvlad_torch.stages import skeleton
 from ssrvlad_torch.stages.bitplanes import unpack
 from ssrvlad_torch.stages.boundaries import DIRECTIONS, boundaries
 from ssrvlad_torch.stages.centroid import centre_table, centroids
-from ssrvlad_torch.stages.components import drop_regions, fill_holes
-from ssrvlad_torch.stages.grid_pooling import COLUMNS, ROWS, pool
-from ssrvlad_torch.stages.keypoints import end_points, intersections
 from ssrvlad_torch.stages.layers import UNKNOWN, categorise, category_table, refuse_unknown
 from ssrvlad_torch.stages.lengths import lengths
-from ssrvlad_torch.stages.morphology import dilate, erode, open_and_close
+from ssrvlad_torch.stages.morphology import dilate
 from ssrvlad_torch.stages.reduction import reduce_by_majority
-from ssrvlad_torch.stages.skeleton import RULES
 from ssrvlad_torch.stages.vanishing_column import vanishing_columns
 from ssrvlad_torch.taxonomy import label_space, label_space_names
-
-
-def opened_and_closed(layer, radii):
-    """``radii`` are two digits to the base 6: of the opening and of the closing."""
-    opening, closing = divmod(radii, 6)
-    opened = reference.dilate(reference.erode(layer, opening), opening)
-    return reference.erode(reference.dilate(opened, closing), closing)
-
-
-RADII, AREAS = (0, 1, 2, 7), (0, 1, 2, 3, 5, 40, 1000)
-OF_BOTH = (1, 6, 15)
-STAGES = {
-    "dilate": (dilate, reference.dilate, RADII),
-    "erode": (erode, reference.erode, RADII),
-    "open and close": (lambda x, n: open_and_close(x, *divmod(n, 6)), opened_and_closed, OF_BOTH),
-    "open and close by tensors": (
-        lambda x, n: open_and_close(x, *map(torch.tensor, divmod(n, 6))),
-        opened_and_closed,
-        OF_BOTH,
-    ),
-    "fill holes": (fill_holes, lambda x, n: x | reference.small_holes(x, n), AREAS),
-    "drop regions": (drop_regions, lambda x, n: x & ~reference.small_regions(x, n), AREAS),
-    "zhang-suen": (
-        lambda x, _: skeleton.thin(x, RULES["zhang-suen"]),
-        lambda x, _: reference.thin(x, "zhang-suen"),
-        (0,),
-    ),
-    "guo-hall": (
-        lambda x, _: skeleton.thin(x, RULES["guo-hall"]),
-        lambda x, _: reference.thin(x, "guo-hall"),
-        (0,),
-    ),
-    "end points": (lambda x, _: end_points(x), lambda x, _: reference.end_points(x), (0,)),
-    "intersections": (lambda x, _: intersections(x), lambda x, _: reference.intersections(x), (0,)),
-}
-"""By name the stage and the reference, called with masks and a radius or an area, and some of these
-numbers."""
-stages = pytest.mark.parametrize("stage", STAGES)
-DRAWN = {name: planes(mask(drawing), ~mask(drawing)) for name, drawing in MASKS.items()} | {
-    "every neighbourhood": every_neighbourhood(),
-    "blobs": pack(
-        np.stack([blobs(seed, 45, 61, 6) < 6 for seed in range(16)]).reshape(2, 8, 45, 61)
-    ),
-}
-
-
-def assert_like_the_reference(stage, bits, number):
-    fast, plain, _ = STAGES[stage]
-    before = bits.clone()
-    expected = [[plain(layer, number) for layer in layers] for layers in unpack(bits).numpy()]
-    np.testing.assert_array_equal(unpack(fast(bits, number)), np.array(expected))
-    assert torch.equal(bits, before)
-
-
-@stages
-@pytest.mark.parametrize("name", DRAWN)
-def test_drawn_masks_equal_the_reference(name, stage):
-    for number in STAGES[stage][2]:
-        assert_like_the_reference(stage, DRAWN[name], number)
-
-
-@stages
-@given(
-    seed=st.integers(0, 10_000),
-    height=st.integers(1, 24),
-    width=st.integers(1, 24),
-    number=st.integers(0, 35),
-    density=st.sampled_from([0.25, 0.3, 0.5, 0.65, 0.75]),
-)
-def test_noise_equals_the_reference(stage, seed, height, width, number, density):
-    """Near the percolation threshold regions are as winding as they get."""
-    layers = np.random.default_rng(seed).random((1, 8, height, width)) < density
-    number = number % 8 if STAGES[stage][2] is RADII else number
-    assert_like_the_reference(stage, pack(layers), number)
 
 
 @pytest.mark.parametrize("radius", [1, 2, 3])
@@ -118,16 +31,6 @@ def test_dilation_is_kornias(radius):
     kernel = torch.ones(2 * radius + 1, 2 * radius + 1)
     expected = kornia.morphology.dilation(unpack(bits).float(), kernel)
     assert torch.equal(unpack(dilate(bits, radius)), expected.bool())
-
-
-@given(seed=st.integers(0, 10_000), height=st.integers(1, 20), width=st.integers(1, 20))
-def test_centres_equal_the_reference(seed, height, width):
-    bits = random_planes(seed, (2, height, width)) & random_planes(seed + 3, (2, height, width))
-    expected = [
-        [reference.centroid(layer) or (-1, -1) for layer in layers]
-        for layers in unpack(bits).numpy()
-    ]
-    assert centre_table(centroids(bits), 2).tolist() == np.array(expected).tolist()
 
 
 def test_a_centre_is_exact_where_float32_is_not():
@@ -145,20 +48,6 @@ def directions_of(numbers: torch.Tensor) -> torch.Tensor:
     return masks.bool()
 
 
-@given(
-    seed=st.integers(0, 1000),
-    height=st.integers(1, 20),
-    width=st.integers(1, 40),
-    kinds=st.integers(1, AREA_LAYERS + 1),
-)
-def test_boundaries_equal_the_reference(seed, height, width, kinds):
-    numbers = AREA_LAYERS - np.random.default_rng(seed).integers(0, kinds, (2, height, width))
-    expected = [reference.boundaries([image == k for k in range(AREA_LAYERS)]) for image in numbers]
-    np.testing.assert_array_equal(
-        directions_of(torch.from_numpy(numbers)).numpy(), np.array(expected)
-    )
-
-
 def by_direction(drawing: np.ndarray) -> dict[str, int]:
     numbers = torch.from_numpy(np.where(drawing, 3, AREA_LAYERS))[None]
     return dict(zip(DIRECTIONS, directions_of(numbers).sum((0, 2, 3)).tolist(), strict=True))
@@ -170,24 +59,6 @@ def test_a_straight_boundary_is_two_pixels_wide():
     assert by_direction(half) == {"upright": 16, "level": 0, "rising": 0, "falling": 0}
     assert by_direction(half[:, ::-1]) == by_direction(half) == by_direction(~half)
     assert by_direction(half.T) == {"upright": 0, "level": 16, "rising": 0, "falling": 0}
-
-
-@given(
-    st.integers(0, 10_000),
-    st.integers(1, 60),
-    st.integers(1, 80),
-    st.lists(st.integers(-90, 90), min_size=1, max_size=3),
-)
-def test_pooling_equals_the_reference_exactly(seed, height, width, shift):
-    layers = np.random.default_rng(seed).random((len(shift), 8, height, width)) < 0.4
-    cells = pool(torch.from_numpy(layers), torch.tensor(shift))
-    assert cells.dtype == torch.float64
-    assert cells.shape == (len(shift), 8, ROWS, COLUMNS)
-    expected = [
-        [reference.pool(layer, s) for layer in image]
-        for image, s in zip(layers, shift, strict=True)
-    ]
-    np.testing.assert_array_equal(cells.numpy(), expected)
 
 
 @pytest.mark.parametrize("name", label_space_names())
@@ -257,19 +128,6 @@ def opening(column: int, height: int = 40, width: int = 60) -> torch.Tensor:
     numbers[:, : height // 2, column - 4 : column + 5] = SKY
     numbers[:, height // 2 :, column - 4 : column + 5] = GROUND
     return numbers
-
-
-@given(st.integers(0, 10_000), st.integers(1, 40), st.integers(1, 50), st.floats(0, 1))
-def test_vanishing_columns_equal_the_reference(seed, height, width, density):
-    """Also in float32, which is what exported files compute in."""
-    rng = np.random.default_rng(seed)
-    numbers = rng.integers(0, AREA_LAYERS + 1, (2, height, width))
-    numbers[rng.random(numbers.shape) < density] = SKY
-    result = vanishing_columns(torch.from_numpy(numbers))
-    assert result.dtype == torch.int64
-    layers = [[image == k for k in range(AREA_LAYERS)] for image in numbers]
-    assert result.tolist() == [reference.vanishing_column(image) for image in layers]
-    assert (2 * result.abs() <= width).all()
 
 
 def test_large_images_do_not_overflow():

@@ -16,7 +16,6 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "scripts"))
 
 from _wheels import FOLDER, WHEELS, problems_of, wheels  # noqa: E402
-from hatch_build import SHARED, ZIG, compile_core, compiler  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -99,58 +98,6 @@ def test_every_wheel_has_its_tag_and_library(name, tmp_path):
     assert source == "source"
     assert held == [WHEELS[name].library] and "native core of" in content
     assert built.name.endswith(f"-py3-none-{WHEELS[name].tag}.whl")
-
-
-def printed_by(folder, *arguments):
-    """What ``bits.cpp`` prints with the library in a folder."""
-    if not (folder / "bits").exists():
-        flags = ["-std=c++17", "-O1", f"-I{ROOT / FOLDER}", f"-Wl,-rpath,{folder}"]
-        sources = [ROOT / "tests" / "bits.cpp", folder / "libssrvlad.so"]
-        subprocess.run([*compiler(), *flags, *sources, "-o", folder / "bits"], check=True)
-    return subprocess.check_output([folder / "bits", *arguments], text=True)
-
-
-@pytest.mark.slow
-def test_the_published_core_has_the_bits_of_a_local_build(tmp_path, capsys):
-    """Its time is printed, beside that of a local build."""
-    pytest.importorskip("ziglang")
-    target = ["-target", WHEELS["linux_x86_64"].target]
-    commands = {"local": [*compiler(), *SHARED], "wheel": [*ZIG, *target, *SHARED]}
-    bits, least = {}, {}
-    for name, command in commands.items():
-        folder = tmp_path / name
-        folder.mkdir()
-        assert not compile_core(ROOT / FOLDER, command, folder / "libssrvlad.so")
-        bits[name] = printed_by(folder)
-        least[name] = min(float(printed_by(folder, "time")) for _ in range(3))
-    assert bits["wheel"] == bits["local"]
-    with capsys.disabled():
-        ratio = least["wheel"] / least["local"]
-        print(f"query: {least['local']:.3f} s by a local build, {ratio:.2f} times that by a wheel")
-
-
-def version_of(folder):
-    _, [version], _ = outcome(sys.executable, "-m", "hatchling", "version", cwd=folder)
-    return version
-
-
-def test_the_tag_is_the_version(tmp_path):
-    """Without one the version is that of development, and without git none."""
-    tree = tmp_path / "tree"
-    for name in ("pyproject.toml", "README.md", "ssrvlad_torch/__init__.py"):
-        (tree / name).parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy(ROOT / name, tree / name)
-    assert version_of(tree) == "0.0"
-    for command in ("init -q", "add .", "commit -qm first"):
-        git(tree, command)
-    assert version_of(tree).startswith("0.1.dev1+g")
-    git(tree, "tag v1.2.3")
-    assert version_of(tree) == "1.2.3"
-
-
-def git(folder, command):
-    who = ["-c", "user.name=x", "-c", "user.email=x@example.org"]
-    subprocess.run(["git", *who, *command.split()], cwd=folder, check=True, capture_output=True)
 
 
 @pytest.mark.slow

@@ -1,8 +1,5 @@
 """Work in threads: order, memory and errors."""
 
-import threading
-import time
-
 import pytest
 
 from ssrvlad_torch.datasets.workers import in_order
@@ -16,18 +13,6 @@ def squared(number):
 @pytest.mark.parametrize("threads", [0, 1, 3])
 def test_results_come_in_the_order_of_the_items(threads, count):
     assert list(in_order(squared, range(count), threads, 5)) == [n * n for n in range(count)]
-
-
-def test_threads_share_the_work_and_are_started_once():
-    def where(_item):
-        time.sleep(0.05)
-        return threading.get_ident()
-
-    started = []
-    done = set(in_order(where, range(12), 2, 4, lambda: started.append(threading.get_ident())))
-    assert len(done) == 2
-    assert sorted(started) == sorted(done)
-    assert threading.get_ident() not in done
 
 
 def test_items_are_numbers_as_they_are_needed():

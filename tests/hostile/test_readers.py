@@ -77,24 +77,6 @@ def test_a_wrong_limit_of_the_environment_is_named(here, ssrvlad, monkeypatch, l
     one_line(ssrvlad, "show maps/000.png -o fig.png --labels-as camvid-11", "SSRVLAD_FILE_LIMIT")
 
 
-WAITING: list[Make] = [
-    lambda p: bad.pipe(p / "bad" / "x.png"),
-    lambda p: bad.endless(p / "bad" / "x.png"),
-    lambda p: bad.array(p / "bad" / "x.npy", (10**7, 0, 0)),
-    lambda p: bad.pipe(p / "bad" / "x.npy"),
-]
-
-
-@pytest.mark.parametrize("make", WAITING)
-def test_pipes_and_devices_are_not_frames(here, ssrvlad, make):
-    make(here)
-    one_line(ssrvlad, "encode bad -o new.ssrdb --labels-as camvid-11", "label maps")
-    alone = next((here / "bad").iterdir())
-    code, _, err = ssrvlad("encode", alone, "-o", "new.ssrdb", "--labels-as", "camvid-11")
-    assert code in (2, SKIPPED)
-    assert alone.name in err[0]
-
-
 YAML: list[tuple[str, str]] = [
     (bad.ALIASES, "an alias in line 2"),
     (bad.NESTED, "more than 20 levels in line 1"),
