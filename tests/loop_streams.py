@@ -7,9 +7,6 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from helpers import write_street
-from hypothesis import strategies as st
-
-from ssrvlad_torch.loops.config import LoopConfig
 
 PLACES = np.eye(480, dtype=np.float32)
 """Descriptors of places, at right angles to each other."""
@@ -93,14 +90,3 @@ def assert_same_answers(got, expected):
             assert one[name] == pytest.approx(other[name], abs=3e-4), one["frame"]
         places, others = (_likely(answer["candidates"]) for answer in (one, other))
         assert places == pytest.approx(others, abs=3e-4), one["frame"]
-
-
-configs = st.builds(LoopConfig, exclude=st.integers(0, 20), threshold=st.floats(0.1, 0.9))
-streams = st.builds(
-    noisy_stream,
-    st.integers(0, 2**31),
-    st.integers(1, 120),
-    st.integers(2, 60),
-    st.lists(st.integers(0, 120), max_size=2),
-    st.sampled_from([1, 3]),
-)

@@ -7,11 +7,6 @@ from helpers import refuses
 from ssrvlad_torch.channels.channel import View, batches, labels_of, picture_of
 
 
-def test_the_sequence_is_the_part_before_the_last_slash():
-    assert View("monday/morning/000042").sequence == "monday/morning"
-    assert View("000042").sequence == ""
-
-
 @pytest.mark.parametrize(
     ("picture", "message"),
     [
@@ -55,10 +50,3 @@ def test_batches_keep_the_order_and_hold_what_is_alike():
     assert widths([], 2) == []
     unlike = [*views(4), *views(4, dtype=np.int32), *views(4, labels_as="camvid-32"), View("a/9")]
     assert [len(batch) for batch in batches(unlike, 4)] == [1] * 4
-
-
-def test_batches_take_no_more_than_they_give():
-    read = []
-    stream = batches((read.append(view) or view for view in views(*[4] * 10)), 3)
-    next(stream)
-    assert len(read) <= 4

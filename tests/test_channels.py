@@ -114,36 +114,6 @@ def test_descriptors_of_another_version_are_refused(tmp_path):
 # ---- loops
 
 
-def laps(seed: int, noise: float, length: int = 60) -> torch.Tensor:
-    """Descriptors of two laps."""
-    generator = torch.Generator().manual_seed(seed)
-    places = torch.randn(length, 480, generator=generator).repeat(2, 1)
-    seen = places + noise * torch.randn(places.shape, generator=generator)
-    return torch.nn.functional.normalize(seen, dim=1)
-
-
-def run(detector: LoopDetector, *methods: torch.Tensor) -> int:
-    """The number of right loops in the second lap; asserts that there are no wrong ones."""
-    names = [channel.column.name for channel in detector.channels]
-    right = 0
-    for row, described in enumerate(zip(*methods, strict=True)):
-        vectors = dict(zip(names, described, strict=True))
-        loop = detector.observe(FrameRecord("drive", str(row)), vectors)
-        if loop.accepted:
-            assert abs(int(loop.candidate.partition("/")[2]) - (row - 60)) <= 2
-            right += 1
-    return right
-
-
-def test_a_detector_closes_more_loops_with_both():
-    noisy = laps(0, 2.5), laps(1, 2.5)
-    alone = [run(LoopDetector(LoopConfig(exclude=20)), one) for one in noisy]
-    detector = LoopDetector(LoopConfig(exclude=20), channels=[HOG()])
-    assert run(detector, *noisy) > max(alone) + 5
-    assert detector.weights.keys() == {"ssr-vlad", "hog"}
-    assert LoopDetector().weights == {}
-
-
 def test_a_detector_stores_all_channels(tmp_path):
     detector = LoopDetector(LoopConfig(exclude=2), channels=[HOG()])
     database = Database.create(tmp_path / "memory", detector.head.config, columns=[HOG_STORED])

@@ -7,8 +7,6 @@ from helpers import street
 from networks import photo
 
 from ssrvlad_torch import LoopDetector, Segmenter, native
-from ssrvlad_torch.channels.features import Features
-from ssrvlad_torch.database.frames import FrameRecord
 from ssrvlad_torch.loops.config import LoopConfig
 
 PLACES = (*range(12), *range(4, 10))
@@ -65,19 +63,3 @@ def test_without_the_core_there_is_no_detector(monkeypatch):
     monkeypatch.setattr(native, "core", lambda: native.Core(None, "it was not built"))
     with pytest.raises(RuntimeError, match=r"^it was not built$"):
         LoopDetector(CONFIG)
-
-
-def test_other_signs_are_refused():
-    detector = LoopDetector(channels=[Features("drawn")])
-    descriptors = {"ssr-vlad": torch.zeros(480)}
-    for wrong in (torch.zeros(16, 16, 16), torch.zeros(16, 16, dtype=torch.uint8)):
-        message = r"'d/a': features: expected an array \(1, 16, 16, 16\) of uint8 on cpu, got"
-        with pytest.raises(ValueError, match=message):
-            detector.observe(FrameRecord("d", "a"), {**descriptors, "features": wrong})
-
-
-def test_a_frame_without_a_channel_is_refused():
-    detector = LoopDetector(channels=[Features("drawn")])
-    message = "expected descriptors by ssr-vlad, features, got ssr-vlad"
-    with pytest.raises(ValueError, match=message):
-        detector.observe(FrameRecord("d", "a"), {"ssr-vlad": torch.zeros(480)})

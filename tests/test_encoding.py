@@ -51,15 +51,6 @@ def test_memory_and_database_hold_the_same_frames(town, workers):
     assert torch.get_num_threads() == threads
 
 
-def test_no_frames_give_an_empty_float32_array():
-    torch.set_default_dtype(torch.float64)
-    try:
-        frames, _ = encode_to_memory(CHANNELS, HEAD.label_space, [], 1)
-    finally:
-        torch.set_default_dtype(torch.float32)
-    assert (frames.descriptors.dtype, frames.descriptors.shape) == (torch.float32, (0, 480))
-
-
 def test_a_frame_that_cannot_be_read_or_encoded_is_skipped_and_the_others_are_encoded(town):
     """Both in the middle of a batch."""
     town.add("a", range(12))

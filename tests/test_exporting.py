@@ -36,20 +36,6 @@ def test_npy_is_an_array_with_names_settings_and_fingerprint(database, tmp_path)
     assert names == ["a/1", "a/2", "a/10", "b/straße 🚗"]
 
 
-def test_global_descriptors_as_hloc_reads_them(database, tmp_path):
-    """As in its ``list_h5_names`` and ``get_descriptors``."""
-    h5py = pytest.importorskip("h5py", reason="needs the extra hloc")
-    file = tmp_path / "out.h5"
-    assert export_database(database, "hloc", file) == [file]
-    frames = database.load()
-    with h5py.File(file, "r") as stored:
-        found = []
-        stored.visititems(lambda name, thing: found.append(name) if "shape" in dir(thing) else None)
-        assert {*found} == {f"{frame}/global_descriptor" for frame in frames.frames}
-        read = [stored[frame]["global_descriptor"].__array__() for frame in frames.frames]
-        np.testing.assert_array_equal(read, frames.descriptors.numpy())
-
-
 def test_an_export_deletes_the_files_of_an_earlier_one(database, tmp_path):
     """Features of another map, or a fingerprint, would be taken for those of the array."""
     columns = [Column("features", "of a network", (2, 4), "uint8")]

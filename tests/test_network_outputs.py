@@ -7,11 +7,10 @@ import pytest
 import torch
 from drawings import SPACE
 from helpers import refuses, street
-from networks import CLASSES, PLAIN, Strided, Then, photo
+from networks import PLAIN, Strided, Then, photo
 from segmenting import NOISE, PHOTOS, assert_right, write_photos
 
 from ssrvlad_torch.datasets.image_files import find_image_files
-from ssrvlad_torch.segmentation.network_outputs import classes_of, enlarged
 from ssrvlad_torch.segmentation.preparation import Preparation, SegmenterConfig
 from ssrvlad_torch.segmentation.segmenter import Segmenter
 
@@ -96,13 +95,6 @@ def test_the_class_is_decided_at_the_stride_of_the_scores(stride, size):
         for cells, pixels in zip(best.shape, (17, 23), strict=True)
     )
     np.testing.assert_array_equal(labels, best[np.ix_(rows, columns)])
-
-
-def test_the_first_of_equal_scores_wins_and_minus_infinity_never():
-    assert not classes_of(torch.zeros(1, CLASSES, 4, 4)).any()
-    masked = torch.full((1, CLASSES, 6, 8), -torch.inf)
-    masked[:, 5] = -3
-    assert (enlarged(classes_of(masked), 9, 5) == 5).all()
 
 
 @pytest.mark.parametrize(

@@ -5,24 +5,80 @@ import kornia.morphology
 import numpy as np
 import pytest
 import torch
-from drawings import (
-    random_planes,
-)
+from drawings import pack, random_planes
 from graphs import by_runtime
 from helpers import refuses
+from hypothesis import given
+from hypothesis import strategies as st
 
-from ssrvlad_torch import SSRVLADConfig
+from ssrvlad_torch import SSRVLADConfig, reference
 from ssrvlad_torch.config import AREA_LAYERS
 from ssrvlad_torch.deployment.trace import traced
+from ssrvlad_torch.stages import skeleton
 from ssrvlad_torch.stages.bitplanes import unpack
 from ssrvlad_torch.stages.boundaries import DIRECTIONS, boundaries
 from ssrvlad_torch.stages.centroid import centre_table, centroids
+from ssrvlad_torch.stages.components import drop_regions, fill_holes
+from ssrvlad_torch.stages.keypoints import end_points, intersections
 from ssrvlad_torch.stages.layers import UNKNOWN, categorise, category_table, refuse_unknown
 from ssrvlad_torch.stages.lengths import lengths
-from ssrvlad_torch.stages.morphology import dilate
+from ssrvlad_torch.stages.morphology import dilate, erode, open_and_close
 from ssrvlad_torch.stages.reduction import reduce_by_majority
+from ssrvlad_torch.stages.skeleton import RULES
 from ssrvlad_torch.stages.vanishing_column import vanishing_columns
 from ssrvlad_torch.taxonomy import label_space, label_space_names
+
+
+def opened_and_closed(layer, radii):
+    """``radii`` are two digits to the base 6: of the opening and of the closing."""
+    opening, closing = divmod(radii, 6)
+    opened = reference.dilate(reference.erode(layer, opening), opening)
+    return reference.erode(reference.dilate(opened, closing), closing)
+
+
+STAGES = {
+    "dilate": (dilate, reference.dilate, 7),
+    "erode": (erode, reference.erode, 7),
+    "open and close": (lambda x, n: open_and_close(x, *divmod(n, 6)), opened_and_closed, 35),
+    "open and close by tensors": (
+        lambda x, n: open_and_close(x, *map(torch.tensor, divmod(n, 6))),
+        opened_and_closed,
+        35,
+    ),
+    "fill holes": (fill_holes, lambda x, n: x | reference.small_holes(x, n), 35),
+    "drop regions": (drop_regions, lambda x, n: x & ~reference.small_regions(x, n), 35),
+    **{
+        name: (
+            lambda x, _, r=rule: skeleton.thin(x, r),
+            lambda x, _, n=name: reference.thin(x, n),
+            0,
+        )
+        for name, rule in RULES.items()
+    },
+    "end points": (lambda x, _: end_points(x), lambda x, _: reference.end_points(x), 0),
+    "intersections": (lambda x, _: intersections(x), lambda x, _: reference.intersections(x), 0),
+}
+"""By name the stage and the reference, called with masks and a radius or an area, and the largest
+of these numbers."""
+
+
+@pytest.mark.parametrize("stage", STAGES)
+@given(
+    seed=st.integers(0, 10_000),
+    height=st.integers(1, 24),
+    width=st.integers(1, 24),
+    number=st.integers(0, 35),
+    density=st.sampled_from([0.25, 0.3, 0.5, 0.65, 0.75]),
+)
+def test_noise_equals_the_reference(stage, seed, height, width, number, density):
+    """Near the percolation threshold regions are as winding as they get."""
+    layers = np.random.default_rng(seed).random((8, height, width)) < density
+    fast, plain, largest = STAGES[stage]
+    number %= largest + 1
+    bits = pack(layers[None])
+    expected = [plain(layer, number) for layer in layers]
+    np.testing.assert_array_equal(unpack(fast(bits, number))[0], np.array(expected))
+    assert torch.equal(bits, pack(layers[None]))
 
 
 @pytest.mark.parametrize("radius", [1, 2, 3])

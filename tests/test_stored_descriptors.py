@@ -1,7 +1,6 @@
 """Descriptors stored by hloc, or by `db export`, as a method of `compare`."""
 
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -131,10 +130,3 @@ def test_other_files_and_damaged_descriptors_are_refused(tmp_path):
             method.read({"a": None, name: None})
     with refused("unknown method 'a.npy'; expected one of .*, or a file of stored descriptors"):
         make("a.npy")
-
-
-def test_the_extra_that_is_missing_is_named(tmp_path, monkeypatch):
-    (tmp_path / "a.h5").touch()
-    monkeypatch.setitem(sys.modules, "h5py", None)
-    with pytest.raises(ImportError, match=r"stored descriptors need: pip install .*\[hloc\]"):
-        make(str(tmp_path / "a.h5"))

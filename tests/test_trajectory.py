@@ -36,26 +36,6 @@ def test_without_poses_there_is_no_trajectory():
     assert dots(beside) == {"tab:blue": [[4, 0], [5, 2]]}
 
 
-def test_some_poses_may_be_unknown():
-    poses = POSES.copy()
-    poses[[0, 3]] = np.nan
-    assert dots(draw_loops(LOOPS, poses, "drive", metres=50).axes[1])["tab:red"] == [[4, 0]]
-
-
-def test_sequences_are_not_joined():
-    above = draw_loops(LOOPS, POSES, "drive", 5, ["a", "a", "a", "b", "b", "b"]).axes[0]
-    lines = [line.get_xdata().tolist() for line in above.lines if line.get_linestyle() == "-"]
-    assert lines == [POSES[:3, 0].tolist(), POSES[3:, 0].tolist()]
-    assert legend(above).count("trajectory") == legend(above).count("start") == 1
-
-
-def test_candidates_that_are_no_loop_are_drawn_faintly():
-    candidates = np.array([-1, -1, 0, 1, 0, 2])
-    beside = draw_loops(LOOPS, POSES, "drive", candidates=candidates).axes[1]
-    assert dots(beside) == {"tab:blue": [[4, 0], [5, 2]], "0.7": [[2, 0], [3, 1]]}
-    assert "candidates below the threshold: 2" in legend(beside)
-
-
 @pytest.mark.parametrize("frames", [0, 3])
 def test_a_stream_without_loops_is_drawn(frames, tmp_path):
     figure = draw_loops(np.full(frames, -1), POSES[:frames], "drive")

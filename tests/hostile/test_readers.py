@@ -80,16 +80,8 @@ def test_a_wrong_limit_of_the_environment_is_named(here, ssrvlad, monkeypatch, l
 YAML: list[tuple[str, str]] = [
     (bad.ALIASES, "an alias in line 2"),
     (bad.NESTED, "more than 20 levels in line 1"),
-    ("a: !!bool abc", "not plain YAML"),
-    ("a: !!int x", "not plain YAML"),
     ("a: !!python/object/apply:os.system [ls]", "not plain YAML"),
-    ("? [a]\n: b", "not plain YAML"),
-    ("a: !!timestamp x", "not plain YAML"),
     ("\0", "not plain YAML"),
-    ("[1, 2]", "own.yaml"),
-    ("3", "own.yaml"),
-    (f"{SPACE}\n", "not plain YAML"),
-    (f"{SPACE}, colour: [1, 2]}}\n", "colour"),
     ("x" * (2 << 20), "has 2097152 bytes; expected at most 1048576"),
 ]
 
@@ -102,11 +94,9 @@ NO_FILES: list[tuple[Make, str]] = [
 ]
 TRUTHS: list[tuple[str, Make, str]] = [
     ("bad.json", lambda p: bad.text(p, bad.NESTED), "nested too deeply"),
-    ("bad.json", lambda p: bad.text(p, "{"), "bad.json"),
     ("bad.npy", lambda p: bad.array(p, (1 << 20, 1 << 20)), "has 0 bytes for an array"),
     ("bad.json", bad.pipe, "is a pipe"),
     ("bad.csv", bad.endless, "is a device"),
-    ("bad.npz", lambda p: bad.text(p, "no archive"), "not a .npz archive"),
     ("bad.csv", lambda p: bad.text(p, "query,reference\n\0,b\n"), "bad.csv"),
 ]
 
@@ -119,7 +109,7 @@ LABELS, ENCODE = "labels own.yaml", "encode maps -o new.ssrdb --labels-as own.ya
 SEGMENT = "encode photos -o new.ssrdb --labels-as camvid-11 --segmenter own.yaml"
 REFUSED = [
     *((LABELS, yaml(content), message) for content, message in YAML),
-    *((SEGMENT, yaml(content), message) for content, message in YAML[:5]),
+    *((SEGMENT, yaml(content), message) for content, message in YAML),
     *((SEGMENT, yaml(f"network: net.onnx\nsize: {size}\n"), "own.yaml: ") for size in SIZES),
     *((command, make, message) for command in (LABELS, ENCODE) for make, message in NO_FILES),
     *(
