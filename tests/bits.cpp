@@ -1,5 +1,5 @@
-// Prints what the core finds in made-up drives, every bit of it: scores, decisions and loops. On all
-// processors it prints the same.
+// Prints what the core says of made-up label maps and drives, every bit of it: descriptors, scores,
+// decisions and loops. On all processors it prints the same.
 
 #include <cstdio>
 #include <cstdlib>
@@ -24,7 +24,7 @@ void expect_ok(int status) {
 }
 
 void print(const std::vector<float> &numbers) {
-  for (const float number : numbers) std::printf("%a\n", static_cast<double>(number));
+  for (const float number : numbers) std::printf("%.9g\n", static_cast<double>(number));
 }
 
 // Descriptors of a map, and of a drive along some of its rows that sees them changed.
@@ -82,7 +82,7 @@ void find(Town &town) {
     const ssrvlad_decision decision = town.decide(follow);
     for (const int64_t row : town.rows) std::printf("%lld\n", static_cast<long long>(row));
     print(town.scores), print(town.sure);
-    std::printf("%d %a %a %a\n", decision.followed, decision.gain, town.weights[0], town.weights[1]);
+    std::printf("%d %.17g %.17g %.17g\n", decision.followed, decision.gain, town.weights[0], town.weights[1]);
   }
 }
 
@@ -104,14 +104,37 @@ void close(const Town &town) {
     const void *descriptors[] = {unit.data(), seen};
     ssrvlad_loop loop;
     expect_ok(ssrvlad_loops_update(loops, descriptors, nullptr, static_cast<double>(frame), frame == ROWS, 1, &loop));
-    std::printf("%d %lld %a %a\n", loop.reason, static_cast<long long>(loop.candidate), loop.score, loop.probability);
+    std::printf("%d %lld %.17g %.17g\n", loop.reason, static_cast<long long>(loop.candidate), loop.score, loop.probability);
   }
   ssrvlad_loops_free(loops);
+}
+
+// Label maps of blocks, each with some odd pixels.
+void describe(const char *preset) {
+  constexpr int64_t IMAGES = 4, HEIGHT = 181, WIDTH = 243;
+  std::vector<unsigned char> categories(256), blocks(IMAGES * 400), ids(IMAGES * HEIGHT * WIDTH);
+  for (unsigned char &category : categories) category = static_cast<unsigned char>(noise() % 9);
+  for (unsigned char &block : blocks) block = static_cast<unsigned char>(noise());
+  for (int64_t pixel = 0; pixel < static_cast<int64_t>(ids.size()); ++pixel) {
+    const int64_t image = pixel / (HEIGHT * WIDTH), y = pixel / WIDTH % HEIGHT, x = pixel % WIDTH;
+    const int64_t grain = 13 * (image + 1);
+    ids[pixel] = noise() % 40 ? blocks[image * 400 + y / grain * 20 + x / grain] : static_cast<unsigned char>(noise());
+  }
+  ssrvlad_settings settings;
+  expect_ok(ssrvlad_preset(preset, &settings));
+  ssrvlad_head *head = ssrvlad_new(&settings);
+  std::vector<float> descriptors(IMAGES * ssrvlad_length(head));
+  const ssrvlad_labels labels = {ids.data(), 1, IMAGES, HEIGHT, WIDTH};
+  const ssrvlad_table table = {categories.data(), 256, 0};
+  expect_ok(ssrvlad_describe(head, &labels, &table, 1, descriptors.data()));
+  print(descriptors);
+  ssrvlad_free(head);
 }
 
 }  // namespace
 
 int main() {
+  describe("default"), describe("paper");
   Town town;
   find(town), close(town);
 }

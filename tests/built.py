@@ -24,7 +24,12 @@ ROOT = Path(__file__).parents[1]
 Fixtures = Callable[[str], Any]
 """The value of a fixture by its name."""
 WEB = ROOT / "export" / "web"
-STRICT = {**os.environ, "CXXFLAGS": "-Wall -Wextra -Werror", "CMAKE_BUILD_TYPE": "Debug"}
+STRICT = {
+    **os.environ,
+    "CXXFLAGS": "-Wall -Wextra -Werror",
+    "CMAKE_BUILD_TYPE": "Debug",
+    "CMAKE_BUILD_PARALLEL_LEVEL": "2",
+}
 
 
 def must(*command, **options):

@@ -98,6 +98,7 @@ def bad(town, tmp_path):
     base, labels = tmp_path / "town.npy", (tmp_path / "map.npy").read_bytes()
     np.save(tmp_path / "strange.npy", np.full((4, 5), 77, np.uint8))
     np.save(tmp_path / "wide.npy", np.zeros((4, 5), np.int64))
+    write_categories(tmp_path / "categories.npy", "camvid-11")
     (tmp_path / "cut.npy").write_bytes(labels[:-1])
     Image.fromarray(photo(street(1, 30, 40))).save(tmp_path / "photo.jpg")
     np.save(tmp_path / "short.npy", np.zeros((6, 9), np.float32))
@@ -152,6 +153,14 @@ WRONG_USE = {
         ("--exclude 2.7 no.onnx frames", "--exclude: expected a whole number from 0"),
         ("--threshold -1 no.onnx frames", "expected a number from 0 to 1, got -1"),
         ("--threshold 2 no.onnx frames", "expected a number from 0 to 1, got 2"),
+    ],
+    "../build-describe/describe": [
+        ("default categories.npy", "usage"),
+        ("best categories.npy map.npy", "expected the preset default or paper, got best"),
+        ("default map.npy map.npy", "expected (256,) uint8, got 2 axes"),
+        ("default categories.npy nowhere.npy", "cannot be read"),
+        ("default categories.npy strange.npy", "20 pixels have an id without"),
+        ("default categories.npy short.npy", "got 2 axes of <f4"),
     ],
 }
 

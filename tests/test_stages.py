@@ -144,7 +144,7 @@ def test_an_unknown_id_is_named_with_its_count_and_the_space(unknown, dtype):
         refuse_unknown(torch.tensor([[[20, 21, 40, 21]]]), space)
 
 
-SKY, GROUND, BUILDING = 5, 0, 2
+SKY = 5
 IN_PIXELS = SSRVLADConfig.from_preset("paper", opening=0.033333, closing=0.25, hole_area=0.123456)
 HUGE = [(1, 1), (1, 40_000), (719, 1281), (6000, 4000), (10_007, 9973), (30_000, 30_000)]
 
@@ -178,12 +178,17 @@ def test_lengths_in_a_graph_are_those_of_the_config(runtime):
         assert [int(number) for number in run(*size)] == [int(number) for number in numbers(*size)]
 
 
-def opening(column: int, height: int = 40, width: int = 60) -> torch.Tensor:
-    """Buildings left and right of an opening of nine vanishing_columns."""
-    numbers = torch.full((1, height, width), BUILDING)
-    numbers[:, : height // 2, column - 4 : column + 5] = SKY
-    numbers[:, height // 2 :, column - 4 : column + 5] = GROUND
-    return numbers
+@given(st.integers(0, 10_000), st.integers(1, 40), st.integers(1, 50), st.floats(0, 1))
+def test_vanishing_columns_equal_the_reference(seed, height, width, density):
+    """Also in float32, which is what exported files compute in."""
+    rng = np.random.default_rng(seed)
+    numbers = rng.integers(0, AREA_LAYERS + 1, (2, height, width))
+    numbers[rng.random(numbers.shape) < density] = SKY
+    result = vanishing_columns(torch.from_numpy(numbers))
+    assert result.dtype == torch.int64
+    layers = [[image == k for k in range(AREA_LAYERS)] for image in numbers]
+    assert result.tolist() == [reference.vanishing_column(image) for image in layers]
+    assert (2 * result.abs() <= width).all()
 
 
 def test_large_images_do_not_overflow():
