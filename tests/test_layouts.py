@@ -146,7 +146,6 @@ def test_poses_are_joined_by_name(copy, poses):
 
 
 POSELESS = "no frame of {} has a pose; expected "
-PARTS = [f"{FALL}/CameraParams/{FRONT}/000001.txt", f"{FALL}/GT/LABELS/{FRONT}/000003.png"]
 
 
 def lacking(count, total, kind, first):
@@ -169,23 +168,10 @@ MISSING = [
     ),
     (
         synthia,
-        PARTS,
-        [
-            lacking(2, 8, "label map", f"{FALL}-Stereo_Left-Omni_F/000003"),
-            lacking(2, 8, "pose", f"{FALL}-Stereo_Left-Omni_F/000001"),
-        ],
-    ),
-    (
-        synthia,
         [NIGHT, f"{FALL}/GT", f"{FALL}/CameraParams"],
         [f"{POSELESS}SYNTHIA-SEQS-*/CameraParams of the same packages"],
     ),
     (robotcar, [], [lacking(5, 9, "pose", "dawn-rear/1418721356878649")]),
-    (
-        robotcar,
-        ["robotcar_v2_train.txt", "3D-models/all-merged/all.nvm"],
-        [f"{POSELESS}3D-models/**/*.nvm and robotcar_v2_train.txt of the same page"],
-    ),
     (
         extended_cmu,
         [],

@@ -186,16 +186,3 @@ def test_ray_that_does_not_start_is_an_error_in_one_line(files, database, monkey
     monkeypatch.setattr(ray, "init", fail)
     with pytest.raises(OSError, match=r"^Ray does not start: no room in /dev/shm$"):
         encode_with_ray(HEAD, files, database, TWO)
-
-
-def test_too_few_gpus_are_an_error(photos, segmenter, pictures):
-    few = r"^the cluster has \d+ GPUs, expected 999 for each worker$"
-    with pytest.raises(ValueError, match=few):
-        encode_with_ray(HEAD, photos, pictures, EncodeOptions(workers=2, gpus=999), segmenter)
-
-
-def test_a_network_without_a_name_is_sent(tmp_path, photos, database):
-    torch.manual_seed(0)
-    segmenter = Segmenter(torch.nn.Conv2d(3, 11, 3, padding=1), "camvid-11")
-    assert encode_with_ray(HEAD, photos, database, TWO, segmenter).encoded == 20
-    assert_same_as_local(tmp_path / "db", photos, segmenter)

@@ -23,12 +23,7 @@ from ssrvlad_torch.database.frames import FrameSet
 from ssrvlad_torch.datasets.image_files import Pixels
 from ssrvlad_torch.evaluation.measure import Evaluation, Recognition, measure
 from ssrvlad_torch.evaluation.metrics import Convention, figure_rows, fraction
-from ssrvlad_torch.evaluation.outcomes import judge
 from ssrvlad_torch.evaluation.report import (
-    RIGHT_MATCHES,
-    WRONG_MATCHES,
-    Match,
-    chosen_matches,
     render,
     write_report,
 )
@@ -224,48 +219,6 @@ def test_matches_come_with_their_pictures(report, page):
     ranks = re.findall(r"true match reference/\d+ rank (\d+)", page.words)
     assert ranks
     assert all(int(rank) > 1 for rank in ranks)
-
-
-SIMILARITY = np.array(
-    [
-        [0.9, 0.1, 0.2, 0.0],  # right
-        [0.8, 0.7, 0.1, 0.0],  # wrong, two true matches
-        [0.6, 0.5, 0.1, 0.2],  # wrong
-        [0.0, 0.0, 0.0, 0.95],  # the place is not there
-        [0.3, 0.99, 0.0, 0.0],  # right
-        [-np.inf] * 4,  # no candidate
-        [0.6, 0.5, 0.1, 0.2],  # like the third
-    ]
-)
-TRUTH = [np.array(rows, np.int64) for rows in ([0, 3], [2, 1], [2], [], [1], [0], [2])]
-
-
-@pytest.fixture
-def outcomes():
-    order = np.argsort(-SIMILARITY, axis=1, kind="stable")
-    scores = np.take_along_axis(SIMILARITY, order, 1)
-    return judge(scores, np.where(np.isneginf(scores), -1, order), TRUTH)
-
-
-def test_the_surest_matches_come_first(outcomes):
-    wrong, right = chosen_matches(outcomes, TRUTH, Drawn(SIMILARITY))
-    assert wrong == [Match(3, 3, -1), Match(1, 0, 1), Match(2, 0, 2), Match(6, 0, 2)]
-    assert right == [Match(4, 1, 1), Match(0, 0, 0)]
-    many = dataclasses.replace(outcomes, **{
-        f.name: np.tile(getattr(outcomes, f.name), 9) for f in dataclasses.fields(outcomes)
-    })  # fmt: skip
-    kinds = chosen_matches(many, TRUTH * 9, Drawn(np.tile(SIMILARITY, (9, 1))))
-    assert [len(kind) for kind in kinds] == [WRONG_MATCHES, RIGHT_MATCHES]
-
-
-def test_a_place_that_is_not_there_has_no_true_match_and_an_empty_frame_no_candidate():
-    page = page_of(evaluation_of(*noisy(4, 4), [[]] * 4))
-    assert page.words.count("No reference shows this place") == 4
-    assert "true match reference/" not in page.words
-    assert "No best candidate is right." in page.words
-    empty = frame_set(torch.zeros(3, 24))
-    page = page_of(evaluation_of(empty, empty, [[0]] * 3))
-    assert "3 queries have no candidate" in page.words
 
 
 NASTY = "<img src=x onerror=alert(1)>&amp;\"'</script>$title ${x} %s \N{SNOWMAN} 漢字"

@@ -18,7 +18,7 @@ from ssrvlad_torch.search import shortlist
 from ssrvlad_torch.search.exact import recognise_in
 from ssrvlad_torch.search.index import build
 from ssrvlad_torch.search.selection import neighbours, select
-from ssrvlad_torch.search.shortlist import Shortlist, mean_of, open_shortlist
+from ssrvlad_torch.search.shortlist import Shortlist, open_shortlist
 
 ALONE = Steps(follow=None)
 
@@ -112,18 +112,6 @@ def test_means_are_of_the_frames_that_are_there(tmp_path, monkeypatch):
     short, exact = both(town, queries_at([*range(100, 140)]), Steps())
     assert torch.equal(short.matches.indices, exact.matches.indices)
     torch.testing.assert_close(short.confidence, exact.confidence, atol=1e-4, rtol=0)
-
-
-def test_a_mean_is_of_vectors_at_length_1_and_of_signs_as_1_and_minus_1():
-    """Empty frames do not count."""
-    vectors = np.random.default_rng(0).normal(size=(40, 8)).astype(np.float32)
-    vectors[3:6] = 0
-    units = np.delete(vectors, [3, 4, 5], 0)
-    units /= np.linalg.norm(units, axis=1, keepdims=True)
-    np.testing.assert_allclose(mean_of(vectors), units.mean(0), atol=1e-6)
-    signs = np.random.default_rng(0).integers(0, 256, (300, 4, 3, 2), np.uint8)
-    bits = np.unpackbits(signs.reshape(300, 24), axis=1, bitorder="little")
-    np.testing.assert_allclose(mean_of(signs), (2.0 * bits - 1).mean(0), atol=1e-6)
 
 
 def test_damaged_rows_are_refused(tmp_path):

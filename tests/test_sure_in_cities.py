@@ -68,11 +68,9 @@ EVERY, SAME, OTHER = range(FRAMES), (CITY, "reference"), (CITY + 1, "reference")
 CASES = {
     "as it is": (EVERY, SAME),
     "3 streams in turn": (in_turn(3), SAME),
-    "6 streams in turn": (in_turn(6), SAME),
     "a stop": (sorted([*EVERY, *[30] * 40]), SAME),
     "random frames": (RANDOM.permutation(FRAMES)[:40], SAME),
     "foreign": (EVERY, OTHER),
-    "foreign, 30": (range(30), OTHER),
     "the way back alone": (EVERY, (CITY, "back")),
     "half of the map": (EVERY, (CITY, "half")),
     "a U-turn": (EVERY, SAME, "turned"),
