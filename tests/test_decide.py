@@ -201,6 +201,11 @@ def test_how_queries_run_a_map(name):
         assert decision.followed and right.mean() > 0.9
 
 
+def test_a_course_that_trailed_at_first_may_win():
+    decision = decide(noisy([*range(120, 150), *range(150, 50, -1)], ROWS, strength=0.5))
+    assert decision.way == BACKWARDS
+
+
 def seen_in_a_street(queries, rows):
     """Scores of places of a street, by numbers that change slowly along it."""
     rng = np.random.default_rng(1)

@@ -2,6 +2,8 @@
 
 #include "confidence.hpp"
 
+#include <functional>
+
 namespace places {
 
 namespace {
@@ -59,9 +61,9 @@ struct Peak {
   }
 };
 
-// The rows that are not lower than their neighbours.
+// The rows that are at least so high and not lower than their neighbours.
 template <typename Number>
-std::vector<Peak<Number>> peaks_of(const Number *values, const Rows &rows) {
+std::vector<Peak<Number>> peaks_of(const Number *values, const Rows &rows, Number least) {
   std::vector<Peak<Number>> peaks;
   for (auto run = rows.runs.begin(); run != rows.runs.end();) {
     const Size first = run->at, row = run->first;
@@ -70,7 +72,7 @@ std::vector<Peak<Number>> peaks_of(const Number *values, const Rows &rows) {
     const Size end = first + last - row;
     for (Size place = first; place < end; ++place) {
       const Number value = values[place];
-      if (value > NONE && !(place > first && values[place - 1] > value) &&
+      if (value >= least && value > NONE && !(place > first && values[place - 1] > value) &&
           !(place + 1 < end && values[place + 1] > value))
         peaks.push_back({value, row + place - first});
     }
@@ -78,10 +80,22 @@ std::vector<Peak<Number>> peaks_of(const Number *values, const Rows &rows) {
   return peaks;
 }
 
-// The best peaks that are apart, falling.
+// What the highest of several blocks of values are not lower than: most of the best places are above it.
 template <typename Number>
-std::vector<Peak<Number>> best_places(const Number *values, const Rows &rows) {
-  std::vector<Peak<Number>> peaks = peaks_of(values, rows), best;
+Number high_level(const Number *values, Size count) {
+  constexpr Size BLOCK = 64, BLOCKS = 4 * MOST_PLACES;
+  std::vector<Number> highs;
+  for (Size first = 0; first < count; first += BLOCK)
+    highs.push_back(*std::max_element(values + first, values + std::min(count, first + BLOCK)));
+  if (static_cast<Size>(highs.size()) <= BLOCKS) return static_cast<Number>(NONE);
+  std::nth_element(highs.begin(), highs.begin() + BLOCKS, highs.end(), std::greater<Number>());
+  return highs[BLOCKS];
+}
+
+// The best peaks that are apart, falling, of those that are at least so high.
+template <typename Number>
+std::vector<Peak<Number>> best_above(const Number *values, const Rows &rows, Number least) {
+  std::vector<Peak<Number>> peaks = peaks_of(values, rows, least), best;
   const auto most = static_cast<std::ptrdiff_t>(MOST_PLACES * (2 * ELSEWHERE + 1));
   if (static_cast<std::ptrdiff_t>(peaks.size()) > most) {  // no others can be among the best
     std::nth_element(peaks.begin(), peaks.begin() + most, peaks.end());
@@ -96,6 +110,14 @@ std::vector<Peak<Number>> best_places(const Number *values, const Rows &rows) {
       best.push_back(peak);
   }
   return best;
+}
+
+template <typename Number>
+std::vector<Peak<Number>> best_places(const Number *values, const Rows &rows) {
+  const auto none = static_cast<Number>(NONE);
+  const Number high = high_level(values, rows.count);
+  std::vector<Peak<Number>> best = best_above(values, rows, high);
+  return high == none || static_cast<Size>(best.size()) == MOST_PLACES ? best : best_above(values, rows, none);
 }
 
 // `unit` turns numbers that rise with the values into values.

@@ -2,6 +2,7 @@
 
 #include "decide.hpp"
 
+#include <numeric>
 #include <random>
 
 #include "evidence.hpp"
@@ -9,7 +10,9 @@
 namespace places {
 
 namespace {
-constexpr Size KEPT = Size{1} << 24;  // numbers of beliefs that are kept rather than computed again
+constexpr Size KEPT = Size{1} << 24;  // numbers that are kept rather than computed again
+// By how much a course may trail, the logarithm of a chance, and how much of its gain the likeliest must go on to have.
+constexpr double TRAILING = 10, AS_BEFORE = 0.5;
 
 // ------------------------------------------------------------------------------------------ following
 
@@ -57,18 +60,49 @@ std::vector<Size> at_random(Size count) {
   return order;
 }
 
+// The likeliest course and its gain. A course that trails by TRAILING rests, and goes on at the end if the
+// likeliest one did not gain as it had until then.
+std::pair<std::size_t, double> likeliest_of(const Evidence &evidence, const std::vector<Course> &tried) {
+  Trial trial(evidence.map(), tried);
+  std::vector<std::size_t> running(tried.size());
+  std::iota(running.begin(), running.end(), 0);
+  Size rested = 0;  // the query at which the last one came to rest, and the gain there
+  double gain = 0;
+  for (Size query = 0; query < evidence.queries(); ++query) {
+    for (const std::size_t course : running) trial.step(evidence, query, course);
+    const double best = trial.gains()[likeliest(trial.gains())];
+    const auto trails = [&](std::size_t course) { return trial.gains()[course] < best - TRAILING; };
+    const auto end = std::remove_if(running.begin(), running.end(), trails);
+    if (end == running.end()) continue;
+    running.erase(end, running.end());
+    rested = query + 1, gain = best;
+  }
+  const std::size_t ahead = likeliest(trial.gains());
+  const auto others = static_cast<double>(evidence.queries() - rested);
+  if (rested && (trial.gains()[ahead] - gain) * static_cast<double>(rested) < AS_BEFORE * gain * others)
+    for (std::size_t course = 0; course < tried.size(); ++course)
+      while (trial.count(course) < evidence.queries()) trial.step(evidence, trial.count(course), course);
+  const std::size_t best = likeliest(trial.gains());
+  return {best, trial.gains()[best]};
+}
+
+// Whether the queries gain by a course as much in a random order.
+bool gains_at_random(const Evidence &evidence, const Course &course, double gain) {
+  Trial trial(evidence.map(), {course});
+  for (const Size query : at_random(evidence.queries())) {
+    trial.step(evidence, query);
+    const double share = static_cast<double>(trial.count(0)) / static_cast<double>(evidence.queries());
+    if (trial.count(0) >= MIN_FRAMES && trial.gains().front() < BY_ROWS / 2 * gain * share) return false;
+  }
+  return trial.gains().front() > BY_ROWS * gain;
+}
+
 // The likeliest course and its gain; no gain if there is hardly any, or as much in a random order.
 std::pair<Course, double> course_of(const Evidence &evidence) {
   if (evidence.queries() < 2) return {};
   const std::vector<Course> tried = courses();
-  Trial trial(evidence.map(), tried);
-  for (Size query = 0; query < evidence.queries(); ++query) trial.step(evidence, query);
-  const std::size_t best = likeliest(trial.gains());
-  const double gain = trial.gains()[best];
-  if (gain <= LEAST_GAIN) return {};
-  Trial again(evidence.map(), {tried[best]});
-  for (const Size query : at_random(evidence.queries())) again.step(evidence, query);
-  if (again.gains().front() > BY_ROWS * gain) return {};
+  const auto [best, gain] = likeliest_of(evidence, tried);
+  if (gain <= LEAST_GAIN || gains_at_random(evidence, tried[best], gain)) return {};
   return {tried[best], gain};
 }
 
@@ -165,7 +199,8 @@ Judged judge(const Evidence &evidence, bool drive, Decision &decision) {
   judged.chances.assign(static_cast<std::size_t>(queries), std::numeric_limits<double>::quiet_NaN());
   std::vector<Size> rivals;
   for (Size query = 0; query < queries; ++query) {
-    const Sight sight = evidence.alone(query);
+    const std::shared_ptr<const Sight> alone = evidence.alone(query);
+    const Sight &sight = *alone;
     if (drive) judged.likeness.add(evidence.profile(sight));
     put(sight.scores, sight.rows, query, decision);
     if (decision.rows[query * decision.top] < 0) continue;
@@ -209,7 +244,8 @@ Places::Places(Size queries, Size number)
       chance(near.size(), 1) {}
 
 Decision decide(const Listing &listing, const Scores &scores, bool follow, Size top) {
-  const Evidence evidence(listing, scores);
+  const bool fits = scores.queries() <= KEPT / std::max<Size>(1, listing.count());
+  const Evidence evidence(listing, scores, follow && fits ? scores.queries() : 0);
   Decision decision(evidence.queries(), top);
   Judged judged = judge(evidence, follow, decision);
   if (follow) std::tie(decision.course, decision.gain) = course_of(evidence);

@@ -55,6 +55,83 @@ double chance_near(const std::vector<float> &values, const Sight &sight, const D
 
 }  // namespace
 
+Evidence::Evidence(const Listing &listing, const Scores &scores, Size kept)
+    : listing_(listing), scores_(scores), known_(static_cast<std::size_t>(std::max<Size>(1, kept))) {
+  std::vector<Size> sample;  // of rows that represent all
+  for (Size place = 0; place < listing.count(); ++place)
+    if (listing.weights.empty() || listing.weights[place] > 1) sample.push_back(place);
+  if (sample.empty()) sample = in_order(listing.count());
+  const std::size_t most = Likeness::COMPARED, step = std::max<std::size_t>(1, (sample.size() + most - 1) / most);
+  for (std::size_t at = 0; at < sample.size(); at += step) compared_.push_back(sample[at]);
+}
+
+Sight Evidence::sight_of(Size query) const {
+  Sight sight{listing_.rows, std::vector<float>(static_cast<std::size_t>(listing_.count())), -1, {}, {}};
+  scores_.of(query, sight.scores.data());
+  const Size count = listing_.count();
+  if (std::isnan(sum(sight.scores.data(), count)) || highest(sight.scores.data(), count) > HIGHEST_SCORE)
+    throw WrongScores();
+  double matching = 0;
+  for (std::size_t place = 0; place < listing_.weights.size(); ++place)
+    if (sight.scores[place] != NONE) matching += listing_.weights[place];
+  if (!listing_.weights.empty()) sight.matching = std::llround(matching);
+  return sight;
+}
+
+Evidence::Known &Evidence::known(Size query) const {
+  Known &here = known_[static_cast<std::size_t>(query) % known_.size()];
+  if (query == here.query) return here;
+  here.query = -1;
+  here.near.clear();
+  here.sight = std::make_shared<Sight>(sight_of(query));
+  here.query = query;
+  return here;
+}
+
+const Evidence::Known &Evidence::near(Size query) const {
+  Known &here = known(query);
+  if (here.near.empty()) {
+    here.near.resize(here.sight->scores.size());
+    nearness(here.sight->scores.data(), listing_.count(), here.near.data());
+    here.spread = listing_.spread(here.near.data());
+  }
+  return here;
+}
+
+std::shared_ptr<const Sight> Evidence::beside(Size query) const {
+  const Known &here = near(query);
+  const auto sight = std::make_shared<Sight>(*here.sight);
+  sight->z.resize(sight->scores.size());
+  if (here.spread.deviation > MIN_SPREAD)  // equal scores say nothing
+    deviations(here.near.data(), listing_.count(), here.spread, sight->z.data());
+  return sight;
+}
+
+std::shared_ptr<const Sight> Evidence::followed(const Motion &motion, Size query) const {
+  if (query != followed_query_) followed_.clear();
+  followed_query_ = query;
+  for (const auto &[weight, level, sight] : followed_)
+    if (motion.weight == weight && motion.level == level) return sight;
+  const Known &here = near(query);
+  const auto sight = std::make_shared<Sight>(*here.sight);
+  std::vector<float> &rows = sight->likelihood.rows;
+  rows = likelihoods(here.near.data(), listing_.count(), motion, here.spread);
+  // The rows that are not listed are like those of the sample, which stand for them.
+  const Size others = listing_.map.rows - listing_.count();
+  double elsewhere = 0;
+  for (std::size_t place = 0; place < listing_.weights.size(); ++place)
+    elsewhere += (listing_.weights[place] - 1) * static_cast<double>(rows[place]);
+  if (others > 0) sight->likelihood.elsewhere = elsewhere / static_cast<double>(others);
+  followed_.emplace_back(motion.weight, motion.level, sight);
+  return sight;
+}
+
+std::vector<float> Evidence::profile(const Sight &sight) const {
+  std::vector<float> scores;
+  for (const Size place : compared_) scores.push_back(sight.scores[place]);
+  return scores;
+}
+
 void put(const std::vector<float> &values, const Rows &rows, Size query, Matches &matches) {
   Size at = query * matches.top;
   for (const Size place : best_of(values, matches.top)) {

@@ -5,6 +5,7 @@
 
 #include <deque>
 #include <memory>
+#include <tuple>
 #include <utility>
 #include <vector>
 
@@ -40,85 +41,43 @@ struct Sight {
   std::vector<float> z;   // beside others: by how many deviations each row is nearer than the mean of all
 };
 
-// The queries of one drive, and how they fit a map. Not to be shared by threads.
+// The queries of one sequence, and how they fit a map. Not to be shared by threads.
 class Evidence {
  public:
-  Evidence(const Listing &listing, const Scores &scores) : listing_(listing), scores_(scores) {
-    std::vector<Size> sample;  // of rows that represent all
-    for (Size place = 0; place < listing.count(); ++place)
-      if (listing.weights.empty() || listing.weights[place] > 1) sample.push_back(place);
-    if (sample.empty()) sample = in_order(listing.count());
-    const std::size_t most = Likeness::COMPARED, step = std::max<std::size_t>(1, (sample.size() + most - 1) / most);
-    for (std::size_t at = 0; at < sample.size(); at += step) compared_.push_back(sample[at]);
-  }
+  // Keeps what is known of so many queries, and else of the last one.
+  Evidence(const Listing &listing, const Scores &scores, Size kept = 0);
 
   Size queries() const { return scores_.queries(); }
   const Drives &map() const { return listing_.map; }
 
   // A query by itself.
-  Sight alone(Size query) const {
-    Sight sight{listing_.rows, std::vector<float>(static_cast<std::size_t>(listing_.count())), -1, {}, {}};
-    scores_.of(query, sight.scores.data());
-    const Size count = listing_.count();
-    if (std::isnan(sum(sight.scores.data(), count)) || highest(sight.scores.data(), count) > HIGHEST_SCORE)
-      throw WrongScores();
-    double matching = 0;
-    for (std::size_t place = 0; place < listing_.weights.size(); ++place)
-      if (sight.scores[place] != NONE) matching += listing_.weights[place];
-    if (!listing_.weights.empty()) sight.matching = std::llround(matching);
-    return sight;
-  }
-
+  std::shared_ptr<const Sight> alone(Size query) const { return known(query).sight; }
   // A query with others; 0 deviations where there is no score.
-  std::shared_ptr<const Sight> beside(Size query) const {
-    const auto sight = std::make_shared<Sight>(alone(query));
-    const Spread spread = spread_of(*sight);
-    sight->z.resize(sight->scores.size());
-    if (spread.deviation <= MIN_SPREAD) return sight;  // equal scores say nothing
-    for (std::size_t place = 0; place < sight->z.size(); ++place) {
-      const double near = nearness(static_cast<double>(sight->scores[place]));
-      if (sight->scores[place] != NONE)
-        sight->z[place] = static_cast<float>((near - spread.mean) / spread.deviation);
-    }
-    return sight;
-  }
-
+  std::shared_ptr<const Sight> beside(Size query) const;
   // A query that is followed.
-  std::shared_ptr<const Sight> followed(const Motion &motion, Size query) const {
-    if (last_ && query == query_ && motion.weight == weight_ && motion.level == level_) return last_;
-    const auto sight = std::make_shared<Sight>(alone(query));
-    std::vector<float> &rows = sight->likelihood.rows;
-    rows = likelihoods(sight->scores.data(), listing_.count(), motion, spread_of(*sight));
-    // The rows that are not listed are like those of the sample, which stand for them.
-    const Size others = listing_.map.rows - listing_.count();
-    double elsewhere = 0;
-    for (std::size_t place = 0; place < listing_.weights.size(); ++place)
-      elsewhere += (listing_.weights[place] - 1) * static_cast<double>(rows[place]);
-    if (others > 0) sight->likelihood.elsewhere = elsewhere / static_cast<double>(others);
-    query_ = query, weight_ = motion.weight, level_ = motion.level;
-    return last_ = sight;
-  }
-
+  std::shared_ptr<const Sight> followed(const Motion &motion, Size query) const;
   // The scores of a query at rows that represent all, the same for each query.
-  std::vector<float> profile(const Sight &sight) const {
-    std::vector<float> scores;
-    for (const Size place : compared_) scores.push_back(sight.scores[place]);
-    return scores;
-  }
+  std::vector<float> profile(const Sight &sight) const;
 
  private:
-  Spread spread_of(const Sight &sight) const {
-    std::vector<float> near(sight.scores.size());
-    nearness(sight.scores.data(), listing_.count(), near.data());
-    return listing_.spread(near.data());
-  }
+  // A query; the nearness of all rows, if it was asked for.
+  struct Known {
+    Size query = -1;
+    std::shared_ptr<const Sight> sight;
+    std::vector<float> near;
+    Spread spread;
+  };
+
+  Sight sight_of(Size query) const;
+  Known &known(Size query) const;
+  const Known &near(Size query) const;
 
   const Listing &listing_;
   const Scores &scores_;
   std::vector<Size> compared_;
-  mutable std::shared_ptr<const Sight> last_;  // of the query, weight and level
-  mutable Size query_ = -1;
-  mutable double weight_ = 0, level_ = 0;
+  mutable std::vector<Known> known_;
+  mutable Size followed_query_ = -1;
+  mutable std::vector<std::tuple<double, double, std::shared_ptr<const Sight>>> followed_;  // by weight and level
 };
 
 // A query, and the belief after it.
@@ -185,24 +144,27 @@ class Trial {
       filters_.push_back(std::make_unique<Filter>(drives, motion, std::vector<int>{course.way}));
       walks_.emplace_back(course.streams, Walk{*filters_.back(), {}});
     }
+    counts_.resize(courses.size());
   }
 
+  // Takes a query into all courses, the next that it lacks into one.
   void step(const Evidence &evidence, Size query) {
-    for (std::size_t course = 0; course < walks_.size(); ++course) {
-      std::vector<Walk> &streams = walks_[course];
-      const double gain = streams[static_cast<std::size_t>(count_) % streams.size()].step(evidence, query);
-      gains_[course] += streams.size() > 1 ? OF_TWO * gain : gain;
-    }
-    ++count_;
+    for (std::size_t course = 0; course < walks_.size(); ++course) step(evidence, query, course);
+  }
+  void step(const Evidence &evidence, Size query, std::size_t course) {
+    std::vector<Walk> &streams = walks_[course];
+    const double gain = streams[static_cast<std::size_t>(counts_[course]++) % streams.size()].step(evidence, query);
+    gains_[course] += streams.size() > 1 ? OF_TWO * gain : gain;
   }
 
   // Of the queries by each course: the logarithm of how much likelier they are so than alone; what counts of it.
   const std::vector<double> &gains() const { return gains_; }
-  Size count() const { return count_; }
+  // How many queries a course has taken.
+  Size count(std::size_t course) const { return counts_[course]; }
 
   template <typename Archive>
   void keep(Archive &archive, const Rows &rows) {
-    archive(count_), archive(gains_);
+    archive(counts_), archive(gains_);
     for (std::vector<Walk> &streams : walks_)
       for (Walk &walk : streams) walk.now.keep(archive, rows);
   }
@@ -211,7 +173,7 @@ class Trial {
   // What counts of the gain of two streams: a slow one is hardly less likely as two in turn.
   static constexpr double OF_TWO = 0.75;
 
-  Size count_ = 0;
+  std::vector<Size> counts_;
   std::vector<double> gains_;
   std::vector<std::unique_ptr<Filter>> filters_;
   std::vector<std::vector<Walk>> walks_;

@@ -57,18 +57,35 @@ void slide(float *sums, const float *values, Size count, const float *weights, S
   });
 }
 
+// Adds such sums to a target.
+void slide_into(float *target, const float *values, Size count, const float *weights, Size width) {
+  on_cpu([=](auto) {
+    Size i = 0;
+    for (; i + LANES <= count; i += LANES) {
+      float lanes[LANES] = {};
+      for (Size k = 0; k < width; ++k)
+        for (Size lane = 0; lane < LANES; ++lane) lanes[lane] += weights[k] * values[i + k + lane];
+      for (Size lane = 0; lane < LANES; ++lane) target[i + lane] += lanes[lane];
+    }
+    for (; i < count; ++i) {
+      float lane = 0;
+      for (Size k = 0; k < width; ++k) lane += weights[k] * values[i + k];
+      target[i] += lane;
+    }
+  });
+}
+
 // Of values and what they have in common, each times a factor.
 void mixed(float *target, const float *values, float factor, const float *common, float part, Size count) {
   on_cpu([=](auto) { for (Size i = 0; i < count; ++i) target[i] = factor * values[i] + part * common[i]; });
 }
 
-void likelihoods(const float *scores, Size count, double level, double weight, Limits limits, float *likely) {
+void likelihoods(const float *near, Size count, double level, double weight, Limits limits, float *likely) {
   on_cpu([=](auto) {
     for (Size i = 0; i < count; ++i) {
-      const double far = 1 - static_cast<double>(scores[i]);
-      const double emission = (-log_of(far > limits.least ? far : limits.least) - level) * weight;
+      const double emission = (static_cast<double>(near[i]) - level) * weight;
       const double capped = emission < limits.most ? emission : limits.most;
-      likely[i] = static_cast<float>(exp_of(scores[i] == NONE ? limits.none : capped));
+      likely[i] = static_cast<float>(exp_of(near[i] == NONE ? limits.none : capped));
     }
   });
 }
@@ -109,11 +126,11 @@ Steps::Steps(double rate) {
   }
 }
 
-std::vector<float> likelihoods(const float *scores, Size count, const Motion &motion,
+std::vector<float> likelihoods(const float *near, Size count, const Motion &motion,
                                const Spread &spread) {
   std::vector<float> likely(static_cast<std::size_t>(count), 1.0F);
   if (spread.deviation <= MIN_SPREAD) return likely;
-  likelihoods(scores, count, spread.mean + motion.level * spread.deviation,
+  likelihoods(near, count, spread.mean + motion.level * spread.deviation,
               motion.weight / spread.deviation, {}, likely.data());
   return likely;
 }
@@ -247,23 +264,28 @@ double Filter::transition(const Belief &before, Belief &after, double &lost) con
       for (int speed = 0; speed < SPEEDS; ++speed) {
         const Steps::Speed &steps = steps_.of[speed];
         const Size width = steps.count(), reached = size + width - 1;
-        padded.assign(static_cast<std::size_t>(reached + width - 1), 0.0F);
-        out.resize(static_cast<std::size_t>(reached));
+        padded.resize(static_cast<std::size_t>(reached + width - 1));
+        std::fill_n(padded.begin(), width - 1, 0.0F);
+        std::fill_n(padded.end() - (width - 1), width - 1, 0.0F);
         mixed(padded.data() + width - 1, from + speed * here,
               static_cast<float>(stays * (1 - motion_.change)), all.data(),
               static_cast<float>(stays * motion_.change * PRIOR[speed]), size);
         const bool onwards = ways_[way] == FORWARDS;
-        slide(out.data(), padded.data(), reached, (onwards ? steps.reversed : steps.chances).data(),
-              width);
+        const float *chances = (onwards ? steps.reversed : steps.chances).data();
         const Size first = piece.first + (onwards ? steps.first : -steps.last());
         float *to = after.mapped.data() + (static_cast<Size>(way) * SPEEDS + speed) * there;
+        const auto moved = [&](Size row, Size count) {
+          out.resize(static_cast<std::size_t>(count));
+          slide(out.data(), padded.data() + row - first, count, chances, width);
+          return sum(out.data(), count);
+        };
         visit(
             first, first + reached, piece.drive, after.rows, drives_,
             [&](Size row, Size place, Size count) {
-              add(to + place, out.data() + row - first, 1, count);
+              slide_into(to + place, padded.data() + row - first, count, chances, width);
             },
-            [&](Size row, Size count) { left += sum(out.data() + row - first, count); },
-            [&](Size row, Size count) { lost += sum(out.data() + row - first, count); });
+            [&](Size row, Size count) { left += moved(row, count); },
+            [&](Size row, Size count) { lost += moved(row, count); });
       }
     }
   });

@@ -138,9 +138,9 @@ struct Future {
   double elsewhere = 1, unmapped = 1;
 };
 
-// How much likelier a frame is at rows than at a place that the map lacks, by its scores and the spread
-// of the nearness of all rows; 0 where a score is -inf, 1 everywhere if all scores are equal.
-std::vector<float> likelihoods(const float *scores, Size count, const Motion &motion,
+// How much likelier a frame is at rows than at a place that the map lacks, by their nearness and the spread
+// of that of all rows; 0 where it is -inf, 1 everywhere if all are equal.
+std::vector<float> likelihoods(const float *near, Size count, const Motion &motion,
                                const Spread &spread);
 
 class Filter {

@@ -93,4 +93,12 @@ Spread Spread::of(const float *near, Size count) {
   });
 }
 
+void deviations(const float *near, Size count, const Spread &spread, float *z) {
+  const double mean = spread.mean, deviation = spread.deviation;
+  on_cpu([=](auto) {
+    for (Size i = 0; i < count; ++i)
+      z[i] = near[i] == NONE ? 0.0F : static_cast<float>((static_cast<double>(near[i]) - mean) / deviation);
+  });
+}
+
 }  // namespace places

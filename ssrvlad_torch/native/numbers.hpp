@@ -122,6 +122,9 @@ struct Spread {
   double z(float value) const { return (static_cast<double>(value) - mean) / deviation; }
 };
 
+// By how many deviations values differ from the mean; 0 for -inf.
+void deviations(const float *near, Size count, const Spread &spread, float *z);
+
 }  // namespace places
 
 #endif

@@ -91,7 +91,8 @@ void Tracker::update(const ssrvlad_queries *queries, const Size *excluded, int t
   if (channels_.empty()) open(anchors, threads);
   recent_.push(scores_of(queries, excluded, threads), REPLAYED + around);
   const Size query = count_++;
-  const Sight sight = evidence_.alone(query);
+  const std::shared_ptr<const Sight> alone = evidence_.alone(query);
+  const Sight &sight = *alone;
   likeness_.add(evidence_.profile(sight));
   likeness_.forget(MEMORY + around);
   Answer answer(top_);
