@@ -196,11 +196,10 @@ def write_published(folder: Path, family: str = "Segformer") -> Path:
     settings, task, processor = _published(library, family)
     config = getattr(library, f"{family}Config")(**settings, **ids)
     getattr(library, f"{family}For{task}Segmentation")(config).save_pretrained(folder)
-    kind = "Segformer" if family == "UperNet" else family
     if family == "OneFormer":
         _one_former_processor(library, folder).save_pretrained(folder)
     else:
-        getattr(library, f"{kind}ImageProcessorPil")(**processor).save_pretrained(folder)
+        getattr(library, f"{family}ImageProcessorPil")(**processor).save_pretrained(folder)
     return folder
 
 
@@ -221,13 +220,6 @@ def _published(library: Any, family: str) -> tuple[dict[str, Any], str, dict[str
         return sizes, "Semantic", {"size": {"height": 64, "width": 96}}
     if family == "Beit":
         return {**vit, "out_indices": [0, 1, 2, 3]}, "Semantic", {**square, "do_center_crop": False}
-    if family == "DPT":
-        neck = {"neck_hidden_sizes": [8] * 4, "fusion_hidden_size": 8}
-        return {**vit, **neck, "backbone_out_indices": [0, 1, 2, 3]}, "Semantic", square
-    if family == "UperNet":
-        return {
-            "backbone_config": swin, "hidden_size": 16, "auxiliary_in_channels": 64,
-        }, "Semantic", square  # fmt: skip
     if family == "Mask2Former":
         sizes = {"feature_size": 32, "mask_feature_size": 32}
         sides = {"size": {"shortest_edge": 64, "longest_edge": 128}, "size_divisor": 32}

@@ -84,7 +84,6 @@ def test_real_networks(name):
     [
         ("Segformer", {"hidden_states.1": (1, 16, 8, 12), "hidden_states.2": (1, 24, 4, 6)}),
         ("Beit", {"hidden_states.4": (1, 32, 4, 4)}),
-        ("UperNet", {"hidden_states.2": (1, 32, 8, 12), "hidden_states.3": (1, 64, 4, 6)}),
         ("Mask2Former", {"hidden_states.1": (1, 32, 8, 12), "hidden_states.2": (1, 64, 4, 6)}),
     ],
 )

@@ -11,7 +11,6 @@ from ssrvlad_torch.datasets.dataset import (
     Dataset,
     DatasetFrame,
     GroundTruth,
-    files_in,
 )
 from ssrvlad_torch.datasets.poses import UNKNOWN, Pose
 
@@ -118,31 +117,12 @@ def test_label_maps_are_found_in_a_folder_beside_that_of_the_images(tmp_path):
     assert [frame.label for frame in labelled.frames] == expected
 
 
-def test_a_label_map_may_have_the_name_of_the_image_and_replaces_another(tmp_path):
-    plant(tmp_path, "city/a_leftImg8bit.jpg")
-    frame = DatasetFrame("city", "a", tmp_path / "city/a_leftImg8bit.jpg", tmp_path / "a.png")
-    touch(tmp_path / "out/city/a_leftImg8bit.png")
-    other = made(frame, root=tmp_path, labels_as="camvid-32").with_labels(
-        tmp_path / "out", "camvid-11"
-    )
-    assert other.frames[0].label == tmp_path / "out/city/a_leftImg8bit.png"
-    assert other.labels_as == "camvid-11"
-
-
 def test_one_folder_for_all_is_not_taken_where_names_are_ambiguous(tmp_path):
     """The one 1.png must not become the label map of two frames."""
     dataset = photos(tmp_path / "data", "query/1.jpg", "ref/1.jpg")
     touch(tmp_path / "out/1.png")
     with pytest.raises(ValueError, match=r"out holds no label map .*out/query/1\.png"):
         dataset.with_labels(tmp_path / "out", "camvid-11")
-
-
-def test_files_are_listed_by_name_without_suffix(tmp_path):
-    touch(*(tmp_path / name for name in ("1.png", "2.PNG", "3.png", "3.jpg", "4.txt", ".5.png")))
-    (tmp_path / "6.png").mkdir()
-    assert list(files_in((".png",), tmp_path)) == ["1", "2", "3"]
-    assert files_in((".png",), tmp_path / "nowhere") == {}
-    refuses(r"one frame is both .*3\.jpg and 3\.png", files_in, (".png", ".jpg"), tmp_path)
 
 
 @pytest.mark.parametrize(

@@ -91,13 +91,6 @@ def test_bytes_above_127_are_not_negative(rtabmap):
     )
 
 
-def test_the_settings_name_the_file(rtabmap, tmp_path):
-    (tmp_path / "place.onnx").rename(tmp_path / "other.onnx")
-    rtabmap.SETTINGS.write_text(json.dumps({"model": "other.onnx"}))
-    rtabmap.init(480)
-    np.testing.assert_allclose(rtabmap.extract(painted(LABELS)), WANTED, atol=1e-6)
-
-
 @pytest.mark.parametrize(
     ("settings", "dimension", "message"),
     [

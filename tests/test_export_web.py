@@ -118,15 +118,6 @@ def described(page, model, file):
     }})()""")
 
 
-def test_a_page_without_its_worker_says_so(page, site):
-    (site / "alone").mkdir()
-    for file in [*site.glob("*.js"), site / "index.html"]:
-        if file.name != "worker.js":
-            shutil.copy(file, site / "alone")
-    page.open(page.address.replace("index", "alone/index") + "?model=../default.onnx", "true")
-    assert failure(page) == "worker.js cannot run: is it beside the page?"
-
-
 @presets
 def test_the_golden_pair_the_matches_and_what_is_drawn(page, site, preset):
     labels = files_of(site)[2]
@@ -394,38 +385,6 @@ def test_a_gray_label_map_is_no_photograph(page, site):
     Image.fromarray(street(1, 60, 90).astype(np.uint8)).save(site / "gray.png")
     open_page(page, "?model=place.onnx&labels=gray.png")
     assert failure(page) == "gray.png: expected a photograph, got a label map"
-
-
-def test_a_core_that_stops_is_replaced(page, site):
-    """NaN stops it; the worker says so, and opens the database again."""
-    open_page(page)
-    answers = page.run("""(async () => {
-        const { Remote } = await import('./remote.js');
-        const remote = new Remote(), told = [];
-        const bytes = async (name) => new Uint8Array(await (await fetch(name)).arrayBuffer());
-        const text = await (await fetch('default.npy.frames.txt')).text();
-        const ids = text.replaceAll('\\n', '\\r\\n').trimEnd();
-        const open = async () => remote.call('openDatabase', ids,
-            { descriptor: { bytes: await bytes('default.npy') } });
-        const say = (error) => told.push(error.message);
-        const drive = (value) => [{ descriptor: new Float32Array(480).fill(value) }];
-        await remote.call('openModel', await bytes('default.onnx'), false);
-        told.push((await open()).count);
-        await remote.call('query', drive(NaN), 3).catch(say);
-        await remote.call('query', drive(1), 3).catch(say);
-        await open();
-        told.push((await remote.call('query', drive(1), 3)).answers[0].candidates.length);
-        const short = { descriptor: new Float32Array(9) };
-        await remote.call('query', [...drive(1), short], 3).catch(say);
-        return told;
-    })()""")
-    assert answers == [
-        6,
-        "the core stopped in ssrvlad_map_query, for want of memory or by what it was given",
-        "the database is closed, for the core stopped: open it again",
-        3,
-        "expected a database of 9 numbers a frame, got 480",
-    ]
 
 
 def test_nothing_is_wider_than_the_window(page, site, tmp_path):

@@ -24,13 +24,6 @@ def test_the_files_of_a_folder_are_a_sequence_in_the_order_of_a_person(tmp_path)
     assert ids(find_label_files([f"{folder}/"])) == ids(find_label_files([folder])) == expected
 
 
-def test_hidden_and_partial_files_are_no_frames_and_any_name_is_kept(tmp_path):
-    names = ["C:\\maps\\1.png", "straße 3 🚗.png", "a.b.c.png", "[x]*?.png"]
-    touch(*(tmp_path / "[a]" / name for name in (*names, "._1.png", ".2.png", "3.png.part")))
-    files = find_label_files([str(tmp_path / "[a]")])
-    assert {file.name for file in files} == {name.removesuffix(".png") for name in names}
-
-
 @pytest.mark.parametrize(
     ("source", "expected"),
     [

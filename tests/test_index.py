@@ -12,7 +12,6 @@ from large_maps import CONFIG
 
 from ssrvlad_torch import Database, Map
 from ssrvlad_torch.channels import Column
-from ssrvlad_torch.search import index as module
 from ssrvlad_torch.search.index import Index, MapRows, build, damaged
 
 SIGNS = Column("signs", "few", (4, 2, 4), "uint8")
@@ -66,15 +65,6 @@ def test_every_row_has_its_code_also_after_changes_of_the_map(town):
     town.compact(keep_days=0)
     assert build(town).new == 0
     assert_own_row_is_first(town, "a/0000", rows(500, 1))
-
-
-def test_a_map_that_has_grown_much_is_learnt_anew(town, monkeypatch):
-    build(town)
-    monkeypatch.setattr(module, "_GROWTH", 1.5)
-    add(town, 100, 40)
-    assert build(town).new == 40
-    add(town, 200, 40)
-    assert build(town).new == 180
 
 
 def test_what_cannot_be_opened_or_built_is_refused_in_one_line(town, tmp_path):

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 from drawings import SPACE
 from drives import write_maps
 from helpers import refuses, street
@@ -105,15 +104,6 @@ def test_a_drive_is_found_from_a_folder_files_or_a_database(drawn, tmp_path):
     assert first.score_is == "cosine"
     [none, *_] = drawn.query(today, min_confidence=0.5)
     assert none.candidates == [] and none.confidence == 0
-
-
-def test_too_few_references_say_nothing_of_their_answers(drawn, tmp_path):
-    """Not that none is accepted, unless a confidence is asked for."""
-    answers = drawn.query(write_maps(tmp_path / "today", range(2, 6)))
-    assert answers.estimate == (0, 4, 1, None, None)
-    assert (answers.matches.indices[:, 0] >= 0).all()
-    for none in (answers.accepted(0.01), answers.accepted(max_wrong=1)):
-        assert none.estimate == (torch.inf, 0, 0, 0, 0) and (none.matches.indices < 0).all()
 
 
 def test_evaluate_measures_recall_by_a_tolerance(drawn, tmp_path):

@@ -162,43 +162,6 @@ def test_sanitisers_find_nothing(tmp_path):
     assert outcome(tmp_path / "fuzz", "20", "300") == (0, ["clean"], [])
 
 
-LOST = r"""
-#include "filter.hpp"
-using namespace places;
-
-// A belief that cannot leave its rows, and a frame that is elsewhere: the frame starts anew.
-int main() {
-  const Drives drives{{0}, 100};
-  Motion motion;
-  motion.jump = motion.unmapped = 0;
-  const Filter filter(drives, motion, {FORWARDS});
-  const auto at = [](Size row) {
-    Likelihood likelihood{std::vector<float>(100), 0};
-    likelihood.rows[static_cast<std::size_t>(row)] = 9;
-    return likelihood;
-  };
-  Belief first = filter.start(drives.all());
-  filter.update(first, at(10));
-  Belief second = filter.predicted(first, drives.all());
-  const double gain = filter.update(second, at(60));
-  if (!(std::abs(gain) < 1e-6) || !(second.of_rows()[60] > 0.999F)) return 1;
-  const Future future = filter.before(first, drives.all(), at(60), filter.none(second));
-  const auto [rows, unmapped] = filter.smoothed(first, future);
-  return !(rows[10] > 0.999F && unmapped == 0);
-}
-"""
-
-
-def test_a_frame_that_is_nowhere_by_the_belief_starts_it_anew(tmp_path):
-    folder = ROOT / "ssrvlad_torch" / "native"
-    (tmp_path / "lost.cpp").write_text(LOST)
-    sources = [tmp_path / "lost.cpp", folder / "filter.cpp", folder / "numbers.cpp"]
-    subprocess.run(
-        ["g++", "-std=c++17", f"-I{folder}", *sources, "-o", tmp_path / "lost"], check=True
-    )
-    subprocess.run([tmp_path / "lost"], check=True)
-
-
 def test_fast_math_is_refused_as_it_is_compiled():
     header = ROOT / "ssrvlad_torch" / "native" / "cpu.hpp"
     command = ("g++", "-std=c++17", "-fsyntax-only", "-x", "c++", header)

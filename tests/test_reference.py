@@ -4,7 +4,6 @@ import cv2
 import numpy as np
 import pytest
 from drawings import MASKS, ROAD, SPACE, VOID, blobs, mask
-from helpers import refuses
 from skimage.morphology import thin
 
 from ssrvlad_torch import SSRVLADConfig, reference
@@ -142,25 +141,6 @@ def test_a_cross_describes_itself_by_hand():
     ends_see = 4 + 6  # along their own arm up to R, and of the other arm
     assert histograms["points"][0].sum() == 12 + 4 * ends_see
     assert not histograms["points"][1:].any()
-
-
-@pytest.mark.parametrize(
-    ("labels", "message"),
-    [
-        (np.full((3, 3), 99), "label id 99 is not in label space camvid-11"),
-        (np.zeros((3, 3)), r"expected an \(H, W\) label map of integers, got \("),
-        (np.zeros((1, 3, 3), int), r"expected an \(H, W\) label map of integers, got \("),
-        (np.zeros((0, 3), int), r"expected an \(H, W\) label map of integers, got \("),
-    ],
-)
-def test_other_arrays_and_unknown_ids_are_refused(labels, message):
-    refuses(message, reference.describe, labels, PLAIN)
-
-
-def test_an_image_without_category_is_zero():
-    descriptor = reference.describe(np.full((8, 8), VOID), PLAIN)
-    assert descriptor.shape == (480,)
-    assert not descriptor.any()
 
 
 def test_a_street_bending_right_has_its_vanishing_column_there():

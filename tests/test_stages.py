@@ -104,6 +104,20 @@ def directions_of(numbers: torch.Tensor) -> torch.Tensor:
     return masks.bool()
 
 
+@given(
+    seed=st.integers(0, 1000),
+    height=st.integers(1, 20),
+    width=st.integers(1, 40),
+    kinds=st.integers(1, AREA_LAYERS + 1),
+)
+def test_boundaries_equal_the_reference(seed, height, width, kinds):
+    numbers = AREA_LAYERS - np.random.default_rng(seed).integers(0, kinds, (2, height, width))
+    expected = [reference.boundaries([image == k for k in range(AREA_LAYERS)]) for image in numbers]
+    np.testing.assert_array_equal(
+        directions_of(torch.from_numpy(numbers)).numpy(), np.array(expected)
+    )
+
+
 def by_direction(drawing: np.ndarray) -> dict[str, int]:
     numbers = torch.from_numpy(np.where(drawing, 3, AREA_LAYERS))[None]
     return dict(zip(DIRECTIONS, directions_of(numbers).sum((0, 2, 3)).tolist(), strict=True))

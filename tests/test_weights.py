@@ -1,9 +1,7 @@
 """Where weights are looked for, what is read of a checkpoint, and what is refused."""
 
-from collections import OrderedDict
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 from helpers import refused, refuses
@@ -63,14 +61,6 @@ class TestReading:
         read = read_checkpoint(path)
         assert read.keys() == state.keys()
         assert all(torch.equal(read[name], state[name]) for name in state)
-
-    def test_numpy_numbers_under_their_old_module_are_no_obstacle(self, path):
-        content = {"best": np.float64(0.85), "state_dict": OrderedDict(a=torch.ones(2))}
-        torch.save(content, path, _use_new_zipfile_serialization=False)
-        renamed = path.read_bytes().replace(b"numpy._core.multi", b"numpy.core.multi")
-        assert b"numpy._core" not in renamed
-        path.write_bytes(renamed)
-        assert read_checkpoint(path).keys() == {"a"}
 
     def test_code_is_refused(self, path):
         torch.save({"a": torch.ones(2), "b": Path("x")}, path)
