@@ -64,19 +64,6 @@ def test_verify_names_the_file_and_can_drop_what_is_damaged(
     assert "1 frames encoded" in encode(maps, "-o", database)[1]
 
 
-def test_verify_names_damaged_files_of_the_index_and_index_mends_them(ssrvlad, database):
-    assert ssrvlad("db", "index", database)[0] == 0
-    assert ssrvlad("db", "verify", database)[0] == 0
-    [codes] = database.glob("_index/codes/data/*")
-    before = codes.read_bytes()
-    codes.write_bytes(before[:128] + bytes(len(before) - 128))
-    code, out, (line,) = ssrvlad("db", "verify", database)
-    assert code == 3 and "6 frames, 0 damaged" in out
-    assert "_index/codes is damaged, or of another version; ssrvlad db index writes" in line
-    assert ssrvlad("db", "index", database)[0] == 0
-    assert ssrvlad("db", "verify", database)[0] == 0
-
-
 def test_labels_are_read_by_the_stored_label_space_from_any_folder(
     ssrvlad, candidates, maps, tuesday, tmp_path, monkeypatch
 ):
@@ -136,12 +123,6 @@ def test_encode_tells_what_is_gone_or_has_changed_and_prunes_it(encode, refusal,
     code, out, err = encode(*arguments, "--prune")
     assert (code, err) == (0, []) and "1 removed" in out
     assert len(Database.open(database)) == 5
-
-
-def test_ray_that_is_not_installed_is_named(encode, maps, tmp_path, monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "ray", None)
-    code, _, err = encode(maps, "-o", tmp_path / "db", "--engine", "ray")
-    assert code == 2 and "pip install ssrvlad-torch[ray]" in err[0]
 
 
 def test_candidates_are_limited_to_a_sequence_or_far_frames(

@@ -120,16 +120,6 @@ def test_without_a_terminal_progress_is_lines(encode, maps, tmp_path, monkeypatc
     assert re.fullmatch(r"ssrvlad: encoding: \d of 6 after \d+ s", err[-1])
 
 
-def test_on_a_terminal_the_bar_says_what_follows(monkeypatch, capsys):
-    monkeypatch.setenv("FORCE_COLOR", "1")
-    monkeypatch.setenv("TTY_COMPATIBLE", "1")
-    with output.progress_bar("encoding", 2, then="recognising") as bar:
-        bar.advance(1)
-        assert "recognising" not in capsys.readouterr().err
-        bar.advance(1)
-    assert "recognising" in capsys.readouterr().err
-
-
 def test_an_empty_frame_is_counted_and_never_matches(ssrvlad, encode, maps, tmp_path):
     uniform(maps, [VOID])
     db = tmp_path / "empty.ssrdb"

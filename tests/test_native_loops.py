@@ -2,7 +2,6 @@
 and what is refused."""
 
 import math
-from functools import partial
 
 import numpy as np
 import pytest
@@ -242,34 +241,3 @@ def test_what_is_no_descriptor_is_refused_and_leaves_no_trace(wrong, message):
     with pytest.raises(ValueError, match=message):
         stream.update({"ssr-vlad": PLACES[0], "features": signs_of(PLACES[0])} | wrong)
     assert len(stream) == 0
-
-
-@pytest.mark.parametrize(
-    ("frames", "stamps", "starts", "message"),
-    [
-        (2, None, np.zeros(3), r"ssr-vlad: expected an array \(3, 480\) of .* got \(2, 480\)"),
-        (2, np.zeros(1), np.zeros(2), r"expected an array \(2,\) of float64 on cpu, got \(1,\)"),
-        (2, None, np.zeros((2, 2)), r"expected an array \(2,\) of uint8 on cpu, got \(2, 2\)"),
-    ],
-)
-def test_known_frames_of_unequal_numbers_are_refused(frames, stamps, starts, message):
-    stream = Loops([SHAPES])
-    with pytest.raises(ValueError, match=message):
-        stream.extend({"ssr-vlad": PLACES[:frames]}, stamps, starts)
-    assert len(stream) == 0
-
-
-@pytest.mark.parametrize(
-    ("wrong", "reason"),
-    [
-        (partial(Loops, []), "channels: expected 1 to 16, got 0"),
-        (partial(Loops, [Channel("x", (0,))]), "expected shapes of up to"),
-        (partial(Loops, [SHAPES], -1), "expected frames to exclude, or 0"),
-        (partial(Loops, [SHAPES], 50, 2.0), "threshold: expected 0 to 1, got 2"),
-        (partial(Loops, [SHAPES], 50, 0.8, -1), "expected scan_above of 1 frame or more"),
-        (partial(Loops, [SHAPES], 50, 0.8, 0), "expected scan_above of 1 frame or more"),
-    ],
-)
-def test_settings_out_of_range_are_refused(wrong, reason):
-    with pytest.raises(RuntimeError, match=reason):
-        wrong()

@@ -10,7 +10,7 @@ import pose_graph
 import pytest
 from helpers import outcome, refuses
 from PIL import Image
-from pose_graph import Loop, correct, in_front, moved, read_loops, relative, tum_line
+from pose_graph import Loop, correct, in_front, moved, read_loops, tum_line
 
 from ssrvlad_torch.datasets.pose_tables import read_poses, write_poses
 from ssrvlad_torch.datasets.poses import Pose
@@ -82,20 +82,6 @@ def test_a_frame_ahead_of_its_candidate_stays_ahead():
 def test_a_second_drive_without_a_loop_into_the_first_is_refused():
     with pytest.raises(ValueError, match="frames 25 to 49 have no loop"):
         correct(np.zeros((50, 3)), [Loop(20, 3)], drives=[slice(0, 25), slice(25, 50)])
-
-
-def test_a_pose_seen_from_another_is_found_again():
-    one, other = np.array([3.0, -2.0, 2.5]), np.array([-7.0, 1.0, -2.0])
-    assert moved(one, relative(one, other))[:2] == pytest.approx(other[:2])
-
-
-def test_tum_poses_are_read_as_they_were_written(tmp_path):
-    poses = [Pose(1, 2, 0.3), Pose(4, -1, -2.5), Pose(0, 0, math.pi / 2)]
-    lines = [tum_line(number / 3, pose) for number, pose in enumerate(poses)]
-    (tmp_path / "x.tum").write_text("".join(lines))
-    read = read_trajectory(tmp_path / "x.tum")
-    assert np.array(read.poses) == pytest.approx(np.array(poses), abs=1e-5)
-    assert read.stamps == pytest.approx([0, 1 / 3, 2 / 3], abs=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -114,14 +114,6 @@ def test_a_video_is_turned_and_mirrored_as_its_matrix_says(tmp_path, matrix, sho
     assert np.abs(pixels.astype(int) - expected).mean() < 3
 
 
-@pytest.mark.parametrize("suffix", ["mkv", "mp4", "ts"])
-def test_a_video_may_begin_at_any_time(tmp_path, suffix):
-    path = write_video(tmp_path / f"a.{suffix}", range(250, 290), rate=25, **H264)
-    files = video_files(path)
-    assert [file.name for file in files] == [f"{40_000 * n:010d}" for n in range(40)]
-    assert [number_in(read_image(file)) for file in files] == [n % 10 for n in range(40)]
-
-
 def test_the_rate_does_not_change_the_ids(tmp_path):
     path = str(write_video(tmp_path / "a.mp4", UNEVEN, **H264))
     whole = [file.frame for file in find_image_files([path])]
@@ -173,16 +165,6 @@ def test_other_files_are_refused(tmp_path, content):
     path = tmp_path / "a.mp4"
     path.write_bytes(content)
     refuses(r"a\.mp4 is not a readable video: ", video_files, path)
-
-
-def test_sound_alone_is_refused(tmp_path):
-    with av.open(str(tmp_path / "a.mp4"), "w") as file:
-        stream = file.add_stream("aac", rate=8000)
-        sound = np.zeros((1, 1024), np.float32)
-        frame = av.AudioFrame.from_ndarray(sound, format="fltp", layout="mono")
-        frame.sample_rate = 8000
-        file.mux([*stream.encode(frame), *stream.encode()])
-    refuses(r"a\.mp4 is not a readable video: it has no stream", video_files, tmp_path / "a.mp4")
 
 
 def test_a_gps_track_gives_poses_between_its_points(tmp_path):
