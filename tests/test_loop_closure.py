@@ -156,6 +156,16 @@ def test_another_sequence_looks_for_its_place_anew():
     assert reasons(show(loops, views(range(60, 62)), "wednesday"))[0] == "below_threshold"
 
 
+def test_frames_of_another_sequence_are_never_too_recent():
+    """Two short drives, all of it within what is excluded of one."""
+    loops = detector(exclude=50)
+    assert set(reasons(show(loops, views(range(30)), "monday"))) == {"no_candidate", "too_recent"}
+    results = show(loops, views(range(30)), "tuesday")
+    closed = accepted(results)
+    assert len(closed) > 20 and all(there == here - 30 for here, there in closed.items())
+    assert "too_recent" not in reasons(results)
+
+
 def test_metres_ahead_of_the_candidate_by_poses():
     """The second lap stands half way between the frames of the first."""
     places = np.arange(100)

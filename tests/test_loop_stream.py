@@ -9,7 +9,7 @@ import subprocess
 import sys
 
 import pytest
-from helpers import street
+from helpers import street, write_street
 from loop_streams import SEEDS, objects, write_drive
 from PIL import Image
 
@@ -124,6 +124,13 @@ def test_without_a_loop_the_likeliest_pair_is_told(loops, drive):
     _, out, _ = loops(drive, settings=())
     assert "no loop: no frame comes more than --exclude 50 frames after another" in out
     assert "no loop" not in loops(drive)[1]
+
+
+def test_where_most_frames_are_too_recent_the_hint_names_exclude(loops, tmp_path):
+    for number in range(60):
+        write_street(tmp_path / f"{number:02d}.png", number)
+    _, out, _ = loops(tmp_path, settings=("--no-sweep",))
+    assert out.splitlines()[-1].startswith("51 of 60 frames are too_recent: the --exclude 50 ")
 
 
 def test_a_picture_that_cannot_be_is_refused_before_the_first_frame(loops, drive, monkeypatch):

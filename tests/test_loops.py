@@ -47,6 +47,9 @@ def test_a_drive_worked_by_hand():
         ([(0, EAST), (math.nan, EAST), (0, EAST), (0, EAST)], [-1, 0, 1, 0], {}, (1, 1, 2)),
         # frames before the first are candidates only
         ([(0, EAST)] * 3, [-1, 0, 1], {"first": 2}, (1, 1, 1)),
+        # frames of another sequence are not excluded
+        ([(0, EAST)] * 3, [-1] * 3, {"exclude": 2}, (0, 0, 0)),
+        ([(0, EAST)] * 3, [-1] * 3, {"exclude": 2, "sequences": "abb"}, (0, 0, 2)),
     ],
 )
 def test_loops_and_revisits_are_counted_by_distance_and_heading(places, loops, settings, expected):

@@ -38,7 +38,7 @@
 namespace ssrvlad {
 
 struct LoopSettings {
-  std::int64_t exclude = 50;  // number of the last frames, which are no candidates
+  std::int64_t exclude = 50;  // number of the last frames of a sequence, which are no candidates
   double threshold = 0.8;     // least probability of a loop
   int threads = 1;            // that share the comparison with many frames
 };

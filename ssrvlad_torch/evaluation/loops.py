@@ -1,6 +1,7 @@
 """Precision and recall of loop closures in one stream, by the poses of its frames."""
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -36,15 +37,22 @@ class LoopScore(NamedTuple):
 
 
 def score_loops(
-    candidates: Rows, poses: Floats, exclude: int, metres: float, first: int = 0
+    candidates: Rows,
+    poses: Floats,
+    exclude: int,
+    metres: float,
+    first: int = 0,
+    sequences: Sequence[str] = (),
 ) -> LoopScore:
     """Compares the loops of a stream with the poses ``(N, 3)`` of its frames, x and y in metres and
     heading in radians, NaN where unknown; ``candidates`` ``(N,)`` int64 are rows, -1 for none.
-    Frames from the row ``first`` on are counted.
+    Frames from the row ``first`` on are counted. ``sequences`` are those of all frames; without,
+    they are one.
 
     A loop is right if its two frames are near each other, at most ``metres``, whatever their
-    headings. A frame is a revisit if its loop is right, or if an earlier frame, not among the
-    ``exclude`` most recent ones, is near and looks the same way; an unknown heading matches any.
+    headings. A frame is a revisit if its loop is right, or if an earlier frame, not among the last
+    ``exclude`` ones of the same sequence, is near and looks the same way; an unknown heading
+    matches any.
     Frames without a position are left out; if all are, or the distance is negative or infinite, it
     is a ValueError.
     """
@@ -55,11 +63,13 @@ def score_loops(
             f"none of {len(poses)} frames has a pose; a tolerance in metres requires a poses.csv "
             "(frame,x,y,heading) in or beside their folder"
         )
-    counts = np.zeros(3, np.int64)
-    for row in range(first, len(poses)):
-        if np.isnan(poses[row, :2]).any():
+    counts, start = np.zeros(3, np.int64), 0
+    for row in range(len(poses)):
+        if row and sequences and sequences[row] != sequences[row - 1]:
+            start = row
+        if row < first or np.isnan(poses[row, :2]).any():
             continue
-        x, y, turn = (poses[: max(0, row - exclude)] - poses[row]).T
+        x, y, turn = (poses[: max(start, row - exclude)] - poses[row]).T
         facing = np.isnan(turn) | (np.cos(turn) > math.cos(FACING))
         candidate = candidates[row]
         accepted = candidate >= 0 and not np.isnan(poses[candidate, :2]).any()

@@ -10,8 +10,8 @@ class LoopConfig:
     """The settings of `LoopDetector`.
 
     Attributes:
-        exclude: number of the last frames, which are no candidates. The default is for frames
-            about 3 m apart; exclude more where they are denser.
+        exclude: number of the last frames of the same sequence, which are no candidates. The
+            default is for frames about 3 m apart; exclude more where they are denser.
         threshold: least probability of a loop, 0 to 1.
         sweep: whether to describe each frame from three anchors, so that a slightly turned camera
             still matches; without effect on descriptors without anchors, such as ``paper``.

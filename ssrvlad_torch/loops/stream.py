@@ -11,6 +11,7 @@ import torch
 from ..channels.channel import Network
 from ..database.database import Database
 from ..datasets.frame_file import FrameFile
+from ..datasets.names import sequence_of
 from ..descriptor import SSRVLAD
 from ..encoding.encoder import Describer, channels_to_store, check_segmenter, config_for, encode
 from ..encoding.named import encode_names
@@ -135,7 +136,8 @@ def report(
         exclude = detector.config.exclude
         loops = loops_of(detector, results)
         first = len(loops) - len(results)
-        score = score_loops(loops, detector.poses, exclude, metres, first)
+        sequences = [sequence_of(frame) for frame in detector.frames]
+        score = score_loops(loops, detector.poses, exclude, metres, first, sequences)
         summary |= {**score._asdict(), "precision": score.precision, "recall": score.recall}
         judged = [result for result in results if result.probability is not None]
         candidates = candidates_of(detector, judged)
@@ -143,7 +145,7 @@ def report(
         placed = np.isfinite(errors)
         probabilities = np.array([result.probability for result in judged], float)
         right = errors[placed] <= metres
-        revisits = score_loops(candidates, detector.poses, exclude, metres, first).revisits
-        point = surest_point(loop_curve(probabilities[placed], right, revisits))
+        possible = score_loops(candidates, detector.poses, exclude, metres, first, sequences)
+        point = surest_point(loop_curve(probabilities[placed], right, possible.revisits))
         summary["suggested"] = point and point._asdict()
     return summary

@@ -276,13 +276,16 @@ void Stream::start_stretch() {
   fits_.clear();
   repeats_ = Repeats(exclude_);
   tracks_ = Tracks(exclude_, channels_.size() == 1);
+  grow();
   belief_ = filter_.start(drives_.all());
   probable_ = belief_.of_rows();
   starting_ = true;
 }
 
+Size Stream::without_last(Size frames) const { return std::max(starts_.back(), rows() - frames); }
+
 void Stream::grow() {
-  const Size last = std::max<Size>(0, rows() - std::min(RECENT, exclude_));
+  const Size last = without_last(std::min(RECENT, exclude_));
   for (; drives_.rows < last; ++drives_.rows)
     if (std::binary_search(starts_.begin(), starts_.end(), drives_.rows))
       drives_.starts.push_back(drives_.rows);
@@ -335,7 +338,7 @@ ssrvlad_loop Stream::step(const void *const *swept, const void *const *centres, 
   ssrvlad_loop none{};
   none.candidate = -1;
   none.reason = SSRVLAD_EMPTY_FRAME;
-  for (const Size old = std::max<Size>(0, rows() - exclude_); old_ < old; ++old_)
+  for (const Size old = without_last(exclude_); old_ < old; ++old_)
     old_known_ += described_[place(old_)];
   const bool empty = channels_[0]->empty(centres[0]), too_few = old_known_ < 2;
   if (empty) {

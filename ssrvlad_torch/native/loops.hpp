@@ -72,6 +72,8 @@ class Stream {
  private:
   bool breaks(const void *const *centres, double stamp) const;
   void start_stretch();
+  // The rows but so many last frames of the present stretch: those of others are never recent.
+  Size without_last(Size frames) const;
   void grow();  // states of the filter, one for each frame but the most recent
   void store(const void *const *centres, double stamp);
   ssrvlad_loop step(const void *const *swept, const void *const *centres, const Size *anchors,

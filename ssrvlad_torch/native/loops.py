@@ -86,7 +86,7 @@ class Loops:
 
     Args:
         channels: what is known of each frame; where the first is zero, a frame is empty.
-        exclude: number of the last frames, which are no candidates.
+        exclude: number of the last frames of the present stretch, which are no candidates.
         threshold: least probability of a loop, 0 to 1.
         scan_above: number of old frames above which, if they have signs, all are compared by a
             part of these, and only some by all channels; at least 1.

@@ -34,7 +34,8 @@ typedef struct ssrvlad_loops_channel {
 } ssrvlad_loops_channel;
 
 typedef struct ssrvlad_loops_settings {
-  int64_t exclude;  /* number of the last frames, which are no candidates; 50 for frames 3 m apart */
+  int64_t exclude;  /* number of the last frames of the same sequence, which are no candidates; 50 for
+                       frames 3 m apart */
   double threshold; /* least probability of a loop, 0 to 1; 0.8 */
   int64_t scan_above; /* number of old frames above which, if they have signs, all are compared by a
                          part of these, and only some by all channels, at least 1; SSRVLAD_SCAN_ABOVE */

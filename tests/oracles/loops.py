@@ -218,17 +218,22 @@ class Loops:
         stretches = np.searchsorted(self.starts, np.arange(self.rows), side="right")
         return Model(tuple(stretches.tolist()), MOTION, (FORWARDS, BACKWARDS))
 
+    def without_last(self, frames):
+        """The rows but so many last frames of the present stretch: others are never recent."""
+        return max(self.starts[-1], self.count - frames)
+
     def arrive(self, starts):
         """What comes before a frame: a new stretch, and more states, not believed yet."""
         if not self.starts or starts:
             if self.starts:
                 self.explained.append(self.tracks.explained)
-            self.states, self.moving = self.model().start(), False
             self.starts.append(self.count)
+            self.rows = self.without_last(min(RECENT, self.exclude))
+            self.states, self.moving = self.model().start(), False
             self.tracks = Tracks(self.exclude, len(self.channels) == 1)
             self.neighbours, self.fits, self.repeats = [], [], Repeats(self.exclude)
         mapped, fresh = self.states[:-1].reshape(2, len(SPEEDS), self.rows), self.rows
-        self.rows = max(self.rows, self.count - min(RECENT, self.exclude))
+        self.rows = max(self.rows, self.without_last(min(RECENT, self.exclude)))
         mapped = np.pad(mapped, ((0, 0), (0, 0), (0, self.rows - fresh)))
         self.states = np.append(mapped.ravel(), self.states[-1])
 
@@ -246,7 +251,7 @@ class Loops:
         self.count += 1
 
     def step(self, anchors, centres):
-        first, old = self.channels[0].name, max(0, self.count - self.exclude)
+        first, old = self.channels[0].name, self.without_last(self.exclude)
         described = np.array([frame.any() for frame in self.frames[first]], bool)
         too_few = np.count_nonzero(described[:old]) < 2
         if not centres[first].any():

@@ -31,7 +31,9 @@ def loops(
     *,
     source: FrameSelection,
     exclude: int = option(
-        "Number of most recent frames that are no candidates.", default=LoopConfig.exclude, min=0
+        "Number of last frames of the sequence that are no candidates.",
+        default=LoopConfig.exclude,
+        min=0,
     ),
     threshold: float = option(
         "Smallest probability of a reported loop.", default=LoopConfig.threshold, min=0, max=1
@@ -136,13 +138,23 @@ def _print_likeliest(results: Sequence[LoopResult], config: LoopConfig) -> None:
     """Where no frame closes a loop: the likeliest pair, and what could be changed."""
     best = max(results, key=lambda result: result.probability or 0.0)
     if best.probability is None:
-        say(f"no loop: no frame comes more than --exclude {config.exclude} frames after another")
+        say(
+            f"no loop: no frame comes more than --exclude {config.exclude} frames after another "
+            "of its sequence"
+        )
         return
     unlikely = "" if best.probability >= EVEN else ", more likely wrong than right"
     say(
         f"no loop: the likeliest is {best.frame}: {best.candidate} with probability "
         f"{best.probability:.4f}{unlikely}, --threshold {config.threshold:g}"
     )
+    recent = sum(result.reason.value == "too_recent" for result in results)
+    if 2 * recent > len(results):
+        say(
+            f"{recent} of {len(results)} frames are too_recent: the --exclude {config.exclude} "
+            "frames before each are no candidates; a smaller --exclude may find more"
+        )
+        return
     say(
         "pictures, or frames nearer to each other, may find more; a street driven the "
         "other way is never found"
