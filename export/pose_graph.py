@@ -7,10 +7,10 @@ python export/pose_graph.py loops.jsonl --odometry odometry.tum -o corrected
 The odometry is a file of TUM or KITTI, or a `poses.csv`, as `ssrvlad` reads them: poses on the
 ground plane. `corrected/` gets `poses.tum` and `poses.csv` of the frames, `graph.g2o`, and
 `drive.png`, the drive before and after. gtsam optimises the graph; graduated non-convexity (Yang et
-al., RA-L 2020) refuses loops that contradict the odometry and the other loops. docs/pose-graph.md
-has what is measured. Needs `ssrvlad_torch[slam]`; `--pictures`, which measures the turn of the
-camera between the frames of a loop by local features, needs OpenCV. Exit code 0 for success, 2 for
-wrong use.
+al., RA-L 2020) refuses loops that contradict the odometry and the other loops; what is measured is
+in docs/research/pose-graph.md. Needs `ssrvlad_torch[slam]`; `--pictures`, which measures the turn
+of the camera between the frames of a loop by local features, needs OpenCV. Exit code 0 for success,
+2 for wrong use.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ Floats = npt.NDArray[np.float64]
 
 ALONG, ALONG_UNKNOWN, HEADING = 1.2, 1.6, math.radians(3.5)
 """Standard deviations of an accepted loop: metres along the drive with and without `ahead`, and
-radians; measured on cities 100 to 103, see docs/pose-graph.md."""
+radians; measured on cities 100 to 103, see docs/research/pose-graph.md."""
 
 SIDEWAYS = 1.5
 """Standard deviation in metres of the distance between two drives of a street: half a lane."""

@@ -6,17 +6,20 @@ from pathlib import Path
 
 import pytest
 import yaml
-from test_readme import blocks, maps, photos, run  # noqa: F401 - fixtures
+from test_readme import blocks, maps, photos, run, town  # noqa: F401 - fixtures
 
 from ssrvlad_torch.segmentation.preparation import SegmenterConfig
 
 ROOT = Path(__file__).parents[1]
-PAGES = [ROOT / "docs" / "index.md", *sorted((ROOT / "docs" / "guides").glob("*.md"))]
+FOLDERS = ("guides", "concepts", "reference", "evaluation", "research")
+PAGES = [ROOT / "docs" / "index.md"]
+PAGES += [page for name in FOLDERS for page in sorted((ROOT / "docs" / name).glob("*.md"))]
+TYPED = [page for page in PAGES if page.parent.name not in ("evaluation", "research")]
 OTHER_PROGRAMS = ("scripts/", "pip ", "cmake ", "python ")
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_every_command_and_every_snippet_runs(page, run, photos, monkeypatch):  # noqa: F811
+@pytest.mark.parametrize("page", TYPED, ids=lambda page: page.stem)
+def test_every_command_and_every_snippet_runs(page, run, photos, town, monkeypatch):  # noqa: F811
     lines = [line for block in blocks(page, "console") for line in block.splitlines()]
     commands = [line.removeprefix("$ ") for line in lines if line.startswith("$ ")]
     for command in commands:
@@ -41,7 +44,7 @@ def test_the_page_of_cpp_says_where_the_headers_of_onnx_runtime_come_from():
 
 
 def test_the_page_of_networks_has_every_setting():
-    page = ROOT / "docs" / "guides" / "own-network.md"
+    page = ROOT / "docs" / "reference" / "networks.md"
     keys = {
         key
         for row in re.findall(r"^\| (`.*?) \|", page.read_text("utf-8"), re.M)

@@ -1,4 +1,4 @@
-"""A small part of the table of docs/how-sure.md: what breaks a drive or the map, in a city."""
+"""A small part of docs/evaluation/confidence.csv: what breaks a drive or the map, in a city."""
 
 from functools import cache
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import torch
 from _described import FEATURES, OURS, Described
-from _markdown import ROOT, commit, head_row, row
+from _markdown import ROOT, head_row, row
 from torch import Tensor
 
 from ssrvlad_torch import Database, SSRVLADConfig
@@ -28,7 +28,6 @@ from ssrvlad_torch.recognition.recognise import Recognised, Steps, references_of
 from ssrvlad_torch.recognition.sweep import COLUMNS
 from ssrvlad_torch.search.exact import chosen_channels, recognise_in
 from ssrvlad_torch.search.index import build, read_rows
-from ssrvlad_torch.search.shortlist import EVERY as EVERY_OF_A_DRIVE
 from ssrvlad_torch.search.shortlist import Shortlist
 
 DATA, NETWORK = ROOT.parent / "shared" / "data", "espnetv2"
@@ -242,18 +241,8 @@ STEPS = {
 }
 
 
-def in_words(results: dict[int, dict[str, Report]]) -> Iterator[str]:
-    """The section of the page."""
-    count = len(next(iter(results.values()))["alone"]["first"])
-    yield (
-        f"{count} real pictures, every {EVERY}th of {', '.join(QUERIES)} by {NETWORK}, each judged "
-        f"alone as `Map.locate` judges it, among all rows of {' and '.join(REFERENCES)} and "
-        "made-up ones: parts of three real ones, noise, and a sixteenth of the signs changed. One "
-        "thread, warm. The bytes of a cell in a code and the number of candidates were chosen with "
-        "such figures in view. Exact search is of all channels; where its first answer is a "
-        "made-up row, which no picture shows, one as good as it is easily missed. A place is the "
-        f"same if it is at most {BESIDE} rows away. Measured at commit {commit()}.\n"
-    )
+def pictures(results: dict[int, dict[str, Report]]) -> Iterator[str]:
+    """A row for each number of frames. A place is the same if it is at most `BESIDE` rows away."""
     yield from head_row(
         "frames", "CPU ms a picture", "first answer of exact search", "where that is a real frame",
         "its place there", "opening, CPU s", "peak GB", "index, CPU s", "index, bytes a frame",
@@ -272,17 +261,8 @@ def in_words(results: dict[int, dict[str, Report]]) -> Iterator[str]:
         )  # fmt: skip
 
 
-def drives_in_words(results: dict[int, dict[str, Report]]) -> Iterator[str]:
-    """The section of the page."""
-    yield (
-        f"The drives {', '.join(QUERIES)} by {NETWORK} among the same rows, with all steps, as "
-        f"`query` finds them with the index and without. One query of {EVERY_OF_A_DRIVE} is "
-        "compared with the codes of all rows; the number of candidates was chosen with such "
-        "figures in view. One thread, warm, CPU time of the search alone. A place is the same if "
-        f"it is at most {BESIDE} rows away; at more than {MOST_IN_MEMORY:,} frames exact search "
-        "was not run. "
-        f"Measured at commit {commit()}.\n"
-    )
+def drives(results: dict[int, dict[str, Report]]) -> Iterator[str]:
+    """A row for each number of frames and drive, with the index and without."""
     yield from head_row(
         "frames", "drive", "queries", "queries a second", "by exact search",
         "first answer of exact search", "its place", "answers among the real frames",

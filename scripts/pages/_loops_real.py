@@ -1,4 +1,4 @@
-"""Loops between real drives, and where they fail: the first sections of `loops.py`.
+"""Loops between real drives, and where they fail: tables of `loops.py`.
 
 Frames come from the folders of ``--data`` as in `how_sure.py`. The frames of the map come first,
 then the queries: in one sequence without stamps, or after an hour; or as two sequences.
@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 from _described import FEATURES, OURS, Described, channel_of
-from _markdown import Page, head_row, row
+from _markdown import Page, head_row, row, write_csv
 from _sure_cases import FOREIGN, camvid_cases, of
 from _tours import CONDITIONS, swept
 from conditions import NETWORKS, ROUTES, near_rows
@@ -68,10 +68,9 @@ def real_drives(page: Page, data: Path, cached: Path) -> None:
     """The tables of real drives, and of streams with nothing to find."""
     described = Described(data, cached, shorter_side=None)
     chosen, checks = conditions(described)
-    page.table("## One stream\n", one_stream(chosen))
-    page.table("The same pairs in the other order", one_stream(checks))
-    page.table("## Leaving a known drive\n", left([*chosen, *checks]))
-    page.table("## Nothing to find\n", nowhere(described))
+    write_csv(page.output.parent / "loops-pairs.csv", one_stream([*chosen, *checks]))
+    page.table("loops-leaving", left([*chosen, *checks]))
+    page.table("loops-nothing", nowhere(described))
 
 
 def nowhere(described: Described) -> Iterator[str]:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+import csv
 import math
 import re
 import subprocess
+import sys
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
-from itertools import dropwhile, takewhile
 from pathlib import Path
-from textwrap import fill
 
 from matplotlib.figure import Figure
 
@@ -18,11 +18,6 @@ from ssrvlad_torch.files import replacing
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
-
-
-def paragraph(text: str) -> str:
-    """Text wrapped at 100 characters, with a newline."""
-    return fill(text, 100, break_long_words=False, break_on_hyphens=False) + "\n"
 
 
 def head_row(*cells: str) -> Iterator[str]:
@@ -50,8 +45,8 @@ def span(values: dict[str, float], digits: int) -> str:
 
 
 class Page:
-    """A page of docs/. Its text is written by hand; a script fills tables and sections, and the
-    commit after ``Written by `SCRIPT` ``.
+    """A page of docs/. Its text is written by hand; a script writes its tables, each as a CSV file
+    beside the page, and the commit after its own name.
 
     Args:
         name: in docs/.
@@ -63,45 +58,24 @@ class Page:
         self.output, self._whole = output, whole
         self.text = (output if output.exists() else DOCS / name).read_text(encoding="utf-8")
 
-    def table(self, after: str, rows: Iterable[str]) -> None:
-        """Replaces the first table after a text, and writes the page.
+    def table(self, name: str, rows: Iterable[str]) -> None:
+        """Writes ``NAME.csv``, and the table where the page has marks of this name."""
+        lines = list(rows)
+        write_csv(self.output.parent / f"{name}.csv", lines)
+        if f"<!-- {name} -->" in self.text:
+            self.show(name, ["", *lines, ""])
 
-        Raises:
-            ValueError: there is no such text, or no table between it and the next heading.
-        """
-        begin = self.text.index("\n|", self.text.index(after))
-        if "\n#" in self.text[self.text.index(after) + len(after) : begin]:
-            raise ValueError(f"{self.output}: expected a table after {after!r}, found a heading")
-        end = re.compile(r"\n(?!\|)").search(self.text, begin + 1).start()
-        self._write(begin, "\n" + "\n".join(rows), end)
-
-    def section(self, heading: str, lines: Iterable[str]) -> None:
-        """Replaces the text of a section up to the next heading, and writes the page; a new one
-        comes last."""
-        if f"\n{heading}\n" not in self.text:
-            self.text = f"{self.text.rstrip()}\n\n{heading}\n"
-        begin = self.text.index(f"\n{heading}\n") + len(heading) + 2
-        end = self.text.find("\n#", begin)
-        body = "\n" + "\n".join(lines).rstrip("\n") + "\n"
-        self._write(begin, body, end if end >= 0 else len(self.text))
-
-    def paragraph(self, begins: str, text: str, ends: str = "\n\n") -> None:
-        """Replaces the paragraph that begins so, or its part up to an end, and writes the page.
-
-        Raises:
-            ValueError: there is no such paragraph.
-        """
-        begin = self.text.index(f"\n{begins}") + 1
-        end = self.text.find(ends, begin)
-        self._write(begin, text.rstrip("\n"), end if end >= 0 else len(self.text.rstrip("\n")))
-
-    def _write(self, begin: int, new: str, end: int) -> None:
-        self.text = self.text[:begin] + new + self.text[end:]
-        script = re.compile(
-            r"(Written by `scripts/pages/\w+\.py`)( of commit \w+( with changes)?)?"
-        )
+    def show(self, name: str, lines: Iterable[str]) -> None:
+        """Writes lines between the marks of a name, and the page."""
+        self.text = between(self.text, name, "\n".join(lines), self.output)
         if self._whole:
-            self.text = script.sub(rf"\1 of commit {commit()}", self.text, count=1)
+            script = re.escape(Path(sys.argv[0]).name)
+            self.text = re.sub(
+                rf"(`scripts/pages/{script}`)( of commit \w+( with changes)?)?",
+                rf"\1 of commit {commit()}",
+                self.text,
+                count=1,
+            )
         write(self.output, self.text)
 
 
@@ -118,24 +92,35 @@ def commit() -> str:
 
 
 def quote(file: Path, mark: str, text: str) -> None:
-    """Writes text between ``<!-- mark -->`` and ``<!-- /mark -->``, and nothing else.
+    """Writes text between ``<!-- mark -->`` and ``<!-- /mark -->`` of a file."""
+    write(file, between(file.read_text(encoding="utf-8"), mark, text, file))
+
+
+def between(page: str, mark: str, text: str, file: Path) -> str:
+    """The page with a text between ``<!-- mark -->`` and ``<!-- /mark -->``.
 
     Raises:
-        ValueError: the file has no such marks.
+        ValueError: the page has no such marks.
     """
-    before, begin, after_mark = file.read_text(encoding="utf-8").partition(f"<!-- {mark} -->")
+    before, begin, after_mark = page.partition(f"<!-- {mark} -->")
     _, end, after = after_mark.partition(f"<!-- /{mark} -->")
     if not end:
-        raise ValueError(f"{file}: expected <!-- {mark} --> and <!-- /{mark} -->, found not both")
-    write(file, f"{before}{begin}{text}{end}{after}")
+        raise ValueError(f"{file}: expected <!-- {mark} --> and <!-- /{mark} -->, got not both")
+    return f"{before}{begin}{text}{end}{after}"
 
 
-def first_table(page: str, heading: str) -> list[list[str]]:
-    """The cells of the first table after a heading, without its second line."""
-    after = page[page.index(heading) :].splitlines()
-    rows = takewhile(lambda line: line.startswith("|"), dropwhile(lambda x: x[:1] != "|", after))
-    cells = [line.removeprefix("| ").removesuffix(" |").split(" | ") for line in rows]
-    return [cells[0], *cells[2:]]
+def write_csv(file: Path, lines: Iterable[str]) -> None:
+    """Writes the lines of a table as CSV."""
+    cells = [line.removeprefix("| ").removesuffix(" |").split(" | ") for line in lines]
+    file.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(file) as temporary, temporary.open("w", newline="", encoding="utf-8") as out:
+        csv.writer(out, lineterminator="\n").writerows([cells[0], *cells[2:]])
+
+
+def read_csv(file: Path) -> list[dict[str, str]]:
+    """The rows of a CSV file by the names of their columns."""
+    with file.open(newline="", encoding="utf-8") as table:
+        return list(csv.DictReader(table))
 
 
 def parser(about: str, page: str, cache: str = "", needs_data: bool = True) -> ArgumentParser:

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes docs/benchmark.md: the time of the method, in one run.
+"""Writes the tables of docs/evaluation/speed.md: the time of the method, in one run.
 
     .venv/bin/python scripts/pages/benchmark.py --camvid ../shared/data/camvid \
         --networks ../shared/data/networks
@@ -12,7 +12,6 @@ extra `dev`.
 from __future__ import annotations
 
 import argparse
-import platform
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
@@ -21,7 +20,7 @@ from typing import Any
 import numpy as np
 import torch
 from _loops_cost import loops_table
-from _markdown import Page, head_row, paragraph, row, save, span
+from _markdown import DOCS, Page, head_row, row, save, span, write_csv
 from _picture_costs import pictures_table
 from _timing import heads, onnx_head, threads, time_in_turn
 from matplotlib.figure import Figure
@@ -116,9 +115,9 @@ def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__)
     arguments.add_argument("--camvid", type=Path, default=None)
     arguments.add_argument("--networks", type=Path, default=None)
-    arguments.add_argument("--output", type=Path, default=Path("docs/benchmark.md"))
+    arguments.add_argument("--output", type=Path, default=Path("docs/evaluation/speed.md"))
     arguments.add_argument("--repetitions", type=int, default=5)
-    arguments.add_argument("--only", nargs="+", help="sections of the page; without, all")
+    arguments.add_argument("--only", nargs="+", help="tables: size, loops, pictures; without, all")
     arguments.add_argument("--here", action="store_true", help="print the first table only")
     options = arguments.parse_args()
     maps = Maps(options.camvid)
@@ -127,33 +126,21 @@ def main() -> None:
             for line in size_table(maps, options.repetitions):
                 print(line, flush=True)
         return
-    page = Page("benchmark.md", options.output, whole=not options.only)
+    page = Page("evaluation/speed.md", options.output, whole=not options.only)
     pictures = sorted(options.camvid.glob("0001TP/images/*.jpg")) if options.camvid else []
-    figure = options.output.parent / "figures" / "benchmark.svg"
     again = options.repetitions
     tables = {
-        "## One image, one thread": partial(size_table, maps, again, figure),
-        "## From the picture to the place": partial(
-            pictures_table, options.networks, pictures, again
-        ),
-        "## Loop closures, online": partial(loops_table),
+        "size": partial(size_table, maps, again, DOCS / "figures" / "speed.svg"),
+        "loops": partial(loops_table),
     }
-    if options.networks is None or not pictures:
-        del tables["## From the picture to the place"]
+    if options.networks is not None and pictures:
+        tables["pictures"] = partial(pictures_table, options.networks, pictures, again)
     with threads(1):
-        for heading, table in tables.items():
-            name = table.func.__name__.removesuffix("_table")
+        for name, table in tables.items():
             if not options.only or name in options.only:
-                page.table(heading, table())
-    if not options.only:
-        about = f"Label maps: {maps.source}. torch {torch.__version__}, "
-        about += f"Python {platform.python_version()}, {platform.machine()}."
-        page.paragraph("Written by", paragraph(WRITTEN.format(about)))
-
-
-WRITTEN = """Written by `scripts/pages/benchmark.py`. Cells are median [min, max]. The rows of a
-table are timed in turn, and ratios are taken within one repetition. {}
-[Methods](methods.md) has the costs of other methods, [scale](scale.md) those of large databases."""
+                lines = list(table())
+                write_csv(page.output.parent / f"speed-{name}.csv", lines)
+                page.show(f"speed-{name}", ["", *(x for x in lines if by(SIZES[0]) not in x), ""])
 
 
 if __name__ == "__main__":

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes the tables of docs/how-sure.md: estimates and confidence beside the truth.
+"""Writes the tables of docs/evaluation/confidence.md: estimates and confidence beside the truth.
 
     .venv/bin/python scripts/pages/how_sure.py --data ../shared/data
 
@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from _described import Described
-from _markdown import Page, head_row, parser, row, save
+from _markdown import DOCS, Page, head_row, parser, row, save, write_csv
 from _sure_cases import FRESH, Case, cases, city_cases
 from matplotlib.figure import Figure
 
@@ -29,6 +29,9 @@ LEVEL, MUCH = 0.05, 0.1
 """What is asked for of the accepted answers, and what is too much in truth."""
 LOST = 0.03
 BINS = 10
+SHOWN = ("drive", "half of the map", "holes of 15 rows", "foreign", "all")
+"""Rows that the page shows."""
+
 COLUMNS = ("row", "steps", "cases", "followed", "lost", "inside, all", "inside, 5 %", "above 10 %")
 COLUMNS += ("accepted", "wrong", "said", "ECE")
 
@@ -67,7 +70,7 @@ Outcomes = dict[str, list[Outcome]]
 
 
 def main() -> None:
-    options = parser(__doc__, "how-sure.md", "how-sure").parse_args()
+    options = parser(__doc__, "evaluation/confidence.md", "how-sure").parse_args()
     torch.set_num_threads(1)
     described = Described(options.data, options.cache)
     every = cases(described)
@@ -82,12 +85,19 @@ def main() -> None:
         )
         for steps, each in zip(STEPS, zip(*found, strict=True), strict=True):
             outcomes[steps] += each
-    draw(outcomes, options.output.parent / "figures" / "how-sure.png")
-    page = Page("how-sure.md", options.output)
-    page.table("## Beside the truth\n", table(outcomes, list(rows)))
-    page.table("## Cities that nobody looked at\n", fresh(described))
-    page.table("## By method and network\n", by_method(outcomes))
-    page.table("## Is confidence calibrated?\n", calibrated(outcomes))
+    draw(outcomes, DOCS / "figures" / "confidence.png")
+    page = Page("evaluation/confidence.md", options.output)
+    lines = list(table(outcomes, list(rows)))
+    write_csv(options.output.parent / "confidence.csv", lines)
+    page.show("confidence", ["", *(line for line in lines if shown(line)), ""])
+    page.table("confidence-cities", fresh(described))
+    page.table("confidence-methods", by_method(outcomes))
+    page.table("calibration", calibrated(outcomes))
+
+
+def shown(line: str) -> bool:
+    """Whether the page shows a line of the table."""
+    return line.split(" | ", maxsplit=1)[0].removeprefix("| ") in ("row", "---", *SHOWN)
 
 
 def outcome(described: Described, case: Case) -> list[Outcome]:
@@ -154,7 +164,7 @@ def kind_of(each: Outcome) -> str:
 
 
 def figures(some: Sequence[Outcome], alone: Sequence[Outcome]) -> Iterator[str]:
-    """The cells of a line, see docs/how-sure.md."""
+    """The cells of a line, see docs/evaluation/confidence.md."""
     yield str(len(some))
     yield fraction(each.followed for each in some)
     yield str(

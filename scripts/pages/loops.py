@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes docs/loops.md: precision and recall of the loop detector.
+"""Writes the tables of docs/evaluation/loops.md: precision and recall of the loop detector.
 
     .venv/bin/python scripts/pages/loops.py --data ../shared/data
 
@@ -19,12 +19,11 @@ from _loops_real import CUT, LATER, ONE_STREAM, WAYS, real_drives
 from _markdown import (
     DOCS,
     Page,
-    first_table,
     head_row,
     interval,
-    paragraph,
     parser,
     quote,
+    read_csv,
     row,
     save,
 )
@@ -53,6 +52,12 @@ MEASURED_ON = range(6)
 CHECKED_ON = range(6, 8)
 METRES, ELSEWHERE = 10.0, 25.0
 RESAMPLES = 2000
+KINDS = {
+    "lighting change or other side": ("day ->", "evening", "right", "left", "night"),
+    "CamVid, odd frames after even ones": ("0001TP", "0016E5"),
+    "the same sequence again": ("day again",),
+}
+"""Kinds of pairs by how their names begin."""
 
 
 @dataclass(frozen=True)
@@ -73,48 +78,59 @@ class Outcome:
 
 
 def main() -> None:
-    options = parser(__doc__, "loops.md", "loops").parse_args()
+    options = parser(__doc__, "evaluation/loops.md", "loops").parse_args()
     with threads(1):
         measured, checked = (
             all_tours(cities, options.cache) for cities in (MEASURED_ON, CHECKED_ON)
         )
-        page = Page("loops.md", options.output)
+        page = Page("evaluation/loops.md", options.output)
         real_drives(page, options.data, options.cache)
-        page.table("### Cities cut by a gap", cut_cities(measured))
-        figures = options.output.parent / "figures"
-        for heading, lines in sections(measured, checked, figures).items():
-            page.section(heading, lines)
-    if options.output.resolve().parent == DOCS:
-        quote(DOCS / "guides" / "robot.md", "loops", excerpt(page.text))
+        pairs = read_csv(options.output.parent / "loops-pairs.csv")
+        page.show("loops-pairs", ["", *in_short(pairs), ""])
+        page.table("loops-cut", cut_cities(measured))
+        page.table("loops-cities", cities(measured, checked))
+    if options.output.resolve().parent == DOCS / "evaluation":
+        quote(DOCS / "guides" / "loops.md", "loops", excerpt())
 
 
-def sections(measured: Tours, checked: Tours, figures: Path) -> dict[str, list[str]]:
-    """Lines about cities by their heading; draws the figures that they show."""
-    figures.mkdir(parents=True, exist_ok=True)
-    made: dict[str, list[str]] = {}
+def in_short(rows: list[dict[str, str]]) -> Iterator[str]:
+    """The mean recall of each kind of pairs, and how many of their loops lead elsewhere."""
+    _, *ways = rows[0]
+    yield from head_row("pairs", *ways)
+    for kind, begins in KINDS.items():
+        of_kind = [row for row in rows if row["drives"].startswith(begins)]
+        yield row(
+            f"{len(of_kind)} pairs, {kind}", *(in_one([r[way] for r in of_kind]) for way in ways)
+        )
+
+
+def in_one(cells: Sequence[str]) -> str:
+    """The mean of recalls, and the sum of loops that lead elsewhere; empty for no recalls."""
+    parts = [cell.removesuffix(" elsewhere").partition(", ") for cell in cells if cell]
+    if not parts:
+        return ""
+    elsewhere = sum(int(count or 0) for _, _, count in parts)
+    mean = f"{np.mean([float(recall) for recall, _, _ in parts]):.2f}"
+    return f"{mean}, {elsewhere} elsewhere" if elsewhere else mean
+
+
+def cities(measured: Tours, checked: Tours) -> Iterator[str]:
+    """Rows on tours through cities; draws the figures of the page."""
+    figures = DOCS / "figures"
+    names = ("labels", "cities", "loops", "wrong", "elsewhere", "precision", "recall")
+    yield from head_row(*names, "before a wrong one")
     found: dict[str, PrecisionRecall] = {}
     for condition, tours in measured.items():
-        outcomes = [detect(tour) for tour in tours]
-        others = [detect(tour) for tour in checked[condition]]
-        name = f"loops-{condition.split()[0]}.png"
-        picture = draw_loops(outcomes[0].loops, tours[0].poses, condition, METRES)
-        write_picture(picture, figures / name)
-        found[condition] = curve(outcomes)
-        best, checked_best = (
-            f"{each.recall_at_full_precision:.3f}" for each in (found[condition], curve(others))
-        )
-        names = ("threshold", "", "loops", "wrong", "elsewhere", "precision", "recall")
-        made[f"### {condition.capitalize()}"] = [
-            f"![](figures/{name})\n",
-            paragraph(f"City {tours[0].city} with the default threshold. Right loops are green."),
-            *head_row(*names, "before a wrong one"),
-            row("default", f"{LoopConfig.threshold:g}", *scores(outcomes), best),
-            row("check", f"{LoopConfig.threshold:g}", *scores(others), checked_best),
-            "",
-        ]
+        for name, some in (("measured", tours), ("check", checked[condition])):
+            outcomes = [detect(tour) for tour in some]
+            curves = curve(outcomes)
+            best = f"{curves.recall_at_full_precision:.3f}"
+            yield row(condition, name, *scores(outcomes), best)
+            if name == "measured":
+                found[condition] = curves
+                picture = draw_loops(outcomes[0].loops, tours[0].poses, condition, METRES)
+                write_picture(picture, figures / f"loops-{condition.split()[0]}.png")
     draw_curves(figures / "loops-curves.png", found)
-    made[list(made)[-1]].append("![](figures/loops-curves.png)")
-    return made
 
 
 def scores(outcomes: Sequence[Outcome]) -> list[str]:
@@ -190,14 +206,13 @@ def draw_curves(path: Path, curves: Mapping[str, PrecisionRecall]) -> None:
     save(figure, path)
 
 
-def excerpt(page: str) -> str:
-    """Recalls of the real drives as one stream, for the guide of robots."""
-    names, *rows = first_table(page, "## One stream")
-    cells = {(line[0], name): cell for line in rows for name, cell in zip(names, line, strict=True)}
+def excerpt() -> str:
+    """Recalls of the real drives as one stream, for the guide."""
+    rows = {row["drives"]: row for row in read_csv(DOCS / "evaluation" / "loops-pairs.csv")}
     lines = [*head_row("", *ROUTES)]
     for network, written in (("espnetv2", "ESPNetv2"), ("dabnet", "DABNet")):
         for method, way in product(ONE_STREAM, WAYS[:2]):
-            recalls = (cells[f"{drive}, {network}", f"{method}: {way}"] for drive in ROUTES)
+            recalls = (rows[f"{drive}, {network}"][f"{method}: {way}"] for drive in ROUTES)
             lines.append(row(f"{method} of {written}, {way}", *recalls))
     return "\n".join(["", *lines, ""])
 

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes docs/recognition.md: the gain of standardising, sweeping and following.
+"""Writes docs/evaluation/steps.csv: the gain of standardising, sweeping and sequence matching.
 
     .venv/bin/python scripts/pages/recognition.py --data ../shared/data
 
@@ -10,11 +10,14 @@ takes ten minutes on one thread.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import product
 
+import numpy as np
 import torch
 from _decide import decide
 from _described import FEATURES, OURS, TOGETHER, Described, all_conditions
-from _markdown import Page, head_row, interval, parser, row
+from _markdown import Page, head_row, interval, parser, read_csv, row, write_csv
+from conditions import ROUTES
 
 from ssrvlad_torch.recognition.recognise import AS_PAPER, Steps
 
@@ -31,22 +34,34 @@ METHODS = (OURS, FEATURES, "HOG", TOGETHER, "label grid")
 
 
 def main() -> None:
-    options = parser(__doc__, "recognition.md", "described", needs_data=False).parse_args()
+    options = parser(__doc__, "evaluation/results.md", "described", needs_data=False).parse_args()
     torch.set_num_threads(1)
-    described = Described(options.data, options.cache)
-    page = Page("recognition.md", options.output)
-    for method in METHODS:
-        page.table(f"## {method}\n", table(described, method))
+    write_csv(options.output.parent / "steps.csv", table(Described(options.data, options.cache)))
+    rows = read_csv(options.output.parent / "steps.csv")
+    Page("evaluation/results.md", options.output).show("steps", ["", *means(rows), ""])
 
 
-def table(described: Described, method: str) -> Iterator[str]:
-    """RecallRate@1 of each condition, with intervals, for each of `STEPS`."""
-    yield from head_row("condition", *STEPS)
-    for condition in all_conditions(described):
+def table(described: Described) -> Iterator[str]:
+    """RecallRate@1 of each method and condition, with intervals, for each of `STEPS`."""
+    yield from head_row("method", "condition", *STEPS)
+    for method, condition in product(METHODS, all_conditions(described)):
         if condition.suits(method):
             decisions = [decide(described, condition, method, steps) for steps in STEPS.values()]
             rates = (decision.figures()["RecallRate@1"] for decision in decisions)
-            yield row(condition.name, *(interval(value, ends) for value, *ends in rates))
+            yield row(method, condition.name, *(interval(value, ends) for value, *ends in rates))
+
+
+def means(rows: list[dict[str, str]]) -> Iterator[str]:
+    """The mean over the pairs of UofA and Gardens Point, for each method."""
+    yield from head_row("method", *STEPS)
+    for method in METHODS:
+        of_method = [
+            row
+            for row in rows
+            if row["method"] == method and row["condition"].partition(",")[0] in ROUTES
+        ]
+        rates = (np.mean([float(row[step].split()[0]) for row in of_method]) for step in STEPS)
+        yield row(method, *(f"{rate:.3f}" for rate in rates))
 
 
 if __name__ == "__main__":

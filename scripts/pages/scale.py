@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes docs/scale.md: time and memory of a database of a million frames and more.
+"""Writes docs/evaluation/scale.csv: time and memory of a database of a million frames and more.
 
     .venv/bin/python scripts/pages/scale.py --frames 1000000 --frames 4000000 --folder /data
 
@@ -14,12 +14,12 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import platform
 import resource
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sized
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -46,7 +46,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--frames", type=int, action="append", help="repeatable; one million")
     parser.add_argument("--folder", type=Path, default=Path("scale"), help="of the databases")
-    parser.add_argument("--out", type=Path, default=Path("docs/scale.md"))
+    parser.add_argument("--out", type=Path, default=Path("docs/evaluation/speed.md"))
     parser.add_argument("--pictures", action="store_true", help="measure all channels alone")
     parser.add_argument("--step", choices=STEPS, help=argparse.SUPPRESS)
     given = parser.parse_args()
@@ -57,12 +57,12 @@ def main() -> None:
     given.folder.mkdir(parents=True, exist_ok=True)
     steps = [name for name in STEPS if (name in _large_maps.STEPS) == given.pictures]
     results = {frames: run_all(frames, given.folder, steps) for frames in sizes}
-    page = Page("scale.md", given.out, not given.pictures)
+    page = Page("evaluation/speed.md", given.out)
     if given.pictures:
-        page.section("## Pictures by all channels", _large_maps.in_words(results))
-        page.section("## Drives by all channels", _large_maps.drives_in_words(results))
-        return
-    fill(page, results)
+        page.table("scale-pictures", _large_maps.pictures(results))
+        page.table("scale-drives", _large_maps.drives(results))
+    else:
+        page.table("scale", table(results))
 
 
 def run_all(frames: int, folder: Path, steps: list[str]) -> dict[str, Report]:
@@ -206,30 +206,17 @@ STEPS: dict[str, tuple[str, Callable[[int, Path], Report]]] = {
 """Names in the table, empty for those that are not in it, and functions."""
 
 
-def fill(page: Page, results: dict[int, dict[str, Report]]) -> None:
-    """Writes what was measured; the page has a section for each number of frames."""
-    where = f"{platform.machine()}, {os.cpu_count()} cores, torch {torch.__version__}"
-    page.paragraph("Written by", f"Written by `scripts/pages/scale.py` on {where}.")
-    for frames, reports in results.items():
-        page.section(f"## {frames:,} frames", [*table(reports), "", *facts(frames, reports)])
-
-
-def table(reports: dict[str, Report]) -> Iterator[str]:
-    yield from head_row("step", "s", "CPU s", "peak GB")
-    for step, (name, _) in STEPS.items():
+def table(results: dict[int, dict[str, Report]]) -> Iterator[str]:
+    """A row for each number of frames and step; what is on disk after it, where it writes."""
+    yield from head_row("frames", "step", "s", "CPU s", "peak GB", "bytes a frame")
+    for (frames, reports), (step, (name, _)) in product(results.items(), STEPS.items()):
         if name:
             of = reports[step]
-            yield row(name, f"{of['seconds']:.1f}", f"{of['cpu']:.1f}", f"{of['peak'] / 1e9:.2f}")
-
-
-def facts(frames: int, reports: dict[str, Report]) -> list[str]:
-    exact, built = reports["exact"], reports["index"]["bytes"]
-    return [
-        f"- On disk: {reports['compact']['bytes'] / frames:.0f} bytes a frame, and "
-        f"{built / frames:.0f} of the index.",
-        f"- A single query takes {exact['one'] * 1e3:.0f} ms of CPU with exact search by `match` "
-        "(lengths of all rows, cosines, the best 10).",
-    ]
+            size = f"{of['bytes'] / frames:.0f}" if "bytes" in of else ""
+            numbers = f"{of['seconds']:.1f}", f"{of['cpu']:.1f}", f"{of['peak'] / 1e9:.2f}"
+            yield row(f"{frames:,}", name, *numbers, size)
+            if "one" in of:
+                yield row(f"{frames:,}", "one exact query", "", f"{of['one']:.3f}", "", "")
 
 
 if __name__ == "__main__":

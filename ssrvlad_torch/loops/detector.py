@@ -44,7 +44,8 @@ class LoopDetector:
     """Decides for each frame of a stream whether its place was seen before.
 
     A frame is compared with all earlier frames, each without the mean of its own stretch: a
-    sequence, or what is between gaps of it. A Bayes filter follows the stream; see docs/loops.md.
+    sequence, or what is between gaps of it. A Bayes filter follows the stream, see
+    docs/concepts/equations.md.
 
     One thread updates; another may `save` at the same time. An interrupt, such as Ctrl-C, leaves
     the detector with the frame or without it, see ``frame in detector``; a `save` can be repeated.

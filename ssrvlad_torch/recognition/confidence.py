@@ -7,7 +7,7 @@ stretches: a hidden Markov chain over what each query shows by itself says where
 others are wrong, and how far ahead the right ones are, is what makes these answers likely (Pounds
 and Morris, 2003); few answers show little, and the prior decides. The doubt in an answer is the
 probability that it is wrong. All that is said of several answers follows from their doubts.
-docs/how-sure.md reports how well it holds; `tests/oracles/recognition.py` has the
+docs/evaluation/confidence.md reports how well it holds; `tests/oracles/recognition.py` has the
 formulas.
 """
 

@@ -38,7 +38,7 @@ Codes = Mapping[str, npt.NDArray[np.int8]]
 
 FOLDER, _CODES, _LEARNT, _VERSION = "_index", "codes", "learnt.npz", 1
 LEAST_ROWS = 20_000
-"""Maps of fewer frames are loaded and searched in memory, see docs/scale.md."""
+"""Maps of fewer frames are loaded and searched in memory, see docs/evaluation/speed.md."""
 
 _SAMPLE, _SAMPLE_BYTES, _GROWTH = 4096, 1 << 27, 4
 """Rows and bytes, at most, that codes are learnt from; a map that has grown so many times is learnt

@@ -1,5 +1,5 @@
 """What the core computes of a live stream, as formulas: whole arrays, float64, one frame after
-another. docs/loops.md has the same in words, and how the constants were chosen."""
+another. docs/concepts/equations.md has the same in words."""
 
 import math
 
