@@ -59,12 +59,13 @@ def on_page_markdown(text: str, page: Any, **_: Any) -> str:
 
 def _drawn(formula: re.Match[str]) -> str:
     """A formula in TeX as a picture: on its own lines, or in a line."""
+    from matplotlib.font_manager import FontProperties
     from matplotlib.mathtext import math_to_image
 
     tex, picture = " ".join((formula[1] or formula[2]).split()), BytesIO()
     if formula[1]:
         tex = tex.replace(r"\frac", r"\dfrac")
-    depth = math_to_image(f"${tex}$", picture, format="svg")
+    depth = math_to_image(f"${tex}$", picture, FontProperties(size=12), format="svg")
     source = b64encode(picture.getvalue()).decode()
     style = "display: block; margin: auto" if formula[1] else f"vertical-align: -{depth}pt"
     return f'<img alt="{tex}" style="{style}" src="data:image/svg+xml;base64,{source}">'

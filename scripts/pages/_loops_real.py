@@ -70,7 +70,7 @@ def real_drives(page: Page, data: Path, cached: Path) -> None:
     chosen, checks = conditions(described)
     write_csv(page.output.parent / "loops-pairs.csv", one_stream([*chosen, *checks]))
     page.table("loops-leaving", left([*chosen, *checks]))
-    page.table("loops-nothing", nowhere(described))
+    write_csv(page.output.parent / "loops-nothing.csv", nowhere(described))
 
 
 def nowhere(described: Described) -> Iterator[str]:

@@ -86,9 +86,12 @@ def overview() -> None:
     above.plot([], [], color=RED, label=f"{(~right).sum()} wrong")
     above.set_aspect("equal")
     above.axis("off")
-    above.legend(loc="center", bbox_to_anchor=(0.45, 0.55), fontsize=9, frameon=False)
+    above.legend(loc="center", bbox_to_anchor=(0.5, 0.53), fontsize=9, frameon=False)
     for place, (frame, name) in enumerate(
-        ((later[PAIR], "a query: labels of a network"), (first[rows[PAIR]], "its match in the map"))
+        (
+            (later[PAIR], "a query: labels with errors of a network"),
+            (first[rows[PAIR]], "its match in the map"),
+        )
     ):
         axes = figure.add_subplot(grid[place, 1])
         axes.imshow(colourise(frame.labels, SPACE))

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from _described import Described
-from _markdown import DOCS, Page, head_row, parser, row, save, write_csv
+from _markdown import DOCS, Page, head_row, parser, read_csv, row, save, write_csv
 from _sure_cases import FRESH, Case, cases, city_cases
 from matplotlib.figure import Figure
 
@@ -30,7 +30,8 @@ LEVEL, MUCH = 0.05, 0.1
 LOST = 0.03
 BINS = 10
 SHOWN = ("drive", "half of the map", "holes of 15 rows", "foreign", "all")
-"""Rows that the page shows."""
+SHOWN_COLUMNS = ("row", "steps", "inside, all", "inside, 5 %", "above 10 %", "accepted", "wrong")
+"""What the page shows of the table."""
 
 COLUMNS = ("row", "steps", "cases", "followed", "lost", "inside, all", "inside, 5 %", "above 10 %")
 COLUMNS += ("accepted", "wrong", "said", "ECE")
@@ -87,17 +88,20 @@ def main() -> None:
             outcomes[steps] += each
     draw(outcomes, DOCS / "figures" / "confidence.png")
     page = Page("evaluation/confidence.md", options.output)
-    lines = list(table(outcomes, list(rows)))
-    write_csv(options.output.parent / "confidence.csv", lines)
-    page.show("confidence", ["", *(line for line in lines if shown(line)), ""])
+    file = options.output.parent / "confidence.csv"
+    write_csv(file, table(outcomes, list(rows)))
+    page.show("confidence", ["", *shown(read_csv(file)), ""])
     page.table("confidence-cities", fresh(described))
     page.table("confidence-methods", by_method(outcomes))
     page.table("calibration", calibrated(outcomes))
 
 
-def shown(line: str) -> bool:
-    """Whether the page shows a line of the table."""
-    return line.split(" | ", maxsplit=1)[0].removeprefix("| ") in ("row", "---", *SHOWN)
+def shown(rows: Sequence[dict[str, str]]) -> Iterator[str]:
+    """The rows and columns of the table that the page shows."""
+    yield from head_row(*SHOWN_COLUMNS)
+    for line in rows:
+        if line["row"] in SHOWN:
+            yield row(*(line[name] for name in SHOWN_COLUMNS))
 
 
 def outcome(described: Described, case: Case) -> list[Outcome]:
