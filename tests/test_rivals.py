@@ -3,7 +3,9 @@ import pytest
 import torch
 from core import chance_of
 
-from ssrvlad_torch.recognition.motion import ELSEWHERE
+from ssrvlad_torch.native.headers import place_model
+
+ELSEWHERE = int(place_model()["elsewhere"])
 
 
 def chance_maps(rows: int, smooth: int, count: int = 4000) -> np.ndarray:

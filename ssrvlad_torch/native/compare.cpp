@@ -18,12 +18,12 @@ std::vector<Shared> sharing(const Drives &drives) {
   std::vector<Shared> shared;
   const auto count = static_cast<Size>(drives.starts.size());
   const auto start = [&](Size drive) { return drives.starts[static_cast<std::size_t>(drive)]; };
-  const auto is_short = [&](Size drive) { return drives.last(drive) - start(drive) < MIN_FRAMES; };
-  for (Size drive = 0, next; drive < count && drives.rows >= MIN_FRAMES; drive = next) {
+  const auto is_short = [&](Size drive) { return drives.last(drive) - start(drive) < MODEL.min_frames; };
+  for (Size drive = 0, next; drive < count && drives.rows >= MODEL.min_frames; drive = next) {
     next = drive + 1;
     while (is_short(drive) && next < count && is_short(next)) ++next;
     const Size first = start(drive), last = drives.last(next - 1);
-    const bool enough = last - first >= MIN_FRAMES;
+    const bool enough = last - first >= MODEL.min_frames;
     shared.push_back({first, last, enough ? first : 0, enough ? last : drives.rows});
   }
   return shared;
@@ -102,11 +102,11 @@ std::vector<double> Fusion::leads() const {
   for (const Member &member : members_) {
     leads.push_back(0);
     const Size rows = listing_.count();
-    if (rows <= 2 * ELSEWHERE + 1) continue;
+    if (rows <= 2 * MODEL.elsewhere + 1) continue;
     std::vector<double> z(member.near.size());
     add_scaled(member.near.data(), rows, member.spread.mean, 1 / member.unit(), z.data());
     const auto [best, other] =
-        leading(z.data(), rows, [&](Size row) { return listing_.around(row, ELSEWHERE); });
+        leading(z.data(), rows, [&](Size row) { return listing_.around(row, MODEL.elsewhere); });
     leads.back() = best - other;
   }
   return leads;
@@ -130,7 +130,7 @@ void Fusion::of(const std::vector<double> &weights, float *scores) const {
 
 std::vector<double> weights_of(const std::vector<double> &trust, const std::vector<double> &leads, Size queries) {
   std::vector<double> weights = trust;
-  if (queries >= MIN_FRAMES) {
+  if (queries >= MODEL.min_frames) {
     for (std::size_t number = 0; number < trust.size(); ++number) weights[number] *= std::max(0.0, leads[number]);
     if (!(std::accumulate(weights.begin(), weights.end(), 0.0) > 0)) weights = trust;
   }
@@ -142,8 +142,8 @@ std::vector<double> weights_of(const std::vector<double> &trust, const std::vect
 Fused::Fused(std::vector<const Scores *> members, const std::vector<double> &trust, const Listing &listing)
     : Blocks(members.front()->queries(), members.front()->rows()), members_(std::move(members)), listing_(listing) {
   std::vector<double> leads(trust.size());
-  const Size step = std::max<Size>(1, queries() / SAMPLE), sampled = (queries() + step - 1) / step;
-  for (Size query = 0; queries() >= MIN_FRAMES && query < queries(); query += step) {
+  const Size step = std::max<Size>(1, queries() / MODEL.sample), sampled = (queries() + step - 1) / step;
+  for (Size query = 0; queries() >= MODEL.min_frames && query < queries(); query += step) {
     const std::vector<double> more = of_query(query).leads();
     for (std::size_t member = 0; member < leads.size(); ++member) leads[member] += more[member];
   }

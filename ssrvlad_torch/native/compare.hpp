@@ -15,15 +15,14 @@
 
 namespace places {
 
-constexpr Size SAMPLE = 200;     // of the queries, to see what leads
 
 // Adjacent rows without the same mean, and the rows that it is of.
 struct Shared {
   Size first, last, from, to;
 };
 
-// A drive of MIN_FRAMES frames has a mean of its own. Adjacent shorter drives share one; if they still
-// have too few frames, it is the mean of all. Fewer than MIN_FRAMES frames in all have none.
+// A drive of `min_frames` frames has a mean of its own. Adjacent shorter drives share one; if they still
+// have too few frames, it is the mean of all. Fewer than `min_frames` frames in all have none.
 std::vector<Shared> sharing(const Drives &drives);
 
 // Each drive, if it has a mean of its own whatever its number of frames.
@@ -63,7 +62,7 @@ struct Queries {
 };
 
 // A sequence of which the queries come one by one, by one channel: each is compared without the mean of those
-// so far, itself among them, and of `BEFORE` frames like the mean of the map. It must not outlive its channel.
+// so far, itself among them, and of `before` frames like the mean of the map. It must not outlive its channel.
 class LiveComparison {
  public:
   virtual ~LiveComparison() = default;

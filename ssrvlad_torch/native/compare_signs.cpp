@@ -262,10 +262,10 @@ class LiveSignComparison : public LiveComparison {
     });
     const std::vector<double> with_means = products_with_means(signs);
     if (!prior_.empty()) add(signs, differing);
-    const double frames = prior_.empty() ? 1 : frames_ + static_cast<double>(BEFORE);
+    const double frames = prior_.empty() ? 1 : frames_ + static_cast<double>(MODEL.before);
     Floats mean(signs.size()), of_mean(static_cast<std::size_t>(rows_));
     for (std::size_t bit = 0; bit < sums_.size(); ++bit)
-      mean[bit] = static_cast<float>((sums_[bit] + static_cast<double>(BEFORE) * static_cast<double>(prior_[bit])) / frames);
+      mean[bit] = static_cast<float>((sums_[bit] + static_cast<double>(MODEL.before) * static_cast<double>(prior_[bit])) / frames);
     for (std::size_t bit = 0; bit < sums_.size(); ++bit) signs[bit] -= mean[bit];
     std::fill_n(scores, rows_, NONE);
     for (Size move = 0; move < moves; ++move) {
@@ -273,7 +273,7 @@ class LiveSignComparison : public LiveComparison {
       const float *part = signs.data() + ours * shape_.bits();
       const auto length = static_cast<float>(std::sqrt(dot(part, part, columns * shape_.bits())));
       for (Size row = 0; row < rows_ && !prior_.empty(); ++row)
-        of_mean[row] = static_cast<float>((with_rows_[move * rows_ + row] + static_cast<double>(BEFORE) * static_cast<double>(before_->of_mean(move)[row])) / frames);
+        of_mean[row] = static_cast<float>((with_rows_[move * rows_ + row] + static_cast<double>(MODEL.before) * static_cast<double>(before_->of_mean(move)[row])) / frames);
       for (std::size_t number = 0; number < held_.means.size(); ++number) {
         const auto [first, last, from, to] = held_.shared[number];
         const double both = product(mean, ours, held_.means[number], theirs, columns, shape_);

@@ -17,7 +17,6 @@ using Floats = std::vector<float>;
 constexpr Size ROWS_AT_ONCE = 192;  // rows that stay in the cache while queries pass by
 constexpr Size AT_ONCE = 96;          // vectors that are multiplied at once to narrow a sweep
 constexpr double EQUAL = 1e-6;      // a vector this near to the mean equals it
-constexpr double WIDER = 1e-4;      // a wider sweep leads by more than rounding does
 
 float length_of(const float *vector, Size length) {
   return static_cast<float>(std::sqrt(dot(vector, vector, length)));
@@ -93,7 +92,7 @@ std::array<float, 2> factors_of(const float *vector, const float *mean, Size len
 // How much nearer the best row is than the best elsewhere; not finite without one.
 double lead_of(const float *scores, const Listing &listing) {
   const auto [best, other] =
-      leading(scores, listing.count(), [&](Size row) { return listing.around(row, ELSEWHERE); });
+      leading(scores, listing.count(), [&](Size row) { return listing.around(row, MODEL.elsewhere); });
   return nearness(static_cast<double>(best)) - nearness(static_cast<double>(other));
 }
 
@@ -162,13 +161,13 @@ class Narrowing {
         widths_(anchors / 2 + 1), means_(static_cast<std::size_t>(widths_ * length)),
         of_means_(static_cast<std::size_t>(widths_ * references())),
         leads_(static_cast<std::size_t>(widths_)), known_(leads_.size()) {
-    if (standardised && count >= MIN_FRAMES) subtract_means();
+    if (standardised && count >= MODEL.min_frames) subtract_means();
   }
 
   Size width() {
-    if (references() <= 2 * ELSEWHERE + 1) return 0;
+    if (references() <= 2 * MODEL.elsewhere + 1) return 0;
     std::vector<Size> sample;
-    for (Size query = 0; query < count_; query += std::max<Size>(1, count_ / SAMPLE)) sample.push_back(query);
+    for (Size query = 0; query < count_; query += std::max<Size>(1, count_ / MODEL.sample)) sample.push_back(query);
     const std::size_t at_once = static_cast<std::size_t>(std::max<Size>(1, AT_ONCE / anchors_));
     for (std::size_t first = 0; first < sample.size(); first += at_once)
       add_leads(sample.data() + first, static_cast<Size>(std::min(at_once, sample.size() - first)));
@@ -177,7 +176,7 @@ class Narrowing {
     for (Size width = 0; width < widths_; ++width) {
       const auto at = static_cast<std::size_t>(width);
       const double mean = known_[at] > 0 ? leads_[at] / known_[at] : 0;
-      if (mean > most + WIDER) most = mean, best = width;
+      if (mean > most + MODEL.wider) most = mean, best = width;
     }
     return best;
   }
@@ -288,7 +287,7 @@ class LiveVectorComparison : public LiveComparison {
       }
       divide(best.data(), rows_.lengths.data(), rows);
       const double lead = lead_so_far(best, at);
-      if (at && !(lead > most + WIDER)) continue;
+      if (at && !(lead > most + MODEL.wider)) continue;
       most = lead;
       width = at;
       std::copy(best.begin(), best.end(), scores);
@@ -334,7 +333,7 @@ class LiveVectorComparison : public LiveComparison {
     Floats mean(sum.vectors.size()), of_mean(sum.products.size());
     if (prior_.empty()) return {mean, of_mean};
     const Sum &next = sums_[static_cast<std::size_t>(at)];
-    const double before = static_cast<double>(BEFORE * (2 * at + 1)), count = (sum.count += next.count) + before;
+    const double before = static_cast<double>(MODEL.before * (2 * at + 1)), count = (sum.count += next.count) + before;
     for (std::size_t n = 0; n < mean.size(); ++n)
       mean[n] = static_cast<float>(((sum.vectors[n] += next.vectors[n]) + before * static_cast<double>(prior_[n])) / count);
     for (std::size_t row = 0; row < of_mean.size(); ++row)
@@ -344,7 +343,7 @@ class LiveVectorComparison : public LiveComparison {
 
   // The mean lead of the queries so far at a width, with a query of these scores.
   double lead_so_far(const Floats &scores, Size at) {
-    if (listing_.count() <= 2 * ELSEWHERE + 1) return 0;
+    if (listing_.count() <= 2 * MODEL.elsewhere + 1) return 0;
     const double lead = lead_of(scores.data(), listing_);
     if (std::isfinite(lead)) leads_[static_cast<std::size_t>(at)] += lead, ++known_[static_cast<std::size_t>(at)];
     return leads_[static_cast<std::size_t>(at)] / std::max(1.0, known_[static_cast<std::size_t>(at)]);
@@ -375,7 +374,7 @@ class VectorChannel : public Channel {
       kept = anchors_of(given, queries, width);
     }
     const Size vectors = queries.count * (2 * width + 1);
-    if (standardised && queries.count >= MIN_FRAMES) {
+    if (standardised && queries.count >= MODEL.min_frames) {
       const Floats mean = mean_of(kept.data(), vectors, length_);
       for (Size each = 0; each < vectors; ++each)
         standardise(kept.data() + each * length_, mean.data(), length_, kept.data() + each * length_);
@@ -409,7 +408,7 @@ class VectorChannel : public Channel {
     if (found) return *found;
     auto fresh = std::make_unique<Held>();
     fresh->vectors = vectors_;
-    if (standardised && (means_ || drives_.rows >= MIN_FRAMES)) {
+    if (standardised && (means_ || drives_.rows >= MODEL.min_frames)) {
       fresh->own.resize(static_cast<std::size_t>(drives_.rows * length_));
       fresh->vectors = fresh->own.data();
       standardise_rows(fresh->own.data(), threads);

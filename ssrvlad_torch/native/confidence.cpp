@@ -7,8 +7,6 @@
 namespace places {
 
 namespace {
-constexpr Size MOST_PLACES = 10;  // most places that are compared
-constexpr double ROWS_A_PLACE = 8.5, LEAST_SPACING = 1e-4;
 constexpr float LEAST_BELIEF = 1e-38F;
 
 // The quantile of the normal distribution of a probability from 1e-11 to 1/2 (Wichura, Applied
@@ -44,7 +42,7 @@ double quantile(double probability) {
 // The mean steps between the highest of so many normal values (Blom, 1958).
 std::vector<double> mean_steps(double places) {
   std::vector<double> means, steps;
-  for (Size rank = 1; rank <= std::min(MOST_PLACES, static_cast<Size>(places)); ++rank)
+  for (Size rank = 1; rank <= std::min(MODEL.most_places, static_cast<Size>(places)); ++rank)
     means.push_back(quantile((static_cast<double>(rank) - 0.375) / (places + 0.25)));
   for (std::size_t rank = 1; rank < means.size(); ++rank)
     steps.push_back(means[rank] - means[rank - 1]);
@@ -83,7 +81,7 @@ std::vector<Peak<Number>> peaks_of(const Number *values, const Rows &rows, Numbe
 // What the highest of several blocks of values are not lower than: most of the best places are above it.
 template <typename Number>
 Number high_level(const Number *values, Size count) {
-  constexpr Size BLOCK = 64, BLOCKS = 4 * MOST_PLACES;
+  constexpr Size BLOCK = 64, BLOCKS = 4 * MODEL.most_places;
   std::vector<Number> highs;
   for (Size first = 0; first < count; first += BLOCK)
     highs.push_back(*std::max_element(values + first, values + std::min(count, first + BLOCK)));
@@ -96,16 +94,16 @@ Number high_level(const Number *values, Size count) {
 template <typename Number>
 std::vector<Peak<Number>> best_above(const Number *values, const Rows &rows, Number least) {
   std::vector<Peak<Number>> peaks = peaks_of(values, rows, least), best;
-  const auto most = static_cast<std::ptrdiff_t>(MOST_PLACES * (2 * ELSEWHERE + 1));
+  const auto most = static_cast<std::ptrdiff_t>(MODEL.most_places * (2 * MODEL.elsewhere + 1));
   if (static_cast<std::ptrdiff_t>(peaks.size()) > most) {  // no others can be among the best
     std::nth_element(peaks.begin(), peaks.begin() + most, peaks.end());
     peaks.resize(static_cast<std::size_t>(most));
   }
   std::sort(peaks.begin(), peaks.end());
   for (const Peak<Number> &peak : peaks) {
-    if (static_cast<Size>(best.size()) == MOST_PLACES) break;
+    if (static_cast<Size>(best.size()) == MODEL.most_places) break;
     if (std::all_of(best.begin(), best.end(), [&](const Peak<Number> &other) {
-          return std::max(peak.row, other.row) - std::min(peak.row, other.row) > ELSEWHERE;
+          return std::max(peak.row, other.row) - std::min(peak.row, other.row) > MODEL.elsewhere;
         }))
       best.push_back(peak);
   }
@@ -117,7 +115,7 @@ std::vector<Peak<Number>> best_places(const Number *values, const Rows &rows) {
   const auto none = static_cast<Number>(NONE);
   const Number high = high_level(values, rows.count);
   std::vector<Peak<Number>> best = best_above(values, rows, high);
-  return high == none || static_cast<Size>(best.size()) == MOST_PLACES ? best : best_above(values, rows, none);
+  return high == none || static_cast<Size>(best.size()) == MODEL.most_places ? best : best_above(values, rows, none);
 }
 
 // `unit` turns numbers that rise with the values into values.
@@ -129,7 +127,7 @@ Chance compared(const Number *numbers, const Rows &rows, Size matching, Unit uni
   if (matching < 0)
     matching =
         std::count_if(numbers, numbers + rows.count, [](Number value) { return value > NONE; });
-  const double places = static_cast<double>(matching) / ROWS_A_PLACE;
+  const double places = static_cast<double>(matching) / MODEL.rows_a_place;
   const Size count = std::min(static_cast<Size>(best.size()) - 1, static_cast<Size>(places) - 1);
   if (count < 2) return result;
   const std::vector<double> means = mean_steps(places);
@@ -138,7 +136,7 @@ Chance compared(const Number *numbers, const Rows &rows, Size matching, Unit uni
     const double height = unit(best[step].value) - unit(best[step + 1].value);
     (step ? below : ahead) += height / means[step];
   }
-  const double ratio = 1 + ahead / std::max(below, LEAST_SPACING);
+  const double ratio = 1 + ahead / std::max(below, MODEL.least_spacing);
   result.chance = 1;
   for (Size step = 1; step < count; ++step) result.chance /= ratio;
   return result;
@@ -169,7 +167,7 @@ double answers_together(const std::vector<Size> &rivals) {
   if (rivals.empty()) return 1;
   double squares = 0, length = 1;
   for (std::size_t query = 1; query <= rivals.size(); ++query) {
-    if (query < rivals.size() && std::abs(rivals[query] - rivals[query - 1]) <= NEAR) {
+    if (query < rivals.size() && std::abs(rivals[query] - rivals[query - 1]) <= MODEL.near) {
       ++length;
       continue;
     }
@@ -182,14 +180,8 @@ double answers_together(const std::vector<Size> &rivals) {
 // ---------------------------------------------------------------------------------------- confidence
 
 namespace {
-constexpr double FOREIGN = 0.1;  // prior probability that the map lacks the place of the first query
-// Of the gamma density of right answers: the median of its rate, and the deviation of the rate's logit.
-constexpr double SLOPE = 0.25, DEVIATION = 0.6, MOST_AWAY = 2.5;
-constexpr int FRACTIONS = 15, RATES = 11, SHAPES = 2;
-constexpr double STRETCH = 200;       // mean number of queries whose places the map has, or lacks
-constexpr double FEW = 2;             // of the density of the fraction of wrong answers, if followed
 constexpr double NEGLIGIBLE = 1e-15;  // weight of a point
-constexpr double LEAST_AHEAD = 1.000500333583534e-3, MOST_AHEAD = 20;  // -log of 1 - 1e-3
+constexpr double LEAST_AHEAD = 1.000500333583534e-3;  // -log of 1 - 1e-3
 
 // A point of the prior: the fraction of wrong answers where the map has the places; of the gamma density of
 // right ones the rate, the shape less 1 and the factor; the logarithm of the weight.
@@ -203,17 +195,17 @@ struct Point {
 };
 
 std::vector<Point> points_of_prior() {
-  const auto away = [](int step) { return -MOST_AWAY + 2 * MOST_AWAY * step / (RATES - 1); };
+  const auto away = [](int step) { return -MODEL.most_away + 2 * MODEL.most_away * step / (MODEL.rates - 1); };
   std::vector<Point> points;
   double weights = 0;
-  for (int step = 0; step < RATES; ++step) weights += exp_of(-away(step) * away(step) / 2);
-  for (int fraction = 0; fraction < FRACTIONS; ++fraction)
-    for (int step = 0; step < RATES; ++step)
-      for (int more = 0; more < SHAPES; ++more) {
-        const double rate = 1 / (1 + exp_of(log_of(1 / SLOPE - 1) - DEVIATION * away(step)));
+  for (int step = 0; step < MODEL.rates; ++step) weights += exp_of(-away(step) * away(step) / 2);
+  for (int fraction = 0; fraction < MODEL.fractions; ++fraction)
+    for (int step = 0; step < MODEL.rates; ++step)
+      for (int more = 0; more < MODEL.shapes; ++more) {
+        const double rate = 1 / (1 + exp_of(log_of(1 / MODEL.slope - 1) - MODEL.deviation * away(step)));
         const double weight =
-            exp_of(-away(step) * away(step) / 2) / (weights * FRACTIONS * SHAPES);
-        points.emplace_back((fraction + 0.5) / FRACTIONS, rate, more, weight);
+            exp_of(-away(step) * away(step) / 2) / (weights * MODEL.fractions * MODEL.shapes);
+        points.emplace_back((fraction + 0.5) / MODEL.fractions, rate, more, weight);
       }
   return points;
 }
@@ -232,9 +224,9 @@ struct Answers {
     for (std::size_t query = 0; query < chances.size(); ++query) {
       const double chance = chances[query];
       if (std::isnan(chance)) continue;
-      const double far = chance > 0 ? -log_of(std::max(chance, 1e-300)) : MOST_AHEAD;
+      const double far = chance > 0 ? -log_of(std::max(chance, 1e-300)) : MODEL.most_ahead;
       queries.push_back(query);
-      ahead.push_back(std::min(std::max(far, LEAST_AHEAD), MOST_AHEAD));
+      ahead.push_back(std::min(std::max(far, LEAST_AHEAD), MODEL.most_ahead));
       logs.push_back(log_of(ahead.back()));
     }
   }
@@ -279,7 +271,7 @@ class Stretches {
   // The forward algorithm: the logarithm of how likely queries are, each so many times `likelier` where
   // the map has its place as where it lacks it.
   double learn(const double *likelier, Size count) {
-    double before = 1 - FOREIGN;
+    double before = 1 - MODEL.foreign;
     for (Size query = 0; query < count; ++query) {
       likely_[query] = before * likelier[query] + (1 - before);
       mapped_[query] = before * likelier[query] / likely_[query];
@@ -301,7 +293,7 @@ class Stretches {
   }
 
  private:
-  static constexpr double STAY = 1 - 1 / STRETCH;
+  static constexpr double STAY = 1 - 1 / MODEL.stretch;
 
   std::vector<double> mapped_, likely_, once_;
 };
@@ -366,7 +358,7 @@ Confidence Confidence::of(const std::vector<double> &chances, const std::vector<
     compare(point, answers, likelier.data());
     for (double &value : likelier) value += point.wrong;
     weights.push_back(point.log_weight + log_of_all(likelier.data(), counts.data(), count));
-    if (followed) weights.back() += FEW * log_of(1 - point.wrong);
+    if (followed) weights.back() += MODEL.few * log_of(1 - point.wrong);
   }
   normalise(weights);
 

@@ -11,8 +11,6 @@
 
 namespace places {
 
-constexpr Size NEAR = 3;  // rows on each side of a row that show the same place
-
 // The probability that a wrong answer is as far ahead of its rivals as the best of some rows is, and
 // the row of the best rival, -1 without one.
 struct Chance {

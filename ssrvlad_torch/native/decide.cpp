@@ -11,8 +11,6 @@ namespace places {
 
 namespace {
 constexpr Size KEPT = Size{1} << 24;  // numbers that are kept rather than computed again
-// By how much a course may trail, the logarithm of a chance, and how much of its gain the likeliest must go on to have.
-constexpr double TRAILING = 10, AS_BEFORE = 0.5;
 
 // ------------------------------------------------------------------------------------------ following
 
@@ -60,7 +58,7 @@ std::vector<Size> at_random(Size count) {
   return order;
 }
 
-// The likeliest course and its gain. A course that trails by TRAILING rests, and goes on at the end if the
+// The likeliest course and its gain. A course that trails by `trailing` rests, and goes on at the end if the
 // likeliest one did not gain as it had until then.
 std::pair<std::size_t, double> likeliest_of(const Evidence &evidence, const std::vector<Course> &tried) {
   Trial trial(evidence.map(), tried);
@@ -71,7 +69,7 @@ std::pair<std::size_t, double> likeliest_of(const Evidence &evidence, const std:
   for (Size query = 0; query < evidence.queries(); ++query) {
     for (const std::size_t course : running) trial.step(evidence, query, course);
     const double best = trial.gains()[likeliest(trial.gains())];
-    const auto trails = [&](std::size_t course) { return trial.gains()[course] < best - TRAILING; };
+    const auto trails = [&](std::size_t course) { return trial.gains()[course] < best - MODEL.trailing; };
     const auto end = std::remove_if(running.begin(), running.end(), trails);
     if (end == running.end()) continue;
     running.erase(end, running.end());
@@ -79,7 +77,7 @@ std::pair<std::size_t, double> likeliest_of(const Evidence &evidence, const std:
   }
   const std::size_t ahead = likeliest(trial.gains());
   const auto others = static_cast<double>(evidence.queries() - rested);
-  if (rested && (trial.gains()[ahead] - gain) * static_cast<double>(rested) < AS_BEFORE * gain * others)
+  if (rested && (trial.gains()[ahead] - gain) * static_cast<double>(rested) < MODEL.as_before * gain * others)
     for (std::size_t course = 0; course < tried.size(); ++course)
       while (trial.count(course) < evidence.queries()) trial.step(evidence, trial.count(course), course);
   const std::size_t best = likeliest(trial.gains());
@@ -92,9 +90,9 @@ bool gains_at_random(const Evidence &evidence, const Course &course, double gain
   for (const Size query : at_random(evidence.queries())) {
     trial.step(evidence, query);
     const double share = static_cast<double>(trial.count(0)) / static_cast<double>(evidence.queries());
-    if (trial.count(0) >= MIN_FRAMES && trial.gains().front() < BY_ROWS / 2 * gain * share) return false;
+    if (trial.count(0) >= MODEL.min_frames && trial.gains().front() < MODEL.by_rows / 2 * gain * share) return false;
   }
-  return trial.gains().front() > BY_ROWS * gain;
+  return trial.gains().front() > MODEL.by_rows * gain;
 }
 
 // The likeliest course and its gain; no gain if there is hardly any, or as much in a random order.
@@ -102,7 +100,7 @@ std::pair<Course, double> course_of(const Evidence &evidence) {
   if (evidence.queries() < 2) return {};
   const std::vector<Course> tried = courses();
   const auto [best, gain] = likeliest_of(evidence, tried);
-  if (gain <= LEAST_GAIN || gains_at_random(evidence, tried[best], gain)) return {};
+  if (gain <= MODEL.least_gain || gains_at_random(evidence, tried[best], gain)) return {};
   return {tried[best], gain};
 }
 
@@ -144,15 +142,15 @@ Followed follow_course(const Evidence &evidence, const Likeness &likeness, const
     follow_offline(filter, evidence, stream, followed);
     std::vector<Size> rows(stream.size());
     for (std::size_t at = 0; at < rows.size(); ++at) rows[at] = followed.rows[at * top];
-    const std::vector<bool> lingers = lingering(likeness, stream, rows, AROUND);
+    const std::vector<bool> lingers = lingering(likeness, stream, rows, MODEL.around);
     std::deque<std::shared_ptr<const Sight>> sights;  // of the queries from `first` on
     std::vector<Size> near;                           // their rows
     for (Size at = 0, first = 0, next = 0; at < static_cast<Size>(stream.size()); ++at) {
-      for (; next < std::min(static_cast<Size>(stream.size()), at + AROUND + 1); ++next)
+      for (; next < std::min(static_cast<Size>(stream.size()), at + MODEL.around + 1); ++next)
         sights.push_back(evidence.beside(stream[next]));
-      for (; first < at - AROUND; ++first) sights.pop_front();
+      for (; first < at - MODEL.around; ++first) sights.pop_front();
       near.assign(rows.begin() + first, rows.begin() + next);
-      const auto [around, alone] = chances_around(filter, sights, near, at - first, AROUND);
+      const auto [around, alone] = chances_around(filter, sights, near, at - first, MODEL.around);
       const auto from = static_cast<std::ptrdiff_t>(at) * top, to = stream[at] * top;
       std::copy_n(followed.scores.begin() + from, top, places.scores.begin() + to);
       std::copy_n(followed.rows.begin() + from, top, places.rows.begin() + to);
@@ -172,11 +170,11 @@ void take(const Followed &places, double together, Decision &decision) {
   for (Size query = 0; query < queries; ++query)
     if (decision.rows[query * top] < 0)
       chances[query] = alone[query] = std::numeric_limits<double>::quiet_NaN();
-  const std::vector<double> mapped = places::mapped(alone, together, BEST);
+  const std::vector<double> mapped = places::mapped(alone, together, MODEL.best);
   const double followed = mean(Confidence::of(chances, mapped, together, false).right);
-  if (followed <= mean(decision.right) + (decision.gain > SEQUENCE ? -MARGIN : MARGIN)) return;
+  if (followed <= mean(decision.right) + (decision.gain > MODEL.sequence_gain ? -MODEL.margin : MODEL.margin)) return;
   decision.followed = true;
-  assure(chances, mapped, std::max(static_cast<double>(AROUND), together), decision);
+  assure(chances, mapped, std::max(static_cast<double>(MODEL.around), together), decision);
   for (Size query = 0; query < queries; ++query) {
     const Size first = query * top;
     if (decision.rows[first] < 0) continue;
@@ -218,7 +216,7 @@ void doubt_lingering(const Decision &decision, Judged &judged) {
        streams_of(decision.course, in_order(static_cast<Size>(judged.chances.size())))) {
     std::vector<Size> rows;
     for (const Size query : stream) rows.push_back(decision.rows[query * decision.top]);
-    const std::vector<bool> lingers = lingering(judged.likeness, stream, rows, AROUND);
+    const std::vector<bool> lingers = lingering(judged.likeness, stream, rows, MODEL.around);
     for (std::size_t at = 0; at < stream.size(); ++at)
       if (lingers[at]) judged.chances[stream[at]] = 1;
   }
@@ -258,7 +256,7 @@ Decision decide(const Listing &listing, const Scores &scores, bool follow, Size 
     take(follow_course(evidence, judged.likeness, course, top), together, decision);
   }
   decision.follows.assign(decision.right.size(), decision.followed);
-  if (listing.map.rows < MIN_FRAMES) std::fill(decision.right.begin(), decision.right.end(), 0.0F);
+  if (listing.map.rows < MODEL.min_frames) std::fill(decision.right.begin(), decision.right.end(), 0.0F);
   return decision;
 }
 

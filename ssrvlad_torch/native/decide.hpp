@@ -40,7 +40,7 @@ struct Matches {
 };
 
 // Where the queries of a drive are that is followed: scores are the probabilities of the rows; `near` is
-// that of the rows within NEAR of the first, `unmapped` that of a place that the map lacks.
+// that of the rows within `near` of the first, `unmapped` that of a place that the map lacks.
 struct Places : Matches {
   std::vector<float> near, unmapped;
   std::vector<double> chance;

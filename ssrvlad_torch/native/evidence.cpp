@@ -15,7 +15,7 @@ std::vector<Size> in_order(Size count) {
 namespace {
 // Courses that are tried, both ways.
 constexpr Course COURSES[] = {
-    {FORWARDS, 1, 1}, {FORWARDS, 3, 1}, {FORWARDS, 0.25, 1}, {FORWARDS, 1, Likeness::STREAMS}};
+    {FORWARDS, 1, 1}, {FORWARDS, 3, 1}, {FORWARDS, 0.25, 1}, {FORWARDS, 1, MODEL.streams}};
 
 // The places of the highest of values above NONE, the first of equals first.
 std::vector<Size> best_of(const std::vector<float> &values, Size top) {
@@ -38,7 +38,7 @@ std::vector<Size> best_of(const std::vector<float> &values, Size top) {
 }
 
 // How a row compares with its rivals by values of the rows of a sight; 1 if a row elsewhere is better
-// than all that are NEAR it.
+// than all that are `near` it.
 double chance_near(const std::vector<float> &values, const Sight &sight, const Drives &drives,
                    Size row) {
   std::vector<double> known(values.begin(), values.end());
@@ -48,7 +48,7 @@ double chance_near(const std::vector<float> &values, const Sight &sight, const D
       double &value = known[run.at + each - run.first];
       if (sight.scores[run.at + each - run.first] == NONE) value = static_cast<double>(NONE);
       best = std::max(best, value);
-      if (std::abs(each - row) <= NEAR && run.drive == drives.of(row)) near = std::max(near, value);
+      if (std::abs(each - row) <= MODEL.near && run.drive == drives.of(row)) near = std::max(near, value);
     }
   return near < best ? 1 : chance_of(known.data(), sight.rows, sight.matching).chance;
 }
@@ -61,7 +61,7 @@ Evidence::Evidence(const Listing &listing, const Scores &scores, Size kept)
   for (Size place = 0; place < listing.count(); ++place)
     if (listing.weights.empty() || listing.weights[place] > 1) sample.push_back(place);
   if (sample.empty()) sample = in_order(listing.count());
-  const std::size_t most = Likeness::COMPARED, step = std::max<std::size_t>(1, (sample.size() + most - 1) / most);
+  const std::size_t most = MODEL.compared, step = std::max<std::size_t>(1, (sample.size() + most - 1) / most);
   for (std::size_t at = 0; at < sample.size(); at += step) compared_.push_back(sample[at]);
 }
 
@@ -155,8 +155,8 @@ void place(const Filter &filter, const Sight &sight,
   if (row >= 0) {
     const Drives &drives = filter.drives();
     const Size drive = drives.of(row);
-    const Size first = std::max(row - NEAR, drives.starts[drive]);
-    const Size last = std::min(row + NEAR + 1, drives.last(drive));
+    const Size first = std::max(row - MODEL.near, drives.starts[drive]);
+    const Size last = std::min(row + MODEL.near + 1, drives.last(drive));
     for (const Run &run : sight.rows.runs)
       for (Size each = std::max(first, run.first); each < std::min(last, run.last); ++each)
         places.near[query] += beliefs[run.at + each - run.first];
@@ -184,7 +184,7 @@ std::pair<double, double> chances_around(const Filter &filter, const std::deque<
           },
           [](Size, Size) {}, [](Size, Size) {});
   };
-  const Size first = std::max<Size>(0, at - AROUND), last = std::min(static_cast<Size>(sights.size()) - 1, at + later);
+  const Size first = std::max<Size>(0, at - MODEL.around), last = std::min(static_cast<Size>(sights.size()) - 1, at + later);
   for (const Size way : {Size{-1}, Size{1}})
     for (Size other = at + way; other >= first && other <= last; other += way) {
       if (rows[other] < 0 || std::abs(rows[other] - rows[other - way]) > longest) break;
@@ -201,7 +201,7 @@ std::vector<Course> courses() {
 }
 
 std::size_t likeliest(const std::vector<double> &gains) {
-  const auto likely = [&](std::size_t course) { return gains[course] - (course ? UNUSUAL : 0); };
+  const auto likely = [&](std::size_t course) { return gains[course] - (course ? MODEL.unusual : 0); };
   std::size_t best = 0;
   for (std::size_t course = 1; course < gains.size(); ++course)
     if (likely(course) > likely(best)) best = course;

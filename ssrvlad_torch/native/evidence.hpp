@@ -17,17 +17,6 @@
 
 namespace places {
 
-constexpr Size AROUND = Likeness::AROUND;
-constexpr double BEST = 1.0 / 3;  // how often a wrong answer of a followed sequence is the best of its query
-// The gain a query that only sequences have, and a difference of mean confidences.
-constexpr double SEQUENCE = 0.5, MARGIN = 0.05;
-// The gain of a course, and how much more another than forwards at the rate of the map must have: before
-// anything is known, one sequence in twenty takes it. Gains a query: real sequences and two streams in turn 0.3
-// to 1.0, three to six streams 0.03 to 0.35, sequences in foreign maps 0.05 to 0.4, random frames 0.0 to 0.1.
-constexpr double LEAST_GAIN = 1, UNUSUAL = 3;
-// How much of its gain a sequence may have in a random order: a row like every query gains all of it.
-constexpr double BY_ROWS = 0.5;
-
 // The numbers from 0 on.
 std::vector<Size> in_order(Size count);
 
@@ -124,7 +113,7 @@ void place(const Filter &filter, const Sight &sight,
            const std::pair<std::vector<float>, double> &beliefs, Size query, Places &places);
 
 // How the row of an answer compares with its rivals by the sights of the neighbouring queries of a stream, as far
-// as no step between the rows of their answers is longer than the filter can make: AROUND earlier ones, and so
+// as no step between the rows of their answers is longer than the filter can make: `around` earlier ones, and so
 // many later. The value of a row is the sum of the deviations of these queries along the same path, moved to it.
 // And by the query alone. 1 if a row elsewhere is better.
 std::pair<double, double> chances_around(const Filter &filter, const std::deque<std::shared_ptr<const Sight>> &sights,
@@ -154,7 +143,7 @@ class Trial {
   void step(const Evidence &evidence, Size query, std::size_t course) {
     std::vector<Walk> &streams = walks_[course];
     const double gain = streams[static_cast<std::size_t>(counts_[course]++) % streams.size()].step(evidence, query);
-    gains_[course] += streams.size() > 1 ? OF_TWO * gain : gain;
+    gains_[course] += streams.size() > 1 ? MODEL.of_two * gain : gain;
   }
 
   // Of the queries by each course: the logarithm of how much likelier they are so than alone; what counts of it.
@@ -170,9 +159,6 @@ class Trial {
   }
 
  private:
-  // What counts of the gain of two streams: a slow one is hardly less likely as two in turn.
-  static constexpr double OF_TWO = 0.75;
-
   std::vector<Size> counts_;
   std::vector<double> gains_;
   std::vector<std::unique_ptr<Filter>> filters_;

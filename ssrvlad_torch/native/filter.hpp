@@ -24,8 +24,8 @@ constexpr double MOST_RATE = 100;
 
 // How a drive moves, and how much one frame counts; recognition/motion.py explains the settings.
 struct Motion {
-  double change = 0.05, jump = 0.01, unmapped = 0.1, stay = 0.97, weight = 0.3, level = 0.5,
-         rate = 1;
+  double change = MODEL.change, jump = MODEL.jump, unmapped = MODEL.unmapped, stay = MODEL.stay,
+         weight = MODEL.weight, level = MODEL.level, rate = 1;
 
   Motion at(double rate) const;
 };

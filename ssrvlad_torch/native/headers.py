@@ -72,6 +72,13 @@ def interface() -> Interface:
     return Interface(structs, functions, numbers)
 
 
+@cache
+def place_model() -> dict[str, float]:
+    """The numbers of ``PlaceModel``, which ``model.hpp`` explains."""
+    content = (FOLDER / "model.hpp").read_text("utf-8")
+    return {name: float(value) for name, value in re.findall(r"(\w+) = ([\d.e-]+)[,;]", content)}
+
+
 def struct(name: str) -> Any:
     """The struct ``ssrvlad_NAME``."""
     return interface().structs[f"ssrvlad_{name}"]

@@ -129,10 +129,10 @@ void LiveVectors::start_stretch() {
 
 // The mean of the present stretch, with another frame if there is one.
 std::vector<float> LiveVectors::mean(const float *next) const {
-  Size counted = counted_ + (next && !empty(next)) + (counted_before_ ? BEFORE : 0);
+  Size counted = counted_ + (next && !empty(next)) + (counted_before_ ? MODEL.before : 0);
   counted = std::max<Size>(1, counted);
   const double share =
-      counted_before_ ? static_cast<double>(BEFORE) / static_cast<double>(counted_before_) : 0;
+      counted_before_ ? static_cast<double>(MODEL.before) / static_cast<double>(counted_before_) : 0;
   std::vector<float> mean(place(width_));
   for (Size i = 0; i < length_; ++i) {
     const double own = total_[place(i)] + (next ? static_cast<double>(next[i]) : 0);
@@ -284,7 +284,7 @@ LiveSigns::Products LiveSigns::with(const Word *frame, const Sum &sum) const {
 LiveSigns::Stretch LiveSigns::present(Size fresh) const {
   const double before = static_cast<double>(first_), own = static_cast<double>(rows() - first_ + fresh);
   if (!first_) return {first_, 0, own};
-  return {first_, static_cast<double>(BEFORE) / before, own + static_cast<double>(BEFORE)};
+  return {first_, static_cast<double>(MODEL.before) / before, own + static_cast<double>(MODEL.before)};
 }
 
 LiveSigns::Products LiveSigns::with_sum(const Products &own, const Products &every) const {
@@ -512,7 +512,7 @@ void LargeSigns::start_stretch() {
 
 LargeSigns::Mean LargeSigns::mean(const Sum &own, const Sum &every) const {
   const Size before = every.frames - own.frames;
-  const double frames = static_cast<double>(own.frames + (before ? BEFORE : 0));
+  const double frames = static_cast<double>(own.frames + (before ? MODEL.before : 0));
   Mean mean{first_, {std::vector<Word>(place(PLANES * grid_.size())), {}},
             std::vector<double>(place(columns_))};
   for (int plane = 0; plane < PLANES; ++plane)
@@ -531,7 +531,7 @@ LargeSigns::Mean LargeSigns::mean(const Sum &own, const Sum &every) const {
     for (std::size_t bit = 0; bit < static_cast<std::size_t>(used); ++bit) {
       const double here = 2.0 * own_ones[bit] - static_cast<double>(own.frames);
       const double there = 2.0 * (ones[bit] - own_ones[bit]) - static_cast<double>(before);
-      const double sum = before ? here + BEFORE * there / static_cast<double>(before) : here;
+      const double sum = before ? here + MODEL.before * there / static_cast<double>(before) : here;
       levels[bit] = static_cast<std::int32_t>(sum / frames * (LEVELS / 2.0) + (LEVELS + 1) / 2.0);
     }
     for (std::size_t bit = 0; bit < static_cast<std::size_t>(used); ++bit) {

@@ -1,7 +1,7 @@
 // The descriptors of a live stream by one channel, and the scores of a new frame against them.
 //
 // Each frame is compared without the mean of its stretch. The mean of the present stretch is that of its
-// frames so far, with BEFORE frames of the mean of all before. tests/oracles/loops.py says the same plainly.
+// frames so far, with `before` frames of the mean of all before. tests/oracles/loops.py says the same plainly.
 
 #ifndef SSRVLAD_LIVE_HPP
 #define SSRVLAD_LIVE_HPP

@@ -61,11 +61,11 @@ void keep(std::deque<Number> &values, Number value, std::size_t most) {
 // How many deviations the nearest row is ahead of the nearest elsewhere; rows without a score are at the
 // mean.
 double lead(const float *near, Size count, const Spread &spread) {
-  if (count <= 2 * ELSEWHERE + 1) return 0;
+  if (count <= 2 * MODEL.elsewhere + 1) return 0;
   std::vector<double> values(near, near + count);
   std::replace(values.begin(), values.end(), static_cast<double>(NONE), spread.mean);
   const auto [best, other] = leading(values.data(), count, [&](Size row) {
-    return std::make_pair(std::max<Size>(0, row - ELSEWHERE), std::min(row + ELSEWHERE + 1, count));
+    return std::make_pair(std::max<Size>(0, row - MODEL.elsewhere), std::min(row + MODEL.elsewhere + 1, count));
   });
   return (best - other) / std::max(spread.deviation, MIN_SPREAD);
 }
@@ -94,7 +94,7 @@ void likelihoods(const float *near, Size count, double weight, double level,
     const double least = spread.mean + level * spread.deviation, factor = weight / spread.deviation;
     for (Size i = 0; i < count; ++i)
       likely[i] =
-          static_cast<float>(exp_of(std::min((static_cast<double>(near[i]) - least) * factor, MAX_LOG)));
+          static_cast<float>(exp_of(std::min((static_cast<double>(near[i]) - least) * factor, MODEL.most_log)));
   });
 }
 

@@ -110,7 +110,7 @@ std::unique_ptr<Scores> Map::compare(const ssrvlad_queries *queries, Size count,
                                      int threads, ssrvlad_taken &taken) const {
   for (Size number = 0; steps.excluded && number < 2 * count; ++number)
     require(steps.excluded[number] >= 0 && steps.excluded[number] <= listing_.map.rows, "excluded rows of the map");
-  taken.standardised = steps.standardise && std::min(count, listing_.map.rows) >= MIN_FRAMES;
+  taken.standardised = steps.standardise && std::min(count, listing_.map.rows) >= MODEL.min_frames;
   taken.width = 0;
   auto together = std::make_unique<Together>();
   std::vector<const Scores *> candidates;
@@ -162,7 +162,7 @@ Decision Map::track(const ssrvlad_queries *queries, Size count, const ssrvlad_st
     taken.width = answer.width;
     std::copy(answer.weights.begin(), answer.weights.end(), taken.weights);
   };
-  taken.standardised = steps.standardise && listing_.map.rows >= MIN_FRAMES;
+  taken.standardised = steps.standardise && listing_.map.rows >= MODEL.min_frames;
   for (Size query = 0; query < count; ++query) {
     tracker.update(next.data(), steps.excluded ? steps.excluded + 2 * query : nullptr, threads);
     if (tracker.waiting() > steps.delay) take();

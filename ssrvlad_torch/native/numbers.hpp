@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "cpu.hpp"
+#include "model.hpp"
 
 namespace places {
 
@@ -19,10 +20,8 @@ using Size = std::int64_t;
 
 constexpr float NONE = -std::numeric_limits<float>::infinity();  // the score of what is no match
 constexpr Size MOST_NUMBERS = Size{1} << 31;  // of a descriptor from all anchors, and its signs
-constexpr Size ELSEWHERE = 5;        // rows farther apart than this show different places
 constexpr double ROUNDING = 1e-6;    // of a cosine of 480 float32 products
 constexpr double MIN_SPREAD = 1e-6;
-constexpr double MAX_LOG = 50;       // frames that equal their rows must not overflow
 
 SSRVLAD_INLINE std::uint64_t bits_of(double value) {
   std::uint64_t bits;
@@ -108,7 +107,7 @@ bool are_finite(const float *values, Size count);
 
 // Limits of a loop that are no constants to the compiler: else it makes branches of them, no vectors.
 struct Limits {
-  double least = ROUNDING, most = MAX_LOG, none = static_cast<double>(NONE);
+  double least = ROUNDING, most = MODEL.most_log, none = static_cast<double>(NONE);
 };
 
 // Nearness of scores, in single precision; -inf for -inf.

@@ -10,7 +10,6 @@
 namespace places {
 
 namespace {
-constexpr Size AROUND = Likeness::AROUND;
 constexpr double ALIKE = 1e-9;  // likeness that rounding makes
 
 // Nearness without its mean, of length 1; zeros where there is no score, and if all are equal.
@@ -62,7 +61,7 @@ std::vector<bool> lingering(const Likeness &likeness, const std::vector<Size> &q
   const Size count = static_cast<Size>(queries.size());
   std::vector<Pair> pairs;
   std::vector<double> usual = {1}, paces;
-  for (Size lag = 1; lag <= std::min(AROUND, count - 1); ++lag) {
+  for (Size lag = 1; lag <= std::min(MODEL.around, count - 1); ++lag) {
     std::vector<double> alike;
     for (Size query = lag; query < count; ++query)
       alike.push_back(likeness.of(queries[query], queries[query - lag]));
@@ -79,13 +78,13 @@ std::vector<bool> lingering(const Likeness &likeness, const std::vector<Size> &q
   std::vector<Size> still(queries.size()), neighbours(queries.size());
   for (const auto &[query, before, far, moved] : pairs) {
     const double usually = pace * far;
-    const bool stands = far >= 1 && usually >= 1 && moved <= ELSEWHERE && moved < usually / 2;
+    const bool stands = far >= 1 && usually >= 1 && moved <= MODEL.elsewhere && moved < MODEL.lingering_pace * usually;
     ++neighbours[query], still[query] += stands;
     if (query - before <= later) ++neighbours[before], still[before] += stands;
   }
   std::vector<bool> lingers(queries.size());
   for (std::size_t query = 0; query < lingers.size(); ++query)
-    lingers[query] = 2 * neighbours[query] >= AROUND && 2 * still[query] > neighbours[query];
+    lingers[query] = 2 * neighbours[query] >= MODEL.around && static_cast<double>(still[query]) > MODEL.lingering_share * static_cast<double>(neighbours[query]);
   return lingers;
 }
 

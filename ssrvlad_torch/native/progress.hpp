@@ -14,14 +14,11 @@ namespace places {
 // How alike the neighbouring queries of a drive see a map.
 class Likeness {
  public:
-  static constexpr Size AROUND = 10;   // frames on each side that tell of an answer
-  static constexpr Size STREAMS = 2;   // of a course, at most
-  static constexpr Size COMPARED = 512;  // rows at most by whose scores queries are compared
 
   // Takes the next query: its scores at rows that represent the map, the same for each, NONE where there
   // can be no match.
   void add(const std::vector<float> &scores);
-  // The correlation of a query with one before it, at most AROUND * STREAMS.
+  // The correlation of a query with one before it, at most `around` * `streams`.
   double of(Size query, Size before) const {
     return each_[static_cast<std::size_t>(query - first_)][static_cast<std::size_t>(query - before - 1)];
   }
@@ -36,12 +33,12 @@ class Likeness {
 
  private:
   std::deque<std::vector<double>> recent_;  // profiles, the newest first
-  std::deque<std::array<double, AROUND * STREAMS>> each_;  // of the queries from `first_` on
+  std::deque<std::array<double, MODEL.around * MODEL.streams>> each_;  // of the queries from `first_` on
   Size first_ = 0;
 };
 
 // Which answers of a stream of queries, their rows, -1 for none, linger at one place while the frames go
-// on to others, by so many later queries, at most AROUND.
+// on to others, by so many later queries, at most `around`.
 std::vector<bool> lingering(const Likeness &likeness, const std::vector<Size> &queries,
                             const std::vector<Size> &rows, Size later);
 

@@ -7,12 +7,6 @@
 
 namespace places {
 
-// Of a drive that has a mean of its own, and shows which channel leads; of a map that gives confidence.
-constexpr Size MIN_FRAMES = 30;
-// What the first frames of a sequence have in common is their place: to their mean so many frames like what was
-// before are added.
-constexpr Size BEFORE = 10;
-
 class Scores {
  public:
   virtual ~Scores() = default;

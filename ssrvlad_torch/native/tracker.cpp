@@ -7,12 +7,6 @@
 namespace places {
 
 namespace {
-constexpr Size MEMORY = 200;         // answers by which an answer is judged
-constexpr Size REPLAYED = 60;        // queries that a new course is tried with
-// Of a sequence that is followed: the gain a query, and how much less ahead of its rivals, as the logarithm of a
-// chance, an answer may be on average than alone. Random frames gain 0.0 to 0.1 a query.
-constexpr double LEAST_RATE = 0.1, MOST_BEHIND = 1;
-
 constexpr double NO_ANSWER = std::numeric_limits<double>::quiet_NaN();
 
 template <typename Value>
@@ -45,7 +39,7 @@ void Recent::keep(Archive &archive) {
 
 Tracker::Tracker(const Map &map, const ssrvlad_steps &steps)
     : map_(map), listing_(map.listing()), top_(steps.top), delay_(std::min(steps.delay, MOST_NUMBERS)),
-      standardised_(steps.standardise && listing_.map.rows >= MIN_FRAMES), swept_(steps.sweep),
+      standardised_(steps.standardise && listing_.map.rows >= MODEL.min_frames), swept_(steps.sweep),
       leads_(static_cast<std::size_t>(map.channels())), recent_(listing_.count()), evidence_(listing_, recent_),
       courses_(courses()), trial_(listing_.map, courses_) {
   if (steps.allowed) allowed_.assign(steps.allowed, steps.allowed + listing_.count());
@@ -85,16 +79,16 @@ void Tracker::update(const ssrvlad_queries *queries, const Size *excluded, int t
     anchors.push_back(queries[number].anchors);
   }
   require(anchors_.empty() || anchors == anchors_, "as many anchors of each query");
-  const Size around = (delay_ + AROUND + 1) * Likeness::STREAMS;
+  const Size around = (delay_ + MODEL.around + 1) * MODEL.streams;
   require(is_whole_, "a tracker that memory was enough for");
   is_whole_ = false;
   if (channels_.empty()) open(anchors, threads);
-  recent_.push(scores_of(queries, excluded, threads), REPLAYED + around);
+  recent_.push(scores_of(queries, excluded, threads), MODEL.replayed + around);
   const Size query = count_++;
   const std::shared_ptr<const Sight> alone = evidence_.alone(query);
   const Sight &sight = *alone;
   likeness_.add(evidence_.profile(sight));
-  likeness_.forget(MEMORY + around);
+  likeness_.forget(MODEL.memory + around);
   Answer answer(top_);
   answer.query = query;
   answer.width = width_;
@@ -102,7 +96,7 @@ void Tracker::update(const ssrvlad_queries *queries, const Size *excluded, int t
   put(sight.scores, sight.rows, 0, answer);
   const bool empty = answer.rows.front() < 0;
   chance_.push_back(empty ? Chance{NO_ANSWER, -1} : chance_of_scores(sight.scores.data(), sight.rows, sight.matching));
-  push(row_alone_, answer.rows.front(), MEMORY + delay_);
+  push(row_alone_, answer.rows.front(), MODEL.memory + delay_);
   alone_.push_back(std::move(answer));
   trial_.step(evidence_, query);
   choose_course();
@@ -115,7 +109,7 @@ void Tracker::choose_course() {
   const std::size_t best = likeliest(trial_.gains());
   const double gain = trial_.gains()[best];
   gain_ = gain / static_cast<double>(count_);
-  if (gain <= LEAST_GAIN || gain_ < LEAST_RATE) {
+  if (gain <= MODEL.least_gain || gain_ < MODEL.online_rate) {
     course_ = nullptr;
   } else if (!course_ || !same(course_->course, courses_[best])) {
     set_course(courses_[best]);
@@ -135,7 +129,7 @@ void Tracker::follow(Size query) {
   Places places(1, 1);
   place(course_->filter, *walk.now.sight, {walk.now.belief->of_rows(), walk.now.belief->unmapped}, 0, places);
   stream.push_back({query, places.rows.front(), walk.now, evidence_.beside(query)});
-  while (stream.front().query + (delay_ + AROUND) * course_->course.streams < query) stream.pop_front();
+  while (stream.front().query + (delay_ + MODEL.around) * course_->course.streams < query) stream.pop_front();
 }
 
 // The places of a query by its course and the later queries.
@@ -154,7 +148,7 @@ Places Tracker::place_of(Size query) {
 
 bool Tracker::lingers(Size query, const std::vector<Size> &queries, const std::vector<Size> &rows) const {
   const auto at = std::find(queries.begin(), queries.end(), query) - queries.begin();
-  return lingering(likeness_, queries, rows, std::min(AROUND, delay_))[static_cast<std::size_t>(at)];
+  return lingering(likeness_, queries, rows, std::min(MODEL.around, delay_))[static_cast<std::size_t>(at)];
 }
 
 // By the course; the answers around a query are those that its stream has so far.
@@ -177,7 +171,7 @@ Tracker::Chances Tracker::chances_of(Size query, Places &places) {
     rows.push_back(place.row);
   }
   const auto at = static_cast<Size>(std::find(queries.begin(), queries.end(), query) - queries.begin());
-  const auto [around, itself] = chances_around(course_->filter, sights, rows, at, std::min(AROUND, delay_));
+  const auto [around, itself] = chances_around(course_->filter, sights, rows, at, std::min(MODEL.around, delay_));
   const bool stays = lingers(query, queries, rows);
   chances.around = stays ? 1 : std::max(places.chance.front(), around);
   chances.itself = stays ? 1 : itself;
@@ -191,9 +185,9 @@ Answer Tracker::answer() {
   if (answer.rows.front() < 0) chances.alone = chances.around = chances.itself = NO_ANSWER;
   alone_.pop_front();
   chance_.pop_front();
-  push(history_, chances, MEMORY);
+  push(history_, chances, MODEL.memory);
   judge(chances, places, answer);
-  if (listing_.map.rows < MIN_FRAMES) answer.right = {0};
+  if (listing_.map.rows < MODEL.min_frames) answer.right = {0};
   return answer;
 }
 
@@ -201,9 +195,9 @@ Answer Tracker::answer() {
 bool Tracker::is_surer_followed() const {
   double gained = 0;
   Size asked = 0;
-  for (auto before = history_.rbegin(); before != history_.rend() && asked < MIN_FRAMES; ++before, ++asked)
+  for (auto before = history_.rbegin(); before != history_.rend() && asked < MODEL.min_frames; ++before, ++asked)
     if (!std::isnan(before->around)) gained += ahead(before->around) - ahead(before->alone);
-  return gained > -MOST_BEHIND * static_cast<double>(asked);
+  return gained > -MODEL.online_behind * static_cast<double>(asked);
 }
 
 // How sure an answer is beside those before it.
@@ -221,8 +215,8 @@ void Tracker::judge(const Chances &chances, Places &places, Answer &answer) {
   answer.follows = {answer.followed};
   std::vector<double> has;
   if (answer.followed) {
-    has = mapped(itself, together, BEST);
-    together = std::max(static_cast<double>(AROUND), together);
+    has = mapped(itself, together, MODEL.best);
+    together = std::max(static_cast<double>(MODEL.around), together);
     answer.scores = places.scores;
     answer.rows = places.rows;
     if (places.rows.front() >= 0) answer.scores.front() = places.near.front();

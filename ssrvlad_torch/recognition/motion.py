@@ -7,11 +7,13 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from ..native.headers import place_model
+
 FORWARDS, BACKWARDS = 1, -1
 """Ways to run a map."""
 
-SAME_PLACE_ROWS, ELSEWHERE = 3, 5
-"""Rows at most so far apart show the same place, and rows farther apart different places."""
+SAME_PLACE_ROWS = int(place_model()["near"])
+"""Rows at most so far apart show the same place."""
 
 
 class Course(NamedTuple):

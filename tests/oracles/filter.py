@@ -6,7 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-MAX_LOG, MIN_SPREAD = 50.0, 1e-6
+from ssrvlad_torch.native.headers import place_model
+
+NUMBERS = place_model()
+MAX_LOG, MIN_SPREAD = NUMBERS["most_log"], 1e-6
 LEAST_TOTAL = float(np.finfo(np.float32).tiny)
 FORWARDS, BACKWARDS = 1, -1
 """Ways to run a map."""
@@ -30,12 +33,12 @@ class Motion(NamedTuple):
     staying at such places; the factor of a z-score in the logarithm of the emission, and the
     z-score above which a frame is more likely at a row than at a new place; mean steps a frame."""
 
-    change: float = 0.05
-    jump: float = 0.01
-    unmapped: float = 0.1
-    stay: float = 0.97
-    weight: float = 0.3
-    level: float = 0.5
+    change: float = NUMBERS["change"]
+    jump: float = NUMBERS["jump"]
+    unmapped: float = NUMBERS["unmapped"]
+    stay: float = NUMBERS["stay"]
+    weight: float = NUMBERS["weight"]
+    level: float = NUMBERS["level"]
     rate: float = 1
 
     def at(self, rate):

@@ -6,17 +6,13 @@ from functools import cache
 from statistics import NormalDist
 
 import numpy as np
-from oracles.filter import LEAST_TOTAL, MAX_LOG, MIN_SPREAD, Model
+from oracles.filter import LEAST_TOTAL, MAX_LOG, MIN_SPREAD, NUMBERS, Model
 
 from ssrvlad_torch.recognition.standardise import sharing
 
-MIN_FRAMES = 30
-"""Of a sequence that has a mean of its own and shows which channel leads."""
-SAME_PLACE_ROWS, ELSEWHERE = 3, 5
-"""Rows at most so far apart show the same place, and rows farther apart different places."""
+MIN_FRAMES, SAMPLE = int(NUMBERS["min_frames"]), int(NUMBERS["sample"])
+SAME_PLACE_ROWS, ELSEWHERE = int(NUMBERS["near"]), int(NUMBERS["elsewhere"])
 ROUNDING = 1e-6
-SAMPLE = 200
-"""Queries that show what leads; if there are more, every so many."""
 EQUAL = 1e-6
 """A vector this near to the mean equals it: its sequence has one frame, or all are equal."""
 LEAST_LENGTH = 1e-3
@@ -170,13 +166,8 @@ def gain(scores, sequences, motion, way):
 
 # ------------------------------------------------------------------------- how sure
 
-PLACES = 10
-"""Most places that are compared."""
-ROWS_A_PLACE = 8.5
-"""Mean distance of places: the best rows, each farther than `ELSEWHERE` from all better ones, of
-maps of 60 to 600 rows are 8.2 to 9.1 rows apart."""
-LEAST_STEP = 1e-4
-"""Rivals that are nearer to one another are level: rounding is not to tell them apart."""
+PLACES, ROWS_A_PLACE = int(NUMBERS["most_places"]), NUMBERS["rows_a_place"]
+LEAST_STEP = NUMBERS["least_spacing"]
 
 
 def chance(values):
@@ -244,12 +235,6 @@ def prior():
     ]
 
 
-FOREIGN = 0.1
-"""Prior probability that the map lacks the place of the first query."""
-STRETCH = 200
-"""Mean number of queries between places that the map has and places that it lacks."""
-
-
 def mapped(chances, together, best=1.0):
     """The probability ``(Q,)`` that the map has the place of each query of a drive, by the chance
     of its answer by this query alone, NaN without one: the mean over the prior, each point weighed
@@ -272,11 +257,6 @@ def mapped(chances, together, best=1.0):
     return has
 
 
-FEW = 2
-"""Of the density (1 - f) ** FEW of the fraction f of wrong answers where the map has the places, of
-a sequence that is followed: one that fits is seldom wrong. Judged alone any f is as likely."""
-
-
 def confidence(chances, mapped, together, followed=False):
     """Of each answer of a drive the probability that it is right and its standard deviation, by its
     chance ``(Q,)``, NaN without an answer, and the probability that the map has its place: that
@@ -288,7 +268,7 @@ def confidence(chances, mapped, together, followed=False):
     for weight, wrong, likelier in at_points(chances[answered]):
         ratio = wrong + likelier
         logs.append(math.log(weight) + float((has * np.log(ratio)).sum()) / together)
-        logs[-1] += FEW * math.log(1 - wrong) if followed else 0
+        logs[-1] += NUMBERS["few"] * math.log(1 - wrong) if followed else 0
         rights.append(likelier / ratio)
     weights = normalised(logs)
     right[answered] = has * (weights @ rights)
@@ -316,11 +296,11 @@ def normalised(logs):
 def in_stretches(ratio):
     """The logarithm of how likely queries are, each ``ratio (Q,)`` times as likely where the map
     has its place as where it lacks it, and ``(Q,)`` the probability that it has the place. Both
-    kinds of stretches last `STRETCH` queries in the mean: forward-backward."""
-    stay = 1 - 1 / STRETCH
+    kinds of stretches last `NUMBERS["stretch"]` queries in the mean: forward-backward."""
+    stay = 1 - 1 / NUMBERS["stretch"]
     change = np.array([[stay, 1 - stay], [1 - stay, stay]])
     emissions = np.stack([ratio, np.ones(len(ratio))], axis=1)
-    before, future, log = np.array([1 - FOREIGN, FOREIGN]), np.ones(2), 0.0
+    before, future, log = np.array([1 - NUMBERS["foreign"], NUMBERS["foreign"]]), np.ones(2), 0.0
     beliefs, smoothed = [], []
     for now in emissions:
         belief = now * before

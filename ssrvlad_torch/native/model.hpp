@@ -1,0 +1,76 @@
+// The numbers that shape where a query is said to be, and how sure that is. `frames` are those of a query's
+// sequence, `rows` those of the map. Each number says how it was obtained:
+//
+//   defined   follows from what it means
+//   drives    chosen on every fifth of the real cases of the page on confidence and on cities 0 to 5
+//   motion    chosen on UofA, Gardens Point, CamVid and a city, each by the other three
+//   counted   counted in the same cases as `drives`
+//   by hand   a round number; half and twice were not tried unless it is said
+
+#ifndef SSRVLAD_MODEL_HPP
+#define SSRVLAD_MODEL_HPP
+
+#include <cstdint>
+
+namespace places {
+
+struct PlaceModel {
+  // Places
+  std::int64_t near = 3;              // rows at most to one that shows the same place; defined, as the tolerance of results
+  std::int64_t elsewhere = 5;         // rows from which on one shows another place; by hand
+  std::int64_t min_frames = 30;       // of a sequence that has a mean of its own, and of a map that gives confidence; by hand
+  std::int64_t before = 10;           // frames like those before, which the mean of the first frames takes in; by hand
+  std::int64_t sample = 200;          // queries that show which channel leads; by hand, for speed
+  double wider = 1e-4;       // by which a wider sweep leads: more than rounding does; defined
+
+  // Motion, a frame
+  double change = 0.05;      // probability of another speed; motion
+  double jump = 0.01;        // probability of any other row; by hand
+  double unmapped = 0.1;     // probability that the map lacks the first place, or one after a jump; by hand
+  double stay = 0.97;        // probability that it lacks the next, too; by hand
+  double weight = 0.3;       // of the deviations by which a row is nearer, as the logarithm of a chance; motion
+  double level = 0.5;        // deviations of a place that the map lacks; motion
+  double most_log = 50;      // logarithm of a chance, at most: frames may equal their rows; defined
+
+  // Courses
+  double least_gain = 1;     // logarithm of how much likelier a sequence is by its course than frame by frame; drives
+  double unusual = 3;        // how much more another than forwards must gain; by hand: one sequence in twenty takes it
+  double of_two = 0.75;      // what counts of the gain of two streams; by hand
+  double by_rows = 0.5;      // of the gain that may be left in a random order; by hand, after a table was seen
+  double trailing = 10;      // gain by which a course trails and rests; by hand, for speed
+  double as_before = 0.5;    // of the gain with which the likeliest must go on, else rested courses do; by hand
+  double sequence_gain = 0.5;  // a frame, that only sequences have; drives
+  double margin = 0.05;      // of mean confidences: by more is followed, or alone; drives
+  double online_rate = 0.1;  // gain a frame of a course online: random frames gain 0 to 0.1; label maps of four pairs
+  double online_behind = 1;  // how much less ahead, as the logarithm of a chance, answers online may be than alone; so too
+  std::int64_t memory = 200;          // answers by which an answer online is judged; by hand
+  std::int64_t replayed = 60;         // frames with which a new course online begins; by hand
+
+  // Frames around
+  std::int64_t around = 10;           // frames on each side that must show a place, and that tell whether answers linger; drives
+  std::int64_t streams = 2;           // of a course, at most; defined
+  std::int64_t compared = 512;        // rows by whose scores frames are compared; by hand, for speed
+  double lingering_pace = 0.5;   // of the usual rows, below which an answer lingers; holes and turns of cities 0 to 5
+  double lingering_share = 0.5;  // of neighbours to which it does; so too
+
+  // Rivals
+  std::int64_t most_places = 10;      // best places that are compared; by hand
+  double rows_a_place = 8.5;  // of a map; counted
+  double least_spacing = 1e-4;  // of the values of rivals; defined
+
+  // Confidence
+  double foreign = 0.1;      // prior probability that the map lacks the place of the first frame; by hand
+  double stretch = 200;      // mean number of frames whose places the map has, or lacks; drives
+  double slope = 0.25, deviation = 0.6;  // of right answers the median rate, and the deviation of its logit; drives
+  double few = 2;            // power of the density of the fraction of wrong answers, if followed; drives
+  double best = 0.3333333333333333;  // how often a wrong followed answer is the best of its frame; counted
+  double most_ahead = 20;    // minus the logarithm of a chance, at most; by hand
+  std::int64_t fractions = 15, rates = 11, shapes = 2;  // points of the prior: a grid fine enough; defined
+  double most_away = 2.5;    // deviations of the rates of the grid; defined
+};
+
+inline constexpr PlaceModel MODEL;
+
+}  // namespace places
+
+#endif
