@@ -35,8 +35,9 @@ by_preset_and_input = pytest.mark.parametrize(
 COLUMNS = (-8, 0, 5)
 """Anchors of exported sweeps: one graph for all tests, as tracing takes long."""
 
+GUO_HALL = "guo-hall, one ring, odd sectors, keypoints as context, only opened, on a grid"
 CUSTOM: dict[str, dict[str, Any]] = {
-    "guo-hall, one ring, odd sectors, keypoints as context, only opened, on a grid": {
+    GUO_HALL: {
         "preset": "paper",
         "working_size": 50,
         "opening": 0.02,
@@ -71,8 +72,8 @@ CUSTOM: dict[str, dict[str, Any]] = {
         "spectral_weight": 0.0,
     },
 }
-RARE = ("much cleaned on a grid", "one row of cells")
-"""Run no code of a graph that the others do not."""
+RARE = (GUO_HALL, "much cleaned on a grid", "one row of cells")
+"""Take a minute to trace, or run no code of a graph that the others do not."""
 
 
 def of_preset(preset: str, **settings: Any) -> SSRVLADConfig:

@@ -56,7 +56,7 @@ def test_unknown_ids_are_counted(name, preset, request):
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-@pytest.mark.parametrize("name", ["compiled", "C++ over the core", "core in the browser", "ROS 2"])
+@pytest.mark.parametrize("name", ["C++ over the core", "core in the browser", "ROS 2"])
 def test_the_core_has_the_same_bits_everywhere(name, preset, request):
     maps = [*cases().values()]
     [here, there] = (
@@ -81,8 +81,6 @@ def test_a_batch_equals_its_images(name, preset):
 WIDE = {
     "stages in torch": "int64",
     "native core": "int64",
-    "compiled": "int64",
-    "Python without torch": "int32",
     "C++ over ONNX Runtime": "int64",
     "C++ over the core": "int64",
 }
