@@ -1,19 +1,31 @@
 """Methods by name, what they share, how they are run; SSR-VLAD and the label grid."""
 
+import json
 import math
 
+import cv2
 import numpy as np
 import pytest
 import torch
 from drawings import ROAD, SKY, SPACE, TREE, VOID, blobs
 from helpers import refuses, street
-from methods import frames, picture
+from methods import frames, noise, picture
+from networks import PLAIN, Street, write_street
+from PIL import Image
+from segmenting import write_photos
+from skimage.feature import hog as skimage_hog
 
 from ssrvlad_torch import SSRVLAD
-from ssrvlad_torch.baselines import make
+from ssrvlad_torch.baselines import make, tiny_image
+from ssrvlad_torch.baselines.channel_methods import EncoderFeatures
 from ssrvlad_torch.baselines.run import run
+from ssrvlad_torch.baselines.tiny_image import enhance
 from ssrvlad_torch.channels.channel import View
+from ssrvlad_torch.channels.gray import grays, resize
+from ssrvlad_torch.channels.hog import CELL, ORIENTATIONS
+from ssrvlad_torch.recognition.recognise import Steps, references_of
 from ssrvlad_torch.recognition.temporal import temporal_sum
+from ssrvlad_torch.segmentation.segmenter import Segmenter
 from ssrvlad_torch.taxonomy import CATEGORIES, label_space
 
 WITHOUT_WEIGHTS = ["ssr-vlad", "cohog", "label-grid", "hog", "tiny-image"]
@@ -179,3 +191,159 @@ def test_label_spaces_compare():
     # an unknown id is an error
     with pytest.raises(ValueError, match=r"label id 99 \(6 pixels\) is not in label space camvid"):
         method.encode_query([View("a/1", np.full((2, 3), 99), SPACE)])
+
+
+# ---- hOG against scikit-image, cell histograms against a loop
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_hog_is_that_of_scikit_image(seed):
+    """On images of the working size; the epsilon of its norms is of no weight here."""
+    rng = np.random.default_rng(seed)
+    picture = rng.integers(0, 256, (96, 160), dtype=np.uint8)
+    blocks = skimage_hog(
+        picture.astype(float),
+        orientations=ORIENTATIONS,
+        pixels_per_cell=(CELL, CELL),
+        cells_per_block=(1, 1),
+        block_norm="L2",
+    )
+    descriptor = make("hog").encode_query(frames([np.repeat(picture[..., None], 3, axis=2)]))[0]
+    np.testing.assert_allclose(
+        descriptor.numpy(), blocks / np.linalg.norm(blocks), rtol=0, atol=1e-5
+    )
+
+
+# ---- gray pictures against Pillow, and their resizing against OpenCV, bit for bit
+
+
+def test_gray_is_that_of_pillow_and_frames_of_one_size_become_one_tensor():
+    drive = frames(noise(seed, 30, 40) for seed in range(3))
+    together = grays(drive, "hog")
+    assert together.dtype == torch.uint8
+    expected = [np.asarray(Image.fromarray(frame.picture).convert("L")) for frame in drive]
+    np.testing.assert_array_equal(together.numpy(), expected)
+
+
+@pytest.mark.parametrize("after", [(512, 512), (100, 100), (96, 160), (1, 1)])
+@pytest.mark.parametrize(
+    "before",
+    [(120, 160), (360, 480), (512, 512), (1024, 1000), (77, 80), (999, 13), (2, 3), (1, 5), (1, 1)],
+)
+def test_resize_is_that_of_opencv(before, after):
+    pictures = np.stack([noise(1, *before)[..., 0], np.full(before, 255, np.uint8)])
+    result = resize(torch.from_numpy(pictures), *after)
+    assert (result.shape, result.dtype) == ((2, *after), torch.uint8)
+    for gray, resized in zip(pictures, result, strict=True):
+        expected = cv2.resize(gray, after[::-1], interpolation=cv2.INTER_LINEAR)
+        np.testing.assert_array_equal(resized.numpy(), expected.reshape(after))
+
+
+# ---- tiny images against loops over patches and sequences
+
+
+def image(seed):
+    return picture(seed, 64, 128, grain=8)
+
+
+def plain_picture(gray, height, width):
+    """Area means, then patch by patch; the sides of ``gray`` are multiples of the small ones."""
+    tall, wide = gray.shape[0] // height, gray.shape[1] // width
+    tiny = gray.reshape(height, tall, width, wide).astype(float).mean((1, 3))
+    for y in range(0, height, 8):
+        for x in range(0, width, 8):
+            patch = tiny[y : y + 8, x : x + 8]
+            deviation = patch.std()
+            patch -= patch.mean()
+            patch /= deviation or 1
+    return tiny
+
+
+def plain_scores(difference, sequences):
+    """Reference by reference."""
+    scores = np.zeros_like(difference)
+    for q, i in np.ndindex(difference.shape):
+        around = [
+            difference[q, j] for j in range(difference.shape[1]) if sequences[j] == sequences[i]
+        ]
+        deviation = np.std(around)
+        z = (np.mean(around) - difference[q, i]) / deviation if deviation > 1e-9 else 0
+        scores[q, i] = 1 - np.exp(-z)
+    return scores
+
+
+def test_scores_equal_loops_whatever_the_block(monkeypatch):
+    monkeypatch.setattr(tiny_image, "_SCORES_AT_ONCE", 18)
+    method = make("tiny-image")
+    drives = [*frames(map(image, range(6)), "a"), *frames(map(image, range(6, 9)), "b")]
+    queries = [image(seed) for seed in (1, 4, 8, 20, 21)]
+    result = method.scores(method.encode_query(frames(queries)), method.encode_reference(drives))
+    assert (result.shape, result.dtype) == ((5, 9), torch.float32)
+    alone = method.encode_reference([*frames([image(0)], "a"), *frames([image(1)] * 50, "b")])
+    assert not method.scores(method.encode_query(frames(queries)), alone).any(), "all are alike"
+    there = np.stack([plain_picture(frame.picture[..., 0], 32, 64) for frame in drives])
+    here = np.stack([plain_picture(query[..., 0], 32, 64) for query in queries])
+    difference = np.abs(here[:, None] - there).mean((2, 3))
+    expected = plain_scores(difference, [frame.sequence for frame in drives])
+    np.testing.assert_allclose(result.numpy(), expected, rtol=0, atol=1e-3)
+    assert result[:3].argmax(1).tolist() == [1, 4, 8]
+    gray = noise(0, 64, 192)[..., :1].repeat(3, 2)
+    encoded = method.encode_query(frames([gray])).view(32, 64).numpy()
+    expected = plain_picture(gray[..., 0], 32, 64)
+    np.testing.assert_allclose(encoded, expected, rtol=0, atol=1e-5)
+
+
+def test_a_reference_unlike_all_others_keeps_a_score():
+    difference = torch.full((1, 9000), 0.5)
+    difference[0, 7] = 50.0
+    scores = enhance(difference, torch.zeros(9000, dtype=torch.int64))
+    assert scores.isfinite().all()
+    assert scores.argmin() == 7
+
+
+# ---- features as a method: the signs of `Segmenter.segment`, and their steps
+
+
+@pytest.fixture
+def segmenter():
+    return Segmenter(Street(), SPACE, PLAIN)
+
+
+def drive(count: int, sequence: str = "a") -> list[View]:
+    """Pictures of one size, each of other blocks."""
+    return frames((picture(n, 128, 192, grain=16) for n in range(count)), sequence)
+
+
+def test_scores_are_the_cosines_of_the_signs_of_the_segmenter(segmenter):
+    method, pictures = EncoderFeatures(segmenter), [frame.picture for frame in drive(6)]
+    signs = method.encode_reference(drive(6))
+    expected = [result.features for result in segmenter.segment(pictures, features=True)]
+    np.testing.assert_array_equal(signs.numpy(), np.stack(expected))
+    assert torch.equal(method.encode_query(drive(6)), signs)
+    scores = method.scores(signs[:2], signs)
+    town = references_of({"features": signs}, [""] * len(signs))
+    expected, _ = town.compare({"features": signs[:2].numpy()}, sweep=True)
+    np.testing.assert_allclose(scores, expected)
+    assert scores.argmax(1).tolist() == [0, 1]
+
+
+def test_the_steps_standardise_signs(segmenter):
+    retrieval = run(EncoderFeatures(segmenter), drive(32), drive(32, "b"), steps=Steps(follow=None))
+    assert retrieval.costs["bytes_a_reference"] == 4096
+    assert retrieval.stepped.used["standardise"] == {"a": True}
+    assert retrieval.stepped.matches.indices[:, 0].tolist() == list(range(32))
+
+
+def test_compare_measures_it(ssrvlad, tmp_path):
+    write_street(tmp_path / "net.onnx")
+    network = tmp_path / "net.yaml"
+    network.write_text("network: net.onnx\nlabels_as: camvid-11\n")
+    for drive in ("query", "reference"):
+        write_photos(tmp_path / "town" / drive / "images", size=(48, 64))
+    options = ("--set", f"features.network={network}", "--tolerance-frames", 0, "--json")
+    code, out, err = ssrvlad("compare", tmp_path / "town", "--method", "features,hog", *options)
+    assert code == 0, err
+    row = json.loads(out)["rows"][0]
+    assert (row["method"], row["recall_at"]["1"]) == ("features", 1.0)
+    with pytest.raises(FileNotFoundError, match="no network: features needs a segmentation net"):
+        make("features")

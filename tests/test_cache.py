@@ -1,16 +1,20 @@
 """The cache of label maps."""
 
+import copy
+import pickle
+
 import numpy as np
 import pytest
 import torch
 from drawings import SPACE
 from helpers import flip_byte
-from networks import CLASSES, PLAIN, Strided, Then, colour_network
-from segmenting import LABELS, counted, write_photos
+from networks import CLASSES, PLAIN, Street, Strided, Then, colour_network
+from segmenting import LABELS, PHOTOS, counted, write_photos
 from torch import nn
 
 from ssrvlad_torch.datasets.image_files import find_image_files
 from ssrvlad_torch.segmentation import segmenter as segmentation
+from ssrvlad_torch.segmentation.identity import digest_of
 from ssrvlad_torch.segmentation.preparation import SegmenterConfig
 from ssrvlad_torch.segmentation.segmenter import Segmenter
 
@@ -130,3 +134,21 @@ def test_a_cache_that_cannot_be_written_is_an_error(photos, tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(OSError, match="file"):
         run(Segmenter(colour_network(), SPACE, PLAIN, tmp_path / "file"), photos)
+
+
+# ---- the identity of a network: a digest of its state
+
+
+def test_equal_networks_have_one_identity_in_every_process():
+    segmenter = Segmenter(Street(), SPACE, PLAIN)
+    key = segmenter.key()
+    again = pickle.loads(pickle.dumps(segmenter))
+    again([PHOTOS[0].repeat(4, 0).repeat(4, 1)])
+    assert again.key() == key == Segmenter(copy.deepcopy(Street()), SPACE, PLAIN).key()
+
+
+def test_training_mode_and_the_features_that_are_taken_change_nothing():
+    network = Street()
+    segmenter = Segmenter(network, SPACE, PLAIN)
+    _ = segmenter.features
+    assert digest_of(network.train()) == digest_of(Street())

@@ -5,7 +5,15 @@ import pytest
 import torch
 import torch.nn.functional as F
 from helpers import refuses
+from hypothesis import example, given
+from hypothesis import strategies as st
 
+from ssrvlad_torch.channels.features import Features
+from ssrvlad_torch.channels.hog import HOG
+from ssrvlad_torch.channels.label_shapes import LabelShapes
+from ssrvlad_torch.native.map import DescriptorMap
+from ssrvlad_torch.recognition import matching
+from ssrvlad_torch.recognition.matching import match
 from ssrvlad_torch.recognition.recognise import (
     AS_PAPER,
     Steps,
@@ -13,7 +21,9 @@ from ssrvlad_torch.recognition.recognise import (
     recognise_by_scores,
     references_of,
 )
-from ssrvlad_torch.recognition.sweep import COLUMNS
+from ssrvlad_torch.recognition.standardise import sharing
+from ssrvlad_torch.recognition.sweep import COLUMNS, score
+from ssrvlad_torch.recognition.temporal import temporal_sum
 
 
 def two_sequences(
@@ -141,3 +151,276 @@ def test_a_delay_is_a_number_of_queries(delay):
     with pytest.raises(ValueError, match="expected 0, or more with follow online, got 2 with off"):
         Steps(delay=2)
     assert Steps(follow="online", delay=np.int64(2)) == Steps(follow="online", delay=2)
+
+
+# ---- the sweep: scores of the best anchor, and how wide it is
+
+
+def test_a_reference_scores_its_best_anchor():
+    swept = F.normalize(torch.randn(5, 3, 8), dim=2)
+    references = F.normalize(torch.randn(7, 8), dim=1)
+    swept[4], references[6] = 0, 0
+    expected = torch.einsum("qsd,rd->qsr", swept, references).amax(1)
+    expected[4], expected[:, 6] = -torch.inf, -torch.inf
+    torch.testing.assert_close(score(swept, references), expected)
+    torch.testing.assert_close(
+        score(swept[:, 1], references)[:4, :6], (swept[:4, 1] @ references[:6].T)
+    )
+
+
+@pytest.mark.parametrize(("true_anchor", "width"), [(6, 0), (4, 8)])
+def test_the_sweep_is_as_wide_as_the_view_is_shifted(true_anchor, width):
+    generator = torch.Generator().manual_seed(0)
+    places = F.normalize(torch.randn(40, 64, generator=generator), dim=1)
+    swept = torch.randn(40, len(COLUMNS), 64, generator=generator)
+    swept[:, true_anchor] = places * 6 + 0.3 * torch.randn(40, 64, generator=generator)
+    queries, town = {"x": F.normalize(swept, dim=2)}, references_of({"x": places}, ["a"] * 40)
+    found = recognise(queries, ["q"] * 40, town, Steps(follow=None))
+    assert found.used["sweep"] == {"q": width}
+    assert (found.matches.indices[:, 0] == torch.arange(40)).float().mean() > 0.9
+
+
+# ---- standardise: which traverses share a mean
+
+
+@pytest.mark.parametrize(
+    ("frames", "expected"),
+    [
+        ([40, 50], {(0,): (0,), (1,): (1,)}),
+        ([40, 4], {(0,): (0,), (1,): (0, 1)}),
+        ([20, 20, 40], {(0, 1): (0, 1), (2,): (2,)}),
+        ([5, 40, 29, 1], {(0,): (0, 1, 2, 3), (1,): (1,), (2, 3): (2, 3)}),
+        ([2, 27], {}),
+        ([], {}),
+    ],
+)
+def test_short_traverses_share_a_mean_with_their_neighbours_or_all(frames, expected):
+    assert sharing(frames) == expected
+
+
+# ---- eq. 3 against a loop
+
+
+def plain_temporal_sum(descriptors, sequences, reach):
+    """Eq. 3 frame by frame."""
+    summed = np.zeros_like(descriptors)
+    for i in range(len(descriptors)):
+        if not descriptors[i].any():
+            continue
+        for j in range(max(0, i - reach), min(len(descriptors), i + reach + 1)):
+            if sequences[j] == sequences[i]:
+                summed[i] += descriptors[j]
+        length = np.linalg.norm(summed[i])
+        summed[i] = summed[i] / length if length else 0
+    return summed
+
+
+@given(st.lists(st.integers(0, 6), max_size=4), st.integers(0, 9), st.integers(0, 2**32 - 1))
+@example([3], 100, 0)  # a reach beyond the sequence
+@example([6, 6, 6], 2, 1)  # empty frames among others
+def test_temporal_sum_equals_a_loop(lengths, reach, seed):
+    rng = np.random.default_rng(seed)
+    sequences = [f"sequence {9 - s}" for s, length in enumerate(lengths) for _ in range(length)]
+    descriptors = rng.uniform(0.1, 1, (len(sequences), 5)).astype(np.float32)
+    descriptors[rng.random(len(sequences)) < 0.2] = 0
+    before = descriptors.copy()
+    summed = temporal_sum(descriptors, sequences, reach)
+    np.testing.assert_array_equal(descriptors, before)
+    expected = plain_temporal_sum(descriptors.astype(np.float64), sequences, reach)
+    np.testing.assert_allclose(summed.numpy(), expected, rtol=0, atol=1e-6)
+    assert summed.dtype == torch.float32
+
+
+def test_temporal_sum_refuses_wrong_arguments():
+    with pytest.raises(ValueError, match="a sequence for each of 3 frames, got 2"):
+        temporal_sum(torch.eye(3), ["a", "a"], 1)
+    with pytest.raises(ValueError, match="0 or more frames, got -1"):
+        temporal_sum(torch.eye(3), ["a"] * 3, -1)
+
+
+# ---- fusion: the scores of several channels as one, by the native core
+
+
+TRUST = {channel.name: channel.trust for channel in (LabelShapes, HOG, Features)}
+
+
+def noisy(seed: int, noise: float, queries: int = 40, references: int = 60) -> torch.Tensor:
+    """Scores of a method: the true match of query i is row i."""
+    generator = torch.Generator().manual_seed(seed)
+    shape = (queries, references)
+    return 0.5 + 0.2 * torch.eye(*shape) + noise * torch.randn(shape, generator=generator)
+
+
+def fuse(*members: torch.Tensor):
+    """Scores and weights by methods that are trusted alike."""
+    return fuse_named({str(number): scores for number, scores in enumerate(members)}, {})
+
+
+def fuse_named(members, trust):
+    town = DescriptorMap([next(iter(members.values())).shape[1]])
+    for name in members:
+        town.add(name, None, trust.get(name, 1.0))
+    scores, taken = town.compare({name: scores.numpy() for name, scores in members.items()})
+    return torch.from_numpy(scores), taken.weights
+
+
+def recall(scores: torch.Tensor) -> float:
+    return float((scores.argmax(1) == torch.arange(len(scores))).float().mean())
+
+
+def test_two_methods_that_err_apart_are_better_together():
+    one, other = noisy(0, 0.08), noisy(1, 0.08)
+    scores, weights = fuse(one, other)
+    assert recall(scores) > max(recall(one), recall(other)) + 0.1
+    assert sum(weights.values()) == pytest.approx(1)
+
+
+def test_a_method_without_information_hardly_weighs():
+    good, bad = noisy(0, 0.03), noisy(1, 10.0).clamp(max=0.99)
+    scores, weights = fuse(good, bad)
+    assert weights["0"] > 3 * weights["1"]
+    assert recall(scores) == recall(good) == 1
+
+
+def test_trust_decides_until_frames_show_which_method_leads():
+    alike = noisy(7, 0.05)
+    _, few = fuse_named(dict.fromkeys(TRUST, torch.rand(3, 20)), TRUST)
+    assert few == pytest.approx({"ssr-vlad": 1 / 9, "hog": 2 / 9, "features": 6 / 9})
+    assert fuse_named(dict.fromkeys(TRUST, alike), TRUST)[1] == pytest.approx(few)
+    both = {"features": noisy(8, 10.0).clamp(max=0.99), "hog": noisy(9, 0.01)}
+    _, blind = fuse_named(both, TRUST)
+    assert blind["hog"] > 3 * blind["features"]
+
+
+# ---- matching against plain NumPy
+
+
+def coarse_vectors(seed, count):
+    """Vectors of four numbers +-1 among zeros, so that every cosine is exact and ties abound; some
+    are zero."""
+    rng = np.random.default_rng(seed)
+    vectors = np.zeros((count, 8), np.float32)
+    for vector in vectors:
+        if rng.random() > 0.1:
+            vector[rng.choice(8, 4, replace=False)] = rng.choice([-1, 1], 4)
+    return vectors
+
+
+def brute_force(queries, references, top, threshold):
+    """Cosines by NumPy, sorted by falling score, then by index."""
+    wanted_scores = np.full((len(queries), top), -np.inf, np.float32)
+    wanted_indices = np.full((len(queries), top), -1)
+    for row, query in enumerate(queries):
+        candidates = []
+        for index, reference in enumerate(references):
+            if query.any() and reference.any():
+                cosine = query @ reference / np.linalg.norm(query) / np.linalg.norm(reference)
+                if threshold is None or cosine > threshold:
+                    candidates.append((-cosine, index))
+        for place, (falling, index) in enumerate(sorted(candidates)[:top]):
+            wanted_scores[row, place], wanted_indices[row, place] = -falling, index
+    return wanted_scores, wanted_indices
+
+
+@given(
+    st.integers(0, 9),
+    st.integers(0, 60),
+    st.integers(1, 12),
+    st.sampled_from([None, -0.5, 0.0, 0.25, 1.0]),
+    st.integers(0, 2**32 - 1),
+)
+@example(9, 60, 12, None, 3)  # empty images, opposite vectors and ties
+@example(3, 0, 2, None, 0)  # no references
+@example(0, 5, 2, None, 0)  # no queries
+@example(9, 60, 12, 0.25, 3)  # a score equal to the threshold is left out
+def test_match_equals_brute_force(query_count, reference_count, top, threshold, seed):
+    queries = coarse_vectors(seed, query_count)
+    references = coarse_vectors(seed + 1, reference_count)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(matching, "_QUERY_BLOCK", 4)
+        patch.setattr(matching, "_REFERENCE_BLOCK", 7)
+        matches = match(queries, references, top, threshold)
+    scores, indices = brute_force(queries, references, top, threshold)
+    np.testing.assert_array_equal(matches.indices.numpy(), indices)
+    np.testing.assert_array_equal(matches.scores.numpy(), scores)
+
+
+def test_blocks_do_not_show_on_real_numbers(monkeypatch):
+    generator = torch.Generator().manual_seed(0)
+    queries = torch.randn(30, 48, generator=generator)
+    references = torch.randn(200, 48, generator=generator)
+    scores, indices = match(queries, references, top=7)
+    monkeypatch.setattr(matching, "_QUERY_BLOCK", 11)
+    monkeypatch.setattr(matching, "_REFERENCE_BLOCK", 13)
+    blockwise = match(queries, references, top=7)
+    assert torch.equal(blockwise.indices, indices)
+    torch.testing.assert_close(blockwise.scores, scores, rtol=0, atol=1e-6)
+    exact = (
+        F.cosine_similarity(queries[:, None].double(), references.double(), dim=2).topk(7).values
+    )
+    torch.testing.assert_close(scores.double(), exact, rtol=0, atol=1e-6)
+
+
+def test_half_precision_and_excluded_references():
+    generator = torch.Generator().manual_seed(1)
+    queries = torch.randn(48, 70, generator=generator).T  # not contiguous
+    references = torch.randn(250, 48, generator=generator).half()
+    queries[5], references[3] = 0, 0
+    excluded = torch.rand(70, 250, generator=generator) < 0.3
+    matches = match(queries, references, 250, 0.1, excluded).indices
+    scores = F.cosine_similarity(queries[:, None], references.float(), dim=2)
+    expected = (scores > 0.1) & ~excluded & (queries.any(1)[:, None] & references.any(1))
+    assert [set(row[row >= 0].tolist()) for row in matches] == [
+        set(row.nonzero()[:, 0].tolist()) for row in expected
+    ]
+
+
+def test_arrays_and_doubles_are_taken():
+    matches = match(np.eye(3), np.eye(3), top=1)  # type: ignore[arg-type]
+    assert matches.indices[:, 0].tolist() == [0, 1, 2]
+    assert matches.scores.dtype == torch.float32
+    matches = match(np.eye(3), np.eye(3), 1, excluded=np.eye(3) > 0)  # type: ignore[arg-type]
+    assert matches.indices[:, 0].tolist() == [1, 0, 0]
+
+
+ONES = torch.ones(1, 3)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"queries": torch.zeros(2, 4)}, r"width D, got \(2, 4\) and \(3, 3\)"),
+        ({"queries": torch.zeros(3)}, r"got \(3,\)"),
+        ({"top": 0}, "top must be an integer from 1, got 0"),
+        ({"top": 2.5}, "top must be an integer from 1, got 2.5"),
+        ({"top": True}, "top must be an integer from 1, got True"),
+        ({"top": 2**70}, "top must be at most 2147483647, got 11805916"),
+        ({"top": "2"}, "top must be an integer from 1, got '2'"),
+        ({"threshold": math.nan}, "threshold: expected a number, got nan"),
+        ({"queries": torch.eye(3) * torch.nan}, "queries hold values that are not finite"),
+        ({"references": torch.full((2, 3), torch.inf)}, "references hold values"),
+        ({"queries": None}, "expected queries as a tensor or an array, got NoneType"),
+        ({"queries": "abc"}, "expected queries as a tensor or an array, got str"),
+        ({"queries": ONES.to(torch.complex64)}, "of real numbers in memory, got torch.complex64"),
+        ({"queries": ONES.to("meta")}, "of real numbers in memory, .* on meta"),
+        ({"queries": ONES.to_sparse()}, "of real numbers in memory, .*sparse"),
+        ({"queries": 1e-30 * ONES}, "too small for float32"),
+    ],
+)
+def test_wrong_arguments_are_refused(wrong, message):
+    arguments = {"queries": torch.eye(3), "references": torch.eye(3), **wrong}
+    with pytest.raises(ValueError, match=message):
+        match(**arguments)
+
+
+# ---- what notebooks show of candidates
+
+
+def test_candidates_are_a_table_of_at_most_ten_queries():
+    frames = torch.eye(12)
+    page = match(torch.cat((frames, frames * 0)), frames, top=2)._repr_html_()
+    assert page.count("<tr>") == 11 and "row 3 (1.000)" in page and "14 more queries" in page
+    assert "none" in match(frames[:1] * 0, frames, top=1)._repr_html_()
+    town = references_of({"ssr-vlad": frames}, ["b"] * 12)
+    page = recognise({"ssr-vlad": frames[:3]}, ["a"] * 3, town)._repr_html_()
+    assert page.count("<th>") == 7 and "confidence" in page

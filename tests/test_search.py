@@ -1,14 +1,24 @@
 """The search for candidates in a database: of which frames, by which descriptors, how sure."""
 
 import json
+import math
 
 import numpy as np
+import pytest
+import torch
 from drawings import SPACE
 from drives import write_maps
 from helpers import street
+from hypothesis import given
+from hypothesis import strategies as st
 from loop_streams import objects
 
-from ssrvlad_torch import Database, SSRVLADConfig
+from ssrvlad_torch import Database, Map, SSRVLADConfig
+from ssrvlad_torch.database.frames import FrameSet
+from ssrvlad_torch.datasets.names import sequence_of, split_id
+from ssrvlad_torch.files import natural_key
+from ssrvlad_torch.search.near import Near
+from ssrvlad_torch.search.selection import neighbours
 
 
 def test_nothing_that_can_be_described(ssrvlad, database, tmp_path):
@@ -85,3 +95,94 @@ def test_as_many_as_an_estimate_permits(ssrvlad, tmp_path):
     assert err[0].endswith("; no answer is accepted")
     both = "query", town, tmp_path / "town", "--max-wrong", 0.1, "--min-confidence", 0.5
     assert ssrvlad(*both)[0] == 2
+
+
+# ---- candidates around a place that is roughly known
+
+
+POSES = np.array([[0, 0, 0], [3, 4, math.nan], [6, 8, 1], [math.nan] * 3])
+
+
+@pytest.fixture
+def posed(tmp_path):
+    """A map of six label maps, ten metres apart along x; the last has no pose."""
+    maps = write_maps(tmp_path / "monday", range(6))
+    rows = [f"monday/{n:03d},{10 * n},0,0" for n in range(5)]
+    (tmp_path / "poses.csv").write_text("\n".join(["frame,x,y,heading", *rows]))
+    town = Map.open(tmp_path / "posed.ssrdb", labels_as=SPACE)
+    town.add(maps)
+    return town
+
+
+def test_the_rows_inside():
+    """The border is inside, an unknown pose is not."""
+    assert Near.of((0, 0, 5)).rows(POSES, "town").tolist() == [True, True, False, False]
+    assert Near.of("6,8,0").rows(POSES, "town").tolist() == [False, False, True, False]
+    assert str(Near.of("-1.5,2e3,0.5")) == "within 0.5 m of -1.5, 2000"
+
+
+TEXTS = ("", "1,2", "1,2,3,4", "1,2,-3", "1,nan,3", "1,2,inf", "a,b,c", "1;2;3", "1_0,2,3")
+OTHERS = ((1, 2), (1, 2, -1), (math.nan, 0, 1), ("1", "2", "3"), 5, [None] * 3)
+
+
+@pytest.mark.parametrize("given", [*TEXTS, *OTHERS])
+def test_a_circle_is_three_finite_numbers(given):
+    with pytest.raises(ValueError, match="near: expected X,Y,METRES, three finite numbers") as got:
+        Near.of(given)
+    assert str(given) in str(got.value)
+
+
+def test_commands_say_where_candidates_are(ssrvlad, posed, tmp_path):
+    today, town = write_maps(tmp_path / "today", range(6)), posed.path
+    near = ("--near", "20,0,10", "--follow", "no")
+    code, out, _ = ssrvlad("query", town, today, *near, "--json")
+    assert code == 0
+    for line in map(json.loads, out.splitlines()):
+        inside = {each["frame"] for each in line["candidates"]}
+        assert inside == {f"monday/00{n}" for n in (1, 2, 3)}
+    *_, steps = ssrvlad("query", town, today, *near)[2]
+    assert "candidates within 10 m of 20, 0: 3 frames" in steps
+    truth = ("--tolerance-frames", 1, "--json")
+    found = [
+        json.loads(ssrvlad("evaluate", town, today, *truth, *some)[1])["recall_at"]["1"]
+        for some in (near[2:], near)
+    ]
+    assert found[0] == 1 and found[1] < 1, "places outside are not found"
+
+
+def test_commands_refuse_in_one_line(refusal, database, maps, posed, tmp_path):
+    expected = "ssrvlad: near: expected X,Y,METRES, three finite numbers"
+    assert refusal("query", "none.ssrdb", maps, "--near", "1,2").startswith(expected)
+    assert "--near" not in refusal("query", database, maps, "--near", "-1,2,3")
+    no_poses = f"ssrvlad: near: expected candidates with poses, {database} has none"
+    assert refusal("query", database, maps, "--near", "1,2,3") == no_poses
+    today = write_maps(tmp_path / "later" / "today", range(6))  # no table of poses beside it
+    line = refusal("query", posed.path, today, "--near", "0,90,3")
+    assert line.endswith("is within 3 m of 0, 90; the nearest is 90.0 m away")
+
+
+# ---- selection of references
+
+
+def frame_set(*frames):
+    """Frames without descriptors, in natural order."""
+    ordered = sorted(frames, key=lambda frame: tuple(map(natural_key, split_id(frame))))
+    return FrameSet(
+        frames=tuple(ordered),
+        sequences=tuple(sequence_of(frame) for frame in ordered),
+        channels={"descriptor": torch.zeros(len(ordered), 0)},
+        poses=np.zeros((len(ordered), 3)),
+        stamps=np.zeros(len(ordered)),
+        empty=np.zeros(len(ordered), bool),
+    )
+
+
+@given(st.sets(st.integers(0, 30)), st.integers(0, 40), st.integers(0, 5))
+def test_neighbours_are_the_frames_around_the_position_of_a_query(numbers, query, reach):
+    references = frame_set("a/5", "z/5", *(f"m/{number}" for number in numbers))
+    [(first, last)] = neighbours([f"m/{query}"], references, reach)
+    found = [int(frame[2:]) for frame in references.frames[first:last]]
+    below = sorted(n for n in numbers if n < query)
+    above = sorted(n for n in numbers if n > query)
+    expected = below[len(below) - min(reach, len(below)) :] + [query] * (query in numbers)
+    assert found == expected + above[:reach]

@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from ssrvlad_torch import SSRVLADConfig, reference
 from ssrvlad_torch.config import AREA_LAYERS
 from ssrvlad_torch.deployment.trace import traced
-from ssrvlad_torch.stages import skeleton
-from ssrvlad_torch.stages.bitplanes import unpack
+from ssrvlad_torch.stages import shape_context, skeleton
+from ssrvlad_torch.stages.bitplanes import points, unpack
 from ssrvlad_torch.stages.boundaries import DIRECTIONS, boundaries
 from ssrvlad_torch.stages.centroid import centre_table, centroids
 from ssrvlad_torch.stages.components import drop_regions, fill_holes
@@ -24,6 +24,7 @@ from ssrvlad_torch.stages.layers import UNKNOWN, categorise, category_table, ref
 from ssrvlad_torch.stages.lengths import lengths
 from ssrvlad_torch.stages.morphology import dilate, erode, open_and_close
 from ssrvlad_torch.stages.reduction import reduce_by_majority
+from ssrvlad_torch.stages.shape_context import log_polar_bins, shape_contexts
 from ssrvlad_torch.stages.skeleton import RULES
 from ssrvlad_torch.stages.vanishing_column import vanishing_columns
 from ssrvlad_torch.taxonomy import label_space, label_space_names
@@ -217,3 +218,20 @@ def test_the_majority_of_a_large_cell_counts_every_pixel(rows, winner):
     layers = torch.full((1, 301, 299), 8, dtype=torch.int32)
     layers[0, :rows] = 7
     assert reduce_by_majority(layers, (1, 1)).item() == winner
+
+
+# ---- shape_context
+
+
+CPU = torch.device("cpu")
+
+
+@pytest.mark.parametrize("pairs", [1000, 997])
+@pytest.mark.parametrize("size", [(1, 1), (1, 17), (13, 101)])
+def test_chunks_count_what_one_list_counts(monkeypatch, size, pairs):
+    pixels = random_planes(14, (2, *size))
+    ends = points(pixels & random_planes(15, (2, *size)))
+    bins = log_polar_bins(*size, (4, 40, 400), 12, CPU)
+    whole = shape_contexts(ends, points(pixels), bins, 2)
+    monkeypatch.setattr(shape_context, "PAIRS_AT_ONCE", pairs)
+    assert torch.equal(shape_contexts(ends, points(pixels), bins, 2), whole)
