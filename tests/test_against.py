@@ -9,7 +9,7 @@ import torch
 import torch.nn.functional as F
 from drawings import SPACE
 from helpers import refuses
-from networks import PLAIN, Coloured, Then, colour_network, write_graph, write_street
+from networks import PLAIN, Coloured, colour_network, write_graph, write_street
 
 from ssrvlad_torch import SSRVLADConfig
 from ssrvlad_torch.deployment.against import verify_against
@@ -29,20 +29,8 @@ class Pooled(Coloured):
         return self.network(F.interpolate(small, images.shape[2:]))
 
 
-class Large(Coloured):
-    """The colour network on large pictures alone."""
-
-    def forward(self, images):
-        assert images.shape[2] > 200, "too small"
-        return self.network(images)
-
-
 def half():
     return colour_network(0.5)
-
-
-def nothing():
-    return Then(lambda scores: scores[9])
 
 
 def write_settings(name="net", network="net.onnx", more=""):
@@ -122,21 +110,6 @@ def test_a_fused_file_is_compared_with_its_network(folder):
     assert verify(folder / "wrong.onnx").passed, "files are compared with files"
     found = verify_against("wrong.onnx", "test_against:Pooled")
     assert by_size(found) == {(128, 128): True, (256, 384): False, (512, 768): True}
-
-
-def test_sizes_that_a_network_does_not_take_are_not_compared(folder, ssrvlad):
-    write_graph(folder / "net.onnx")
-    found = verify_against("net.onnx", "test_against:Large")
-    assert by_size(found) == {(256, 384): False, (512, 768): False}
-    code, out, _ = ssrvlad("verify", "net.onnx", "--against", "test_against:Large")
-    assert code == 0 and "at 256x384, 512x768" in out
-    with pytest.raises(
-        ValueError, match=r"^test_against:nothing: the network fails at .*: index 9 is out"
-    ):
-        verify_against("net.onnx", "test_against:nothing")
-    write_settings("none", "test_against:nothing", "classes: 0:12\n")
-    with pytest.raises(ValueError, match=r"none\.yaml takes none of the sizes: index 9"):
-        verify_against("net.onnx", "none.yaml")
 
 
 def test_arguments_that_cannot_be_compared_are_refused(folder, refusal):

@@ -42,15 +42,6 @@ def test_answers_are_less_sure_where_those_around_look_wrong():
     assert here.right[90] < 0.5 < there.right[(order == 90).nonzero()[0]]
 
 
-def test_a_query_without_a_candidate_is_no_answer():
-    chances, _ = drawn_chances(50, 0.5)
-    sure = of_chances(chances, 1.0)
-    more = of_chances(torch.cat((chances, torch.tensor([torch.nan]))), 1.0)
-    torch.testing.assert_close(more.right, torch.cat((sure.right, torch.zeros(1))))
-    assert estimate(more).accepted == 50 and not answered(more)[-1]
-    assert estimate(of_chances(torch.full((3,), torch.nan), 1.0)).accepted == 0
-
-
 @pytest.mark.parametrize("max_wrong", [0.02, 0.1, 0.5])
 def test_accepts_as_many_as_the_estimate_permits(max_wrong):
     sure = of_chances(drawn_chances(300, 0.6)[0], 1.0)

@@ -298,17 +298,6 @@ def test_the_drives_of_camvid_are_recognised_with_labels_of_networks():
         assert read_label_map(first, label_space("cityscapes-trainids")).max() < 19
 
 
-@of(robotcar)
-def test_poses_come_from_models_of_single_places_too(copy):
-    whole = copy / "3D-models/all-merged/all.nvm"
-    cameras = whole.read_text().splitlines()[3:6]
-    whole.unlink()
-    for number, camera in enumerate(cameras):
-        place = copy / f"3D-models/individual/nvm/00{number}_aligned.nvm"
-        write(place, ["NVM_V3 ", "", "1", camera, "", "0"])
-    assert len(open_dataset(copy).posed().frames) == 4
-
-
 @pytest.mark.parametrize("zone", ["America/Los_Angeles", "Asia/Tokyo"])
 @of(extended_cmu)
 def test_the_day_of_a_traverse_does_not_depend_on_the_time_zone(copy, monkeypatch, zone):
@@ -319,17 +308,6 @@ def test_the_day_of_a_traverse_does_not_depend_on_the_time_zone(copy, monkeypatc
     finally:
         monkeypatch.undo()
         time.tzset()
-
-
-@of(vpr_bench)
-def test_the_ground_truth_may_lie_beside_the_folder(copy, monkeypatch):
-    beside = copy.parent / "data.ground_truth_new.npy"
-    (copy / "ground_truth_new.json").rename(beside)
-    assert open_dataset(copy).truth.file == beside, "the refusal of a pickle says what to do"
-    beside = beside.rename(beside.with_suffix(".json"))
-    assert open_dataset(copy).truth.file == beside
-    monkeypatch.chdir(copy)
-    assert open_dataset(".").truth.file == beside
 
 
 @needs_corridor

@@ -117,25 +117,6 @@ def test_frames_committed_before_an_interruption_stay(tmp_path, files, database,
     assert_same_as_local(tmp_path / "db", files)
 
 
-@pytest.mark.parametrize(
-    ("error", "message"),
-    [
-        (ZeroDivisionError("of nothing"), "^Ray failed: of nothing$"),
-        (OSError("no room"), "^no room$"),
-    ],
-)
-def test_a_part_that_fails_is_an_error_in_one_line(files, database, monkeypatch, error, message):
-    class Failing(ChunkEncoder):
-        def __call__(self, files, new):
-            raise error
-
-    monkeypatch.setattr(ray_engine, "ChunkEncoder", Failing)
-    with pytest.raises(OSError, match=message) as failure:
-        encode_with_ray(HEAD, files, database, TWO)
-    assert "\n" not in str(failure.value)
-    assert len(database) == 0
-
-
 @pytest.fixture
 def photos(tmp_path, monkeypatch):
     monkeypatch.setattr(ray_engine, "CHUNK_PICTURES", 8)
@@ -155,26 +136,6 @@ def pictures(tmp_path, segmenter):
     columns = [channel.column for channel in new_channels(None, HEAD, segmenter)]
     assert [column.name for column in columns] == ["ssr-vlad", "features", "hog"]
     return Database.create(tmp_path / "db", HEAD.config, columns=columns[1:])
-
-
-def test_a_network_runs_in_the_actors(tmp_path, photos, segmenter, pictures):
-    """Refused pictures are skipped; a later run encodes what is missing."""
-    photos[7].path.write_text("no image")
-    summary = encode_with_ray(HEAD, photos, pictures, TWO, segmenter)
-    assert (summary.encoded, [frame.frame for frame in summary.skipped]) == (19, ["photos/7"])
-    assert_same_as_local(tmp_path / "db", photos, segmenter, pictures.columns[1:])
-    write_photos(tmp_path / "photos", [7], size=(96, 128))
-    write_photos(tmp_path / "photos", [3], size=(96, 160))
-    summary = encode_with_ray(HEAD, photos, Database.open(tmp_path / "db"), TWO, segmenter)
-    assert (summary.encoded, summary.anew, summary.already_there) == (1, {"file changed": 1}, 18)
-
-
-def test_another_network_in_an_actor_is_refused(tmp_path, photos, segmenter, pictures):
-    settings = tmp_path / "net.yaml"  # changes after it was read
-    settings.write_text(f"{settings.read_text()}white: 255\n")
-    with pytest.raises(OSError, match=r"net\.yaml is another network here than where"):
-        encode_with_ray(HEAD, photos, pictures, TWO, segmenter)
-    assert len(pictures) == 0
 
 
 def test_ray_that_does_not_start_is_an_error_in_one_line(files, database, monkeypatch):

@@ -8,12 +8,11 @@ from types import ModuleType
 import numpy as np
 import pytest
 import torch
-from helpers import refused, refuses
+from helpers import refused
 from methods import frames, noise
 from plain_layers import Array, convolve, local_response_norm, max_pool, relu, unit
 from skimage.measure import label, regionprops
 
-from ssrvlad_torch.baselines import make
 from ssrvlad_torch.baselines.region_vlad import AlexNetPlaces365, RegionVLAD, regions_of
 from ssrvlad_torch.baselines.weights import read_vocabulary
 
@@ -144,45 +143,6 @@ def test_the_descriptor_is_vlad_of_the_regions_by_the_published_files(folder):
         regions = regions_of(network(torch.tensor(image).permute(2, 0, 1)[None])[0], 400)
         expected = described(regions.double().numpy(), words)
         np.testing.assert_allclose(row.numpy(), expected, atol=1e-5)
-
-
-@torch.no_grad()
-def test_a_black_picture_matches_nothing(folder):
-    network = AlexNetPlaces365()
-    for parameter in network.parameters():
-        torch.nn.init.zeros_(parameter)
-    write_caffe(folder / "alexnet_places365.caffemodel", network)
-    method = RegionVLAD(folder, folder)
-    black = method.encode_query(frames(images(1)))
-    assert method.scores(black, black).item() == -torch.inf
-
-
-@pytest.mark.parametrize(
-    ("file", "message"),
-    [
-        ("alexnet_places365.caffemodel", r"alexnet_places365\.caffemodel, .*Places365 project"),
-        ("Vocabulary_400.pkl", r"Vocabulary_400\.pkl, .*Ahmedest61/CNN-Region-VLAD-VPR"),
-    ],
-)
-def test_a_missing_file_is_named_with_its_origin(file, message, folder):
-    (folder / file).unlink()
-    with refused(message, by=FileNotFoundError):
-        make("region-vlad", weights=folder, vocabulary=folder)
-
-
-@pytest.mark.parametrize("size", [10, 100_000])
-def test_a_caffemodel_that_is_cut_off_is_refused(size, folder):
-    path = folder / "alexnet_places365.caffemodel"
-    path.write_bytes(path.read_bytes()[:size])
-    refuses(r"alexnet_places365\.caffemodel is no whole \.caffemodel", RegionVLAD, folder, folder)
-
-
-@pytest.mark.parametrize("protocol", [0, 2, 4])
-def test_the_authors_pickle_is_read(protocol, tmp_path):
-    words = np.random.default_rng(0).random((256, 384))
-    write_vocabulary(tmp_path / "words.pkl", words, protocol)
-    read = read_vocabulary(tmp_path / "words.pkl", ("400", "256", "conv3"), (256, 384))
-    np.testing.assert_array_equal(read.numpy(), words.astype(np.float32))
 
 
 @pytest.mark.parametrize(

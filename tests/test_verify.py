@@ -265,10 +265,3 @@ def test_a_runtime_that_is_wrong_or_fails_is_told(kind, files, ssrvlad, monkeypa
         assert (code, report["verdict"], report["passed"]) == (1, verdict, False)
         reasons = [check["problem"] for check in report["checks"]]
         assert any("no kernel for Sqrt" in each for each in reasons) == (not other)
-
-
-def test_openvino_is_exact_in_single_precision(files, ssrvlad):
-    pytest.importorskip("openvino", reason="the extra openvino is not installed")
-    found = verify(files["labels"], provider="openvino")
-    assert found.passed and found.runtime.endswith(", CPU, in single precision")
-    assert ssrvlad("verify", files["labels"], "--provider", "openvino")[0] == 0
