@@ -480,13 +480,13 @@ class Map:
     def _note_other_spaces(self, used: LabelSpace, note: Note) -> None:
         """Notes which other label spaces the map holds."""
         several = len(self.database.origins) > 1
-        others = [
+        spaces = [
             f"another {space.name}" if space.name == used.name else space.name
             for space in (self.database.label_spaces() if several else ())
             if space.digest != used.digest
         ]
-        if others:
-            note(f"{self.path} also holds frames of {' and '.join(others)}")
+        if spaces:
+            note(f"{self.path} also holds frames of {' and '.join(spaces)}")
 
     def _segmenter(self) -> Segmenter:
         """The network, or the one that made the map."""

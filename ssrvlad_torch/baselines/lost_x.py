@@ -111,8 +111,10 @@ class LoSTX:
         """``(Q, R)``: minus the cosine distance times the layout cost, for the ten references with
         the highest cosine. The others, and references with fewer than two pairs of keypoints, come
         after these in the order of their cosines."""
-        both = (torch.stack([frame.descriptor for frame in side]) for side in (queries, references))
-        distances = 1 - score(*both)
+        descriptors = (
+            torch.stack([frame.descriptor for frame in side]) for side in (queries, references)
+        )
+        distances = 1 - score(*descriptors)
         for query, row in zip(queries, distances, strict=True):
             costs = torch.full_like(row, math.inf)
             for r in row.argsort(stable=True)[:_CANDIDATES].tolist():

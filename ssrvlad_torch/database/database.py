@@ -238,10 +238,10 @@ class Database:
         with both fingerprints, or if frames lack one of these further columns."""
         for column in columns:
             if column not in self.columns:
-                others = ", ".join(f"{c.name}, {c.fingerprint}" for c in self.columns[1:]) or "none"
+                names = ", ".join(f"{c.name}, {c.fingerprint}" for c in self.columns[1:]) or "none"
                 raise ValueError(
                     f"{self.path} has no descriptors by {column.name}, {column.fingerprint}, but "
-                    f"{others}: they can only be added when a database is created"
+                    f"{names}: they can only be added when a database is created"
                 )
         if config.fingerprint == self.fingerprint:
             return

@@ -51,8 +51,8 @@ def export_database(database: Database, form: Format, file: Path) -> list[Path]:
             f"the form npy holds one id per line, and {len(broken)} of the ids have several "
             f"lines, the first is {broken[0]!r}"
         )
-    first, *others = database.columns
-    arrays = {"": first, **{f".{column.name}.npy": column for column in others}}
+    first, *further = database.columns
+    arrays = {"": first, **{f".{column.name}.npy": column for column in further}}
     texts = {
         ".frames.txt": "".join(f"{frame}\n" for frame in frames.frames),
         ".json": json.dumps(about, indent=1) + "\n",

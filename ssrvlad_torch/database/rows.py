@@ -119,8 +119,8 @@ class StoredRecords(Mapping[str, FrameRecord]):
 
     def __getitem__(self, frame: str) -> FrameRecord:
         row = self._rows[frame]
-        _, sequence, *others = (column[row].as_py() for column in self._columns)
-        return FrameRecord(sequence, frame[len(sequence) + 1 :] if sequence else frame, *others)
+        _, sequence, *fields = (column[row].as_py() for column in self._columns)
+        return FrameRecord(sequence, frame[len(sequence) + 1 :] if sequence else frame, *fields)
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._rows)

@@ -86,9 +86,9 @@ def _owners(folders: Iterable[tuple[str, str]]) -> dict[str, set[str]]:
     return owners
 
 
-def is_same_folder(folder: str, other: str) -> bool:
+def is_same_folder(folder: str, second: str) -> bool:
     """Whether two paths lead to one folder, directly or by links."""
-    return _real(folder) == _real(other)
+    return _real(folder) == _real(second)
 
 
 def _real(folder: str) -> str:

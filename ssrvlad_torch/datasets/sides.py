@@ -45,8 +45,8 @@ def open_sides(
         if odd_even and queries:
             raise ValueError("--odd-even takes the queries from --references; got --queries")
         if odd_even:
-            both = whole.select(names[0]).frames
-            for _, sequence in groupby(both, key=lambda frame: frame.sequence):
+            alternating = whole.select(names[0]).frames
+            for _, sequence in groupby(alternating, key=lambda frame: frame.sequence):
                 frames += [replace(f, role=ROLES[n % 2]) for n, f in enumerate(sequence)]
         else:
             for role, patterns in zip(ROLES, names, strict=True):
@@ -65,8 +65,8 @@ def open_sides(
                 whole = replace(open_dataset(path, "folders", labels, labels_as), truth=None)
                 _require_other_names(whole, roots)
                 frames += [replace(frame, role=role) for frame in whole.frames]
-    other: dict[str, Any] = {"image": None} if whole.labels_as else {"label": None}
-    used = (replace(f, **other) if f.image == f.label else f for f in frames)
+    unused: dict[str, Any] = {"image": None} if whole.labels_as else {"label": None}
+    used = (replace(f, **unused) if f.image == f.label else f for f in frames)
     sides = replace(whole, frames=tuple(used))
     for warning in sides.warnings:
         note(warning)
@@ -77,10 +77,10 @@ def _require_other_names(folder: Dataset, roots: dict[str, Path]) -> None:
     """Raises a ValueError if a sequence of a folder has the name of one before; ``roots`` gets
     the folders by their sequences."""
     for sequence in folder.sequences:
-        if (other := roots.setdefault(sequence, folder.root)) is not folder.root:
-            if absolute(other) == absolute(folder.root):
-                raise ValueError(f"{other} is given twice; expected different folders")
+        if (earlier := roots.setdefault(sequence, folder.root)) is not folder.root:
+            if absolute(earlier) == absolute(folder.root):
+                raise ValueError(f"{earlier} is given twice; expected different folders")
             raise ValueError(
-                f"{other} and {folder.root} both have a sequence {sequence!r}; expected another "
+                f"{earlier} and {folder.root} both have a sequence {sequence!r}; expected another "
                 "name of one of the folders"
             )

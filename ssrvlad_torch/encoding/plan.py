@@ -129,12 +129,12 @@ def _check_names(files: Sequence[FrameFile], records: StoredRecords) -> None:
     """Requires that no file of a sequence that the user named is a frame of another sequence."""
     named = [file for file in files if file.is_named]
     stored = folders_of(records.table) if named else ()
-    others = {
+    sequences = {
         (folder, name): [n for f, n in stored if n != name and f and is_same_folder(f, folder)]
         for folder, name in {(file.folder, file.sequence) for file in named}
     }
     for file in named:
-        for sequence in others[file.folder, file.sequence]:
+        for sequence in sequences[file.folder, file.sequence]:
             if (frame := f"{sequence}/{file.name}") in records:
                 raise ValueError(
                     f"{file.location} is frame {frame!r} of the database: expected --sequence "

@@ -27,7 +27,7 @@ RESAMPLES = 1000
 class Material(Protocol):
     """What a report shows of queries and references; files are read only when it asks."""
 
-    def part(self, queries: Rows) -> Material:
+    def of_queries(self, queries: Rows) -> Material:
         """The same of the queries of these rows."""
 
     def cosines(self, queries: Rows, references: Rows) -> npt.NDArray[np.floating[Any]]:
@@ -59,14 +59,14 @@ class Recognition:
     skipped: Sequence[Skipped] = ()
     details: Mapping[str, Any] = field(default_factory=dict)
 
-    def part(self, rows: Rows) -> Recognition:
+    def of_queries(self, rows: Rows) -> Recognition:
         """The same of the queries of these rows."""
         frames = tuple(self.queries.frames[row] for row in rows)
         return replace(
             self,
             queries=replace(self.queries, frames=frames, poses=self.queries.poses[rows]),
             matches=Matches(*(column[rows] for column in self.matches)),
-            material=self.material and self.material.part(rows),
+            material=self.material and self.material.of_queries(rows),
         )
 
 
@@ -106,7 +106,7 @@ class Evaluation:
 def measure(recognition: Recognition, truth: PartialTruth, convention: Convention) -> Evaluation:
     """Measures the queries whose true matches are known."""
     covered, true = known_matches(truth)
-    judged = recognition.part(np.array(covered, np.int64))
+    judged = recognition.of_queries(np.array(covered, np.int64))
     scores, rows = (column.numpy() for column in judged.matches)
     metrics = evaluate(scores, rows, true, convention=convention, resamples=RESAMPLES)
     outcomes = judge(scores, rows, true)

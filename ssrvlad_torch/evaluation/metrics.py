@@ -171,5 +171,5 @@ def _curves(outcomes: Outcomes, convention: Convention) -> Callable[[Floats], Pr
 def _nested(figures: dict[str, Any], at: list[int]) -> dict[str, Any]:
     """The figures with the RecallRates, whose names are N, moved to ``recall_at``."""
     rates = {str(n): figures[str(n)] for n in at}
-    others = {name: figure for name, figure in figures.items() if name not in rates}
-    return {"recall_at": rates, **others}
+    remaining = {name: figure for name, figure in figures.items() if name not in rates}
+    return {"recall_at": rates, **remaining}

@@ -85,11 +85,11 @@ def match(
         block = slice(first, first + _REFERENCE_BLOCK)
         rows = Rows.of(vectors[block])
         for start in range(0, len(units), _QUERY_BLOCK):
-            asked = slice(start, start + _QUERY_BLOCK)
-            cosines = rows.cosines(units[asked])
+            group = slice(start, start + _QUERY_BLOCK)
+            cosines = rows.cosines(units[group])
             if excluded is not None:
-                cosines.masked_fill_(excluded[asked, block].to(cosines.device), -torch.inf)
-            better = (cosines.amax(dim=1) > scores[asked, -1]).nonzero()[:, 0]
+                cosines.masked_fill_(excluded[group, block].to(cosines.device), -torch.inf)
+            better = (cosines.amax(dim=1) > scores[group, -1]).nonzero()[:, 0]
             if len(better):  # most queries find nothing better in a later block
                 of = better + start
                 highest, columns = _best(cosines[better], top)

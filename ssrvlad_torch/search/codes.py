@@ -56,7 +56,8 @@ class Coder(NamedTuple):
     def codes(self, descriptors: Tensor) -> npt.NDArray[np.int8]:
         """``(N, length)`` of descriptors ``(N, *shape)``."""
         weights = self.basis.T / self.basis.square().sum(1).clamp(min=1e-30)
-        parts = [(_numbers(part) - self.mean) @ weights for part in descriptors.split(_CODED)]
+        offsets = self.mean @ weights
+        parts = [_numbers(block) @ weights - offsets for block in descriptors.split(_CODED)]
         whole: npt.NDArray[np.int8] = (
             torch.cat(parts).round_().clamp_(-_MOST, _MOST).to(torch.int8).numpy()
         )

@@ -44,7 +44,7 @@ class Material:
     queries: Tensor
     source: SelectedFrames
 
-    def part(self, queries: Rows) -> Self:
+    def of_queries(self, queries: Rows) -> Self:
         """The same of the queries of these rows."""
         return replace(self, queries=self.queries[queries])
 
@@ -104,10 +104,10 @@ class Material:
 
     def _files_in(self, folder: str) -> dict[str, FrameFile]:
         if folder not in self._folders:
-            found = [
+            files = [
                 f for find in (find_image_files, find_label_files) for f in found_by(find, [folder])
             ]
-            self._folders[folder] = {file.signature() + file.name: file for file in found}
+            self._folders[folder] = {file.signature() + file.name: file for file in files}
         return self._folders[folder]
 
 

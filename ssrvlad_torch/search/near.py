@@ -22,7 +22,7 @@ class Near(NamedTuple):
     metres: float
 
     @classmethod
-    def of(cls, given: str | Sequence[float]) -> Near:
+    def of(cls, circle: str | Sequence[float]) -> Near:
         """The circle of three numbers, or of the text ``X,Y,METRES``; a ValueError if they are not
         finite or the radius is negative.
 
@@ -30,12 +30,12 @@ class Near(NamedTuple):
             >>> Near.of("12.5,-3,50")
             Near(x=12.5, y=-3.0, metres=50.0)
         """
-        parts = map(parse_number, given.split(",")) if isinstance(given, str) else given
+        parts = map(parse_number, circle.split(",")) if isinstance(circle, str) else circle
         numbers = numbers_of(parts)
         if len(numbers) != 3 or not all(map(math.isfinite, numbers)) or numbers[2] < 0:
             raise ValueError(
                 "near: expected X,Y,METRES, three finite numbers, the last from 0, such as "
-                f"12.5,-3,50, got {given if isinstance(given, str) else repr(given)}"
+                f"12.5,-3,50, got {circle if isinstance(circle, str) else repr(circle)}"
             )
         return cls(*numbers)
 

@@ -89,11 +89,11 @@ class SegmenterConfig:
         check_pixels(sides[0], sides[-1])
 
     @classmethod
-    def of(cls, settings: Mapping[str, Any], others: Sequence[str] = ()) -> SegmenterConfig:
+    def of(cls, settings: Mapping[str, Any], beside: Sequence[str] = ()) -> SegmenterConfig:
         """Settings by their names, as in a YAML file: a list counts as a tuple, and ``classes`` may
         be a text, ``"0:19"``. An unknown name is a ValueError that lists the known ones, and
-        before them the ``others`` that stand beside settings."""
-        names = [*others, *(field.name for field in fields(cls))]
+        before them those ``beside`` that stand beside settings."""
+        names = [*beside, *(field.name for field in fields(cls))]
         if unknown := [name for name in settings if name not in names]:
             raise ValueError(f"unknown setting {unknown[0]!r}; expected {', '.join(names)}")
         plain: dict[str, Any] = dict(settings)
