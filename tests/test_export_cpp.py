@@ -6,6 +6,7 @@ import base64
 import json
 import math
 import os
+import re
 import shlex
 import shutil
 import signal
@@ -432,6 +433,8 @@ def consumer(folder, program, *lines):
 
 
 PROGRAM = "add_executable(consumer main.cpp)"
+GUIDE = Path(__file__).parents[1] / "docs" / "guides" / "onnx.md"
+LISTINGS = re.findall(r"```cpp\n(.*?)```", GUIDE.read_text("utf-8"), re.DOTALL)
 
 
 def found(user, component=""):
@@ -457,9 +460,10 @@ def test_a_project_finds_the_installed_core_by_pkg_config(user, tmp_path):
 
 
 def test_a_project_finds_the_installed_place(user, tmp_path):
-    """Wide labels, from two threads."""
+    """Wide labels, from two threads; beside the listing of the guide."""
     link = "target_link_libraries(consumer PRIVATE ssrvlad::place)"
-    program = consumer(tmp_path / "c", FRAMES, found(user, "COMPONENTS place"), PROGRAM, link)
+    main, package = "".join(LISTINGS) + FRAMES, found(user, "COMPONENTS place")
+    program = consumer(tmp_path / "c", main, package, PROGRAM, link)
     export_head(CONFIG, tmp_path / "wide.onnx", dtype="int64")
     write_database(tmp_path / "two.npy", torch.eye(480)[:2], "a")
     code, lines, errors = outcome(program, tmp_path / "wide.onnx", tmp_path / "two.npy")

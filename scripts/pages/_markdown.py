@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
 from pathlib import Path
 
+from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from ssrvlad_torch.files import replacing
@@ -137,8 +138,10 @@ def save(figure: Figure, path: Path) -> None:
     """Writes a figure as PNG or SVG, without dates, and makes its folder."""
     path.parent.mkdir(parents=True, exist_ok=True)
     about = {"Date": None} if path.suffix == ".svg" else {"Software": None}
-    with replacing(path) as temporary:
+    with replacing(path) as temporary, rc_context({"svg.fonttype": "none", "svg.hashsalt": ""}):
         figure.savefig(temporary, format=path.suffix[1:], dpi=110, metadata=about)
+        if path.suffix == ".svg":
+            temporary.write_text(re.sub(r" +\n", "\n", temporary.read_text()))
 
 
 def write(path: Path, page: str) -> None:

@@ -1,12 +1,13 @@
 #!/usr/bin/env python3
-"""Writes docs/evaluation/scale.csv: time and memory of a database of a million frames and more.
+"""Writes docs/evaluation/scale-pictures.csv and scale-drives.csv: large maps of pictures.
 
-    .venv/bin/python scripts/pages/scale.py --frames 1000000 --frames 4000000 --folder /data
+    .venv/bin/python scripts/pages/scale.py --frames 100000 --folder /data
 
-Every step runs in a new process with one thread, so that its memory and its time are not mixed with
-others. The descriptors are made from those of the synthetic city: parts of two of them, and noise.
-Results stay in the folder, and a second run resumes. The script needs two kilobytes a frame on disk
-and the same in memory. A million frames take about ten minutes.
+Real rows stand among made-up ones of their statistics. A made-up row is made of three real ones,
+patch by patch of the picture: label shapes category by category, with noise, and with every
+sixteenth sign of features changed. Every step runs in a new process with one thread, so that its
+memory and its time are not mixed with others. Results stay in the folder, and a second run resumes.
+The script needs eight kilobytes a frame on disk and, for exact search, the same in memory.
 """
 
 from __future__ import annotations
@@ -18,58 +19,63 @@ import resource
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sized
-from itertools import product
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-import _large_maps
 import numpy as np
 import torch
-from _markdown import Page, head_row, row
+from _described import FEATURES, OURS, Described
+from _markdown import ROOT, Page, head_row, row
+from torch import Tensor
 
-from ssrvlad_torch import SSRVLAD, SSRVLADConfig, match
-from ssrvlad_torch.database.database import Database
-from ssrvlad_torch.database.frames import FrameRecord
-from ssrvlad_torch.datasets.synthetic_city import SyntheticCity
-from ssrvlad_torch.encoding.plan import COMMIT_ROWS
-from ssrvlad_torch.search.index import build
+from ssrvlad_torch import Database, SSRVLADConfig
+from ssrvlad_torch.channels.features import Features
+from ssrvlad_torch.channels.hog import HOG
+from ssrvlad_torch.database.frames import FrameRecord, FrameSet
+from ssrvlad_torch.native.map import DescriptorMap
+from ssrvlad_torch.recognition.matching import Rows, unit_queries
+from ssrvlad_torch.recognition.motion import ELSEWHERE
+from ssrvlad_torch.recognition.recognise import Recognised, Steps, references_of
+from ssrvlad_torch.recognition.sweep import COLUMNS
+from ssrvlad_torch.search.exact import chosen_channels, recognise_in
+from ssrvlad_torch.search.index import build, read_rows
+from ssrvlad_torch.search.shortlist import Shortlist
 
-LABELS_AS = "cityscapes-trainids"
-SEEDS, FRAMES_OF_A_SEED, FRAMES_OF_A_SEQUENCE = 4, 64, 10_000
-QUERIES, ALONE, NOISE = 1000, 5, 0.15
+DATA, NETWORK = ROOT.parent / "shared" / "data", "espnetv2"
+REFERENCES = ("uofa/day", "gardens_walk/day_left")
+QUERIES = ("uofa/evening", "gardens_walk/day_right", "gardens_walk/night_right")
+EVERY, AT_ONCE, BLOCK, TOP = 4, 30, 1 << 13, 5
+MOST_IN_MEMORY, BESIDE = 100_000, 2
+NOISE, PATCHES = 0.15, 4
 
+Channels = dict[str, Tensor]
 Report = dict[str, Any]
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--frames", type=int, action="append", help="repeatable; one million")
+    parser.add_argument("--frames", type=int, action="append", help="repeatable; 100,000")
     parser.add_argument("--folder", type=Path, default=Path("scale"), help="of the databases")
-    parser.add_argument("--out", type=Path, default=Path("docs/evaluation/speed.md"))
-    parser.add_argument("--pictures", action="store_true", help="measure all channels alone")
+    parser.add_argument("--output", type=Path, default=Path("docs/evaluation/speed.md"))
     parser.add_argument("--step", choices=STEPS, help=argparse.SUPPRESS)
-    given = parser.parse_args()
-    sizes = given.frames or [1_000_000]
-    if given.step:
-        print(json.dumps(measured(STEPS[given.step][1], sizes[0], given.folder)))
+    options = parser.parse_args()
+    sizes = options.frames or [100_000]
+    if options.step:
+        print(json.dumps(measured(STEPS[options.step], sizes[0], options.folder)))
         return
-    given.folder.mkdir(parents=True, exist_ok=True)
-    steps = [name for name in STEPS if (name in _large_maps.STEPS) == given.pictures]
-    results = {frames: run_all(frames, given.folder, steps) for frames in sizes}
-    page = Page("evaluation/speed.md", given.out)
-    if given.pictures:
-        page.table("scale-pictures", _large_maps.pictures(results))
-        page.table("scale-drives", _large_maps.drives(results))
-    else:
-        page.table("scale", table(results))
+    options.folder.mkdir(parents=True, exist_ok=True)
+    results = {frames: run_all(frames, options.folder) for frames in sizes}
+    page = Page("evaluation/speed.md", options.output)
+    page.table("scale-pictures", pictures(results))
+    page.table("scale-drives", drives(results))
 
 
-def run_all(frames: int, folder: Path, steps: list[str]) -> dict[str, Report]:
+def run_all(frames: int, folder: Path) -> dict[str, Report]:
     """The reports of steps; those of an earlier run are read."""
     done = folder / f"{frames}.json"
     reports: dict[str, Report] = json.loads(done.read_text()) if done.exists() else {}
-    for step in steps:
+    for step in STEPS:
         if step not in reports:
             command = [sys.executable, __file__, "--step", step, "--folder", str(folder)]
             command += ["--frames", str(frames)]
@@ -93,130 +99,250 @@ def measured(step: Callable[[int, Path], Report], frames: int, folder: Path) -> 
     return {**report, "peak": peak, "load": os.getloadavg()[0]}
 
 
-def seeds(folder: Path) -> torch.Tensor:
-    """``(S, D)`` descriptors of frames of synthetic cities, cached."""
-    file = folder / "seeds.npy"
-    if not file.exists():
-        head = SSRVLAD.from_preset("default", labels_as=LABELS_AS)
-        found = []
-        for seed in range(SEEDS):
-            frames = SyntheticCity(seed).traverse(FRAMES_OF_A_SEED, labels_as=LABELS_AS)
-            labels = torch.from_numpy(np.stack([frame.labels for frame in frames]))
-            found += [head(batch) for batch in labels.split(16)]
-        np.save(file, torch.cat(found).numpy())
-    return torch.from_numpy(np.load(file))
+def described(folder: Path, drives: Sequence[str], every: int = 1) -> Channels:
+    """The descriptors of real drives by channel, cached in a folder; of label maps from all
+    anchors."""
+    source = Described(DATA, folder / "cache")
+    return {
+        name: torch.cat([source.vectors(f"real {NETWORK} {d}", method)[::every] for d in drives])
+        for name, method in (("ssr-vlad", OURS), ("features", FEATURES), ("hog", "HOG"))
+    }
 
 
-def varied(first: int, count: int, basis: torch.Tensor) -> torch.Tensor:
-    """``(count, D)`` descriptors: of two frames, category by category, and noise where they have
-    any."""
-    generator = torch.Generator().manual_seed(first)
-    one, other = (torch.randint(len(basis), (count,), generator=generator) for _ in range(2))
-    chosen = torch.rand(count, 8, generator=generator).lt(0.5)
-    taken = chosen.repeat_interleave(basis.shape[1] // 8, 1)
-    numbers = torch.where(taken, basis[one], basis[other])
-    scale = NOISE * numbers.abs().mean(dim=1, keepdim=True)
-    noise = torch.randn(numbers.shape, generator=generator) * scale
-    return torch.nn.functional.normalize(numbers + noise * (numbers != 0), dim=1)
+def real_rows(folder: Path) -> Channels:
+    """The descriptors of the references, of label maps from the usual anchor."""
+    found = described(folder, REFERENCES)
+    return {**found, "ssr-vlad": found["ssr-vlad"][:, COLUMNS.index(0)]}
 
 
-def records(first: int, count: int) -> list[FrameRecord]:
-    return [
-        FrameRecord(
-            f"drive-{n // FRAMES_OF_A_SEQUENCE:06d}", f"{n % FRAMES_OF_A_SEQUENCE:06d}",
-            float(n), 0.0, 0.0, n / 10, f"/data/drives/{n // FRAMES_OF_A_SEQUENCE}|3500 {n} {n}",
-            f"{n:032x}", 240, 320,
-        )
-        for n in range(first, first + count)
-    ]  # fmt: skip
+def made_up(first: int, count: int, real: Channels) -> Channels:
+    """``count`` rows of the statistics of real ones."""
+    drawn = np.random.default_rng(first)
+    signs, hog, shapes = (real[name].numpy() for name in ("features", "hog", "ssr-vlad"))
+    sources = drawn.integers(0, len(signs), (count, 3))
 
+    def chosen(*shape: int) -> np.ndarray:
+        parts = drawn.integers(0, 3, (count, int(np.prod(shape))))
+        return np.take_along_axis(sources, parts, 1).reshape(count, *shape)
 
-def write(frames: int, folder: Path) -> Report:
-    """Frames as `encode` commits them, each commit on the disk before the next."""
-    basis, path = seeds(folder), folder / f"{frames}.ssrdb"
-    config = SSRVLADConfig.from_preset("default", labels_as=LABELS_AS)
-    database = Database.open_or_create(path, config)
-    seconds = cpu = 0.0
-    written = len(database)  # of a run that was ended
-    for first in range(written, frames, COMMIT_ROWS):
-        count = min(COMMIT_ROWS, frames - first)
-        numbers, rows = varied(first, count, basis), records(first, count)
-        began, spent = time.perf_counter(), time.process_time()
-        database.merge(rows, numbers)
-        seconds, cpu = seconds + time.perf_counter() - began, cpu + time.process_time() - spent
-    share = frames / (frames - written) if written < frames else 1
-    return {"seconds": seconds * share, "cpu": cpu * share}
-
-
-def compact(frames: int, folder: Path) -> Report:
-    opened(frames, folder).compact(keep_days=0)
-    files = (file for file in (folder / f"{frames}.ssrdb").rglob("*") if file.is_file())
-    return {"bytes": sum(file.stat().st_size for file in files)}
-
-
-def reads(every: Callable[[Database], Sized]) -> Callable[[int, Path], Report]:
-    """The step that reads something of every frame."""
-
-    def step(frames: int, folder: Path) -> Report:
-        assert len(every(opened(frames, folder))) == frames
-        return {}
-
-    return step
-
-
-def verify(frames: int, folder: Path) -> Report:
-    assert opened(frames, folder).damage() == []
-    return {}
-
-
-def exact(frames: int, folder: Path) -> Report:
-    references, wanted = opened(frames, folder).load().descriptors, queries(folder)
-    began, spent = time.perf_counter(), time.process_time()
-    match(wanted, references, 10)
-    seconds, cpu = time.perf_counter() - began, time.process_time() - spent
-    spent = time.process_time()
-    for query in wanted[:ALONE]:
-        match(query[None], references, 10)
-    return {"seconds": seconds, "cpu": cpu, "one": (time.process_time() - spent) / ALONE}
-
-
-def index(frames: int, folder: Path) -> Report:
-    return {"bytes": build(opened(frames, folder)).bytes}
+    patches, columns, rows = chosen(PATCHES, PATCHES), *map(np.arange, signs.shape[1:3])
+    of = patches[:, columns * PATCHES // len(columns)][:, :, rows * PATCHES // len(rows)]
+    mixed = signs[of, columns[:, None], rows]
+    changed = drawn.integers(0, 256, (4, *mixed.shape), np.uint8)
+    mixed ^= np.bitwise_and.reduce(changed)
+    down, across = np.arange(6), np.arange(10)
+    of = patches[:, across * PATCHES // 10][:, :, down * PATCHES // 6].transpose(0, 2, 1)
+    gradients = hog.reshape(-1, 6, 10, 8)[of, down[:, None], across].reshape(count, -1)
+    areas = shapes.reshape(-1, 8, shapes.shape[1] // 8)[chosen(8), np.arange(8)]
+    vectors = {"hog": gradients, "ssr-vlad": areas.reshape(count, -1)}
+    for name, values in vectors.items():
+        noise = drawn.standard_normal(values.shape, np.float32)
+        noise *= NOISE * np.abs(values).mean(1, keepdims=True) * (values != 0)
+        vectors[name] = values + noise
+    vectors["hog"] = np.abs(vectors["hog"])
+    tensors = {
+        name: torch.from_numpy(values.astype(np.float32)) for name, values in vectors.items()
+    }
+    units = {name: torch.nn.functional.normalize(each, dim=1) for name, each in tensors.items()}
+    return {**units, "features": torch.from_numpy(mixed)}
 
 
 def opened(frames: int, folder: Path) -> Database:
-    return Database.open(folder / f"{frames}.ssrdb")
+    """The database of so many frames."""
+    return Database.open(folder / f"{frames}.pictures.ssrdb")
 
 
-def queries(folder: Path) -> torch.Tensor:
-    return varied(0, QUERIES, seeds(folder).flip(0))
+def write(frames: int, folder: Path) -> Report:
+    """The real references, and made-up rows up to the number of frames."""
+    real, path = real_rows(folder), folder / f"{frames}.pictures.ssrdb"
+    config = SSRVLADConfig.from_preset("default", labels_as="cityscapes-trainids")
+    columns = [Features("of a page").column, HOG().column]
+    database = Database.open_or_create(path, config, columns)
+    known = len(real["hog"])
+    if not len(database):
+        database.append([FrameRecord("real", f"{n:07d}", n, 0.0) for n in range(known)], real)
+    for first in range(len(database), frames, BLOCK):
+        count = min(BLOCK, frames - first)
+        records = [
+            FrameRecord(f"made-{n // 5000:04d}", f"{n:07d}", float(n), 0.0)
+            for n in range(first, first + count)
+        ]
+        database.append(records, made_up(first, count, real))
+    database.compact(keep_days=0)
+    size = sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
+    return {"bytes": size, "real": known}
 
 
-STEPS: dict[str, tuple[str, Callable[[int, Path], Report]]] = {
-    "nothing": ("import", lambda _frames, _folder: {}),
-    "write": (f"write, {COMMIT_ROWS} frames a commit", write),
-    "compact": ("`db compact`", compact),
-    "known": ("read all records", reads(Database.known)),
-    "verify": ("`db verify`", verify),
-    "load": ("load and verify", reads(Database.load)),
-    "exact": (f"{QUERIES} exact queries", exact),
-    "index": ("`db index`", index),
-    **{name: ("", step) for name, step in _large_maps.STEPS.items()},
+def index(frames: int, folder: Path) -> Report:
+    """The index."""
+    return {"bytes": build(opened(frames, folder)).bytes}
+
+
+def alone(frames: int, folder: Path) -> Report:
+    """Each query alone by the index, warm: the second of two passes."""
+    queries, began = described(folder, QUERIES, EVERY), time.process_time()
+    database = opened(frames, folder)
+    channels = chosen_channels(database)
+    shortlist = Shortlist(database, channels)
+    opening, times, first = time.process_time() - began, list[float](), list[int]()
+    for _ in range(2):
+        times, first = [], []
+        for number in range(len(queries["hog"])):
+            one = {name: values[number : number + 1] for name, values in queries.items()}
+            began = time.process_time()
+            found = recognise_in(shortlist, as_queries(one), channels, Steps(follow=None), TOP)
+            times.append(time.process_time() - began)
+            first.append(int(found.matches.indices[0, 0]))
+    return {"opening": opening, "one": float(np.median(times)), "first": first}
+
+
+@torch.no_grad()
+def exact(frames: int, folder: Path) -> Report:
+    """The first answer to each query alone by exact search, some queries at once, from disk."""
+    database, queries = opened(frames, folder), described(folder, QUERIES, EVERY)
+    channels = {channel.column.name: channel for channel in chosen_channels(database)}
+    trust = {name: channel.trust for name, channel in channels.items()}
+    town = DescriptorMap([frames])
+    for name, of in trust.items():
+        town.add(name, None, of)
+    columns = [channel.column for channel in channels.values()]
+    _, stored = database.placed()
+    first, reaches = list[int](), sorted({abs(column) for column in COLUMNS})
+    for start in range(0, len(queries["hog"]), AT_ONCE):
+        some = {name: values[start : start + AT_ONCE] for name, values in queries.items()}
+        count = len(some["hog"])
+        signs, hog = torch.empty(count, frames), torch.empty(count, frames)
+        shapes = torch.empty(len(reaches), count, frames)
+        anchors = unit_queries(some["ssr-vlad"]).flatten(0, 1)
+        for at in range(0, frames, BLOCK):
+            part = slice(at, at + BLOCK)
+            known = read_rows(database, stored[part], columns)
+            rows = references_of({"features": known["features"]}, [""] * len(known["features"]))
+            scores, _ = rows.compare({"features": some["features"].numpy()}, sweep=True)
+            signs[:, part] = torch.from_numpy(scores)
+            hog[:, part] = Rows.of(known["hog"]).cosines(unit_queries(some["hog"]))
+            each = Rows.of(known["ssr-vlad"]).cosines(anchors).view(count, len(COLUMNS), -1)
+            for number, reach in enumerate(reaches):
+                inside = [abs(column) <= reach for column in COLUMNS]
+                shapes[number, :, part] = each[:, inside].amax(1)
+        for query in range(count):
+            widest = shapes[int(np.argmax([lead(scores[query]) for scores in shapes])), query]
+            parts = {"features": signs[query], "hog": hog[query], "ssr-vlad": widest}
+            together, _ = town.compare({name: parts[name][None].numpy() for name in trust})
+            first.append(int(together.argmax()))
+    return {"first": first}
+
+
+def lead(scores: Tensor) -> float:
+    """How much nearer the nearest row is than the nearest elsewhere."""
+    near = -(1 - scores).clamp(min=1e-6).log()
+    elsewhere = (torch.arange(len(near)) - near.argmax()).abs() > ELSEWHERE
+    return float(near.max() - near[elsewhere].max())
+
+
+def drive_of(folder: Path, name: str) -> FrameSet:
+    """The frames of a real drive, as queries."""
+    return as_queries(described(folder, [name]))
+
+
+def as_queries(found: Channels) -> FrameSet:
+    """Descriptors as frames of one sequence."""
+    count, unknown = len(found["hog"]), np.full((len(found["hog"]), 3), np.nan)
+    ids = tuple(f"drive/{number:04d}" for number in range(count))
+    return FrameSet(ids, ("drive",) * count, found, unknown, unknown[:, 0], np.zeros(count, bool))
+
+
+def told(found: Recognised, seconds: float) -> Report:
+    """What is kept of the answers to a drive."""
+    return {
+        "rate": len(found.confidence) / seconds,
+        "first": found.matches.indices[:, 0].tolist(),
+        "confidence": found.confidence.tolist(),
+        "followed": found.used["follow"]["drive"],
+    }
+
+
+def followed(frames: int, folder: Path) -> Report:
+    """Each drive by the index, warm: the second of two times."""
+    database, report = opened(frames, folder), {}
+    channels = chosen_channels(database)
+    shortlist = Shortlist(database, channels)
+    for name in QUERIES:
+        queries = drive_of(folder, name)
+        for _ in range(2):
+            began = time.process_time()
+            found = recognise_in(shortlist, queries, channels, Steps(), TOP)
+            report[name] = told(found, time.process_time() - began)
+    return report
+
+
+def followed_exactly(frames: int, folder: Path) -> Report:
+    """Each drive by exact search in memory, where so many frames fit."""
+    if frames > MOST_IN_MEMORY:
+        return {}
+    database, report = opened(frames, folder), {}
+    references, channels = database.load(), chosen_channels(database)
+    for name in QUERIES:
+        queries, began = drive_of(folder, name), time.process_time()
+        found = recognise_in(references, queries, channels, Steps(), TOP)
+        report[name] = told(found, time.process_time() - began)
+    return report
+
+
+STEPS: dict[str, Callable[[int, Path], Report]] = {
+    "pictures": write,
+    "coarse": index,
+    "alone": alone,
+    "together": exact,
+    "drives": followed,
+    "drives together": followed_exactly,
 }
-"""Names in the table, empty for those that are not in it, and functions."""
 
 
-def table(results: dict[int, dict[str, Report]]) -> Iterator[str]:
-    """A row for each number of frames and step; what is on disk after it, where it writes."""
-    yield from head_row("frames", "step", "s", "CPU s", "peak GB", "bytes a frame")
-    for (frames, reports), (step, (name, _)) in product(results.items(), STEPS.items()):
-        if name:
-            of = reports[step]
-            size = f"{of['bytes'] / frames:.0f}" if "bytes" in of else ""
-            numbers = f"{of['seconds']:.1f}", f"{of['cpu']:.1f}", f"{of['peak'] / 1e9:.2f}"
-            yield row(f"{frames:,}", name, *numbers, size)
-            if "one" in of:
-                yield row(f"{frames:,}", "one exact query", "", f"{of['one']:.3f}", "", "")
+def pictures(results: dict[int, dict[str, Report]]) -> Iterator[str]:
+    """A row for each number of frames. A place is the same if it is at most `BESIDE` rows away."""
+    yield from head_row(
+        "frames", "CPU ms a picture", "first answer of exact search", "where that is a real frame",
+        "its place there", "opening, CPU s", "peak GB", "index, CPU s", "index, bytes a frame",
+        "database, bytes a frame",
+    )  # fmt: skip
+    for frames, reports in results.items():
+        found, coarse = reports["alone"], reports["coarse"]
+        first, expected = (np.array(each["first"]) for each in (found, reports["together"]))
+        real = expected >= frames - reports["pictures"]["real"]  # in natural order after all others
+        yield row(
+            f"{frames:,}", f"{1e3 * found['one']:.0f}", f"{np.mean(first == expected):.3f}",
+            f"{np.mean((first == expected)[real]):.3f} of {real.sum()}",
+            f"{np.mean(np.abs(first - expected)[real] <= BESIDE):.3f}", f"{found['opening']:.1f}",
+            f"{found['peak'] / 1e9:.2f}", f"{coarse['cpu']:.0f}", f"{coarse['bytes'] / frames:.0f}",
+            f"{reports['pictures']['bytes'] / frames:.0f}",
+        )  # fmt: skip
+
+
+def drives(results: dict[int, dict[str, Report]]) -> Iterator[str]:
+    """A row for each number of frames and drive, with the index and without."""
+    yield from head_row(
+        "frames", "drive", "queries", "queries a second", "by exact search",
+        "first answer of exact search", "its place", "answers among the real frames",
+        "confidence differs by", "peak GB",
+    )  # fmt: skip
+    for frames, reports in results.items():
+        for name in QUERIES:
+            of, known = reports["drives"][name], reports["drives together"].get(name)
+            first = np.array(of["first"])
+            real = np.mean(first >= frames - reports["pictures"]["real"])
+            same = ["", "", "", ""]
+            if known:
+                apart = np.abs(first - np.array(known["first"]))
+                sure = np.abs(np.array(of["confidence"]) - np.array(known["confidence"])).mean()
+                same = [
+                    f"{known['rate']:.1f}", f"{np.mean(apart == 0):.3f}",
+                    f"{np.mean(apart <= BESIDE):.3f}", f"{sure:.3f}",
+                ]  # fmt: skip
+            yield row(
+                f"{frames:,}", name, f"{len(first)}", f"{of['rate']:.1f}", *same[:3], f"{real:.3f}",
+                same[3], f"{reports['drives']['peak'] / 1e9:.2f}",
+            )  # fmt: skip
 
 
 if __name__ == "__main__":
