@@ -16,5 +16,5 @@ def given(notebook):
 def test_the_notebook_gives_the_outputs_that_it_keeps():
     kept = nbformat.read(tutorial.NOTEBOOK, as_version=4)
     texts, tables, pictures = given(kept)
-    assert (len(texts), len(tables), sum(pictures)) == (5, 2, 2)
+    assert (len(texts), len(tables), sum(pictures)) == (5, 2, 3)
     assert given(tutorial.executed()) == (texts, tables, pictures)
