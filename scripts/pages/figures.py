@@ -2,18 +2,16 @@
 
     .venv/bin/python scripts/pages/figures.py [--data ../shared/data] [--only pipeline]
 
-`demo` is what `ssrvlad demo` draws, `stages` a frame of the synthetic city as `ssrvlad show` does,
-`overview` two sequences through it, matched; `sequences`, which needs `--data`, the similarity of
-an evening to a day and the path through it; `pipeline` a diagram.
+`stages` is a frame of the synthetic city as `ssrvlad show` draws it, `overview` two sequences
+through the city, matched; `sequences`, which needs `--data`, the similarity of an evening to a day
+and the path through it; `pipeline` a diagram.
 """
 
 from __future__ import annotations
 
 import argparse
-import shutil
 from itertools import starmap
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 import torch
@@ -25,7 +23,6 @@ from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
 
 from ssrvlad_torch import SSRVLAD
 from ssrvlad_torch.channels.hog import HOG
-from ssrvlad_torch.cli.demo import run_demo
 from ssrvlad_torch.config import PRESETS
 from ssrvlad_torch.datasets.synthetic_city import REFERENCE, TOUR, Conditions, SyntheticCity
 from ssrvlad_torch.recognition.recognise import AS_PAPER, Steps, recognise, references_of
@@ -34,21 +31,12 @@ from ssrvlad_torch.taxonomy import colourise
 
 FIGURES = DOCS / "figures"
 SPACE = "cityscapes-trainids"
-FRAMES = 100
-"""Frames of each drive of the demo, as in `ssrvlad demo`."""
-
 FRAME = 4
 """The one whose stages are drawn."""
 
 LATER = Conditions(spacing=2.7, lateral_offset=2.0, season="winter", noise=2.0, seed=1)
 TOURED, PAIR, RIGHT, APART = 260, 150, 10.0, (22.0, -22.0)
 GREEN, RED, BLUE, GRAY = "#2ca02c", "#d62728", "#1f77b4", "#8a8a8a"
-
-
-def demo() -> None:
-    with TemporaryDirectory() as folder:
-        _, shown = run_demo(Path(folder) / "demo", FRAMES, 0, lambda _: None)
-        shutil.copy(shown, FIGURES / "demo.png")
 
 
 def stages() -> None:
@@ -169,7 +157,7 @@ def main() -> None:
     parser.add_argument("--data", type=Path)
     parser.add_argument("--only", nargs="+")
     options = parser.parse_args()
-    drawn = {"demo": demo, "stages": stages, "overview": overview, "pipeline": pipeline}
+    drawn = {"stages": stages, "overview": overview, "pipeline": pipeline}
     for name, draw in drawn.items():
         if not options.only or name in options.only:
             draw()
