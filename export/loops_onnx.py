@@ -16,31 +16,15 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from ssrvlad_place.model import LABEL_SHAPES, TRUST, Description, Model, add_model, open_model
 from ssrvlad_place.output import finished, note, run_program
 
-from ssrvlad_torch.datasets.frame_file import FrameFile
 from ssrvlad_torch.loops.config import LoopConfig
 from ssrvlad_torch.native.loops import Channel, Loops, LoopStep
-
-STDIN = Path("-")
-
-
-def frames_of(sources: list[Path], model: Model) -> Iterator[FrameFile]:
-    """The frames of folders, see `Model.frames`, or of the names on stdin."""
-    if sources != [STDIN]:
-        yield from model.frames(sources)
-        return
-    for line in map(os.fsdecode, sys.stdin.buffer):
-        if line.strip():
-            path = Path(line.rstrip("\r\n"))
-            yield FrameFile(path.absolute().parent.name, path.stem, path)
 
 
 def stream_of(frame: Description, model: Model, config: LoopConfig) -> Loops:
@@ -65,7 +49,7 @@ def run(options: argparse.Namespace) -> int:
     model, config = open_model(options), LoopConfig(options.exclude, options.threshold)
     stream: Loops | None = None
     frames, ids, last, total = list[str](), set[str](), "", 0
-    for file in frames_of(options.source, model):
+    for file in model.frames(options.source):
         total += 1
         try:
             if file.frame in ids:
@@ -95,9 +79,8 @@ def main() -> int:
     parser.add_argument("--exclude", type=int, default=defaults.exclude)
     parser.add_argument("--threshold", type=float, default=defaults.threshold)
     options = parser.parse_args()
-    alone = STDIN not in options.source or len(options.source) == 1
-    if options.exclude < 0 or not 0 <= options.threshold <= 1 or not alone:
-        parser.error("expected --exclude from 0, --threshold from 0 to 1, and - alone")
+    if options.exclude < 0 or not 0 <= options.threshold <= 1:
+        parser.error("expected --exclude from 0 and --threshold from 0 to 1")
     return run_program("loops_onnx", run, options)
 
 

@@ -3,6 +3,7 @@
 
 python export/run_onnx.py head.onnx maps/today --database town.npy --top 3
 python export/run_onnx.py place.onnx photos/today --database photos.npy --follow offline
+your-camera | python export/run_onnx.py place.onnx - --database photos.npy --follow online
 python export/run_onnx.py head.onnx photos --network net.onnx --provider CUDAExecutionProvider
 
 Needs the folder `ssrvlad_place` beside it, and the package without torch, as README.md says. A file
@@ -14,8 +15,10 @@ its golden pair when it is loaded, and refused if this runtime gives other outpu
 A database is written by `ssrvlad db export --format npy` or by --save-descriptors. All channels are
 used that the file and the database have. Each frame is found by itself, as by `ssrvlad locate`, or
 with --follow each folder as a sequence, as by `ssrvlad query`: offline by all its frames, online by
-those before it and --delay later ones, or by none (no). A fused file describes label maps from one
-anchor, where `ssrvlad query` takes several; `ssrvlad export --sweep` writes a head that does too.
+those before it and --delay later ones, or by none (no). Online each answer is printed as soon as it
+is known; `-` reads the names of the files of one sequence from standard input. A fused file
+describes label maps from one anchor, where `ssrvlad query` takes several; `ssrvlad export --sweep`
+writes a head that does too.
 
 Exit code 0 for success, 1 if --check finds the golden pair wrong, 2 for wrong use, 3 for finished
 with some frames skipped.
@@ -25,14 +28,17 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterable
-from itertools import groupby, repeat
+from collections import deque
+from collections.abc import Iterable, Iterator
+from itertools import groupby
 from operator import attrgetter
 from pathlib import Path
 
 from ssrvlad_place.database import Answer, Database, require_one_line, save
-from ssrvlad_place.model import Description, add_model, open_model
+from ssrvlad_place.model import STDIN, Description, add_model, open_model
 from ssrvlad_place.output import finished, note, report, run_program
+
+from ssrvlad_torch.datasets.frame_file import FrameFile
 
 
 def run(options: argparse.Namespace) -> int:
@@ -48,29 +54,56 @@ def run(options: argparse.Namespace) -> int:
     database = options.database and Database(options.database, model.fingerprints)
     if out and not out.parent.is_dir():
         raise ValueError(f"--save-descriptors: {out.parent} is no folder")
-    frames_described: dict[str, Description] = {}
-    files = model.frames(options.source)
-    for file in files if out else ():
-        require_one_line(file.frame)
-    follow = None if options.follow == "no" else options.follow
-    together = attrgetter("sequence" if options.follow else "frame")
-    for _, group in groupby(files, together):
-        described: dict[str, Description] = {}
+    stored: dict[str, Description] = {}
+    waiting = deque[tuple[str, bool]]()
+    total = skipped = 0
+
+    def see(group: Iterable[FrameFile]) -> Iterator[Description]:
+        nonlocal total, skipped
         for file in group:
+            total += 1
             try:
-                described[file.frame] = model.see(file)
+                described = model.see(file)
             except ValueError as error:
                 note(f"{file.location}: {error}")
-        frames = [*described.values()]
-        answers: Iterable[Answer | None] = repeat(None, len(frames))
-        if database and frames:
-            answers = database.find(frames, follow, options.delay, options.top)
-        for (frame, channels), answer in zip(described.items(), answers, strict=True):
-            report(frame, not channels.descriptor.any(), answer, options.json)
-        frames_described |= described
-    if out and frames_described:
-        save(out, list(frames_described.values()), list(frames_described), model.fingerprints)
-    return finished(len(files) - len(frames_described), len(files))
+                skipped += 1
+                continue
+            if out:
+                require_one_line(file.frame)
+                stored[file.frame] = described
+            waiting.append((file.frame, not described.descriptor.any()))
+            yield described
+
+    for group in groups_of(model.frames(options.source), options):
+        for answer in answers_to(see(group), database, options):
+            report(*waiting.popleft(), answer, options.json)
+    if stored:
+        save(out, list(stored.values()), list(stored), model.fingerprints)
+    return finished(skipped, total)
+
+
+def groups_of(
+    files: Iterable[FrameFile], options: argparse.Namespace
+) -> Iterable[Iterable[FrameFile]]:
+    """Sequences, or frames each alone."""
+    if not options.follow:
+        return ([file] for file in files)
+    if options.source == [STDIN]:
+        return [files]
+    return (group for _, group in groupby(files, attrgetter("sequence")))
+
+
+def answers_to(
+    frames: Iterator[Description], database: Database | None, options: argparse.Namespace
+) -> Iterable[Answer | None]:
+    """The answers to the frames of a sequence in their order, each as soon as it is known."""
+    if database is None:
+        return (None for _ in frames)
+    if options.follow == "online":
+        return database.track(frames, options.delay, options.top)
+    sequence = list(frames)
+    follow = "offline" if options.follow == "offline" else None
+    return database.find(sequence, follow, options.top) if sequence else []
 
 
 def main() -> int:
@@ -79,7 +112,7 @@ def main() -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     add_model(parser)
-    parser.add_argument("source", type=Path, nargs="*", help="files or folders of frames")
+    parser.add_argument("source", type=Path, nargs="*", help="files or folders of frames, or -")
     parser.add_argument("--database", type=Path, help=".npy file of reference descriptors")
     parser.add_argument(
         "--follow", choices=("offline", "online", "no"), help="folders as sequences"

@@ -141,7 +141,8 @@ WRONG_USE = {
         ("HEAD none.npy 5 frames", "none.npy holds no frames"),
         ("HEAD short.npy 5 frames", "a database of 480 numbers a frame, got 9"),
         ("no.onnx town.npy 0 frames", "TOP: expected a whole number from 1 to 999999999, got 0"),
-        ("--online -1 no.onnx town.npy 5 frames", "DELAY: expected a whole number from 0"),
+        ("--online --delay -1 no.onnx town.npy 5 frames", "--delay: expected a whole number"),
+        ("--delay 3 no.onnx town.npy 5 frames", "--delay: expected with --online"),
         ("no.onnx town.npy 5 nowhere", "nowhere does not exist"),
         ("no.onnx no.npy 5 frames", "no.npy: cannot be read"),
     ],
@@ -403,7 +404,14 @@ int main(int, char** files) {
   ssrvlad::Loops loops(place.fingerprints());
   const ssrvlad::Map town(files[2], place.fingerprints());
   loops.update("a/1", seen);
-  const bool right = town.locate(seen).found() && loops.size() == 1;
+  ssrvlad::Tracker tracker(town, 1), later(town, 1);
+  tracker.update(seen);
+  tracker.save(files[3]);
+  later.load(files[3]);
+  const auto answer = tracker.update(seen), again = later.update(seen);
+  const bool goes_on = answer->query == 0 && !answer->settled && tracker.finish()->query == 1 &&
+                       answer->candidates[0].score == again->candidates[0].score;
+  const bool right = goes_on && town.locate(seen).found() && loops.size() == 1;
   return right && seen.descriptor == same.descriptor ? 0 : 1;
 }
 """
@@ -466,7 +474,9 @@ def test_a_project_finds_the_installed_place(user, tmp_path):
     program = consumer(tmp_path / "c", main, package, PROGRAM, link)
     export_head(CONFIG, tmp_path / "wide.onnx", dtype="int64")
     write_database(tmp_path / "two.npy", torch.eye(480)[:2], "a")
-    code, lines, errors = outcome(program, tmp_path / "wide.onnx", tmp_path / "two.npy")
+    code, lines, errors = outcome(
+        program, tmp_path / "wide.onnx", tmp_path / "two.npy", tmp_path / "state"
+    )
     assert (code, errors) == (0, [])
     expected = SSRVLAD(CONFIG)(np.zeros((1, 12, 9), np.int64))[0]
     np.testing.assert_allclose(np.array(lines, float), expected, atol=1e-6)

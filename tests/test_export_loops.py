@@ -63,9 +63,9 @@ def test_wrong_use_is_one_line(head, drive, tmp_path, run):
     code, _, (error,) = run(head, tmp_path / "empty")
     problem = "holds no label maps; expected .png, .npy, .tif, .tiff, .bmp files"
     assert (code, error) == (2, f"loops_onnx: {tmp_path / 'empty'} {problem}")
-    for wrong in (("-", drive), (drive, "--exclude", -1), (drive, "--threshold", 2)):
-        code, _, errors = run(head, *wrong)
+    code, _, (error,) = run(head, "-", drive)
+    assert (code, error) == (2, "loops_onnx: - does not exist and matches no file")
+    for wrong in (("--exclude", -1), ("--threshold", 2)):
+        code, _, errors = run(head, drive, *wrong)
         assert code == 2
-        assert errors[-1].endswith(
-            "expected --exclude from 0, --threshold from 0 to 1, and - alone"
-        )
+        assert errors[-1].endswith("expected --exclude from 0 and --threshold from 0 to 1")

@@ -45,6 +45,8 @@ KINDS = {
     "descriptor": "rtabmap_msgs/msg/GlobalDescriptor",
     "loops": "sensor_msgs/msg/TimeReference",
     "results": "std_msgs/msg/String",
+    "answers": "std_msgs/msg/String",
+    "pose": "geometry_msgs/msg/PoseWithCovarianceStamped",
 }
 
 
@@ -322,6 +324,40 @@ def write_photos(folder, seeds, name="{:010d}000000007"):
     return folder
 
 
+def test_the_node_localises_in_a_known_map(node_with, ssrvlad, drives, tmp_path):
+    """The answers are those of `ssrvlad query` online; one that is sure enough and has a pose is
+    published with the stamp of its image."""
+    monday, again = write_photos(tmp_path / "monday", range(40), "{}"), range(4, 16)
+    rows = "".join(f"{n}.png,{n},{-n},{n / 10}\n" for n in range(1, 41) if n != 12)
+    (monday / "poses.csv").write_text(f"frame,x,y,heading\n{rows}")
+    town, network = tmp_path / "town", ("--segmenter", drives / "net.yaml")
+    assert ssrvlad("encode", monday, "-o", town, *network)[0] == 0
+    today, late = write_photos(tmp_path / "drive", again), ("--follow", "online", "--delay", 1)
+    expected = objects(ssrvlad("query", town, today, *network, *late, "--json")[1])
+    settings = {"delay": 1, "min_confidence": 0.5, "map_frame": "town", "sigma_metres": 2.0}
+    running = node_with(again, map=str(town), **settings)
+    answers = [json.loads(message.data) for message in running.sent("answers")]
+    assert [line["query"] for line in answers] == [line["query"] for line in expected[:-1]]
+    for line, right in zip(answers, expected, strict=False):
+        assert line["candidates"][0]["frame"] == right["candidates"][0]["frame"]
+        assert line["confidence"] == pytest.approx(right["confidence"], abs=1e-3)
+        assert line["poses"][0] == right["poses"][0] and not line["settled"]
+    posed = [line for line in answers if line["confidence"] >= 0.5 and line["poses"][0]["x"]]
+    assert 5 < len(posed) < len(answers)
+    poses = running.sent("pose")
+    assert [f"drive/{m.header.stamp.sec:010d}{m.header.stamp.nanosec:09d}" for m in poses] == [
+        line["query"] for line in posed
+    ]
+    for message, line in zip(poses, posed, strict=True):
+        pose, place = message.pose.pose, line["poses"][0]
+        assert (pose.position.x, pose.position.y) == (place["x"], place["y"])
+        assert live_loops.heading(pose.orientation) == pytest.approx(place["heading"])
+        assert message.header.frame_id == "town"
+        assert np.flatnonzero(message.pose.covariance).tolist() == [0, 7, 35]
+        assert message.pose.covariance[0] == 4
+    assert len(running.sent("results")) == len(again)
+
+
 def saved_by_a_detector(path, drives, folder):
     """A memory of photos as users of `LoopDetector` make it."""
     detector = LoopDetector.from_pretrained(drives / "net.yaml")
@@ -403,8 +439,8 @@ def test_wrong_parameters_are_one_line(node, monkeypatch, drives):
 
 
 ROS = {
-    "builtin_interfaces", "nav_msgs", "rclpy", "rtabmap_msgs", "sensor_msgs", "std_msgs",
-    "vision_msgs",
+    "builtin_interfaces", "geometry_msgs", "nav_msgs", "rclpy", "rtabmap_msgs", "sensor_msgs",
+    "std_msgs", "vision_msgs",
 }  # fmt: skip
 
 

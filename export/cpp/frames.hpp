@@ -9,6 +9,7 @@
 #include <cstdio>
 #include <filesystem>
 #include <fstream>
+#include <iostream>
 #include <map>
 #include <stdexcept>
 #include <string>
@@ -21,12 +22,12 @@
 
 namespace ssrvlad {
 
-// A frame of a drive, a folder: its id is `<folder>/<name>`.
+// A frame of a sequence, a folder: its id is `<folder>/<name>`.
 struct Frame {
   std::string id;
   std::filesystem::path path;
 
-  std::string drive() const { return id.substr(0, id.rfind('/')); }
+  std::string sequence() const { return id.substr(0, id.rfind('/')); }
 };
 
 namespace detail {
@@ -104,8 +105,12 @@ inline std::vector<std::tuple<bool, std::string>> natural(std::string name) {
 
 }  // namespace detail
 
+// Whether the names of frames come on standard input, one a line.
+inline bool come_live(const std::vector<std::string>& sources) { return sources == std::vector<std::string>{"-"}; }
+
 // Refuses what is no file or folder of frames, before a model is known.
 inline void require_frames(const std::vector<std::string>& sources) {
+  if (come_live(sources)) return;
   for (const std::filesystem::path source : sources) {
     if (!std::filesystem::exists(source))
       throw std::runtime_error(source.string() + " does not exist; expected a file or a folder of frames");
@@ -156,6 +161,24 @@ inline std::vector<Frame> find_frames(const std::vector<std::string>& sources, b
     for (const auto& file : files) frames.push_back({name + "/" + file.stem().string(), file});
   }
   return frames;
+}
+
+// Passes each frame to a job in order, one whose name comes on standard input when it has come; returns how many.
+template <typename Job>
+std::size_t for_each_frame(const std::vector<std::string>& sources, bool photographs, const Job& job) {
+  std::size_t count = 0;
+  if (!come_live(sources)) {
+    for (const auto& frame : find_frames(sources, photographs)) job(frame), ++count;
+    return count;
+  }
+  for (std::string line; std::getline(std::cin, line);) {
+    if (!line.empty() && line.back() == '\r') line.pop_back();
+    const std::filesystem::path path = line;
+    if (line.empty()) continue;
+    job(Frame{std::filesystem::absolute(path).parent_path().filename().string() + "/" + path.stem().string(), path});
+    ++count;
+  }
+  return count;
 }
 
 // The descriptors of a frame in a file.

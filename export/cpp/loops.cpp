@@ -1,4 +1,4 @@
-// Finds loop closures in drives: an example for loops.hpp. `loops --help` says how it is called.
+// Finds loop closures in sequences: an example for loops.hpp. `loops --help` says how it is called.
 
 #include <csignal>
 #include <cstdio>
@@ -20,11 +20,11 @@ const program::Usage usage{
     "loops", "[--exclude N] [--threshold P] [--memory drive.npy] place.onnx FOLDER...",
     R"(Prints one JSON object a line, as `loops_onnx.py` and `ssrvlad loops --no-sweep --json` do, without stamps.
 
-Each FOLDER is a drive of label maps, .npy or PGM, or photographs, .npy or PPM, in natural order. The last N
-frames (50) are no candidates; a loop has a probability of P (0.8) or more. With --memory the stream in the
-file, if it exists, goes on, and is saved there, every 500 frames and when the program ends; frames whose ids
-it has are omitted. Exit code 0 for success, 2 for wrong use, with one line on standard error, 3 for finished
-with some frames skipped, 130 interrupted.
+Each FOLDER is a sequence of label maps, .npy or PGM, or photographs, .npy or PPM, in natural order; - reads
+the names of files from standard input. The last N frames (50) are no candidates; a loop has a probability of
+P (0.8) or more. With --memory the stream in the file, if it exists, goes on, and is saved there, every 500
+frames and when the program ends; frames whose ids it has are omitted. Exit code 0 for success, 2 for wrong
+use, with one line on standard error, 3 for finished with some frames skipped, 130 interrupted.
 )",
     2, std::size_t(-1), {"--exclude", "--threshold", "--memory"}, {}};
 
@@ -65,7 +65,6 @@ int find_loops(const program::Arguments& arguments) {
   const bool goes_on = !memory.empty() && std::ifstream(memory).good();
   auto loops = goes_on ? ssrvlad::Loops::load(memory, place.fingerprints(), settings)
                        : ssrvlad::Loops(place.fingerprints(), settings);
-  const auto frames = ssrvlad::find_frames(arguments.sources(1), place.takes_photographs());
   const auto save = [&] {
     if (!memory.empty()) loops.save(memory);
   };
@@ -73,24 +72,25 @@ int find_loops(const program::Arguments& arguments) {
   std::signal(SIGINT, [](int) { interrupted = 1; });
   const std::set<std::string> known(loops.frames().begin(), loops.frames().end());
   std::size_t skipped = 0, omitted = 0;
-  for (const auto& frame : frames) {
-    if (interrupted) break;
+  const auto take = [&](const ssrvlad::Frame& frame) {
+    if (interrupted) return;
     if (known.count(frame.id)) {
       ++omitted;
-      continue;
+      return;
     }
     try {
       print(loops.update(frame.id, ssrvlad::describe(place, frame.path.string())));
     } catch (const std::runtime_error& error) {
       std::cerr << error.what() << "\n";
       ++skipped;
-      continue;
+      return;
     }
     if (loops.size() % kCheckpoint == 0) save();
-  }
+  };
+  const auto count = ssrvlad::for_each_frame(arguments.sources(1), place.takes_photographs(), take);
   save();
   if (omitted) std::cerr << "omitted " << omitted << " frames: " << memory << " has their ids\n";
-  return interrupted ? kInterrupted : program::finished(skipped, frames.size());
+  return interrupted ? kInterrupted : program::finished(skipped, count);
 }
 
 }  // namespace

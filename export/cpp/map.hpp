@@ -1,18 +1,25 @@
-// Finds drives and single frames in a map, as `ssrvlad query` and `ssrvlad locate` do.
+// Finds sequences and single frames in a map, as `ssrvlad query` and `ssrvlad locate` do.
 //
 //     ssrvlad::Place place("place.onnx");
 //     ssrvlad::Map town("town.npy", place.fingerprints());
-//     for (const auto& answer : town.query(drive))  // the described frames of a drive, in order
-//       if (answer.found() && answer.confidence > 0.9F) std::cout << answer.candidates[0].frame;
+//     ssrvlad::Tracker tracker(town);  // a sequence while it comes
+//     const auto answer = tracker.update(place.describe(pixels, height, width));
+//     if (answer->found() && answer->confidence > 0.9F) std::cout << answer->candidates[0].pose.x;
+//     const auto answers = town.query(sequence);  // all described frames of another one, in order
 //
 // C++17, over the core alone. Errors are std::runtime_error, or
-// std::bad_alloc. Several threads may use one Map at a time.
+// std::bad_alloc. Several threads may use one Map at a time, with a Tracker each.
 
 #pragma once
 
 #include <algorithm>
+#include <cstdlib>
+#include <filesystem>
 #include <fstream>
+#include <limits>
 #include <memory>
+#include <new>
+#include <optional>
 #include <stdexcept>
 #include <string>
 #include <utility>
@@ -35,27 +42,36 @@ inline bool read_line(std::istream& file, std::string& line) {
 
 }  // namespace detail
 
+// In metres and radians; NaN where it is not known.
+struct Pose {
+  double x = std::numeric_limits<double>::quiet_NaN(), y = x, heading = x;
+};
+
 struct Match {
   std::string frame;
   float score;
+  Pose pose;
 };
 
-// The answer to one query: candidates, best first, none for a frame that shows nothing; what their scores
-// are, "cosine", "fused score" or "probability"; and the probability that the first candidate is right.
+// The answer to one query: its number, from 0; candidates, best first, none for a frame that shows nothing;
+// what their scores are, "cosine", "fused score" or "probability"; the probability that the first candidate is
+// right; and of a tracker, whether 30 queries came before, whose mean stands for that of the sequence.
 struct Answer {
+  std::int64_t query = 0;
   std::vector<Match> candidates;
   std::string score_is;
-  float confidence;
+  float confidence = 0;
+  bool settled = true;
 
   bool found() const { return !candidates.empty(); }
 };
 
-// Each frame alone; by the frames before it and `delay` later ones; by all frames of the drive.
-enum class Follow { kNo = SSRVLAD_ALONE, kOnline = SSRVLAD_ONLINE, kOffline = SSRVLAD_OFFLINE };
+// By all frames of the sequence, or each frame alone; `Tracker` has a sequence while it comes.
+enum class Follow { kNo = SSRVLAD_ALONE, kOffline = SSRVLAD_OFFLINE };
 
 // Descriptors of reference frames from `ssrvlad db export --format npy`: FILE.npy,
-// FILE.npy.frames.txt and FILE.npy.fingerprint.txt; and their other channels, FILE.npy.features.npy
-// and FILE.npy.hog.npy.
+// FILE.npy.frames.txt and FILE.npy.fingerprint.txt; and if they exist their poses, FILE.npy.poses.txt, and
+// their other channels, FILE.npy.features.npy and FILE.npy.hog.npy.
 class Map {
  public:
   // The fingerprints are those of the model; channels are used that both have. `threads` share a query.
@@ -67,6 +83,7 @@ class Map {
     add(path, "features", ".features.npy", model.features, "|u1", 4);
     add(path, "hog", ".hog.npy", model.hog, "<f4", 2);
     if (frames_.empty()) throw std::runtime_error(path + " holds no frames");
+    read_poses(path + ".poses.txt");
     open(path);
   }
 
@@ -74,64 +91,98 @@ class Map {
   // What is left out, in lines.
   const std::vector<std::string>& warnings() const { return warnings_; }
 
-  // The places of the frames of a drive, in its order: the best `top`, from 1.
-  std::vector<Answer> query(const std::vector<Described>& drive, Follow follow = Follow::kOffline,
-                            std::int64_t delay = 0, std::size_t top = 5) const {
-    if (top < 1 || delay < 0)
-      throw std::runtime_error("expected 1 candidate or more and a delay from 0, got " +
-                               std::to_string(top) + " and " + std::to_string(delay));
-    top = std::min(top, size());
-    std::vector<std::vector<char>> packed(channels_.size());
-    std::vector<ssrvlad_queries> queries(channels_.size());
-    for (std::size_t number = 0; number < channels_.size(); ++number) {
-      queries[number].anchors = pack(channels_[number], drive, packed[number]);
-      queries[number].descriptors = packed[number].data();
-    }
-    const auto count = drive.size();
-    std::vector<float> scores(count * top), sure(3 * count);
-    std::vector<std::int64_t> rows(count * top);
-    std::vector<std::uint8_t> follows(count);
-    std::vector<double> weights(channels_.size());
-    ssrvlad_decision decision{};
-    decision.scores = scores.data();
-    decision.rows = rows.data();
-    decision.right = sure.data();
-    decision.spread = sure.data() + count;
-    decision.together = sure.data() + 2 * count;
-    decision.follows = follows.data();
-    ssrvlad_taken taken{};
-    taken.weights = weights.data();
-    ssrvlad_steps steps{};
-    steps.standardise = steps.sweep = 1;
-    steps.follow = static_cast<std::int32_t>(follow);
-    steps.delay = delay;
-    steps.top = static_cast<std::int64_t>(top);
-    require(ssrvlad_map_query(map_.get(), queries.data(), static_cast<std::int64_t>(count), &steps,
-                              threads_, &decision, &taken),
-            "the descriptors of the drive");
-    const char* alone = channels_.size() > 1 ? "fused score" : "cosine";
+  // The places of the frames of a sequence, in its order: the best `top`, from 1.
+  std::vector<Answer> query(const std::vector<Described>& sequence, Follow follow = Follow::kOffline,
+                            std::size_t top = 5) const {
+    const auto steps = steps_of(static_cast<std::int32_t>(follow), 0, top);
+    const Queries queries(*this, sequence);
+    Decisions decisions(*this, sequence.size(), steps.top);
+    require(ssrvlad_map_query(map_.get(), queries.channels.data(), static_cast<std::int64_t>(sequence.size()), &steps,
+                              threads_, &decisions.decision, &decisions.taken),
+            "the descriptors of the sequence");
     std::vector<Answer> answers;
-    for (std::size_t query = 0; query < count; ++query) {
-      answers.push_back({{}, follows[query] ? "probability" : alone, sure[query]});
-      for (auto at = query * top; at < (query + 1) * top && rows[at] >= 0; ++at)
-        answers.back().candidates.push_back(
-            {frames_[static_cast<std::size_t>(rows[at])], std::min(1.0F, scores[at])});
-    }
+    for (std::size_t query = 0; query < sequence.size(); ++query)
+      answers.push_back(answer(decisions, query, static_cast<std::int64_t>(query)));
     return answers;
   }
 
   // The place of one frame.
   Answer locate(const Described& frame, std::size_t top = 5) const {
-    return query({frame}, Follow::kNo, 0, top).front();
+    return query({frame}, Follow::kNo, top).front();
   }
 
  private:
+  friend class Tracker;
+
   struct Channel {
     std::string name, file;
     npy::Array rows;
 
     bool is_signs() const { return rows.dtype == "|u1"; }
   };
+
+  // The descriptors of queries, channel by channel, one after another.
+  struct Queries {
+    std::vector<std::vector<char>> packed;
+    std::vector<ssrvlad_queries> channels;
+
+    Queries(const Map& map, const std::vector<Described>& sequence)
+        : packed(map.channels_.size()), channels(packed.size()) {
+      for (std::size_t number = 0; number < packed.size(); ++number) {
+        channels[number].anchors = map.pack(map.channels_[number], sequence, packed[number]);
+        channels[number].descriptors = packed[number].data();
+      }
+    }
+  };
+
+  // What the core decides of queries, and the memory for it.
+  struct Decisions {
+    std::vector<float> scores, sure;
+    std::vector<std::int64_t> rows;
+    std::vector<std::uint8_t> follows;
+    std::vector<double> weights;
+    ssrvlad_decision decision{};
+    ssrvlad_taken taken{};
+
+    Decisions(const Map& map, std::size_t count, std::int64_t top)
+        : scores(count * static_cast<std::size_t>(top)), sure(3 * count), rows(scores.size()), follows(count),
+          weights(map.channels_.size()) {
+      decision.scores = scores.data();
+      decision.rows = rows.data();
+      decision.right = sure.data();
+      decision.spread = sure.data() + count;
+      decision.together = sure.data() + 2 * count;
+      decision.follows = follows.data();
+      taken.weights = weights.data();
+    }
+    Decisions(const Decisions&) = delete;
+  };
+
+  ssrvlad_steps steps_of(std::int32_t follow, std::int64_t delay, std::size_t top) const {
+    if (top < 1 || delay < 0)
+      throw std::runtime_error("expected 1 candidate or more and a delay from 0, got " + std::to_string(top) +
+                               " and " + std::to_string(delay));
+    ssrvlad_steps steps{};
+    steps.standardise = steps.sweep = 1;
+    steps.follow = follow;
+    steps.delay = delay;
+    steps.top = static_cast<std::int64_t>(std::min(top, size()));
+    return steps;
+  }
+
+  // The answer to the query at a place of the decisions.
+  Answer answer(const Decisions& decisions, std::size_t place, std::int64_t query) const {
+    Answer answer;
+    answer.query = query;
+    answer.score_is = decisions.follows[place] ? "probability" : channels_.size() > 1 ? "fused score" : "cosine";
+    answer.confidence = decisions.sure[place];
+    const auto top = decisions.rows.size() / decisions.follows.size();
+    for (auto at = place * top; at < (place + 1) * top && decisions.rows[at] >= 0; ++at) {
+      const auto row = static_cast<std::size_t>(decisions.rows[at]);
+      answer.candidates.push_back({frames_[row], std::min(1.0F, decisions.scores[at]), poses_[row]});
+    }
+    return answer;
+  }
 
   static void require(int status, const std::string& what) {
     if (status != SSRVLAD_OK) throw std::runtime_error(what + ": " + ssrvlad_last_error());
@@ -169,6 +220,28 @@ class Map {
                                ": they do not compare");
   }
 
+  // A pose a line, of the frames in their order: x, y and heading.
+  void read_poses(const std::string& path) {
+    std::ifstream file(path);
+    if (!file) {
+      poses_.resize(size());
+      return;
+    }
+    for (std::string line; detail::read_line(file, line);) {
+      const char* text = line.c_str();
+      poses_.emplace_back();
+      for (double* number : {&poses_.back().x, &poses_.back().y, &poses_.back().heading}) {
+        char* end;
+        *number = std::strtod(text, &end);
+        if (end == text) throw std::runtime_error(path + ": expected x, y and heading, got " + line);
+        text = end;
+      }
+    }
+    if (poses_.size() != size())
+      throw std::runtime_error(path + ": expected " + std::to_string(size()) + " poses, got " +
+                               std::to_string(poses_.size()));
+  }
+
   void open(const std::string& path) {
     std::vector<std::int64_t> starts;
     for (std::size_t row = 0; row < frames_.size(); ++row)
@@ -195,10 +268,10 @@ class Map {
     return end == frame.npos ? "" : frame.substr(0, end);
   }
 
-  // Packs the descriptors of all frames of a drive by a channel, one after another; returns their anchors.
-  std::int64_t pack(const Channel& channel, const std::vector<Described>& drive, std::vector<char>& packed) const {
+  // Packs the descriptors of all frames of a sequence by a channel; returns their anchors.
+  std::int64_t pack(const Channel& channel, const std::vector<Described>& sequence, std::vector<char>& packed) const {
     std::int64_t anchors = 1;
-    for (const auto& frame : drive)
+    for (const auto& frame : sequence)
       for (const auto& view : detail::channels_of("a query", frame, model_)) {
         if (view.name != channel.name) continue;
         const auto unit = view.bytes() / view.numbers();
@@ -220,8 +293,84 @@ class Map {
   Fingerprints model_;
   int threads_;
   std::vector<std::string> frames_, warnings_;
+  std::vector<Pose> poses_;
   std::vector<Channel> channels_;
   std::unique_ptr<ssrvlad_map, Free> map_;
+};
+
+// A sequence while it comes, in a map that must outlive it: each answer depends on the frames before and on `delay`
+// later ones. It is what `ssrvlad query --follow online` finds. A tracker belongs to one thread at a time.
+class Tracker {
+ public:
+  explicit Tracker(const Map& map, std::int64_t delay = 0, std::size_t top = 5)
+      : map_(map), steps_(map.steps_of(SSRVLAD_ONLINE, delay, top)),
+        tracker_(ssrvlad_tracker_new(map.map_.get(), &steps_)) {
+    Map::require(tracker_ ? SSRVLAD_OK : SSRVLAD_NO_MEMORY, "a tracker");
+  }
+
+  // How many frames it has taken: the number that the next one gets.
+  std::int64_t size() const { return ssrvlad_tracker_count(tracker_.get()); }
+
+  // Takes the next frame. The answer to it; with a delay that to the frame so many before, if there is one.
+  // A frame that is refused changes nothing.
+  std::optional<Answer> update(const Described& frame) {
+    const Map::Queries queries(map_, {frame});
+    return answer([&](auto* decision, auto* taken, auto* query) {
+      return ssrvlad_tracker_update(tracker_.get(), queries.channels.data(), map_.threads_, decision, taken, query);
+    });
+  }
+
+  // The answer to the first frame that waits for later ones, by those that there are; none if no frame waits.
+  std::optional<Answer> finish() {
+    return answer([&](auto* decision, auto* taken, auto* query) {
+      return ssrvlad_tracker_finish(tracker_.get(), decision, taken, query);
+    });
+  }
+
+  // Writes the state to a file, whole or not at all.
+  void save(const std::string& path) {
+    const auto size = ssrvlad_tracker_save(tracker_.get(), nullptr, 0);
+    if (size < 0) throw std::bad_alloc();
+    std::vector<char> state(static_cast<std::size_t>(size));
+    ssrvlad_tracker_save(tracker_.get(), state.data(), size);
+    const auto temporary = path + ".part";
+    std::ofstream file(temporary, std::ios::binary);
+    file.write(state.data(), size);
+    file.close();
+    if (!file) throw std::runtime_error(path + ": cannot be written");
+    std::filesystem::rename(temporary, path);
+  }
+
+  // Goes on from a saved state of this map and these settings, before the first frame: later answers are the same.
+  // Any other state is refused, and the tracker is then of no use.
+  void load(const std::string& path) {
+    npy::of_content(path, [&](const std::string& state) {
+      Map::require(ssrvlad_tracker_load(tracker_.get(), state.data(), static_cast<std::int64_t>(state.size())),
+                   "the state");
+    });
+  }
+
+ private:
+  static constexpr std::int64_t kSettled = 30;  // frames, as of the core
+
+  struct Free {
+    void operator()(ssrvlad_tracker* tracker) const { ssrvlad_tracker_free(tracker); }
+  };
+
+  template <typename Call>
+  std::optional<Answer> answer(const Call& call) {
+    Map::Decisions decisions(map_, 1, steps_.top);
+    std::int64_t query = -1;
+    Map::require(call(&decisions.decision, &decisions.taken, &query), "the descriptors of the frame");
+    if (query < 0) return std::nullopt;
+    auto answer = map_.answer(decisions, 0, query);
+    answer.settled = query >= kSettled;
+    return answer;
+  }
+
+  const Map& map_;
+  ssrvlad_steps steps_;
+  std::unique_ptr<ssrvlad_tracker, Free> tracker_;
 };
 
 }  // namespace ssrvlad

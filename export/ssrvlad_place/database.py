@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,7 +13,9 @@ import numpy.typing as npt
 from numpy.lib.format import open_memmap
 
 from ssrvlad_torch.files import naming, replacing
-from ssrvlad_torch.native.map import DescriptorMap
+from ssrvlad_torch.native.map import Decision, DescriptorMap
+from ssrvlad_torch.native.tracker import DescriptorTracker
+from ssrvlad_torch.recognition.standardise import MIN_FRAMES
 
 from .model import FEATURES, HOG, LABEL_SHAPES, TRUST, Description
 from .output import note
@@ -22,23 +24,28 @@ Array = npt.NDArray[Any]
 
 AXES = {LABEL_SHAPES: 2, FEATURES: 4, HOG: 2}
 """Of the array of each channel."""
+POSE = "x", "y", "heading"
 
 
 class Answer(NamedTuple):
     """The answer to one query: candidates, best first, with their scores; what these are,
-    ``"cosine"``, ``"fused score"`` or ``"probability"``; and the probability that the first
-    candidate is right."""
+    ``"cosine"``, ``"fused score"`` or ``"probability"``; the probability that the first candidate
+    is right; whether the mean of the sequence is known, see `Database.track`; and of each candidate
+    ``x`` and ``y`` in metres and the ``heading`` in radians, NaN where unknown."""
 
     candidates: list[tuple[str, float]]
     score_is: str
     confidence: float
+    settled: bool
+    poses: list[dict[str, float]]
 
 
 class Database:
     """Descriptors of reference frames in a `.npy` file, and the frames' ids.
 
     ``FILE.frames.txt`` holds the ids, one a line, ``FILE.fingerprint.txt`` the fingerprint, and
-    ``FILE.features.npy`` and ``FILE.hog.npy`` the other channels, with fingerprints of their own.
+    ``FILE.features.npy`` and ``FILE.hog.npy`` the other channels, with fingerprints of their own;
+    ``FILE.poses.txt``, if it exists, x, y and heading of each frame.
 
     Args:
         path: FILE.
@@ -71,25 +78,26 @@ class Database:
         for rows in self.channels.values():
             if len(rows) != len(self.frames):
                 raise ValueError(f"{path}: {rows.shape} for {len(self.frames)} frames")
+        self._poses = np.full((len(self.frames), 3), np.nan)
+        if (file := beside(path, "poses")).exists():
+            with naming(file):
+                self._poses = np.loadtxt(file, ndmin=2)
+            if self._poses.shape != (len(self.frames), 3):
+                raise ValueError(f"{file}: {self._poses.shape} for {len(self.frames)} frames")
         sequences = groupby(self.frames, lambda frame: frame.rpartition("/")[0])
         self._map = DescriptorMap([len(list(sequence)) for _, sequence in sequences])
         for name, rows in self.channels.items():
             self._map.add(name, rows, TRUST[name])
 
     def find(
-        self,
-        sequence: Sequence[Description],
-        follow: str | None = None,
-        delay: int = 0,
-        top: int = 5,
+        self, sequence: Sequence[Description], follow: str | None = None, top: int = 5
     ) -> list[Answer]:
-        """The places of the frames of a drive, or of one frame, as `ssrvlad query` finds them, by
-        all channels that both sides have.
+        """The places of the frames of a sequence, or of one frame, as `ssrvlad query` finds them,
+        by all channels that both sides have.
 
         Args:
-            drive: the frames in order.
-            follow: ``"online"``, with ``delay`` later frames, ``"offline"``, or ``None``, which
-                judges each frame alone.
+            sequence: the frames in order.
+            follow: ``"offline"``, or ``None``, which judges each frame alone.
             top: number of candidates of each frame.
 
         Raises:
@@ -99,18 +107,35 @@ class Database:
         queries = {
             name: np.stack([frame.channels[name] for frame in sequence]) for name in self.channels
         }
-        threads = os.cpu_count() or 1
-        decision = self._map.query(queries, follow=follow, delay=delay, top=top, threads=threads)
-        alone = "fused score" if len(queries) > 1 else "cosine"
+        return self._answers(self._map.query(queries, follow=follow, top=top, threads=_threads()))
+
+    def track(
+        self, frames: Iterable[Description], delay: int = 0, top: int = 5
+    ) -> Iterator[Answer]:
+        """The answers to the frames of a sequence, each as soon as so many later frames have come,
+        as `ssrvlad query --follow online` finds them. Until 30 frames have come, the mean of the
+        map stands for that of the sequence. Errors are those of `find`."""
+        tracker = DescriptorTracker(self._map, delay=delay, top=top, threads=_threads())
+        for frame in frames:
+            channels = frame.channels
+            if answer := tracker.update({name: channels[name] for name in self.channels}):
+                yield from self._answers(answer[1], answer[0] >= MIN_FRAMES)
+        for number, decision in tracker.finish():
+            yield from self._answers(decision, number >= MIN_FRAMES)
+
+    def _answers(self, decision: Decision, settled: bool = True) -> list[Answer]:
+        alone = "fused score" if len(self.channels) > 1 else "cosine"
         answers = []
         columns = decision.scores, decision.rows, decision.right, decision.follows
-        for scores, rows, right, follows in zip(*columns, strict=True):
+        for scores, best, right, follows in zip(*columns, strict=True):
+            rows = best[best >= 0]
             ranked = [
                 (self.frames[row], min(1.0, float(score)))
-                for row, score in zip(rows, scores, strict=True)
-                if row >= 0
+                for row, score in zip(rows, scores, strict=False)
             ]
-            answers.append(Answer(ranked, "probability" if follows else alone, float(right)))
+            score_is = "probability" if follows else alone
+            poses = [dict(zip(POSE, pose, strict=True)) for pose in self._poses[rows].tolist()]
+            answers.append(Answer(ranked, score_is, float(right), settled, poses))
         return answers
 
 
@@ -121,11 +146,13 @@ def save(
     fingerprints: Mapping[str, str],
 ) -> None:
     """Writes frames as a database: the array of descriptors, those of the other channels, each with
-    its fingerprint, and the ids beside them. An id of several lines is a ValueError."""
+    its fingerprint, and the ids beside them, without poses. An id of several lines is a
+    ValueError."""
     for frame in frames:
         require_one_line(frame)
     text = "".join(f"{frame}\n" for frame in frames)
     beside(path, "frames").write_text(text, encoding="utf-8", newline="\n")
+    beside(path, "poses").unlink(missing_ok=True)
     for name in reversed(TRUST):
         array = array_of(path, name)
         if name not in fingerprints:
@@ -134,6 +161,10 @@ def save(
         beside(array, "fingerprint").write_text(f"{fingerprints[name]}\n", newline="\n")
         with replacing(array) as temporary, temporary.open("wb") as file:
             np.save(file, np.stack([frame.channels[name] for frame in descriptions]))
+
+
+def _threads() -> int:
+    return os.cpu_count() or 1
 
 
 def beside(path: Path, what: str) -> Path:

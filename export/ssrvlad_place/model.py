@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable
+import os
+import sys
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,6 +27,7 @@ from .golden import Golden, require_golden, run_golden
 
 Array = npt.NDArray[Any]
 
+STDIN = Path("-")
 LABEL_SHAPES, FEATURES, HOG = "ssr-vlad", "features", "hog"
 TRUST = {LABEL_SHAPES: 1.0, FEATURES: 6.0, HOG: 2.0}
 """How much each channel counts before anything is known of a sequence, as in `ssrvlad query`."""
@@ -72,12 +75,17 @@ class Model:
         """Columns of the anchors of a sweep; empty for single descriptors."""
         return list(self.metadata.interface.get("sweep", []))
 
-    def frames(self, sources: Iterable[Path]) -> list[FrameFile]:
-        """The frames of folders and files, as `ssrvlad encode` finds them.
+    def frames(self, sources: Sequence[Path]) -> Iterable[FrameFile]:
+        """The frames of folders and files, as `ssrvlad encode` finds them; of `STDIN` the files
+        whose names arrive on standard input, one a line, as they come.
 
         Raises:
             ValueError: a source does not exist or holds no frame, or two frames have one id.
         """
+        if list(sources) == [STDIN]:
+            lines = map(os.fsdecode, sys.stdin.buffer)
+            paths = (Path(line.rstrip("\r\n")) for line in lines if line.strip())
+            return (FrameFile(path.absolute().parent.name, path.stem, path) for path in paths)
         find = find_image_files if self.input.name == "image" else find_label_files
         return list(find([*map(str, sources)]))
 

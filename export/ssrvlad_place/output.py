@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import sys
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ssrvlad_torch.files import one_line
 
@@ -47,12 +48,18 @@ def finished(skipped: int, frames: int) -> int:
 
 def report(frame: str, empty: bool, answer: Answer | None, as_json: bool) -> None:
     """Prints one line about a frame; without a database there is no answer."""
-    candidates, score_is, confidence = answer or ([], "", 0.0)
-    if as_json:
-        ranked = [{"frame": name, "score": score} for name, score in candidates]
-        facts = {"score_is": score_is, "confidence": confidence} if answer else {}
-        print(json.dumps({"query": frame, "candidates": ranked, "empty": empty, **facts}))
-        return
-    names = ", ".join(f"{name} {score:.4f}" for name, score in candidates) or "no candidate"
-    text = f"{names} ({score_is}, confidence {confidence:.2f})" if answer else "described"
-    print(f"{frame}: " + ("empty" if empty else text))
+    line: dict[str, Any] = {"query": frame, "candidates": [], "empty": empty}
+    text = "described"
+    if answer:
+        ranked = [{"frame": name, "score": score} for name, score in answer.candidates]
+        line |= {"candidates": ranked, "score_is": answer.score_is}
+        line |= {"confidence": answer.confidence, "settled": answer.settled}
+        line["poses"] = [
+            {axis: None if math.isnan(value) else value for axis, value in pose.items()}
+            for pose in answer.poses
+        ]
+        names = ", ".join(f"{name} {score:.4f}" for name, score in answer.candidates)
+        sure = f"{answer.score_is}, confidence {answer.confidence:.2f}"
+        text = f"{names or 'no candidate'} ({sure})"
+    plain = f"{frame}: {'empty' if empty else text}"
+    print(json.dumps(line) if as_json else plain, flush=True)

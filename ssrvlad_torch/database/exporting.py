@@ -18,16 +18,17 @@ from .frames import FrameSet
 
 Format = Literal["npy", "hloc"]
 
-_FINGERPRINT = ".fingerprint.txt"
+_FINGERPRINT, _POSES = ".fingerprint.txt", ".poses.txt"
 _GROUP_BYTES = 1024
 
 
 def export_database(database: Database, form: Format, file: Path) -> list[Path]:
     """Writes raw descriptors and frame ids, in natural order, to files of another format.
 
-    ``npy`` is an ``(R, D)`` float32 array, a text file with one frame id per line, a JSON file with
-    fingerprint and settings, and an array for each further channel, with its fingerprint in a text
-    file; those of an earlier export that are not written again are deleted. ``hloc`` is an HDF5
+    ``npy`` is an ``(R, D)`` float32 array, a text file with one frame id per line, if a pose is
+    known one with x, y and heading per line, a JSON file with fingerprint and settings, and an
+    array for each further channel, with its fingerprint in a text file; those of an earlier export
+    that are not written again are deleted. ``hloc`` is an HDF5
     file with one group per frame, named by its id: ``global_descriptor``, ``(D,)`` float32, as
     hloc's ``extract_features`` writes it (https://github.com/cvg/Hierarchical-Localization), and a
     data set for each further channel. Fingerprint and settings are in the file's attribute
@@ -57,6 +58,9 @@ def export_database(database: Database, form: Format, file: Path) -> list[Path]:
         ".frames.txt": "".join(f"{frame}\n" for frame in frames.frames),
         ".json": json.dumps(about, indent=1) + "\n",
     }
+    if np.isfinite(frames.poses).any():
+        poses = (" ".join(map(repr, pose)) for pose in frames.poses.tolist())
+        texts[_POSES] = "".join(f"{pose}\n" for pose in poses)
     for end, column in arrays.items():
         if column.fingerprint:
             texts[end + _FINGERPRINT] = f"{column.fingerprint}\n"
@@ -69,7 +73,7 @@ def export_database(database: Database, form: Format, file: Path) -> list[Path]:
             target = stack.enter_context(replacing(file.with_name(file.name + end)))
             target.write_text(text, encoding="utf-8", newline="\n")
     for end in ("", *(f".{name}.npy" for name in CHANNELS)):
-        for earlier in {end, end + _FINGERPRINT} - {*arrays, *texts}:
+        for earlier in {end, end + _FINGERPRINT, _POSES} - {*arrays, *texts}:
             file.with_name(file.name + earlier).unlink(missing_ok=True)
     return [file.with_name(file.name + end) for end in (*arrays, *texts)]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
@@ -48,6 +49,17 @@ class Answer(NamedTuple):
     confidence: float
     stamp: float | None = None
     settled: bool = True
+
+    def as_json(self) -> dict[str, Any]:
+        """A dict of JSON values, with ``poses`` of the candidates: what ``ssrvlad query --json``
+        prints. An unknown number is ``None``."""
+        ranked = [{"frame": frame, "score": score} for frame, score, _ in self.candidates]
+        poses = [
+            {axis: None if math.isnan(number) else number for axis, number in pose.items()}
+            for pose in (candidate.pose._asdict() for candidate in self.candidates)
+        ]
+        line = {"query": self.query, "candidates": ranked, "score_is": self.score_is}
+        return {**line, "confidence": self.confidence, "settled": self.settled, "poses": poses}
 
 
 def candidates_of(

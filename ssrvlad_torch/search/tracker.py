@@ -69,12 +69,13 @@ class Tracker:
         return self._open_segmenter()
 
     def update(
-        self, frame: Picture | LabelMap, name: str | None = None, stamp: float | None = None
+        self, frame: Picture | LabelMap | View, name: str | None = None, stamp: float | None = None
     ) -> Answer | None:
         """Takes the next frame.
 
         Args:
-            frame: a picture, see `Map.locate`, or a label map ``(H, W)`` of integers.
+            frame: a picture, see `Map.locate`, a label map ``(H, W)`` of integers, or a `View`
+                with what the channels need.
             name: what the answer calls it; by default its number, from 0.
             stamp: a time that the answer repeats.
 
@@ -135,7 +136,9 @@ class Tracker:
             raise ValueError(f"{path}: no state of a tracker of this map: {error}") from error
         self._waiting = waiting
 
-    def _view(self, frame: Picture | LabelMap, name: str) -> View:
+    def _view(self, frame: Picture | LabelMap | View, name: str) -> View:
+        if isinstance(frame, View):
+            return frame
         if not (isinstance(frame, np.ndarray) and frame.ndim == 2):
             picture: Any = frame
             return views_of(self._segmenter, [pixels_of(picture)], [name], self.channels)[0]

@@ -1,6 +1,7 @@
 """Scenes of label maps and of pictures, and every program that finds places or loops in them."""
 
 import shutil
+import sys
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -187,7 +188,7 @@ def by_cpp(scene: Scene, mode: str, fixtures: Fixtures, split: bool = False) -> 
     """`follow` of C++, or `place`, of a few frames."""
     build, model, folders = fixtures("user") / "build", files_of(scene, split), arrays_of(scene)
     if mode != SINGLE:
-        options = {"online": ("--online", 3), "alone": ("--alone",)}.get(mode, ())
+        options = {"online": ("--online", "--delay", 3), "alone": ("--alone",)}.get(mode, ())
         words = (*options, *model, scene.town, 3, *folders)
         code, lines, errors = outcome(build / "follow", *words)
         assert (code, errors) == (0, [])
@@ -201,6 +202,20 @@ def by_cpp(scene: Scene, mode: str, fixtures: Fixtures, split: bool = False) -> 
             found = [{"frame": frame, "score": float(score)} for frame, score in pairs]
             answers.append({"query": f"{folder.name}/{file.stem}", "candidates": found})
     return answers
+
+
+def live(program: str, scene: Scene, fixtures: Fixtures) -> Callable[[object], list[str]]:
+    """The command of a program that follows a source online, two frames late."""
+    late = ("--delay", 2)
+
+    def command(source: object) -> list[str]:
+        if program == "C++":
+            follow = fixtures("user") / "build" / "follow"
+            return [*map(str, (follow, "--online", *late, scene.model, scene.town, 3, source))]
+        words = (scene.model, source, "--database", scene.town, "--follow", "online", *late)
+        return [*map(str, (sys.executable, run_onnx.__file__, *words, "--json"))]
+
+    return command
 
 
 SHOWN = """Array.from(document.querySelectorAll('#places tbody tr'),

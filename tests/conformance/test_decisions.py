@@ -2,7 +2,10 @@
 package: test_native_map.py and test_decide.py hold the core to formulas. Loops are those of the
 formulas."""
 
+import json
 import re
+import subprocess
+from subprocess import PIPE
 
 import pytest
 from conformance.decisions import (
@@ -12,9 +15,13 @@ from conformance.decisions import (
     FOLLOWERS,
     LOOPS,
     PLACES,
+    arrays_of,
     by_the_core,
+    live,
     loops_by_oracle,
 )
+from helpers import outcome
+from natsort import natsorted
 
 
 @pytest.fixture(scope="module")
@@ -55,6 +62,24 @@ def test_places_are_those_of_the_core(name, scene, mode, folders, request):
         for frame in ours.keys() | (theirs.keys() if name != "page" else ()):
             # rows that are hardly believed change places
             assert ours.get(frame, 0) == pytest.approx(theirs.get(frame, 0), abs=1e-4)
+
+
+@pytest.mark.parametrize("program", ["run_onnx.py", "C++"])
+def test_an_answer_is_printed_once_two_later_frames_have_come(program, folders, request):
+    """The next name is written only then; the lines are those of the folder."""
+    scene = folders(PLACES, "label maps", request)
+    command, [folder, _] = live(program, scene, request.getfixturevalue), arrays_of(scene)
+    code, expected, errors = outcome(*command(folder))
+    assert (code, errors) == (0, [])
+    lines = []
+    with subprocess.Popen(command("-"), stdin=PIPE, stdout=PIPE, text=True) as process:
+        for number, file in enumerate(natsorted(folder.iterdir())):
+            print(file, file=process.stdin, flush=True)
+            if number >= 2:
+                lines.append(process.stdout.readline())
+        lines += process.communicate()[0].splitlines()
+    assert [line.strip() for line in lines] == expected
+    assert [json.loads(line)["settled"] for line in lines] == [False] * 30 + [True] * 6
 
 
 def sorted_by_query(lines):

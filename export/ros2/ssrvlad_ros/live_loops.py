@@ -12,12 +12,19 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from ssrvlad_torch import SSRVLAD, Database
+from ssrvlad_torch import SSRVLAD, Database, Map
 from ssrvlad_torch.channels import LABEL_SHAPES
+from ssrvlad_torch.channels.channel import View
 from ssrvlad_torch.datasets.image_files import require_photograph
+from ssrvlad_torch.encoding.encoder import check_segmenter
 from ssrvlad_torch.loops.config import LoopConfig
 from ssrvlad_torch.loops.result import LoopResult
 from ssrvlad_torch.loops.stream import CHECKPOINT_FRAMES, open_detector
+from ssrvlad_torch.recognition.recognise import Steps
+from ssrvlad_torch.search.answers import Answer
+from ssrvlad_torch.search.exact import views_of
+from ssrvlad_torch.search.tracker import Tracker
+from ssrvlad_torch.taxonomy import LabelSpace, label_space
 
 from .label_table import LABELS_AS, LabelTable
 from .place_model import PlaceModel
@@ -71,11 +78,13 @@ class Observation(NamedTuple):
         result: whether it closes a loop.
         descriptor: ``(D,)`` float32.
         unsaved: why a checkpoint that was due could not be written; else empty.
+        answer: where the tracker says that it is, or so many frames before; ``None`` without.
     """
 
     result: LoopResult
     descriptor: npt.NDArray[np.float32]
     unsaved: str = ""
+    answer: Answer | None = None
 
 
 class LiveLoops:
@@ -91,6 +100,7 @@ class LiveLoops:
         preset: of the descriptors; without, the memory's, or ``default``.
         check: whether to run `check_head`.
         model: labels pictures; without, frames are label images.
+        tracker: localises the stream in a known map, see `open_tracker`.
 
     Raises:
         ValueError: the memory is damaged, has another preset, other features or channels that the
@@ -106,13 +116,13 @@ class LiveLoops:
         preset: str | None = None,
         check: bool = True,
         model: PlaceModel | None = None,
+        tracker: Tracker | None = None,
     ) -> None:
-        self.sequence = sequence
+        self.sequence, self._model, self._tracker = sequence, model, tracker
         self._meanings = dict(meanings or {})
-        labels_as = model.labels_as if model else LABELS_AS
-        names = channels_beside(memory, model.channels if model else [])
+        names = channels_beside(memory, model)
         self._detector, self._database = open_detector(
-            config, memory, preset, labels_as, model, names
+            config, memory, preset, space_of(model), model, names
         )
         fingerprint = self._detector.head.config.fingerprint
         if model and model.fingerprint != fingerprint:
@@ -149,15 +159,24 @@ class LiveLoops:
             ValueError: there is no table of labels yet, the encoding is another, an id is unknown,
                 the model fails, or the stamp goes back. Nothing is changed.
         """
-        if self._detector.segmenter:
-            view = decode_picture(image)
-        elif self._table is None:
+        frame, stamp = f"{self.sequence}/{nanoseconds:0{_DIGITS}d}", nanoseconds / 1e9
+        view = self._view(image, frame)
+        result = self._detector.update(view.labels, frame, stamp, pose, view.picture, view.features)
+        descriptor, unsaved = self._detector.descriptor, self._checkpoint()
+        answer = self._tracker and self._tracker.update(view, frame, stamp)
+        return Observation(result, descriptor, unsaved, answer)
+
+    def _view(self, image: RosImage, frame: str) -> View:
+        if self._model:
+            channels = [
+                *self._detector.channels,
+                *(self._tracker.channels if self._tracker else ()),
+            ]
+            [view] = views_of(self._model, [decode_picture(image)], [frame], channels)
+            return view
+        if self._table is None:
             raise ValueError("no table of labels has come yet")
-        else:
-            view = self._table(decode(image))
-        frame = f"{self.sequence}/{nanoseconds:0{_DIGITS}d}"
-        result = self._detector.update(view, frame, nanoseconds / 1e9, pose)
-        return Observation(result, self._detector.descriptor, self._checkpoint())
+        return View(frame, self._table(decode(image)), space_of(None))
 
     def _checkpoint(self) -> str:
         """Saves if a checkpoint is due, and says what kept it from being written; the next try is
@@ -182,13 +201,34 @@ class LiveLoops:
         self._saved = len(self._detector)
 
 
-def channels_beside(memory: Path | None, channels: list[str]) -> list[str]:
+def open_tracker(path: Path, model: PlaceModel | None, delay: int = 0) -> Tracker:
+    """The tracker of a map of `ssrvlad encode` for the views of a stream; its answer to a frame
+    waits for so many later ones.
+
+    Raises:
+        ValueError: there is no such map, or the stream does not give one of its channels.
+    """
+    town = Map.open(path)
+    channels_beside(path, model)
+    tracker = town.tracker(Steps(follow="online", delay=delay))
+    head = SSRVLAD(replace(town.database.config, labels_as=space_of(model)))
+    check_segmenter(model, head, tracker.channels)
+    return tracker
+
+
+def space_of(model: PlaceModel | None) -> LabelSpace:
+    """The label space of the views of a stream."""
+    return model.label_space if model else label_space(LABELS_AS)
+
+
+def channels_beside(memory: Path | None, model: PlaceModel | None) -> list[str]:
     """Names of the channels beside that of label maps: those of a memory that exists, or all that
     the stream gives.
 
     Raises:
         ValueError: the stream does not give one of the memory.
     """
+    channels = model.channels if model else []
     if memory is None or not Database.exists(memory):
         return channels
     names = [column.name for column in Database.open(memory).columns[1:]]

@@ -7,23 +7,33 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import sys
 from array import array
 from pathlib import Path
 
+import numpy as np
 import rclpy
 from builtin_interfaces.msg import Time
+from geometry_msgs.msg import (
+    Point,
+    Pose,
+    PoseWithCovariance,
+    PoseWithCovarianceStamped,
+    Quaternion,
+)
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from rtabmap_msgs.msg import GlobalDescriptor
 from sensor_msgs.msg import Image, TimeReference
-from std_msgs.msg import String
+from std_msgs.msg import Header, String
 from vision_msgs.msg import LabelInfo
 
 from ssrvlad_torch.loops.config import LoopConfig
+from ssrvlad_torch.search.answers import Answer
 
-from .live_loops import LiveLoops, as_rtabmap, heading, meanings_of, source_of
+from .live_loops import LiveLoops, as_rtabmap, heading, meanings_of, open_tracker, source_of
 from .place_model import PlaceModel
 
 _SECOND = 10**9
@@ -33,12 +43,14 @@ _OF_PYTHON = 1
 
 class LoopNode(Node):
     """Reads ``image``, or ``labels`` and ``label_info``, and ``odom``; publishes ``descriptor``,
-    ``loops`` and ``results``.
+    ``loops`` and ``results``, and in a known map ``answers`` and ``pose``.
 
     Its parameters are the settings of `LoopConfig`; ``sequence``, ``memory``, ``preset``,
     ``meanings``, ``check`` (see `LiveLoops`); ``model`` and ``features`` (see `PlaceModel`): with a
-    model it reads ``image``; and ``latched``: whether ``label_info`` is published once, with
-    durability "transient local".
+    model it reads ``image``; ``latched``: whether ``label_info`` is published once, with
+    durability "transient local"; ``map`` and ``delay`` (see `open_tracker`); ``min_confidence`` of
+    a pose that is published, the ``map_frame`` that it is in, and what a right one errs by,
+    ``sigma_metres`` and ``sigma_radians``.
     """
 
     def __init__(self) -> None:
@@ -51,6 +63,13 @@ class LoopNode(Node):
         check, path = self._parameter("check", True), self._parameter("model", "")
         features = self._parameter("features", True)
         model = PlaceModel(Path(path), features, check) if path else None
+        town, delay = self._parameter("map", ""), self._parameter("delay", 0)
+        self._least = self._parameter("min_confidence", 0.9)
+        self._map_frame = self._parameter("map_frame", "map")
+        metres = self._parameter("sigma_metres", 5.0)
+        radians = self._parameter("sigma_radians", 0.5)
+        self._covariance = np.zeros(36)
+        self._covariance[[0, 7, 35]] = metres**2, metres**2, radians**2
         self._loops = LiveLoops(
             config,
             self._parameter("sequence", "drive"),
@@ -59,12 +78,15 @@ class LoopNode(Node):
             preset or None,
             check,
             model,
+            open_tracker(Path(town), model, delay) if town else None,
         )
         self._pose = None
         latched = self._parameter("latched", True)
         self._descriptors = self.create_publisher(GlobalDescriptor, "descriptor", 10)
         self._closures = self.create_publisher(TimeReference, "loops", 10)
         self._results = self.create_publisher(String, "results", 10)
+        self._answers = self.create_publisher(String, "answers", 10)
+        self._poses = self.create_publisher(PoseWithCovarianceStamped, "pose", 10)
         self.create_subscription(Odometry, "odom", self._on_odometry, 10)
         topic = "image" if model else "labels"
         self.create_subscription(Image, topic, self._on_image, qos_profile_sensor_data)
@@ -112,8 +134,29 @@ class LoopNode(Node):
         self._results.publish(String(data=json.dumps(result.as_json())))
         if closed:
             source, nanoseconds = closed
-            stamp = Time(sec=nanoseconds // _SECOND, nanosec=nanoseconds % _SECOND)
+            stamp = _time(nanoseconds)
             self._closures.publish(TimeReference(header=header, time_ref=stamp, source=source))
+        if update.answer:
+            self._localise(update.answer)
+
+    def _localise(self, answer: Answer) -> None:
+        """Publishes an answer, and if it is sure enough and its place has a pose that too, with the
+        stamp of the image."""
+        self._answers.publish(String(data=json.dumps(answer.as_json())))
+        if not answer.candidates or answer.confidence < self._least:
+            return
+        x, y, angle = answer.candidates[0].pose
+        if math.isnan(x + y + angle):
+            return
+        rotation = Quaternion(x=0.0, y=0.0, z=math.sin(angle / 2), w=math.cos(angle / 2))
+        place = Pose(position=Point(x=x, y=y, z=0.0), orientation=rotation)
+        pose = PoseWithCovariance(pose=place, covariance=self._covariance)
+        header = Header(stamp=_time(source_of(answer.query)[1]), frame_id=self._map_frame)
+        self._poses.publish(PoseWithCovarianceStamped(header=header, pose=pose))
+
+
+def _time(nanoseconds: int) -> Time:
+    return Time(sec=nanoseconds // _SECOND, nanosec=nanoseconds % _SECOND)
 
 
 def main() -> None:

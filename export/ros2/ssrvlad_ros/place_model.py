@@ -31,7 +31,7 @@ class PlaceModel:
 
     Attributes:
         fingerprint: of the settings of the head in the file.
-        labels_as: label space of the label maps.
+        label_space: of the label maps.
         channels: names of what it gives of a frame beside the label map.
         fingerprint_of_features: under which a database stores them; empty without.
 
@@ -56,7 +56,7 @@ class PlaceModel:
         try:
             metadata = Metadata.from_properties(properties)
             golden = metadata.golden_arrays()
-            self.labels_as = LabelSpace.from_dict({"source": "ssrvlad.", **metadata.label_space})
+            self.label_space = LabelSpace.from_dict({"source": "ssrvlad.", **metadata.label_space})
         except (ValueError, KeyError) as error:
             raise ValueError(f"{path}: {one_line(error)}") from error
         self.fingerprint = metadata.fingerprint

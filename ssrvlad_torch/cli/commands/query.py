@@ -14,7 +14,7 @@ from ..output import finish, note, print_json, progress_bar, say
 
 if TYPE_CHECKING:
     from ...map import Map
-    from ...search.answers import Answer, Answers, Candidate
+    from ...search.answers import Answer, Answers
 
 
 def query(
@@ -89,9 +89,7 @@ def _print_answer(
     least = -math.inf if threshold is None else threshold
     ranked = [candidate for candidate in answer.candidates if candidate.score > least]
     if details is not None:
-        candidates = [{"frame": frame, "score": score} for frame, score, _ in ranked]
-        named = {"query": answer.query, "candidates": candidates, "score_is": answer.score_is}
-        print_json({**named, "confidence": answer.confidence, **details})
+        print_json({**answer._replace(candidates=ranked).as_json(), **details})
         return
     listed = ", ".join(f"{frame} {score:.4f}" for frame, score, _ in ranked)
     sure = f"{answer.score_is}, confidence {answer.confidence:.2f}"
@@ -130,12 +128,5 @@ def _track(
         answered += 1
         sure = answer.confidence >= recognition.min_confidence
         shown = answer if sure else answer._replace(candidates=[])
-        details = {"settled": shown.settled, "poses": list(map(_pose, shown.candidates))}
-        _print_answer(shown, threshold, details if as_json else None)
+        _print_answer(shown, threshold, {} if as_json else None)
     finish(skipped, answered)
-
-
-def _pose(candidate: Candidate) -> dict[str, float | None]:
-    """The pose of a candidate for JSON, ``None`` where unknown."""
-    pose = candidate.pose._asdict()
-    return {name: None if math.isnan(value) else value for name, value in pose.items()}
