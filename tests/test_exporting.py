@@ -35,9 +35,10 @@ def test_npy_is_an_array_with_names_settings_and_fingerprint(database, tmp_path)
     names = frames.read_text(encoding="utf-8").splitlines()
     assert names == ["a/1", "a/2", "a/10", "b/straße 🚗"]
     database.append([record("c/1", x=0.1, y=-2.0)], descriptors(0, 1))
-    poses = file.with_name("out.npy.poses.txt")
+    poses = file.with_name("out.npy.poses.npy")
     assert poses in export_database(database, "npy", file)
-    assert poses.read_text().splitlines() == ["nan nan nan"] * 4 + ["0.1 -2.0 nan"]
+    expected = [*[[np.nan] * 3] * 4, [0.1, -2, np.nan]]
+    np.testing.assert_array_equal(np.load(poses), expected)
 
 
 def test_an_export_deletes_the_files_of_an_earlier_one(database, tmp_path):

@@ -21,8 +21,6 @@
 #include <cmath>
 #include <cstdint>
 #include <cstring>
-#include <filesystem>
-#include <fstream>
 #include <limits>
 #include <memory>
 #include <stdexcept>
@@ -211,26 +209,23 @@ inline void Loops::save(const std::string& path) const {
   std::string header = "{'descr': [" + fields + "], 'fortran_order': False, 'shape': (" +
                        std::to_string(size()) + ",), }";
   header += std::string(63 - (header.size() + 12) % 64, ' ') + "\n";
-  const auto temporary = path + ".part";
-  std::ofstream file(temporary, std::ios::binary);
-  file.write("\x93NUMPY\x02\x00", 8);
-  for (int shift = 0; shift < 32; shift += 8) file.put(static_cast<char>(header.size() >> shift & 255));
-  file << header;
-  for (std::size_t row = 0; row < size(); ++row) {
-    std::string record = frames_[row];
-    record.resize(width);
-    record.append(reinterpret_cast<const char*>(&times_[row]), sizeof(double));
-    for (std::size_t number = 0; number < channels_.size(); ++number) {
-      std::vector<char> bytes(channels_[number].bytes());
-      const auto at = static_cast<std::int64_t>(row);
-      ssrvlad_loops_descriptors(stream_.get(), static_cast<int>(number), at, at + 1, bytes.data());
-      record.append(bytes.data(), bytes.size());
+  npy::replace(path, [&](std::ostream& file) {
+    file.write("\x93NUMPY\x02\x00", 8);
+    for (int shift = 0; shift < 32; shift += 8) file.put(static_cast<char>(header.size() >> shift & 255));
+    file << header;
+    for (std::size_t row = 0; row < size(); ++row) {
+      std::string record = frames_[row];
+      record.resize(width);
+      record.append(reinterpret_cast<const char*>(&times_[row]), sizeof(double));
+      for (std::size_t number = 0; number < channels_.size(); ++number) {
+        std::vector<char> bytes(channels_[number].bytes());
+        const auto at = static_cast<std::int64_t>(row);
+        ssrvlad_loops_descriptors(stream_.get(), static_cast<int>(number), at, at + 1, bytes.data());
+        record.append(bytes.data(), bytes.size());
+      }
+      file.write(record.data(), static_cast<std::streamsize>(record.size()));
     }
-    file.write(record.data(), static_cast<std::streamsize>(record.size()));
-  }
-  file.close();
-  if (!file) throw std::runtime_error(path + ": cannot be written");
-  std::filesystem::rename(temporary, path);
+  });
 }
 
 namespace detail {

@@ -13,8 +13,7 @@
 #pragma once
 
 #include <algorithm>
-#include <cstdlib>
-#include <filesystem>
+#include <cstring>
 #include <fstream>
 #include <limits>
 #include <memory>
@@ -70,7 +69,7 @@ struct Answer {
 enum class Follow { kNo = SSRVLAD_ALONE, kOffline = SSRVLAD_OFFLINE };
 
 // Descriptors of reference frames from `ssrvlad db export --format npy`: FILE.npy,
-// FILE.npy.frames.txt and FILE.npy.fingerprint.txt; and if they exist their poses, FILE.npy.poses.txt, and
+// FILE.npy.frames.txt and FILE.npy.fingerprint.txt; and if they exist their poses, FILE.npy.poses.npy, and
 // their other channels, FILE.npy.features.npy and FILE.npy.hog.npy.
 class Map {
  public:
@@ -83,7 +82,7 @@ class Map {
     add(path, "features", ".features.npy", model.features, "|u1", 4);
     add(path, "hog", ".hog.npy", model.hog, "<f4", 2);
     if (frames_.empty()) throw std::runtime_error(path + " holds no frames");
-    read_poses(path + ".poses.txt");
+    read_poses(path + ".poses.npy");
     open(path);
   }
 
@@ -95,15 +94,11 @@ class Map {
   std::vector<Answer> query(const std::vector<Described>& sequence, Follow follow = Follow::kOffline,
                             std::size_t top = 5) const {
     const auto steps = steps_of(static_cast<std::int32_t>(follow), 0, top);
+    const auto count = static_cast<std::int64_t>(sequence.size());
     const Queries queries(*this, sequence);
-    Decisions decisions(*this, sequence.size(), steps.top);
-    require(ssrvlad_map_query(map_.get(), queries.channels.data(), static_cast<std::int64_t>(sequence.size()), &steps,
-                              threads_, &decisions.decision, &decisions.taken),
-            "the descriptors of the sequence");
-    std::vector<Answer> answers;
-    for (std::size_t query = 0; query < sequence.size(); ++query)
-      answers.push_back(answer(decisions, query, static_cast<std::int64_t>(query)));
-    return answers;
+    return decided(count, steps.top, [&](auto* decision, auto* taken, auto*) {
+      return ssrvlad_map_query(map_.get(), queries.channels.data(), count, &steps, threads_, decision, taken);
+    });
   }
 
   // The place of one frame.
@@ -135,28 +130,39 @@ class Map {
     }
   };
 
-  // What the core decides of queries, and the memory for it.
-  struct Decisions {
-    std::vector<float> scores, sure;
-    std::vector<std::int64_t> rows;
-    std::vector<std::uint8_t> follows;
-    std::vector<double> weights;
+  // What a call of the core decides of `count` queries; it may say the number of the first one, -1 for none.
+  template <typename Call>
+  std::vector<Answer> decided(std::int64_t count, std::int64_t top, const Call& call) const {
+    const auto queries = static_cast<std::size_t>(count), width = static_cast<std::size_t>(top);
+    std::vector<float> scores(queries * width), sure(3 * queries);
+    std::vector<std::int64_t> rows(queries * width);
+    std::vector<std::uint8_t> follows(queries);
+    std::vector<double> weights(channels_.size());
     ssrvlad_decision decision{};
+    decision.scores = scores.data();
+    decision.rows = rows.data();
+    decision.right = sure.data();
+    decision.spread = sure.data() + count;
+    decision.together = sure.data() + 2 * count;
+    decision.follows = follows.data();
     ssrvlad_taken taken{};
-
-    Decisions(const Map& map, std::size_t count, std::int64_t top)
-        : scores(count * static_cast<std::size_t>(top)), sure(3 * count), rows(scores.size()), follows(count),
-          weights(map.channels_.size()) {
-      decision.scores = scores.data();
-      decision.rows = rows.data();
-      decision.right = sure.data();
-      decision.spread = sure.data() + count;
-      decision.together = sure.data() + 2 * count;
-      decision.follows = follows.data();
-      taken.weights = weights.data();
+    taken.weights = weights.data();
+    std::int64_t first = 0;
+    require(call(&decision, &taken, &first), "the descriptors");
+    const char* alone = channels_.size() > 1 ? "fused score" : "cosine";
+    std::vector<Answer> answers(first < 0 ? 0 : queries);
+    for (std::size_t query = 0; query < answers.size(); ++query) {
+      auto& answer = answers[query];
+      answer.query = first + static_cast<std::int64_t>(query);
+      answer.score_is = follows[query] ? "probability" : alone;
+      answer.confidence = sure[query];
+      for (auto at = query * width; at < (query + 1) * width && rows[at] >= 0; ++at) {
+        const auto row = static_cast<std::size_t>(rows[at]);
+        answer.candidates.push_back({frames_[row], std::min(1.0F, scores[at]), poses_[row]});
+      }
     }
-    Decisions(const Decisions&) = delete;
-  };
+    return answers;
+  }
 
   ssrvlad_steps steps_of(std::int32_t follow, std::int64_t delay, std::size_t top) const {
     if (top < 1 || delay < 0)
@@ -168,20 +174,6 @@ class Map {
     steps.delay = delay;
     steps.top = static_cast<std::int64_t>(std::min(top, size()));
     return steps;
-  }
-
-  // The answer to the query at a place of the decisions.
-  Answer answer(const Decisions& decisions, std::size_t place, std::int64_t query) const {
-    Answer answer;
-    answer.query = query;
-    answer.score_is = decisions.follows[place] ? "probability" : channels_.size() > 1 ? "fused score" : "cosine";
-    answer.confidence = decisions.sure[place];
-    const auto top = decisions.rows.size() / decisions.follows.size();
-    for (auto at = place * top; at < (place + 1) * top && decisions.rows[at] >= 0; ++at) {
-      const auto row = static_cast<std::size_t>(decisions.rows[at]);
-      answer.candidates.push_back({frames_[row], std::min(1.0F, decisions.scores[at]), poses_[row]});
-    }
-    return answer;
   }
 
   static void require(int status, const std::string& what) {
@@ -220,26 +212,14 @@ class Map {
                                ": they do not compare");
   }
 
-  // A pose a line, of the frames in their order: x, y and heading.
+  // (R, 3) float64, if the file is there.
   void read_poses(const std::string& path) {
-    std::ifstream file(path);
-    if (!file) {
-      poses_.resize(size());
-      return;
-    }
-    for (std::string line; detail::read_line(file, line);) {
-      const char* text = line.c_str();
-      poses_.emplace_back();
-      for (double* number : {&poses_.back().x, &poses_.back().y, &poses_.back().heading}) {
-        char* end;
-        *number = std::strtod(text, &end);
-        if (end == text) throw std::runtime_error(path + ": expected x, y and heading, got " + line);
-        text = end;
-      }
-    }
-    if (poses_.size() != size())
-      throw std::runtime_error(path + ": expected " + std::to_string(size()) + " poses, got " +
-                               std::to_string(poses_.size()));
+    poses_.resize(size());
+    if (!std::ifstream(path)) return;
+    const auto poses = npy::load(path);
+    if (poses.dtype != "<f8" || poses.bytes.size() != size() * sizeof(Pose))
+      throw std::runtime_error(path + ": expected a (" + std::to_string(size()) + ", 3) array of float64");
+    std::memcpy(poses_.data(), poses.bytes.data(), poses.bytes.size());
   }
 
   void open(const std::string& path) {
@@ -333,12 +313,7 @@ class Tracker {
     if (size < 0) throw std::bad_alloc();
     std::vector<char> state(static_cast<std::size_t>(size));
     ssrvlad_tracker_save(tracker_.get(), state.data(), size);
-    const auto temporary = path + ".part";
-    std::ofstream file(temporary, std::ios::binary);
-    file.write(state.data(), size);
-    file.close();
-    if (!file) throw std::runtime_error(path + ": cannot be written");
-    std::filesystem::rename(temporary, path);
+    npy::replace(path, [&](std::ostream& file) { file.write(state.data(), size); });
   }
 
   // Goes on from a saved state of this map and these settings, before the first frame: later answers are the same.
@@ -359,13 +334,10 @@ class Tracker {
 
   template <typename Call>
   std::optional<Answer> answer(const Call& call) {
-    Map::Decisions decisions(map_, 1, steps_.top);
-    std::int64_t query = -1;
-    Map::require(call(&decisions.decision, &decisions.taken, &query), "the descriptors of the frame");
-    if (query < 0) return std::nullopt;
-    auto answer = map_.answer(decisions, 0, query);
-    answer.settled = query >= kSettled;
-    return answer;
+    auto answers = map_.decided(1, steps_.top, call);
+    if (answers.empty()) return std::nullopt;
+    answers[0].settled = answers[0].query >= kSettled;
+    return answers[0];
   }
 
   const Map& map_;

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cstddef>
 #include <cstdint>
+#include <filesystem>
 #include <fstream>
 #include <iterator>
 #include <stdexcept>
@@ -105,6 +106,17 @@ inline Array parsed(const std::string& content) {
 // Throws std::runtime_error if a file cannot be read.
 inline void require(const std::string& path) {
   if (!std::ifstream(path)) throw std::runtime_error(path + ": cannot be read");
+}
+
+// Writes a file by a job, whole or not at all.
+template <typename Job>
+void replace(const std::string& path, const Job& job) {
+  const auto temporary = path + ".part";
+  std::ofstream file(temporary, std::ios::binary);
+  job(file);
+  file.close();
+  if (!file) throw std::runtime_error(path + ": cannot be written");
+  std::filesystem::rename(temporary, path);
 }
 
 // What a job makes of the content of a file; its error names the file.

@@ -45,7 +45,7 @@ class Database:
 
     ``FILE.frames.txt`` holds the ids, one a line, ``FILE.fingerprint.txt`` the fingerprint, and
     ``FILE.features.npy`` and ``FILE.hog.npy`` the other channels, with fingerprints of their own;
-    ``FILE.poses.txt``, if it exists, x, y and heading of each frame.
+    ``FILE.poses.npy``, if it exists, x, y and heading of each frame.
 
     Args:
         path: FILE.
@@ -79,9 +79,9 @@ class Database:
             if len(rows) != len(self.frames):
                 raise ValueError(f"{path}: {rows.shape} for {len(self.frames)} frames")
         self._poses = np.full((len(self.frames), 3), np.nan)
-        if (file := beside(path, "poses")).exists():
+        if (file := array_of(path, "poses")).exists():
             with naming(file):
-                self._poses = np.loadtxt(file, ndmin=2)
+                self._poses = np.load(file)
             if self._poses.shape != (len(self.frames), 3):
                 raise ValueError(f"{file}: {self._poses.shape} for {len(self.frames)} frames")
         sequences = groupby(self.frames, lambda frame: frame.rpartition("/")[0])
@@ -152,7 +152,7 @@ def save(
         require_one_line(frame)
     text = "".join(f"{frame}\n" for frame in frames)
     beside(path, "frames").write_text(text, encoding="utf-8", newline="\n")
-    beside(path, "poses").unlink(missing_ok=True)
+    array_of(path, "poses").unlink(missing_ok=True)
     for name in reversed(TRUST):
         array = array_of(path, name)
         if name not in fingerprints:
@@ -173,7 +173,7 @@ def beside(path: Path, what: str) -> Path:
 
 
 def array_of(path: Path, channel: str) -> Path:
-    """The array of a channel of a database."""
+    """The array of a channel of a database, or of its poses."""
     return path if channel == LABEL_SHAPES else path.with_name(f"{path.name}.{channel}.npy")
 
 

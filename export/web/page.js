@@ -33,7 +33,7 @@ const remote = new Remote();
 async function openFiles(files) {
   const names = Object.keys(files);
   const model = names.find((name) => name.endsWith(".onnx"));
-  const array = names.find((name) => /(?<!\.features|\.hog)\.npy$/.test(name));
+  const array = names.find((name) => /(?<!\.features|\.hog|\.poses)\.npy$/.test(name));
   const frames = names.filter((name) => PICTURE.test(name)).sort(inOrder);
   if (!model && !array && !frames.length)
     throw new Error("expected .onnx, .npy with .txt, or picture files");

@@ -7,9 +7,10 @@ import posixpath
 import shutil
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from ..channels import CHANNELS
 from ..files import replacing, requiring
@@ -18,16 +19,16 @@ from .frames import FrameSet
 
 Format = Literal["npy", "hloc"]
 
-_FINGERPRINT, _POSES = ".fingerprint.txt", ".poses.txt"
+_FINGERPRINT, _POSES = ".fingerprint.txt", ".poses.npy"
 _GROUP_BYTES = 1024
 
 
 def export_database(database: Database, form: Format, file: Path) -> list[Path]:
     """Writes raw descriptors and frame ids, in natural order, to files of another format.
 
-    ``npy`` is an ``(R, D)`` float32 array, a text file with one frame id per line, if a pose is
-    known one with x, y and heading per line, a JSON file with fingerprint and settings, and an
-    array for each further channel, with its fingerprint in a text file; those of an earlier export
+    ``npy`` is an ``(R, D)`` float32 array, a text file with one frame id per line, a JSON file with
+    fingerprint and settings, an array for each further channel, with its fingerprint in a text
+    file, and if a pose is known ``(R, 3)`` float64 of x, y and heading; those of an earlier export
     that are not written again are deleted. ``hloc`` is an HDF5
     file with one group per frame, named by its id: ``global_descriptor``, ``(D,)`` float32, as
     hloc's ``extract_features`` writes it (https://github.com/cvg/Hierarchical-Localization), and a
@@ -53,27 +54,29 @@ def export_database(database: Database, form: Format, file: Path) -> list[Path]:
             f"lines, the first is {broken[0]!r}"
         )
     first, *further = database.columns
-    arrays = {"": first, **{f".{column.name}.npy": column for column in further}}
+    columns = {"": first, **{f".{column.name}.npy": column for column in further}}
+    arrays: dict[str, npt.NDArray[Any]] = {
+        end: frames.channels[column.name].numpy() for end, column in columns.items()
+    }
+    if np.isfinite(frames.poses).any():
+        arrays[_POSES] = frames.poses
     texts = {
         ".frames.txt": "".join(f"{frame}\n" for frame in frames.frames),
         ".json": json.dumps(about, indent=1) + "\n",
     }
-    if np.isfinite(frames.poses).any():
-        poses = (" ".join(map(repr, pose)) for pose in frames.poses.tolist())
-        texts[_POSES] = "".join(f"{pose}\n" for pose in poses)
-    for end, column in arrays.items():
+    for end, column in columns.items():
         if column.fingerprint:
             texts[end + _FINGERPRINT] = f"{column.fingerprint}\n"
     with ExitStack() as stack:  # all files are whole before the first replaces an earlier one
-        for end, column in arrays.items():
+        for end, array in arrays.items():
             target = stack.enter_context(replacing(file.with_name(file.name + end)))
             with target.open("wb") as stream:
-                np.save(stream, frames.channels[column.name].numpy())
+                np.save(stream, array)
         for end, text in texts.items():
             target = stack.enter_context(replacing(file.with_name(file.name + end)))
             target.write_text(text, encoding="utf-8", newline="\n")
-    for end in ("", *(f".{name}.npy" for name in CHANNELS)):
-        for earlier in {end, end + _FINGERPRINT, _POSES} - {*arrays, *texts}:
+    for end in ("", _POSES, *(f".{name}.npy" for name in CHANNELS)):
+        for earlier in {end, end + _FINGERPRINT} - {*arrays, *texts}:
             file.with_name(file.name + earlier).unlink(missing_ok=True)
     return [file.with_name(file.name + end) for end in (*arrays, *texts)]
 

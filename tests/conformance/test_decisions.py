@@ -3,10 +3,12 @@ package: test_native_map.py and test_decide.py hold the core to formulas. Loops 
 formulas."""
 
 import json
+import math
 import re
 import subprocess
 from subprocess import PIPE
 
+import numpy as np
 import pytest
 from conformance.decisions import (
     ASKED,
@@ -22,6 +24,8 @@ from conformance.decisions import (
 )
 from helpers import outcome
 from natsort import natsorted
+
+from ssrvlad_torch import Database
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +83,14 @@ def test_an_answer_is_printed_once_two_later_frames_have_come(program, folders, 
                 lines.append(process.stdout.readline())
         lines += process.communicate()[0].splitlines()
     assert [line.strip() for line in lines] == expected
-    assert [json.loads(line)["settled"] for line in lines] == [False] * 30 + [True] * 6
+    answers = [json.loads(line) for line in lines]
+    assert [answer["settled"] for answer in answers] == [False] * 30 + [True] * 6
+    town = Database.open(scene.town.with_suffix(".ssrdb")).load()
+    poses = dict(zip(town.frames, town.poses.tolist(), strict=True))
+    for answer in answers:
+        pose = poses[answer["candidates"][0]["frame"]]
+        assert [*answer["poses"][0].values()] == [None if math.isnan(n) else n for n in pose]
+    assert np.isfinite(town.poses).all(1).sum() == 36
 
 
 def sorted_by_query(lines):
