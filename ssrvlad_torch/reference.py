@@ -363,11 +363,8 @@ def normalise(vector: Floats) -> Floats:
 def features(activations: list[Floats], noise: list[list[Floats]]) -> npt.NDArray[np.uint8]:
     """The signs ``(16, 16, 16)`` of one picture, see `stages.features.Features`, from activations
     ``(C, h, w)``, and from those of each of some pictures of noise."""
-    cells = unit_cells(activations)
     projections = projections_of([unit_cells(level) for level in noise])
-    positive = np.zeros((SIDE, SIDE, SIGNS), bool)
-    for row in range(SIDE):
-        positive[:, row] = cells[:, row].T @ projections[row] > 0
+    positive = unit_cells(activations).transpose(2, 1, 0) @ projections > 0
     return np.packbits(positive, axis=2, bitorder="little")
 
 
@@ -390,19 +387,15 @@ def unit_cells(activations: list[Floats]) -> Floats:
     return np.concatenate(parts)
 
 
-def projections_of(noise: list[Floats]) -> list[Floats]:
-    """For each row of cells the projections ``(C, 128)``, from the cells of pictures of noise."""
+def projections_of(noise: list[Floats]) -> Floats:
+    """By which a cell is projected, ``(C, 128)``, from the cells of pictures of noise."""
     flat = np.concatenate([level.reshape(len(level), -1) for level in noise], 1)
     variances, components = np.linalg.eigh(flat @ flat.T / flat.shape[1])
     large = [k for k in np.argsort(-variances)[:SIGNS] if variances[k] > 1e-4 * variances.max()]
     components, deviations = components[:, large], np.sqrt(variances[large])
-    projections = []
-    for row in range(SIDE):
-        first = row * SIGNS * len(flat)
-        numbers = range(first, first + SIGNS * len(flat))
-        sides = np.array([random_side(n) for n in numbers]).reshape(SIGNS, -1)
-        left, _, right = np.linalg.svd((sides @ components).T, full_matrices=False)
-        projections.append(components / deviations @ left @ right)
+    sides = np.array([random_side(n) for n in range(SIGNS * len(flat))]).reshape(SIGNS, -1)
+    left, _, right = np.linalg.svd((sides @ components).T, full_matrices=False)
+    projections: Floats = components / deviations @ left @ right
     return projections
 
 

@@ -11,7 +11,7 @@
 
 namespace {
 
-constexpr int64_t ROWS = 140, QUERIES = 60, LENGTH = 48, ANCHORS = 3, COLUMNS = 6, BYTES = 16;
+constexpr int64_t ROWS = 140, QUERIES = 60, LENGTH = 48, ANCHORS = 3, COLUMNS = 6, HEIGHT = 2, BYTES = 16;
 
 constexpr int64_t FIRST = 40, TOP = 3;
 
@@ -53,8 +53,8 @@ struct Town {
     const ssrvlad_drives drives = {starts.data(), 3, ROWS};
     map = ssrvlad_map_new(&drives);
     const ssrvlad_channel channels[] = {
-        {vectors.data(), SSRVLAD_VECTORS, 1, LENGTH, 1, nullptr},
-        {signs.data(), SSRVLAD_SIGNS, COLUMNS, BYTES, 6, nullptr}};
+        {vectors.data(), SSRVLAD_VECTORS, 1, 1, LENGTH, 1, nullptr},
+        {signs.data(), SSRVLAD_SIGNS, COLUMNS, HEIGHT, BYTES / HEIGHT, 6, nullptr}};
     for (const auto &channel : channels) expect_ok(ssrvlad_map_add_channel(map, &channel));
     queries[0] = {swept.data(), ANCHORS}, queries[1] = {seen.data(), 1};
   }

@@ -133,14 +133,15 @@ void finds() {
   there.reserve(3), here.reserve(3);
   for (int64_t channel = 0; channel < channels; ++channel) {
     const bool vectors = one_in(2), scores = one_in(4);
-    const int64_t columns = vectors ? 1 : between(1, 8), size = vectors ? between(1, 64) : between(1, 20);
-    there.emplace_back(count, 1, columns * size, 1);
-    here.emplace_back(queries, vectors && one_in(2) ? 2 * between(0, 7) + 1 : 1, columns * size, speed);
+    const int64_t columns = vectors ? 1 : between(1, 8), height = vectors ? 1 : between(1, 4);
+    const int64_t size = vectors ? between(1, 64) : between(1, 20);
+    there.emplace_back(count, 1, columns * height * size, 1);
+    here.emplace_back(queries, vectors && one_in(2) ? 2 * between(0, 7) + 1 : 1, columns * height * size, speed);
     ssrvlad_channel added{};
     added.kind = vectors ? SSRVLAD_VECTORS : SSRVLAD_SIGNS;
     added.rows = vectors ? static_cast<const void *>(there.back().vectors.data()) : there.back().signs.data();
-    added.columns = columns, added.size = size, added.trust = 0.5 + fraction();
-    if (scores) added.kind = SSRVLAD_SCORES, added.rows = nullptr, added.columns = added.size = 1;
+    added.columns = columns, added.height = height, added.size = size, added.trust = 0.5 + fraction();
+    if (scores) added.kind = SSRVLAD_SCORES, added.rows = nullptr, added.columns = added.height = added.size = 1;
     expect(!ssrvlad_map_add_channel(map, &added), "a channel");
     ssrvlad_queries seen{};
     seen.descriptors = vectors ? static_cast<const void *>(here.back().vectors.data()) : here.back().signs.data();

@@ -13,6 +13,7 @@ from ssrvlad_torch.channels.hog import HOG
 from ssrvlad_torch.database.frames import FrameRecord, FrameSet
 from ssrvlad_torch.recognition.sweep import COLUMNS
 from ssrvlad_torch.search.index import build
+from ssrvlad_torch.stages.features import FORM
 
 CONFIG = SSRVLADConfig.from_preset("default", labels_as=SPACE)
 ROWS = 400
@@ -30,7 +31,7 @@ def flipped(signs, seed, share):
 
 def places():
     """Descriptors of `ROWS` places by three channels."""
-    shape = Features("x").column.shape
+    shape = Features(FORM).column.shape
     signs = np.random.default_rng(0).integers(0, 256, (ROWS, *shape), np.uint8)
     return {
         "ssr-vlad": descriptors(0, ROWS),
@@ -59,7 +60,7 @@ def queries_at(rows, names=ALL):
 
 def large_town(path, sequences):
     """`ROWS` frames of drives, one metre apart, with an index."""
-    columns = [Features("x").column, HOG().column]
+    columns = [Features(FORM).column, HOG().column]
     database = Database.create(path, CONFIG, columns=columns)
     frames = [FrameRecord(name, f"{n:03d}", float(n), 0.0) for n, name in enumerate(sequences)]
     database.append(frames, places())

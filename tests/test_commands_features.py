@@ -228,7 +228,7 @@ def test_a_database_of_the_earlier_form_is_refused(photos, refusal):
     ):
         line = refusal(*command)
         assert "features are of 16 x 16 cells, 64 signs of relu_2, 0f, this version makes" in line
-        assert line.endswith("descriptors (16, 16, 16), not (16, 16, 8): encode the frames again")
+        assert line.endswith("makes 16 x 16 cells alike, 128 signs: encode the frames again")
 
 
 def test_a_network_without_features(photos, refusal):

@@ -25,7 +25,7 @@ def decided(starts, scores):
         handle = ctypes.c_void_p(core.ssrvlad_map_new_for(INTERFACE, drives))
         if not handle:
             return -2
-        core.ssrvlad_map_add_channel(handle, struct("channel")(None, 2, 1, 1, 1.0))
+        core.ssrvlad_map_add_channel(handle, struct("channel")(None, 2, 1, 1, 1, 1.0))
         steps, done = struct("steps")(0, 0, 2, 0, 1), struct("taken")(0, 0, of(FOUND))
         passed, room = struct("queries")(of(FRAMES), 1), struct("decision")(scores)
         status = core.ssrvlad_map_query(handle, passed, 1, steps, 1, room, done)
@@ -39,7 +39,7 @@ def channel(kind, columns, size):
     def add(core):
         drives = struct("drives")(of(START), 1, 4)
         town = ctypes.c_void_p(core.ssrvlad_map_new_for(INTERFACE, drives))
-        rows = struct("channel")(of(FRAMES), kind, columns, size, 1.0)
+        rows = struct("channel")(of(FRAMES), kind, columns, 1, size, 1.0)
         status = core.ssrvlad_map_add_channel(town, rows)
         core.ssrvlad_map_free(town)
         return status

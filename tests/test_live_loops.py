@@ -19,6 +19,7 @@ from ssrvlad_torch import SSRVLAD, Database, SSRVLADConfig
 from ssrvlad_torch.channels.features import Features
 from ssrvlad_torch.datasets.label_files import digest
 from ssrvlad_torch.loops.config import LoopConfig
+from ssrvlad_torch.stages.features import FORM
 
 
 @pytest.mark.parametrize("encoding", live_loops.DTYPES)
@@ -183,7 +184,7 @@ def test_frames_of_a_model_are_kept_and_gone_on_from(drives, tmp_path):
     plain = PlaceModel(drives / "place.onnx", features=False)
     refuses("has features of its frames", live_loops.LiveLoops, CONFIG, memory=memory, model=plain)
     other = tmp_path / "other.ssrdb"
-    columns = [Features("of another network").column]
+    columns = [Features(f"{FORM} of another network").column]
     Database.create(other, core._detector.head.config, columns=columns)
     refuses("of another network", live_loops.LiveLoops, CONFIG, memory=other, model=model)
     with pytest.raises(ValueError, match="the model has settings e79189ee9e88a037, this node fae2"):

@@ -98,7 +98,7 @@ def test_a_sequence_of_equal_frames_stays_as_it_is(equals):
     seed=SEEDS,
     sequences=SEQUENCES,
     queries=st.integers(30, 70),
-    shape=st.sampled_from(((8, 3, 4), (2, 1, 1), (1, 9), (3, 8))),
+    shape=st.sampled_from(((8, 3, 4), (2, 1, 1), (1, 1, 9), (3, 5, 8), (5, 8, 16))),
     sweep=st.booleans(),
     standardise=st.booleans(),
 )
@@ -108,7 +108,7 @@ def test_signs_are_compared_as_by_the_oracle(seed, sequences, queries, shape, sw
     there = rng.integers(0, 256, (sum(sequences), *shape), np.uint8)
     here = rng.integers(0, 256, (queries, *shape), np.uint8)
     same = rng.random((2, *shape)) < 0.5
-    same[..., 0] = False  # columns of equal signs have no length without their mean
+    same[..., 0] = False  # cells of equal signs have no length without their mean
     there, here = (
         np.where(where, signs[:1], signs) for where, signs in zip(same, (there, here), strict=True)
     )
@@ -118,13 +118,13 @@ def test_signs_are_compared_as_by_the_oracle(seed, sequences, queries, shape, sw
     assert taken.standardised == (standardise and len(there) >= oracle.MIN_FRAMES)
     sides = []
     for signs, names in ((here, [""] * queries), (there, named(sequences))):
-        bits = np.unpackbits(signs.reshape(*signs.shape[:2], -1), axis=2, bitorder="little")
-        numbers = 2.0 * bits - 1
+        numbers = 2.0 * np.unpackbits(signs, axis=-1, bitorder="little") - 1
         if taken.standardised:
             less = oracle.means_of_sequences(numbers, names)
-            numbers -= np.where((np.abs(less) == 1).all((1, 2), keepdims=True), 0, less)
+            numbers -= np.where((np.abs(less) == 1).all((1, 2, 3), keepdims=True), 0, less)
         sides.append(numbers)
-    equal(scores, oracle.cosines_of_signs(*sides, min(2, shape[0] - 1) if sweep else 0))
+    reach = [min(most, count - 1) for most, count in zip((3, 2), shape[:2], strict=True)]
+    equal(scores, oracle.cosines_of_signs(*sides, *(reach if sweep else (0, 0))))
 
 
 @pytest.mark.parametrize("kind", ["vectors", "signs"])
@@ -151,8 +151,7 @@ def test_rows_of_a_shortlist_lose_the_means_of_their_sequences(kind, standardise
 def mean_of(descriptors):
     """What the rows of a sequence lose, of signs as 1 and -1."""
     if descriptors.dtype == np.uint8:
-        bits = np.unpackbits(descriptors, axis=-1, bitorder="little")
-        return 2.0 * bits.reshape(*bits.shape[:2], -1).mean(0) - 1
+        return 2.0 * np.unpackbits(descriptors, axis=-1, bitorder="little").mean(0) - 1
     return descriptors[descriptors.any(1)].mean(0, dtype=float)
 
 
@@ -160,8 +159,8 @@ def channels(rng, sequences, queries):
     """A sequence along a map by three channels."""
     rows = sum(sequences)
     at = (rng.integers(0, rows) + np.arange(queries)) % rows
-    places, signs = rng.normal(size=(rows, 24)), rng.integers(0, 256, (rows, 6, 8), np.uint8)
-    flipped = rng.integers(0, 256, (queries, 6, 8), np.uint8)
+    places, signs = rng.normal(size=(rows, 24)), rng.integers(0, 256, (rows, 6, 2, 4), np.uint8)
+    flipped = rng.integers(0, 256, (queries, 6, 2, 4), np.uint8)
     flipped &= rng.integers(0, 256, flipped.shape, np.uint8)
     there = {"shapes": unit(places + 1), "features": signs, "hog": unit(places - 1)}
     seen = places[at][:, None] + rng.normal(size=(queries, 13, 24))

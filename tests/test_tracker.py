@@ -26,10 +26,10 @@ def town_and_queries(seed=0, strength=0.5):
     """A map of vectors and signs, and a sequence along its rows that sees them changed."""
     rng = np.random.default_rng(seed)
     rows = unit(rng.normal(size=(sum(ROWS), 48)))
-    signs = rng.integers(0, 256, (sum(ROWS), 6, 16), dtype=np.uint8)
+    signs = rng.integers(0, 256, (sum(ROWS), 6, 2, 8), dtype=np.uint8)
     here = slice(FIRST, FIRST + QUERIES)
     noise = strength * rng.normal(size=(QUERIES, 3, 48)) / np.sqrt(48)
-    flips = rng.integers(0, 256, (2, QUERIES, 6, 16), dtype=np.uint8)
+    flips = rng.integers(0, 256, (2, QUERIES, 6, 2, 8), dtype=np.uint8)
     queries = {"v": unit(rows[here, None] + noise), "s": signs[here] ^ flips[0] & flips[1]}
     town = DescriptorMap(ROWS)
     town.add("v", rows)
@@ -100,10 +100,10 @@ def test_a_state_is_of_its_map_and_its_settings_and_whole():
     state = tracker.save()
     smaller = DescriptorMap([30])
     smaller.add("v", np.eye(30, 48, dtype=np.float32))
-    smaller.add("s", np.zeros((30, 6, 16), np.uint8), 6.0)
+    smaller.add("s", np.zeros((30, 6, 2, 8), np.uint8), 6.0)
     changed = DescriptorMap(ROWS)
     changed.add("v", np.eye(sum(ROWS), 48, dtype=np.float32))
-    changed.add("s", np.zeros((sum(ROWS), 6, 16), np.uint8), 6.0)
+    changed.add("s", np.zeros((sum(ROWS), 6, 2, 8), np.uint8), 6.0)
     damaged = bytearray(state)
     damaged[len(state) // 2] ^= 1
     for other, content in (
@@ -147,8 +147,8 @@ def test_vectors_lose_the_mean_of_the_queries_so_far_and_of_ten_frames_like_the_
 @given(seed=st.integers(0, 1000))
 @settings(max_examples=10)
 def test_signs_lose_the_mean_of_the_queries_so_far_and_of_ten_frames_like_the_map(seed):
-    rng = np.random.default_rng(seed)
-    rows, queries = (rng.integers(0, 256, (count, 4, 8), dtype=np.uint8) | 1 for count in (80, 12))
+    rng, shape = np.random.default_rng(seed), (4, 2, 4)
+    rows, queries = (rng.integers(0, 256, (n, *shape), dtype=np.uint8) | 1 for n in (80, 12))
     town = DescriptorMap([50, 30])
     town.add("s", rows)
     decision = town.query({"s": queries}, sweep=False, follow="online", top=80)

@@ -237,7 +237,8 @@ class Map {
       rows.rows = channel.rows.bytes.data();
       rows.kind = channel.is_signs() ? SSRVLAD_SIGNS : SSRVLAD_VECTORS;
       rows.columns = channel.is_signs() ? shape[1] : 1;
-      rows.size = channel.is_signs() ? shape[2] * shape[3] : shape[1];
+      rows.height = channel.is_signs() ? shape[2] : 1;
+      rows.size = channel.is_signs() ? shape[3] : shape[1];
       rows.trust = detail::trust_of(channel.name);
       require(ssrvlad_map_add_channel(map_.get(), &rows), channel.file);
     }

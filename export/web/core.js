@@ -2,7 +2,7 @@
 // are those of ssrvlad_torch/native/*.h. Addresses are numbers, 64-bit integers BigInt. There are no
 // exceptions: where a function would return an error, the core stops.
 
-export const INTERFACE = 4; // SSRVLAD_INTERFACE of the headers from which structs and calls are taken
+export const INTERFACE = 5; // SSRVLAD_INTERFACE of the headers from which structs and calls are taken
 const NO_SYSTEM = 52; // what the functions answer that would only report a crash
 
 export const [INT, ADDRESS, LONG, DOUBLE] = ["Int32", "Int32", "BigInt64", "Float64"];

@@ -6,7 +6,9 @@ import { ADDRESS, DOUBLE, INT, INTERFACE, LONG, Struct } from "./core.js";
 const [ALONE, OFFLINE] = [0, 2];
 const [VECTORS, SIGNS] = [0, 1];
 const DRIVES = new Struct({ starts: ADDRESS, count: LONG, rows: LONG });
-const CHANNEL = new Struct({ rows: ADDRESS, kind: INT, columns: LONG, size: LONG, trust: DOUBLE, means: ADDRESS });
+const CHANNEL = new Struct({
+  ...{ rows: ADDRESS, kind: INT, columns: LONG, height: LONG, size: LONG, trust: DOUBLE, means: ADDRESS },
+});
 const QUERIES = new Struct({ descriptors: ADDRESS, anchors: LONG });
 const STEPS = new Struct({
   ...{ standardise: INT, sweep: INT, follow: INT, delay: LONG, top: LONG },
@@ -42,8 +44,8 @@ export class Database {
       const { shape: [count, ...form], values } = readArray(bytes, name);
       if (count !== this.frames.length)
         throw new Error(`${name}: the array has ${count} rows, the text file ${this.frames.length} ids`);
-      const columns = form.length > 1 ? form.shift() : 1;
-      return [name, { columns, size: productOf(form), values, fingerprint: fingerprint?.trim() }];
+      const [columns, height, size] = form.length > 1 ? form : [1, 1, ...form];
+      return [name, { columns, height, size, values, fingerprint: fingerprint?.trim() }];
     });
     this.channels = {};
     try {
@@ -104,9 +106,9 @@ export class Database {
     const drives = DRIVES.bytes({ starts: put(BigInt64Array.from(starts, BigInt)), ...size });
     const map = this.core.call("ssrvlad_map_new_for", INTERFACE, put(drives));
     for (const name of names) {
-      const { rows, columns, size } = this.channels[name];
+      const { rows, columns, height, size } = this.channels[name];
       const [kind, { trust }] = [name === "features" ? SIGNS : VECTORS, CHANNELS[name]];
-      const channel = put(CHANNEL.bytes({ rows, kind, columns, size, trust }));
+      const channel = put(CHANNEL.bytes({ rows, kind, columns, height, size, trust }));
       this.core.call("ssrvlad_map_add_channel", map, channel);
     }
     return map;
@@ -115,13 +117,13 @@ export class Database {
   /** The address of the queries by some channels. */
   #queries(put, names, drive, columns) {
     const structs = names.flatMap((name) => {
-      const { columns: across, size } = this.channels[name];
+      const { columns: across, height, size } = this.channels[name];
       const anchors = (name === "descriptor" && columns.length) || 1;
-      const length = anchors * across * size;
+      const length = anchors * across * height * size;
       const odd = drive.find((frame) => frame[name]?.length !== length);
       if (odd)
         throw new Error(
-          `expected a database of ${(odd[name]?.length ?? 0) / anchors} numbers a frame, got ${across * size}`,
+          `expected a database of ${(odd[name]?.length ?? 0) / anchors} numbers a frame, got ${across * height * size}`,
         );
       const joined = new drive[0][name].constructor(drive.length * length);
       for (const [at, frame] of drive.entries()) joined.set(frame[name], at * length);

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from ..descriptor import SSRVLAD
-from ..stages.features import SHAPE
+from ..stages.features import FORM, SHAPE
 from . import Column
 from .channel import FEATURES, Channel, Network, View
 
@@ -40,7 +40,7 @@ class Features(Channel):
     @classmethod
     def of(cls, column: Column, _head: SSRVLAD) -> Self:
         """See `Channel`."""
-        return cls(column.fingerprint)
+        return cls(column.fingerprint if column.fingerprint.startswith(FORM) else FORM)
 
     def describe(self, views: Sequence[View], _columns: Sequence[int] = ()) -> Tensor:
         """See `Channel`."""

@@ -91,8 +91,8 @@ class Channel {
 std::unique_ptr<Channel> channel_of_vectors(const float *rows, Size length, const Listing &listing,
                                             const float *means);
 
-// Signs (rows, columns, bytes), eight in a byte; means as above, (drives, columns, 8 * bytes).
-std::unique_ptr<Channel> channel_of_signs(const std::uint8_t *rows, Size columns, Size bytes,
+// Signs (rows, columns, height, bytes), eight in a byte; means as above, (drives, columns, height, 8 * bytes).
+std::unique_ptr<Channel> channel_of_signs(const std::uint8_t *rows, Size columns, Size height, Size bytes,
                                           const Listing &listing, const float *means);
 
 // The scores of the queries of a drive by another method, (count, rows), which must outlive it.

@@ -78,7 +78,7 @@ void by_choice(const Chosen &chosen, const GrowingRows<Number> &rows, Size width
 // The numbers of bits in which a column of a frame differs from that of another.
 Size differing(const Word *one, const Word *other, Size words) {
   std::int32_t bits;
-  count_moves(one, other, 1, {1, words, 0}, &bits);
+  count_moves(one, other, 1, {1, 1, words, 0, 0}, &bits);
   return bits;
 }
 }  // namespace
@@ -202,7 +202,7 @@ double LiveVectors::cosine(const void *one, const void *other) const {
 StoredSigns::StoredSigns(Size columns, Size size)
     : columns_(columns),
       size_(size),
-      grid_{columns, (size + 7) / 8, REACH},
+      grid_{columns, 1, (size + 7) / 8, REACH, 0},
       rows_(grid_.size()),
       nothing_(place(grid_.size())) {}
 

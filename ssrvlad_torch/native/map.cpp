@@ -36,23 +36,24 @@ class Together : public Scores {
 
 void Map::add(const ssrvlad_channel &channel) {
   const Size rows = listing_.count();
-  require(channel.trust > 0 && std::isfinite(channel.trust) && channel.columns >= 1 && channel.size >= 1,
-          "a trust above 0, and columns and a size from 1");
+  require(channel.trust > 0 && std::isfinite(channel.trust) && channel.columns >= 1 && channel.height >= 1 &&
+              channel.size >= 1,
+          "a trust above 0, and columns, a height and a size from 1");
   Member member{nullptr, 0, 0, channel.trust, static_cast<const std::uint8_t *>(channel.rows), 0};
   if (channel.kind != SSRVLAD_SCORES) {
     const bool are_signs = channel.kind == SSRVLAD_SIGNS;
-    require((channel.rows || !rows) && may_be({rows, channel.columns, channel.size}));
-    member.of_mean = channel.columns * channel.size * (are_signs ? 8 : 1);
-    member.bytes = channel.columns * channel.size * (are_signs ? 1 : static_cast<Size>(sizeof(float)));
+    require((channel.rows || !rows) && may_be({rows, channel.columns, channel.height, channel.size}));
+    member.of_mean = channel.columns * channel.height * channel.size * (are_signs ? 8 : 1);
+    member.bytes = channel.columns * channel.height * channel.size * (are_signs ? 1 : static_cast<Size>(sizeof(float)));
     require(member.of_mean <= MOST_NUMBERS, "descriptors of up to 2^31 numbers");
     const auto means = static_cast<Size>(listing_.drives.starts.size());
     require(!channel.means || are_finite(channel.means, means * member.of_mean), "finite means");
     if (are_signs) {
       member.channel = channel_of_signs(static_cast<const std::uint8_t *>(channel.rows), channel.columns,
-                                        channel.size, listing_, channel.means);
+                                        channel.height, channel.size, listing_, channel.means);
     } else {
       const auto *vectors = static_cast<const float *>(channel.rows);
-      require(channel.kind == SSRVLAD_VECTORS && channel.columns == 1);
+      require(channel.kind == SSRVLAD_VECTORS && channel.columns == 1 && channel.height == 1);
       require(are_finite(vectors, rows * channel.size), "finite rows");
       member.channel = channel_of_vectors(vectors, channel.size, listing_, channel.means);
       member.length = channel.size;

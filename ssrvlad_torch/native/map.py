@@ -154,10 +154,11 @@ class DescriptorMap:
         Args:
             name: of the channel.
             rows: vectors ``(R, D)`` float32 of length 1 or zero, which match nothing; or signs
-                ``(R, columns, ...)`` uint8, eight in a byte; ``None`` for scores of another method.
+                ``(R, columns, rows, bytes)`` uint8, eight in a byte; ``None`` for scores of another
+                method.
             trust: how much the channel counts before anything is known of a sequence.
             means: what the rows of a shortlist lose: ``(M, D)`` float32, of signs as 1 and -1 ``(M,
-                columns, bits)``.
+                columns, rows, bits)``.
 
         Raises:
             ValueError: the rows are no such array, not one for each frame, or not finite.
@@ -166,7 +167,7 @@ class DescriptorMap:
             raise ValueError(
                 f"{name}: expected a name that is new, got {', '.join(self._channels)}"
             )
-        array, first, kind, columns, size, bits = None, None, _SCORES, 1, 1, 1
+        array, first, kind, shape, bits = None, None, _SCORES, (1, 1, 1), 1
         if rows is not None:
             array = _checked(rows, name)
             if len(array) != self._count:
@@ -176,17 +177,16 @@ class DescriptorMap:
             kind, bits = (_VECTORS, 1) if array.dtype == np.float32 else (_SIGNS, 8)
             if kind == _VECTORS and array.ndim != 2:
                 raise ValueError(f"{name}: expected vectors (R, D), got {array.shape}")
-            columns = 1 if kind == _VECTORS else array.shape[1]
-            size = math.prod(array.shape[1:]) // columns
+            shape = (1, 1, array.shape[1]) if kind == _VECTORS else array.shape[1:]
             first = address(array, (self._count, *array.shape[1:]), "float32", "uint8")
         if means is not None:
             means = np.ascontiguousarray(means, np.float32)
-            if means.size != self._means * columns * size * bits:
+            if means.size != self._means * math.prod(shape) * bits:
                 raise ValueError(
                     f"{name}: expected means of {self._means} parts of the map, got {means.shape}"
                 )
         of_means = None if means is None else address(means, means.shape, "float32")
-        channel = struct("channel")(first, kind, columns, size, trust, of_means)
+        channel = struct("channel")(first, kind, *shape, trust, of_means)
         require(required().ssrvlad_map_add_channel(self._map, ctypes.byref(channel)), name)
         self._channels[name] = array
         self._of_sequences.append(means)
@@ -389,10 +389,10 @@ def _checked(array: Array, name: str) -> Array:
     """Contiguous vectors or signs."""
     numbers = np.asarray(array)
     checked = np.ascontiguousarray(numbers, np.float32 if numbers.dtype.kind == "f" else None)
-    are_signs = checked.dtype == np.uint8 and checked.ndim >= 3
+    are_signs = checked.dtype == np.uint8 and checked.ndim == 4
     if not are_signs and not (checked.dtype == np.float32 and checked.ndim in (2, 3)):
         raise ValueError(
-            f"{name}: expected vectors of float32 or signs (N, columns, ...) of uint8, got "
+            f"{name}: expected vectors of float32 or signs (N, columns, rows, bytes) of uint8, got "
             f"{checked.shape} {checked.dtype}"
         )
     return checked

@@ -1,9 +1,10 @@
-// Descriptors of signs, packed in bits: how many differ, and what they weigh.
+// Descriptors of signs, packed in bits, on a grid of cells: in how many they differ, moved, and their means.
 
 #ifndef SSRVLAD_SIGNS_HPP
 #define SSRVLAD_SIGNS_HPP
 
 #include <cstdint>
+#include <vector>
 
 #include "numbers.hpp"
 
@@ -11,28 +12,59 @@ namespace places {
 
 using Word = std::uint64_t;
 
-constexpr Size NIBBLES = 16;
-
-// Signs on a grid of `columns` columns of `words` words, moved by up to `reach` columns to each side.
+// Signs on a grid of cells of `words` words, column after column. One side is moved by up to `across`
+// columns to each side, and by up to `along` rows up and down.
 struct SignGrid {
-  Size columns, words, reach;
+  Size columns, rows, words, across, along;
 
-  Size size() const { return columns * words; }
-  Size moves() const { return 2 * reach + 1; }
-  // The first column of the query and of the row that overlap in a move, and their number.
-  Size ours(Size move) const { return std::max<Size>(0, reach - move); }
-  Size theirs(Size move) const { return std::max<Size>(0, move - reach); }
-  Size overlapping(Size move) const { return columns - ours(move) - theirs(move); }
+  Size column() const { return rows * words; }
+  Size size() const { return columns * column(); }
+  Size moves() const { return (2 * across + 1) * (2 * along + 1); }
+
+  // The cells of both sides that overlap in a move: the first of the side that is moved, the first of the
+  // other, and how many.
+  struct Overlap {
+    Size our_column, our_row, their_column, their_row, columns, rows;
+    Size cells() const { return columns * rows; }
+  };
+  Overlap overlap(Size move) const {
+    const Size right = move / (2 * along + 1) - across, down = move % (2 * along + 1) - along;
+    return {std::max<Size>(0, -right), std::max<Size>(0, -down), std::max<Size>(0, right), std::max<Size>(0, down),
+            columns - std::abs(right), rows - std::abs(down)};
+  }
 };
 
-// Counts the bits of the columns that overlap in which a query differs from each of `count` rows:
+// Counts the bits of the cells that overlap in which signs, moved, differ from each of `count` rows:
 // differing[move * count + row].
-void count_moves(const Word *query, const Word *rows, Size count, const SignGrid &grid,
-                 std::int32_t *differing);
+void count_moves(const Word *signs, const Word *rows, Size count, const SignGrid &grid, std::int32_t *differing);
 
-// Sums, for each of `groups` groups of the bytes of a row, the weights (bytes, 2, NIBBLES) of their low
-// and high nibbles.
-void weigh(const std::uint8_t *row, Size bytes, Size groups, const float *weights, float *sums);
+// Numbers from -1 to 1, one for each sign, as a weighted sum of signs 1 and -1. Cells have so many bits.
+struct SignMean {
+  std::vector<Word> planes;     // the signs of each weight
+  std::vector<double> weights;  // none if the numbers are nothing
+  std::vector<double> squares;  // of the numbers of each cell
+
+  // The mean of signs; nothing for one of signs that are all equal, of which it would leave nothing.
+  static SignMean of(const Word *signs, Size count, Size bits, const SignGrid &grid);
+  // Numbers (columns, rows, bits), rounded to 18 binary digits; nothing if all are 1 and -1.
+  static SignMean near(const float *numbers, Size bits, const SignGrid &grid);
+
+  Size count() const { return static_cast<Size>(weights.size()); }
+};
+
+// By move, the products of signs, moved, with a mean; of a mean, moved, with rows, products[move * count +
+// row]; and of a mean, moved, with another.
+std::vector<double> products(const Word *signs, const SignMean &mean, Size bits, const SignGrid &grid);
+void products(const SignMean &mean, const Word *rows, Size count, Size bits, const SignGrid &grid, float *products);
+std::vector<double> products(const SignMean &mean, const SignMean &other, Size bits, const SignGrid &grid);
+
+std::vector<double> numbers(const SignMean &mean, Size bits, const SignGrid &grid);
+
+// The squared lengths of the cells of signs without a mean.
+std::vector<double> squares(const Word *signs, const SignMean &mean, Size bits, const SignGrid &grid);
+
+// By move, the length of the cells that overlap, by their squares, of the side that is moved or of the other.
+std::vector<float> lengths(const std::vector<double> &squares, const SignGrid &grid, bool is_moved);
 
 }  // namespace places
 

@@ -67,7 +67,7 @@ typedef struct ssrvlad_head ssrvlad_head;
 /* The number of the interface of these headers. It rises with each change that programs must be compiled
  * again for; the function returns that of the library. What creates something is a macro that gives the
  * library this number: `ssrvlad_new(&settings)`. The library refuses another one. */
-#define SSRVLAD_INTERFACE 4
+#define SSRVLAD_INTERFACE 5
 SSRVLAD_API int ssrvlad_interface(void);
 
 /* SHA-256 of the C++ files, in the order of their names, from which the library was built; empty if

@@ -66,14 +66,15 @@ typedef struct ssrvlad_shortlist {
 
 /* The descriptors of the rows of a map, or of its shortlist, by one channel, in their order; they are not
  * copied, and must outlive the map. Vectors are float (rows, size), of length 1, or zeros for an empty frame,
- * which matches nothing; columns is 1. Signs are bytes (rows, columns, size), eight signs in each. Scores of
- * another method have no rows, and size and columns are 1. `trust` is how much the channel counts beside
- * others before anything is known of a drive. `means` are what the rows of a shortlist lose: (means_count,
- * size), of signs as 1 and -1 (means_count, columns, 8 * size); NULL for the means of the drives. */
+ * which matches nothing; columns and height are 1. Signs are bytes (rows, columns, height, size), eight in
+ * each, of cells in columns. Scores of another method have no rows, and columns, height and size are 1.
+ * `trust` is how much the channel counts beside others before anything is known of a drive. `means` are what
+ * the rows of a shortlist lose: (means_count, size), of signs as 1 and -1 (means_count, columns, height,
+ * 8 * size); NULL for the means of the drives. */
 typedef struct ssrvlad_channel {
   const void *rows;
   int32_t kind;
-  int64_t columns, size;
+  int64_t columns, height, size;
   double trust;
   const float *means;
 } ssrvlad_channel;
@@ -89,7 +90,7 @@ typedef struct ssrvlad_queries {
 /* What is done between descriptors and a decision. Standardise: each drive loses the mean of its
  * descriptors, if the queries and the map have 30 frames each; adjacent drives of the map of fewer frames
  * share one. Sweep: all anchors of the queries count, as far to both sides as suits the scores best;
- * signs are moved by up to two columns. Follow: SSRVLAD_ALONE, SSRVLAD_ONLINE with `delay` later queries,
+ * signs are moved by up to three columns and two rows. Follow: SSRVLAD_ALONE, SSRVLAD_ONLINE with `delay` later queries,
  * or SSRVLAD_OFFLINE, by the queries before each, and `delay` later ones, or by all. `top` candidates are
  * found for each query, among the rows with `allowed` (rows,) not 0, NULL for all, that are not from the
  * first to before the second row of the map of the query in `excluded` (count, 2), NULL for none. */

@@ -116,7 +116,7 @@ def references_of(
 
     Args:
         channels: by their names vectors ``(R, D)`` float, of length 1 or zero for an empty frame,
-            or signs ``(R, columns, ...)`` uint8, eight in a byte; ``None`` for scores.
+            or signs ``(R, columns, rows, bytes)`` uint8, eight in a byte; ``None`` for scores.
         sequences: of the frames, which stand together and in order.
         trust: how much channels count before anything is known of the queries, by default 1.
 

@@ -16,13 +16,14 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ..channels.signs import REACH, moved, numbers
+from ..channels.signs import moved, numbers
 
 VECTOR_LENGTH, SIGNS_LENGTH = 64, 256
 """Numbers of a code."""
 
-_BYTES = 4
-"""Of a cell of signs."""
+_BYTES, _REACH = 4, 2
+"""Of a cell of signs, and columns by which they are moved to each side, fewer than the core moves
+them."""
 _MOST, _DEVIATIONS = 127, 4.0
 _CODED, _COMPARED = 1 << 12, 1 << 10
 """Rows at once; so few are compared because they stay in the cache of a processor."""
@@ -97,7 +98,7 @@ def _probes(queries: Tensor, sweep: bool) -> Tensor:
         middle = swept.shape[1] // 2
         return F.normalize((swept if sweep else swept[:, middle : middle + 1]).float(), dim=2)
     grids = _grids(queries)
-    reach = min(REACH, grids.shape[1] - 1) if sweep else 0
+    reach = min(_REACH, grids.shape[1] - 1) if sweep else 0
     column = math.prod(grids.shape[2:])
     return torch.stack(
         [

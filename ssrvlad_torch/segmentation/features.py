@@ -16,7 +16,7 @@ import torch
 from torch import Tensor, nn
 
 from ..files import one_line
-from ..stages.features import COLUMNS, ROWS, SIGNS, Features, cell_means, random_numbers
+from ..stages.features import COLUMNS, FORM, ROWS, SIGNS, Features, cell_means, random_numbers
 from .activations import find_activations
 from .label_network import LabelNetwork
 from .onnx_network import OnnxNetwork
@@ -27,7 +27,7 @@ PROBES = ((224, 448), (512, 512), (512, 1024), (1024, 2048), (96, 128))
 NOISE = 4
 """Pictures of noise that the network sees."""
 
-_REVISION = 2
+_REVISION = 3
 _GRAY, _CONTRAST = 128, 48
 _NOISE_BITS = 24
 
@@ -59,8 +59,7 @@ class NetworkFeatures(nn.Module):
             del settings[name]
         content = [_REVISION, digest, settings, self.names, self.size, NOISE, ROWS, COLUMNS, SIGNS]
         self.key = hashlib.blake2b(json.dumps(content).encode(), digest_size=8).hexdigest()
-        form = f"{ROWS} x {COLUMNS} cells, {SIGNS} signs"
-        self.fingerprint = f"{form} of {', '.join(self.names)}, {self.key}"
+        self.fingerprint = f"{FORM} of {', '.join(self.names)}, {self.key}"
 
     def forward(self, activations: Sequence[Tensor]) -> Tensor:
         """``(B, *SHAPE)`` uint8, the signs of the activations of pictures."""

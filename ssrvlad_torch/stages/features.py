@@ -2,9 +2,9 @@
 
 The activations become means over cells. Each channel is normalised over the cells of its own
 picture, half of what the cells around it have in common is taken off, and each cell has length 1.
-Projections of it, which the network's cells of pictures of noise give, keep their signs. The cells
-of a row share the projections, so a picture that is moved by a column of cells has moved signs, and
-a mirrored one mirrored signs. Not in the paper.
+Projections of it, which the network's cells of pictures of noise give, keep their signs. All cells
+share the projections, so a picture that is moved by cells has moved signs, and a mirrored one
+mirrored signs. Not in the paper.
 """
 
 import hashlib
@@ -24,6 +24,9 @@ COLUMNS, ROWS, SIGNS = 16, 16, 128
 SHAPE = (COLUMNS, ROWS, SIGNS // 8)
 """Of a descriptor: sign ``k`` of a cell is bit ``k % 8``, from the lowest, of its byte ``k // 8``;
 1 is positive."""
+
+FORM = f"{ROWS} x {COLUMNS} cells alike, {SIGNS} signs"
+"""How the fingerprints of features of this form begin: those of earlier ones do not compare."""
 
 AROUND, SHARE = 5, 0.5
 """Rows and columns of the cells around a cell, and the share of their mean that is taken off."""
@@ -60,18 +63,16 @@ class Features(nn.Module):
     def __init__(self, *noise: Tensor) -> None:
         super().__init__()
         self.channels = [level.shape[1] for level in noise]
-        self.components: Tensor
-        self.rotations: Tensor
+        self.projections: Tensor
         self.bits: Tensor
-        components, rotations = projections(unit_cells(self._checked_means(noise)))
-        self.register_buffer("components", components, persistent=False)
-        self.register_buffer("rotations", rotations, persistent=False)
+        table = projections(unit_cells(self._checked_means(noise)))
+        self.register_buffer("projections", table, persistent=False)
         self.register_buffer("bits", 2.0 ** torch.arange(8).float(), persistent=False)
 
     def extra_repr(self) -> str:
         """The channels and a digest of the projections."""
-        tables = [t.numpy(force=True).tobytes() for t in (self.components, self.rotations)]
-        return f"{self.channels}, {hashlib.blake2b(b''.join(tables), digest_size=8).hexdigest()}"
+        table = self.projections.numpy(force=True).tobytes()
+        return f"{self.channels}, {hashlib.blake2b(table, digest_size=8).hexdigest()}"
 
     def forward(self, *activations: Tensor) -> Tensor:
         """The signs of pictures."""
@@ -80,13 +81,11 @@ class Features(nn.Module):
             means = list(map(cell_means, activations))
         else:
             means = self._checked_means(activations)
-        cells = unit_cells(means).permute(2, 0, 3, 1).flatten(1, 2)
-        signs = cells @ self.components @ self.rotations > 0
-        by_row = signs.unflatten(1, (-1, COLUMNS)).permute(1, 2, 0, 3)
+        signs = unit_cells(means).permute(0, 3, 2, 1) @ self.projections > 0
         if is_exporting:
             usable = torch.stack([is_usable(level) for level in means]).all(0)
-            by_row = by_row & usable[:, None, None, None]
-        packed: Tensor = by_row.unflatten(3, (-1, 8)).float() @ self.bits
+            signs = signs & usable[:, None, None, None]
+        packed: Tensor = signs.unflatten(3, (-1, 8)).float() @ self.bits
         return packed.to(torch.uint8)
 
     def _checked_means(self, activations: tuple[Tensor, ...]) -> list[Tensor]:
@@ -144,22 +143,23 @@ def is_usable(means: Tensor) -> Tensor:
     return (spread > _ROUNDING * means.abs().amax((1, 2, 3))) & means.sum((1, 2, 3)).isfinite()
 
 
-def projections(cells: Tensor) -> tuple[Tensor, Tensor]:
-    """The principal components ``(C, k)`` of the cells ``(N, C, ROWS, COLUMNS)`` of a network, at
-    most `SIGNS` of them, each divided by its deviation, and for each row of cells a rotation
-    ``(ROWS, k, SIGNS)``, float32. A cell times both is projected.
+def projections(cells: Tensor) -> Tensor:
+    """``(C, SIGNS)`` float32, by which a cell is projected: the principal components of the cells
+    ``(N, C, ROWS, COLUMNS)`` of a network, at most `SIGNS` of them, each divided by its deviation,
+    and rotated.
 
     The rotation is the orthogonal matrix nearest to random sides, seen from the components. So the
-    product does not depend on the signs that a library gives to components, and changes as little
+    projections do not depend on the signs that a library gives to components, and change as little
     as the cells where another processor rounds otherwise.
     """
     flat = cells.permute(1, 0, 2, 3).flatten(1).double()
     variances, components = torch.linalg.eigh(flat @ flat.T / flat.shape[1])
     large = variances > _NO_COMPONENT * variances[-1]
     variances, components = variances[large][-SIGNS:], components[:, large][:, -SIGNS:]
-    sides = random_sides(ROWS * SIGNS * len(flat)).view(ROWS, SIGNS, -1).transpose(1, 2)
+    sides = random_sides(SIGNS * len(flat)).view(SIGNS, -1).T
     left, _, right = torch.linalg.svd(components.T @ sides.double(), full_matrices=False)
-    return (components / variances.sqrt()).float(), (left @ right).float()
+    table: Tensor = (components / variances.sqrt() @ left @ right).float()
+    return table
 
 
 def random_sides(count: int) -> Tensor:

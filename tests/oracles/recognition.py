@@ -40,16 +40,21 @@ def cosines(queries, references):
     return np.where(lengths > 0, products / np.where(lengths > 0, lengths, 1), -np.inf)
 
 
-def cosines_of_signs(queries, references, reach):
-    """``(Q, R)`` by numbers ``(N, columns, D)``, signs as 1 and -1 or without a mean: those of the
-    best move of a query by up to ``reach`` columns, over the columns that overlap."""
+def cosines_of_signs(queries, references, across, down):
+    """``(Q, R)`` by numbers ``(N, columns, rows, bits)``, signs as 1 and -1 or without a mean:
+    those of the best move of a query, by up to so many columns to each side and rows up and down,
+    over the cells that overlap."""
     best = np.full((len(queries), len(references)), -np.inf)
-    columns = queries.shape[1]
-    for move in range(-reach, reach + 1):
-        ours = queries[:, max(0, -move) : columns - max(0, move)].reshape(len(queries), -1)
-        theirs = references[:, max(0, move) : columns - max(0, -move)].reshape(len(references), -1)
-        lengths = np.outer(*(np.linalg.norm(side, axis=1) for side in (ours, theirs)))
-        best = np.maximum(best, ours @ theirs.T / np.maximum(lengths, LEAST_LENGTH))
+    for move in itertools.product(range(-across, across + 1), range(-down, down + 1)):
+        sides = []
+        for side, sign in ((queries, -1), (references, 1)):
+            firsts = [max(0, sign * cells) for cells in move]
+            counts = [n - abs(cells) for n, cells in zip(side.shape[1:3], move, strict=True)]
+            within = [slice(a, a + n) for a, n in zip(firsts, counts, strict=True)]
+            overlap = side[:, *within]
+            sides.append(overlap.reshape(len(side), -1))
+        lengths = np.outer(*(np.linalg.norm(side, axis=1) for side in sides))
+        best = np.maximum(best, sides[0] @ sides[1].T / np.maximum(lengths, LEAST_LENGTH))
     return np.minimum(best, 1)
 
 
