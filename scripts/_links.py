@@ -75,6 +75,6 @@ def _help() -> Iterator[str]:
     """The help of each command of the table."""
     page = (DOCS / "reference" / "commands.md").read_text(encoding="utf-8")
     for name in dict.fromkeys(re.findall(r"^\| `ssrvlad ((?:db )?[a-z]+)", page, re.MULTILINE)):
-        command = [sys.executable, "-m", "ssrvlad_torch", *name.split(), "--help"]
+        command = [Path(sys.executable).with_name("ssrvlad"), *name.split(), "--help"]
         told = subprocess.run(command, check=True, capture_output=True, text=True).stdout
         yield f"\n## ssrvlad {name}\n\n```\n{told.strip()}\n```\n"
