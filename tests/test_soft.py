@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 from cases import camvid_labels, degenerate, needs_camvid
-from drawings import SPACE, one_hot
+from drawings import SPACE, blobs, one_hot
 from helpers import refuses, street
 from torch import Tensor
 
@@ -15,6 +15,12 @@ from ssrvlad_torch import SSRVLAD, SSRVLADConfig, SurrogateSSRVLAD
 from ssrvlad_torch.datasets.synthetic_city import SyntheticCity
 from ssrvlad_torch.soft.descriptor import SoftSSRVLAD
 from ssrvlad_torch.soft.place_loss import multi_similarity
+from ssrvlad_torch.soft.stages import soft_boundaries, soft_pool, soft_vanishing_columns
+from ssrvlad_torch.stages.boundaries import boundaries
+from ssrvlad_torch.stages.grid_pooling import pool
+from ssrvlad_torch.stages.layers import categorise, category_table, merge
+from ssrvlad_torch.stages.vanishing_column import vanishing_columns
+from ssrvlad_torch.taxonomy import label_space
 
 DEFAULT = SSRVLADConfig.from_preset("default", labels_as=SPACE)
 TINY = {"labels_as": SPACE, "closing": 0.2, "hole_area": 0.02, "region_area": 0.02}
@@ -108,6 +114,20 @@ def test_a_low_temperature_leads_to_the_hard_descriptor():
 def test_logits_and_their_probabilities_give_the_same():
     logits, twin = scores(2).detach(), SoftSSRVLAD(DEFAULT)
     torch.testing.assert_close(twin(logits.softmax(1)), twin(logits), rtol=0, atol=1e-4)
+
+
+@pytest.mark.parametrize("size", [(40, 52), (7, 5), (1, 1)])
+def test_of_zeros_and_ones_stages_give_what_the_hard_ones_give(size):
+    """The vanishing column to a pixel: the hard one is rounded."""
+    labels = torch.from_numpy(np.stack([blobs(seed, *size, 9) for seed in range(3)]))
+    numbers = merge(categorise(labels, *category_table(label_space(SPACE))))
+    masks, shift = (numbers[:, None] == torch.arange(6).view(-1, 1, 1)).double(), [0, 3, -7]
+    hard = pool(masks, torch.tensor(shift))
+    soft = soft_pool(masks, torch.tensor(shift).double(), tuple(hard.shape[2:]))
+    torch.testing.assert_close(soft, hard)
+    assert torch.equal(soft_boundaries(masks), boundaries(numbers))
+    apart = soft_vanishing_columns(masks) - vanishing_columns(numbers)
+    assert (apart.abs() <= 1).all()
 
 
 def test_gradients_lead_to_another_place():
