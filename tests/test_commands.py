@@ -6,13 +6,11 @@ import json
 import numpy as np
 import pytest
 from drawings import SPACE
-from drives import write_maps
 from helpers import street
 from networks import write_graph, write_street
 from PIL import Image
 
 from ssrvlad_torch import Database
-from ssrvlad_torch.cli.summaries import by_sequence
 from ssrvlad_torch.datasets.synthetic_city import write_city
 
 
@@ -60,25 +58,6 @@ def test_as_paper_contradicts_other_options(ssrvlad, refusal, database, maps):
     assert as_paper[0] == 0
 
 
-def _first(out: str) -> dict[str, str]:
-    """The first candidate of each query."""
-    return {line.split(": ")[0]: line.split()[1] for line in out.splitlines()}
-
-
-def test_another_folder_of_the_same_name_is_another_sequence(ssrvlad, database, maps, tmp_path):
-    other = write_maps(tmp_path / "other" / "monday", range(6))
-    found = _first(ssrvlad("query", database, other, "--top", 1, "--exclude", 5)[1])
-    assert found == {f"other/monday/{n:03d}": f"monday/{n:03d}" for n in range(6)}
-
-
-def test_a_folder_that_the_database_knows_is_its_sequence(ssrvlad, encode, tmp_path):
-    both = [write_maps(tmp_path / drive / "maps", range(6)) for drive in ("day", "dusk")]
-    town = tmp_path / "both.ssrdb"
-    encode(*both, "-o", town)
-    found = _first(ssrvlad("query", town, both[1], "--top", 1, "--exclude", 5)[1])
-    assert found == {f"dusk/maps/{n:03d}": f"day/maps/{n:03d}" for n in range(6)}
-
-
 def test_the_folder_of_a_map_that_was_moved_needs_a_sequence_name(ssrvlad, refusal, database, maps):
     (maps.parent / "elsewhere").mkdir()
     moved = maps.rename(maps.parent / "elsewhere" / "monday")
@@ -86,12 +65,6 @@ def test_the_folder_of_a_map_that_was_moved_needs_a_sequence_name(ssrvlad, refus
     assert "which is gone: if" in line and "give --sequence monday" in line
     out = ssrvlad("query", database, moved, "--exclude", 5, "--sequence", "monday")[1]
     assert [line.split(": ")[1][:12] for line in out.splitlines()] == ["no candidate"] * 6
-
-
-def test_the_line_of_steps_names_the_sequences_that_differ():
-    assert by_sequence({"a": "offline", "b": "offline"}) == "offline"
-    values = {"a": "no", **dict.fromkeys("bcdef", "offline")}
-    assert by_sequence(values) == "no (a); offline (b, c, d and 2 more)"
 
 
 @pytest.fixture

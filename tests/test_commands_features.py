@@ -3,22 +3,17 @@
 import json
 
 import numpy as np
-import onnx
 import pytest
 import torch
 from drawings import SPACE
-from networks import Street, write_graph, write_street
-from PIL import Image
+from networks import write_street
 from segmenting import write_photos
-from torch import nn
 
 from ssrvlad_torch import Database, LoopDetector, Map
-from ssrvlad_torch.channels import Column
-from ssrvlad_torch.channels.channel import View, new_channels
+from ssrvlad_torch.channels.channel import View
 from ssrvlad_torch.channels.hog import HOG
 from ssrvlad_torch.datasets.frame_file import FrameFile
 from ssrvlad_torch.datasets.image_files import read_image
-from ssrvlad_torch.descriptor import SSRVLAD
 from ssrvlad_torch.loops.config import LoopConfig
 from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
 from ssrvlad_torch.segmentation.segmenter import Segmenter
@@ -163,27 +158,6 @@ def test_loops_use_features(photos, ssrvlad):
     assert len(again) == 64
 
 
-def test_a_detector_takes_features(photos, tmp_path):
-    segmenter = Segmenter.load(photos / "net.yaml")
-    head = SSRVLAD.from_preset("default", labels_as=SPACE)
-    channels = new_channels(["features"], head, segmenter)[1:]
-    detector = LoopDetector(LoopConfig(exclude=2), head, channels)
-    said = segmenter.segment(pictures_of(photos / "monday")[:6], features=True)
-    for row, each in enumerate(said):
-        detector.update(each.labels, f"drive/{row}", features=each.features)
-    columns = [channel.column for channel in channels]
-    database = Database.create(tmp_path / "memory", head.config, columns=columns)
-    detector.save(database)
-    features = torch.from_numpy(np.stack([each.features for each in said]))
-    assert torch.equal(database.load().channels["features"], features)
-    with pytest.raises(ValueError, match=r"frame drive/7: expected features \(.*, got none"):
-        detector.update(said[0].labels, "drive/7")
-    with pytest.raises(ValueError, match=r"frame drive/7: expected features \(.*, got \("):
-        detector.update(said[0].labels, "drive/7", features=said[0].features[1:])
-    with pytest.raises(ValueError, match="got images, but the detector has no channel"):
-        detector.update(said[0].labels, "drive/7", picture=np.zeros((9, 9, 3), np.uint8))
-
-
 def test_wrong_use_of_channels(town, photos, maps, ssrvlad, refusal):
     network = ("--segmenter", photos / "net.yaml")
     plain = photos / "plain"
@@ -213,66 +187,6 @@ def test_wrong_use_of_channels(town, photos, maps, ssrvlad, refusal):
     assert "--as-paper" in refusal("query", town, maps, *features, "--as-paper")
 
 
-def test_a_database_of_the_earlier_form_is_refused(photos, refusal):
-    """It had signs of one activation, half as many."""
-    earlier = Column("features", "16 x 16 cells, 64 signs of relu_2, 0f", (16, 16, 8), "uint8")
-    head = SSRVLAD.from_preset("default", labels_as=SPACE)
-    database = Database.create(photos / "town", head.config, columns=[earlier])
-    numbers = {"ssr-vlad": torch.eye(480)[:1], "features": torch.zeros(1, 16, 16, 8).byte()}
-    database.append(["sunday/0"], numbers)
-    network = ("--segmenter", photos / "net.yaml")
-    for command in (
-        ("encode", photos / "monday", "-o", photos / "town", *network),
-        ("query", photos / "town", photos / "monday", *network),
-        ("locate", photos / "monday" / "0.png", "--in", photos / "town", *network),
-    ):
-        line = refusal(*command)
-        assert "features are of 16 x 16 cells, 64 signs of relu_2, 0f, this version makes" in line
-        assert line.endswith("makes 16 x 16 cells alike, 128 signs: encode the frames again")
-
-
-def test_a_network_without_features(photos, refusal):
-    write_graph(photos / "plain.onnx")
-    settings = "network: plain.onnx\nmean: [0, 0, 0]\nstd: [1, 1, 1]\nlabels_as: " + SPACE
-    (photos / "plain.yaml").write_text(settings)
-    network = ("--segmenter", photos / "plain.yaml", "--channel", "features")
-    line = refusal("encode", photos / "monday", "-o", photos / "none", *network)
-    assert "plain.yaml: the encoder has no activation at a stride from 4 to 32" in line
-    assert not (photos / "none").exists()
-
-
-@pytest.mark.parametrize(
-    ("features", "message"),
-    [
-        ("[nothing]", "features: no activation 'nothing'; the nearest are "),
-        ("[flat]", "features: expected (B, C, h, w) floats, flat is "),
-        ("relu_2", "features must be a list of names of activations, got 'relu_2'"),
-    ],
-)
-def test_wrong_names_store_nothing(photos, features, message, refusal):
-    settings = photos / "named.yaml"
-    settings.write_text(f"{SETTINGS}features: {features}\n")
-    if features == "[flat]":
-        flat = photos / "net.onnx"
-        flat.write_bytes(_with_flat_mean(flat.read_bytes()))
-    for given in (
-        ("encode", photos / "monday", "-o", photos / "none", "--segmenter", settings),
-        ("loops", photos / "monday", "--memory", photos / "none", "--segmenter", settings),
-        ("fuse", settings, "-o", photos / "none", "--labels-as", SPACE),
-    ):
-        for extra in (("--channel", "features"), ())[given[0] == "fuse" :]:
-            assert message in refusal(*given, *extra)
-            assert not (photos / "none").exists()
-
-
-def _with_flat_mean(content):
-    """The graph with one more node, the means of a picture."""
-    model = onnx.load_from_string(content)
-    node = onnx.helper.make_node("ReduceMean", ["images"], ["flat"], keepdims=0)
-    model.graph.node.insert(0, node)
-    return model.SerializeToString()
-
-
 def test_features_of_another_network_are_refused(town, photos, refusal):
     other = photos / "other.yaml"
     other.write_text(f"{SETTINGS}features: [relu_1]\n")
@@ -298,48 +212,3 @@ def test_a_module_and_its_graph_do_not_compare_and_why_is_told(photos, town, ref
     assert "signs of act.2" in line and "signs of relu_2" in line
     assert "encode again, with the file that will be deployed" in line
     assert "a module, its ONNX file and another size are different networks" in line
-
-
-class Blinded(nn.Module):
-    """Sees nothing in dark pictures, and what is no number in white ones."""
-
-    def __init__(self):
-        super().__init__()
-        self.network = Street()
-        self.network.act[2].register_forward_hook(lambda *a: a[2] * self.seen)
-
-    def forward(self, images):
-        self.seen = (images.std((1, 2, 3), keepdim=True) > 0.5).float()
-        self.seen[images.mean((1, 2, 3)) > 2] = torch.nan
-        return self.network(images)
-
-
-def test_a_picture_without_activations_is_skipped(photos, ssrvlad):
-    for number, colour in ((3, "black"), (4, "white")):
-        (photos / "monday" / f"{number}.png").unlink()
-        Image.new("RGB", (128, 96), colour).save(photos / "monday" / f"{number}.png")
-    given = ("--segmenter", "test_commands_features:Blinded", "--labels-as", SPACE, "--workers", 1)
-    code, out, err = ssrvlad("encode", photos / "monday", "-o", photos / "town", *given)
-    assert code == 3
-    assert "30 frames encoded" in out and "2 skipped" in out
-    for number, problem in ((3, "the same everywhere"), (4, "not finite")):
-        (line,) = (each for each in err if f"{number}.png" in each)
-        assert f"the activations of the network are {problem}" in line
-    assert len(Database.open(photos / "town")) == 30
-
-
-def test_a_torchscript_network_stores_hog_alone_and_says_so(photos, monkeypatch, ssrvlad, refusal):
-    monkeypatch.syspath_prepend(photos)
-    torch.jit.trace(Street(), torch.rand(1, 3, 96, 128)).save(photos / "street.pt")
-    (photos / "scripts.py").write_text(
-        f"import torch\ndef street(): return torch.jit.load({str(photos / 'street.pt')!r})\n"
-    )
-    given = ("--segmenter", "scripts:street", "--labels-as", SPACE)
-    code, _, err = ssrvlad("encode", photos / "monday", "-o", photos / "town", *given)
-    assert code == 0
-    (line,) = (each for each in err if "stored without features" in each)
-    assert "scripts:street: the activations of a TorchScript module cannot be taken" in line
-    assert [column.name for column in Database.open(photos / "town").columns[1:]] == ["hog"]
-    (photos / "script.yaml").write_text("network: scripts:street\nmultiple: 16\n")
-    fuse = ("fuse", photos / "script.yaml", "-o", photos / "x.onnx", "--labels-as", SPACE)
-    assert "cannot be traced; fuse the module that it was made of" in refusal(*fuse)

@@ -77,31 +77,6 @@ def test_projections_do_not_depend_on_the_signs_of_the_components(monkeypatch):
     torch.testing.assert_close(projections(cells), expected, atol=1e-4, rtol=1e-4)
 
 
-def test_rounding_of_the_noise_changes_few_signs():
-    noise, values = activations(0, 150, count=4), activations(9, 150, count=4)
-    rounded = noise * (1 + 1e-5 * torch.randn(noise.shape))
-    first, second = (bits(Features(level)(values)) for level in (noise, rounded))
-    assert (first != second).mean() < 1e-3
-
-
-def test_a_channel_that_is_dead_in_the_noise_counts_for_nothing():
-    noise, values = activations(0, count=3), activations(9)
-    noise[:, 3] = 0
-    changed = values.clone()
-    changed[:, 3] += activations(7)[:, 3] * 1e-3
-    module = Features(noise)
-    assert bool(module.projections.isfinite().all())
-    assert module.projections[3].abs().max() < 1e-6
-    assert (bits(module(values)) != bits(module(changed))).mean() < 0.02
-
-
-def test_light_and_contrast_of_a_channel_change_nothing():
-    raw, gain = activations(0), torch.linspace(0.5, 3, 20)[:, None, None]
-    changed = raw * gain + gain.flip(0)
-    module = OF_20
-    assert (bits(module(raw)) != bits(module(changed))).mean() < 1e-3
-
-
 def test_a_mirrored_picture_has_mirrored_cells():
     raw = activations(0)
     cells, mirrored = bits(OF_20(raw)), bits(OF_20(raw.flip(3)))

@@ -37,12 +37,6 @@ def test_a_name_in_several_label_spaces_has_the_meaning_of_that_with_most_of_the
     assert found == {"street": CATEGORIES.index("pole"), "room": len(CATEGORIES)}
 
 
-def test_a_table_in_any_order_and_with_gaps():
-    table = label_table.LabelTable([(40, "Traffic_Light"), (7, "road"), (3, "SKY"), (900, "car")])
-    labels = np.array([[3, 7, 40, 900]], np.uint16)
-    assert categories(table(labels), "cityscapes-ids").tolist() == [[5, 0, 3, 8]]
-
-
 def test_names_of_ones_own_are_given_a_meaning():
     class_map = [(0, "asphalt"), (1, "Sky"), (2, "drone")]
     with pytest.raises(ValueError, match="3 classes, of unknown meaning: 'asphalt', 'drone'; say"):

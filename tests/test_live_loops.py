@@ -16,10 +16,8 @@ from ssrvlad_ros import label_table, live_loops
 from ssrvlad_ros.place_model import PlaceModel
 
 from ssrvlad_torch import SSRVLAD, Database, SSRVLADConfig
-from ssrvlad_torch.channels.features import Features
 from ssrvlad_torch.datasets.label_files import digest
 from ssrvlad_torch.loops.config import LoopConfig
-from ssrvlad_torch.stages.features import FORM
 
 
 @pytest.mark.parametrize("encoding", live_loops.DTYPES)
@@ -41,12 +39,6 @@ def test_the_heading_of_a_rotation(angle):
     r, x = math.cos(0.1), math.sin(0.1)
     rolled = live_loops.Quaternion(w * x, z * x, z * r, w * r)
     assert live_loops.heading(rolled) == pytest.approx(angle)
-
-
-def test_meanings_are_given_as_words():
-    assert live_loops.meanings_of(["", "a=b=sky", "x=void"]) == {"a=b": "sky", "x": "void"}
-    for word in ("sky", "=sky", "road="):
-        refuses(f"expected name=category, got '{word}'", live_loops.meanings_of, [word])
 
 
 def labelled(*given, **settings):
@@ -113,12 +105,6 @@ def test_a_checkpoint_that_cannot_be_written_costs_no_result(tmp_path, monkeypat
     assert len(Database.open(tmp_path / "drive.ssrdb")) == len(SEEDS) // 6 * 6
 
 
-def test_a_memory_of_frames_without_stamps_is_gone_on_from(tmp_path):
-    head = SSRVLAD.from_preset("default", labels_as=label_table.LABELS_AS)
-    Database.create(tmp_path / "db", head.config).append(["monday/a"], head(street(0)[None]))
-    assert seen(labelled(memory=tmp_path / "db"), [0])[0].frame == f"drive/{0:019d}"
-
-
 @pytest.mark.parametrize("encoding", live_loops.CHANNELS)
 @pytest.mark.parametrize("padding", [0, 5])
 def test_pictures_are_read_in_rgb(encoding, padding):
@@ -167,28 +153,6 @@ def live(model, start=0, end=None, **given):
         for number, pixels in list(enumerate(photos()))[start:end]
     ]
     return core, results
-
-
-def test_frames_of_a_model_are_kept_and_gone_on_from(drives, tmp_path):
-    model, memory = PlaceModel(drives / "place.onnx"), tmp_path / "drive.ssrdb"
-    core, _ = live(model, 0, 20, memory=memory)
-    core.save()
-    core, results = live(model, 20, memory=memory)
-    assert [r.candidate for r in results if r.accepted][-1].endswith(f"{15 * SECOND:019d}")
-    core.save()
-    assert len(Database.open(memory)) == len(PLACES)
-    with pytest.raises(
-        ValueError, match=r"drive\.ssrdb has features, hog of its frames, which this"
-    ):
-        live_loops.LiveLoops(CONFIG, memory=memory)
-    plain = PlaceModel(drives / "place.onnx", features=False)
-    refuses("has features of its frames", live_loops.LiveLoops, CONFIG, memory=memory, model=plain)
-    other = tmp_path / "other.ssrdb"
-    columns = [Features(f"{FORM} of another network").column]
-    Database.create(other, core._detector.head.config, columns=columns)
-    refuses("of another network", live_loops.LiveLoops, CONFIG, memory=other, model=model)
-    with pytest.raises(ValueError, match="the model has settings e79189ee9e88a037, this node fae2"):
-        live_loops.LiveLoops(CONFIG, preset="paper", model=model)
 
 
 def test_models_that_do_not_fit_are_refused(drives, tmp_path):

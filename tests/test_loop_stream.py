@@ -101,16 +101,6 @@ def test_precision_and_recall_by_poses(loops, drive):
     assert summary["suggested"]["precision"] <= 1
 
 
-def test_a_threshold_is_suggested_though_no_loop_is_found(loops, drive):
-    """The candidates that are not believed are judged too; without any right one, it is said."""
-    strict = (*SETTINGS, "--threshold", 1)
-    _, out, _ = loops(drive, "--tolerance-metres", 5, settings=strict)
-    assert "precision - (0 of 0 loops are right)" in out
-    assert out.splitlines()[-1].startswith("surest threshold 0.")
-    _, out, _ = loops(drive, "--tolerance-metres", 5, settings=("--no-sweep",))
-    assert out.splitlines()[-1].startswith("no threshold to suggest: no candidate is right")
-
-
 def test_without_a_loop_the_likeliest_pair_is_told(loops, drive):
     _, out, _ = loops(drive, settings=(*SETTINGS, "--threshold", 1))
     lines = objects(loops(drive, "--json")[1])
@@ -165,14 +155,6 @@ def test_a_bad_frame_is_skipped_and_the_stream_goes_on(loops, drive):
     names = ("damaged", "text", "strange", "gone")
     assert skipped[:4] == [f"skipped drive/{name}" for name in names]
     assert skipped[5] == "skipped drive/00" and "was there before" in err[5]
-
-
-def test_a_damaged_poses_file_skips_its_frames(loops, drive):
-    (drive / "poses.csv").write_text("frame,x,y\ndrive/00,here,0\n")
-    code, out, err = loops("-", "--json", stdin=f"{drive / '00.png'}\n".encode())
-    assert (code, out, len(err)) == (3, "", 1)
-    assert "poses.csv line 2" in err[0]
-    assert loops(drive)[0] == 2
 
 
 def test_each_frame_of_a_live_pipe_is_answered_at_once(drive):
@@ -240,19 +222,6 @@ def test_a_drive_of_the_same_folder_name_is_another_one(loops, drive, tmp_path, 
     assert (code, out) == (3 if live else 2, "")
     assert "frame 'drive/00' of the database is of" in err[0] and "--sequence" in err[0]
     assert run(other)[:2] == (0, ""), "its frames are known by now"
-
-
-def test_a_stream_that_breaks_off_is_saved(drive, tmp_path):
-    detector, database = open_detector(LoopConfig(exclude=5), tmp_path / "db", None, "camvid-11")
-    names = sorted(map(str, drive.glob("*.png")))
-
-    def broken():
-        yield from encode_as_they_come(detector, names[:12])
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        list(detect_loops(detector, broken(), database))
-    assert len(Database.open(database.path)) == 12
 
 
 KILLED = """

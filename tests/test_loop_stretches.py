@@ -46,16 +46,6 @@ def test_after_a_gap_one_name_is_as_good_as_two():
     assert not loops[2], "within one light, another light is no place seen before"
 
 
-def test_a_pause_at_the_same_view_is_no_break():
-    vectors = views([*range(100), *range(99, 140), *range(20, 80)])
-    results = []
-    for pause in (0, HOUR):
-        loops = LoopDetector(head=HEAD)
-        results.append([*show(loops, vectors[:100], 0), *show(loops, vectors[100:], 40 + pause)])
-    assert results[0] == results[1]
-    assert len(closed(results[0])) > 20
-
-
 @pytest.mark.parametrize(
     ("frames", "step", "pause", "breaks"),
     [

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from ssrvlad_torch.evaluation.loops import (
     LoopScore,
     loop_curve,
-    loop_errors,
     score_loops,
     surest_point,
 )
@@ -57,12 +56,6 @@ def test_loops_and_revisits_are_counted_by_distance_and_heading(places, loops, s
     assert score_loops(np.array(loops), drive(*places), **settings) == expected
 
 
-def test_where_there_is_nothing_the_shares_are_not_numbers():
-    score = score_loops(np.array([-1, -1]), drive((0, EAST), (99, EAST)), 0, 1)
-    assert math.isnan(score.precision)
-    assert math.isnan(score.recall)
-
-
 def test_wrong_arguments_are_refused():
     for metres in (-1, math.inf):
         with pytest.raises(ValueError, match=f"0 metres or more and finite, got {metres}"):
@@ -88,12 +81,6 @@ def test_the_counts_equal_a_plain_count(length, exclude, metres, seed):
         accepted, right = accepted + (loops[row] >= 0), right + good
         revisits += bool(earlier or good)
     assert score_loops(loops, poses, exclude, metres) == (accepted, right, revisits)
-
-
-def test_errors_are_told_of_the_frames_that_close_a_loop():
-    poses = drive((0, EAST), (3, EAST), (math.nan, EAST), (4, WEST))
-    got = loop_errors(np.array([-1, 0, 1, 1]), poses)
-    np.testing.assert_array_equal(got, [3, math.nan, 1])
 
 
 def test_the_surest_threshold_is_the_lowest_before_the_mistakes():

@@ -350,31 +350,3 @@ def test_wrong_use_is_one_line(use, message):
     rows, town = np.eye(40, dtype=np.float32), DescriptorMap([40])
     town.add("shapes", rows)
     refuses(re.escape(message), use, town, rows)
-
-
-def test_sums_of_products_are_rounded_once(tmp_path):
-    """On every processor: a sum near the middle of two numbers, and numbers with few digits."""
-    folder = ROOT / "ssrvlad_torch" / "native"
-    (tmp_path / "once.cpp").write_text(ONCE)
-    flags = ["-std=c++17", "-O1", "-ffp-contract=off", f"-I{folder}"]
-    sources = [tmp_path / "once.cpp", folder / "products.cpp"]
-    for more in ([], ["-DSSRVLAD_SIMD=0"]):
-        subprocess.run(["g++", *flags, *more, *sources, "-o", tmp_path / "once"], check=True)
-        subprocess.run([tmp_path / "once"], check=True)
-
-
-ONCE = r"""
-#include "products.hpp"
-
-int main() {
-  const float above = 1 + std::ldexp(1.0F, -23), half = std::ldexp(1 - std::ldexp(1.0F, -23), -24);
-  const float some[][2] = {{1, above}, {std::ldexp(1.0F, -70), std::ldexp(3.0F, -75)}};
-  const float others[][2] = {{above, half}, {std::ldexp(above, -66), std::ldexp(above, -70)}};
-  for (int each = 0; each < 2; ++each) {
-    float sum;
-    places::Panels(some[each], 1, 1, 2).best(others[each], 1, &sum, 1);
-    const float first = some[each][0] * others[each][0];
-    if (sum != std::fma(some[each][1], others[each][1], first)) return 1;
-  }
-}
-"""

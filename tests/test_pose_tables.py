@@ -1,14 +1,12 @@
 """Tables of poses, and which row is the pose of a frame."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import refused, refuses, street, touch
+from helpers import refused, refuses, touch
 from trees import write
 
-from ssrvlad_torch.datasets.frame_file import FrameFile
 from ssrvlad_torch.datasets.label_files import find_label_files
 from ssrvlad_torch.datasets.pose_tables import PoseTable, read_poses
 from ssrvlad_torch.datasets.poses import Pose
@@ -81,14 +79,6 @@ def test_poses_lie_in_the_folder_or_beside_it(tmp_path):
     assert x_of(folder) == [3]
 
 
-@pytest.mark.parametrize("folder", [".", "../monday", "tuesday/.."])
-def test_poses_beside_a_relative_folder_are_found(tmp_path, monkeypatch, folder):
-    (tmp_path / "monday" / "tuesday").mkdir(parents=True)
-    plant(tmp_path, {"1": 2})
-    monkeypatch.chdir(tmp_path / "monday")
-    assert PoseTable.of_folder(Path(folder)).poses["1"].x == 2
-
-
 BOTH = ("monday/0.png", "tuesday/0.png")
 NAMED = [
     ({"monday/0": 1, "tuesday/0": 2}, {}, 2),
@@ -127,35 +117,12 @@ def test_a_bare_name_that_two_folders_have_is_refused(tmp_path):
     assert x_of(tuesday) == [1]
 
 
-def test_folders_beside_each_subfolder_are_searched(tmp_path):
-    files = "monday/labels/0.png", "monday/images/1.jpg", "tuesday/images/1.jpg"
-    plant(tmp_path, {"0": 1, "1": 2}, *files)
-    monday = tmp_path / "monday"
-    table = PoseTable.of_folder(monday)
-    paths = monday / "labels" / "0.png", monday / "images" / "1.jpg"
-    first, second = (FrameFile("monday", p.stem, p, folder=str(monday)) for p in paths)
-    assert table.pose_of(first).x == 1
-    refuses("can be a frame of .*monday and of .*tuesday", table.pose_of, second)
-
-
 def test_a_frame_has_the_row_of_its_id_or_of_its_name(tmp_path):
     path = plant(tmp_path / "a", {"a/0": 1, "1": 4, "b/2": 7}, "0.png", "1.png", "2.png")
     path.write_text(path.read_text().replace("x,y", "x,y,heading").replace(",0\n", ",2,3\n"))
     poses = [file.pose for file in find_label_files([str(path.parent)])]
     assert poses[:2] == [(1, 2, 3), (4, 2, 3)]
     assert np.isnan(poses[2]).all()
-
-
-def test_rows_of_a_stack_have_rows_of_the_table(tmp_path):
-    np.save(tmp_path / "s.npy", np.stack([street(0)] * 2))
-    plant(tmp_path, {"s/s-000001": 1, "s-000000": 3})
-    assert x_of(tmp_path / "s.npy") == [3, 1]
-
-
-def test_a_name_may_be_written_with_combining_marks(tmp_path):
-    """As the disk of a Mac does."""
-    plant(tmp_path / "a", {"stra\u00dfe \u00e4": 1}, "stra\u00dfe a\u0308.png")
-    assert x_of(tmp_path / "a") == [1]
 
 
 def test_a_table_that_fits_no_frame_is_noted(tmp_path):

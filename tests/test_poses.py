@@ -55,13 +55,6 @@ def test_poses_are_written_in_both_forms(tmp_path, ssrvlad):
     assert code == 2 and "no frame has a pose" in line
 
 
-def test_rows_of_a_stack_are_written_as_pictures(tmp_path, ssrvlad):
-    np.save(tmp_path / "stack.npy", np.zeros((2, 6, 8, 3), np.uint8))
-    (tmp_path / "poses.csv").write_text("frame,x,y\nstack-000001,5,6\n")
-    assert ssrvlad("poses", tmp_path / "stack.npy", "-o", tmp_path / "more")[0] == 0
-    assert len(list((tmp_path / "more").glob("*.png"))) == 1
-
-
 EAST, NORTH = 303189.31, 5787193.03
 """Metres of 52.2 degrees north and 0.12 east in zone 31U."""
 
@@ -76,18 +69,6 @@ def test_latitudes_become_metres(tmp_path):
     assert math.isnan(second.heading) and np.isnan(unknown).all()
     path.write_text("frame,latitude,longitude\na,52.2,0.12\nb,89,5.9\nc,52.2,0.12\n")
     refuses("line 3: latitude out of range", read_poses, path)
-
-
-@needs_gps
-@pytest.mark.parametrize(
-    ("here", "there", "metres"),
-    [((51.5, -0.001), (51.5, 0.001), 139), ((0.001, 7), (-0.001, 7), 221)],
-    ids=["London", "equator"],
-)
-def test_a_sequence_may_cross_a_border_of_zones(here, there, metres):
-    projection = Projection()
-    poses = (projection.pose(Fix(*place)) for place in (here, there))
-    assert math.dist(*(pose[:2] for pose in poses)) == pytest.approx(metres, abs=1)
 
 
 @needs_gps

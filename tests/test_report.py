@@ -6,7 +6,6 @@ import dataclasses
 import io
 import json
 import re
-import shutil
 from collections.abc import Callable, Mapping, Sequence
 from html.parser import HTMLParser
 from typing import NamedTuple
@@ -325,15 +324,6 @@ def test_a_page_comes_beside_the_figures(evaluate, written, out):
     assert f"fingerprint {metrics['fingerprint']}" in page.words
     low, high = metrics["intervals"]["auc_pr"]
     assert f"AUC-PR {metrics['auc_pr']:.3f} {low:.3f} to {high:.3f}" in page.words
-
-
-def test_only_the_file_that_was_encoded_is_shown(written, tmp_path):
-    for number in range(6):
-        shutil.copy(tmp_path / "tuesday" / "000.png", tmp_path / "monday" / f"{number:03d}.png")
-    page = written("--tolerance-frames", 0)
-    assert not any("monday" in name for name in described(page))
-    (tmp_path / "monday").rename(tmp_path / "moved")
-    assert written("--tolerance-frames", 0).words.count("no picture") == 4
 
 
 def test_the_page_counts_queries_that_were_left_out_or_skipped(evaluate, tmp_path, out):

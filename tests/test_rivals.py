@@ -35,11 +35,6 @@ def test_a_right_answer_is_hardly_chance(ahead):
     assert np.median(chances) < (0.1 if ahead < 5 else 0.01)
 
 
-def test_the_unit_and_the_level_of_values_do_not_count():
-    values = torch.randn(150, generator=torch.Generator().manual_seed(2))
-    assert chance_of(3 * values - 7).chance == pytest.approx(chance_of(values).chance, rel=1e-4)
-
-
 def test_places_are_peaks_that_are_apart():
     values = torch.zeros(60)
     values[[10, 11, 12, 40]] = torch.tensor([3.0, 5, 4, 2])

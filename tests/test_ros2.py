@@ -1,6 +1,5 @@
 """The ROS 2 package: the node over a bag, with the messages of rosbags and a stand-in for rclpy."""
 
-import ast
 import importlib
 import json
 import math
@@ -22,7 +21,6 @@ from ros_images import CAMVID, CONFIG, picture, seen
 from ssrvlad_ros import live_loops
 
 from ssrvlad_torch import SSRVLAD, Database, LoopDetector
-from ssrvlad_torch.channels.hog import HOG
 from ssrvlad_torch.datasets.image_files import find_image_files, read_image
 
 ROOT = Path(__file__).parents[1]
@@ -231,14 +229,6 @@ def test_the_node_over_a_bag(node, store, monkeypatch, tmp_path):
     np.testing.assert_allclose(poses[:2], [[1, 2, 0.25], [2, 2, 0.25]])
 
 
-def test_the_node_may_be_told_that_labels_are_not_latched(node, store, monkeypatch):
-    monkeypatch.setattr(StandInNode, "given", {"latched": False, "meanings": ["x=sky"]})
-    running = node.LoopNode()
-    assert running.listeners["label_info"][1] == (1, "volatile")
-    running._on_labels(label_info(store.types, [(0, "x")]))
-    assert running.said == []
-
-
 def show_one(running, types):
     """The table of labels, and a label map."""
     running._on_labels(label_info(types, CAMVID))
@@ -410,28 +400,6 @@ def test_a_model_without_hog_goes_without_and_opens_no_memory_with_it(
         node.main()
 
 
-def test_hog_that_is_computed_wrong_is_refused(node_with, monkeypatch, drives):
-    right = HOG.describe
-    monkeypatch.setattr(HOG, "describe", lambda *given: 1.001 * right(*given))
-    with refused("is computed wrong on this machine: hog differs by 0.00", drives / "place.onnx"):
-        node_with([])
-    node_with([], check=False)
-
-
-@pytest.mark.parametrize(
-    ("frame", "source", "nanoseconds"),
-    [
-        ("a/drive/1700000000000000007", "a/drive", 1700000000000000007),
-        ("drive/0000000000000000001", "drive", 1),
-        ("monday/000012", "monday/000012", 0),
-        ("monday/9700000000000000007", "monday/9700000000000000007", 0),
-        ("monday/street-of-19-letter", "monday/street-of-19-letter", 0),
-    ],
-)
-def test_the_stamp_in_a_name(frame, source, nanoseconds):
-    assert live_loops.source_of(frame) == (source, nanoseconds)
-
-
 def test_wrong_parameters_are_one_line(node, monkeypatch, drives):
     monkeypatch.setattr(StandInNode, "given", {"model": str(drives / "head.onnx")})
     with refused("^ssrvlad_loops: .*got one that takes labels", by=SystemExit):
@@ -442,16 +410,6 @@ ROS = {
     "builtin_interfaces", "geometry_msgs", "nav_msgs", "rclpy", "rtabmap_msgs", "sensor_msgs",
     "std_msgs", "vision_msgs",
 }  # fmt: skip
-
-
-def test_only_the_node_imports_ros():
-    inside = PACKAGE / "ssrvlad_ros"
-    for file in inside.glob("*.py"):
-        imports = list(ast.walk(ast.parse(file.read_text())))
-        names = {a.name for n in imports if isinstance(n, ast.Import) for a in n.names}
-        names |= {n.module or "" for n in imports if isinstance(n, ast.ImportFrom)}
-        found = {name.partition(".")[0] for name in names} & ROS
-        assert found == (ROS if file.stem == "loop_node" else set()), file
 
 
 def test_the_package_declares_what_it_needs():
