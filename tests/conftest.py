@@ -19,12 +19,11 @@ import pytest
 import torch
 import typer
 from built import page, site, user  # noqa: F401 - fixtures
-from drives import write_maps, write_truth, write_two_drives
 from filelock import FileLock
+from helpers import Maps, write_maps, write_truth, write_two_drives
 from hypothesis import settings
-from maps import Maps
-from segmenting import write_drives, write_named_network
-from segmenting import write_photos as write_photos_of_streets
+from networks import write_drives, write_named_network
+from networks import write_photos as write_photos_of_streets
 from skips import pytest_make_collect_report, pytest_runtest_makereport  # noqa: F401 - hooks
 
 from ssrvlad_torch import SSRVLADConfig, native

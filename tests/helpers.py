@@ -1,11 +1,13 @@
-"""Label maps on disk, and records of frames that were never seen; shared by the tests."""
+"""Files on disk, sequences and databases of them, records of frames that were never seen, programs
+and what they refuse; shared by the tests."""
 
+import json
 import os
 import struct
 import subprocess
 import sys
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -18,8 +20,11 @@ from drawings import blobs
 from PIL import Image
 from torch import Tensor
 
-from ssrvlad_torch import Database, SSRVLADConfig
+from ssrvlad_torch import SSRVLAD, Database, SSRVLADConfig
 from ssrvlad_torch.database.frames import FrameRecord
+from ssrvlad_torch.datasets.label_files import find_label_files
+from ssrvlad_torch.encoding.encoder import encode_to_database
+from ssrvlad_torch.encoding.results import EncodeOptions
 
 GRAY, COLOUR, GRAY_ALPHA, COLOUR_ALPHA = 0, 2, 4, 6
 """Colour types of PNG."""
@@ -230,3 +235,127 @@ def filled(folder):
     """The path of a database with `FRAMES`."""
     fill(Database.create(folder / "town.ssrdb", CONFIG), FRAMES)
     return folder / "town.ssrdb"
+
+
+def write_maps(folder: Path, seeds: range) -> Path:
+    """A sequence of small label maps in ``drawings.SPACE``."""
+    for seed in seeds:
+        write_street(folder / f"{seed:03d}.png", seed)
+    return folder
+
+
+def write_photos(folder: Path, seeds: range, suffix: str = ".png") -> Path:
+    """A sequence of images without meaning, each its own."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for seed in seeds:
+        gray = np.random.default_rng(seed).integers(0, 256, (12, 16), dtype=np.uint8)
+        picture = Image.fromarray(gray).resize((128, 96)).convert("RGB")
+        picture.save(folder / f"{seed:03d}{suffix}")
+    return folder
+
+
+def write_two_drives(folder: Path, count: int) -> Path:
+    """Drives ``query`` and ``reference`` past the same places, with images and label maps."""
+    for drive in ("query", "reference"):
+        write_photos(folder / drive / "images", range(count), ".jpg")
+        write_maps(folder / drive / "labels", range(count))
+    return folder
+
+
+def write_truth(path: Path, content: object) -> Path:
+    """A ground truth in the form that the file's name says."""
+    if path.suffix == ".npy":
+        np.save(path, content)
+    else:
+        path.write_text(content if isinstance(content, str) else json.dumps(content))
+    return path
+
+
+HEAD = SSRVLAD.from_preset("default", labels_as="camvid-11")
+
+
+class Maps:
+    def __init__(self, folder):
+        self.folder = folder
+
+    def add(self, sequence, numbers, height=24, width=32):
+        for number in numbers:
+            write_street(self.folder / sequence / f"{number}.png", number, height, width)
+
+    def files(self, *folders, **options):
+        folders = [str(self.folder / folder) for folder in folders or ("[ab]",)]
+        return find_label_files(folders, **options)
+
+    def database(self):
+        return Database.open_or_create(self.folder / "town.ssrdb", HEAD.config)
+
+    def encode(self, *folders, head=HEAD, sequence=None, map_folders=(), **options):
+        files = self.files(*folders, sequence=sequence, map_folders=map_folders)
+        return encode_to_database(head, files, self.database(), EncodeOptions(**options))
+
+
+def alone(labels):
+    return HEAD(torch.from_numpy(labels)[None])[0]
+
+
+def assert_streets(frames, seeds):
+    """Asserts that frames have the descriptors of these streets."""
+    assert torch.equal(frames.descriptors, torch.stack([alone(street(seed)) for seed in seeds]))
+
+
+def counts(summary):
+    return summary.encoded, summary.already_there, len(summary.skipped)
+
+
+def rewrite(path, seed):
+    """Replaces a label map by another, in a new file."""
+    path.unlink()
+    write_street(path, seed)
+
+
+PACKAGE = Path(__file__).parents[1] / "ssrvlad_torch"
+
+
+class Lines:
+    """Runs a call, and interrupts it at a line of some files of the package.
+
+    Args:
+        files: below the package, or folders.
+        at: number of the line at which a KeyboardInterrupt is raised, of those that are reached for
+            the first time; without, none is raised.
+
+    Attributes:
+        count: of the lines that were reached.
+    """
+
+    def __init__(self, files: Collection[str], at: int | None = None) -> None:
+        self._files, self._at = tuple(str(PACKAGE / file) for file in files), at
+        self._lines = set[tuple[str, int]]()
+
+    @property
+    def count(self) -> int:
+        return len(self._lines)
+
+    def _enter(self, frame: Any, event: str, _: object) -> Any:
+        return self._line if frame.f_code.co_filename.startswith(self._files) else None
+
+    def _line(self, frame: Any, event: str, _: object) -> Any:
+        line = frame.f_code.co_filename, frame.f_lineno
+        if event == "line" and line not in self._lines:
+            self._lines.add(line)
+            if self.count == self._at:
+                sys.settrace(None)
+                raise KeyboardInterrupt
+        return self._line
+
+    def run(self, call: Callable[[], object]) -> bool:
+        """Runs a call; whether it was interrupted."""
+        before = sys.gettrace()
+        sys.settrace(self._enter)
+        try:
+            call()
+        except KeyboardInterrupt:
+            return True
+        finally:
+            sys.settrace(before)
+        return False

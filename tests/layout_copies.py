@@ -1,8 +1,22 @@
-"""Small copies of data sets, as their archives unpack."""
+"""Small copies of data sets, as their archives unpack, and stored results of VPR-Bench with what
+its own code prints for them.
+
+``vpr_bench_corridor.json`` is one of them, CoHOG on the corridor data set (Zaffar et al., IJCV
+2021; MIT): best scores, first ten candidates, ground truth, and the figures.
+"""
 
 import json
+from collections.abc import Iterable, Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
 
-from trees import plant, write
+import numpy as np
+import pytest
+from helpers import write_image
+from PIL import ExifTags, Image
+
+from ssrvlad_torch.datasets.dataset import Dataset
 
 CITIES = {
     "train/aachen": ["aachen_000000_000019", "aachen_000001_000019", "aachen_000010_000019"],
@@ -125,3 +139,90 @@ def vpr_bench(root):
     plant(root, *(f"query/{n:07d}.jpg" for n in range(11)), *(f"ref/{n}.jpg" for n in range(12)))
     for name in ("ground_truth_new.json", "ReadMe.txt", "query/Thumbs.db"):
         (root / name).touch()
+
+
+def plant(root: Path, *names: str) -> Path:
+    """Tiny images of the formats that their names say; the folders are made."""
+    for name in names:
+        write_image(root / name, np.zeros((4, 6, 3), np.uint8))
+    return root
+
+
+def write_placed(
+    path: Path, latitude: tuple[float, ...], longitude: tuple[float, ...], status: str = "A"
+) -> None:
+    """A picture with its place, degrees, minutes and seconds, in EXIF tags; it looks north. Status
+    V is a void position."""
+    tag, exif = ExifTags.GPS, Image.Exif()
+    exif.get_ifd(ExifTags.IFD.GPSInfo).update({
+        tag.GPSLatitudeRef: "N", tag.GPSLatitude: latitude,
+        tag.GPSLongitudeRef: "E", tag.GPSLongitude: longitude,
+        tag.GPSStatus: status, tag.GPSImgDirectionRef: "T", tag.GPSImgDirection: 0.0,
+    })  # fmt: skip
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.new("RGB", (8, 6)).save(path, exif=exif)
+
+
+def write(path: Path, lines: Iterable[str] | str) -> Path:
+    """A text file; the folder is made."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(lines if isinstance(lines, str) else "".join(f"{line}\n" for line in lines))
+    return path
+
+
+def outline(dataset: Dataset) -> dict[str, list[str]]:
+    """Names of the frames by sequence, in order."""
+    return {
+        sequence: [frame.name for frame in dataset.frames if frame.sequence == sequence]
+        for sequence in dataset.sequences
+    }
+
+
+def roles(dataset: Dataset) -> dict[str, str | None]:
+    """Roles by sequence."""
+    return {frame.sequence: frame.role for frame in dataset.frames}
+
+
+VPR_BENCH = Path(__file__).parents[2] / "shared" / "data" / "vprbench"
+
+needs_vpr_bench = pytest.mark.skipif(
+    not VPR_BENCH.is_dir(), reason="the VPR-Bench results of ../shared/data are not here"
+)
+
+
+CORRIDOR = VPR_BENCH / "corridor"
+needs_corridor = pytest.mark.skipif(
+    not CORRIDOR.is_dir(), reason="the corridor images of ../shared/data are not here"
+)
+
+
+class Stored(NamedTuple):
+    """What a technique found, and what VPR-Bench prints for it."""
+
+    name: str
+    scores: np.ndarray
+    candidates: np.ndarray
+    truth: list[np.ndarray]
+    expected: dict[str, Any]
+
+
+def frozen_corridor() -> Stored:
+    content = json.loads((Path(__file__).parent / "vpr_bench_corridor.json").read_text())
+    candidates = np.array(content["candidates"])
+    scores = np.full(candidates.shape, -np.inf)
+    scores[:, 0] = content["score"]
+    truth = [np.arange(first, last + 1) for first, last in content["first_and_last_match"]]
+    return Stored("frozen corridor", scores, candidates, truth, content["expected"])
+
+
+def stored_results() -> Iterator[Stored]:
+    expected = json.loads((VPR_BENCH / "expected.json").read_text())
+    for data_set, techniques in expected.items():
+        for technique, figures in techniques.items():
+            stored = np.load(VPR_BENCH / f"{data_set}_{technique}.npz")
+            truth = [stored["gt_flat"][a:b].astype(np.int64) for a, b in pairwise(stored["gt_off"])]
+            candidates = np.argsort(-stored["sim"], axis=1, kind="stable")[:, :10]
+            assert (candidates[:, 0] == stored["match"]).all()
+            scores = np.take_along_axis(stored["sim"], candidates, 1).astype(np.float64)
+            scores[:, 0] = stored["score"]
+            yield Stored(f"{data_set} {technique}", scores, candidates, truth, figures)

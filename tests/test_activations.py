@@ -2,15 +2,9 @@
 
 import pytest
 import torch
-from cases import REAL, needs_real
+from drawings import REAL, needs_real
 from helpers import refuses
-from networks import (
-    Street,
-    colour_network,
-    shared_street,
-    write_published,
-    write_street,
-)
+from networks import Street, colour_network, shared_street, write_published, write_street
 from torch import nn
 
 from ssrvlad_torch.segmentation.activations import captured, find_activations

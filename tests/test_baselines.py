@@ -10,9 +10,8 @@ import torch
 from drawings import ROAD, SKY, SPACE, TREE, VOID, blobs
 from helpers import refuses, street
 from methods import frames, noise, picture
-from networks import PLAIN, Street, write_street
+from networks import PLAIN, Street, write_photos, write_street
 from PIL import Image
-from segmenting import write_photos
 from skimage.feature import hog as skimage_hog
 
 from ssrvlad_torch import SSRVLAD

@@ -8,8 +8,18 @@ import pytest
 import torch
 from drawings import SPACE
 from helpers import flip_byte
-from networks import CLASSES, PLAIN, Street, Strided, Then, colour_network
-from segmenting import LABELS, PHOTOS, counted, write_photos
+from networks import (
+    CLASSES,
+    LABELS,
+    PHOTOS,
+    PLAIN,
+    Street,
+    Strided,
+    Then,
+    colour_network,
+    counted,
+    write_photos,
+)
 from torch import nn
 
 from ssrvlad_torch.datasets.image_files import find_image_files

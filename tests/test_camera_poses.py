@@ -8,8 +8,8 @@ import pytest
 from helpers import refused
 from hypothesis import given
 from hypothesis import strategies as st
+from layout_copies import write
 from scipy.spatial.transform import Rotation
-from trees import write
 
 from ssrvlad_torch.datasets.camera_poses import (
     Y_UP_LEFT_HANDED,
@@ -74,8 +74,7 @@ def test_on_the_meridian_north_is_y(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("course", "heading"),
-    [(0, NORTH), (90, EAST), (180, -math.pi / 2), (281, math.radians(169))],
+    ("course", "heading"), [(0, NORTH), (90, EAST), (180, -math.pi / 2), (281, math.radians(169))]
 )
 def test_courses_become_headings(tmp_path, course, heading):
     assert fix(tmp_path, 50, 9, gpsHeading=course).heading == pytest.approx(heading)

@@ -10,8 +10,7 @@ from drawings import SPACE
 from helpers import descriptors, grids, refuses, street
 from hypothesis import given
 from hypothesis import strategies as st
-from networks import photo
-from segmenting import write_settings
+from networks import photo, write_settings
 
 from ssrvlad_torch import Database, LoopDetector, Map, SSRVLADConfig
 from ssrvlad_torch.channels import Column

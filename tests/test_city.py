@@ -15,9 +15,7 @@ from PIL import Image
 
 from ssrvlad_torch.datasets.city.streets import camera_poses
 from ssrvlad_torch.datasets.pose_tables import read_poses
-from ssrvlad_torch.datasets.segmentation_noise import (
-    ERRORS,
-)
+from ssrvlad_torch.datasets.segmentation_noise import ERRORS
 from ssrvlad_torch.datasets.synthetic_city import (
     LEFT,
     QUERY,

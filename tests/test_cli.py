@@ -12,12 +12,10 @@ import time
 import numpy as np
 import pytest
 from drawings import SPACE
-from drives import write_maps, write_photos
-from helpers import assert_no_reader_is_no_error, outcome
-from networks import photo
+from helpers import assert_no_reader_is_no_error, outcome, write_maps, write_photos
+from networks import photo, write_settings
+from networks import write_photos as write_streets
 from PIL import Image
-from segmenting import write_photos as write_streets
-from segmenting import write_settings
 
 from ssrvlad_torch import __version__
 from ssrvlad_torch.database.database import Database
@@ -25,10 +23,7 @@ from ssrvlad_torch.database.database import Database
 
 @pytest.mark.parametrize(
     ("line", "begin", "words"),
-    [
-        ((), "Usage: ", "encode"),
-        (("--version",), f"ssrvlad {__version__}, ", "the native core ("),
-    ],
+    [((), "Usage: ", "encode"), (("--version",), f"ssrvlad {__version__}, ", "the native core (")],
 )
 def test_without_a_command_it_prints_help_or_the_version(ssrvlad, line, begin, words):
     code, out, err = ssrvlad(*line)

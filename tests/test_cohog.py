@@ -4,11 +4,11 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from layout_copies import CORRIDOR, needs_corridor
 from methods import frames, picture
 from PIL import Image
 from skimage.filters.rank import entropy
 from skimage.morphology import disk
-from vpr_bench import CORRIDOR, needs_corridor
 
 from ssrvlad_torch.baselines import cohog, make
 from ssrvlad_torch.baselines.cohog import local_entropy, region_descriptors, region_entropies

@@ -1,7 +1,7 @@
 """`ssrvlad compare`: one data set, many methods."""
 
 import pytest
-from drives import write_truth
+from helpers import write_truth
 
 CAMVID = ("--labels-as", "camvid-11")
 

@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from drives import write_maps, write_truth
-from helpers import spoil
+from helpers import spoil, write_maps, write_truth
 
 from ssrvlad_torch import SSRVLADConfig
 from ssrvlad_torch.database.database import Database

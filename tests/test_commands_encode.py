@@ -11,11 +11,9 @@ import numpy as np
 import pytest
 import torch
 from drawings import VOID
-from drives import write_maps
-from helpers import write_image
-from networks import photo
+from helpers import write_image, write_maps
+from networks import photo, write_settings
 from PIL import Image
-from segmenting import write_settings
 
 from ssrvlad_torch.cli import output
 from ssrvlad_torch.database import engine

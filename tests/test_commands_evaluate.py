@@ -3,9 +3,8 @@
 import json
 
 import pytest
-from cases import REAL, needs_real
-from drawings import SPACE
-from drives import write_maps, write_truth
+from drawings import REAL, SPACE, needs_real
+from helpers import write_maps, write_truth
 
 
 def test_a_note_counts_queries_that_are_in_the_database(ssrvlad, database, maps):

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 import torch
 from drawings import SPACE
-from networks import write_street
-from segmenting import write_photos
+from networks import write_photos, write_street
 
 from ssrvlad_torch import Database, LoopDetector, Map
 from ssrvlad_torch.channels.channel import View

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from drives import write_maps, write_photos, write_two_drives
+from helpers import write_maps, write_photos, write_two_drives
 from PIL import Image
 
 from ssrvlad_torch.datasets.synthetic_city import write_city

@@ -5,11 +5,7 @@ import pytest
 import torch
 from core import of_chances
 
-from ssrvlad_torch.recognition.confidence import (
-    accept,
-    answered,
-    estimate,
-)
+from ssrvlad_torch.recognition.confidence import accept, answered, estimate
 from ssrvlad_torch.recognition.recognise import recognise_by_scores
 
 

@@ -5,21 +5,13 @@ from pathlib import Path
 
 import pytest
 from helpers import refuses, touch
-from trees import outline, plant, roles, write
+from layout_copies import outline, plant, roles, write
 
-from ssrvlad_torch.datasets.dataset import (
-    Dataset,
-    DatasetFrame,
-    GroundTruth,
-)
+from ssrvlad_torch.datasets.dataset import Dataset, DatasetFrame, GroundTruth
 from ssrvlad_torch.datasets.label_files import SUFFIXES as LABEL_SUFFIXES
 from ssrvlad_torch.datasets.label_files import find_label_files
 from ssrvlad_torch.datasets.layouts import open_dataset
-from ssrvlad_torch.datasets.names import (
-    IMAGE_SUFFIXES,
-    check_sequences,
-    sequence_names,
-)
+from ssrvlad_torch.datasets.names import IMAGE_SUFFIXES, check_sequences, sequence_names
 from ssrvlad_torch.datasets.poses import UNKNOWN, Pose
 from ssrvlad_torch.datasets.synthetic_city import write_city
 

@@ -5,10 +5,8 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 import torch
-from drives import write_maps
-from helpers import street
-from networks import photo
-from segmenting import write_named_network, write_photos
+from helpers import street, write_maps
+from networks import photo, write_named_network, write_photos
 
 from ssrvlad_torch import SSRVLAD, LoopDetector, Map, match
 from ssrvlad_torch.loops.config import LoopConfig

@@ -8,8 +8,17 @@ import pickle
 import numpy as np
 import pytest
 import torch
-from cases import assert_equals_reference, camvid_labels, needs_camvid
-from drawings import CAR, ROAD, SPACE, TREE, VOID, blobs
+from drawings import (
+    CAR,
+    ROAD,
+    SPACE,
+    TREE,
+    VOID,
+    assert_equals_reference,
+    blobs,
+    camvid_labels,
+    needs_camvid,
+)
 from helpers import refused, refuses
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -170,10 +179,7 @@ def test_the_head_is_compiled_as_one_operator_and_paper_exported_as_one(core):
 
 @pytest.mark.parametrize(
     ("head", "shape"),
-    [
-        (SSRVLAD(DEFAULT), ()),
-        pytest.param(SSRVLAD(DEFAULT, [-3, 5]), (2,), marks=pytest.mark.slow),
-    ],
+    [(SSRVLAD(DEFAULT), ()), pytest.param(SSRVLAD(DEFAULT, [-3, 5]), (2,), marks=pytest.mark.slow)],
 )
 def test_default_is_exported_as_its_stages_for_every_size(head, shape):
     """An id outside the label space makes an exported descriptor NaN: a graph cannot raise."""

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from helpers import street, touch, write_image
-from maps import HEAD, alone, assert_streets, counts
+from helpers import HEAD, alone, assert_streets, counts, street, touch, write_image
 
 from ssrvlad_torch.channels.label_shapes import LabelShapes
 from ssrvlad_torch.datasets.label_files import digest

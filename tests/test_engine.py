@@ -11,16 +11,7 @@ import lance
 import pyarrow as pa
 import pytest
 import torch
-from helpers import (
-    CONFIG,
-    FRAMES,
-    descriptors,
-    fill,
-    filled,
-    loaded,
-    refused,
-    refuses,
-)
+from helpers import CONFIG, FRAMES, descriptors, fill, filled, loaded, refused, refuses
 
 from ssrvlad_torch import Database
 from ssrvlad_torch.database import engine

@@ -10,8 +10,8 @@ import torch
 from helpers import refuses
 from hypothesis import example, given
 from hypothesis import strategies as st
+from layout_copies import frozen_corridor, needs_vpr_bench, stored_results
 from scipy.stats import binomtest
-from vpr_bench import frozen_corridor, needs_vpr_bench, stored_results
 
 from ssrvlad_torch import match
 from ssrvlad_torch.evaluation import bootstrap as bootstrapping
@@ -19,12 +19,7 @@ from ssrvlad_torch.evaluation.bootstrap import bootstrap
 from ssrvlad_torch.evaluation.curves import rank, roc_auc
 from ssrvlad_torch.evaluation.metrics import FIGURES, evaluate, precision_recall_curve
 from ssrvlad_torch.evaluation.outcomes import judge
-from ssrvlad_torch.evaluation.thresholds import (
-    at_precision,
-    at_recall,
-    suggested_point,
-    wilson_low,
-)
+from ssrvlad_torch.evaluation.thresholds import at_precision, at_recall, suggested_point, wilson_low
 
 INF = math.inf
 

@@ -6,8 +6,7 @@ import numpy as np
 import onnx
 import pytest
 import torch
-from cases import degenerate
-from drawings import SPACE, VOID, blobs
+from drawings import SPACE, VOID, blobs, degenerate
 from exported import (
     COLUMNS,
     CUSTOM,
@@ -23,9 +22,9 @@ from exported import (
     presets,
     random_blobs,
     run_of,
+    session,
     write_space,
 )
-from graphs import session
 from helpers import refuses
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig

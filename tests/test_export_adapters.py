@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from drives import write_maps, write_photos
-from helpers import refuses, street, write_image
+from helpers import refuses, street, write_image, write_maps, write_photos
 from networks import PLAIN
 from torch import nn
 

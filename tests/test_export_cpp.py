@@ -21,13 +21,11 @@ import pytest
 import run_onnx
 import torch
 from built import commands, must
-from exported import write_categories
-from graphs import edit_golden, turned, without_property
+from exported import edit_golden, turned, without_property, write_categories
 from helpers import assert_each_is_one_line, outcome, street
 from loop_streams import SEEDS, assert_same_answers, objects
-from networks import photo, write_graph
+from networks import photo, write_graph, write_town
 from PIL import Image
-from segmenting import write_town
 from ssrvlad_place.database import save
 from ssrvlad_place.model import Description
 
@@ -127,10 +125,7 @@ WRONG_USE = {
         ("no.onnx nowhere.npy", "nowhere.npy does not exist"),
         ("no.onnx photo.jpg", "expected .ppm or .npy files; ImageMagick makes them of others: mog"),
         ("no.onnx map.npy no.npy", "no.npy: cannot be read"),
-        (
-            "no.onnx map.npy town.npy many",
-            "TOP: expected a whole number from 1 to 999999999, got",
-        ),
+        ("no.onnx map.npy town.npy many", "TOP: expected a whole number from 1 to 999999999, got"),
         ("no.onnx map.npy town.npy 0", "TOP: expected a whole number from 1 to 999999999, got 0"),
     ],
     "follow": [

@@ -10,14 +10,12 @@ import numpy as np
 import pytest
 import torch
 from drawings import SPACE
-from drives import write_maps
-from graphs import edit_golden, turned
-from helpers import COLOUR, GRAY, PALETTES, street, write_palette, write_png
+from exported import edit_golden, turned
+from helpers import COLOUR, GRAY, PALETTES, street, write_maps, write_palette, write_png
 from loop_streams import objects
-from networks import PLAIN, colour_network, photo
+from networks import PLAIN, colour_network, photo, write_map, write_moved_drives, write_town
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
-from segmenting import write_map, write_moved_drives, write_town
 from ssrvlad_place.database import save
 from ssrvlad_place.model import Description
 

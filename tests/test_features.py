@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 import torch
-from graphs import session
+from exported import session
 from helpers import refuses
 from torch import nn
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 import torch.nn.functional as F
 from drawings import SPACE
-from segmenting import write_photos, write_settings
+from networks import write_photos, write_settings
 
 from ssrvlad_torch import Database
 from ssrvlad_torch.channels import CHANNELS

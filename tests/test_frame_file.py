@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 import torch
 from helpers import refuses, street, write_street
+from networks import write_photos, write_settings
 from networks import write_street as write_network
 from pyarrow.fs import FileSystem, copy_files
-from segmenting import write_photos, write_settings
 
 from ssrvlad_torch import SSRVLAD
 from ssrvlad_torch.channels.label_shapes import LabelShapes

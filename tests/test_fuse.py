@@ -11,7 +11,7 @@ import onnx
 import pytest
 import torch
 from drawings import SPACE, blobs
-from graphs import session
+from exported import session
 from helpers import refuses, street
 from networks import (
     CLASSES,

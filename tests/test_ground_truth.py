@@ -6,8 +6,7 @@ import shutil
 
 import numpy as np
 import pytest
-from drives import write_maps, write_photos, write_truth
-from helpers import refuses
+from helpers import refuses, write_maps, write_photos, write_truth
 from hypothesis import example, given
 from hypothesis import strategies as st
 

@@ -8,11 +8,7 @@ from helpers import COLOUR, GRAY, flip_byte, refused, refuses, write_pages, writ
 from PIL import Image
 
 from ssrvlad_torch.datasets.frame_files import FrameFile
-from ssrvlad_torch.datasets.image_files import (
-    decode_image,
-    pixels_of,
-    read_image,
-)
+from ssrvlad_torch.datasets.image_files import decode_image, pixels_of, read_image
 from ssrvlad_torch.files import npy_bytes
 
 PICTURE = np.random.default_rng(0).integers(0, 256, (20, 30, 3), np.uint8)

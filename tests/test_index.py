@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 import torch
 from drawings import SPACE
-from drives import write_maps
-from helpers import descriptors, refuses, spoil
+from helpers import descriptors, refuses, spoil, write_maps
 from large_maps import CONFIG
 
 from ssrvlad_torch import Database, Map

@@ -7,8 +7,7 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
-from drives import write_maps
-from interrupting import Lines
+from helpers import Lines, write_maps
 from loop_streams import views
 
 from ssrvlad_torch import SSRVLAD, Database, LoopDetector, Map

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from helpers import refuses
-from ros_images import CAMVID
+from loop_streams import CAMVID
 from ssrvlad_ros import label_table
 
 from ssrvlad_torch.taxonomy import CATEGORIES, label_space, label_space_names

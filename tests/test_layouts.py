@@ -7,11 +7,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from cases import CAMVID, needs_camvid
+from drawings import CAMVID, needs_camvid
 from helpers import refused, refuses
 from layout_copies import (
     AUTUMN,
     CITIES,
+    CORRIDOR,
     DRIVES,
     FALL,
     FRONT,
@@ -27,12 +28,15 @@ from layout_copies import (
     cityscapes,
     extended_cmu,
     image,
+    needs_corridor,
+    outline,
+    plant,
     robotcar,
+    roles,
     synthia,
     vpr_bench,
+    write,
 )
-from trees import outline, plant, roles, write
-from vpr_bench import CORRIDOR, needs_corridor
 
 from ssrvlad_torch.datasets.dataset import GroundTruth
 from ssrvlad_torch.datasets.image_files import read_image
@@ -172,11 +176,7 @@ MISSING = [
         [f"{POSELESS}SYNTHIA-SEQS-*/CameraParams of the same packages"],
     ),
     (robotcar, [], [lacking(5, 9, "pose", "dawn-rear/1418721356878649")]),
-    (
-        extended_cmu,
-        [],
-        [lacking(4, 12, "pose", f"slice6-c0-2011-04-21/{image(7, 0, MAP)}")],
-    ),
+    (extended_cmu, [], [lacking(4, 12, "pose", f"slice6-c0-2011-04-21/{image(7, 0, MAP)}")]),
 ]
 
 

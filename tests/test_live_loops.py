@@ -7,11 +7,10 @@ from unittest.mock import Mock
 import numpy as np
 import onnx
 import pytest
-from graphs import edit_golden, turned, without_property
+from exported import edit_golden, turned, without_property
 from helpers import refused, refuses, street
-from loop_streams import SEEDS
+from loop_streams import CAMVID, CONFIG, SECOND, SEEDS, picture, seen, updates
 from networks import photo
-from ros_images import CAMVID, CONFIG, SECOND, picture, seen, updates
 from ssrvlad_ros import label_table, live_loops
 from ssrvlad_ros.place_model import PlaceModel
 

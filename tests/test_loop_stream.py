@@ -16,11 +16,7 @@ from PIL import Image
 from ssrvlad_torch import Database
 from ssrvlad_torch.loops.config import LoopConfig
 from ssrvlad_torch.loops.detector import LoopDetector
-from ssrvlad_torch.loops.stream import (
-    detect_loops,
-    encode_as_they_come,
-    open_detector,
-)
+from ssrvlad_torch.loops.stream import detect_loops, encode_as_they_come, open_detector
 
 SETTINGS = ("--exclude", 5, "--no-sweep")
 LOOPS = {f"drive/{n}": f"drive/{n - 30}" for n in range(42, 54)}

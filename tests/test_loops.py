@@ -7,12 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ssrvlad_torch.evaluation.loops import (
-    LoopScore,
-    loop_curve,
-    score_loops,
-    surest_point,
-)
+from ssrvlad_torch.evaluation.loops import LoopScore, loop_curve, score_loops, surest_point
 from ssrvlad_torch.evaluation.thresholds import wilson_low
 
 EAST, WEST = 0.0, math.pi

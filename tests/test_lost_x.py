@@ -7,8 +7,7 @@ import pytest
 import torch
 import torch.nn.functional as F
 from helpers import refuses
-from methods import noise
-from plain_layers import Array, unit
+from methods import Array, noise, unit
 from scipy.spatial.distance import cosine
 from torch import Tensor, nn
 

@@ -7,11 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from drawings import SPACE
-from drives import write_maps
-from helpers import refuses, street
-from networks import PLAIN, Street, Strided, photo
+from helpers import refuses, street, write_maps
+from networks import PLAIN, Street, Strided, counted, photo, write_photos, write_settings
 from PIL import Image
-from segmenting import counted, write_photos, write_settings
 from torch import nn
 
 from ssrvlad_torch import Map, Segmenter

@@ -7,11 +7,9 @@ from functools import partial
 import numpy as np
 import pytest
 from drawings import SPACE
-from drives import write_maps
-from helpers import refuses
-from interrupting import Lines
+from helpers import Lines, refuses, write_maps
+from networks import write_photos, write_settings
 from PIL import Image
-from segmenting import write_photos, write_settings
 
 from ssrvlad_torch import Map
 from ssrvlad_torch.recognition.recognise import Steps

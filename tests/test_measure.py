@@ -5,8 +5,7 @@ import json
 import numpy as np
 import pytest
 from drawings import SPACE, VOID
-from drives import write_maps, write_truth
-from helpers import write_street
+from helpers import write_maps, write_street, write_truth
 from PIL import Image
 
 

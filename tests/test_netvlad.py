@@ -7,16 +7,10 @@ import numpy as np
 import pytest
 import torch
 from helpers import refuses
-from methods import frames, noise
-from plain_layers import Array, convolve, max_pool, relu, unit
+from methods import Array, convolve, frames, max_pool, noise, relu, unit
 from torch import nn
 
-from ssrvlad_torch.baselines.netvlad import (
-    NetVLAD,
-    NetVLADLayer,
-    NetVLADNetwork,
-    read_netvlad,
-)
+from ssrvlad_torch.baselines.netvlad import NetVLAD, NetVLADLayer, NetVLADNetwork, read_netvlad
 from ssrvlad_torch.channels.channel import View
 
 WIDTHS = (2, 2, 2, 2, 3)

@@ -5,8 +5,7 @@ import pytest
 import torch
 from drawings import SPACE
 from helpers import refuses
-from networks import PLAIN, Street, colour_network, write_street
-from segmenting import PHOTOS, counted, write_photos
+from networks import PHOTOS, PLAIN, Street, colour_network, counted, write_photos, write_street
 from torch import nn
 
 from ssrvlad_torch import SSRVLAD, reference

@@ -7,8 +7,7 @@ import pytest
 import torch
 from drawings import SPACE
 from helpers import refuses, street
-from networks import PLAIN, Strided, Then, photo
-from segmenting import NOISE, PHOTOS, assert_right, write_photos
+from networks import NOISE, PHOTOS, PLAIN, Strided, Then, assert_right, photo, write_photos
 
 from ssrvlad_torch.datasets.image_files import find_image_files
 from ssrvlad_torch.segmentation.preparation import Preparation, SegmenterConfig

@@ -6,8 +6,16 @@ import pytest
 import torch
 from drawings import SPACE
 from helpers import refused, refuses
-from networks import NAMES, PLAIN, colour_network, write_graph, write_published
-from segmenting import NOISE, PHOTOS, assert_right
+from networks import (
+    NAMES,
+    NOISE,
+    PHOTOS,
+    PLAIN,
+    assert_right,
+    colour_network,
+    write_graph,
+    write_published,
+)
 
 from ssrvlad_torch.segmentation.networks import open_network, runs_code
 from ssrvlad_torch.segmentation.preparation import SegmenterConfig
@@ -35,10 +43,7 @@ def test_a_settings_file_names_a_network_beside_it(tmp_path, monkeypatch):
         (None, r"cannot read the settings .*net\.yaml: No such file"),
         ("network: [", r"^\S*net\.yaml is not plain YAML: while parsing"),
         ("size: [4, 4]", r"net\.yaml names no network; expected network: NAME"),
-        (
-            "network: net.onnx\nmeans: 3",
-            r"^\S*net\.yaml: unknown setting 'means'; expected net",
-        ),
+        ("network: net.onnx\nmeans: 3", r"^\S*net\.yaml: unknown setting 'means'; expected net"),
         ("network: net.onnx\nclasses: 3-4", r"classes must be FIRST:LAST"),
         ("network: none.onnx", r"none\.onnx does not exist"),
         ("network: none", r"no network 'none'; expected FILE.onnx"),
@@ -123,12 +128,7 @@ def test_a_published_model_comes_with_its_own_settings_and_class_names(hub_folde
 
 
 @pytest.mark.parametrize(
-    "family",
-    [
-        "Mask2Former",
-        "OneFormer",
-        pytest.param("Beit", marks=pytest.mark.slow),
-    ],
+    "family", ["Mask2Former", "OneFormer", pytest.param("Beit", marks=pytest.mark.slow)]
 )
 def test_every_family_of_transformers_gives_label_maps(family, tmp_path):
     segmenter = Segmenter.load(write_published(tmp_path / "tiny", family))

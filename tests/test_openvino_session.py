@@ -3,8 +3,7 @@
 import pytest
 from drawings import SPACE
 from helpers import refuses
-from networks import PLAIN, write_graph
-from segmenting import assert_right, write_settings
+from networks import PLAIN, assert_right, write_graph, write_settings
 from test_segmentation import GRAPHS
 
 from ssrvlad_torch.segmentation import onnx_network

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import run_onnx
 import torch
-from graphs import edit_golden, turned, without_property
+from exported import edit_golden, turned, without_property
 from helpers import street
 from networks import PLAIN, Then, photo, write_graph
 from PIL import Image

@@ -9,8 +9,7 @@ import time
 import numpy as np
 import pytest
 import torch
-from helpers import refuses, street
-from maps import HEAD, alone, assert_streets, counts, rewrite
+from helpers import HEAD, alone, assert_streets, counts, refuses, rewrite, street
 
 from ssrvlad_torch import SSRVLAD
 from ssrvlad_torch.datasets.label_files import digest

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from helpers import refused, refuses, touch
-from trees import write
+from layout_copies import write
 
 from ssrvlad_torch.datasets.label_files import find_label_files
 from ssrvlad_torch.datasets.pose_tables import PoseTable, read_poses

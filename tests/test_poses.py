@@ -7,7 +7,7 @@ import os
 import numpy as np
 import pytest
 from helpers import COLOUR, png_bytes, refuses
-from trees import plant, write, write_placed
+from layout_copies import plant, write, write_placed
 
 from ssrvlad_torch.datasets.image_files import find_image_files
 from ssrvlad_torch.datasets.pose_tables import read_poses

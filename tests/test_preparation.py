@@ -5,9 +5,19 @@ import pytest
 import torch
 from drawings import SPACE
 from helpers import refuses, street
-from networks import PLAIN, Coloured, Street, Then, colour_network, photo
+from networks import (
+    LABELS,
+    NOISE,
+    PLAIN,
+    Coloured,
+    Street,
+    Then,
+    assert_right,
+    colour_network,
+    photo,
+    write_photos,
+)
 from PIL import Image
-from segmenting import LABELS, NOISE, assert_right, write_photos
 
 from ssrvlad_torch.datasets.image_files import find_image_files
 from ssrvlad_torch.segmentation import segmenter as segmentation

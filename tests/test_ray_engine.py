@@ -6,8 +6,7 @@ import sys
 import pytest
 import torch
 from helpers import write_street as write_map
-from networks import write_street
-from segmenting import write_photos, write_settings
+from networks import write_photos, write_settings, write_street
 
 from ssrvlad_torch import SSRVLAD
 from ssrvlad_torch.channels.channel import new_channels

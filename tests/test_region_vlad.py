@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 import torch
 from helpers import refused
-from methods import frames, noise
-from plain_layers import Array, convolve, local_response_norm, max_pool, relu, unit
+from methods import Array, convolve, frames, local_response_norm, max_pool, noise, relu, unit
 from skimage.measure import label, regionprops
 
 from ssrvlad_torch.baselines.region_vlad import AlexNetPlaces365, RegionVLAD, regions_of

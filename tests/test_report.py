@@ -14,18 +14,14 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 import torch
-from drives import write_maps, write_photos, write_truth
-from helpers import descriptors, street, write_street
+from helpers import descriptors, street, write_maps, write_photos, write_street, write_truth
 from PIL import Image
 
 from ssrvlad_torch.database.frames import FrameSet
 from ssrvlad_torch.datasets.image_files import Pixels
 from ssrvlad_torch.evaluation.measure import Evaluation, Recognition, measure
 from ssrvlad_torch.evaluation.metrics import Convention, figure_rows, fraction
-from ssrvlad_torch.evaluation.report import (
-    render,
-    write_report,
-)
+from ssrvlad_torch.evaluation.report import render, write_report
 from ssrvlad_torch.recognition.matching import match
 from ssrvlad_torch.recognition.sweep import score
 from ssrvlad_torch.taxonomy import colourise

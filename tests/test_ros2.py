@@ -13,11 +13,10 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from graphs import without_property
+from exported import without_property
 from helpers import refused, street, write_image
-from loop_streams import SEEDS, assert_same_answers, objects
+from loop_streams import CAMVID, CONFIG, SEEDS, assert_same_answers, objects, picture, seen
 from networks import photo
-from ros_images import CAMVID, CONFIG, picture, seen
 from ssrvlad_ros import live_loops
 
 from ssrvlad_torch import SSRVLAD, Database, LoopDetector

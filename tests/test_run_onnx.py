@@ -8,14 +8,14 @@ import loops_onnx
 import numpy as np
 import pytest
 import run_onnx
-from drives import write_maps
-from graphs import without_property
+from exported import without_property
 from helpers import (
     assert_each_is_one_line,
     assert_no_reader_is_no_error,
     flip_byte,
     outcome,
     without,
+    write_maps,
 )
 from loop_streams import objects
 from networks import write_graph

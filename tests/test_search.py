@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 import torch
 from drawings import SPACE
-from drives import write_maps
-from helpers import street
+from helpers import street, write_maps
 from hypothesis import given
 from hypothesis import strategies as st
 from loop_streams import objects

@@ -10,8 +10,17 @@ import torch
 import yaml
 from drawings import SIGN, SKY, SPACE
 from helpers import refuses, street, write_image
-from networks import PLAIN, Then, colour_network, photo, write_graph, write_street
-from segmenting import LABELS, PHOTOS, assert_right
+from networks import (
+    LABELS,
+    PHOTOS,
+    PLAIN,
+    Then,
+    assert_right,
+    colour_network,
+    photo,
+    write_graph,
+    write_street,
+)
 from torch import nn
 
 from ssrvlad_torch import SSRVLAD
@@ -77,11 +86,7 @@ def test_images_give_the_descriptors_of_their_label_maps(tmp_path):
     ("graph", "settings", "message"),
     [
         ({"dtype": "bytes"}, {}, "takes bytes: expected white 255, got 1"),
-        (
-            {"shape": (1, 3, 24, 32)},
-            {"size": (32, 32)},
-            "takes .* 24x32, the settings say 32x32",
-        ),
+        ({"shape": (1, 3, 24, 32)}, {"size": (32, 32)}, "takes .* 24x32, the settings say 32x32"),
         ({"shape": (1, 3, 24, "w")}, {}, "takes images of 24xany; expected a size"),
     ],
 )

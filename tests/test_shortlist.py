@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 import torch
 from drawings import SPACE
-from drives import write_maps
-from helpers import descriptors, spoil
+from helpers import descriptors, spoil, write_maps
 from large_maps import ALL, CONFIG, ROWS, channels, large_town, queries_at
 
 from ssrvlad_torch import Database, Map

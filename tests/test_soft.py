@@ -6,8 +6,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from cases import camvid_labels, degenerate, needs_camvid
-from drawings import SPACE, blobs, one_hot
+from drawings import SPACE, blobs, camvid_labels, degenerate, needs_camvid, one_hot
 from helpers import refuses, street
 from torch import Tensor
 

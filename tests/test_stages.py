@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 from drawings import pack, random_planes
-from graphs import by_runtime
+from exported import by_runtime
 from helpers import refuses
 from hypothesis import given
 from hypothesis import strategies as st

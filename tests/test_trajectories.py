@@ -6,7 +6,7 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 from helpers import refuses
-from trees import plant, write
+from layout_copies import plant, write
 
 from ssrvlad_torch.datasets.image_files import find_image_files
 from ssrvlad_torch.datasets.poses import UNKNOWN, Pose

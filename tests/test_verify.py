@@ -10,8 +10,7 @@ import numpy as np
 import onnx
 import pytest
 from drawings import SPACE
-from exported import write_space
-from graphs import session
+from exported import session, write_space
 from helpers import write_street
 from networks import PLAIN, write_graph
 from networks import write_street as write_network

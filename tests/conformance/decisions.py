@@ -12,14 +12,12 @@ import numpy as np
 import run_onnx
 from built import Fixtures
 from drawings import SPACE
-from drives import write_maps
 from exported import of_preset
-from helpers import outcome
-from loop_streams import SEEDS, objects
+from helpers import outcome, write_maps
+from loop_streams import CAMVID, CONFIG, SECOND, SEEDS, objects, picture
+from networks import write_drives, write_map, write_moved_drives
 from oracles import loops as oracle
 from PIL import Image
-from ros_images import CAMVID, CONFIG, SECOND, picture
-from segmenting import write_drives, write_map, write_moved_drives
 from ssrvlad_place.model import TRUST
 from ssrvlad_ros.live_loops import LiveLoops
 from ssrvlad_ros.place_model import PlaceModel

@@ -11,12 +11,20 @@ import numpy as np
 import numpy.typing as npt
 import torch
 from built import Fixtures
-from cases import degenerate, hand_drawn
-from drawings import CAR, ROAD, SPACE, TREE, VOID, blobs
-from exported import city, in_space, model_of, noise, of_preset, random_blobs, write_categories
-from graphs import in_openvino, session
+from drawings import CAR, ROAD, SPACE, TREE, VOID, blobs, degenerate, hand_drawn
+from exported import (
+    city,
+    in_openvino,
+    in_space,
+    model_of,
+    noise,
+    of_preset,
+    random_blobs,
+    session,
+    write_categories,
+)
 from helpers import outcome, write_image
-from ros_images import CAMVID, CONFIG, picture
+from loop_streams import CAMVID, CONFIG, picture
 from ssrvlad_place.model import Model
 from ssrvlad_ros.live_loops import LiveLoops
 

@@ -3,13 +3,7 @@ than the traced one."""
 
 import numpy as np
 import pytest
-from conformance.descriptors import (
-    BATCHES,
-    PROGRAMS,
-    cases,
-    expected,
-    in_onnxruntime,
-)
+from conformance.descriptors import BATCHES, PROGRAMS, cases, expected, in_onnxruntime
 from drawings import VOID, blobs, one_hot
 from exported import PRESETS, of_preset
 

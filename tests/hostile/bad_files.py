@@ -8,8 +8,8 @@ import zlib
 from pathlib import Path
 
 from helpers import png_bytes, tiff_bytes
+from layout_copies import write as text
 from numpy.lib import format as npy
-from trees import write as text
 
 __all__ = ["text"]
 

@@ -9,8 +9,7 @@ import lance
 import numpy as np
 import onnx
 import pytest
-from drives import write_maps
-from helpers import refuses
+from helpers import refuses, write_maps
 
 from ssrvlad_torch import Database, SSRVLADConfig
 from ssrvlad_torch.channels import Column

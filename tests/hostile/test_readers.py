@@ -11,7 +11,7 @@ from pathlib import Path
 
 import bad_files as bad
 import pytest
-from drives import write_maps, write_photos
+from helpers import write_maps, write_photos
 
 SPACE = "name: own\nsource: here\nclasses:\n  - {id: 0, name: sky, category: sky"
 Make = Callable[[Path], object]
