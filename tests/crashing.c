@@ -7,6 +7,7 @@
 #include <limits.h>
 #include <signal.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 #include <sys/types.h>
 #include <unistd.h>
@@ -98,12 +99,21 @@ int rename(const char *from, const char *to) {
     return REAL(rename)(from, to);
 }
 
+/* With this variable the file system has no hard links. */
+static int lacks_links(void) {
+    if (!getenv("WITHOUT_LINKS")) return 0;
+    errno = EPERM;
+    return 1;
+}
+
 int link(const char *from, const char *to) {
+    if (lacks_links()) return -1;
     if (change("link", to)) return -1;
     return REAL(link)(from, to);
 }
 
 int linkat(int there, const char *from, int here, const char *to, int flags) {
+    if (lacks_links()) return -1;
     if (change("link", to)) return -1;
     return REAL(linkat)(there, from, here, to, flags);
 }

@@ -77,6 +77,19 @@ def test_a_writer_that_is_killed_at_any_moment_loses_nothing(shim, tmp_path):
     assert crashes(shim, tmp_path, "random", "50") == [["50"]]
 
 
+def test_a_file_system_without_hard_links_is_named_and_nothing_stays(shim, tmp_path):
+    program = "import sys, ssrvlad_torch as s; s.Database.create(sys.argv[1], width=6)"
+    done = subprocess.run(
+        [sys.executable, "-c", program, tmp_path / "town"],
+        env={**os.environ, "LD_PRELOAD": str(shim), "WITHOUT_LINKS": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert "town cannot be written: the file system has no hard links" in done.stderr
+    assert not [*tmp_path.iterdir()]
+
+
 @contextmanager
 def limited(what, most):
     """Sets a resource limit: a full disk, or too many open files."""

@@ -36,6 +36,8 @@ if TYPE_CHECKING:
 _ATTEMPTS, _PAUSE = 100, 0.02
 _LATER = "conflict|concurrent|not found"
 """Errors of a writer whose version is no longer the newest, or was deleted meanwhile."""
+_NO_LINKS = "Unable to rename file"
+"""Lance renames by hard links, which exFAT and some network drives lack."""
 _MESSAGE = "lance.commit.message"
 _CHANGES = {"Overwrite": "create", "UpdateConfig": "add an origin", "Rewrite": "compact"}
 _LAST_VERSION = (1 << 64) - 1
@@ -88,6 +90,8 @@ def lance_errors(kind: type[Exception], problem: str = "", values: bool = True) 
         if "KeyboardInterrupt" in line:
             raise KeyboardInterrupt from error
         reason = re.split(r", /|: <\?xml", line)[0] or type(error).__name__  # without sources, XML
+        if _NO_LINKS in reason:
+            reason = "the file system has no hard links, which Lance needs; expected another disk"
         if panic or "Task was aborted" in line:
             raise PanicError(f"Lance failed: {reason}") from error
         raise kind(f"{problem}: {reason}" if problem else reason) from error
@@ -130,11 +134,18 @@ def change_table(uri: str, change: Callable[[LanceDataset], LanceDataset]) -> La
 def create(uri: str, schema: pa.Schema) -> LanceDataset:
     """Creates an empty table."""
     with lance_errors(OSError, f"{uri} cannot be written"):
+        folder = Path(uri)
+        is_new = not is_uri(uri) and not folder.exists()
         if not is_uri(uri):
-            Path(uri).mkdir(parents=True, exist_ok=True)
-        table: LanceDataset = lance().write_dataset(
-            schema.empty_table(), uri, schema=schema, mode="create"
-        )
+            folder.mkdir(parents=True, exist_ok=True)
+        try:
+            table: LanceDataset = lance().write_dataset(
+                schema.empty_table(), uri, schema=schema, mode="create"
+            )
+        except OSError as error:
+            if is_new and _NO_LINKS in str(error):
+                shutil.rmtree(folder, ignore_errors=True)
+            raise
         _flush_version(table)
         if not is_uri(uri):
             flush(Path(uri).absolute().parent)

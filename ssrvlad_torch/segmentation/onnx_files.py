@@ -29,14 +29,20 @@ CPU = "CPUExecutionProvider"
 
 
 def load_model(path: Path) -> onnx.ModelProto:
-    """The model in an ONNX file, with its external weights. A missing file, one that is not an ONNX
-    graph, and external weights that are missing or outside its folder are a ValueError; without
-    the extra ``onnx``, an ImportError."""
+    """The model in an ONNX file, with its external weights. Both may be links, as in the cache of
+    the Hugging Face hub. A missing file, one that is not an ONNX graph, and external weights that
+    are missing or named outside its folder are a ValueError; without the extra ``onnx``, an
+    ImportError."""
     with requiring("onnx", "ONNX files need"):
         import onnx
     try:
         check_regular(path)
-        model = onnx.load(path)
+        model = onnx.load(path, load_external_data=False)
+        for tensor in onnx.external_data_helper._get_all_tensors(model):
+            if onnx.external_data_helper.uses_external_data(tensor):
+                tensor.raw_data = _external_bytes(path.parent, tensor)
+                del tensor.external_data[:]
+                tensor.ClearField("data_location")
     except InputError:
         raise
     except FileNotFoundError as error:
@@ -45,9 +51,20 @@ def load_model(path: Path) -> onnx.ModelProto:
         raise ValueError(f"{path} cannot be read as an ONNX graph: {one_line(error)}") from error
     if not model.graph.node:
         raise ValueError(f"{path} is not an ONNX graph: it has no nodes")
-    for tensor in _tensors(model.graph):
-        tensor.ClearField("data_location")
     return model
+
+
+def _external_bytes(folder: Path, tensor: onnx.TensorProto) -> bytes:
+    """The weights of a tensor in a file in a folder. `onnx.load` refuses links."""
+    entries = {entry.key: entry.value for entry in tensor.external_data}
+    path, length = path_within(folder, entries["location"]), entries.get("length")
+    check_regular(path)
+    with path.open("rb") as file:
+        file.seek(int(entries.get("offset", 0)))
+        content = file.read(int(length) if length else -1)
+    if length and len(content) != int(length):
+        raise InputError(f"{path} ends before the weights {tensor.name!r}")
+    return content
 
 
 def open_session(

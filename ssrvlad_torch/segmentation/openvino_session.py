@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..files import naming, requiring
+from .onnx_files import external_files, load_model
 
 SINGLE = {"INFERENCE_PRECISION_HINT": "f32"}
 """The settings for single precision: OpenVINO computes in bfloat16 on a processor that has it."""
@@ -28,6 +29,8 @@ class OpenVinoSession:
         core = openvino.Core()
         limits = {"INFERENCE_NUM_THREADS": threads} if threads else {}
         with naming(f"{name} cannot run in OpenVINO"):
+            if isinstance(source, Path) and any(f.is_symlink() for f in external_files(source)):
+                source = load_model(source).SerializeToString()  # OpenVINO refuses links
             model = core.read_model(source)
             model.add_outputs([*inner])
             self._compiled = core.compile_model(model, "CPU", {**SINGLE, **limits})
