@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from operator import index
 from typing import Any, Protocol
 
@@ -16,12 +16,15 @@ from .config import SSRVLADConfig
 from .native import core
 from .native.operator import UnknownIdError, describe, operator
 from .stages.explanation import Explanation, explain
-from .stages.front_end import FrontEnd, as_tensor, label_map
+from .stages.front_end import FrontEnd, as_tensor, label_map, labels_in
 from .stages.harmonics import Harmonics
 from .stages.layers import refuse_unknown
 from .stages.residuals import ResidualHistograms, Residuals
 from .stages.tracing import exporting
 from .taxonomy import LabelSpace
+
+Labels = Tensor | npt.NDArray[Any] | Mapping[Any, Any]
+"""Label maps or class scores, or the outputs of a network by name."""
 
 
 class Aggregation(Protocol):
@@ -58,7 +61,8 @@ class SSRVLAD(nn.Module):
     Shape:
         - input: ``(B, H, W)`` label ids of any integer dtype, or ``(B, C, H, W)`` floating class
           scores (logits or probabilities; the largest wins, the first of equals), any ``H`` and
-          ``W`` from 1. A tensor or a NumPy array.
+          ``W`` from 1. A tensor, a NumPy array, or a mapping with one such tensor, or one named
+          ``out`` or ``logits``.
         - output: ``(B, D)`` float32 of length 1, ``D = config.length``, 480 by default, or exact
           zeros for an empty image, one that shows no category; with S anchors ``(B, S, D)``.
 
@@ -102,7 +106,7 @@ class SSRVLAD(nn.Module):
         """The label space of the input, as read when the head was created."""
         return self._front_end.label_space
 
-    def forward(self, labels: Tensor | npt.NDArray[Any]) -> Tensor:
+    def forward(self, labels: Labels) -> Tensor:
         """The descriptors of a batch."""
         if self.columns and not exporting():
             return self.sweep(labels, self.columns)
@@ -153,7 +157,9 @@ class SSRVLAD(nn.Module):
                 "ssrvlad fuse"
             )
 
-    def _input(self, labels: Tensor | npt.NDArray[Any]) -> Tensor:
+    def _input(self, labels: Labels) -> Tensor:
+        if isinstance(labels, Mapping):
+            labels = labels_in(labels, self.label_space)
         tensor, device = as_tensor(labels), self._front_end.table.device
         if tensor.device != device:
             raise ValueError(f"expected labels on {device}, as the head is, got {tensor.device}")
@@ -174,7 +180,7 @@ class SSRVLAD(nn.Module):
             return descriptor, unknown, histograms.counts
         return descriptor, unknown
 
-    def explain(self, labels: Tensor | npt.NDArray[Any]) -> Explanation:
+    def explain(self, labels: Labels) -> Explanation:
         """Every step from the label map to the descriptor; input and errors are those of a call.
         Clean layers, skeletons, keypoints and centres are those of the paper; the harmonics of
         ``default`` do not use them."""
@@ -185,7 +191,7 @@ class SSRVLAD(nn.Module):
             descriptor = self._aggregation.descriptor(histograms)
             return explain(ids, self.label_space, layers, self.config, histograms, descriptor)
 
-    def sweep(self, labels: Tensor | npt.NDArray[Any], columns: Sequence[int]) -> Tensor:
+    def sweep(self, labels: Labels, columns: Sequence[int]) -> Tensor:
         """Descriptors from several anchors, for a query whose camera may be turned or moved aside.
 
         Args:

@@ -154,12 +154,16 @@ def write_graph(
     aux: bool = False,
     external: bool = False,
     white: float = 1.0,
+    alone: bool = False,
+    quantised: bool = False,
 ) -> Path:
     """The colour network as an ONNX graph, node by node; ``dtype`` is a key of ``DTYPES``.
 
-    With ``labels`` the output is int64 ids ``(B, 1, H, W)``. Input and output, or with
+    With ``labels`` the output is int64 ids ``(B, 1, H, W)``, of one picture ``alone`` ``(H, W)``;
+    ``quantised`` it is int8 class scores. Input and output, or with
     ``scores_last`` the output alone, have their channels last. ``aux`` adds an output of wrong
-    scores, ``external`` stores the weights beside the file, ``white`` is the brightest pixel.
+    scores, ``external`` stores the weights beside the file, both as links to other names, as in the
+    cache of the Hugging Face hub, ``white`` is the brightest pixel.
     """
     network = colour_network(white)
     weights = {"weight": network.weight.numpy(), "bias": network.bias.numpy()}
@@ -171,12 +175,22 @@ def write_graph(
     ]
     if labels:
         nodes.append(helper.make_node("ArgMax", ["classes"], ["found"], axis=1, keepdims=1))
+        if alone:
+            nodes[-1].output[0] = "ids"
+            nodes.append(helper.make_node("Squeeze", ["ids"], ["found"]))
+    elif quantised:
+        weights |= {"depth": np.array(CLASSES), "ends": np.array([0, 127], np.float32)}
+        nodes += [
+            helper.make_node("ArgMax", ["classes"], ["ids"], axis=1, keepdims=0),
+            helper.make_node("OneHot", ["ids", "depth", "ends"], ["hot"], axis=1),
+            helper.make_node("Cast", ["hot"], ["found"], to=TensorProto.INT8),
+        ]
     elif channels_last or scores_last:
         nodes.append(helper.make_node("Transpose", ["classes"], ["found"], perm=[0, 2, 3, 1]))
     else:
         nodes.append(helper.make_node("Identity", ["classes"], ["found"]))
-    kind = TensorProto.INT64 if labels else TensorProto.FLOAT
-    outputs = [helper.make_tensor_value_info("found", kind, [None] * 4)]
+    kind = TensorProto.INT64 if labels else TensorProto.INT8 if quantised else TensorProto.FLOAT
+    outputs = [helper.make_tensor_value_info("found", kind, [None] * (2 if alone else 4))]
     if aux:
         nodes.append(helper.make_node("Neg", ["classes"], ["aux"]))
         outputs.append(helper.make_tensor_value_info("aux", TensorProto.FLOAT, [None] * 4))
@@ -186,9 +200,19 @@ def write_graph(
     opset = [helper.make_opsetid("", 17)]
     model = onnx.shape_inference.infer_shapes(helper.make_model(graph, opset_imports=opset))
     model.ir_version = 8
-    path.with_suffix(".data").unlink(missing_ok=True)  # the library would append to it
-    options = {"save_as_external_data": True, "location": f"{path.stem}.data", "size_threshold": 0}
-    onnx.save(model, path, **(options if external else {}))
+    if not external:
+        onnx.save(model, path)
+        return path
+    weights_file = path.with_suffix(".data")
+    options = {"location": weights_file.name, "size_threshold": 0}
+    for file in (path, weights_file):
+        file.unlink(missing_ok=True)  # the library would append to it
+    onnx.save(model, path, save_as_external_data=True, **options)
+    for file in (path, weights_file):
+        blob = path.parent / "blobs" / file.suffix[1:]
+        blob.parent.mkdir(exist_ok=True)
+        file.replace(blob)
+        file.symlink_to(blob)
     return path
 
 

@@ -125,6 +125,10 @@ def test_class_scores_take_the_best_class_and_of_equal_ones_the_first(dtype, cla
     labels = batch_of_blobs().clamp(max=classes - 1).long()
     scores = torch.nn.functional.one_hot(labels, classes).movedim(-1, 1).to(dtype)
     assert torch.equal(head(scores), head(labels))
+    outputs = {"aux": -scores, "out": scores, "embedding": scores.mean((2, 3))}
+    assert torch.equal(head(outputs), head(labels))
+    assert torch.equal(head({"ids": labels, "depth": scores[:, :1]}), head(labels))
+    refuses("labels of camvid-11, 2 fit: got a .*, b ", head, {"a": scores, "b": scores})
     scores = torch.zeros(1, 11, 20, 20)
     scores[:, ROAD] = scores[:, TREE] = float("inf")
     assert torch.equal(head(scores), head(torch.full((1, 20, 20), ROAD)))

@@ -26,6 +26,8 @@ from exported import (
     write_space,
 )
 from helpers import refuses
+from kornia.onnx import ONNXSequential
+from networks import photo, write_graph
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig
 from ssrvlad_torch.deployment.export import export_head
@@ -208,3 +210,13 @@ def test_the_command_writes_the_bytes_that_the_function_writes(ssrvlad, tmp_path
     assert of_preset(preset).fingerprint in out
     written = [tmp_path / name for name in ("command.onnx", "head.onnx")]
     assert written[0].read_bytes() == written[1].read_bytes()
+
+
+def test_kornia_chains_a_network_and_the_head(tmp_path):
+    config, labels = of_preset("default"), blobs(0, 24, 32, 12)
+    network, head = write_graph(tmp_path / "network.onnx"), tmp_path / "head.onnx"
+    onnx.save(model_of(config, "logits"), head)
+    joints = {"io_maps": [[("found", "logits")]], "target_opset_version": OPSET}
+    chain = ONNXSequential(str(network), str(head), target_ir_version=10, **joints)
+    picture = np.float32(photo(labels).transpose(2, 0, 1)[None] / 255)
+    assert_equal(chain(picture), labels[None], config)

@@ -78,7 +78,7 @@ def assert_labelled(segmenter: Segmenter, file: Path, images: Images, others: fl
     assert (labels != np.stack(segmenter(list(images)))).mean() <= others
 
 
-OFTEN = ("dynamic", "labels inside")
+OFTEN = ("dynamic", "labels inside", "external weights")
 """Each of the others is traced anew, and runs no code that these do not."""
 
 

@@ -25,6 +25,10 @@ OUTPUTS = {
     "ids with an axis": lambda scores: scores.argmax(1, keepdim=True),
     "ids with an axis at the end": lambda scores: scores.argmax(1)[..., None],
     "ids in 16 bits": lambda scores: scores.argmax(1).to(torch.uint16),
+    "ids without a batch": lambda scores: scores.argmax(1).squeeze(),
+    "quantised": lambda scores: torch.zeros_like(scores, dtype=torch.int8).scatter(
+        1, scores.argmax(1, keepdim=True), 127
+    ),
 }
 
 

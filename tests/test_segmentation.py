@@ -152,6 +152,8 @@ GRAPHS = {
     "a batch of three": {"shape": (3, 3, 24, 32)},
     "channels free": {"shape": ("b", "c", "h", "w")},
     "labels inside": {"labels": True},
+    "labels without a batch": {"shape": (1, 3, 24, 32), "labels": True, "alone": True},
+    "quantised": {"quantised": True},
     "external weights": {"external": True},
     "half input": {"dtype": "half"},
     "double input": {"dtype": "double"},

@@ -15,7 +15,7 @@ from ..files import one_line
 from ..segmentation.activations import is_script
 from ..segmentation.features import NetworkFeatures
 from ..segmentation.label_network import LabelNetwork
-from ..segmentation.network_outputs import classes_of, enlarged
+from ..segmentation.network_outputs import classes_of, enlarged, scores_along
 from ..segmentation.onnx_files import load_model, rename
 from ..segmentation.onnx_network import OnnxNetwork
 from ..segmentation.preparation import OF_SIDES, Preparation, SegmenterConfig
@@ -98,11 +98,8 @@ class _Decision(nn.Module):
         self.axis, self.classes, self.dtype = axis, classes, dtype
 
     def forward(self, output: Tensor, picture: Tensor) -> Tensor:
-        if output.is_floating_point():
-            output = output.movedim(self.axis or 1, 1)[:, slice(*self.classes)]
-        elif self.axis is not None:
-            output = output.squeeze(self.axis)
-        labels = classes_of(output).to(self.dtype)
+        output = output[None] if output.ndim == 2 else output
+        labels = classes_of(scores_along(output, self.axis, self.classes)).to(self.dtype)
         return enlarged(labels, *picture.shape[1:3])
 
 
@@ -160,12 +157,12 @@ def _traced_preparation(config: SegmenterConfig, network: OnnxNetwork) -> onnx.M
 def _traced_decision(
     dtype: torch.dtype, shape: tuple[int | None, ...], axis: int | None, classes: tuple[int, int]
 ) -> onnx.ModelProto:
-    scores = dtype.is_floating_point
+    scores = dtype.is_floating_point or (axis is not None and classes[1] > 1)
     narrow = classes[1] - classes[0] <= 256 if scores else dtype == torch.uint8
     module = _Decision(axis, classes, torch.uint8 if narrow else torch.int64)
-    sizes = [2, *EXAMPLE] if axis is None else [2, 33, 49, 25]
+    sizes = [2, *EXAMPLE][-len(shape) :] if axis is None else [2, 33, 49, 25]
     example = torch.zeros([n or m for n, m in zip(shape, sizes, strict=True)], dtype=dtype)
     axes: Axes = [n or f"n{number}" for number, n in enumerate(shape)]
-    picture = torch.zeros(2, *EXAMPLE, dtype=torch.uint8)
+    picture = torch.zeros(1 if len(shape) == 2 else 2, *EXAMPLE, dtype=torch.uint8)
     inputs = {"output": (example, axes), "picture": (picture, ["B", "H", "W"])}
     return traced(module, inputs, {"labels": ["B", "H", "W"]})

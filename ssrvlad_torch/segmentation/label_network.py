@@ -11,7 +11,15 @@ from torch import Tensor, nn
 from ..files import naming
 from ..taxonomy import LabelSpace
 from .activations import captured
-from .network_outputs import choose_output, class_axes, classes_of, enlarged, tensors_of
+from .network_outputs import (
+    batched,
+    choose_output,
+    class_axes,
+    classes_of,
+    enlarged,
+    scores_along,
+    tensors_of,
+)
 from .onnx_network import OnnxNetwork
 from .preparation import Preparation, SegmenterConfig
 
@@ -78,12 +86,7 @@ class LabelNetwork(nn.Module):
 
     def scores_of(self, output: Tensor) -> Tensor:
         """The output of the network with the classes in the second axis."""
-        if self.axis is None:
-            return output
-        if not output.is_floating_point():
-            return output.squeeze(self.axis)
-        scores = output.movedim(self.axis, 1)
-        return scores if self.config.classes is None else scores[:, slice(*self.config.classes)]
+        return scores_along(output, self.axis, self.config.classes)
 
     def _outputs(
         self, numbers: Tensor, names: Sequence[str]
@@ -92,9 +95,11 @@ class LabelNetwork(nn.Module):
         if isinstance(self.network, OnnxNetwork):
             outputs = self.network.outputs if self.output is None else [self.output]
             values = self.network(numbers, names=[*outputs, *names])
-            return {name: values[name] for name in outputs}, values
-        with captured(self.network, names) as values:
-            return tensors_of(self.network(numbers)), values
+            tensors = {name: values[name] for name in outputs}
+        else:
+            with captured(self.network, names) as values:
+                tensors = tensors_of(self.network(numbers))
+        return {name: batched(output, len(numbers)) for name, output in tensors.items()}, values
 
     def _axis_of(self, output: Tensor, height: int, width: int) -> int | None:
         """The axis that holds the classes. If two could, the other axes are proportional to height

@@ -12,6 +12,10 @@ Classes = tuple[int, int] | None
 """The first channel of the scores to use and the one after the last; ``None`` for all."""
 
 
+_QUANTISED = torch.uint8, torch.int8
+"""Dtypes of class scores of quantised networks."""
+
+
 class UnrecognisedError(ValueError):
     """No output of a network can be labels, or several can."""
 
@@ -28,7 +32,11 @@ def tensors_of(result: object) -> dict[str, Tensor]:
         named = dict(enumerate(result))
     else:
         named = {"logits": getattr(result, "logits", None)}
-    tensors = {str(key): value for key, value in named.items() if isinstance(value, Tensor)}
+    tensors = {
+        str(key): value.dequantize() if value.is_quantized else value
+        for key, value in named.items()
+        if isinstance(value, Tensor)
+    }
     if not tensors:
         raise UnrecognisedError(f"the network gives a {type(result).__name__} without tensors")
     return tensors
@@ -44,8 +52,9 @@ def choose_output(
     given, only that output can. If none does, or several could, an UnrecognisedError lists them.
 
     Class scores are floats, ``(B, C, h, w)`` or ``(B, h, w, C)``, with as many channels, or as many
-    to use, as the label space has classes; ids are integers, ``(B, h, w)``, ``(B, 1, h, w)`` or
-    ``(B, h, w, 1)``. If several outputs fit, one named ``out`` or ``logits`` is chosen.
+    to use, as the label space has classes, or the same in 8 bits; ids are integers, ``(B, h, w)``,
+    ``(B, 1, h, w)`` or ``(B, h, w, 1)``. If several outputs fit, one named ``out`` or ``logits`` is
+    chosen.
     """
     if name is not None and name not in outputs:
         raise UnrecognisedError(f"there is no output {name!r}; the outputs are {_list(outputs)}")
@@ -82,11 +91,33 @@ def channel_counts(space: LabelSpace, classes: Classes = None) -> range:
 
 def class_axes(output: Tensor, space: LabelSpace, classes: Classes = None) -> list[int]:
     """Which axes of an output, the second and the last of four, can be that of the classes."""
-    if output.is_floating_point():
-        counts = channel_counts(space, classes)
-    else:
-        counts = range(1, 2) if _holds_ids(output) else range(0)
-    return [axis for axis in (1, 3) if output.ndim == 4 and output.shape[axis] in counts]
+    if output.ndim != 4:
+        return []
+    counts = channel_counts(space, classes)
+    if not output.is_floating_point():
+        axes = [axis for axis in (1, 3) if output.shape[axis] == 1 and _holds_ids(output)]
+        if axes or output.dtype not in _QUANTISED:
+            return axes
+    return [axis for axis in (1, 3) if output.shape[axis] in counts]
+
+
+def scores_along(output: Tensor, axis: int | None, classes: Classes = None) -> Tensor:
+    """Class scores ``(B, C, h, w)`` floats or ids ``(B, h, w)`` from an output and the axis of its
+    classes, if it has one."""
+    if axis is None:
+        return output
+    if not output.is_floating_point():
+        if output.shape[axis] == 1:
+            return output.squeeze(axis)
+        output = output.float()  # quantised with one scale
+    scores = output.movedim(axis, 1)
+    return scores if classes is None else scores[:, slice(*classes)]
+
+
+def batched(output: Tensor, count: int) -> Tensor:
+    """Ids ``(h, w)`` of one picture as ``(1, h, w)``; other outputs stay."""
+    is_single = count == 1 and output.ndim == 2 and len(output) > 1 and _holds_ids(output)
+    return output[None] if is_single else output
 
 
 def _holds_ids(output: Tensor) -> bool:

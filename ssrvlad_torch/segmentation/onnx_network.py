@@ -93,7 +93,10 @@ class OnnxNetwork(nn.Module):
         length = self.batch or len(array)
         parts = [self._run(array[i : i + length], names) for i in range(0, len(array), length)]
         return {
-            name: torch.from_numpy(np.concatenate(arrays))
+            # ids (h, w) of a graph of one picture have no axis for the batch
+            name: torch.from_numpy(
+                np.stack(arrays) if _without_batch(arrays, length) else np.concatenate(arrays)
+            )
             for name, arrays in zip(names, zip(*parts, strict=True), strict=True)
         }
 
@@ -178,3 +181,8 @@ class OnnxNetwork(nn.Module):
             filling = np.repeat(images[-1:], self.batch - count, axis=0)
             images = np.concatenate([images, filling])
         return [array[:count] for array in self._session.run(names, {self.input: images})]
+
+
+def _without_batch(arrays: Sequence[npt.NDArray[Any]], length: int) -> bool:
+    first = arrays[0]
+    return len(arrays) > 1 and length == 1 and first.ndim == 2 and len(first) > 1

@@ -1,5 +1,6 @@
 """The front end of the method: label map -> layers on the working grid (Table II)."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -81,14 +82,38 @@ def label_map(labels: Tensor, space: LabelSpace) -> Tensor:
         raise ValueError(f"expected at least one image of at least one pixel, {got}")
     if labels.ndim == 3:
         return labels
-    expected, count = space.channel_counts, labels.shape[1]
-    # a comparison: torch.compile has no range for a symbol
-    if isinstance(count, int) and not expected.start <= count < expected.stop:
-        counts = " or ".join(map(str, expected)) or "no class scores, its ids have gaps"
+    if not _has_classes(labels, space):
+        counts = " or ".join(map(str, space.channel_counts)) or "no class scores, its ids have gaps"
         raise ValueError(
-            f"class scores have {count} classes; label space {space.name} takes {counts}"
+            f"class scores have {labels.shape[1]} classes; label space {space.name} takes {counts}"
         )
     return best_class(labels)
+
+
+def labels_in(outputs: Mapping[Any, object], space: LabelSpace) -> Tensor:
+    """The one of the outputs of a network, by name, that is a label map or class scores of a label
+    space; of several, ``out`` or ``logits``. None, or several others, are a ValueError."""
+    tensors = {name: output for name, output in outputs.items() if isinstance(output, Tensor)}
+    fitting = {
+        name: output
+        for name, output in tensors.items()
+        if (output.ndim == 4 and output.is_floating_point() and _has_classes(output, space))
+        or (output.ndim == 3 and not output.is_floating_point() and output.dtype != torch.bool)
+    }
+    usual = [name for name in ("out", "logits") if name in fitting]
+    if len(fitting) != 1 and not usual:
+        got = ", ".join(f"{name} {tuple(output.shape)}" for name, output in tensors.items())
+        raise ValueError(
+            f"expected one output that is labels of {space.name}, {len(fitting)} fit: got "
+            f"{got or 'no tensors'}"
+        )
+    return fitting[usual[0]] if usual else next(iter(fitting.values()))
+
+
+def _has_classes(scores: Tensor, space: LabelSpace) -> bool:
+    """Whether the number of classes fits; a symbol, for which torch.compile has no range, does."""
+    expected, count = space.channel_counts, scores.shape[1]
+    return not isinstance(count, int) or expected.start <= count < expected.stop
 
 
 def as_tensor(labels: Tensor | npt.NDArray[Any]) -> Tensor:
