@@ -287,6 +287,17 @@ def write_picture(figure: Figure, path: Path) -> None:
         figure.savefig(temporary, dpi=110, format=_format(path))
 
 
+def printable(text: object) -> str:
+    """A text in one line for terminals and pictures: unprintable characters, such as a newline in
+    the name of a file, are escaped."""
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in str(text))
+
+
+def drawn_text(text: object) -> str:
+    """A text for matplotlib, which draws it as it is: `printable`, and ``$`` begins no formula."""
+    return printable(text).replace("$", r"\$")
+
+
 def new_figure(width: float, height: float) -> Figure:
     """An empty figure; width and height in inches. Without matplotlib it is an ImportError."""
     with requiring("eval", "pictures need"):

@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, overload
+from typing import Any, Literal, NoReturn, overload
 
 import numpy as np
 import torch
@@ -103,6 +103,9 @@ class Map:
     preset: str | None = None
     channels: Sequence[str] | None = None
     version: int | None = None
+
+    def __reduce_ex__(self, protocol: object) -> NoReturn:
+        raise TypeError(f"a Map cannot be copied or pickled: open {self.path} again")
 
     def __post_init__(self) -> None:
         self._opened = self.network if isinstance(self.network, Segmenter) else None

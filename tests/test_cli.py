@@ -18,6 +18,7 @@ from networks import write_photos as write_streets
 from PIL import Image
 
 from ssrvlad_torch import __version__
+from ssrvlad_torch.cli.output import print_table
 from ssrvlad_torch.database.database import Database
 
 
@@ -29,6 +30,13 @@ def test_without_a_command_it_prints_help_or_the_version(ssrvlad, line, begin, w
     code, out, err = ssrvlad(*line)
     assert (code, err) == (0, [])
     assert out.startswith(begin) and words in out
+
+
+def test_a_table_shows_text_as_it_is(capsys):
+    """Neither markup of rich nor escape sequences of terminals."""
+    print_table(("[red]a",), [["[/b] :car: \x1b[31m\u202e"]])
+    out = capsys.readouterr().out
+    assert "[red]a" in out and "[/b] :car: \\x1b[31m\\u202e" in out
 
 
 NO_TORCH = """

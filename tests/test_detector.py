@@ -1,12 +1,15 @@
 """The detector with a network of its own; its decisions are asked by test_loop_closure.py."""
 
+import copy
+import pickle
+
 import numpy as np
 import pytest
 import torch
 from helpers import street
 from networks import photo
 
-from ssrvlad_torch import LoopDetector, Segmenter, native
+from ssrvlad_torch import LoopDetector, Map, Segmenter, native
 from ssrvlad_torch.loops.config import LoopConfig
 
 PLACES = (*range(12), *range(4, 10))
@@ -63,3 +66,10 @@ def test_without_the_core_there_is_no_detector(monkeypatch):
     monkeypatch.setattr(native, "core", lambda: native.Core(None, "it was not built"))
     with pytest.raises(RuntimeError, match=r"^it was not built$"):
         LoopDetector(CONFIG)
+
+
+@pytest.mark.parametrize("duplicate", [copy.copy, copy.deepcopy, pickle.dumps])
+@pytest.mark.parametrize("make", [LoopDetector, lambda: Map("town.ssrdb")])
+def test_copies_are_refused_in_words(make, duplicate):
+    with pytest.raises(TypeError, match=r"be copied or pickled: (save and|open town\.ssrdb)"):
+        duplicate(make())

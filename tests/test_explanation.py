@@ -5,6 +5,7 @@ import torch
 from helpers import street
 
 from ssrvlad_torch import SSRVLAD
+from ssrvlad_torch.taxonomy import LabelSpace, label_space
 
 LABELS = (
     torch.from_numpy(street(0)).where(torch.from_numpy(street(0)) != 7, 0)[None].repeat(2, 1, 1)
@@ -30,3 +31,19 @@ def test_the_figure_of_an_explanation_has_masks_histograms_and_classes(preset, s
     assert {"sky", "building"} <= {*classes} and "fence" not in classes
     with pytest.raises(IndexError, match="expected an image from 0 to 1, got 2"):
         view.show(2)
+
+
+def test_names_are_drawn_as_they_are():
+    """Neither formulas nor HTML, and a name that begins with _ is not left out."""
+    space = label_space("camvid-11").to_dict()
+    space["name"] = '"><b>$_{$'
+    names = iter(("_lane", "$\\frac{$", "a\nb"))
+    for label in space["classes"]:
+        label["name"] = next(names, label["name"])
+    view = SSRVLAD.from_preset("default", labels_as=LabelSpace.from_dict(space)).explain(LABELS)
+    figure = view.show(title="$_{$")
+    figure.canvas.draw()
+    axes = figure.get_axes()
+    assert axes[0].get_title().startswith("\\$_{\\$\n")
+    classes = {text.get_text() for text in axes[1].artists[0].get_texts()}
+    assert {" _lane", "\\$\\frac{\\$", "a\\nb"} & classes and "<b>" not in view._repr_html_()

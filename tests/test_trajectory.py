@@ -38,7 +38,7 @@ def test_without_poses_there_is_no_trajectory():
 
 @pytest.mark.parametrize("frames", [0, 3])
 def test_a_stream_without_loops_is_drawn(frames, tmp_path):
-    figure = draw_loops(np.full(frames, -1), POSES[:frames], "drive")
+    figure = draw_loops(np.full(frames, -1), POSES[:frames], "a folder named $_{$")
     assert "loops: 0" in legend(figure.axes[-1])
     write_picture(figure, tmp_path / "loops.png")
 

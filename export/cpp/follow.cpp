@@ -63,7 +63,7 @@ int follow(const program::Arguments& arguments) {
   ssrvlad::require_frames(sources);
   const auto place = program::opened(arguments, files[0]);
   const ssrvlad::Map town(files[1], place.fingerprints(), static_cast<int>(std::thread::hardware_concurrency()));
-  for (const auto& warning : town.warnings()) std::cerr << warning << "\n";
+  for (const auto& warning : town.warnings()) program::note(warning);
 
   auto tracker = std::make_unique<ssrvlad::Tracker>(town, delay, top);
   std::vector<ssrvlad::Described> sequence;
@@ -90,7 +90,7 @@ int follow(const program::Arguments& arguments) {
       if (ids.count(frame.id)) throw std::runtime_error(frame.path.string() + ": a second frame " + frame.id);
       described = ssrvlad::describe(place, frame.path.string());
     } catch (const std::runtime_error& error) {
-      std::cerr << error.what() << "\n";
+      program::note(error.what());
       ++skipped;
       return;
     }

@@ -81,7 +81,7 @@ int find_loops(const program::Arguments& arguments) {
     try {
       print(loops.update(frame.id, ssrvlad::describe(place, frame.path.string())));
     } catch (const std::runtime_error& error) {
-      std::cerr << error.what() << "\n";
+      program::note(error.what());
       ++skipped;
       return;
     }

@@ -33,9 +33,9 @@ int find(const program::Arguments& arguments) {
   std::printf("descriptor: %zu numbers, norm %.6f\n", described.descriptor.size(), std::sqrt(square));
   if (files.size() < 3) return 0;
   const ssrvlad::Map town(files[2], place.fingerprints());
-  for (const auto& warning : town.warnings()) std::cerr << warning << "\n";
+  for (const auto& warning : town.warnings()) program::note(warning);
   for (const auto& match : town.locate(described, static_cast<std::size_t>(top)).candidates)
-    std::printf("%s %.6f\n", match.frame.c_str(), static_cast<double>(match.score));
+    std::printf("%s %.6f\n", program::printable(match.frame).c_str(), static_cast<double>(match.score));
   return 0;
 }
 

@@ -73,6 +73,21 @@ inline ssrvlad::Place opened(const Arguments& arguments, const std::string& head
                                     : ssrvlad::Place(head, session, check);
 }
 
+// A text in one line: control characters, such as a newline in the name of a file, are escaped.
+inline std::string printable(const std::string& text) {
+  std::string line;
+  for (const char letter : text) {
+    const auto code = static_cast<unsigned char>(letter);
+    char escape[8];
+    std::snprintf(escape, sizeof escape, "\\x%02x", code);
+    line += code < 0x20 || code == 0x7f ? escape : std::string(1, letter);
+  }
+  return line;
+}
+
+// Prints a line on standard error.
+inline void note(const std::string& text) { std::cerr << printable(text) << "\n"; }
+
 // The exit code of a program that has skipped some of its frames.
 inline int finished(std::size_t skipped, std::size_t frames) {
   if (!skipped) return 0;
@@ -97,7 +112,7 @@ int run(Usage usage, int count, char** values, const Job& job) {
       throw std::runtime_error("standard output cannot be written");
     return code;
   } catch (const std::exception& error) {
-    std::cerr << usage.name << ": " << error.what() << "\n";
+    note(std::string(usage.name) + ": " + error.what());
     return 2;
   }
 }

@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from ssrvlad_torch.files import one_line
+from ssrvlad_torch.files import one_line, printable
 
 if TYPE_CHECKING:
     from .database import Answer
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 def note(line: str) -> None:
     """Prints one line on stderr."""
-    print(line, file=sys.stderr)
+    print(printable(line), file=sys.stderr)
 
 
 def run_program(
@@ -62,4 +62,4 @@ def report(frame: str, empty: bool, answer: Answer | None, as_json: bool) -> Non
         sure = f"{answer.score_is}, confidence {answer.confidence:.2f}"
         text = f"{names or 'no candidate'} ({sure})"
     plain = f"{frame}: {'empty' if empty else text}"
-    print(json.dumps(line) if as_json else plain, flush=True)
+    print(json.dumps(line) if as_json else printable(plain), flush=True)

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any, TextIO
 
 import typer
 
+from ..files import printable
+
 if TYPE_CHECKING:
     import rich.progress
 
@@ -73,8 +75,7 @@ def note(message: str) -> None:
 def say(text: object, file: TextIO | None = None) -> None:
     """Prints one line, by default on stdout. Unprintable characters, such as a newline in the name
     of a file, are escaped."""
-    line = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in str(text))
-    print(line, file=file or _results(), flush=True)
+    print(printable(text), file=file or _results(), flush=True)
 
 
 class Bar:
@@ -128,9 +129,9 @@ def progress_bar(what: str, total: int, then: str = "") -> Iterator[Bar]:
     from rich.console import Console
 
     columns = (
-        progress.TextColumn("{task.description}"),
+        progress.TextColumn("{task.description}", markup=False),
         *(progress.BarColumn(), progress.MofNCompleteColumn()),
-        progress.TextColumn("{task.fields[rate]}"),
+        progress.TextColumn("{task.fields[rate]}", markup=False),
         *(progress.TimeElapsedColumn(), progress.TimeRemainingColumn()),
     )
     console = Console(stderr=True)
@@ -147,10 +148,16 @@ def print_table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
     """Prints a table on stdout, in full width if stdout is no terminal."""
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
-    table = Table(*head)
+    def cell(value: object) -> Text:  # a str could hold markup
+        return Text("\n".join(map(printable, str(value).split("\n"))))
+
+    table = Table()
+    for name in head:
+        table.add_column(cell(name))
     for row in rows:
-        table.add_row(*map(str, row))
+        table.add_row(*map(cell, row))
     console = Console(file=_results(), width=None if _results().isatty() else _WIDE)
     with console.capture() as captured:
         console.print(table)

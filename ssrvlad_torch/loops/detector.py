@@ -7,7 +7,7 @@ import threading
 from collections.abc import Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import numpy.typing as npt
@@ -64,6 +64,9 @@ class LoopDetector:
         >>> detector.update(torch.full((60, 80), 7), "drive/000000").reason.value
         'no_candidate'
     """
+
+    def __reduce_ex__(self, protocol: object) -> NoReturn:
+        raise TypeError("a LoopDetector cannot be copied or pickled: save and load it")
 
     def __init__(
         self,

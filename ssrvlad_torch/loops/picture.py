@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..evaluation.outcomes import Floats, Rows
-from ..files import new_figure
+from ..files import drawn_text, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -44,7 +44,8 @@ def draw_loops(
     from matplotlib.collections import LineCollection
     from matplotlib.lines import Line2D
 
-    figure.suptitle(f"{title}\n{len(here)} of {len(loops)} frames close a loop", wrap=True)
+    count = f"{len(here)} of {len(loops)} frames close a loop"
+    figure.suptitle(f"{drawn_text(title)}\n{count}", wrap=True)
     axes = figure.subplots(1, 2 if placed else 1, squeeze=False)[0]
     if placed:
         _draw_trajectory(axes[0], poses, sequences or [""] * len(poses))

@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import numpy.typing as npt
@@ -42,6 +42,9 @@ class Tracker:
         ...     if answer.confidence > 0.9:
         ...         print(answer.candidates[0].pose)
     """
+
+    def __reduce_ex__(self, protocol: object) -> NoReturn:
+        raise TypeError("a Tracker cannot be copied or pickled: save and load it")
 
     def __init__(
         self,

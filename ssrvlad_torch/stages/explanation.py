@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
+from html import escape
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -12,7 +13,7 @@ import torch
 from torch import Tensor
 
 from ..config import AREA_LAYERS, SSRVLADConfig
-from ..files import new_figure, png_address
+from ..files import drawn_text, new_figure, png_address
 from ..taxonomy import CATEGORIES, NO_LAYER, LabelSpace, colourise
 from .bitplanes import unpack
 from .boundaries import DIRECTIONS, boundaries
@@ -118,7 +119,8 @@ class Explanation:
         labels = self.labels[image].cpu().numpy()
         left.imshow(colourise(labels, self.label_space), interpolation="nearest")
         size = f"{labels.shape[1]} x {labels.shape[0]} pixels, {self.label_space.name}"
-        left.set_title(f"{title}\n{size}" if title else size, size=11)
+        lines = map(drawn_text, (title, size) if title else (size,))
+        left.set_title("\n".join(lines), size=11)
         left.set_axis_off()
         _draw_legend(right, self, image, harmonic)
         for strip, drawn in zip(strips[1:], (cells[:columns], cells[columns:]), strict=True):
@@ -138,11 +140,11 @@ class Explanation:
         try:
             figure = self.show()
         except ImportError as error:
-            return f"{self!r}. {error}"
+            return escape(f"{self!r}. {error}")
         address = png_address(partial(figure.savefig, dpi=80, format="png"))
         count = len(self.labels) - 1
         more = f"<p>{count} more: <code>.show(image=1)</code></p>" if count else ""
-        return f'<img alt="{self!r}" src="{address}">{more}'
+        return f'<img alt="{escape(repr(self))}" src="{address}">{more}'
 
 
 def explain(
@@ -206,7 +208,11 @@ def _draw_legend(axes: Axes, view: Explanation, image: int, harmonic: bool) -> N
 
     ids = set(np.unique(view.labels[image].cpu().numpy()).tolist())
     classes = [
-        Patch(color="#{:02x}{:02x}{:02x}".format(*(label.colour or (0, 0, 0))), label=label.name)
+        Patch(
+            color="#{:02x}{:02x}{:02x}".format(*(label.colour or (0, 0, 0))),
+            # matplotlib leaves out a label that begins with _
+            label=drawn_text(f" {label.name}" if label.name.startswith("_") else label.name),
+        )
         for label in view.label_space.classes
         if label.id in ids
     ]
