@@ -149,14 +149,18 @@ def plant(root: Path, *names: str) -> Path:
 
 
 def write_placed(
-    path: Path, latitude: tuple[float, ...], longitude: tuple[float, ...], status: str = "A"
+    path: Path,
+    latitude: tuple[float, ...],
+    longitude: tuple[float, ...],
+    status: str = "A",
+    letters: str = "NE",
 ) -> None:
     """A picture with its place, degrees, minutes and seconds, in EXIF tags; it looks north. Status
     V is a void position."""
     tag, exif = ExifTags.GPS, Image.Exif()
     exif.get_ifd(ExifTags.IFD.GPSInfo).update({
-        tag.GPSLatitudeRef: "N", tag.GPSLatitude: latitude,
-        tag.GPSLongitudeRef: "E", tag.GPSLongitude: longitude,
+        tag.GPSLatitudeRef: letters[0], tag.GPSLatitude: latitude,
+        tag.GPSLongitudeRef: letters[1], tag.GPSLongitude: longitude,
         tag.GPSStatus: status, tag.GPSImgDirectionRef: "T", tag.GPSImgDirection: 0.0,
     })  # fmt: skip
     path.parent.mkdir(parents=True, exist_ok=True)

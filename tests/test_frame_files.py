@@ -17,11 +17,15 @@ def ids(files):
 def test_the_files_of_a_folder_are_a_sequence_in_the_order_of_a_person(tmp_path):
     folder = tmp_path / "monday"
     touch(*(folder / name for name in ("f10.png", "f2.png", "f1.tif", "f3.PNG", "f01.bmp")))
-    touch(folder / "notes.txt", folder / "poses", folder / "below" / "f5.png")
+    others = "notes.txt", "more.TXT", "poses", ".hidden.txt", "below/f5.png"
+    touch(*(folder / name for name in others))
     (folder / "f6.png").mkdir()
     expected = ["monday/f01", "monday/f1", "monday/f2", "monday/f3", "monday/f10"]
     assert ids(find_label_files([str(folder)])) == expected
     assert ids(find_label_files([f"{folder}/"])) == ids(find_label_files([folder])) == expected
+    notes = []
+    find_label_files([folder], note=notes.append)
+    assert "passed over: 2 .txt, 1 without suffix; label maps are .png, .npy" in notes[0]
 
 
 @pytest.mark.parametrize(

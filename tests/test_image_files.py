@@ -1,10 +1,12 @@
 """Images on disk: found as label maps are, and decoded as they are seen."""
 
 import io
+import struct
+from zlib import crc32
 
 import numpy as np
 import pytest
-from helpers import COLOUR, GRAY, flip_byte, refused, refuses, write_pages, write_png
+from helpers import COLOUR, GRAY, flip_byte, refused, refuses, tiff_bytes, write_pages, write_png
 from PIL import Image
 
 from ssrvlad_torch.datasets.frame_files import FrameFile
@@ -158,11 +160,38 @@ def test_a_second_picture_in_a_jpeg_of_a_telephone_is_no_frame():
     assert np.abs(decode_image(encoded(SMOOTH, "MPO", **other)).astype(int) - SMOOTH).max() < 40
 
 
+TWELVE = np.linspace(0, 4095, 600).reshape(20, 30).astype(np.uint16)
+DIGITS = (TWELVE[..., None] >> np.arange(11, -1, -1) & 1).reshape(20, -1)
+
+
 @pytest.mark.parametrize("bits", [8, 10, 12])
-def test_gray_of_few_bits_in_pixels_of_sixteen_is_refused(bits):
-    """Its high bytes would be black."""
-    wide = np.linspace(0, 2**bits - 1, 600).reshape(20, 30).astype(np.uint16)
-    refuses(f"gray of {bits} bits in pixels of 16", decode_image, encoded(wide, "PNG"))
+def test_pictures_of_few_bits_in_pixels_of_sixteen_are_refused(bits, tmp_path):
+    """Their high bytes would be black."""
+    wide = TWELVE >> (12 - bits)
+    refuses(f"of {bits} bits in pixels of 16", decode_image, encoded(wide, "PNG"))
+    path = write_png(tmp_path / "a.png", np.dstack([wide] * 3), COLOUR, 16)
+    refuses(f"of {bits} bits in pixels of 16", read, path)
+
+
+def with_significant_bits(content, bits):
+    chunk = b"sBIT" + bytes([bits])
+    whole = struct.pack(">I", 1) + chunk + struct.pack(">I", crc32(chunk))
+    return content[:33] + whole + content[33:]
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        with_significant_bits(encoded(TWELVE, "PNG"), 12),
+        encoded(TWELVE, "TIFF", tiffinfo={281: 4095}),
+        tiff_bytes(20, 30, np.packbits(DIGITS, axis=1).tobytes(), bits=12),
+        b"P5 30 20 4095\n" + TWELVE.astype(">u2").tobytes(),
+    ],
+    ids=["sBIT", "MaxSampleValue", "BitsPerSample", "maxval"],
+)
+def test_gray_has_the_bits_that_its_file_states(content):
+    difference = decode_image(content)[..., 0].astype(int) - (TWELVE >> 4)
+    assert np.abs(difference).max() <= 1
 
 
 # ---- arrays

@@ -1,6 +1,7 @@
 """What a label map on disk holds, in each format."""
 
 import os
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -22,6 +23,8 @@ from PIL import Image
 
 from ssrvlad_torch.datasets.frame_files import FrameFile
 from ssrvlad_torch.datasets.label_files import digest, find_label_files, read_label_map
+from ssrvlad_torch.encoding.selection import FrameSelection
+from ssrvlad_torch.encoding.source import open_frames
 from ssrvlad_torch.taxonomy import colourise, label_space, palette
 
 CAMVID = label_space("camvid-11")
@@ -104,6 +107,9 @@ STORED = [
         for kind, others in ((GRAY_ALPHA, "i"), (COLOUR, "gb"), (COLOUR_ALPHA, "gba"))
         for labels in (SMALL, LARGE)
     ),
+    ("equal.png", image(np.dstack([LABELS] * 3)), LABELS),
+    ("equal.bmp", lambda p: cv2.imwrite(str(p), np.dstack([LABELS] * 3)), LABELS),
+    ("CARLA.png", image(np.dstack([LABELS, 0 * LABELS, 0 * LABELS, 255 + 0 * LABELS])), LABELS),
     ("alpha.png", png(np.dstack([LABELS, LABELS * 20]), GRAY_ALPHA, 8), LABELS),
     ("opencv.png", lambda p: cv2.imwrite(str(p), beside(SMALL, *"gb")[..., ::-1]), SMALL),
     *(
@@ -154,6 +160,19 @@ def test_palette_colours_that_pixels_show_decide_between_indices_and_colours(
         assert read(path).tolist() == [ids]
     else:
         refuses(rf"the palette shows index {ids} as .*; expected", read, path)
+
+
+def test_the_index_or_the_red_channel_is_the_id_if_the_user_says_so(tmp_path):
+    gray = np.repeat(np.arange(256), 3)[::-1].tolist()
+    with_palette(LABELS, gray)(tmp_path / "palette.png")
+    image(np.dstack([LABELS, LABELS * 3, LABELS + 7]))(tmp_path / "instances.png")
+    for file in find_label_files([str(tmp_path)]):
+        refuses(".", read_label_map, file, CAMVID)
+        np.testing.assert_array_equal(
+            read_label_map(replace(file, index_is_id=True), CAMVID), LABELS
+        )
+    selection = FrameSelection([str(tmp_path)], labels_as="camvid-11", index_is_id=True)
+    assert all(file.index_is_id for file in open_frames(selection).files)
 
 
 @pytest.mark.parametrize("alpha", [False, True])

@@ -125,17 +125,21 @@ def test_a_frame_has_the_row_of_its_id_or_of_its_name(tmp_path):
     assert np.isnan(poses[2]).all()
 
 
-def test_a_table_that_fits_no_frame_is_noted(tmp_path):
-    path = plant(tmp_path / "a", {"1": 1}, "000001.png")
+@pytest.mark.parametrize(
+    ("row", "share"), [("1", "none of the"), ("000000", "1 of 3"), ("none/000001", "none of the")]
+)
+def test_a_table_that_fits_few_frames_is_noted(tmp_path, row, share):
+    path = plant(tmp_path / "a", {row: 1}, "000000.png", "000001.png", "000002.png")
     notes = []
-    assert np.isnan(x_of(tmp_path / "a", note=notes.append)).all()
-    assert notes == [
-        f"{path} has none of the frames, for example a/000001; it has, for example, '1'"
-    ]
+    x_of(tmp_path / "a", note=notes.append)
+    missing = "a/000001" if share[0] == "1" else "a/000000"
+    assert notes[-1] == (
+        f"{path} has {share} frames, not {missing} for example; it has, for example, '{row}'"
+    )
 
 
 def test_a_table_that_was_named_and_fits_no_frame_is_refused(tmp_path):
     other = str(plant(tmp_path / "other", {"9": 1}, "../monday/1.png"))
-    message = r"poses\.csv has none of the frames, .* monday/1"
+    message = r"poses\.csv has none of the frames, not monday/1"
     refuses(message, x_of, tmp_path / "monday", poses=other)
     refuses("expected a file of poses, or exif", x_of, tmp_path / "monday", poses="gps")

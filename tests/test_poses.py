@@ -30,6 +30,10 @@ def test_utm_fields_of_a_file_name_are_pose_and_time(tmp_path):
     with_fields, without = find_image_files([folder])
     assert (with_fields.pose, with_fields.stamp) == (pose, stamp)
     assert math.isnan(without.pose.x)
+    notes = []
+    plant(folder, f"{published.replace('@17@', '@18@')}.jpg")
+    assert len(find_image_files([folder], note=notes.append)) == 3
+    assert "UTM zones 17, 18; expected one" in notes[0]
 
 
 @pytest.mark.parametrize("pose", [Pose(3.25, -7.5, 1.5), Pose(12, 9, math.nan)])
@@ -68,16 +72,39 @@ def test_latitudes_become_metres(tmp_path):
     assert second.y - first.y == pytest.approx(111.2, abs=0.1)
     assert math.isnan(second.heading) and np.isnan(unknown).all()
     path.write_text("frame,latitude,longitude\na,52.2,0.12\nb,89,5.9\nc,52.2,0.12\n")
-    refuses("line 3: latitude out of range", read_poses, path)
+    refuses("line 3: latitude 89.0 out of range", read_poses, path)
 
 
 @needs_gps
 @pytest.mark.parametrize(("west", "east"), [((51.5, -0.001), (51.5, 0.001)), ((-0.1, 7), (0.1, 7))])
 def test_a_later_sequence_has_the_zone_of_the_map(west, east):
     for first, second in ((west, east), (east, west)):
-        of_map = Projection().pose(Fix(*first))
-        later = Projection(lambda of_map=of_map: of_map).pose(Fix(*second))
+        (of_map,) = Projection().poses([Fix(*first)])
+        (later,) = Projection(lambda of_map=of_map: of_map).poses([Fix(*second)])
         assert math.dist(of_map[:2], later[:2]) < 23_000
+
+
+@needs_gps
+def test_a_wrong_first_position_does_not_choose_the_zone():
+    right = [Fix(52.2, 6.1, 90)] * 3
+    assert Projection().poses([Fix(0.1, 30, 0), *right])[1:] == Projection().poses(right)
+
+
+@needs_gps
+@pytest.mark.parametrize(
+    ("latitude", "longitude", "letters"),
+    [
+        ((52, 12, 0), (0, 7, 12), "ne"),
+        ((52, 12, 0), (0, 7, 12), "EN"),
+        ((52, 61, 0), (0, 7, 12), "NE"),
+        ((52, 12, 0), (181, 0, 0), "NW"),
+        ((91, 0, 0), (0, 7, 12), "SE"),
+        ((0, 0, 0), (0, 0, 0), "NE"),
+    ],
+)
+def test_a_position_in_exif_that_is_none_is_unknown(tmp_path, latitude, longitude, letters):
+    write_placed(tmp_path / "1.jpg", latitude, longitude, letters=letters)
+    refuses("no image of .* has a position", find_image_files, [tmp_path], poses="exif")
 
 
 @needs_gps

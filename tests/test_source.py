@@ -12,6 +12,7 @@ from networks import photo
 from ssrvlad_torch import Database
 from ssrvlad_torch.datasets.synthetic_city import write_city
 from ssrvlad_torch.encoding.selection import FrameSelection
+from ssrvlad_torch.encoding.source import open_frames
 
 CITY = ("--labels-as", "cityscapes-trainids")
 
@@ -87,6 +88,27 @@ def reference(ssrvlad, city, tmp_path):
     code, out, _ = ssrvlad("encode", city, "-o", db, *options)
     assert (code, "8 frames encoded" in out) == (0, True)
     return db
+
+
+@pytest.mark.parametrize(
+    ("space", "kinds", "chosen"),
+    [
+        ("cityscapes-trainids", "color labelIds labelTrainIds instanceIds", "labelTrainIds"),
+        ("cityscapes-trainids", "color labelIds instanceIds", "color"),
+        ("cityscapes-ids", "color labelIds labelTrainIds instanceIds", "labelIds"),
+        ("cityscapes-ids", "invIds labelColor labelTrainIds", "labelColor"),
+        ("cityscapes-ids", "instanceIds", "instanceIds"),
+    ],
+)
+def test_a_folder_of_gtfine_gives_each_place_once(tmp_path, space, kinds, chosen):
+    for number in range(3):
+        for kind in kinds.split():
+            write_image(tmp_path / "aachen" / f"{number}_gtFine_{kind}.png", street(0))
+    notes = []
+    selection = FrameSelection([str(tmp_path / "aachen")], labels_as=space, every=2)
+    files = open_frames(selection, note=notes.append).files
+    assert [file.name for file in files] == [f"{n}_gtFine_{chosen}" for n in (0, 2)]
+    assert len(notes) == (len(kinds.split()) > 1)
 
 
 def test_roles_and_truth_come_from_the_data_set(ssrvlad, city, reference, tmp_path):

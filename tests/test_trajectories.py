@@ -58,6 +58,62 @@ def test_tum_goes_by_the_time_that_is_a_name(tmp_path, names):
     np.testing.assert_allclose(poses_by_time(tmp_path, TRUTH, names), expected, atol=1e-12)
 
 
+NANOSECONDS = "1403636579758555392", "1403636579858555392"
+EUROC = "#timestamp, p_RS_R_x [m], p_RS_R_y [m], p_RS_R_z [m], q_RS_w [], q_RS_x [], q_RS_y []\n"
+BODY = (
+    f"{NANOSECONDS[0]},1,2,9,{TURNED},{-TURNED},0,0",
+    f"{NANOSECONDS[1]},3,4,9,{TURNED},0,{TURNED},0",
+)
+FORMS = {
+    "EuRoC": ("data.csv", EUROC + "".join(f"{row}{',0.1' * 9}\n" for row in BODY), NANOSECONDS),
+    "TUM-VI": ("data.csv", EUROC + "\n".join(BODY), NANOSECONDS),
+    "TUM": (
+        "tum.txt",
+        TRUTH.replace("# ", "") + "\n10.15 nan nan nan 0 0 0 1",
+        ("10.00", "10.10", "10.15"),
+    ),
+    "COLMAP": (
+        "images.txt",
+        f"# x\n1 {TURNED} {TURNED} 0 0 -1 9 -2 1 pictures/0.png\n10 20 -1\n"
+        "2 0.5 0.5 -0.5 0.5 4 9 -3 1 a b.jpg\n\n",
+        ("0", "a b"),
+    ),
+    "KITTI-360": (
+        "poses.txt",
+        "0 0 1 0 1 1 0 0 2 0 0 -1 9\n1 1 0 0 3 0 -1 0 4 0 0 -1 9",
+        ("0000000000", "0000000001", "0000000007"),
+    ),
+    "cameras of KITTI-360": (
+        "cam0_to_world.txt",
+        "0 1 0 0 1 0 0 1 2 0 -1 0 9 0 0 0 1\n1 0 0 1 3 -1 0 0 4 0 -1 0 9 0 0 0 1",
+        ("0000000000", "0000000001"),
+    ),
+}
+
+
+@pytest.mark.parametrize(("name", "text", "frames"), FORMS.values(), ids=FORMS)
+def test_files_of_data_sets_are_read_and_what_they_lack_is_unknown(tmp_path, name, text, frames):
+    pictures = plant(tmp_path / "pictures", *(f"{frame}.jpg" for frame in frames))
+    files = find_image_files([pictures], poses=str(write(tmp_path / name, text)))
+    expected = [[1, 2, math.pi / 2], [3, 4, 0], *[UNKNOWN] * (len(frames) - 2)]
+    np.testing.assert_allclose(poses(files), expected, atol=1e-9)
+
+
+@needs_gps
+def test_robotcar_says_when_it_does_not_know_where_it_is(tmp_path):
+    text = "timestamp,ins_status,latitude,longitude,yaw\n" + "".join(
+        f"14188411{n}5000000,INS_{status},52.2,0.12,0.5\n"
+        for n, status in enumerate(("SOLUTION_GOOD", "BAD_GPS_AGREEMENT", "SOLUTION_GOOD"))
+    )
+    trajectory = read_trajectory(write(tmp_path / "ins.csv", text))
+    assert trajectory.stamps == [1418841105, 1418841125]
+    np.testing.assert_allclose(
+        trajectory.of_frames(["1418841105000000"])[0],
+        [303189.31, 5787193.03, math.pi / 2 - 0.5],
+        atol=0.01,
+    )
+
+
 @pytest.mark.parametrize(
     ("text", "names", "message"),
     [
@@ -109,11 +165,14 @@ DAMAGED = [
     ("txt", "1 0 0 0 0 0 0 0", "line 1: .* is not a rotation"),
     ("txt", "1 0 0 inf 0 0 0 1", "line 1: expected a finite number, got inf"),
     ("txt", "# nothing", "holds no poses"),
+    ("txt", "$GNRMC,123519.00,A,4807.038,N", "sentences of NMEA; convert them to GPX"),
+    ("csv", "timestamp,latitude,longitude\n5,a,2\n", "line 2: could not convert"),
     ("gpx", gpx(), "holds no positions; expected track points"),
     ("gpx", gpx('<trkpt lat="48" lon="11"/>'), "point 1 has no time"),
     ("gpx", gpx(NOON, POINT.format(time="12:35:18Z")), "position 2 is earlier than the one before"),
     ("gpx", gpx(head='<!DOCTYPE gpx [<!ENTITY a "aaa">]>'), "without a document type"),
-    ("gpx", gpx(NOON.replace("48", "88")), "latitude out of range"),
+    ("gpx", gpx(NOON.replace("48", "88")), "latitude 88.1173 out of range"),
+    ("gpx", gpx(NOON.replace("48", "4_8")), "could not convert"),
 ]
 
 

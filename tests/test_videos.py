@@ -164,7 +164,11 @@ def test_no_frame_shows_what_a_decoder_made_up(tmp_path, name):
 def test_other_files_are_refused(tmp_path, content):
     path = tmp_path / "a.mp4"
     path.write_bytes(content)
-    refuses(r"a\.mp4 is not a readable video: ", video_files, path)
+    refuses(r"a\.mp4 is not a readable video: ", find_image_files, [path])
+    write_video(tmp_path / "b.mp4", range(3))
+    unreadable, *frames = find_image_files([path, tmp_path / "b.mp4"])
+    assert len(frames) == 3, "one file does not spoil the others"
+    refuses(r"a\.mp4 is not a readable video: ", read_image, unreadable)
 
 
 def test_a_gps_track_gives_poses_between_its_points(tmp_path):

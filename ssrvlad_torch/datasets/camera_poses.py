@@ -7,11 +7,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ..files import naming, read_bytes, read_json
-from .poses import Pose, heading_of_course, parse_number
+from .poses import UNKNOWN, Pose, heading_of_course, parse_number
 
 _EARTH_RADIUS = 6_371_000
 """Metres."""
 _MERIDIAN = 9.0
+KITTI_360 = 13, 17
+"""Numbers in a line, of the car and of a camera."""
 
 
 class Ground(NamedTuple):
@@ -32,15 +34,32 @@ Y_DOWN = Ground(0, 2)
 Y_UP_LEFT_HANDED = Ground(0, 2)
 
 
-def optical_axis(quaternion: Sequence[float]) -> tuple[float, float, float]:
-    """Optical axis, a unit vector in the world, of a camera that looks along its own +z: the third
-    row of the rotation from world to camera (COLMAP and VisualSFM: x to the right, y down, z
-    ahead), given as a quaternion ``(w, x, y, z)`` of any length but 0, else a ValueError."""
+def axes_of(quaternion: Sequence[float]) -> list[tuple[float, float, float]]:
+    """The axes of a camera as unit vectors in the world (COLMAP and VisualSFM: x to the right, y
+    down, z ahead): the rows of the rotation from world to camera, given as a quaternion
+    ``(w, x, y, z)`` of any length but 0, else a ValueError."""
     length = math.hypot(*quaternion)
     if not 0 < length < math.inf:
         raise ValueError(f"quaternion {tuple(quaternion)} is not a rotation")
     w, x, y, z = (number / length for number in quaternion)
-    return 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
+    return [
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    ]
+
+
+def optical_axis(quaternion: Sequence[float]) -> tuple[float, float, float]:
+    """The axis along which a camera looks, its own +z; see `axes_of`."""
+    return axes_of(quaternion)[2]
+
+
+def _ground_of(down: Sequence[float]) -> Ground:
+    """The ground plane of a world in which a direction points down: the one of its axes that is
+    nearest to it is vertical."""
+    vertical = max(range(3), key=lambda axis: abs(down[axis]))
+    first, second = (vertical + 1) % 3, (vertical + 2) % 3
+    return Ground(second, first) if down[vertical] > 0 else Ground(first, second)
 
 
 def words_of(path: Path, text: str) -> Iterator[tuple[str, list[str]]]:
@@ -56,6 +75,39 @@ def parse_numbers(words: Sequence[str], count: int) -> list[float]:
     if len(words) != count:
         raise ValueError(f"expected {count} numbers, got {len(words)}")
     return [parse_number(word) for word in words]
+
+
+def read_colmap(path: Path, text: str) -> dict[str, Pose]:
+    """Poses by image name of COLMAP's ``images.txt``: for each image a line ``id qw qx qy qz tx ty
+    tz camera name``, from world to camera, and a line of points. Which axis of the world is
+    vertical is told by the cameras, which are taken to be upright."""
+    lines = [(n, line) for n, line in enumerate(text.splitlines(), 1) if not line.startswith("#")]
+    cameras = dict[str, tuple[list[float], list[tuple[float, float, float]]]]()
+    for number, line in lines[::2]:
+        with naming(f"{path} line {number}"):
+            words = line.split(maxsplit=9)
+            if len(words) < 10:
+                raise ValueError(f"expected 9 numbers and the name of an image, got {line[:80]!r}")
+            numbers = parse_numbers(words[1:8], 7)
+            axes, shift = axes_of(numbers[:4]), numbers[4:]
+            centre = [-sum(a[i] * t for a, t in zip(axes, shift, strict=True)) for i in range(3)]
+            cameras[words[9].strip()] = centre, axes
+    down = [sum(axes[1][i] for _, axes in cameras.values()) for i in range(3)]
+    ground = _ground_of(down)
+    return {name: ground.pose(centre, axes[2]) for name, (centre, axes) in cameras.items()}
+
+
+def read_kitti_360(path: Path, text: str) -> dict[str, Pose]:
+    """Poses of KITTI-360 by frame, ten digits: lines of a frame's number and the matrix to a world
+    whose z is up, ``(3, 4)`` of the car, which looks along its x, or ``(4, 4)`` of a camera."""
+    poses = {}
+    for place, words in words_of(path, text):
+        with naming(place):
+            is_camera = len(words) == KITTI_360[1]
+            frame, *matrix = parse_numbers(words, KITTI_360[is_camera])
+            axis = matrix[2:12:4] if is_camera else matrix[0:12:4]
+            poses[f"{int(frame):010d}"] = Z_UP.pose(matrix[3:12:4], axis)
+    return poses
 
 
 def read_cmu_list(path: Path) -> dict[str, Pose]:
@@ -108,7 +160,10 @@ def read_fix(path: Path) -> Pose:
     file without a latitude or longitude is a ValueError."""
     try:
         fix = read_json(path)
-        phi, along = (math.radians(fix[f"gps{name}"]) for name in ("Latitude", "Longitude"))
+        latitude, longitude = fix["gpsLatitude"], fix["gpsLongitude"]
+        if latitude == longitude == 0:  # no reception
+            return UNKNOWN
+        phi, along = math.radians(latitude), math.radians(longitude)
         along -= math.radians(_MERIDIAN)
         east = _EARTH_RADIUS * math.atanh(math.cos(phi) * math.sin(along))
         north = _EARTH_RADIUS * math.atan2(math.tan(phi), math.cos(along))

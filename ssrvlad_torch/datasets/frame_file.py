@@ -35,6 +35,8 @@ class FrameFile:
         stamp: time in seconds, NaN if unknown.
         has_pose_source: whether a file of poses or the name says the pose. If so, NaN deletes a
             stored pose; if not, a stored pose stays.
+        index_is_id: whether the index of a palette, or the first channel, is the id of a label map
+            whatever its colours.
         readers: number of frames that one process best reads at once.
     """
 
@@ -47,6 +49,7 @@ class FrameFile:
     folder: str = ""
     stamp: float = float("nan")
     has_pose_source: bool = False
+    index_is_id: bool = False
     readers: ClassVar[int] = 1
 
     def __post_init__(self) -> None:
@@ -74,8 +77,8 @@ class FrameFile:
         return f"{status.st_size} {status.st_mtime_ns} {status.st_ctime_ns}"
 
     def signature(self) -> str:
-        """A text that changes whenever the frame's source does: its folder and state."""
-        return f"{self.folder}|{self.state}"
+        """A text that changes whenever the frame's source or its reading does."""
+        return f"{self.folder}|{self.state}{' index' if self.index_is_id else ''}"
 
     def read(self) -> bytes:
         """The bytes of the file; for a row of a stack, the bytes of a ``.npy`` file of this row. A
@@ -90,6 +93,16 @@ class FrameFile:
         if self.row is None:
             return read_bytes(self.path)
         return npy_bytes(open_memmap(self.path, mode="r")[self.row])
+
+
+@dataclass(frozen=True)
+class UnreadableFile(FrameFile):
+    """Stands for the frames of a video or bag that cannot be opened, and why."""
+
+    problem: str = ""
+
+    def _content(self) -> bytes:
+        raise ValueError(self.problem)
 
 
 @dataclass(frozen=True)

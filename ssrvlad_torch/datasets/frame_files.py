@@ -2,6 +2,7 @@
 
 import glob
 import math
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -13,9 +14,10 @@ from numpy.lib.format import open_memmap
 
 from ..files import check_regular, is_uri, natural_key, npy_header
 from .bags import bag_files, is_bag
-from .frame_file import FrameFile, remote_files
+from .frame_file import FrameFile, UnreadableFile, remote_files
 from .frame_poses import with_poses_beside, with_poses_of
 from .names import SequenceFolders, absolute, sequence_names
+from .pose_tables import FILE_NAME
 from .poses import Projection
 from .videos import is_video, video_files
 from .workers import in_order
@@ -47,6 +49,7 @@ def find_frames(
     fps: float | None = None,
     projection: Projection | None = None,
     note: Callable[[str], object] = lambda _: None,
+    choose: Callable[[list[FrameFile]], list[FrameFile]] = lambda files: files,
 ) -> list[FrameFile]:
     """The frames of the sources. Sequences have the order of the sources; the sequences of a glob
     and the frames of a sequence have natural order.
@@ -66,14 +69,22 @@ def find_frames(
         topic: topic of a bag with several topics of images, see `bag_files`.
         fps: most frames in a second (> 0), see `at_rate`; then ``every`` and ``start`` count these.
         projection: of positions of GPS.
-        note: gets what the user should know.
+        note: gets what the user should know, among it how many files were passed over.
+        choose: leaves out files that are no frames.
 
     Raises:
-        ValueError: a source holds no frames, two files are the same frame, or pyarrow does not
-            support the URI's scheme.
+        ValueError: a source holds no frames, or all are videos and bags that cannot be opened; two
+            files are the same frame; or pyarrow does not support the URI's scheme.
         OSError: the folder of a URI cannot be read.
     """
-    files = [file for source in sources for file in _expand(str(source), kind, topic, note)]
+    others = Counter[str]()
+    files = [f for source in sources for f in _expand(str(source), kind, topic, note, others)]
+    if others:
+        counts = ", ".join(f"{count} {suffix}" for suffix, count in others.most_common())
+        note(f"files passed over: {counts}; {kind.name} are {', '.join(kind.suffixes)}")
+    if files and all(isinstance(file, UnreadableFile) for file in files):
+        raise ValueError(str(getattr(files[0], "problem", "")))
+    files = choose(files)
     sequences, projection = _sequences(files, sequence, map_folders), projection or Projection()
     if poses:
         sequences = with_poses_of(poses, sequences, projection)
@@ -144,8 +155,13 @@ def found_by(find: Callable[..., list[FrameFile]], *arguments: object) -> list[F
 
 
 def _expand(
-    source: str, kind: FileKind, topic: str | None, note: Callable[[str], object]
+    source: str,
+    kind: FileKind,
+    topic: str | None,
+    note: Callable[[str], object],
+    others: Counter[str],
 ) -> list[FrameFile]:
+    """The frames of a source; ``others`` counts the suffixes of files that are none."""
     if is_uri(source):
         return remote_files(source, kind.name, kind.suffixes)
     if not source:
@@ -157,28 +173,35 @@ def _expand(
     for folders in (False, True):
         paths = [match for match in matches if match.is_dir() == folders]
         paths.sort(key=lambda path: natural_key(str(path)))
-        files = [file for path in paths for file in _frames_at(path, kind, topic, note)]
+        files = [file for path in paths for file in _frames_at(path, kind, topic, note, others)]
         if files:
             return files
     raise ValueError(f"{source} holds no {kind.name}; expected {', '.join(kind.suffixes)} files")
 
 
 def _frames_at(
-    path: Path, kind: FileKind, topic: str | None, note: Callable[[str], object]
+    path: Path,
+    kind: FileKind,
+    topic: str | None,
+    note: Callable[[str], object],
+    others: Counter[str],
 ) -> Iterator[FrameFile]:
-    """The frames of a folder, file, bag or video. A broken link is a frame, skipped when read; a
-    stack outside a folder of frames is a sequence."""
-    if kind.name == "images" and is_bag(path):
-        yield from bag_files(path, topic)
-        return
-    if kind.name == "images" and is_video(path):
-        yield from video_files(path, note)
+    """The frames of a folder, file, bag or video. A broken link is a frame, skipped when read, and
+    so is a bag or video that cannot be opened; a stack outside a folder of frames is a sequence."""
+    if kind.name == "images" and (is_bag(path) or is_video(path)):
+        try:
+            yield from bag_files(path, topic, note) if is_bag(path) else video_files(path, note)
+        except ValueError as error:
+            place = absolute(path)
+            yield UnreadableFile("", path.stem, path, folder=place, stamp=0, problem=str(error))
         return
     is_folder = path.is_dir()
     home = absolute(path if is_folder else path.parent)
     for entry in path.iterdir() if is_folder else (path,):
         is_shown = not entry.name.startswith(".") and (entry.is_file() or not entry.exists())
         if entry.suffix.lower() not in kind.suffixes or (is_folder and not is_shown):
+            if is_shown and entry.is_file() and entry.name != FILE_NAME:
+                others[entry.suffix.lower() or "without suffix"] += 1
             continue
         length = _stack_length(entry, kind) if entry.suffix.lower() == ".npy" else None
         if length is None:

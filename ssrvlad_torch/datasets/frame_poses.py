@@ -9,27 +9,28 @@ from pathlib import Path
 
 from ..files import check_regular, naming
 from .frame_file import FrameFile, RemoteFile
-from .pose_tables import PoseTable, read_poses
-from .poses import UNKNOWN, Fix, Pose, Projection, read_exif, read_name
+from .pose_tables import PoseTable, read_table
+from .poses import UNKNOWN, Fix, Pose, Projection, read_exif, read_name, zone_of_name
 from .trajectories import read_trajectory
 
 
 def with_poses_of(
     source: str, sequences: Sequence[list[FrameFile]], projection: Projection
 ) -> list[list[FrameFile]]:
-    """The files of each sequence with their poses in a CSV file, see `read_poses`, in a file of
-    KITTI, TUM or GPX, see `read_trajectory`, or with ``exif`` in their EXIF tags. A source that
-    gives no pose is a ValueError."""
+    """The files of each sequence with their poses in a file that has them by frame, see
+    `read_table`, or by time, see `read_trajectory`, or with ``exif`` in their EXIF tags. A source
+    that gives no pose is a ValueError."""
     path = Path(source)
     if source == "exif":
         poses = [_poses_of_exif(files, projection) for files in sequences]
     elif not path.is_file():
         raise ValueError(f"{source} is no file; expected a file of poses, or exif")
-    elif path.suffix.lower() == ".csv":
-        table = PoseTable(path, read_poses(path, projection))
+    elif (rows := read_table(path, projection)) is not None:
+        table = PoseTable(path, rows)
         poses = [[table.pose_of(file) or UNKNOWN for file in files] for files in sequences]
         if all(pose is UNKNOWN for of_sequence in poses for pose in of_sequence):
-            raise ValueError(table.misfit(sequences[0][0]))
+            files = [file for of_sequence in sequences for file in of_sequence]
+            raise ValueError(table.misfit(files, len(files)))
     elif len(sequences) > 1:
         raise ValueError(f"{source} holds the poses of one sequence, got {len(sequences)}")
     else:
@@ -48,36 +49,40 @@ def with_poses_of(
 
 def _poses_of_exif(files: Sequence[FrameFile], projection: Projection) -> list[Pose]:
     fixes = list(map(_fix_of, files))
-    if not any(fixes):
+    if not any(fix.is_known for fix in fixes):
         raise ValueError(f"no image of {files[0].sequence} has a position in its EXIF tags")
-    return [projection.pose(fix) if fix else UNKNOWN for fix in fixes]
+    return projection.poses(fixes)
 
 
-def _fix_of(file: FrameFile) -> Fix | None:
+def _fix_of(file: FrameFile) -> Fix:
+    nowhere = Fix(math.nan, math.nan)
     try:
         if isinstance(file, RemoteFile):
-            return read_exif(io.BytesIO(file.read()))
+            return read_exif(io.BytesIO(file.read())) or nowhere
         check_regular(file.path)  # to open a pipe can block for ever
-        return read_exif(file.path)
+        return read_exif(file.path) or nowhere
     except (ValueError, OSError):
-        return None
+        return nowhere
 
 
 def with_poses_beside(
     files: Sequence[FrameFile], projection: Projection, note: Callable[[str], object]
 ) -> list[FrameFile]:
     """The files with the poses of tables beside them or of their names, see `with_pose`; a table
-    that fits no frame is noted."""
+    with fewer than half of the frames of a folder is noted."""
     find = cache(lambda folder: PoseTable.of_folder(folder, projection))
     posed = [with_pose(file, find) for file in files]
+    zones = {zone_of_name(file.name) for file in files} - {""}
+    if len(zones) > 1:
+        note(f"names of files have positions of UTM zones {', '.join(sorted(zones))}; expected one")
     folders = dict[Path, list[FrameFile]]()
     for file in posed:
         folders.setdefault(file.path.parent, []).append(file)
     for folder, neighbours in folders.items():
         table = None if isinstance(neighbours[0], RemoteFile) else find(folder)
-        is_posed = any(not math.isnan(file.pose.x) for file in neighbours)
-        if table and not is_posed and not any(map(table.pose_of, neighbours)):
-            note(table.misfit(neighbours[0]))
+        without = [f for f in neighbours if table and math.isnan(f.pose.x) and not table.pose_of(f)]
+        if table and 2 * len(without) > len(neighbours):
+            note(table.misfit(without, len(neighbours)))
     return posed
 
 

@@ -3,6 +3,7 @@
 import errno
 import io
 import os
+import struct
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -14,6 +15,7 @@ import numpy.typing as npt
 from numpy.lib.format import MAGIC_PREFIX
 from PIL import Image, ImageOps, UnidentifiedImageError
 from PIL.ImageFile import ImageFile
+from PIL.TiffImagePlugin import TiffImageFile
 
 from ..files import check_pixels, empty_folder, naming, one_line, parse_npy
 from .frame_files import FileKind, FrameFile, find_frames
@@ -22,6 +24,8 @@ from .poses import write_name
 
 _FORMATS = ("JPEG", "PNG", "WEBP", "BMP", "TIFF", "PPM")
 _SIXTEEN_BIT = ("I;16", "I;16B", "I;16L")
+_BITS_PER_SAMPLE, _MAX_SAMPLE_VALUE = 258, 281
+"""Tags of TIFF."""
 _HIGHEST_ID, _UNIFORM = 40, 0.8
 _EIGHT_BIT = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX", "CMYK", "YCbCr")
 
@@ -45,12 +49,14 @@ def decode_image(content: bytes) -> Pixels:
     file, turned upright by its EXIF orientation.
 
     Gray becomes three equal channels, alpha is dropped, CMYK is converted without a colour profile,
-    and the high 8 of 16 bits are kept. Damaged and other files, several pages, gray of at most 12
-    bits in pixels of 16, pixels of 32 bits or floats, and label maps are a ValueError.
+    and the high 8 of 16 bits are kept, or of as many as the file says that gray has. Damaged and
+    other files, several pages, other pictures of at most 12 bits in pixels of 16, pixels of 32 bits
+    or floats, and label maps are a ValueError.
     """
     with decoding(f"is no image file; expected {', '.join(_FORMATS)} or .npy"):
         if not content.startswith(MAGIC_PREFIX):
-            return _rgb(checked_image(content, _FORMATS))
+            image = checked_image(content, _FORMATS)
+            return _rgb(image, _stated_bits(image, content))
         array = parse_npy(content)
         if array.ndim != 3 or array.shape[2] != 3 or array.size == 0 or array.dtype != np.uint8:
             raise ValueError(
@@ -125,29 +131,67 @@ def write_pictures(folder: Path, files: Sequence[FrameFile]) -> None:
             target.write_bytes(file.read())
 
 
-def _rgb(picture: Image.Image) -> Pixels:
-    """An image in RGB, as `decode_image` says."""
+def raw_mode_of(image: Image.Image) -> str:
+    """Pillow's name for the storage of a pixel, the first argument of the decoder."""
+    tiles: Any = getattr(image, "tile", ())
+    arguments = tiles[0].args if tiles else ""
+    return str(arguments[0] if isinstance(arguments, tuple) and arguments else arguments)
+
+
+def _stated_bits(image: Image.Image, content: bytes) -> int:
+    """How many bits the file says that gray in pixels of 16 bits has."""
+    if isinstance(image, TiffImageFile):
+        highest, bits = (
+            int(np.ravel(image.tag_v2.get(tag, 16))[0])
+            for tag in (_MAX_SAMPLE_VALUE, _BITS_PER_SAMPLE)
+        )
+        is_depth = highest > 255 and highest & (highest + 1) == 0
+        return highest.bit_length() if is_depth else bits
+    position = 8
+    while image.format == "PNG" and position + 8 <= len(content):
+        length, kind = struct.unpack_from(">I4s", content, position)
+        if kind == b"sBIT":
+            return content[position + 8]
+        if kind == b"IDAT":
+            break
+        position += length + 12
+    return 16
+
+
+def _rgb(picture: Image.Image, bits: int = 16) -> Pixels:
+    """An image in RGB, as `decode_image` says; ``bits`` are those of gray in pixels of 16."""
+    is_wide = ";16" in raw_mode_of(picture)
     image = ImageOps.exif_transpose(picture)
     if image.mode in ("L", "P"):
         require_photograph(np.asarray(image))
-    if image.mode in _SIXTEEN_BIT:
-        image = Image.fromarray(high_bytes(np.asarray(image)))
+    if image.mode in _SIXTEEN_BIT or (image.mode == "I" and picture.format == "PPM"):
+        image = Image.fromarray(high_bytes(np.asarray(image).astype(np.uint16), bits))
     elif image.mode not in _EIGHT_BIT:
         raise ValueError(
             f"expected an image of 8 or 16 bits in gray or colour, got mode {image.mode}"
         )
     if "transparency" in image.info:
         image = image.convert("RGBA")
-    return np.asarray(image.convert("RGB"))
+    pixels = np.asarray(image.convert("RGB"))
+    if is_wide and image.mode in ("RGB", "RGBA", "LA"):
+        _require_bright(int(pixels.max()) << 8 | 255)  # the low bytes are not read
+    return pixels
 
 
-def high_bytes(gray: npt.NDArray[np.uint16]) -> Pixels:
-    """Gray of 16 bits as 8. One of at most 12 bits, as cameras of machines store it, would become
-    black; it is a ValueError."""
-    bits = int(gray.max()).bit_length()
+def high_bytes(gray: npt.NDArray[np.uint16], bits: int = 16) -> Pixels:
+    """The high 8 of the bits of gray. One of at most 12 bits that is said to have 16, as cameras of
+    machines store it, would become black; it is a ValueError."""
+    highest = int(gray.max())
+    if not 8 <= bits < 16 or highest >> bits:
+        _require_bright(highest)
+        bits = 16
+    return (gray >> (bits - 8)).astype(np.uint8)
+
+
+def _require_bright(highest: int) -> None:
+    bits = highest.bit_length()
     if 0 < bits <= 12:
-        raise ValueError(f"gray of {bits} bits in pixels of 16; expected values up to 65535")
-    return (gray >> 8).astype(np.uint8)
+        raise ValueError(f"of {bits} bits in pixels of 16; expected values up to 65535")
 
 
 def require_photograph(values: npt.NDArray[np.uint8]) -> None:

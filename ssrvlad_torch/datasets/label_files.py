@@ -2,7 +2,10 @@
 
 import hashlib
 import io
+import re
+from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +16,7 @@ from PIL import Image
 from ..files import parse_npy
 from ..taxonomy import LabelSpace
 from .frame_files import FileKind, FrameFile, find_frames
-from .image_files import checked_image, decoding
+from .image_files import checked_image, decoding, raw_mode_of
 
 SUFFIXES = (".png", ".npy", ".tif", ".tiff", ".bmp")
 _FORMATS = ("PNG", "TIFF", "BMP")
@@ -42,20 +45,55 @@ find_label_files = partial(find_frames, FileKind("label maps", SUFFIXES, _is_sta
 """The label maps of the sources; see `find_frames`. A ``.npy`` stack is ``(N, H, W)``."""
 
 
+_FORMS_OF_LABELS = {
+    "ids": ("labelIds", "color", "labelColor", "labelTrainIds"),
+    "trainids": ("labelTrainIds", "color", "labelColor", "labelIds"),
+}
+"""Ends of the names of Cityscapes and its like, the best first."""
+_FORM = re.compile(r"(.+)_(\w*Ids|color|labelColor|invGray)")
+_TRUCK = 27
+"""An id that only the whole list of Cityscapes has."""
+
+
+def one_of_each_place(
+    space: LabelSpace, files: list[FrameFile], note: Callable[[str], object]
+) -> list[FrameFile]:
+    """The files without further forms of a label map, as in a folder of gtFine: of
+    ``X_labelIds.png``, ``X_labelTrainIds.png``, ``X_color.png`` and ``X_instanceIds.png`` the one
+    that fits a label space best stays. How many are left out is noted."""
+    has_ids = any(label.id == _TRUCK for label in space.classes)
+    order = _FORMS_OF_LABELS["ids" if has_ids else "trainids"]
+    best = dict[tuple[Path, str], tuple[int, FrameFile]]()
+    forms = [(file, match) for file in files if (match := _FORM.fullmatch(file.name))]
+    for file, match in forms:
+        rank = order.index(match[2]) if match[2] in order else len(order)
+        place = file.path.parent, match[1]
+        best[place] = min(best.get(place, (rank, file)), (rank, file), key=lambda pair: pair[0])
+    chosen = {file.path for _, file in best.values()}
+    others = {file.path for file, _ in forms} - chosen
+    if others:
+        note(f"{len(others)} files are other forms of a label map, for example {min(others)}")
+    return [file for file in files if file.path not in others]
+
+
 def read_label_map(file: FrameFile, space: LabelSpace) -> LabelMap:
     """The ids of a label map, ``(H, W)`` of an integer dtype that torch has, in the machine's byte
     order: uint8, uint16 or signed.
 
     Reads 8- and 16-bit single-channel images, palette images (see `_ids_of_palette`), images with
     several 16-bit channels (SYNTHIA: the first channel is the class), images in the colours of the
-    label space, and ``.npy``, ``(H, W)`` or ``(H, W, 1)``. Other and damaged files, names that are
-    not valid text, several pages, a colour that the label space lacks, and a palette that can mean
-    two things are a ValueError.
+    label space, others of three equal channels (OpenCV) or only a red one (CARLA), and ``.npy``,
+    ``(H, W)`` or ``(H, W, 1)``. Where the ``index_is_id``, colours and palettes do not count.
+    Other and damaged files, names that are not valid text, several pages, a colour that the label
+    space lacks, and a palette that can mean two things are a ValueError.
     """
     content = file.read()
     is_array = file.path.suffix.lower() == ".npy" or content.startswith(MAGIC_PREFIX)
     with decoding(f"cannot identify the image; expected {', '.join(_FORMATS)}"):
-        labels = parse_npy(content) if is_array else _decode_image(content, space)
+        if is_array:
+            labels = parse_npy(content)
+        else:
+            labels = _decode_image(content, None if file.index_is_id else space)
     if labels.ndim == 3 and labels.shape[2] == 1:
         labels = labels[..., 0]
     if labels.ndim != 2 or labels.size == 0 or labels.dtype.kind not in "iu":
@@ -78,11 +116,10 @@ def digest(labels: LabelMap) -> str:
     return content.hexdigest()[:32]
 
 
-def _decode_image(content: bytes, space: LabelSpace) -> npt.NDArray[Any]:
+def _decode_image(content: bytes, space: LabelSpace | None) -> npt.NDArray[Any]:
+    """The ids in an image; without a label space the index of a palette, or the first channel."""
     with checked_image(content, _FORMATS) as image:
-        # Pillow's name for the storage of a pixel is the first argument of the decoder
-        arguments = image.tile[0].args if image.tile else ""
-        raw_mode = str(arguments[0] if isinstance(arguments, tuple) and arguments else arguments)
+        raw_mode = raw_mode_of(image)
         if image.format == "PNG" and raw_mode in _SIXTEEN_BIT_LOW_BYTE:
             return _first_of_sixteen_bit_channels(image, content, raw_mode)
         if image.mode in ("L", "LA", "RGB", "RGBA") and ";" in raw_mode:
@@ -92,13 +129,15 @@ def _decode_image(content: bytes, space: LabelSpace) -> npt.NDArray[Any]:
             )
         pixels = np.asarray(image)
         first = pixels if pixels.ndim == 2 else pixels[..., 0]
-        if image.mode in ("P", "PA"):
+        if space is None and image.mode in ("P", "PA", "RGB", "RGBA"):
+            return first
+        if space and image.mode in ("P", "PA"):
             colours = np.array(image.getpalette(), np.uint8).reshape(-1, 3)
             return _ids_of_palette(first, colours, space)
         if image.mode in ("L", "LA", "I", "I;16", "I;16B", "I;16L"):
             return first
-        if image.mode in ("RGB", "RGBA"):
-            return _ids_of_colours(pixels[..., :3], space)
+        if space and image.mode in ("RGB", "RGBA"):
+            return _ids_of_channels(pixels[..., :3], space)
         raise ValueError(f"expected a label image, got an image of mode {image.mode}")
 
 
@@ -153,6 +192,18 @@ def _ids_by_colour(space: LabelSpace) -> dict[tuple[int, ...], int]:
     """The id of each colour: the largest where classes of one category share it."""
     classes = sorted(space.classes, key=lambda label: label.id)
     return {label.colour: label.id for label in classes if label.colour}
+
+
+def _ids_of_channels(pixels: npt.NDArray[np.uint8], space: LabelSpace) -> npt.NDArray[Any]:
+    """Ids of a label image of three channels: of its colours, but its red channel where the others
+    equal it or are 0, and not all are colours of the label space."""
+    red, others = pixels[..., 0], pixels[..., 1:]
+    is_gray = bool((others == red[..., None]).all())
+    if is_gray or not others.any():
+        colours, used = _ids_by_colour(space), np.flatnonzero(np.bincount(red.ravel())).tolist()
+        if any((i, i * is_gray, i * is_gray) not in colours for i in used):
+            return red
+    return _ids_of_colours(pixels, space)
 
 
 def _ids_of_colours(pixels: npt.NDArray[np.uint8], space: LabelSpace) -> npt.NDArray[Any]:

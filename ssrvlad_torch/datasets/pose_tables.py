@@ -5,18 +5,21 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path, PurePosixPath
 from unicodedata import normalize
 
 from ..files import read_text, replacing
+from .camera_poses import KITTI_360, read_colmap, read_kitti_360, words_of
 from .frame_file import FrameFile
 from .names import IMAGE_SUFFIXES, absolute, absolute_folder, is_same_folder, path_ends
-from .poses import Fix, Pose, Projection, parse_number
+from .poses import UNKNOWN, Fix, Pose, Projection, parse_number
 
 FILE_NAME = "poses.csv"
+_FRAME_DIGITS = 10
+"""Of the number of a frame; a time in nanoseconds has more."""
 
 
 def read_poses(path: Path, projection: Projection | None = None) -> dict[str, Pose]:
@@ -26,7 +29,7 @@ def read_poses(path: Path, projection: Projection | None = None) -> dict[str, Po
     ``course``, in degrees clockwise from north. A missing column, more cells than columns, a value
     that is no number, and one NaN of two coordinates are a ValueError that names file and line."""
     rows = csv.DictReader(io.StringIO(read_text(path)), restval="", skipinitialspace=True)
-    poses, projection = dict[str, Pose](), projection or Projection()
+    poses, fixes = dict[str, Pose](), dict[str, Fix]()
     try:
         columns = rows.fieldnames or ()
         if repeated := next((column for column in columns if columns.count(column) > 1), ""):
@@ -46,12 +49,36 @@ def read_poses(path: Path, projection: Projection | None = None) -> dict[str, Po
                     f"{first} is {row[first]} and {second} is {row[second]}; "
                     "expected two numbers, or nan twice"
                 )
-            pose = projection.pose(Fix(x, y, direction)) if is_gps else Pose(x, y, direction)
-            if repr(poses.setdefault(_key(row["frame"]), pose)) != repr(pose):  # NaN equals NaN
+            key, position = _key(row["frame"]), (x, y, direction)
+            if is_gps and Fix(*position).is_known:
+                fixes[key] = Fix(*position)
+            if repr(poses.setdefault(key, Pose(*position))) != repr(Pose(*position)):  # also NaN
                 raise ValueError(f"frame {row['frame']!r} has two positions")
     except (csv.Error, ValueError) as error:
         raise ValueError(f"{path} line {rows.line_num}: {error}") from error
+    if is_gps:
+        converted = (projection or Projection()).poses([*fixes.values()])
+        return dict.fromkeys(poses, UNKNOWN) | dict(zip(fixes, converted, strict=True))
     return poses
+
+
+def read_table(path: Path, projection: Projection) -> dict[str, Pose] | None:
+    """The poses of a file that has them by frame, as `read_poses`: such a ``.csv``, COLMAP's
+    ``images.txt`` or a file of KITTI-360; ``None`` for one that has them by time or number."""
+    if path.suffix.lower() == ".gpx":
+        return None
+    text = read_text(path)
+    _, words = next(words_of(path, text.replace(",", " ")), ("", []))
+    if path.suffix.lower() == ".csv":
+        by_time = text.lstrip("# ").startswith("timestamp")
+        return None if by_time else read_poses(path, projection)
+    if path.name == "images.txt" or "IMAGE_ID, QW" in text:
+        poses = read_colmap(path, text)
+    elif len(words) in KITTI_360 and words[0].isdecimal() and len(words[0]) <= _FRAME_DIGITS:
+        poses = read_kitti_360(path, text)
+    else:
+        return None
+    return {_key(frame): pose for frame, pose in poses.items()}
 
 
 def write_poses(path: Path, poses: Mapping[str, Pose]) -> None:
@@ -107,10 +134,11 @@ class PoseTable:
             )
         return next(iter(poses.values()), None)
 
-    def misfit(self, file: FrameFile) -> str:
-        """That the table has no frame of a sequence, of which one is given, in words."""
+    def misfit(self, without: Sequence[FrameFile], count: int) -> str:
+        """That the table lacks some of ``count`` frames, with one of them and a row, in words."""
         row = f"it has, for example, {next(iter(self.poses))!r}" if self.poses else "it is empty"
-        return f"{self.path} has none of the frames, for example {file.frame}; {row}"
+        share = f"{count - len(without)} of {count}" if len(without) < count else "none of the"
+        return f"{self.path} has {share} frames, not {without[0].frame} for example; {row}"
 
     def _require_one_folder(self, file: FrameFile, row: str) -> None:
         """Raises a ValueError if a row that is a bare name fits two frames: this one, and one that

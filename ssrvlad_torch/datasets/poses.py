@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
+from statistics import median
 from typing import BinaryIO, NamedTuple
 
 from PIL import ExifTags, Image
@@ -36,6 +37,22 @@ class Fix(NamedTuple):
     longitude: float
     course: float = math.nan
 
+    @property
+    def is_known(self) -> bool:
+        """Whether there is a position: it is no NaN, nor 0 twice, as receivers say without
+        reception. One that UTM does not have is a ValueError."""
+        latitude, longitude, _ = self
+        if math.isnan(latitude) or math.isnan(longitude) or latitude == longitude == 0:
+            return False
+        for name, value, (low, high) in zip(self._fields, self, _RANGES, strict=False):
+            if not low <= value <= high:
+                raise ValueError(f"{name} {value} out of range; expected {low} to {high}")
+        return True
+
+
+_RANGES = (-80, 84), (-180, 180)
+"""Degrees of latitude, in UTM, and of longitude."""
+
 
 def parse_number(text: str) -> float:
     """The number that a text is, also ``nan``. Unlike `float`, it refuses ``inf``, ``1_000`` and
@@ -49,29 +66,36 @@ def parse_number(text: str) -> float:
 
 class Projection:
     """Positions of GPS (WGS 84) as poses in metres of UTM, all in one zone: of the zones around the
-    first position that in which it is nearest to a pose that is known, of the map for example;
-    without one, its own. Needs the extra ``gps``."""
+    median of the first positions that in which it is nearest to a pose that is known, of the map
+    for example; without one, its own. Needs the extra ``gps``."""
 
     def __init__(self, near: Callable[[], Pose] = lambda: UNKNOWN) -> None:
         self._near = near
         self._zone: tuple[int, bool] | None = None
 
-    def pose(self, fix: Fix) -> Pose:
-        """The pose at a position, unknown where it is NaN or, as receivers say without reception, 0
-        twice. One outside UTM is a ValueError; without the extra ``gps``, an ImportError."""
-        latitude, longitude, course = fix
-        if math.isnan(latitude) or math.isnan(longitude) or latitude == longitude == 0:
-            return UNKNOWN
+    def poses(self, fixes: Sequence[Fix]) -> list[Pose]:
+        """The poses at positions, unknown where these are, see `Fix.is_known`. One outside UTM is a
+        ValueError; without the extra ``gps``, an ImportError."""
+        known = [fix for fix in fixes if fix.is_known]
+        if known and self._zone is None:
+            self._zone = self._zone_of(median(f[0] for f in known), median(f[1] for f in known))
+        zone = self._zone or (0, True)
+        return [
+            Pose(*_utm(fix.latitude, fix.longitude, zone), heading_of_course(fix.course))
+            if fix.is_known
+            else UNKNOWN
+            for fix in fixes
+        ]
+
+    def _zone_of(self, latitude: float, longitude: float) -> tuple[int, bool]:
         with requiring("gps", "latitudes need"):
             import utm
-        if self._zone is None:
-            number, near = utm.latlon_to_zone_number(latitude, longitude), self._near()
-            zones = [((number + d - 1) % 60 + 1, s) for d in (0, -1, 1) for s in (True, False)]
-            zones.sort(key=lambda zone: zone != (number, latitude >= 0))
-            if not math.isnan(near.x):
-                zones.sort(key=lambda z: math.dist(_utm(latitude, longitude, z), (near.x, near.y)))
-            self._zone = zones[0]
-        return Pose(*_utm(latitude, longitude, self._zone), heading_of_course(course))
+        number, near = utm.latlon_to_zone_number(latitude, longitude), self._near()
+        zones = [((number + d - 1) % 60 + 1, s) for d in (0, -1, 1) for s in (True, False)]
+        zones.sort(key=lambda zone: zone != (number, latitude >= 0))
+        if not math.isnan(near.x):
+            zones.sort(key=lambda z: math.dist(_utm(latitude, longitude, z), (near.x, near.y)))
+        return zones[0]
 
 
 def _utm(latitude: float, longitude: float, zone: tuple[int, bool]) -> tuple[float, float]:
@@ -98,22 +122,26 @@ def read_exif(file: Path | BinaryIO) -> Fix | None:
             tags = image.getexif().get_ifd(ExifTags.IFD.GPSInfo)
         if tags.get(tag.GPSStatus) == "V":  # void: no reception
             return None
-        latitude = _degrees(tags[tag.GPSLatitude], tags[tag.GPSLatitudeRef])
-        longitude = _degrees(tags[tag.GPSLongitude], tags[tag.GPSLongitudeRef])
+        latitude = _degrees(tags[tag.GPSLatitude], tags[tag.GPSLatitudeRef], "NS")
+        longitude = _degrees(tags[tag.GPSLongitude], tags[tag.GPSLongitudeRef], "EW")
         is_true = tags.get(tag.GPSImgDirectionRef, "T") == "T"
         course = float(tags.get(tag.GPSImgDirection, "nan")) if is_true else math.nan
-        return Fix(latitude, longitude, course)
+        fix = Fix(latitude, longitude, course if 0 <= course <= 360 else math.nan)
+        return fix if fix.is_known else None
     except Exception:  # damaged files raise any exception
         return None
 
 
-def _degrees(parts: Sequence[float], hemisphere: str) -> float:
-    degrees, minutes, seconds = map(float, parts)
-    angle = degrees + minutes / 60 + seconds / 3600
-    return -angle if hemisphere in ("S", "W") else angle
+def _degrees(numbers: Sequence[float], letter: str, letters: str) -> float:
+    """An angle of three numbers and one of two letters, of which the second is negative."""
+    degrees, minutes, seconds = map(float, numbers)
+    is_valid = degrees >= 0 and 0 <= minutes <= 60 and 0 <= seconds <= 60
+    if not is_valid or letter not in tuple(letters):
+        raise ValueError(f"{degrees} {minutes} {seconds} {letter} is no angle")
+    return (degrees + minutes / 60 + seconds / 3600) * (1 if letter == letters[0] else -1)
 
 
-_HEADING, _TIME, _NOTE = 9, 13, 14
+_ZONE, _HEADING, _TIME, _NOTE = 3, 9, 13, 14
 _FIELDS = 15
 _TIME_FORMAT = "%Y%m%d_%H%M%S"
 
@@ -137,6 +165,11 @@ def read_name(name: str) -> tuple[Pose, float]:
     except ValueError:  # some data sets have only a year or a month
         time = math.nan
     return Pose(x, y, heading_of_course(course)), time
+
+
+def zone_of_name(name: str) -> str:
+    """The number of the UTM zone in a file name without its suffix; empty if there is none."""
+    return name.split("@")[_ZONE] if name.count("@") > _ZONE and name.startswith("@") else ""
 
 
 def write_name(name: str, pose: Pose, stamp: float = math.nan) -> str:

@@ -1,8 +1,12 @@
 """Poses of one sequence in files of KITTI, TUM and GPX, and the poses of its frames."""
 
+import csv
+import io
 import math
+import re
 from bisect import bisect_left
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import pairwise
@@ -12,8 +16,10 @@ from ..files import naming, read_text, requiring
 from .camera_poses import Y_DOWN, Z_UP, optical_axis, words_of
 from .poses import UNKNOWN, Fix, Pose, Projection, parse_number
 
-_KITTI, _TUM = 12, 8
+_KITTI, _TUM, _EUROC = 12, 8, 17
 """Numbers in a line."""
+_SURE = "INS_SOLUTION_GOOD"
+"""Of RobotCar: the receiver knows where it is."""
 _NEAREST_SECONDS = 0.02
 """Largest distance to the nearest pose of TUM, as in TUM's own tools."""
 _GAP_SECONDS = 5.0
@@ -102,31 +108,49 @@ def _times_of(names: Sequence[str], stamps: Sequence[float]) -> list[Sequence[fl
 
 def read_trajectory(path: Path, projection: Projection | None = None) -> Trajectory:
     """The trajectory in a GPX file, by its suffix; or in a file of KITTI or TUM, recognised by the
-    count of numbers in a line. A file of another form is a ValueError that names the line.
+    count of numbers in a line; or in a ``.csv`` of EuRoC or RobotCar, by its header. A file of
+    another form is a ValueError that names the line.
 
     KITTI: twelve numbers, the matrix ``(3, 4)`` from the camera to the world of the first camera (x
     to the right, y down, z ahead). TUM: ``time x y z qx qy qz qw``, the camera in a world whose z
-    is up. The heading is the direction of the camera's z axis. GPX, which needs the extra ``gps``:
-    east and north in metres of UTM; the heading is the course, unknown where the file has none;
-    between its segments nothing is interpolated.
+    is up; a header and lines with NaN are left out. EuRoC: nanoseconds, ``x y z qw qx qy qz`` and
+    what is not read; the body's z is taken for the camera's. The heading is the direction of the
+    camera's z axis. RobotCar's ``ins.csv`` and ``gps.csv``, and GPX, which need the extra ``gps``:
+    east and north in metres of UTM; the heading is the yaw or course, unknown where the file has
+    none; between segments of GPX, and where the receiver was not sure, nothing is interpolated over
+    more than 5 s.
     """
-    text = read_text(path)
+    text, projection = read_text(path), projection or Projection()
+    first = text.lstrip().partition("\n")[0]
     if path.suffix.lower() == ".gpx":
         with requiring("gps", f"{path} needs"), naming(path):
-            return _parse_gpx(text, projection or Projection())
-    poses, stamps = list[Pose](), list[float]()
+            return _parse_gpx(text, projection)
+    if {"timestamp", "latitude", "longitude"} <= {*first.strip().split(",")}:
+        return _parse_robotcar(path, text, projection)
+    if first.startswith("$G"):
+        raise ValueError(f"{path} holds sentences of NMEA; convert them to GPX (gpsbabel)")
+    poses, stamps, is_first = list[Pose](), list[float](), True
     for place, words in words_of(path, text.replace(",", " ")):
+        is_header, is_first = is_first and _is_header(words), False
+        if is_header:
+            continue
         with naming(place):
             numbers = [parse_number(word) for word in words]
             if len(numbers) == _KITTI:
                 poses.append(Y_DOWN.pose(numbers[3::4], numbers[2::4]))
+                continue
+            if len(numbers) == _EUROC or (len(numbers) == _TUM and "q_RS_w" in first):
+                time, x, y, z, real, i, j, k = numbers[:_TUM]
+                time *= 1e-9
             elif len(numbers) == _TUM:
-                time, x, y, z, *(i, j, k, real) = numbers
-                # the file holds camera to world, `optical_axis` expects the inverse
-                poses.append(Z_UP.pose((x, y, z), optical_axis((real, -i, -j, -k))))
-                stamps.append(time)
+                time, x, y, z, i, j, k, real = numbers
             else:
                 raise ValueError(f"expected 12 numbers (KITTI) or 8 (TUM), got {len(numbers)}")
+            if any(map(math.isnan, numbers[1:_TUM])):
+                continue
+            # the file holds camera to world, `optical_axis` expects the inverse
+            poses.append(Z_UP.pose((x, y, z), optical_axis((real, -i, -j, -k))))
+            stamps.append(time)
     in_order = all(before <= after for before, after in pairwise([*stamps, math.inf]))
     if stamps and (len(stamps) != len(poses) or not in_order):
         raise ValueError(f"{path}: expected lines of 8 numbers in order of time")
@@ -135,27 +159,58 @@ def read_trajectory(path: Path, projection: Projection | None = None) -> Traject
     return Trajectory(poses, stamps)
 
 
+def _is_header(words: Sequence[str]) -> bool:
+    """Whether a line names columns: no word of it is a number."""
+    for word in words:
+        with suppress(ValueError):
+            parse_number(word)
+            return False
+    return True
+
+
+def _parse_robotcar(path: Path, text: str, projection: Projection) -> Trajectory:
+    """Microseconds, degrees, and a yaw in radians clockwise from north."""
+    fixes, stamps = list[Fix](), list[float]()
+    for number, row in enumerate(csv.DictReader(io.StringIO(text)), 2):
+        if (row.get("ins_status") or _SURE) != _SURE:
+            continue
+        with naming(f"{path} line {number}"):
+            columns = [row[name] or "" for name in ("timestamp", "latitude", "longitude")]
+            time, latitude, longitude = map(parse_number, columns)
+            course = math.degrees(parse_number(row.get("yaw") or "nan"))
+            fix = Fix(latitude, longitude, course)
+            if fix.is_known:
+                fixes.append(fix)
+                stamps.append(time * 1e-6)
+    if not fixes or stamps != sorted(stamps):
+        raise ValueError(f"{path}: expected positions in order of time")
+    return Trajectory(projection.poses(fixes), stamps, _GAP_SECONDS)
+
+
 def _parse_gpx(text: str, projection: Projection) -> Trajectory:
     import gpxpy
 
     if "<!" in text.replace("<!--", "").replace("<![CDATA[", ""):
         raise ValueError("expected GPX without a document type")  # its entities can grow
-    poses, stamps, starts = list[Pose](), list[float](), set[int]()
+    for point in re.findall(r"<(?:\w+:)?trkpt\b[^<>]*", text):
+        for number in re.findall(r"""\s(?:lat|lon)\s*=\s*["']([^"']*)""", point):
+            parse_number(number)  # gpxpy reads also 1_0 and digits of other scripts
+    fixes, stamps, starts = list[Fix](), list[float](), set[int]()
     for track in gpxpy.parse(text).tracks:
         for segment in track.segments:
-            starts.add(len(poses))
+            starts.add(len(fixes))
             for point in segment.points:
                 if point.time is None:
-                    number = len(poses) + 1
+                    number = len(fixes) + 1
                     raise ValueError(f"point {number} has no time, as 2026-05-01T10:00:00Z")
                 stamps.append(_seconds(point.time))
-                if stamps[-1] < stamps[len(poses) - 1]:
+                if stamps[-1] < stamps[len(fixes) - 1]:
                     raise ValueError(f"position {len(stamps)} is earlier than the one before it")
                 course = math.nan if point.course is None else float(point.course)
-                poses.append(projection.pose(Fix(point.latitude, point.longitude, course)))
-    if not poses:
+                fixes.append(Fix(point.latitude, point.longitude, course))
+    if not fixes:
         raise ValueError("holds no positions; expected track points")
-    return Trajectory(poses, stamps, _GAP_SECONDS, frozenset(starts))
+    return Trajectory(projection.poses(fixes), stamps, _GAP_SECONDS, frozenset(starts))
 
 
 def _seconds(time: datetime) -> float:

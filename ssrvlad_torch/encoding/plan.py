@@ -62,7 +62,7 @@ class Plan:
         for file in files:
             record = records.get(file.frame)
             if record is None and any(n != n.strip() for n in (file.sequence, file.name)):
-                blank = f"{file.location}: its name, or its folder's, ends in a blank"
+                blank = f"{file.location}: its name, or its folder's, begins or ends in a blank"
                 refused.append(Skipped(file.frame, blank))
             elif record is None:
                 reasons[file.frame] = NEW

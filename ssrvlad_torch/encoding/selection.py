@@ -7,7 +7,7 @@ from typing import Any, Literal
 STDIN = "-"
 """The source whose names arrive on standard input."""
 
-_LEFT_OUT = ("layout", "poses", "topic", "fps", "every", "start")
+_LEFT_OUT = ("layout", "poses", "topic", "fps", "every", "start", "index_is_id")
 
 NETWORK = (
     "FILE.onnx, FILE.yaml (a network and its settings), hf:ORG/NAME[@REVISION], a folder or "
@@ -60,8 +60,9 @@ class FrameSelection:
         "shortest end of its path that no other folder has."
     )
     poses: str | None = _option(
-        "Poses of the frames: a .csv file, a KITTI, TUM or .gpx file, or exif. Default: poses.csv "
-        "in or beside the folder, or the @UTM@ fields of file names."
+        "Poses of the frames: a .csv file (also of EuRoC or RobotCar), a file of KITTI, KITTI-360, "
+        "TUM or COLMAP (images.txt), a .gpx file, or exif. Default: poses.csv in or beside the "
+        "folder, or the @UTM@ fields of file names."
     )
     topic: str | None = _option("Image topic of a ROS bag; needed only if the bag has several.")
     fps: float | None = _option("Use at most this many frames in a second of a video or bag.")
@@ -70,6 +71,11 @@ class FrameSelection:
     segmenter: str | None = _option(
         f"Segmentation network that labels images: {NETWORK} Default: the network that made the "
         "database."
+    )
+    index_is_id: bool = _option(
+        "The index of a palette, or the red channel of colours, is the id of a label map.",
+        default=False,
+        flags=("--index-is-id",),
     )
     classes: str | None = _option(
         "Channels of the network to use, FIRST:LAST without LAST, such as 0:19."
@@ -108,7 +114,7 @@ class FrameSelection:
         if live and (len(self.paths) > 1 or self.changed(*_LEFT_OUT)):
             raise ValueError(
                 f"SOURCE {STDIN} takes no other SOURCE, no --layout, --poses, --topic, "
-                "--fps, --every and --start"
+                "--fps, --every, --start and --index-is-id"
             )
         return live
 

@@ -14,7 +14,7 @@ from ..database.metadata import Origin
 from ..datasets.dataset import Dataset, Kind
 from ..datasets.frame_files import FrameFile, found_by
 from ..datasets.image_files import find_image_files, read_image
-from ..datasets.label_files import find_label_files, read_label_map
+from ..datasets.label_files import find_label_files, one_of_each_place, read_label_map
 from ..datasets.layouts import open_dataset
 from ..datasets.names import SequenceFolders
 from ..datasets.poses import UNKNOWN, Pose, Projection
@@ -25,8 +25,7 @@ from ..taxonomy import LabelSpace, label_space
 from .results import Note, do_nothing
 from .selection import FrameSelection
 
-_OF_GT_FINE = ("_labelIds", "_labelTrainIds", "_color", "_instanceIds")
-_OF_FILES = ("poses", "topic", "fps", "every", "start", "segmenter", "classes")
+_OF_FILES = ("poses", "topic", "fps", "every", "start", "segmenter", "classes", "index_is_id")
 
 
 @dataclass(frozen=True)
@@ -91,16 +90,19 @@ def open_frames(
             raise ValueError(f"{path} is a database: expected no {', '.join(unused)}")
         labels_as = labels_as or _space_of_database(database, compared)
         return replace(frames, labels_as=labels_as or "", database=Database.open(path))
-    find = partial(_files_of, frames, Projection(partial(_pose_in, database)))
+    projection = Projection(partial(_pose_in, database))
     space, segmenter = _labelling(
         frames, database, network, labels_as, compared, images, opened,
-        partial(found_by, find, find_image_files), note,
+        partial(found_by, _files_of, frames, projection, find_image_files), note,
     )  # fmt: skip
     frames = replace(frames, labels_as=space or "", segmenter=segmenter)
     if live:
         return frames
+    find = find_image_files if images or segmenter else find_label_files
+    if selection.index_is_id and find is find_image_files:
+        raise ValueError("--index-is-id is for label maps, got images")
     try:
-        files = find(find_image_files if images or segmenter else find_label_files, note)
+        files = _files_of(frames, projection, find, note)
     except ValueError:
         if dataset or segmenter or images or not _are_only_images(selection.paths):
             raise
@@ -108,8 +110,8 @@ def open_frames(
             f"{' '.join(selection.paths)} holds images and no label maps; name the network that "
             "labels them with --segmenter"
         ) from None
-    if not dataset and any(file.name.endswith(_OF_GT_FINE) for file in files):
-        note("files of gtFine are several frames of one place; --layout cityscapes joins them")
+    if selection.index_is_id:
+        files = [replace(file, index_is_id=True) for file in files]
     return replace(frames, files=files)
 
 
@@ -236,6 +238,8 @@ def _files_of(
     names = ("sequence", "every", "start", "poses", "topic", "fps")
     settings = {name: getattr(selection, name) for name in names}
     settings |= {"map_folders": frames.map_folders, "projection": projection, "note": note}
+    if find is find_label_files and frames.labels_as:
+        settings["choose"] = partial(one_of_each_place, label_space(frames.labels_as), note=note)
     return find([*selection.paths], **settings)
 
 

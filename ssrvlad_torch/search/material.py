@@ -107,6 +107,7 @@ class Material:
             files = [
                 f for find in (find_image_files, find_label_files) for f in found_by(find, [folder])
             ]
+            files += [replace(file, index_is_id=True) for file in files]
             self._folders[folder] = {file.signature() + file.name: file for file in files}
         return self._folders[folder]
 
