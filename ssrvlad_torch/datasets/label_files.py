@@ -196,12 +196,13 @@ def _ids_by_colour(space: LabelSpace) -> dict[tuple[int, ...], int]:
 
 def _ids_of_channels(pixels: npt.NDArray[np.uint8], space: LabelSpace) -> npt.NDArray[Any]:
     """Ids of a label image of three channels: of its colours, but its red channel where the others
-    equal it or are 0, and not all are colours of the label space."""
+    equal it or are 0, and its values are ids and not all colours of the label space."""
     red, others = pixels[..., 0], pixels[..., 1:]
     is_gray = bool((others == red[..., None]).all())
     if is_gray or not others.any():
-        colours, used = _ids_by_colour(space), np.flatnonzero(np.bincount(red.ravel())).tolist()
-        if any((i, i * is_gray, i * is_gray) not in colours for i in used):
+        colours, ids = _ids_by_colour(space), {label.id for label in space.classes}
+        used = np.flatnonzero(np.bincount(red.ravel())).tolist()
+        if ids.issuperset(used) and any((i, i * is_gray, i * is_gray) not in colours for i in used):
             return red
     return _ids_of_colours(pixels, space)
 

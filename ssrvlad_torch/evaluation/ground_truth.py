@@ -59,7 +59,7 @@ def require_poses(
         kind, unit = ("heading", "degrees") if by_heading else ("pose", "metres")
         raise ValueError(
             f"none of {len(posed)} {name} has a {kind}; a tolerance in {unit} requires a poses.csv "
-            "(frame,x,y,heading) in or beside their folder"
+            "(frame,x,y,heading) with their names, in or beside their folder"
         )
     return posed
 

@@ -61,7 +61,7 @@ def score_loops(
     if np.isnan(poses[:, :2]).any(axis=1).all():
         raise ValueError(
             f"none of {len(poses)} frames has a pose; a tolerance in metres requires a poses.csv "
-            "(frame,x,y,heading) in or beside their folder"
+            "(frame,x,y,heading) with their names, in or beside their folder"
         )
     counts, start = np.zeros(3, np.int64), 0
     for row in range(len(poses)):

@@ -180,7 +180,8 @@ class OnnxNetwork(nn.Module):
         if self.batch and count < self.batch:
             filling = np.repeat(images[-1:], self.batch - count, axis=0)
             images = np.concatenate([images, filling])
-        return [array[:count] for array in self._session.run(names, {self.input: images})]
+        arrays = self._session.run(names, {self.input: images})
+        return [array[:count] if count < len(images) else array for array in arrays]
 
 
 def _without_batch(arrays: Sequence[npt.NDArray[Any]], length: int) -> bool:
