@@ -76,9 +76,9 @@ class Projection:
     def poses(self, fixes: Sequence[Fix]) -> list[Pose]:
         """The poses at positions, unknown where these are, see `Fix.is_known`. One outside UTM is a
         ValueError; without the extra ``gps``, an ImportError."""
-        known = [fix for fix in fixes if fix.is_known]
-        if known and self._zone is None:
-            self._zone = self._zone_of(median(f[0] for f in known), median(f[1] for f in known))
+        places = [fix for fix in fixes if fix.is_known]
+        if places and self._zone is None:
+            self._zone = self._zone_of(median(f[0] for f in places), median(f[1] for f in places))
         zone = self._zone or (0, True)
         return [
             Pose(*_utm(fix.latitude, fix.longitude, zone), heading_of_course(fix.course))
