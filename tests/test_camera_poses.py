@@ -80,21 +80,6 @@ def test_courses_become_headings(tmp_path, course, heading):
     assert fix(tmp_path, 50, 9, gpsHeading=course).heading == pytest.approx(heading)
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_distances_are_those_on_the_sphere(tmp_path, seed):
-    """Between fixes some metres apart anywhere in the data set's cities, against haversines."""
-    rng = np.random.default_rng(seed)
-    latitude, longitude = rng.uniform(47, 54), rng.uniform(6, 14)
-    north, east = rng.uniform(-1e-3, 1e-3, 2)
-    places = (latitude + north, longitude + east), (latitude, longitude)
-    x, y = np.subtract(*(fix(tmp_path, *place)[:2] for place in places))
-    first, second = math.radians(latitude), math.radians(latitude + north)
-    sines = math.sin(math.radians(north) / 2) ** 2
-    sines += math.cos(first) * math.cos(second) * math.sin(math.radians(east) / 2) ** 2
-    expected = 2 * 6_371_000 * math.asin(math.sqrt(sines))
-    assert math.hypot(x, y) == pytest.approx(expected, rel=5e-3)
-
-
 @pytest.mark.parametrize(
     ("yaw", "heading"),
     [(0, NORTH), (math.pi / 2, EAST), (math.pi, -math.pi / 2), (-math.pi / 4, 3 * math.pi / 4)],

@@ -159,19 +159,6 @@ def test_images_and_a_segmenter_give_what_label_maps_give(
     assert (code, out) == (0, ssrvlad("evaluate", db, tmp_path / "monday", *options)[1])
 
 
-def test_label_maps_are_cached_for_the_user_or_in_segmenter_cache(encode, photos, tmp_path):
-    command = [photos, "--segmenter", tmp_path / "net.yaml"]
-    assert encode(*command, "-o", tmp_path / "a")[0] == 0
-    kept = list((tmp_path / "cache" / "ssrvlad").rglob("*.npz"))
-    assert len(kept) == 6
-    written = {path: path.stat().st_ino for path in kept}
-    assert encode(*command, "-o", tmp_path / "b", "--preset", "paper")[0] == 0
-    assert {path: path.stat().st_ino for path in kept} == written
-    elsewhere = tmp_path / "elsewhere"
-    assert encode(*command, "-o", tmp_path / "c", "--segmenter-cache", elsewhere)[0] == 0
-    assert len(list(elsewhere.rglob("*.npz"))) == 6
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [

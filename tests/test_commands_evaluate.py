@@ -3,7 +3,6 @@
 import json
 
 import pytest
-from drawings import REAL, SPACE, needs_real
 from helpers import write_maps, write_truth
 
 
@@ -51,35 +50,3 @@ def test_a_ground_truth_names_frames_by_any_end_of_their_paths(ssrvlad, database
                 assert code == 2 and all(word in err[-1] for word in words)
             else:
                 assert (code, json.loads(out)["queries"]) == (0, 1)
-
-
-TRUTH = "same_place_odd_even.json"
-
-
-@pytest.mark.slow
-@needs_real
-def test_a_real_network_finds_what_its_stored_predictions_find(ssrvlad, tmp_path):
-    """ESPNetv2 on every other picture of CamVid against the label maps of those between."""
-    camvid, town = REAL / "camvid", tmp_path / "town"
-    known = (camvid, "--layout", "folders", "--every", 2)
-    assert ssrvlad("encode", *known, "--labels-as", SPACE, "-o", town)[0] == 0
-    asked = ("--start", 1, "--labels-as", "cityscapes-trainids", "--json", "--follow", "no")
-    truth = ("--no-standardise", "--no-sweep", "--ground-truth", camvid / TRUTH)
-    network = REAL / "networks" / "espnetv2.yaml"
-    stored, made = (
-        json.loads(ssrvlad("evaluate", town, *known, *asked, *truth, *labelled)[1])
-        for labelled in (
-            ("--labels", "predicted_espnetv2"),
-            ("--segmenter", network, "--segmenter-cache", tmp_path / "cache"),
-        )
-    )
-    assert made["recall_at"]["1"] >= stored["recall_at"]["1"] - 0.02
-
-
-def test_a_ground_truth_may_name_files_by_whole_paths(evaluate, maps, tmp_path):
-    pairs = {
-        str(tmp_path / "tuesday" / f"{n:03d}.png"): [str(maps / f"{n:03d}.png")] for n in range(6)
-    }
-    (tmp_path / "truth.json").write_text(json.dumps(pairs))
-    code, out, _ = evaluate("--ground-truth", tmp_path / "truth.json", "--json")
-    assert code == 0 and json.loads(out)["recall_at"]["1"] == 1

@@ -25,7 +25,7 @@ from helpers import (
 
 import ssrvlad_torch.config as config_module
 from ssrvlad_torch import Database, SSRVLADConfig
-from ssrvlad_torch.taxonomy import LabelClass, LabelSpace, label_space
+from ssrvlad_torch.taxonomy import label_space
 
 ONE = torch.ones(1, 480)
 
@@ -91,20 +91,6 @@ def test_other_settings_are_refused_with_both_fingerprints_and_the_difference(pa
         assert "labels_as" not in str(refusal.value)
     monkeypatch.setitem(config_module.METHOD_REVISIONS, "harmonics", 99)
     refuses("another version of the method", Database.open, path)
-
-
-def test_each_row_names_the_label_space_and_segmenter_that_made_it(path):
-    database, space = Database.open(path), label_space("camvid-11")
-    first = space.classes[0]
-    changed = LabelClass(first.id, first.name, "building", first.colour)
-    spaces = [space, LabelSpace(space.name, space.source, (changed, *space.classes[1:]))]
-    keys = [database.add_origin(space) for space in spaces] + [database.add_origin(None, "net")]
-    assert len(set(keys)) == 3, "an edited label space of the same name is another"
-    assert database.add_origin(spaces[0]) == keys[0]
-    fill(database, ["a/0"])
-    database.append([record(f"b/{k}", origin=k) for k in keys], descriptors(2, 3))
-    known, origins = Database.open(path).known(), Database.open(path).origins
-    assert [origins[known[f"b/{key}"].origin].label_space for key in keys] == [*spaces, None]
 
 
 REFUSED = {

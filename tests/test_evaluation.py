@@ -15,7 +15,6 @@ from scipy.stats import binomtest
 
 from ssrvlad_torch import match
 from ssrvlad_torch.evaluation import bootstrap as bootstrapping
-from ssrvlad_torch.evaluation.bootstrap import bootstrap
 from ssrvlad_torch.evaluation.curves import rank, roc_auc
 from ssrvlad_torch.evaluation.metrics import FIGURES, evaluate, precision_recall_curve
 from ssrvlad_torch.evaluation.outcomes import judge
@@ -308,14 +307,3 @@ def test_fractions_that_all_resamples_agree_on_have_the_interval_of_wilson(queri
         if row == 0:
             np.testing.assert_allclose(ends["recall_at_100_precision"], expected, rtol=1e-6)
             assert ends["auc_pr"] == [1.0, 1.0]
-
-
-def test_resamples_without_a_figure_are_passed_over():
-    """One query in three has a true match; a resample without it has no recall."""
-    scores, indices = np.ones((3, 1)), np.zeros((3, 1), np.int64)
-    truth = [np.array([0]), np.array([], np.int64), np.array([], np.int64)]
-    intervals = evaluate(scores, indices, truth, (1,), resamples=200)["intervals"]
-    assert intervals["recall_at"]["1"] == pytest.approx([0.2065, 1.0], abs=1e-4)
-    assert 0 < intervals["auc_pr"][0] < intervals["auc_pr"][1] <= 1
-    none = bootstrap(lambda w: {"x": np.full(len(w), np.nan)}, 0, 10)["x"]
-    assert all(map(math.isnan, none)), "of no queries"

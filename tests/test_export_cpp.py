@@ -173,21 +173,6 @@ def test_wrong_use_is_one_line(build, head, bad, monkeypatch, program):
     assert_each_is_one_line(partial(outcome, build / program), table, silent=False)
 
 
-def test_a_file_of_fixed_size_takes_no_other(place, town, tmp_path):
-    labels = np.load(tmp_path / "map.npy")
-    fixed = tmp_path / "fixed.onnx"
-    export_head(CONFIG, fixed, "labels", "int32", (), (1, *labels.shape))
-    for name, ids in {"same": labels, "other": labels[:, 1:]}.items():
-        np.save(tmp_path / f"{name}.npy", ids.astype(np.int32))
-    code, lines, _ = place(fixed, tmp_path / "same.npy", tmp_path / "town.npy", 1)
-    assert (code, lines[1]) == (0, "maps/2 1.000000")
-    size = f"takes {labels.shape[1]} columns, got"
-    for name, message in (("map", "takes int32, got uint8"), ("other", size)):
-        code, _, errors = place(fixed, tmp_path / f"{name}.npy")
-        assert code == 2
-        assert message in errors[0]
-
-
 @pytest.fixture(scope="module")
 def drive(tmp_path_factory):
     """A network with the head in one file and in two, and a photograph."""

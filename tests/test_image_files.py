@@ -6,7 +6,7 @@ from zlib import crc32
 
 import numpy as np
 import pytest
-from helpers import COLOUR, GRAY, flip_byte, refused, refuses, tiff_bytes, write_pages, write_png
+from helpers import COLOUR, flip_byte, refused, refuses, tiff_bytes, write_pages, write_png
 from PIL import Image
 
 from ssrvlad_torch.datasets.frame_files import FrameFile
@@ -106,14 +106,6 @@ def test_an_image_is_turned_upright(orientation, form):
     image = decode_image(encoded(stored, form, **turned(orientation), **quality))
     assert image.shape == upright.shape
     assert np.abs(image.astype(int) - upright).max() < 24
-
-
-def test_sixteen_bit_colours_keep_their_high_byte_and_two_bits_are_scaled(tmp_path):
-    """The high byte of colours; a picture of two bits has white, unlike a label map."""
-    path = write_png(tmp_path / "a.png", PICTURE.astype(np.uint16) << 8 | 77, COLOUR, 16)
-    np.testing.assert_array_equal(read(path), PICTURE)
-    path = write_png(tmp_path / "a.png", np.array([[0, 1, 2, 3]]), GRAY, 2)
-    assert read(path)[0, :, 0].tolist() == [0, 85, 170, 255]
 
 
 @pytest.mark.parametrize(

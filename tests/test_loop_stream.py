@@ -201,25 +201,6 @@ def test_a_memory_says_what_ids_mean(ssrvlad, drive, tmp_path):
     assert code == 0 and "frames:" in out
 
 
-@pytest.mark.parametrize("live", [False, True])
-def test_a_drive_of_the_same_folder_name_is_another_one(loops, drive, tmp_path, live):
-    other = write_drive(tmp_path / "other" / "drive")
-    memory = tmp_path / "town.ssrdb"
-
-    def run(folder, *arguments):
-        names = "\n".join(map(str, sorted(folder.glob("*.png")))).encode()
-        words, stdin = (("-",), names) if live else ((folder,), b"")
-        return loops(*words, "--memory", memory, "--json", *arguments, stdin=stdin)
-
-    assert len(objects(run(drive)[1])) == 54
-    frames = [line["frame"] for line in objects(run(other)[1])]
-    assert frames == [f"other/drive/{n:02d}" for n in range(54)]
-    code, out, err = run(other, "--sequence", "drive")
-    assert (code, out) == (3 if live else 2, "")
-    assert "frame 'drive/00' of the database is of" in err[0] and "--sequence" in err[0]
-    assert run(other)[:2] == (0, ""), "its frames are known by now"
-
-
 KILLED = """
 import os, signal, sys
 from pathlib import Path

@@ -141,21 +141,6 @@ def layout(query: View, reference: View, opposite: bool) -> float:
     return cosine(x * weights, y * weights) / np.linalg.norm(weights) / len(x)
 
 
-def test_a_frame_finds_itself_and_its_mirror_image(space):
-    drive = frames(12)
-    mirrored = [View(f.frame, picture=f.picture[:, ::-1].copy()) for f in drive]
-
-    def symmetric(images: Tensor) -> tuple[Tensor, Tensor]:
-        """What it sees in a mirror is the mirror image of what it sees."""
-        (one, scores), (two, mirror) = network(images), network(images.flip(2))
-        return one + two.flip(3), (scores + mirror.flip(3)) / 2
-
-    for opposite, queries in ((False, drive), (True, mirrored)):
-        method = LoSTX(network=symmetric, labels_as=space, opposite=opposite)
-        scores = method.scores(method.encode_query(queries), method.encode_query(drive))
-        assert scores.argmax(dim=1).tolist() == list(range(12))
-
-
 def test_a_frame_without_the_classes_matches_nothing(space):
     def cars(images: Tensor) -> tuple[Tensor, Tensor]:
         features, scores = network(images)

@@ -100,16 +100,6 @@ def test_the_class_is_decided_at_the_stride_of_the_scores(stride, size):
     np.testing.assert_array_equal(labels, best[np.ix_(rows, columns)])
 
 
-@pytest.mark.parametrize(
-    ("ids", "dtype"), [(255, "uint8"), (256, "uint16"), (-1, "int64"), (1 << 40, "int64")]
-)
-def test_large_and_negative_ids_are_kept(ids, dtype):
-    network = Then(lambda scores: torch.full_like(scores[:, 0, ::2, ::2], 0).long() + ids)
-    (labels,) = Segmenter(network, "cityscapes-trainids", PLAIN)(PHOTOS[:1])
-    assert labels.dtype == dtype
-    assert (labels == ids).all()
-
-
 def test_nan_scores_are_skipped_for_the_image_that_has_them(tmp_path):
     def spoil(scores):
         scores[1, 4, 2:4, 7] = torch.nan

@@ -9,7 +9,7 @@ import run_onnx
 import torch
 from exported import edit_golden, turned, without_property
 from helpers import street
-from networks import PLAIN, Then, photo, write_graph
+from networks import PLAIN, photo, write_graph
 from PIL import Image
 from ssrvlad_place.golden import run_golden
 from ssrvlad_place.model import TRUST, Model, Split
@@ -142,20 +142,6 @@ def test_a_photograph_needs_no_option(fused, tmp_path, run):
     Image.fromarray(street(3, 60, 90)).save(tmp_path / "map.png")
     code, _, err = run(place, tmp_path / "map.png")
     assert code == 3 and "expected a photograph, got a label map" in err[0]
-
-
-def test_unknown_ids_of_a_network_are_counted_and_skipped(tmp_path, run):
-    """The network gives ids, and for one class an id that no label space has."""
-    network = Then(lambda scores: torch.where(scores.argmax(1) == 10, 300, scores.argmax(1)))
-    fuse(Segmenter(network, CONFIG.labels_as, PLAIN), CONFIG, tmp_path / "place.onnx")
-    labels = street(3, 60, 90) % 10
-    np.save(tmp_path / "plain.npy", photo(labels))
-    labels[7, :11] = 10
-    np.save(tmp_path / "strange.npy", photo(labels))
-    frames = (tmp_path / "plain.npy", tmp_path / "strange.npy")
-    code, out, err = run(tmp_path / "place.onnx", *frames)
-    assert (code, out.count("\n"), "plain" in out) == (3, 1, True)
-    assert err[0].endswith("11 of 5400 pixels have an id outside label space camvid-11")
 
 
 def test_network_and_head_in_two_files(fused, tmp_path, run):

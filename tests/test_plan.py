@@ -123,21 +123,6 @@ def test_frames_whose_file_is_gone_are_reported_and_removed_with_prune(town):
     refuses("prune needs all files", EncodeOptions, prune=True)
 
 
-def test_folders_with_the_same_name_are_distinguished_in_one_run_and_in_several(town):
-    for drive in ("00", "01", "02"):
-        town.add(f"{drive}/labels", [int(drive), 7])
-    town.encode("00/labels", "01/labels")
-    assert town.database().load().frames == tuple(
-        f"0{d}/labels/{n}" for d in "01" for n in (int(d), 7)
-    )
-    assert town.encode("02/labels", map_folders=town.database().folders()).encoded == 2
-    assert {name for _, name in town.database().folders()} == {f"0{d}/labels" for d in "012"}
-    folders = town.database().folders()
-    summary = town.encode("02/labels", "00/labels", **PRUNE, map_folders=folders)
-    assert (counts(summary), summary.pruned) == ((0, 4, 0), 0)
-    assert len(town.database()) == 6
-
-
 def test_another_folder_with_the_same_name_never_merges_overwrites_or_prunes(town):
     town.add("00/labels", range(3))
     town.add("01/labels", range(2, 5))
