@@ -58,7 +58,7 @@ class Drawn(NamedTuple):
     pairs: npt.NDArray[np.float32]
     query: Callable[[str], Mapping[str, Pixels]] = lambda _: {}
 
-    def part(self, queries):
+    def of_queries(self, queries):
         return self._replace(pairs=self.pairs[queries])
 
     def cosines(self, queries, references):
@@ -214,6 +214,20 @@ def test_matches_come_with_their_pictures(report, page):
     ranks = re.findall(r"true match reference/\d+ rank (\d+)", page.words)
     assert ranks
     assert all(int(rank) > 1 for rank in ranks)
+
+
+def test_matches_come_first_after_a_map_where_there_are_poses(report, page):
+    titles = [text for around, text in page.texts if around[-1] == "h2"]
+    assert titles == ["Matches", "Figures", "Threshold", "Precision against recall", "Settings"]
+    assert page.all("img")[0]["alt"].startswith("Queries from above")
+    unplaced = dataclasses.replace(
+        report.recognition.queries, poses=np.full_like(report.recognition.queries.poses, np.nan)
+    )
+    recognition = dataclasses.replace(report.recognition, queries=unplaced)
+    alts = [
+        a["alt"] for a in page_of(dataclasses.replace(report, recognition=recognition)).all("img")
+    ]
+    assert alts and not any(alt.startswith("Queries from above") for alt in alts)
 
 
 NASTY = "<img src=x onerror=alert(1)>&amp;\"'</script>$title ${x} %s \N{SNOWMAN} 漢字"

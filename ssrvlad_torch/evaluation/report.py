@@ -62,6 +62,7 @@ def render(
         operating=operating_rows(evaluation.metrics["thresholds"]),
         empty=int((evaluation.outcomes.candidate < 0).sum()),
         curves=_drawn(evaluation),
+        above=_from_above(evaluation),
         matches=[[_row(evaluation, match) for match in kind] for kind in matches],
     )
 
@@ -103,6 +104,37 @@ def _drawn(evaluation: Evaluation) -> str:
     if axes.has_data():
         figure.legend(loc="outside upper center", ncols=3)
     return png_address(partial(figure.savefig, format="png", dpi=150))
+
+
+def _from_above(evaluation: Evaluation) -> str:
+    """The references and queries of known pose from above, with a line from each query to its best
+    candidate, as the address of a PNG; empty without poses."""
+    references, queries = (
+        frames.poses[:, :2]
+        for frames in (evaluation.recognition.references, evaluation.recognition.queries)
+    )
+    candidates = evaluation.outcomes.candidate
+    rows = np.flatnonzero(candidates >= 0)
+    ends = np.stack([queries[rows], references[candidates[rows]]], axis=1)
+    placed = np.isfinite(ends).all(axis=(1, 2))
+    if not placed.any():
+        return ""
+    from matplotlib.collections import LineCollection
+
+    figure = new_figure(9, 4.5)
+    axes = figure.add_subplot()
+    axes.plot(*references.T, ".", color="0.7", ms=3, label="references")
+    for name, colour, chosen in (
+        ("right", "tab:green", evaluation.outcomes.correct[rows] & placed),
+        ("wrong", "tab:red", evaluation.outcomes.wrong[rows] & placed),
+    ):
+        axes.add_collection(LineCollection(list(ends[chosen]), colors=colour, lw=1))
+        label = f"{np.count_nonzero(chosen)} queries with a {name} candidate"
+        axes.plot(*ends[chosen, 0].T, ".", color=colour, ms=4, label=label)
+    axes.set(xlabel="x in metres", ylabel="y in metres")
+    axes.set_aspect("equal", adjustable="datalim")
+    figure.legend(loc="outside upper center", ncols=3, frameon=False)
+    return png_address(partial(figure.savefig, format="png", dpi=110))
 
 
 def _row(evaluation: Evaluation, match: Match) -> dict[str, Any]:
