@@ -1,4 +1,4 @@
-"""Sequences and pictures in a large map, by a shortlist of its rows, against exact search."""
+"""Large maps: the index of their rows, and a shortlist of them against exact search."""
 
 import json
 from dataclasses import replace
@@ -7,17 +7,81 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+import torch.nn.functional as F
 from drawings import SPACE
-from helpers import descriptors, spoil, write_maps
-from large_maps import ALL, CONFIG, ROWS, channels, large_town, queries_at
+from helpers import descriptors, refuses, spoil, write_maps
 
-from ssrvlad_torch import Database, Map
+from ssrvlad_torch import SSRVLAD, Database, Map, SSRVLADConfig
+from ssrvlad_torch.channels import Column
+from ssrvlad_torch.channels.channel import channels_of
+from ssrvlad_torch.channels.features import Features
+from ssrvlad_torch.channels.hog import HOG
+from ssrvlad_torch.database.frames import FrameRecord, FrameSet
 from ssrvlad_torch.recognition.recognise import Steps
+from ssrvlad_torch.recognition.sweep import COLUMNS
 from ssrvlad_torch.search import shortlist
 from ssrvlad_torch.search.exact import recognise_in
-from ssrvlad_torch.search.index import build
+from ssrvlad_torch.search.index import Index, MapRows, build, damaged
 from ssrvlad_torch.search.selection import neighbours, select
 from ssrvlad_torch.search.shortlist import Shortlist, open_shortlist
+from ssrvlad_torch.stages.features import FORM
+
+CONFIG = SSRVLADConfig.from_preset("default", labels_as=SPACE)
+ROWS = 400
+ALL = ("ssr-vlad", "features", "hog")
+
+
+def noisy(numbers, seed, noise):
+    return F.normalize(numbers + noise * descriptors(seed, len(numbers)), dim=1)
+
+
+def flipped(signs, seed, share):
+    bits = np.random.default_rng(seed).random((*signs.shape, 8)) < share
+    return signs ^ torch.from_numpy(np.packbits(bits, axis=-1)[..., 0])
+
+
+def places():
+    """Descriptors of `ROWS` places by three channels."""
+    shape = Features(FORM).column.shape
+    signs = np.random.default_rng(0).integers(0, 256, (ROWS, *shape), np.uint8)
+    return {
+        "ssr-vlad": descriptors(0, ROWS),
+        "features": torch.from_numpy(signs),
+        "hog": descriptors(1, ROWS).abs(),
+    }
+
+
+def seen(rows):
+    """Other views of some places; label maps are described from all anchors."""
+    known = {name: values[rows] for name, values in places().items()}
+    swept = [noisy(known["ssr-vlad"], 10 + n, 0.5 + abs(c) / 8) for n, c in enumerate(COLUMNS)]
+    return {
+        "ssr-vlad": torch.stack(swept, 1),
+        "features": flipped(known["features"], 3, 0.35),
+        "hog": noisy(known["hog"], 4, 0.8),
+    }
+
+
+def queries_at(rows, names=ALL):
+    count, unknown = len(rows), np.full((len(rows), 3), np.nan)
+    ids = tuple(f"today/{n:03d}" for n in range(count))
+    channels = {name: values for name, values in seen(rows).items() if name in names}
+    return FrameSet(ids, ("today",) * count, channels, unknown, unknown[:, 0], unknown[:, 0] > 0)
+
+
+def large_town(path, sequences):
+    """`ROWS` frames of drives, one metre apart, with an index."""
+    columns = [Features(FORM).column, HOG().column]
+    database = Database.create(path, CONFIG, columns=columns)
+    frames = [FrameRecord(name, f"{n:03d}", float(n), 0.0) for n, name in enumerate(sequences)]
+    database.append(frames, places())
+    build(database)
+    return database
+
+
+def channels(town, names):
+    return channels_of([c for c in town.columns if c.name in names], SSRVLAD(CONFIG))
+
 
 ALONE = Steps(follow=None)
 
@@ -165,3 +229,105 @@ def test_commands_and_maps_take_the_index_by_themselves_and_say_so(ssrvlad, tmp_
     town.database.append(["late/0"], descriptors(0, 1))
     *_, line = ssrvlad("query", path, picture)[2]
     assert "lacks 1 of 41 frames; ssrvlad db index adds them" in line
+
+
+# ---- the index of a large map: codes of all rows, grown, opened, refused
+
+
+SIGNS = Column("signs", "few", (4, 2, 4), "uint8")
+
+
+def rows(first, count):
+    """Descriptors by two channels."""
+    signs = np.random.default_rng(first).integers(0, 256, (count, *SIGNS.shape), np.uint8)
+    return {"ssr-vlad": descriptors(first, count), "signs": torch.from_numpy(signs)}
+
+
+def add(database, first, count):
+    database.append([f"a/{first + n:04d}" for n in range(count)], rows(first, count))
+
+
+def opened(database):
+    index = Index(database, MapRows.of(database))
+    return index, index.codes()
+
+
+@pytest.fixture
+def indexed(tmp_path):
+    """100 frames by two channels."""
+    database = Database.create(tmp_path / "town.ssrdb", CONFIG, columns=[SIGNS])
+    add(database, 0, 100)
+    return database
+
+
+def assert_own_row_is_first(database, frame, query):
+    """That of all rows the one that equals a query has its highest score by every channel."""
+    index, codes = opened(database)
+    for name, values in query.items():
+        [scores] = index.coders[name].scores(values[:1], codes[name], True)
+        assert len(scores) == len(database)
+        assert index.rows.frames.frames[int(scores.argmax())] == frame
+
+
+def test_every_row_has_its_code_also_after_changes_of_the_map(indexed):
+    report = build(indexed)
+    assert (report.new, report.frames) == (100, 100) and report.bytes > 100 * 64
+    assert_own_row_is_first(indexed, "a/0000", rows(0, 1))
+    add(indexed, 100, 70)
+    refuses("lacks 70 of 170 frames; ssrvlad db index adds them", opened, indexed)
+    assert build(indexed).new == 70
+    assert_own_row_is_first(indexed, "a/0100", rows(100, 1))
+    indexed.remove(["a/0003", "a/0100"])
+    assert build(indexed)[:2] == (0, 168)
+    indexed.merge(["a/0000"], rows(500, 1))
+    assert build(indexed).new == 1
+    assert_own_row_is_first(indexed, "a/0000", rows(500, 1))
+    indexed.compact(keep_days=0)
+    assert build(indexed).new == 0
+    assert_own_row_is_first(indexed, "a/0000", rows(500, 1))
+
+
+def test_what_cannot_be_opened_or_built_is_refused_in_one_line(indexed, tmp_path):
+    refuses("has no index; ssrvlad db index builds one", opened, indexed)
+    refuses("holds no frames yet", build, Database.create(tmp_path / "empty", CONFIG))
+
+    build(indexed)
+    spoil(Path(indexed.path), rows(0, 3)["ssr-vlad"][2])
+    add(indexed, 100, 1)
+    assert build(Database.open(indexed.path)).new == 1, "what is indexed is not read again"
+    Path(indexed.path, "_index", "learnt.npz").unlink()
+    refuses("is damaged; ssrvlad db verify shows where", build, Database.open(indexed.path))
+
+
+def test_an_index_of_other_channels_is_built_anew(indexed, tmp_path):
+    build(indexed)
+    other = Database.create(tmp_path / "other.ssrdb", CONFIG)
+    other.append(["a/0"], descriptors(0, 1))
+    Path(indexed.path, "_index").rename(Path(other.path, "_index"))
+    refuses("of other channels or another version; ssrvlad db index builds", opened, other)
+    assert build(other).new == 1
+
+
+@pytest.mark.parametrize("name", ["codes/data/*.lance", "learnt.npz"])
+@pytest.mark.parametrize("keep", [None, 20, 0])
+def test_every_file_of_the_index_is_checked_and_mended(indexed, name, keep):
+    build(indexed)
+    assert damaged(indexed) == []
+    [file] = Path(indexed.path, "_index").glob(name)
+    content = file.read_bytes()
+    middle = len(content) // 2
+    turned = content[:middle] + bytes(255 - byte for byte in content[middle:][:64])
+    file.write_bytes(content[:keep] if keep is not None else turned + content[middle + 64 :])
+    assert damaged(indexed) == [f"_index/{name.split('/')[0]}"]
+    build(indexed)
+    assert damaged(indexed) == []
+    assert_own_row_is_first(indexed, "a/0000", rows(0, 1))
+
+
+def test_a_map_keeps_its_index_complete(tmp_path):
+    indexed = Map.open(tmp_path / "drawn.ssrdb", labels_as=SPACE)
+    indexed.add(write_maps(tmp_path / "monday", range(6)))
+    assert not Path(indexed.path, "_index").exists(), "only db index makes one"
+    build(indexed.database)
+    indexed.add(write_maps(tmp_path / "tuesday", range(3)))
+    opened(indexed.database)
