@@ -8,7 +8,7 @@ import torch
 from helpers import street, write_maps
 from networks import photo, write_named_network, write_photos
 
-from ssrvlad_torch import SSRVLAD, LoopDetector, Map, match
+from ssrvlad_torch import SSRVLAD, LoopDetector, Map
 from ssrvlad_torch.loops.config import LoopConfig
 from ssrvlad_torch.segmentation.preparation import Preparation, SegmenterConfig
 from ssrvlad_torch.stages.features import Features
@@ -27,9 +27,8 @@ def default(dtype):
         torch.set_default_dtype(before)
 
 
-def described(_, preset="default", native=True):
+def described(_, preset="default"):
     head = SSRVLAD.from_preset(preset, labels_as="camvid-11")
-    head.native = head.native and native
     return head(MAPS), head(SCORES)
 
 
@@ -40,11 +39,6 @@ def prepared(_):
     noise = torch.rand(16, 3, 24, 32, generator=random, dtype=torch.float32)
     planes = Preparation(SegmenterConfig(size=(48, 64)))(pictures)
     return planes, Features(noise)(planes)
-
-
-def matched(_):
-    rows = torch.rand(40, 20, generator=torch.Generator().manual_seed(0), dtype=torch.float32)
-    return match(rows, rows.flip(0), top=3)
 
 
 def looped(_):
@@ -78,14 +72,11 @@ def content_of(answers):
 
 JOBS = {
     "descriptors": described,
-    "descriptors of the stages": lambda folder: described(folder, native=False),
     "descriptors of the paper": lambda folder: described(folder, "paper"),
-    "the paper by its stages": lambda folder: described(folder, "paper", native=False),
     "anchors": lambda _: [
         SSRVLAD.from_preset("default", labels_as="camvid-11").sweep(MAPS, (-4, 0, 4))
     ],
     "a network's input and features": prepared,
-    "matches": matched,
     "loops": looped,
     "a map of label maps": queried,
     "pictures that are located": located,

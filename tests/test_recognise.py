@@ -8,10 +8,6 @@ from helpers import refuses
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from ssrvlad_torch.channels.features import Features
-from ssrvlad_torch.channels.hog import HOG
-from ssrvlad_torch.channels.label_shapes import LabelShapes
-from ssrvlad_torch.native.map import DescriptorMap
 from ssrvlad_torch.recognition import matching
 from ssrvlad_torch.recognition.matching import match
 from ssrvlad_torch.recognition.recognise import (
@@ -168,18 +164,6 @@ def test_a_reference_scores_its_best_anchor():
     )
 
 
-@pytest.mark.parametrize(("true_anchor", "width"), [(6, 0), (4, 8)])
-def test_the_sweep_is_as_wide_as_the_view_is_shifted(true_anchor, width):
-    generator = torch.Generator().manual_seed(0)
-    places = F.normalize(torch.randn(40, 64, generator=generator), dim=1)
-    swept = torch.randn(40, len(COLUMNS), 64, generator=generator)
-    swept[:, true_anchor] = places * 6 + 0.3 * torch.randn(40, 64, generator=generator)
-    queries, town = {"x": F.normalize(swept, dim=2)}, references_of({"x": places}, ["a"] * 40)
-    found = recognise(queries, ["q"] * 40, town, Steps(follow=None))
-    assert found.used["sweep"] == {"q": width}
-    assert (found.matches.indices[:, 0] == torch.arange(40)).float().mean() > 0.9
-
-
 # ---- standardise: which traverses share a mean
 
 
@@ -198,7 +182,7 @@ def test_short_traverses_share_a_mean_with_their_neighbours_or_all(frames, expec
     assert sharing(frames) == expected
 
 
-# ---- eq. 3 against a loop
+# ---- the temporal sum (Eq. 3) against a loop
 
 
 def plain_temporal_sum(descriptors, sequences, reach):
@@ -236,60 +220,6 @@ def test_temporal_sum_refuses_wrong_arguments():
         temporal_sum(torch.eye(3), ["a", "a"], 1)
     with pytest.raises(ValueError, match="0 or more frames, got -1"):
         temporal_sum(torch.eye(3), ["a"] * 3, -1)
-
-
-# ---- fusion: the scores of several channels as one, by the native core
-
-
-TRUST = {channel.name: channel.trust for channel in (LabelShapes, HOG, Features)}
-
-
-def noisy(seed: int, noise: float, queries: int = 40, references: int = 60) -> torch.Tensor:
-    """Scores of a method: the true match of query i is row i."""
-    generator = torch.Generator().manual_seed(seed)
-    shape = (queries, references)
-    return 0.5 + 0.2 * torch.eye(*shape) + noise * torch.randn(shape, generator=generator)
-
-
-def fuse(*members: torch.Tensor):
-    """Scores and weights by methods that are trusted alike."""
-    return fuse_named({str(number): scores for number, scores in enumerate(members)}, {})
-
-
-def fuse_named(members, trust):
-    town = DescriptorMap([next(iter(members.values())).shape[1]])
-    for name in members:
-        town.add(name, None, trust.get(name, 1.0))
-    scores, taken = town.compare({name: scores.numpy() for name, scores in members.items()})
-    return torch.from_numpy(scores), taken.weights
-
-
-def recall(scores: torch.Tensor) -> float:
-    return float((scores.argmax(1) == torch.arange(len(scores))).float().mean())
-
-
-def test_two_methods_that_err_apart_are_better_together():
-    one, other = noisy(0, 0.08), noisy(1, 0.08)
-    scores, weights = fuse(one, other)
-    assert recall(scores) > max(recall(one), recall(other)) + 0.1
-    assert sum(weights.values()) == pytest.approx(1)
-
-
-def test_a_method_without_information_hardly_weighs():
-    good, bad = noisy(0, 0.03), noisy(1, 10.0).clamp(max=0.99)
-    scores, weights = fuse(good, bad)
-    assert weights["0"] > 3 * weights["1"]
-    assert recall(scores) == recall(good) == 1
-
-
-def test_trust_decides_until_frames_show_which_method_leads():
-    alike = noisy(7, 0.05)
-    _, few = fuse_named(dict.fromkeys(TRUST, torch.rand(3, 20)), TRUST)
-    assert few == pytest.approx({"ssr-vlad": 1 / 9, "hog": 2 / 9, "features": 6 / 9})
-    assert fuse_named(dict.fromkeys(TRUST, alike), TRUST)[1] == pytest.approx(few)
-    both = {"features": noisy(8, 10.0).clamp(max=0.99), "hog": noisy(9, 0.01)}
-    _, blind = fuse_named(both, TRUST)
-    assert blind["hog"] > 3 * blind["features"]
 
 
 # ---- matching against plain NumPy
@@ -343,22 +273,6 @@ def test_match_equals_brute_force(query_count, reference_count, top, threshold, 
     scores, indices = brute_force(queries, references, top, threshold)
     np.testing.assert_array_equal(matches.indices.numpy(), indices)
     np.testing.assert_array_equal(matches.scores.numpy(), scores)
-
-
-def test_blocks_do_not_show_on_real_numbers(monkeypatch):
-    generator = torch.Generator().manual_seed(0)
-    queries = torch.randn(30, 48, generator=generator)
-    references = torch.randn(200, 48, generator=generator)
-    scores, indices = match(queries, references, top=7)
-    monkeypatch.setattr(matching, "_QUERY_BLOCK", 11)
-    monkeypatch.setattr(matching, "_REFERENCE_BLOCK", 13)
-    blockwise = match(queries, references, top=7)
-    assert torch.equal(blockwise.indices, indices)
-    torch.testing.assert_close(blockwise.scores, scores, rtol=0, atol=1e-6)
-    exact = (
-        F.cosine_similarity(queries[:, None].double(), references.double(), dim=2).topk(7).values
-    )
-    torch.testing.assert_close(scores.double(), exact, rtol=0, atol=1e-6)
 
 
 def test_half_precision_and_excluded_references():
