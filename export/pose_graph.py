@@ -8,9 +8,8 @@ The odometry is a file of TUM or KITTI, or a `poses.csv`, as `ssrvlad` reads the
 ground plane. `corrected/` gets `poses.tum` and `poses.csv` of the frames, `graph.g2o`, and
 `drive.png`, the drive before and after. gtsam optimises the graph; graduated non-convexity (Yang et
 al., RA-L 2020) refuses loops that contradict the odometry and the other loops; what is measured is
-in docs/research/pose-graph.md. Needs `ssrvlad_torch[slam]`; `--pictures`, which measures the turn
-of the camera between the frames of a loop by local features, needs OpenCV. Exit code 0 for success,
-2 for wrong use.
+in docs/research/pose-graph.md. Needs `ssrvlad_torch[slam]`. Exit code 0 for success, 2 for wrong
+use.
 """
 
 from __future__ import annotations
@@ -57,10 +56,6 @@ MOST_UNLIKELY = 0.99
 EVEN = 0.5
 """A loop that is believed less is refused."""
 
-INLIERS, AGREE, MOST_TURN, TURN = 25, 0.4, math.radians(20), math.radians(2)
-"""A loop is verified if so many matches of local features, and so much of all, fit one motion of
-the camera that turns less; its turn has the last as standard deviation. Random places fit less."""
-
 
 class Odometry(NamedTuple):
     """How odometry errs: standard deviations per metre driven."""
@@ -71,12 +66,11 @@ class Odometry(NamedTuple):
 
 class Loop(NamedTuple):
     """A loop between rows of the drive: the frame is `ahead` metres in front of the candidate,
-    ``None`` if that is unknown; `turn`, radians to the left, is known of a verified loop."""
+    ``None`` if that is unknown."""
 
     frame: int
     candidate: int
     ahead: float | None = None
-    turn: float | None = None
 
 
 class Corrected(NamedTuple):
@@ -177,10 +171,7 @@ def measured(poses: Floats, loop: Loop, drives: Sequence[slice]) -> Floats:
     """``(3,)``, the pose of a loop's frame as seen from its candidate."""
     [drive] = (rows for rows in drives if rows.start <= loop.candidate < rows.stop)
     row = loop.candidate - drive.start
-    there = relative(poses[loop.candidate], in_front(poses[drive], row, loop.ahead or 0.0))
-    if loop.turn is not None:
-        there[2] = loop.turn
-    return there
+    return relative(poses[loop.candidate], in_front(poses[drive], row, loop.ahead or 0.0))
 
 
 def placed(poses: Floats, drives: Sequence[slice], loops: Sequence[Loop]) -> Floats:
@@ -210,9 +201,8 @@ def correct(
     odometry: Odometry | None = None,
     sideways: float = SIDEWAYS,
     drives: Sequence[slice] = (),
-    robust: bool = True,
 ) -> Corrected:
-    """Corrects a drive by its loops.
+    """Corrects a drive by its loops; those that contradict the odometry and the others are refused.
 
     Args:
         poses: ``(N, 3)`` of the odometry, x and y in metres, heading in radians.
@@ -220,7 +210,6 @@ def correct(
         odometry: how it errs.
         sideways: standard deviation in metres of the distance between two drives of one street.
         drives: rows of each drive in order; without, all are one.
-        robust: whether to refuse loops that contradict the odometry and the other loops.
 
     Examples:
         >>> square = np.array([[0, 0, 0], [9, 0, 1.6], [9, 9, 3.2], [0, 9, 4.8], [1, 1, 6.4]])
@@ -239,22 +228,17 @@ def correct(
     certain, alike = graph.size(), math.sqrt(ALIKE)
     for loop in loops:
         along = ALONG_UNKNOWN if loop.ahead is None else ALONG
-        turn = HEADING * alike if loop.turn is None else TURN
-        noise = _noise(along * alike, sideways * alike, turn)
+        noise = _noise(along * alike, sideways * alike, HEADING * alike)
         seen = gtsam.Pose2(*measured(start, loop, drives))
         graph.add(gtsam.BetweenFactorPose2(loop.candidate, loop.frame, seen, noise))
     if not loops:
         return Corrected(start, np.ones(0), graph)
-    believed = np.ones(len(loops))
-    if robust:
-        settings = gtsam.GncLMParams()
-        settings.setKnownInliers(list(range(certain)))
-        settings.setLossType(gtsam.GncLossType.TLS)
-        optimiser = gtsam.GncLMOptimizer(graph, values, settings)
-        optimiser.setInlierCostThresholdsAtProbability(MOST_UNLIKELY)
-        result, believed = optimiser.optimize(), optimiser.getWeights()[certain:]
-    else:
-        result = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
+    settings = gtsam.GncLMParams()
+    settings.setKnownInliers(list(range(certain)))
+    settings.setLossType(gtsam.GncLossType.TLS)
+    optimiser = gtsam.GncLMOptimizer(graph, values, settings)
+    optimiser.setInlierCostThresholdsAtProbability(MOST_UNLIKELY)
+    result, believed = optimiser.optimize(), optimiser.getWeights()[certain:]
     best = [result.atPose2(row) for row in range(len(poses))]
     after = np.array([[pose.x(), pose.y(), pose.theta()] for pose in best])
     return Corrected(after, believed, graph)
@@ -270,56 +254,6 @@ def _step(row: int, step: Floats, odometry: Odometry) -> gtsam.BetweenFactorPose
 
 def _noise(along: float, sideways: float, turn: float) -> gtsam.noiseModel.Diagonal:
     return gtsam.noiseModel.Diagonal.Sigmas(np.array([along, sideways, turn]))
-
-
-def verified(loop: Loop, pictures: tuple[Path, Path], intrinsics: Sequence[float]) -> Loop:
-    """The loop with the turn of the camera from the candidate's picture to the frame's, by local
-    features; as it is where too few of them match, as between day and night.
-
-    Raises:
-        ValueError: a file is no picture.
-    """
-    import cv2
-
-    seen = []
-    for path in pictures:
-        gray = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-        if gray is None:
-            raise ValueError(f"{path} is no picture")
-        seen.append(cv2.SIFT_create().detectAndCompute(gray, None))
-    (there, of_there), (here, of_here) = seen
-    if min(len(there), len(here)) < INLIERS:
-        return loop
-    pairs = cv2.BFMatcher().knnMatch(of_there, of_here, k=2)
-    good = [one for one, two in pairs if one.distance < 0.8 * two.distance]
-    if len(good) < INLIERS:
-        return loop
-    fx, fy, cx, cy = intrinsics
-    camera = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64)
-    before = np.array([there[match.queryIdx].pt for match in good])
-    after = np.array([here[match.trainIdx].pt for match in good])
-    cv2.setRNGSeed(0)
-    essential, fits = cv2.findEssentialMat(before, after, camera, cv2.RANSAC, 0.999, 1.0)
-    if essential is None or essential.shape != (3, 3):
-        return loop
-    enough = np.count_nonzero(fits) >= max(INLIERS, AGREE * len(good))
-    _, rotation, _, _ = cv2.recoverPose(essential, before, after, camera, mask=fits)
-    right, _, ahead = rotation[2]  # the optical axis of the frame, as the candidate sees it
-    turn = math.atan2(-right, ahead)
-    return loop._replace(turn=turn) if enough and abs(turn) < MOST_TURN else loop
-
-
-def picture_of(folder: Path, frame: str) -> Path:
-    """The picture of a frame below a folder.
-
-    Raises:
-        ValueError: there is not exactly one.
-    """
-    *_, sequence, name = frame.split("/")
-    found = [*folder.glob(f"{name}.*")] or [*folder.glob(f"**/{sequence}/{name}.*")]
-    if len(found) != 1:
-        raise ValueError(f"expected one picture of frame {frame!r} in {folder}, got {len(found)}")
-    return found[0]
 
 
 def write(
@@ -378,10 +312,6 @@ def run(options: argparse.Namespace) -> str:
     row = {frames[number]: place for place, number in enumerate(known.tolist())}
     closed = [loop for loop in closed if loop[0] in row and loop[1] in row]
     loops = [Loop(row[frame], row[there], ahead) for frame, there, ahead in closed]
-    if options.pictures:
-        for number, (frame, there, _) in enumerate(closed):
-            files = (picture_of(options.pictures, name) for name in (there, frame))
-            loops[number] = verified(loops[number], tuple(files), options.intrinsics)
     names = [frames[number] for number in known]
     ends = np.cumsum([len([*drive]) for _, drive in groupby(n.rpartition("/")[0] for n in names)])
     drives = [slice(a, b) for a, b in pairwise([0, *ends.tolist()])]
@@ -390,8 +320,7 @@ def run(options: argparse.Namespace) -> str:
     there = [stamps[number] for number in known]
     write(options.output, names, there, poses[known], after, loops)
     refused = int((after.believed < EVEN).sum())
-    turns = f", {sum(x.turn is not None for x in loops)} verified" if options.pictures else ""
-    return f"{len(names)} poses, {len(loops)} loops{turns}, {refused} refused: {options.output}"
+    return f"{len(names)} poses, {len(loops)} loops, {refused} refused: {options.output}"
 
 
 def main() -> int:
@@ -408,13 +337,9 @@ def main() -> int:
         "--turn", type=float, default=math.degrees(usual.turn), help="degrees after a metre"
     )
     parser.add_argument("--sideways", type=float, default=SIDEWAYS, help="m between two drives")
-    parser.add_argument("--pictures", type=Path, help="folder of the frames' pictures")
-    parser.add_argument("--intrinsics", type=float, nargs=4, metavar=("FX", "FY", "CX", "CY"))
     options = parser.parse_args()
     if min(options.drift, options.turn, options.sideways) <= 0:
         parser.error("expected --drift, --turn and --sideways above 0")
-    if bool(options.pictures) != bool(options.intrinsics):
-        parser.error("--pictures and --intrinsics go together")
     try:
         print(run(options))
     except (ValueError, OSError) as error:
