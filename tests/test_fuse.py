@@ -243,11 +243,13 @@ def test_a_file_without_features_and_networks_that_have_none(tmp_path):
 
 
 def test_the_two_files_of_a_split_are_the_one(tmp_path, ssrvlad):
-    """The network and the head apart give what they give together. The one says what it holds."""
+    """The network and the head apart give what they give together. The one says what it holds, and
+    the command what it assumes of pictures."""
     network = write_graph(tmp_path / "seg.onnx")
     both = [tmp_path / name for name in ("net.onnx", "head.onnx")]
     command = ("fuse", network, "-o", both[0], "--split", both[1], "--labels-as", SPACE)
-    assert ssrvlad(*command)[0] == 0
+    code, _, [err] = ssrvlad(*command)
+    assert code == 0 and "seg.onnx does not say how it wants pictures; assumed: rgb" in err
     fuse(network, CONFIG, tmp_path / "place.onnx")
     properties = session(tmp_path / "place.onnx").get_modelmeta().custom_metadata_map
     metadata, said = Metadata.from_properties(properties), json.loads(properties[NETWORK])

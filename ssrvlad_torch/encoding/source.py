@@ -18,7 +18,7 @@ from ..datasets.label_files import find_label_files, one_of_each_place, read_lab
 from ..datasets.layouts import open_dataset
 from ..datasets.names import SequenceFolders
 from ..datasets.poses import UNKNOWN, Pose, Projection
-from ..segmentation.networks import ACCEPT, AUTO, open_network, runs_code
+from ..segmentation.networks import AUTO, open_network, runs_code
 from ..segmentation.preparation import channels
 from ..segmentation.segmenter import Segmenter, space_of
 from ..taxonomy import LabelSpace, label_space
@@ -157,11 +157,8 @@ def _labelling(
         return labels_as, None
     cache = Path(selection.segmenter_cache) if selection.segmenter_cache else cache_folder()
     segmenter = Segmenter.load(named, labels_as, cache, classes)
-    if named.assumed:
-        note(
-            f"{named.name} does not say how it wants pictures; assumed: {named.preparation} "
-            f"({ACCEPT}: true in a YAML file accepts that)"
-        )
+    if named.assumption:
+        note(named.assumption)
     if database and not network:
         require_network(database, segmenter)
         note(f"{segmenter.name}, the network of {database.path}, labels the pictures")

@@ -60,6 +60,14 @@ class NamedNetwork:
         size = "the size of the graph or of the picture" if c.size is None else c.size
         return f"{c.colour_order}, 0 to {c.white:g}, mean {c.mean}, std {c.std}, size: {size}"
 
+    @property
+    def assumption(self) -> str:
+        """What is assumed of the preparation, in words; empty if nothing is."""
+        return self.assumed * (
+            f"{self.name} does not say how it wants pictures; assumed: {self.preparation} "
+            f"({ACCEPT}: true in a YAML file accepts that)"
+        )
+
 
 def open_network(name: str | Path) -> NamedNetwork:
     """A network by its name.

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from ...encoding.selection import NETWORK
 from ..options import Classes, Preset, argument, option
-from ..output import say
+from ..output import note, say
 
 
 def fuse(
@@ -34,12 +34,16 @@ def fuse(
     from ...config import SSRVLADConfig
     from ...deployment.fuse import fuse as join
     from ...files import check_output
+    from ...segmentation.networks import open_network
     from ...segmentation.preparation import channels
     from ...segmentation.segmenter import Segmenter
 
     for file in filter(None, (output, split)):
         check_output(file)
-    segmenter = Segmenter.load(network, labels_as, classes=channels(classes))
+    named = open_network(network)
+    if named.assumption:
+        note(named.assumption)
+    segmenter = Segmenter.load(named, labels_as, classes=channels(classes))
     space = segmenter.label_space if labels_as == "auto" else labels_as
     config = SSRVLADConfig.from_preset(preset, labels_as=space)
     signs = join(segmenter, config, output, split, features).features
