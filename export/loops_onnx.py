@@ -5,7 +5,7 @@ python export/loops_onnx.py place.onnx images/monday
 your-camera | python export/loops_onnx.py place.onnx -
 
 Prints a JSON object a line for every frame, as `ssrvlad loops --json` does: `frame`, `reason`,
-`candidate`, `score`, `probability`, `ahead`, `candidates`. `-` reads names of files on stdin, one a
+`candidate`, `score`, `confidence`, `ahead`, `candidates`. `-` reads names of files on stdin, one a
 line, and answers each at once. The rules and thresholds are those of `ssrvlad_torch.LoopDetector`:
 with one anchor a frame, those of `ssrvlad loops --no-sweep`, and of a fused file, which gives all
 channels, the same with the network. It needs what `run_onnx.py` needs. Exit code 0 for success, 2
@@ -39,9 +39,9 @@ def stream_of(frame: Description, model: Model, config: LoopConfig) -> Loops:
 def line_of(frame: str, step: LoopStep, frames: list[str]) -> dict[str, Any]:
     """The result of a frame by the ids of the frames so far; without poses, none is ahead."""
     candidate = None if step.candidate is None else frames[step.candidate]
-    places = [{"frame": frames[row], "probability": likely} for row, likely in step.places]
+    places = [{"frame": frames[row], "confidence": likely} for row, likely in step.places]
     line = {"frame": frame, "reason": step.reason, "candidate": candidate, "score": step.score}
-    return {**line, "probability": step.probability, "ahead": None, "candidates": places}
+    return {**line, "confidence": step.probability, "ahead": None, "candidates": places}
 
 
 def run(options: argparse.Namespace) -> int:

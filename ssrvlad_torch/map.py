@@ -8,10 +8,11 @@ import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, NoReturn, overload
+from typing import TYPE_CHECKING, Any, Literal, NoReturn, overload
 
 import numpy as np
 import torch
+from PIL import Image
 
 from .channels.channel import Channel
 from .config import SSRVLADConfig
@@ -19,8 +20,9 @@ from .database.database import Database
 from .database.engine import discard_empty
 from .database.frames import FrameSet
 from .datasets.dataset import GroundTruth
+from .datasets.frame_file import FrameInMemory
 from .datasets.image_files import Picture, pixels_of
-from .datasets.label_files import read_label_map
+from .datasets.label_files import LabelMap, read_label_map
 from .descriptor import SSRVLAD
 from .encoding.encoder import (
     Describer,
@@ -30,16 +32,19 @@ from .encoding.encoder import (
     encode_to_database,
 )
 from .encoding.named import encode_names
+from .encoding.plan import Plan
 from .encoding.ray_engine import encode_with_ray
 from .encoding.results import EncodeOptions, Note, Progress, Skipped, Summary, do_nothing
-from .encoding.selection import FrameSelection
+from .encoding.selection import STDIN, FrameSelection
 from .encoding.source import (
     SelectedFrames,
     cache_folder,
     open_frames,
     origin_of,
+    picture_files,
     require_network,
 )
+from .evaluation.ground_truth import from_frame_numbers
 from .evaluation.measure import TOP, Evaluation, Recognition, measure
 from .evaluation.metrics import Convention
 from .evaluation.true_matches import Viewpoints, true_matches
@@ -56,10 +61,16 @@ from .search.exact import (
 from .search.index import grow
 from .search.material import Material
 from .search.near import Near, Posed
+from .search.picture import draw_answers
 from .search.shortlist import Shortlist, open_shortlist
 from .search.tracker import Tracker
+from .segmentation.known_networks import known_key, remember
+from .segmentation.networks import AUTO
 from .segmentation.segmenter import Segmenter
 from .taxonomy import VOID, LabelSpace, label_space
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Frames = str | os.PathLike[str] | Sequence[str | os.PathLike[str]] | FrameSelection
 """Folders, globs or files, each folder a sequence; or `FrameSelection`, which says more."""
@@ -246,13 +257,45 @@ class Map:
             discard_empty(self.path)
             return summary
         self._database = database
+        if source.segmenter and source.segmenter.state:
+            network = source.segmenter
+            remember(network.name, network.state, network.key(), cache_folder())
         grow(database)
         self._note_other_spaces(head.label_space, note)
         return summary
 
+    def up_to_date(
+        self, frames: FrameSelection, complete: bool = False, prune: bool = False
+    ) -> Summary | None:
+        """What `add` of pictures returns where it has nothing to do, without opening the network;
+        ``None`` where there is something to do, or it cannot be told: the files of a network are
+        known once it has been used.
+
+        Args:
+            frames: see `FrameSelection`.
+            complete, prune: see `EncodeOptions`.
+
+        Raises:
+            ValueError: as for `add`.
+        """
+        database, name = self._stored(), frames.segmenter or self.network
+        if database is None or not isinstance(name, str) or frames.changed("layout", "classes"):
+            return None
+        key = known_key(name, cache_folder())
+        origins = [o for o in database.origins.values() if o.label_space and o.segmenter == key]
+        if not key or len(origins) != 1:
+            return None
+        labels_as, space = frames.labels_as or self.labels_as or AUTO, origins[0].label_space
+        if space is None or (labels_as != AUTO and label_space(labels_as).digest != space.digest):
+            return None
+        plan = Plan.of(picture_files(frames, database), database, origins[0])
+        if plan.files or plan.refused or (prune and plan.gone):
+            return None
+        return Summary(already_there=plan.already_there, gone=plan.gone if complete else [])
+
     def query(
         self,
-        frames: Frames | SelectedFrames,
+        frames: Frames | SelectedFrames | Sequence[Picture | LabelMap],
         steps: Steps | None = None,
         top: int = 5,
         *,
@@ -263,18 +306,23 @@ class Map:
         near: Circle | None = None,
         min_confidence: float = 0.0,
         max_wrong: float | None = None,
+        follow: Literal["offline", "online", "no"] | None = None,
+        single: bool = False,
         progress: Progress = do_nothing,
     ) -> Answers:
         """Finds a sequence, or any frames, in the map. It is found far better as a whole: give
         its folder, not its pictures one by one.
 
         Args:
-            frames: as for `add`, or a database.
+            frames: as for `add`, or a database; or a list of pictures in memory, see `locate`, or
+                of label maps ``(H, W)`` of integers, the sequence ``query``.
             steps: between descriptors and a decision; by default all.
             top: number of candidates of each frame.
             temporal, channels, sequences, exclude, progress: see `search.exact.search`.
             near: only frames whose pose is in this circle are candidates.
             min_confidence, max_wrong: which answers are accepted, see `Answers.accepted`.
+            follow: instead of that of ``steps``; ``"no"`` matches single frames.
+            single: match each frame without the others, as `locate` does.
 
         Raises:
             ValueError: there are no frames, they do not fit the map, or the map has no poses in the
@@ -284,11 +332,13 @@ class Map:
         source, steps = self._source(frames), steps or Steps()
         if not isinstance(steps, Steps):
             raise ValueError(f"expected steps as Steps, got {steps!r}")
+        if follow:
+            steps = replace(steps, follow=None if follow == "no" else follow)
         most = max(TOP, len(self))
         top = most if isinstance(top, int) and top > most else checked_number("top", top, least=1)
         answers = search(
             self.database, source, steps, top, temporal, channels, sequences, exclude, circle,
-            progress,
+            progress, single,
         )  # fmt: skip
         return answers.accepted(min_confidence, max_wrong)
 
@@ -303,7 +353,7 @@ class Map:
     def locate(
         self, pictures: Picture | Sequence[Picture], top: int = 5, near: Circle | None = None
     ) -> Answer | list[Answer]:
-        """The places of pictures, each judged alone; of a sequence, use `query`. The map is loaded,
+        """The places of pictures, each by itself; of a sequence, use `query`. The map is loaded,
         unless it is large and has an index, see ``ssrvlad db index``.
 
         Args:
@@ -406,7 +456,7 @@ class Map:
 
     def evaluate(
         self,
-        frames: Frames | SelectedFrames,
+        frames: Frames | SelectedFrames | Sequence[Picture | LabelMap],
         steps: Steps | None = None,
         *,
         ground_truth: Path | None = None,
@@ -437,6 +487,11 @@ class Map:
         definition = GroundTruth.chosen(
             declared, ground_truth, tolerance_metres, tolerance_degrees, tolerance_frames
         )
+        if definition.frames is not None and source.files:
+            placed, _ = self.database.placed()
+            counted = Viewpoints.of(source.files, source.dataset).counted
+            stored = Viewpoints.of_set(placed, source.dataset, ()).counted
+            from_frame_numbers(counted, stored, definition.frames)
         if definition.metres is not None and settings.get("near") is None:
             posed = Posed(definition.degrees is not None)
             is_posed = posed.rows(self.database.placed()[0].poses, self.path)
@@ -448,9 +503,7 @@ class Map:
         references = Viewpoints.of_set(answers.references, dataset, source.map_folders)
         queries = Viewpoints.of_set(answers.queries, dataset, answers.folders, skipped)
         truth = true_matches(definition, references, queries, note)
-        [channel] = chosen_channels(self.database, [next(iter(answers.queries.channels))])
-        sides = answers.references, answers.queries.descriptors
-        material = Material(self.database, channel, *sides, source)
+        material = self._material(answers, source)
         details = {
             **answers.judged(truth),
             "preset": config.preset,
@@ -459,15 +512,48 @@ class Map:
             "steps": answers.recognised.used,
             "score_is": answers.recognised.score_is(),
         }
+        sure = answers.recognised.confidence.numpy()
         recognition = Recognition(
-            references, queries, answers.matches, material, answers.skipped, details
-        )
+            references, queries, answers.matches, material,
+            sure if sure.any() else None, answers.skipped, details,
+        )  # fmt: skip
         return replace(measure(recognition, truth, convention), true_matches=definition.words)
 
-    def _source(self, frames: Frames | SelectedFrames) -> SelectedFrames:
+    def draw(self, answers: Answers, frames: Frames | SelectedFrames) -> Figure:
+        """A figure of answers of `query` to frames: where the sequence is in the map, and some of
+        the frames beside their answers. It needs the extra ``eval`` (matplotlib)."""
+        return draw_answers(answers, self._material(answers, self._source(frames)))
+
+    def _material(self, answers: Answers, source: SelectedFrames) -> Material:
+        """What can be shown of the frames of answers."""
+        [channel] = chosen_channels(self.database, [next(iter(answers.queries.channels))])
+        sides = answers.references, answers.queries.descriptors
+        return Material(self.database, channel, *sides, source)
+
+    def _source(
+        self, frames: Frames | SelectedFrames | Sequence[Picture | LabelMap]
+    ) -> SelectedFrames:
         """The frames to be compared with the map, which must exist."""
         _ = self.database
-        return frames if isinstance(frames, SelectedFrames) else self.source(frames, compared=True)
+        if isinstance(frames, SelectedFrames):
+            return frames
+        if isinstance(frames, Sequence) and not isinstance(frames, str):
+            arrays = [frame for frame in frames if isinstance(frame, np.ndarray | Image.Image)]
+            if arrays and len(arrays) == len(frames):
+                return self._in_memory(arrays)
+        return self.source(frames, compared=True)  # type: ignore[arg-type]
+
+    def _in_memory(self, frames: Sequence[Picture | LabelMap]) -> SelectedFrames:
+        """Pictures, or label maps, that are no files."""
+        arrays = [frame if isinstance(frame, np.ndarray) else pixels_of(frame) for frame in frames]
+        pictured = any(array.ndim > 2 for array in arrays)
+        live = FrameSelection([STDIN])
+        source = self.source(live, compared=True, images=pictured, live=True)
+        if source.segmenter and (shapes := [array.shape for array in arrays if array.ndim != 3]):
+            raise ValueError(f"expected pictures (H, W, 3) for the network, got {shapes[0]}")
+        self._opened = source.segmenter or self._opened
+        files = [FrameInMemory.of(number, array) for number, array in enumerate(arrays)]
+        return replace(source, files=files)
 
     def _note_void(self, source: SelectedFrames, head: SSRVLAD, note: Note) -> None:
         """Notes a first label map that is mostly void: the label space may be wrong."""
@@ -541,6 +627,6 @@ def _selection(frames: Frames) -> FrameSelection:
         if not isinstance(path, str | os.PathLike):
             raise ValueError(
                 "expected folders, globs or files, or a list of them, got "
-                f"{type(path).__name__}; locate takes pictures in memory"
+                f"{type(path).__name__}; query and locate take pictures in memory"
             )
     return FrameSelection([str(path) for path in paths])

@@ -81,7 +81,7 @@ def objects(out):
 
 
 def _likely(candidates):
-    return {x["frame"]: x["probability"] for x in candidates if x["probability"] > 0.05}
+    return {x["frame"]: x["confidence"] for x in candidates if x["confidence"] > 0.05}
 
 
 def assert_same_answers(got, expected):
@@ -91,7 +91,7 @@ def assert_same_answers(got, expected):
         assert [*one] == [*other]
         for name in ("frame", "reason", "candidate"):
             assert one[name] == other[name], one["frame"]
-        for name in ("score", "probability"):
+        for name in ("score", "confidence"):
             assert one[name] == pytest.approx(other[name], abs=3e-4), one["frame"]
         places, others = (_likely(answer["candidates"]) for answer in (one, other))
         assert places == pytest.approx(others, abs=3e-4), one["frame"]

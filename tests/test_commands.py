@@ -23,23 +23,24 @@ def test_more_candidates_than_references_give_all_references(ssrvlad, database, 
 
 def test_the_steps_are_taken_and_reported(ssrvlad, database, maps):
     steps = ("--no-standardise", "--no-sweep", "--follow", "no")
-    _, out, err = ssrvlad("query", database, maps, "--top", 1, *steps)
+    _, out, err = ssrvlad("query", database, maps, "--top", 1, *steps, "--verbose")
     ends = [line.split()[-4:] for line in out.splitlines()]
     assert ends == [["1.0000", "(cosine,", "confidence", "0.00)"]] * 6
     assert "not standardised, no sweep, followed: no, no temporal sum" in err[-1]
+    assert "6 references are too few" in err[-1]
+    _, out, err = ssrvlad("query", database, maps, "--top", 1)
+    assert out.splitlines()[1] == "monday/001: monday/001 (confidence 0.00)"
+    words = "6 answers, too few map frames to say how many are wrong"
+    assert err == [f"ssrvlad: {words}. Matched as single frames; details with --verbose"]
     sure = json.loads(ssrvlad("query", database, maps, "--json")[1].splitlines()[0])
     assert sure["confidence"] == 0 and sure["steps"]["standardise"] == {"monday": False}
-    assert "6 references are too few" in err[-1]
-    words = "; 6 answers; too few references to say how many are wrong"
-    assert err[-1].endswith(words) and sure["estimate"]["accepted"] == 6
     lines = ssrvlad("evaluate", database, maps, "--tolerance-frames", 0)[1]
-    assert f"without ground truth{words.replace(';', ':', 1)}; in truth 0.0%" in lines
-    _, followed, err = ssrvlad("query", database, maps)
-    assert "followed: no, following is no surer" in err[-1] and "(cosine, confidence" in followed
-    assert sure["score_is"] == "cosine"
+    assert f"Without ground truth: {words}; in truth 0 wrong" in lines
+    assert sure["score_is"] == "cosine" and sure["estimate"]["accepted"] == 6
     nothing = ssrvlad("query", database, maps, "--min-confidence", 1)[1].splitlines()
     assert all("no candidate" in line for line in nothing)
-    assert "temporal sum t = 3" in ssrvlad("query", database, maps, "--as-paper")[2][-1]
+    paper = ssrvlad("query", database, maps, "--as-paper", "--verbose")
+    assert "temporal sum t = 3" in paper[2][-1]
 
 
 def test_as_paper_contradicts_other_options(ssrvlad, refusal, database, maps):
@@ -67,6 +68,26 @@ def test_the_folder_of_a_map_that_was_moved_needs_a_sequence_name(ssrvlad, refus
     assert [line.split(": ")[1][:12] for line in out.splitlines()] == ["no candidate"] * 6
 
 
+def test_help_shows_options_in_groups_and_rare_ones_only_if_asked(ssrvlad):
+    few, every = (ssrvlad("query", option)[1] for option in ("--help", "--help-all"))
+    headings = ["Arguments:", "Input:", "Answers:", "Matching:", "Options:"]
+    assert [line for line in few.splitlines() if line in headings] == headings
+    assert "--as-paper" in every and "--as-paper" not in few
+    assert ssrvlad("query", "--help")[1] == few, "it was asked once"
+
+
+@pytest.mark.parametrize("given", [(), ("--min-confidence", 0.1)])
+def test_a_query_draws_its_answers_without_ground_truth(ssrvlad, database, maps, given, tmp_path):
+    (maps / "poses.csv").write_text("frame,x,y\n" + "".join(f"{n:03d},{n},0\n" for n in range(5)))
+    assert ssrvlad("encode", maps, "-o", database, "--labels-as", SPACE)[0] == 0
+    picture = tmp_path / "answers.png"
+    code, out, _ = ssrvlad("query", database, maps, "--picture", picture, *given)
+    assert code == 0 and ("y 0.0 m" in out) == (not given)
+    assert Image.open(picture).width > 1000
+    refused = ssrvlad("query", database, maps, "--picture", tmp_path / "answers.xyz")
+    assert refused[:2] == (2, "") and "a picture is one of" in refused[2][0]
+
+
 @pytest.fixture
 def town(network, ssrvlad, tmp_path):
     """A database of the photos, all but one with a pose."""
@@ -83,14 +104,14 @@ def test_locate_takes_the_network_of_the_database(town, network, ssrvlad, refusa
     code, out, _ = ssrvlad("locate", *photos, "--in", town)
     first, second = out.splitlines()
     assert code == 0
-    assert first.startswith("photos/1: photos/1, cosine ")
-    assert first.endswith("x 1.0 m, y 0.0 m, heading 29 degrees")
-    assert second.endswith("pose unknown")
+    assert first.startswith("photos/1: photos/1 (confidence 0.")
+    assert first.endswith(", x 1.0 m, y 0.0 m, heading 29 degrees)")
+    assert second.startswith("photos/2: photos/2 (") and " m, " not in second
     found = json.loads(ssrvlad("locate", photos[0], "--in", town, "--json")[1])
     assert (found["picture"], found["place"], found["x"]) == ("photos/1", "photos/1", 1)
     assert found["score_is"] == "cosine" and found["score"] <= 1
     unsure = ssrvlad("locate", photos[0], "--in", town, "--min-confidence", 1)[1]
-    assert unsure.startswith("photos/1: no place (confidence 0.")
+    assert unsure.startswith("photos/1: no candidate (confidence 0.")
     network.write_text("network: net.onnx\nmean: [0, 0, 0]\nstd: [1, 1, 2]\n")
     assert "gives other label maps" in refusal("locate", photos[0], "--in", town)
 

@@ -1,6 +1,7 @@
 """`ssrvlad evaluate`: every form of ground truth, every convention, and what cannot be used."""
 
 import json
+import re
 
 import pytest
 from helpers import write_maps, write_truth
@@ -33,8 +34,9 @@ def test_evaluate_names_its_convention_and_gives_intervals_and_thresholds(evalua
     assert code == 0
     for words in ("exact", "average precision", "ROC-AUC", "0.610 to 1.000", "recall 0.5"):
         assert words in out
-    assert "lower bound of the precision 0.610 by 6 accepted queries, if they were" in out
-    assert "; a lower bound of 0.95 needs at least 73 accepted queries" in out
+    words = "6 of 6 accepted, none wrong (precision at least 61 %)"
+    assert re.search(rf"Suggested threshold of the \w+ 0\.\d+: {re.escape(words)}\n", out)
+    assert "needs 73 accepted queries" in evaluate("--tolerance-frames", 0, "--verbose")[1]
 
 
 def test_a_ground_truth_names_frames_by_any_end_of_their_paths(ssrvlad, database, tmp_path):

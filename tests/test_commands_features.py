@@ -13,6 +13,7 @@ from ssrvlad_torch.channels.channel import View
 from ssrvlad_torch.channels.hog import HOG
 from ssrvlad_torch.datasets.frame_file import FrameFile
 from ssrvlad_torch.datasets.image_files import read_image
+from ssrvlad_torch.encoding import source as sources
 from ssrvlad_torch.loops.config import LoopConfig
 from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
 from ssrvlad_torch.segmentation.segmenter import Segmenter
@@ -104,7 +105,7 @@ def test_queries_use_features(town, photos, ssrvlad, refusal):
             assert firsts == [line["query"].replace("today", "monday") for line in lines]
     weights, *others = found.values()
     assert weights.keys() == {"ssr-vlad", "features", "hog"} and others == [{}, {}, {}]
-    _, _, err = ssrvlad(*query, "--follow", "no")
+    _, _, err = ssrvlad(*query, "--follow", "no", "--verbose")
     named = " + ".join(f"{name} {weight:.2f}" for name, weight in weights.items())
     assert f"fused: {named}" in err[-1]
     truth = ("--tolerance-frames", 0, "--follow", "no", "--json")
@@ -124,11 +125,19 @@ def test_a_map_uses_features(photos, maps, runs, ssrvlad):
     answer = town.locate(picture)
     assert (answer.candidates[0].frame, runs[0]) == ("monday/7", before + 1)
     code, out, err = ssrvlad("locate", picture, "--in", photos / "town")
-    assert code == 0 and out.startswith("today/7: monday/7, fused score ")
+    assert code == 0 and out.startswith("today/7: monday/7 (confidence ")
+    assert err[-1].endswith("Matched as single frames; details with --verbose")
+    err = ssrvlad("locate", picture, "--in", photos / "town", "--verbose")[2]
     assert "fused: ssr-vlad 0.11 + features 0.67 + hog 0.22" in err[-1]
     found = json.loads(ssrvlad("locate", picture, "--in", photos / "town", "--json")[1])
     given = answer.candidates[0].score, answer.confidence
     assert given == pytest.approx((found["score"], found["confidence"]))
+    lines = ssrvlad("locate", photos / "today", "--in", photos / "town", "--json")[1].splitlines()
+    several = town.locate(sorted(photos.glob("today/*.png")), top=1)
+    found = {line["picture"]: (line["place"], line["score"]) for line in map(json.loads, lines)}
+    for file, answer in zip(sorted(photos.glob("today/*.png")), several, strict=True):
+        place = answer.candidates[0]
+        assert found[f"today/{file.stem}"] == (place.frame, pytest.approx(place.score, abs=1e-6))
     again = Map.open(photos / "town")
     assert again.locate(pictures_of(photos / "today")[9]).candidates[0].frame == "monday/9"
     with pytest.raises(ValueError, match="expected images and --segmenter"):
@@ -138,6 +147,31 @@ def test_a_map_uses_features(photos, maps, runs, ssrvlad):
         assert found.metrics["recall_at"]["1"] == 1
         alike = found.recognition.material.cosines(np.arange(32), np.arange(32))
         assert alike.argmax(1).tolist() == [*range(32)]
+
+
+def test_an_encode_with_nothing_to_do_does_not_open_the_network(town, photos, ssrvlad, monkeypatch):
+    """Until one of its files changes."""
+    opened, open_network = [], sources.open_network
+    monkeypatch.setattr(
+        sources, "open_network", lambda name: opened.append(1) or open_network(name)
+    )
+    again = ("encode", photos / "monday", "-o", town, "--segmenter", photos / "net.yaml")
+    assert ssrvlad(*again)[1].endswith("32 already there, 0 skipped\n") and not opened
+    (photos / "monday" / "0.png").rename(photos / "monday" / "33.png")
+    _, out, err = ssrvlad(*again)
+    assert "1 frames encoded" in out and "0 is in" in err[0] and opened.pop()
+    (photos / "net.yaml").write_text(SETTINGS.replace("[1, 1, 1]", "[1, 1, 2]"))
+    assert "encode again" in ssrvlad(*again)[2][-1] and opened
+
+
+def test_sequences_of_unequal_length_are_refused_before_a_picture_is_labelled(
+    town, photos, runs, refusal
+):
+    (photos / "today" / "31.png").unlink()
+    before = runs[0]
+    line = refusal("evaluate", town, photos / "today", "--tolerance-frames", 1)
+    assert "two sequences of equal length, got 31 query frames and 32 reference frames" in line
+    assert runs[0] <= before + 2, "the network is probed alone"
 
 
 def test_loops_use_features(photos, ssrvlad):

@@ -218,10 +218,10 @@ def test_wilson_is_that_of_scipy():
 
 
 def test_the_suggestion_lies_between_scores():
-    """Halfway to the first score that would spoil it; 0.5 and 0.25 are both wrong."""
+    """Before the first score that would spoil it, of few decimals; 0.5 and 0.25 are both wrong."""
     scores = [*[0.75] * 100, *[0.5] * 50, *[0.25] * 50]
     point = suggested_point(curve_of(scores, [1] * 100 + [0] * 100, 100))
-    assert (point.score, point.accepted, point.recall) == (0.625, 100, 1.0)
+    assert (point.threshold, point.accepted, point.recall) == (0.62, 100, 1.0)
     assert point.precision_low > 0.95
 
 
@@ -231,8 +231,8 @@ def test_match_accepts_at_the_suggested_threshold():
     queries = torch.tensor([[0.6, 0.8]]).repeat(100, 1)
     scores = match(queries, references, top=1).scores[:, 0].numpy()
     point = suggested_point(curve_of(scores, [1] * 100, 100))
-    assert point.score < scores.min()
-    assert bool((match(queries, references, 1, point.score).indices >= 0).all())
+    assert point.threshold < scores.min()
+    assert bool((match(queries, references, 1, point.threshold).indices >= 0).all())
 
 
 SOME_SCORE = st.sampled_from([-0.25, 0.0, 0.25, 0.5, 1.0])
@@ -250,7 +250,7 @@ def test_operating_points_equal_a_search_over_thresholds(queries, fraction):
         (at_precision(curve, fraction), min(precise, default=None)),
         (at_recall(curve, fraction), max(found, default=None)),
     ):
-        assert (point and point.score) == expected
+        assert (point and point.threshold) == expected
         if point:
             assert point.accepted == counts[expected][1]
             assert point.precision == pytest.approx(counts[expected][0] / counts[expected][1])
@@ -259,7 +259,9 @@ def test_operating_points_equal_a_search_over_thresholds(queries, fraction):
     sure = [t for t in low if low[t] >= min(fraction, max(low.values()))]
     assert (point is None) == (not correct.any())
     if point:
-        assert (scores >= point.score).sum() == (scores > point.score).sum() == point.accepted
+        assert (
+            (scores >= point.threshold).sum() == (scores > point.threshold).sum() == point.accepted
+        )
         assert point.accepted == counts[min(sure)][1]
 
 

@@ -30,6 +30,7 @@ from kornia.onnx import ONNXSequential
 from networks import photo, write_graph
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig
+from ssrvlad_torch.deployment import export
 from ssrvlad_torch.deployment.export import export_head
 from ssrvlad_torch.deployment.metadata import Metadata
 from ssrvlad_torch.deployment.trace import OPSET
@@ -54,6 +55,15 @@ def test_rounding_errors_of_tiny_maps_stay_below_what_the_page_says():
         labels = rng.integers(0, 12, (1, *rng.integers(1, 4, 2))).astype(np.uint8)
         errors.append(np.abs(run(labels)[0] - head(labels).numpy()).max())
     assert max(errors) < 2e-6
+
+
+def test_a_file_that_does_not_load_is_refused(tmp_path, monkeypatch):
+    """As onnxscript 0.7.0 wrote them."""
+    broken = export.head_model(of_preset("default"))
+    broken.graph.node[0].input[0] = "nothing"
+    monkeypatch.setattr(export, "head_model", lambda *_: broken)
+    refuses("cannot run in ONNX Runtime", export_head, of_preset("default"), tmp_path / "x.onnx")
+    assert not any(tmp_path.iterdir())
 
 
 def test_a_sweep_is_that_of_the_module(tmp_path):

@@ -86,7 +86,7 @@ def ranked(lines):
 def test_the_program_prints_what_the_module_finds(place, head, town, tmp_path, name):
     code, lines, errors = place(head, tmp_path / name, tmp_path / "town.npy", 4)
     assert (code, errors) == (0, [])
-    assert lines[0] == "descriptor: 480 numbers, norm 1.000000"
+    assert re.fullmatch(r"descriptor: 480 numbers, norm 1.000000, confidence \d\.\d\d", lines[0])
     scores, rows = (part[0].tolist() for part in match(town.descriptor[2:3], town.descriptor, 4))
     assert ranked(lines) == ([f"maps/{row}" for row in rows], pytest.approx(scores, abs=1e-5))
 

@@ -71,7 +71,7 @@ def test_places_seen_again_close_loops(second):
     loops = accepted(results)
     assert min(loops) <= 165 and len(loops) >= len(second) - 15
     assert all(abs(there - second[here - 150]) <= 2 for here, there in loops.items())
-    assert min(r.probability for r in results if r.accepted) >= 0.8
+    assert min(r.confidence for r in results if r.accepted) >= 0.8
 
 
 def night_after_day(places):
@@ -129,9 +129,9 @@ def test_two_places_alike_are_ambiguous_and_both_are_candidates():
     results = show(detector(threshold=0.9), views(places))[160:]
     result = next(result for result in results if result.reason is Reason.AMBIGUOUS)
     first, second, *_ = result.candidates
-    assert (first.frame, first.probability) == (result.candidate, result.probability)
+    assert (first.frame, first.confidence) == (result.candidate, result.confidence)
     assert abs(row_of(first.frame) - row_of(second.frame)) == 60
-    assert first.probability >= second.probability > 0.1
+    assert first.confidence >= second.confidence > 0.1
     assert result.as_json()["candidates"][1] == second._asdict()
 
 
@@ -247,7 +247,7 @@ def test_a_loaded_detector_goes_on_where_it_was(database, sequence, deviation):
     assert reasons(anew)[5:] == ["accepted"] * 15
     for result, expected in zip(anew, went_on, strict=True):
         assert (result.reason, result.candidate) == (expected.reason, expected.candidate)
-        assert result.probability == pytest.approx(expected.probability, abs=deviation)
+        assert result.confidence == pytest.approx(expected.confidence, abs=deviation)
 
 
 def test_frames_come_back_in_the_order_in_which_they_came_whatever_their_names(database):

@@ -63,7 +63,9 @@ def test_text_shows_the_loops_and_counts_the_rest(loops, drive, monkeypatch):
     lines = out.splitlines()
     assert (code, len(lines)) == (0, 14)
     for line, (frame, there) in zip(lines, LOOPS.items(), strict=False):
-        assert re.fullmatch(rf"{frame}: {there} 0\.[89]\d+ [+-]\d\.\d m", line), line
+        assert re.fullmatch(
+            rf"{frame}: {there} \(confidence \d\.\d\d, [+-]\d\.\d m ahead\)", line
+        ), line
     assert lines[12].startswith("54 frames: 12 accepted, ")
     assert lines[13] == "steps: standardised, anchors 0, no temporal sum, followed online"
     assert "anchors -4, 0, 4, no temporal sum" in loops(drive / "00.png", settings=())[1]
@@ -76,10 +78,8 @@ def test_precision_and_recall_by_poses(loops, drive):
     precision, suggestion = out.splitlines()[-2:]
     right = "precision 1.000 (12 of 12 loops are right), recall 0.857 (12 of 14 revisits)"
     assert precision == right
-    assert re.match(r"surest threshold 0\.\d+: precision 1\.000, recall ", suggestion)
-    assert "; lower bound of the precision 0.7" in suggestion
-    needed = "; a lower bound of 0.95 needs at least 73 loops without a mistake"
-    assert suggestion.endswith(needed)
+    accepts = r"1\d of \d+ accepted, none wrong \(precision at least 7\d %\)"
+    assert re.fullmatch(rf"Suggested threshold 0\.\d+: {accepts}", suggestion)
     _, out, _ = loops(drive, "--tolerance-metres", 5, "--json")
     *frames, summary = objects(out)
     assert len(frames) == 54
@@ -87,8 +87,8 @@ def test_precision_and_recall_by_poses(loops, drive):
     assert (summary["revisits"], summary["right"], summary["steps"]["sweep"]) == (14, 12, [])
     assert summary["recall"] == pytest.approx(12 / 14)
     assert summary["suggested"]["accepted"] >= 12
-    lowest = min(line["probability"] for line in frames if line["reason"] == "accepted")
-    assert summary["suggested"]["score"] == pytest.approx(lowest, rel=1e-4)
+    lowest = min(line["confidence"] for line in frames if line["reason"] == "accepted")
+    assert lowest - 0.01 < summary["suggested"]["threshold"] < lowest
     text = (drive / "poses.csv").read_text().replace("drive/50,200", "drive/50,290")
     (drive / "poses.csv").write_text(text)
     _, out, _ = loops(drive, "--tolerance-metres", 5, "--json")
@@ -100,13 +100,13 @@ def test_precision_and_recall_by_poses(loops, drive):
 def test_without_a_loop_the_likeliest_pair_is_told(loops, drive):
     _, out, _ = loops(drive, settings=(*SETTINGS, "--threshold", 1))
     lines = objects(loops(drive, "--json")[1])
-    best = max(lines, key=lambda line: line["probability"] or 0)
-    summary = f"no loop: the likeliest is {best['frame']}: {best['candidate']} with probability "
-    assert out.splitlines()[-2] == f"{summary}{best['probability']:.4f}, --threshold 1"
+    best = max(lines, key=lambda line: line["confidence"] or 0)
+    summary = f"no loop: the likeliest is {best['frame']}: {best['candidate']} with confidence "
+    assert out.splitlines()[-2] == f"{summary}{best['confidence']:.2f}, --threshold 1"
     assert out.splitlines()[-1].endswith("a street driven the other way is never found")
     (drive / "50.png").unlink()
     _, out, _ = loops(*(drive / f"{n:02d}.png" for n in range(12)))
-    assert "with probability 0.0" in out and ", more likely wrong than right, " in out
+    assert "with confidence 0.0" in out and ", more likely wrong than right, " in out
     _, out, _ = loops(drive, settings=())
     assert "no loop: no frame comes more than --exclude 50 frames after another" in out
     assert "no loop" not in loops(drive)[1]

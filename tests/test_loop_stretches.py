@@ -66,7 +66,7 @@ def test_a_gap_is_long_for_light_and_for_the_stream(frames, step, pause, breaks)
         later = (frames - 1) * step + pause
         for n, vector in enumerate(NIGHT):
             result = loops.update(vector, f"{name}/{frames + n}", later + n / 3)
-            answers.append((name, result.reason, result.candidate, result.probability))
+            answers.append((name, result.reason, result.candidate, result.confidence))
     day, night = ([answer[1:] for answer in answers if answer[0] == n] for n in ("day", "night"))
     assert (day == night) == breaks
 
@@ -89,5 +89,5 @@ def test_a_stream_that_was_saved_goes_on_as_one_that_was_not(tmp_path, stop):
     got += go(LoopDetector.load(database, stopped.config, HEAD), range(stop, 230))
     for result, whole in zip(got, expected, strict=True):
         assert (result.reason, result.candidate) == (whole.reason, whole.candidate)
-        assert (result.probability or 0) == pytest.approx(whole.probability or 0, abs=0.01)
+        assert (result.confidence or 0) == pytest.approx(whole.confidence or 0, abs=0.01)
     assert len(closed(got)) > 50

@@ -85,7 +85,7 @@ def test_the_surest_threshold_is_the_lowest_before_the_mistakes():
     right[20::2] = True
     point = surest_point(loop_curve(strengths, right, 50))
     assert (point.accepted, point.precision, point.recall) == (21, 1, 21 / 50)
-    assert point.score == pytest.approx((strengths[20] + strengths[21]) / 2)
+    assert strengths[21] < point.threshold < strengths[20]
     assert point.precision_low == pytest.approx(21 / (21 + 1.959964**2))
 
 
@@ -105,11 +105,11 @@ def test_no_threshold_is_surer(count, seed):
 def test_no_improbable_loop_is_suggested_but_where_there_is_no_other():
     strengths = np.array([0.9, 0.6, 0.4, 0.01])
     point = surest_point(loop_curve(strengths, np.ones(4, bool), 50))
-    assert (point.accepted, 0.5 < point.score <= 0.6) == (2, True)
+    assert (point.accepted, 0.5 < point.threshold <= 0.6) == (2, True)
     point = surest_point(loop_curve(strengths, np.array([False, False, True, True]), 50))
     assert point.accepted == 4
     point = surest_point(loop_curve(np.zeros(4), np.ones(4, bool), 50))
-    assert point.score == 0, "a threshold is a probability"
+    assert point.threshold == 0, "a threshold is a probability"
 
 
 def test_a_loop_with_a_street_driven_the_other_way_is_a_revisit():

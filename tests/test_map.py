@@ -104,6 +104,25 @@ def test_a_drive_is_found_from_a_folder_files_or_a_database(drawn, tmp_path):
     assert none.candidates == [] and none.confidence == 0
 
 
+def test_pictures_in_memory_are_a_sequence(town, photos):
+    town.add(photos)
+    pictures = [pixels_of(photos / f"{number}.png") for number in range(12)]
+    frames = [f"monday/{number}" for number in range(12)]
+    for follow in ("offline", "online", "no"):
+        answers = town.query([*pictures[:11], Image.fromarray(pictures[11])], follow=follow)
+        assert [answer.query for answer in answers][:2] == ["query/000000", "query/000001"]
+        assert [answer.candidates[0].frame for answer in answers] == frames
+        assert answers.recognised.used["follow"]["query"].startswith((follow, "no"))
+    refuses("expected pictures .*, got .60, 80.", town.query, [street(7, 60, 80)])
+
+
+def test_label_maps_in_memory_are_a_sequence(drawn, maps):
+    labels = [np.asarray(Image.open(file)) for file in sorted(maps.glob("*.png"))]
+    found = [answer.candidates[0].frame for answer in drawn.query(labels)]
+    assert found == [f"monday/{number:03d}" for number in range(6)]
+    refuses("expected folders, globs or files", drawn.query, [labels[0], "monday"])
+
+
 def test_evaluate_measures_recall_by_a_tolerance(drawn, tmp_path):
     today = write_maps(tmp_path / "today", range(6))
     notes = []
@@ -133,8 +152,8 @@ def test_a_network_runs_once_for_each_picture(tmp_path):
 def test_pictures_in_memory_are_for_locate(town, photos):
     picture = pixels_of(photos / "7.png")
     for given in ([picture], picture):
-        refuses("a list of them, got ndarray; locate takes pictures in memory", town.add, given)
-    refuses("got Image; locate takes pictures", town.add, Image.fromarray(picture))
+        refuses("a list of them, got ndarray; query and locate take pictures", town.add, given)
+    refuses("got Image; query and locate take pictures", town.add, Image.fromarray(picture))
     town.add(photos)
     assert town.locate(picture).candidates[0].frame.endswith("/7")
 

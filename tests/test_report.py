@@ -194,7 +194,7 @@ def test_the_page_has_every_figure_and_threshold(report, page):
             assert row == ["none", *["-"] * 4]
         else:
             fractions = [f"{point[key]:.3f}" for key in ("precision", "precision_low", "recall")]
-            assert row == [f"{point['score']:.4f}", *fractions, str(point["accepted"])]
+            assert row == [f"{point['threshold']:.4g}", *fractions, str(point["accepted"])]
 
 
 def test_matches_come_with_their_pictures(report, page):
@@ -210,7 +210,7 @@ def test_matches_come_with_their_pictures(report, page):
     ]
     metres = 10 * abs(int(worst) - int(report.outcomes.candidate[worst]))
     score = report.outcomes.score[worst]
-    assert f"best candidate {candidate} score {score:.4f}, {metres:.1f} m away" in page.words
+    assert f"best candidate {candidate} score {score:.4g}, {metres:.1f} m away" in page.words
     ranks = re.findall(r"true match reference/\d+ rank (\d+)", page.words)
     assert ranks
     assert all(int(rank) > 1 for rank in ranks)

@@ -120,7 +120,7 @@ def test_an_empty_frame_matches_nothing_and_is_no_candidate(head, maps, tmp_path
     assert {line["query"]: line["empty"] for line in lines}["monday/void"]
     np.save(out, np.zeros_like(np.load(out)))
     said = run(head, maps, "--database", out)[1].splitlines()
-    assert said[0] == "monday/000: no candidate (cosine, confidence 0.00)"
+    assert said[0] == "monday/000: no candidate (confidence 0.00)"
     assert said[-1] == "monday/void: empty"
     assert run(head, maps)[1].startswith("monday/000: described\n")
     assert all(len(line["candidates"]) == (0 if line["empty"] else 6) for line in lines)

@@ -21,7 +21,7 @@ const program::Usage usage{
     R"(Prints one JSON object a line, as `loops_onnx.py` and `ssrvlad loops --no-sweep --json` do, without stamps.
 
 Each FOLDER is a sequence of label maps, .npy or PGM, or photographs, .npy or PPM, in natural order; - reads
-the names of files from standard input. The last N frames (50) are no candidates; a loop has a probability of
+the names of files from standard input. The last N frames (50) are no candidates; a loop has a confidence of
 P (0.8) or more. With --memory the stream in the file, if it exists, goes on, and is saved there, every 500
 frames and when the program ends; frames whose ids it has are omitted. Exit code 0 for success, 2 for wrong
 use, with one line on standard error, 3 for finished with some frames skipped, 130 interrupted.
@@ -43,14 +43,14 @@ double fraction(const std::string& text) {
 void print(const ssrvlad::Loop& loop) {
   using ssrvlad::quoted;
   std::printf("{\"frame\": %s, \"reason\": \"%s\", ", quoted(loop.frame).c_str(), loop.reason.c_str());
-  if (loop.candidate.empty()) std::printf("\"candidate\": null, \"score\": null, \"probability\": null");
+  if (loop.candidate.empty()) std::printf("\"candidate\": null, \"score\": null, \"confidence\": null");
   else
-    std::printf("\"candidate\": %s, \"score\": %.17g, \"probability\": %.17g",
-                quoted(loop.candidate).c_str(), loop.score, loop.probability);
+    std::printf("\"candidate\": %s, \"score\": %.17g, \"confidence\": %.17g",
+                quoted(loop.candidate).c_str(), loop.score, loop.confidence);
   std::printf(", \"ahead\": null, \"candidates\": [");
   for (std::size_t at = 0; at < loop.candidates.size(); ++at)
-    std::printf("%s{\"frame\": %s, \"probability\": %.17g}", at ? ", " : "",
-                quoted(loop.candidates[at].frame).c_str(), loop.candidates[at].probability);
+    std::printf("%s{\"frame\": %s, \"confidence\": %.17g}", at ? ", " : "",
+                quoted(loop.candidates[at].frame).c_str(), loop.candidates[at].confidence);
   std::printf("]}\n");
   std::fflush(stdout);
 }

@@ -3,7 +3,7 @@
 //
 //     ssrvlad::Loops loops(place.fingerprints());
 //     const auto loop = loops.update("drive/000001", place.describe(pixels, height, width), stamp);
-//     if (loop.accepted()) std::cout << loop.candidate << " " << loop.probability;
+//     if (loop.accepted()) std::cout << loop.candidate << " " << loop.confidence;
 //     loops.save("drive.npy");
 //     auto tomorrow = ssrvlad::Loops::load("drive.npy", place.fingerprints());
 //
@@ -37,14 +37,14 @@ namespace ssrvlad {
 
 struct LoopSettings {
   std::int64_t exclude = 50;  // number of the last frames of a sequence, which are no candidates
-  double threshold = 0.8;     // least probability of a loop
+  double threshold = 0.8;     // least confidence of a loop
   int threads = 1;            // that share the comparison with many frames
 };
 
-// An earlier frame, and the probability that the place is near it.
+// An earlier frame, and the confidence that the place is near it.
 struct LoopPlace {
   std::string frame;
-  double probability;
+  double confidence;
 };
 
 // The result of a frame; without a candidate its numbers are NaN.
@@ -53,7 +53,7 @@ struct Loop {
   std::string reason;  // accepted, empty_frame, no_candidate, too_recent, ambiguous or below_threshold
   std::string candidate;  // id of the most probable old frame, or empty
   double score = std::numeric_limits<double>::quiet_NaN();        // a cosine, without the mean so far
-  double probability = std::numeric_limits<double>::quiet_NaN();  // that the place is near the candidate
+  double confidence = std::numeric_limits<double>::quiet_NaN();  // that the place is near the candidate
   std::vector<LoopPlace> candidates;                              // the most probable places, best first
 
   bool accepted() const { return reason == "accepted"; }
@@ -184,7 +184,7 @@ class Loops {
     const auto name = [&](std::int64_t row) { return frames_[static_cast<std::size_t>(row)]; };
     loop.candidate = name(found.candidate);
     loop.score = found.score;
-    loop.probability = found.probability;
+    loop.confidence = found.probability;
     for (int at = 0; at < found.places; ++at)
       loop.candidates.push_back({name(found.best[at].row), found.best[at].probability});
     return loop;

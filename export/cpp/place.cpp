@@ -11,7 +11,8 @@ namespace {
 
 const program::Usage usage{
     "place", "place.onnx FRAME [town.npy [TOP]]",
-    R"(Prints the norm of the descriptor of a frame, and the TOP places of the frame (5) with their scores.
+    R"(Prints the norm of the descriptor of a frame, the confidence that the first of its TOP places (5) is right, and
+these places with their scores.
 
 FRAME is a label map, an (H, W) .npy array of uint8, int32 or int64 or a binary 8-bit PGM, or for a model
 of `ssrvlad fuse` a photograph, an (H, W, 3) .npy array of uint8 in RGB or a binary 8-bit PPM. town.npy is
@@ -30,11 +31,16 @@ int find(const program::Arguments& arguments) {
   const auto described = ssrvlad::describe(place, files[1]);
   const float* numbers = described.descriptor.data();
   const double square = std::inner_product(numbers, numbers + described.length, numbers, 0.0);
-  std::printf("descriptor: %zu numbers, norm %.6f\n", described.descriptor.size(), std::sqrt(square));
-  if (files.size() < 3) return 0;
+  std::printf("descriptor: %zu numbers, norm %.6f", described.descriptor.size(), std::sqrt(square));
+  if (files.size() < 3) {
+    std::printf("\n");
+    return 0;
+  }
   const ssrvlad::Map town(files[2], place.fingerprints());
   for (const auto& warning : town.warnings()) program::note(warning);
-  for (const auto& match : town.locate(described, static_cast<std::size_t>(top)).candidates)
+  const auto answer = town.locate(described, static_cast<std::size_t>(top));
+  std::printf(", confidence %.2f\n", static_cast<double>(answer.confidence));
+  for (const auto& match : answer.candidates)
     std::printf("%s %.6f\n", program::printable(match.frame).c_str(), static_cast<double>(match.score));
   return 0;
 }

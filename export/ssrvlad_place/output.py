@@ -58,8 +58,7 @@ def report(frame: str, empty: bool, answer: Answer | None, as_json: bool) -> Non
             {axis: None if math.isnan(value) else value for axis, value in pose.items()}
             for pose in answer.poses
         ]
-        names = ", ".join(f"{name} {score:.4f}" for name, score in answer.candidates)
-        sure = f"{answer.score_is}, confidence {answer.confidence:.2f}"
-        text = f"{names or 'no candidate'} ({sure})"
+        names = ", ".join(name for name, _ in answer.candidates)
+        text = f"{names or 'no candidate'} (confidence {answer.confidence:.2f})"
     plain = f"{frame}: {'empty' if empty else text}"
     print(json.dumps(line) if as_json else printable(plain), flush=True)

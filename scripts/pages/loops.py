@@ -156,7 +156,7 @@ def scores(outcomes: Sequence[Outcome]) -> list[str]:
 def curve(outcomes: Sequence[Outcome]) -> PrecisionRecall:
     """Precision and recall over all thresholds; the probabilities do not depend on them."""
     errors = [loop_errors(outcome.candidates, outcome.tour.poses) for outcome in outcomes]
-    probabilities = [r.probability for o in outcomes for r in o.results if r.candidate is not None]
+    probabilities = [r.confidence for o in outcomes for r in o.results if r.candidate is not None]
     right = np.concatenate(errors) <= METRES
     exclude = LoopConfig.exclude
     found = [score_loops(o.candidates, o.tour.poses, exclude, METRES) for o in outcomes]

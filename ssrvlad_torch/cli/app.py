@@ -25,7 +25,7 @@ from .commands.poses import poses
 from .commands.query import query
 from .commands.show import show
 from .commands.verify import verify
-from .options import expand
+from .options import GroupedCommand, expand
 
 app = typer.Typer(
     name="ssrvlad", add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None
@@ -61,5 +61,5 @@ for command in (
     *(demo, city, encode, query, locate, evaluate, loops, compare),
     *(export, fuse, verify, labels, poses, show),
 ):
-    app.command()(expand(command))
+    app.command(cls=GroupedCommand)(expand(command))
 app.add_typer(db, name="db")

@@ -8,7 +8,8 @@ command:
 
 To add an option to all commands that share a class, add a field to the class:
 ``name: type = option("help", default=...)``. To add one to a single command, add a parameter to its
-function. This module imports no torch, so that ``ssrvlad --help`` is quick.
+function. Help lists options by groups, and rare ones, ``hidden=True``, only with ``--help-all``.
+This module imports no torch, so that ``ssrvlad --help`` is quick.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, get_type_hints
 
 import typer
+from typer.core import TyperCommand
 
 from ..channels import LABEL_SHAPES
 from ..evaluation.metrics import Convention
@@ -67,6 +69,9 @@ StoredChannels = Annotated[
     ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
+Verbose = Annotated[
+    bool, typer.Option("--verbose", help="Print scores, and the steps that were taken, too.")
+]
 Seed = Annotated[int, typer.Option(min=0, help="Another seed gives another city.")]
 
 
@@ -76,9 +81,9 @@ def option(help: str, *flags: str, default: object = None, **settings: Any) -> A
     return field(default=default, metadata={"help": help, "flags": flags, **settings})
 
 
-def switch(name: str, help: str) -> Any:
+def switch(name: str, help: str, **settings: Any) -> Any:
     """An option without a value that is off by default, and has no ``--no-`` form."""
-    return option(help, name, default=False)
+    return option(help, name, default=False, **settings)
 
 
 def argument(help: str, metavar: str | None = None, **default: Any) -> Any:
@@ -119,16 +124,20 @@ class DriveOptions:
 class StepOptions:
     """The steps between descriptors and a decision."""
 
-    standardise: bool = option("Subtract the mean descriptor of each sequence.", default=True)
+    GROUP = "Matching"
+
+    standardise: bool = option(
+        "Subtract the mean descriptor of each sequence.", default=True, hidden=True
+    )
     sweep: bool = option(
         "Describe each query from several anchors, which helps if the camera is turned or moved "
         "aside. The scores decide how many anchors are used.",
         default=True,
+        hidden=True,
     )
     follow: Literal["offline", "online", "no"] = option(
-        "Judge each query with all queries of its sequence (offline), with the earlier ones "
-        "(online), or alone (no). Queries whose scores do not form a sequence are judged alone. "
-        "The last line reports what was done.",
+        "Match each query with all queries of its sequence (offline), with the earlier ones "
+        "(online), or as a single frame (no), as also where a sequence makes no answer surer.",
         default="offline",
     )
     delay: int = option(
@@ -146,29 +155,11 @@ class StepOptions:
 
 
 @dataclass(frozen=True)
-class RecognitionOptions(StepOptions):
-    """All steps from the descriptors of a database to a decision."""
+class AnswerOptions:
+    """Which frames of a database are candidates, and which answers are accepted."""
 
-    temporal: int | None = option(
-        "Sum each reference descriptor over T frames on each side (Eq. 3), such as 3. Default: no "
-        "sum.",
-        metavar="T",
-        min=0,
-        max=MOST_REACH,
-    )
-    as_paper: bool = switch(
-        "--as-paper",
-        "Decide as in the paper: cosines of single frames, the temporal sum with t = 3, and no "
-        "other step. Options that contradict this are refused.",
-    )
-    channel: list[str] | None = option(
-        "Use only this channel of the database: ssr-vlad (label maps), features or hog, see "
-        "ssrvlad encode; can be repeated. Default: all that it has."
-    )
-    near: str | None = option(
-        "Use only candidates whose pose is at most METRES from X, Y, in metres of the map.",
-        metavar="X,Y,METRES",
-    )
+    GROUP = "Answers"
+
     min_confidence: float = option(
         "Print no candidate of a query with a lower confidence, the probability that its first "
         "candidate is right.",
@@ -182,16 +173,59 @@ class RecognitionOptions(StepOptions):
         min=0,
         max=1,
     )
+    near: str | None = option(
+        "Use only candidates whose pose is at most METRES from X, Y, in metres of the map.",
+        metavar="X,Y,METRES",
+    )
+    channel: list[str] | None = option(
+        "Use only this channel of the database: ssr-vlad (label maps), features or hog, see "
+        "ssrvlad encode; can be repeated. Default: all that it has.",
+        hidden=True,
+    )
 
     def checked(self, typed: Collection[str]) -> Self:
-        """The options, with all that `as_paper` means. Those that contradict each other are a
-        ValueError that names them; ``typed`` are the names of the options on the command line."""
+        """The options. Those that contradict each other are a ValueError that names them; ``typed``
+        are the names of the options on the command line."""
         if self.near is not None:
             from ..search.near import Near
 
             Near.of(self.near)
         if "max_wrong" in typed and "min_confidence" in typed:
             raise ValueError("--max-wrong chooses the least confidence; leave out --min-confidence")
+        return self
+
+    def settings(self) -> dict[str, Any]:
+        """What `Map.query` takes beside steps and frames."""
+        return {
+            "channels": self.channel,
+            "near": self.near,
+            "min_confidence": self.min_confidence,
+            "max_wrong": self.max_wrong,
+        }
+
+
+@dataclass(frozen=True)
+class RecognitionOptions(StepOptions, AnswerOptions):
+    """All steps from the descriptors of a database to a decision."""
+
+    temporal: int | None = option(
+        "Sum each reference descriptor over T frames on each side (Eq. 3), such as 3. Default: no "
+        "sum.",
+        metavar="T",
+        min=0,
+        max=MOST_REACH,
+        hidden=True,
+    )
+    as_paper: bool = switch(
+        "--as-paper",
+        "Decide as in the paper: cosines of single frames, the temporal sum with t = 3, and no "
+        "other step. Options that contradict this are refused.",
+        hidden=True,
+    )
+
+    def checked(self, typed: Collection[str]) -> Self:
+        """As of `AnswerOptions`, with all that `as_paper` means."""
+        super().checked(typed)
         if not self.as_paper:
             return self
         paper: dict[str, Any] = {"standardise": False, "sweep": False, "follow": "no", "delay": 0}
@@ -209,18 +243,14 @@ class RecognitionOptions(StepOptions):
 
     def settings(self) -> dict[str, Any]:
         """What `Map.query` takes beside steps and frames."""
-        return {
-            "temporal": self.temporal or 0,
-            "channels": self.channel,
-            "near": self.near,
-            "min_confidence": self.min_confidence,
-            "max_wrong": self.max_wrong,
-        }
+        return {"temporal": self.temporal or 0, **super().settings()}
 
 
 @dataclass(frozen=True)
 class TruthOptions:
     """The definition of a true match, and the convention of the metrics."""
+
+    GROUP = "Ground truth"
 
     ground_truth: Path | None = option(
         "Ground truth: pairs of frames by their ids or the ends of their paths (.json, .csv), a "
@@ -263,13 +293,19 @@ def expand(command: Callable[..., None]) -> Callable[..., None]:
     for name, parameter in inspect.signature(command).parameters.items():
         if name in classes:
             hints = get_type_hints(classes[name], include_extras=True)
-            parameters += [_parameter(f.name, hints[f.name], f) for f in options[name]]
+            parameters += [
+                _parameter(f.name, hints[f.name], f, _group_of(classes[name], f.name))
+                for f in options[name]
+            ]
         else:
             parameters.append(_parameter(name, types[name], parameter.default))
+    if any(option.metadata.get("hidden") for fields in options.values() for option in fields):
+        parameters.append(_parameter("help_all", bool, _HELP_ALL))
     context = inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
 
     @wraps(command)
     def run(*, context: typer.Context, **values: Any) -> None:
+        values.pop("help_all", None)  # its callback prints it
         source_of = context.get_parameter_source
         typed = [n for n in values if (s := source_of(n)) and s.name == "COMMANDLINE"]
         for name, kind in classes.items():
@@ -285,12 +321,56 @@ def expand(command: Callable[..., None]) -> Callable[..., None]:
     return run
 
 
-def _parameter(name: str, kind: Any, default: Any) -> inspect.Parameter:
+class GroupedCommand(TyperCommand):
+    """A command whose help lists its options in their groups."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Writes the arguments and options that are not hidden."""
+        groups: dict[str, list[Any]] = {"Arguments": []}
+        for parameter in self.get_params(ctx):
+            is_argument = parameter.param_type_name == "argument"
+            group = getattr(parameter, "rich_help_panel", None) or "Options"
+            if record := parameter.get_help_record(ctx):
+                groups.setdefault("Arguments" if is_argument else group, []).append(record)
+        for group in sorted(filter(groups.get, groups), key="Options".__eq__):  # these last
+            with formatter.section(group):
+                formatter.write_dl(groups[group])
+
+
+def _print_all_help(context: typer.Context, is_asked: bool) -> None:
+    """Prints the help with all options, and ends."""
+    if is_asked:
+        rare = [parameter for parameter in context.command.params if parameter.hidden]  # type: ignore[attr-defined]
+        for parameter in rare:
+            parameter.hidden = False  # type: ignore[attr-defined]
+        print(context.get_help())
+        for parameter in rare:
+            parameter.hidden = True  # type: ignore[attr-defined]
+        raise typer.Exit
+
+
+_HELP_ALL = switch(
+    "--help-all",
+    "Show also the rare options, and exit.",
+    is_eager=True,
+    callback=_print_all_help,
+)
+
+
+def _group_of(options: type, name: str) -> str | None:
+    """The group of an option: that of the class that has it first."""
+    classes = (kind for kind in reversed(options.__mro__) if name in inspect.get_annotations(kind))
+    return getattr(next(classes), "GROUP", None)
+
+
+def _parameter(name: str, kind: Any, default: Any, group: str | None = None) -> inspect.Parameter:
     """A parameter of the command line, whose default may be a field with typer's settings."""
     if isinstance(default, Field):
         settings = dict(default.metadata)
         flags = settings.pop("flags", None)
+        group = settings.pop("group", group)
         if settings:
+            settings["rich_help_panel"] = group
             new = typer.Argument(**settings) if flags is None else typer.Option(*flags, **settings)
             kind = Annotated[kind, new]
         default = default.default

@@ -1,37 +1,112 @@
-"""Metrics, steps and estimates in words, and the page of ``ssrvlad evaluate --report``."""
+"""Answers, metrics, steps and estimates in words, and the page of ``ssrvlad evaluate --report``."""
 
+from __future__ import annotations
+
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from ..config import package_version
 from ..datasets.dataset import shortened
+from ..datasets.poses import Pose
 from ..evaluation.measure import Evaluation
 from ..evaluation.metrics import figure_rows, fraction
 from ..evaluation.report import render, write_report
 from ..evaluation.thresholds import SURE_PRECISION, operating_rows, queries_needed
 from ..recognition.confidence import Estimate
 from ..recognition.standardise import MIN_FRAMES
-from .output import print_table, say, weights_in_words
+from ..search.answers import estimate_in_json
+from .output import note, print_json, print_table, say, weights_in_words
+
+if TYPE_CHECKING:
+    from ..search.answers import Answer, Answers
 
 
-def print_metrics(metrics: Mapping[str, Any]) -> None:
+def print_answer(answer: Answer, verbose: bool, as_json: bool, of: Answers | None = None) -> None:
+    """Prints the candidates of a query, the confidence, and the pose of the first; with
+    ``verbose`` and in JSON the scores too, in JSON all poses and, of several answers, the steps."""
+    if as_json:
+        facts = answer.as_json()
+        if of:
+            estimate = estimate_in_json(of.estimate)
+            facts |= {"temporal": of.temporal, "steps": of.recognised.used, "estimate": estimate}
+        print_json(facts)
+        return
+    frames = (f"{c.frame} {c.score:.4f}" if verbose else c.frame for c in answer.candidates)
+    facts_in_words = [answer.score_is] if verbose else []
+    facts_in_words += [f"confidence {answer.confidence:.2f}"]
+    if answer.candidates:
+        facts_in_words += _pose_in_words(answer.candidates[0].pose)
+    listed = ", ".join(frames) or "no candidate"
+    say(f"{answer.query}: {listed} ({', '.join(facts_in_words)})")
+
+
+def place_in_json(answer: Answer, of: Answers) -> dict[str, Any]:
+    """The best candidate of a picture, for JSON."""
+    place = answer.candidates[0] if answer.candidates else None
+    return {
+        "picture": answer.query,
+        "place": place and place.frame,
+        "score": place and place.score,
+        "score_is": answer.score_is,
+        "confidence": answer.confidence,
+        "estimate": estimate_in_json(of.estimate),
+        **(answer.as_json()["poses"][0] if place else dict.fromkeys(Pose._fields)),
+    }
+
+
+def _pose_in_words(pose: Pose) -> list[str]:
+    """What is known of a pose."""
+    if math.isnan(pose.x):
+        return []
+    position = [f"x {pose.x:.1f} m, y {pose.y:.1f} m"]
+    if math.isnan(pose.heading):
+        return position
+    return [*position, f"heading {math.degrees(pose.heading):.0f} degrees"]
+
+
+def print_estimate(answers: Answers, verbose: bool) -> None:
+    """Prints how many answers are wrong, and how they were found, on stderr."""
+    used = answers.recognised.used
+    note(f"{estimate_in_words(answers.estimate)}. {matched_in_words(used)}; {_details(verbose)}")
+    if verbose:
+        note(steps_in_words(used, answers.temporal))
+
+
+def _details(verbose: bool) -> str:
+    return "details below" if verbose else "details with --verbose"
+
+
+def print_metrics(metrics: Mapping[str, Any], verbose: bool) -> None:
     """Prints all metrics of `measure` with their intervals, and thresholds to choose from."""
     figures = [(name, fraction(one), fraction(*ends)) for name, one, ends in figure_rows(metrics)]
     print_table(("metric", metrics["convention"], "95 % interval"), figures)
-    score = metrics["score_is"] or "score"
     rows: list[tuple[object, ...]] = []
     for name, point in operating_rows(metrics["thresholds"]):
         if point is None:
             rows.append((name, "none"))
             continue
         fractions = (fraction(point[key]) for key in ("precision", "precision_low", "recall"))
-        rows.append((name, f"{point['score']:.4f}", *fractions, point["accepted"]))
-    print_table(("threshold for", score, "precision", "lower bound", "recall", "accepted"), rows)
+        rows.append((name, f"{point['threshold']:.4g}", *fractions, point["accepted"]))
+    print_table(
+        (
+            "threshold for",
+            metrics["threshold_is"],
+            "precision",
+            "lower bound",
+            "recall",
+            "accepted",
+        ),
+        rows,
+    )
     say(suggestion(metrics))
     for line in without_truth(metrics):
         say(line)
-    say(counts(metrics))
+    say(f"{counts(metrics)}; {_details(verbose)}")
+    if verbose:
+        say(steps_in_words(metrics["steps"], metrics["temporal"]))
+        say(missing_for_sure())
 
 
 def write_page(path: Path, evaluation: Evaluation, database: str, sources: Sequence[str]) -> None:
@@ -56,37 +131,48 @@ def write_page(path: Path, evaluation: Evaluation, database: str, sources: Seque
     if skipped:
         first = f"{skipped[0].frame}: {skipped[0].reason}"
         notes.append(f"{len(skipped)} more queries were skipped, the first is {first}")
-    notes += [suggestion(metrics), *without_truth(metrics)]
+    notes += [f"{suggestion(metrics)}. {missing_for_sure()}.", *without_truth(metrics)]
     title = f"{names} against {Path(database).name or database}"
     write_report(path, render(evaluation, title, settings, notes))
 
 
 def counts(metrics: Mapping[str, Any]) -> str:
-    """The number of queries and references, and the steps, in a line."""
+    """The number of queries and references, and how they were matched, in a line."""
     steps = metrics.get("steps")
-    steps_line = steps_in_words(steps, metrics["temporal"]) if steps else "single frames"
+    matched = matched_in_words(steps).lower() if steps else "single frames"
     return (
         f"{metrics['queries']} queries ({metrics['queries_with_match']} with a true match) against "
-        f"{metrics['references']} references, {steps_line}, fingerprint {metrics['fingerprint']}"
+        f"{metrics['references']} references, {matched}, fingerprint {metrics['fingerprint']}"
     )
 
 
 def suggestion(metrics: Mapping[str, Any]) -> str:
-    """The lower bound of the precision at the suggested threshold, and what a higher one needs."""
-    suggested = metrics["thresholds"]["suggested"]
-    missing = (
-        f"a lower bound of {SURE_PRECISION:g} needs at least {queries_needed()} accepted queries "
-        "without a mistake"
+    """The suggested threshold, and what it accepts."""
+    point, kind = metrics["thresholds"]["suggested"], metrics["threshold_is"]
+    if point is None:
+        return "Suggested threshold: none, no query was recognised"
+    of = "" if kind == "confidence" else f" of the {kind}"
+    return f"Suggested threshold{of} {threshold_in_words(point, metrics['queries'])}"
+
+
+def threshold_in_words(point: Mapping[str, Any], count: int) -> str:
+    """A threshold for so many candidates, and what it accepts."""
+    accepted, right = point["accepted"], round(point["precision"] * point["accepted"])
+    wrong = "none" if right == accepted else accepted - right
+    return (
+        f"{point['threshold']:.4g}: {accepted} of {count} accepted, {wrong} wrong "
+        f"(precision at least {100 * point['precision_low']:.0f} %)"
     )
-    if suggested is None:
-        return f"suggested: no threshold, no query was recognised; {missing}"
-    low = suggested["precision_low"]
-    bound = (
-        f"suggested: {suggested['score']:.4f}, lower bound of the precision {low:.3f} by "
-        f"{suggested['accepted']} accepted queries, if they were independent and the threshold "
-        "were fixed before"
+
+
+def missing_for_sure() -> str:
+    """How the suggested threshold is chosen."""
+    return (
+        f"The suggested threshold is the lowest whose precision is at least {SURE_PRECISION:.0%} "
+        f"with 95 % confidence, which needs {queries_needed()} accepted queries without a mistake, "
+        "or else the one of the highest precision. As neighbouring queries are alike, it is "
+        "optimistic"
     )
-    return bound if low >= SURE_PRECISION else f"{bound}; {missing}"
 
 
 def without_truth(metrics: Mapping[str, Any]) -> Iterator[str]:
@@ -94,33 +180,39 @@ def without_truth(metrics: Mapping[str, Any]) -> Iterator[str]:
     for name, stored in metrics.get("estimates", {}).items():
         truth, judged = stored["truly_wrong"], stored["of_known_truth"]
         of = f" of {judged} whose truth is known" if judged != stored["accepted"] else ""
-        true = "" if truth is None else f"; in truth {truth:.1%}{of}"
+        true = "" if truth is None else f"; in truth {round(truth * judged)} wrong{of}"
         estimate = Estimate(*(stored[field] for field in Estimate._fields))
-        suggested = "suggested " if name != "accepted" else ""
-        yield f"{suggested}without ground truth: {estimate_in_words(estimate)}{true}"
+        suggested = "" if name == "accepted" else ", at most 5 % wrong"
+        yield f"Without ground truth{suggested}: {estimate_in_words(estimate)}{true}"
 
 
 def estimate_in_words(estimate: Estimate) -> str:
     """How many answers are accepted, and how many of them are wrong without ground truth."""
-    if not estimate.accepted:
+    count = estimate.accepted
+    if not count:
         return "no answer is accepted"
-    answers = f"{estimate.accepted} answer{'s' * (estimate.accepted != 1)}"
+    answers = f"{count} answer{'s' * (count != 1)}"
     if estimate.confidence:
-        answers = f"accepted {answers} of confidence {estimate.confidence:.2f} and more"
-    if estimate.low is None:
-        few = "they are too few, or too unclear," if estimate.wrong < 1 else "too few references"
-        return f"{answers}; {few} to say how many are wrong"
-    interval = f"95 % interval {estimate.low:.1%} to {estimate.high:.1%}"
-    return f"{answers}; {estimate.wrong:.1%} estimated to be wrong ({interval})"
+        answers += f" of confidence {estimate.confidence:.2f} and more"
+    if estimate.low is None or estimate.high is None:
+        few = "too few or too unclear" if estimate.wrong < 1 else "too few map frames"
+        return f"{answers}, {few} to say how many are wrong"
+    wrong, low, high = (round(count * x) for x in (estimate.wrong, estimate.low, estimate.high))
+    return f"{answers}, about {wrong} wrong ({low} to {high})"
 
 
-def steps_in_words(
-    used: Mapping[str, Any],
-    temporal: int | None = None,
-    estimate: Estimate | None = None,
-) -> str:
-    """The steps between descriptors and a decision, in a line; those of Eq. 3, and how many answers
-    are accepted, only if given."""
+def matched_in_words(used: Mapping[str, Any]) -> str:
+    """Which sequences were matched as such."""
+    followed = [not course.startswith("no") for course in used["follow"].values()]
+    if not any(followed):
+        return "Matched as single frames"
+    if not all(followed):
+        return f"Matched {sum(followed)} of {len(followed)} sequences, the others as single frames"
+    return f"Matched as {'one sequence' if len(followed) == 1 else f'{len(followed)} sequences'}"
+
+
+def steps_in_words(used: Mapping[str, Any], temporal: int | None = None) -> str:
+    """The steps between descriptors and a decision, in a line; those of Eq. 3 only if given."""
     widths, standard, near = used["sweep"].values(), used["standardise"], used.get("near")
     if not widths:
         return "no query could be described"
@@ -139,8 +231,7 @@ def steps_in_words(
         words.append(f"temporal sum t = {temporal}" if temporal else "no temporal sum")
     if used["references"] < MIN_FRAMES:
         words.append(f"no confidence: {used['references']} references are too few")
-    steps = ", ".join(words)
-    return f"{steps}; {estimate_in_words(estimate)}" if estimate else steps
+    return ", ".join(words)
 
 
 def by_sequence(values: Mapping[str, str]) -> str:

@@ -7,6 +7,7 @@ from functools import cache
 from pathlib import Path, PurePosixPath
 from typing import Any, ClassVar, NamedTuple
 
+import numpy.typing as npt
 from numpy.lib.format import open_memmap
 
 from ..files import check_size, npy_bytes, one_line, read_bytes
@@ -103,6 +104,28 @@ class UnreadableFile(FrameFile):
 
     def _content(self) -> bytes:
         raise ValueError(self.problem)
+
+
+@dataclass(frozen=True)
+class FrameInMemory(FrameFile):
+    """One frame as an array, a label map or a picture."""
+
+    array: npt.NDArray[Any] | None = field(default=None, repr=False, compare=False)
+
+    @classmethod
+    def of(cls, number: int, array: npt.NDArray[Any]) -> "FrameInMemory":
+        """The frame of the sequence ``query`` with a number."""
+        name = f"{number:06d}"
+        return cls("query", name, Path(name), folder=str(Path.cwd()), array=array)
+
+    @property
+    def location(self) -> str:
+        """The number of the frame, for messages."""
+        return f"frame {int(self.name)}"
+
+    def _content(self) -> bytes:
+        assert self.array is not None
+        return npy_bytes(self.array)
 
 
 @dataclass(frozen=True)

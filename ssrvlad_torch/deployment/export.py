@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from ..config import CATEGORY_COUNT, SSRVLADConfig
 from ..descriptor import SSRVLAD
 from ..files import check_output, replacing, requiring
+from ..segmentation.onnx_files import open_session
 from ..stages.vanishing_column import MAX_WIDTH
 from .golden import SIZE, golden_pair
 from .metadata import Metadata
@@ -60,12 +61,13 @@ def export_head(
 
     Raises:
         ValueError: an argument is none of the above, or does not fit the settings or the label
-            space.
+            space; or ONNX Runtime does not load the file.
         ImportError: the extra ``onnx`` is not installed.
         OSError: the file cannot be written.
     """
     check_output(Path(path))
     content = head_model(config, input, dtype, columns, shape).SerializeToString()
+    open_session(content, str(path))  # an exporter may write what does not load
     with replacing(Path(path)) as temporary:
         temporary.write_bytes(content)
 

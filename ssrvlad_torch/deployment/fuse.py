@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -46,6 +46,9 @@ HEAD = "ssrvlad/"
 """Prefix of the names of the head's nodes and tables."""
 
 
+STEPS = 4
+"""Of `fuse`: the golden image, the network, the head, the file."""
+
 OF_TRACES = (
     "; a network that computes with the size in Python becomes a graph for the traced size; a "
     "fixed size mends it, size: [H, W] in a YAML file"
@@ -87,6 +90,7 @@ def fuse(
     path: str | Path,
     head_path: str | Path | None = None,
     features: bool | None = None,
+    progress: Callable[[int], object] = lambda _: None,
 ) -> FusedNetwork:
     """Joins a segmentation network and the head in one ONNX file, or writes them as two, so that
     the network can run on an accelerator and the head on the CPU.
@@ -109,6 +113,7 @@ def fuse(
         head_path: of two files, that of the head.
         features: whether the file gives features; ``None`` if the network has some, by the rule
             of `find_activations` or by its setting ``features``.
+        progress: called with 1 after each of `STEPS` steps.
 
     Raises:
         ValueError: the network cannot be traced, run or converted to opset 18, does not fit the
@@ -124,7 +129,7 @@ def fuse(
         name = Path(network).name if Path(network).exists() else str(network)
     head_file = Path(head_path) if head_path else None
     try:
-        return _fuse(segmenter, name, config, Path(path), head_file, features)
+        return _fuse(segmenter, name, config, Path(path), head_file, features, progress)
     except ValueError as error:
         raise ValueError(str(error) if name in str(error) else f"{name}: {error}") from error
 
@@ -136,6 +141,7 @@ def _fuse(
     path: Path,
     head_path: Path | None,
     with_features: bool | None,
+    progress: Callable[[int], object],
 ) -> FusedNetwork:
     with requiring("onnx", "ONNX graphs need"):
         from onnx import TensorProto
@@ -152,9 +158,12 @@ def _fuse(
         if any(entry.key.startswith(PREFIX) for entry in properties):
             raise ValueError("has a head already; expected the network alone")
     expected = _golden_image(segmenter, features is not None)
+    progress(1)
     model = label_graph(segmenter.labels, features)
+    progress(1)
     narrow = model.graph.output[0].type.tensor_type.elem_type == TensorProto.UINT8
     head_part = head_model(config, LABELS, "uint8" if narrow else "int64")
+    progress(1)
     key = features.fingerprint if features else ""
     settings, hog = asdict(segmenter.config), HOG().fingerprint
     fused = FusedNetwork(name, segmenter.key(), settings, key, hog)
@@ -175,6 +184,7 @@ def _fuse(
     if head_path:
         with replacing(head_path) as temporary:
             temporary.write_bytes(head_part.SerializeToString())
+    progress(1)
     return fused
 
 

@@ -120,7 +120,7 @@ class _Whole(nn.Module):
 
 
 def _traced_network(labels: LabelNetwork, features: NetworkFeatures | None) -> onnx.ModelProto:
-    if any(map(is_script, labels.network.modules())):
+    if any(map(is_script, nn.Module.modules(labels.network))):
         raise ValueError("TorchScript cannot be traced; fuse the module that it was made of")
     example = torch.zeros(2, *EXAMPLE, 3, dtype=torch.uint8)
     try:

@@ -16,7 +16,9 @@ NETWORK = (
 
 
 def _option(help: str, default: object = None, **settings: Any) -> Any:
-    return field(default=default, metadata={"help": help, "flags": (), **settings})
+    return field(
+        default=default, metadata={"help": help, "flags": (), "group": "Input", **settings}
+    )
 
 
 @dataclass(frozen=True)
@@ -47,13 +49,14 @@ class FrameSelection:
         "robotcar-seasons, synthia, cityscapes, camvid, vpr-bench or folders."
     )
     split: list[str] | None = _option(
-        "With --layout: sequence to use; * stands for any text; can be repeated."
+        "With --layout: sequence to use; * stands for any text; can be repeated.", hidden=True
     )
     role: Literal["reference", "query"] | None = _option(
-        "With --layout: use only the references, or only the queries."
+        "With --layout: use only the references, or only the queries.", hidden=True
     )
     labels: str | None = _option(
-        "With --layout: folder of label maps to use instead of those of the data set."
+        "With --layout: folder of label maps to use instead of those of the data set.",
+        hidden=True,
     )
     sequence: str | None = _option(
         "Name of the sequence. Default: the name that the database has for the folder, else the "
@@ -64,10 +67,14 @@ class FrameSelection:
         "TUM or COLMAP (images.txt), a .gpx file, or exif. Default: poses.csv in or beside the "
         "folder, or the @UTM@ fields of file names."
     )
-    topic: str | None = _option("Image topic of a ROS bag; needed only if the bag has several.")
+    topic: str | None = _option(
+        "Image topic of a ROS bag; needed only if the bag has several.", hidden=True
+    )
     fps: float | None = _option("Use at most this many frames in a second of a video or bag.")
     every: int = _option("Use every N-th frame of a sequence.", default=1, min=1)
-    start: int = _option("Number of the first frame of a sequence to use.", default=0, min=0)
+    start: int = _option(
+        "Number of the first frame of a sequence to use.", default=0, min=0, hidden=True
+    )
     segmenter: str | None = _option(
         f"Segmentation network that labels images: {NETWORK} Default: the network that made the "
         "database."
@@ -78,10 +85,10 @@ class FrameSelection:
         flags=("--index-is-id",),
     )
     classes: str | None = _option(
-        "Channels of the network to use, FIRST:LAST without LAST, such as 0:19."
+        "Channels of the network to use, FIRST:LAST without LAST, such as 0:19.", hidden=True
     )
     segmenter_cache: str | None = _option(
-        "Folder that caches the segmenter's label maps. Default: ~/.cache/ssrvlad."
+        "Folder that caches the segmenter's label maps. Default: ~/.cache/ssrvlad.", hidden=True
     )
     workers: int | None = _option(
         "Number of frames to encode at the same time. Default: one for each core.", min=1

@@ -115,6 +115,12 @@ def open_frames(
     return replace(frames, files=files)
 
 
+def picture_files(selection: FrameSelection, database: Database) -> list[FrameFile]:
+    """The images of a selection without a layout that is added to a database."""
+    frames = SelectedFrames(selection, map_folders=database.folders())
+    return _files_of(frames, Projection(partial(_pose_in, database)), find_image_files)
+
+
 def _labelling(
     frames: SelectedFrames,
     database: Database | None,

@@ -106,4 +106,4 @@ def surest_point(curve: PrecisionRecall) -> OperatingPoint | None:
         curve = PrecisionRecall(*counts, curve.positives, curve.thresholds[:likely])
     precision = wilson_low(curve.true_positives, curve.accepted).max(initial=0.0)
     point = suggested_point(curve, float(precision)) if precision else None
-    return point and point._replace(score=max(0.0, point.score))
+    return point and point._replace(threshold=max(0.0, point.threshold))

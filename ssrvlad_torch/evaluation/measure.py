@@ -14,7 +14,7 @@ from ..datasets.image_files import Pixels
 from ..recognition.matching import Matches
 from .ground_truth_files import PartialTruth, known_matches
 from .metrics import Convention, evaluate, precision_recall_curve
-from .outcomes import Outcomes, Rows, Truth, judge
+from .outcomes import Floats, Outcomes, Rows, Truth, judge
 from .thresholds import operating_points
 from .true_matches import Viewpoints
 
@@ -48,6 +48,7 @@ class Recognition:
     Attributes:
         matches: candidates of each query, at least `TOP`.
         material: what the report shows of the frames.
+        confidence: ``(Q,)`` float, in the first candidates, if it is known.
         skipped: queries that could not be encoded.
         details: the method, its steps and its costs, which join the metrics.
     """
@@ -56,6 +57,7 @@ class Recognition:
     queries: Viewpoints
     matches: Matches
     material: Material | None = None
+    confidence: Floats | None = None
     skipped: Sequence[Skipped] = ()
     details: Mapping[str, Any] = field(default_factory=dict)
 
@@ -67,6 +69,7 @@ class Recognition:
             queries=replace(self.queries, frames=frames, poses=self.queries.poses[rows]),
             matches=Matches(*(column[rows] for column in self.matches)),
             material=self.material and self.material.of_queries(rows),
+            confidence=None if self.confidence is None else self.confidence[rows],
         )
 
 
@@ -76,10 +79,12 @@ class Evaluation:
 
     Attributes:
         metrics: the result of `metrics.evaluate` with 95 % intervals, ``thresholds`` to choose from
-            (`operating_points`), ``references``, and the details of the recognition; for JSON.
+            (`operating_points`), ``threshold_is``, of what they are: ``confidence`` or else the
+            score, ``references``, and the details of the recognition; for JSON.
         recognition: of these queries.
         truth: the rows of the references that are true matches of each.
         outcomes: what became of each.
+        ranked: the same, with what a threshold is of in place of scores.
         left_out: number of other queries.
         true_matches: how they are defined, in words.
     """
@@ -88,13 +93,9 @@ class Evaluation:
     recognition: Recognition
     truth: Truth
     outcomes: Outcomes
+    ranked: Outcomes
     left_out: int = 0
     true_matches: str = ""
-
-    @property
-    def score(self) -> str:
-        """What the score of a candidate is, such as ``probability``."""
-        return self.metrics.get("score_is") or "score"
 
     @property
     def material(self) -> Material:
@@ -110,7 +111,13 @@ def measure(recognition: Recognition, truth: PartialTruth, convention: Conventio
     scores, rows = (column.numpy() for column in judged.matches)
     metrics = evaluate(scores, rows, true, convention=convention, resamples=RESAMPLES)
     outcomes = judge(scores, rows, true)
-    metrics["thresholds"] = operating_points(precision_recall_curve(outcomes))
+    ranked = outcomes
+    if judged.confidence is not None:
+        sure = np.where(outcomes.candidate < 0, -np.inf, judged.confidence)
+        ranked = replace(outcomes, score=sure.astype(np.float64))
+    metrics["thresholds"] = operating_points(precision_recall_curve(ranked))
     metrics["references"] = len(judged.references.frames)
     metrics |= judged.details
-    return Evaluation(metrics, judged, true, outcomes, len(truth) - len(covered))
+    known = judged.confidence is not None
+    metrics["threshold_is"] = "confidence" if known else metrics.get("score_is") or "score"
+    return Evaluation(metrics, judged, true, outcomes, ranked, len(truth) - len(covered))

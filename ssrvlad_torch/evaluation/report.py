@@ -14,7 +14,7 @@ from PIL import Image
 from ..datasets.image_files import Pixels
 from ..files import new_figure, png_address, replacing, requiring
 from .measure import Evaluation, Material
-from .metrics import figure_rows, fraction, precision_recall_curve
+from .metrics import Convention, figure_rows, fraction, precision_recall_curve
 from .outcomes import Bools, Outcomes, Truth
 from .thresholds import operating_rows
 
@@ -51,12 +51,12 @@ def render(
         loader=PackageLoader(__package__), autoescape=True, trim_blocks=True, lstrip_blocks=True
     )
     environment.globals["fraction"] = fraction
-    matches = chosen_matches(evaluation.outcomes, evaluation.truth, evaluation.material)
+    matches = chosen_matches(evaluation.ranked, evaluation.truth, evaluation.material)
     return environment.get_template("report.html").render(
         title=title,
         settings=settings,
         notes=notes,
-        score=evaluation.score,
+        threshold=evaluation.metrics["threshold_is"],
         metrics=evaluation.metrics,
         figures=figure_rows(evaluation.metrics),
         operating=operating_rows(evaluation.metrics["thresholds"]),
@@ -70,8 +70,8 @@ def render(
 def chosen_matches(
     outcomes: Outcomes, truth: Truth, material: Material
 ) -> tuple[list[Match], list[Match]]:
-    """The wrong and the right best candidates with the highest scores, at most `WRONG_MATCHES` and
-    `RIGHT_MATCHES`; in a tie, the earlier query comes first."""
+    """The wrong and the right best candidates with the highest scores in ``outcomes``, at most
+    `WRONG_MATCHES` and `RIGHT_MATCHES`; in a tie, the earlier query comes first."""
 
     def highest(queries: Bools, most: int) -> list[Match]:
         rows = np.flatnonzero(queries)
@@ -87,12 +87,15 @@ def chosen_matches(
 
 def _drawn(evaluation: Evaluation) -> str:
     """Precision over recall as the address of a PNG: the curves by the convention and by ``exact``,
-    of which the operating points are."""
+    and that of the operating points."""
     figure = new_figure(6, 4.2)
     axes = figure.add_subplot()
     convention = evaluation.metrics["convention"]
-    for name in dict.fromkeys(("exact", convention)):
-        curve = precision_recall_curve(evaluation.outcomes, name)
+    exact: Convention = "exact"
+    curves = {name: (evaluation.outcomes, name) for name in (exact, convention)}
+    curves[evaluation.metrics["threshold_is"]] = evaluation.ranked, exact
+    for name, (outcomes, kind) in curves.items():
+        curve = precision_recall_curve(outcomes, kind)
         if curve.positives and len(curve.thresholds):
             first = curve.precision[0] if curve.start is None else curve.start
             recall, precision = np.insert(curve.recall, 0, 0), np.insert(curve.precision, 0, first)
@@ -140,10 +143,10 @@ def _from_above(evaluation: Evaluation) -> str:
 def _row(evaluation: Evaluation, match: Match) -> dict[str, Any]:
     queries, references = evaluation.recognition.queries, evaluation.recognition.references
     outcomes, query = evaluation.outcomes, queries.frames[match.query]
-    rank, score = int(outcomes.rank[match.query]), outcomes.score[match.query]
+    rank, sure = int(outcomes.rank[match.query]), evaluation.ranked.score[match.query]
     frames = [("query", query, "", evaluation.material.query(query))]
     for role, row, text in (
-        ("best candidate", match.candidate, f"{evaluation.score} {score:.4f}"),
+        ("best candidate", match.candidate, f"{evaluation.metrics['threshold_is']} {sure:.4g}"),
         ("true match", match.true_match, f"rank {rank}" if rank else "not among the candidates"),
     ):
         if row < 0 or (role == "true match" and outcomes.correct[match.query]):

@@ -1,4 +1,4 @@
-"""Statistics to choose the score above which a candidate is accepted."""
+"""Statistics to choose the confidence, or the score, from which on a candidate is accepted."""
 
 import math
 from collections.abc import Mapping
@@ -16,11 +16,11 @@ _Z2 = NormalDist().inv_cdf((1 + LEVEL) / 2) ** 2
 
 
 class OperatingPoint(NamedTuple):
-    """A threshold, from which on scores are accepted, its precision and recall, 0 to 1, the
+    """A threshold, from which on candidates are accepted, its precision and recall, 0 to 1, the
     lower end of the 95 % interval of the precision, see `wilson_low`, and the number of accepted
     queries."""
 
-    score: float
+    threshold: float
     precision: float
     precision_low: float
     recall: float
@@ -51,18 +51,18 @@ def suggested_point(
     independent and the threshold were fixed before; for alike neighbours of a sequence, and for the
     best of many thresholds, it is too high.
 
-    The threshold lies halfway to the next lower score, or is the next lower float32 if no score is
-    lower: `ssrvlad_torch.match`, which accepts scores above a threshold, accepts the same queries.
+    The threshold is a number of few decimals between the score and the next lower one, in float32.
     """
     low = wilson_low(curve.true_positives, curve.accepted)
     if not low.max(initial=0.0):
         return None
     last = int(np.flatnonzero(low >= min(precision, float(low.max())))[-1])
-    score = curve.thresholds[last]
-    below = np.nextafter(np.float32(score), np.float32(-np.inf))
-    if last + 1 < len(curve.thresholds):
-        below = (score + curve.thresholds[last + 1]) / 2
-    return _point(curve, last)._replace(score=float(below))
+    score = float(curve.thresholds[last])
+    lower = float(curve.thresholds[last + 1]) if last + 1 < len(curve.thresholds) else score - 0.01
+    middle = (score + lower) / 2
+    rounded = (round(middle, decimals) for decimals in range(2, 10))
+    between = next((x for x in rounded if np.float32(lower) < np.float32(x) < score), middle)
+    return _point(curve, last)._replace(threshold=between)
 
 
 def queries_needed() -> int:
@@ -117,7 +117,7 @@ def _wilson(fraction: Floats, n: Floats) -> tuple[Floats, Floats]:
 
 def _point(curve: PrecisionRecall, index: int) -> OperatingPoint:
     return OperatingPoint(
-        score=float(curve.thresholds[index]),
+        threshold=float(curve.thresholds[index]),
         precision=float(curve.precision[index]),
         precision_low=float(wilson_low(curve.true_positives, curve.accepted)[index]),
         recall=float(curve.recall[index]),

@@ -12,7 +12,7 @@ class LoopConfig:
     Attributes:
         exclude: number of the last frames of the same sequence, which are no candidates. The
             default is for frames about 3 m apart; exclude more where they are denser.
-        threshold: least probability of a loop, 0 to 1.
+        threshold: least confidence of a loop, 0 to 1.
         sweep: whether to describe each frame from three anchors, so that a slightly turned camera
             still matches; without effect on descriptors without anchors, such as ``paper``.
 

@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import groupby
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..evaluation.outcomes import Floats, Rows
+from ..evaluation.trajectory import DARK, GRAY, draw_trajectory
 from ..files import drawn_text, new_figure
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 _RIGHT, _WRONG, _UNJUDGED = "tab:green", "tab:red", "tab:blue"
-_GRAY, _DARK = "0.7", "0.25"
 
 
 def draw_loops(
@@ -48,7 +46,7 @@ def draw_loops(
     figure.suptitle(f"{drawn_text(title)}\n{count}", wrap=True)
     axes = figure.subplots(1, 2 if placed else 1, squeeze=False)[0]
     if placed:
-        _draw_trajectory(axes[0], poses, sequences or [""] * len(poses))
+        draw_trajectory(axes[0], poses, sequences or [""] * len(poses), "trajectory")
     groups = [("loops", _UNJUDGED, np.full(len(here), True))]
     if metres is not None:
         right = np.hypot(*(poses[here, :2] - poses[there, :2]).T) <= metres
@@ -66,31 +64,16 @@ def draw_loops(
     if candidates is not None:
         faint = np.flatnonzero((candidates >= 0) & (loops < 0))
         label = f"candidates below the threshold: {len(faint)}"
-        axes[-1].plot(faint, candidates[faint], ".", ms=2, color=_GRAY, zorder=1, label=label)
+        axes[-1].plot(faint, candidates[faint], ".", ms=2, color=GRAY, zorder=1, label=label)
     ends = (0, max(1, len(loops)))
-    axes[-1].plot(ends, ends, color=_GRAY, lw=0.8, zorder=0, label="the frame itself")
+    axes[-1].plot(ends, ends, color=GRAY, lw=0.8, zorder=0, label="the frame itself")
     axes[-1].set(xlabel="number of the frame", ylabel="number of its candidate")
     axes[-1].set(xlim=ends, ylim=ends)
     axes[-1].legend(loc="upper left", frameon=False)
     if placed:
         label = "frame, and line to its candidate"
-        loop = Line2D([], [], marker=".", color=_DARK, lw=0.8, label=label)
+        loop = Line2D([], [], marker=".", color=DARK, lw=0.8, label=label)
         handles, at = [*axes[0].get_legend_handles_labels()[0], loop], (0.5, -0.12)
         below = {"loc": "upper center", "bbox_to_anchor": at, "ncols": 3, "frameon": False}
         axes[0].legend(handles=handles, **below)
     return figure
-
-
-def _draw_trajectory(axes: Axes, poses: Floats, sequences: Sequence[str]) -> None:
-    """Draws each sequence as a line of its own."""
-    shown = {"trajectory": True, "start": True}
-    for _, group in groupby(range(len(poses)), lambda row: sequences[row]):
-        rows = [*group]
-        placed = [row for row in rows if np.isfinite(poses[row, :2]).all()]
-        line = "trajectory" if shown.pop("trajectory", None) else None
-        axes.plot(*poses[rows, :2].T, color=_GRAY, lw=1, zorder=0, label=line)
-        if placed:
-            label = "start" if shown.pop("start", None) else None
-            axes.plot(*poses[placed[0], :2], "s", color=_DARK, ms=5, label=label)
-    axes.set(xlabel="x in metres", ylabel="y in metres")
-    axes.set_aspect("equal", adjustable="datalim")

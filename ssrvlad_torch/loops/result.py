@@ -6,10 +6,10 @@ from ..native.loops import Reason
 
 
 class Place(NamedTuple):
-    """An old frame, and the probability that the place is within five frames of it."""
+    """An old frame, and the confidence that the place is within five frames of it."""
 
     frame: str
-    probability: float
+    confidence: float
 
 
 class LoopResult(NamedTuple):
@@ -19,7 +19,7 @@ class LoopResult(NamedTuple):
         frame: its id.
         reason: why it closes a loop or does not:
 
-            - ``accepted``: the probability reaches the threshold. The two frames look in the same
+            - ``accepted``: the confidence reaches the threshold. The two frames look in the same
               direction: a street driven the other way is not recognised.
             - ``empty_frame``: its descriptor is zero.
             - ``no_candidate``: all earlier frames are empty, or it is the first frame.
@@ -29,19 +29,19 @@ class LoopResult(NamedTuple):
             - ``below_threshold``: it is probably at a new place.
         candidate: id of the most probable old frame, or ``None``.
         score: its cosine (Eq. 4), standardised by the mean of all frames so far, or ``None``.
-        probability: that the place is within five frames of the candidate, or ``None``.
+        confidence: probability that the place is within five frames of the candidate, or ``None``.
         ahead: distance in metres from the candidate to the frame along the candidate's drive,
             negative behind it: a mean over the frames around the candidate by their poses, weighted
             with their probabilities; ``None`` where a pose is unknown, and unless accepted.
         candidates: the most probable old places, best first, for a back end that verifies them: at
-            most five, each of a probability of at least 0.01, whatever the reason.
+            most five, each of a confidence of at least 0.01, whatever the reason.
     """
 
     frame: str
     reason: Reason
     candidate: str | None = None
     score: float | None = None
-    probability: float | None = None
+    confidence: float | None = None
     ahead: float | None = None
     candidates: tuple[Place, ...] = ()
 

@@ -139,13 +139,13 @@ def report(
         sequences = [sequence_of(frame) for frame in detector.frames]
         score = score_loops(loops, detector.poses, exclude, metres, first, sequences)
         summary |= {**score._asdict(), "precision": score.precision, "recall": score.recall}
-        judged = [result for result in results if result.probability is not None]
+        judged = [result for result in results if result.confidence is not None]
         candidates = candidates_of(detector, judged)
         errors = loop_errors(candidates, detector.poses)
         placed = np.isfinite(errors)
-        probabilities = np.array([result.probability for result in judged], float)
+        confidences = np.array([result.confidence for result in judged], float)
         right = errors[placed] <= metres
         possible = score_loops(candidates, detector.poses, exclude, metres, first, sequences)
-        point = surest_point(loop_curve(probabilities[placed], right, possible.revisits))
+        point = surest_point(loop_curve(confidences[placed], right, possible.revisits))
         summary["suggested"] = point and point._asdict()
     return summary

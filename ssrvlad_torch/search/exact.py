@@ -43,6 +43,7 @@ def search(
     exclude: int | None = None,
     near: Near | Posed | None = None,
     progress: Progress = do_nothing,
+    single: bool = False,
 ) -> Answers:
     """The ``top`` candidates of every frame of a source in a database.
 
@@ -57,6 +58,8 @@ def search(
         exclude: frames around the query in its own sequence that are no candidates.
         near: where the poses of candidates are; by default anywhere.
         progress: called with 1 for every frame.
+        single: each frame is matched without the others, as by `locate_view`; without the steps
+            that need a sequence.
 
     Raises:
         ValueError: the source lacks a channel, or what was asked for does not go together.
@@ -69,7 +72,7 @@ def search(
         )
     if not len(database):
         raise ValueError(f"{database.path} holds no frames yet")
-    columns = COLUMNS if steps.sweep else ()
+    columns = COLUMNS if steps.sweep or single else ()
     queries, skipped, folders = queries_of(database, source, used, columns, progress)
     exact = temporal or steps.follow == "online"  # a shortlist is made of all queries
     shortlist, reason = (None, "") if exact else open_shortlist(database, used)
@@ -80,7 +83,9 @@ def search(
         where &= near.rows(poses, database.path)
     _sum_over_time(references, used, temporal)
     excluded = None if exclude is None else neighbours(queries.frames, references, exclude)
-    recognised = recognise_in(shortlist or references, queries, used, steps, top, where, excluded)
+    steps = _ALONE if single else steps
+    apart = dataclasses.replace(queries, sequences=queries.frames) if single else queries
+    recognised = recognise_in(shortlist or references, apart, used, steps, top, where, excluded)
     if near:
         recognised.used["near"] = f"{near}: {where.sum()} frames"
     if shortlist or reason:

@@ -78,7 +78,7 @@ class LabelNetwork(nn.Module):
 
     def numbers(self, images: Tensor) -> Tensor:
         """The input of the network for pictures, on the device of its weights."""
-        weights = chain(self.network.parameters(), self.network.buffers())
+        weights = chain(nn.Module.parameters(self.network), nn.Module.buffers(self.network))
         like = next((tensor for tensor in weights if tensor.is_floating_point()), None)
         if like is None:  # an ONNX graph, or a network without weights
             return cast(Tensor, self.preparation(images))

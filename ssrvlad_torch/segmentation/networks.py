@@ -13,6 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from ..files import InputError, naming, one_line, path_within, read_yaml, requiring
+from .known_networks import YAML, state_of
 from .onnx_network import ONNX_RUNTIME, RUNTIMES, OnnxNetwork
 from .preparation import SegmenterConfig
 
@@ -28,7 +29,6 @@ _COLOURS = {"mean", "std", "white", "colour_order"}
 _KEYS = ("network", "labels_as", "arguments", "runtime", ACCEPT)
 """Keys of a YAML file that are no settings of the preparation."""
 
-_YAML = (".yaml", ".yml")
 _WEIGHTS = (".pth", ".pt", ".ckpt", ".bin", ".safetensors", ".pkl")
 _MASK_NETWORKS = ("maskformer", "mask2former", "oneformer")
 _WHERE = "FILE.onnx, FILE.yaml, hf:ORG/NAME[@REVISION], a folder, MODULE:NAME"
@@ -44,6 +44,7 @@ class NamedNetwork:
         class_names: of its channels, if it declares them.
         labels_as: the label space, if the YAML file declares one.
         assumed: whether the preparation is assumed, because nothing says it.
+        state: of its files before it was opened, see `known_networks.state_of`.
     """
 
     name: str
@@ -52,6 +53,7 @@ class NamedNetwork:
     class_names: Mapping[int, str] = field(default_factory=dict)
     labels_as: str | None = None
     assumed: bool = False
+    state: str = ""
 
     @property
     def preparation(self) -> str:
@@ -90,16 +92,17 @@ def open_network(name: str | Path) -> NamedNetwork:
         OSError: the network cannot be downloaded.
         ImportError: an extra is not installed.
     """
-    return _open(str(name), {}, {})
+    state = state_of(str(name))
+    return dataclasses.replace(_open(str(name), {}, {}), state=state)
 
 
 def runs_code(name: str) -> bool:
     """Whether opening a network runs code; a YAML file that names none is a ValueError."""
     path = Path(name)
     suffix = path.suffix.lower()
-    if suffix in _YAML and path.is_file():
+    if suffix in YAML and path.is_file():
         return runs_code(_named(path)[0])
-    return not (suffix in (*_YAML, ".onnx") or path.is_dir() or name.startswith("hf:"))
+    return not (suffix in (*YAML, ".onnx") or path.is_dir() or name.startswith("hf:"))
 
 
 def _open(
@@ -112,7 +115,7 @@ def _open(
     """A network by its name, which stands in a YAML file in a folder, or alone."""
     path, assumed = Path(name), not _COLOURS & settings.keys()
     suffix = path.suffix.lower()
-    if suffix in _YAML:
+    if suffix in YAML:
         return _of_file(path)
     if suffix == ".onnx":
         graph = OnnxNetwork(path, runtime)
@@ -143,7 +146,7 @@ def _of_file(path: Path) -> NamedNetwork:
             raise ValueError(f"{ACCEPT} must be true or false, got {accepted!r}")
         if runtime not in RUNTIMES:
             raise ValueError(f"runtime must be {' or '.join(RUNTIMES)}, got {runtime!r}")
-        if labels_as and Path(str(labels_as)).suffix.lower() in _YAML:
+        if labels_as and Path(str(labels_as)).suffix.lower() in YAML:
             labels_as = str(path_within(path.parent, labels_as))
     settings = {key: getattr(config, key) for key in document}
     for key, value in arguments.items():

@@ -26,6 +26,8 @@ MAX_FILE_BYTES = (1 << 31) - (1 << 20)
 """Size limit of one file: protobuf's 2 GiB, less 1 MiB for the metadata."""
 
 CPU = "CPUExecutionProvider"
+_APART = "External data path"
+"""In the messages of ONNX Runtime about a missing file of weights."""
 
 
 def load_model(path: Path) -> onnx.ModelProto:
@@ -94,7 +96,9 @@ def open_session(
     try:
         return onnxruntime.InferenceSession(source, options, providers)
     except Exception as error:  # each kind of failure has its own type, and not all are public
-        raise ValueError(f"{name} cannot run in ONNX Runtime: {one_line(error)}") from error
+        text = one_line(error)
+        hint = "; the file and that of its weights belong together" if _APART in text else ""
+        raise ValueError(f"{name} cannot run in ONNX Runtime: {text}{hint}") from error
 
 
 def external_files(path: Path) -> list[Path]:

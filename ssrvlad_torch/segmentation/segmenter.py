@@ -106,7 +106,7 @@ class Segmenter:
         self.label_space = space = label_space(labels_as)
         defaults = vars(config) if config else {}
         self.labels = LabelNetwork(network, space, SegmenterConfig.of({**defaults, **settings}))
-        self.cache, self.name = cache, name
+        self.cache, self.name, self.state = cache, name, ""
 
     def __getstate__(self) -> dict[str, object]:
         """Pickles no features: the session of a graph, which gives them, is not pickled either."""
@@ -155,7 +155,9 @@ class Segmenter:
             labels_as = space_of(named, str(labels_as), config.classes)
         path = Path(named.name.removeprefix("hf:"))
         name = absolute(path) if path.exists() else named.name  # valid in any folder
-        return cls(named.network, labels_as, config, cache, name=name)
+        segmenter = cls(named.network, labels_as, config, cache, name=name)
+        segmenter.state = named.state
+        return segmenter
 
     @cached_property
     def features(self) -> NetworkFeatures:

@@ -16,9 +16,8 @@ int64 holds."""
 
 
 def exporting() -> bool:
-    """Whether `torch.export` records. Before torch 2.11 `torch.compile` folds
-    `torch.compiler.is_exporting` to true, but not the flag."""
-    return torch.compiler._is_exporting_flag
+    """Whether `torch.export` records."""
+    return torch.compiler.is_exporting()
 
 
 def real(largest: float = math.inf) -> torch.dtype:

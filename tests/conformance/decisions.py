@@ -309,9 +309,9 @@ def loops_by_oracle(scene: Scene) -> Lines:
 
 def line_of(frame, reason, candidate, score, probability, places, names) -> dict[str, Any]:
     """A step as the programs print it."""
-    likely = [{"frame": names[row], "probability": chance} for row, chance in places]
+    likely = [{"frame": names[row], "confidence": chance} for row, chance in places]
     found = {"candidate": None if candidate is None else names[candidate], "candidates": likely}
-    return {"frame": frame, "reason": reason, "score": score, "probability": probability, **found}
+    return {"frame": frame, "reason": reason, "score": score, "confidence": probability, **found}
 
 
 def loops_by_command(scene: Scene, fixtures: Fixtures) -> Lines:

@@ -111,7 +111,7 @@ def test_loops_are_those_of_the_formulas(name, scene, folders, request):
     for line, right in zip(lines, expected, strict=True):
         for field in ("frame", "reason", "candidate"):
             assert line[field] == right[field], line["frame"]
-        for field in ("score", "probability"):
+        for field in ("score", "confidence"):
             assert line[field] == pytest.approx(right[field], abs=3e-4), line["frame"]
-        ours, theirs = (scores_of(one, "probability") for one in (line, right))
+        ours, theirs = (scores_of(one, "confidence") for one in (line, right))
         assert ours == pytest.approx(theirs, abs=3e-4), line["frame"]

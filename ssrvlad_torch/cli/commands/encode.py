@@ -53,10 +53,12 @@ def encode(
     if gpus and engine != "ray":
         raise ValueError("--gpus needs --engine ray and --segmenter")
     town = Map.open(output, preset=preset, channels=channel)
-    frames = town.source(source, note=note)
-    with progress_bar("encoding", len(frames.files)) as bar:
-        options = EncodeOptions(source.workers, complete, prune, bar.advance, bar.skip, gpus)
-        summary = town.add(frames, options, engine, note)
+    summary = town.up_to_date(source, complete, prune)
+    if summary is None:
+        frames = town.source(source, note=note)
+        with progress_bar("encoding", len(frames.files)) as bar:
+            options = EncodeOptions(source.workers, complete, prune, bar.advance, bar.skip, gpus)
+            summary = town.add(frames, options, engine, note)
     if as_json:
         info = Database.open(output).info() if Database.exists(output) else {}
         skipped = {"skipped": [frame._asdict() for frame in summary.skipped]}

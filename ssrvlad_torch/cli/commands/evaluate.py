@@ -10,6 +10,7 @@ from ..options import (
     Json,
     RecognitionOptions,
     TruthOptions,
+    Verbose,
     option,
 )
 from ..output import finish, note, print_json, progress_bar, say
@@ -26,12 +27,12 @@ def evaluate(
     report: Path | None = option(
         "Page to write (.html): metrics, the curve, and matches with their pictures."
     ),
+    verbose: Verbose = False,
 ) -> None:
     """Measure place recognition: RecallRate@N, AUC-PR, Recall@100%Precision and more, with 95 %
     bootstrap intervals over blocks of neighbouring queries. A table shows precision and recall at
-    several thresholds. The suggested threshold is the lowest whose precision has a lower bound
-    (95 %) of at least 0.95, or, if there is none, the one with the highest. The bound would hold
-    if queries were independent and the threshold were fixed before.
+    several thresholds of the confidence; the suggested one is for --min-confidence of ssrvlad
+    query and locate.
     ssrvlad compare measures other methods.
 
     Example: ssrvlad evaluate town.ssrdb maps/today --tolerance-metres 5
@@ -57,7 +58,7 @@ def evaluate(
     if as_json:
         print_json(evaluation.metrics)
     else:
-        print_metrics(evaluation.metrics)
+        print_metrics(evaluation.metrics, verbose)
     if report:
         write_page(report, evaluation, database, source.paths)
         if not as_json:

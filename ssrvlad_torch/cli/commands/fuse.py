@@ -4,7 +4,7 @@ from pathlib import Path
 
 from ...encoding.selection import NETWORK
 from ..options import Classes, Preset, argument, option
-from ..output import note, say
+from ..output import note, progress_bar, say
 
 
 def fuse(
@@ -32,6 +32,7 @@ def fuse(
     Example: ssrvlad fuse seg.yaml -o place.onnx --labels-as cityscapes-trainids
     """
     from ...config import SSRVLADConfig
+    from ...deployment.fuse import STEPS
     from ...deployment.fuse import fuse as join
     from ...files import check_output
     from ...segmentation.networks import open_network
@@ -46,7 +47,8 @@ def fuse(
     segmenter = Segmenter.load(named, labels_as, classes=channels(classes))
     space = segmenter.label_space if labels_as == "auto" else labels_as
     config = SSRVLADConfig.from_preset(preset, labels_as=space)
-    signs = join(segmenter, config, output, split, features).features
+    with progress_bar("joining", STEPS) as bar:
+        signs = join(segmenter, config, output, split, features, bar.advance).features
     written = f"{output} and {split}" if split else str(output)
     say(
         f"{written}: {network} as {segmenter.label_space.name} to descriptors of fingerprint "

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 from ...encoding.selection import FrameSelection
 from ...evaluation.loops import EVEN
 from ...evaluation.metrics import fraction
-from ...evaluation.thresholds import SURE_PRECISION, queries_needed
 from ...loops.config import LoopConfig
 from ..options import Json, MaybePreset, StoredChannels, option
 from ..output import finish, note, print_json, say, weights_in_words
@@ -36,7 +35,10 @@ def loops(
         min=0,
     ),
     threshold: float = option(
-        "Smallest probability of a reported loop.", default=LoopConfig.threshold, min=0, max=1
+        "Smallest confidence of a reported loop: the probability that it is right.",
+        default=LoopConfig.threshold,
+        min=0,
+        max=1,
     ),
     sweep: bool = option("Describe each frame from three anchors.", default=LoopConfig.sweep),
     memory: Path | None = option(_MEMORY),
@@ -113,8 +115,9 @@ def _printed(
             if as_json:
                 print_json(result.as_json())
             elif result.accepted:
-                ahead = "" if result.ahead is None else f" {result.ahead:+.1f} m"
-                say(f"{result.frame}: {result.candidate} {result.probability:.4f}{ahead}")
+                ahead = "" if result.ahead is None else f", {result.ahead:+.1f} m ahead"
+                sure = f"confidence {result.confidence:.2f}{ahead}"
+                say(f"{result.frame}: {result.candidate} ({sure})")
     return results, skipped
 
 
@@ -136,17 +139,17 @@ def _draw(
 
 def _print_likeliest(results: Sequence[LoopResult], config: LoopConfig) -> None:
     """Where no frame closes a loop: the likeliest pair, and what could be changed."""
-    best = max(results, key=lambda result: result.probability or 0.0)
-    if best.probability is None:
+    best = max(results, key=lambda result: result.confidence or 0.0)
+    if best.confidence is None:
         say(
             f"no loop: no frame comes more than --exclude {config.exclude} frames after another "
             "of its sequence"
         )
         return
-    unlikely = "" if best.probability >= EVEN else ", more likely wrong than right"
+    unlikely = "" if best.confidence >= EVEN else ", more likely wrong than right"
     say(
-        f"no loop: the likeliest is {best.frame}: {best.candidate} with probability "
-        f"{best.probability:.4f}{unlikely}, --threshold {config.threshold:g}"
+        f"no loop: the likeliest is {best.frame}: {best.candidate} with confidence "
+        f"{best.confidence:.2f}{unlikely}, --threshold {config.threshold:g}"
     )
     recent = sum(result.reason.value == "too_recent" for result in results)
     if 2 * recent > len(results):
@@ -165,6 +168,8 @@ def _print_report(
     summary: Mapping[str, Any], results: Sequence[LoopResult], config: LoopConfig, as_json: bool
 ) -> None:
     """Prints the summary; as JSON, where each other line is a frame, only if it has a precision."""
+    from ..summaries import threshold_in_words
+
     if as_json:
         if "precision" in summary:
             print_json(summary)
@@ -187,11 +192,5 @@ def _print_report(
     if not summary["suggested"]:
         say("no threshold to suggest: no candidate is right; a sequence with revisits is needed")
         return
-    point = summary["suggested"]
-    say(
-        f"surest threshold {point['score']:.4g}: precision {fraction(point['precision'])}, "
-        f"recall {fraction(point['recall'])}; lower bound of the precision "
-        f"{fraction(point['precision_low'])}, if loops were independent and the threshold were "
-        f"fixed before; a lower bound of {SURE_PRECISION:g} needs at least {queries_needed()} "
-        "loops without a mistake"
-    )
+    count = sum(result.confidence is not None for result in results)
+    say(f"Suggested threshold {threshold_in_words(summary['suggested'], count)}")
