@@ -1,6 +1,7 @@
 """One frame, a label map or an image, on this machine or in the file systems of pyarrow, ``s3://``,
 ``gs://``, ``hdfs://`` and ``file://``, and the frames that these hold."""
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -163,10 +164,13 @@ def _file_system(uri: str) -> Any:
     return FileSystem.from_uri(uri)[0]
 
 
-def remote_files(uri: str, kind: str, suffixes: Sequence[str]) -> list[FrameFile]:
+def remote_files(
+    uri: str, kind: str, suffixes: Sequence[str], others: Counter[str]
+) -> list[FrameFile]:
     """The frames in the folder of a URI, files with one of the suffixes in lower case; their
-    sequence has no name yet. A scheme that pyarrow does not support, and no frames, are a
-    ValueError that names the kind; a folder that cannot be read is an OSError."""
+    sequence has no name yet. ``others`` counts the suffixes of other files. A scheme that pyarrow
+    does not support, and no frames, are a ValueError that names the kind; a folder that cannot be
+    read is an OSError."""
     from pyarrow.fs import FileSelector, FileSystem, FileType
 
     system, root = FileSystem.from_uri(uri.rstrip("/"))
@@ -184,6 +188,8 @@ def remote_files(uri: str, kind: str, suffixes: Sequence[str]) -> list[FrameFile
             listed = f"{entry.size} {entry.mtime_ns}"
             file = RemoteFile("", path.stem, Path(path), folder=folder, listed=listed, uri=uri)
             files.append(file)
+        else:
+            others[path.suffix.lower() or "without suffix"] += 1
     if not files:
         raise ValueError(f"{folder} holds no {kind}; expected {', '.join(suffixes)} files")
     return files

@@ -163,7 +163,7 @@ def _expand(
 ) -> list[FrameFile]:
     """The frames of a source; ``others`` counts the suffixes of files that are none."""
     if is_uri(source):
-        return remote_files(source, kind.name, kind.suffixes)
+        return remote_files(source, kind.name, kind.suffixes, others)
     if not source:
         raise ValueError("a source is empty; expected a folder, a file, a glob or a URI")
     path = Path(source)

@@ -14,6 +14,7 @@ from ..segmentation.segmenter import Segmenter
 from .encoder import Describer, encode
 from .plan import check_folder
 from .results import Encoded, Skipped
+from .source import pose_in
 
 
 def encode_names(
@@ -29,7 +30,7 @@ def encode_names(
     once. The sequence is named by the folder, as in the database. A segmenter labels images; else
     the files are label maps."""
     records, folders = (database.known(), database.folders()) if database else ({}, set())
-    projection = Projection()
+    projection = Projection(functools.partial(pose_in, database))
     find = functools.cache(lambda folder: PoseTable.of_folder(folder, projection))
 
     @functools.cache

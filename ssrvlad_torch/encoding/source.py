@@ -90,7 +90,7 @@ def open_frames(
             raise ValueError(f"{path} is a database: expected no {', '.join(unused)}")
         labels_as = labels_as or _space_of_database(database, compared)
         return replace(frames, labels_as=labels_as or "", database=Database.open(path))
-    projection = Projection(partial(_pose_in, database))
+    projection = Projection(partial(pose_in, database))
     space, segmenter = _labelling(
         frames, database, network, labels_as, compared, images, opened,
         partial(found_by, _files_of, frames, projection, find_image_files), note,
@@ -251,7 +251,7 @@ def _are_only_images(paths: Sequence[str]) -> bool:
     return not has_labels and bool(found_by(find_image_files, paths))
 
 
-def _pose_in(database: Database | None) -> Pose:
+def pose_in(database: Database | None) -> Pose:
     """The first pose that a database has."""
     table = database.known().table if database else None
     rows = zip(*(table[name].to_pylist() for name in Pose._fields), strict=True) if table else ()
