@@ -151,10 +151,12 @@ class Described:
     def vectors(self, name: str, method: str) -> Tensor:
         """``(N, D)`` of a drive, of `default` ``(N, S, D)`` over `sweep.COLUMNS`."""
         if method not in PRESETS:
-            size = "" if self.shorter_side or method not in OF_NETWORKS else " at its own size"
+            form = " alike" if method == FEATURES else ""  # an earlier one had no name
+            if not self.shorter_side and method in OF_NETWORKS:
+                form += " at its own size"
             made = partial(self.make, method, network_of(name))
             return self.kept(
-                f"{name} {method}{size}", lambda: made().encode_query(self.drive(name).seen())
+                f"{name} {method}{form}", lambda: made().encode_query(self.drive(name).seen())
             )
         version = head(method, "camvid-11").config.fingerprint
         return self.kept(f"{name} {method} {version}", lambda: swept(self.drive(name), method))

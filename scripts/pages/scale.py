@@ -41,6 +41,7 @@ from ssrvlad_torch.recognition.sweep import COLUMNS
 from ssrvlad_torch.search.exact import chosen_channels, recognise_in
 from ssrvlad_torch.search.index import build, read_rows
 from ssrvlad_torch.search.shortlist import Shortlist
+from ssrvlad_torch.stages.features import FORM
 
 DATA, NETWORK = ROOT.parent / "shared" / "data", "espnetv2"
 REFERENCES = ("uofa/day", "gardens_walk/day_left")
@@ -156,7 +157,7 @@ def write(frames: int, folder: Path) -> Report:
     """The real references, and made-up rows up to the number of frames."""
     real, path = real_rows(folder), folder / f"{frames}.pictures.ssrdb"
     config = SSRVLADConfig.from_preset("default", labels_as="cityscapes-trainids")
-    columns = [Features("of a page").column, HOG().column]
+    columns = [Features(FORM).column, HOG().column]
     database = Database.open_or_create(path, config, columns)
     known = len(real["hog"])
     if not len(database):
