@@ -5,7 +5,7 @@ import pytest
 import torch
 from core import chance_of, of_chances
 
-from ssrvlad_torch.native.headers import place_model
+from ssrvlad_torch.native.headers import model
 from ssrvlad_torch.recognition.confidence import accept, answered, estimate
 from ssrvlad_torch.recognition.recognise import recognise_by_scores
 
@@ -99,7 +99,7 @@ def test_answers_that_err_together_widen_the_interval():
 # ---- rivals
 
 
-ELSEWHERE = int(place_model()["elsewhere"])
+ELSEWHERE = int(model("Place")["elsewhere"])
 
 
 def chance_maps(rows: int, smooth: int, count: int = 4000) -> np.ndarray:

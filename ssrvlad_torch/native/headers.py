@@ -73,10 +73,11 @@ def interface() -> Interface:
 
 
 @cache
-def place_model() -> dict[str, float]:
-    """The numbers of ``PlaceModel``, which ``model.hpp`` explains."""
+def model(name: str) -> dict[str, float]:
+    """The numbers of a struct of ``model.hpp``, which explains them: ``Place`` or ``Loop``."""
     content = (FOLDER / "model.hpp").read_text("utf-8")
-    return {name: float(value) for name, value in re.findall(r"(\w+) = ([\d.e-]+)[,;]", content)}
+    body = content.partition(f"struct {name}Model {{")[2].partition("};")[0]
+    return {key: float(value) for key, value in re.findall(r"(\w+) = ([\d.e-]+)F?[,;]", body)}
 
 
 def struct(name: str) -> Any:

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from ..native.headers import place_model
+from ..native.headers import model
 
 FORWARDS, BACKWARDS = 1, -1
 """Ways to run a map."""
 
-SAME_PLACE_ROWS = int(place_model()["near"])
+SAME_PLACE_ROWS = int(model("Place")["near"])
 """Rows at most so far apart show the same place."""
 
 

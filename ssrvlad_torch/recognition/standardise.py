@@ -9,9 +9,9 @@ needs no torch.
 from collections.abc import Sequence
 from itertools import groupby
 
-from ..native.headers import place_model
+from ..native.headers import model
 
-MIN_FRAMES = int(place_model()["min_frames"])
+MIN_FRAMES = int(model("Place")["min_frames"])
 """Least number of frames of a sequence whose mean is subtracted. The mean of fewer frames describes
 their place: subtracting it lowered Recall@1 of single pictures on CamVid, swept, from 0.84 to
 0.69."""

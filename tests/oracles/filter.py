@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ssrvlad_torch.native.headers import place_model
+from ssrvlad_torch.native.headers import model
 
-NUMBERS = place_model()
+NUMBERS = model("Place")
 MAX_LOG, MIN_SPREAD = NUMBERS["most_log"], 1e-6
 LEAST_TOTAL = float(np.finfo(np.float32).tiny)
 FORWARDS, BACKWARDS = 1, -1
