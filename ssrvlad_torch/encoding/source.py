@@ -118,7 +118,7 @@ def open_frames(
 def picture_files(selection: FrameSelection, database: Database) -> list[FrameFile]:
     """The images of a selection without a layout that is added to a database."""
     frames = SelectedFrames(selection, map_folders=database.folders())
-    return _files_of(frames, Projection(partial(_pose_in, database)), find_image_files)
+    return _files_of(frames, Projection(partial(pose_in, database)), find_image_files)
 
 
 def _labelling(
