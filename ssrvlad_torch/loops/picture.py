@@ -10,6 +10,7 @@ import numpy as np
 from ..evaluation.outcomes import Floats, Rows
 from ..evaluation.trajectory import DARK, GRAY, draw_trajectory
 from ..files import drawn_text, new_figure
+from ..recognition.sequences import runs
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -32,8 +33,8 @@ def draw_loops(
 
     If there are poses ``(N, 3)``, x and y in metres and heading, NaN where unknown, each sequence
     is drawn from above, with a dot at each frame that closes a loop and a line to its candidate. A
-    second chart shows the numbers of such frames against those of their candidates: a stretch that
-    is driven again is a rising line.
+    second chart shows the numbers of such frames against those of their candidates, or the names of
+    several sequences: a stretch that is driven again is a rising line.
     """
     here = np.flatnonzero(loops >= 0)
     there = loops[here]
@@ -68,7 +69,17 @@ def draw_loops(
     ends = (0, max(1, len(loops)))
     axes[-1].plot(ends, ends, color=GRAY, lw=0.8, zorder=0, label="the frame itself")
     axes[-1].set(xlabel="number of the frame", ylabel="number of its candidate")
-    axes[-1].set(xlim=ends, ylim=ends)
+    axes[-1].set(xlim=ends, ylim=ends, aspect="equal")
+    names = list(runs(sequences or []))
+    if len(names) > 1:
+        for run in names:
+            axes[-1].axvline(run.start, color=GRAY, lw=0.5, zorder=0)
+            axes[-1].axhline(run.start, color=GRAY, lw=0.5, zorder=0)
+        middles = [(run.start + run.stop) / 2 for run in names]
+        labels = [drawn_text((sequences or [])[run.start]) for run in names]
+        axes[-1].set(xlabel="frame, by its sequence", ylabel="its candidate, by its sequence")
+        axes[-1].set_xticks(middles, labels)
+        axes[-1].set_yticks(middles, labels, rotation=90, va="center")
     axes[-1].legend(loc="upper left", frameon=False)
     if placed:
         label = "frame, and line to its candidate"

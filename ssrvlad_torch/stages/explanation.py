@@ -264,8 +264,12 @@ def _draw_histogram(axes: Axes, cell: _Cell, harmonic: bool) -> None:
     colours, least = ("Greys", 0) if harmonic else ("RdBu_r", -most)
     axes.pcolormesh(angles, np.arange(rings + 1), arcs, cmap=colours, vmin=least, vmax=most)
     axes.set_theta_direction(-1)  # type: ignore[attr-defined]
-    if harmonic:  # a soft sector is centred on its angle
-        axes.set_theta_offset(np.pi / sectors)  # type: ignore[attr-defined]
+    turned = np.pi / sectors if harmonic else 0  # a soft sector is centred on its angle
+    axes.set_theta_offset(turned)  # type: ignore[attr-defined]
     axes.set_xticks(angles[:-1:_ARC_STEPS], [])
-    axes.set_yticks(np.arange(1, rings + 1), [])
+    axes.set_yticks(np.arange(1, rings + 1), ["near", *[""] * (rings - 2), "far"][-rings:], size=6)
+    axes.set_rlabel_position(45)  # type: ignore[attr-defined]
+    for quarter, name in enumerate(("right", "up", "left", "down")):
+        angle = turned - quarter * np.pi / 2
+        axes.text(angle, 1.18 * rings, name, size=7, ha="center", va="center")
     axes.grid(lw=0.3, color="gray")
