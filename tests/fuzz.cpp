@@ -204,6 +204,7 @@ void closes() {
   const ssrvlad_loops_settings settings{one_in(5) ? int64_t{1} << 62 : between(0, 30), fraction(), one_in(3) ? 50000 : between(1, 60)};
   ssrvlad_loops *loops = ssrvlad_loops_new(&settings, channels.data(), static_cast<int>(count));
   expect(loops, "a stream");
+  if (one_in(4)) expect(!ssrvlad_loops_reserve(loops, between(0, 300)), "memory for frames");
   for (int64_t frame = 0; frame < frames; ++frame) {
     std::vector<const void *> descriptors;
     for (int64_t channel = 0; channel < count; ++channel) {

@@ -219,8 +219,8 @@ class LoopDetector:
 
     @property
     def scans(self) -> bool:
-        """Whether each frame is compared with all old frames by a part of their features, and by
-        all channels with only some; see `native.loops.SCAN_ABOVE`."""
+        """Whether there are more than `native.loops.SCAN_ABOVE` old frames with features: a frame
+        is then compared with all of them by a part of these, and by all channels with only some."""
         signs = any(channel.dtype == "uint8" for channel in self._stream.channels)
         return signs and len(self) - self.config.exclude > SCAN_ABOVE
 

@@ -338,7 +338,7 @@ int ssrvlad_tracker_load(ssrvlad_tracker *tracker, const void *state, int64_t si
 
 namespace {
 
-constexpr int64_t MOST_EXCLUDED = int64_t{1} << 62;
+constexpr int64_t MOST_EXCLUDED = int64_t{1} << 62, MOST_RESERVED = int64_t{1} << 40;
 constexpr int64_t MOST = int64_t{1} << 31;  // numbers of a descriptor, and signs
 
 void check(const ssrvlad_loops_channel &channel) {
@@ -380,6 +380,13 @@ ssrvlad_loops *ssrvlad_loops_new_for(int program, const ssrvlad_loops_settings *
 
 void ssrvlad_loops_free(ssrvlad_loops *loops) { delete loops; }
 
+int ssrvlad_loops_reserve(ssrvlad_loops *loops, int64_t frames) {
+  return guarded([&] {
+    require(loops && frames >= 0 && frames <= MOST_RESERVED, "a stream, and a number of frames up to 2^40");
+    loops->stream.reserve(frames);
+  });
+}
+
 int64_t ssrvlad_loops_rows(const ssrvlad_loops *loops) { return loops ? loops->stream.rows() : 0; }
 
 int ssrvlad_loops_update(ssrvlad_loops *loops, const void *const *descriptors, const int64_t *anchors,
@@ -410,6 +417,7 @@ int ssrvlad_loops_extend(ssrvlad_loops *loops, const void *const *descriptors, c
       const double stamp = stamps ? stamps[row] : std::numeric_limits<double>::quiet_NaN();
       loops->stream.extend(frame(row).data(), stamp, starts[row] != 0);
     }
+    if (frames >= loops->stream.rows() / 8) loops->stream.settle();
   });
 }
 

@@ -190,11 +190,11 @@ Spread Listing::spread(const float *near) const {
   return {mean, std::max(MIN_SPREAD, std::sqrt(squares / number))};
 }
 
-std::vector<float> Belief::of_rows() const {
-  std::vector<float> probabilities(mapped.begin(), mapped.begin() + rows.count);
+std::vector<float> Belief::of_rows(std::vector<float> memory) const {
+  memory.assign(mapped.begin(), mapped.begin() + rows.count);
   for (int speed = 1; speed < SPEEDS; ++speed)
-    add(probabilities.data(), mapped.data() + speed * rows.count, 1, rows.count);
-  return probabilities;
+    add(memory.data(), mapped.data() + speed * rows.count, 1, rows.count);
+  return memory;
 }
 
 // -------------------------------------------------------------------------------------------- filter
@@ -218,8 +218,9 @@ Size Filter::places() const {
 
 double Filter::unmapped_at_start() const { return drives_.rows ? motion_.unmapped : 1.0; }
 
-Belief Filter::start(const Rows &rows) const {
-  Belief belief{rows, {}, 0, unmapped_at_start()};
+Belief Filter::start(const Rows &rows, std::vector<float> memory) const {
+  memory.clear();
+  Belief belief{rows, std::move(memory), 0, unmapped_at_start()};
   const double share = (1 - belief.unmapped) / static_cast<double>(places());
   belief.mapped.reserve(ways_.size() * SPEEDS * static_cast<std::size_t>(rows.count));
   for (std::size_t way = 0; way < ways_.size(); ++way)
@@ -231,9 +232,9 @@ Belief Filter::start(const Rows &rows) const {
   return belief;
 }
 
-Belief Filter::extended(const Belief &belief, const Rows &rows) const {
-  Belief more{rows, {}, belief.elsewhere, belief.unmapped};
-  more.mapped.resize(ways_.size() * SPEEDS * static_cast<std::size_t>(rows.count));
+Belief Filter::extended(const Belief &belief, const Rows &rows, std::vector<float> memory) const {
+  memory.assign(ways_.size() * SPEEDS * static_cast<std::size_t>(rows.count), 0);
+  Belief more{rows, std::move(memory), belief.elsewhere, belief.unmapped};
   const auto copy = [&](const Run &run, Size row, Size place, Size count) {
     for (std::size_t state = 0; state < ways_.size() * SPEEDS; ++state)
       std::copy_n(belief.mapped.data() + static_cast<Size>(state) * belief.rows.count + run.at +
@@ -292,11 +293,12 @@ double Filter::transition(const Belief &before, Belief &after, double &lost) con
   return left;
 }
 
-Belief Filter::predicted(const Belief &before, const Rows &rows) const {
+Belief Filter::predicted(const Belief &before, const Rows &rows, std::vector<float> memory) const {
   if (!drives_.rows) return {rows, {}, 0, 1};
   const Size here = before.rows.count, there = rows.count;
   const auto ways = static_cast<Size>(ways_.size());
-  Belief after{rows, std::vector<float>(static_cast<std::size_t>(ways * SPEEDS * there)), 0, 0};
+  memory.assign(static_cast<std::size_t>(ways * SPEEDS * there), 0);
+  Belief after{rows, std::move(memory), 0, 0};
   double lost = motion_.jump * (1 - before.unmapped);
   const double left = transition(before, after, lost);
   Size fresh = 0;  // listed now, but not before

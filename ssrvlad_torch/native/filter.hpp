@@ -121,8 +121,8 @@ struct Belief {
   std::vector<float> mapped;
   double elsewhere = 0, unmapped = 1;
 
-  // Probabilities of the listed rows in the first way, `count` numbers.
-  std::vector<float> of_rows() const;
+  // Probabilities of the listed rows in the first way, `count` numbers; in memory that was used before.
+  std::vector<float> of_rows(std::vector<float> memory = {}) const;
 };
 
 // How likely a frame is at each listed row, and on average at the others, as against a place that the
@@ -154,11 +154,11 @@ class Filter {
   std::pair<Size, Size> reach() const;
 
   // The belief in listed rows before the first frame of a drive.
-  Belief start(const Rows &rows) const;
+  Belief start(const Rows &rows, std::vector<float> memory = {}) const;
   // The belief with more rows listed, of which nothing is believed.
-  Belief extended(const Belief &belief, const Rows &rows) const;
+  Belief extended(const Belief &belief, const Rows &rows, std::vector<float> memory = {}) const;
   // The belief in listed rows one frame later, before that frame is seen.
-  Belief predicted(const Belief &before, const Rows &rows) const;
+  Belief predicted(const Belief &before, const Rows &rows, std::vector<float> memory = {}) const;
   // Takes a frame into a belief: the logarithm of how much likelier the frame is so than alone. After a
   // frame that can be nowhere by the belief, this starts anew, with the frame if it can be anywhere.
   double update(Belief &belief, const Likelihood &likelihood) const;

@@ -3,6 +3,7 @@
 #include "live.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstring>
 
@@ -15,10 +16,17 @@ constexpr Size AHEAD = 1024;    // numbers that come from memory while others ar
 constexpr Size TOGETHER = 3;     // anchors that are compared with a row at once
 constexpr Size MANY = 1 << 13;  // rows from which threads share them
 constexpr double LENGTH_TOLERANCE = 1e-3;
-constexpr Size PART = 2;  // bytes of a cell by which all rows of a large memory are compared
+constexpr Size REACH = 2;       // columns by which signs are moved to each side
+constexpr Size MOST_MOVES = 64;
+constexpr Size PART = 2;        // bytes of a cell by which frames are roughly compared
+constexpr Size DIGITS = 20;     // of the mean of a stretch that has ended
+constexpr double LEVELS = (1 << DIGITS) - 1;
 constexpr double MIN_SQUARE = 1e-9, LEAST = 1e-3;  // of a length without a mean, of two lengths' product
 
 std::size_t place(Size at) { return static_cast<std::size_t>(at); }
+
+// What a digit of a mean weighs.
+double weight(Size digit) { return static_cast<double>(1 << digit) / LEVELS; }
 
 SSRVLAD_INLINE void prefetch(const void *numbers) { __builtin_prefetch(numbers); }
 
@@ -47,12 +55,13 @@ void best_of(const float *rows, Size count, Size width, const float *mean, const
 }
 
 // Calls a function for the rows from `first` to `last` that are of each stretch.
-template <class Stretches, class Function>
-void by_stretch(const Stretches &stretches, Size first, Size last, Function function) {
-  for (std::size_t number = 0; number < stretches.size(); ++number) {
-    const Size end = number + 1 < stretches.size() ? stretches[number + 1].first : last;
-    const Size from = std::max(first, stretches[number].first), to = std::min(last, end);
-    if (from < to) function(stretches[number], from, to);
+template <class Stretch, class Function>
+void by_stretch(const std::vector<Stretch> &stretches, Size first, Size last, Function function) {
+  auto next = std::upper_bound(stretches.begin(), stretches.end(), first,
+                               [](Size row, const Stretch &stretch) { return row < stretch.first; });
+  for (Size from = first, to; from < last; from = to, ++next) {
+    to = next == stretches.end() ? last : std::min(last, next->first);
+    function(*std::prev(next), from, to);
   }
 }
 
@@ -75,12 +84,6 @@ void by_choice(const Chosen &chosen, const GrowingRows<Number> &rows, Size width
   }
 }
 
-// The numbers of bits in which a column of a frame differs from that of another.
-Size differing(const Word *one, const Word *other, Size words) {
-  std::int32_t bits;
-  count_moves(one, other, 1, {1, 1, words, 0, 0}, &bits);
-  return bits;
-}
 }  // namespace
 
 // ------------------------------------------------------------------------------------------- vectors
@@ -89,6 +92,7 @@ LiveVectors::LiveVectors(Size length)
     : length_(length),
       width_((length + LANES - 1) / LANES * LANES),
       rows_(width_),
+      stretches_(1),
       total_(place(length)),
       before_(place(length)) {}
 
@@ -107,6 +111,11 @@ bool LiveVectors::fits(const void *swept, Size anchors) const {
   return anchors % 2 == 1;
 }
 
+void LiveVectors::reserve(Size frames) {
+  rows_.reserve(frames);
+  empty_.reserve(place(frames));
+}
+
 void LiveVectors::append(const void *descriptor) {
   const auto *vector = static_cast<const float *>(descriptor);
   float *row = rows_.append();
@@ -118,28 +127,23 @@ void LiveVectors::append(const void *descriptor) {
 }
 
 void LiveVectors::start_stretch() {
-  if (first_ == rows()) return;
-  finished_.push_back({first_, mean(nullptr)});
+  if (stretches_.back().first == rows()) return;
+  compute_mean();
+  stretches_.push_back({rows(), {}});
   for (Size i = 0; i < length_; ++i) before_[place(i)] += total_[place(i)];
   std::fill(total_.begin(), total_.end(), 0.0);
   counted_before_ += counted_;
   counted_ = 0;
-  first_ = rows();
 }
 
-// The mean of the present stretch, with another frame if there is one.
-std::vector<float> LiveVectors::mean(const float *next) const {
-  Size counted = counted_ + (next && !empty(next)) + (counted_before_ ? MODEL.before : 0);
-  counted = std::max<Size>(1, counted);
+void LiveVectors::compute_mean() {
+  const auto counted = static_cast<double>(std::max<Size>(1, counted_ + (counted_before_ ? MODEL.before : 0)));
   const double share =
       counted_before_ ? static_cast<double>(MODEL.before) / static_cast<double>(counted_before_) : 0;
-  std::vector<float> mean(place(width_));
-  for (Size i = 0; i < length_; ++i) {
-    const double own = total_[place(i)] + (next ? static_cast<double>(next[i]) : 0);
-    mean[place(i)] =
-        static_cast<float>((own + before_[place(i)] * share) / static_cast<double>(counted));
-  }
-  return mean;
+  std::vector<float> &mean = stretches_.back().mean;
+  mean.resize(place(width_));
+  for (Size i = 0; i < length_; ++i)
+    mean[place(i)] = static_cast<float>((total_[place(i)] + before_[place(i)] * share) / counted);
 }
 
 // Anchors without the mean, of length 1 again; those that equal it are zero.
@@ -159,11 +163,11 @@ std::vector<float> LiveVectors::centred(const float *swept, Size anchors, const 
 
 void LiveVectors::scores(const void *swept, Size anchors, int threads, const Chosen &chosen,
                          float *scores) {
-  const auto *given = static_cast<const float *>(swept);
-  auto stretches = finished_;
-  stretches.push_back({first_, mean(given + anchors / 2 * length_)});
-  const std::vector<float> all = centred(given, anchors, stretches.back().mean.data());
-  over_blocks(rows(), GrowingRows<float>::ROWS, rows() < MANY ? 1 : threads, [&](Size first, Size last) {
+  compute_mean();
+  const std::vector<float> all =
+      centred(static_cast<const float *>(swept), anchors, stretches_.back().mean.data());
+  const Size count = rows() - 1;
+  over_blocks(count, GrowingRows<float>::ROWS, count < MANY ? 1 : threads, [&](Size first, Size last) {
     float squares[GrowingRows<float>::ROWS];
     std::fill(scores + first, scores + last, NONE);
     const auto compare = [&](const Stretch &stretch, Size from, Size to) {
@@ -179,7 +183,7 @@ void LiveVectors::scores(const void *swept, Size anchors, int threads, const Cho
         scores[row] = empty_[place(row)] ? NONE : scores[row] / static_cast<float>(std::sqrt(square));
       }
     };
-    by_stretch(stretches, first, last, [&](const Stretch &stretch, Size from, Size to) {
+    by_stretch(stretches_, first, last, [&](const Stretch &stretch, Size from, Size to) {
       by_choice(chosen, rows_, width_, from, to,
                 [&](Size start, Size end) { compare(stretch, start, end); });
     });
@@ -199,424 +203,317 @@ double LiveVectors::cosine(const void *one, const void *other) const {
 
 // --------------------------------------------------------------------------------------------- signs
 
-StoredSigns::StoredSigns(Size columns, Size size)
+CountedSigns::CountedSigns(Size columns, Size bytes)
     : columns_(columns),
-      size_(size),
-      grid_{columns, 1, (size + 7) / 8, REACH, 0},
-      rows_(grid_.size()),
-      nothing_(place(grid_.size())) {}
-
-bool StoredSigns::empty(const void *descriptor) const {
-  const auto *bytes = static_cast<const std::uint8_t *>(descriptor);
-  return std::all_of(bytes, bytes + columns_ * size_, [](std::uint8_t byte) { return byte == 0; });
+      bytes_(bytes),
+      grid_{columns, 1, (bytes + 7) / 8, std::min(REACH, columns - 1), 0},
+      moves_(grid_.moves()),
+      nothing_(place(grid_.size())),
+      frames_(grid_.size(), 4 * moves_),
+      planes_(grid_.size(), 4 * moves_),
+      stretches_(1) {
+  for (Size product = 0; product < 2 * moves_; ++product)
+    bits_.push_back(static_cast<double>(8 * bytes * grid_.overlap(product % moves_).cells()));
+  for (Products *products : {&of_all_, &of_all_before_, &of_before_all_, &of_before_, &with_all_, &with_before_})
+    products->resize(bits_.size());
 }
 
-std::vector<Word> StoredSigns::packed(const void *descriptor) const {
-  const auto *bytes = static_cast<const std::uint8_t *>(descriptor);
-  std::vector<Word> frame(nothing_);
+void CountedSigns::Store::append(const Word *words) {
+  std::copy_n(words, size, signs.append());
+  std::fill_n(products.append(), width, 0.0);
+  *marks.append() = {};
+}
+
+void CountedSigns::reserve(Size frames) {
+  frames_.signs.reserve(frames);
+  frames_.products.reserve(frames);
+  frames_.marks.reserve(frames);
+}
+
+CountedSigns::Words CountedSigns::packed(const std::uint8_t *signs) const {
+  Words frame(place(grid_.size()));
   for (Size column = 0; column < columns_; ++column)
-    std::memcpy(frame.data() + column * grid_.words, bytes + column * size_, place(size_));
+    std::memcpy(frame.data() + column * grid_.words, signs + column * bytes_, place(bytes_));
   return frame;
 }
 
-double StoredSigns::bits(int move) const {
-  return static_cast<double>(8 * size_ * std::max<Size>(0, columns_ - std::abs(move)));
+void CountedSigns::copy(Size first, Size last, std::uint8_t *signs) const {
+  for (Size row = first; row < last; ++row)
+    for (Size column = 0; column < columns_; ++column, signs += bytes_)
+      std::memcpy(signs, frames_.signs[row] + column * grid_.words, place(bytes_));
 }
 
-Size StoredSigns::together(Size column) const {
-  return column == REACH ? std::max<Size>(1, columns_ - 2 * REACH) : 1;
+double CountedSigns::cosine(const std::uint8_t *one, const std::uint8_t *other) const {
+  const Size middle = moves_ / 2;
+  std::array<std::int32_t, MOST_MOVES> differing;
+  count_moves(packed(one).data(), packed(other).data(), 1, grid_, differing.data());
+  return 1 - 2.0 * differing[place(middle)] / bits_[place(middle)];
 }
 
-void StoredSigns::add(const Word *frame, Sum &sum) const {
+// Adds products of signs, the first `size` of both kinds.
+void CountedSigns::add_product(const Word *moved, const Word *signs, double factor, double *sums,
+                               Size size) const {
+  std::array<std::int32_t, 2 * MOST_MOVES> differing;
+  count_moves(moved, signs, 1, grid_, differing.data());
+  if (size > moves_) count_in_place(moved, signs, 1, grid_, differing.data() + moves_);
+  for (Size product = 0; product < size; ++product)
+    sums[product] += factor * (bits_[place(product)] - 2.0 * differing[place(product)]);
+}
+
+// Adds the products with a sum. A count of frames is the sum of half the numbers 1 and -1 of each digit, and
+// half of all its values.
+void CountedSigns::add_sum(const Sum &sum, const Word *signs, double *sums, Size size) const {
+  double value = 1;
+  for (const Words &digit : sum.digits) add_product(digit.data(), signs, value, sums, size), value *= 2;
+  add_product(nothing_.data(), signs, static_cast<double>(sum.frames) + 1 - value, sums, size);
+}
+
+void CountedSigns::add(const Word *frame, Sum &sum) const {
   ++sum.frames;
-  std::vector<Word> carry(frame, frame + grid_.size());
-  for (std::size_t plane = 0; sum.frames >> plane; ++plane) {
-    if (plane == sum.planes.size()) sum.planes.push_back(nothing_);
+  Words carry(frame, frame + grid_.size());
+  for (std::size_t digit = 0; sum.frames >> digit; ++digit) {
+    if (digit == sum.digits.size()) sum.digits.emplace_back(carry.size());
     for (std::size_t word = 0; word < carry.size(); ++word) {
-      const Word both = carry[word] & sum.planes[plane][word];
-      sum.planes[plane][word] ^= carry[word];
+      const Word both = carry[word] & sum.digits[digit][word];
+      sum.digits[digit][word] ^= carry[word];
       carry[word] = both;
     }
   }
 }
 
-void StoredSigns::store(const Word *frame) {
-  std::copy_n(frame, grid_.size(), rows_.append());
-  add(frame, own_);
-  add(frame, every_);
+CountedSigns::Mean CountedSigns::mean() const {
+  const auto before = static_cast<double>(before_.frames), own = static_cast<double>(all_.frames) - before;
+  if (!before_.frames) return {own, 0};
+  return {own + static_cast<double>(MODEL.before), static_cast<double>(MODEL.before) / before - 1};
 }
 
-void StoredSigns::copy(Size first, Size last, void *descriptors) const {
-  auto *out = static_cast<std::uint8_t *>(descriptors);
-  for (Size row = first; row < last; ++row)
-    for (Size column = 0; column < columns_; ++column, out += size_)
-      std::memcpy(out, rows_[row] + column * grid_.words, place(size_));
-}
-
-double StoredSigns::cosine(const void *one, const void *other) const {
-  return 1 - 2 * static_cast<double>(differing(packed(one).data(), packed(other).data(), grid_.size())) /
-                 bits(0);
-}
-
-LiveSigns::Products LiveSigns::with(const Word *frame, const Sum &sum) const {
-  Products products;
-  const auto add_products = [&](const Word *signs, double factor) {
-    std::array<std::int32_t, MOVES> different;
-    count_moves(signs, frame, 1, grid_, different.data());
-    for (int move = -REACH; move <= REACH; ++move)
-      products.moved[place(move + REACH)] += factor * (bits(move) - 2.0 * different[place(move + REACH)]);
-    for (Size column = 0, count; column < columns_; column += count) {
-      const Size at = column * grid_.words;
-      count = together(column);
-      const auto product = static_cast<double>(
-          8 * size_ * count - 2 * differing(signs + at, frame + at, grid_.words * count));
-      for (int move = -REACH; move <= REACH; ++move)
-        if (leaves(move, column)) products.there[place(move + REACH)] += factor * product;
-    }
-  };
-  // A count of frames is the sum of half the numbers 1 and -1 of each plane, and half of all its values.
-  double value = 1;
-  for (const auto &plane : sum.planes) add_products(plane.data(), value), value *= 2;
-  add_products(nothing_.data(), static_cast<double>(sum.frames) + 1 - value);
-  return products;
-}
-
-LiveSigns::Stretch LiveSigns::present(Size fresh) const {
-  const double before = static_cast<double>(first_), own = static_cast<double>(rows() - first_ + fresh);
-  if (!first_) return {first_, 0, own};
-  return {first_, static_cast<double>(MODEL.before) / before, own + static_cast<double>(MODEL.before)};
-}
-
-LiveSigns::Products LiveSigns::with_sum(const Products &own, const Products &every) const {
-  Products sum;
-  const double share = present(0).share;
-  for (std::size_t move = 0; move < MOVES; ++move) {
-    sum.moved[move] = own.moved[move] + share * (every.moved[move] - own.moved[move]);
-    sum.there[move] = own.there[move] + share * (every.there[move] - own.there[move]);
+CountedSigns::Products CountedSigns::squares(const Mean &mean) const {
+  Products squares;
+  for (std::size_t product = 0; product < bits_.size(); ++product) {
+    const double both = of_all_before_[product] + of_before_all_[product];
+    const double sum = of_all_[product] + mean.less * both + mean.less * mean.less * of_before_[product];
+    squares.push_back(sum / (mean.frames * mean.frames));
   }
-  return sum;
-}
-
-double LiveSigns::square_of_sum(std::size_t move) const {
-  const double share = present(0).share;
-  return own_square_[move] + 2 * share * own_with_before_[move] + share * share * before_square_[move];
-}
-
-void LiveSigns::store_with(const Word *frame, const Products &own, const Products &every) {
-  for (int move = -REACH; move <= REACH; ++move) {
-    const std::size_t at = place(move + REACH);
-    own_square_[at] += 2 * own.there[at] + bits(move);
-    own_with_before_[at] += every.there[at] - own.there[at];
-  }
-  store(frame);
-  compared_ = false;
-}
-
-void LiveSigns::extend(const void *descriptor) {
-  const std::vector<Word> frame = packed(descriptor);
-  store_with(frame.data(), with(frame.data(), own_), with(frame.data(), every_));
-  for (auto *each : {&with_every_, &with_present_, &there_or_length_})
-    for (auto &of_rows : *each) of_rows.push_back(0);
-  counted_ = false;
-}
-
-void LiveSigns::append(const void *descriptor) {
-  const std::vector<Word> frame = packed(descriptor);
-  if (!compared_) compare(frame.data(), 1);
-  const Products sum = with_sum(last_own_, last_every_);
-  for (int move = -REACH; move <= REACH; ++move) {
-    const std::size_t at = place(move + REACH);
-    for (std::size_t row = 0; row < moved_[at].size(); ++row) {
-      with_every_[at][row] += moved_[at][row];
-      with_present_[at][row] += moved_[at][row];
-    }
-    for (std::size_t row = 0; row < there_[at].size(); ++row)
-      there_or_length_[at][place(first_) + row] += there_[at][row];
-    with_every_[at].push_back(last_every_.moved[at] + last_self_[at]);
-    with_present_[at].push_back(sum.moved[at] + last_self_[at]);
-    there_or_length_[at].push_back(sum.there[at] + bits(move));
-  }
-  store_with(frame.data(), last_own_, last_every_);
-}
-
-void LiveSigns::recount() {
-  if (counted_) return;
-  for (Size row = 0; row < rows(); ++row) {
-    const Products every = with(rows_[row], every_), sum = with_sum(with(rows_[row], own_), every);
-    for (std::size_t move = 0; move < MOVES; ++move) {
-      with_every_[move][place(row)] = every.moved[move];
-      with_present_[move][place(row)] = sum.moved[move];
-      if (row >= first_) there_or_length_[move][place(row)] = sum.there[move];
-    }
-  }
-  counted_ = true;
-}
-
-void LiveSigns::start_stretch() {
-  if (first_ == rows()) return;
-  if (!counted_)
-    for (Size row = first_; row < rows(); ++row) {
-      const Products sum = with_sum(with(rows_[row], own_), with(rows_[row], every_));
-      for (std::size_t move = 0; move < MOVES; ++move)
-        there_or_length_[move][place(row)] = sum.there[move];
-    }
-  finished_.push_back(present(0));
-  for (int move = -REACH; move <= REACH; ++move) {
-    const std::size_t at = place(move + REACH);
-    const double frames = finished_.back().frames;
-    const double square = bits(move) + square_of_sum(at) / (frames * frames);
-    for (Size row = first_; row < rows(); ++row) {
-      double &there = there_or_length_[at][place(row)];
-      there = std::sqrt(std::max(0.0, square - 2 * there / frames));
-    }
-    before_square_[at] += 2 * own_with_before_[at] + own_square_[at];
-    own_square_[at] = own_with_before_[at] = 0;
-  }
-  own_ = {};
-  first_ = rows();
-  for (std::size_t move = 0; move < MOVES; ++move)
-    for (std::size_t row = 0; row < with_every_[move].size(); ++row)
-      with_present_[move][row] = present(0).share * with_every_[move][row];
-  compared_ = false;
-}
-
-void LiveSigns::compare(const Word *frame, int threads) {
-  recount();
-  last_own_ = with(frame, own_);
-  last_every_ = with(frame, every_);
-  std::array<std::int32_t, MOVES> own;
-  count_moves(frame, frame, 1, grid_, own.data());
-  for (int move = -REACH; move <= REACH; ++move) {
-    const std::size_t at = place(move + REACH);
-    last_self_[at] = bits(move) - 2.0 * own[at];
-    moved_[at].resize(place(rows()));
-    there_[at].assign(place(rows() - first_), 0);
-  }
-  over_blocks(rows(), GrowingRows<Word>::ROWS, rows() < MANY ? 1 : threads, [&](Size first, Size last) {
-    const Size count = last - first;
-    std::vector<std::int32_t> different(place(MOVES * count));
-    count_moves(frame, rows_[first], count, grid_, different.data());
-    for (int move = -REACH; move <= REACH; ++move)
-      for (Size row = 0; row < count; ++row)
-        moved_[place(move + REACH)][place(first + row)] =
-            static_cast<std::int32_t>(bits(move)) - 2 * different[place((move + REACH) * count + row)];
-    for (Size row = std::max(first, first_); row < last; ++row)
-      for (Size column = 0, count; column < columns_; column += count) {
-        const Size at = column * grid_.words;
-        count = together(column);
-        const Size product =
-            8 * size_ * count - 2 * differing(frame + at, rows_[row] + at, grid_.words * count);
-        for (int move = -REACH; move <= REACH; ++move)
-          if (leaves(move, column))
-            there_[place(move + REACH)][place(row - first_)] += static_cast<std::int32_t>(product);
-      }
-  });
-  compared_ = true;
-}
-
-// Takes a move of the frame that was compared last into the scores of all rows.
-void LiveSigns::score(int move, std::vector<double> &centred, float *scores) const {
-  const std::size_t at = place(move + REACH), back = place(REACH - move);
-  const Stretch now = present(1);
-  const Products sum = with_sum(last_own_, last_every_);
-  const auto square = [&](std::size_t of) {  // of the mean with the frame
-    const double all = square_of_sum(of) + 2 * sum.there[of] + bits(move);
-    return all / (now.frames * now.frames);
-  };
-  const double query = std::sqrt(
-      std::max(0.0, bits(move) - 2 * (sum.there[back] + bits(move)) / now.frames + square(back)));
-  const double self = last_self_[at] - (sum.moved[at] + last_self_[at]) / now.frames;
-  auto stretches = finished_;
-  stretches.push_back(now);
-  double before = 0;  // sum of the rows of earlier stretches
-  by_stretch(stretches, 0, rows(), [&](const Stretch &stretch, Size from, Size to) {
-    const bool is_now = from >= first_;
-    double own = is_now ? self : 0;
-    for (Size row = from; row < to; ++row) {
-      const double product = moved_[at][place(row)];
-      centred[place(row)] = product - (with_present_[at][place(row)] + product) / now.frames;
-      own += centred[place(row)];
-    }
-    const double of_mean = (own + stretch.share * before) / stretch.frames;
-    const double most = bits(move) + square(at);
-    for (Size row = from; row < to; ++row) {
-      double length = there_or_length_[at][place(row)];
-      if (is_now) {
-        const double there = length + there_[at][place(row - first_)];
-        length = std::sqrt(std::max(0.0, most - 2 * there / now.frames));
-      }
-      const double score = (centred[place(row)] - of_mean) / std::max(query * length, LEAST);
-      scores[row] = std::max(scores[row], static_cast<float>(std::min(score, 1.0)));
-    }
-    before += own;
-  });
-}
-
-std::unique_ptr<LiveChannel> LiveSigns::large() const {
-  auto large = std::make_unique<LargeSigns>(columns_, size_, cell_);
-  std::vector<std::uint8_t> descriptor(place(bytes()));
-  auto stretches = finished_;
-  stretches.push_back(present(0));
-  by_stretch(stretches, 0, rows(), [&](const Stretch &, Size from, Size to) {
-    large->start_stretch();
-    for (Size row = from; row < to; ++row) {
-      copy(row, row + 1, descriptor.data());
-      large->extend(descriptor.data());
-    }
-  });
-  if (first_ == rows()) large->start_stretch();
-  return large;
-}
-
-void LiveSigns::scores(const void *swept, Size, int threads, const Chosen &, float *scores) {
-  compare(packed(swept).data(), threads);
-  std::fill(scores, scores + rows(), NONE);
-  std::vector<double> centred(place(rows()));
-  for (int move = -REACH; move <= REACH; ++move) score(move, centred, scores);
-}
-
-// ------------------------------------------------------------------------------- signs of a large memory
-
-LargeSigns::LargeSigns(Size columns, Size size, Size cell)
-    : StoredSigns(columns, size),
-      cell_(cell),
-      stride_(std::max<Size>(1, cell / PART)),
-      part_(columns, size / cell * ((cell + stride_ - 1) / stride_), PART) {}
-
-// Some bytes of each cell, evenly spaced.
-std::vector<std::uint8_t> LargeSigns::part(const void *descriptor) const {
-  const auto *bytes = static_cast<const std::uint8_t *>(descriptor);
-  std::vector<std::uint8_t> signs;
-  for (Size cell = 0; cell < columns_ * size_; cell += cell_)
-    for (Size at = 0; at < cell_; at += stride_) signs.push_back(bytes[cell + at]);
-  return signs;
-}
-
-void LargeSigns::append(const void *descriptor) {
-  store(packed(descriptor).data());
-  part_.append(part(descriptor).data());
-}
-
-void LargeSigns::extend(const void *descriptor) {
-  store(packed(descriptor).data());
-  part_.extend(part(descriptor).data());
-}
-
-void LargeSigns::start_stretch() {
-  if (first_ == rows()) return;
-  finished_.push_back(mean(own_, every_));
-  own_ = {};
-  first_ = rows();
-  part_.start_stretch();
-}
-
-LargeSigns::Mean LargeSigns::mean(const Sum &own, const Sum &every) const {
-  const Size before = every.frames - own.frames;
-  const double frames = static_cast<double>(own.frames + (before ? MODEL.before : 0));
-  Mean mean{first_, {std::vector<Word>(place(PLANES * grid_.size())), {}},
-            std::vector<double>(place(columns_))};
-  for (int plane = 0; plane < PLANES; ++plane)
-    mean.planes.weights.push_back(static_cast<double>(1 << plane) / LEVELS);
-  constexpr Size BITS = 64;
-  for (Size word = 0; word < grid_.size(); ++word) {
-    std::array<std::int32_t, BITS> own_ones{}, ones{}, levels;
-    const auto add_ones = [&](const Sum &sum, std::array<std::int32_t, BITS> &counts) {
-      for (std::size_t plane = 0; plane < sum.planes.size(); ++plane)
-        for (std::size_t bit = 0; bit < BITS; ++bit)
-          counts[bit] += static_cast<std::int32_t>(sum.planes[plane][place(word)] >> bit & 1) << plane;
-    };
-    add_ones(own, own_ones);
-    add_ones(every, ones);
-    const Size used = std::min(BITS, 8 * size_ - word % grid_.words * BITS);
-    for (std::size_t bit = 0; bit < static_cast<std::size_t>(used); ++bit) {
-      const double here = 2.0 * own_ones[bit] - static_cast<double>(own.frames);
-      const double there = 2.0 * (ones[bit] - own_ones[bit]) - static_cast<double>(before);
-      const double sum = before ? here + MODEL.before * there / static_cast<double>(before) : here;
-      levels[bit] = static_cast<std::int32_t>(sum / frames * (LEVELS / 2.0) + (LEVELS + 1) / 2.0);
-    }
-    for (std::size_t bit = 0; bit < static_cast<std::size_t>(used); ++bit) {
-      for (int plane = 0; plane < PLANES; ++plane)
-        mean.planes.signs[place(plane * grid_.size() + word)] |=
-            static_cast<Word>(levels[bit] >> plane & 1) << bit;
-      const double value = 2.0 * levels[bit] / LEVELS - 1;
-      mean.squares[place(word / grid_.words)] += value * value;
-    }
-  }
-  return mean;
-}
-
-LargeSigns::ByMove LargeSigns::product(const Planes &vector, const Word *frame) const {
-  ByMove products{};
-  for (std::size_t plane = 0; plane < vector.weights.size(); ++plane) {
-    std::array<std::int32_t, MOVES> different;
-    count_moves(vector.signs.data() + static_cast<Size>(plane) * grid_.size(), frame, 1, grid_,
-                different.data());
-    for (int move = -REACH; move <= REACH; ++move)
-      products[place(move + REACH)] +=
-          vector.weights[plane] * (bits(move) - 2.0 * different[place(move + REACH)]);
-  }
-  return products;
-}
-
-LargeSigns::ByMove LargeSigns::lengths(const Word *frame, const Mean &mean, bool is_moved) const {
-  ByMove squares{};
-  for (Size column = 0, count; column < columns_; column += count) {
-    count = together(column);
-    const Size at = column * grid_.words, words = count * grid_.words;
-    double square = static_cast<double>(8 * size_ * count);
-    for (Size next = 0; next < count; ++next) square += mean.squares[place(column + next)];
-    for (std::size_t plane = 0; plane < PLANES; ++plane) {
-      const Word *signs = mean.planes.signs.data() + static_cast<Size>(plane) * grid_.size() + at;
-      square -= 2 * mean.planes.weights[plane] *
-                static_cast<double>(8 * size_ * count - 2 * differing(signs, frame + at, words));
-    }
-    for (int move = -REACH; move <= REACH; ++move)
-      if (leaves(is_moved ? -move : move, column)) squares[place(move + REACH)] += square;
-  }
-  for (double &square : squares) square = std::sqrt(std::max(0.0, square));
   return squares;
 }
 
-void LargeSigns::scores(const void *swept, Size anchors, int threads, const Chosen &chosen,
-                        float *scores) {
-  if (chosen.empty()) return part_.scores(part(swept).data(), anchors, threads, chosen, scores);
-  const std::vector<Word> frame = packed(swept);
-  Sum own = own_, every = every_;
-  add(frame.data(), own);
-  add(frame.data(), every);
-  finished_.push_back(mean(own, every));  // that of the present stretch, for now
-  const auto &stretches = finished_;
-  const Mean &now = stretches.back();
-  const ByMove moved = lengths(frame.data(), now, true);
-  Planes query{frame, {1}};  // less its mean
-  query.signs.insert(query.signs.end(), now.planes.signs.begin(), now.planes.signs.end());
-  for (const double weight : now.planes.weights) query.weights.push_back(-weight);
-  std::vector<ByMove> of_means(stretches.size());
-  for (std::size_t number = 0; number < stretches.size(); ++number)
-    for (std::size_t plane = 0; plane < PLANES; ++plane) {
-      const Planes &planes = stretches[number].planes;
-      const ByMove products =
-          product(query, planes.signs.data() + static_cast<Size>(plane) * grid_.size());
-      for (std::size_t move = 0; move < MOVES; ++move)
-        of_means[number][move] += planes.weights[plane] * products[move];
+void CountedSigns::append(const std::uint8_t *signs) {
+  const Words frame = packed(signs);
+  frames_.append(frame.data());
+  add(frame.data(), all_);
+  Products self(bits_.size());
+  add_product(frame.data(), frame.data(), 1, self.data(), 2 * moves_);
+  std::fill(with_all_.begin(), with_all_.end(), 0);
+  std::fill(with_before_.begin(), with_before_.end(), 0);
+  add_sum(all_, frame.data(), with_all_.data(), 2 * moves_);
+  add_sum(before_, frame.data(), with_before_.data(), 2 * moves_);
+  for (std::size_t product = 0; product < self.size(); ++product) {
+    const auto mirror = place(mirrored(static_cast<Size>(product)));
+    of_all_[product] += with_all_[product] + with_all_[mirror] - self[product];
+    of_all_before_[product] += with_before_[mirror];
+    of_before_all_[product] += with_before_[product];
+  }
+}
+
+void CountedSigns::start_stretch() {
+  Stretch &ended = stretches_.back();
+  if (ended.first == rows()) return;
+  const Mean mean = this->mean();
+  const Products squares = this->squares(mean);
+  ended.squares.assign(squares.begin() + moves_, squares.end());
+  for (Size row = ended.first; row < rows(); ++row) {
+    Mark &mark = *frames_.marks[row];
+    mark.is_measured = mark.stretch == present() && mark.frames == rows();
+    if (mark.is_measured) to_lengths(ended, mean, frames_.products[row] + moves_);
+  }
+  append_mean(mean);
+  before_ = all_;
+  of_all_before_ = of_before_all_ = of_before_ = of_all_;
+  stretches_.push_back({rows(), {}});
+}
+
+// Makes of the products in place of a row, with the sums of all and before, or with a mean, its lengths.
+void CountedSigns::to_lengths(const Stretch &stretch, const Mean &mean, double *products) const {
+  for (Size move = 0; move < moves_; ++move) {
+    const double product = mean.of(products, products + 2 * moves_, move);
+    const double square = bits_[place(move)] - 2 * product + stretch.squares[place(move)];
+    products[move] = std::sqrt(std::max(0.0, square));
+  }
+}
+
+void CountedSigns::append_mean(const Mean &mean) {
+  constexpr Size BITS = 64;
+  std::vector<Words> planes(DIGITS, Words(place(grid_.size())));
+  for (Size word = 0; word < grid_.size(); ++word) {
+    std::array<std::array<std::int32_t, BITS>, 2> counts{};
+    for (const Sum *sum : {&all_, &before_})
+      for (std::size_t digit = 0; digit < sum->digits.size(); ++digit)
+        for (std::size_t bit = 0; bit < BITS; ++bit)
+          counts[sum == &before_][bit] += static_cast<std::int32_t>(sum->digits[digit][place(word)] >> bit & 1) << digit;
+    for (Size bit = 0; bit < std::min(BITS, 8 * bytes_ - word % grid_.words * BITS); ++bit) {
+      const double all = 2.0 * counts[0][place(bit)] - static_cast<double>(all_.frames);
+      const double before = 2.0 * counts[1][place(bit)] - static_cast<double>(before_.frames);
+      const double share = (mean.of(&all, &before, 0) + 1) / 2;
+      const auto level = static_cast<Word>(std::lround(LEVELS * std::max(0.0, std::min(share, 1.0))));
+      for (Size digit = 0; digit < DIGITS; ++digit)
+        planes[place(digit)][place(word)] |= (level >> digit & 1) << bit;
     }
-  over_blocks(rows(), GrowingRows<Word>::ROWS, rows() < MANY ? 1 : threads, [&](Size first, Size last) {
+  }
+  for (const Words &plane : planes) planes_.append(plane.data());
+}
+
+// Brings the first `size` products of a row to the sum of the first frames; `sum` has these and perhaps more.
+void CountedSigns::bring(Store &store, Size row, Size to, const Sum &sum, Size size) const {
+  Mark &mark = *store.marks[row];
+  const Word *signs = store.signs[row];
+  double *all = store.products[row];
+  if (to - mark.frames <= static_cast<Size>(sum.digits.size())) {
+    for (Size frame = mark.frames; frame < to; ++frame) add_product(frames_.signs[frame], signs, 1, all, size);
+  } else {
+    std::fill_n(all, size, 0.0);
+    add_sum(sum, signs, all, size);
+    for (Size frame = to; frame < sum.frames; ++frame) add_product(frames_.signs[frame], signs, -1, all, size);
+  }
+  mark.frames = to;
+}
+
+// Fills the products of the last frame, moved, with neighbouring rows, by row and move, and takes it into the
+// first `size` products of these.
+void CountedSigns::compare(Store &store, Size first, Size last, Size size, std::int32_t *differing,
+                           double *products) const {
+  const Size count = last - first, before = rows() - 1, number = present();
+  const Word *frame = frames_.signs[before];
+  count_moves(frame, store.signs[first], count, grid_, differing);
+  if (size > moves_) count_in_place(frame, store.signs[first], count, grid_, differing + moves_ * count);
+  for (Size row = first; row < last; ++row, products += moves_) {
+    Mark &mark = *store.marks[row];
+    double *all = store.products[row];
+    if (mark.stretch != number) {
+      bring(store, row, before_.frames, before_, size);
+      std::copy_n(all, size, all + 2 * moves_);
+      mark.stretch = number;
+    }
+    const auto product = [&](Size at) {
+      return bits_[place(at)] - 2.0 * differing[at * count + row - first];
+    };
+    for (Size move = 0; move < moves_; ++move) products[move] = product(move);
+    if (mark.frames > before) continue;  // it has the frame
+    bring(store, row, before, all_, size);
+    for (Size at = 0; at < size; ++at) all[at] += product(at);
+    ++mark.frames;
+  }
+}
+
+// Gives a row of a stretch that has ended its lengths without the mean.
+void CountedSigns::measure(Size row, Size number) {
+  Mark &mark = *frames_.marks[row];
+  if (mark.is_measured) return;
+  Products products(place(4 * moves_));
+  for (Size digit = 0; digit < DIGITS; ++digit)
+    add_product(planes_.signs[number * DIGITS + digit], frames_.signs[row], weight(digit), products.data(), 2 * moves_);
+  to_lengths(stretches_[place(number)], {1, 0}, products.data() + moves_);
+  std::copy_n(products.data() + moves_, moves_, frames_.products[row] + moves_);
+  mark.is_measured = true;
+}
+
+void CountedSigns::scores(int threads, const Chosen &chosen, float *scores) {
+  const Size count = rows() - 1, block = GrowingRows<Word>::ROWS;
+  const Mean mean = this->mean();
+  const Products squares = this->squares(mean);
+  // By move, the length of the last frame without its mean; by stretch and move, its product with a mean.
+  Products query, of_means(place(moves_) * stretches_.size());
+  double *of_present = of_means.data() + present() * moves_;
+  for (Size move = 0; move < moves_; ++move) {
+    const Size mirror = mirrored(move), there = moves_ + mirror;
+    const double product = mean.of(with_all_.data(), with_before_.data(), there);
+    query.push_back(std::sqrt(std::max(0.0, bits_[place(move)] - 2 * product + squares[place(there)])));
+    of_present[move] = mean.of(with_all_.data(), with_before_.data(), mirror) - squares[place(move)];
+  }
+  // Makes of the products of the last frame with rows those without its mean.
+  const auto centre = [&](const double *all, double *products) {
+    for (Size move = 0; move < moves_; ++move) products[move] -= mean.of(all, all + 2 * moves_, move);
+  };
+  over_blocks(planes_.signs.rows(), block, 1, [&](Size first, Size last) {
+    Products products(place(moves_ * (last - first)));
+    std::vector<std::int32_t> differing(products.size());
+    compare(planes_, first, last, moves_, differing.data(), products.data());
+    double *centred = products.data();
+    for (Size row = first; row < last; ++row, centred += moves_) {
+      centre(planes_.products[row], centred);
+      for (Size move = 0; move < moves_; ++move)
+        of_means[place(row / DIGITS * moves_ + move)] += weight(row % DIGITS) * centred[move];
+    }
+  });
+  over_blocks(count, block, count < MANY ? 1 : threads, [&](Size first, Size last) {
     std::fill(scores + first, scores + last, NONE);
-    by_stretch(stretches, first, last, [&](const Mean &mean, Size from, Size to) {
-      const ByMove &of_mean = of_means[static_cast<std::size_t>(&mean - stretches.data())];
-      by_choice(chosen, rows_, grid_.size(), from, to, [&](Size start, Size end) {
-        for (Size row = start; row < end; ++row) {
-          const ByMove products = product(query, rows_[row]), own_lengths = lengths(rows_[row], mean, false);
-          for (std::size_t move = 0; move < MOVES; ++move) {
-            const double score =
-                (products[move] - of_mean[move]) / std::max(moved[move] * own_lengths[move], LEAST);
-            scores[row] = std::max(scores[row], static_cast<float>(std::min(score, 1.0)));
+    Products products(place(moves_ * (last - first)));
+    std::vector<std::int32_t> differing(2 * products.size());
+    by_stretch(stretches_, first, last, [&](const Stretch &stretch, Size from, Size to) {
+      const Size number = &stretch - stretches_.data();
+      const bool is_present = number == present();
+      by_choice(chosen, frames_.signs, grid_.size(), from, to, [&](Size start, Size end) {
+        compare(frames_, start, end, is_present ? 2 * moves_ : moves_, differing.data(), products.data());
+        double *centred = products.data();
+        for (Size row = start; row < end; ++row, centred += moves_) {
+          if (!is_present) measure(row, number);
+          const double *all = frames_.products[row];
+          centre(all, centred);
+          double best = -std::numeric_limits<double>::infinity();
+          for (Size move = 0; move < moves_; ++move) {
+            double length = all[moves_ + move];
+            if (is_present) {
+              const double product = mean.of(all, all + 2 * moves_, moves_ + move);
+              length = std::sqrt(std::max(0.0, bits_[place(move)] - 2 * product + squares[place(moves_ + move)]));
+            }
+            const double product = centred[move] - of_means[place(number * moves_ + move)];
+            best = std::max(best, product / std::max(query[place(move)] * length, LEAST));
           }
+          scores[row] = static_cast<float>(std::min(best, 1.0));
         }
       });
     });
   });
-  finished_.pop_back();
+}
+
+LiveSigns::LiveSigns(Size columns, Size size, Size cell)
+    : columns_(columns),
+      size_(size),
+      cell_(cell),
+      stride_(std::max<Size>(1, cell / PART)),
+      signs_(columns, size),
+      part_(columns, size / cell * ((cell + stride_ - 1) / stride_)) {}
+
+bool LiveSigns::empty(const void *descriptor) const {
+  const auto *signs = static_cast<const std::uint8_t *>(descriptor);
+  return std::all_of(signs, signs + bytes(), [](std::uint8_t byte) { return byte == 0; });
+}
+
+void LiveSigns::reserve(Size frames) {
+  signs_.reserve(frames);
+  part_.reserve(frames);
+}
+
+void LiveSigns::start_stretch() {
+  signs_.start_stretch();
+  part_.start_stretch();
+}
+
+// The part has some bytes of each cell, evenly spaced.
+void LiveSigns::append(const void *descriptor) {
+  const auto *signs = static_cast<const std::uint8_t *>(descriptor);
+  std::vector<std::uint8_t> part;
+  for (Size cell = 0; cell < bytes(); cell += cell_)
+    for (Size at = 0; at < cell_; at += stride_) part.push_back(signs[cell + at]);
+  signs_.append(signs);
+  part_.append(part.data());
+}
+
+void LiveSigns::copy(Size first, Size last, void *descriptors) const {
+  signs_.copy(first, last, static_cast<std::uint8_t *>(descriptors));
+}
+
+double LiveSigns::cosine(const void *one, const void *other) const {
+  return signs_.cosine(static_cast<const std::uint8_t *>(one), static_cast<const std::uint8_t *>(other));
 }
 
 }  // namespace places

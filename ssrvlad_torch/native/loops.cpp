@@ -36,7 +36,8 @@ constexpr Size LAST_FRAMES = 50, LEAST_FRAMES = 20, LAST = 3, APART = 10;
 constexpr double LIKE = 0.5, SPREADS = 3;
 
 constexpr Size LATEST = 50;  // large memories
-constexpr double SAMPLED_PART = 0.04, CHOSEN_PART = 0.01;
+constexpr double CHOSEN_PART = 0.01;
+constexpr std::uint8_t NEAREST = 2;  // chosen so: these do not show what is usual
 
 constexpr Motion MOTION = {0.01, 0.01, 0.3, 0.97, 0.25, 0.5, 1};
 
@@ -73,15 +74,16 @@ double lead(const float *near, Size count, const Spread &spread) {
 // Gives rows without nearness what their rough nearness lets expect: on the straight line through some
 // rows whose nearness is known.
 void expect(const std::vector<float> &rough, const std::vector<float> &known_rough,
-            const std::vector<float> &near_of_rows, std::vector<float> &near) {
-  const auto count = static_cast<Size>(near_of_rows.size());
-  const Spread from = plain_spread(known_rough.data(), count), to = plain_spread(near_of_rows.data(), count);
+            const std::vector<float> &known_near, std::vector<float> &near) {
+  const auto fitted = std::count_if(known_near.begin(), known_near.end(), [](float value) { return value != NONE; });
+  const auto count = static_cast<Size>(known_near.size());
+  const Spread from = plain_spread(known_rough.data(), count), to = plain_spread(known_near.data(), count);
   double both = 0;
-  for (std::size_t row = 0; row < near_of_rows.size(); ++row)
-    both += (static_cast<double>(known_rough[row]) - from.mean) *
-            (static_cast<double>(near_of_rows[row]) - to.mean);
+  for (std::size_t row = 0; row < known_near.size(); ++row)
+    if (known_near[row] != NONE)
+      both += (static_cast<double>(known_rough[row]) - from.mean) * (static_cast<double>(known_near[row]) - to.mean);
   const double least = std::max(from.deviation, MIN_SPREAD);
-  const double slope = both / static_cast<double>(std::max<Size>(1, count)) / (least * least);
+  const double slope = both / static_cast<double>(std::max<Size>(1, static_cast<Size>(fitted))) / (least * least);
   for (std::size_t row = 0; row < near.size(); ++row)
     if (near[row] == NONE)
       near[row] = static_cast<float>(to.mean + slope * (static_cast<double>(rough[row]) - from.mean));
@@ -158,9 +160,26 @@ void Repeats::after(const float *near, Size count) {
     }
 }
 
+void Repeats::start_stretch() {
+  last_.clear();
+  highest_.clear();
+}
+
 // -------------------------------------------------------------------------------------------- tracks
 
 Tracks::Tracks(Size exclude, bool alone) : exclude_(exclude), alone_(alone), since_(WAIT) {}
+
+void Tracks::reserve(Size frames) {
+  closeness_.reserve(place(frames));
+  before_.reserve(place(frames));
+}
+
+void Tracks::start_stretch() {
+  Tracks fresh(exclude_, alone_);
+  fresh.closeness_.swap(closeness_), fresh.closeness_.clear();
+  fresh.before_.swap(before_);
+  *this = std::move(fresh);
+}
 
 bool Tracks::tells() const { return by_chance_.size() >= LEAST_BY_CHANCE; }
 
@@ -176,19 +195,19 @@ double Tracks::explained() const {
 }
 
 void Tracks::after(const float *near, Size count, Size old) {
-  std::vector<float> before(place(count));
-  before.swap(closeness_);
+  before_.swap(closeness_);
+  closeness_.assign(place(count), 0);
   if (count < 2 * BESIDE || near[count - 1] == NONE) return;
   const std::vector<float> seen(near + std::max<Size>(0, count - TRACKED), near + count - BESIDE);
   keep(steps_, near[count - 1], USUAL);
   keep(others_, static_cast<float>(median(seen)), USUAL);
   const Spread spread = plain_spread(near, old);
   if (std::all_of(near, near + old, [](float value) { return value == NONE; })) return;
-  const auto later = count - static_cast<Size>(before.size());
+  const auto later = count - static_cast<Size>(before_.size());
   const float usual = step();
   for (Size row = 0; row < count; ++row) {
     const float close = near[row] == NONE ? 0 : (near[row] - static_cast<float>(spread.mean)) / usual;
-    closeness_[place(row)] = (row >= later ? SMOOTHING * before[place(row - later)] : 0) + (1 - SMOOTHING) * close;
+    closeness_[place(row)] = (row >= later ? SMOOTHING * before_[place(row - later)] : 0) + (1 - SMOOTHING) * close;
   }
   closest_ = *std::max_element(closeness_.begin(), closeness_.begin() + old);
   densest_ = 0;
@@ -232,7 +251,10 @@ Stream::Stream(const ssrvlad_loops_settings &settings, const ssrvlad_loops_chann
     if (kind == SSRVLAD_VECTORS) channels_.push_back(std::make_unique<LiveVectors>(shape[0]));
     else channels_.push_back(std::make_unique<LiveSigns>(shape[0], shape[1] * shape[2], shape[2]));
     trust_.push_back(trust);
+    if (channels_.back()->has_part()) rough_.push_back(static_cast<std::size_t>(number));
   }
+  of_rows_.of_channels.resize(channels_.size());
+  of_rows_.rough.resize(channels_.size());
 }
 
 std::vector<double> Stream::weights() const {
@@ -274,11 +296,11 @@ void Stream::start_stretch() {
   stamps_.clear();
   neighbours_.clear();
   fits_.clear();
-  repeats_ = Repeats(exclude_);
-  tracks_ = Tracks(exclude_, channels_.size() == 1);
+  repeats_.start_stretch();
+  tracks_.start_stretch();
   grow();
-  belief_ = filter_.start(drives_.all());
-  probable_ = belief_.of_rows();
+  belief_ = filter_.start(drives_.all(), std::move(belief_.mapped));
+  probable_ = belief_.of_rows(std::move(probable_));
   starting_ = true;
 }
 
@@ -291,15 +313,6 @@ void Stream::grow() {
       drives_.starts.push_back(drives_.rows);
 }
 
-void Stream::enlarge() {
-  if (!large_.empty() || rows() - exclude_ <= scan_above_) return;
-  for (std::size_t number = 0; number < channels_.size(); ++number)
-    if (auto large = channels_[number]->large()) {
-      channels_[number] = std::move(large);
-      large_.push_back(number);
-    }
-}
-
 void Stream::store(const void *const *centres, double stamp) {
   described_.push_back(!channels_[0]->empty(centres[0]));
   known_ += described_.back();
@@ -309,10 +322,37 @@ void Stream::store(const void *const *centres, double stamp) {
 void Stream::extend(const void *const *descriptors, double stamp, bool starts) {
   if (starts_.empty() || starts || breaks(descriptors, stamp)) start_stretch();
   grow();
-  enlarge();
+  for (std::size_t number = 0; number < channels_.size(); ++number) channels_[number]->append(descriptors[number]);
   store(descriptors, stamp);
-  for (std::size_t number = 0; number < channels_.size(); ++number)
-    channels_[number]->extend(descriptors[number]);
+}
+
+void Stream::reserve(Size frames) {
+  for (auto &channel : channels_) channel->reserve(frames);
+  described_.reserve(place(frames));
+  repeats_.reserve(frames);
+  tracks_.reserve(frames);
+  OfRows &all = of_rows_;
+  for (auto *numbers : {&all.scores, &all.fused, &all.near, &all.usual, &all.same, &all.left, &all.likelihood.rows, &probable_})
+    numbers->reserve(place(frames));
+  for (auto *by_channel : {&all.of_channels, &all.rough})
+    for (auto &numbers : *by_channel) numbers.reserve(place(frames));
+  for (auto *states : {&all.belief, &belief_.mapped}) states->reserve(place(2 * SPEEDS * frames));
+  all.z.reserve(place(frames));
+  all.chosen.reserve(place(frames));
+}
+
+void Stream::settle() {
+  const Size before = rows() - 1;
+  if (before < 1) return;
+  std::vector<float> &scores = of_rows_.scores;
+  Chosen &chosen = of_rows_.chosen;
+  scores.resize(place(before));
+  chosen.assign(scores.size(), 0);
+  for (Size row = 0; row < before; row += stride(before)) chosen[place(row)] = 1;
+  for (const std::size_t number : rough_) {
+    channels_[number]->rough_scores(1, scores.data());
+    channels_[number]->scores(nullptr, 1, 1, chosen, scores.data());
+  }
 }
 
 ssrvlad_loop Stream::update(const void *const *descriptors, const Size *anchors, double stamp,
@@ -325,11 +365,9 @@ ssrvlad_loop Stream::update(const void *const *descriptors, const Size *anchors,
   }
   if (starts_.empty() || starts || breaks(centres.data(), stamp)) start_stretch();
   grow();
-  enlarge();
+  for (std::size_t number = 0; number < channels_.size(); ++number) channels_[number]->append(centres[number]);
   const ssrvlad_loop loop = step(descriptors, centres.data(), anchors, threads);
   store(centres.data(), stamp);
-  for (std::size_t number = 0; number < channels_.size(); ++number)
-    channels_[number]->append(centres[number]);
   return loop;
 }
 
@@ -342,21 +380,24 @@ ssrvlad_loop Stream::step(const void *const *swept, const void *const *centres, 
     old_known_ += described_[place(old_)];
   const bool empty = channels_[0]->empty(centres[0]), too_few = old_known_ < 2;
   if (empty) {
-    if (!too_few) filter(std::vector<float>(place(drives_.rows), 1.0F));
+    of_rows_.likelihood.rows.assign(place(drives_.rows), 1.0F);
+    if (!too_few) filter();
     return none;
   }
   none.reason = known_ ? SSRVLAD_TOO_RECENT : SSRVLAD_NO_CANDIDATE;
   if (!known_) return none;
-  std::vector<float> scored = scores(swept, anchors, threads, too_few ? 0 : old_);
+  std::vector<float> &scored = scores(swept, anchors, threads, too_few ? 0 : old_);
   for (std::size_t row = 0; row < scored.size(); ++row)
     if (!described_[row]) scored[row] = NONE;
-  std::vector<float> near(scored.size());
+  std::vector<float> &near = of_rows_.near;
+  near.resize(scored.size());
   nearness(scored.data(), rows(), near.data());
   repeats_.after(near.data() + starts_.back(), rows() - starts_.back());
   if (too_few) return none;
-  const std::vector<float> usual_near = usual(near, old_);
-  const Spread spread = Spread::of(usual_near.data(), static_cast<Size>(usual_near.size()));
-  filter(likelihood(near, spread));
+  usual(near, old_, of_rows_.usual);
+  const Spread spread = Spread::of(of_rows_.usual.data(), static_cast<Size>(of_rows_.usual.size()));
+  compute_likelihood(spread);
+  filter();
   const ssrvlad_loop loop = result(scored);
   if (loop.reason == SSRVLAD_ACCEPTED && spread.deviation > MIN_SPREAD)
     keep(fits_, spread.z(near[place(loop.candidate)]), FITS);
@@ -364,39 +405,45 @@ ssrvlad_loop Stream::step(const void *const *swept, const void *const *centres, 
 }
 
 // Scores of a frame by all channels, scaled by those of the old frames, if there are any.
-std::vector<float> Stream::scores(const void *const *swept, const Size *anchors, int threads, Size old) {
-  std::vector<std::vector<float>> near(channels_.size());
-  std::vector<float> scores(place(rows())), fused(scores.size(), NONE);
+std::vector<float> &Stream::scores(const void *const *swept, const Size *anchors, int threads, Size old) {
+  auto &scores = of_rows_.scores, &fused = of_rows_.fused, &usual_near = of_rows_.usual,
+       &rough_usual = of_rows_.rough_usual;
+  auto &near = of_rows_.of_channels, &rough = of_rows_.rough;
+  auto &z = of_rows_.z;
+  auto &chosen = of_rows_.chosen;
+  scores.resize(place(rows()));
+  fused.assign(scores.size(), NONE);
+  chosen.clear();
   std::vector<Spread> spreads;
   const Size counted = old ? old : rows();
-  Chosen chosen;
   const auto score = [&](std::size_t number) {
     channels_[number]->scores(swept[number], anchors ? anchors[number] : 1, threads, chosen,
                               scores.data());
   };
-  if (channels_.size() == 1 && large_.empty()) return score(0), scores;
-  std::vector<std::vector<float>> rough(large_.size());
-  for (std::size_t large = 0; large < large_.size(); ++large) {
-    score(large_[large]);
-    rough[large].resize(scores.size());
-    nearness(scores.data(), rows(), rough[large].data());
+  const bool is_rough = stride(counted) > 1;
+  if (channels_.size() == 1 && !is_rough) return score(0), scores;
+  for (const std::size_t number : rough_) {
+    if (!is_rough) continue;
+    channels_[number]->rough_scores(threads, scores.data());
+    rough[number].resize(scores.size());
+    nearness(scores.data(), rows(), rough[number].data());
+    choose(rough[number], counted);
   }
-  for (const auto &near_roughly : rough) choose(near_roughly, counted, chosen);
   for (std::size_t number = 0; number < channels_.size(); ++number) {
     score(number);
     near[number].resize(scores.size());
     nearness(scores.data(), rows(), near[number].data());
-    const std::vector<float> usual_near = usual(near[number], counted);
+    usual(near[number], counted, usual_near);
     spreads.push_back(plain_spread(usual_near.data(), static_cast<Size>(usual_near.size())));
-    const auto large = std::find(large_.begin(), large_.end(), number) - large_.begin();
-    if (large < static_cast<std::ptrdiff_t>(large_.size())) {
-      expect(rough[place(large)], usual(rough[place(large)], counted), usual_near, near[number]);
-      scores = rough[place(large)];  // of every row
+    if (is_rough && channels_[number]->has_part()) {
+      usual(rough[number], counted, rough_usual);
+      expect(rough[number], rough_usual, usual_near, near[number]);
+      scores = rough[number];  // of every row
     }
     leads_[number] += std::max(0.0, lead(near[number].data(), old, spreads.back()));
     for (std::size_t row = 0; row < fused.size(); ++row) fused[row] = std::max(fused[row], scores[row]);
   }
-  std::vector<double> z(scores.size());
+  z.assign(scores.size(), 0);
   double mean = 0, deviation = 0;
   const std::vector<double> weight = weights();
   for (std::size_t number = 0; number < channels_.size(); ++number) {
@@ -410,29 +457,33 @@ std::vector<float> Stream::scores(const void *const *swept, const Size *anchors,
   return fused;
 }
 
+// A power of two: as frames come, no other rows are compared anyhow.
 Size Stream::stride(Size old) const {
-  if (large_.empty()) return 1;
-  const double most = std::max<double>(LATEST, SAMPLED_PART * static_cast<double>(scan_above_));
-  return std::max<Size>(1, static_cast<Size>(std::ceil(static_cast<double>(old) / most)));
+  Size stride = 1;
+  while (!rough_.empty() && old / stride > scan_above_) stride *= 2;
+  return stride;
 }
 
-std::vector<float> Stream::usual(const std::vector<float> &near, Size old) const {
-  std::vector<float> usual_near;
-  for (Size row = 0, step = stride(old); row < old; row += step) usual_near.push_back(near[place(row)]);
-  return usual_near;
+void Stream::usual(const std::vector<float> &near, Size old, std::vector<float> &usual) const {
+  usual.clear();
+  const Chosen &chosen = of_rows_.chosen;
+  for (Size row = 0, step = stride(old); row < old; row += step)
+    usual.push_back(step > 1 && chosen[place(row)] & NEAREST ? NONE : near[place(row)]);
 }
 
 // Chooses the nearest rows by the rough scores of a channel, the last ones, a sample, and those that are
 // more probable than by guessing, and their neighbours.
-void Stream::choose(const std::vector<float> &rough, Size old, Chosen &chosen) const {
-  const std::vector<float> usual_near = usual(rough, old);
-  const double least = quantile({usual_near.begin(), usual_near.end()}, 1 - CHOSEN_PART);
+void Stream::choose(const std::vector<float> &rough, Size old) {
+  Chosen &chosen = of_rows_.chosen;
+  std::vector<double> sample;
+  for (Size row = 0; row < old; row += stride(old)) sample.push_back(static_cast<double>(rough[place(row)]));
+  const double least = quantile(std::move(sample), 1 - CHOSEN_PART);
   chosen.resize(rough.size());
   for (std::size_t row = 0; row < rough.size(); ++row)
-    chosen[row] |= static_cast<double>(rough[row]) >= least;
-  for (Size row = 0; row < old; row += stride(old)) chosen[place(row)] = 1;
+    if (static_cast<double>(rough[row]) >= least) chosen[row] |= NEAREST;
+  for (Size row = 0; row < old; row += stride(old)) chosen[place(row)] |= 1;
   const auto mark = [&](Size first, Size last) {
-    std::fill(chosen.begin() + std::max<Size>(0, first), chosen.begin() + std::min(last, rows()), 1);
+    for (Size row = std::max<Size>(0, first); row < std::min(last, rows()); ++row) chosen[place(row)] |= 1;
   };
   mark(std::min(old, rows() - LATEST), rows());
   for (std::size_t row = 0; row < probable_.size(); ++row)
@@ -451,9 +502,11 @@ Stream::Fit Stream::fit() const {
 
 // How much likelier a frame is at each row than at a new place. The level of rows of the same stretch is
 // the higher, the more alike neighbouring frames are and the more their street repeats.
-std::vector<float> Stream::likelihood(const std::vector<float> &near, const Spread &spread) {
-  std::vector<float> likely(near.size(), 1.0F);
-  if (spread.deviation <= MIN_SPREAD) return likely;
+void Stream::compute_likelihood(const Spread &spread) {
+  const std::vector<float> &near = of_rows_.near;
+  std::vector<float> &likely = of_rows_.likelihood.rows, &same = of_rows_.same;
+  likely.assign(near.size(), 1.0F);
+  if (spread.deviation <= MIN_SPREAD) return;
   const Size start = starts_.back(), count = rows() - start,
              candidates = std::max<Size>(0, count - exclude_);
   const Size previous = count - std::max<Size>(1, exclude_ / STRIDE);
@@ -473,7 +526,7 @@ std::vector<float> Stream::likelihood(const std::vector<float> &near, const Spre
   }
   likelihoods(near.data() + start, candidates, fits.weight, fits.level, spread, likely.data() + start);
   const bool is_returning = tracks_.returning();
-  std::vector<float> same(place(count));
+  same.resize(place(count));
   likelihoods(near.data() + start, count, weight, level, spread, same.data());
   for (Size row = 0; row < count; ++row) {
     float &here = likely[place(start + row)];
@@ -486,20 +539,24 @@ std::vector<float> Stream::likelihood(const std::vector<float> &near, const Spre
     if (repeats > 0) here *= static_cast<float>(exp_of(-weight * repeats));
     if (is_returning) here = std::max(here, others);
   }
-  return likely;
 }
 
-void Stream::filter(std::vector<float> likely) {
-  likely.resize(place(drives_.rows));
+void Stream::filter() {
+  of_rows_.likelihood.rows.resize(place(drives_.rows));
+  std::vector<float> &memory = of_rows_.belief;
   const Rows rows = drives_.all();
-  belief_ = starting_ ? filter_.extended(belief_, rows) : filter_.predicted(belief_, rows);
-  filter_.update(belief_, {std::move(likely), 0});
-  probable_ = belief_.of_rows();
+  Belief next = starting_ ? filter_.extended(belief_, rows, std::move(memory))
+                          : filter_.predicted(belief_, rows, std::move(memory));
+  memory = std::move(belief_.mapped);
+  belief_ = std::move(next);
+  filter_.update(belief_, of_rows_.likelihood);
+  probable_ = belief_.of_rows(std::move(probable_));
   starting_ = false;
 }
 
 ssrvlad_loop Stream::result(const std::vector<float> &scored) {
-  std::vector<float> rows = probable_;
+  std::vector<float> &rows = of_rows_.left;
+  rows = probable_;
   Size candidate = -1;
   for (Size row = 0; row < old_; ++row)
     if (scored[place(row)] != NONE && (candidate < 0 || rows[place(row)] > rows[place(candidate)]))

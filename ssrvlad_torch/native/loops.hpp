@@ -17,6 +17,8 @@ class Repeats {
  public:
   explicit Repeats(Size exclude);
 
+  void reserve(Size frames) { highest_.reserve(static_cast<std::size_t>(frames)); }
+  void start_stretch();
   // Takes the nearness of the next frame to all earlier ones of the stretch.
   void after(const float *near, Size count);
   // Of the earlier frames; NONE where nothing is known.
@@ -34,6 +36,8 @@ class Tracks {
   // By label maps alone, tracks by chance are as close as those of returns.
   Tracks(Size exclude, bool alone);
 
+  void reserve(Size frames);
+  void start_stretch();
   // Takes the nearness of the next frame to all earlier ones of the stretch, of which the first are old.
   void after(const float *near, Size count, Size old);
   // Takes whether the frame closes a loop: tracks around one are not by chance, nor are those of a camera
@@ -50,7 +54,7 @@ class Tracks {
 
   Size exclude_;
   bool alone_;
-  std::vector<float> closeness_;
+  std::vector<float> closeness_, before_;
   std::deque<float> steps_, others_, waiting_, by_chance_;
   Size since_, held_ = 0;
   float closest_ = 0, densest_ = 0;  // of old frames, and of the older half of the excluded ones
@@ -61,13 +65,16 @@ class Stream {
   Stream(const ssrvlad_loops_settings &settings, const ssrvlad_loops_channel *channels, int count);
   Stream(const Stream &) = delete;
 
-  Size rows() const { return channels_[0]->rows(); }
+  Size rows() const { return static_cast<Size>(described_.size()); }
   const std::vector<std::unique_ptr<LiveChannel>> &channels() const { return channels_; }
   std::vector<double> weights() const;
 
   ssrvlad_loop update(const void *const *descriptors, const Size *anchors, double stamp, bool starts,
                       int threads);
   void extend(const void *const *descriptors, double stamp, bool starts);
+  // Memory for so many frames: no step asks for more that grows with their number.
+  void reserve(Size frames);
+  void settle();  // after frames that are known: else the next one has to make up for them
 
  private:
   bool breaks(const void *const *centres, double stamp) const;
@@ -78,23 +85,22 @@ class Stream {
   void store(const void *const *centres, double stamp);
   ssrvlad_loop step(const void *const *swept, const void *const *centres, const Size *anchors,
                     int threads);
-  std::vector<float> scores(const void *const *swept, const Size *anchors, int threads, Size old);
-  void enlarge();               // above the size, if a channel can be large
-  Size stride(Size old) const;  // between old rows that show what is usual
-  std::vector<float> usual(const std::vector<float> &near, Size old) const;  // the nearness of these
-  void choose(const std::vector<float> &rough, Size old, Chosen &chosen) const;
+  std::vector<float> &scores(const void *const *swept, const Size *anchors, int threads, Size old);
+  Size stride(Size old) const;  // between old rows that show what is usual, and are compared anyhow
+  void usual(const std::vector<float> &near, Size old, std::vector<float> &usual) const;  // nearness of these
+  void choose(const std::vector<float> &rough, Size old);
   struct Fit {
     double weight, level;
   };
   Fit fit() const;
-  std::vector<float> likelihood(const std::vector<float> &near, const Spread &spread);
-  void filter(std::vector<float> likelihood);
+  void compute_likelihood(const Spread &spread);
+  void filter();
   ssrvlad_loop result(const std::vector<float> &scores);
 
   Size exclude_;
   double threshold_;
   Size scan_above_;
-  std::vector<std::size_t> large_;  // numbers of the channels that first give rough scores
+  std::vector<std::size_t> rough_;  // numbers of the channels that give rough scores
   std::vector<std::unique_ptr<LiveChannel>> channels_;
   std::vector<double> trust_, leads_;
   std::vector<bool> described_;
@@ -110,6 +116,16 @@ class Stream {
   Repeats repeats_;
   Tracks tracks_;
   std::vector<double> explained_;  // by the tracks of each stretch but the present one
+
+  // Of the last frame, kept for their memory.
+  struct OfRows {
+    std::vector<float> scores, fused, near, usual, rough_usual, same, left, belief;
+    std::vector<std::vector<float>> of_channels, rough;  // nearness by channel, empty if it is not rough
+    std::vector<double> z;
+    Chosen chosen;
+    Likelihood likelihood;
+  };
+  OfRows of_rows_;
 };
 
 }  // namespace places

@@ -89,7 +89,7 @@ class Loops:
         exclude: number of the last frames of the present stretch, which are no candidates.
         threshold: least probability of a loop, 0 to 1.
         scan_above: number of old frames above which, if they have signs, all are compared by a
-            part of these, and only some by all channels; at least 1.
+            part of these, and by all channels near and probable ones and a sample; at least 1.
 
     Raises:
         RuntimeError: there is no native core, or it refuses a setting or a shape.

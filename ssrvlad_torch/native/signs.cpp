@@ -140,10 +140,32 @@ void count_moves(const Word *signs, const Word *rows, Size count, const SignGrid
     for (Size number = 0; number < count; ++number, row += grid.size())
       for (Size move = 0; move < grid.moves(); ++move) {
         const auto [ours, our_row, theirs, their_row, columns, cells] = grid.overlap(move);
+        const Size at_once = cells == grid.rows ? columns : 1;  // columns without a gap between them
         differing[move * count + number] = static_cast<std::int32_t>(
             differing_bits(processor, signs + ours * grid.column() + our_row * grid.words,
-                           row + theirs * grid.column() + their_row * grid.words, columns, cells * grid.words, grid.column()));
+                           row + theirs * grid.column() + their_row * grid.words, columns / at_once,
+                           at_once * cells * grid.words, grid.column()));
       }
+  });
+}
+
+void count_in_place(const Word *signs, const Word *rows, Size count, const SignGrid &grid, std::int32_t *differing) {
+  // Of all columns without those at the edge that do not overlap.
+  const Size across = grid.across, width = grid.column(), last = grid.columns - 1;
+  on_cpu([=](auto processor) {
+    const auto bits = [&](const Word *row, Size column, Size columns) {
+      const Size at = column * width;
+      return static_cast<std::int32_t>(differing_bits(processor, signs + at, row + at, 1, columns * width, 0));
+    };
+    for (Size number = 0; number < count; ++number) {
+      const Word *row = rows + number * width * (last + 1);
+      std::int32_t right = bits(row, 0, last + 1), left = right;
+      differing[across * count + number] = right;
+      for (Size move = 1; move <= across; ++move) {
+        differing[(across + move) * count + number] = right -= bits(row, move - 1, 1);
+        differing[(across - move) * count + number] = left -= bits(row, last + 1 - move, 1);
+      }
+    }
   });
 }
 

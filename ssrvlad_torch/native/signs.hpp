@@ -38,6 +38,9 @@ struct SignGrid {
 // differing[move * count + row].
 void count_moves(const Word *signs, const Word *rows, Size count, const SignGrid &grid, std::int32_t *differing);
 
+// The same of the signs where they are, over the columns of the rows that overlap in each move across.
+void count_in_place(const Word *signs, const Word *rows, Size count, const SignGrid &grid, std::int32_t *differing);
+
 // Numbers from -1 to 1, one for each sign, as a weighted sum of signs 1 and -1. Cells have so many bits.
 struct SignMean {
   std::vector<Word> planes;     // the signs of each weight

@@ -38,7 +38,8 @@ typedef struct ssrvlad_loops_settings {
                        frames 3 m apart */
   double threshold; /* least probability of a loop, 0 to 1; 0.8 */
   int64_t scan_above; /* number of old frames above which, if they have signs, all are compared by a
-                         part of these, and only some by all channels, at least 1; SSRVLAD_SCAN_ABOVE */
+                         part of these; by all channels then near and probable ones, and of the others
+                         half as many or more; at least 1; SSRVLAD_SCAN_ABOVE */
 } ssrvlad_loops_settings;
 
 /* Why a frame closes a loop or does not. */
@@ -57,7 +58,7 @@ enum {
   SSRVLAD_RADIUS = 5,          /* rows on each side of a row that show the same place */
   SSRVLAD_ROWS = 11,         /* all of these, with the row */
   SSRVLAD_CHANNELS = 16,     /* channels of a stream, at most */
-  SSRVLAD_SCAN_ABOVE = 50000 /* old frames above which not all are compared by all channels */
+  SSRVLAD_SCAN_ABOVE = 5000 /* old frames above which not all are compared by all channels */
 };
 
 /* An earlier frame by its row, and the probability that the place is near it. */
@@ -88,6 +89,10 @@ typedef struct ssrvlad_loops ssrvlad_loops;
 SSRVLAD_API ssrvlad_loops *ssrvlad_loops_new_for(int program, const ssrvlad_loops_settings *settings,
                                                  const ssrvlad_loops_channel *channels, int count);
 SSRVLAD_API void ssrvlad_loops_free(ssrvlad_loops *loops);
+
+/* Asks for the memory of so many frames at once: until there are more, no frame asks for memory that grows
+ * with their number. Returns SSRVLAD_OK, or SSRVLAD_NO_MEMORY, after which the stream is as before. */
+SSRVLAD_API int ssrvlad_loops_reserve(ssrvlad_loops *loops, int64_t frames);
 
 /* The number of frames; 0 without a stream. */
 SSRVLAD_API int64_t ssrvlad_loops_rows(const ssrvlad_loops *loops);
