@@ -16,8 +16,9 @@ int64 holds."""
 
 
 def exporting() -> bool:
-    """Whether `torch.export` records."""
-    return torch.compiler.is_exporting()
+    """Whether `torch.export` records. `torch.compile` folds `torch.compiler.is_exporting`, but not
+    the flag."""
+    return torch.compiler._is_exporting_flag
 
 
 def real(largest: float = math.inf) -> torch.dtype:
