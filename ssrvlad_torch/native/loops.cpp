@@ -12,34 +12,9 @@
 namespace places {
 
 namespace {
-constexpr Size RECENT = 10;  // least age of an excluded frame that can be the present place
-constexpr Size STRIDE = 50;  // the previous frame is one before where so many are excluded
-constexpr std::size_t NEIGHBOURS = 1000;
-constexpr double EVIDENCE = 3, LEVEL_FRACTION = 0.9;
-constexpr double LEAST_PLACE = 0.01;
+constexpr std::uint8_t NEAREST = 2;  // chosen so: these rows do not show what is usual
 
-constexpr std::size_t FITS = 20, LEAST_FITS = 5;  // how well loops fit
-constexpr double FIT = 0.5, FIT_WEIGHT = 2;
-
-constexpr double REPEAT_MARGIN = 1.2;
-constexpr Size DISTANT = 5;
-constexpr std::size_t TRACK = 15;
-
-constexpr float SMOOTHING = 0.93F;  // tracks
-constexpr double EXPLAINED = 0.9;
-constexpr float BY_CHANCE = 1.5F, CLEAR = 0.12F, SAME = 0.75F, LEAST_CLOSENESS = 0.02F;
-constexpr std::size_t USUAL = 100, EARLIER = 1000, LEAST_BY_CHANCE = 5;
-constexpr Size WAIT = 25, TRACKED = 50, BESIDE = 10;
-
-constexpr double GAP = 600, TIMES = 10;  // stretches
-constexpr Size LAST_FRAMES = 50, LEAST_FRAMES = 20, LAST = 3, APART = 10;
-constexpr double LIKE = 0.5, SPREADS = 3;
-
-constexpr Size LATEST = 50;  // large memories
-constexpr double CHOSEN_PART = 0.01;
-constexpr std::uint8_t NEAREST = 2;  // chosen so: these do not show what is usual
-
-constexpr Motion MOTION = {0.01, 0.01, 0.3, 0.97, 0.25, 0.5, 1};
+constexpr Motion MOTION = {LOOPS.change, LOOPS.jump, LOOPS.unmapped, MODEL.stay, LOOPS.weight, MODEL.level, 1};
 
 std::size_t place(Size at) { return static_cast<std::size_t>(at); }
 
@@ -107,29 +82,29 @@ double likeness(const std::vector<double> &cosines, Size count) {
   std::vector<double> others, steps;
   double step = -std::numeric_limits<double>::infinity(), sum = 0, squares = 0;
   for (Size row = 0; row + 1 < count; ++row)
-    for (Size other = 0; other <= row - APART; ++other) others.push_back(near(row, other));
+    for (Size other = 0; other <= row - LOOPS.beside; ++other) others.push_back(near(row, other));
   for (Size row = 1; row + 1 < count; ++row) steps.push_back(near(row, row - 1));
-  for (Size back = 1; back <= LAST; ++back) step = std::max(step, near(count - 1, count - 1 - back));
+  for (Size back = 1; back <= LOOPS.last; ++back) step = std::max(step, near(count - 1, count - 1 - back));
   for (const double value : others) sum += value;
   const double mean = sum / static_cast<double>(others.size()), elsewhere = median(others);
   for (const double value : others) squares += (value - mean) * (value - mean);
   const double deviation = std::sqrt(squares / static_cast<double>(others.size()));
-  return (step - elsewhere) / std::max({median(steps) - elsewhere, SPREADS * deviation, ROUNDING});
+  return (step - elsewhere) / std::max({median(steps) - elsewhere, LOOPS.spreads * deviation, ROUNDING});
 }
 
 bool is_gap(const std::deque<double> &stamps, double stamp) {
   std::vector<double> stamped, steps;
   std::copy_if(stamps.begin(), stamps.end(), std::back_inserter(stamped),
                [](double stamp_before) { return !std::isnan(stamp_before); });
-  if (static_cast<Size>(stamped.size()) < LEAST_FRAMES || !(stamp - stamped.back() > GAP)) return false;
+  if (static_cast<Size>(stamped.size()) < LOOPS.least_frames || !(stamp - stamped.back() > LOOPS.gap)) return false;
   for (std::size_t row = 1; row < stamped.size(); ++row) steps.push_back(stamped[row] - stamped[row - 1]);
-  return stamp - stamped.back() > TIMES * median(steps);
+  return stamp - stamped.back() > LOOPS.gap_steps * median(steps);
 }
 }  // namespace
 
 // ------------------------------------------------------------------------------------------- repeats
 
-Repeats::Repeats(Size exclude) : nearest_(std::max<Size>(1, exclude / DISTANT)), farthest_(exclude) {}
+Repeats::Repeats(Size exclude) : nearest_(std::max<Size>(1, exclude / LOOPS.distant)), farthest_(exclude) {}
 
 void Repeats::after(const float *near, Size count) {
   highest_.resize(place(count + 1), NONE);
@@ -141,19 +116,19 @@ void Repeats::after(const float *near, Size count) {
   for (Size far = 0; far < rows; ++far) seen[place(far + 1)] = near[first - far];
   for (std::size_t far = 0; far < widest.size(); ++far)
     widest[far] = std::max({seen[far], seen[far + 1], seen[far + 2]});
-  keep(last_, widest, TRACK);
+  keep(last_, widest, place(LOOPS.track));
   std::size_t shared = place(rows);
   for (const auto &row_of_distances : last_) shared = std::min(shared, row_of_distances.size());
-  if (last_.size() < TRACK || !shared) return;
+  if (static_cast<Size>(last_.size()) < LOOPS.track || !shared) return;
   std::vector<float> track(shared);
   for (const auto &row_of_distances : last_) add(track.data(), row_of_distances.data(), 1, static_cast<Size>(shared));
-  for (float &value : track) value /= static_cast<float>(TRACK);
+  for (float &value : track) value /= static_cast<float>(LOOPS.track);
   const float most = *std::max_element(track.begin(), track.end());
-  for (std::size_t back = 0; back < std::min(TRACK, highest_.size()); ++back) {
+  for (std::size_t back = 0; back < std::min(place(LOOPS.track), highest_.size()); ++back) {
     float &high = highest_[highest_.size() - 1 - back];
     high = std::max(high, most);
   }
-  for (Size age = 0; age < static_cast<Size>(TRACK); ++age)
+  for (Size age = 0; age < LOOPS.track; ++age)
     for (Size far = 0; far < static_cast<Size>(shared) && first - far >= age; ++far) {
       float &high = highest_[place(first - far - age)];
       high = std::max(high, track[place(far)]);
@@ -167,7 +142,7 @@ void Repeats::start_stretch() {
 
 // -------------------------------------------------------------------------------------------- tracks
 
-Tracks::Tracks(Size exclude, bool alone) : exclude_(exclude), alone_(alone), since_(WAIT) {}
+Tracks::Tracks(Size exclude, bool alone) : exclude_(exclude), alone_(alone), since_(LOOPS.wait) {}
 
 void Tracks::reserve(Size frames) {
   closeness_.reserve(place(frames));
@@ -181,33 +156,33 @@ void Tracks::start_stretch() {
   *this = std::move(fresh);
 }
 
-bool Tracks::tells() const { return by_chance_.size() >= LEAST_BY_CHANCE; }
+bool Tracks::tells() const { return static_cast<Size>(by_chance_.size()) >= LOOPS.least_known; }
 
 float Tracks::step() const {
   const double usual = median(std::vector<float>(steps_.begin(), steps_.end())) -
                        median(std::vector<float>(others_.begin(), others_.end()));
-  return std::max(LEAST_CLOSENESS, static_cast<float>(usual));
+  return std::max(LOOPS.least_closeness, static_cast<float>(usual));
 }
 
 double Tracks::explained() const {
   if (!alone_ || !tells()) return 0;
-  return quantile({by_chance_.begin(), by_chance_.end()}, EXPLAINED) * static_cast<double>(step());
+  return quantile({by_chance_.begin(), by_chance_.end()}, LOOPS.explained) * static_cast<double>(step());
 }
 
 void Tracks::after(const float *near, Size count, Size old) {
   before_.swap(closeness_);
   closeness_.assign(place(count), 0);
-  if (count < 2 * BESIDE || near[count - 1] == NONE) return;
-  const std::vector<float> seen(near + std::max<Size>(0, count - TRACKED), near + count - BESIDE);
-  keep(steps_, near[count - 1], USUAL);
-  keep(others_, static_cast<float>(median(seen)), USUAL);
+  if (count < 2 * LOOPS.beside || near[count - 1] == NONE) return;
+  const std::vector<float> seen(near + std::max<Size>(0, count - LOOPS.last_frames), near + count - LOOPS.beside);
+  keep(steps_, near[count - 1], place(LOOPS.usual));
+  keep(others_, static_cast<float>(median(seen)), place(LOOPS.usual));
   const Spread spread = plain_spread(near, old);
   if (std::all_of(near, near + old, [](float value) { return value == NONE; })) return;
   const auto later = count - static_cast<Size>(before_.size());
   const float usual = step();
   for (Size row = 0; row < count; ++row) {
     const float close = near[row] == NONE ? 0 : (near[row] - static_cast<float>(spread.mean)) / usual;
-    closeness_[place(row)] = (row >= later ? SMOOTHING * before_[place(row - later)] : 0) + (1 - SMOOTHING) * close;
+    closeness_[place(row)] = (row >= later ? LOOPS.smoothing * before_[place(row - later)] : 0) + (1 - LOOPS.smoothing) * close;
   }
   closest_ = *std::max_element(closeness_.begin(), closeness_.begin() + old);
   densest_ = 0;
@@ -217,22 +192,22 @@ void Tracks::after(const float *near, Size count, Size old) {
 
 void Tracks::decided(bool accepted) {
   held_ = returning() && !accepted ? held_ + 1 : 0;
-  if (0 < held_ && held_ <= 2 * WAIT) return;
-  const bool apart = accepted || densest_ >= SAME;
+  if (0 < held_ && held_ <= 2 * LOOPS.wait) return;
+  const bool apart = accepted || densest_ >= LOOPS.same;
   since_ = apart ? 0 : since_ + 1;
   if (apart) waiting_.clear();
-  if (apart || since_ <= WAIT || closest_ == 0) return;
+  if (apart || since_ <= LOOPS.wait || closest_ == 0) return;
   waiting_.push_back(closest_);
-  if (static_cast<Size>(waiting_.size()) <= WAIT) return;
-  keep(by_chance_, waiting_.front(), EARLIER);
+  if (static_cast<Size>(waiting_.size()) <= LOOPS.wait) return;
+  keep(by_chance_, waiting_.front(), place(LOOPS.memory));
   waiting_.pop_front();
 }
 
 bool Tracks::returning() const {
   if (alone_ || !tells()) return false;
   const float highest = *std::max_element(by_chance_.begin(), by_chance_.end());
-  const bool is_clear = highest <= CLEAR && BY_CHANCE * highest <= closest_;
-  return is_clear && densest_ <= closest_ && closest_ < SAME;
+  const bool is_clear = highest <= LOOPS.clear && LOOPS.by_chance * highest <= closest_;
+  return is_clear && densest_ <= closest_ && closest_ < LOOPS.same;
 }
 
 // -------------------------------------------------------------------------------------------- stream
@@ -286,7 +261,7 @@ bool Stream::breaks(const void *const *centres, double stamp) const {
         cosines[place(one * count + other)] = channel.cosine(frame(one), frame(other));
     sum += likeness(cosines, count);
   }
-  return sum / static_cast<double>(channels_.size()) < LIKE;
+  return sum / static_cast<double>(channels_.size()) < LOOPS.like;
 }
 
 void Stream::start_stretch() {
@@ -307,7 +282,7 @@ void Stream::start_stretch() {
 Size Stream::without_last(Size frames) const { return std::max(starts_.back(), rows() - frames); }
 
 void Stream::grow() {
-  const Size last = without_last(std::min(RECENT, exclude_));
+  const Size last = without_last(std::min(LOOPS.recent, exclude_));
   for (; drives_.rows < last; ++drives_.rows)
     if (std::binary_search(starts_.begin(), starts_.end(), drives_.rows))
       drives_.starts.push_back(drives_.rows);
@@ -316,7 +291,7 @@ void Stream::grow() {
 void Stream::store(const void *const *centres, double stamp) {
   described_.push_back(!channels_[0]->empty(centres[0]));
   known_ += described_.back();
-  keep(stamps_, stamp, place(LAST_FRAMES));
+  keep(stamps_, stamp, place(LOOPS.last_frames));
 }
 
 void Stream::extend(const void *const *descriptors, double stamp, bool starts) {
@@ -400,7 +375,7 @@ ssrvlad_loop Stream::step(const void *const *swept, const void *const *centres, 
   filter();
   const ssrvlad_loop loop = result(scored);
   if (loop.reason == SSRVLAD_ACCEPTED && spread.deviation > MIN_SPREAD)
-    keep(fits_, spread.z(near[place(loop.candidate)]), FITS);
+    keep(fits_, spread.z(near[place(loop.candidate)]), place(LOOPS.fits));
   return loop;
 }
 
@@ -477,7 +452,7 @@ void Stream::choose(const std::vector<float> &rough, Size old) {
   Chosen &chosen = of_rows_.chosen;
   std::vector<double> sample;
   for (Size row = 0; row < old; row += stride(old)) sample.push_back(static_cast<double>(rough[place(row)]));
-  const double least = quantile(std::move(sample), 1 - CHOSEN_PART);
+  const double least = quantile(std::move(sample), 1 - LOOPS.chosen);
   chosen.resize(rough.size());
   for (std::size_t row = 0; row < rough.size(); ++row)
     if (static_cast<double>(rough[row]) >= least) chosen[row] |= NEAREST;
@@ -485,7 +460,7 @@ void Stream::choose(const std::vector<float> &rough, Size old) {
   const auto mark = [&](Size first, Size last) {
     for (Size row = std::max<Size>(0, first); row < std::min(last, rows()); ++row) chosen[place(row)] |= 1;
   };
-  mark(std::min(old, rows() - LATEST), rows());
+  mark(std::min(old, rows() - LOOPS.last_frames), rows());
   for (std::size_t row = 0; row < probable_.size(); ++row)
     if (static_cast<double>(probable_[row]) * static_cast<double>(drives_.rows) > 1)
       mark(static_cast<Size>(row) - SSRVLAD_RADIUS, static_cast<Size>(row) + SSRVLAD_RADIUS + 1);
@@ -494,10 +469,10 @@ void Stream::choose(const std::vector<float> &rough, Size old) {
 // How likely a frame of another stretch is: once some loops show how well the right rows fit, a row that
 // fits half as well is as likely as a new place. Label maps alone fit too unevenly.
 Stream::Fit Stream::fit() const {
-  const bool enough = channels_.size() > 1 && fits_.size() >= LEAST_FITS;
-  const double level = enough ? FIT * median(std::vector<double>(fits_.begin(), fits_.end())) : 0;
+  const bool enough = channels_.size() > 1 && static_cast<Size>(fits_.size()) >= LOOPS.least_known;
+  const double level = enough ? LOOPS.fit * median(std::vector<double>(fits_.begin(), fits_.end())) : 0;
   if (level <= MOTION.level) return {MOTION.weight, MOTION.level};
-  return {FIT_WEIGHT * MOTION.weight, level};
+  return {LOOPS.fit_weight * MOTION.weight, level};
 }
 
 // How much likelier a frame is at each row than at a new place. The level of rows of the same stretch is
@@ -509,14 +484,14 @@ void Stream::compute_likelihood(const Spread &spread) {
   if (spread.deviation <= MIN_SPREAD) return;
   const Size start = starts_.back(), count = rows() - start,
              candidates = std::max<Size>(0, count - exclude_);
-  const Size previous = count - std::max<Size>(1, exclude_ / STRIDE);
+  const Size previous = count - std::max<Size>(1, exclude_ / LOOPS.stride);
   if (previous >= 0 && near[place(start + previous)] != NONE)
-    keep(neighbours_, spread.z(near[place(start + previous)]), NEIGHBOURS);
+    keep(neighbours_, spread.z(near[place(start + previous)]), place(LOOPS.memory));
   const double usual =
       neighbours_.empty() ? 0.0 : quantile({neighbours_.begin(), neighbours_.end()}, 0.25);
   const double by_chance = std::sqrt(2 * log_of(static_cast<double>(std::max<Size>(2, rows()))));
-  const double level = std::max({MOTION.level, LEVEL_FRACTION * usual, by_chance});
-  const double weight = EVIDENCE / level;
+  const double level = std::max({MOTION.level, LOOPS.level_fraction * usual, by_chance});
+  const double weight = LOOPS.evidence / level;
   tracks_.after(near.data() + start, count, candidates);
   const Fit fits = fit();
   for (std::size_t stretch = 0; stretch < explained_.size(); ++stretch) {
@@ -534,7 +509,7 @@ void Stream::compute_likelihood(const Spread &spread) {
     here = same[place(row)];
     if (row >= candidates) continue;
     const double repeats = (static_cast<double>(repeats_.highest()[place(row)]) - spread.mean) *
-                               (REPEAT_MARGIN / spread.deviation) -
+                               (LOOPS.repeat_margin / spread.deviation) -
                            level;
     if (repeats > 0) here *= static_cast<float>(exp_of(-weight * repeats));
     if (is_returning) here = std::max(here, others);
@@ -583,7 +558,7 @@ ssrvlad_loop Stream::result(const std::vector<float> &scored) {
   for (Size row = candidate; loop.places < SSRVLAD_PLACES; ++loop.places) {
     const auto [from, to] = near(row);
     const double probability = std::min(1.0, sum(rows.data() + from, to - from));
-    if (probability < LEAST_PLACE) break;
+    if (probability < LOOPS.least_place) break;
     loop.best[loop.places] = {row, probability};
     std::fill(rows.begin() + from, rows.begin() + to, 0.0F);
     row = std::max_element(rows.begin(), rows.begin() + old_) - rows.begin();

@@ -1,10 +1,12 @@
-// The numbers that shape where a query is said to be, and how sure that is. `frames` are those of a query's
-// sequence, `rows` those of the map. Each number says how it was obtained:
+// The numbers that shape where a query is said to be and how sure that is, and whether a frame of a live stream
+// closes a loop. `frames` are those of a query's sequence or of the stream, `rows` those of the map. Each number
+// says how it was obtained:
 //
 //   defined   follows from what it means
 //   drives    chosen on every fifth of the real cases of the page on confidence and on cities 0 to 5
 //   motion    chosen on UofA, Gardens Point, CamVid and a city, each by the other three
 //   counted   counted in the same cases as `drives`
+//   pairs     chosen on the first four pairs of two drives on the page on loops, and on tours of cities
 //   by hand   a round number; half and twice were not tried unless it is said
 
 #ifndef SSRVLAD_MODEL_HPP
@@ -70,6 +72,52 @@ struct PlaceModel {
 };
 
 inline constexpr PlaceModel MODEL;
+
+struct LoopModel {
+  // Motion, a frame; else as of places
+  double change = 0.01, jump = 0.01, unmapped = 0.3, weight = 0.25;  // pairs
+
+  // Frames
+  std::int64_t recent = 10;         // least age of an excluded frame that can be the present place; by hand
+  std::int64_t stride = 50;         // the frame before is the one so many parts of the excluded ones ago; by hand
+  std::int64_t beside = 10;         // frames that are so far apart show different places; by hand
+  std::int64_t last_frames = 50;    // that show what is usual just now; by hand
+  std::int64_t memory = 1000;       // frames that show what is usual in a stretch; by hand
+  double least_place = 0.01;        // probability of a place that is reported; by hand
+
+  // Within a stretch
+  double evidence = 3;              // logarithm of how much likelier a row at twice the level is; pairs
+  double level_fraction = 0.9;      // of how near the frame before usually is, the level of a loop; pairs
+  double repeat_margin = 1.2;       // by which a loop must be nearer than the street repeats; pairs
+  std::int64_t distant = 5;         // parts of the excluded frames from which on they show that; by hand
+  std::int64_t track = 15;          // frames in a row that show that; pairs
+
+  // Of another stretch
+  std::int64_t fits = 20;           // last loops that show how well right rows fit; by hand
+  std::int64_t least_known = 5;     // loops, or tracks by chance, before they count; by hand
+  double fit = 0.5, fit_weight = 2;  // of their median the level of a new place, and how much more it counts; pairs
+
+  // Tracks: returns in another light
+  float smoothing = 0.93F;          // of a track, what it keeps a frame; pairs
+  double explained = 0.9;           // quantile of tracks by chance that a new place explains, by label maps; cities
+  float by_chance = 1.5F;           // times as close as these a return is; pairs
+  float clear = 0.12F;              // closeness from which tracks by chance are too close to tell returns; pairs
+  float same = 0.75F;               // closeness of one light, 1 being a frame and the next; pairs
+  float least_closeness = 0.02F;    // of a frame and the next; defined, against division
+  std::int64_t usual = 100;         // frames that show how close a frame and the next are; by hand
+  std::int64_t wait = 25;           // frames without a loop before and after a track by chance; pairs
+
+  // Gaps, at which a stretch ends
+  double gap = 600, gap_steps = 10;  // seconds, and times the usual step, that a gap is longer than; by hand
+  std::int64_t least_frames = 20;   // with stamps, before a gap can be told; by hand
+  std::int64_t last = 3;            // frames before a gap of which one may be like the next; by hand
+  double like = 0.5, spreads = 3;   // of a usual step, and deviations of different places: one light; pairs
+
+  // Large memories
+  double chosen = 0.01;             // of the rows, by their rough scores, that are compared exactly; by hand, for speed
+};
+
+inline constexpr LoopModel LOOPS;
 
 }  // namespace places
 

@@ -4,14 +4,15 @@ another. docs/concepts/equations.md has the same in words."""
 import math
 
 import numpy as np
-from oracles.filter import BACKWARDS, FORWARDS, MAX_LOG, MIN_SPREAD, SPEEDS, Model, Motion
+from oracles.filter import BACKWARDS, FORWARDS, MAX_LOG, MIN_SPREAD, NUMBERS, SPEEDS, Model, Motion
 from oracles.recognition import ROUNDING, cosines_of_signs, fused, lead, nearness
+
+from ssrvlad_torch.native.headers import model
 
 # ------------------------------------------------------------------- scores of a frame by a channel
 
-BEFORE = 10
-"""Frames that the mean of all frames before a stretch counts in the mean of the stretch: what its
-own first frames have in common is their place."""
+LOOPS = model("Loop")
+BEFORE = int(NUMBERS["before"])
 MOVES = 2
 """Columns by which signs are moved to each side."""
 
@@ -52,9 +53,7 @@ def scores_of_signs(earlier, signs, starts):
 
 # ------------------------------------------------- repeats: how much a street is alike all along it
 
-MARGIN, DISTANT, TRACK = 1.2, 5, 15
-"""A frame is seen again where it is so much nearer than different places of its street are: these
-are excluded frames a fifth of them apart or more, over so many frames in a row."""
+DISTANT, TRACK = int(LOOPS["distant"]), int(LOOPS["track"])
 
 
 class Repeats:
@@ -89,16 +88,9 @@ class Repeats:
 
 # --------------------------------------------------------------- tracks: returns in another light
 
-TRACK_DECAY, MIN_STEP = 0.93, 0.02
-EXPLAINED, BY_CHANCE = 0.9, 1.5
-"""Quantile of the tracks by chance that a new place explains, by label maps alone; and how many
-times as close as the closest of them a return is."""
-CLEAR, SAME = 0.12, 0.75
-"""Closeness is 0 for different places and 1 for a frame and the next: above the first tracks by
-chance are too close to tell returns, above the second it is one light."""
-USUAL, EARLIER = 100, 1000
-MIN_BY_CHANCE, WAIT = 5, 25
-"""Frames by chance that must be known; and how long no loop is closed before and after them."""
+CLEAR, SAME, WAIT = LOOPS["clear"], LOOPS["same"], int(LOOPS["wait"])
+USUAL, MEMORY = int(LOOPS["usual"]), int(LOOPS["memory"])
+LAST_FRAMES, BESIDE = int(LOOPS["last_frames"]), int(LOOPS["beside"])
 
 
 class Tracks:
@@ -114,37 +106,37 @@ class Tracks:
     @property
     def returning(self):
         """Whether the last frames run beside old ones in another light."""
-        if self.alone or len(self.by_chance) < MIN_BY_CHANCE:
+        if self.alone or len(self.by_chance) < LEAST_KNOWN:
             return False
         highest = max(self.by_chance)
-        clear = highest <= CLEAR and BY_CHANCE * highest <= self.closest
+        clear = highest <= CLEAR and LOOPS["by_chance"] * highest <= self.closest
         return clear and self.densest <= self.closest < SAME
 
     @property
     def explained(self):
         """How much nearer than the mean an old frame can be to one of a new place."""
-        if not self.alone or len(self.by_chance) < MIN_BY_CHANCE:
+        if not self.alone or len(self.by_chance) < LEAST_KNOWN:
             return 0.0
-        return np.quantile(self.by_chance, EXPLAINED) * self.step
+        return np.quantile(self.by_chance, LOOPS["explained"]) * self.step
 
     @property
     def step(self):
         """How much nearer than different places a frame is to the next."""
-        return max(MIN_STEP, np.median(self.steps) - np.median(self.elsewhere))
+        return max(LOOPS["least_closeness"], np.median(self.steps) - np.median(self.elsewhere))
 
     def after(self, near, old):
         """Takes the nearness ``(N,)`` of the next frame to all of the stretch, the first old."""
         before, self.closeness = self.closeness, np.zeros(len(near))
-        if len(near) < 20 or near[-1] == -np.inf:
+        if len(near) < 2 * BESIDE or near[-1] == -np.inf:
             return
         self.steps = [*self.steps, near[-1]][-USUAL:]
-        self.elsewhere = [*self.elsewhere, np.median(near[-50:-10])][-USUAL:]
+        self.elsewhere = [*self.elsewhere, np.median(near[-LAST_FRAMES:-BESIDE])][-USUAL:]
         seen = near[:old][near[:old] > -np.inf]
         if not len(seen):
             return
         close = np.where(np.isfinite(near), (near - seen.mean()) / self.step, 0)
-        self.closeness[len(near) - len(before) :] = TRACK_DECAY * before
-        self.closeness += (1 - TRACK_DECAY) * close
+        self.closeness[len(near) - len(before) :] = LOOPS["smoothing"] * before
+        self.closeness += (1 - LOOPS["smoothing"]) * close
         self.closest = self.closeness[:old].max()
         self.densest = self.closeness[old : len(near) - self.exclude // 2].max(initial=0)
 
@@ -160,21 +152,22 @@ class Tracks:
         elif self.since > WAIT and self.closest:
             self.waiting.append(self.closest)
             if len(self.waiting) > WAIT:
-                self.by_chance = [*self.by_chance, self.waiting.pop(0)][-EARLIER:]
+                self.by_chance = [*self.by_chance, self.waiting.pop(0)][-MEMORY:]
 
 
 # ------------------------------------------------------------------------------------- the stream
 
-MOTION = Motion(0.01, 0.01, 0.3, 0.97, 0.25, 0.5)
-FITS, MIN_FITS, FIT, FIT_WEIGHT = 20, 5, 0.5, 2
-"""Once so many of the last loops of a stretch show how well the right rows fit, a row that fits
-half as well is as likely as a new place, and a z-score counts twice. By one channel, never."""
-EVIDENCE, LEVEL_FRACTION = 3.0, 0.9
-"""Of the same stretch, which shares light and network, a row at twice the level is exp(EVIDENCE)
-times as likely: the level is a fraction of the z-score that three quarters of frames have to the
-one before, and at least the highest by chance."""
-NEIGHBOURS, STRIDE, RECENT = 1000, 50, 10
-RADIUS_ROWS, MAX_PLACES, MIN_PROBABILITY = 5, 5, 0.01
+MOTION = Motion(
+    LOOPS["change"],
+    LOOPS["jump"],
+    LOOPS["unmapped"],
+    NUMBERS["stay"],
+    LOOPS["weight"],
+    NUMBERS["level"],
+)
+FITS, LEAST_KNOWN = int(LOOPS["fits"]), int(LOOPS["least_known"])
+STRIDE, RECENT = int(LOOPS["stride"]), int(LOOPS["recent"])
+RADIUS_ROWS, MAX_PLACES = 5, 5
 
 
 class Loops:
@@ -295,27 +288,35 @@ class Loops:
         same, candidates = z[start:], max(0, len(z) - self.starts[-1] - self.exclude)
         previous = len(same) - max(1, self.exclude // STRIDE)
         if previous >= 0 and np.isfinite(same[previous]):
-            self.neighbours = [*self.neighbours, same[previous]][-NEIGHBOURS:]
+            self.neighbours = [*self.neighbours, same[previous]][-MEMORY:]
         usual = np.quantile(self.neighbours, 0.25) if self.neighbours else 0.0
         by_chance = math.sqrt(2 * math.log(max(2, len(z))))
-        level = max(MOTION.level, LEVEL_FRACTION * usual, by_chance)
+        level = max(MOTION.level, LOOPS["level_fraction"] * usual, by_chance)
         self.tracks.after(near[start:], candidates)
         explained = np.repeat(np.array(self.explained), np.diff(self.starts)) / deviation
         weight, fit = self.fit()
         earlier = exp(weight * (z[:start] - np.maximum(fit, explained)))
-        likely = exp(EVIDENCE / level * (same - level))
-        repeats = (self.repeats.highest[: len(same)] - mean) * MARGIN / deviation - level
-        likely[:candidates] *= np.exp(-EVIDENCE / level * np.maximum(0, repeats))[:candidates]
+        likely = exp(LOOPS["evidence"] / level * (same - level))
+        repeats = (self.repeats.highest[: len(same)] - mean) * LOOPS[
+            "repeat_margin"
+        ] / deviation - level
+        likely[:candidates] *= np.exp(-LOOPS["evidence"] / level * np.maximum(0, repeats))[
+            :candidates
+        ]
         if self.tracks.returning:
             likely[:candidates] = np.maximum(likely, exp(weight * (same - fit)))[:candidates]
         return np.concatenate((earlier, likely))
 
     def fit(self):
         """The weight and the level of rows of another stretch."""
-        enough = len(self.channels) > 1 and len(self.fits) >= MIN_FITS
-        level = FIT * np.median(self.fits) if enough else 0.0
+        enough = len(self.channels) > 1 and len(self.fits) >= LEAST_KNOWN
+        level = LOOPS["fit"] * np.median(self.fits) if enough else 0.0
         raised = level > MOTION.level
-        return (FIT_WEIGHT * MOTION.weight, level) if raised else (MOTION.weight, MOTION.level)
+        return (
+            (LOOPS["fit_weight"] * MOTION.weight, level)
+            if raised
+            else (MOTION.weight, MOTION.level)
+        )
 
     def result(self, rows, scores, old):
         """The step, by the probabilities of the rows."""
@@ -335,7 +336,7 @@ class Loops:
         elif at_old >= self.threshold:
             reason = "ambiguous"
         self.tracks.decided(reason == "accepted")
-        likely = [place for place in places if place[1] >= MIN_PROBABILITY]
+        likely = [place for place in places if place[1] >= LOOPS["least_place"]]
         return reason, candidate, scores[candidate], probability, tuple(likely)
 
 
