@@ -165,11 +165,11 @@ def _file_system(uri: str) -> Any:
 
 
 def remote_files(
-    uri: str, kind: str, suffixes: Sequence[str], others: Counter[str]
+    uri: str, kind: str, suffixes: Sequence[str], passed_over: Counter[str]
 ) -> list[FrameFile]:
     """The frames in the folder of a URI, files with one of the suffixes in lower case; their
-    sequence has no name yet. ``others`` counts the suffixes of other files. A scheme that pyarrow
-    does not support, and no frames, are a ValueError that names the kind; a folder that cannot be
+    sequence has no name yet. ``passed_over`` counts the suffixes of other files. A scheme that
+    pyarrow does not support, and no frames, are a ValueError that names the kind; a folder that cannot be
     read is an OSError."""
     from pyarrow.fs import FileSelector, FileSystem, FileType
 
@@ -189,7 +189,7 @@ def remote_files(
             file = RemoteFile("", path.stem, Path(path), folder=folder, listed=listed, uri=uri)
             files.append(file)
         else:
-            others[path.suffix.lower() or "without suffix"] += 1
+            passed_over[path.suffix.lower() or "without suffix"] += 1
     if not files:
         raise ValueError(f"{folder} holds no {kind}; expected {', '.join(suffixes)} files")
     return files

@@ -77,10 +77,10 @@ def find_frames(
             files are the same frame; or pyarrow does not support the URI's scheme.
         OSError: the folder of a URI cannot be read.
     """
-    others = Counter[str]()
-    files = [f for source in sources for f in _expand(str(source), kind, topic, note, others)]
-    if others:
-        counts = ", ".join(f"{count} {suffix}" for suffix, count in others.most_common())
+    passed_over = Counter[str]()
+    files = [f for source in sources for f in _expand(str(source), kind, topic, note, passed_over)]
+    if passed_over:
+        counts = ", ".join(f"{count} {suffix}" for suffix, count in passed_over.most_common())
         note(f"files passed over: {counts}; {kind.name} are {', '.join(kind.suffixes)}")
     if files and all(isinstance(file, UnreadableFile) for file in files):
         raise ValueError(str(getattr(files[0], "problem", "")))
@@ -159,11 +159,11 @@ def _expand(
     kind: FileKind,
     topic: str | None,
     note: Callable[[str], object],
-    others: Counter[str],
+    passed_over: Counter[str],
 ) -> list[FrameFile]:
-    """The frames of a source; ``others`` counts the suffixes of files that are none."""
+    """The frames of a source; ``passed_over`` counts the suffixes of files that are none."""
     if is_uri(source):
-        return remote_files(source, kind.name, kind.suffixes, others)
+        return remote_files(source, kind.name, kind.suffixes, passed_over)
     if not source:
         raise ValueError("a source is empty; expected a folder, a file, a glob or a URI")
     path = Path(source)
@@ -173,7 +173,9 @@ def _expand(
     for folders in (False, True):
         paths = [match for match in matches if match.is_dir() == folders]
         paths.sort(key=lambda path: natural_key(str(path)))
-        files = [file for path in paths for file in _frames_at(path, kind, topic, note, others)]
+        files = [
+            file for path in paths for file in _frames_at(path, kind, topic, note, passed_over)
+        ]
         if files:
             return files
     raise ValueError(f"{source} holds no {kind.name}; expected {', '.join(kind.suffixes)} files")
@@ -184,7 +186,7 @@ def _frames_at(
     kind: FileKind,
     topic: str | None,
     note: Callable[[str], object],
-    others: Counter[str],
+    passed_over: Counter[str],
 ) -> Iterator[FrameFile]:
     """The frames of a folder, file, bag or video. A broken link is a frame, skipped when read, and
     so is a bag or video that cannot be opened; a stack outside a folder of frames is a sequence."""
@@ -201,7 +203,7 @@ def _frames_at(
         is_shown = not entry.name.startswith(".") and (entry.is_file() or not entry.exists())
         if entry.suffix.lower() not in kind.suffixes or (is_folder and not is_shown):
             if is_shown and entry.is_file() and entry.name != FILE_NAME:
-                others[entry.suffix.lower() or "without suffix"] += 1
+                passed_over[entry.suffix.lower() or "without suffix"] += 1
             continue
         length = _stack_length(entry, kind) if entry.suffix.lower() == ".npy" else None
         if length is None:

@@ -70,10 +70,10 @@ def one_of_each_place(
         place = file.path.parent, match[1]
         best[place] = min(best.get(place, (rank, file)), (rank, file), key=lambda pair: pair[0])
     chosen = {file.path for _, file in best.values()}
-    others = {file.path for file, _ in forms} - chosen
-    if others:
-        note(f"{len(others)} files are other forms of a label map, for example {min(others)}")
-    return [file for file in files if file.path not in others]
+    unchosen = {file.path for file, _ in forms} - chosen
+    if unchosen:
+        note(f"{len(unchosen)} files are other forms of a label map, for example {min(unchosen)}")
+    return [file for file in files if file.path not in unchosen]
 
 
 def read_label_map(file: FrameFile, space: LabelSpace) -> LabelMap:
@@ -197,9 +197,9 @@ def _ids_by_colour(space: LabelSpace) -> dict[tuple[int, ...], int]:
 def _ids_of_channels(pixels: npt.NDArray[np.uint8], space: LabelSpace) -> npt.NDArray[Any]:
     """Ids of a label image of three channels: of its colours, but its red channel where the others
     equal it or are 0, and its values are ids and not all colours of the label space."""
-    red, others = pixels[..., 0], pixels[..., 1:]
-    is_gray = bool((others == red[..., None]).all())
-    if is_gray or not others.any():
+    red, green_blue = pixels[..., 0], pixels[..., 1:]
+    is_gray = bool((green_blue == red[..., None]).all())
+    if is_gray or not green_blue.any():
         colours, ids = _ids_by_colour(space), {label.id for label in space.classes}
         used = np.flatnonzero(np.bincount(red.ravel())).tolist()
         if ids.issuperset(used) and any((i, i * is_gray, i * is_gray) not in colours for i in used):

@@ -37,8 +37,8 @@ def draw_answers(answers: Answers, material: Material) -> Figure:
     least = max(answers.estimate.confidence, EVEN)
     if answers.min_confidence or answers.max_wrong is not None:
         least = answers.estimate.confidence
-    known = np.flatnonzero(rows >= 0)
-    poses, own = answers.references.poses, answers.queries.poses
+    answered = np.flatnonzero(rows >= 0)
+    poses, places = answers.references.poses, answers.queries.poses
     placed = bool(np.isfinite(poses[:, :2]).all(axis=1).any())
     figure = new_figure(10, 9)
     above, below = figure.subfigures(2, 1, squeeze=False, height_ratios=(1.1, 1))[:, 0]
@@ -46,19 +46,19 @@ def draw_answers(answers: Answers, material: Material) -> Figure:
     if placed:
         draw_trajectory(charts[0], poses, answers.references.sequences, "map")
     for name, colour, chosen in (
-        ("accepted", _ACCEPTED, known[sure[known] >= least]),
-        ("doubtful", _DOUBTFUL, known[sure[known] < least]),
+        ("accepted", _ACCEPTED, answered[sure[answered] >= least]),
+        ("doubtful", _DOUBTFUL, answered[sure[answered] < least]),
     ):
         label = f"{name}: {len(chosen)}"
         charts[-1].plot(chosen, rows[chosen], ".", ms=4, color=colour, label=label)
         if placed and len(chosen):
-            ends = np.stack((poses[rows[chosen], :2], own[chosen, :2]), axis=1)
+            ends = np.stack((poses[rows[chosen], :2], places[chosen, :2]), axis=1)
             links = [link for link in ends if np.isfinite(link).all()]
             charts[0].add_collection(LineCollection(links, colors=colour, lw=0.8, alpha=0.7))
             charts[0].plot(*ends[:, 0].T, ".", ms=4, color=colour, label=label)
     charts[-1].set(xlabel="number of the query", ylabel="number of its candidate in the map")
     above.legend(*charts[-1].get_legend_handles_labels(), loc="outside upper center", ncols=2)
-    order = known[np.argsort(-sure[known], kind="stable")]
+    order = answered[np.argsort(-sure[answered], kind="stable")]
     examples = order[np.unique(np.linspace(0, len(order) - 1, EXAMPLES).round().astype(int))]
     for column, query in enumerate(examples if len(order) else ()):
         frames = answers.queries.frames[query], answers.references.frames[rows[query]]

@@ -13,7 +13,7 @@ from ..datasets.names import absolute
 from ..files import parse_json, path_within, read_yaml, replacing
 
 YAML = (".yaml", ".yml")
-_KNOWN = "networks.json"
+_FILE = "networks.json"
 
 
 def state_of(name: str) -> str:
@@ -41,22 +41,22 @@ def state_of(name: str) -> str:
 def known_key(name: str, cache: Path) -> str:
     """The key of the segmenter of a network whose files are as they were when it was remembered,
     without opening it; empty for others."""
-    state, key = _known(cache).get(absolute(Path(name)), ("", ""))
+    state, key = _entries(cache).get(absolute(Path(name)), ("", ""))
     return str(key) if state and state == state_of(name) else ""
 
 
 def remember(name: str, state: str, key: str, cache: Path) -> None:
     """Stores the key of a segmenter, and the state of its files before it was opened."""
-    content = {**_known(cache), name: [state, key]}
+    content = {**_entries(cache), name: [state, key]}
     with suppress(OSError):  # it is asked again the next time
         cache.mkdir(parents=True, exist_ok=True)
-        with replacing(cache / _KNOWN) as file:
+        with replacing(cache / _FILE) as file:
             file.write_text(json.dumps(content))
 
 
-def _known(cache: Path) -> dict[str, Any]:
+def _entries(cache: Path) -> dict[str, Any]:
     try:
-        known: dict[str, Any] = parse_json((cache / _KNOWN).read_text("utf-8"), _KNOWN)
+        entries: dict[str, Any] = parse_json((cache / _FILE).read_text("utf-8"), _FILE)
     except (ValueError, OSError):
         return {}
-    return known
+    return entries
