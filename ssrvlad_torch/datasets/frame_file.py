@@ -169,8 +169,8 @@ def remote_files(
 ) -> list[FrameFile]:
     """The frames in the folder of a URI, files with one of the suffixes in lower case; their
     sequence has no name yet. ``passed_over`` counts the suffixes of other files. A scheme that
-    pyarrow does not support, and no frames, are a ValueError that names the kind; a folder that cannot be
-    read is an OSError."""
+    pyarrow does not support, and no frames, are a ValueError that names the kind; a folder that
+    cannot be read is an OSError."""
     from pyarrow.fs import FileSelector, FileSystem, FileType
 
     system, root = FileSystem.from_uri(uri.rstrip("/"))
