@@ -81,7 +81,7 @@ def test_a_closed_stream_is_the_null_device(database, maps, tmp_path, closed):
     lines = [" ".join(line.split()[:2]) for line in out.read_text().splitlines()]
     assert lines == ([] if 1 in closed else results)
     notes = err.read_text().splitlines()
-    assert len(notes) == (2 not in closed) and all("followed" in line for line in notes)
+    assert len(notes) == (2 not in closed) and all("Matched as" in line for line in notes)
     assert len(Database.open(database).load()) == 6
 
 
@@ -120,7 +120,10 @@ WRONG_USES = [
         f"{EVALUATE} --tolerance-frames 1 --tolerance-degrees 5",
         "--tolerance-degrees needs --tolerance-metres",
     ),
-    ("query town.ssrdb monday --threshold nan", "'--threshold': Input should be less than or"),
+    (
+        "query town.ssrdb monday --min-confidence nan",
+        "'--min-confidence': Input should be less than or",
+    ),
     (f"{EVALUATE} --max-wrong 0.1 --min-confidence 0.5", "leave out --min-confidence"),
     (f"show photo.png -o x.png {CAMVID}", "is not in label space camvid-11; is this a photo"),
     (f"show monday -o x.png {CAMVID}", "ssrvlad: monday: expected one frame, got 6"),

@@ -144,7 +144,7 @@ def test_the_program_writes_the_corrected_drive(drive, odometry):
     ("arguments", "message"),
     [
         (["--odometry", "missing.csv"], "missing.csv"),
-        (["--odometry", "loops.jsonl"], "loops.jsonl line 1"),
+        (["--odometry", "loops.jsonl"], "loops.jsonl line 2"),
         (["--odometry", "poses.csv", "--drift", "0"], "above 0"),
     ],
 )

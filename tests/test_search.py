@@ -25,10 +25,10 @@ def test_nothing_that_can_be_described(ssrvlad, database, tmp_path):
     np.save(tmp_path / "other" / "0.npy", np.full((24, 32), 77, np.uint8))
     code, out, err = ssrvlad("query", database, tmp_path / "other")
     assert (code, out) == (3, "")
-    assert err[:2] == [
-        "ssrvlad: no query could be described",
-        "ssrvlad: no frame could be described: is --labels-as the label space of these label maps?",
-    ]
+    assert err[0].startswith("ssrvlad: no answer is accepted")
+    assert err[1] == (
+        "ssrvlad: no frame could be described: is --labels-as the label space of these label maps?"
+    )
 
 
 def test_enough_references_tell_how_sure(ssrvlad, database, maps):
@@ -36,8 +36,6 @@ def test_enough_references_tell_how_sure(ssrvlad, database, maps):
     ssrvlad("encode", maps, "-o", database)
     _, out, err = ssrvlad("query", database, maps, "--json")
     assert 0 < json.loads(out.splitlines()[0])["confidence"] < 1
-    *_, note = ssrvlad("query", database, maps, "--threshold", 0.99)[2]
-    assert note.endswith("), before --threshold")
     assert not any("too few" in line for line in err)
 
 
@@ -83,15 +81,14 @@ def test_as_many_as_an_estimate_permits(ssrvlad, tmp_path):
     ask = "query", town, tmp_path / "town", "--follow", "no", "--max-wrong", 0.1
     code, out, err = ssrvlad(*ask)
     assert code == 0 and all("no candidate" not in line for line in out.splitlines())
-    assert "; accepted 60 answers of confidence " in err[0]
-    assert "% estimated to be wrong (95 % interval 0.0% to " in err[0]
+    assert "60 answers of confidence " in err[0] and "about 0 wrong (0 to " in err[0]
     lines = objects(ssrvlad(*ask, "--json")[1])
     assert lines[0]["estimate"] == lines[-1]["estimate"]
     assert lines[0]["estimate"]["accepted"] == 60 and lines[0]["estimate"]["low"] == 0
     ask = "query", town, tmp_path / "mirrored", "--follow", "no", "--max-wrong", 0.1
     code, out, err = ssrvlad(*ask)
     assert all("no candidate" in line for line in out.splitlines())
-    assert err[0].endswith("; no answer is accepted")
+    assert err[0].startswith("ssrvlad: no answer is accepted")
     both = "query", town, tmp_path / "town", "--max-wrong", 0.1, "--min-confidence", 0.5
     assert ssrvlad(*both)[0] == 2
 
@@ -139,7 +136,7 @@ def test_commands_say_where_candidates_are(ssrvlad, posed, tmp_path):
     for line in map(json.loads, out.splitlines()):
         inside = {each["frame"] for each in line["candidates"]}
         assert inside == {f"monday/00{n}" for n in (1, 2, 3)}
-    *_, steps = ssrvlad("query", town, today, *near)[2]
+    *_, steps = ssrvlad("query", town, today, *near, "--verbose")[2]
     assert "candidates within 10 m of 20, 0: 3 frames" in steps
     truth = ("--tolerance-frames", 1, "--json")
     found = [

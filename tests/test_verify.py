@@ -113,7 +113,9 @@ def test_a_file_that_is_as_it_should_be(kind, files, streets):
     networks = {"fused": "seg.onnx", "features": "street.onnx"}
     assert found.network == networks.get(kind)
     expected = {
-        "features": "16 x 16 cells, 128 signs of relu_2, relu_3, " if kind == "features" else "",
+        "features": "16 x 16 cells alike, 128 signs of relu_2, relu_3, "
+        if kind == "features"
+        else "",
         "hog": "6 x 10 cells, 8 directions" if kind in networks else "",
     }
     for channel, fingerprint in expected.items():

@@ -33,9 +33,9 @@ from ssrvlad_torch import Database, SSRVLADConfig
 from ssrvlad_torch.channels.features import Features
 from ssrvlad_torch.channels.hog import HOG
 from ssrvlad_torch.database.frames import FrameRecord, FrameSet
+from ssrvlad_torch.native.headers import model
 from ssrvlad_torch.native.map import DescriptorMap
 from ssrvlad_torch.recognition.matching import Rows, unit_queries
-from ssrvlad_torch.recognition.motion import ELSEWHERE
 from ssrvlad_torch.recognition.recognise import Recognised, Steps, references_of
 from ssrvlad_torch.recognition.sweep import COLUMNS
 from ssrvlad_torch.search.exact import chosen_channels, recognise_in
@@ -237,7 +237,7 @@ def exact(frames: int, folder: Path) -> Report:
 def lead(scores: Tensor) -> float:
     """How much nearer the nearest row is than the nearest elsewhere."""
     near = -(1 - scores).clamp(min=1e-6).log()
-    elsewhere = (torch.arange(len(near)) - near.argmax()).abs() > ELSEWHERE
+    elsewhere = (torch.arange(len(near)) - near.argmax()).abs() > model("Place")["elsewhere"]
     return float(near.max() - near[elsewhere].max())
 
 

@@ -99,7 +99,7 @@ class LabelNetwork(nn.Module):
         else:
             with captured(self.network, names) as values:
                 tensors = tensors_of(self.network(numbers))
-        return {name: batched(output, len(numbers)) for name, output in tensors.items()}, values
+        return {name: batched(output, numbers) for name, output in tensors.items()}, values
 
     def _axis_of(self, output: Tensor, height: int, width: int) -> int | None:
         """The axis that holds the classes. If two could, the other axes are proportional to height

@@ -114,9 +114,10 @@ def scores_along(output: Tensor, axis: int | None, classes: Classes = None) -> T
     return scores if classes is None else scores[:, slice(*classes)]
 
 
-def batched(output: Tensor, count: int) -> Tensor:
-    """Ids ``(h, w)`` of one picture as ``(1, h, w)``; other outputs stay."""
-    is_single = count == 1 and output.ndim == 2 and len(output) > 1 and _holds_ids(output)
+def batched(output: Tensor, numbers: Tensor) -> Tensor:
+    """Ids ``(h, w)`` of an input of one picture as ``(1, h, w)``; other outputs stay. The number of
+    pictures is not asked for these: `torch.export` would take it as fixed."""
+    is_single = output.ndim == 2 and len(numbers) == 1 and len(output) > 1 and _holds_ids(output)
     return output[None] if is_single else output
 
 
