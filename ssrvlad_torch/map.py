@@ -446,12 +446,12 @@ class Map:
         Raises:
             ValueError: as for `tracker`, or the files cannot fit the map.
         """
-        tracker = self.tracker(steps, top, near, channels)
+        database, tracker = self.database, self.tracker(steps, top, near, channels)
         pictured = any(channel.lacks(None) for channel in tracker.channels)
         source = self.source(frames, compared=True, images=pictured, live=True, note=note)
-        space = space_of_queries(self.database, source, tracker.channels)
+        space = space_of_queries(database, source, tracker.channels)
         describer = Describer(tracker.channels, space, tracker.columns)
-        described = encode_names(describer, names, frames.sequence, source.segmenter, self.database)
+        described = encode_names(describer, names, frames.sequence, source.segmenter, database)
         return tracker.follow(described)
 
     def evaluate(

@@ -125,3 +125,10 @@ FLAT = nn.Sequential(nn.Conv2d(3, 8, 8, 8), nn.Flatten(), nn.Hardtanh())
 )
 def test_what_cannot_be_features_is_refused(network, names, message):
     refuses(message, find_activations, network, NUMBERS, names)
+
+
+def test_a_network_may_have_an_attribute_named_modules():
+    network = Street()
+    expected = chosen_of(network)
+    network.modules = [1, 2]
+    assert chosen_of(network) == expected

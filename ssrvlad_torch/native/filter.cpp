@@ -39,26 +39,8 @@ void visit_others(const Rows &rows, const Rows &listed, const Drives &drives, Fu
         [](Size, Size) {});
 }
 
-// Sums of following values, each times its weight.
-void slide(float *sums, const float *values, Size count, const float *weights, Size width) {
-  on_cpu([=](auto) {
-    Size i = 0;
-    for (; i + LANES <= count; i += LANES) {
-      float lanes[LANES] = {};
-      for (Size k = 0; k < width; ++k)
-        for (Size lane = 0; lane < LANES; ++lane) lanes[lane] += weights[k] * values[i + k + lane];
-      std::copy_n(lanes, LANES, sums + i);
-    }
-    for (; i < count; ++i) {
-      float lane = 0;
-      for (Size k = 0; k < width; ++k) lane += weights[k] * values[i + k];
-      sums[i] = lane;
-    }
-  });
-}
-
-// Adds such sums to a target.
-void slide_into(float *target, const float *values, Size count, const float *weights, Size width) {
+// Adds to a target the sums of following values, each times its weight.
+void slide(float *target, const float *values, Size count, const float *weights, Size width) {
   on_cpu([=](auto) {
     Size i = 0;
     for (; i + LANES <= count; i += LANES) {
@@ -276,14 +258,14 @@ double Filter::transition(const Belief &before, Belief &after, double &lost) con
         const Size first = piece.first + (onwards ? steps.first : -steps.last());
         float *to = after.mapped.data() + (static_cast<Size>(way) * SPEEDS + speed) * there;
         const auto moved = [&](Size row, Size count) {
-          out.resize(static_cast<std::size_t>(count));
+          out.assign(static_cast<std::size_t>(count), 0.0F);
           slide(out.data(), padded.data() + row - first, count, chances, width);
           return sum(out.data(), count);
         };
         visit(
             first, first + reached, piece.drive, after.rows, drives_,
             [&](Size row, Size place, Size count) {
-              slide_into(to + place, padded.data() + row - first, count, chances, width);
+              slide(to + place, padded.data() + row - first, count, chances, width);
             },
             [&](Size row, Size count) { left += moved(row, count); },
             [&](Size row, Size count) { lost += moved(row, count); });
