@@ -197,8 +197,8 @@ def estimate_in_words(estimate: Estimate) -> str:
     if estimate.low is None or estimate.high is None:
         few = "too few or too unclear" if estimate.wrong < 1 else "too few map frames"
         return f"{answers}, {few} to say how many are wrong"
-    low, high = math.floor(count * estimate.low), math.ceil(count * estimate.high)
-    return f"{answers}, about {round(count * estimate.wrong)} wrong ({low} to {high})"
+    wrong, low, high = (round(count * x) for x in (estimate.wrong, estimate.low, estimate.high))
+    return f"{answers}, about {wrong} wrong ({low} to {high})"
 
 
 def matched_in_words(used: Mapping[str, Any]) -> str:
