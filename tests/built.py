@@ -149,7 +149,9 @@ CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome") or shutil.w
 _WAIT = """new Promise((done, fail) => {
   const look = () => { try { const found = %s; if (found) done(found); else setTimeout(look, 20) }
     catch (error) { fail(error) } };
-  setTimeout(() => fail(new Error("waited for " + %s)), 180000); look() })"""
+  const shown = () => document.body.innerText.slice(0, 2000);
+  setTimeout(() => fail(new Error(`waited for ${%s}, shown: ${shown()}`)), 180000);
+  look() })"""
 
 
 class Page:

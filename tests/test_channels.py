@@ -7,16 +7,13 @@ import pyarrow as pa
 import pytest
 import torch
 from drawings import SPACE
-from helpers import descriptors, grids, refuses, street
-from hypothesis import given
-from hypothesis import strategies as st
+from helpers import descriptors, refuses, street
 from networks import photo, write_settings
 
 from ssrvlad_torch import Database, LoopDetector, Map, SSRVLADConfig
 from ssrvlad_torch.channels import Column
 from ssrvlad_torch.channels.channel import View, batches, labels_of, picture_of
 from ssrvlad_torch.channels.hog import HOG
-from ssrvlad_torch.channels.signs import moved
 from ssrvlad_torch.database.exporting import export_database
 from ssrvlad_torch.database.frames import FrameRecord
 from ssrvlad_torch.database.rows import intact
@@ -182,20 +179,3 @@ def test_batches_keep_the_order_and_hold_what_is_alike():
     assert widths([], 2) == []
     unlike = [*views(4), *views(4, dtype=np.int32), *views(4, labels_as="camvid-32"), View("a/9")]
     assert [len(batch) for batch in batches(unlike, 4)] == [1] * 4
-
-
-# ---- signs, compared in packed bits, against plain matrices of 1 and -1
-
-
-SHAPE = (8, 3, 4)
-
-
-@given(st.integers(-3, 3))
-def test_moved_columns_leave_zeros(columns):
-    grid = grids(2, SHAPE)
-    after = moved(grid, columns)
-    for column in range(SHAPE[0]):
-        source = column - columns
-        inside = 0 <= source < SHAPE[0]
-        expected = grid[:, source] if inside else torch.zeros_like(grid[:, 0])
-        assert torch.equal(after[:, column], expected)

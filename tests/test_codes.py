@@ -18,7 +18,10 @@ def test_codes_of_signs_are_nearly_scored_as_some_bytes_of_each_cell(shape, swee
     """Rows that lie in 100 dimensions; of the moves the best counts."""
     rows, queries = grids(100, shape), grids(3, shape, 1)
     some = [numbers(signs[..., :: max(1, shape[2] // 4)]).numpy() for signs in (queries, rows)]
-    expected = cosines_of_signs(*some, min(2, shape[0] - 1) if sweep else 0, 0)
+    moves = [
+        min(most, cells - 1) if sweep else 0 for most, cells in zip((3, 2), shape, strict=False)
+    ]
+    expected = cosines_of_signs(*some, *moves)
     coder = Coder.learn(rows)
     got = coder.scores(queries, coder.codes(rows), sweep)
     torch.testing.assert_close(got, torch.from_numpy(expected).float(), atol=0.03, rtol=0)

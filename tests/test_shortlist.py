@@ -264,7 +264,7 @@ def assert_own_row_is_first(database, frame, query):
     """That of all rows the one that equals a query has its highest score by every channel."""
     index, codes = opened(database)
     for name, values in query.items():
-        [scores] = index.coders[name].scores(values[:1], codes[name], True)
+        [scores] = index.coders[name].scores(values[:1], codes[name], False)
         assert len(scores) == len(database)
         assert index.rows.frames.frames[int(scores.argmax())] == frame
 

@@ -11,14 +11,6 @@ import torch
 from torch import Tensor
 
 
-def moved(grids: Tensor, columns: int) -> Tensor:
-    """``(N, columns, ...)`` moved to the right by some columns; zero comes in from outside."""
-    after, overlap = torch.zeros_like(grids), max(0, grids.shape[1] - abs(columns))
-    to, source = max(0, columns), max(0, -columns)
-    after[:, to : to + overlap] = grids[:, source : source + overlap]
-    return after
-
-
 def numbers(signs: Tensor) -> Tensor:
     """Signs ``(..., bytes)`` as 1 and -1, ``(..., 8 * bytes)`` float32."""
     bits = np.unpackbits(signs.numpy(force=True), axis=-1, bitorder="little")

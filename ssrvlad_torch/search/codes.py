@@ -7,7 +7,7 @@ cell count. Not in the paper.
 
 from __future__ import annotations
 
-import math
+import itertools
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -16,14 +16,13 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ..channels.signs import moved, numbers
+from ..channels.signs import numbers
 
 VECTOR_LENGTH, SIGNS_LENGTH = 64, 256
 """Numbers of a code."""
 
-_BYTES, _REACH = 4, 2
-"""Of a cell of signs, and columns by which they are moved to each side, fewer than the core moves
-them."""
+_BYTES, _ACROSS, _DOWN = 4, 3, 2
+"""Of a cell of signs, and cells by which queries are moved to each side, and up and down."""
 _MOST, _DEVIATIONS = 127, 4.0
 _CODED, _COMPARED = 1 << 12, 1 << 10
 """Rows at once; so few are compared because they stay in the cache of a processor."""
@@ -91,19 +90,21 @@ def _grids(signs: Tensor) -> Tensor:
 
 
 def _probes(queries: Tensor, sweep: bool) -> Tensor:
-    """``(Q, P, D)``, what each query is compared as: from its anchors, or of signs moved by columns
-    and divided by the number of signs that overlap."""
+    """``(Q, P, D)``, what each query is compared as: from its anchors, or of signs moved, with
+    zeros for what comes in, and divided by the number of signs that overlap."""
     if queries.dtype != torch.uint8:
         swept = queries if queries.ndim == 3 else queries[:, None]
         middle = swept.shape[1] // 2
         return F.normalize((swept if sweep else swept[:, middle : middle + 1]).float(), dim=2)
     grids = _grids(queries)
-    reach = min(_REACH, grids.shape[1] - 1) if sweep else 0
-    column = math.prod(grids.shape[2:])
+    columns, rows, bits = grids.shape[1:]
+    across, down = (min(_ACROSS, columns - 1), min(_DOWN, rows - 1)) if sweep else (0, 0)
+    moves = itertools.product(range(-across, across + 1), range(-down, down + 1))
     return torch.stack(
         [
-            moved(grids, step).flatten(1) / (column * (grids.shape[1] - abs(step)))
-            for step in range(-reach, reach + 1)
+            F.pad(grids, (0, 0, row, -row, column, -column)).flatten(1)
+            / (bits * (columns - abs(column)) * (rows - abs(row)))
+            for column, row in moves
         ],
         1,
     )
