@@ -7,14 +7,15 @@ after the descriptor.
 
 The data sets are those of `_described.py`. On one thread, describing takes about two hours, most of
 it for CoHOG and LoST-X. Descriptors are cached in `--cache`. The rest takes ten minutes more.
---shown shows the CSV file again, without measuring.
+--shown shows the CSV file again, without measuring; --method measures some methods anew and keeps the
+rows of the others.
 """
 
 from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import product
 from pathlib import Path
 
@@ -62,12 +63,15 @@ Measured = dict[tuple[str, str, str, str], Row]
 def main() -> None:
     arguments = parser(__doc__, "evaluation/results.md", "described", needs_data=False)
     arguments.add_argument("--shown", action="store_true")
+    arguments.add_argument("--method", action="append", choices=METHODS, help="repeatable; all")
     options = arguments.parse_args()
     torch.set_num_threads(1)
     page = Page("evaluation/results.md", options.output, whole=not options.shown)
     table = options.output.parent / "results.csv"
     if not options.shown:
-        write_figures(table, measure(Described(options.data, options.cache)))
+        methods = options.method or METHODS
+        measured = measure(Described(options.data, options.cache), methods)
+        write_figures(table, measured, [] if methods == METHODS else read_csv(table))
     rows = read_csv(table)
     page.show("results", ["", *summary(rows), ""])
     page.show("label grid", [against_the_grid(rows)])
@@ -90,10 +94,10 @@ def conditions_of(described: Described) -> Iterator[Condition]:
                 yield Condition(dataset, f"{name}, {network}", [search])
 
 
-def measure(described: Described) -> Measured:
+def measure(described: Described, methods: Sequence[str]) -> Measured:
     measured: Measured = {}
     for condition in conditions_of(described):
-        for method, way in product(filter(condition.suits, METHODS), WAYS):
+        for method, way in product(filter(condition.suits, methods), WAYS):
             alone = way == "single frames" and method in OF_NETWORKS
             found = decide(described, condition, method, ALONE if alone else WAYS[way])
             measured[condition.dataset, condition.name, method, way] = found.figures()
@@ -101,14 +105,16 @@ def measure(described: Described) -> Measured:
     return measured
 
 
-def write_figures(path: Path, measured: Measured) -> None:
-    """The CSV file of all figures with their intervals."""
+def write_figures(path: Path, measured: Measured, earlier: Rows) -> None:
+    """The CSV file of all figures with their intervals; what was not measured is as before."""
     ends = (f"{name} {end}".strip() for name in FIGURES for end in ("", "low", "high"))
+    lines = {tuple(line.values())[:4]: list(line.values()) for line in earlier}
+    for key, found in measured.items():
+        lines[key] = [*key, *(f"{value:.4f}" for name in FIGURES for value in found[name])]
     with replacing(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file, lineterminator="\n")
         table.writerow(["data set", "condition", "method", "way", *ends])
-        for key, found in measured.items():
-            table.writerow([*key, *(f"{value:.4f}" for name in FIGURES for value in found[name])])
+        table.writerows(lines.values())
 
 
 def rate(rows: Rows, dataset: str, method: str, way: str) -> float:
