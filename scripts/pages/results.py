@@ -7,8 +7,8 @@ after the descriptor.
 
 The data sets are those of `_described.py`. On one thread, describing takes about two hours, most of
 it for CoHOG and LoST-X. Descriptors are cached in `--cache`. The rest takes ten minutes more.
---shown shows the CSV file again, without measuring; --method measures some methods anew and keeps the
-rows of the others.
+--shown shows the CSV file again, without measuring; --method measures some methods anew and keeps
+the rows of the others.
 """
 
 from __future__ import annotations
