@@ -14,6 +14,7 @@ from ..evaluation.measure import Evaluation
 from ..evaluation.metrics import figure_rows, fraction
 from ..evaluation.report import render, write_report
 from ..evaluation.thresholds import SURE_PRECISION, operating_rows, queries_needed
+from ..recognition.camera import Camera
 from ..recognition.confidence import Estimate
 from ..recognition.standardise import MIN_FRAMES
 from ..search.answers import estimate_in_json
@@ -70,6 +71,11 @@ def print_estimate(answers: Answers, verbose: bool) -> None:
     """Prints how many answers are wrong, and how they were found, on stderr."""
     used = answers.recognised.used
     note(f"{estimate_in_words(answers.estimate)}. {matched_in_words(used)}; {_details(verbose)}")
+    if any(camera["other_view"] for camera in used.get("camera", {}).values()):
+        note(
+            "the field of view of the queries seems to differ from that of the map; answers may be "
+            "some frames ahead or behind"
+        )
     if verbose:
         note(steps_in_words(used, answers.temporal))
 
@@ -225,6 +231,8 @@ def steps_in_words(used: Mapping[str, Any], temporal: int | None = None) -> str:
         f"followed: {by_sequence(used['follow'])}",
         *weights_in_words(list(used["weights"].values())),
     ]
+    if cameras := {name: str(Camera(**of)) for name, of in used.get("camera", {}).items()}:
+        words.append(f"camera {by_sequence(cameras)}")
     if used["delay"]:
         words.append(f"answers wait for {used['delay']} queries")
     if temporal is not None:

@@ -3,11 +3,13 @@ index of a large one."""
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from ..channels.channel import FEATURES, Channel, View, channels_of, refuse_text
+from ..channels.features import Features
 from ..database.database import Database
 from ..database.frames import FrameSet
 from ..datasets.image_files import Pixels
@@ -17,6 +19,7 @@ from ..encoding.encoder import check_segmenter, encode_to_memory
 from ..encoding.results import Progress, Skipped, do_nothing
 from ..encoding.source import SelectedFrames
 from ..native.map import DescriptorMap
+from ..recognition.camera import MOST_PAIRS, camera_of
 from ..recognition.recognise import Recognised, Steps, recognise, references_of
 from ..recognition.sequences import runs
 from ..recognition.standardise import MIN_FRAMES
@@ -29,7 +32,7 @@ from .near import Near, Posed
 from .selection import neighbours, select
 from .shortlist import Shortlist, open_shortlist
 
-_ALONE = Steps(follow=None)
+_ALONE, _SURE = Steps(follow=None), 0.9
 
 
 def search(
@@ -90,6 +93,8 @@ def search(
         recognised.used["near"] = f"{near}: {where.sum()} frames"
     if shortlist or reason:
         recognised.used["index"] = reason or "candidates of the index"
+    if any(channel.column.name == Features.name for channel in used):
+        recognised.used["camera"] = _cameras(queries, shortlist or references, recognised)
     return Answers(queries, references, recognised, temporal, tuple(skipped), folders)
 
 
@@ -100,6 +105,25 @@ def _sum_over_time(references: FrameSet, channels: Sequence[Channel], temporal: 
             rows = slice(run.start, run.stop)
             summed = references.channels[channel.column.name][rows]
             temporal_sum(summed, references.sequences[rows], temporal, out=summed)
+
+
+def _cameras(
+    queries: FrameSet, references: FrameSet | Shortlist, recognised: Recognised
+) -> dict[str, dict[str, Any]]:
+    """How the camera of each sequence of queries differs from that of the map, by the features of
+    answers that are surely right; nothing for a sequence with few of these."""
+    answers, name = recognised.matches.indices[:, 0].numpy(), Features.name
+    sure, cameras = recognised.confidence.numpy() >= _SURE, {}
+    for run in runs(queries.sequences):
+        rows = np.arange(run.start, run.stop)[sure[run.start : run.stop]]
+        rows = rows[:: max(1, len(rows) // MOST_PAIRS)]
+        if isinstance(references, FrameSet):
+            frames = np.asarray(references.channels[name][answers[rows]])
+        else:
+            frames = references.read(answers[rows])[name]
+        if camera := camera_of(np.asarray(queries.channels[name][rows]), frames):
+            cameras[queries.sequences[run.start]] = camera._asdict()
+    return cameras
 
 
 def chosen_channels(database: Database, names: Sequence[str] | None = None) -> list[Channel]:

@@ -75,7 +75,7 @@ class Shortlist:
         self._lengths = [len(run) for run in runs(self.frames.sequences)]
         everyone = np.random.default_rng(0).permutation(len(self.frames))
         self._sample = np.sort(everyone[:SAMPLE])
-        self._sampled = self._read(self._sample)
+        self._sampled = self.read(self._sample)
         self._means = dict[int, dict[str, npt.NDArray[np.float32]]]()
         ends, groups = np.cumsum([0, *self._lengths]), sharing(self._lengths)
         self._starts = np.array([ends[group[0]] for group in groups], np.int64)
@@ -170,7 +170,7 @@ class Shortlist:
         town = DescriptorMap(self._lengths, Rows(rows, weights, changes))
         in_sample = np.isin(rows, self._sample)
         of_sample = np.searchsorted(self._sample, rows[in_sample])
-        read = self._read(rows[~in_sample])
+        read = self.read(rows[~in_sample])
         for channel in self._channels:
             name = channel.column.name
             values = np.empty((len(rows), *read[name].shape[1:]), read[name].dtype)
@@ -184,11 +184,11 @@ class Shortlist:
         if group not in self._means:
             if len(self._means) >= MEANS:
                 self._means.clear()
-            read = self._read(np.unique(self._mean_rows[group]))
+            read = self.read(np.unique(self._mean_rows[group]))
             self._means[group] = {name: mean_of(values) for name, values in read.items()}
         return self._means[group]
 
-    def _read(self, rows: npt.NDArray[np.int64]) -> dict[str, npt.NDArray[Any]]:
+    def read(self, rows: npt.NDArray[np.int64]) -> dict[str, npt.NDArray[Any]]:
         """Descriptors of rows by channel."""
         columns, stored = [c.column for c in self._channels], self._index.rows.stored[rows]
         read = read_rows(self._database, stored, columns, verified=True)

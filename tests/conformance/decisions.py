@@ -223,6 +223,8 @@ SHOWN = """Array.from(document.querySelectorAll('#places tbody tr'),
 def by_page(scene: Scene, mode: str, fixtures: Fixtures) -> Lines:
     """The page in a browser, on which each folder is dropped; it shows the first candidate."""
     page, site, lines = fixtures("page"), fixtures("site"), []
+    for file in site.glob(f"{scene.town.name}*"):  # of other tests
+        file.unlink()
     for file in (scene.model, *scene.town.parent.glob(f"{scene.town.name}*")):
         shutil.copy(file, site)
     status = "document.getElementById('status')"
