@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from .map import Map as Map
     from .recognition.matching import match as match
     from .segmentation.segmenter import Segmenter as Segmenter
-    from .soft.surrogate import SurrogateSSRVLAD as SurrogateSSRVLAD
+    from .soft.descriptor import SurrogateSSRVLAD as SurrogateSSRVLAD
     from .taxonomy import LabelSpace as LabelSpace
 
     __version__: str
@@ -28,7 +28,7 @@ _MODULES = {
     "SSRVLAD": "descriptor",
     "SSRVLADConfig": "config",
     "Segmenter": "segmentation.segmenter",
-    "SurrogateSSRVLAD": "soft.surrogate",
+    "SurrogateSSRVLAD": "soft.descriptor",
     "export_head": "deployment.export",
     "match": "recognition.matching",
 }

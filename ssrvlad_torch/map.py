@@ -59,12 +59,11 @@ from .search.exact import (
     views_of,
 )
 from .search.index import grow
-from .search.material import Material
-from .search.near import Near, Posed
-from .search.picture import draw_answers
+from .search.material import Material, draw_answers
+from .search.selection import Near, Posed
 from .search.shortlist import Shortlist, open_shortlist
 from .search.tracker import Tracker
-from .segmentation.known_networks import known_key, remember
+from .segmentation.cache import known_key, remember
 from .segmentation.networks import AUTO
 from .segmentation.segmenter import Segmenter
 from .taxonomy import VOID, LabelSpace, label_space

@@ -15,13 +15,11 @@ from PIL import Image
 from skimage.feature import hog as skimage_hog
 
 from ssrvlad_torch import SSRVLAD
-from ssrvlad_torch.baselines import make, tiny_image
-from ssrvlad_torch.baselines.channel_methods import EncoderFeatures
+from ssrvlad_torch.baselines import channel_methods, make
+from ssrvlad_torch.baselines.channel_methods import EncoderFeatures, enhance
 from ssrvlad_torch.baselines.run import run
-from ssrvlad_torch.baselines.tiny_image import enhance
 from ssrvlad_torch.channels.channel import View
-from ssrvlad_torch.channels.gray import grays, resize
-from ssrvlad_torch.channels.hog import CELL, ORIENTATIONS
+from ssrvlad_torch.channels.hog import CELL, ORIENTATIONS, grays, resize
 from ssrvlad_torch.recognition.recognise import Steps, references_of
 from ssrvlad_torch.recognition.temporal import temporal_sum
 from ssrvlad_torch.segmentation.segmenter import Segmenter
@@ -272,7 +270,7 @@ def plain_scores(difference, sequences):
 
 
 def test_scores_equal_loops_whatever_the_block(monkeypatch):
-    monkeypatch.setattr(tiny_image, "_SCORES_AT_ONCE", 18)
+    monkeypatch.setattr(channel_methods, "_SCORES_AT_ONCE", 18)
     method = make("tiny-image")
     drives = [*frames(map(image, range(6)), "a"), *frames(map(image, range(6, 9)), "b")]
     queries = [image(seed) for seed in (1, 4, 8, 20, 21)]

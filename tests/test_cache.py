@@ -24,9 +24,8 @@ from torch import nn
 
 from ssrvlad_torch.datasets.image_files import find_image_files
 from ssrvlad_torch.segmentation import segmenter as segmentation
-from ssrvlad_torch.segmentation.identity import digest_of
 from ssrvlad_torch.segmentation.preparation import SegmenterConfig
-from ssrvlad_torch.segmentation.segmenter import Segmenter
+from ssrvlad_torch.segmentation.segmenter import Segmenter, digest_of
 
 
 def run(segmenter, folder):

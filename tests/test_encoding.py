@@ -7,7 +7,7 @@ from helpers import HEAD, alone, assert_streets, counts, street, touch, write_im
 
 from ssrvlad_torch.channels.label_shapes import LabelShapes
 from ssrvlad_torch.datasets.label_files import digest
-from ssrvlad_torch.datasets.workers import in_order
+from ssrvlad_torch.datasets.reading import in_order
 from ssrvlad_torch.encoding.encoder import encode_to_database, encode_to_memory
 
 CHANNELS = [LabelShapes(HEAD)]

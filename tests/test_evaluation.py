@@ -14,7 +14,7 @@ from layout_copies import frozen_corridor, needs_vpr_bench, stored_results
 from scipy.stats import binomtest
 
 from ssrvlad_torch import match
-from ssrvlad_torch.evaluation import bootstrap as bootstrapping
+from ssrvlad_torch.evaluation import thresholds as bootstrapping
 from ssrvlad_torch.evaluation.curves import rank, roc_auc
 from ssrvlad_torch.evaluation.metrics import FIGURES, evaluate, precision_recall_curve
 from ssrvlad_torch.evaluation.outcomes import judge

@@ -8,8 +8,8 @@ from test_segmentation import GRAPHS
 
 from ssrvlad_torch.segmentation import onnx_network
 from ssrvlad_torch.segmentation.networks import open_network
+from ssrvlad_torch.segmentation.onnx_files import OpenVinoSession
 from ssrvlad_torch.segmentation.onnx_network import OPENVINO, OnnxNetwork
-from ssrvlad_torch.segmentation.openvino_session import OpenVinoSession
 from ssrvlad_torch.segmentation.segmenter import Segmenter
 
 pytest.importorskip("openvino", reason="the extra openvino is not installed")

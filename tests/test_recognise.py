@@ -17,7 +17,7 @@ from ssrvlad_torch.recognition.recognise import (
     recognise_by_scores,
     references_of,
 )
-from ssrvlad_torch.recognition.standardise import sharing
+from ssrvlad_torch.recognition.sequences import sharing
 from ssrvlad_torch.recognition.sweep import COLUMNS, score
 from ssrvlad_torch.recognition.temporal import temporal_sum
 

@@ -16,8 +16,7 @@ from ssrvlad_torch import Database, Map, SSRVLADConfig
 from ssrvlad_torch.database.frames import FrameSet
 from ssrvlad_torch.datasets.names import sequence_of, split_id
 from ssrvlad_torch.files import natural_key
-from ssrvlad_torch.search.near import Near
-from ssrvlad_torch.search.selection import neighbours
+from ssrvlad_torch.search.selection import Near, neighbours
 
 
 def test_nothing_that_can_be_described(ssrvlad, database, tmp_path):

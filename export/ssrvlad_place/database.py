@@ -15,7 +15,7 @@ from numpy.lib.format import open_memmap
 from ssrvlad_torch.files import naming, replacing
 from ssrvlad_torch.native.map import Decision, DescriptorMap
 from ssrvlad_torch.native.tracker import DescriptorTracker
-from ssrvlad_torch.recognition.standardise import MIN_FRAMES
+from ssrvlad_torch.recognition.sequences import MIN_FRAMES
 
 from .model import FEATURES, HOG, LABEL_SHAPES, TRUST, Description
 from .output import note

@@ -34,7 +34,6 @@ from matplotlib.figure import Figure
 
 from ssrvlad_torch import LoopDetector
 from ssrvlad_torch.database.frames import FrameRecord
-from ssrvlad_torch.evaluation.bootstrap import bootstrap
 from ssrvlad_torch.evaluation.curves import PrecisionRecall
 from ssrvlad_torch.evaluation.loops import (
     LoopScore,
@@ -42,6 +41,7 @@ from ssrvlad_torch.evaluation.loops import (
     loop_errors,
     score_loops,
 )
+from ssrvlad_torch.evaluation.thresholds import bootstrap
 from ssrvlad_torch.files import write_picture
 from ssrvlad_torch.loops.config import LoopConfig
 from ssrvlad_torch.loops.picture import draw_loops

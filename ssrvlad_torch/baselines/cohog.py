@@ -18,8 +18,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ..channels.channel import View, batches
-from ..channels.gray import grays, resize
-from ..channels.hog import CELL, cell_histograms
+from ..channels.hog import CELL, cell_histograms, grays, resize
 from .channel_methods import joined
 
 ORIENTATIONS = 8

@@ -10,8 +10,8 @@ from ..datasets.dataset import Dataset, DatasetFrame, GroundTruth
 from ..datasets.frame_files import FrameFile, read_ahead
 from ..datasets.image_files import read_image
 from ..datasets.label_files import read_label_map
+from ..datasets.layouts import ROLES
 from ..datasets.names import sequence_of
-from ..datasets.sides import ROLES
 from ..evaluation.measure import TOP, Recognition, measure
 from ..evaluation.metrics import Convention
 from ..evaluation.true_matches import Viewpoints, true_matches

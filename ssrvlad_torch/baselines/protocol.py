@@ -50,7 +50,7 @@ METHODS = {
     "lost-x": ("lost_x", "LoSTX"),
     "label-grid": ("channel_methods", "LabelGrid"),
     "hog": ("channel_methods", "HOGMethod"),
-    "tiny-image": ("tiny_image", "TinyImage"),
+    "tiny-image": ("channel_methods", "TinyImage"),
 }
 """Methods by name: the module of this package and the class in it."""
 

@@ -187,7 +187,7 @@ class AnswerOptions:
         """The options. Those that contradict each other are a ValueError that names them; ``typed``
         are the names of the options on the command line."""
         if self.near is not None:
-            from ..search.near import Near
+            from ..search.selection import Near
 
             Near.of(self.near)
         if "max_wrong" in typed and "min_confidence" in typed:

@@ -16,7 +16,7 @@ from ..evaluation.report import render, write_report
 from ..evaluation.thresholds import SURE_PRECISION, operating_rows, queries_needed
 from ..recognition.camera import Camera
 from ..recognition.confidence import Estimate
-from ..recognition.standardise import MIN_FRAMES
+from ..recognition.sequences import MIN_FRAMES
 from ..search.answers import estimate_in_json
 from .output import note, print_json, print_table, say, weights_in_words
 

@@ -15,12 +15,11 @@ from numpy.lib.format import open_memmap
 from ..files import check_regular, is_uri, natural_key, npy_header
 from .bags import bag_files, is_bag
 from .frame_file import FrameFile, UnreadableFile, remote_files
-from .frame_poses import with_poses_beside, with_poses_of
 from .names import SequenceFolders, absolute, sequence_names
-from .pose_tables import FILE_NAME
+from .pose_tables import FILE_NAME, with_poses_beside, with_poses_of
 from .poses import Projection
+from .reading import in_order
 from .videos import is_video, video_files
-from .workers import in_order
 
 __all__ = ["FileKind", "FrameFile", "find_frames", "read_ahead"]
 

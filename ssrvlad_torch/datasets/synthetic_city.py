@@ -29,12 +29,10 @@ from PIL import Image
 
 from ..files import empty_folder, replacing
 from ..taxonomy import label_space, palette
-from .city.blocks import block_sides, fixed_bodies
+from .city.blocks import block_sides, changing_bodies, fixed_bodies, vehicles
 from .city.bodies import Bodies, pack
-from .city.conditions import Conditions, generator, require
 from .city.rendering import background, paint
-from .city.streets import camera_poses, nearby_blocks
-from .city.traffic import changing_bodies, vehicles
+from .city.streets import Conditions, camera_poses, generator, nearby_blocks, require
 from .pose_tables import write_poses
 from .poses import Pose
 from .segmentation_noise import add_errors

@@ -16,9 +16,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ..files import check_pixels, npy_bytes, one_line, requiring
-from .forward_reader import ForwardReader
 from .frame_file import FrameFile
 from .names import VIDEO_SUFFIXES, absolute
+from .reading import ForwardReader
 
 _FORMATS = "mov,matroska,avi,mpegts"
 """No format that names other files, as playlists do."""

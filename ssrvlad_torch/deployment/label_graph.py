@@ -9,8 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from ..channels.channel import FEATURES as NAME
-from ..channels.gray import luma
-from ..channels.hog import HOG
+from ..channels.hog import HOG, luma
 from ..files import one_line
 from ..segmentation.activations import is_script
 from ..segmentation.features import NetworkFeatures

@@ -11,9 +11,8 @@ from typing import Any
 import numpy.typing as npt
 
 from ..files import requiring
-from ..segmentation.onnx_files import CPU, open_session
+from ..segmentation.onnx_files import CPU, OpenVinoSession, open_session
 from ..segmentation.onnx_network import OPENVINO
-from ..segmentation.openvino_session import OpenVinoSession
 from .metadata import Arrays
 
 Run = Callable[[Arrays], dict[str, npt.NDArray[Any]]]

@@ -30,7 +30,7 @@ from ..database.frames import FrameRecord, FrameSet
 from ..datasets.frame_files import FrameFile
 from ..datasets.image_files import read_image
 from ..datasets.label_files import LabelMap, digest, read_label_map
-from ..datasets.workers import in_order
+from ..datasets.reading import in_order
 from ..descriptor import SSRVLAD
 from ..segmentation.segmenter import Segmenter
 from ..taxonomy import LabelSpace

@@ -6,9 +6,8 @@ from pathlib import Path
 
 from ..database.database import Database
 from ..datasets.frame_file import FrameFile
-from ..datasets.frame_poses import with_pose
 from ..datasets.names import absolute, sequence_names
-from ..datasets.pose_tables import PoseTable
+from ..datasets.pose_tables import PoseTable, with_pose
 from ..datasets.poses import Projection
 from ..segmentation.segmenter import Segmenter
 from .encoder import Describer, encode

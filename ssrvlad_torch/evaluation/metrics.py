@@ -25,10 +25,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from .bootstrap import bootstrap
 from .curves import PrecisionRecall, rank, roc_auc
 from .outcomes import Floats, Indices, Outcomes, Scores, Truth, judge
-from .thresholds import wilson
+from .thresholds import bootstrap, wilson
 
 Convention = Literal["exact", "vpr-bench"]
 

@@ -12,8 +12,6 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from .display import candidates_table
-
 Vectors = Tensor | npt.NDArray[np.float32] | npt.NDArray[np.uint8]
 
 _QUERY_BLOCK, _REFERENCE_BLOCK = 1024, 1 << 12
@@ -201,3 +199,31 @@ def best_of(values: Tensor, top: int, rows: Tensor | None = None) -> Matches:
     (scores,), (places,) = _best(padded[None], top)
     chosen = places if rows is None or not len(rows) else rows[places.clamp(max=len(rows) - 1)]
     return Matches(scores.float(), chosen.masked_fill(scores == -torch.inf, -1))
+
+
+_MAX_QUERIES, _MAX_CANDIDATES = 10, 5
+
+
+def candidates_table(scores: Tensor, rows: Tensor, **columns: Tensor) -> str:
+    """The row and the score ``(Q, top)`` of the best candidates of the first queries, and further
+    numbers ``(Q,)`` of each query by their names."""
+
+    def cell(row: int, score: float) -> str:
+        return "none" if math.isinf(score) else f"row {row} ({score:.3f})"
+
+    queries, top = rows.shape
+    shown = min(top, _MAX_CANDIDATES)
+    names = ["query", *(f"candidate {n}" for n in range(1, shown + 1)), *columns]
+    lines = [
+        [
+            str(query),
+            *map(cell, rows[query, :shown].tolist(), scores[query, :shown].tolist()),
+            *(f"{column[query]:.3f}" for column in columns.values()),
+        ]
+        for query in range(min(queries, _MAX_QUERIES))
+    ]
+    head = "".join(f"<th>{name}</th>" for name in names)
+    body = "".join(f"<tr>{''.join(f'<td>{cell}</td>' for cell in line)}</tr>" for line in lines)
+    left = queries - len(lines)
+    more = f"<p>{left} more queries</p>" if left else ""
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>{more}"

@@ -13,11 +13,9 @@ from torch import Tensor
 
 from ..native.map import Decision, DescriptorMap
 from .confidence import Confidence
-from .display import candidates_table
-from .matching import Matches, Vectors, checked_number, real_tensor
+from .matching import Matches, Vectors, candidates_table, checked_number, real_tensor
 from .motion import Course
-from .sequences import runs
-from .standardise import MIN_FRAMES
+from .sequences import MIN_FRAMES, runs
 from .sweep import COLUMNS
 
 

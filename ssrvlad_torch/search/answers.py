@@ -17,8 +17,7 @@ from ..datasets.poses import Pose
 from ..evaluation.ground_truth_files import PartialTruth, known_matches
 from ..evaluation.thresholds import SURE_PRECISION
 from ..recognition.confidence import Estimate, accept, answered, estimate
-from ..recognition.display import candidates_table
-from ..recognition.matching import Matches
+from ..recognition.matching import Matches, candidates_table
 from ..recognition.recognise import Recognised
 
 

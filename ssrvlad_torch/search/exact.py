@@ -21,15 +21,13 @@ from ..encoding.source import SelectedFrames
 from ..native.map import DescriptorMap
 from ..recognition.camera import MOST_PAIRS, camera_of
 from ..recognition.recognise import Recognised, Steps, recognise, references_of
-from ..recognition.sequences import runs
-from ..recognition.standardise import MIN_FRAMES
+from ..recognition.sequences import MIN_FRAMES, runs
 from ..recognition.sweep import COLUMNS
 from ..recognition.temporal import temporal_sum
 from ..segmentation.segmenter import Segmenter
 from ..taxonomy import LabelSpace, label_space
 from .answers import Answer, Answers
-from .near import Near, Posed
-from .selection import neighbours, select
+from .selection import Near, Posed, neighbours, select
 from .shortlist import Shortlist, open_shortlist
 
 _ALONE, _SURE = Steps(follow=None), 0.9

@@ -21,8 +21,7 @@ from ..channels.channel import Channel
 from ..database.database import Database
 from ..native.map import DescriptorMap
 from ..native.map import Shortlist as Rows
-from ..recognition.sequences import runs
-from ..recognition.standardise import sharing
+from ..recognition.sequences import runs, sharing
 from .index import LEAST_ROWS, Index, MapRows, is_indexed, read_rows
 
 MOST, LEAST, ROWS, MOST_ROWS = 300, 40, 12_000, 100_000

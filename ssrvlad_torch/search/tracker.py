@@ -21,7 +21,7 @@ from ..files import parse_json, read_bytes, replacing
 from ..native.map import Decision
 from ..native.tracker import DescriptorTracker
 from ..recognition.recognise import Steps, score_is
-from ..recognition.standardise import MIN_FRAMES
+from ..recognition.sequences import MIN_FRAMES
 from ..recognition.sweep import COLUMNS
 from ..segmentation.segmenter import Segmenter
 from ..taxonomy import LabelSpace

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from ..files import InputError, naming, one_line, path_within, read_yaml, requiring
-from .known_networks import YAML, state_of
+from .cache import YAML, state_of
 from .onnx_network import ONNX_RUNTIME, RUNTIMES, OnnxNetwork
 from .preparation import SegmenterConfig
 

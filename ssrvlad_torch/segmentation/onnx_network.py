@@ -16,8 +16,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
-from .onnx_files import CPU, external_files, open_session
-from .openvino_session import OpenVinoSession
+from .onnx_files import CPU, OpenVinoSession, external_files, open_session
 
 _DTYPES = {
     "tensor(float)": torch.float32,

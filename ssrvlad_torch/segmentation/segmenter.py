@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import io
 import json
 import math
 import os
@@ -28,10 +29,10 @@ from .activations import Activation, all_activations
 from .cache import SegmentedCache
 from .class_names import label_space_of_names
 from .features import NetworkFeatures, probed
-from .identity import digest_of
 from .label_network import LabelNetwork
 from .network_outputs import UnrecognisedError, channel_counts, classes_of, enlarged
 from .networks import AUTO, NamedNetwork, open_network
+from .onnx_network import OnnxNetwork
 from .preparation import OF_SIDES, SegmenterConfig
 
 PIXELS_AT_ONCE = 1 << 21
@@ -351,3 +352,21 @@ def space_of(
     first, last = classes or network.config.classes or (0, max(network.class_names) + 1)
     names = {c - first: name for c, name in network.class_names.items() if first <= c < last}
     return label_space_of_names(names, network.name)
+
+
+def digest_of(network: nn.Module) -> str:
+    """A digest in hex: of the files of an ONNX graph, of the program of a module in TorchScript, of
+    what ``print`` shows of another module and its ``state_dict()``, on whatever device it is.
+    Modules that differ in their code alone have one digest."""
+    if isinstance(network, OnnxNetwork):
+        return network.digest
+    content = hashlib.blake2b(repr(network).encode(), digest_size=16)
+    if isinstance(network, torch.jit.ScriptModule):
+        file = io.BytesIO()
+        torch.jit.save(network, file)
+        content.update(file.getvalue())
+    for name, tensor in network.state_dict().items():
+        content.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}".encode())
+        flat = tensor.detach().cpu().contiguous().reshape(-1)
+        content.update(flat.view(torch.uint8).numpy())
+    return content.hexdigest()

@@ -1,9 +1,11 @@
-"""The differentiable twin: class scores -> descriptors, with a gradient for every score."""
+"""The differentiable twin, class scores -> descriptors with a gradient for every score, and exact
+descriptors with that gradient."""
 
 import torch
 from torch import Tensor, nn
 
 from ..config import SSRVLADConfig
+from ..descriptor import SSRVLAD
 from ..stages.boundaries import WIDTH
 from ..stages.front_end import label_map
 from ..stages.grid_pooling import CELLS, ROWS
@@ -99,3 +101,31 @@ class SoftSSRVLAD(nn.Module):
     def extra_repr(self) -> str:
         """What ``print(twin)`` shows: the temperature."""
         return f"temperature={self.temperature:g}"
+
+
+class SurrogateSSRVLAD(nn.Module):
+    """`SSRVLAD` with the gradient of `SoftSSRVLAD` at temperature 1.
+
+    Args:
+        config: the settings, as for `SoftSSRVLAD`.
+
+    Shape:
+        - input: ``(B, C, H, W)`` floating class scores; without a gradient, whatever `SSRVLAD`
+          takes.
+        - output: ``(B, D)`` float32, the descriptors of `SSRVLAD`.
+
+    Raises:
+        ValueError: as `SoftSSRVLAD` and `SSRVLAD`.
+    """
+
+    def __init__(self, config: SSRVLADConfig | None = None) -> None:
+        super().__init__()
+        self.exact, self.soft = SSRVLAD(config), SoftSSRVLAD(config)
+
+    def forward(self, scores: Tensor) -> Tensor:
+        """The descriptors of a batch."""
+        exact: Tensor = self.exact(scores.detach())
+        if not (scores.requires_grad and torch.is_grad_enabled()):
+            return exact
+        soft: Tensor = self.soft(scores)
+        return exact + (soft - soft.detach()).float()

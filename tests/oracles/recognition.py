@@ -8,7 +8,7 @@ from statistics import NormalDist
 import numpy as np
 from oracles.filter import LEAST_TOTAL, MAX_LOG, MIN_SPREAD, NUMBERS, Model
 
-from ssrvlad_torch.recognition.standardise import sharing
+from ssrvlad_torch.recognition.sequences import sharing
 
 MIN_FRAMES, SAMPLE = int(NUMBERS["min_frames"]), int(NUMBERS["sample"])
 SAME_PLACE_ROWS, ELSEWHERE = int(NUMBERS["near"]), int(NUMBERS["elsewhere"])

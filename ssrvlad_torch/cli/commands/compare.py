@@ -59,7 +59,7 @@ def compare(
     from ...baselines.comparison import ComparisonSettings
     from ...baselines.comparison import compare as compared
     from ...datasets.dataset import GroundTruth
-    from ...datasets.sides import open_sides
+    from ...datasets.layouts import open_sides
     from ...encoding.results import Skipped
 
     names = _names(method)

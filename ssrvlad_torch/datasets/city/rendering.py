@@ -8,7 +8,7 @@ from PIL import Image, ImageDraw
 
 from ..poses import Pose
 from .bodies import BUILDING, ROAD, SKY, VEGETATION, Bodies
-from .conditions import generator
+from .streets import generator
 
 CAMERA_HEIGHT = 1.5
 FIELD_OF_VIEW = math.radians(85)
