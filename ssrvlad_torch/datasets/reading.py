@@ -10,7 +10,8 @@ from typing import Generic, TypeVar
 _BUFFERED = 16
 """Items in memory: threads ask for neighbours in another order."""
 
-Item, Result = TypeVar("Item"), TypeVar("Result")
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 
 
 class ForwardReader(Generic[Item]):
