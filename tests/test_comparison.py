@@ -1,9 +1,8 @@
-"""Methods compared on the same frames: each alone, with its steps, and fused."""
+"""Methods compared on the same frames: each alone, and with its steps."""
 
 import json
 
 import numpy as np
-import pytest
 from helpers import write_maps, write_photos, write_two_drives
 from PIL import Image
 
@@ -26,35 +25,12 @@ def test_every_method_with_the_steps_that_it_can_take(ssrvlad, tmp_path):
     assert [row["method"] for row in rows] == names.split(",")
 
 
-def test_fused_methods_are_two_more_rows(ssrvlad, tmp_path):
-    """The rows of each stay as they were; two more are those of single frames and followed."""
-    town = write_two_drives(tmp_path / "town", 32)
-    options = (town, "--method", "label-grid,hog", *CAMVID, "--tolerance-frames", 0)
-    alone = json.loads(ssrvlad("compare", *options, "--json")[1])["rows"]
-    code, out, _ = ssrvlad("compare", *options, "--fuse", "hog,label-grid", "--json")
-    *rows, single, followed = json.loads(out)["rows"]
-    assert code == 0
-    for row, before in zip(rows, alone, strict=True):
-        for key in ("method", "recall_at", "steps"):
-            assert row[key] == before[key]
-    for row, mode in ((single, "no"), (followed, "no, following is no surer")):
-        assert row["method"] == "hog + label-grid"
-        assert row["steps"]["standardise"] == {"query": True}
-        assert row["steps"]["follow"] == {"query": mode}
-        assert sum(row["weights"]["query"].values()) == pytest.approx(1)
-        assert row["recall_at"]["1"] >= max(one["recall_at"]["1"] for one in rows) - 0.01
-    assert single["bytes_a_reference"] == 2 * 480 * 4
-
-
-@pytest.mark.parametrize(("labels", "reason"), [((), "their --labels-as"), (CAMVID, "label id 99")])
-def test_a_fusion_whose_member_fails_does_not_run(compare, two_drives, labels, reason):
+def test_a_method_that_fails_on_a_frame_does_not_run(compare, two_drives):
     unknown = Image.fromarray(np.full((60, 80), 99, np.uint8))
     unknown.save(two_drives / "query" / "labels" / "003.png")
-    names = "hog,ssr-vlad"
-    code, rows, _ = compare(two_drives, "--method", names, "--fuse", names, *labels)
+    code, rows, _ = compare(two_drives, "--method", "hog,ssr-vlad", *CAMVID)
     assert code == 3
-    assert reason in rows["ssr-vlad"]["reason"]
-    assert rows["hog + ssr-vlad"]["reason"] == "ssr-vlad does not run"
+    assert "label id 99" in rows["ssr-vlad"]["reason"]
 
 
 def test_the_reason_why_a_method_did_not_run_is_its_row(compare, two_drives, tmp_path, monkeypatch):
@@ -125,20 +101,6 @@ def test_a_png_is_a_label_map_or_an_image_but_not_both(compare, maps, tmp_path):
     assert code == 3
     assert "expected a photograph, got a label map" in rows["hog"]["reason"]
     assert rows["label-grid"]["reason"] == "it needs label maps and their --labels-as"
-
-
-def test_odd_even_gives_the_metrics_of_evaluate(ssrvlad, compare, maps, tmp_path):
-    options = (*CAMVID, "--tolerance-frames", 1)
-    code, rows, err = compare(maps, "--odd-even", "--method", "ssr-vlad", *options)
-    assert (code, err) == (0, [])
-    db = tmp_path / "even.ssrdb"
-    ssrvlad("encode", maps, "-o", db, *CAMVID, "--every", 2)
-    odd = ("--every", 2, "--start", 1, "--tolerance-frames", 1, "--json")
-    odd += ("--no-standardise", "--no-sweep", "--follow", "no")
-    metrics = json.loads(ssrvlad("evaluate", db, maps, *odd)[1])
-    assert (metrics["references"], metrics["queries"]) == (3, 3)
-    for key in ("recall_at", "auc_pr", "queries", "references", "queries_with_match"):
-        assert rows["ssr-vlad"][key] == metrics[key]
 
 
 def test_true_matches_come_from_poses_and_frames_without_are_noted(compare, tmp_path):

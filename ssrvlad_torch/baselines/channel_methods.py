@@ -82,12 +82,8 @@ class SSRVLADMethod(VectorMethod, LabelShapes):
 
 
 class LabelGrid(VectorMethod):
-    """Square roots of the categories' fractions in the cells of a grid of 6 x 10, normalised.
-
-    If the grid does not divide the image, neighbouring cells share pixels. Pixels of no category
-    count in a cell's size. Label maps are read as SSR-VLAD reads them, so descriptors of different
-    label spaces are comparable.
-    """
+    """Square roots of the categories' fractions in the cells of a grid of 6 x 10, normalised. Cells
+    that the grid does not divide share pixels; pixels of no category count in a cell's size."""
 
     rows, columns = 6, 10
     name, length = "label-grid", len(CATEGORIES) * rows * columns
@@ -167,16 +163,12 @@ class References:
 
 
 class TinyImage:
-    """Mean absolute difference of tiny pictures, in deviations from the drive around it.
+    """Mean absolute difference of tiny pictures, in deviations from the drive around it, as
+    SeqSLAM.
 
-    A picture is gray, reduced to 64 x 32 by the mean of the area, and each patch of 8 x 8 pixels
-    then has its mean subtracted and is divided by its standard deviation (zero where it has none).
-    D is the mean absolute difference of a query and a reference. With the mean m and the standard
-    deviation s of D over the references of a sequence, the score of its frames is 1 - exp(-(m - D)
-    / s), or 0 where all are alike, as in a sequence of one frame. SeqSLAM scores by (m - D) / s
-    itself. This form keeps its order, is at most 1, and `recognition.motion.nearness` turns it
-    back; from 16 deviations on float32 rounds it to 1.
-    """
+    A picture is gray, reduced to 64 x 32, and each patch of 8 x 8 pixels has mean 0 and deviation
+    1, or 0. With the mean m and the deviation s of the differences D of a query over the references
+    of a sequence, the score of its frames is 1 - exp(-(m - D) / s), or 0 where all are alike."""
 
     name = "tiny-image"
     needs = frozenset({"images"})

@@ -2,12 +2,7 @@
 
 Where the paper is silent, this follows the authors' public code in VPR-Bench: 512 x 512 pixels,
 cells of 16 with 8 signed directions, regions of 2 x 2 cells at every cell, entropy threshold 0.4 of
-8 bits, entropy in discs of radius 5 on 100 x 100 pixels. Like that code, it measures a gradient by
-``|gx + gy| / 2`` instead of its length, so that results are comparable.
-
-On the corridor set of VPR-Bench the scores stored there differ by 0.0001, as another JPEG decoder
-explains. This changes 4 of 111 best matches: RecallRate@1 is 0.631, there 0.622; @5 and @10 are
-equal.
+8 bits, entropy in discs of radius 5 on 100 x 100 pixels, a gradient measured by ``|gx + gy| / 2``.
 """
 
 from collections.abc import Iterable, Sequence
@@ -49,11 +44,9 @@ class Regions(NamedTuple):
 
 
 class CoHOG:
-    """Compares each region of the query with the most similar region of the reference.
-
-    The score is the mean, over the query's regions of high entropy, of the largest cosine with any
-    region of the reference. A query without such a region matches nothing.
-    """
+    """Compares each region of the query with the most similar region of the reference: the mean,
+    over the query's regions of high entropy, of the largest cosine. A query without such a region
+    matches nothing."""
 
     name = "cohog"
     needs = frozenset({"images"})

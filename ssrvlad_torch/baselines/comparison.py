@@ -1,6 +1,6 @@
-"""Other methods on the files of references and queries: run, fused and measured."""
+"""Other methods on the files of references and queries: run and measured."""
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -11,15 +11,14 @@ from ..datasets.frame_files import FrameFile, read_ahead
 from ..datasets.image_files import read_image
 from ..datasets.label_files import read_label_map
 from ..datasets.layouts import ROLES
-from ..datasets.names import sequence_of
 from ..evaluation.measure import TOP, Recognition, measure
 from ..evaluation.metrics import Convention
 from ..evaluation.true_matches import Viewpoints, true_matches
 from ..recognition.matching import Matches
-from ..recognition.recognise import AS_PAPER, Recognised, Steps, recognise, references_of
+from ..recognition.recognise import AS_PAPER, Steps
 from ..taxonomy import label_space
 from .protocol import Method
-from .run import Retrieval, run
+from .run import run
 from .stored_descriptors import StoredDescriptors
 
 Row = dict[str, Any]
@@ -37,23 +36,22 @@ _AHEAD = 16
 
 class ComparisonSettings(NamedTuple):
     """How methods are measured: what is a true match, the convention of the metrics, the steps
-    between encodings and a decision, the threads that read ahead, the names of the methods that are
-    fused, and what shows the progress of a method with a number of frames."""
+    between encodings and a decision, the threads that read ahead, and what shows the progress of a
+    method with a number of frames."""
 
     true: GroundTruth
     convention: Convention
     steps: Steps
     workers: int
-    fused: Sequence[str]
     progress: Callable[[str, int], AbstractContextManager[Any]]
 
 
 def compare(
     methods: Mapping[str, Method | str], sides: Dataset, settings: ComparisonSettings, note: Note
 ) -> list[Row]:
-    """The rows of all methods in their order, of single frames and with the steps, then the rows of
-    the fused methods. A method that cannot be made is given by the reason; ``sides`` are references
-    and queries, see `open_sides`; ``note`` gets what is left out."""
+    """The rows of all methods in their order, of single frames and with the steps. A method that
+    cannot be made is given by the reason; ``sides`` are references and queries, see `open_sides`;
+    ``note`` gets what is left out."""
     used = sides
     if settings.true.metres is not None:
         used = _having(sides, lambda frame: frame.has_pose, "a pose")
@@ -67,15 +65,10 @@ def compare(
             rows[name] = [_not_run(name, lacking[kinds[0]])]
         else:
             able[name] = method
-    fused: list[Row] = []
     if able:
         needs = {need for method in able.values() for need in method.needs}
-        measured, fused = _measured(able, sides, _complete(used, needs, note), settings, note)
-        rows |= measured
-    if settings.fused and not fused:
-        missing = next(name for name in settings.fused if "reason" in rows[name][0])
-        fused = [_not_run(" + ".join(settings.fused), f"{missing} does not run")]
-    return [row for name in methods for row in rows[name]] + fused
+        rows |= _measured(able, sides, _complete(used, needs, note), settings, note)
+    return [row for name in methods for row in rows[name]]
 
 
 def _having(sides: Dataset, has: Callable[[DatasetFrame], object], what: str) -> Dataset:
@@ -116,22 +109,25 @@ def _measured(
     used: Dataset,
     settings: ComparisonSettings,
     note: Note,
-) -> tuple[dict[str, list[Row]], list[Row]]:
-    """The rows of each method, and those of the fused ones if all of them run. Ground truth counts
-    all frames of ``sides``."""
-    map_side, query_side = (used.select(role=role) for role in ROLES)
-    references, queries = (Viewpoints.of(s.frames, sides) for s in (map_side, query_side))
-    truth = true_matches(settings.true, references, queries, note)
+) -> dict[str, list[Row]]:
+    """The rows of each method. Ground truth counts all frames of ``sides``."""
+    queries, references = (used.select(role=role) for role in ("query", "reference"))
+    views = [Viewpoints.of(side.frames, sides) for side in (references, queries)]
+    truth = true_matches(settings.true, *views, note)
 
     def row(matches: Matches, details: Row) -> Row:
-        recognition = Recognition(references, queries, matches, details=details)
+        recognition = Recognition(*views, matches, details=details)
         return measure(recognition, truth, settings.convention).metrics
 
     rows: dict[str, list[Row]] = {}
-    retrievals: dict[str, Retrieval] = {}
+    steps = None if settings.steps == AS_PAPER else settings.steps
     for name, method in methods.items():
         try:
-            retrieval = _retrieval(method, map_side, query_side, settings)
+            if isinstance(method, StoredDescriptors):
+                method.read({frame.frame: frame.image or frame.label for frame in used.frames})
+            sources = (_views(method, side, settings.workers) for side in (queries, references))
+            with settings.progress(name, len(used.frames)) as bar:
+                retrieval = run(method, *sources, TOP, bar.advance, steps)
         except ValueError as error:
             rows[name] = [_not_run(name, str(error))]
             continue
@@ -140,70 +136,11 @@ def _measured(
         rows[name] = [row(retrieval.matches, details)]
         if stepped := retrieval.stepped:
             rows[name].append(row(stepped.matches, {**details, "steps": stepped.used}))
-        retrievals[name] = retrieval
-    if not settings.fused or not set(settings.fused) <= set(retrievals):
-        return rows, []
-    try:
-        fused = _fused(retrievals, queries, references, settings)
-        return rows, [row(recognised.matches, details) for recognised, details in fused]
-    except ValueError as error:
-        return rows, [_not_run(" + ".join(settings.fused), str(error))]
+    return rows
 
 
 def _not_run(method: str, reason: str) -> Row:
     return {"method": method, "reason": reason}
-
-
-def _retrieval(
-    method: Method, references: Dataset, queries: Dataset, settings: ComparisonSettings
-) -> Retrieval:
-    """A method run on the files of both sides."""
-    frames = [*references.frames, *queries.frames]
-    if isinstance(method, StoredDescriptors):
-        method.read({frame.frame: frame.image or frame.label for frame in frames})
-    as_paper = settings.steps == AS_PAPER and method.name not in settings.fused
-    with settings.progress(method.name, len(frames)) as bar:
-        return run(
-            method,
-            _views(method, queries, settings.workers),
-            _views(method, references, settings.workers),
-            top=TOP,
-            progress=bar.advance,
-            steps=None if as_paper else settings.steps,
-        )
-
-
-def _fused(
-    retrievals: Mapping[str, Retrieval],
-    queries: Viewpoints,
-    references: Viewpoints,
-    settings: ComparisonSettings,
-) -> Iterator[tuple[Recognised, Row]]:
-    """The recognition by several methods together, of single frames, and followed if that is a
-    step, each with its details. A method without vectors is a ValueError."""
-    here, there, trust = {}, {}, {}
-    for name in settings.fused:
-        descriptors = retrievals[name].descriptors
-        if descriptors is None:
-            raise ValueError(f"{name} makes no vectors or signs, expected such for --fuse")
-        here[name], there[name], trust[name] = descriptors
-    sequences, of_map = ([*map(sequence_of, side.frames)] for side in (queries, references))
-    costs = [retrievals[name].costs for name in settings.fused]
-    details = {
-        "method": " + ".join(settings.fused),
-        "temporal": None,
-        "bytes_a_reference": sum(cost["bytes_a_reference"] for cost in costs),
-        **{
-            name: {key: sum(cost[name][key] for cost in costs) for key in costs[0][name]}
-            for name in ("encode_ms", "match_ms")
-        },
-    }
-    town = references_of(there, of_map, trust)
-    alone = replace(settings.steps, follow=None, delay=0)
-    for steps in dict.fromkeys((alone, settings.steps)):
-        recognised = recognise(here, sequences, town, steps, TOP)
-        used = recognised.used
-        yield recognised, {**details, "steps": used, "weights": used["weights"]}
 
 
 def _views(method: Method, side: Dataset, workers: int) -> Iterator[View]:

@@ -1,11 +1,8 @@
 """LoST-X (Garg, Suenderhauf, Milford, RSS 2018): the Local Semantic Tensor, then keypoints.
 
 x_i is the feature vector at place i, m_is the probability of class s there, mu_s the mean feature
-of class s. The equations are those of the paper, as the authors' program (github.com/oravus/lostX,
-``LoST.py``) computes them. The layout is that of the program (``match_lost_kc.py``): the paper
-removes keypoints that are close together and uses weighted Euclidean distances, but does not define
-every step.
-"""
+of class s. The equations are those of the paper, the layout that of the authors' program
+(github.com/oravus/lostX), as the paper does not define every step."""
 
 import math
 from collections.abc import Callable, Iterable, Sequence
@@ -63,18 +60,15 @@ class LoSTX:
     """Descriptors of features by class; keypoints rank the best ten references again.
 
     A reference uses the mean features of 15 frames of its sequence, i - 7 to i + 7; a query only
-    its own. The authors' program also scales every dimension over all queries and over all
-    references; this is left out, because a query must not depend on other queries.
+    its own. Dimensions are not scaled over all queries, as in the authors' program, because a query
+    must not depend on others.
 
     Args:
         network: a segmentation network, or its name, see `open_network`; or any function with
-            features and class probabilities. None is a FileNotFoundError. The setting ``features``
-            of its YAML file names the activation; the authors took conv5 of RefineNet-101.
+            features and class probabilities. None is a FileNotFoundError.
         labels_as: label space of its classes; by default that of the segmentation network.
-        classes: names of the classes in that space, by default the paper's; others are a
-            ValueError.
-        opposite: the two sequences run in opposite directions, so the keypoints of queries are
-            mirrored left to right. The descriptor does not depend on it.
+        classes: names of classes in that space, by default the paper's; others are a ValueError.
+        opposite: queries run in the opposite direction, so their keypoints are mirrored.
     """
 
     name = "lost-x"
@@ -189,13 +183,10 @@ def dense_network(segmenter: Segmenter) -> DenseNetwork:
 
 def layout_cost(columns: tuple[Tensor, Tensor], distances: Tensor) -> float:
     """Cost of M pairs of keypoints, low if they keep their order along the image; infinity for
-    fewer than two pairs. ``columns`` are x of the keypoints in both images, ``(M,)`` float each,
-    and ``distances`` ``(M,)`` float the cosine distances between the features of each pair.
-
-    The weight of a pair is the largest distance minus its own, after all are divided by their sum;
-    if all distances are equal, so are the weights. The cost is the cosine distance between the two
-    vectors of weighted columns, divided by the length of the weights and by M.
-    """
+    fewer than two. ``columns`` are x of the keypoints in both images, ``(M,)`` float each,
+    ``distances`` ``(M,)`` the cosine distances of their features. The weight of a pair is the
+    largest distance minus its own, after all are divided by their sum; the cost is the cosine
+    distance of the vectors of weighted columns, divided by the length of the weights and by M."""
     count = len(columns[0])
     if count < 2:
         return math.inf

@@ -14,17 +14,9 @@ if TYPE_CHECKING:
 
 
 class Method(Protocol):
-    """A place-recognition method.
-
-    Queries and references may be encoded differently: SSR-VLAD sums references over their
-    neighbours, CoHOG chooses regions of queries only. Encodings are a tensor with one row per
-    frame, or another object that has ``nbytes``.
-
-    Attributes:
-        name: its name in `METHODS`.
-        needs: any of ``"labels"``, ``"images"`` and ``"weights"``; nothing if descriptors are
-            stored.
-    """
+    """A place-recognition method with its name in `METHODS`, and what it ``needs``: any of
+    ``"labels"``, ``"images"`` and ``"weights"``. Encodings are a tensor with one row per frame, or
+    another object that has ``nbytes``."""
 
     name: str
     needs: frozenset[str]

@@ -19,15 +19,6 @@ from ..recognition.recognise import (
 from .protocol import Method, noting
 
 
-class Descriptors(NamedTuple):
-    """Vectors or signs of queries and of references by one method, and how much it counts beside
-    others."""
-
-    queries: Tensor
-    references: Tensor
-    trust: float
-
-
 class Retrieval(NamedTuple):
     """Candidates of every query, and the costs.
 
@@ -37,13 +28,11 @@ class Retrieval(NamedTuple):
             reading it from disk, ``match_ms`` of all scores, without ranking them; and
             ``bytes_a_reference``, encoded.
         stepped: the result of the steps of `recognition`, if there are steps.
-        descriptors: of both sides, if they are vectors or signs and there are steps.
     """
 
     matches: Matches
     costs: dict[str, Any]
     stepped: Recognised | None = None
-    descriptors: Descriptors | None = None
 
 
 def run(
@@ -54,10 +43,9 @@ def run(
     progress: Callable[[int], None] = lambda _: None,
     steps: Steps | None = None,
 ) -> Retrieval:
-    """Encodes the references, in the order of each sequence, then the queries one by one. Frames
-    are not stored. The first query is encoded twice and timed the second time, without what a
-    process does only once. ``progress`` is called with 1 for every frame. No references or queries,
-    and a frame that the method refuses, are a ValueError.
+    """Encodes the references, in the order of each sequence, then the queries one by one; the first
+    query is encoded twice and timed the second time. ``progress`` is called with 1 for every frame.
+    No references or queries, and a frame that the method refuses, are a ValueError.
 
     With steps of `recognition`, whose costs are not measured, there is a second result: vectors are
     standardised and followed; of other encodings, the scores are followed. The sweep needs signs,
@@ -90,13 +78,12 @@ def run(
     retrieval = Retrieval(Matches(*map(torch.stack, zip(*matches, strict=True))), costs)
     if not steps:
         return retrieval
-    if not isinstance(method, Channel):
+    if isinstance(method, Channel):
+        town = references_of({method.name: encoded}, map_sequences)
+        stepped = recognise({method.name: torch.cat(inputs)}, sequences, town, steps, top)
+    else:
         stepped = recognise_by_scores(torch.cat(inputs), sequences, map_sequences, steps, top)
-        return retrieval._replace(stepped=stepped)
-    descriptors = Descriptors(torch.cat(inputs), encoded, method.trust)
-    town = references_of({method.name: encoded}, map_sequences)
-    stepped = recognise({method.name: descriptors.queries}, sequences, town, steps, top)
-    return retrieval._replace(stepped=stepped, descriptors=descriptors)
+    return retrieval._replace(stepped=stepped)
 
 
 def _cost(times: list[float]) -> dict[str, float]:

@@ -22,17 +22,11 @@ _KEY = "global_descriptor"
 
 
 class StoredDescriptors(VectorMethod):
-    """The vectors of an HDF5 file, compared by their cosine.
-
-    A group ``<name>`` with the data set ``global_descriptor``, ``(D,)`` float, is the descriptor of
-    an image: hloc names it by the image's relative path, ``ssrvlad db export --format hloc`` by the
-    frame's id. `read` comes before frames are encoded; what an encoding costs is not known.
-
-    Raises:
-        ImportError: the extra ``hloc`` is not installed.
-        OSError: there is no such file.
-        ValueError: the file is no HDF5 file, or has no such group.
-    """
+    """The vectors of an HDF5 file, compared by their cosine. A group ``<name>`` with the data set
+    ``global_descriptor``, ``(D,)`` float, is the descriptor of an image: hloc names it by the
+    image's relative path, ``ssrvlad db export --format hloc`` by the frame's id. `read` comes
+    before frames are encoded. Another file is a ValueError, a missing one an OSError, no extra
+    ``hloc`` an ImportError."""
 
     needs: frozenset[str] = frozenset()
 
@@ -51,10 +45,7 @@ class StoredDescriptors(VectorMethod):
     def read(self, frames: Mapping[str, Path | None]) -> None:
         """Reads the descriptors of frames, given by their ids and files. The name of a group is the
         id of its frame, or an end of the file's path, with or without suffix; the longest counts.
-
-        Raises:
-            ValueError: frames have no group, two frames have the same, or a descriptor is damaged.
-        """
+        Frames without a group, two frames of one, and a damaged descriptor are a ValueError."""
         group_of: dict[str, str] = {}
         for frame, path in frames.items():
             paths = [str(path), str(path.with_suffix(""))] if path else []

@@ -92,35 +92,6 @@ def argument(help: str, metavar: str | None = None, **default: Any) -> Any:
 
 
 @dataclass(frozen=True)
-class DriveOptions:
-    """The references and the queries: two parts of one data set, or two folders."""
-
-    dataset: Path | None = argument(
-        "Folder of a data set. Without it, --references and --queries are folders.", default=None
-    )
-    references: list[str] | None = option(
-        "Sequence of the data set to use as references; * stands for any text; can be repeated. "
-        "Default: the references that the data set declares."
-    )
-    queries: list[str] | None = option(
-        "Sequence of the data set to use as queries, in the same form. Default: the queries that "
-        "the data set declares."
-    )
-    odd_even: bool = switch(
-        "--odd-even",
-        "Use the even frames of each sequence as references and the odd ones as queries.",
-    )
-    layout: str | None = option(
-        "Layout of the data set, see ssrvlad encode. Default: auto (recognised)."
-    )
-    labels: Path | None = option("Folder of label maps to use instead of those of the data set.")
-    labels_as: str | None = option(
-        "Label space of the label maps: a name or a .yaml file. Default: the one of the data set. "
-        "Without both, PNG files that could be images or label maps are read as images."
-    )
-
-
-@dataclass(frozen=True)
 class StepOptions:
     """The steps between descriptors and a decision."""
 

@@ -105,16 +105,9 @@ class GroundTruth:
 
 @dataclass(frozen=True)
 class Dataset:
-    """A data set on disk, opened by `open_dataset`.
-
-    Attributes:
-        layout: name of the layout.
-        root: folder of the data set.
-        frames: one sequence after another, each in natural order.
-        labels_as: label space of the label maps, ``None`` if unknown or without label maps.
-        truth: the data set's definition of a true match, or ``None``.
-        notes: one line for each part that the layout has and this copy lacks.
-    """
+    """A data set on disk: its layout, folder and frames, one sequence after another in natural
+    order; the label space of its label maps, if known; its definition of a true match, if any; and
+    a line for each part that this copy lacks."""
 
     layout: str
     root: Path
@@ -173,13 +166,10 @@ class Dataset:
 
     def with_labels(self, folder: str | Path, labels_as: str | LabelSpace) -> Dataset:
         """The data set with label maps of another folder and label space, for example the
-        predictions of a network; none there, or an unknown label space, is a ValueError.
-
-        A label map has the name of its frame or of the frame's image. It is in one of:
-        ``folder/<sequence>``; ``folder/<path of the image's folder below the root>``; the folder
-        called ``folder`` beside that of the image (``0016E5/images`` and ``0016E5/predicted``);
-        ``folder`` itself, if all frames have different names.
-        """
+        predictions of a network; none there, or an unknown label space, is a ValueError. A label
+        map has the name of its frame or of the frame's image, and is in ``folder/<sequence>``, in
+        ``folder/<path of the image's folder>``, in the folder called ``folder`` beside that of the
+        image, or, if all frames have different names, in ``folder``."""
         label_space(labels_as)
         outside, listed = Path(folder), cache(labels_in)
         unambiguous = len({frame.name for frame in self.frames}) == len(self.frames)

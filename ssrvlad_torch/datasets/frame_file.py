@@ -29,16 +29,13 @@ class FrameFile:
 
     Attributes:
         sequence, name: the frame's id is ``<sequence>/<name>``.
-        path: the file.
         row: number of the frame in a ``.npy`` stack or a bag, ``None`` for a file of one frame.
-        pose: pose of the camera, NaN where unknown.
+        pose, stamp: pose of the camera, and time in seconds; NaN where unknown.
         is_named: whether the user chose the name of the sequence.
         folder: absolute path of the sequence's folder, or of a stack or bag that is a sequence.
-        stamp: time in seconds, NaN if unknown.
         has_pose_source: whether a file of poses or the name says the pose. If so, NaN deletes a
             stored pose; if not, a stored pose stays.
-        index_is_id: whether the index of a palette, or the first channel, is the id of a label map
-            whatever its colours.
+        index_is_id: whether the index of a palette, or the first channel, is the id of a label map.
         readers: number of frames that one process best reads at once.
     """
 

@@ -50,32 +50,16 @@ def find_frames(
     note: Callable[[str], object] = lambda _: None,
     choose: Callable[[list[FrameFile]], list[FrameFile]] = lambda files: files,
 ) -> list[FrameFile]:
-    """The frames of the sources. Sequences have the order of the sources; the sequences of a glob
-    and the frames of a sequence have natural order.
+    """The frames of the sources: folders, whose files are a sequence named by `sequence_names`,
+    files, ``.npy`` stacks, videos, bags, globs, or URIs of folders that pyarrow can reach.
+    Sequences have the order of the sources; those of a glob, and the frames of a sequence, natural
+    order. A glob that matches no frame stands for the folders that it matches.
 
-    Args:
-        kind: which files are frames.
-        sources: folders, files, videos, bags, globs, or URIs of folders that pyarrow can reach, as
-            ``s3://bucket/monday``. The files of a folder, without hidden ones, are one sequence,
-            named by `sequence_names`. A glob that matches no frame stands for the folders that it
-            matches. A ``.npy`` stack that is a source is a sequence; in the folder of a URI it is
-            not supported.
-        sequence: name of the sequence, instead of the folder's.
-        every, start: of each sequence keep frame ``start`` and every ``every``-th (>= 1) after it.
-        map_folders: folders that have a name already, see `sequence_names`.
-        poses: source of the poses, see `with_poses_of`; by default the ``poses.csv`` in or beside a
-            folder, or file names as `read_name` reads them.
-        topic: topic of a bag with several topics of images, see `bag_files`.
-        fps: most frames in a second (> 0), see `at_rate`; then ``every`` and ``start`` count these.
-        projection: of positions of GPS.
-        note: gets what the user should know, among it how many files were passed over.
-        choose: leaves out files that are no frames.
-
-    Raises:
-        ValueError: a source holds no frames, or all are videos and bags that cannot be opened; two
-            files are the same frame; or pyarrow does not support the URI's scheme.
-        OSError: the folder of a URI cannot be read.
-    """
+    Of each sequence frame ``start`` and every ``every``-th after it are kept, of those that ``fps``
+    leaves, see `at_rate`. For ``map_folders`` see `sequence_names`, for ``poses`` `with_poses_of`,
+    for ``topic`` `bag_files`. ``note`` gets what the user should know, and ``choose`` leaves out
+    files that are no frames. No frames, a file that is two frames, and a URI that pyarrow does not
+    support are a ValueError, a folder of a URI that cannot be read an OSError."""
     passed_over = Counter[str]()
     files = [f for source in sources for f in _expand(str(source), kind, topic, note, passed_over)]
     if passed_over:

@@ -46,13 +46,10 @@ find_image_files = partial(find_frames, FileKind("images", IMAGE_SUFFIXES, _is_s
 
 def decode_image(content: bytes) -> Pixels:
     """The image ``(H, W, 3)`` uint8 in the bytes of a JPEG, PNG, WebP, BMP, TIFF, PPM or ``.npy``
-    file, turned upright by its EXIF orientation.
-
-    Gray becomes three equal channels, alpha is dropped, CMYK is converted without a colour profile,
-    and the high 8 of 16 bits are kept, or of as many as the file says that gray has. Damaged and
-    other files, several pages, other pictures of at most 12 bits in pixels of 16, pixels of 32 bits
-    or floats, and label maps are a ValueError.
-    """
+    file, upright by its EXIF orientation. Gray becomes three channels, alpha is dropped, CMYK is
+    converted without a colour profile, and of 16 bits, or as many as the file says, the high 8 are
+    kept. Other and damaged files, several pages, at most 12 bits in pixels of 16, pixels of 32 bits
+    or floats, and label maps are a ValueError."""
     with decoding(f"is no image file; expected {', '.join(_FORMATS)} or .npy"):
         if not content.startswith(MAGIC_PREFIX):
             image = checked_image(content, _FORMATS)

@@ -77,16 +77,13 @@ def one_of_each_place(
 
 
 def read_label_map(file: FrameFile, space: LabelSpace) -> LabelMap:
-    """The ids of a label map, ``(H, W)`` of an integer dtype that torch has, in the machine's byte
-    order: uint8, uint16 or signed.
+    """The ids of a label map, ``(H, W)`` uint8, uint16 or signed, in the machine's byte order.
 
-    Reads 8- and 16-bit single-channel images, palette images (see `_ids_of_palette`), images with
-    several 16-bit channels (SYNTHIA: the first channel is the class), images in the colours of the
-    label space, others of three equal channels (OpenCV) or only a red one (CARLA), and ``.npy``,
-    ``(H, W)`` or ``(H, W, 1)``. Where the ``index_is_id``, colours and palettes do not count.
-    Other and damaged files, names that are not valid text, several pages, a colour that the label
-    space lacks, and a palette that can mean two things are a ValueError.
-    """
+    Reads gray of 8 or 16 bits, palettes (see `_ids_of_palette`), several channels of 16 bits
+    (SYNTHIA: the first is the class), colours of the label space, three equal channels (OpenCV),
+    only a red one (CARLA), and ``.npy``, ``(H, W)`` or ``(H, W, 1)``. Where the ``index_is_id``,
+    colours do not count. Other and damaged files, several pages, a colour that the label space
+    lacks, and a palette that can mean two things are a ValueError."""
     content = file.read()
     is_array = file.path.suffix.lower() == ".npy" or content.startswith(MAGIC_PREFIX)
     with decoding(f"cannot identify the image; expected {', '.join(_FORMATS)}"):
@@ -158,16 +155,10 @@ def _first_of_sixteen_bit_channels(
 def _ids_of_palette(
     indices: npt.NDArray[np.uint8], colours: npt.NDArray[np.uint8], space: LabelSpace
 ) -> npt.NDArray[Any]:
-    """Ids of a palette image: its indices, unless its palette shows other ids.
-
-    PNG optimisers write an image of few colours as a palette image with indices of their own. So an
-    image whose palette has colours of the label space, at other ids, is read like one in colours.
-    Entries that no pixel has do not count. The programs in ``export/`` have the same rule.
-
-    Raises:
-        ValueError: the palette has grays that are not the indices; either could be the ids. Or some
-            colours are those of other ids than their indices, and some of none.
-    """
+    """Ids of a palette image: its indices, unless the colours that its pixels have are those of
+    other ids of the label space: optimisers of PNG choose indices of their own. Grays that are not
+    the indices, and colours of which some are those of other ids and some of none, are a
+    ValueError. The programs in ``export/`` have the same rule."""
     ids, colour_of = _ids_by_colour(space), {label.id: label.colour for label in space.classes}
     used = np.flatnonzero(np.bincount(indices.ravel())).tolist()
     shown = {i: tuple(colours[i : i + 1].ravel().tolist()) for i in used}

@@ -88,15 +88,12 @@ class Layout:
     """The layout of a data set on disk.
 
     Attributes:
-        name: the name that users give.
         origin: where the data set can be downloaded; empty for custom data.
         expected: description of the folders and files.
-        images: patterns of images, see `files_of`.
-        labels: patterns of label maps, and their label spaces; the first on disk counts, or that
-            which the user names.
+        images, labels: patterns of images, see `files_of`, and of label maps by label space;
+            the first space on disk counts, or that which the user names.
         signs: alternatives: patterns which all have files; by default each pattern alone.
-        sequence: name of the sequence by the fields of a file; ``None`` for what is no frame.
-        role: of a sequence, by the fields of a file.
+        sequence, role: by the fields of a file; the sequence is ``None`` for what is no frame.
         poses: poses by the keys of the frames, of which a folder and the files are given.
         posed_by: what holds the poses, and where it is.
         truth: the definition of a true match for a folder.

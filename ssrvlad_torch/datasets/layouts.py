@@ -5,7 +5,7 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
-from itertools import groupby, islice
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from natsort import natsorted
 from .camera_poses import read_cmu_list, read_fix, read_matrix, read_nvm, read_v2_poses
 from .dataset import Dataset, DatasetFrame, GroundTruth, LabelsAs, Role, folders_in, shortened
 from .layout import Fields, Files, Folders, Key, Layout, files_of
-from .names import absolute, absolute_folder
+from .names import absolute_folder
 from .poses import Pose
 
 _CMU_NAME = re.compile(r"img_\d+_(c\d)_(\d{16})us(?:_rect)?")
@@ -177,21 +177,10 @@ def open_dataset(
     labels: str | Path | None = None,
     labels_as: LabelsAs = None,
 ) -> Dataset:
-    """The data set in a folder.
-
-    Args:
-        path: the folder.
-        layout: name of a layout; if ``None`` or ``"auto"``, the first in `LAYOUTS` that recognises
-            the folder.
-        labels: a folder of label maps that replace those of the data set, or the name of such a
-            folder beside each folder of images; see `Dataset.with_labels`.
-        labels_as: label space of the label maps; ``None`` for that of the layout.
-
-    Raises:
-        ValueError: the folder or the layout does not exist, no layout recognises the folder, it
-            lacks files that the layout requires, a file is damaged, or ``labels`` is given without
-            ``labels_as``.
-    """
+    """The data set in a folder, of a layout by name or the first in `LAYOUTS` that recognises it;
+    with ``labels``, a folder, the label maps are those of `Dataset.with_labels`. ``labels_as`` is
+    their label space, by default that of the layout. No folder, an unknown layout or one that does
+    not fit, missing or damaged files, and ``labels`` without ``labels_as`` are a ValueError."""
     root = Path(path)
     if not root.is_dir():
         raise ValueError(f"{root} is no folder; expected the folder of a data set")
@@ -250,68 +239,41 @@ def open_sides(
     dataset: Path | None,
     references: Sequence[str] | None,
     queries: Sequence[str] | None,
-    odd_even: bool,
     layout: str | None,
     labels: Path | None,
     labels_as: LabelsAs,
 ) -> Dataset:
-    """The frames of a data set, or, without ``dataset``, of folders, each in the role in which it
-    is used. A file that may be an image or a label map is a label map if the label space is known.
-
-    Args:
-        note: gets what the data set lacks.
-        dataset: folder of the data set.
-        references, queries: sequences of the data set, by default in their declared roles, or
-            folders.
-        odd_even: even frames of ``references`` are references, odd ones queries.
-        layout, labels, labels_as: see `open_dataset`.
-
-    Raises:
-        ValueError: arguments do not go together, or as for `open_dataset`.
-    """
-    names = references or (), queries or ()
+    """The frames of a data set in their roles: of its sequences, by default by the roles that it
+    declares; or, without ``dataset``, of folders. A file that may be an image or a label map is a
+    label map if the label space is known. ``note`` gets what is missing; for the other arguments
+    see `open_dataset`. Arguments that do not go together are a ValueError."""
+    names = dict(zip(ROLES, (references or (), queries or ()), strict=True))
     frames = list[DatasetFrame]()
     if dataset:
         whole = open_dataset(dataset, layout, labels, labels_as)
-        if odd_even and queries:
-            raise ValueError("--odd-even takes the queries from --references; got --queries")
-        if odd_even:
-            alternating = whole.select(names[0]).frames
-            for _, sequence in groupby(alternating, key=lambda frame: frame.sequence):
-                frames += [replace(f, role=ROLES[n % 2]) for n, f in enumerate(sequence)]
-        else:
-            for role, patterns in zip(ROLES, names, strict=True):
-                side = whole.select(patterns, None if patterns else role)
-                frames += [replace(frame, role=role) for frame in side.frames]
-    elif layout or odd_even:
-        raise ValueError("--layout and --odd-even need the folder of a data set")
-    elif not all(names):
+        for role, patterns in names.items():
+            side = whole.select(patterns, None if patterns else role)
+            frames += [replace(frame, role=role) for frame in side.frames]
+    elif layout:
+        raise ValueError("--layout needs the folder of a data set")
+    elif not all(names.values()):
         raise ValueError(
             "expected the folder of a data set, or folders as --references and --queries"
         )
     else:
         roots = dict[str, Path]()
-        for role, paths in zip(ROLES, names, strict=True):
-            for path in paths:
-                whole = replace(open_dataset(path, "folders", labels, labels_as), truth=None)
-                _require_other_names(whole, roots)
-                frames += [replace(frame, role=role) for frame in whole.frames]
+        for role, path in ((role, path) for role, paths in names.items() for path in paths):
+            whole = replace(open_dataset(path, "folders", labels, labels_as), truth=None)
+            for sequence in whole.sequences:
+                if (earlier := roots.setdefault(sequence, whole.root)) is not whole.root:
+                    raise ValueError(
+                        f"{earlier} and {path} both have a sequence {sequence!r}; expected two "
+                        "folders of different names"
+                    )
+            frames += [replace(frame, role=role) for frame in whole.frames]
     unused: dict[str, Any] = {"image": None} if whole.labels_as else {"label": None}
     used = (replace(f, **unused) if f.image == f.label else f for f in frames)
     sides = replace(whole, frames=tuple(used))
     for warning in sides.warnings:
         note(warning)
     return sides
-
-
-def _require_other_names(folder: Dataset, roots: dict[str, Path]) -> None:
-    """Raises a ValueError if a sequence of a folder has the name of one before; ``roots`` gets
-    the folders by their sequences."""
-    for sequence in folder.sequences:
-        if (earlier := roots.setdefault(sequence, folder.root)) is not folder.root:
-            if absolute(earlier) == absolute(folder.root):
-                raise ValueError(f"{earlier} is given twice; expected different folders")
-            raise ValueError(
-                f"{earlier} and {folder.root} both have a sequence {sequence!r}; expected another "
-                "name of one of the folders"
-            )

@@ -19,24 +19,14 @@ empty."""
 
 
 def sequence_names(folders: Collection[str], map_folders: SequenceFolders = ()) -> dict[str, str]:
-    """A name for each folder.
-
-    A folder of the map, or a link to one, keeps its name. Any other folder has the shortest end of
-    its path that no other folder's path ends in.
-
-    Args:
-        folders: absolute paths, or URIs.
-        map_folders: folders that have a name.
-
-    Raises:
-        ValueError: a folder has several names, or no name is free; or its name belongs to a
-            sequence whose folder is missing or unknown, so that it may be the same one.
+    """A name for each folder, absolute paths or URIs: that which a folder of the map, or a link to
+    one, has, or the shortest end of its path that no other folder's path ends in. Several names, no
+    free name, and the name of a sequence whose folder is missing or unknown, so that it may be the
+    same one, are a ValueError.
 
     Examples:
-        >>> sequence_names(["/data/00/labels", "/data/01/labels", "/data/park"])
-        {'/data/00/labels': '00/labels', '/data/01/labels': '01/labels', '/data/park': 'park'}
-        >>> sequence_names(["/data/park"], [("/data/park", "garden")])
-        {'/data/park': 'garden'}
+        >>> sequence_names(["/data/00/labels", "/data/park"], [("/data/park", "garden")])
+        {'/data/00/labels': 'labels', '/data/park': 'garden'}
     """
     names_of, owners = defaultdict[str, set[str]](set), _owners(map_folders)
     for folder, name in map_folders:

@@ -92,15 +92,10 @@ def write_poses(path: Path, poses: Mapping[str, Pose]) -> None:
 
 @dataclass(frozen=True)
 class PoseTable:
-    """Poses of frames, and the file that holds them. A row is an id ``<folder>/<name>``, where the
-    folder is any end of the path of the frame's folder or the name of its sequence, or only a name.
-    An id that names another folder beside the table is not the frame's.
-
-    Attributes:
-        path: the file.
-        poses: by frame, see `read_poses`.
-        folder: the folder for which the table was found, ``None`` if the user named the table.
-    """
+    """Poses of frames, and the file that holds them; ``folder`` is that for which the table was
+    found, ``None`` if the user named it. A row is an id ``<folder>/<name>``, where the folder is
+    any end of the path of the frame's folder or the name of its sequence, or only a name. An id
+    that names another folder beside the table is not the frame's."""
 
     path: Path
     poses: Mapping[str, Pose]

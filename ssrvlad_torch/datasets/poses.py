@@ -3,9 +3,7 @@ from EXIF tags, and names of files that hold the position of an image.
 
 Names have the form of VPR-methods-evaluation: ``@ UTM east @ UTM north @ zone number @ zone letter
 @ latitude @ longitude @ panorama @ tile @ heading @ pitch @ roll @ height @ time stamp @ note
-@.jpg``; all but the first two may be empty or missing. The heading is in degrees clockwise from
-north.
-"""
+@.jpg``; all but the first two may be missing. The heading is in degrees clockwise from north."""
 
 import math
 from collections.abc import Callable, Sequence

@@ -15,13 +15,9 @@ Result = TypeVar("Result")
 
 
 class ForwardReader(Generic[Item]):
-    """Items with rising numbers. The last ones stay in memory; for one before them, reading begins
-    again.
-
-    Args:
-        read: gives items with their numbers, from one at or before a number, or from the first for
-            ``None``.
-    """
+    """Items with rising numbers, by ``read``, which gives them with their numbers from one at or
+    before a number, or from the first. The last ones stay in memory; for one before them it begins
+    again."""
 
     def __init__(self, read: Callable[[int | None], Iterator[tuple[float, Item]]]) -> None:
         self._read, self._lock = read, Lock()
@@ -61,13 +57,9 @@ def in_order(
     ahead: int,
     start: Callable[[], object] | None = None,
 ) -> Iterator[Result]:
-    """The results of ``work``, which several threads call, on items, in their order. ``start`` is
-    called once in each worker.
-
-    Items are taken one by one in the caller's thread while the workers are busy with earlier ones,
-    at most ``ahead`` of them before the first has a result. If taking one raises an error, it comes
-    after the results of all earlier items.
-    """
+    """The results of ``work``, which several threads call, on items, in their order; ``start`` is
+    called once in each thread. Items are taken in the caller's thread, at most ``ahead`` of them
+    before the first has a result; an error there comes after the results of all earlier items."""
     pending: deque[Future[Result]] = deque()
     with ThreadPoolExecutor(max(1, threads), "", start) as pool:
         try:

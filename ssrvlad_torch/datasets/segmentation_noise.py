@@ -1,10 +1,6 @@
-"""Errors like those of a segmentation network, added to a clean label map.
-
-Networks make a few typical errors: they miss thin poles, confuse similar classes over a region, add
-blobs of other classes, and shift boundaries. Each error is one function of ``(H, W)`` uint8
-Cityscapes ids, a strength and a random generator. Smooth random fields choose the pixels, so errors
-cover regions instead of single pixels and scale with the image.
-"""
+"""Errors like those of a segmentation network, added to a clean label map. Each is one function of
+``(H, W)`` uint8 Cityscapes ids, a strength and a random generator; smooth random fields choose the
+pixels, so errors cover regions and scale with the image."""
 
 import math
 

@@ -1,17 +1,12 @@
 """A deterministic synthetic city: label maps and poses of several sequences along one route.
 
 The city is an infinite grid of streets at irregular distances, with blocks between them. Each side
-of a block has its own random generator, which chooses its buildings, kerb, trees, lamps and signs,
-so any part of the city can be computed alone. The default route goes east, north and south, never
-west: it never crosses itself, and a longer sequence begins like a shorter one. A route can also be
-given as turns; the route `TOUR` returns to its streets.
-
-Every object is a convex body of eight corners, drawn as the convex hull of the projected corners.
-Ground patches are bodies of no height. A frame is painted from far to near.
+of a block has its own random generator, so any part of the city can be computed alone. The default
+route goes east, north and south, never west: it never crosses itself, and a longer sequence begins
+like a shorter one. Every object is a convex body of eight corners, painted from far to near.
 
 Map coordinates are in metres: x east, y north, z up. Angles are counter-clockwise from east.
-Streets, kerbs and walls are described in (s, d): metres along an axis, and to its left.
-"""
+Streets, kerbs and walls are described in (s, d): metres along an axis, and to its left."""
 
 import functools
 import itertools
@@ -70,12 +65,8 @@ class CityFrame(NamedTuple):
 
 @dataclass(frozen=True)
 class SyntheticCity:
-    """A city and a route through it; equal seeds give equal frames.
-
-    Attributes:
-        seed: seed of the city, >= 0.
-        estates: numbers of the east-west streets, 0 for the first street of the route, on which all
-            blocks have the same houses, kerbs, lamps and trees.
+    """A city of a seed >= 0 and a route through it; equal seeds give equal frames. On the east-west
+    streets with the numbers ``estates``, 0 for the first of the route, all blocks are alike.
 
     Examples:
         >>> frame = next(SyntheticCity(seed=0).traverse(frames=1))
@@ -94,14 +85,11 @@ class SyntheticCity:
         labels_as: str = "cityscapes-trainids",
         turns: Iterable[int] | None = None,
     ) -> Iterator[CityFrame]:
-        """The frames of a sequence along the route, rendered one by one; fewer than ``frames``
-        (>= 1) if the route ends earlier.
-
-        Height and width in pixels are at least 16; the field of view is 85 degrees wide. Labels are
-        "cityscapes-trainids", with 255 for classes without a train id (guard rail, parking, ground,
-        pole group), or "cityscapes-ids". The route starts eastwards: at each junction ``turns``
-        have 1 for left, 0 for straight on and -1 for right; ``None`` is the endless default route.
-        """
+        """The frames of a sequence along the route, rendered one by one; fewer than ``frames`` (>=
+        1) if the route ends earlier. Height and width are at least 16 pixels; the field of view is
+        85 degrees wide. Labels are "cityscapes-trainids", with 255 for classes without a train id,
+        or "cityscapes-ids". The route starts eastwards: at each junction ``turns`` have 1 for left,
+        0 for straight on and -1 for right; ``None`` is the endless default route."""
         require(frames >= 1, "frames", frames, "at least 1")
         require(min(size) >= MINIMUM_SIZE, "size", size, f"at least {MINIMUM_SIZE} pixels a side")
         require(labels_as in LABEL_SPACES, "labels_as", labels_as, f"one of {LABEL_SPACES}")
@@ -143,17 +131,12 @@ def write_city(
     labels_as: str = "cityscapes-trainids",
     progress: Callable[[int], object] = lambda _: None,
 ) -> Path:
-    """Writes two sequences of one city, of ``frames`` frames each, their poses and their true
-    matches into a new or empty folder, which it returns; another folder, and a value out of range,
-    are a ValueError.
-
-    ``reference`` and ``query``, in the conditions `REFERENCE` and `QUERY`, are 8-bit palette PNGs
-    of ids, in the colours of the label space. ``poses.csv`` has a line ``frame,x,y,heading`` for
-    each frame, named ``<sequence>/<name>``. ``ground_truth.json`` maps every query frame to the
-    reference frames within `RADIUS` metres whose headings differ by less than 45 degrees. For
-    ``seed``, ``size`` and ``labels_as`` see `SyntheticCity.traverse`. ``progress`` is called with 1
-    after each written frame.
-    """
+    """Writes two sequences of one city into a new or empty folder, which it returns: ``reference``
+    and ``query``, in the conditions `REFERENCE` and `QUERY`, palette PNGs of ids in the colours of
+    the label space; ``poses.csv``; and ``ground_truth.json``, the reference frames within `RADIUS`
+    metres of each query frame whose headings differ by less than 45 degrees. For ``seed``, ``size``
+    and ``labels_as`` see `SyntheticCity.traverse`. Another folder, and a value out of range, are a
+    ValueError."""
     city, out = SyntheticCity(seed), empty_folder(Path(out))
     colours, poses = palette(labels_as), dict[str, dict[str, Pose]]()
     for name, conditions in (("reference", REFERENCE), ("query", QUERY)):

@@ -31,15 +31,12 @@ _UNITS = (1, 1e-3, 1e-6, 1e-9)
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Poses of one sequence.
+    """Poses of one sequence, in order.
 
     Attributes:
-        poses: in order.
-        stamps: time of each pose in seconds, increasing; empty if the n-th pose belongs to the
-            n-th frame.
-        gap: between two poses at most this many seconds apart a frame's pose is interpolated, its
-            heading along the shorter arc; elsewhere it is unknown. ``None``: the nearest pose is
-            used if it is at most 0.02 s away.
+        stamps: time of each pose in seconds, increasing; empty if the n-th is of the n-th frame.
+        gap: between two poses at most this many seconds apart a frame's pose is interpolated;
+            elsewhere it is unknown. ``None``: the nearest pose is used up to 0.02 s away.
         starts: places of poses before which nothing was recorded: none is interpolated there.
     """
 
@@ -113,13 +110,11 @@ def read_trajectory(path: Path, projection: Projection | None = None) -> Traject
 
     KITTI: twelve numbers, the matrix ``(3, 4)`` from the camera to the world of the first camera (x
     to the right, y down, z ahead). TUM: ``time x y z qx qy qz qw``, the camera in a world whose z
-    is up; a header and lines with NaN are left out. EuRoC: nanoseconds, ``x y z qw qx qy qz`` and
-    what is not read; the body's z is taken for the camera's. The heading is the direction of the
-    camera's z axis. RobotCar's ``ins.csv`` and ``gps.csv``, and GPX, which need the extra ``gps``:
-    east and north in metres of UTM; the heading is the yaw or course, unknown where the file has
-    none; between segments of GPX, and where the receiver was not sure, nothing is interpolated over
-    more than 5 s.
-    """
+    is up. EuRoC: nanoseconds, ``x y z qw qx qy qz``; the body's z is taken for the camera's. The
+    heading is the direction of the camera's z axis. RobotCar's ``ins.csv`` and ``gps.csv``, and
+    GPX, which need the extra ``gps``: metres of UTM; the heading is the yaw or course, if any;
+    between segments of GPX, and where the receiver was not sure, nothing is interpolated over more
+    than 5 s."""
     text, projection = read_text(path), projection or Projection()
     first = text.lstrip().partition("\n")[0]
     if path.suffix.lower() == ".gpx":

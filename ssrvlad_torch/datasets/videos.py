@@ -46,15 +46,11 @@ def is_video(path: Path) -> bool:
 
 
 def video_files(path: Path, note: Callable[[str], object] = lambda _: None) -> list[FrameFile]:
-    """The frames of a video in order of presentation; their sequence has no name yet. ``note`` is
-    told of a file that ends before the time that it states.
-
-    A frame is named by its time after the first frame, in microseconds: the name does not depend
-    on which other frames are used. Its stamp is this time in seconds, after the file's creation
-    time if the file has one. Nothing is decoded: a damaged frame is refused when it is read.
-    A file that cannot be read, or without frames that have times, is a ValueError; without the
-    extra ``video``, an ImportError.
-    """
+    """The frames of a video in order of presentation; their sequence has no name yet. A frame is
+    named by its time after the first, in microseconds; its stamp is this time in seconds, after the
+    file's creation time if it has one. ``note`` gets a file that ends before the time that it
+    states. Nothing is decoded. A file that cannot be read, or without frames that have times, is a
+    ValueError; without the extra ``video``, an ImportError."""
     folder, video = absolute(path), _open(path, FrameFile("", "", path).state)
     files, last = list[FrameFile](), float(video.times[-1] * video.unit)
     if video.end - last > _MISSING_SECONDS:

@@ -40,14 +40,9 @@ def traced(
     inputs: Mapping[str, tuple[Tensor, Axes]],
     outputs: Mapping[str, Axes],
 ) -> onnx.ModelProto:
-    """A module as a graph. One that cannot be traced is a ValueError; without the extra ``onnx``,
-    an ImportError.
-
-    Args:
-        module: its forward takes the inputs in their order.
-        inputs: by name an example and the axes.
-        outputs: axes of each output by name.
-    """
+    """A module as a graph; ``inputs`` are, by name and in the order of its forward, an example and
+    the axes, ``outputs`` axes by name. One that cannot be traced is a ValueError; without the extra
+    ``onnx``, an ImportError."""
     with requiring("onnx", "ONNX graphs need"):
         import onnxscript  # noqa: F401
     log = logging.getLogger("torch.onnx")
@@ -129,14 +124,9 @@ def join(
     prefixes: Sequence[str],
     joints: Sequence[list[tuple[str, str]]],
 ) -> onnx.ModelProto:
-    """One model that runs several models in sequence.
-
-    Args:
-        models: models of one opset; they are renamed in place.
-        prefixes: prefix of the names of each model. The inputs of the first model and the outputs
-            of the last keep their names.
-        joints: between two models, pairs of an output and the input that it feeds.
-    """
+    """One model that runs models of one opset in sequence; they are renamed in place by prefixes,
+    but for the inputs of the first and the outputs of the last. ``joints`` are, between two models,
+    pairs of an output and the input that it feeds."""
     from onnx import compose, helper
 
     def prefixed(prefix: str, unchanged: set[str], name: str) -> str:

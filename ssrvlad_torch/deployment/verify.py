@@ -82,13 +82,9 @@ def verify(
     """Compares a file of `export_head` or `fuse` on a runtime, a provider of ONNX Runtime or
     ``"openvino"``, with the module: on its golden pair or image, and its head on label maps of its
     label space. Of the golden image 1 % of the labels and of the signs of features may differ; HOG
-    and the descriptor of these labels must be those of the module.
-
-    Raises:
-        ValueError: the file is damaged, was not written by `export_head` or `fuse`, has settings
-            that this version lacks, or cannot run in ONNX Runtime on the CPU.
-        ImportError: the runtime is not installed.
-    """
+    and the descriptor of these labels must be those of the module. A damaged or other file, and one
+    that cannot run in ONNX Runtime on the CPU, are a ValueError; a missing runtime is an
+    ImportError."""
     path, runtime = Path(path), runtime_of(provider)
     model = load_model(path)
     with naming(path):

@@ -60,23 +60,11 @@ def encode_to_database(
     options: EncodeOptions | None = None,
     segmenter: Segmenter | None = None,
 ) -> Summary:
-    """Encodes the frames that a database lacks and those whose row is out of date; see `Plan`.
-
-    A frame that cannot be read or encoded is skipped. Frames are committed every few seconds, and
-    before an exception is raised.
-
-    Args:
-        head: its settings must have the database's fingerprint.
-        files: from `find_label_files`; with a segmenter, from `find_image_files`.
-        database: receives the raw descriptors by all channels of which it has a column.
-        options: workers, pruning and callbacks.
-        segmenter: makes label maps in the head's label space; without it, files are label maps.
-
-    Raises:
-        ValueError: the settings or the segmenter do not fit the database, see `Database.require`
-            and `encode`, or a sequence of the database comes from another folder.
-        OSError: the database cannot be written.
-    """
+    """Encodes the frames that a database lacks and those whose row is out of date, see `Plan`, by
+    all channels of which it has a column. Files are label maps, or with a segmenter images; one
+    that cannot be read or encoded is skipped. Frames are committed every few seconds, and before an
+    exception is raised. Settings, a segmenter or a folder that do not fit the database are a
+    ValueError, one that cannot be written is an OSError."""
     options = options or EncodeOptions()
     plan, describer = prepared(head, files, database, options, segmenter)
     results = encode(describer, plan.files, options.workers, segmenter)
@@ -201,13 +189,10 @@ def encode(
     workers: int | None = None,
     segmenter: Segmenter | None = None,
 ) -> Generator[Encoded | Skipped]:
-    """Encodes label maps, or images with a segmenter, in order.
-
-    Each worker, by default one for each core, is a thread that reads and describes one batch at a
-    time; with 0 or 1 everything runs in the caller's thread. Where a channel describes in the
-    caller's thread alone, workers only read. A segmenter runs there too, while workers describe its
-    earlier label maps.
-    """
+    """Encodes label maps, or images with a segmenter, in order. Each worker, by default one for
+    each core, is a thread that reads and describes one batch at a time; with 0 or 1 everything runs
+    in the caller's thread. Where a channel describes there alone, workers only read. A segmenter
+    runs there too, while workers describe its earlier label maps."""
     workers = cores() if workers is None else workers
     items: Iterator[Item] = map(Item, files)
     if segmenter:

@@ -28,16 +28,13 @@ POSE = "pose changed"
 
 @dataclass(frozen=True)
 class Plan:
-    """The frames that an encoding run must encode, and why.
-
-    A row of the database is up to date if its frame has the same file (by its signature), label
-    space, segmenter and pose. A frame keeps its pose where no source of poses is given.
+    """The frames that an encoding run must encode, and why. A row of the database is up to date if
+    its frame has the same file (by its signature), label space, segmenter and pose. A frame keeps
+    its pose where no source of poses is given.
 
     Attributes:
-        files: files of the frames to encode.
-        reasons: why each of them is encoded, by frame id.
-        digests: digests of the label maps in the database, of frames to encode again, by frame id.
-        already_there: number of frames that are up to date.
+        files, reasons, digests: files of the frames to encode; by frame id, why, and of those to
+            encode again the digest of the label map in the database.
         gone: ids of frames in the database from the same folders, whose file does not exist.
         refused: frames whose names are no ids.
     """

@@ -49,13 +49,10 @@ def encode_with_ray(
     """Encodes frames with Ray; arguments, result and errors are those of `encode_to_database`.
 
     Every node of the cluster must be able to open the files, the database, and the network by its
-    name. A worker is an actor with one core and ``gpus``, which loads the network once, and uses
-    the cache if it can open its folder. It writes new frames to files of the database, which the
-    caller's process commits every few seconds, at the end, and when the run is interrupted. If an
-    actor is lost, another repeats its work. Frames that replace others are written by the caller's
-    process. Too few GPUs are a ValueError, an error of Ray is an OSError, and its extra missing an
-    ImportError.
-    """
+    name. A worker is an actor with one core and ``gpus``, which loads the network once and writes
+    new frames to files of the database, which the caller's process commits. If an actor is lost,
+    another repeats its work. Frames that replace others are written by the caller. Too few GPUs are
+    a ValueError, an error of Ray is an OSError, and its extra missing an ImportError."""
     with requiring("ray", "--engine ray needs"):
         import ray.data  # noqa: F401
     options = options or EncodeOptions()

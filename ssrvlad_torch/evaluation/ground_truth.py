@@ -68,12 +68,10 @@ def from_frame_numbers(
     queries: Sequence[str], references: Sequence[str], frames: int
 ) -> list[Rows]:
     """True matches of each query: the references at most ``frames`` frames away in the sequence.
-
     The frames of a sequence, queries and references together, of the ids ``<sequence>/<name>``, are
     numbered in the order of their names. If the queries' sequences are not among those of the
-    references, queries and references must be one sequence each: aligned ones of equal length,
-    whose n-th frames match. Others, and a negative number, are a ValueError.
-    """
+    references, both must be one sequence of equal length, whose n-th frames match. Others, and a
+    negative number, are a ValueError."""
     if frames < 0:
         raise ValueError(f"the tolerance must be 0 frames or more, got {frames}")
     of_queries, of_references = (

@@ -37,15 +37,12 @@ def from_file(
     | ``.csv`` | a first line ``query,reference`` and a line for each pair |
     | ``.npy``, ``.npz`` | a 0/1 matrix ``(Q, R)``; ``GThard`` ``(R, Q)`` as in VPR-Tutorial |
 
-    An entry names a frame by its id, or by the end of its path if only one path ends so; after
-    either may stand a suffix of images, as ``.jpg``, of the file. A query
-    that no entry names has an unknown truth; a query without a true match needs an empty list, or
-    in CSV a line with an empty reference. A matrix and VPR-Bench's rows count frames from 0 in the
-    order of ``queries`` and ``references``. A file that cannot be read, has another form or size,
-    names an unknown reference, has no entry for any of the queries, or has an entry that fits
-    several frames is a ValueError. ``ground_truth_new.npy`` is a pickle, which would run code: the
-    ValueError says how to convert it.
-    """
+    An entry names a frame by its id, or by the only path that ends so, with or without the suffix
+    of the file. A query that no entry names has an unknown truth; one without a true match needs an
+    empty list, or in CSV a line with an empty reference. A matrix and VPR-Bench's rows count frames
+    from 0 in the order of ``queries`` and ``references``. A file that cannot be read, has another
+    form or size, names an unknown reference, has no entry for any of the queries, or has an entry
+    that fits several frames is a ValueError; so is a pickle, with how to convert it."""
     content = _read(Path(path))
     try:
         if isinstance(content, dict):

@@ -49,13 +49,10 @@ def score_loops(
     Frames from the row ``first`` on are counted. ``sequences`` are those of all frames; without,
     they are one.
 
-    A loop is right if its two frames are near each other, at most ``metres``, whatever their
-    headings. A frame is a revisit if its loop is right, or if an earlier frame, not among the last
-    ``exclude`` ones of the same sequence, is near and looks the same way; an unknown heading
-    matches any.
-    Frames without a position are left out; if all are, or the distance is negative or infinite, it
-    is a ValueError.
-    """
+    A loop is right if its two frames are at most ``metres`` apart. A frame is a revisit if its loop
+    is right, or if an earlier frame, not among the last ``exclude`` ones of the same sequence, is
+    near and looks the same way; an unknown heading matches any. Frames without a position are left
+    out; if all are, or the distance is negative or infinite, it is a ValueError."""
     if not 0 <= metres < math.inf:
         raise ValueError(f"the tolerance must be 0 metres or more and finite, got {metres}")
     if np.isnan(poses[:, :2]).any(axis=1).all():

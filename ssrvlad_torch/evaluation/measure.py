@@ -43,15 +43,10 @@ class Material(Protocol):
 
 @dataclass(frozen=True)
 class Recognition:
-    """The candidates of queries, and how they were found.
-
-    Attributes:
-        matches: candidates of each query, at least `TOP`.
-        material: what the report shows of the frames.
-        confidence: ``(Q,)`` float, in the first candidates, if it is known.
-        skipped: queries that could not be encoded.
-        details: the method, its steps and its costs, which join the metrics.
-    """
+    """The candidates of queries, at least `TOP` of each, and how they were found: what the report
+    shows of the frames, the ``confidence`` ``(Q,)`` float in the first candidates, if it is known,
+    the queries that could not be encoded, and details, the method, its steps and its costs, which
+    join the metrics."""
 
     references: Viewpoints
     queries: Viewpoints
@@ -81,10 +76,8 @@ class Evaluation:
         metrics: the result of `metrics.evaluate` with 95 % intervals, ``thresholds`` to choose from
             (`operating_points`), ``threshold_is``, of what they are: ``confidence`` or else the
             score, ``references``, and the details of the recognition; for JSON.
-        recognition: of these queries.
         truth: the rows of the references that are true matches of each.
-        outcomes: what became of each.
-        ranked: the same, with what a threshold is of in place of scores.
+        outcomes, ranked: what became of each; in the second with what a threshold is of as scores.
         left_out: number of other queries.
         true_matches: how they are defined, in words.
     """

@@ -1,8 +1,5 @@
-"""Metrics of place recognition by two conventions.
-
-Published figures differ because tools compute them differently. Both conventions accept the best
-candidates of queries whose scores reach a threshold, which takes every distinct score; they differ
-in what they count:
+"""Metrics of place recognition by two conventions. Both accept the best candidates of queries whose
+scores reach a threshold, which takes every distinct score; they differ in what they count:
 
 | | ``exact`` | ``vpr-bench`` |
 |---|---|---|
@@ -10,11 +7,8 @@ in what they count:
 | precision at recall 0 | that of the highest threshold | 1 |
 | RecallRate@N is a fraction of | queries with a true match | all queries |
 
-In ``exact``, a query without a true match is a true negative if it is rejected and a false positive
-if it is accepted: it can only lower the precision. ``vpr-bench`` gives the figures that VPR-Bench
-prints (Zaffar et al., IJCV 2021); its recall is a fraction of the right candidates and always ends
-at 1.
-"""
+In ``exact``, a query without a true match is a false positive if it is accepted. ``vpr-bench``
+gives the figures that VPR-Bench prints (Zaffar et al., IJCV 2021); its recall always ends at 1."""
 
 from __future__ import annotations
 
@@ -65,24 +59,17 @@ def evaluate(
         scores, indices: ``(Q, top)`` from `ssrvlad_torch.match`, tensors or arrays; see `judge`.
         truth: rows of the true matches of each query.
         at: the N of RecallRate@N, at most ``top``.
-        convention: ``exact`` or ``vpr-bench``.
-        resamples, seed: of the `bootstrap`; 0 resamples for no intervals.
+        resamples, seed: of the `bootstrap`, in blocks of `BLOCK` neighbours; 0 for no intervals.
 
     Returns:
         ``convention``, ``recall_at`` by N as text, the keys of `FIGURES`, ``queries``,
         ``queries_with_match``, and with resamples ``intervals``: ``[low, high]`` of each figure.
-        A figure without positives is NaN.
-        The ROC-AUC is NaN if every candidate is right; VPR-Bench prints -1.
+        A figure without positives is NaN, and so is the ROC-AUC if every candidate is right.
 
-    Raises:
-        ValueError: the shapes do not fit, a score is NaN, or the convention is unknown.
-
-    Neighbouring queries of a sequence are alike: the bootstrap draws blocks of `BLOCK` of them, in
-    their order. Where all resamples agree, as where all queries are right, RecallRate@N, and
-    Recall@100%Precision of 1, have Wilson's interval of queries / block independent ones. Other
-    figures, such as AUC-PR, have both ends at one value there, which does not mean that they are
-    certain.
-    """
+    Shapes that do not fit, a NaN score and an unknown convention are a ValueError. Where all
+    resamples agree, RecallRate@N, and Recall@100%Precision of 1, have Wilson's interval of queries
+    / block independent ones; other figures have both ends at one value, which does not mean that
+    they are certain."""
     outcomes, at = judge(scores, indices, truth), list(at)
     for n in at:
         if not 1 <= n <= indices.shape[1]:

@@ -23,14 +23,11 @@ def bootstrap(
     figures: Figures, queries: int, resamples: int, seed: int = 0, block: int = 1
 ) -> dict[str, Interval]:
     """Percentile intervals of figures, at the confidence `LEVEL`, by name, from a number of
-    resamples from 1 on; equal seeds give equal ones.
-
-    A resample draws Q queries in blocks of ``block`` neighbours, with replacement; the last query
-    is a neighbour of the first, and the last block is cut short (Kuensch, Annals of Statistics
-    1989; Politis and Romano 1992). Blocks of 1 are single queries. Resamples in which a figure is
-    NaN are left out; the interval is NaN if all are. It shows how a figure varies with the choice
-    of queries, not with the map, and is too narrow where more than ``block`` neighbours are alike.
-    """
+    resamples from 1 on; equal seeds give equal ones. A resample draws Q queries in blocks of
+    ``block`` neighbours, with replacement, the last cut short; the last query is a neighbour of the
+    first (Kuensch, Annals of Statistics 1989; Politis and Romano 1992). Resamples in which a figure
+    is NaN are left out; the interval is NaN if all are. It shows how a figure varies with the
+    choice of queries, not with the map."""
     rng = np.random.default_rng(seed)
     at_once = max(1, _CELLS // max(1, queries))
     batches = []
@@ -83,16 +80,11 @@ def at_recall(curve: PrecisionRecall, recall: float) -> OperatingPoint | None:
 def suggested_point(
     curve: PrecisionRecall, precision: float = SURE_PRECISION
 ) -> OperatingPoint | None:
-    """The lowest threshold whose precision has a lower bound of at least ``precision``, 0 to 1.
-
-    The lower bound is the lower end of Wilson's 95 % interval: for 0.95, 73 queries must be
-    accepted without a mistake. If no threshold reaches it, the result is the one with the highest
-    lower bound, or ``None`` if no accepted query is right. The bound would hold if queries were
-    independent and the threshold were fixed before; for alike neighbours of a sequence, and for the
-    best of many thresholds, it is too high.
-
-    The threshold is a number of few decimals between the score and the next lower one, in float32.
-    """
+    """The lowest threshold whose precision has a lower bound of at least ``precision``, 0 to 1: the
+    lower end of Wilson's 95 % interval. If no threshold reaches it, the one with the highest lower
+    bound, or ``None`` if no accepted query is right. For alike neighbours of a sequence, and for
+    the best of many thresholds, the bound is too high. The threshold is a number of few decimals
+    between the score and the next lower one, in float32."""
     low = wilson_low(curve.true_positives, curve.accepted)
     if not low.max(initial=0.0):
         return None

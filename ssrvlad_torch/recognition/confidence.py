@@ -60,12 +60,9 @@ class Estimate(NamedTuple):
 
 
 def estimate(sure: Confidence, least: float = 0.0) -> Estimate:
-    """The estimate for answers with a confidence of at least ``least``.
-
-    The number of wrong answers varies by chance, counted in clusters of answers that err together,
-    and by what the sequence does not show. The fraction is given the beta distribution of that
-    variance.
-    """
+    """The estimate for answers with a confidence of at least ``least``. The fraction of wrong ones
+    is given the beta distribution whose variance comes from chance, counted in clusters of answers
+    that err together, and from what the sequence does not show."""
     accepted = answered(sure) & (sure.right >= least)
     count = int(accepted.sum())
     if not count:

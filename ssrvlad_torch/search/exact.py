@@ -46,25 +46,12 @@ def search(
     progress: Progress = do_nothing,
     single: bool = False,
 ) -> Answers:
-    """The ``top`` candidates of every frame of a source in a database.
-
-    Args:
-        database: the map.
-        source: label maps, pictures, or another database.
-        steps: of `recognise`.
-        top: number of candidates of each frame.
-        temporal: t of the temporal sum of Eq. 3, in frames.
-        channels: names of those that are used; by default all of the database.
-        sequences: of the candidates; by default all.
-        exclude: frames around the query in its own sequence that are no candidates.
-        near: where the poses of candidates are; by default anywhere.
-        progress: called with 1 for every frame.
-        single: each frame is matched without the others, as by `locate_view`; without the steps
-            that need a sequence.
-
-    Raises:
-        ValueError: the source lacks a channel, or what was asked for does not go together.
-    """
+    """The ``top`` candidates of every frame of a source, label maps, pictures or another database,
+    in a database. ``temporal`` is t of the temporal sum of Eq. 3; ``channels`` and ``sequences``
+    are names of those that are used, by default all; frames ``exclude`` rows around the query in
+    its own sequence are no candidates, nor those of a pose outside ``near``. With ``single`` each
+    frame is matched without the others. A source that lacks a channel, and what does not go
+    together, are a ValueError."""
     used = chosen_channels(database, channels)
     signs = [channel.name for channel in used if channel.dtype == "uint8"]
     if temporal and signs:

@@ -132,13 +132,8 @@ def damaged(database: Database) -> list[str]:
 
 
 class Index:
-    """The index of a database, opened.
-
-    Attributes:
-        rows: of the map.
-        coders: by channel.
-        learnt_of: the number of rows that the map had when the codes were learnt.
-    """
+    """The index of a database, opened: the rows of the map, coders by channel, and the number of
+    rows that the map had when the codes were learnt."""
 
     def __init__(self, database: Database, rows: MapRows) -> None:
         """Raises a ValueError in one line if there is no index, or one that is damaged or of other

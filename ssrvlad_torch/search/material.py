@@ -40,14 +40,8 @@ PHOTO, LABELS = "photo", "label map"
 @dataclass(frozen=True)
 class Material:
     """The cosines of queries and of the frames of a map, and their photos and coloured label maps.
-
-    Attributes:
-        database: the map.
-        channel: that compares.
-        references: the frames of the map, without descriptors if it is large.
-        queries: ``(Q, *shape)`` descriptors.
-        source: of the queries.
-    """
+    The ``channel`` compares; ``references`` are without descriptors if the map is large;
+    ``queries`` are ``(Q, *shape)`` descriptors of frames of the ``source``."""
 
     database: Database
     channel: Channel
@@ -153,13 +147,10 @@ _ACCEPTED, _DOUBTFUL = "tab:green", "tab:orange"
 
 def draw_answers(answers: Answers, material: Material) -> Figure:
     """Draws the answers to a sequence. Accepted ones are green, doubtful ones orange: those that
-    `Answers.accepted` leaves out, or without such a limit those that are more likely wrong.
-
-    If the map has poses, it is drawn from above with a dot at the first candidate of each query,
-    and a line to the query's own pose, if it has one. A second chart shows the numbers of queries
-    against those of their candidates. Below are queries beside their candidates, from the surest
-    to the most doubtful, with their files as far as they are there.
-    """
+    `Answers.accepted` leaves out, or without such a limit those that are more likely wrong. A map
+    with poses is drawn from above, with lines from the first candidates to the queries' own poses.
+    A chart shows the numbers of queries against those of candidates. Below are queries beside their
+    candidates, from the surest to the most doubtful."""
     from matplotlib.collections import LineCollection
 
     sure = answers.recognised.confidence.numpy()

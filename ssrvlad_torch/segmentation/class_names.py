@@ -11,11 +11,9 @@ from ..taxonomy import CATEGORIES, DYNAMIC, VOID, LabelClass, LabelSpace
 
 
 def category_of_name(name: str) -> str | None:
-    """The category of a class by its name, from ``class_names.yaml``.
-
-    Returns:
-        One of `CATEGORIES`, `DYNAMIC` for what moves, `VOID` for a known name without a category,
-        or ``None`` for a name that is not in the table.
+    """The category of a class by its name, from ``class_names.yaml``: one of `CATEGORIES`,
+    `DYNAMIC` for what moves, `VOID` without a category, or ``None`` for a name that is not in the
+    table.
 
     Examples:
         >>> category_of_name("construction--flat--road")
@@ -26,16 +24,8 @@ def category_of_name(name: str) -> str | None:
 
 
 def label_space_of_names(names: Mapping[int, str], name: str) -> LabelSpace:
-    """The label space of a network whose classes have these names.
-
-    A class whose name is not in the table is void.
-
-    Args:
-        names: of the classes, by channel.
-        name: of the label space.
-
-    Raises:
-        ValueError: no class has a category.
+    """The label space of a network whose classes have these names, by channel. A class whose name
+    is not in the table is void; that no class has a category is a ValueError.
 
     Examples:
         >>> label_space_of_names({0: "road", 1: "car"}, "mine").classes[1].category

@@ -33,18 +33,11 @@ _NOISE_BITS = 24
 
 
 class NetworkFeatures(nn.Module):
-    """What a network, which ``labels`` runs, sees in pictures, as signs; see `stages.features`.
-
-    The activations are those of the rule of `find_activations` or of the setting ``features``; a
-    network without them is a ValueError. An ONNX graph gives them as outputs afterwards.
-
-    Attributes:
-        names: of the activations, in the order that `forward` takes.
-        size: height and width of the pictures of noise.
-        key: in hex, of the digest of the network, see `digest_of`, its settings, the
-            activations, the size of the noise and the form of the signs.
-        fingerprint: a text under which a database stores the signs.
-    """
+    """What a network, which ``labels`` runs, sees in pictures, as signs; see `stages.features`. The
+    activations, ``names``, are those of the rule of `find_activations` or of the setting
+    ``features``; a network without them is a ValueError. An ONNX graph gives them as outputs
+    afterwards. ``size`` is that of the pictures of noise, ``key`` a digest of all that makes the
+    signs, and ``fingerprint`` the text under which a database stores them."""
 
     def __init__(self, labels: LabelNetwork, digest: str) -> None:
         super().__init__()

@@ -28,20 +28,11 @@ class LabelNetwork(nn.Module):
     """Pictures -> class scores or ids, in which `classes_of` decides. `Segmenter` runs it, and
     `fuse` writes it as a graph.
 
-    Args:
-        network: any module that takes ``(B, 3, h, w)`` floats, or an `OnnxNetwork`.
-        space: label space of its classes.
-        config: the preparation of its pictures.
-
-    Attributes:
-        config: the preparation, with the size that an ONNX graph requires.
-        output: the name of the network's output that holds labels, ``None`` before the first run.
-        axis: the axis of that output that holds the classes, ``None`` if there is none.
-
-    Raises:
-        ValueError: the settings do not fit an ONNX graph; in a run, no output or several outputs
-            fit the label space.
-    """
+    The network is any module that takes ``(B, 3, h, w)`` floats, or an `OnnxNetwork`; ``config`` is
+    the preparation of its pictures, with the size that a graph requires. After the first run
+    ``output`` is the name of the output that holds labels, and ``axis`` its axis of the classes, if
+    it has one. Settings that do not fit a graph, and no or several fitting outputs, are a
+    ValueError."""
 
     def __init__(self, network: nn.Module, space: LabelSpace, config: SegmenterConfig) -> None:
         super().__init__()

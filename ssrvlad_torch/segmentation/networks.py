@@ -72,26 +72,16 @@ class NamedNetwork:
 
 
 def open_network(name: str | Path) -> NamedNetwork:
-    """A network by its name.
+    """A network by its name: the path of an ``.onnx`` file; a ``.yaml`` file; ``hf:ORG/NAME`` or
+    ``hf:ORG/NAME@REVISION`` of the Hugging Face hub, or a folder in that format (extra ``hf``),
+    with the settings of its image processor; or ``MODULE:NAME``, a function that returns an
+    `nn.Module`.
 
-    Args:
-        name: one of
-
-            - the path of an ``.onnx`` file;
-            - the path of a ``.yaml`` file with ``network``, one of these names, and those settings
-              of `SegmenterConfig` that are not the defaults; also ``labels_as``, ``arguments`` for
-              a function, ``runtime`` for an ONNX file, and ``accept_defaults``. Files are in the
-              folder of the YAML file or below it, modules are looked for there first;
-            - ``hf:ORG/NAME`` or ``hf:ORG/NAME@REVISION`` of the Hugging Face hub, or a folder in
-              that format (extra ``hf``): any model for semantic segmentation, with the settings
-              of its image processor. It is downloaded if it is not in the hub's cache;
-            - ``MODULE:NAME``, a function in a Python module that returns an `nn.Module`.
-
-    Raises:
-        ValueError: the name or a setting is not understood, or the network cannot be used.
-        OSError: the network cannot be downloaded.
-        ImportError: an extra is not installed.
-    """
+    A YAML file has ``network``, one of these names, and those settings of `SegmenterConfig` that
+    are not the defaults; also ``labels_as``, ``arguments`` for a function, ``runtime`` for an ONNX
+    file, and ``accept_defaults``. Its files are in its folder or below; modules are looked for
+    there first. A name or a setting that is not understood, and a network that cannot be used, are
+    a ValueError; one that cannot be downloaded is an OSError, a missing extra an ImportError."""
     state = state_of(str(name))
     return dataclasses.replace(_open(str(name), {}, {}), state=state)
 

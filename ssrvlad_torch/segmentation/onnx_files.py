@@ -83,13 +83,9 @@ def open_session(
     threads: int = 0,
 ) -> Any:
     """A session of ONNX Runtime for a file or its content; ``name`` is that of the file in
-    messages.
-
-    Operators that the provider lacks run on the CPU, and all of them if this ONNX Runtime lacks the
-    provider. ``settings`` are configuration entries of the session, ``threads`` those for an
-    operator, 0 for one per core. A graph that cannot run is a ValueError; without the extra
-    ``onnx``, an ImportError.
-    """
+    messages. Operators that the provider lacks run on the CPU. ``settings`` are configuration
+    entries of the session, ``threads`` those for an operator, 0 for one per core. A graph that
+    cannot run is a ValueError; without the extra ``onnx``, an ImportError."""
     with requiring("onnx", "ONNX files need"):
         import onnxruntime
     available = onnxruntime.get_available_providers()
@@ -122,13 +118,10 @@ def external_files(path: Path) -> list[Path]:
 def save_model(
     model: onnx.ModelProto, path: Path, describe: Callable[[Path], Mapping[str, str]]
 ) -> None:
-    """Writes an ONNX file, whole or not at all; an existing one is replaced. ``describe`` takes the
-    temporary file and returns the metadata properties, or raises an error to reject the model.
-
-    A model of more than `MAX_FILE_BYTES` keeps its weights in a second file beside it, to which it
-    refers afterwards. The name of the second file holds a digest of the weights, so that it never
-    replaces those of an earlier model.
-    """
+    """Writes an ONNX file, whole or not at all. ``describe`` takes the temporary file and returns
+    the metadata properties, or raises an error to reject the model. Weights of a model of more than
+    `MAX_FILE_BYTES` go to a second file beside it, whose name holds their digest, so that it never
+    replaces those of an earlier model."""
     import onnx
 
     path = check_output(path)

@@ -33,11 +33,8 @@ CUDA = "CUDAExecutionProvider"
 
 class OnnxNetwork(nn.Module):
     """A graph with one image input: in ONNX Runtime, on CUDA if it supports that, or in OpenVINO on
-    the CPU, in single precision.
-
-    Args:
-        path: the ``.onnx`` file; external weights lie beside it.
-        runtime: one of `RUNTIMES`.
+    the CPU, in single precision. A missing file, and one that cannot be run or does not take one
+    image, are a ValueError; a missing extra is an ImportError.
 
     Attributes:
         size: height and width of the input, ``None`` for a free side.
@@ -49,10 +46,6 @@ class OnnxNetwork(nn.Module):
     Shape:
         - input: ``(B, 3, H, W)`` float, whatever the layout and the dtype of the graph's input.
         - output: a mapping of the requested names, or all, to tensors.
-
-    Raises:
-        ValueError: the file is missing, cannot be run, or does not take one image input.
-        ImportError: an extra is not installed.
     """
 
     def __init__(self, path: str | Path, runtime: str = ONNX_RUNTIME) -> None:

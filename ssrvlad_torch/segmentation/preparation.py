@@ -124,17 +124,10 @@ class SegmenterConfig:
 
 
 class Preparation(nn.Module):
-    """Pictures -> the input of a network, by Kornia's operators.
-
-    ``nn.Sequential(Preparation(config), network, head)`` is a PyTorch module from pictures to
-    descriptors; `torch.onnx.export` traces it for any number of pictures of any size.
-
+    """Pictures -> the input of a network: ``nn.Sequential(Preparation(config), network, head)`` is
+    a PyTorch module from pictures to descriptors, which `torch.onnx.export` traces for any size.
     Pictures are resized by the antialiased bilinear filter of `torch.nn.functional.interpolate`, as
-    of Pillow, but without rounding to bytes, and of the ONNX operator ``Resize``: PyTorch and ONNX
-    Runtime differ by less than 1e-5.
-
-    Args:
-        config: the settings.
+    of Pillow and of the ONNX operator ``Resize``.
 
     Shape:
         - input: ``(B, H, W, 3)`` uint8 in RGB.
@@ -142,8 +135,7 @@ class Preparation(nn.Module):
 
     Examples:
         >>> import torch
-        >>> from ssrvlad_torch.segmentation.preparation import Preparation
-        >>> from ssrvlad_torch.segmentation.segmenter import SegmenterConfig
+        >>> from ssrvlad_torch.segmentation.preparation import Preparation, SegmenterConfig
         >>> Preparation(SegmenterConfig(size=(64, 128)))(torch.zeros(1, 9, 9, 3)).shape
         torch.Size([1, 3, 64, 128])
     """

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ...baselines import METHODS
 from ...evaluation.metrics import fraction
 from ...files import parse_yaml
-from ..options import DriveOptions, Json, StepOptions, TruthOptions, option
+from ..options import Json, StepOptions, TruthOptions, argument, option
 from ..output import finish, note, print_json, print_table, progress_bar, say
 
 if TYPE_CHECKING:
@@ -26,16 +27,31 @@ _METHOD = (
 
 def compare(
     *,
-    options: DriveOptions,
+    dataset: Path | None = argument(
+        "Folder of a data set. Without it, --references and --queries are folders.", default=None
+    ),
+    references: list[str] | None = option(
+        "Sequence of the data set to use as references; * stands for any text; can be repeated. "
+        "Default: the references that the data set declares."
+    ),
+    queries: list[str] | None = option(
+        "Sequence of the data set to use as queries, in the same form. Default: the queries that "
+        "the data set declares."
+    ),
+    layout: str | None = option(
+        "Layout of the data set, see ssrvlad encode. Default: auto (recognised)."
+    ),
+    labels: Path | None = option("Folder of label maps to use instead of those of the data set."),
+    labels_as: str | None = option(
+        "Label space of the label maps: a name or a .yaml file. Default: the one of the data set. "
+        "Without both, PNG files that could be images or label maps are read as images."
+    ),
     truth: TruthOptions,
     steps: StepOptions,
     method: str = option(_METHOD, default=...),
     settings: list[str] | None = option(
         "Setting of a method, METHOD.NAME=VALUE, such as netvlad.weights=FILE; can be repeated.",
         "--set",
-    ),
-    fuse: str | None = option(
-        "Methods whose scores are also fused, two or more of --method, separated by commas."
     ),
     workers: int = option("Threads that read ahead.", default=2, min=1),
     as_json: Json = False,
@@ -44,13 +60,9 @@ def compare(
     neighbouring queries, and costs. Each method is measured twice: by the scores of single
     frames, and with the steps below. --standardise needs descriptors that are vectors or signs,
     --sweep needs ssr-vlad or features. Methods without their images, label maps or weights are
-    left out. The others are compared on the frames that all of them can use. --fuse adds the
-    scores of methods, weighted as in query.
+    left out. The others are compared on the frames that all of them can use.
 
     Example: ssrvlad compare town --method ssr-vlad,cohog --labels-as camvid-11
-
-    \b
-    Example: ssrvlad compare town --method ssr-vlad,hog --fuse ssr-vlad,hog --labels-as camvid-11
 
     \b
     Example: ssrvlad compare --references photos/monday --queries photos/today \\
@@ -62,29 +74,19 @@ def compare(
     from ...datasets.layouts import open_sides
     from ...encoding.results import Skipped
 
-    names = _names(method)
-    fused, methods = _fused(fuse, names), _make(names, settings or ())
-    sides = open_sides(note, **vars(options))
+    methods = _make([name.strip() for name in method.split(",")], settings or ())
+    sides = open_sides(
+        note, dataset=dataset, references=references, queries=queries, layout=layout, labels=labels,
+        labels_as=labels_as,
+    )  # fmt: skip
     true = GroundTruth.chosen(sides.truth, *truth.definition)
-    how = ComparisonSettings(true, truth.convention, steps.steps(), workers, fused, progress_bar)
+    how = ComparisonSettings(true, truth.convention, steps.steps(), workers, progress_bar)
     rows = compared(methods, sides, how, note)
     if as_json:
         print_json({"rows": rows})
     else:
         _print(rows)
     finish([Skipped(row["method"], row["reason"]) for row in rows if "reason" in row])
-
-
-def _names(listed: str) -> list[str]:
-    return [name.strip() for name in listed.split(",")]
-
-
-def _fused(listed: str | None, names: Sequence[str]) -> list[str]:
-    """The methods of --fuse: none, or two or more of the compared ones."""
-    fused = _names(listed) if listed else []
-    if listed and (len(set(fused)) < max(2, len(fused)) or not set(fused) <= set(names)):
-        raise ValueError(f"--fuse: expected two or more of {', '.join(names)}, got {listed!r}")
-    return fused
 
 
 def _make(names: Sequence[str], pairs: Sequence[str]) -> dict[str, Method | str]:
@@ -146,8 +148,7 @@ def _costs(row: Row) -> list[str]:
 def _quality(row: Row) -> list[str]:
     if "reason" in row:
         return [row["method"], "not run"]
-    alone = "weights" in row and set(row["steps"]["follow"].values()) == {"no"}
-    steps = "\n  with steps" if row["steps"] and not alone else ""
+    steps = "\n  with steps" if row["steps"] else ""
     names, ends = ("auc_pr", "recall_at_100_precision"), row["intervals"]
     pairs = [(row["recall_at"][n], ends["recall_at"][n]) for n in AT]
     pairs += [(row[name], ends[name]) for name in names]
