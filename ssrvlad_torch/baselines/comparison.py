@@ -111,12 +111,12 @@ def _measured(
     note: Note,
 ) -> dict[str, list[Row]]:
     """The rows of each method. Ground truth counts all frames of ``sides``."""
-    queries, references = (used.select(role=role) for role in ("query", "reference"))
-    views = [Viewpoints.of(side.frames, sides) for side in (references, queries)]
-    truth = true_matches(settings.true, *views, note)
+    map_side, query_side = (used.select(role=role) for role in ROLES)
+    references, queries = (Viewpoints.of(s.frames, sides) for s in (map_side, query_side))
+    truth = true_matches(settings.true, references, queries, note)
 
     def row(matches: Matches, details: Row) -> Row:
-        recognition = Recognition(*views, matches, details=details)
+        recognition = Recognition(references, queries, matches, details=details)
         return measure(recognition, truth, settings.convention).metrics
 
     rows: dict[str, list[Row]] = {}
@@ -125,9 +125,9 @@ def _measured(
         try:
             if isinstance(method, StoredDescriptors):
                 method.read({frame.frame: frame.image or frame.label for frame in used.frames})
-            sources = (_views(method, side, settings.workers) for side in (queries, references))
+            views = (_views(method, side, settings.workers) for side in (query_side, map_side))
             with settings.progress(name, len(used.frames)) as bar:
-                retrieval = run(method, *sources, TOP, bar.advance, steps)
+                retrieval = run(method, next(views), next(views), TOP, bar.advance, steps)
         except ValueError as error:
             rows[name] = [_not_run(name, str(error))]
             continue
