@@ -249,7 +249,8 @@ def _published(library: Any, family: str) -> tuple[dict[str, Any], str, dict[str
              "encoder_feedforward_dim": 32, "encoder_layers": 1, "decoder_layers": 3,
              "num_attention_heads": 2}  # fmt: skip
     if family == "Segformer":
-        sizes = {"depths": [1] * 4, "hidden_sizes": [8, 16, 24, 32], "decoder_hidden_size": 16}
+        sizes = {"depths": [1] * 4, "hidden_sizes": [8, 16, 24, 32], "decoder_hidden_size": 16,
+                 "num_attention_heads": [1, 2, 2, 4]}  # fmt: skip
         return sizes, "Semantic", {"size": {"height": 64, "width": 96}}
     if family == "Beit":
         return {**vit, "out_indices": [0, 1, 2, 3]}, "Semantic", {**square, "do_center_crop": False}

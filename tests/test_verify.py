@@ -139,7 +139,8 @@ def edit_hog(model: onnx.ModelProto) -> None:
     [weight] = (
         t for t in model.graph.initializer if numpy_helper.to_array(t).flatten().tolist() == [19595]
     )
-    weight.CopyFrom(numpy_helper.from_array(numpy_helper.to_array(weight) - 9999, weight.name))
+    number = numpy_helper.to_array(weight)
+    weight.CopyFrom(numpy_helper.from_array(number - number.dtype.type(9999), weight.name))
 
 
 def edit_table_and_golden(model: onnx.ModelProto) -> None:

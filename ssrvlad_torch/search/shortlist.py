@@ -21,6 +21,7 @@ from ..channels.channel import Channel
 from ..database.database import Database
 from ..native.map import DescriptorMap
 from ..native.map import Shortlist as Rows
+from ..recognition.motion import SAME_PLACE_ROWS
 from ..recognition.sequences import runs, sharing
 from .index import LEAST_ROWS, Index, MapRows, is_indexed, read_rows
 
@@ -138,7 +139,7 @@ class Shortlist:
             alone = [] if followed else [scores.topk(of_channel) for scores in channels]
             best.append(torch.cat([b.indices for b in (together, *alone)], 1).numpy())
         ranked = np.concatenate(best)
-        reach = np.arange(-3 * step, 3 * step + 1) if followed else np.arange(-1, 2)
+        reach = np.arange(-SAME_PLACE_ROWS * step, SAME_PLACE_ROWS * step + 1)
         beside = (ranked[:, :AROUND, None] + reach).transpose(1, 2, 0).ravel()
         rows = np.concatenate([ranked[:, :top].T.ravel(), beside, ranked[:, top:].T.ravel()])
         rows = rows[(rows >= 0) & (rows < len(allowed))]
