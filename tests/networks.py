@@ -232,7 +232,9 @@ def write_published(folder: Path, family: str = "Segformer") -> Path:
     if family == "OneFormer":
         _one_former_processor(library, folder).save_pretrained(folder)
     else:
-        getattr(library, f"{family}ImageProcessorPil")(**processor).save_pretrained(folder)
+        name = f"{family}ImageProcessor"
+        made = getattr(library, f"{name}Pil", None) or getattr(library, name)  # as versions name it
+        made(**processor).save_pretrained(folder)
     return folder
 
 
