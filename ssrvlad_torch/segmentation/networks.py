@@ -269,14 +269,14 @@ def _settings_of(processor: Any, overrides: dict[str, Any]) -> dict[str, Any]:
         raise ValueError("its image processor cuts off the borders; give a size in a YAML file")
     divisor = getattr(processor, "size_divisor", None) or 1
     if processor.do_resize:
-        size = {**processor.size}  # an object with these keys, of older versions a dict
-        if size.get("height") and size.get("width"):
-            sides = size["height"], size["width"]
+        size = processor.size
+        if size.height and size.width:
+            sides = size.height, size.width
             keeps_aspect = getattr(processor, "keep_aspect_ratio", False)
             settings["size"] = min(sides) if keeps_aspect else sides
             divisor = getattr(processor, "ensure_multiple_of", None) or divisor
-        elif size.get("shortest_edge"):
-            settings |= {"size": size["shortest_edge"], "longest": size.get("longest_edge")}
+        elif size.shortest_edge:
+            settings |= {"size": size.shortest_edge, "longest": size.longest_edge}
         else:
             raise ValueError(f"its image processor resizes to {size}; give a size in a YAML file")
     return settings | {"multiple": divisor} | overrides
