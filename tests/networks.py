@@ -232,9 +232,7 @@ def write_published(folder: Path, family: str = "Segformer") -> Path:
     if family == "OneFormer":
         _one_former_processor(library, folder).save_pretrained(folder)
     else:
-        name = f"{family}ImageProcessor"
-        made = getattr(library, f"{name}Pil", None) or getattr(library, name)  # as versions name it
-        made(**processor).save_pretrained(folder)
+        getattr(library, f"{family}ImageProcessorPil")(**processor).save_pretrained(folder)
     return folder
 
 
@@ -251,8 +249,7 @@ def _published(library: Any, family: str) -> tuple[dict[str, Any], str, dict[str
              "encoder_feedforward_dim": 32, "encoder_layers": 1, "decoder_layers": 3,
              "num_attention_heads": 2}  # fmt: skip
     if family == "Segformer":
-        sizes = {"depths": [1] * 4, "hidden_sizes": [8, 16, 24, 32], "decoder_hidden_size": 16,
-                 "num_attention_heads": [1, 2, 2, 4]}  # fmt: skip
+        sizes = {"depths": [1] * 4, "hidden_sizes": [8, 16, 24, 32], "decoder_hidden_size": 16}
         return sizes, "Semantic", {"size": {"height": 64, "width": 96}}
     if family == "Beit":
         return {**vit, "out_indices": [0, 1, 2, 3]}, "Semantic", {**square, "do_center_crop": False}
