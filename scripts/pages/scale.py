@@ -303,8 +303,9 @@ STEPS: dict[str, Callable[[int, Path], Report]] = {
 def pictures(results: dict[int, dict[str, Report]]) -> Iterator[str]:
     """A row for each number of frames. A place is the same if it is at most `BESIDE` rows away."""
     yield from head_row(
-        "frames", "CPU ms a picture", "first answer of exact search", "where that is a real frame",
-        "its place there", "opening, CPU s", "peak GB", "index, CPU s", "index, bytes a frame",
+        "frames", "CPU ms a picture", "by exact search, from disk",
+        "first answer of exact search", "where that is a real frame", "its place there",
+        "opening, CPU s", "peak GB", "index, CPU s", "index, bytes a frame",
         "database, bytes a frame",
     )  # fmt: skip
     for frames, reports in results.items():
@@ -312,7 +313,9 @@ def pictures(results: dict[int, dict[str, Report]]) -> Iterator[str]:
         first, expected = (np.array(each["first"]) for each in (found, reports["together"]))
         real = expected >= frames - reports["pictures"]["real"]  # in natural order after all others
         yield row(
-            f"{frames:,}", f"{1e3 * found['one']:.0f}", f"{np.mean(first == expected):.3f}",
+            f"{frames:,}", f"{1e3 * found['one']:.0f}",
+            f"{1e3 * reports['together']['cpu'] / len(first):.0f}",
+            f"{np.mean(first == expected):.3f}",
             f"{np.mean((first == expected)[real]):.3f} of {real.sum()}",
             f"{np.mean(np.abs(first - expected)[real] <= BESIDE):.3f}", f"{found['opening']:.1f}",
             f"{found['peak'] / 1e9:.2f}", f"{coarse['cpu']:.0f}", f"{coarse['bytes'] / frames:.0f}",
