@@ -1,5 +1,6 @@
 """The stages of the method as figures."""
 
+import numpy as np
 import pytest
 import torch
 from helpers import street
@@ -31,6 +32,16 @@ def test_the_figure_of_an_explanation_has_masks_histograms_and_classes(preset, s
     assert {"sky", "building"} <= {*classes} and "fence" not in classes
     with pytest.raises(IndexError, match="expected an image from 0 to 1, got 2"):
         view.show(2)
+
+
+def test_cells_that_features_see_elsewhere_too_are_darkened():
+    features = np.zeros((4, 3, 2), np.uint8)
+    features[2, 1] = 255
+    view = SSRVLAD.from_preset("default", labels_as="camvid-11").explain(LABELS)
+    picture = np.full((*LABELS.shape[1:], 3), 200, np.uint8)
+    axes = view.show(picture=picture, features=features).get_axes()[0]
+    shade = axes.images[1].get_array()[..., 3]
+    assert shade.shape == (3, 4) and shade[1, 2] == 0 and (shade > 0.5).sum() == 11
 
 
 def test_names_are_drawn_as_they_are():

@@ -84,7 +84,11 @@ class Explanation:
         return ~self.descriptor.any(dim=1)
 
     def show(
-        self, image: int = 0, title: str = "", picture: npt.NDArray[np.uint8] | None = None
+        self,
+        image: int = 0,
+        title: str = "",
+        picture: npt.NDArray[np.uint8] | None = None,
+        features: npt.NDArray[np.uint8] | None = None,
     ) -> Figure:
         """One image of the batch as a matplotlib figure.
 
@@ -96,6 +100,8 @@ class Explanation:
             image: its number in the batch.
             title: of the label map.
             picture: ``(H, W, 3)`` uint8 of which it is the label map, to be drawn beside it.
+            features: ``(columns, rows, bytes)`` uint8 of the picture; on it cells are then bright
+                in which the network sees what it does not see elsewhere in the picture.
 
         Raises:
             ImportError: matplotlib is not installed (extra ``eval``).
@@ -116,6 +122,8 @@ class Explanation:
             axes.imshow(picture)
             axes.set_title("the picture", size=11)
             axes.set_axis_off()
+            if features is not None:
+                _draw_features(axes, features)
         labels = self.labels[image].cpu().numpy()
         left.imshow(colourise(labels, self.label_space), interpolation="nearest")
         size = f"{labels.shape[1]} x {labels.shape[0]} pixels, {self.label_space.name}"
@@ -232,6 +240,17 @@ def _draw_legend(axes: Axes, view: Explanation, image: int, harmonic: bool) -> N
     text = _HARMONICS if harmonic else _RESIDUALS
     axes.text(0, 0, text, transform=axes.transAxes, fontsize=10, va="bottom")
     axes.set_axis_off()
+
+
+def _draw_features(axes: Axes, features: npt.NDArray[np.uint8]) -> None:
+    """Darkens the cells of a picture that are like its other cells."""
+    signs = 2.0 * np.unpackbits(features, axis=-1) - 1
+    alike = signs @ signs.mean((0, 1)) / signs.shape[-1]
+    shade = np.zeros((*alike.T.shape, 4))
+    shade[..., 3] = 0.65 * (alike.T - alike.min()) / max(1e-9, np.ptp(alike))
+    left, right, bottom, top = *axes.get_xlim(), *axes.get_ylim()
+    axes.imshow(shade, extent=(left, right, bottom, top), interpolation="nearest")
+    axes.set_title("the picture; bright: what features see only there", size=11)
 
 
 def _draw_layer(axes: Axes, view: Explanation, image: int, cell: _Cell) -> None:

@@ -19,8 +19,9 @@ def show(
     classes: Classes = None,
     preset: Preset = "default",
 ) -> None:
-    """Draw one frame: the image if --segmenter labels it, its label map, the layers and their
-    histograms (of boundaries with default, of skeletons with keypoints and centres with paper).
+    """Draw one frame: the image if --segmenter labels it, with what features see in it, its label
+    map, the layers and their histograms (of boundaries with default, of skeletons with keypoints
+    and centres with paper).
 
     Example: ssrvlad show maps/monday/000042.png -o frame.png --labels-as camvid-11
     """
@@ -37,16 +38,17 @@ def show(
     if len(source.files) != 1:
         raise ValueError(f"{frame}: expected one frame, got {len(source.files)}")
     file, network = source.files[0], source.segmenter
+    labels: LabelMap | ValueError
     try:
         if network is None:
-            labels: LabelMap | ValueError = read_label_map(file, head.label_space)
+            labels, picture, features = read_label_map(file, head.label_space), None, None
         else:
-            ((_, labels),) = network.label_maps([file])
+            picture, has_features = read_image(file), not network.problem_of_features
+            [(labels, features)] = network.segment([picture], features=has_features)
         if isinstance(labels, ValueError):
             raise labels
         view = head.explain(labels[None])
     except ValueError as error:
         raise ValueError(f"{file.location}: {error}") from error
-    picture = None if network is None else read_image(file)
-    write_picture(view.show(title=file.frame, picture=picture), output)
+    write_picture(view.show(0, file.frame, picture, features), output)
     say(output)
