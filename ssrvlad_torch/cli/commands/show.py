@@ -38,13 +38,15 @@ def show(
     if len(source.files) != 1:
         raise ValueError(f"{frame}: expected one frame, got {len(source.files)}")
     file, network = source.files[0], source.segmenter
-    labels: LabelMap | ValueError
+    picture = features = None
     try:
         if network is None:
-            labels, picture, features = read_label_map(file, head.label_space), None, None
+            labels: LabelMap | ValueError = read_label_map(file, head.label_space)
         else:
-            picture, has_features = read_image(file), not network.problem_of_features
-            [(labels, features)] = network.segment([picture], features=has_features)
+            ((_, result),) = network.segmented([file], features=not network.problem_of_features)
+            if isinstance(result, ValueError):
+                raise result
+            picture, labels, features = read_image(file), *result
         if isinstance(labels, ValueError):
             raise labels
         view = head.explain(labels[None])
