@@ -81,16 +81,6 @@ def test_compacting_joins_files_and_deletes_old_versions(path):
     assert len(Database.open(path)) == len(before) + 1
 
 
-def test_rows_that_were_written_apart_are_added_when_they_are_adopted(path):
-    database = Database.open(path)
-    written = [database.write_apart([f"a/{n}"], descriptors(n, 1)) for n in range(3)]
-    assert len(Database.open(path)) == len(FRAMES)
-    refuses("written twice", database.adopt, [written[0], *written])
-    database.adopt(written)
-    assert loaded(path)["a/1"] == descriptors(1, 1)[0].tolist()
-    refuses("'a/0' is in", database.adopt, written)
-
-
 def test_a_change_is_checked_against_what_others_have_written(path):
     """Not against the version that the writer has read."""
     database, seen = Database.open(path), []
@@ -103,10 +93,8 @@ def test_a_change_is_checked_against_what_others_have_written(path):
     database.merge(["a/0"], descriptors(0, 1), check=check)
     assert not seen
     Database.open(path).append(["other/0"], descriptors(1, 1))
-    written = [database.write_apart(["a/1"], descriptors(2, 1))]
-    for change in (partial(database.adopt, written), partial(database.merge, ["a/1"], ONE)):
-        refuses("other/0 is there", change, check=check)
-    assert seen == [sorted([*FRAMES, "a/0", "other/0"])] * 2
+    refuses("other/0 is there", database.merge, ["a/1"], ONE, check=check)
+    assert seen == [sorted([*FRAMES, "a/0", "other/0"])]
     assert len(Database.open(path)) == len(FRAMES) + 2
 
 

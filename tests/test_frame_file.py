@@ -80,7 +80,7 @@ def test_a_uri_without_frames_is_refused(folder, tmp_path):
 @pytest.fixture(params=["local", pytest.param("ray", marks=pytest.mark.slow, id="ray")])
 def engine(request, bucket):
     """Neither connections nor Ray's workers know the server of an earlier test."""
-    frame_file._file_system.cache_clear()
+    frame_file._connected.cache_clear()
     yield request.param
     if ray := sys.modules.get("ray"):
         ray.shutdown()

@@ -6,7 +6,6 @@ Every change is one commit and makes a new version; a reader keeps the version t
 from __future__ import annotations
 
 import dataclasses
-import json
 import os
 import threading
 from collections import Counter
@@ -33,6 +32,7 @@ from .rows import DESCRIPTOR, FRAME_SET_COLUMNS, RECORD_COLUMNS, Damage, StoredR
 
 if TYPE_CHECKING:
     from lance import LanceDataset
+    from lance.fragment import FragmentMetadata
 
     from ..recognition.matching import Vectors
 
@@ -54,13 +54,6 @@ class Version(NamedTuple):
     time: datetime
     frames: int
     change: str
-
-
-class StagedRows(NamedTuple):
-    """Rows on disk that no version refers to yet: files, described by Lance in JSON, and ids."""
-
-    fragments: tuple[str, ...]
-    frames: tuple[str, ...]
 
 
 class Database:
@@ -353,12 +346,13 @@ class Database:
             ValueError: a shape is wrong; a row is not finite, or its length overflows or underflows
                 float32; or an id is invalid or is in the database.
         """
-        self.adopt([self.write_apart(frames, descriptors)])
+        self._change(*self._written(frames, descriptors), "append")
 
     def merge(self, frames: Frames, descriptors: Descriptors, check: Check | None = None) -> None:
         """Adds frames and replaces those with the same ids, in one commit. A replaced frame keeps
-        its arrival if the new record has none. Arguments and errors as for `append`; ``check`` as
-        for `adopt`."""
+        its arrival if the new record has none. Arguments and errors as for `append`; ``check`` is
+        called with the records of the version that is changed, if others have made it since this
+        object last read or wrote the database; an error of it ends the change."""
         self._require_writable()
         stored = self._columns(["frame", "arrival"], engine.open_table(self.path)).to_pydict()
         arrivals = dict(zip(*stored.values(), strict=True))
@@ -368,16 +362,17 @@ class Database:
             else record
             for record in _records(frames)
         ]
-        self._change([self.write_apart(records, descriptors)], "merge", check)
+        self._change(*self._written(records, descriptors), "merge", check)
 
     def remove(self, frames: Collection[str]) -> None:
         """Removes frames by their ids, in one commit; ignores ids that are not in the database."""
         require_list(frames)
-        self._change([StagedRows((), tuple(sorted(set(frames))))], "remove")
+        self._change(sorted(set(frames)), [], "remove")
 
-    def write_apart(self, frames: Frames, descriptors: Descriptors) -> StagedRows:
-        """Writes rows to disk without a commit; `adopt` commits them, also in another process.
-        Arguments and errors as for `append`. `compact` deletes rows that are never adopted."""
+    def _written(
+        self, frames: Frames, descriptors: Descriptors
+    ) -> tuple[list[str], list[FragmentMetadata]]:
+        """The ids of rows, and their files, to which no version refers yet; errors of `append`."""
         self._require_writable()
         records = _records(frames)
         names = [column.name for column in self.columns]
@@ -389,25 +384,18 @@ class Database:
         table = rows.to_table(records, arrays, self.columns)
         with engine.lance_errors(OSError, f"{self.path} cannot be written"):
             fragments = engine.write_fragments(self.table(), table) if records else []
-        texts = tuple(json.dumps(fragment.to_json()) for fragment in fragments)
-        return StagedRows(texts, tuple(table["frame"].to_pylist()))
-
-    def adopt(self, written: Sequence[StagedRows], check: Check | None = None) -> None:
-        """Adds rows that `write_apart` wrote, in one commit. A frame that is in the database
-        already, or was written twice, is a ValueError. ``check`` is called with the records of the
-        version that is changed, if others have made it since this object last read or wrote the
-        database; an error of it ends the change."""
-        self._change(written, "append", check)
+        return table["frame"].to_pylist(), fragments
 
     def _change(
-        self, written: Sequence[StagedRows], verb: Verb, check: Check | None = None
+        self,
+        frames: Sequence[str],
+        fragments: Sequence[FragmentMetadata],
+        verb: Verb,
+        check: Check | None = None,
     ) -> None:
-        """Appends rows, as `adopt` says; or merges them, which replaces frames; or removes them."""
+        """Appends rows; or merges them, which replaces frames; or removes frames."""
         self._require_writable()
-        frames = [frame for staged in written for frame in staged.frames]
         ids = pa.table({"frame": pa.array(frames, pa.string())})
-        if len(pc.unique(ids["frame"])) < len(ids):
-            raise ValueError(f"frames for {self.path} were written twice")
 
         def plan(table: LanceDataset) -> Any:
             if check and table.version != self._checked:
@@ -418,7 +406,6 @@ class Database:
                 raise ValueError(f"frame {existing[0].as_py()!r} is in {self.path} already")
             if verb == "remove" and not existing:
                 return None
-            fragments = [text for staged in written for text in staged.fragments]
             return engine.replacement(table, ids if existing else None, fragments)
 
         if len(ids):

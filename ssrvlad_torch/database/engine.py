@@ -18,7 +18,7 @@ import shutil
 import time
 import uuid
 import warnings
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from datetime import timedelta
 from functools import cache
 from pathlib import Path
@@ -206,13 +206,14 @@ def write_fragments(
     return fragments
 
 
-def replacement(table: LanceDataset, ids: pa.Table | None, fragments: Iterable[str]) -> Any:
-    """The operation that removes the rows with ``ids`` and adds fragments, given in JSON."""
-    added = [lance().FragmentMetadata.from_json(text) for text in fragments]
+def replacement(
+    table: LanceDataset, ids: pa.Table | None, added: Sequence[FragmentMetadata]
+) -> Any:
+    """The operation that removes the rows with ``ids`` and adds fragments."""
     if ids is None:
-        return lance().LanceOperation.Update(new_fragments=added)
+        return lance().LanceOperation.Update(new_fragments=[*added])
     removal: Any = table.merge_insert("frame").when_matched_delete().execute_uncommitted(ids)[0]
-    return dataclasses.replace(removal.operation, new_fragments=added)
+    return dataclasses.replace(removal.operation, new_fragments=[*added])
 
 
 def commit(table: LanceDataset, plan: Callable[[LanceDataset], Any], message: str) -> LanceDataset:

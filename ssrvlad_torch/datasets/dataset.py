@@ -25,12 +25,6 @@ LabelsAs = str | LabelSpace | None
 Role = Literal["reference", "query"]
 Kind = Literal["image", "label"]
 
-_MISSING: dict[Kind, str] = {
-    "image": "no images",
-    "label": "no label maps; segment its images and give the folder of the results and their label "
-    "space",
-}
-
 
 @dataclass(frozen=True)
 class DatasetFrame:
@@ -204,7 +198,9 @@ class Dataset:
             if (path := f.image if kind == "image" else f.label)
         ]
         if not files:
-            raise ValueError(f"{self.root} ({self.layout}) has {_MISSING[kind]}")
+            hint = "; segment its images and give the folder of the results and their label space"
+            missing = "images" if kind == "image" else f"label maps{hint}"
+            raise ValueError(f"{self.root} ({self.layout}) has no {missing}")
         sequences = groupby(files, key=lambda file: file.sequence)
         selected = [file for _, of in sequences for file in islice(of, start, None, every)]
         if not selected:

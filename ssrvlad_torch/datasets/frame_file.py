@@ -147,18 +147,19 @@ class RemoteFile(FrameFile):
         return self.listed
 
     def _content(self) -> bytes:
-        with _file_system(self.uri).open_input_file(str(self.path)) as source:
+        with _connected(self.uri)[0].open_input_file(str(self.path)) as source:
             check_size(source.size(), self.location)
             content: bytes = source.read()
         return content
 
 
 @cache
-def _file_system(uri: str) -> Any:
-    """The connection to a file system, one per process."""
+def _connected(uri: str) -> tuple[Any, str]:
+    """The file system of a URI, connected once per process, and the path there."""
     from pyarrow.fs import FileSystem
 
-    return FileSystem.from_uri(uri)[0]
+    system, path = FileSystem.from_uri(uri)
+    return system, path
 
 
 def remote_files(
@@ -168,9 +169,9 @@ def remote_files(
     sequence has no name yet. ``passed_over`` counts the suffixes of other files. A scheme that
     pyarrow does not support, and no frames, are a ValueError that names the kind; a folder that
     cannot be read is an OSError."""
-    from pyarrow.fs import FileSelector, FileSystem, FileType
+    from pyarrow.fs import FileSelector, FileType
 
-    system, root = FileSystem.from_uri(uri.rstrip("/"))
+    system, root = _connected(uri.rstrip("/"))
     scheme, _, address = uri.partition("?")[0].rstrip("/").partition("://")
     authority, slash, below = address.partition("/")
     user, _, host = authority.rpartition("@")

@@ -60,10 +60,10 @@ def find_frames(
     for ``topic`` `bag_files`. ``note`` gets what the user should know, and ``choose`` leaves out
     files that are no frames. No frames, a file that is two frames, and a URI that pyarrow does not
     support are a ValueError, a folder of a URI that cannot be read an OSError."""
-    passed_over = Counter[str]()
-    files = [f for source in sources for f in _expand(str(source), kind, topic, note, passed_over)]
-    if passed_over:
-        counts = ", ".join(f"{count} {suffix}" for suffix, count in passed_over.most_common())
+    finder = _Finder(kind, topic, note, Counter())
+    files = [file for source in sources for file in finder.of_source(str(source))]
+    if passed := finder.passed_over.most_common():
+        counts = ", ".join(f"{count} {suffix}" for suffix, count in passed)
         note(f"files passed over: {counts}; {kind.name} are {', '.join(kind.suffixes)}")
     if files and all(isinstance(file, UnreadableFile) for file in files):
         raise ValueError(str(getattr(files[0], "problem", "")))
@@ -137,64 +137,62 @@ def found_by(find: Callable[..., list[FrameFile]], *arguments: object) -> list[F
     return []
 
 
-def _expand(
-    source: str,
-    kind: FileKind,
-    topic: str | None,
-    note: Callable[[str], object],
-    passed_over: Counter[str],
-) -> list[FrameFile]:
-    """The frames of a source; ``passed_over`` counts the suffixes of files that are none."""
-    if is_uri(source):
-        return remote_files(source, kind.name, kind.suffixes, passed_over)
-    if not source:
-        raise ValueError("a source is empty; expected a folder, a file, a glob or a URI")
-    path = Path(source)
-    matches = [path] if path.exists() else [Path(m) for m in glob.glob(source, recursive=True)]
-    if not matches:
-        raise ValueError(f"{source} does not exist and matches no file")
-    for folders in (False, True):
-        paths = [match for match in matches if match.is_dir() == folders]
-        paths.sort(key=lambda path: natural_key(str(path)))
-        files = [
-            file for path in paths for file in _frames_at(path, kind, topic, note, passed_over)
-        ]
-        if files:
-            return files
-    raise ValueError(f"{source} holds no {kind.name}; expected {', '.join(kind.suffixes)} files")
+@dataclass(frozen=True)
+class _Finder:
+    """Finds the frames of a kind at sources; ``passed_over`` counts the suffixes of other files."""
 
+    kind: FileKind
+    topic: str | None
+    note: Callable[[str], object]
+    passed_over: Counter[str]
 
-def _frames_at(
-    path: Path,
-    kind: FileKind,
-    topic: str | None,
-    note: Callable[[str], object],
-    passed_over: Counter[str],
-) -> Iterator[FrameFile]:
-    """The frames of a folder, file, bag or video. A broken link is a frame, skipped when read, and
-    so is a bag or video that cannot be opened; a stack outside a folder of frames is a sequence."""
-    if kind.name == "images" and (is_bag(path) or is_video(path)):
-        try:
-            yield from bag_files(path, topic, note) if is_bag(path) else video_files(path, note)
-        except ValueError as error:
-            place = absolute(path)
-            yield UnreadableFile("", path.stem, path, folder=place, stamp=0, problem=str(error))
-        return
-    is_folder = path.is_dir()
-    home = absolute(path if is_folder else path.parent)
-    for entry in path.iterdir() if is_folder else (path,):
-        is_shown = not entry.name.startswith(".") and (entry.is_file() or not entry.exists())
-        if entry.suffix.lower() not in kind.suffixes or (is_folder and not is_shown):
-            if is_shown and entry.is_file() and entry.name != FILE_NAME:
-                passed_over[entry.suffix.lower() or "without suffix"] += 1
-            continue
-        length = _stack_length(entry, kind) if entry.suffix.lower() == ".npy" else None
-        if length is None:
-            yield FrameFile("", entry.stem, entry, folder=home)
-            continue
-        folder = home if is_folder else absolute(path)
-        for row in range(length):
-            yield FrameFile("", f"{entry.stem}-{row:06d}", entry, row, folder=folder)
+    def of_source(self, source: str) -> list[FrameFile]:
+        """The frames of a folder, a file, a glob or a URI; none are a ValueError."""
+        kind = self.kind
+        if is_uri(source):
+            return remote_files(source, kind.name, kind.suffixes, self.passed_over)
+        if not source:
+            raise ValueError("a source is empty; expected a folder, a file, a glob or a URI")
+        path = Path(source)
+        matches = [path] if path.exists() else [Path(m) for m in glob.glob(source, recursive=True)]
+        if not matches:
+            raise ValueError(f"{source} does not exist and matches no file")
+        matches.sort(key=lambda path: natural_key(str(path)))
+        for folders in (False, True):
+            paths = (match for match in matches if match.is_dir() == folders)
+            if files := [file for path in paths for file in self._at(path)]:
+                return files
+        raise ValueError(
+            f"{source} holds no {kind.name}; expected {', '.join(kind.suffixes)} files"
+        )
+
+    def _at(self, path: Path) -> Iterator[FrameFile]:
+        """The frames of a folder, file, bag or video. A broken link is a frame, skipped when read,
+        and so is a bag or video that cannot be opened."""
+        if self.kind.name == "images" and (is_bag(path) or is_video(path)):
+            try:
+                of_bag, note = is_bag(path), self.note
+                yield from bag_files(path, self.topic, note) if of_bag else video_files(path, note)
+            except ValueError as error:
+                place = absolute(path)
+                yield UnreadableFile("", path.stem, path, folder=place, stamp=0, problem=str(error))
+            return
+        is_folder = path.is_dir()
+        home = absolute(path if is_folder else path.parent)
+        for entry in path.iterdir() if is_folder else (path,):
+            suffix = entry.suffix.lower()
+            is_shown = not entry.name.startswith(".") and (entry.is_file() or not entry.exists())
+            if suffix not in self.kind.suffixes or (is_folder and not is_shown):
+                if is_shown and entry.is_file() and entry.name != FILE_NAME:
+                    self.passed_over[suffix or "without suffix"] += 1
+                continue
+            length = _stack_length(entry, self.kind) if suffix == ".npy" else None
+            if length is None:
+                yield FrameFile("", entry.stem, entry, folder=home)
+                continue
+            folder = home if is_folder else absolute(path)
+            for row in range(length):
+                yield FrameFile("", f"{entry.stem}-{row:06d}", entry, row, folder=folder)
 
 
 def _stack_length(path: Path, kind: FileKind) -> int | None:

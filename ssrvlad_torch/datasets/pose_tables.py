@@ -6,6 +6,7 @@ import csv
 import io
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from pathlib import Path, PurePosixPath
@@ -15,7 +16,17 @@ from ..files import check_regular, naming, read_text, replacing
 from .camera_poses import KITTI_360, read_colmap, read_kitti_360, words_of
 from .frame_file import FrameFile, RemoteFile
 from .names import IMAGE_SUFFIXES, absolute, absolute_folder, is_same_folder, path_ends
-from .poses import UNKNOWN, Fix, Pose, Projection, parse_number, read_exif, read_name, zone_of_name
+from .poses import (
+    NOWHERE,
+    UNKNOWN,
+    Fix,
+    Pose,
+    Projection,
+    parse_number,
+    read_exif,
+    read_name,
+    zone_of_name,
+)
 from .trajectories import read_trajectory
 
 FILE_NAME = "poses.csv"
@@ -177,7 +188,11 @@ def with_poses_of(
     that gives no pose is a ValueError."""
     path = Path(source)
     if source == "exif":
-        poses = [_poses_of_exif(files, projection) for files in sequences]
+        fixes = [[*map(_fix_of, files)] for files in sequences]
+        for files, of_files in zip(sequences, fixes, strict=True):
+            if not any(fix.is_known for fix in of_files):
+                raise ValueError(f"no image of {files[0].sequence} has a position in its EXIF tags")
+        poses = [projection.poses(of_files) for of_files in fixes]
     elif not path.is_file():
         raise ValueError(f"{source} is no file; expected a file of poses, or exif")
     elif (rows := read_table(path, projection)) is not None:
@@ -202,22 +217,13 @@ def with_poses_of(
     ]
 
 
-def _poses_of_exif(files: Sequence[FrameFile], projection: Projection) -> list[Pose]:
-    fixes = list(map(_fix_of, files))
-    if not any(fix.is_known for fix in fixes):
-        raise ValueError(f"no image of {files[0].sequence} has a position in its EXIF tags")
-    return projection.poses(fixes)
-
-
 def _fix_of(file: FrameFile) -> Fix:
-    nowhere = Fix(math.nan, math.nan)
-    try:
+    with suppress(ValueError, OSError):
         if isinstance(file, RemoteFile):
-            return read_exif(io.BytesIO(file.read())) or nowhere
+            return read_exif(io.BytesIO(file.read()))
         check_regular(file.path)  # to open a pipe can block for ever
-        return read_exif(file.path) or nowhere
-    except (ValueError, OSError):
-        return nowhere
+        return read_exif(file.path)
+    return NOWHERE
 
 
 def with_poses_beside(
@@ -246,8 +252,7 @@ def with_pose(file: FrameFile, find: Callable[[Path], PoseTable | None]) -> Fram
     `read_name`; a ValueError if a table is damaged, or can mean two frames."""
     if isinstance(file, RemoteFile):
         return file
-    pose, stamp = read_name(file.name)
-    table = find(file.path.parent)
+    (pose, stamp), table = read_name(file.name), find(file.path.parent)
     pose = (table and table.pose_of(file)) or pose
     stamp = stamp if math.isnan(file.stamp) else file.stamp
     has_source = bool(table) or not math.isnan(pose.x)

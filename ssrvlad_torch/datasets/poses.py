@@ -7,6 +7,7 @@ Names have the form of VPR-methods-evaluation: ``@ UTM east @ UTM north @ zone n
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from statistics import median
@@ -48,6 +49,7 @@ class Fix(NamedTuple):
         return True
 
 
+NOWHERE = Fix(math.nan, math.nan)
 _RANGES = (-80, 84), (-180, 180)
 """Degrees of latitude, in UTM, and of longitude."""
 
@@ -111,23 +113,21 @@ def heading_of_course(course: float) -> float:
     return math.remainder(math.radians(90 - course), math.tau)
 
 
-def read_exif(file: Path | BinaryIO) -> Fix | None:
-    """The position and direction in the EXIF tags of an image; ``None`` without a valid position. A
-    direction from magnetic north is ignored."""
+def read_exif(file: Path | BinaryIO) -> Fix:
+    """The position and direction in the EXIF tags of an image, or `NOWHERE`. A direction from
+    magnetic north is ignored."""
     tag = ExifTags.GPS
-    try:
+    with suppress(Exception):  # damaged files raise any exception
         with Image.open(file) as image:
             tags = image.getexif().get_ifd(ExifTags.IFD.GPSInfo)
-        if tags.get(tag.GPSStatus) == "V":  # void: no reception
-            return None
         latitude = _degrees(tags[tag.GPSLatitude], tags[tag.GPSLatitudeRef], "NS")
         longitude = _degrees(tags[tag.GPSLongitude], tags[tag.GPSLongitudeRef], "EW")
         is_true = tags.get(tag.GPSImgDirectionRef, "T") == "T"
         course = float(tags.get(tag.GPSImgDirection, "nan")) if is_true else math.nan
         fix = Fix(latitude, longitude, course if 0 <= course <= 360 else math.nan)
-        return fix if fix.is_known else None
-    except Exception:  # damaged files raise any exception
-        return None
+        if tags.get(tag.GPSStatus) != "V" and fix.is_known:  # V, void: no reception
+            return fix
+    return NOWHERE
 
 
 def _degrees(numbers: Sequence[float], letter: str, letters: str) -> float:

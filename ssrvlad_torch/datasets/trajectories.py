@@ -8,7 +8,7 @@ from bisect import bisect_left
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC
 from itertools import pairwise
 from pathlib import Path
 
@@ -198,7 +198,8 @@ def _parse_gpx(text: str, projection: Projection) -> Trajectory:
                 if point.time is None:
                     number = len(fixes) + 1
                     raise ValueError(f"point {number} has no time, as 2026-05-01T10:00:00Z")
-                stamps.append(_seconds(point.time))
+                time = point.time if point.time.tzinfo else point.time.replace(tzinfo=UTC)
+                stamps.append(time.timestamp())
                 if stamps[-1] < stamps[len(fixes) - 1]:
                     raise ValueError(f"position {len(stamps)} is earlier than the one before it")
                 course = math.nan if point.course is None else float(point.course)
@@ -206,8 +207,3 @@ def _parse_gpx(text: str, projection: Projection) -> Trajectory:
     if not fixes:
         raise ValueError("holds no positions; expected track points")
     return Trajectory(projection.poses(fixes), stamps, _GAP_SECONDS, frozenset(starts))
-
-
-def _seconds(time: datetime) -> float:
-    """Seconds since 1970 UTC."""
-    return (time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp()

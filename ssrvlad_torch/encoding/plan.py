@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..database.database import Database, StagedRows
+from ..database.database import Database
 from ..database.frames import FrameRecord, folder_of
 from ..database.metadata import Origin
 from ..database.rows import StoredRecords, folders_of
@@ -149,7 +149,7 @@ class Writer(AbstractContextManager["Writer"]):
     def __init__(self, database: Database, plan: Plan, options: EncodeOptions) -> None:
         self.summary = Summary(already_there=plan.already_there)
         self._database, self._plan, self._options = database, plan, options
-        self._waiting, self._staged = list[Encoded](), list[StagedRows]()
+        self._waiting = list[Encoded]()
         self._due = time.monotonic() + COMMIT_SECONDS
         for frame in plan.refused:
             self.add(frame)
@@ -174,22 +174,11 @@ class Writer(AbstractContextManager["Writer"]):
                 self.commit()
         self._options.progress(1)
 
-    def add_staged(self, rows: StagedRows, empty: int) -> None:
-        """Adds new frames that `Database.write_apart` wrote, ``empty`` of them empty."""
-        self._staged.append(rows)
-        self.summary.encoded += len(rows.frames)
-        self.summary.empty += empty
-        if time.monotonic() > self._due:
-            self.commit()
-        self._options.progress(len(rows.frames))
-
     def commit(self) -> None:
         """Commits the waiting frames."""
-        frames, staged = self._waiting, self._staged
-        self._waiting, self._staged = [], []
-        check = partial(check_folders, self._plan.files)
-        self._database.adopt(staged, check)
+        frames, self._waiting = self._waiting, []
         if frames:
+            check = partial(check_folders, self._plan.files)
             self._database.merge([frame.record for frame in frames], stacked(frames), check)
             reasons = [self._plan.reason(frame.record) for frame in frames]
             self.summary.encoded += reasons.count(NEW)

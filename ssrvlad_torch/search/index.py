@@ -175,14 +175,13 @@ class Index:
 
     def add(self) -> int:
         """Codes the rows that lack a code, in one commit, and returns how many."""
-        new, fragments = np.flatnonzero(self._places < 0), list[str]()
+        new, fragments = np.flatnonzero(self._places < 0), list[Any]()
         for first in range(0, len(new), _WRITE):
             table = pa.Table.from_batches(self._coded(new[first : first + _WRITE]))
             with engine.lance_errors(OSError, f"{self._table.uri} cannot be written"):
-                written = engine.write_fragments(self._table, table)
-            fragments += [json.dumps(fragment.to_json()) for fragment in written]
+                fragments += engine.write_fragments(self._table, table)
         if fragments:
-            plan = partial(engine.replacement, ids=None, fragments=fragments)
+            plan = partial(engine.replacement, ids=None, added=fragments)
             commit = partial(engine.commit, plan=plan, message=f"index {len(new)} frames")
             engine.change_table(self._table.uri, commit)
         return len(new)
