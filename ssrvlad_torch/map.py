@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
-import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NoReturn, overload
 
 import numpy as np
-import torch
 from PIL import Image
 
 from .channels.channel import Channel
 from .config import SSRVLADConfig
 from .database.database import Database
 from .database.engine import discard_empty
-from .database.frames import FrameSet
 from .datasets.dataset import GroundTruth
 from .datasets.frame_file import FrameInMemory
 from .datasets.image_files import Picture, pixels_of
-from .datasets.label_files import LabelMap, read_label_map
+from .datasets.label_files import LabelMap
 from .descriptor import SSRVLAD
 from .encoding.encoder import (
     Describer,
@@ -32,41 +28,33 @@ from .encoding.encoder import (
     encode_to_database,
 )
 from .encoding.named import encode_names
-from .encoding.plan import Plan
 from .encoding.ray_engine import encode_with_ray
 from .encoding.results import EncodeOptions, Note, Progress, Skipped, Summary, do_nothing
 from .encoding.selection import STDIN, FrameSelection
 from .encoding.source import (
     SelectedFrames,
     cache_folder,
+    note_other_spaces,
+    note_void,
     open_frames,
     origin_of,
-    picture_files,
     require_network,
+    up_to_date,
 )
-from .evaluation.ground_truth import from_frame_numbers
-from .evaluation.measure import TOP, Evaluation, Recognition, measure
+from .evaluation.measure import TOP, Evaluation
 from .evaluation.metrics import Convention
-from .evaluation.true_matches import Viewpoints, true_matches
 from .recognition.matching import checked_number
 from .recognition.recognise import Steps
 from .search.answers import Answer, Answers
-from .search.exact import (
-    chosen_channels,
-    locate_view,
-    search,
-    space_of_queries,
-    views_of,
-)
+from .search.exact import LoadedMap, chosen_channels, search, space_of_queries
 from .search.index import grow
-from .search.material import Material, draw_answers
-from .search.selection import Near, Posed
-from .search.shortlist import Shortlist, open_shortlist
+from .search.material import Material, draw_answers, evaluate_answers, posed_references
+from .search.selection import Circle, circle_of
 from .search.tracker import Tracker
-from .segmentation.cache import known_key, remember
+from .segmentation.cache import remember
 from .segmentation.networks import AUTO
 from .segmentation.segmenter import Segmenter
-from .taxonomy import VOID, LabelSpace, label_space
+from .taxonomy import LabelSpace
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -74,13 +62,7 @@ if TYPE_CHECKING:
 Frames = str | os.PathLike[str] | Sequence[str | os.PathLike[str]] | FrameSelection
 """Folders, globs or files, each folder a sequence; or `FrameSelection`, which says more."""
 
-Circle = str | Sequence[float] | Posed
-"""A place that is roughly known: x, y and a radius in metres, or the text ``X,Y,METRES``; or all
-frames of known pose."""
-
 Engine = Literal["local", "ray"]
-
-_MUCH_VOID = 0.5
 
 
 @dataclass(repr=False, eq=False)
@@ -88,14 +70,7 @@ class Map:
     """Known places: the frames of a database, and the network that labels pictures. Use `open`.
 
     Changes that are made through this object count at once; those of other processes when the map
-    is opened again.
-
-    Attributes:
-        path: of the database, a folder or a URI.
-        network: labels pictures; a name, see `open_network`, or a `Segmenter`. Without one, frames
-            are label maps, or pictures of the network that made the map.
-        labels_as: label space of the label maps, or of the network's classes.
-        preset, channels, version: see `open`.
+    is opened again. For the attributes see `open`.
 
     Examples:
         >>> town = Map.open("town.ssrdb", network="seg.yaml")  # doctest: +SKIP
@@ -119,7 +94,7 @@ class Map:
 
     def __post_init__(self) -> None:
         self._opened = self.network if isinstance(self.network, Segmenter) else None
-        self._located: tuple[int, FrameSet | Shortlist, list[Channel]] | None = None
+        self._located: LoadedMap | None = None
         exists = self.version is not None or Database.exists(self.path)
         self._database = Database.open(self.path, self.version) if exists else None
         if self._database and self.preset is not None:
@@ -141,8 +116,10 @@ class Map:
         """A map; a new one is made by the first `add`.
 
         Args:
-            path: a folder or a URI.
-            network, labels_as: see `Map`.
+            path: of the database, a folder or a URI.
+            network: labels pictures; a name, see `open_network`, or a `Segmenter`. Without one,
+                frames are label maps, or pictures of the network that made the map.
+            labels_as: label space of the label maps, or of the network's classes.
             preset: of a new map, ``"default"`` or ``"paper"``; by default ``"default"``. One that
                 exists must have it.
             channels: what a new map stores of pictures beside the descriptor of label maps, of
@@ -193,10 +170,9 @@ class Map:
         note: Note = do_nothing,
     ) -> SelectedFrames:
         """The frames on disk, before the first is read; see `open_frames`."""
-        selection, database = _selection(frames), self.database if compared else self._stored()
         source = open_frames(
-            selection,
-            database,
+            FrameSelection.of(frames),
+            self.database if compared else self._stored(),
             network=self.network and (self._opened or self.network),
             labels_as=self.labels_as,
             compared=compared,
@@ -241,7 +217,7 @@ class Map:
         beside = channels_to_store(stored, head, source.segmenter, self.channels, note)
         new = stored is None
         if new:
-            self._note_void(source, head, note)
+            note_void(source, note)
         run = encode_with_ray if engine == "ray" else encode_to_database
         columns = [channel.column for channel in beside]
         self._database = None  # until all is written
@@ -260,37 +236,20 @@ class Map:
             network = source.segmenter
             remember(network.name, network.state, network.key(), cache_folder())
         grow(database)
-        self._note_other_spaces(head.label_space, note)
+        note_other_spaces(database, head.label_space, note)
         return summary
 
     def up_to_date(
         self, frames: FrameSelection, complete: bool = False, prune: bool = False
     ) -> Summary | None:
         """What `add` of pictures returns where it has nothing to do, without opening the network;
-        ``None`` where there is something to do, or it cannot be told: the files of a network are
-        known once it has been used.
-
-        Args:
-            frames: see `FrameSelection`.
-            complete, prune: see `EncodeOptions`.
-
-        Raises:
-            ValueError: as for `add`.
-        """
+        ``None`` where there is something to do, or it cannot be told. For ``complete`` and
+        ``prune`` see `EncodeOptions`; errors as for `add`."""
         database, name = self._stored(), frames.segmenter or self.network
-        if database is None or not isinstance(name, str) or frames.changed("layout", "classes"):
+        if database is None or not isinstance(name, str) or frames.layout:
             return None
-        key = known_key(name, cache_folder())
-        origins = [o for o in database.origins.values() if o.label_space and o.segmenter == key]
-        if not key or len(origins) != 1:
-            return None
-        labels_as, space = frames.labels_as or self.labels_as or AUTO, origins[0].label_space
-        if space is None or (labels_as != AUTO and label_space(labels_as).digest != space.digest):
-            return None
-        plan = Plan.of(picture_files(frames, database), database, origins[0])
-        if plan.files or plan.refused or (prune and plan.gone):
-            return None
-        return Summary(already_there=plan.already_there, gone=plan.gone if complete else [])
+        labels_as = frames.labels_as or self.labels_as or AUTO
+        return up_to_date(frames, database, name, labels_as, complete, prune)
 
     def query(
         self,
@@ -327,8 +286,7 @@ class Map:
             ValueError: there are no frames, they do not fit the map, or the map has no poses in the
                 circle.
         """
-        circle = near if near is None or isinstance(near, Posed) else Near.of(near)
-        source, steps = self._source(frames), steps or Steps()
+        circle, source, steps = circle_of(near), self._source(frames), steps or Steps()
         if not isinstance(steps, Steps):
             raise ValueError(f"expected steps as Steps, got {steps!r}")
         if follow:
@@ -357,30 +315,21 @@ class Map:
 
         Args:
             pictures: one picture or a sequence of them: ``(H, W, 3)`` uint8 in RGB, images of
-                Pillow, or image files.
-            top: number of candidates of each.
-            near: only frames whose pose is in this circle are candidates, as a prior of GPS or
-                odometry says, such as ``(12.5, -3, 50)``.
-
-        Returns:
-            An `Answer`, or a list of them for a sequence. Its candidates are given at any
-            confidence; none if the picture or every frame is empty.
-
-        Raises:
-            FileNotFoundError: a file does not exist.
-            ValueError: something is no picture, the network fails, or the map has no frames, or
-                none in the circle.
+                Pillow, or image files. A missing file is a FileNotFoundError.
+            top: number of candidates of each, which are given at any confidence; none if the
+                picture or every frame is empty.
+            near: only frames whose pose is in this circle are candidates, such as ``(12.5, -3,
+                50)`` of GPS or odometry. A map without frames there is a ValueError.
         """
-        circle, top = _circle(near), checked_number("top", top, 1)
+        circle, top = circle_of(near), checked_number("top", top, 1)
         several = isinstance(pictures, Sequence) and not isinstance(pictures, str)
         listed: Sequence[Picture] = pictures if several else [pictures]  # type: ignore[assignment,list-item]
         frames = [pixels_of(picture) for picture in listed]
-        references, channels = self._loaded()
-        places = references if isinstance(references, FrameSet) else references.frames
-        where = circle.rows(places.poses, self.path) if circle else np.ones(len(places), bool)
-        names = [f"picture/{number}" for number in range(len(frames))]
-        views = views_of(self._segmenter(), frames, names, channels)
-        answers = [locate_view(view, references, channels, top, where) for view in views]
+        if self._located is None or self._located.version != self.database.version:
+            located = LoadedMap(self.database)
+            self._fitting_segmenter(located.channels)
+            self._located = located
+        answers = self._located.locate(self._segmenter(), frames, top, circle)
         return answers if several else answers[0]
 
     def tracker(
@@ -391,37 +340,18 @@ class Map:
         channels: Sequence[str] | None = None,
     ) -> Tracker:
         """Localises a sequence while it comes: pictures or label maps, one by one. The map is
-        loaded, and stays as it is.
+        loaded, and stays as it is; one without frames, or none in the circle, is a ValueError.
 
         Args:
             steps: between descriptors and a decision; ``follow`` must be online, with a ``delay``
                 of so many later frames that an answer waits for. By default all, without a delay.
-            top: number of candidates of each frame.
-            near: only frames whose pose is in this circle are candidates.
-            channels: names of those that are used; by default all of the map.
-
-        Raises:
-            ValueError: the map has no frames, or none in the circle.
+            top, near, channels: as for `query`.
         """
-        steps = steps or Steps(follow="online")
-        if steps.follow != "online":
-            raise ValueError(f"follow: expected online, got {steps.follow}")
         if not len(self):
             raise ValueError(f"{self.path} holds no frames yet")
-        used, references = chosen_channels(self.database, channels), self.database.load()
-        circle, where = _circle(near), np.ones(len(references), bool)
-        if circle:
-            where = circle.rows(references.poses, self.path)
-        return Tracker(
-            references,
-            used,
-            lambda: self._fitting_segmenter(used),
-            label_space(self.labels_as or self.database.config.labels_as),
-            steps,
-            min(checked_number("top", top, 1), len(self)),
-            where,
-            torch.get_num_threads(),
-        )
+        used, steps = chosen_channels(self.database, channels), steps or Steps(follow="online")
+        network, circle = lambda: self._fitting_segmenter(used), circle_of(near)
+        return Tracker(self.database, used, network, self.labels_as, steps, top, circle)
 
     def track(
         self,
@@ -433,18 +363,9 @@ class Map:
         channels: Sequence[str] | None = None,
         note: Note = do_nothing,
     ) -> Iterator[Answer | Skipped]:
-        """The answers to files whose names come one by one, each as soon as it is known, and the
-        files that could not be read.
-
-        Args:
-            frames: how files are read, see `FrameSelection.is_live`.
-            names: of the files.
-            steps, top, near, channels: see `tracker`.
-            note: gets what the user should know.
-
-        Raises:
-            ValueError: as for `tracker`, or the files cannot fit the map.
-        """
+        """The answers to files whose ``names`` come one by one, each as soon as it is known, and
+        the files that could not be read; ``frames`` says how they are read, see
+        `FrameSelection.is_live`. Other arguments and errors as for `tracker`."""
         database, tracker = self.database, self.tracker(steps, top, near, channels)
         pictured = any(channel.lacks(None) for channel in tracker.channels)
         source = self.source(frames, compared=True, images=pictured, live=True, note=note)
@@ -486,37 +407,11 @@ class Map:
         definition = GroundTruth.chosen(
             declared, ground_truth, tolerance_metres, tolerance_degrees, tolerance_frames
         )
-        if definition.frames is not None and source.files:
-            placed, _ = self.database.placed()
-            counted = Viewpoints.of(source.files, source.dataset).counted
-            stored = Viewpoints.of_set(placed, source.dataset, ()).counted
-            from_frame_numbers(counted, stored, definition.frames)
-        if definition.metres is not None and settings.get("near") is None:
-            posed = Posed(definition.degrees is not None)
-            is_posed = posed.rows(self.database.placed()[0].poses, self.path)
-            if unknown := np.count_nonzero(~is_posed):
-                note(f"{unknown} of {len(is_posed)} references are left out: their pose is unknown")
-                settings["near"] = posed
-        answers, config = self.query(source, steps, TOP, **settings), self.database.config
-        dataset, skipped = source.dataset, [frame.frame for frame in answers.skipped]
-        references = Viewpoints.of_set(answers.references, dataset, source.map_folders)
-        queries = Viewpoints.of_set(answers.queries, dataset, answers.folders, skipped)
-        truth = true_matches(definition, references, queries, note)
+        if settings.get("near") is None:
+            settings["near"] = posed_references(definition, source, self.database, note)
+        answers = self.query(source, steps, TOP, **settings)
         material = self._material(answers, source)
-        details = {
-            **answers.judged(truth),
-            "preset": config.preset,
-            "fingerprint": config.fingerprint,
-            "temporal": answers.temporal,
-            "steps": answers.recognised.used,
-            "score_is": answers.recognised.score_is(),
-        }
-        sure = answers.recognised.confidence.numpy()
-        recognition = Recognition(
-            references, queries, answers.matches, material,
-            sure if sure.any() else None, answers.skipped, details,
-        )  # fmt: skip
-        return replace(measure(recognition, truth, convention), true_matches=definition.words)
+        return evaluate_answers(answers, material, definition, convention, note)
 
     def draw(self, answers: Answers, frames: Frames | SelectedFrames) -> Figure:
         """A figure of answers of `query` to frames: where the sequence is in the map, and some of
@@ -536,15 +431,10 @@ class Map:
         _ = self.database
         if isinstance(frames, SelectedFrames):
             return frames
-        if isinstance(frames, Sequence) and not isinstance(frames, str):
-            arrays = [frame for frame in frames if isinstance(frame, np.ndarray | Image.Image)]
-            if arrays and len(arrays) == len(frames):
-                return self._in_memory(arrays)
-        return self.source(frames, compared=True)  # type: ignore[arg-type]
-
-    def _in_memory(self, frames: Sequence[Picture | LabelMap]) -> SelectedFrames:
-        """Pictures, or label maps, that are no files."""
-        arrays = [frame if isinstance(frame, np.ndarray) else pixels_of(frame) for frame in frames]
+        listed: Any = frames if isinstance(frames, Sequence) and not isinstance(frames, str) else ()
+        if not listed or not all(isinstance(frame, np.ndarray | Image.Image) for frame in listed):
+            return self.source(frames, compared=True)  # type: ignore[arg-type]
+        arrays = [frame if isinstance(frame, np.ndarray) else pixels_of(frame) for frame in listed]
         pictured = any(array.ndim > 2 for array in arrays)
         live = FrameSelection([STDIN])
         source = self.source(live, compared=True, images=pictured, live=True)
@@ -553,28 +443,6 @@ class Map:
         self._opened = source.segmenter or self._opened
         files = [FrameInMemory.of(number, array) for number, array in enumerate(arrays)]
         return replace(source, files=files)
-
-    def _note_void(self, source: SelectedFrames, head: SSRVLAD, note: Note) -> None:
-        """Notes a first label map that is mostly void: the label space may be wrong."""
-        void = [label.id for label in head.label_space.classes if label.category == VOID]
-        for file in () if source.segmenter else source.files:
-            with contextlib.suppress(ValueError):
-                share = float(np.isin(read_label_map(file, head.label_space), void).mean())
-                if share > _MUCH_VOID:
-                    name = head.label_space.name
-                    note(f"{file.location}: {share:.0%} is void in {name}; is --labels-as right?")
-                return
-
-    def _note_other_spaces(self, used: LabelSpace, note: Note) -> None:
-        """Notes which other label spaces the map holds."""
-        several = len(self.database.origins) > 1
-        spaces = [
-            f"another {space.name}" if space.name == used.name else space.name
-            for space in (self.database.label_spaces() if several else ())
-            if space.digest != used.digest
-        ]
-        if spaces:
-            note(f"{self.path} also holds frames of {' and '.join(spaces)}")
 
     def _segmenter(self) -> Segmenter:
         """The network, or the one that made the map."""
@@ -595,37 +463,3 @@ class Map:
         config = replace(self.database.config, labels_as=segmenter.label_space)
         check_segmenter(segmenter, SSRVLAD(config), channels)
         return segmenter
-
-    def _loaded(self) -> tuple[FrameSet | Shortlist, list[Channel]]:
-        """The frames and the channels, loaded anew after a change; the network must fit them."""
-        version = self.database.version
-        if self._located is None or self._located[0] != version:
-            if not len(self.database):
-                raise ValueError(f"{self.path} holds no frames yet")
-            channels = chosen_channels(self.database)
-            shortlist, reason = open_shortlist(self.database, channels)
-            if reason:
-                warnings.warn(f"{reason}; all frames are loaded", stacklevel=3)
-            frames = shortlist or self.database.load()
-            self._fitting_segmenter(channels)
-            self._located = version, frames, channels
-        return self._located[1:]
-
-
-def _circle(near: Circle | None) -> Near | Posed | None:
-    return near if near is None or isinstance(near, Posed) else Near.of(near)
-
-
-def _selection(frames: Frames) -> FrameSelection:
-    """What a user means by folders, globs or files."""
-    if isinstance(frames, FrameSelection):
-        return frames
-    several = isinstance(frames, Iterable) and not isinstance(frames, str)
-    paths: list[Any] = [*frames] if several else [frames]  # type: ignore[misc]
-    for path in paths:
-        if not isinstance(path, str | os.PathLike):
-            raise ValueError(
-                "expected folders, globs or files, or a list of them, got "
-                f"{type(path).__name__}; query and locate take pictures in memory"
-            )
-    return FrameSelection([str(path) for path in paths])

@@ -60,10 +60,13 @@ def test_the_axis_of_the_classes_does_not_follow_the_size_of_a_picture(form, siz
             r"no output fits label space camvid-11: got output \(1, 7, 24, 32\) float32; "
             r"expected \(B, C, h, w\) class scores, C = 11 or 12, or \(B, h, w\) integer ids$",
         ),
-        (lambda scores: torch.cat([scores, scores], 1), r"; --classes 0:12 takes the first 12"),
+        (
+            lambda scores: torch.cat([scores, scores], 1),
+            r"; classes: 0:12 in a YAML file takes the first 12",
+        ),
         (
             lambda scores: torch.cat([scores, scores[:, :7]], 1),
-            "; so many has cityscapes-trainids; --classes 0:12 takes the first 12$",
+            "; so many has cityscapes-trainids; classes: 0:12 in a YAML file takes the first 12$",
         ),
         (lambda scores: scores[:, 0] > 0, r"got output \(1, 24, 32\) bool"),
         (lambda scores: scores.long(), r"got output \(1, 12, 24, 32\) int64"),

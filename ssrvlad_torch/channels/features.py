@@ -35,7 +35,7 @@ class Features(Channel):
         """See `Channel`."""
         if network is None:
             raise ValueError(cls.lacks(network))
-        return cls(network.fingerprint_of_features)
+        return cls(network.features.fingerprint)
 
     @classmethod
     def of(cls, column: Column, _head: SSRVLAD) -> Self:

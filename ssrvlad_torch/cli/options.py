@@ -43,10 +43,6 @@ AsOf = Annotated[
         help="Version of the database to read, see ssrvlad db history. Default: the newest.",
     ),
 ]
-Classes = Annotated[
-    str | None,
-    typer.Option(help="Channels of the network to use, FIRST:LAST without LAST, such as 0:19."),
-]
 Preset = Annotated[str, typer.Option(help="paper (SSR-VLAD) or default (ours).")]
 MaybePreset = Annotated[
     str | None,

@@ -61,8 +61,8 @@ class ChunkEncoder:
         self.load: Callable[[], Segmenter] | None = None
         self._segmenter: Segmenter | None = None
         if segmenter:
-            how = segmenter.label_space, segmenter.cache, segmenter.config.classes
-            by_name = partial(Segmenter.load, segmenter.name, *how)
+            how = segmenter.name, segmenter.label_space, segmenter.cache
+            by_name = partial(Segmenter.load, *how)
             self.load = by_name if segmenter.name else lambda: segmenter
             self._key = segmenter.key()
 

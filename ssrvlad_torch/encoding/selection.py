@@ -1,6 +1,8 @@
 """FrameSelection: the frames that a user means. This module imports no torch."""
 
 import math
+import os
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -84,9 +86,6 @@ class FrameSelection:
         default=False,
         flags=("--index-is-id",),
     )
-    classes: str | None = _option(
-        "Channels of the network to use, FIRST:LAST without LAST, such as 0:19.", hidden=True
-    )
     segmenter_cache: str | None = _option(
         "Folder that caches the segmenter's label maps. Default: ~/.cache/ssrvlad.", hidden=True
     )
@@ -112,6 +111,21 @@ class FrameSelection:
             raise ValueError(
                 f"--layout: expected the folder of one data set, got {len(self.paths)} sources"
             )
+
+    @classmethod
+    def of(cls, frames: object) -> "FrameSelection":
+        """What a user means by folders, globs or files; other things are a ValueError."""
+        if isinstance(frames, cls):
+            return frames
+        several = isinstance(frames, Iterable) and not isinstance(frames, str)
+        paths: list[Any] = [*frames] if several else [frames]  # type: ignore[misc]
+        for path in paths:
+            if not isinstance(path, str | os.PathLike):
+                raise ValueError(
+                    "expected folders, globs or files, or a list of them, got "
+                    f"{type(path).__name__}; query and locate take pictures in memory"
+                )
+        return cls([str(path) for path in paths])
 
     @property
     def is_live(self) -> bool:

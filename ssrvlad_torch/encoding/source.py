@@ -18,14 +18,16 @@ from ..datasets.label_files import find_label_files, one_of_each_place, read_lab
 from ..datasets.layouts import open_dataset
 from ..datasets.names import SequenceFolders
 from ..datasets.poses import UNKNOWN, Pose, Projection
+from ..segmentation.cache import known_key
 from ..segmentation.networks import AUTO, open_network, runs_code
-from ..segmentation.preparation import channels
 from ..segmentation.segmenter import Segmenter, space_of
-from ..taxonomy import LabelSpace, label_space
-from .results import Note, do_nothing
+from ..taxonomy import VOID, LabelSpace, label_space
+from .plan import Plan
+from .results import Note, Summary, do_nothing
 from .selection import FrameSelection
 
-_OF_FILES = ("poses", "topic", "fps", "every", "start", "segmenter", "classes", "index_is_id")
+_MUCH_VOID = 0.5
+_OF_FILES = ("poses", "topic", "fps", "every", "start", "segmenter", "index_is_id")
 
 
 @dataclass(frozen=True)
@@ -115,10 +117,51 @@ def open_frames(
     return replace(frames, files=files)
 
 
-def picture_files(selection: FrameSelection, database: Database) -> list[FrameFile]:
-    """The images of a selection without a layout that is added to a database."""
+def up_to_date(
+    selection: FrameSelection,
+    database: Database,
+    network: str,
+    labels_as: str | LabelSpace,
+    complete: bool,
+    prune: bool,
+) -> Summary | None:
+    """What encoding the images of a selection without a layout into a database gives where nothing
+    is to be done, without opening the network; ``None`` where something is, or it cannot be told:
+    the files of a network are known once it has been used."""
+    key = known_key(network, cache_folder())
+    origins = [o for o in database.origins.values() if o.label_space and o.segmenter == key]
+    space = origins[0].label_space if key and len(origins) == 1 else None
+    if space is None or (labels_as != AUTO and label_space(labels_as).digest != space.digest):
+        return None
     frames = SelectedFrames(selection, map_folders=database.folders())
-    return _files_of(frames, Projection(partial(pose_in, database)), find_image_files)
+    files = _files_of(frames, Projection(partial(pose_in, database)), find_image_files)
+    plan = Plan.of(files, database, origins[0])
+    if plan.files or plan.refused or (prune and plan.gone):
+        return None
+    return Summary(already_there=plan.already_there, gone=plan.gone if complete else [])
+
+
+def note_void(source: SelectedFrames, note: Note) -> None:
+    """Notes a first label map that is mostly void: the label space may be wrong."""
+    space = label_space(source.labels_as)
+    void = [label.id for label in space.classes if label.category == VOID]
+    for file in () if source.segmenter else source.files:
+        with suppress(ValueError):
+            share = float(np.isin(read_label_map(file, space), void).mean())
+            if share > _MUCH_VOID:
+                note(f"{file.location}: {share:.0%} is void in {space.name}; is --labels-as right?")
+            return
+
+
+def note_other_spaces(database: Database, used: LabelSpace, note: Note) -> None:
+    """Notes which other label spaces a database holds."""
+    spaces = [
+        f"another {space.name}" if space.name == used.name else space.name
+        for space in (database.label_spaces() if len(database.origins) > 1 else ())
+        if space.digest != used.digest
+    ]
+    if spaces:
+        note(f"{database.path} also holds frames of {' and '.join(spaces)}")
 
 
 def _labelling(
@@ -138,16 +181,15 @@ def _labelling(
     if isinstance(network, Segmenter):
         return network.label_space if labels_as in (None, AUTO) else labels_as, network
     selection, dataset = frames.selection, frames.dataset
-    classes = channels(selection.classes)
     named = open_network(network) if network else None
     if named and labels_as in (None, AUTO):
         has_names = labels_as or named.class_names or named.labels_as is not None
-        labels_as = space_of(named, AUTO, classes) if has_names else None
+        labels_as = space_of(named) if has_names else None
     labels_as = labels_as or (dataset.labels_as if dataset else None)
     if database and not named and (images or (not labels_as and _are_of(database, pictures))):
         origin = origin_of(database)
         labels_as = origin.label_space or label_space(database.config.labels_as)
-        if opened and not selection.changed("segmenter_cache", "classes"):
+        if opened and not selection.changed("segmenter_cache"):
             require_network(database, opened)
             note(f"{opened.name}, the network of {database.path}, labels the pictures")
             return labels_as, opened
@@ -162,7 +204,7 @@ def _labelling(
             raise ValueError("--segmenter-cache needs --segmenter")
         return labels_as, None
     cache = Path(selection.segmenter_cache) if selection.segmenter_cache else cache_folder()
-    segmenter = Segmenter.load(named, labels_as, cache, classes)
+    segmenter = Segmenter.load(named, labels_as, cache)
     if named.assumption:
         note(named.assumption)
     if database and not network:

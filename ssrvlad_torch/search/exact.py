@@ -2,6 +2,7 @@
 index of a large one."""
 
 import dataclasses
+import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -177,23 +178,39 @@ def views_of(
     ]
 
 
-def locate_view(
-    view: View,
-    references: FrameSet | Shortlist,
-    channels: Sequence[Channel],
-    top: int,
-    where: npt.NDArray[np.bool_],
-) -> Answer:
-    """The answer to one picture alone, among the rows ``where`` ``(R,)`` bool of a map."""
-    descriptors = {channel.column.name: channel.describe([view], COLUMNS) for channel in channels}
-    unknown, empty = np.full((1, 3), np.nan), not bool(next(iter(descriptors.values())).any())
-    queries = FrameSet(
-        (view.frame,), (view.sequence,), descriptors, unknown, unknown[:, 0], np.array([empty])
-    )
-    recognised = recognise_in(references, queries, channels, _ALONE, min(top, len(where)), where)
-    frames = references if isinstance(references, FrameSet) else references.frames
-    [answer] = Answers(queries, frames, recognised)
-    return answer
+class LoadedMap:
+    """The frames of a map in memory, or by the index of a large one, for pictures by themselves.
+
+    Attributes:
+        version, channels: of the database.
+    """
+
+    def __init__(self, database: Database) -> None:
+        if not len(database):
+            raise ValueError(f"{database.path} holds no frames yet")
+        self.version, self.channels = database.version, chosen_channels(database)
+        shortlist, reason = open_shortlist(database, self.channels)
+        if reason:
+            warnings.warn(f"{reason}; all frames are loaded", stacklevel=4)
+        self._references, self._path = shortlist or database.load(), database.path
+
+    def locate(
+        self, segmenter: Segmenter, pictures: Sequence[Pixels], top: int, near: Near | Posed | None
+    ) -> list[Answer]:
+        """The answers to pictures, each by itself."""
+        references = self._references
+        frames = references if isinstance(references, FrameSet) else references.frames
+        where = near.rows(frames.poses, self._path) if near else None
+        names, answers = [f"picture/{number}" for number in range(len(pictures))], list[Answer]()
+        for view in views_of(segmenter, pictures, names, self.channels):
+            described = {c.column.name: c.describe([view], COLUMNS) for c in self.channels}
+            unknown, full = np.full((1, 3), np.nan), bool(next(iter(described.values())).any())
+            ids, empty = ((view.frame,), (view.sequence,)), np.array([not full])
+            queries = FrameSet(*ids, described, unknown, unknown[:, 0], empty)
+            few = min(top, len(frames))
+            recognised = recognise_in(references, queries, self.channels, _ALONE, few, where)
+            answers += Answers(queries, frames, recognised)
+        return answers
 
 
 def queries_of(

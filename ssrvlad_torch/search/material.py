@@ -3,7 +3,7 @@ ground truth, which needs the extra ``eval`` (matplotlib)."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -16,19 +16,25 @@ from torch import Tensor
 from ..channels.channel import Channel
 from ..database.database import Database
 from ..database.frames import FrameRecord, FrameSet
+from ..datasets.dataset import GroundTruth
 from ..datasets.frame_files import FrameFile, found_by
 from ..datasets.image_files import Pixels, find_image_files, read_image
 from ..datasets.label_files import find_label_files, read_label_map
 from ..encoding.source import SelectedFrames
+from ..evaluation.ground_truth import from_frame_numbers
 from ..evaluation.loops import EVEN
+from ..evaluation.measure import Evaluation, Recognition, measure
+from ..evaluation.metrics import Convention
 from ..evaluation.outcomes import Rows
 from ..evaluation.trajectory import draw_trajectory
+from ..evaluation.true_matches import Viewpoints, true_matches
 from ..files import drawn_text, new_figure
 from ..recognition.recognise import references_of
 from ..segmentation.segmenter import Segmenter
 from ..taxonomy import LabelSpace, colourise, label_space
 from .answers import Answers
 from .index import read_rows
+from .selection import Posed
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -137,6 +143,57 @@ def _pictures(
 def _photo(file: FrameFile) -> Iterator[tuple[str, Pixels]]:
     with suppress(ValueError):
         yield PHOTO, read_image(file)
+
+
+def posed_references(
+    definition: GroundTruth,
+    source: SelectedFrames,
+    database: Database,
+    note: Callable[[str], object],
+) -> Posed | None:
+    """The references of known pose, if a definition of a true match leaves out others; ``note``
+    gets their number. A distance in frames that cannot be told is a ValueError."""
+    if definition.frames is not None and source.files:
+        counted = Viewpoints.of(source.files, source.dataset).counted
+        stored = Viewpoints.of_set(database.placed()[0], source.dataset, ()).counted
+        from_frame_numbers(counted, stored, definition.frames)
+    if definition.metres is None:
+        return None
+    posed = Posed(definition.degrees is not None)
+    is_posed = posed.rows(database.placed()[0].poses, database.path)
+    if unknown := np.count_nonzero(~is_posed):
+        note(f"{unknown} of {len(is_posed)} references are left out: their pose is unknown")
+    return posed if unknown else None
+
+
+def evaluate_answers(
+    answers: Answers,
+    material: Material,
+    definition: GroundTruth,
+    convention: Convention,
+    note: Callable[[str], object],
+) -> Evaluation:
+    """How well the frames of the source of a material were found, by a definition of a true match;
+    ``note`` gets what is left out."""
+    source, config = material.source, material.database.config
+    skipped = [frame.frame for frame in answers.skipped]
+    references = Viewpoints.of_set(answers.references, source.dataset, source.map_folders)
+    queries = Viewpoints.of_set(answers.queries, source.dataset, answers.folders, skipped)
+    truth = true_matches(definition, references, queries, note)
+    details = {
+        **answers.judged(truth),
+        "preset": config.preset,
+        "fingerprint": config.fingerprint,
+        "temporal": answers.temporal,
+        "steps": answers.recognised.used,
+        "score_is": answers.recognised.score_is(),
+    }
+    sure = answers.recognised.confidence.numpy()
+    recognition = Recognition(
+        references, queries, answers.matches, material,
+        sure if sure.any() else None, answers.skipped, details,
+    )  # fmt: skip
+    return replace(measure(recognition, truth, convention), true_matches=definition.words)
 
 
 EXAMPLES = 4

@@ -112,3 +112,13 @@ class Posed(NamedTuple):
     def rows(self, poses: npt.NDArray[np.float64], path: str) -> npt.NDArray[np.bool_]:
         """As `Near.rows`."""
         return require_poses(f"references of {path}", poses, self.by_heading)
+
+
+Circle = str | Sequence[float] | Posed
+"""A place that is roughly known: x, y and a radius in metres, or the text ``X,Y,METRES``; or all
+frames of known pose."""
+
+
+def circle_of(near: Circle | None) -> Near | Posed | None:
+    """The place that a user means."""
+    return near if near is None or isinstance(near, Posed) else Near.of(near)

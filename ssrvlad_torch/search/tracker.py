@@ -11,22 +11,25 @@ from typing import Any, NoReturn
 
 import numpy as np
 import numpy.typing as npt
+import torch
 
 from ..channels.channel import Channel, View
-from ..database.frames import FrameSet
+from ..database.database import Database
 from ..datasets.image_files import Picture, pixels_of
 from ..datasets.label_files import LabelMap
 from ..encoding.results import Encoded, Skipped
 from ..files import parse_json, read_bytes, replacing
 from ..native.map import Decision
 from ..native.tracker import DescriptorTracker
+from ..recognition.matching import checked_number
 from ..recognition.recognise import Steps, score_is
 from ..recognition.sequences import MIN_FRAMES
 from ..recognition.sweep import COLUMNS
 from ..segmentation.segmenter import Segmenter
-from ..taxonomy import LabelSpace
+from ..taxonomy import LabelSpace, label_space
 from .answers import Answer, candidates_of
 from .exact import map_of, views_of
+from .selection import Near, Posed
 
 
 class Tracker:
@@ -48,22 +51,25 @@ class Tracker:
 
     def __init__(
         self,
-        references: FrameSet,
+        database: Database,
         channels: Sequence[Channel],
         open_segmenter: Callable[[], Segmenter],
-        labels_as: LabelSpace,
+        labels_as: str | LabelSpace | None,
         steps: Steps,
         top: int,
-        where: npt.NDArray[np.bool_],
-        threads: int,
+        near: Near | Posed | None,
     ) -> None:
+        if steps.follow != "online":
+            raise ValueError(f"follow: expected online, got {steps.follow}")
         self.channels, self.columns = tuple(channels), COLUMNS if steps.sweep else ()
-        self._references, self._labels_as = references, labels_as
-        self._open_segmenter = open_segmenter
-        allowed = None if where.all() else where
+        self._open_segmenter, self._references = open_segmenter, database.load()
+        self._labels_as = label_space(labels_as or database.config.labels_as)
+        top = min(checked_number("top", top, 1), len(self._references))
+        where = near.rows(self._references.poses, database.path) if near else None
+        allowed = None if where is None or where.all() else where
         self._tracker = DescriptorTracker(
-            map_of(references, channels),
-            steps.standardise, steps.sweep, steps.delay, top, allowed, threads,
+            map_of(self._references, channels),
+            steps.standardise, steps.sweep, steps.delay, top, allowed, torch.get_num_threads(),
         )  # fmt: skip
         self._waiting: dict[int, tuple[str, float | None]] = {}
 

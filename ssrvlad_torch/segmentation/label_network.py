@@ -65,7 +65,8 @@ class LabelNetwork(nn.Module):
                     raise
                 raise type(error)(f"{self.network.path}: {error}") from error
             self.output = name
-        return self.scores_of(outputs[self.output]), [values[name] for name in names]
+        scores = scores_along(outputs[self.output], self.axis, self.config.classes)
+        return scores, [values[name] for name in names]
 
     def numbers(self, images: Tensor) -> Tensor:
         """The input of the network for pictures, on the device of its weights."""
@@ -74,10 +75,6 @@ class LabelNetwork(nn.Module):
         if like is None:  # an ONNX graph, or a network without weights
             return cast(Tensor, self.preparation(images))
         return cast(Tensor, self.preparation(images.to(like.device))).to(like.dtype)
-
-    def scores_of(self, output: Tensor) -> Tensor:
-        """The output of the network with the classes in the second axis."""
-        return scores_along(output, self.axis, self.config.classes)
 
     def _outputs(
         self, numbers: Tensor, names: Sequence[str]

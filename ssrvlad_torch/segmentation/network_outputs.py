@@ -136,7 +136,7 @@ def _hint(outputs: Mapping[str, Tensor], space: LabelSpace) -> str:
         return ""
     fits = [n for n in label_space_names() if counts.intersection(label_space(n).channel_counts)]
     so_many = f"; so many has {' or '.join(fits)}" if fits else ""
-    return f"{so_many}; --classes 0:{most} takes the first {most}"
+    return f"{so_many}; classes: 0:{most} in a YAML file takes the first {most}"
 
 
 def _list(outputs: Mapping[str, Tensor]) -> str:

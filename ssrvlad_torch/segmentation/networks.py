@@ -36,16 +36,9 @@ _WHERE = "FILE.onnx, FILE.yaml, hf:ORG/NAME[@REVISION], a folder, MODULE:NAME"
 
 @dataclass(frozen=True)
 class NamedNetwork:
-    """A network and its settings.
-
-    Attributes:
-        name: that `open_network` was given.
-        network, config: the module, and the preparation of its pictures.
-        class_names: of its channels, if it declares them.
-        labels_as: the label space, if the YAML file declares one.
-        assumed: whether the preparation is assumed, because nothing says it.
-        state: of its files before it was opened, see `known_networks.state_of`.
-    """
+    """A network by the name that `open_network` was given, the preparation of its pictures, which
+    may be ``assumed``, the names of its channels and the label space, if it declares them, and the
+    state of its files before it was opened, see `state_of`."""
 
     name: str
     network: nn.Module
@@ -56,17 +49,13 @@ class NamedNetwork:
     state: str = ""
 
     @property
-    def preparation(self) -> str:
-        """How pictures are prepared, in words."""
-        c = self.config
-        size = "the size of the graph or of the picture" if c.size is None else c.size
-        return f"{c.colour_order}, 0 to {c.white:g}, mean {c.mean}, std {c.std}, size: {size}"
-
-    @property
     def assumption(self) -> str:
         """What is assumed of the preparation, in words; empty if nothing is."""
+        c = self.config
+        size = "the size of the graph or of the picture" if c.size is None else c.size
         return self.assumed * (
-            f"{self.name} does not say how it wants pictures; assumed: {self.preparation} "
+            f"{self.name} does not say how it wants pictures; assumed: {c.colour_order}, 0 to "
+            f"{c.white:g}, mean {c.mean}, std {c.std}, size: {size} "
             f"({ACCEPT}: true in a YAML file accepts that)"
         )
 

@@ -84,13 +84,12 @@ class OnnxNetwork(nn.Module):
         array = np.ascontiguousarray(self.fed(images).numpy(force=True))
         length = self.batch or len(array)
         parts = [self._run(array[i : i + length], names) for i in range(0, len(array), length)]
-        return {
+        outputs = {}
+        for name, arrays in zip(names, zip(*parts, strict=True), strict=True):
             # ids (h, w) of a graph of one picture have no axis for the batch
-            name: torch.from_numpy(
-                np.stack(arrays) if _without_batch(arrays, length) else np.concatenate(arrays)
-            )
-            for name, arrays in zip(names, zip(*parts, strict=True), strict=True)
-        }
+            single = len(arrays) > 1 and length == 1 and arrays[0].ndim == 2 and len(arrays[0]) > 1
+            outputs[name] = torch.from_numpy((np.stack if single else np.concatenate)(arrays))
+        return outputs
 
     def fed(self, images: Tensor) -> Tensor:
         """The input of the graph for images ``(B, 3, H, W)``, in its layout and dtype."""
@@ -174,8 +173,3 @@ class OnnxNetwork(nn.Module):
             images = np.concatenate([images, filling])
         arrays = self._session.run(names, {self.input: images})
         return [array[:count] if count < len(images) else array for array in arrays]
-
-
-def _without_batch(arrays: Sequence[npt.NDArray[Any]], length: int) -> bool:
-    first = arrays[0]
-    return len(arrays) > 1 and length == 1 and first.ndim == 2 and len(first) > 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
@@ -98,8 +99,10 @@ class SegmenterConfig:
             raise ValueError(f"unknown setting {unknown[0]!r}; expected {', '.join(names)}")
         plain: dict[str, Any] = dict(settings)
         plain |= {k: tuple(v) for k, v in settings.items() if isinstance(v, list)}
-        if isinstance(plain.get("classes"), str):
-            plain["classes"] = channels(plain["classes"])
+        if isinstance(ends := plain.get("classes"), str):
+            if not (match := re.fullmatch(r"([0-9]*):([0-9]+)", ends)):
+                raise ValueError(f"classes must be FIRST:LAST, LAST not included, got {ends!r}")
+            plain["classes"] = int(match[1] or 0), int(match[2])
         return cls(**plain)
 
     @property
@@ -163,16 +166,6 @@ class Preparation(nn.Module):
             planes = interpolate(planes, size, mode="bilinear", antialias=True)
         numbers: Tensor = self.steps(planes)
         return numbers
-
-
-def channels(text: str | None) -> tuple[int, int] | None:
-    """``"0:19"`` as two numbers; ``None`` stays ``None``; other text is a ValueError."""
-    if text is None:
-        return None
-    first, colon, last = text.partition(":")
-    if not colon or not last.isdigit() or not (first or "0").isdigit():
-        raise ValueError(f"classes must be FIRST:LAST, LAST not included, got {text!r}")
-    return int(first or 0), int(last)
 
 
 def _numbers(values: object, count: int, kind: Any, above: float = 0) -> bool:

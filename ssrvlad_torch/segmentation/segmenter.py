@@ -129,7 +129,6 @@ class Segmenter:
         name: str | Path | NamedNetwork,
         labels_as: str | os.PathLike[str] | LabelSpace = AUTO,
         cache: Path | None = None,
-        classes: tuple[int, int] | None = None,
     ) -> Segmenter:
         """A segmenter by the name of its network.
 
@@ -138,7 +137,6 @@ class Segmenter:
             labels_as: label space of its classes; ``"auto"`` is the one of the YAML file, or else
                 the one of the network's own class names (`label_space_of_names`).
             cache: as for `Segmenter`.
-            classes: the channels to use in place of those of the YAML file.
 
         Raises:
             ValueError: the name is unknown, the network cannot be used, or it has no class names
@@ -151,12 +149,11 @@ class Segmenter:
                 f"network: expected its name, its file or a Segmenter, got {type(name).__name__}"
             )
         named = name if isinstance(name, NamedNetwork) else open_network(name)
-        config = dataclasses.replace(named.config, classes=classes or named.config.classes)
         if not isinstance(labels_as, LabelSpace):
-            labels_as = space_of(named, str(labels_as), config.classes)
+            labels_as = space_of(named, str(labels_as))
         path = Path(named.name.removeprefix("hf:"))
         name = absolute(path) if path.exists() else named.name  # valid in any folder
-        segmenter = cls(named.network, labels_as, config, cache, name=name)
+        segmenter = cls(named.network, labels_as, named.config, cache, name=name)
         segmenter.state = named.state
         return segmenter
 
@@ -169,11 +166,6 @@ class Segmenter:
             raise
         except ValueError as error:
             raise ValueError(f"{self.name or 'the network'}: {error}") from error
-
-    @property
-    def fingerprint_of_features(self) -> str:
-        """Under which a database stores the features; errors as of `features`."""
-        return self.features.fingerprint
 
     @property
     def problem_of_features(self) -> str:
@@ -314,7 +306,13 @@ class Segmenter:
             if len(pictures) > 1:
                 alone = (self._segment([picture], features) for picture in pictures)
                 return list(chain.from_iterable(alone))
-            return [ValueError(self._failure(height, width, error))]
+            fed = self.config.network_size(height, width)
+            at = f", fed at {fed[0]}x{fed[1]}" if fed != (height, width) else ""
+            is_free = self.config.multiple == 1 and not isinstance(self.config.size, tuple)
+            is_of_size = not isinstance(error, ValueError | torch.OutOfMemoryError)
+            hint = f"; {OF_SIDES}" if is_free and is_of_size else ""
+            failure = f"the network fails at {height}x{width}{at}: {one_line(error)}{hint}"
+            return [ValueError(failure)]
         if len(output) != len(images):
             raise ValueError(f"the network gives {len(output)} outputs for {len(images)} images")
         results: list[Segmented | ValueError] = []
@@ -330,26 +328,16 @@ class Segmenter:
             results.append(Segmented(labels, None if signs is None else signs[number]))
         return results
 
-    def _failure(self, height: int, width: int, error: Exception) -> str:
-        fed = self.config.network_size(height, width)
-        at = f", fed at {fed[0]}x{fed[1]}" if fed != (height, width) else ""
-        is_free = self.config.multiple == 1 and not isinstance(self.config.size, tuple)
-        is_of_size = not isinstance(error, ValueError | torch.OutOfMemoryError)
-        hint = f"; {OF_SIDES}" if is_free and is_of_size else ""
-        return f"the network fails at {height}x{width}{at}: {one_line(error)}{hint}"
 
-
-def space_of(
-    network: NamedNetwork, labels_as: str = AUTO, classes: tuple[int, int] | None = None
-) -> LabelSpace:
-    """The label space of a network's classes, or of these channels of it; ``"auto"`` as for
-    `Segmenter.load`. A network that does not say it is a ValueError."""
+def space_of(network: NamedNetwork, labels_as: str = AUTO) -> LabelSpace:
+    """The label space of a network's classes; ``"auto"`` as for `Segmenter.load`. A network that
+    does not say it is a ValueError."""
     name = (network.labels_as or AUTO) if labels_as == AUTO else labels_as
     if name != AUTO:
         return label_space(name)
     if not network.class_names:
         raise ValueError(f"{network.name} does not name its classes; give --labels-as")
-    first, last = classes or network.config.classes or (0, max(network.class_names) + 1)
+    first, last = network.config.classes or (0, max(network.class_names) + 1)
     names = {c - first: name for c, name in network.class_names.items() if first <= c < last}
     return label_space_of_names(names, network.name)
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from ...encoding.selection import NETWORK
-from ..options import Classes, Preset, argument, option
+from ..options import Preset, argument, option
 from ..output import note, progress_bar, say
 
 
@@ -15,7 +15,6 @@ def fuse(
         "Label space of its classes: a name, a .yaml file, or auto (by the network's class names).",
         default="auto",
     ),
-    classes: Classes = None,
     preset: Preset = "default",
     split: Path | None = option(
         "Write the head to this second file. The first file then gives label maps: it can run on "
@@ -36,7 +35,6 @@ def fuse(
     from ...deployment.fuse import fuse as join
     from ...files import check_output
     from ...segmentation.networks import open_network
-    from ...segmentation.preparation import channels
     from ...segmentation.segmenter import Segmenter
 
     for file in filter(None, (output, split)):
@@ -44,7 +42,7 @@ def fuse(
     named = open_network(network)
     if named.assumption:
         note(named.assumption)
-    segmenter = Segmenter.load(named, labels_as, classes=channels(classes))
+    segmenter = Segmenter.load(named, labels_as)
     space = segmenter.label_space if labels_as == "auto" else labels_as
     config = SSRVLADConfig.from_preset(preset, labels_as=space)
     with progress_bar("joining", STEPS) as bar:

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from ...encoding.selection import NETWORK, FrameSelection
-from ..options import Classes, Preset, argument, option
+from ..options import Preset, argument, option
 from ..output import note, say
 
 
@@ -16,7 +16,6 @@ def show(
         "segmenter). Default: the one of the segmenter."
     ),
     segmenter: str | None = option(f"Segmentation network that labels images: {NETWORK}"),
-    classes: Classes = None,
     preset: Preset = "default",
 ) -> None:
     """Draw one frame: the image if --segmenter labels it, with what features see in it, its label
@@ -32,7 +31,7 @@ def show(
     from ...files import require_picture, write_picture
 
     require_picture(output)
-    selection = FrameSelection([str(frame)], labels_as, segmenter=segmenter, classes=classes)
+    selection = FrameSelection([str(frame)], labels_as, segmenter=segmenter)
     source = open_frames(selection, note=note)
     head = SSRVLAD.from_preset(preset, labels_as=source.labels_as)
     if len(source.files) != 1:
