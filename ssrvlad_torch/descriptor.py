@@ -111,10 +111,16 @@ class SSRVLAD(nn.Module):
         if self.columns and not exporting():
             return self.sweep(labels, self.columns)
         labels = self._input(labels)
-        if exporting():
-            self._refuse_loops_in_onnx()
-            if isinstance(self._aggregation, Harmonics):
-                return self._describe_in_graph(labels)
+        if exporting() and isinstance(self._aggregation, Harmonics):
+            # a graph cannot raise: an unknown id gives NaN
+            descriptors, unknown, *_ = self.counted(labels)
+            wrong = (unknown > 0).view(-1, *[1] * (descriptors.ndim - 1))
+            return torch.where(wrong, torch.nan, descriptors)
+        if exporting() and torch.onnx.is_in_onnx_export():
+            raise ValueError(
+                "torch.onnx.export cannot record the loops of residuals: expected export_head or "
+                "ssrvlad fuse"
+            )
         requires_gradient = labels.requires_grad and torch.is_grad_enabled()
         if labels.is_cpu and self.native and not requires_gradient:
             return self._describe_by_core(labels)
@@ -143,19 +149,6 @@ class SSRVLAD(nn.Module):
         except UnknownIdError:
             refuse_unknown(ids, self.label_space)
             raise
-
-    def _describe_in_graph(self, labels: Tensor) -> Tensor:
-        """As torch.export records it. A graph cannot raise: an unknown id gives NaN."""
-        descriptors, unknown, *_ = self.counted(labels)
-        wrong = (unknown > 0).view(-1, *[1] * (descriptors.ndim - 1))
-        return torch.where(wrong, torch.nan, descriptors)
-
-    def _refuse_loops_in_onnx(self) -> None:
-        if torch.onnx.is_in_onnx_export() and not isinstance(self._aggregation, Harmonics):
-            raise ValueError(
-                "torch.onnx.export cannot record the loops of residuals: expected export_head or "
-                "ssrvlad fuse"
-            )
 
     def _input(self, labels: Labels) -> Tensor:
         if isinstance(labels, Mapping):

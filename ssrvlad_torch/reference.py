@@ -1,8 +1,6 @@
-"""The method for one image in plain NumPy and scikit-image, one layer after another.
-
-Read it next to the paper. It defines the result: every fast path must give the same masks and
-counts, and descriptors within 1e-6. It needs the extra ``eval``.
-"""
+"""The method for one image in plain NumPy and scikit-image, one layer after another. It defines the
+result: every fast path must give the same masks and counts, and descriptors within 1e-6. It needs
+the extra ``eval``."""
 
 import math
 from functools import lru_cache
@@ -38,30 +36,19 @@ class LayerTrace(NamedTuple):
 
 
 class Description(NamedTuple):
-    """The descriptor of one image and its histograms.
-
-    ``histograms`` are ``(blocks, N, M)`` each: for residuals ``points``, the sum of all d_i of
-    Eq. 2, and ``centre``, d_c; for harmonics ``bins``, the values of the soft bins.
-    """
+    """The descriptor of one image and its histograms, ``(blocks, N, M)`` each: for residuals
+    ``points``, the sum of all d_i of Eq. 2, and ``centre``, d_c; for harmonics ``bins``, of the
+    soft bins."""
 
     histograms: dict[str, npt.NDArray[Any]]
     descriptor: npt.NDArray[np.float32]
 
 
 def describe(label_map: npt.NDArray[Any], config: SSRVLADConfig) -> npt.NDArray[np.float32]:
-    """The descriptor of one image.
-
-    Args:
-        label_map: ``(H, W)`` integer ids of the label space ``config.labels_as``.
-        config: the settings.
-
-    Returns:
-        ``(D,)`` float32 of length 1, ``D = config.length``, 480 by default, or zeros for an empty
-        image: for residuals one in which no layer has a keypoint, for harmonics one without layers.
-
-    Raises:
-        ValueError: the input is not a label map, or an id is outside the label space.
-    """
+    """The descriptor of one image, ``(H, W)`` integer ids of the label space ``config.labels_as``:
+    ``(D,)`` float32 of length 1, ``D = config.length``, 480 by default, or zeros for an empty
+    image: for residuals one in which no layer has a keypoint, for harmonics one without layers.
+    Another array, and an id outside the label space, are a ValueError."""
     layers = layers_of(label_map, config)
     if config.aggregation == "harmonics":
         return harmonics(layers, config).descriptor

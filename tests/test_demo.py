@@ -22,12 +22,11 @@ def test_a_wrong_match_is_among_them_if_there_is_one(right, matched, expected):
 
 
 def test_right_is_green_and_wrong_is_red():
-    """Two columns; the classes that are seen stand below, no others."""
     sky, road = np.full((48, 64), 10), np.full((48, 64), 0)
     space = label_space("cityscapes-trainids")
     names = ("query/000000", "reference/000000, score 0.50")
     sheets = [
-        np.asarray(draw_pairs([Pair(sky, road, *names, right)] * 2, space, "above", "below"))
+        np.asarray(draw_pairs([Pair(sky, road, *names, right)] * 2, space))
         for right in (True, False)
     ]
     for sheet, verdict in zip(sheets, ((26, 127, 55), (207, 34, 46)), strict=True):

@@ -35,7 +35,7 @@ from ssrvlad_torch.channels.hog import HOG
 from ssrvlad_torch.database.frames import FrameRecord, FrameSet
 from ssrvlad_torch.native.headers import model
 from ssrvlad_torch.native.map import DescriptorMap
-from ssrvlad_torch.recognition.matching import Rows, unit_queries
+from ssrvlad_torch.recognition.matching import cosines, unit_queries
 from ssrvlad_torch.recognition.recognise import Recognised, Steps, references_of
 from ssrvlad_torch.recognition.sweep import COLUMNS
 from ssrvlad_torch.search.exact import chosen_channels, recognise_in
@@ -221,8 +221,8 @@ def exact(frames: int, folder: Path) -> Report:
             rows = references_of({"features": known["features"]}, [""] * len(known["features"]))
             scores, _ = rows.compare({"features": some["features"].numpy()}, sweep=True)
             signs[:, part] = torch.from_numpy(scores)
-            hog[:, part] = Rows.of(known["hog"]).cosines(unit_queries(some["hog"]))
-            each = Rows.of(known["ssr-vlad"]).cosines(anchors).view(count, len(COLUMNS), -1)
+            hog[:, part] = cosines(unit_queries(some["hog"]), known["hog"])
+            each = cosines(anchors, known["ssr-vlad"]).view(count, len(COLUMNS), -1)
             for number, reach in enumerate(reaches):
                 inside = [abs(column) <= reach for column in COLUMNS]
                 shapes[number, :, part] = each[:, inside].amax(1)

@@ -5,17 +5,12 @@ from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from ..channels.channel import Channel, View
-from ..recognition.matching import Matches, best_of
-from ..recognition.recognise import (
-    Recognised,
-    Steps,
-    recognise,
-    recognise_by_scores,
-    references_of,
-)
+from ..recognition.matching import Matches
+from ..recognition.recognise import Recognised, Steps, recognise, recognise_by_scores, references_of
 from .protocol import Method, noting
 
 
@@ -64,7 +59,9 @@ def run(
         scores = method.scores(encodings, encoded)
         match_ms.append(1e3 * (time.perf_counter() - between))
         encode_ms.append(1e3 * (between - begin))
-        matches += [best_of(row, top) for row in scores]
+        padded = F.pad(scores.float(), (0, max(0, top - scores.shape[1])), value=-torch.inf)
+        ranked, rows = (x[:, :top] for x in padded.sort(dim=1, descending=True, stable=True))
+        matches.append(Matches(ranked, rows.masked_fill(ranked == -torch.inf, -1)))
         if steps:
             swept = sweep([frame]) if sweep else encodings
             inputs.append(swept if isinstance(method, Channel) else scores)
@@ -75,7 +72,7 @@ def run(
         "match_ms": _cost(match_ms),
         "bytes_a_reference": encoded.nbytes / len(map_sequences),
     }
-    retrieval = Retrieval(Matches(*map(torch.stack, zip(*matches, strict=True))), costs)
+    retrieval = Retrieval(Matches(*map(torch.cat, zip(*matches, strict=True))), costs)
     if not steps:
         return retrieval
     if isinstance(method, Channel):

@@ -29,12 +29,8 @@ def luma(pictures: Tensor) -> Tensor:
 
 
 def resize(pictures: Tensor, height: int, width: int) -> Tensor:
-    """``(B, H, W)`` uint8 pictures at another size, as OpenCV's ``INTER_LINEAR`` for 8 bits.
-
-    It is bilinear between pixel centres, in integers: weights are parts of 2048 and low bits are
-    dropped, so values are up to 0.75 below the exact ones before rounding. If the picture shrinks,
-    pixels between the samples do not count.
-    """
+    """``(B, H, W)`` uint8 pictures at another size, as OpenCV's ``INTER_LINEAR`` for 8 bits:
+    bilinear between pixel centres, in integers, whose low bits are dropped."""
     device = pictures.device
     (up, up_weight), (down, down_weight) = _taps(pictures.shape[1], height, device)
     (left, left_weight), (right, right_weight) = _taps(pictures.shape[2], width, device)

@@ -20,9 +20,7 @@ PICTURED = 4
 STEPS = 4
 """Steps of work for each frame: two to render, one to encode, one to query."""
 
-_ABOVE = "Queries: the second drive, in winter, beside the first track, with poor labels"
-_BELOW = "Best match of each in the first drive"
-_HEIGHT, _MARGIN, _FRAME, _HEADING, _TEXT = 240, 14, 5, 24, 18
+_HEIGHT, _FRAME, _TEXT = 240, 5, 18
 _QUERY, _RIGHT, _WRONG = (90, 98, 110), (26, 127, 55), (207, 34, 46)
 
 
@@ -67,7 +65,7 @@ def run_demo(
     ]
     picture = out / "demo.png"
     with replacing(picture) as temporary:
-        draw_pairs(pairs, space, _ABOVE, _BELOW).save(temporary, format="PNG")
+        draw_pairs(pairs, space).save(temporary, format="PNG")
     return evaluation.metrics | {"steps": None}, picture
 
 
@@ -83,9 +81,9 @@ def chosen(right: Sequence[bool], matched: Sequence[bool], count: int) -> list[i
     return drawn
 
 
-def draw_pairs(pairs: Sequence[Pair], space: LabelSpace, above: str, below: str) -> Image.Image:
-    """Draws a row of queries, a row of their best matches, framed green if right and red if wrong,
-    and the classes. ``above`` and ``below`` are headings of the rows. At least one pair."""
+def draw_pairs(pairs: Sequence[Pair], space: LabelSpace) -> Image.Image:
+    """A row of queries of one size, at least one, above a row of their best matches, framed green
+    if right and red if wrong."""
     queries = [_tile(pair.query, space, pair.query_name, _QUERY) for pair in pairs]
     matches = [
         _tile(pair.match, space, f"right: {pair.match_name}", _RIGHT)
@@ -93,20 +91,8 @@ def draw_pairs(pairs: Sequence[Pair], space: LabelSpace, above: str, below: str)
         else _tile(pair.match, space, f"WRONG: {pair.match_name}", _WRONG)
         for pair in pairs
     ]
-    wide = max(tile.width for tile in queries + matches) + _MARGIN
-    tall = max(tile.height for tile in queries + matches)
-    step = _HEADING + tall + 2 * _MARGIN
-    ids = {label for pair in pairs for labels in pair[:2] for label in np.unique(labels).tolist()}
-    legend = _legend(len(pairs) * wide - _MARGIN, space, ids)
-    height = 2 * step + legend.height + 2 * _MARGIN
-    sheet = Image.new("RGB", (len(pairs) * wide + _MARGIN, height), "white")
-    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(_HEADING)
-    for top, heading, tiles in ((0, above, queries), (step, below, matches)):
-        draw.text((_MARGIN, top + _MARGIN), heading, fill="black", font=font)
-        for column, tile in enumerate(tiles):
-            sheet.paste(tile, (_MARGIN + column * wide, top + _HEADING + 2 * _MARGIN))
-    sheet.paste(legend, (_MARGIN, 2 * step + _MARGIN))
-    return sheet
+    rows = [np.hstack([np.asarray(tile) for tile in row]) for row in (queries, matches)]
+    return Image.fromarray(np.vstack(rows))
 
 
 def _tile(labels: LabelMap, space: LabelSpace, name: str, colour: tuple[int, ...]) -> Image.Image:
@@ -118,19 +104,3 @@ def _tile(labels: LabelMap, space: LabelSpace, name: str, colour: tuple[int, ...
     font = ImageFont.load_default(_TEXT)
     ImageDraw.Draw(tile).text((_FRAME, _FRAME - 1), name, fill="white", font=font)
     return tile
-
-
-def _legend(width: int, space: LabelSpace, ids: set[int]) -> Image.Image:
-    """The classes of these ids with their colours, on as many lines as needed."""
-    font, line, x, y = ImageFont.load_default(_TEXT), _TEXT + 8, 0, 0
-    classes = [label for label in space.classes if label.id in ids]
-    legend = Image.new("RGB", (width, line * len(classes)), "white")
-    draw = ImageDraw.Draw(legend)
-    for label in classes:
-        length = _TEXT + 8 + int(font.getlength(label.name)) + _MARGIN
-        if x + length > width:
-            x, y = 0, y + line
-        draw.rectangle((x, y + 3, x + _TEXT, y + 3 + _TEXT), fill=label.colour or (0, 0, 0))
-        draw.text((x + _TEXT + 6, y + 2), label.name, fill="black", font=font)
-        x += length
-    return legend.crop((0, 0, width, y + line))

@@ -1,10 +1,7 @@
-"""The entry point of the command line: an error becomes one line on stderr and an exit code.
-
-Exit codes: 0 success, 1 a difference found by `verify`, 2 wrong use or unusable input, 3 finished
-with some inputs skipped, 130 interrupted, 143 terminated.
-
-`main` imports the rest, so that Ctrl-C during an import is handled.
-"""
+"""The entry point of the command line: an error becomes one line on stderr and an exit code: 0
+success, 1 a difference found by `verify`, 2 wrong use or unusable input, 3 finished with some
+inputs skipped, 130 interrupted, 143 terminated. `main` imports the rest, so that Ctrl-C during an
+import is handled."""
 
 import os
 import re

@@ -1,16 +1,11 @@
-"""The options that several commands take.
-
-An options class is a frozen dataclass whose fields are options. A command takes it as one
-parameter; `expand` turns the fields into options of the command line and passes the object to the
-command:
+"""The options that several commands take. An options class is a frozen dataclass whose fields are
+options; a command takes it as one parameter, and `expand` turns the fields into options of the
+command line:
 
     def query(*, source: FrameSelection, top: int = option("Number of candidates.", default=5)): ...
 
-To add an option to all commands that share a class, add a field to the class:
-``name: type = option("help", default=...)``. To add one to a single command, add a parameter to its
-function. Help lists options by groups, and rare ones, ``hidden=True``, only with ``--help-all``.
-This module imports no torch, so that ``ssrvlad --help`` is quick.
-"""
+Help lists options by groups, and rare ones, ``hidden=True``, only with ``--help-all``. This module
+imports no torch, so that ``ssrvlad --help`` is quick."""
 
 from __future__ import annotations
 
@@ -317,10 +312,7 @@ def _print_all_help(context: typer.Context, is_asked: bool) -> None:
 
 
 _HELP_ALL = switch(
-    "--help-all",
-    "Show also the rare options, and exit.",
-    is_eager=True,
-    callback=_print_all_help,
+    "--help-all", "Show also the rare options, and exit.", is_eager=True, callback=_print_all_help
 )
 
 

@@ -81,13 +81,7 @@ def say(text: object, file: TextIO | None = None) -> None:
 class Bar:
     """A progress bar on stderr, see `progress_bar`."""
 
-    def __init__(
-        self,
-        bar: rich.progress.Progress,
-        what: str,
-        total: int,
-        then: str,
-    ) -> None:
+    def __init__(self, bar: rich.progress.Progress, what: str, total: int, then: str) -> None:
         self._what, self._total, self._bar, self._then = what, total, bar, then
         self._task = bar.add_task(what, total=total, rate="")
         self._done = self._skipped = 0

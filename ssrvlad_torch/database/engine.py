@@ -236,10 +236,7 @@ def commit(table: LanceDataset, plan: Callable[[LanceDataset], Any], message: st
     else:
         operation = lance().LanceOperation.Overwrite(table.schema, operation.new_fragments)
     transaction = lance().Transaction(
-        table.version,
-        operation,
-        uuid=str(uuid.uuid4()),
-        transaction_properties={_MESSAGE: message},
+        table.version, operation, uuid=str(uuid.uuid4()), transaction_properties={_MESSAGE: message}
     )
     changed: LanceDataset = lance().LanceDataset.commit(table.uri, transaction, max_retries=0)
     _flush_version(changed)
@@ -299,7 +296,8 @@ def deleted_rows(path: Path) -> int | None:
 def _flush_version(table: LanceDataset) -> None:
     """Flushes the manifest of a table's version."""
     if not is_uri(table.uri):
-        _flush_files(table.uri, [_manifest(table.uri, table.version)])
+        name = f"{_LAST_VERSION - table.version}.manifest"
+        _flush_files(table.uri, [Path(table.uri, "_versions", name)])
 
 
 def _flush_files(uri: str, files: Iterable[Path]) -> None:
@@ -308,8 +306,3 @@ def _flush_files(uri: str, files: Iterable[Path]) -> None:
         flush(file)
     for folder in {parent for file in files for parent in (file.parent, Path(uri))}:
         flush(folder)
-
-
-def _manifest(uri: str, version: int) -> Path:
-    """The file that makes a version of a local table."""
-    return Path(uri, "_versions", f"{_LAST_VERSION - version}.manifest")

@@ -129,9 +129,8 @@ class _Topic:
 
 
 @lru_cache(maxsize=4)
-def _open(path: Path, topic: str, state: str) -> _Topic:
+def _open(path: Path, topic: str, _state: str) -> _Topic:
     """A topic, opened again when the state of the file changes."""
-    del state
     return _Topic(path, topic)
 
 

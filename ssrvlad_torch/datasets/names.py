@@ -46,8 +46,17 @@ def sequence_names(folders: Collection[str], map_folders: SequenceFolders = ()) 
             continue
         for end in path_ends(folder):
             if end in owners:
-                _require_existing(owners[end], folder, end)
-            elif ends[end] == 1:
+                if any(is_uri(o) or (o and Path(o).exists()) for o in owners[end]):
+                    continue
+                owner = max(owners[end])
+                origin = (
+                    f"was encoded from {owner}, which is gone" if owner else "has no known folder"
+                )
+                raise ValueError(
+                    f"sequence {end!r} of the database {origin}: if {folder} is the same, give "
+                    f"--sequence {end}, else another name"
+                )
+            if ends[end] == 1:
                 chosen[folder] = end
                 break
         else:
@@ -95,17 +104,6 @@ def path_ends(folder: str) -> list[str]:
             path = path.with_suffix("")
         parts = [name for name in path.parts if name != path.anchor] or [path.anchor]
     return ["/".join(parts[-count:]) for count in range(1, len(parts) + 1)]
-
-
-def _require_existing(owners: Collection[str], folder: str, name: str) -> None:
-    """Raises a ValueError if none of the folders of a sequence exists."""
-    if not any(is_uri(owner) or (owner and Path(owner).exists()) for owner in owners):
-        owner = max(owners)
-        origin = f"was encoded from {owner}, which is gone" if owner else "has no known folder"
-        raise ValueError(
-            f"sequence {name!r} of the database {origin}: if {folder} is the same, give "
-            f"--sequence {name}, else another name"
-        )
 
 
 def absolute(path: Path) -> str:

@@ -39,12 +39,7 @@ RADIUS = 5.0
 
 REFERENCE = Conditions()
 QUERY = Conditions(
-    spacing=2.7,
-    lateral_offset=0.7,
-    heading_jitter=2.0,
-    season="winter",
-    noise=1.0,
-    seed=1,
+    spacing=2.7, lateral_offset=0.7, heading_jitter=2.0, season="winter", noise=1.0, seed=1
 )
 
 LEFT, STRAIGHT, RIGHT = 1, 0, -1

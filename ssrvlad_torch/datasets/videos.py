@@ -159,7 +159,6 @@ def _upright(frame: Any) -> npt.NDArray[np.uint8]:
 
 
 @lru_cache(maxsize=4)
-def _open(path: Path, state: str) -> _Video:
+def _open(path: Path, _state: str) -> _Video:
     """A video, opened again when the state of the file changes."""
-    del state
     return _Video(path)

@@ -19,13 +19,7 @@ from ..segmentation.features import PROBES
 from ..segmentation.onnx_files import load_model, save_model
 from ..segmentation.onnx_network import OnnxNetwork
 from ..segmentation.segmenter import Segmenter
-from .differences import (
-    FEATURES,
-    IMAGE,
-    LABELS,
-    difference_of,
-    problem_of_network,
-)
+from .differences import FEATURES, IMAGE, LABELS, difference_of, problem_of_network
 from .export import head_model
 from .golden import outputs_of, photograph
 from .label_graph import label_graph

@@ -21,14 +21,8 @@ Run = Callable[[Arrays], dict[str, npt.NDArray[Any]]]
 
 @dataclass(frozen=True)
 class Runtime:
-    """A runtime for ONNX files.
-
-    Attributes:
-        name: name, version, and device or execution provider.
-        open: makes a function that runs a file, by path or content; what either raises means that
-            the runtime cannot run the file.
-        provider: of ONNX Runtime; empty for OpenVINO.
-    """
+    """A runtime for ONNX files: its name, version and device; what opens a file, by path or
+    content; and the provider of ONNX Runtime. What either raises means that it cannot run it."""
 
     name: str
     open: Callable[[Path | bytes], Run]
@@ -39,7 +33,10 @@ def runtime_of(provider: str = CPU) -> Runtime:
     """The runtime with a name: an execution provider of ONNX Runtime, or ``"openvino"``. A provider
     that ONNX Runtime lacks is a ValueError, a runtime that is not installed an ImportError."""
     if provider == OPENVINO:
-        return _openvino()
+        with requiring("openvino", "OpenVINO needs"):
+            import openvino
+        version = openvino.get_version().partition("-")[0]
+        return Runtime(f"OpenVINO {version}, CPU, in single precision", _compiled)
     with requiring("onnx", "ONNX files need"):
         import onnxruntime
     available = onnxruntime.get_available_providers()
@@ -56,15 +53,7 @@ def _session(provider: str, source: Path | bytes) -> Run:
     return lambda inputs: dict(zip(names, session.run(names, dict(inputs)), strict=True))
 
 
-def _openvino() -> Runtime:
-    """OpenVINO's own runtime on the CPU, in single precision."""
-    with requiring("openvino", "OpenVINO needs"):
-        import openvino
-
-    def compiled(source: Path | bytes) -> Run:
-        session = OpenVinoSession(source, "the graph")
-        names = session.outputs
-        return lambda inputs: dict(zip(names, session.run(names, inputs), strict=True))
-
-    version = openvino.get_version().partition("-")[0]
-    return Runtime(f"OpenVINO {version}, CPU, in single precision", compiled)
+def _compiled(source: Path | bytes) -> Run:
+    session = OpenVinoSession(source, "the graph")
+    names = session.outputs
+    return lambda inputs: dict(zip(names, session.run(names, inputs), strict=True))

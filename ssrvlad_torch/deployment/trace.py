@@ -36,9 +36,7 @@ class _OfList(nn.Module):
 
 
 def traced(
-    module: nn.Module,
-    inputs: Mapping[str, tuple[Tensor, Axes]],
-    outputs: Mapping[str, Axes],
+    module: nn.Module, inputs: Mapping[str, tuple[Tensor, Axes]], outputs: Mapping[str, Axes]
 ) -> onnx.ModelProto:
     """A module as a graph; ``inputs`` are, by name and in the order of its forward, an example and
     the axes, ``outputs`` axes by name. One that cannot be traced is a ValueError; without the extra

@@ -105,6 +105,13 @@ def _verify(
     module = SSRVLAD(config, metadata.interface.get("sweep", ()))
     result = Verification(runtime.name, metadata.version, metadata.fingerprint, space.name)
     golden = metadata.golden_arrays()
+
+    def of_image(outputs: Arrays) -> tuple[float, str]:
+        if problem := problem_of_network(outputs, golden):
+            return np.inf, problem
+        expected = outputs_of(module, outputs[LABELS]) if "descriptor" in golden else {}
+        return difference_of(outputs, expected)
+
     if config.fingerprint != metadata.fingerprint:
         problem = (
             f"fingerprint {metadata.fingerprint} is not that of its settings in this version, "
@@ -115,7 +122,7 @@ def _verify(
     array, check = golden.pop(name), _checker(result, runtime, path)
     if network:
         result.network, result.channels = network.name, network.channels
-        check("golden image", {name: array}, partial(_of_image, golden, module))
+        check("golden image", {name: array}, of_image)
         if "descriptor" not in golden:
             return result
         model = head_of(model)
@@ -152,13 +159,6 @@ def _checker(result: Verification, runtime: Runtime, source: Path | bytes) -> Ca
             result.checks.append(Check(name, np.inf, f"{CANNOT}: {one_line(error)}"))
 
     return check
-
-
-def _of_image(golden: Arrays, module: SSRVLAD, outputs: Arrays) -> tuple[float, str]:
-    if problem := problem_of_network(outputs, golden):
-        return np.inf, problem
-    expected = outputs_of(module, outputs[LABELS]) if "descriptor" in golden else {}
-    return difference_of(outputs, expected)
 
 
 def _input_of(labels: LabelMap, value: onnx.ValueInfoProto, space: LabelSpace) -> npt.NDArray[Any]:

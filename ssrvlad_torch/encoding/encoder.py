@@ -299,10 +299,15 @@ class Describer:
             if len(batch) == 1:
                 return [_skipped(batch[0], error)]
             return [result for item in batch for result in self._results([item])]
-        return [
-            Encoded(self._record(item), {name: values[row] for name, values in described.items()})
-            for row, item in enumerate(batch)
-        ]
+        encoded = list[Encoded | Skipped]()
+        for row, item in enumerate(batch):
+            file, (height, width) = item.file, np.asarray(item.labels).shape
+            record = FrameRecord(
+                file.sequence, file.name, *file.pose, file.stamp, item.signature, item.digest,
+                height, width, self.origin,
+            )  # fmt: skip
+            encoded.append(Encoded(record, {n: values[row] for n, values in described.items()}))
+        return encoded
 
     def _described(self, batch: Sequence[Item]) -> dict[str, npt.NDArray[Any]]:
         """The descriptors of frames of one size, by the names of the channels."""
@@ -316,13 +321,6 @@ class Describer:
             channel.column.name: channel.describe(views, self.columns).numpy()
             for channel in self.channels
         }
-
-    def _record(self, item: Item) -> FrameRecord:
-        file, (height, width) = item.file, np.asarray(item.labels).shape
-        return FrameRecord(
-            file.sequence, file.name, *file.pose, file.stamp, item.signature, item.digest,
-            height, width, self.origin,
-        )  # fmt: skip
 
 
 def _skipped(item: Item, reason: object) -> Skipped:

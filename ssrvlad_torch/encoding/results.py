@@ -56,10 +56,10 @@ class EncodeOptions:
     """Options of encoding into a database.
 
     Attributes:
-        workers: number of threads that read and encode, by default the number of cores. With 0 or
-            1 everything runs in the caller's thread.
-        complete: the files are all files of their folders: frames without a file are gone.
-        prune: with ``complete``, remove the frames that are gone.
+        workers: number of threads that read and encode, by default the number of cores. With 0 or 1
+            everything runs in the caller's thread.
+        complete, prune: the files are all files of their folders: frames without a file are gone;
+            with ``prune`` they are removed.
         progress: called with the number of frames done since the last call.
         skipped: called with every frame that is skipped, immediately.
         gpus: number of GPUs for each worker of Ray that runs a network.
@@ -79,17 +79,9 @@ class EncodeOptions:
 
 @dataclass
 class Summary:
-    """The result of an encoding run.
-
-    Attributes:
-        encoded: number of new frames.
-        anew: number of frames that were encoded again, by reason.
-        already_there: number of frames that were up to date.
-        empty: number of encoded frames whose descriptor is zero.
-        pruned: number of frames that were removed because their file is gone.
-        gone: ids of frames in the database whose file is gone.
-        skipped: frames that could not be encoded.
-    """
+    """The result of an encoding run: the numbers of new frames, of those encoded again by reason,
+    of those that were up to date, of encoded ones whose descriptor is zero, and of those that were
+    removed; ids of frames whose file is gone; and frames that could not be encoded."""
 
     encoded: int = 0
     anew: Counter[str] = field(default_factory=Counter)

@@ -57,8 +57,7 @@ class FrameSelection:
         "With --layout: use only the references, or only the queries.", hidden=True
     )
     labels: str | None = _option(
-        "With --layout: folder of label maps to use instead of those of the data set.",
-        hidden=True,
+        "With --layout: folder of label maps to use instead of those of the data set.", hidden=True
     )
     sequence: str | None = _option(
         "Name of the sequence. Default: the name that the database has for the folder, else the "

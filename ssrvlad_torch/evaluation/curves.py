@@ -11,15 +11,11 @@ from .outcomes import Bools, Floats, Rows
 
 @dataclass(frozen=True)
 class PrecisionRecall:
-    """Counts at each threshold, the highest threshold first.
-
-    Attributes:
-        accepted, true_positives: ``(..., T)`` float64; precision is true positives / accepted.
-        positives: ``(...)`` float64, the number that could be found; recall is true positives /
-            positives. Where it is 0, recall and every figure are NaN.
-        thresholds: ``(T,)`` float64; a score that equals the threshold is accepted.
-        start: precision at recall 0, where nothing is accepted; ``None`` for the precision at the
-            highest threshold that accepts anything.
+    """Counts at each threshold, the highest threshold first: ``accepted`` and ``true_positives``
+    ``(..., T)`` float64, of which precision is the quotient, and ``thresholds`` ``(T,)``; a score
+    that equals one is accepted. ``positives`` ``(...)`` is the number that could be found, by which
+    recall is a fraction; where it is 0, every figure is NaN. ``start`` is the precision at recall
+    0, where nothing is accepted; ``None`` for that at the highest threshold that accepts anything.
     """
 
     accepted: Floats

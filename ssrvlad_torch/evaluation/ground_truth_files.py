@@ -76,8 +76,10 @@ def _read_json(path: Path) -> Pairs | Numbers:
     content = read_json(path)
     if isinstance(content, list) and content and all(map(_is_numbers, content)):
         return content
-    if isinstance(content, dict) and all(map(_is_ids, content.values())):
-        return content
+    lists: Iterable[object] = content.values() if isinstance(content, dict) else [None]
+    if all(isinstance(ids, list) and all(isinstance(id_, str) for id_ in ids) for ids in lists):
+        pairs: Pairs = content
+        return pairs
     raise ValueError(
         'expected {"<query id>": ["<reference id>", ...], ...}, or [[0, [0, 1, ...]], ...] of '
         "whole numbers"
@@ -129,10 +131,6 @@ def _is_numbers(row: object) -> bool:
         case [query, list(matches)]:
             return all(type(number) is int for number in (query, *matches))
     return False
-
-
-def _is_ids(value: object) -> bool:
-    return isinstance(value, list) and all(isinstance(frame, str) for frame in value)
 
 
 def _from_pairs(

@@ -86,10 +86,15 @@ def evaluate(
     if resamples:
         block = max(1, min(BLOCK, len(outcomes) // 10))
         intervals = bootstrap(figures, len(outcomes), resamples, seed, block)
-        for name, whole in _wholes(outcomes, convention, at, values).items():
+        bench = convention == "vpr-bench"
+        wholes = dict.fromkeys(map(str, at), len(outcomes) if bench else outcomes.has_match.sum())
+        if values["recall_at_100_precision"] == 1:
+            of = outcomes.correct if bench else outcomes.has_match
+            wholes["recall_at_100_precision"] = of.sum()
+        for name, whole in wholes.items():
             low, high = intervals[name]
             if low == high:
-                intervals[name] = wilson(values[name], whole / block)
+                intervals[name] = wilson(values[name], int(whole) / block)
         result["intervals"] = _nested({name: list(i) for name, i in intervals.items()}, at)
     return result
 
@@ -131,17 +136,6 @@ def _figures(
         "roc_auc": roc_auc(curve, right, weights.sum(axis=1) - right),
     }
     return rates | summaries
-
-
-def _wholes(
-    outcomes: Outcomes, convention: Convention, at: Sequence[int], values: Mapping[str, float]
-) -> dict[str, int]:
-    """The number of queries of which a figure is a fraction, by the names of such figures."""
-    there, bench = int(outcomes.has_match.sum()), convention == "vpr-bench"
-    wholes = dict.fromkeys(map(str, at), len(outcomes) if bench else there)
-    if values["recall_at_100_precision"] == 1:
-        wholes["recall_at_100_precision"] = int(outcomes.correct.sum()) if bench else there
-    return wholes
 
 
 def _curves(outcomes: Outcomes, convention: Convention) -> Callable[[Floats], PrecisionRecall]:

@@ -67,7 +67,9 @@ def judge(scores: Scores, indices: Indices, truth: Truth) -> Outcomes:
             "expected scores and indices of one shape (Q, top) with top >= 1, "
             f"got {scores.shape} and {indices.shape}"
         )
-    check_finite(scores, "scores of candidates")
+    bad = int((np.isnan(scores) | (scores == np.inf)).any(axis=1).sum())
+    if bad:
+        raise ValueError(f"{bad} of {len(scores)} queries have scores that are NaN or +inf")
     if ((scores > -np.inf) & (indices < 0)).any():
         raise ValueError("a candidate has a score but no row; expected -inf for an index of -1")
     hits = np.zeros(indices.shape, bool)
@@ -87,10 +89,3 @@ def as_array(values: Tensor | npt.NDArray[Any]) -> npt.NDArray[Any]:
     """A tensor of any device as an array."""
     detached = getattr(values, "detach", None)
     return np.asarray(detached().cpu() if detached else values)
-
-
-def check_finite(scores: npt.NDArray[np.floating[Any]], name: str) -> None:
-    """Raises a ValueError for scores that are NaN or +inf."""
-    bad = int((np.isnan(scores) | (scores == np.inf)).any(axis=1).sum())
-    if bad:
-        raise ValueError(f"{bad} of {len(scores)} queries have {name} that are NaN or +inf")

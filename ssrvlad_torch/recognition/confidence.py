@@ -2,14 +2,10 @@
 
 Each answer comes with the probability that chance is as far ahead of its rivals as it is. Of wrong
 answers ``t = -log(chance)`` has the density ``exp(-t)``; of right ones a gamma density of larger
-mean. Where the map lacks the place all answers are wrong, and what it has or lacks comes in
-stretches: a hidden Markov chain over what each query shows by itself says where. How many of the
-others are wrong, and how far ahead the right ones are, is what makes these answers likely (Pounds
-and Morris, 2003); few answers show little, and the prior decides. The doubt in an answer is the
-probability that it is wrong. All that is said of several answers follows from their doubts.
-docs/evaluation/confidence.md reports how well it holds; `tests/oracles/recognition.py` has the
-formulas.
-"""
+mean. Where the map lacks the place all answers are wrong; a hidden Markov chain says where. How
+many of the others are wrong, and how far ahead the right ones are, is what makes these answers
+likely (Pounds and Morris, 2003); few answers show little, and the prior decides. The doubt in an
+answer is the probability that it is wrong. `tests/oracles/recognition.py` has the formulas."""
 
 from __future__ import annotations
 

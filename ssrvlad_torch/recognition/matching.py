@@ -9,7 +9,6 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
 Vectors = Tensor | npt.NDArray[np.float32] | npt.NDArray[np.uint8]
@@ -73,7 +72,12 @@ def match(
             f"got {tuple(queries.shape)} and {tuple(vectors.shape)}"
         )
     top = checked_number("top", top, least=1)
-    excluded = checked_excluded(excluded, (len(queries), len(vectors)))
+    size, mask = (len(queries), len(vectors)), None
+    if excluded is not None:
+        mask = torch.as_tensor(excluded)
+        if mask.shape != size or mask.dtype != torch.bool:
+            got = f"{tuple(mask.shape)} {mask.dtype}"
+            raise ValueError(f"excluded: expected {size} bool, got {got}")
     if threshold is not None and math.isnan(threshold):
         raise ValueError("threshold: expected a number, got nan")
     scores = queries.new_full((len(queries), top), -torch.inf, dtype=torch.float32)
@@ -81,16 +85,15 @@ def match(
     units = unit_queries(queries)
     for first in range(0, len(vectors), _REFERENCE_BLOCK):
         block = slice(first, first + _REFERENCE_BLOCK)
-        rows = Rows.of(vectors[block])
         for start in range(0, len(units), _QUERY_BLOCK):
             group = slice(start, start + _QUERY_BLOCK)
-            cosines = rows.cosines(units[group])
-            if excluded is not None:
-                cosines.masked_fill_(excluded[group, block].to(cosines.device), -torch.inf)
-            better = (cosines.amax(dim=1) > scores[group, -1]).nonzero()[:, 0]
+            here = cosines(units[group], vectors[block])
+            if mask is not None:
+                here.masked_fill_(mask[group, block].to(here.device), -torch.inf)
+            better = (here.amax(dim=1) > scores[group, -1]).nonzero()[:, 0]
             if len(better):  # most queries find nothing better in a later block
                 of = better + start
-                highest, columns = _best(cosines[better], top)
+                highest, columns = _best(here[better], top)
                 scores[of], places = _best(torch.cat((scores[of], highest), 1), top)
                 indices[of] = torch.cat((indices[of], columns + first), 1).gather(1, places)
     no_candidate = ~(scores > (-torch.inf if threshold is None else threshold))
@@ -109,38 +112,13 @@ def checked_number(name: str, value: int, least: int) -> int:
     return index(value)
 
 
-def checked_excluded(excluded: Tensor | None, size: tuple[int, int]) -> Tensor | None:
-    """References that are no candidates, also of an array; another shape or dtype than ``size``
-    bool is a ValueError."""
-    mask = None if excluded is None else torch.as_tensor(excluded)
-    if mask is not None and (mask.shape != size or mask.dtype != torch.bool):
-        got = f"{tuple(mask.shape)} {mask.dtype}"
-        raise ValueError(f"excluded: expected {size} bool, got {got}")
-    return mask
-
-
-class Rows(NamedTuple):
-    """References ``(R, D)`` float with their lengths ``(R,)`` float32, computed once for many calls
-    of `score`."""
-
-    vectors: Tensor
-    lengths: Tensor
-
-    @classmethod
-    def of(cls, vectors: Vectors) -> Rows:
-        """Rows of vectors ``(R, D)``; values that are not finite are a ValueError."""
-        single = real_tensor(vectors)
-        lengths = [_lengths(block.float()) for block in torch.split(single, _REFERENCE_BLOCK)]
-        return cls(single, torch.cat(lengths))
-
-    def __len__(self) -> int:
-        return len(self.vectors)
-
-    def cosines(self, queries: Tensor) -> Tensor:
-        """``(Q, R)`` float32 cosines of ``(Q, D)`` `unit_queries`, -inf where a vector is zero."""
-        scores = queries @ self.vectors.float().T
-        scores /= self.lengths
-        return torch.nan_to_num(scores, -torch.inf, torch.inf, -torch.inf, out=scores)
+def cosines(queries: Tensor, vectors: Tensor) -> Tensor:
+    """``(Q, R)`` float32 cosines of ``(Q, D)`` `unit_queries` and vectors ``(R, D)``, -inf where a
+    vector is zero; values that are not finite are a ValueError."""
+    single = vectors.float()
+    scores = queries @ single.T
+    scores /= _lengths(single)
+    return torch.nan_to_num(scores, -torch.inf, torch.inf, -torch.inf, out=scores)
 
 
 def unit_queries(queries: Vectors) -> Tensor:
@@ -189,16 +167,6 @@ def _best(scores: Tensor, top: int) -> tuple[Tensor, Tensor]:
         columns[rows] = scores[rows].sort(dim=1, descending=True, stable=True).indices[:, :top]
     best, order = scores.gather(1, columns).sort(dim=1, descending=True, stable=True)
     return best, columns.gather(1, order)
-
-
-def best_of(values: Tensor, top: int, rows: Tensor | None = None) -> Matches:
-    """The highest of ``(N,)`` float values above -inf, the first of equals first, with the rows
-    ``(N,)`` int64 to which they belong, or else their places: ``(top,)`` float32 and int64, -inf
-    and -1 where there are fewer."""
-    padded = F.pad(values, (0, max(0, top - len(values))), value=-torch.inf)
-    (scores,), (places,) = _best(padded[None], top)
-    chosen = places if rows is None or not len(rows) else rows[places.clamp(max=len(rows) - 1)]
-    return Matches(scores.float(), chosen.masked_fill(scores == -torch.inf, -1))
 
 
 _MAX_QUERIES, _MAX_CANDIDATES = 10, 5

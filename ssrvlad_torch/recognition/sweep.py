@@ -9,19 +9,19 @@ nearer each is than the best row elsewhere. No label is used. Not in the paper.
 import torch
 from torch import Tensor
 
-from .matching import Rows, Vectors, unit_queries
+from .matching import Vectors, cosines, unit_queries
 
 COLUMNS = tuple(range(-24, 25, 4))
 """Anchors of a query: columns of the working grid, relative to the vanishing column."""
 
 
 @torch.no_grad()
-def score(queries: Vectors, references: Vectors | Rows) -> Tensor:
+def score(queries: Vectors, references: Vectors) -> Tensor:
     """Float32 cosines (Eq. 4) of queries to all references.
 
     Args:
         queries: ``(Q, D)`` float, or ``(Q, S, D)`` of a sweep, of which the best anchor counts.
-        references: ``(R, D)`` float, or `Rows` of them for many calls.
+        references: ``(R, D)`` float.
 
     Returns:
         ``(Q, R)``; -inf for empty references and for empty queries, whose descriptors are zero.
@@ -31,12 +31,11 @@ def score(queries: Vectors, references: Vectors | Rows) -> Tensor:
     """
     swept = torch.as_tensor(queries)
     swept = swept[:, None] if swept.ndim == 2 else swept
-    fixed = references.vectors if isinstance(references, Rows) else torch.as_tensor(references)
+    fixed = torch.as_tensor(references)
     if swept.ndim != 3 or fixed.ndim != 2 or swept.shape[2] != fixed.shape[1]:
         raise ValueError(
             "expected queries (Q, D) or (Q, S, D) and references (R, D) of one width D, got "
             f"{tuple(swept.shape)} and {tuple(fixed.shape)}"
         )
-    rows = references if isinstance(references, Rows) else Rows.of(fixed)
-    scores = rows.cosines(unit_queries(swept).flatten(0, 1))
-    return scores.view(*swept.shape[:2], len(rows)).amax(1)
+    scores = cosines(unit_queries(swept).flatten(0, 1), fixed)
+    return scores.view(*swept.shape[:2], len(fixed)).amax(1)

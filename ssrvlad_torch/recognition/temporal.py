@@ -14,24 +14,11 @@ _BLOCK = 1 << 12
 def temporal_sum(
     descriptors: Vectors, sequences: Sequence[str], reach: int, out: Tensor | None = None
 ) -> Tensor:
-    """Descriptors of reference frames summed over their neighbours and normalised (Eq. 3).
-
-    Frame i becomes the sum of frames i - t to i + t of its own sequence, clipped at the ends.
-    An empty frame, whose own descriptor is zero, stays zero and so matches nothing.
-
-    Args:
-        descriptors: ``(R, D)`` float, frames of a sequence one after another in order.
-        sequences: the sequence of each frame.
-        reach: t of the paper, 0 for none.
-        out: ``(R, D)`` float32 to write into; it may be the descriptors themselves, which saves
-            the memory of a copy.
-
-    Returns:
-        ``(R, D)`` float32 of length 1, or zero.
-
-    Raises:
-        ValueError: the number of sequences is not R, or ``reach`` is negative.
-    """
+    """Descriptors ``(R, D)`` float of reference frames, in the order of their ``sequences``, summed
+    over their neighbours and normalised (Eq. 3): ``(R, D)`` float32 of length 1, or zero. Frame i
+    becomes the sum of frames i - t to i + t of its own sequence, t being the ``reach``, clipped at
+    the ends. An empty frame, whose own descriptor is zero, stays zero. ``out`` is written into, and
+    may be the descriptors. Another number of sequences, and a negative reach, are a ValueError."""
     single = torch.as_tensor(descriptors).float()
     if len(sequences) != len(single):
         raise ValueError(

@@ -70,7 +70,11 @@ def search(
     if near:
         poses = np.where(where[:, None], references.poses, np.nan)
         where &= near.rows(poses, database.path)
-    _sum_over_time(references, used, temporal)
+    for channel in used if temporal else ():
+        for run in runs(references.sequences):
+            rows = slice(run.start, run.stop)
+            summed = references.channels[channel.column.name][rows]
+            temporal_sum(summed, references.sequences[rows], temporal, out=summed)
     excluded = None if exclude is None else neighbours(queries.frames, references, exclude)
     steps = _ALONE if single else steps
     apart = dataclasses.replace(queries, sequences=queries.frames) if single else queries
@@ -82,15 +86,6 @@ def search(
     if any(channel.column.name == Features.name for channel in used):
         recognised.used["camera"] = _cameras(queries, shortlist or references, recognised)
     return Answers(queries, references, recognised, temporal, tuple(skipped), folders)
-
-
-def _sum_over_time(references: FrameSet, channels: Sequence[Channel], temporal: int) -> None:
-    """Replaces the descriptors of a map by their temporal sums, if any."""
-    for channel in channels if temporal else ():
-        for run in runs(references.sequences):
-            rows = slice(run.start, run.stop)
-            summed = references.channels[channel.column.name][rows]
-            temporal_sum(summed, references.sequences[rows], temporal, out=summed)
 
 
 def _cameras(

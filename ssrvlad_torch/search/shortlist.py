@@ -1,11 +1,7 @@
 """Shortlist: some rows of a map that is too large to compare with all, for the queries of one
-sequence.
-
-By the codes of its index the rows that are most like each query are found. These, the rows beside
-them and a random sample of the others, with what their sequences lose, stand for the whole map: the
-core decides on them as it decides on all rows. What a sequence loses is the mean of some of its
-frames.
-"""
+sequence. By the codes of its index the rows that are most like each query are found. These, the
+rows beside them and a random sample of the others, with what their sequences lose, the mean of some
+of their frames, stand for the whole map: the core decides on them as it decides on all rows."""
 
 from __future__ import annotations
 

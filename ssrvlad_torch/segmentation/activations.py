@@ -3,11 +3,8 @@
 Features are the last activation at the target stride before a coarser one begins, and the same of
 the next coarser stride, if there is one, where an activation counts if it has more than half the
 channels of the widest of its stride. The target is stride 8, or half the coarsest stride if that is
-finer, or else the nearest that there is.
-
-An activation has the name of its module, and of a module that runs several times ``NAME#CALL``:
-``act#2`` is the output of the second call.
-"""
+finer, or else the nearest that there is. An activation has the name of its module, and of a module
+that runs several times ``NAME#CALL``: ``act#2`` is the output of the second call."""
 
 import itertools
 import math

@@ -154,8 +154,7 @@ class Preparation(nn.Module):
             for numbers in (config.mean, config.std)
         )
         self.steps = nn.Sequential(
-            RgbToBgr() if config.colour_order == "bgr" else nn.Identity(),
-            Normalize(mean, std),
+            RgbToBgr() if config.colour_order == "bgr" else nn.Identity(), Normalize(mean, std)
         )
 
     def forward(self, images: Tensor) -> Tensor:

@@ -83,12 +83,7 @@ def steps_around(ring: Sequence[Tensor]) -> list[Tensor]:
     There is at most one step from N over NE to E, and in each of the other quarters.
     """
     n, ne, e, se, s, sw, w, nw = ring
-    return [
-        (ne | e) ^ (n & ne),
-        (se | s) ^ (e & se),
-        (sw | w) ^ (s & sw),
-        (nw | n) ^ (w & nw),
-    ]
+    return [(ne | e) ^ (n & ne), (se | s) ^ (e & se), (sw | w) ^ (s & sw), (nw | n) ^ (w & nw)]
 
 
 def points(planes: Tensor) -> Points:

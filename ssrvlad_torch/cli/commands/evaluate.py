@@ -4,15 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from ...encoding.selection import FrameSelection
-from ..options import (
-    AsOf,
-    DatabaseFolder,
-    Json,
-    RecognitionOptions,
-    TruthOptions,
-    Verbose,
-    option,
-)
+from ..options import AsOf, DatabaseFolder, Json, RecognitionOptions, TruthOptions, Verbose, option
 from ..output import finish, note, print_json, progress_bar, say
 
 

@@ -11,7 +11,6 @@ from ..options import Json, argument, option, switch
 from ..output import print_json, print_table, say
 
 if TYPE_CHECKING:
-    from ...segmentation.segmenter import Segmenter
     from ...taxonomy import LabelSpace
 
 
@@ -52,7 +51,10 @@ def labels(
         features, problem = None, str(error)
     rows = _classes(space, of_names=bool(segmenter and not labels_as))
     names = features.names if features else []
-    activations = _activations(segmenter, names) if segmenter and with_activations else None
+    activations = None
+    if segmenter and with_activations:
+        listed = segmenter.activations()
+        activations = [{**act._asdict(), "chosen": act.name in names} for act in listed]
     if as_json:
         classes = [dict(zip(("id", "name", "category"), row, strict=True)) for row in rows]
         report = {"name": space.name, "classes": classes, "features": features and names}
@@ -91,10 +93,6 @@ def _classes(space: LabelSpace, of_names: bool) -> list[tuple[int, str, str]]:
         for label in space.classes
         for unknown in [of_names and category_of_name(label.name) is None]
     ]
-
-
-def _activations(segmenter: Segmenter, names: list[str]) -> list[dict[str, Any]]:
-    return [{**act._asdict(), "chosen": act.name in names} for act in segmenter.activations()]
 
 
 def _is_network(name: str) -> bool:

@@ -13,7 +13,7 @@ from ..options import Json, argument, option
 from ..output import finish, print_json, print_table, progress_bar, say
 
 if TYPE_CHECKING:
-    from ...deployment.verify import Verification
+    pass
 
 MISMATCH = 1
 """Exit code for a file that differs from the PyTorch module."""
@@ -55,28 +55,24 @@ def verify(
     files = find_label_files(labels) if labels else []
     with progress_bar("verifying", len(files)) as bar:
         result = check(model, files, provider, bar.advance)
+    passed = result.passed
     if as_json:
         report = {"file": str(model), "provider": provider, **dataclasses.asdict(result)}
         report["checks"] = [check._asdict() for check in result.checks]
-        names = ("verdict", "difference", "passed")
-        report |= {name: getattr(result, name) for name in names}
+        report |= {"verdict": result.verdict, "difference": result.difference, "passed": passed}
         print_json(report | {"skipped": [frame._asdict() for frame in result.skipped]})
     else:
-        _print(model, result)
-    if not result.passed:
+        rows = ((c.name, f"{c.difference:.2g}", c.problem or "equal") for c in result.checks)
+        print_table(("compared", "largest difference", "result"), rows)
+        network = f" with {result.network}" if result.network else ""
+        say(
+            f"{model}: {'as expected' if passed else 'WRONG'}, {result.verdict} in "
+            f"{result.runtime}, largest difference {result.difference:.2g}; version "
+            f"{result.version}, fingerprint {result.fingerprint}, {result.labels_as}{network}"
+        )
+    if not passed:
         raise typer.Exit(MISMATCH)
     finish(result.skipped)
-
-
-def _print(model: Path, result: Verification) -> None:
-    rows = ((c.name, f"{c.difference:.2g}", c.problem or "equal") for c in result.checks)
-    print_table(("compared", "largest difference", "result"), rows)
-    network = f" with {result.network}" if result.network else ""
-    say(
-        f"{model}: {'as expected' if result.passed else 'WRONG'}, "
-        f"{result.verdict} in {result.runtime}, largest difference {result.difference:.2g}; "
-        f"version {result.version}, fingerprint {result.fingerprint}, {result.labels_as}{network}"
-    )
 
 
 def _verify_against(model: Path, network: str, as_json: bool) -> None:
@@ -89,10 +85,11 @@ def _verify_against(model: Path, network: str, as_json: bool) -> None:
         report = {"file": str(model), "against": network, "sizes": sizes, "passed": not wrong}
         print_json(report)
     else:
-        rows = (
-            (_by(c.size), _by(c.fed), _share(c.other_labels), c.problem or "equal") for c in checks
-        )
-        print_table(("picture", "fed at", "other labels", "result"), rows)
+        table = []
+        for c in checks:
+            share = "" if math.isnan(c.other_labels) else f"{c.other_labels:.2%}"
+            table.append((_by(c.size), _by(c.fed), share, c.problem or "equal"))
+        print_table(("picture", "fed at", "other labels", "result"), table)
         right = ", ".join(_by(check.size) for check in checks)
         verdict = f"as expected, gives the labels of {network} at {right}"
         if wrong:
@@ -106,10 +103,6 @@ _CAUSES = (
     "it was traced at another size, which the network uses in Python, or has other weights, or "
     "another preparation of pictures. Export it for one size, or compute with sizes in tensors"
 )
-
-
-def _share(fraction: float) -> str:
-    return "" if math.isnan(fraction) else f"{fraction:.2%}"
 
 
 def _by(size: tuple[int, int]) -> str:
