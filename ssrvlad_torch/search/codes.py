@@ -29,7 +29,7 @@ _CODED, _COMPARED = 1 << 12, 1 << 10
 
 
 class Coder(NamedTuple):
-    """Makes and compares the codes of one channel by a mean ``(D,)`` and a basis ``(length, D)``."""
+    """Makes and compares codes of a channel by a mean ``(D,)`` and a basis ``(length, D)``."""
 
     mean: Tensor
     basis: Tensor
