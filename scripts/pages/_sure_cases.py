@@ -170,7 +170,7 @@ def of_third_network(described: Described) -> Iterator[Case]:
         name, files = of(network, folder), pictures_of(described.data, folder)
         described.add(name, files, partial(pictured, files))
         seen = described.drive(name).seen
-        described.kept(f"{name} {FEATURES}", lambda seen=seen: method.encode_query(seen()))
+        described.kept(f"{name} {FEATURES} alike", lambda seen=seen: method.encode_query(seen()))
     for name, here, there, truth in pairs(described, network):
         one = partial(case_of, name=name, method=FEATURES)
         for case in drives(one, here, there, truth):
