@@ -90,6 +90,8 @@ def _build_programs(checkout):
             "the C++ headers of ONNX Runtime or zlib are not installed; ORT_ROOT names their folder"
         )
     for command in commands("cmake"):
+        if "cpp/describe" in command:  # which compiles the core anew, from the same sources
+            shutil.copytree(folder / "build" / "core", folder / "build-describe" / "core")
         for part in command.replace(" -DORT_ROOT=/opt/onnxruntime", "").split(" && "):
             must(*part.split(), cwd=folder)
 

@@ -18,15 +18,15 @@ from urllib.request import Request, urlopen
 import pytest
 import torch
 import typer
-from built import page, site, user  # noqa: F401 - fixtures
+from built import built_once, page, site, user  # noqa: F401 - fixtures
 from filelock import FileLock
 from helpers import Maps, write_maps, write_truth, write_two_drives
 from hypothesis import settings
-from networks import write_drives, write_named_network
+from networks import write_coloured, write_drives, write_named_network
 from networks import write_photos as write_photos_of_streets
 from skips import pytest_make_collect_report, pytest_runtest_makereport  # noqa: F401 - hooks
 
-from ssrvlad_torch import SSRVLADConfig, native
+from ssrvlad_torch import Map, SSRVLADConfig, native
 from ssrvlad_torch.deployment import export, fuse, label_graph
 from ssrvlad_torch.files import replacing
 from ssrvlad_torch.taxonomy import label_space_names
@@ -36,10 +36,27 @@ torch.set_num_threads(1)
 ROOT = Path(__file__).parents[1]
 
 
+LONGEST = [
+    "export_cpp",
+    "export_web",
+    "decisions",
+    "ros2",
+    "descriptors",
+    "export_package",
+    "guides",
+]
+"""Files that take minutes, each with what only it makes."""
+
+
 def pytest_collection_modifyitems(items):
     """The longest files come first, so that workers which share the files end together."""
     size = cache(lambda path: path.stat().st_size)
-    items.sort(key=lambda item: -size(item.path))
+
+    def order(item):
+        name = item.path.stem.removeprefix("test_")
+        return LONGEST.index(name) if name in LONGEST else len(LONGEST), -size(item.path)
+
+    items.sort(key=order)
 
 
 settings.register_profile("steady", max_examples=16, derandomize=True, deadline=None)
@@ -97,7 +114,7 @@ def stored(build):
 
 
 @pytest.fixture(scope="session", autouse=True)
-def built_once():
+def traced_once():
     """Caches the commands, the graph of a head where the label space has a name, and
     the traced parts of fused graphs."""
     head_model = export.head_model
@@ -127,10 +144,16 @@ def head(tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
+def coloured(tmp_path_factory):
+    """The files of `write_coloured`, not to be changed."""
+    return built_once(tmp_path_factory, "coloured", write_coloured)
+
+
+@pytest.fixture(scope="session")
 def drives(tmp_path_factory):
     """A network with features as ``net.yaml``, photos in ``monday`` and ``today``, and the fused
     files: ``place.onnx``, or ``net.onnx`` and ``head.onnx``. Not to be changed."""
-    return write_drives(tmp_path_factory.mktemp("drives"))
+    return built_once(tmp_path_factory, "drives", write_drives)
 
 
 @pytest.fixture
@@ -187,6 +210,14 @@ def encode(ssrvlad):
 def maps(tmp_path):
     """A folder of six label maps."""
     return write_maps(tmp_path / "monday", range(6))
+
+
+@pytest.fixture
+def drawn(maps, tmp_path):
+    """A map of six label maps."""
+    drawn = Map.open(tmp_path / "drawn.ssrdb", labels_as="camvid-11")
+    drawn.add(maps)
+    return drawn
 
 
 @pytest.fixture

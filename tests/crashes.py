@@ -1,9 +1,9 @@
-"""Kills a writer at system calls or random moments, or lets its calls fail; see `test_crashes.py`.
+"""Kills a writer at system calls, or lets its calls fail; see `test_crashes.py`.
 
 Run with ``crashing.c`` preloaded: ``crashes.py SHIM FOLDER PART N ...``. Parts: ``every N`` kills
-at every N-th call that changes the database, ``random N`` at N random moments, ``fail N`` lets
-every N-th call fail; each prints the number of disturbed writers. ``record 0`` prints the calls of
-one `merge`. ``--`` separates the output of parts.
+at every N-th call that changes the database, ``fail N`` lets every N-th call fail; both print the
+number of disturbed writers. ``record 0`` prints the calls of one `merge`. ``--`` separates the
+output of parts.
 
 Every writer and every check of its database is a fork of this process, which imports Lance but does
 not use it: its threads would not survive the fork.
@@ -12,11 +12,8 @@ not use it: its threads would not survive the fork.
 import ctypes
 import errno
 import os
-import random
 import shutil
-import signal
 import sys
-import time
 import traceback
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -93,8 +90,8 @@ def forked(action: Callable[[], None]) -> int:
     return child
 
 
-def crash(path: Path, shim: ctypes.CDLL, at: int, after: float = 0, error: int = 0) -> bool:
-    """Disturbs a writer at a call, or kills it after some seconds; whether it was disturbed."""
+def crash(path: Path, shim: ctypes.CDLL, at: int, error: int = 0) -> bool:
+    """Kills a writer at a call, or lets the call fail; whether the writer came so far."""
     shutil.rmtree(path, ignore_errors=True)
     reading, writing = os.pipe()
 
@@ -110,14 +107,11 @@ def crash(path: Path, shim: ctypes.CDLL, at: int, after: float = 0, error: int =
 
     child = forked(write)
     os.close(writing)
-    if after:
-        time.sleep(after)
-        os.kill(child, signal.SIGKILL)
     status = os.waitpid(child, 0)[1]
     with os.fdopen(reading, "rb") as report:
         steps = len(report.read())
     assert os.WIFSIGNALED(status) or os.WEXITSTATUS(status) in (0, NOT_REACHED), "the writer failed"
-    assert os.waitpid(forked(lambda: check(path, steps)), 0)[1] == 0, (at, after, error, steps)
+    assert os.waitpid(forked(lambda: check(path, steps)), 0)[1] == 0, (at, error, steps)
     return os.WIFSIGNALED(status) or (error > 0 and os.WEXITSTATUS(status) != NOT_REACHED)
 
 
@@ -126,15 +120,6 @@ def every(path: Path, shim: ctypes.CDLL, step: int, errors: Sequence[int] = (0,)
     while crash(path, shim, at, error=errors[disturbed % len(errors)]):
         at, disturbed = at + step, disturbed + 1
     print(disturbed)
-
-
-def at_random(path: Path, shim: ctypes.CDLL, count: int) -> None:
-    generator, began = random.Random(0), time.perf_counter()
-    crash(path, shim, 0)
-    whole, killed = time.perf_counter() - began, 0
-    while killed < count:
-        killed += crash(path, shim, 0, generator.uniform(0.001, whole))
-    print(killed)
 
 
 def record(path: Path, shim: ctypes.CDLL, _number: int) -> None:
@@ -151,7 +136,7 @@ def record(path: Path, shim: ctypes.CDLL, _number: int) -> None:
 if __name__ == "__main__":
     library, folder, *parts = sys.argv[1:]
     fail = partial(every, errors=(errno.ENOSPC, errno.EIO, errno.EMFILE))
-    acts = {"every": every, "random": at_random, "fail": fail, "record": record}
+    acts = {"every": every, "fail": fail, "record": record}
     for part, (kind, number) in enumerate(zip(parts[::2], parts[1::2], strict=True)):
         print(end="--\n" if part else "", flush=True)
         target = Path(folder, kind)

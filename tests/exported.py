@@ -36,9 +36,6 @@ by_preset_and_input = pytest.mark.parametrize(
     ],
 )
 """What is done to an input is the same for both presets, and ``paper`` takes long to trace."""
-COLUMNS = (-8, 0, 5)
-"""Anchors of exported sweeps: one graph for all tests, as tracing takes long."""
-
 GUO_HALL = "guo-hall, one ring, odd sectors, keypoints as context, only opened, on a grid"
 CUSTOM: dict[str, dict[str, Any]] = {
     GUO_HALL: {

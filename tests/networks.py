@@ -2,6 +2,7 @@
 world that they label."""
 
 import json
+import shutil
 import warnings
 from functools import cache
 from pathlib import Path
@@ -25,6 +26,7 @@ from ssrvlad_torch.deployment.fuse import fuse
 from ssrvlad_torch.encoding.encoder import encode_to_memory
 from ssrvlad_torch.recognition.recognise import Steps
 from ssrvlad_torch.search.exact import recognise_in
+from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
 from ssrvlad_torch.segmentation.segmenter import Segmenter, SegmenterConfig
 from ssrvlad_torch.taxonomy import colourise, label_space, palette
 
@@ -324,24 +326,40 @@ def counted(network):
     return network
 
 
-def write_drives(folder, monday=range(12), today=range(3, 9), size=(96, 144)):
+def write_coloured(folder):
+    """The colour network as ``seg.onnx``, and the fused files: ``place.onnx``, or ``net.onnx`` and
+    ``head.onnx``."""
+    network = OnnxNetwork(write_graph(folder / "seg.onnx"))
+    segmenter, config = Segmenter(network, SPACE, PLAIN), SSRVLADConfig(labels_as=SPACE)
+    fuse(segmenter, config, folder / "place.onnx")
+    fuse(segmenter, config, folder / "net.onnx", folder / "head.onnx")
+
+
+def write_drives(folder):
     """A network with features as ``net.yaml``, photos in ``monday`` and ``today``, and the fused
     files: ``place.onnx``, or ``net.onnx`` and ``head.onnx``."""
     write_street(folder / "seg.onnx")
     settings = "network: seg.onnx\nmean: [0, 0, 0]\nstd: [1, 1, 1]\nlabels_as: camvid-11\n"
     (folder / "net.yaml").write_text(settings)
-    write_photos(folder / "monday", monday, (96, 128))
-    write_photos(folder / "today", today, size)
+    write_photos(folder / "monday", range(12), (96, 128))
+    write_photos(folder / "today", range(3, 9), (96, 144))
     config = SSRVLADConfig(labels_as="camvid-11")
     fuse(folder / "net.yaml", config, folder / "place.onnx")
     fuse(folder / "net.yaml", config, folder / "net.onnx", folder / "head.onnx")
-    return folder
 
 
-def write_moved_drives(ssrvlad, folder, exported):
-    """`write_drives`, where the photos of ``today`` are moved by two cells, and ``monday`` as a
-    database, also in NumPy's form. Returns the words that query it."""
-    write_drives(folder, range(36), (), (96, 128))
+def write_other_drives(drives, folder, monday, today):
+    """The files of `write_drives`, with other photos."""
+    for name in ("seg.onnx", "net.yaml", "place.onnx", "net.onnx", "head.onnx"):
+        shutil.copy(drives / name, folder)
+    write_photos(folder / "monday", monday, (96, 128))
+    write_photos(folder / "today", today, (96, 128))
+
+
+def write_moved_drives(ssrvlad, drives, folder, exported):
+    """`write_other_drives`, where the photos of ``today`` are moved by two cells, and ``monday`` as
+    a database, also in NumPy's form. Returns the words that query it."""
+    write_other_drives(drives, folder, range(36), ())
     for seed in range(2, 35):
         pixels = np.roll(photo(street(seed, 96, 128)), 14, axis=1)
         write_image(folder / "today" / f"{seed}.png", pixels)

@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-ALLOWED_SKIPS = ("CUDA", "../shared")
+ALLOWED_SKIPS = ("CUDA", "../shared", "wine64")
 """What the reason of a skip must mention where CI is true: what a machine of CI cannot have."""
 
 

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from drawings import ROAD, SKY, SPACE, TREE, VOID, blobs
+from drawings import SPACE, VOID, blobs
 from helpers import refuses, street
 from methods import frames, noise, picture
 from networks import PLAIN, Street, write_photos, write_street
@@ -16,11 +16,11 @@ from skimage.feature import hog as skimage_hog
 
 from ssrvlad_torch import SSRVLAD
 from ssrvlad_torch.baselines import channel_methods, make
-from ssrvlad_torch.baselines.channel_methods import EncoderFeatures, enhance
+from ssrvlad_torch.baselines.channel_methods import EncoderFeatures
 from ssrvlad_torch.baselines.run import run
 from ssrvlad_torch.channels.channel import View
 from ssrvlad_torch.channels.hog import CELL, ORIENTATIONS, grays, resize
-from ssrvlad_torch.recognition.recognise import Steps, references_of
+from ssrvlad_torch.recognition.recognise import references_of
 from ssrvlad_torch.recognition.temporal import temporal_sum
 from ssrvlad_torch.segmentation.segmenter import Segmenter
 from ssrvlad_torch.taxonomy import CATEGORIES, label_space
@@ -42,11 +42,6 @@ def mixed(name, count=20):
 def parts(encodings):
     fields = getattr(encodings, "_asdict", lambda: vars(encodings))
     return [encodings] if isinstance(encodings, torch.Tensor) else [*fields().values()]
-
-
-@pytest.mark.parametrize("name", WITHOUT_WEIGHTS)
-def test_no_frames_are_refused(name):
-    refuses(f"method {name}: no frames to encode", make(name).encode_reference, [])
 
 
 @pytest.mark.parametrize("name", WITHOUT_WEIGHTS)
@@ -178,18 +173,6 @@ def test_the_label_grid_equals_a_loop(size):
     np.testing.assert_allclose(result.numpy(), plain_grid(labels), rtol=0, atol=1e-6)
 
 
-def test_label_spaces_compare():
-    in_camvid = np.array([[SKY, SKY], [ROAD, TREE]])
-    in_trainids = np.array([[10, 10], [0, 8]])
-    method = make("label-grid")
-    spaces = (in_camvid, SPACE), (in_trainids, "cityscapes-trainids")
-    encoded = method.encode_query(View("a/1", *labels) for labels in spaces)
-    assert torch.equal(encoded[0], encoded[1])
-    # an unknown id is an error
-    with pytest.raises(ValueError, match=r"label id 99 \(6 pixels\) is not in label space camvid"):
-        method.encode_query([View("a/1", np.full((2, 3), 99), SPACE)])
-
-
 # ---- hOG against scikit-image, cell histograms against a loop
 
 
@@ -290,14 +273,6 @@ def test_scores_equal_loops_whatever_the_block(monkeypatch):
     np.testing.assert_allclose(encoded, expected, rtol=0, atol=1e-5)
 
 
-def test_a_reference_unlike_all_others_keeps_a_score():
-    difference = torch.full((1, 9000), 0.5)
-    difference[0, 7] = 50.0
-    scores = enhance(difference, torch.zeros(9000, dtype=torch.int64))
-    assert scores.isfinite().all()
-    assert scores.argmin() == 7
-
-
 # ---- features as a method: the signs of `Segmenter.segment`, and their steps
 
 
@@ -322,13 +297,6 @@ def test_scores_are_the_cosines_of_the_signs_of_the_segmenter(segmenter):
     expected, _ = town.compare({"features": signs[:2].numpy()}, sweep=True)
     np.testing.assert_allclose(scores, expected)
     assert scores.argmax(1).tolist() == [0, 1]
-
-
-def test_the_steps_standardise_signs(segmenter):
-    retrieval = run(EncoderFeatures(segmenter), drive(32), drive(32, "b"), steps=Steps(follow=None))
-    assert retrieval.costs["bytes_a_reference"] == 4096
-    assert retrieval.stepped.used["standardise"] == {"a": True}
-    assert retrieval.stepped.matches.indices[:, 0].tolist() == list(range(32))
 
 
 def test_compare_measures_it(ssrvlad, tmp_path):

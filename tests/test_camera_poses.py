@@ -125,12 +125,6 @@ def test_both_forms_of_a_pose_are_one_pose(tmp_path, number):
     assert first["rain/rear/1"] == pytest.approx(second["rain/rear/1"])
 
 
-def test_the_header_may_hold_a_calibration_and_the_points_are_not_read(tmp_path):
-    model = nvm(camera("a/rear/1.png", 1, 2), header="NVM_V3 FixedK 400 508 400 498 0")
-    path = write(tmp_path / "all.nvm", [*model, "these are no points"])
-    assert list(read_nvm(path)) == ["a/rear/1"]
-
-
 FIX = "must hold numbers gpsLatitude"
 LIST = ["# name qw qx qy qz cx cy cz", README]
 V2 = ["b.png 0 0 1 1 1 0 0 2 0 1 0 -2.5 0 0 0 1"]

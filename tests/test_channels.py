@@ -7,12 +7,12 @@ import pyarrow as pa
 import pytest
 import torch
 from drawings import SPACE
-from helpers import descriptors, refuses, street
-from networks import photo, write_settings
+from helpers import descriptors, street
+from networks import photo
 
-from ssrvlad_torch import Database, LoopDetector, Map, SSRVLADConfig
+from ssrvlad_torch import Database, LoopDetector, SSRVLADConfig
 from ssrvlad_torch.channels import Column
-from ssrvlad_torch.channels.channel import View, batches, labels_of, picture_of
+from ssrvlad_torch.channels.channel import View, batches
 from ssrvlad_torch.channels.hog import HOG
 from ssrvlad_torch.database.exporting import export_database
 from ssrvlad_torch.database.frames import FrameRecord
@@ -99,17 +99,6 @@ def _changed(table, name):
     return table.set_column(place, table.schema.field(place), column)
 
 
-def test_descriptors_of_another_version_are_refused(tmp_path):
-    changed = HOG_STORED._replace(fingerprint="7 x 7 cells")
-    database = Database.create(tmp_path / "town", CONFIG, columns=[changed])
-    settings = write_settings(tmp_path, f"labels_as: {SPACE}\n")
-    numbers = {"ssr-vlad": descriptors(0, 1), "hog": descriptors(0, 1, 480)}
-    database.append(FRAMES[:1], numbers)
-    town = Map.open(database.path, settings)
-    with pytest.raises(ValueError, match="by hog are of 7 x 7 cells, this version makes 6 x"):
-        town.locate(photo(street(0, 60, 80)))
-
-
 # ---- loops
 
 
@@ -134,32 +123,6 @@ def test_a_detector_stores_all_channels(tmp_path):
 
 
 # ---- views: what is known of a frame, what is missing or wrong, and batches of them
-
-
-@pytest.mark.parametrize(
-    ("picture", "message"),
-    [
-        (None, "^hog needs pictures, but frame a/1 has none"),
-        (np.zeros((4, 5), np.uint8), r"^hog: .* frame a/1 must be .*got \(4, 5\) uint8"),
-        (np.zeros((4, 5, 3)), r"got \(4, 5, 3\) float64"),
-        (np.zeros((0, 5, 3), np.uint8), r"got \(0, 5, 3\) uint8"),
-    ],
-)
-def test_a_wrong_picture_is_named(picture, message):
-    refuses(message, picture_of, View("a/1", picture=picture), "hog")
-
-
-@pytest.mark.parametrize(
-    ("view", "message"),
-    [
-        (View("a/1", labels_as="camvid-11"), "needs labels, but frame a/1 lacks a label map"),
-        (View("a/1", labels=np.zeros((4, 5), int)), "frame a/1 lacks the label space"),
-        (View("a/1", np.zeros((4, 5)), "camvid-11"), r"must be \(H, W\) integers, .* float64"),
-        (View("a/1", np.zeros((4, 5, 1), int), "camvid-11"), r"got \(4, 5, 1\) int64"),
-    ],
-)
-def test_a_wrong_label_map_is_named(view, message):
-    refuses(message, labels_of, view, "label-grid")
 
 
 def views(*sizes, labels_as="camvid-11", dtype=np.uint8):

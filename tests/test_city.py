@@ -2,7 +2,6 @@
 
 import functools
 import hashlib
-import itertools
 import json
 import math
 import subprocess
@@ -13,9 +12,9 @@ import pytest
 from helpers import refuses
 from PIL import Image
 
+from ssrvlad_torch.cli.demo import Pair, chosen, draw_pairs
 from ssrvlad_torch.datasets.city.streets import camera_poses
 from ssrvlad_torch.datasets.pose_tables import read_poses
-from ssrvlad_torch.datasets.segmentation_noise import ERRORS
 from ssrvlad_torch.datasets.synthetic_city import (
     LEFT,
     QUERY,
@@ -29,11 +28,9 @@ from ssrvlad_torch.datasets.synthetic_city import (
     write_city,
     write_tour,
 )
-from ssrvlad_torch.taxonomy import CATEGORIES, label_space, palette
+from ssrvlad_torch.taxonomy import label_space, palette
 
 SIZE = (48, 64)
-DYNAMIC = {24, 25, 26, 27, 28, 33}
-ROAD, BUILDING, WALL, POLE, VEGETATION, SKY = 7, 11, 12, 17, 21, 23
 
 
 @functools.cache
@@ -70,34 +67,6 @@ def test_the_tour_comes_back_in_both_directions():
     assert 200 < (opposite & ~same).sum() < 400
 
 
-def test_offsets_move_and_turn_the_camera():
-    (usual,), (aside,) = drive(1), drive(1, lateral_offset=0.7, heading_offset=10)
-    assert usual.pose.heading == 0
-    assert aside.pose.y - usual.pose.y == pytest.approx(0.7)
-    assert math.degrees(aside.pose.heading) == pytest.approx(10)
-    swaying = camera_poses(0, Conditions(heading_jitter=3.0))
-    sway = np.degrees([pose.heading for pose in itertools.islice(swaying, 60)])
-    assert 1.5 < sway.std() < 4.5
-    assert np.abs(np.diff(sway)).max() < 5
-
-
-def test_more_traffic_shows_more_of_it():
-    none, usual, heavy = (
-        np.isin(stack(drive(12, traffic=t)), list(DYNAMIC)).mean() for t in (0, 1, 3)
-    )
-    assert 0 == none < usual < heavy
-
-
-def test_a_long_drive_shows_every_category_between_sky_and_road():
-    labels = stack(drive(120, size=(120, 160)))
-    ids = set(np.unique(labels))
-    categories = {c.category for c in label_space("cityscapes-ids").classes if c.id in ids}
-    assert categories >= set(CATEGORIES) and ids >= DYNAMIC
-    assert (labels[:, :10] == SKY).mean() > 0.4 and (labels[:, -10:] == ROAD).mean() > 0.6
-    assert not np.isin(labels[:, 70:], SKY).any()
-    assert not np.isin(labels[:, :50], (6, 7, 8, 9)).any()
-
-
 def test_frames_are_the_same_in_another_process():
     code = (
         "import hashlib, numpy as np; from ssrvlad_torch.datasets.synthetic_city import *;"
@@ -116,28 +85,6 @@ def test_labels_are_ids_of_the_label_space():
     ids, train_ids = (stack(drive(labels_as=space.name, noise=3.0)) for space in spaces)
     for label, train in np.unique(np.stack((ids.ravel(), train_ids.ravel())), axis=1).T:
         assert names[1][train] in (names[0][label], "ignored")
-
-
-@pytest.fixture
-def street():
-    """Sky over a building over a road, and a pole every ten pixels."""
-    labels = np.full((60, 90), SKY, np.uint8)
-    labels[20:40], labels[40:] = BUILDING, ROAD
-    labels[10:45, 5::10] = POLE
-    return labels
-
-
-def apply(add_error, strength, labels, seed=0):
-    return add_error(labels, strength, np.random.default_rng(seed))
-
-
-@pytest.mark.parametrize("add_error", ERRORS)
-def test_a_stronger_error_changes_more_pixels(street, add_error):
-    changed = [
-        np.mean([(apply(add_error, strength, street, n) != street).mean() for n in range(8)])
-        for strength in (0.5, 1.0, 2.0, 4.0)
-    ]
-    assert 0 < changed[0] < changed[1] < changed[2] < changed[3]
 
 
 def assert_written(folder, frames):
@@ -192,3 +139,34 @@ def test_a_written_city_is_its_frames_their_poses_and_true_matches(tmp_path):
 )
 def test_wrong_arguments_are_refused_by_name(call, message):
     refuses(message, call)
+
+
+# ---- the demo: the picture of queries and matches
+
+
+@pytest.mark.parametrize(
+    ("right", "matched", "expected"),
+    [
+        ([True] * 9, [True] * 9, [0, 4, 8]),
+        ([True] * 5 + [False] + [True] * 3, [True] * 9, [0, 4, 5]),
+        ([False] + [True] * 8, [True] * 9, [0, 4, 8]),
+        ([True, True], [True, True], [0, 1]),
+        ([True, False, True], [True, False, True], [0, 2]),
+    ],
+)
+def test_a_wrong_match_is_among_them_if_there_is_one(right, matched, expected):
+    assert chosen(right, matched, 3) == expected
+
+
+def test_right_is_green_and_wrong_is_red():
+    sky, road = np.full((48, 64), 10), np.full((48, 64), 0)
+    space = label_space("cityscapes-trainids")
+    names = ("query/000000", "reference/000000, score 0.50")
+    sheets = [
+        np.asarray(draw_pairs([Pair(sky, road, *names, right)] * 2, space))
+        for right in (True, False)
+    ]
+    for sheet, verdict in zip(sheets, ((26, 127, 55), (207, 34, 46)), strict=True):
+        found = {tuple(pixel) for pixel in np.unique(sheet.reshape(-1, 3), axis=0).tolist()}
+        assert {verdict, (70, 130, 180), (128, 64, 128)} <= found
+        assert (0, 0, 142) not in found

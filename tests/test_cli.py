@@ -85,13 +85,6 @@ def test_a_closed_stream_is_the_null_device(database, maps, tmp_path, closed):
     assert len(Database.open(database).load()) == 6
 
 
-def test_too_few_open_files_are_told_at_the_end(database, maps):
-    command = f"ulimit -n 8; {sys.executable} -m ssrvlad_torch query {database} {maps}"
-    code, out, (*_, line) = outcome("sh", "-c", command)
-    assert (code, out) == (2, [])
-    assert "too many open files" in line.lower() and "damaged" not in line
-
-
 CAMVID = "--labels-as camvid-11"
 NONE = f"-o none {CAMVID}"
 EVALUATE = "evaluate town.ssrdb monday"

@@ -11,7 +11,7 @@ from skimage.filters.rank import entropy
 from skimage.morphology import disk
 
 from ssrvlad_torch.baselines import cohog, make
-from ssrvlad_torch.baselines.cohog import local_entropy, region_descriptors, region_entropies
+from ssrvlad_torch.baselines.cohog import region_descriptors, region_entropies
 from ssrvlad_torch.channels.channel import View
 
 
@@ -50,16 +50,6 @@ def test_descriptors_equal_a_loop(size):
     assert result.dtype == torch.float32
     for gray, regions in zip(pictures, result, strict=True):
         np.testing.assert_allclose(regions.numpy(), plain_descriptors(gray), rtol=0, atol=1e-5)
-
-
-@pytest.mark.parametrize(("size", "radius"), [((100, 100), 5), ((7, 30), 5), ((13, 11), 2)])
-@pytest.mark.parametrize("levels", [2, 9, 256])
-def test_entropy_is_that_of_scikit_image(size, radius, levels):
-    rng = np.random.default_rng(levels)
-    pictures = rng.integers(256 - levels, 256, (2, *size), dtype=np.uint8)
-    result = local_entropy(torch.from_numpy(pictures), radius)
-    for gray, bits in zip(pictures, result, strict=True):
-        np.testing.assert_allclose(bits.numpy(), entropy(gray, disk(radius)), rtol=0, atol=1e-5)
 
 
 def test_entropies_of_regions_equal_those_of_the_libraries():

@@ -1,6 +1,5 @@
 """`ssrvlad query`, `locate`, `labels` and `show`."""
 
-import io
 import json
 
 import numpy as np
@@ -11,7 +10,6 @@ from networks import write_graph, write_street
 from PIL import Image
 
 from ssrvlad_torch import Database
-from ssrvlad_torch.datasets.synthetic_city import write_city
 
 
 def test_more_candidates_than_references_give_all_references(ssrvlad, database, maps):
@@ -187,32 +185,3 @@ def test_show_takes_an_image(network, ssrvlad, tmp_path):
     assert (np.abs(np.asarray(shown)[..., :3] - sky) < 2).all(-1).any()
     assert len([*(tmp_path / "cache").rglob("*.npz")]) == 1
     assert "--labels-as" in ssrvlad("show", frame, "-o", picture)[2][0]
-
-
-def test_frames_whose_names_arrive_are_answered_as_a_folder_online(ssrvlad, tmp_path, monkeypatch):
-    """The same candidates and confidences, and the poses."""
-    city = write_city(tmp_path / "city", frames=36, size=(60, 80))
-    town, today = tmp_path / "town.ssrdb", city / "query"
-
-    def arrive(*names):
-        lines = "".join(f"{name}\n" for name in names).encode()
-        monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(lines)))
-
-    assert (
-        ssrvlad("encode", city / "reference", "-o", town, "--labels-as", "cityscapes-trainids")[0]
-        == 0
-    )
-    given = ("--labels-as", "cityscapes-trainids", "--follow", "online", "--json")
-    lines = ssrvlad("query", town, today, *given)[1].splitlines()
-    arrive(*sorted(today.glob("*.png")))
-    live = ssrvlad("query", town, "-", *given)[1].splitlines()
-    assert len(lines) == len(live) > 0
-    same = "query", "candidates", "score_is", "confidence"
-    for whole, one in zip(map(json.loads, lines), map(json.loads, live), strict=True):
-        assert [whole[name] for name in same] == [one[name] for name in same]
-        assert [{*pose} for pose in one["poses"]] == [{"x", "y", "heading"}] * len(
-            one["candidates"]
-        )
-    arrive()
-    refused = ssrvlad("query", town, "-", "--labels-as", "cityscapes-trainids")[2]
-    assert "SOURCE - answers as frames come: expected --follow online, got offline" in refused[0]

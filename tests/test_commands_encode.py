@@ -185,13 +185,6 @@ def test_a_network_of_other_classes_is_refused_at_its_first_picture(ssrvlad, pho
     assert "net.onnx: no output fits label space synthia: got found (6, 12, 24, 32)" in lines[-1]
 
 
-def test_a_uri_is_a_source_and_an_unknown_scheme_is_refused(encode, maps, tmp_path):
-    code, _, (line,) = encode("ftp://host/a", "-o", tmp_path / "db")
-    assert code == 2 and "ftp" in line
-    assert not (tmp_path / "db").exists()
-    assert "6 frames encoded" in encode(maps.as_uri(), "-o", tmp_path / "db")[1]
-
-
 def test_another_segmenter_encodes_anew_and_says_so(encode, photos, tmp_path):
     """The same network, with other normalisation, labels the same pictures otherwise."""
     settings = (tmp_path / "net.yaml").read_text()

@@ -73,6 +73,15 @@ def test_a_wrong_argument_is_a_status(name, core):
     assert CALLS[name](core.library) == -2
 
 
+def test_where_memory_runs_short_the_status_says_so_and_the_stream_goes_on(core):
+    shape, settings = (ctypes.c_int64 * 3)(1 << 20, 1, 1), struct("loops_settings")(2, 0.8, 5000)
+    channel = struct("loops_channel")(0, shape, 1.0)
+    loops = core.library.ssrvlad_loops_new_for(INTERFACE, settings, channel, 1)
+    handle, reserve = ctypes.c_void_p(loops), core.library.ssrvlad_loops_reserve
+    assert [reserve(handle, frames) for frames in (1 << 40, 9)] == [number("NO_MEMORY"), 0]
+    core.library.ssrvlad_loops_free(handle)
+
+
 def settings_of(config):
     values = {name: getattr(config, name) for name, *_ in struct("settings")._fields_}
     values.update({name: names.index(values[name]) for name, names in CHOICES.items()})

@@ -72,11 +72,6 @@ def test_a_writer_loses_nothing_at_any_call(shim, tmp_path, kind):
     assert int(crashes(shim, tmp_path, kind, "1")[0][0]) >= 100
 
 
-@pytest.mark.slow
-def test_a_writer_that_is_killed_at_any_moment_loses_nothing(shim, tmp_path):
-    assert crashes(shim, tmp_path, "random", "50") == [["50"]]
-
-
 def test_a_file_system_without_hard_links_is_named_and_nothing_stays(shim, tmp_path):
     program = "import sys, ssrvlad_torch as s; s.Database.create(sys.argv[1], width=6)"
     done = subprocess.run(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 from helpers import street, write_maps
-from networks import photo, write_named_network, write_photos
+from networks import photo
 
 from ssrvlad_torch import SSRVLAD, LoopDetector, Map
 from ssrvlad_torch.loops.config import LoopConfig
@@ -55,13 +55,6 @@ def queried(folder):
     return town.database.load().descriptors, *content_of(town.query(today))
 
 
-def located(folder):
-    town = Map.open(folder / "town", str(write_named_network(folder)))
-    pictures = write_photos(folder / "monday")
-    town.add(pictures)
-    return content_of(town.locate(sorted(pictures.iterdir())))
-
-
 def content_of(answers):
     """The candidates, scores and confidences of answers."""
     answers = [*answers]
@@ -73,13 +66,9 @@ def content_of(answers):
 JOBS = {
     "descriptors": described,
     "descriptors of the paper": lambda folder: described(folder, "paper"),
-    "anchors": lambda _: [
-        SSRVLAD.from_preset("default", labels_as="camvid-11").sweep(MAPS, (-4, 0, 4))
-    ],
     "a network's input and features": prepared,
     "loops": looped,
     "a map of label maps": queried,
-    "pictures that are located": located,
 }
 
 

@@ -27,39 +27,6 @@ def rows(*matches):
     return [np.array(match, np.int64) for match in matches]
 
 
-@pytest.mark.parametrize(
-    ("scores", "indices", "message"),
-    [
-        (np.ones((2, 3)), np.zeros((2, 2), int), r"of one shape .*\(2, 3\) and \(2, 2\)"),
-        (np.ones((2, 0)), np.zeros((2, 0), int), "top >= 1"),
-        (np.ones((3, 1)), np.zeros((3, 1), int), "candidates for 2 queries"),
-        (np.ones(2), np.zeros(2, int), r"for 2 queries, got \(2,\)"),
-        (np.array([[1.0, 0], [1, math.nan]]), np.zeros((2, 2), int), "1 of 2 queries have scores"),
-        (np.array([[INF], [math.nan]]), np.zeros((2, 1), int), "2 of 2 queries"),
-        (np.array([[0.9], [0.9]]), np.array([[0], [-1]]), "a score but no row"),
-    ],
-)
-def test_scores_and_truth_of_other_shapes_are_refused(scores, indices, message):
-    refuses(message, judge, scores, indices, rows([0], [0]))
-
-
-def recall_rate(indices, truth, n):
-    scores = np.where(indices < 0, -INF, 0.5)
-    return evaluate(scores, indices, truth, at=(n,))["recall_at"][str(n)]
-
-
-def test_recall_rates_equal_those_by_hand():
-    """The first true match of four queries stands at place 1, 2 and 4; the last query has none.
-    Then without candidates, true matches or queries."""
-    indices = np.array([[5, 1, 2, 3], [1, 6, 2, 3], [9, 8, 0, 7], [0, 1, 2, 3]])
-    truth = rows([5], [6, 100], [7], [])
-    rates = [recall_rate(indices, truth, n) for n in (1, 2, 3, 4)]
-    assert rates == pytest.approx([1 / 3, 2 / 3, 2 / 3, 3 / 3])
-    assert recall_rate(np.array([[-1, -1], [0, -1]]), rows([3], [0]), 2) == 0.5
-    assert math.isnan(recall_rate(np.array([[1], [2]]), rows([], []), 1))
-    assert math.isnan(recall_rate(np.zeros((0, 5), np.int64), [], 1))
-
-
 def test_evaluate_refuses_what_it_cannot_compute():
     given = np.ones((2, 4)), np.zeros((2, 4), np.int64), rows([0], [1])
     for message, settings in (

@@ -8,7 +8,6 @@ import pytest
 import torch
 from drawings import SPACE, VOID, blobs, degenerate
 from exported import (
-    COLUMNS,
     CUSTOM,
     RARE,
     assert_equal,
@@ -26,16 +25,17 @@ from exported import (
     write_space,
 )
 from helpers import refuses
-from kornia.onnx import ONNXSequential
-from networks import photo, write_graph
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig
 from ssrvlad_torch.deployment import export
 from ssrvlad_torch.deployment.export import export_head
+from ssrvlad_torch.deployment.golden import SIZE, golden_pair
 from ssrvlad_torch.deployment.metadata import Metadata
 from ssrvlad_torch.deployment.trace import OPSET
 from ssrvlad_torch.deployment.verify import verify
+from ssrvlad_torch.recognition.sweep import COLUMNS
 from ssrvlad_torch.stages.vanishing_column import MAX_WIDTH
+from ssrvlad_torch.taxonomy import label_space_names
 
 
 @pytest.mark.parametrize(
@@ -45,16 +45,6 @@ def test_the_file_and_the_module_agree_at_other_settings(name):
     config = of_preset(**CUSTOM[name])
     for labels in (random_blobs(0), random_blobs(3), noise(2), degenerate()["one pixel"]):
         assert_parity(labels[None], config)
-
-
-def test_rounding_errors_of_tiny_maps_stay_below_what_the_page_says():
-    """Of them, too, export/README.md has a figure."""
-    config, rng = of_preset("default"), np.random.default_rng(0)
-    head, run, errors = SSRVLAD(config), run_of(config), []
-    for _ in range(600):
-        labels = rng.integers(0, 12, (1, *rng.integers(1, 4, 2))).astype(np.uint8)
-        errors.append(np.abs(run(labels)[0] - head(labels).numpy()).max())
-    assert max(errors) < 2e-6
 
 
 def test_a_file_that_does_not_load_is_refused(tmp_path, monkeypatch):
@@ -67,7 +57,7 @@ def test_a_file_that_does_not_load_is_refused(tmp_path, monkeypatch):
 
 
 def test_a_sweep_is_that_of_the_module(tmp_path):
-    config = of_preset("default")
+    config = of_preset("default", labels_as="cityscapes-trainids")  # as of other tests: one trace
     export_head(config, tmp_path / "sweep.onnx", columns=COLUMNS)
     assert verify(tmp_path / "sweep.onnx").passed
     model = session((tmp_path / "sweep.onnx").read_bytes())
@@ -222,11 +212,27 @@ def test_the_command_writes_the_bytes_that_the_function_writes(ssrvlad, tmp_path
     assert written[0].read_bytes() == written[1].read_bytes()
 
 
-def test_kornia_chains_a_network_and_the_head(tmp_path):
-    config, labels = of_preset("default"), blobs(0, 24, 32, 12)
-    network, head = write_graph(tmp_path / "network.onnx"), tmp_path / "head.onnx"
-    onnx.save(model_of(config, "logits"), head)
-    joints = {"io_maps": [[("found", "logits")]], "target_opset_version": OPSET}
-    chain = ONNXSequential(str(network), str(head), target_ir_version=10, **joints)
-    picture = np.float32(photo(labels).transpose(2, 0, 1)[None] / 255)
-    assert_equal(chain(picture), labels[None], config)
+@pytest.mark.parametrize("space", label_space_names())
+def test_every_id_of_the_space_is_in_the_input_and_one_that_is_not(space):
+    head = SSRVLAD.from_preset("default", labels_as=space)
+    pair = golden_pair(head, "labels", "int64")
+    assert pair["labels"].shape[1:] == SIZE
+    known = {label.id for label in head.label_space.classes}
+    (unknown,) = set(np.unique(pair["labels"])) - known
+    assert known < set(np.unique(pair["labels"]))
+    assert unknown.astype(np.int32) in known, "32 bits do not tell them apart"
+    np.testing.assert_array_equal(pair["unknown"], (pair["labels"] == unknown).sum((1, 2)))
+    assert pair["unknown"][-1] > 0
+
+
+def test_the_golden_input_is_changed_by_every_stage():
+    """The golden pair can only check the stages that change something."""
+    head = SSRVLAD.from_preset("default", labels_as="camvid-32")
+    pair = golden_pair(head, "labels", "uint8")
+    assert head.explain(pair["labels"][:1]).layers.shape[2:] != SIZE
+    head = SSRVLAD.from_preset("paper", labels_as="camvid-32")
+    view = head.explain(pair["labels"][:1])
+    assert not torch.equal(view.layers, view.clean_layers)
+    assert view.intersections.any()
+    counts = golden_pair(head, "labels", "uint8")["keypoints"]
+    np.testing.assert_array_equal(counts[:1], view.keypoints.sum((2, 3)))

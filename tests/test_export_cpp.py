@@ -1,17 +1,13 @@
-"""The C++ package and its programs against the module, and the page that says how to use them;
-needs CMake, zlib and the headers of ONNX Runtime: in the folder that ORT_ROOT names, or as a CMake
-package."""
+"""The programs in C++: what they read and refuse; their answers are held to the core by
+conformance/. See `built.user` for what they need."""
 
 import base64
 import json
 import math
-import os
 import re
-import shlex
 import shutil
 import signal
 import subprocess
-import sys
 import zlib
 from functools import partial
 from pathlib import Path
@@ -20,18 +16,15 @@ import numpy as np
 import pytest
 import run_onnx
 import torch
-from built import commands, must
 from exported import edit_golden, turned, without_property, write_categories
 from helpers import assert_each_is_one_line, outcome, street
 from loop_streams import SEEDS, assert_same_answers, objects
-from networks import photo, write_graph, write_town
+from networks import photo, write_town
 from PIL import Image
 from ssrvlad_place.database import save
 from ssrvlad_place.model import Description
 
-from ssrvlad_torch import SSRVLAD, SSRVLADConfig, export_head, match
-from ssrvlad_torch.datasets.synthetic_city import write_city
-from ssrvlad_torch.deployment.fuse import fuse
+from ssrvlad_torch import SSRVLAD, SSRVLADConfig
 
 CONFIG = SSRVLADConfig(labels_as="camvid-11")
 
@@ -60,35 +53,24 @@ def loops(build):
     return partial(outcome, build / "loops")
 
 
-def write_database(path, descriptors, folder):
-    names = [f"{folder}/{number}" for number in range(len(descriptors))]
-    save(path, [*map(Description, descriptors.numpy())], names, {"ssr-vlad": CONFIG.fingerprint})
-
-
 @pytest.fixture
 def town(tmp_path):
-    """Six label maps as arrays, their descriptors as a database."""
+    """A label map in two forms, and a database of six."""
     labels = np.stack([street(seed) for seed in range(6)])
-    view = SSRVLAD(CONFIG).explain(torch.from_numpy(labels))
-    write_database(tmp_path / "town.npy", view.descriptor, "maps")
+    descriptors, names = SSRVLAD(CONFIG)(labels).numpy(), [f"maps/{n}" for n in range(6)]
+    path = tmp_path / "town.npy"
+    save(path, [*map(Description, descriptors)], names, {"ssr-vlad": CONFIG.fingerprint})
     np.save(tmp_path / "map.npy", labels[2])
     Image.fromarray(labels[2]).save(tmp_path / "map.pgm")
-    return view
 
 
-def ranked(lines):
-    """The frames that the program names, and their scores."""
-    found = [line.split() for line in lines[1:]]
-    return [frame for frame, _ in found], [float(score) for _, score in found]
-
-
-@pytest.mark.parametrize("name", ["map.npy", "map.pgm"])
-def test_the_program_prints_what_the_module_finds(place, head, town, tmp_path, name):
-    code, lines, errors = place(head, tmp_path / name, tmp_path / "town.npy", 4)
-    assert (code, errors) == (0, [])
-    assert re.fullmatch(r"descriptor: 480 numbers, norm 1.000000, confidence \d\.\d\d", lines[0])
-    scores, rows = (part[0].tolist() for part in match(town.descriptor[2:3], town.descriptor, 4))
-    assert ranked(lines) == ([f"maps/{row}" for row in rows], pytest.approx(scores, abs=1e-5))
+def test_an_array_and_a_pgm_of_one_label_map_have_one_answer(place, head, town, tmp_path):
+    first, second = (
+        place(head, tmp_path / name, tmp_path / "town.npy", 4) for name in ("map.npy", "map.pgm")
+    )
+    assert first == second and (first[0], first[2]) == (0, [])
+    pattern = r"descriptor: 480 numbers, norm 1.000000, confidence \d\.\d\d\nmaps/2 1\.0000\d*\n"
+    assert re.match(pattern, "\n".join(first[1]))
 
 
 @pytest.fixture
@@ -173,17 +155,6 @@ def test_wrong_use_is_one_line(build, head, bad, monkeypatch, program):
     assert_each_is_one_line(partial(outcome, build / program), table, silent=False)
 
 
-@pytest.fixture(scope="module")
-def drive(tmp_path_factory):
-    """A network with the head in one file and in two, and a photograph."""
-    folder = tmp_path_factory.mktemp("drive")
-    network = write_graph(folder / "seg.onnx")
-    fuse(network, CONFIG, folder / "place.onnx")
-    fuse(network, CONFIG, folder / "net.onnx", folder / "head.onnx")
-    np.save(folder / "photo.npy", photo(street(1, 60, 90)))
-    return folder
-
-
 def test_channels_of_another_network_or_of_one_side_only(place, drives, tmp_path):
     town, turned_signs = tmp_path / "town.npy", tmp_path / "turned.onnx"
     write_town(drives, town)
@@ -204,15 +175,16 @@ def test_channels_of_another_network_or_of_one_side_only(place, drives, tmp_path
     assert code == 2 and " % of its features differ" in line and " 0.000000 % of its lab" in line
 
 
-def test_a_runtime_that_gets_the_golden_pair_wrong_is_refused(place, drive, tmp_path):
-    head = edit_golden(drive / "head.onnx", tmp_path / "head.onnx", turned("labels"))
-    fused = edit_golden(drive / "place.onnx", tmp_path / "place.onnx", turned("image"))
-    net = edit_golden(drive / "net.onnx", tmp_path / "net.onnx", turned("image"))
-    photograph = drive / "photo.npy"
+def test_a_runtime_that_gets_the_golden_pair_wrong_is_refused(place, coloured, tmp_path):
+    head = edit_golden(coloured / "head.onnx", tmp_path / "head.onnx", turned("labels"))
+    fused = edit_golden(coloured / "place.onnx", tmp_path / "place.onnx", turned("image"))
+    net = edit_golden(coloured / "net.onnx", tmp_path / "net.onnx", turned("image"))
+    photograph = tmp_path / "photo.npy"
+    np.save(photograph, photo(street(1, 60, 90)))
     for model in (
         [fused],
-        ["--network", drive / "net.onnx", head],
-        ["--network", net, drive / "head.onnx"],
+        ["--network", coloured / "net.onnx", head],
+        ["--network", net, coloured / "head.onnx"],
     ):
         code, lines, (line,) = place(*model, photograph)
         assert (code, lines) == (2, [])
@@ -239,8 +211,8 @@ def as_bytes(golden):
         (as_bytes, "is computed wrong here"),
     ],
 )
-def test_a_damaged_golden_pair_is_one_line(place, drive, tmp_path, change, message):
-    edit_golden(drive / "head.onnx", tmp_path / "x.onnx", change)
+def test_a_damaged_golden_pair_is_one_line(place, coloured, tmp_path, change, message):
+    edit_golden(coloured / "head.onnx", tmp_path / "x.onnx", change)
     np.save(tmp_path / "map.npy", np.zeros((4, 5), np.uint8))
     code, _, (line,) = place(tmp_path / "x.onnx", tmp_path / "map.npy")
     assert code == 2
@@ -364,121 +336,3 @@ def test_a_stream_that_is_interrupted_is_saved(build, head, stream, tmp_path):
     saved = np.load(tmp_path / "memory.npy")["frame"]
     assert [json.loads(line)["frame"].encode() for line in lines] == saved.tolist()
     assert process.returncode == (130 if len(lines) < len(SEEDS) else 0)
-
-
-FRAMES = r"""
-#include <ssrvlad/loops.hpp>
-#include <ssrvlad/map.hpp>
-#include <ssrvlad/place.hpp>
-
-#include <thread>
-
-int main(int, char** files) {
-  const ssrvlad::Place place(files[1]);
-  const std::vector<std::int64_t> labels(12 * 9, 0);
-  ssrvlad::Described seen, same;
-  std::thread other([&] { same = place.describe(labels.data(), 12, 9); });
-  seen = place.describe(labels.data(), 12, 9);
-  other.join();
-  for (float number : seen.descriptor) std::printf("%.9g\n", number);
-  ssrvlad::Loops loops(place.fingerprints());
-  const ssrvlad::Map town(files[2], place.fingerprints());
-  loops.update("a/1", seen);
-  ssrvlad::Tracker tracker(town, 1), later(town, 1);
-  tracker.update(seen);
-  tracker.save(files[3]);
-  later.load(files[3]);
-  const auto answer = tracker.update(seen), again = later.update(seen);
-  const bool goes_on = answer->query == 0 && !answer->settled && tracker.finish()->query == 1 &&
-                       answer->candidates[0].score == again->candidates[0].score;
-  const bool right = goes_on && town.locate(seen).found() && loops.size() == 1;
-  return right && seen.descriptor == same.descriptor ? 0 : 1;
-}
-"""
-HEAD_OF_CORE = """
-#include <ssrvlad/ssrvlad.h>
-#include <cstdio>
-int main() {
-  ssrvlad_settings settings;
-  ssrvlad_preset("default", &settings);
-  ssrvlad_head* head = ssrvlad_new(&settings);
-  std::puts(ssrvlad_fingerprint(head));
-  ssrvlad_free(head);
-}
-"""
-
-
-def consumer(folder, program, *lines):
-    """The compiled program of a project that takes the package, without ORT_ROOT."""
-    folder.mkdir()
-    (folder / "main.cpp").write_text(program)
-    head = "cmake_minimum_required(VERSION 3.16)", "project(consumer LANGUAGES CXX)"
-    (folder / "CMakeLists.txt").write_text("\n".join((*head, *lines)))
-    unset = ("env", "--unset=ORT_ROOT", "cmake")
-    must(*unset, "-S", folder, "-B", folder / "build", "-DCMAKE_UNITY_BUILD=ON")
-    must("cmake", "--build", folder / "build")
-    return folder / "build" / "consumer"
-
-
-PROGRAM = "add_executable(consumer main.cpp)"
-GUIDE = Path(__file__).parents[1] / "docs" / "guides" / "onnx.md"
-LISTINGS = re.findall(r"```cpp\n(.*?)```", GUIDE.read_text("utf-8"), re.DOTALL)
-
-
-def found(user, component=""):
-    """How CMake finds the installed package."""
-    return f"find_package(ssrvlad REQUIRED {component} PATHS {user / 'installed'} NO_DEFAULT_PATH)"
-
-
-def test_a_project_finds_the_installed_core(user, tmp_path):
-    link = "target_link_libraries(consumer PRIVATE ssrvlad::core)"
-    program = consumer(tmp_path / "c", HEAD_OF_CORE, found(user), PROGRAM, link)
-    assert outcome(program) == (0, [CONFIG.fingerprint], [])
-
-
-def test_a_project_finds_the_installed_core_by_pkg_config(user, tmp_path):
-    if not shutil.which("pkg-config"):
-        pytest.skip("pkg-config is not installed")
-    (folder,) = (user / "installed").rglob("pkgconfig")
-    paths = {**os.environ, "PKG_CONFIG_PATH": str(folder)}
-    _, (flags,), _ = outcome("pkg-config", "--static", "--cflags", "--libs", "ssrvlad", env=paths)
-    (tmp_path / "main.cpp").write_text(HEAD_OF_CORE)
-    must("g++", tmp_path / "main.cpp", *flags.split(), "-o", tmp_path / "program")
-    assert outcome(tmp_path / "program") == (0, [CONFIG.fingerprint], [])
-
-
-def test_a_project_finds_the_installed_place(user, tmp_path):
-    """Wide labels, from two threads; beside the listing of the guide."""
-    link = "target_link_libraries(consumer PRIVATE ssrvlad::place)"
-    main, package = "".join(LISTINGS) + FRAMES, found(user, "COMPONENTS place")
-    program = consumer(tmp_path / "c", main, package, PROGRAM, link)
-    export_head(CONFIG, tmp_path / "wide.onnx", dtype="int64")
-    write_database(tmp_path / "two.npy", torch.eye(480)[:2], "a")
-    code, lines, errors = outcome(
-        program, tmp_path / "wide.onnx", tmp_path / "two.npy", tmp_path / "state"
-    )
-    assert (code, errors) == (0, [])
-    expected = SSRVLAD(CONFIG)(np.zeros((1, 12, 9), np.int64))[0]
-    np.testing.assert_allclose(np.array(lines, float), expected, atol=1e-6)
-
-
-def test_the_commands_of_the_page_run(user):
-    """Those of CMake built what is here, npm's and a GPU's are left out."""
-    write_city(user / "city", frames=33, size=(48, 64))
-    (user / "maps").mkdir()
-    for day, role in (("monday", "reference"), ("today", "query")):
-        shutil.copytree(user / "city" / role, user / "maps" / day)
-        (user / "photos" / day).mkdir(parents=True)
-        for file in sorted((user / "maps" / day).iterdir())[:4]:
-            ids = np.asarray(Image.open(file))
-            Image.fromarray(photo(ids)).save(user / "photos" / day / f"{file.stem}.ppm")
-    np.save(user / "map.npy", np.asarray(Image.open(file)))
-    write_categories(user / "categories.npy", "cityscapes-trainids")
-    write_graph(user / "seg.onnx", labels=True)
-    (user / "seg.yaml").write_text("network: seg.onnx\nlabels_as: cityscapes-trainids\n")
-    for command in commands("ssrvlad", "python", "build"):
-        if "CUDA" in command or "512x1024" in command:
-            continue
-        program, *arguments = shlex.split(command)
-        programs = {"python": [sys.executable], "ssrvlad": [sys.executable, "-m", "ssrvlad_torch"]}
-        must(*programs.get(program, [user / program]), *arguments, cwd=user)

@@ -107,7 +107,8 @@ def test_what_is_done_to_pictures_is_in_the_file(settings, tmp_path):
         assert_labelled(segmenter, tmp_path / "net.onnx", pictures(*size), 1e-4)
 
 
-def test_a_module_and_the_paper(tmp_path):
+@pytest.mark.parametrize("preset", ["default", pytest.param("paper", marks=pytest.mark.slow)])
+def test_a_module(preset, tmp_path):
     class Scores(Strided):
         """More channels than classes, as from torchvision, at stride 4."""
 
@@ -116,11 +117,11 @@ def test_a_module_and_the_paper(tmp_path):
             return {"out": torch.cat([scores, scores + 1], 1), "aux": -scores}
 
     segmenter = Segmenter(Scores(4), SPACE, PLAIN, classes=(0, CLASSES), output="out")
-    paper = SSRVLADConfig.from_preset("paper", labels_as=SPACE)
-    fused = fuse(segmenter, paper, tmp_path / "place.onnx")
+    config = SSRVLADConfig.from_preset(preset, labels_as=SPACE)
+    fused = fuse(segmenter, config, tmp_path / "place.onnx")
     assert (fused.name, fused.settings["classes"]) == ("Scores", (0, CLASSES))
     for size in ((133, 171), (90, 64)):
-        assert_fused(segmenter, tmp_path / "place.onnx", pictures(*size), paper)
+        assert_fused(segmenter, tmp_path / "place.onnx", pictures(*size), config)
     assert verify(tmp_path / "place.onnx").passed
 
 

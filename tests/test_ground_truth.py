@@ -309,20 +309,6 @@ def test_numbers_of_the_truth_count_images_not_label_maps(recognise, tmp_path):
 ODD = ("--every", 2, "--start", 1)
 
 
-def test_numbers_of_the_truth_count_images_not_every_so_many(recognise):
-    assert recognise(querying=ODD)[0] == (0, 6, 3, 2, 1.0)
-    figures, err = recognise(encoding=ODD)
-    assert figures == (0, 3, 6, 2, 1.0)
-    assert "2 references of " in err[0]
-    assert "are not in the database, the first is ref/000" in err[0]
-
-
-def test_a_skipped_frame_keeps_its_number(recognise, tmp_path):
-    for folder in ("ref", "query"):
-        (tmp_path / "maps" / folder / "000.png").write_text("no image")
-    assert recognise()[0] == (3, 5, 5, 3, 1.0)
-
-
 @pytest.mark.parametrize(("frames", "with_match"), [(1, 2), (0, 0)])
 def test_frames_of_the_tolerance_are_those_of_the_data_set(recognise, frames, with_match):
     near = ("--tolerance-frames", frames, "--every", 3, "--start", 1)

@@ -1,10 +1,15 @@
-"""What docs/ tells a user to type, typed: commands of ssrvlad and Python, page by page."""
+"""What docs/ tells a user to type, typed: commands of ssrvlad and Python, page by page; figures
+that pages quote, the tutorial, and the examples of docstrings."""
 
 import dataclasses
+import doctest
 import re
+from importlib import import_module
 from pathlib import Path
 
+import nbformat
 import pytest
+import tutorial
 import yaml
 from test_readme import blocks, maps, photos, run, town  # noqa: F401 - fixtures
 
@@ -57,3 +62,51 @@ def test_the_page_of_networks_has_every_setting():
     assert document.keys() <= keys
     given = {k: tuple(v) if isinstance(v, list) else v for k, v in document.items()}
     SegmenterConfig(**{key: given[key] for key in given.keys() & settings})
+
+
+@pytest.mark.parametrize(
+    ("script", "file"), [("fusion", "README.md"), ("loops", "docs/guides/loops.md")]
+)
+def test_quoted_figures_are_those_of_the_table(script, file):
+    text = (ROOT / file).read_text(encoding="utf-8")
+    [quoted] = re.findall(f"<!-- {script} -->(.*?)<!-- /{script} -->", text, re.S)
+    assert quoted == import_module(script).excerpt()
+    assert len(re.findall(r"\b0\.\d\d", quoted)) >= 4
+
+
+MODULES = (
+    "database.database",
+    "descriptor",
+    "loops.detector",
+    "native.map",
+    "recognition.matching",
+    "recognition.recognise",
+    "segmentation.preparation",
+    "segmentation.segmenter",
+    "soft.descriptor",
+    "stages.features",
+)
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_the_example_of_a_docstring_runs_by_itself(module, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    found = doctest.DocTestFinder().find(import_module(f"ssrvlad_torch.{module}"), globs={})
+    results = [doctest.DocTestRunner().run(each) for each in found if each.examples]
+    assert results and not any(result.failed for result in results)
+
+
+def outputs_of(notebook):
+    """What the cells print, their tables, and which of them give pictures."""
+    outputs = [output for cell in notebook.cells for output in cell.get("outputs", [])]
+    texts = [output.text for output in outputs if output.output_type == "stream"]
+    tables = [output.data.get("text/html", "") for output in outputs if "data" in output]
+    pictures = [any("png" in str(form) for form in output.get("data", {})) for output in outputs]
+    return texts, [text for text in tables if "<table>" in text], pictures
+
+
+def test_the_notebook_gives_the_outputs_that_it_keeps():
+    kept = nbformat.read(tutorial.NOTEBOOK, as_version=4)
+    texts, tables, pictures = outputs_of(kept)
+    assert (len(texts), len(tables), sum(pictures)) == (5, 2, 3)
+    assert outputs_of(tutorial.executed()) == (texts, tables, pictures)

@@ -186,9 +186,6 @@ def test_gray_has_the_bits_that_its_file_states(content):
     assert np.abs(difference).max() <= 1
 
 
-# ---- arrays
-
-
 # ---- which files are frames
 
 

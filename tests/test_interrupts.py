@@ -23,6 +23,14 @@ ADD, INDEX = ["map.py", "database", "encoding/plan.py"], ["search"]
 VECTORS = views([*range(40), *range(10, 40)])
 
 
+steps = pytest.mark.parametrize("step", [3, pytest.param(1, marks=pytest.mark.slow)])
+"""At every third line and the last ten; the slow tests interrupt at every one."""
+
+
+def numbers(lines, step):
+    return sorted({*range(1, lines.count + 1, step), *range(lines.count - 9, lines.count + 1)})
+
+
 def show(detector, row):
     """Shows a frame, unless the detector has it already."""
     name = f"{'first' if row < 40 else 'again'}/{row}"
@@ -38,13 +46,14 @@ def detector_of(rows):
     return detector
 
 
-def test_after_an_interrupted_update_the_stream_goes_on_as_if_there_was_none():
+@steps
+def test_after_an_interrupted_update_the_stream_goes_on_as_if_there_was_none(step):
     """The frame is shown again if the detector does not have it."""
     undisturbed, detector = detector_of(50), detector_of(50)
     expected = [show(undisturbed, row) for row in range(50, 60)]
     lines, sizes = Lines(STREAM), set()
     lines.run(lambda: show(detector, 50))
-    for at in range(1, lines.count + 1):
+    for at in numbers(lines, step):
         detector = detector_of(50)
         assert Lines(STREAM, at).run(partial(show, detector, 50))
         sizes.add(len(detector))
@@ -56,14 +65,15 @@ def test_after_an_interrupted_update_the_stream_goes_on_as_if_there_was_none():
     assert any(result.accepted for result in expected[1:])
 
 
-def test_after_an_interrupted_save_the_next_one_goes_on(tmp_path):
+@steps
+def test_after_an_interrupted_save_the_next_one_goes_on(tmp_path, step):
     """Whether its commit was made or not; the stream has gone on meanwhile."""
     lines, detector = Lines(STORE), detector_of(2)
     database = Database.create(tmp_path / "first", HEAD.config)
     lines.run(lambda: detector.save(database))
     fresh = set()
-    for at in range(1, lines.count + 1):
-        if at % 20 == 1:  # a database of few versions is fast
+    for turn, at in enumerate(numbers(lines, step), 1):
+        if turn % 20 == 1:  # a database of few versions is fast
             database, detector = Database.create(tmp_path / str(at), HEAD.config), detector_of(0)
         before = len(detector)
         show(detector, before)
@@ -71,7 +81,7 @@ def test_after_an_interrupted_save_the_next_one_goes_on(tmp_path):
         fresh.add(len(Database.open(database.path)) - before)
         show(detector, before + 1)
         detector.save(database)
-        if at % 20 == 0 or at == lines.count:
+        if turn % 20 == 0 or at == lines.count:
             stored = LoopDetector.load(Database.open(database.path), CONFIG, HEAD)
             assert stored.frames == detector.frames
             vectors = Database.open(database.path).load()
@@ -104,7 +114,7 @@ def places(answers):
     ("files", "stored"), [(ADD, 0), pytest.param(INDEX, 2, marks=pytest.mark.slow)]
 )
 def test_after_an_interrupted_add_the_map_goes_on(tmp_path, files, stored):
-    """At every third line of a new one, or of one of two frames with an index: it has what is
+    """At every sixth line of a new one, or of one of two frames with an index: it has what is
     stored, and the next `add` adds what is missing."""
     maps = write_maps(tmp_path / "monday", range(3))
     right = Map.open(tmp_path / "right", labels_as="camvid-11")
@@ -123,7 +133,7 @@ def test_after_an_interrupted_add_the_map_goes_on(tmp_path, files, stored):
 
     lines, sizes = Lines(files), set()
     lines.run(lambda: add(town_of("first"), maps))
-    for at in range(1, lines.count + 1, 3):
+    for at in range(1, lines.count + 1, 6):
         town = town_of(str(at))
         if not Lines(files, at).run(partial(add, town, maps)):
             break  # of the first run, lines of imports are left
@@ -133,7 +143,7 @@ def test_after_an_interrupted_add_the_map_goes_on(tmp_path, files, stored):
         frames = town.database.load()
         assert frames.frames == expected.frames
         assert torch.equal(frames.descriptors, expected.descriptors)
-        if at % 20 == 0:
+        if at % 30 == 1:
             assert places(town.query(maps)) == answers
         shutil.rmtree(town.path)
     assert 3 in sizes and (stored or 0 in sizes)

@@ -12,7 +12,6 @@ from helpers import refused, refuses
 from layout_copies import (
     AUTUMN,
     CITIES,
-    CORRIDOR,
     DRIVES,
     FALL,
     FRONT,
@@ -28,7 +27,6 @@ from layout_copies import (
     cityscapes,
     extended_cmu,
     image,
-    needs_corridor,
     outline,
     plant,
     robotcar,
@@ -39,7 +37,6 @@ from layout_copies import (
 )
 
 from ssrvlad_torch.datasets.dataset import GroundTruth
-from ssrvlad_torch.datasets.image_files import read_image
 from ssrvlad_torch.datasets.label_files import find_label_files, read_label_map
 from ssrvlad_torch.datasets.layouts import LAYOUTS, open_dataset
 from ssrvlad_torch.datasets.poses import UNKNOWN
@@ -97,7 +94,10 @@ def of(*makers):
 
 @pytest.mark.parametrize(("copy", "layout", "space", "truth", "frames"), FOUND, indirect=["copy"])
 def test_each_layout_has_its_traverses_label_space_and_truth(copy, layout, space, truth, frames):
+    """It is recognised by its folders, and by no other but plain folders, which come last."""
     dataset = open_dataset(copy)
+    others = {other.name for other in LAYOUTS if other.recognises(copy)}
+    assert others <= {layout, "folders"} and open_dataset(str(copy), layout).layout == layout
     assert (dataset.layout, dataset.labels_as) == (layout, space)
     assert outline(dataset) == frames
     declared = layout in ("robotcar-seasons", "extended-cmu", "vpr-bench")
@@ -203,26 +203,6 @@ def test_a_folder_of_a_data_set_is_a_data_set(copy, folder, below, monkeypatch):
     assert list(outline(open_dataset(".."))) == names
 
 
-SMALLEST = {
-    "extended-cmu": "slice7/database/img_00119_c0_1287503873253450us.jpg",
-    "robotcar-seasons": "images/dawn/rear/1418721355795420.jpg",
-    "synthia": "SYNTHIA-SEQS-04-FALL/RGB/Stereo_Left/Omni_F/000000.png",
-    "cityscapes": "leftImg8bit/train/aachen/aachen_000000_000019_leftImg8bit.png",
-    "camvid": "701_StillsRaw_full/0001TP_006690.png",
-    "vpr-bench": "query/0000000.jpg",
-    "folders": "monday/000000.jpg",
-}
-
-
-@pytest.mark.parametrize("name", [layout.name for layout in LAYOUTS])
-def test_each_layout_is_recognised_by_its_folders_and_by_no_other(tmp_path, name):
-    """Plain folders, which accept most data, come last."""
-    plant(tmp_path, SMALLEST[name], *(["ref/0000000.jpg"] if name == "vpr-bench" else []))
-    assert open_dataset(tmp_path).layout == open_dataset(str(tmp_path), name).layout == name
-    others = [layout.name for layout in LAYOUTS if layout.recognises(tmp_path)]
-    assert set(others) <= {name, "folders"}
-
-
 def test_a_layout_that_does_not_fit_is_refused_with_what_was_wanted_and_found(tmp_path):
     plant(tmp_path, "slice7/images/1.jpg", "slice10/images/1.jpg")
     write(tmp_path / "intrinsics.txt", "")
@@ -308,14 +288,3 @@ def test_the_day_of_a_traverse_does_not_depend_on_the_time_zone(copy, monkeypatc
     finally:
         monkeypatch.undo()
         time.tzset()
-
-
-@needs_corridor
-def test_the_corridor_of_vpr_bench_is_recognised():
-    dataset = open_dataset(CORRIDOR)
-    counts = {name: len(frames) for name, frames in outline(dataset).items()}
-    assert counts == {"query": 111, "ref": 111}
-    assert dataset.truth.file.name == "corridor.ground_truth_new.npy"
-    assert dataset.warnings == []
-    first = dataset.select(role="query").files("image")[0]
-    assert (first.frame, read_image(first).shape) == ("query/0000000", (120, 160, 3))

@@ -4,7 +4,6 @@ import io
 import json
 import os
 import re
-import signal
 import subprocess
 import sys
 
@@ -14,9 +13,7 @@ from loop_streams import SEEDS, objects, write_drive
 from PIL import Image
 
 from ssrvlad_torch import Database
-from ssrvlad_torch.loops.config import LoopConfig
 from ssrvlad_torch.loops.detector import LoopDetector
-from ssrvlad_torch.loops.stream import detect_loops, encode_as_they_come, open_detector
 
 SETTINGS = ("--exclude", 5, "--no-sweep")
 LOOPS = {f"drive/{n}": f"drive/{n - 30}" for n in range(42, 54)}
@@ -199,41 +196,6 @@ def test_a_memory_says_what_ids_mean(ssrvlad, drive, tmp_path):
     assert ssrvlad("encode", drive, "-o", memory, "--labels-as", "camvid-11")[0] == 0
     code, out, _ = ssrvlad("loops", drive, "--memory", memory, "--sequence", "again")
     assert code == 0 and "frames:" in out
-
-
-KILLED = """
-import os, signal, sys
-from pathlib import Path
-from ssrvlad_torch.loops.config import LoopConfig
-from ssrvlad_torch.loops import stream as loop_stream
-loop_stream.CHECKPOINT_FRAMES = 5
-memory, *names = sys.argv[1:]
-config = LoopConfig(exclude=5, sweep=False)
-opened = loop_stream.open_detector(config, Path(memory), None, "camvid-11")
-frames = loop_stream.encode_as_they_come(opened[0], names)
-for number, _ in enumerate(loop_stream.detect_loops(opened[0], frames, opened[1])):
-    if number == 18:
-        os.kill(os.getpid(), signal.SIGKILL)
-"""
-
-
-def test_a_stream_that_was_killed_goes_on_from_its_last_checkpoint(drive, tmp_path):
-    """Killed before the twentieth frame, with fifteen saved; all names come again."""
-    config = LoopConfig(exclude=5, sweep=False)
-    names = sorted(map(str, drive.glob("*.png")))
-    command = [sys.executable, "-c", KILLED, tmp_path / "db", *names]
-    assert subprocess.run(command, check=False).returncode == -signal.SIGKILL
-    assert len(Database.open(tmp_path / "db")) == 15
-    results = []
-    for memory in (None, tmp_path / "db"):
-        detector, database = open_detector(config, memory, None, "camvid-11")
-        frames = encode_as_they_come(detector, names)
-        results.append(list(detect_loops(detector, frames, database)))
-    whole, resumed = results
-    assert [result.frame for result in resumed] == [result.frame for result in whole[15:]]
-    assert resumed[-1].accepted
-    assert resumed[-1][:3] == whole[-1][:3]
-    assert len(Database.open(tmp_path / "db")) == 54
 
 
 @pytest.mark.parametrize("poses", [True, False])

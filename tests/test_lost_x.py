@@ -11,7 +11,6 @@ from methods import Array, noise, unit
 from scipy.spatial.distance import cosine
 from torch import Tensor, nn
 
-from ssrvlad_torch.baselines import make
 from ssrvlad_torch.baselines.lost_x import LoSTX, dense_network
 from ssrvlad_torch.channels.channel import View
 from ssrvlad_torch.segmentation.preparation import SegmenterConfig
@@ -141,29 +140,12 @@ def layout(query: View, reference: View, opposite: bool) -> float:
     return cosine(x * weights, y * weights) / np.linalg.norm(weights) / len(x)
 
 
-def test_a_frame_without_the_classes_matches_nothing(space):
-    def cars(images: Tensor) -> tuple[Tensor, Tensor]:
-        features, scores = network(images)
-        return features, F.one_hot(torch.ones_like(scores[:, 0]).long(), 4).movedim(3, 1).float()
-
-    method = LoSTX(network=network, labels_as=space)
-    blank = LoSTX(network=cars, labels_as=space).encode_query(frames(2))
-    assert method.scores(blank, method.encode_query(frames(2))).isneginf().all()
-
-
 def test_class_names_come_from_the_label_space(space):
     with pytest.raises(ValueError, match="small has no class 'tree'; it has road, car, building"):
         LoSTX(network=network, labels_as=space, classes=("road", "tree"))
     refuses("camvid-11 has no class 'vegetation'", LoSTX, network=network, labels_as="camvid-11")
     LoSTX(network=network, labels_as="camvid-11", classes=("road", "building", "tree"))
     refuses("no class 'license plate'", LoSTX, network=network, classes=("license plate",))
-
-
-def test_missing_pictures_frames_and_networks_are_refused(method):
-    refuses("lost-x needs pictures, but frame drive/1", method.encode_query, [View("drive/1")])
-    refuses("method lost-x: no frames to encode", method.encode_query, [])
-    with pytest.raises(FileNotFoundError, match="no network: lost-x needs a segmentation network"):
-        make("lost-x")
 
 
 def test_a_segmentation_network_gives_features_and_probabilities(tmp_path, space):

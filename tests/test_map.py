@@ -39,14 +39,6 @@ def town(settings, tmp_path):
     return Map.open(tmp_path / "town.ssrdb", network=settings)
 
 
-@pytest.fixture
-def drawn(maps, tmp_path):
-    """A map of six label maps."""
-    drawn = Map.open(tmp_path / "drawn.ssrdb", labels_as=SPACE)
-    drawn.add(maps)
-    return drawn
-
-
 def test_a_picture_finds_its_place(town, photos):
     """As an array, an image of Pillow, a path, or several of these."""
     assert len(town) == 0 and repr(town).endswith("town.ssrdb: 0 frames>")

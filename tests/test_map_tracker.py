@@ -18,14 +18,6 @@ LATE = Steps(follow="online", delay=2)
 
 
 @pytest.fixture
-def drawn(maps, tmp_path):
-    """A map of six label maps."""
-    drawn = Map.open(tmp_path / "drawn.ssrdb", labels_as=SPACE)
-    drawn.add(maps)
-    return drawn
-
-
-@pytest.fixture
 def photographed(tmp_path, monkeypatch):
     """A map of eight photographs, in a folder beside it, with features and HOG."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))

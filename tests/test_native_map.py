@@ -283,9 +283,8 @@ def bits(core, tmp_path_factory):
     return lambda compiler, emulator: (here, run(compiler, emulator, *source.glob("*.cpp")))
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=pytest.mark.slow if n != "aarch64" else ()) for n in PROCESSORS]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", PROCESSORS)
 def test_all_processors_find_the_same_bits(bits, name):
     compiler, emulator = PROCESSORS[name]
     for program in (compiler.split()[0], *emulator[:1], *emulator[-1:]):

@@ -1,7 +1,6 @@
 """What a run encodes again, which folder a sequence is of, and when frames are committed."""
 
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -15,7 +14,6 @@ from ssrvlad_torch import SSRVLAD
 from ssrvlad_torch.datasets.label_files import digest
 from ssrvlad_torch.encoding import encoder, plan
 from ssrvlad_torch.encoding.encoder import encode_to_database
-from ssrvlad_torch.encoding.results import EncodeOptions
 
 PRUNE = {"complete": True, "prune": True}
 
@@ -107,22 +105,6 @@ def test_a_changed_pose_is_stored(town):
     assert np.isnan(town.database().load().poses[:, 0]).tolist() == [False, True, True]
 
 
-def test_frames_whose_file_is_gone_are_reported_and_removed_with_prune(town):
-    town.add("a", range(4))
-    town.add("b", range(2))
-    town.encode()
-    for number in (1, 3):
-        (town.folder / "a" / f"{number}.png").unlink()
-    assert town.encode().gone == [], "the files need not be complete"
-    summary = town.encode("a", complete=True)
-    assert (summary.gone, summary.pruned) == (["a/1", "a/3"], 0)
-    assert len(town.database()) == 6
-    summary = town.encode("a", **PRUNE)
-    assert (summary.gone, summary.pruned) == ([], 2)
-    assert town.database().load().frames == ("a/0", "a/2", "b/0", "b/1"), "other sequences stay"
-    refuses("prune needs all files", EncodeOptions, prune=True)
-
-
 def test_another_folder_with_the_same_name_never_merges_overwrites_or_prunes(town):
     town.add("00/labels", range(3))
     town.add("01/labels", range(2, 5))
@@ -199,58 +181,11 @@ def test_frames_encoded_before_an_interruption_are_in_the_database(town, monkeyp
     assert counted == [done] + [1] * (20 - done), "progress counts every frame once"
 
 
-SCRIPT = """
-import signal, sys, time
-signal.signal(signal.SIGINT, signal.default_int_handler)
-from ssrvlad_torch import SSRVLAD, Database
-from ssrvlad_torch.encoding.results import EncodeOptions
-from ssrvlad_torch.encoding.encoder import encode_to_database
-from ssrvlad_torch.datasets.label_files import find_label_files
-from ssrvlad_torch.encoding import encoder, plan
-encoder.BATCH, plan.COMMIT_ROWS = 1, 8
-head = SSRVLAD.from_preset("default", labels_as="camvid-11")
-database = Database.open_or_create(sys.argv[1], head.config)
-counted = []
-def progress(done):
-    counted.append(done)
-    if sum(counted) == 10:
-        print("ready", flush=True)
-    time.sleep(0.02)
-options = EncodeOptions(workers=int(sys.argv[3]), progress=progress)
-encode_to_database(head, find_label_files([sys.argv[2]]), database, options)
-"""
-
-
-def started(town, workers):
-    """A process that encodes, and prints ``ready`` when 10 frames are done."""
-    command = [sys.executable, "-c", SCRIPT, town.folder / "town.ssrdb", town.folder / "a", workers]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-
-
 def test_two_encoders_at_once_lose_nothing(town):
     """Both encode all frames; none is stored twice."""
     town.add("a", range(14))
-    town.database()
-    running = [started(town, "0") for _ in range(2)]
+    words = ("encode", town.folder / "a", "-o", town.database().path, "--labels-as", "camvid-11")
+    command = [sys.executable, "-m", "ssrvlad_torch", *map(str, words)]
+    running = [subprocess.Popen(command, stdout=subprocess.DEVNULL) for _ in range(2)]
     assert [process.wait(120) for process in running] == [0, 0]
     assert town.database().load().frames == tuple(f"a/{n}" for n in range(14))
-
-
-@pytest.mark.parametrize(
-    ("number", "code"), [(signal.SIGINT, -signal.SIGINT), (signal.SIGKILL, -9)]
-)
-def test_a_signal_ends_a_run_and_the_next_run_completes_it(town, number, code):
-    """Frames reported by progress are stored; after SIGKILL, committed frames."""
-    town.add("a", range(60))
-    running = started(town, "2")
-    assert running.stdout.readline() == b"ready\n"
-    running.send_signal(number)
-    running.communicate(timeout=60)  # no worker holds the pipes open
-    assert running.returncode in (code, 130)
-    stored = len(town.database())
-    assert stored >= (8 if number == signal.SIGKILL else 10)
-    assert stored < 60
-    assert counts(town.encode()) == (60 - stored, stored, 0)
-    frames = town.database().load()
-    assert frames.frames == tuple(f"a/{n}" for n in range(60))
-    assert_streets(frames, range(60))

@@ -7,7 +7,7 @@ import pytest
 from helpers import outcome
 
 TESTS = Path(__file__).parent
-PROPERTIES = [path for path in TESTS.glob("test_*.py") if "\n@given(" in path.read_text()]
+PROPERTIES = [path for path in TESTS.rglob("test_*.py") if "\n@given(" in path.read_text()]
 
 
 @pytest.mark.slow

@@ -6,18 +6,14 @@ import sys
 import pytest
 import torch
 from helpers import write_street as write_map
-from networks import write_photos, write_settings, write_street
 
 from ssrvlad_torch import SSRVLAD
-from ssrvlad_torch.channels.channel import new_channels
 from ssrvlad_torch.database.database import Database
-from ssrvlad_torch.datasets.image_files import find_image_files
 from ssrvlad_torch.datasets.label_files import find_label_files
-from ssrvlad_torch.encoding import plan, ray_engine
+from ssrvlad_torch.encoding import ray_engine
 from ssrvlad_torch.encoding.encoder import encode_to_database
 from ssrvlad_torch.encoding.ray_engine import ChunkEncoder, encode_with_ray
 from ssrvlad_torch.encoding.results import EncodeOptions
-from ssrvlad_torch.segmentation.segmenter import Segmenter
 
 pytestmark = pytest.mark.slow
 
@@ -47,15 +43,13 @@ def database(tmp_path):
     return Database.create(tmp_path / "db", HEAD.config)
 
 
-def assert_same_as_local(path, files, segmenter=None, columns=()):
+def assert_same_as_local(path, files):
     """Asserts that a database holds the rows that the local engine makes of the same files."""
-    local = Database.create(path.with_name("local"), HEAD.config, columns=columns)
-    encode_to_database(HEAD, files, local, EncodeOptions(workers=0), segmenter)
+    local = Database.create(path.with_name("local"), HEAD.config)
+    encode_to_database(HEAD, files, local, EncodeOptions(workers=0))
     expected, stored = local.load(), Database.open(path).load()
     assert stored.frames == expected.frames
-    assert stored.channels.keys() == expected.channels.keys()
-    for name, channel in stored.channels.items():
-        assert torch.equal(channel, expected.channels[name])
+    assert torch.equal(stored.descriptors, expected.descriptors)
     records = sorted(Database.open(path).known().values())
     assert repr(records) == repr(sorted(local.known().values()))
 
@@ -77,12 +71,9 @@ def test_the_rows_are_those_of_the_local_engine(tmp_path, files, database):
     assert summary.pruned == 1
 
 
-@pytest.mark.parametrize("by", ["label maps", "network"])
-def test_a_killed_worker_loses_nothing(tmp_path, monkeypatch, request, by):
+def test_a_killed_worker_loses_nothing(tmp_path, monkeypatch, files, database):
     """It dies after it made its chunk, which is made again and added once."""
     flag = tmp_path / "died"
-    names = ("files", "database") if by == "label maps" else ("photos", "pictures", "segmenter")
-    files, database, *segmenter = map(request.getfixturevalue, names)
 
     class Mortal(ChunkEncoder):
         def __call__(self, files):
@@ -93,48 +84,9 @@ def test_a_killed_worker_loses_nothing(tmp_path, monkeypatch, request, by):
             return chunk
 
     monkeypatch.setattr(ray_engine, "ChunkEncoder", Mortal)
-    assert encode_with_ray(HEAD, files, database, TWO, *segmenter).encoded == 20
+    assert encode_with_ray(HEAD, files, database, TWO).encoded == 20
     assert flag.exists()
-    assert_same_as_local(tmp_path / "db", files, *segmenter, columns=database.columns[1:])
-
-
-def test_frames_committed_before_an_interruption_stay(tmp_path, files, database, monkeypatch):
-    monkeypatch.setattr(plan, "COMMIT_SECONDS", -1)
-    counted = []
-
-    def interrupt(done):
-        counted.append(done)
-        if sum(counted) > 8:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        encode_with_ray(HEAD, files, database, EncodeOptions(workers=2, progress=interrupt))
-    stored = len(Database.open(tmp_path / "db"))
-    assert stored == 9
-    summary = encode_with_ray(HEAD, files, Database.open(tmp_path / "db"), TWO)
-    assert (summary.encoded, summary.already_there) == (20 - stored, stored)
     assert_same_as_local(tmp_path / "db", files)
-
-
-@pytest.fixture
-def photos(tmp_path, monkeypatch):
-    monkeypatch.setattr(ray_engine, "CHUNK_PICTURES", 8)
-    return find_image_files([str(write_photos(tmp_path / "photos", range(20), (96, 128)))])
-
-
-@pytest.fixture
-def segmenter(tmp_path):
-    settings = write_settings(tmp_path)
-    write_street(tmp_path / "net.onnx")
-    return Segmenter.load(settings, "camvid-11")
-
-
-@pytest.fixture
-def pictures(tmp_path, segmenter):
-    """A database with features and HOG beside the descriptors."""
-    columns = [channel.column for channel in new_channels(None, HEAD, segmenter)]
-    assert [column.name for column in columns] == ["ssr-vlad", "features", "hog"]
-    return Database.create(tmp_path / "db", HEAD.config, columns=columns[1:])
 
 
 def test_ray_that_does_not_start_is_an_error_in_one_line(files, database, monkeypatch):

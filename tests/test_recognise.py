@@ -17,7 +17,7 @@ from ssrvlad_torch.recognition.recognise import (
     recognise_by_scores,
     references_of,
 )
-from ssrvlad_torch.recognition.sequences import sharing
+from ssrvlad_torch.recognition.sequences import runs, sharing
 from ssrvlad_torch.recognition.sweep import COLUMNS, score
 from ssrvlad_torch.recognition.temporal import temporal_sum
 
@@ -182,6 +182,16 @@ def test_short_traverses_share_a_mean_with_their_neighbours_or_all(frames, expec
     assert sharing(frames) == expected
 
 
+def test_the_rows_of_each_sequence_are_a_range():
+    assert list(runs(["a", "a", "b"])) == [range(0, 2), range(2, 3)]
+    assert list(runs([])) == []
+
+
+def test_frames_that_do_not_stand_together_are_refused():
+    with pytest.raises(ValueError, match="frames of 'a' together, got some at 2"):
+        list(runs(["a", "b", "a"]))
+
+
 # ---- the temporal sum (Eq. 3) against a loop
 
 
@@ -213,13 +223,6 @@ def test_temporal_sum_equals_a_loop(lengths, reach, seed):
     expected = plain_temporal_sum(descriptors.astype(np.float64), sequences, reach)
     np.testing.assert_allclose(summed.numpy(), expected, rtol=0, atol=1e-6)
     assert summed.dtype == torch.float32
-
-
-def test_temporal_sum_refuses_wrong_arguments():
-    with pytest.raises(ValueError, match="a sequence for each of 3 frames, got 2"):
-        temporal_sum(torch.eye(3), ["a", "a"], 1)
-    with pytest.raises(ValueError, match="0 or more frames, got -1"):
-        temporal_sum(torch.eye(3), ["a"] * 3, -1)
 
 
 # ---- matching against plain NumPy
@@ -287,14 +290,6 @@ def test_half_precision_and_excluded_references():
     assert [set(row[row >= 0].tolist()) for row in matches] == [
         set(row.nonzero()[:, 0].tolist()) for row in expected
     ]
-
-
-def test_arrays_and_doubles_are_taken():
-    matches = match(np.eye(3), np.eye(3), top=1)  # type: ignore[arg-type]
-    assert matches.indices[:, 0].tolist() == [0, 1, 2]
-    assert matches.scores.dtype == torch.float32
-    matches = match(np.eye(3), np.eye(3), 1, excluded=np.eye(3) > 0)  # type: ignore[arg-type]
-    assert matches.indices[:, 0].tolist() == [1, 0, 0]
 
 
 ONES = torch.ones(1, 3)

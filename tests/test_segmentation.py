@@ -6,28 +6,20 @@ import sys
 import numpy as np
 import onnx
 import pytest
-import torch
 import yaml
-from drawings import SIGN, SKY, SPACE
-from helpers import refuses, street, write_image
+from drawings import SPACE
+from helpers import refuses
 from networks import (
     LABELS,
     PHOTOS,
     PLAIN,
-    Then,
     assert_right,
     colour_network,
-    photo,
     write_graph,
     write_street,
 )
 from torch import nn
 
-from ssrvlad_torch import SSRVLAD
-from ssrvlad_torch.channels.label_shapes import LabelShapes
-from ssrvlad_torch.datasets.image_files import find_image_files
-from ssrvlad_torch.datasets.label_files import find_label_files
-from ssrvlad_torch.encoding.encoder import check_segmenter, encode_to_memory
 from ssrvlad_torch.segmentation.class_names import category_of_name, label_space_of_names
 from ssrvlad_torch.segmentation.onnx_files import external_files
 from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
@@ -53,33 +45,6 @@ def test_settings_are_keyword_arguments(tmp_path):
     np.testing.assert_array_equal(other(one), LABELS[:1])
     with pytest.raises(ValueError, match="unknown setting 'means'; expected size, longest, mult"):
         Segmenter(colour_network(), SPACE, means=(0, 0, 0))
-
-
-def test_images_give_the_descriptors_of_their_label_maps(tmp_path):
-    """A truncated image and one with unknown ids are skipped, each with a reason."""
-    head = SSRVLAD.from_preset("default", labels_as=SPACE)
-    for seed in range(20):
-        labels = street(seed) % SIGN
-        labels[2:4, 5:8] = SIGN if seed == 7 else SKY
-        write_image(tmp_path / "a" / f"{seed}.png", photo(labels))
-        if seed not in (4, 7):
-            write_image(tmp_path / "maps" / "a" / f"{seed}.png", labels)
-    cut = tmp_path / "a" / "4.png"
-    cut.write_bytes(cut.read_bytes()[:60])
-    network = Then(lambda scores: scores.argmax(1).masked_fill_(scores.argmax(1) == SIGN, 99))
-    segmenter = Segmenter(network, SPACE, PLAIN)
-    files = find_image_files([str(tmp_path / "a")])
-    channels = [LabelShapes(head)]
-    frames, skipped = encode_to_memory(channels, head.label_space, files, segmenter=segmenter)
-    maps = find_label_files([str(tmp_path / "maps" / "a")])
-    by_maps, _ = encode_to_memory(channels, head.label_space, maps)
-    assert frames.frames == by_maps.frames
-    assert torch.equal(frames.descriptors, by_maps.descriptors)
-    assert [frame.frame for frame in skipped] == ["a/4", "a/7"]
-    assert "label id 99 (6 pixels) is not in" in skipped[1].reason
-    other = Segmenter(colour_network(), "synthia", PLAIN)
-    with pytest.raises(ValueError, match="gives labels of synthia, the head reads camvid-11"):
-        check_segmenter(other, head, channels)
 
 
 @pytest.mark.parametrize(
@@ -185,17 +150,6 @@ def test_a_file_that_has_changed_since_is_not_taken_for_the_graph(tmp_path):
     segmenter = Segmenter(OnnxNetwork(path), SPACE, PLAIN)
     write_street(path)
     refuses(r"net\.onnx has changed or is", lambda: segmenter.features)
-
-
-@pytest.mark.parametrize("options", [{"channels_last": True}, {"scores_last": True}, {}])
-@pytest.mark.parametrize("sides", [("h", "w"), (12, 16), (16, 12)])
-def test_classes_that_are_as_many_as_rows_or_columns_are_told_apart(tmp_path, options, sides):
-    shape = (1, *sides, 3) if "channels_last" in options else (1, 3, *sides)
-    path = write_graph(tmp_path / "net.onnx", shape, **options)
-    height, width = (12, 16) if sides == ("h", "w") else sides
-    labels = [street(seed, height, width) for seed in range(2)]
-    segmenter = Segmenter(OnnxNetwork(path), SPACE, PLAIN)
-    assert_right(segmenter, [photo(one) for one in labels], labels)
 
 
 def graph_of(inputs, path):

@@ -6,12 +6,11 @@ import math
 import numpy as np
 import pytest
 import torch
-from drawings import SPACE, blobs, camvid_labels, degenerate, needs_camvid, one_hot
+from drawings import SPACE, blobs, degenerate, one_hot
 from helpers import refuses, street
 from torch import Tensor
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, SurrogateSSRVLAD
-from ssrvlad_torch.datasets.synthetic_city import SyntheticCity
 from ssrvlad_torch.soft.descriptor import SoftSSRVLAD
 from ssrvlad_torch.soft.place_loss import multi_similarity
 from ssrvlad_torch.soft.stages import soft_boundaries, soft_pool, soft_vanishing_columns
@@ -72,49 +71,6 @@ def test_gradients_are_finite_for_extreme_scores(name):
     assert float(result.detach().norm()) <= 1 + 1e-5
 
 
-def test_every_score_of_a_layer_has_a_gradient():
-    twin = SoftSSRVLAD(DEFAULT)
-    inputs = (one_hot(street(3)) * 4 - 2).requires_grad_()
-    weights = torch.randn(480, generator=torch.Generator().manual_seed(0))
-    (twin(inputs)[0] @ weights).backward()
-    assert float((inputs.grad[0, :8] != 0).float().mean()) > 0.9
-
-
-def city_labels() -> list[np.ndarray]:
-    frames = SyntheticCity(0).traverse(12, size=(120, 160), labels_as="cityscapes-trainids")
-    return [frame.labels for frame in frames]
-
-
-@pytest.mark.parametrize(
-    ("labels_as", "maps", "classes"),
-    [
-        ("cityscapes-trainids", city_labels, 19),
-        pytest.param(SPACE, lambda: camvid_labels(200), 12, marks=needs_camvid),
-    ],
-)
-def test_label_maps_agree_with_the_hard_descriptor(labels_as, maps, classes):
-    labels = np.stack(maps())
-    hard = SSRVLAD.from_preset("default", labels_as=labels_as)
-    hot = torch.cat([one_hot(np.minimum(one, classes), classes + 1) for one in labels])
-    soft = SoftSSRVLAD(hard.config)(hot[:, :classes])
-    assert cosine(soft, hard(torch.from_numpy(labels))) >= 0.99
-
-
-def test_a_low_temperature_leads_to_the_hard_descriptor():
-    noise = torch.randn(4, 12, 60, 80, generator=torch.Generator().manual_seed(0))
-    logits = torch.cat([one_hot(street(seed, 60, 80)) for seed in range(4)]) * 3 + noise
-    twins = [SoftSSRVLAD(DEFAULT, temperature) for temperature in (3.0, 1.0, 0.3, 0.01)]
-    result = [cosine(twin(logits), SSRVLAD(DEFAULT)(logits)) for twin in twins]
-    assert result == sorted(result)
-    assert result[-1] > 0.97
-    assert result[0] < result[-1] - 0.1
-
-
-def test_logits_and_their_probabilities_give_the_same():
-    logits, twin = scores(2).detach(), SoftSSRVLAD(DEFAULT)
-    torch.testing.assert_close(twin(logits.softmax(1)), twin(logits), rtol=0, atol=1e-4)
-
-
 @pytest.mark.parametrize("size", [(40, 52), (7, 5), (1, 1)])
 def test_of_zeros_and_ones_stages_give_what_the_hard_ones_give(size):
     """The vanishing column to a pixel: the hard one is rounded."""
@@ -159,13 +115,6 @@ def test_dtype_follows_the_input_and_autocast_is_ignored():
     with torch.autocast("cpu", torch.bfloat16):
         under = twin(logits)
     torch.testing.assert_close(under, twin(logits), rtol=0, atol=1e-6)
-
-
-def test_images_of_a_batch_do_not_mix(config):
-    twin = SoftSSRVLAD(config)
-    logits = torch.cat([scores(seed) for seed in range(3)])
-    alone = torch.cat([twin(one[None]) for one in logits])
-    torch.testing.assert_close(twin(logits), alone)
 
 
 @pytest.mark.parametrize("temperature", [0, -1.0, float("inf"), float("nan")])

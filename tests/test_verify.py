@@ -12,8 +12,6 @@ import pytest
 from drawings import SPACE
 from exported import session, write_space
 from helpers import write_street
-from networks import PLAIN, write_graph
-from networks import write_street as write_network
 from onnx import numpy_helper
 from PIL import Image
 
@@ -21,12 +19,9 @@ import ssrvlad_torch
 from ssrvlad_torch import SSRVLADConfig, export_head
 from ssrvlad_torch.datasets.label_files import find_label_files
 from ssrvlad_torch.deployment.differences import LABELS, difference_of
-from ssrvlad_torch.deployment.fuse import fuse
 from ssrvlad_torch.deployment.metadata import PREFIX
 from ssrvlad_torch.deployment.runtimes import Runtime, runtime_of
 from ssrvlad_torch.deployment.verify import verify
-from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
-from ssrvlad_torch.segmentation.segmenter import Segmenter
 
 CONFIG = SSRVLADConfig.from_preset("default", labels_as=SPACE)
 
@@ -48,17 +43,14 @@ def with_other_root(other: str) -> Runtime:
 
 
 @pytest.fixture(scope="module")
-def files(tmp_path_factory) -> dict[str, Path]:
+def files(coloured, drives, tmp_path_factory) -> dict[str, Path]:
     """A head for labels, one for class scores, and fused files without and with features; not to
     be changed."""
     folder = tmp_path_factory.mktemp("files")
-    paths = {name: folder / f"{name}.onnx" for name in ("labels", "logits", "fused", "features")}
-    export_head(CONFIG, paths["labels"])
-    export_head(CONFIG, paths["logits"], "logits")
-    fuse(write_graph(folder / "seg.onnx"), CONFIG, paths["fused"])
-    street = OnnxNetwork(write_network(folder / "street.onnx"))
-    fuse(Segmenter(street, SPACE, PLAIN), CONFIG, paths["features"])
-    return paths
+    heads = {name: folder / f"{name}.onnx" for name in ("labels", "logits")}
+    for given, path in heads.items():
+        export_head(CONFIG, path, given)
+    return {**heads, "fused": coloured / "place.onnx", "features": drives / "place.onnx"}
 
 
 @pytest.fixture
@@ -110,7 +102,7 @@ def test_a_file_that_is_as_it_should_be(kind, files, streets):
     assert not found.skipped
     assert found.version == ssrvlad_torch.__version__
     assert found.fingerprint == CONFIG.fingerprint
-    networks = {"fused": "seg.onnx", "features": "street.onnx"}
+    networks = {"fused": "seg.onnx", "features": "net.yaml"}
     assert found.network == networks.get(kind)
     expected = {
         "features": "16 x 16 cells alike, 128 signs of relu_2, relu_3, "

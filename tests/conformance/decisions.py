@@ -15,7 +15,7 @@ from drawings import SPACE
 from exported import of_preset
 from helpers import outcome, write_maps
 from loop_streams import CAMVID, CONFIG, SECOND, SEEDS, objects, picture
-from networks import write_drives, write_map, write_moved_drives
+from networks import write_map, write_moved_drives, write_other_drives
 from oracles import loops as oracle
 from PIL import Image
 from ssrvlad_place.model import TRUST
@@ -91,7 +91,7 @@ def of_label_maps(folder: Path, fixtures: Fixtures, swept: bool = False) -> Scen
 def of_pictures(folder: Path, fixtures: Fixtures) -> Scene:
     """A sequence moved by two cells, by all channels."""
     town = folder / "town.npy"
-    write_moved_drives(fixtures("ssrvlad"), folder, town)
+    write_moved_drives(fixtures("ssrvlad"), fixtures("drives"), folder, town)
     return Scene(folder / "place.onnx", [folder / "today"], town, [folder / "monday"])
 
 
@@ -276,7 +276,7 @@ def of_a_stream(folder: Path, fixtures: Fixtures) -> Scene:
 
 def of_two_drives(folder: Path, fixtures: Fixtures) -> Scene:
     """Pictures of twenty places, and of fourteen of them again."""
-    write_drives(folder, range(20), range(4, 18), (96, 128))
+    write_other_drives(fixtures("drives"), folder, range(20), range(4, 18))
     return Scene(folder / "place.onnx", [folder / "monday", folder / "today"])
 
 
