@@ -76,11 +76,11 @@ def test_the_fingerprint_is_of_the_network_its_settings_and_the_activations():
         Segmenter(Street(), SPACE, PLAIN, white=255),
         Segmenter(Street(), SPACE, PLAIN, features=["act.1"]),
     ]
-    assert len({segmenter.fingerprint_of_features for segmenter in segmenters}) == 4
+    assert len({segmenter.features.fingerprint for segmenter in segmenters}) == 4
     again = Segmenter(Street(), SPACE, PLAIN, features=["act.2", "act.3"])
-    assert again.fingerprint_of_features == segmenters[0].fingerprint_of_features
+    assert again.features.fingerprint == segmenters[0].features.fingerprint
     assert again.key() == segmenters[0].key() == segmenters[3].key()
-    assert "128 signs of act.2, act.3, " in again.fingerprint_of_features
+    assert "128 signs of act.2, act.3, " in again.features.fingerprint
 
 
 def test_label_maps_and_features_are_cached_together(tmp_path):
