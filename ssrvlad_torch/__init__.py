@@ -1,7 +1,6 @@
 """Place recognition from semantic segmentation: SSR-VLAD (arXiv 2202.03677) in PyTorch.
 
-Public names are imported at their first use, so that programs that do not need torch start fast.
-"""
+Public names are imported at their first use, so that programs that do not need torch start fast."""
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any

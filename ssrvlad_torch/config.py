@@ -237,8 +237,7 @@ class SSRVLADConfig:
 
         Two descriptors are comparable only if their fingerprints are equal. The name of a preset
         and the settings that the aggregation does not use are not part of it, so a database stays
-        valid when a preset changes.
-        """
+        valid when a preset changes."""
         settings = self.used()
         del settings["labels_as"]
         if self.aggregation == "residuals":

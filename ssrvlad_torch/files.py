@@ -1,8 +1,7 @@
 """Files from outside, read up to a size limit and parsed to plain values; files that are written
 completely or not at all, figures among them; folders, and the order of names.
 
-Whatever a parser raises on damaged or hostile bytes becomes an `InputError` that names the file.
-"""
+Whatever a parser raises on damaged or hostile bytes becomes an `InputError` that names the file."""
 
 from __future__ import annotations
 
@@ -57,8 +56,7 @@ def path_within(folder: Path, name: object, form: str = "") -> Path:
 
     With ``form``, a regular expression of the names that this package writes, the name is one
     component of that form, and no link. Without, a relative path that does not leave the folder.
-    Any other name is an InputError.
-    """
+    Any other name is an InputError."""
     text = name if isinstance(name, str) and "\0" not in name else ""
     parts = re.split(r"[/\\]", text)
     inside = text != "" and ".." not in parts and not Path(text).anchor
@@ -243,8 +241,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
     The file is flushed to disk, renamed, and the folder is flushed, in this order. The temporary
     file's name starts with a dot and the name of ``path``. A link stays a link; its target is
-    replaced. An error of the disk is an OSError with the name of the file.
-    """
+    replaced. An error of the disk is an OSError with the name of the file."""
     target = check_output(path)
     temporary = target.with_name(f".{target.name}.{os.getpid()}.{secrets.token_hex(4)}")
     try:

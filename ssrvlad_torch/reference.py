@@ -202,8 +202,7 @@ def thin(layer: Mask, variant: str) -> Mask:
 def zhang_suen(layer: Mask) -> Mask:
     """Zhang & Suen, A fast parallel algorithm for thinning digital patterns, CACM 27(3), 1984.
 
-    ``skimage.morphology.skeletonize(method="zhang")`` deletes more patterns than the paper.
-    """
+    ``skimage.morphology.skeletonize(method="zhang")`` deletes more patterns than the paper."""
     while True:
         before = layer
         for first in (True, False):
@@ -250,8 +249,7 @@ def shape_context(
 
     Ring ``n`` ends at squared distance ``limits[n]``, included. Sector ``m`` begins at the angle
     ``2 pi m / M``, included, counted from +x (right) towards +y (down). The added 1e-12 is far
-    below the angle between a boundary and any integer offset that is not on it.
-    """
+    below the angle between a boundary and any integer offset that is not on it."""
     dy, dx = (context - np.asarray(point)).T
     squared = dy**2 + dx**2
     ring, turn = np.searchsorted(limits, squared), np.arctan2(dy, dx) / (2 * np.pi)
@@ -267,8 +265,7 @@ def vanishing_column(layers: list[Mask]) -> int:
 
     It is a weighted mean. The weight of a column is the eighth power of its open pixels in 64ths
     of its height, 2 ** 20 for a fully open column. The middle of the image has the weight of a
-    twentieth of all columns, fully open. Halves are rounded up.
-    """
+    twentieth of all columns, fully open. Halves are rounded up."""
     height, width = layers[0].shape
     open_pixels = (layers[0] | layers[1] | layers[5]).sum(0)
     weights = [(int(pixels) * 64 // height) ** 8 // 2**28 for pixels in open_pixels]
@@ -304,8 +301,7 @@ def soft_bins(config: SSRVLADConfig) -> Floats:
 
     Each cell is sampled at 4 x 4 points. A point between two ring centres (in the logarithm of the
     distance) and two sector centres counts in all four bins, linearly. Inside the centre of the
-    first ring it counts in that ring only; beyond the radius it does not count.
-    """
+    first ring it counts in that ring only; beyond the radius it does not count."""
     rows, columns = CELLS
     weights = np.zeros((rows, columns, config.rings, config.sectors))
     for sy, sx in np.ndindex(rows * 4, columns * 4):

@@ -2,8 +2,7 @@
 
 A label space says what the ids of a label map mean. Each id belongs to one of the eight
 categories, or to `DYNAMIC` or `VOID`, which get no layer. The built-in spaces are YAML files in
-``label_spaces/``; a custom space is a file of the same form, or a `LabelSpace`.
-"""
+``label_spaces/``; a custom space is a file of the same form, or a `LabelSpace`."""
 
 from __future__ import annotations
 
@@ -143,8 +142,7 @@ class LabelSpace:
     def digest(self) -> str:
         """16 hex digits over the classes: ids, names, categories and colours, in the order of ids.
 
-        Label spaces with equal digests read every label map alike; their names may differ.
-        """
+        Label spaces with equal digests read every label map alike; their names may differ."""
         classes = sorted(self.to_dict()["classes"], key=lambda entry: int(entry["id"]))
         return hashlib.sha256(json.dumps(classes, sort_keys=True).encode()).hexdigest()[:16]
 
@@ -152,8 +150,7 @@ class LabelSpace:
     def channel_counts(self) -> range:
         """Numbers of channels that a network's scores may have; channel ``c`` stands for id ``c``.
 
-        Void classes at the end may be left out: CamVid networks have 11 or 12 channels.
-        """
+        Void classes at the end may be left out: CamVid networks have 11 or 12 channels."""
         ids = {label.id for label in self.classes}
         last = max(label.id for label in self.classes if label.category != VOID)
         most = next(count for count in range(len(ids) + 1) if count not in ids)
@@ -234,8 +231,7 @@ def colourise(
 ) -> npt.NDArray[np.uint8]:
     """An ``(H, W)`` label map as an ``(H, W, 3)`` RGB picture in the label space's colours.
 
-    Ids that the space does not define are magenta.
-    """
+    Ids that the space does not define are magenta."""
     picture = np.full((*labels.shape, 3), (255, 0, 255), np.uint8)
     for label in label_space(space).classes:
         picture[labels == label.id] = label.colour or (0, 0, 0)

@@ -1,8 +1,7 @@
 """Region-VLAD (Khaliq, Ehsan, Chen, Milford, McDonald-Maier, T-RO 2019).
 
 The network is Caffe's AlexNet of Places365 up to conv3 (Zhou et al., TPAMI 2018): the authors'
-vocabulary holds its activations. That which Places365 publishes for PyTorch is another network.
-"""
+vocabulary holds its activations. That which Places365 publishes for PyTorch is another network."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,6 @@
 """Channels: what recognition compares of a frame. A channel describes views and compares them.
 
-A channel is one file and one line of `CHANNELS`; its class is imported at its first use.
-"""
+A channel is one file and one line of `CHANNELS`; its class is imported at its first use."""
 
 from __future__ import annotations
 

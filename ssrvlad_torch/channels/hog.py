@@ -70,8 +70,7 @@ class HOG(VectorChannel):
     """One histogram of gradient directions for each of 6 x 10 cells.
 
     The gray picture is resized to 16 pixels a cell; histograms are those of ``skimage.feature.hog``
-    with one cell a block and ``block_norm="L2"``. The whole descriptor has length 1.
-    """
+    with one cell a block and ``block_norm="L2"``. The whole descriptor has length 1."""
 
     name, length = "hog", ORIENTATIONS * ROWS * COLUMNS
     fingerprint = f"{ROWS} x {COLUMNS} cells, {ORIENTATIONS} directions"

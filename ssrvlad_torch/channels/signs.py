@@ -3,8 +3,7 @@
 A descriptor is ``(columns, rows, bytes)`` uint8; a bit is 1 for plus and 0 for minus. The score is
 the cosine of the numbers 1 and -1, or of these without the mean of each sequence. A query is also
 moved by up to three columns to each side and two rows up and down; the cells that overlap count,
-and the best move. Not in the paper.
-"""
+and the best move. Not in the paper."""
 
 import numpy as np
 import torch

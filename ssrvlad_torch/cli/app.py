@@ -1,8 +1,7 @@
 """The command line: ``ssrvlad COMMAND``. Results go to stdout, notes and errors to stderr.
 
 The module of a command defines its options and its output. It imports the rest inside the command,
-so that ``--help`` needs no torch.
-"""
+so that ``--help`` needs no torch."""
 
 from typing import Annotated
 

@@ -1,7 +1,6 @@
 """A database of descriptors on disk: a Lance table (https://lance.org) with one row per frame.
 
-Every change is one commit and makes a new version; a reader keeps the version that it opened.
-"""
+Every change is one commit and makes a new version; a reader keeps the version that it opened."""
 
 from __future__ import annotations
 

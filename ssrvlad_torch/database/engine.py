@@ -2,8 +2,7 @@
 
 Lance flushes no files, commits files of which not all was written, and lets two writers add one
 frame: `flush_fragments`, `_flush_version` and `commit` see to it. In an object store, files are
-whole once they are there.
-"""
+whole once they are there."""
 
 from __future__ import annotations
 
@@ -77,8 +76,7 @@ def lance_errors(kind: type[Exception], problem: str = "", values: bool = True) 
     REASON" in one line. Without ``values``, a ValueError passes.
 
     An interrupt while Lance works, which also comes as an error, is a KeyboardInterrupt, and a
-    panic of Lance a PanicError. Neither means damage.
-    """
+    panic of Lance a PanicError. Neither means damage."""
     kinds: tuple[type[Exception], ...] = (OSError, RuntimeError, pa.ArrowException)
     kinds += (lance().commit.CommitConflictError, *((ValueError, OverflowError) * values))
     try:
@@ -223,8 +221,7 @@ def commit(table: LanceDataset, plan: Callable[[LanceDataset], Any], message: st
     Of several commits planned on one version only the first succeeds, and the others are planned
     again: so no id is added twice. Lance accepts two operations that only add fragments, but not
     two that update the same fragment, so each updates the first one. An empty table has none, and
-    is overwritten, which is allowed only on the version that was read.
-    """
+    is overwritten, which is allowed only on the version that was read."""
     operation = plan(table)
     if operation is None:
         return table

@@ -50,8 +50,7 @@ def files_of(
     In a pattern ``{city}`` is any text without a slash, ``{camera:left|rear}`` what a regular
     expression matches, and ``{name}`` the name of the frame. A pattern that begins with a folder
     which is a field fits this folder itself too. Two files of one name in a folder are a
-    ValueError; files whose sequence is ``None`` are left out.
-    """
+    ValueError; files whose sequence is ``None`` are left out."""
     files: Files = {}
     for pattern in patterns:
         glob = _FIELD.sub("*", pattern) + ".*"

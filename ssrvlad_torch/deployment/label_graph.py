@@ -36,8 +36,7 @@ EXAMPLE = (66, 98)
 def label_graph(labels: LabelNetwork, features: NetworkFeatures | None = None) -> onnx.ModelProto:
     """A graph from ``image (B, H, W, 3)`` uint8 to ``labels (B, H, W)`` uint8 or int64, to
     ``hog (B, 480)`` float32, and with features to ``features (B, 16, 16, 16)`` uint8. A network
-    that cannot be traced, and a graph that cannot be converted to `OPSET`, are a ValueError.
-    """
+    that cannot be traced, and a graph that cannot be converted to `OPSET`, are a ValueError."""
     if not isinstance(labels.network, OnnxNetwork):
         return _traced_network(labels, features)
     from onnx.helper import make_empty_tensor_value_info

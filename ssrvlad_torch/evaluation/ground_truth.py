@@ -1,8 +1,7 @@
 """Ground truth from poses or frame numbers: rows of the references that show a query's place.
 
 A query may have any number of true matches, also none. `ground_truth_files` reads ground truth from
-files.
-"""
+files."""
 
 import math
 from collections import Counter

@@ -1,8 +1,7 @@
 """Camera: how the camera of queries differs from that of a map, seen by the signs of their cells.
 
 Of queries and the map frames that show their places it is asked how cells must be moved, and
-spread from the middle, to agree best. Not in the paper.
-"""
+spread from the middle, to agree best. Not in the paper."""
 
 from __future__ import annotations
 

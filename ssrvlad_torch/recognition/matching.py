@@ -155,8 +155,7 @@ def _best(scores: Tensor, top: int) -> tuple[Tensor, Tensor]:
     first of equals first.
 
     ``topk`` takes any of several equal scores. Where more columns than it took are at least as high
-    as the last score that it took, a stable sort decides.
-    """
+    as the last score that it took, a stable sort decides."""
     top = min(top, scores.shape[1])
     best, columns = scores.topk(top, dim=1)
     last = best[:, -1:]

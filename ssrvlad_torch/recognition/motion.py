@@ -1,7 +1,6 @@
 """Motion: how a sequence moves along the rows of a map, and how far apart rows show the same place.
 
-It needs no torch.
-"""
+It needs no torch."""
 
 from __future__ import annotations
 

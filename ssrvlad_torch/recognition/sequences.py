@@ -31,8 +31,7 @@ def sharing(frames: Sequence[int]) -> dict[tuple[int, ...], tuple[int, ...]]:
 
     A sequence of `MIN_FRAMES` frames has a mean of its own. Adjacent shorter sequences, such as the
     folders of a drive that was cut up, share a mean; if they still have too few frames, the mean of
-    all is used. With fewer than `MIN_FRAMES` frames in all there is no mean.
-    """
+    all is used. With fewer than `MIN_FRAMES` frames in all there is no mean."""
     sequences = tuple(range(len(frames)))
     if sum(frames) < MIN_FRAMES:
         return {}

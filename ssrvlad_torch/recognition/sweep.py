@@ -3,8 +3,7 @@
 A reference has one descriptor; its score is that of the best anchor. A wide sweep finds a camera
 that is turned or moved aside, and costs a little where it is not. So a sequence is swept at the
 width with the largest mean lead of the first candidates over a sample of its queries: how much
-nearer each is than the best row elsewhere. No label is used. Not in the paper.
-"""
+nearer each is than the best row elsewhere. No label is used. Not in the paper."""
 
 import torch
 from torch import Tensor

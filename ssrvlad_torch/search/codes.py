@@ -2,8 +2,7 @@
 
 A code holds numbers from -127 to 127 along the directions in which the rows of a map differ most
 (principal components): a descriptor is nearly ``mean + code @ basis``. Of signs, some bytes of each
-cell count. Not in the paper.
-"""
+cell count. Not in the paper."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
 """The index of a large map on disk: a code of every frame, by which likely rows are found.
 
 It stands in a folder of the database, as a table of Lance and a file of what makes codes. A code
-belongs to the checksum of its row: what changes is coded again, and nothing else.
-"""
+belongs to the checksum of its row: what changes is coded again, and nothing else."""
 
 from __future__ import annotations
 

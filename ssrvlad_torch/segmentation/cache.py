@@ -28,8 +28,7 @@ class SegmentedCache:
     """A folder with a file of NumPy for each picture that a network has segmented: its label map
     and its features. ``key`` is that of the network and its preparation, ``features`` that of the
     features, empty for label maps alone. Above `LARGEST` bytes the least recently used entries of
-    all networks are removed.
-    """
+    all networks are removed."""
 
     def __init__(self, folder: Path, key: str, features: str = "") -> None:
         self.folder, self.key, self.features = folder, key, features

@@ -2,8 +2,7 @@
 
 The projections of `stages.features` come from what the network sees in a few pictures of pink
 noise, whose spectrum is that of photographs. They are made of fixed numbers, so no data set is
-needed, and the same network has the same projections everywhere.
-"""
+needed, and the same network has the same projections everywhere."""
 
 import dataclasses
 import hashlib

@@ -54,8 +54,7 @@ def choose_output(
     Class scores are floats, ``(B, C, h, w)`` or ``(B, h, w, C)``, with as many channels, or as many
     to use, as the label space has classes, or the same in 8 bits; ids are integers, ``(B, h, w)``,
     ``(B, 1, h, w)`` or ``(B, h, w, 1)``. If several outputs fit, one named ``out`` or ``logits`` is
-    chosen.
-    """
+    chosen."""
     if name is not None and name not in outputs:
         raise UnrecognisedError(f"there is no output {name!r}; the outputs are {_list(outputs)}")
     candidates = outputs if name is None else {name: outputs[name]}

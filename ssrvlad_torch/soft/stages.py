@@ -76,8 +76,7 @@ def soft_majority(layers: Tensor, grid: tuple[int, int], temperature: float) -> 
 
     This is the softmax in place of the vote of `reduce_by_majority`: fractions to the power of ``1
     / temperature``, normalised. At temperature 1 they are the mean of the pixels. Pixel ``(y, x)``
-    belongs to cell ``(y * h // H, x * w // W)``.
-    """
+    belongs to cell ``(y * h // H, x * w // W)``."""
     if tuple(layers.shape[2:]) == grid:
         return layers
     rows, columns = (

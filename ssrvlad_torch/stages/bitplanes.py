@@ -5,8 +5,7 @@ Set operations on all layers at once are bitwise operations, neighbours are slic
 bytes that are not zero are read to list pixels or runs.
 
 Lists are grouped: group ``k * B + b`` is layer ``k`` of image ``b``. Every list is sorted by group,
-then in raster order. `by_image` turns a value per group into a value per image.
-"""
+then in raster order. `by_image` turns a value per group into a value per image."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -31,8 +30,7 @@ class Points(NamedTuple):
 class Runs(NamedTuple):
     """Maximal horizontal runs of the layers, one entry each, all int64.
 
-    ``first`` and ``last`` are the columns of the first and the last pixel.
-    """
+    ``first`` and ``last`` are the columns of the first and the last pixel."""
 
     group: Tensor
     y: Tensor
@@ -57,8 +55,7 @@ def _bits(like: Tensor, dtype: torch.dtype = torch.uint8) -> Tensor:
 def neighbours(planes: Tensor) -> tuple[Tensor, ...]:
     """The eight neighbours of every pixel: N, NE, E, SE, S, SW, W, NW, each ``(B, H, W)``.
 
-    This is the order p2 ... p9 of the thinning papers. What is outside the image is background.
-    """
+    This is the order p2 ... p9 of the thinning papers. What is outside the image is background."""
     padded = F.pad(planes, (1, 1, 1, 1))
     before, here, after = slice(-2), slice(1, -1), slice(2, None)
     above, level, below = padded[:, before], padded[:, here], padded[:, after]
@@ -80,8 +77,7 @@ def steps_around(ring: Sequence[Tensor]) -> list[Tensor]:
     """The 0 -> 1 steps around every pixel, from its eight `neighbours`, in four planes; their sum
     is the crossing number.
 
-    There is at most one step from N over NE to E, and in each of the other quarters.
-    """
+    There is at most one step from N over NE to E, and in each of the other quarters."""
     n, ne, e, se, s, sw, w, nw = ring
     return [(ne | e) ^ (n & ne), (se | s) ^ (e & se), (sw | w) ^ (s & sw), (nw | n) ^ (w & nw)]
 

@@ -2,8 +2,7 @@
 
 A boundary is located more sharply than an area, and it stays where it is when a network confuses
 two classes. The four diagonal neighbours of a pixel, two rows and two columns apart, give its
-direction: two adjacent ones in the layer make a straight boundary, one or three a slanting one.
-"""
+direction: two adjacent ones in the layer make a straight boundary, one or three a slanting one."""
 
 from functools import cache
 

@@ -2,8 +2,7 @@
 
 A layer is stored as a few thousand horizontal runs instead of a million pixels. Two runs that touch
 from row to row form an edge of a graph, whose connected components are the regions. Minimum-label
-propagation with pointer jumping finds them in a few rounds, also for long and winding regions.
-"""
+propagation with pointer jumping finds them in a few rounds, also for long and winding regions."""
 
 import torch
 import torch.nn.functional as F
@@ -69,8 +68,7 @@ def _touching(segments: Runs, shape: torch.Size, diagonal: bool) -> tuple[Tensor
 
     All rows of all layers are placed on one line, two columns apart. The runs above a run are those
     between its two ends, moved up by one row. ``diagonal`` widens this stretch by one column on
-    each side.
-    """
+    each side."""
     count, height, width = shape
     pitch = width + 2
     row = (segments.group * (height + 1) + segments.y + 1) * pitch + 1

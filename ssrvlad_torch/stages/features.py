@@ -4,8 +4,7 @@ The activations become means over cells. Each channel is normalised over the cel
 picture, half of what the cells around it have in common is taken off, and each cell has length 1.
 Projections of it, which the network's cells of pictures of noise give, keep their signs. All cells
 share the projections, so a picture that is moved by cells has moved signs, and a mirrored one
-mirrored signs. Not in the paper.
-"""
+mirrored signs. Not in the paper."""
 
 import hashlib
 
@@ -150,8 +149,7 @@ def projections(cells: Tensor) -> Tensor:
 
     The rotation is the orthogonal matrix nearest to random sides, seen from the components. So the
     projections do not depend on the signs that a library gives to components, and change as little
-    as the cells where another processor rounds otherwise.
-    """
+    as the cells where another processor rounds otherwise."""
     flat = cells.permute(1, 0, 2, 3).flatten(1).double()
     variances, components = torch.linalg.eigh(flat @ flat.T / flat.shape[1])
     large = variances > _NO_COMPONENT * variances[-1]

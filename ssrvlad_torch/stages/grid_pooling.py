@@ -16,8 +16,7 @@ def pool(masks: Tensor, shift: Tensor) -> Tensor:
     A pixel counts in every cell that it overlaps, by the overlap. Overlaps are whole numbers in
     units of ``1 / (H * ROWS)`` and ``1 / (W * COLUMNS)``, so the sums are whole numbers too, exact
     in any order: in float32 up to ``H * W = 2 ** 24``. Columns that come in from outside the image
-    are empty.
-    """
+    are empty."""
     height, width = masks.shape[2:]
     columns = overlaps(width, COLUMNS, shift)
     rows = overlaps(height, ROWS, torch.zeros_like(shift)).to(real())

@@ -4,8 +4,7 @@ Not in the paper. The paper's N log-spaced rings and M sectors lie around one po
 their bins are soft: a cell counts in the two nearest rings and the two nearest sectors. A small
 shift then changes the histogram only a little.
 
-It is one of the two aggregations: layers -> histograms -> descriptor. `residuals` is the other.
-"""
+It is one of the two aggregations: layers -> histograms -> descriptor. `residuals` is the other."""
 
 import math
 from collections.abc import Sequence
@@ -45,8 +44,7 @@ class Harmonics(nn.Module):
     """The aggregation of the preset ``default``.
 
     Its tables are float64 buffers. They are stored as int64 words of the same bits, so that
-    ``half()`` does not round them. Under export they are float32 constants.
-    """
+    ``half()`` does not round them. Under export they are float32 constants."""
 
     def __init__(self, config: SSRVLADConfig) -> None:
         super().__init__()

@@ -14,8 +14,7 @@ def intersections(skeleton: Tensor) -> Tensor:
     """Skeleton pixels whose crossing number is 3 or more, one of each touching group.
 
     The crossing number counts the 0 -> 1 steps around the pixel (Rutovitz 1966). A pixel is
-    dropped if another intersection pixel is W, NW, N or NE of it.
-    """
+    dropped if another intersection pixel is W, NW, N or NE of it."""
     a, b, c, d = steps_around(neighbours(skeleton))
     crossing = skeleton & (a & b & (c | d) | c & d & (a | b))  # three of the four
     n, ne, *_, w, nw = neighbours(crossing)

@@ -2,8 +2,7 @@
 
 Under export the size of the grid is a symbol, and a length, an area or a squared distance times a
 fraction is a product of whole numbers of up to sixty bits, which some runtimes cut to 32 silently.
-So it is divided in two steps, as by hand, see `divided`.
-"""
+So it is divided in two steps, as by hand, see `divided`."""
 
 from collections.abc import Sequence
 from typing import NamedTuple

@@ -1,8 +1,7 @@
 """Residuals: how the keypoints' histograms differ from the one around the centre (Eq. 2).
 
 It is one of the two aggregations: layers -> clean layers -> skeletons -> keypoints -> histograms ->
-descriptor. `harmonics` is the other.
-"""
+descriptor. `harmonics` is the other."""
 
 from typing import NamedTuple
 

@@ -39,8 +39,7 @@ def shape_contexts(references: Points, context: Points, bins: Bins, images: int)
     Under export -1 for a layer of 2 ** 31 pairs or more.
 
     Around every reference point the context points of the same layer are counted by ring and
-    sector; the reference point itself is not counted. Pairs are listed chunk by chunk.
-    """
+    sector; the reference point itself is not counted. Pairs are listed chunk by chunk."""
     pitch = bins.table.shape[1]
     groups, stride = LAYERS * images, bins.total + 1
     context_position = context.y * pitch + context.x

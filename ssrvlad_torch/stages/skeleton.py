@@ -3,8 +3,7 @@
 Both variants delete, in two alternating sub-iterations, the pixels whose eight neighbours
 p2 ... p9 (N, NE, E, SE, S, SW, W, NW) satisfy the published conditions, until neither
 sub-iteration deletes anything. The second is the first with the neighbours turned by half a circle.
-What is outside the image is background.
-"""
+What is outside the image is background."""
 
 from collections.abc import Callable, Sequence
 from functools import reduce
@@ -43,8 +42,7 @@ def zhang_suen(pixels: Tensor, ring: Sequence[Tensor]) -> Tensor:
     The conditions are A(P) = 1 (one 0 -> 1 step around the pixel), 2 <= B(P) <= 6 (neighbours that
     are on), and two products that are zero. If A = 1, the neighbours that are on form one arc, in
     which corners and sides alternate, so B need not be counted: B >= 2 if the arc has a corner and
-    a side. If B = 7 and the products are zero, the neighbour that is off is E or S.
-    """
+    a side. If B = 7 and the products are zero, the neighbour that is off is E or S."""
     n, ne, e, se, s, sw, w, nw = ring
     north_west, south_east = n | w, e | s
     two_on = (north_west | south_east) & (ne | se | sw | nw)
@@ -64,8 +62,7 @@ def guo_hall(pixels: Tensor, ring: Sequence[Tensor]) -> Tensor:
 
     The conditions are C(P) = 1 (one 8-connected group around the pixel), 2 <= N(P) <= 3 with
     N = min(N1, N2), the pairs of adjacent neighbours that are on, counted both ways, and a
-    product that is zero.
-    """
+    product that is zero."""
     n, ne, e, se, s, sw, w, nw = ring
     groups = [~n & (ne | e), ~e & (se | s), ~s & (sw | w), ~w & (nw | n)]
     pairs_from_nw = [nw | n, ne | e, se | s, sw | w]

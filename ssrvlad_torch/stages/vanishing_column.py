@@ -2,8 +2,7 @@
 
 When the camera turns a little or the car drives in another lane, the image shifts sideways. The
 column in which ground, sidewalk and sky together are tallest shifts with it. It replaces the
-vanishing point, which a label map does not show. Not in the paper.
-"""
+vanishing point, which a label map does not show. Not in the paper."""
 
 from functools import reduce
 from operator import or_
@@ -35,8 +34,7 @@ def vanishing_columns(numbers: Tensor) -> Tensor:
     """``(B,)`` int64, how many columns right of the middle, negative to the left, the vanishing
     column is in numbers ``(B, H, W)`` from `merge`; under export at most `MAX_WIDTH` columns.
 
-    It is the weighted mean of the columns in whole numbers, rounded to the nearest, halves up.
-    """
+    It is the weighted mean of the columns in whole numbers, rounded to the nearest, halves up."""
     height, width = numbers.shape[1:]
     is_open = reduce(or_, [numbers == layer for layer in OPEN_LAYERS])
     level = torch.floor((is_open.sum(1).float() * LEVELS + 0.5) / height).to(torch.int64)
