@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Generator, Iterator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -17,10 +17,7 @@ from ..options import Json, MaybePreset, StoredChannels, option
 from ..output import finish, note, print_json, say, weights_in_words
 
 if TYPE_CHECKING:
-    from ...database.database import Database
-    from ...encoding.results import Encoded, Skipped
-    from ...encoding.source import SelectedFrames
-    from ...loops.detector import LoopDetector
+    from ...encoding.results import Skipped
     from ...loops.result import LoopResult
 
 _MEMORY = "Database to store the frames in; one that exists is continued where it was."
@@ -57,9 +54,12 @@ def loops(
     Example: ssrvlad loops maps/monday --labels-as camvid-11 --picture loops.png
     """
     from ...database.database import Database
+    from ...datasets.names import sequence_of
+    from ...encoding.plan import check_folders
     from ...encoding.source import open_frames
-    from ...files import require_picture
+    from ...files import require_picture, write_picture
     from ...loops import stream
+    from ...loops.picture import draw_loops
 
     live = source.is_live
     config = LoopConfig(exclude, threshold, sweep)
@@ -69,7 +69,14 @@ def loops(
     opened = open_frames(source, stored, live=live, note=note)
     network = opened.labels_as, opened.segmenter
     detector, database = stream.open_detector(config, memory, preset, *network, channel, note)
-    frames = _described(detector, opened, database, live)
+    if live:
+        names = map(os.fsdecode, sys.stdin.buffer)
+        settings = source.sequence, opened.segmenter, database
+        frames = stream.encode_as_they_come(detector, names, *settings)
+    else:
+        if database:
+            check_folders(opened.files, database.known())
+        frames = stream.encode_files(detector, opened.files, source.workers, opened.segmenter)
     results, skipped = _printed(stream.detect_loops(detector, frames, database), as_json)
     if results or skipped or as_json or not len(detector):
         summary = stream.report(detector, results, tolerance_metres)
@@ -78,24 +85,13 @@ def loops(
         count = f"{len(opened.files)} frames" if opened.files else "frames"  # none of stdin
         say(f"all {count} are in the memory already")
     if picture:
-        _draw(picture, detector, results, tolerance_metres)
+        pairs = stream.loops_of(detector, results)
+        candidates = stream.candidates_of(detector, results)
+        sequences = [sequence_of(frame) for frame in detector.frames]
+        title = ", ".join(dict.fromkeys(sequences))
+        drawn = draw_loops(pairs, detector.poses, title, tolerance_metres, sequences, candidates)
+        write_picture(drawn, picture)
     finish(skipped, len(results))
-
-
-def _described(
-    detector: LoopDetector, source: SelectedFrames, database: Database | None, live: bool
-) -> Iterator[Encoded | Skipped]:
-    """The frames of a source; if ``live``, those whose names arrive on stdin."""
-    from ...encoding.plan import check_folders
-    from ...loops.stream import encode_as_they_come, encode_files
-
-    selection, segmenter = source.selection, source.segmenter
-    if live:
-        names = map(os.fsdecode, sys.stdin.buffer)
-        return encode_as_they_come(detector, names, selection.sequence, segmenter, database)
-    if database:
-        check_folders(source.files, database.known())
-    return encode_files(detector, source.files, selection.workers, segmenter)
 
 
 def _printed(
@@ -119,22 +115,6 @@ def _printed(
                 sure = f"confidence {result.confidence:.2f}{ahead}"
                 say(f"{result.frame}: {result.candidate} ({sure})")
     return results, skipped
-
-
-def _draw(
-    picture: Path, detector: LoopDetector, results: Sequence[LoopResult], metres: float | None
-) -> None:
-    from ...datasets.names import sequence_of
-    from ...files import write_picture
-    from ...loops import stream
-    from ...loops.picture import draw_loops
-
-    pairs = stream.loops_of(detector, results)
-    candidates = stream.candidates_of(detector, results)
-    sequences = [sequence_of(frame) for frame in detector.frames]
-    title = ", ".join(dict.fromkeys(sequences))
-    figure = draw_loops(pairs, detector.poses, title, metres, sequences, candidates)
-    write_picture(figure, picture)
 
 
 def _print_likeliest(results: Sequence[LoopResult], config: LoopConfig) -> None:

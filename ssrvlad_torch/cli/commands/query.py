@@ -53,10 +53,16 @@ def query(
     if picture:
         require_picture(picture)
     if source.is_live:
-        options = {"--from-sequence": from_sequence, "--exclude": exclude, "--picture": picture}
-        for name, value in options.items():
+        refused = {"--from-sequence": from_sequence, "--exclude": exclude, "--picture": picture}
+        refused |= {"--temporal": recognition.temporal, "--max-wrong": recognition.max_wrong}
+        for name, value in refused.items():
             if value is not None:
                 raise ValueError(f"SOURCE {STDIN} takes no {name}")
+        if recognition.follow != "online":
+            raise ValueError(
+                f"SOURCE {STDIN} answers as frames come: expected --follow online, got "
+                f"{recognition.follow}"
+            )
         _track(Map.open(database, version=as_of), source, recognition, top, verbose, as_json)
         return
     settings = {**recognition.settings(), "sequences": from_sequence, "exclude": exclude}
@@ -85,17 +91,6 @@ def _track(
     from ...encoding.results import Skipped
     from ..summaries import print_answer
 
-    if recognition.follow != "online":
-        raise ValueError(
-            f"SOURCE {STDIN} answers as frames come: expected --follow online, got "
-            f"{recognition.follow}"
-        )
-    for name, value in (
-        ("--temporal", recognition.temporal),
-        ("--max-wrong", recognition.max_wrong),
-    ):
-        if value is not None:
-            raise ValueError(f"SOURCE {STDIN} takes no {name}")
     names = map(os.fsdecode, sys.stdin.buffer)
     settings = recognition.steps(), top, recognition.near, recognition.channel
     answered, skipped = 0, []
