@@ -178,22 +178,16 @@ class SSRVLADConfig:
 
     @classmethod
     def from_preset(cls, preset: str, **settings: Any) -> SSRVLADConfig:
-        """A preset, ``"paper"`` or ``"default"``, with the given settings changed.
-
-        Raises:
-            ValueError: the preset or a setting does not exist, or a value is outside its range.
-        """
+        """A preset, ``"paper"`` or ``"default"``, with the given settings changed; an unknown
+        preset or setting, and a value outside its range, are a ValueError."""
         if preset not in tuple(PRESETS):
             raise ValueError(f"preset must be one of {', '.join(PRESETS)}, got {preset!r}")
         return cls.from_dict({**PRESETS[preset], **settings})
 
     @classmethod
     def from_dict(cls, settings: dict[str, Any]) -> SSRVLADConfig:
-        """The config that `to_dict` wrote.
-
-        Raises:
-            ValueError: a key is not a setting of this version, or a value is outside its range.
-        """
+        """The config that `to_dict` wrote; a key that is no setting of this version, and a value
+        outside its range, are a ValueError."""
         names = {field.name for field in dataclasses.fields(cls)}
         unknown = sorted(set(settings) - names)
         if unknown:
@@ -233,11 +227,9 @@ class SSRVLADConfig:
 
     @property
     def fingerprint(self) -> str:
-        """16 hex digits over the method's revision and every setting but ``labels_as``.
-
-        Two descriptors are comparable only if their fingerprints are equal. The name of a preset
-        and the settings that the aggregation does not use are not part of it, so a database stays
-        valid when a preset changes."""
+        """16 hex digits over the method's revision and every setting that the aggregation uses but
+        ``labels_as``. Two descriptors are comparable only if their fingerprints are equal; a
+        database stays valid when a preset changes."""
         settings = self.used()
         del settings["labels_as"]
         if self.aggregation == "residuals":

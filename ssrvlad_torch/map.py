@@ -113,23 +113,18 @@ class Map:
         channels: Sequence[str] | None = None,
         version: int | None = None,
     ) -> Map:
-        """A map; a new one is made by the first `add`.
+        """A map; a new one is made by the first `add`. A damaged database, one of another version
+        of the method, and one of another preset or other channels are a ValueError.
 
         Args:
             path: of the database, a folder or a URI.
             network: labels pictures; a name, see `open_network`, or a `Segmenter`. Without one,
                 frames are label maps, or pictures of the network that made the map.
             labels_as: label space of the label maps, or of the network's classes.
-            preset: of a new map, ``"default"`` or ``"paper"``; by default ``"default"``. One that
-                exists must have it.
+            preset: of a new map, ``"default"`` or ``"paper"``; by default ``"default"``.
             channels: what a new map stores of pictures beside the descriptor of label maps, of
-                `channels.CHANNELS`; by default all that the network gives. One that exists must
-                have them.
+                `channels.CHANNELS`; by default all that the network gives.
             version: of the database, opened read-only; by default the newest.
-
-        Raises:
-            ValueError: the database is damaged, was made by another version of the method, or has
-                another preset or other channels.
         """
         if not isinstance(path, str | os.PathLike):
             raise ValueError(f"expected the folder or URI of a map, got {path!r}")
@@ -202,10 +197,8 @@ class Map:
             engine: threads of this process, or Ray.
             note: gets what the user should know.
 
-        Raises:
-            ValueError: there are no frames, or they do not fit the map.
-            OSError: the map cannot be written.
-        """
+        No frames, and frames that do not fit the map, are a ValueError; a map that cannot be
+        written is an OSError."""
         options = options or EncodeOptions()
         if self.version is not None:
             raise ValueError(f"{self.path} was opened as of version {self.version}, read-only")
@@ -268,8 +261,9 @@ class Map:
         single: bool = False,
         progress: Progress = do_nothing,
     ) -> Answers:
-        """Finds a sequence, or any frames, in the map. It is found far better as a whole: give
-        its folder, not its pictures one by one.
+        """Finds a sequence, or any frames, in the map. It is found far better as a whole: give its
+        folder, not its pictures one by one. No frames, frames that do not fit the map, and a map
+        without poses in the circle are a ValueError.
 
         Args:
             frames: as for `add`, or a database; or a list of pictures in memory, see `locate`, or
@@ -281,10 +275,6 @@ class Map:
             min_confidence, max_wrong: which answers are accepted, see `Answers.accepted`.
             follow: instead of that of ``steps``; ``"no"`` matches single frames.
             single: match each frame without the others, as `locate` does.
-
-        Raises:
-            ValueError: there are no frames, they do not fit the map, or the map has no poses in the
-                circle.
         """
         circle, source, steps = circle_of(near), self._source(frames), steps or Steps()
         if not isinstance(steps, Steps):
@@ -388,6 +378,7 @@ class Map:
         **settings: Any,
     ) -> Evaluation:
         """Measures how well frames are found: RecallRate@N, AUC-PR, Recall@100%Precision and more.
+        Errors are those of `query`; that no true match is defined or known is a ValueError.
 
         Args:
             frames, steps, settings: as for `query`.
@@ -398,9 +389,6 @@ class Map:
                 pose are left out.
             convention: of the metrics.
             note: gets what is left out.
-
-        Raises:
-            ValueError: as for `query`, or no true match is defined or known.
         """
         source = self._source(frames)
         declared = source.dataset.truth if source.dataset else None

@@ -41,15 +41,9 @@ NO_LAYER = len(CATEGORIES)
 
 @dataclass(frozen=True)
 class LabelClass:
-    """One id of a label space.
-
-    Attributes:
-        id: -65535 to 65535.
-        name: of the class, for people.
-        category: one of `CATEGORIES`, or `DYNAMIC` or `VOID`.
-        colour: red, green and blue, 0 to 255, of the class in pictures of label maps; ``None`` if
-            it has no colour.
-    """
+    """One id of a label space, -65535 to 65535: the name of the class, for people; its category,
+    one of `CATEGORIES`, or `DYNAMIC` or `VOID`; and its colour in pictures of label maps, if it has
+    one."""
 
     id: int
     name: str
@@ -84,16 +78,10 @@ class LabelSpace:
 
     @classmethod
     def from_dict(cls, document: object, where: str = "label space") -> LabelSpace:
-        """The label space that `to_dict` wrote, or that a YAML file holds.
-
-        Args:
-            document: a mapping with ``name``, ``source`` and ``classes``, a list of mappings with
-                ``id``, ``name``, ``category`` and optionally ``colour``.
-            where: its name in error messages.
-
-        Raises:
-            ValueError: ``document`` does not define a label space; the message names the entry.
-        """
+        """The label space that `to_dict` wrote, or that a YAML file holds: a mapping with ``name``,
+        ``source`` and ``classes``, a list of mappings with ``id``, ``name``, ``category`` and
+        optionally ``colour``. Other documents are a ValueError that names ``where`` it is from, and
+        the entry."""
         expected = "expected a mapping with name, source and classes"
         if not isinstance(document, dict) or not {"name", "source", "classes"} <= document.keys():
             raise ValueError(f"{where} is not a label space: {expected}")
@@ -175,17 +163,9 @@ def label_space_names() -> tuple[str, ...]:
 
 
 def label_space(labels_as: str | os.PathLike[str] | LabelSpace) -> LabelSpace:
-    """A built-in label space, the one that a YAML file defines, or ``labels_as`` itself.
-
-    A file is read at every call, so that its changes take effect.
-
-    Args:
-        labels_as: a name in `label_space_names`, the path of a file that ends in ``.yaml`` or
-            ``.yml``, or a label space.
-
-    Raises:
-        ValueError: the name is unknown, or the file does not define a label space; the message
-            names the entry.
+    """A built-in label space by its name, the one that a YAML file at a path defines, or
+    ``labels_as`` itself. A file is read at every call, so that its changes take effect. An unknown
+    name, and a file that defines none, are a ValueError.
 
     Examples:
         >>> label_space("camvid-11").classes[0].category

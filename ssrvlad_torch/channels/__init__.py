@@ -24,15 +24,9 @@ LABEL_SHAPES = next(iter(CHANNELS))
 
 
 class Column(NamedTuple):
-    """The column of a database that holds the descriptors of a channel.
-
-    Attributes:
-        name: of the channel.
-        fingerprint: descriptors are comparable only if their fingerprints are equal; empty if they
-            are custom.
-        shape: of the descriptor of a frame.
-        dtype: ``"float32"``, or ``"uint8"`` for signs, eight in a byte.
-    """
+    """The column of a database that holds the descriptors of a channel: their shape and dtype,
+    ``"float32"``, or ``"uint8"`` for signs, eight in a byte. Descriptors are comparable only if
+    their fingerprints are equal; empty if they are custom."""
 
     name: str
     fingerprint: str

@@ -115,10 +115,11 @@ class Database:
         width: int | None = None,
         columns: Sequence[Column] = (),
     ) -> Database:
-        """Creates an empty database in a new or empty folder, or at a URI.
+        """Creates an empty database in a new or empty folder, or at a URI; a folder in use is a
+        ValueError.
 
         Args:
-            path: of the folder; one that is in use is a ValueError.
+            path: of the folder.
             config: the settings of the descriptors of label maps, the first channel; a custom label
                 space is stored with them.
             width: instead of ``config``, the length of descriptors that another method makes.
@@ -150,12 +151,9 @@ class Database:
 
     @classmethod
     def open(cls, path: str | Path, version: int | None = None) -> Database:
-        """Opens an existing database; at a ``version`` of `history` read-only, else the newest.
-
-        Raises:
-            ValueError: the database does not exist, was made by another version of the method, or
-                cannot be read; the message then says which version can.
-        """
+        """Opens an existing database; at a ``version`` of `history` read-only, else the newest. One
+        that does not exist, was made by another version of the method, or cannot be read is a
+        ValueError, which says which version can be read."""
         text = str(path)
         if not is_uri(text):
             if not cls.exists(path):
@@ -333,18 +331,12 @@ class Database:
         return origin.key
 
     def append(self, frames: Frames, descriptors: Descriptors) -> None:
-        """Adds new frames in one commit, flushed to disk when this returns.
-
-        Args:
-            frames: N records, or only ids: ``<sequence>/<name>``, or a name without ``/``. Neither
-                part is empty or starts or ends with white space.
-            descriptors: ``(N, *shape)`` for each column by its name, or of the only one; raw:
-                neither summed over time nor centred.
-
-        Raises:
-            ValueError: a shape is wrong; a row is not finite, or its length overflows or underflows
-                float32; or an id is invalid or is in the database.
-        """
+        """Adds new frames in one commit, flushed to disk when this returns. ``frames`` are N
+        records, or only ids: ``<sequence>/<name>``, or a name without ``/``, which neither start
+        nor end with white space. ``descriptors`` are ``(N, *shape)`` for each column by its name,
+        or of the only one; raw: neither summed over time nor centred. A wrong shape, a row that is
+        not finite or whose length does not fit float32, and an id that is invalid or in the
+        database are a ValueError."""
         self._change(*self._written(frames, descriptors), "append")
 
     def merge(self, frames: Frames, descriptors: Descriptors, check: Check | None = None) -> None:

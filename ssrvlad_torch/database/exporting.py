@@ -24,25 +24,18 @@ _GROUP_BYTES = 1024
 
 
 def export_database(database: Database, form: Format, file: Path) -> list[Path]:
-    """Writes raw descriptors and frame ids, in natural order, to files of another format.
+    """Writes raw descriptors and frame ids, in natural order, to files of another format, which are
+    returned, ``file`` first.
 
     ``npy`` is an ``(R, D)`` float32 array, a text file with one frame id per line, a JSON file with
     fingerprint and settings, an array for each further channel, with its fingerprint in a text
     file, and if a pose is known ``(R, 3)`` float64 of x, y and heading; those of an earlier export
-    that are not written again are deleted. ``hloc`` is an HDF5
-    file with one group per frame, named by its id: ``global_descriptor``, ``(D,)`` float32, as
-    hloc's ``extract_features`` writes it (https://github.com/cvg/Hierarchical-Localization), and a
-    data set for each further channel. Fingerprint and settings are in the file's attribute
-    ``ssrvlad``.
-
-    Returns:
-        The files that were written: ``file``, the array or the HDF5 file, and others beside it.
-
-    Raises:
-        ValueError: the database is damaged, or, for ``npy``, an id has several lines.
-        ImportError: the extra ``hloc`` is not installed.
-        OSError: the files cannot be written.
-    """
+    that are not written again are deleted. ``hloc`` is an HDF5 file with one group per frame, named
+    by its id: ``global_descriptor``, ``(D,)`` float32, as hloc's ``extract_features`` writes it
+    (https://github.com/cvg/Hierarchical-Localization), and a data set for each further channel.
+    Fingerprint and settings are in the file's attribute ``ssrvlad``. A damaged database, and for
+    ``npy`` an id of several lines, are a ValueError; without the extra ``hloc`` it is an
+    ImportError."""
     frames, info = database.load(), database.info()
     about = {name: info[name] for name in ("fingerprint", "config", "channels", "label_spaces")}
     if form == "hloc":

@@ -68,7 +68,6 @@ def open_frames(
     """The frames of a selection, before the first is read.
 
     Args:
-        selection: which frames.
         database: with which they are ``compared``, and where they may be a database themselves, or
             to which they are added.
         network, labels_as: used where the selection names neither.
@@ -78,10 +77,8 @@ def open_frames(
         note: gets what a data set lacks, tables of poses that fit no frame, and the network that
             labels pictures if the user names none.
 
-    Raises:
-        ValueError: settings do not go together, there are no frames or no label space, or the
-            network of the database cannot be opened or has changed.
-    """
+    Settings that do not go together, no frames or no label space, and a network of the database
+    that cannot be opened or has changed are a ValueError."""
     if selection.segmenter or selection.labels_as:
         network, labels_as = selection.segmenter, selection.labels_as
     dataset = _dataset_of(selection, labels_as, note)

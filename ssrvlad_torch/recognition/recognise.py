@@ -115,11 +115,8 @@ def references_of(
     Args:
         channels: by their names vectors ``(R, D)`` float, of length 1 or zero for an empty frame,
             or signs ``(R, columns, rows, bytes)`` uint8, eight in a byte; ``None`` for scores.
-        sequences: of the frames, which stand together and in order.
+        sequences: of the frames, which stand together and in order; else a ValueError.
         trust: how much channels count before anything is known of the queries, by default 1.
-
-    Raises:
-        ValueError: the frames of a sequence do not stand together, or an array is of another kind.
     """
     town = DescriptorMap([len(run) for run in runs(sequences)])
     for name, rows in channels.items():

@@ -80,23 +80,14 @@ class Tracker:
     def update(
         self, frame: Picture | LabelMap | View, name: str | None = None, stamp: float | None = None
     ) -> Answer | None:
-        """Takes the next frame.
+        """Takes the next frame, a picture, see `Map.locate`, a label map ``(H, W)`` of integers, or
+        a `View` with what the channels need. ``name`` is what the answer calls it, by default its
+        number from 0; ``stamp`` is a time that the answer repeats.
 
-        Args:
-            frame: a picture, see `Map.locate`, a label map ``(H, W)`` of integers, or a `View`
-                with what the channels need.
-            name: what the answer calls it; by default its number, from 0.
-            stamp: a time that the answer repeats.
-
-        Returns:
-            The answer to it; with a delay that to the frame so many before, ``None`` if there is
-            none yet.
-
-        Raises:
-            FileNotFoundError: a file does not exist.
-            ValueError: it is no picture and no label map, or the channels of the map need a
-                picture. The tracker can go on with the next frame.
-        """
+        Returns the answer to it; with a delay that to the frame so many before, ``None`` if there
+        is none yet. A missing file is a FileNotFoundError; what is no picture and no label map, and
+        a label map where channels need pictures, are a ValueError, after which the tracker can go
+        on."""
         name = str(self._tracker.count) if name is None else name
         view = self._view(frame, name)
         described = {
@@ -127,13 +118,8 @@ class Tracker:
 
     def load(self, path: str | os.PathLike[str]) -> None:
         """Goes on from a file that `save` wrote: answers are the same as if the sequence had not
-        been interrupted.
-
-        Raises:
-            OSError: the file cannot be read.
-            ValueError: it is of a map with other descriptors, or of other settings, or damaged; or
-                this tracker has taken a frame.
-        """
+        been interrupted. A state of another map or other settings, a damaged one, and a tracker
+        that has taken a frame are a ValueError, a file that cannot be read is an OSError."""
         about, _, state = read_bytes(path).partition(b"\n")
         try:
             waiting = {

@@ -130,20 +130,12 @@ class Segmenter:
         labels_as: str | os.PathLike[str] | LabelSpace = AUTO,
         cache: Path | None = None,
     ) -> Segmenter:
-        """A segmenter by the name of its network.
-
-        Args:
-            name: of the network, or the result of `open_network`, which see.
-            labels_as: label space of its classes; ``"auto"`` is the one of the YAML file, or else
-                the one of the network's own class names (`label_space_of_names`).
-            cache: as for `Segmenter`.
-
-        Raises:
-            ValueError: the name is unknown, the network cannot be used, or it has no class names
-                and no label space is given.
-            OSError: the network cannot be downloaded.
-            ImportError: an extra is not installed.
-        """
+        """A segmenter by the name of its network, or the result of `open_network`, which see.
+        ``labels_as`` is the label space of its classes; ``"auto"`` is the one of the YAML file, or
+        else the one of the network's own class names (`label_space_of_names`). For ``cache`` see
+        `Segmenter`. An unknown name, a network that cannot be used, and one without class names and
+        label space are a ValueError; one that cannot be downloaded is an OSError, a missing extra
+        an ImportError."""
         if not isinstance(name, str | os.PathLike | NamedNetwork):
             raise ValueError(
                 f"network: expected its name, its file or a Segmenter, got {type(name).__name__}"
@@ -191,16 +183,10 @@ class Segmenter:
         return [segmented.labels for segmented in self.segment(images)]
 
     def segment(self, images: Sequence[Pixels], features: bool = False) -> list[Segmented]:
-        """The results of the network for pictures in memory, without the cache.
-
-        Args:
-            images: each ``(H, W, 3)`` uint8 in RGB, of any size.
-            features: whether to take the features too, in the same pass.
-
-        Raises:
-            ValueError: a picture has another shape or dtype, the network fails, its output is not
-                recognised or holds NaN scores, or it has no features.
-        """
+        """The results of the network for pictures in memory, each ``(H, W, 3)`` uint8 in RGB, of
+        any size, without the cache; with ``features`` also these, taken in the same pass. Another
+        shape or dtype, a network that fails, an output that is not recognised or holds NaN scores,
+        and missing features are a ValueError."""
         for image in images:
             if not isinstance(image, np.ndarray):
                 raise ValueError(f"expected arrays (H, W, 3) of uint8, got {type(image).__name__}")
@@ -226,17 +212,9 @@ class Segmenter:
     def segmented(
         self, files: Sequence[FrameFile], workers: int = 2, features: bool = False
     ) -> Iterator[tuple[FrameFile, Segmented | ValueError]]:
-        """The results of the network for images on disk, in order; an error for one that fails.
-
-        Args:
-            files: from `find_image_files`.
-            workers: threads that read and decode ahead of the network.
-            features: whether to take the features too, in the same pass.
-
-        Raises:
-            ValueError: the network's output is not recognised, or it has no features.
-            OSError: the cache cannot be written.
-        """
+        """The results of the network for images on disk, in order, by threads that read ahead, with
+        ``features`` also these; an error for an image that fails. An output that is not recognised,
+        and missing features, are a ValueError; a cache that cannot be written is an OSError."""
         extractor, cache = self.features if features else None, None
         if self.cache is not None:
             cache = SegmentedCache(self.cache, self.key(), extractor.key if extractor else "")

@@ -53,8 +53,9 @@ def query(
     if picture:
         require_picture(picture)
     if source.is_live:
-        refused = {"--from-sequence": from_sequence, "--exclude": exclude, "--picture": picture}
-        refused |= {"--temporal": recognition.temporal, "--max-wrong": recognition.max_wrong}
+        refused: dict[str, object] = {"--from-sequence": from_sequence, "--exclude": exclude}
+        refused |= {"--picture": picture, "--temporal": recognition.temporal}
+        refused |= {"--max-wrong": recognition.max_wrong}
         for name, value in refused.items():
             if value is not None:
                 raise ValueError(f"SOURCE {STDIN} takes no {name}")
