@@ -18,7 +18,7 @@ from ssrvlad_torch.channels.channel import View
 from ssrvlad_torch.channels.hog import HOG
 from ssrvlad_torch.datasets.image_files import decode_image
 from ssrvlad_torch.deployment.fuse import fuse
-from ssrvlad_torch.segmentation.network_outputs import classes_of, enlarged
+from ssrvlad_torch.segmentation.network_outputs import classes_of, enlarged, scores_along
 from ssrvlad_torch.segmentation.onnx_files import open_session
 from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
 
@@ -76,7 +76,7 @@ def _parts(segmenter: Segmenter, head: SSRVLAD, pictures: list[Path]) -> list[fl
         marks.append(time.perf_counter())
         result = network(numbers, names=[labels.output, *features.names])
         marks.append(time.perf_counter())
-        scores = labels.scores_of(result[labels.output])
+        scores = scores_along(result[labels.output], labels.axis, labels.config.classes)
         found = enlarged(classes_of(scores), *pixels.shape[:2])
         marks.append(time.perf_counter())
         head(found)

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from itertools import groupby, islice
-from typing import Any, Literal, Protocol, Self
+from typing import Literal, Protocol, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -91,8 +91,8 @@ class Network(Protocol):
     """What a channel asks of the network that labels the pictures."""
 
     @property
-    def features(self) -> Any:
-        """With the ``fingerprint`` of what views hold; a ValueError says why it has none."""
+    def fingerprint_of_features(self) -> str:
+        """Of the network's features, which views hold; a ValueError says why it has none."""
 
     @property
     def problem_of_features(self) -> str:

@@ -35,7 +35,7 @@ class Features(Channel):
         """See `Channel`."""
         if network is None:
             raise ValueError(cls.lacks(network))
-        return cls(network.features.fingerprint)
+        return cls(network.fingerprint_of_features)
 
     @classmethod
     def of(cls, column: Column, _head: SSRVLAD) -> Self:

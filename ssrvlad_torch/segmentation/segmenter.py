@@ -160,6 +160,11 @@ class Segmenter:
             raise ValueError(f"{self.name or 'the network'}: {error}") from error
 
     @property
+    def fingerprint_of_features(self) -> str:
+        """Under which a database stores the features; errors as of `features`."""
+        return self.features.fingerprint
+
+    @property
     def problem_of_features(self) -> str:
         """Why the rule of `find_activations` finds no features, in one line; empty if it does. A
         setting ``features`` that names what cannot be taken is a ValueError."""
