@@ -244,6 +244,14 @@ def write_maps(folder: Path, seeds: range) -> Path:
     return folder
 
 
+def write_map(ssrvlad, path, *maps):
+    """A database of label maps of cities, also in NumPy's form as ``path``."""
+    database = path.with_suffix(".ssrdb")
+    assert ssrvlad("encode", *maps, "-o", database, "--labels-as", "cityscapes-trainids")[0] == 0
+    assert ssrvlad("db", "export", database, "--format", "npy", "-o", path)[0] == 0
+    return database
+
+
 def write_photos(folder: Path, seeds: range, suffix: str = ".png") -> Path:
     """A sequence of images without meaning, each its own."""
     folder.mkdir(parents=True, exist_ok=True)

@@ -370,14 +370,6 @@ def write_moved_drives(ssrvlad, drives, folder, exported):
     return ("query", database, folder / "today", *network, "--json")
 
 
-def write_map(ssrvlad, path, *maps):
-    """A database of label maps of cities, also in NumPy's form as ``path``."""
-    database = path.with_suffix(".ssrdb")
-    assert ssrvlad("encode", *maps, "-o", database, "--labels-as", "cityscapes-trainids")[0] == 0
-    assert ssrvlad("db", "export", database, "--format", "npy", "-o", path)[0] == 0
-    return database
-
-
 def write_town(folder, path, top=5):
     """The database of ``monday`` in NumPy's form; the frames and scores of the candidates of the
     photos of ``today``, judged alone by all channels."""

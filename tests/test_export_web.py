@@ -11,9 +11,9 @@ import pytest
 import torch
 from drawings import SPACE
 from exported import edit_golden, turned
-from helpers import COLOUR, GRAY, PALETTES, street, write_maps, write_palette, write_png
+from helpers import COLOUR, GRAY, PALETTES, street, write_map, write_maps, write_palette, write_png
 from loop_streams import objects
-from networks import photo, write_map, write_moved_drives, write_town
+from networks import photo, write_moved_drives, write_town
 from PIL import Image
 from PIL.PngImagePlugin import PngInfo
 from ssrvlad_place.database import save

@@ -13,9 +13,9 @@ import run_onnx
 from built import Fixtures
 from drawings import SPACE
 from exported import of_preset
-from helpers import outcome, write_maps
+from helpers import outcome, write_map, write_maps
 from loop_streams import CAMVID, CONFIG, SECOND, SEEDS, objects, picture
-from networks import write_map, write_moved_drives, write_other_drives
+from networks import write_moved_drives, write_other_drives
 from oracles import loops as oracle
 from PIL import Image
 from ssrvlad_place.model import TRUST
