@@ -1,8 +1,8 @@
 """The native core against the stages in torch: the same descriptors, so the same bits."""
 
 import json
-import os
 import shutil
+import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -144,19 +144,23 @@ def test_the_operator_passes_opcheck():
     torch.library.opcheck(operator, arguments)
 
 
+def test_a_few_seeds_are_in_range(core, tmp_path):
+    library = Path(core.library._name)
+    flags = ["-std=c++17", "-O1", "-pthread", f"-I{library.parent}", f"-Wl,-rpath,{library.parent}"]
+    sources = [ROOT / "tests" / "fuzz.cpp", library]
+    subprocess.run(["g++", *flags, *sources, "-o", tmp_path / "fuzz"], check=True)
+    assert outcome(tmp_path / "fuzz", "0", "20") == (0, ["clean"], [])
+
+
 @pytest.mark.slow
-def test_sanitisers_find_nothing_in_the_tests_of_the_core(tmp_path, monkeypatch):
-    """They watch a copy of the package, whose core is compiled with them."""
-    shutil.copytree(ROOT / "ssrvlad_torch", tmp_path / "ssrvlad_torch")
-    monkeypatch.setenv("CXX", "g++ -fsanitize=address,undefined -fno-sanitize-recover=all")
-    assert not hatch_build.build(tmp_path)
-    [runtime] = outcome("g++", "-print-file-name=libasan.so")[1]
-    watched = {"LD_PRELOAD": runtime, "ASAN_OPTIONS": "detect_leaks=0"}
-    env = {**os.environ, **watched, "PYTHONPATH": str(tmp_path)}
-    names = ("native", "native_map", "native_loops", "decide", "tracker", "core_arguments")
-    files = [ROOT / "tests" / f"test_{name}.py" for name in names]
-    code, lines, _ = outcome(sys.executable, "-m", "pytest", *files, cwd=tmp_path, env=env)
-    assert code == 0, "\n".join(lines)
+def test_sanitisers_find_nothing(tmp_path):
+    folder = ROOT / "ssrvlad_torch" / "native"
+    flags = ["-std=c++17", "-O0", "-ffp-contract=off", "-pthread", f"-I{folder}"]
+    flags += ["-Wall", "-Wextra", "-Werror"]
+    checks = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+    sources = [ROOT / "tests" / "fuzz.cpp", *folder.glob("*.cpp")]
+    subprocess.run(["g++", *flags, *checks, *sources, "-o", tmp_path / "fuzz"], check=True)
+    assert outcome(tmp_path / "fuzz", "20", "300") == (0, ["clean"], [])
 
 
 def test_fast_math_is_refused_as_it_is_compiled():

@@ -253,6 +253,7 @@ PROCESSORS = {
     "AVX2": ("g++ -O2 -DSSRVLAD_SIMD=1", ()),
     "aarch64": ("aarch64-linux-gnu-g++ -O1 -static -Wno-psabi", ("qemu-aarch64",)),
     "32-bit ARM": ("arm-linux-gnueabihf-g++ -O2 -static -Wno-psabi", ("qemu-arm",)),
+    "x86-64 as in the wheel": (f"{ZIG} x86_64-linux-gnu.2.17", ()),
     "aarch64 as in the wheel": (
         f"{ZIG} aarch64-linux-gnu.2.17",
         ("qemu-aarch64", "-L", "/usr/aarch64-linux-gnu"),
