@@ -13,7 +13,7 @@ from ssrvlad_torch.native.loops import Channel, Loops
 from ssrvlad_torch.stages.features import SHAPE
 
 SIZES = (10_000, 100_000, 1_000_000)
-DRIVES, ANCHORS, WARM_UP, FRAMES, LENGTH, BLOCK = 10, 3, 3, 40, 480, 1000
+DRIVES, ANCHORS, WARM_UP, FRAMES, LENGTH = 10, 3, 3, 40, 480
 CHANNELS = (
     Channel("ssr-vlad", (LENGTH,)),
     Channel("features", SHAPE, "uint8"),
@@ -36,8 +36,9 @@ def timed(size: int, channels: Sequence[Channel]) -> list[float]:
     them the first frame of a sequence."""
     stream = Loops(channels)
     rng, stored = np.random.default_rng(0), dict[str, np.ndarray]()
-    for first in range(0, size - FRAMES // 2, BLOCK):
-        count = min(BLOCK, size - FRAMES // 2 - first)
+    block = -(-size // 8)  # so many at once are prepared for the first step
+    for first in range(0, size - FRAMES // 2, block):
+        count = min(block, size - FRAMES // 2 - first)
         stored = {channel.name: drawn(rng, count, channel) for channel in channels}
         stream.extend(stored, None, (first + np.arange(count)) % (size // DRIVES) == 0)
     times: list[float] = []

@@ -417,7 +417,7 @@ int ssrvlad_loops_extend(ssrvlad_loops *loops, const void *const *descriptors, c
       const double stamp = stamps ? stamps[row] : std::numeric_limits<double>::quiet_NaN();
       loops->stream.extend(frame(row).data(), stamp, starts[row] != 0);
     }
-    if (frames >= loops->stream.rows() / 8) loops->stream.settle();
+    if (frames >= loops->stream.rows() / 10) loops->stream.settle();
   });
 }
 

@@ -15,7 +15,6 @@ using Floats = std::vector<float>;
 using Doubles = std::vector<double>;
 using Words = std::vector<Word>;
 
-constexpr Size ACROSS = 3, ALONG = 2;  // columns and rows by which a query is moved to each side
 constexpr Size ROWS_AT_ONCE = 64;      // rows that stay in the cache while queries pass by
 constexpr float LEAST = 1e-3F;         // of the product of two lengths
 
@@ -27,9 +26,7 @@ struct Shape {
 
   Size cells() const { return columns * rows; }
   Size bits() const { return 8 * bytes; }
-  SignGrid grid(bool swept) const {
-    return {columns, rows, (bytes + 7) / 8, swept ? std::min(ACROSS, columns - 1) : 0, swept ? std::min(ALONG, rows - 1) : 0};
-  }
+  SignGrid grid(bool swept) const { return SignGrid::of(columns, rows, bytes, swept); }
 };
 
 Words packed(const std::uint8_t *signs, Size count, const Shape &shape) {

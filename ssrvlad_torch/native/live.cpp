@@ -16,17 +16,15 @@ constexpr Size AHEAD = 1024;    // numbers that come from memory while others ar
 constexpr Size TOGETHER = 3;     // anchors that are compared with a row at once
 constexpr Size MANY = 1 << 13;  // rows from which threads share them
 constexpr double LENGTH_TOLERANCE = 1e-3;
-constexpr Size REACH = 2;       // columns by which signs are moved to each side
-constexpr Size MOST_MOVES = 64;
 constexpr Size PART = 2;        // bytes of a cell by which frames are roughly compared
-constexpr Size DIGITS = 20;     // of the mean of a stretch that has ended
-constexpr double LEVELS = (1 << DIGITS) - 1;
-constexpr double MIN_SQUARE = 1e-9, LEAST = 1e-3;  // of a length without a mean, of two lengths' product
+constexpr Size REACH = 2;       // columns by which parts are moved to each side
+constexpr int DIGITS = 14, PART_DIGITS = 8;  // of a mean
+constexpr Size FEW = 8;         // frames that a row takes in one by one
+constexpr Size AT_ONCE = 64;    // rows of signs that stay in the cache
+constexpr double MIN_SQUARE = 1e-9;  // of a length without a mean
+constexpr float LEAST = 1e-3F;  // of two lengths' product
 
 std::size_t place(Size at) { return static_cast<std::size_t>(at); }
-
-// What a digit of a mean weighs.
-double weight(Size digit) { return static_cast<double>(1 << digit) / LEVELS; }
 
 SSRVLAD_INLINE void prefetch(const void *numbers) { __builtin_prefetch(numbers); }
 
@@ -203,276 +201,284 @@ double LiveVectors::cosine(const void *one, const void *other) const {
 
 // --------------------------------------------------------------------------------------------- signs
 
-CountedSigns::CountedSigns(Size columns, Size bytes)
-    : columns_(columns),
+CountedSigns::CountedSigns(const SignGrid &grid, Size bytes, int digits)
+    : grid_(grid),
       bytes_(bytes),
-      grid_{columns, 1, (bytes + 7) / 8, std::min(REACH, columns - 1), 0},
-      moves_(grid_.moves()),
-      nothing_(place(grid_.size())),
-      frames_(grid_.size(), 4 * moves_),
-      planes_(grid_.size(), 4 * moves_),
-      stretches_(1) {
-  for (Size product = 0; product < 2 * moves_; ++product)
-    bits_.push_back(static_cast<double>(8 * bytes * grid_.overlap(product % moves_).cells()));
-  for (Products *products : {&of_all_, &of_all_before_, &of_before_all_, &of_before_, &with_all_, &with_before_})
-    products->resize(bits_.size());
-}
-
-void CountedSigns::Store::append(const Word *words) {
-  std::copy_n(words, size, signs.append());
-  std::fill_n(products.append(), width, 0.0);
-  *marks.append() = {};
+      moves_(grid.moves()),
+      digits_(digits),
+      signs_(grid.size()),
+      products_(3 * moves_),
+      marks_(1),
+      stretches_(1),
+      total_(place(8 * bytes * grid.columns * grid.rows)),
+      before_(total_.size()) {
+  for (Size move = 0; move < moves_; ++move) bits_.push_back(static_cast<float>(8 * bytes * grid.overlap(move).cells()));
 }
 
 void CountedSigns::reserve(Size frames) {
-  frames_.signs.reserve(frames);
-  frames_.products.reserve(frames);
-  frames_.marks.reserve(frames);
+  signs_.reserve(frames);
+  products_.reserve(frames);
+  marks_.reserve(frames);
 }
 
-CountedSigns::Words CountedSigns::packed(const std::uint8_t *signs) const {
-  Words frame(place(grid_.size()));
-  for (Size column = 0; column < columns_; ++column)
-    std::memcpy(frame.data() + column * grid_.words, signs + column * bytes_, place(bytes_));
+std::vector<Word> CountedSigns::packed(const std::uint8_t *signs) const {
+  std::vector<Word> frame(place(grid_.size()));
+  for (Size cell = 0; cell < grid_.columns * grid_.rows; ++cell)
+    std::memcpy(frame.data() + cell * grid_.words, signs + cell * bytes_, place(bytes_));
   return frame;
+}
+
+CountedSigns::Floats CountedSigns::unpacked(const Word *signs) const {
+  Floats numbers(total_.size());
+  const Size cells = grid_.columns * grid_.rows, words = grid_.words, bits = 8 * bytes_;
+  on_cpu([=, number = numbers.data()](auto) {
+    for (Size cell = 0; cell < cells; ++cell)
+      for (Size word = 0; word < words; ++word) {
+        const Size first = cell * bits + 64 * word, count = std::min<Size>(64, bits - 64 * word);
+        for (Size bit = 0; bit < count; ++bit)
+          number[first + bit] = static_cast<float>(static_cast<int>(signs[cell * words + word] >> bit & 1) * 2 - 1);
+      }
+  });
+  return numbers;
 }
 
 void CountedSigns::copy(Size first, Size last, std::uint8_t *signs) const {
   for (Size row = first; row < last; ++row)
-    for (Size column = 0; column < columns_; ++column, signs += bytes_)
-      std::memcpy(signs, frames_.signs[row] + column * grid_.words, place(bytes_));
+    for (Size cell = 0; cell < grid_.columns * grid_.rows; ++cell, signs += bytes_)
+      std::memcpy(signs, signs_[row] + cell * grid_.words, place(bytes_));
 }
 
 double CountedSigns::cosine(const std::uint8_t *one, const std::uint8_t *other) const {
-  const Size middle = moves_ / 2;
-  std::array<std::int32_t, MOST_MOVES> differing;
-  count_moves(packed(one).data(), packed(other).data(), 1, grid_, differing.data());
-  return 1 - 2.0 * differing[place(middle)] / bits_[place(middle)];
+  const SignGrid still{grid_.columns, grid_.rows, grid_.words, 0, 0};
+  std::int32_t differing = 0;
+  count_moves(packed(one).data(), packed(other).data(), 1, still, &differing);
+  return 1 - 2.0 * differing / static_cast<double>(total_.size());
 }
 
-// Adds products of signs, the first `size` of both kinds.
-void CountedSigns::add_product(const Word *moved, const Word *signs, double factor, double *sums,
-                               Size size) const {
-  std::array<std::int32_t, 2 * MOST_MOVES> differing;
-  count_moves(moved, signs, 1, grid_, differing.data());
-  if (size > moves_) count_in_place(moved, signs, 1, grid_, differing.data() + moves_);
-  for (Size product = 0; product < size; ++product)
-    sums[product] += factor * (bits_[place(product)] - 2.0 * differing[place(product)]);
+float CountedSigns::share() const {
+  const Size first = stretches_.back().first;
+  return first ? static_cast<float>(MODEL.before) / static_cast<float>(first) : 0;
 }
 
-// Adds the products with a sum. A count of frames is the sum of half the numbers 1 and -1 of each digit, and
-// half of all its values.
-void CountedSigns::add_sum(const Sum &sum, const Word *signs, double *sums, Size size) const {
-  double value = 1;
-  for (const Words &digit : sum.digits) add_product(digit.data(), signs, value, sums, size), value *= 2;
-  add_product(nothing_.data(), signs, static_cast<double>(sum.frames) + 1 - value, sums, size);
+double CountedSigns::frames() const {
+  const Size first = stretches_.back().first;
+  return static_cast<double>(rows() - first + (first ? MODEL.before : 0));
 }
 
-void CountedSigns::add(const Word *frame, Sum &sum) const {
-  ++sum.frames;
-  Words carry(frame, frame + grid_.size());
-  for (std::size_t digit = 0; sum.frames >> digit; ++digit) {
-    if (digit == sum.digits.size()) sum.digits.emplace_back(carry.size());
-    for (std::size_t word = 0; word < carry.size(); ++word) {
-      const Word both = carry[word] & sum.digits[digit][word];
-      sum.digits[digit][word] ^= carry[word];
-      carry[word] = both;
-    }
-  }
+CountedSigns::Floats CountedSigns::mean() const {
+  Floats mean = total_;
+  add(mean.data(), before_.data(), share(), static_cast<Size>(mean.size()));
+  scale(mean.data(), static_cast<float>(1 / frames()), static_cast<Size>(mean.size()));
+  return mean;
 }
 
-CountedSigns::Mean CountedSigns::mean() const {
-  const auto before = static_cast<double>(before_.frames), own = static_cast<double>(all_.frames) - before;
-  if (!before_.frames) return {own, 0};
-  return {own + static_cast<double>(MODEL.before), static_cast<double>(MODEL.before) / before - 1};
+CountedSigns::Floats CountedSigns::mean_before() const {
+  Floats mean = before_;
+  scale(mean.data(), 1 / static_cast<float>(std::max<Size>(1, stretches_.back().first)), static_cast<Size>(mean.size()));
+  return mean;
 }
 
-CountedSigns::Products CountedSigns::squares(const Mean &mean) const {
-  Products squares;
-  for (std::size_t product = 0; product < bits_.size(); ++product) {
-    const double both = of_all_before_[product] + of_before_all_[product];
-    const double sum = of_all_[product] + mean.less * both + mean.less * mean.less * of_before_[product];
-    squares.push_back(sum / (mean.frames * mean.frames));
-  }
+std::vector<double> CountedSigns::squares(const Floats &numbers, const Floats &less) const {
+  Floats centred = numbers;
+  add(centred.data(), less.data(), -1, static_cast<Size>(centred.size()));
+  std::vector<double> squares;
+  for (std::size_t first = 0; first < centred.size(); first += place(8 * bytes_))
+    squares.push_back(dot(centred.data() + first, centred.data() + first, 8 * bytes_));
   return squares;
 }
 
+CountedSigns::Floats CountedSigns::products_of(const Floats &moved, const Floats &numbers) const {
+  Floats products(place(moves_));
+  on_cpu([=, grid = grid_, cell = 8 * bytes_, one = moved.data(), other = numbers.data(), out = products.data()](auto) {
+    for (Size move = 0; move < grid.moves(); ++move) {
+      const auto [ours, our_row, theirs, their_row, columns, cells] = grid.overlap(move);
+      float lanes[2 * LANES] = {};
+      for (Size at = 0; at < columns; ++at) {
+        const float *a = one + ((ours + at) * grid.rows + our_row) * cell, *b = other + ((theirs + at) * grid.rows + their_row) * cell;
+        Size number = 0;
+        for (; number + 2 * LANES <= cells * cell; number += 2 * LANES)
+          for (Size lane = 0; lane < 2 * LANES; ++lane) lanes[lane] += a[number + lane] * b[number + lane];
+        for (; number < cells * cell; ++number) lanes[0] += a[number] * b[number];
+      }
+      out[move] = folded(lanes) + folded(lanes + LANES);
+    }
+  });
+  return products;
+}
+
 void CountedSigns::append(const std::uint8_t *signs) {
-  const Words frame = packed(signs);
-  frames_.append(frame.data());
-  add(frame.data(), all_);
-  Products self(bits_.size());
-  add_product(frame.data(), frame.data(), 1, self.data(), 2 * moves_);
-  std::fill(with_all_.begin(), with_all_.end(), 0);
-  std::fill(with_before_.begin(), with_before_.end(), 0);
-  add_sum(all_, frame.data(), with_all_.data(), 2 * moves_);
-  add_sum(before_, frame.data(), with_before_.data(), 2 * moves_);
-  for (std::size_t product = 0; product < self.size(); ++product) {
-    const auto mirror = place(mirrored(static_cast<Size>(product)));
-    of_all_[product] += with_all_[product] + with_all_[mirror] - self[product];
-    of_all_before_[product] += with_before_[mirror];
-    of_before_all_[product] += with_before_[product];
+  std::copy_n(packed(signs).data(), grid_.size(), signs_.append());
+  std::fill_n(products_.append(), 3 * moves_, 0.0F);
+  *marks_.append() = {};
+  add(total_.data(), unpacked(signs_[rows() - 1]).data(), 1, static_cast<Size>(total_.size()));
+}
+
+// Makes of the products of a row with the sum, where it is, its lengths without the mean, of which those are given.
+void CountedSigns::to_lengths(const Floats &of_mean, double frames, float *products) const {
+  const auto twice = static_cast<float>(2 / frames);
+  for (Size move = 0; move < moves_; ++move) {
+    const float square = bits_[place(move)] - twice * products[move] + of_mean[place(move)] * of_mean[place(move)];
+    products[move] = std::sqrt(std::max(0.0F, square));
   }
 }
 
-void CountedSigns::start_stretch() {
+void CountedSigns::measure(Size row, const Stretch &stretch) {
+  const Floats without = lengths(squares(unpacked(signs_[row]), stretch.mean), grid_, false);
+  std::copy(without.begin(), without.end(), products_[row] + 2 * moves_);
+  marks_[row]->is_measured = true;
+}
+
+void CountedSigns::start_stretch(bool measured) {
   Stretch &ended = stretches_.back();
   if (ended.first == rows()) return;
-  const Mean mean = this->mean();
-  const Products squares = this->squares(mean);
-  ended.squares.assign(squares.begin() + moves_, squares.end());
-  for (Size row = ended.first; row < rows(); ++row) {
-    Mark &mark = *frames_.marks[row];
-    mark.is_measured = mark.stretch == present() && mark.frames == rows();
-    if (mark.is_measured) to_lengths(ended, mean, frames_.products[row] + moves_);
+  ended.mean = mean();
+  const Floats of_mean = lengths(squares(ended.mean, Floats(ended.mean.size())), grid_, false);
+  const float others = 1 - share(), share_next = static_cast<float>(MODEL.before) / static_cast<float>(rows());
+  for (Size row = 0; row < rows(); ++row) {
+    Mark &mark = *marks_[row];
+    float *sums = products_[row], *before = sums + moves_;
+    const bool is_behind = this->is_behind(row);
+    for (Size seen = mark.frames; seen < rows() && !is_behind; ++seen) take(seen, row);
+    if (row >= ended.first) {
+      mark.is_measured = !is_behind;
+      if (mark.is_measured) to_lengths(of_mean, frames(), sums + 2 * moves_);
+      else if (measured) measure(row, ended);
+    }
+    mark.frames = is_behind || !mark.knows_before ? 0 : rows();
+    for (Size move = 0; move < moves_ && mark.frames; ++move) {
+      before[move] = sums[move] + others * before[move];
+      sums[move] = share_next * before[move];
+    }
   }
-  append_mean(mean);
-  before_ = all_;
-  of_all_before_ = of_before_all_ = of_before_ = of_all_;
+  add(before_.data(), total_.data(), 1, static_cast<Size>(total_.size()));
+  std::fill(total_.begin(), total_.end(), 0.0F);
   stretches_.push_back({rows(), {}});
 }
 
-// Makes of the products in place of a row, with the sums of all and before, or with a mean, its lengths.
-void CountedSigns::to_lengths(const Stretch &stretch, const Mean &mean, double *products) const {
-  for (Size move = 0; move < moves_; ++move) {
-    const double product = mean.of(products, products + 2 * moves_, move);
-    const double square = bits_[place(move)] - 2 * product + stretch.squares[place(move)];
-    products[move] = std::sqrt(std::max(0.0, square));
-  }
+// Whether a row has no products with the present sum, or misses more than a few frames.
+bool CountedSigns::is_behind(Size row) const {
+  const Size frames = marks_[row]->frames;
+  return frames < stretches_.back().first || rows() - frames > FEW;
 }
 
-void CountedSigns::append_mean(const Mean &mean) {
-  constexpr Size BITS = 64;
-  std::vector<Words> planes(DIGITS, Words(place(grid_.size())));
-  for (Size word = 0; word < grid_.size(); ++word) {
-    std::array<std::array<std::int32_t, BITS>, 2> counts{};
-    for (const Sum *sum : {&all_, &before_})
-      for (std::size_t digit = 0; digit < sum->digits.size(); ++digit)
-        for (std::size_t bit = 0; bit < BITS; ++bit)
-          counts[sum == &before_][bit] += static_cast<std::int32_t>(sum->digits[digit][place(word)] >> bit & 1) << digit;
-    for (Size bit = 0; bit < std::min(BITS, 8 * bytes_ - word % grid_.words * BITS); ++bit) {
-      const double all = 2.0 * counts[0][place(bit)] - static_cast<double>(all_.frames);
-      const double before = 2.0 * counts[1][place(bit)] - static_cast<double>(before_.frames);
-      const double share = (mean.of(&all, &before, 0) + 1) / 2;
-      const auto level = static_cast<Word>(std::lround(LEVELS * std::max(0.0, std::min(share, 1.0))));
-      for (Size digit = 0; digit < DIGITS; ++digit)
-        planes[place(digit)][place(word)] |= (level >> digit & 1) << bit;
+// Gives neighbouring rows of a stretch their products with the present sum, by its mean.
+void CountedSigns::renew(Size first, Size last, const SignMean &mean) {
+  const Size count = last - first;
+  Floats moved(place(moves_ * count)), there(moved.size());
+  products(mean, signs_[first], count, 8 * bytes_, grid_, moved.data());
+  if (is_present(first)) products_in_place(mean, signs_[first], count, 8 * bytes_, grid_, there.data());
+  const auto sum = static_cast<float>(frames());
+  for (Size row = first; row < last; ++row) {
+    float *sums = products_[row];
+    for (Size move = 0; move < moves_; ++move) {
+      const std::size_t at = place(move * count + row - first);
+      sums[move] = sum * moved[at];
+      if (is_present(first)) sums[2 * moves_ + move] = sum * there[at];
     }
+    marks_[row]->frames = rows();
+    marks_[row]->knows_before = !stretches_.back().first;
   }
-  for (const Words &plane : planes) planes_.append(plane.data());
 }
 
-// Brings the first `size` products of a row to the sum of the first frames; `sum` has these and perhaps more.
-void CountedSigns::bring(Store &store, Size row, Size to, const Sum &sum, Size size) const {
-  Mark &mark = *store.marks[row];
-  const Word *signs = store.signs[row];
-  double *all = store.products[row];
-  if (to - mark.frames <= static_cast<Size>(sum.digits.size())) {
-    for (Size frame = mark.frames; frame < to; ++frame) add_product(frames_.signs[frame], signs, 1, all, size);
-  } else {
-    std::fill_n(all, size, 0.0);
-    add_sum(sum, signs, all, size);
-    for (Size frame = to; frame < sum.frames; ++frame) add_product(frames_.signs[frame], signs, -1, all, size);
-  }
-  mark.frames = to;
-}
-
-// Fills the products of the last frame, moved, with neighbouring rows, by row and move, and takes it into the
-// first `size` products of these.
-void CountedSigns::compare(Store &store, Size first, Size last, Size size, std::int32_t *differing,
-                           double *products) const {
-  const Size count = last - first, before = rows() - 1, number = present();
-  const Word *frame = frames_.signs[before];
-  count_moves(frame, store.signs[first], count, grid_, differing);
-  if (size > moves_) count_in_place(frame, store.signs[first], count, grid_, differing + moves_ * count);
-  for (Size row = first; row < last; ++row, products += moves_) {
-    Mark &mark = *store.marks[row];
-    double *all = store.products[row];
-    if (mark.stretch != number) {
-      bring(store, row, before_.frames, before_, size);
-      std::copy_n(all, size, all + 2 * moves_);
-      mark.stretch = number;
+void CountedSigns::settle(const Chosen &chosen) {
+  const Size before = stretches_.back().first;
+  const SignMean mean = SignMean::rounded(this->mean().data(), digits_, 8 * bytes_, grid_);
+  const SignMean first = SignMean::rounded(mean_before().data(), digits_, 8 * bytes_, grid_);
+  by_stretch(stretches_, 0, rows(), [&](const Stretch &stretch, Size from, Size to) {
+    for (Size row = from; row < to; ++row) {
+      if (!chosen.empty() && !chosen[place(row)]) continue;
+      renew(row, row + 1, mean);
+      if (!before) continue;
+      if (!is_present(row) && !marks_[row]->is_measured) measure(row, stretch);
+      float *sums = products_[row] + moves_;
+      products(first, signs_[row], 1, 8 * bytes_, grid_, sums);
+      for (Size move = 0; move < moves_; ++move) sums[move] *= static_cast<float>(before);
+      marks_[row]->knows_before = true;
     }
-    const auto product = [&](Size at) {
-      return bits_[place(at)] - 2.0 * differing[at * count + row - first];
-    };
-    for (Size move = 0; move < moves_; ++move) products[move] = product(move);
-    if (mark.frames > before) continue;  // it has the frame
-    bring(store, row, before, all_, size);
-    for (Size at = 0; at < size; ++at) all[at] += product(at);
-    ++mark.frames;
-  }
+  });
 }
 
-// Gives a row of a stretch that has ended its lengths without the mean.
-void CountedSigns::measure(Size row, Size number) {
-  Mark &mark = *frames_.marks[row];
-  if (mark.is_measured) return;
-  Products products(place(4 * moves_));
-  for (Size digit = 0; digit < DIGITS; ++digit)
-    add_product(planes_.signs[number * DIGITS + digit], frames_.signs[row], weight(digit), products.data(), 2 * moves_);
-  to_lengths(stretches_[place(number)], {1, 0}, products.data() + moves_);
-  std::copy_n(products.data() + moves_, moves_, frames_.products[row] + moves_);
-  mark.is_measured = true;
+// Adds a frame of the present stretch to the products of a row.
+void CountedSigns::take(Size frame, Size row) {
+  std::vector<std::int32_t> differing(place(moves_));
+  for (Size kind = 0; kind < 1 + is_present(row); ++kind) {
+    (kind ? count_in_place : count_moves)(signs_[frame], signs_[row], 1, grid_, differing.data());
+    for (Size move = 0; move < moves_; ++move)
+      products_[row][2 * kind * moves_ + move] += bits_[place(move)] - 2 * static_cast<float>(differing[place(move)]);
+  }
+  marks_[row]->frames = frame + 1;
 }
 
 void CountedSigns::scores(int threads, const Chosen &chosen, float *scores) {
-  const Size count = rows() - 1, block = GrowingRows<Word>::ROWS;
-  const Mean mean = this->mean();
-  const Products squares = this->squares(mean);
-  // By move, the length of the last frame without its mean; by stretch and move, its product with a mean.
-  Products query, of_means(place(moves_) * stretches_.size());
-  double *of_present = of_means.data() + present() * moves_;
-  for (Size move = 0; move < moves_; ++move) {
-    const Size mirror = mirrored(move), there = moves_ + mirror;
-    const double product = mean.of(with_all_.data(), with_before_.data(), there);
-    query.push_back(std::sqrt(std::max(0.0, bits_[place(move)] - 2 * product + squares[place(there)])));
-    of_present[move] = mean.of(with_all_.data(), with_before_.data(), mirror) - squares[place(move)];
-  }
-  // Makes of the products of the last frame with rows those without its mean.
-  const auto centre = [&](const double *all, double *products) {
-    for (Size move = 0; move < moves_; ++move) products[move] -= mean.of(all, all + 2 * moves_, move);
-  };
-  over_blocks(planes_.signs.rows(), block, 1, [&](Size first, Size last) {
-    Products products(place(moves_ * (last - first)));
-    std::vector<std::int32_t> differing(products.size());
-    compare(planes_, first, last, moves_, differing.data(), products.data());
-    double *centred = products.data();
-    for (Size row = first; row < last; ++row, centred += moves_) {
-      centre(planes_.products[row], centred);
-      for (Size move = 0; move < moves_; ++move)
-        of_means[place(row / DIGITS * moves_ + move)] += weight(row % DIGITS) * centred[move];
-    }
-  });
-  over_blocks(count, block, count < MANY ? 1 : threads, [&](Size first, Size last) {
+  const Size count = rows() - 1;
+  const Stretch &present = stretches_.back();
+  const Floats mean = this->mean(), frame = unpacked(signs_[count]), nothing(mean.size());
+  Floats centred = frame;
+  add(centred.data(), mean.data(), -1, static_cast<Size>(mean.size()));
+  // By move: lengths of the last frame and of the mean; by stretch, products of the frame with its mean.
+  const Floats query = lengths(squares(centred, nothing), grid_, true), of_mean = lengths(squares(mean, nothing), grid_, false);
+  std::vector<Floats> of_means;
+  for (const Stretch &stretch : stretches_) of_means.push_back(products_of(centred, &stretch == &present ? mean : stretch.mean));
+  SignMean digits;
+  for (Size row = 0; row < count && !digits.count(); ++row)
+    if ((chosen.empty() || chosen[place(row)]) && is_behind(row))
+      digits = SignMean::rounded(mean.data(), digits_, 8 * bytes_, grid_);
+  const double frames = this->frames();
+  const auto share = static_cast<float>(1 / frames);
+  over_blocks(count, AT_ONCE, count < MANY ? 1 : threads, [&](Size first, Size last) {
     std::fill(scores + first, scores + last, NONE);
-    Products products(place(moves_ * (last - first)));
-    std::vector<std::int32_t> differing(2 * products.size());
+    std::vector<std::int32_t> differing(place(2 * moves_ * AT_ONCE));
+    Floats there(place(moves_));
     by_stretch(stretches_, first, last, [&](const Stretch &stretch, Size from, Size to) {
-      const Size number = &stretch - stretches_.data();
-      const bool is_present = number == present();
-      by_choice(chosen, frames_.signs, grid_.size(), from, to, [&](Size start, Size end) {
-        compare(frames_, start, end, is_present ? 2 * moves_ : moves_, differing.data(), products.data());
-        double *centred = products.data();
-        for (Size row = start; row < end; ++row, centred += moves_) {
-          if (!is_present) measure(row, number);
-          const double *all = frames_.products[row];
-          centre(all, centred);
-          double best = -std::numeric_limits<double>::infinity();
-          for (Size move = 0; move < moves_; ++move) {
-            double length = all[moves_ + move];
-            if (is_present) {
-              const double product = mean.of(all, all + 2 * moves_, moves_ + move);
-              length = std::sqrt(std::max(0.0, bits_[place(move)] - 2 * product + squares[place(moves_ + move)]));
-            }
-            const double product = centred[move] - of_means[place(number * moves_ + move)];
-            best = std::max(best, product / std::max(query[place(move)] * length, LEAST));
+      const bool is_present = &stretch == &present;
+      const Floats &of_its_mean = of_means[place(&stretch - stretches_.data())];
+      by_choice(chosen, signs_, grid_.size(), from, to, [&](Size start, Size end) {
+        const Size some = end - start;
+        count_moves(signs_[count], signs_[start], some, grid_, differing.data());
+        if (is_present) count_in_place(signs_[count], signs_[start], some, grid_, differing.data() + moves_ * some);
+        for (Size row = start, next; row < end; row = next) {
+          for (next = row; next < end && is_behind(next);) ++next;
+          if (next > row) renew(row, next, digits);
+          else ++next;
+        }
+        for (Size row = start; row < end; ++row) {
+          Mark &mark = *marks_[row];
+          if (!is_present && !mark.is_measured) measure(row, stretch);
+          float *sums = products_[row], *lengths = sums + 2 * moves_;
+          const std::int32_t *differs = differing.data() + row - start;
+          while (mark.frames < count) take(mark.frames, row);
+          for (Size move = 0; move < moves_ && mark.frames == count; ++move) {
+            sums[move] += bits_[place(move)] - 2 * static_cast<float>(differs[move * some]);
+            if (is_present) lengths[move] += bits_[place(move)] - 2 * static_cast<float>(differs[(moves_ + move) * some]);
           }
-          scores[row] = static_cast<float>(std::min(best, 1.0));
+          mark.frames = rows();
+          if (is_present) {
+            std::copy_n(lengths, moves_, there.data());
+            to_lengths(of_mean, frames, there.data());
+            lengths = there.data();
+          }
+          float best = NONE;
+          for (Size move = 0; move < moves_; ++move) {
+            const auto at = place(move);
+            const float product = bits_[at] - 2 * static_cast<float>(differs[move * some]) - share * sums[move] - of_its_mean[at];
+            best = std::max(best, product / std::max(query[at] * lengths[move], LEAST));
+          }
+          scores[row] = std::min(best, 1.0F);
         }
       });
     });
   });
+  // The last frame as a row.
+  const Floats moved = products_of(mean, frame), of_before = products_of(before_, frame);
+  const Floats without = lengths(squares(frame, mean), grid_, false);
+  for (Size move = 0; move < moves_; ++move) {
+    const auto at = place(move);
+    float *sums = products_[count] + move;
+    sums[0] = moved[at] / share;
+    sums[moves_] = of_before[at];
+    sums[2 * moves_] = (bits_[at] + of_mean[at] * of_mean[at] - without[at] * without[at]) / (2 * share);
+  }
+  *marks_[count] = {rows(), true, false};
 }
 
 LiveSigns::LiveSigns(Size columns, Size size, Size cell)
@@ -480,8 +486,8 @@ LiveSigns::LiveSigns(Size columns, Size size, Size cell)
       size_(size),
       cell_(cell),
       stride_(std::max<Size>(1, cell / PART)),
-      signs_(columns, size),
-      part_(columns, size / cell * ((cell + stride_ - 1) / stride_)) {}
+      signs_(SignGrid::of(columns, size / cell, cell, true), cell, DIGITS),
+      part_({columns, 1, (part_bytes() + 7) / 8, std::min(REACH, columns - 1), 0}, part_bytes(), PART_DIGITS) {}
 
 bool LiveSigns::empty(const void *descriptor) const {
   const auto *signs = static_cast<const std::uint8_t *>(descriptor);
@@ -491,11 +497,6 @@ bool LiveSigns::empty(const void *descriptor) const {
 void LiveSigns::reserve(Size frames) {
   signs_.reserve(frames);
   part_.reserve(frames);
-}
-
-void LiveSigns::start_stretch() {
-  signs_.start_stretch();
-  part_.start_stretch();
 }
 
 // The part has some bytes of each cell, evenly spaced.

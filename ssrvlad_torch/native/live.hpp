@@ -68,6 +68,8 @@ class LiveChannel {
   // Whether there is a small part of each descriptor; by it, fills scores of the last frame for all rows.
   virtual bool has_part() const { return false; }
   virtual void rough_scores(int, float *) {}
+  // After many frames that were appended: makes the next scores, of rows that are chosen, as quick as others.
+  virtual void settle(const Chosen &) {}
   virtual void copy(Size first, Size last, void *descriptors) const = 0;
   // The cosine of two descriptors, with their means.
   virtual double cosine(const void *one, const void *other) const = 0;
@@ -106,88 +108,66 @@ class LiveVectors : public LiveChannel {
   Size counted_ = 0, counted_before_ = 0;
 };
 
-// Signs of frames in columns, as numbers 1 and -1, and the scores of the last one.
+// Signs of frames on a grid, as numbers 1 and -1, and the scores of the last one.
 //
-// A mean is a sum of frames, so the products with it of a row are sums of whole numbers. They grow with each
-// frame that the row is compared with; a row that was not is brought up to date by the frames that it missed,
-// or, where these are many, by the sum.
-//
-// Products are by move, and there are two kinds, one after the other: those of one frame with another that is
-// moved, and those of both where they are, over the same columns of the one.
+// A mean is a sum of frames, so the products of a row with it are sums of the products with frames: a row that is
+// compared takes in the last frame. One that was not compared for long has them anew, from the mean in some digits.
 class CountedSigns {
  public:
-  CountedSigns(Size columns, Size bytes);  // bytes of a column
+  CountedSigns(const SignGrid &grid, Size bytes, int digits);  // bytes of a cell
 
-  Size rows() const { return frames_.signs.rows(); }
+  Size rows() const { return signs_.rows(); }
   void reserve(Size frames);
-  void start_stretch();
+  // Gives rows after many frames what they would have if each had been compared; else they have it anew when
+  // they are compared.
+  void settle(const Chosen &chosen);
+  // Rows of the stretch that ended are measured now, or when they are compared.
+  void start_stretch(bool measured);
   void append(const std::uint8_t *signs);
   void scores(int threads, const Chosen &chosen, float *scores);
   void copy(Size first, Size last, std::uint8_t *signs) const;
   double cosine(const std::uint8_t *one, const std::uint8_t *other) const;
 
  private:
-  using Words = std::vector<Word>;
-  using Products = std::vector<double>;
-
-  // A sum of frames: how many have each sign, as binary digits.
-  struct Sum {
-    std::vector<Words> digits;
-    Size frames = 0;
-  };
-
-  // Signs with their products: with the sum of the first frames, and with that of the frames before a stretch.
-  struct Mark {
-    Size frames = 0, stretch = -1;
-    bool is_measured = false;  // has, in place of the products in place, the lengths without its mean
-  };
-  struct Store {
-    Size size, width;
-    GrowingRows<Word> signs{size};
-    GrowingRows<double> products{width};
-    GrowingRows<Mark> marks{1};
-
-    Store(Size words, Size numbers) : size(words), width(numbers) {}
-    void append(const Word *words);
-  };
+  using Floats = std::vector<float>;
 
   struct Stretch {
     Size first;
-    Products squares;  // of the mean in place, once it has ended
+    Floats mean;  // once it has ended
+  };
+  // How many frames the products of a row take in; whether those with the frames before the present stretch are
+  // known; whether its stretch has ended and it has its lengths without the mean.
+  struct Mark {
+    Size frames = 0;
+    bool knows_before = false, is_measured = false;
   };
 
-  // The present mean: the sum of all frames, and `less` than that of those before the stretch, by a number.
-  struct Mean {
-    double frames, less;
-    double of(const double *all, const double *before, Size product) const {
-      return (all[product] + less * before[product]) / frames;
-    }
-  };
+  std::vector<Word> packed(const std::uint8_t *signs) const;
+  Floats unpacked(const Word *signs) const;
+  bool is_present(Size row) const { return row >= stretches_.back().first; }
+  float share() const;    // by which the frames before the present stretch count in its mean
+  double frames() const;  // that this mean is of
+  Floats mean() const;
+  Floats mean_before() const;
+  std::vector<double> squares(const Floats &numbers, const Floats &less) const;  // of the cells
+  Floats products_of(const Floats &moved, const Floats &numbers) const;          // by move
+  void to_lengths(const Floats &of_mean, double frames, float *products) const;
+  void measure(Size row, const Stretch &stretch);
+  bool is_behind(Size row) const;
+  void renew(Size first, Size last, const SignMean &mean);
+  void take(Size frame, Size row);
 
-  Words packed(const std::uint8_t *signs) const;
-  Size mirrored(Size product) const { return product < moves_ ? moves_ - 1 - product : product; }
-  void add_product(const Word *moved, const Word *signs, double factor, double *sums, Size size) const;
-  void add_sum(const Sum &sum, const Word *signs, double *sums, Size size) const;
-  void add(const Word *frame, Sum &sum) const;
-  Size present() const { return static_cast<Size>(stretches_.size()) - 1; }
-  Mean mean() const;
-  Products squares(const Mean &mean) const;
-  void to_lengths(const Stretch &stretch, const Mean &mean, double *products) const;
-  void bring(Store &store, Size row, Size to, const Sum &sum, Size size) const;
-  void compare(Store &store, Size first, Size last, Size size, std::int32_t *differing, double *products) const;
-  void measure(Size row, Size number);
-  void append_mean(const Mean &mean);
-
-  Size columns_, bytes_;
   SignGrid grid_;
-  Size moves_;
-  Products bits_;  // that the products are over
-  Words nothing_;           // no bit
-  Store frames_, planes_;           // the means of stretches that ended are weighted sums of DIGITS planes
+  Size bytes_, moves_;
+  int digits_;
+  Floats bits_;  // that overlap in a move
+  GrowingRows<Word> signs_;
+  // By move, of a row: the products of the sum, moved, and of that of the frames before the stretch; and of the sum
+  // where it is, or the lengths of the row without its mean.
+  GrowingRows<float> products_;
+  GrowingRows<Mark> marks_;
   std::vector<Stretch> stretches_;  // the last is the present one
-  Sum all_, before_;                // of all frames, and of those before the present stretch
-  Products of_all_, of_all_before_, of_before_all_, of_before_;  // the first sum, moved, with the second
-  Products with_all_, with_before_;                              // sums, moved, with the last frame
+  Floats total_, before_;           // sums of the frames of the present stretch, and of those before
 };
 
 // Signs of cells, `columns` columns of `size` bytes each.
@@ -200,17 +180,26 @@ class LiveSigns : public LiveChannel {
   bool empty(const void *descriptor) const override;
   bool fits(const void *, Size anchors) const override { return anchors == 1; }
   void reserve(Size frames) override;
-  void start_stretch() override;
+  void start_stretch() override {
+    signs_.start_stretch(false);
+    part_.start_stretch(true);
+  }
   void append(const void *descriptor) override;
   void scores(const void *, Size, int threads, const Chosen &chosen, float *scores) override {
     signs_.scores(threads, chosen, scores);
   }
   bool has_part() const override { return true; }
+  void settle(const Chosen &chosen) override {
+    signs_.settle(chosen);
+    part_.settle({});
+  }
   void rough_scores(int threads, float *scores) override { part_.scores(threads, {}, scores); }
   void copy(Size first, Size last, void *descriptors) const override;
   double cosine(const void *one, const void *other) const override;
 
  private:
+  Size part_bytes() const { return size_ / cell_ * ((cell_ + stride_ - 1) / stride_); }
+
   Size columns_, size_, cell_, stride_;  // bytes; from one to the next of those of the part
   CountedSigns signs_, part_;
 };

@@ -317,17 +317,10 @@ void Stream::reserve(Size frames) {
 }
 
 void Stream::settle() {
-  const Size before = rows() - 1;
-  if (before < 1) return;
-  std::vector<float> &scores = of_rows_.scores;
   Chosen &chosen = of_rows_.chosen;
-  scores.resize(place(before));
-  chosen.assign(scores.size(), 0);
-  for (Size row = 0; row < before; row += stride(before)) chosen[place(row)] = 1;
-  for (const std::size_t number : rough_) {
-    channels_[number]->rough_scores(1, scores.data());
-    channels_[number]->scores(nullptr, 1, 1, chosen, scores.data());
-  }
+  chosen.assign(place(rows()), 0);
+  for (Size row = 0; row < rows(); row += stride(rows())) chosen[place(row)] = 1;
+  for (auto &channel : channels_) channel->settle(chosen);
 }
 
 ssrvlad_loop Stream::update(const void *const *descriptors, const Size *anchors, double stamp,

@@ -74,7 +74,7 @@ class Stream {
   void extend(const void *const *descriptors, double stamp, bool starts);
   // Memory for so many frames: no step asks for more that grows with their number.
   void reserve(Size frames);
-  void settle();  // after frames that are known: else the next one has to make up for them
+  void settle();  // after frames that are known: the next one is then as quick as others
 
  private:
   bool breaks(const void *const *centres, double stamp) const;

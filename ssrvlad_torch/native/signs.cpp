@@ -150,20 +150,23 @@ void count_moves(const Word *signs, const Word *rows, Size count, const SignGrid
 }
 
 void count_in_place(const Word *signs, const Word *rows, Size count, const SignGrid &grid, std::int32_t *differing) {
-  // Of all columns without those at the edge that do not overlap.
-  const Size across = grid.across, width = grid.column(), last = grid.columns - 1;
-  on_cpu([=](auto processor) {
-    const auto bits = [&](const Word *row, Size column, Size columns) {
-      const Size at = column * width;
-      return static_cast<std::int32_t>(differing_bits(processor, signs + at, row + at, 1, columns * width, 0));
-    };
+  const Size width = grid.rows + 1;
+  std::vector<std::int32_t> sums(static_cast<std::size_t>((grid.columns + 1) * width));  // of the cells before each
+  on_cpu([=, at = sums.data()](auto) {
+    const Word *row = rows;
     for (Size number = 0; number < count; ++number) {
-      const Word *row = rows + number * width * (last + 1);
-      std::int32_t right = bits(row, 0, last + 1), left = right;
-      differing[across * count + number] = right;
-      for (Size move = 1; move <= across; ++move) {
-        differing[(across + move) * count + number] = right -= bits(row, move - 1, 1);
-        differing[(across - move) * count + number] = left -= bits(row, last + 1 - move, 1);
+      const Word *other = signs;
+      for (Size column = 0; column < grid.columns; ++column) {
+        std::int32_t *here = at + (column + 1) * width, in_column = 0;
+        for (Size cell = 0; cell < grid.rows; ++cell) {
+          for (Size word = 0; word < grid.words; ++word) in_column += ones(*other++ ^ *row++);
+          here[cell + 1] = here[cell + 1 - width] + in_column;
+        }
+      }
+      for (Size move = 0; move < grid.moves(); ++move) {
+        const auto overlap = grid.overlap(move);
+        const std::int32_t *left = at + overlap.their_column * width + overlap.their_row, *right = left + overlap.columns * width;
+        differing[move * count + number] = right[overlap.rows] - left[overlap.rows] - right[0] + left[0];
       }
     }
   });
@@ -188,21 +191,34 @@ SignMean SignMean::of(const Word *signs, Size count, Size bits, const SignGrid &
 }
 
 SignMean SignMean::near(const float *numbers, Size bits, const SignGrid &grid) {
-  constexpr int LEVELS = (1 << DIGITS) - 1;
-  const Size cells = grid.columns * grid.rows;
-  if (std::all_of(numbers, numbers + cells * bits, [](float number) { return std::abs(number) == 1; })) return {};
-  SignMean mean;
-  mean.planes.resize(static_cast<std::size_t>(DIGITS * grid.size()));
-  for (int digit = 0; digit < DIGITS; ++digit) mean.weights.push_back(static_cast<double>(1 << digit) / LEVELS);
-  for (Size cell = 0; cell < cells; ++cell)
-    for (Size bit = 0; bit < bits; ++bit, ++numbers) {
-      const double share = (std::clamp(static_cast<double>(*numbers), -1.0, 1.0) + 1) / 2;
-      const auto level = static_cast<Word>(std::lround(share * LEVELS));
-      for (int digit = 0; digit < DIGITS; ++digit)
-        mean.planes[static_cast<std::size_t>(digit * grid.size() + cell * grid.words + bit / WORD_BITS)] |=
-            (level >> digit & 1) << bit % WORD_BITS;
-    }
+  const Size count = grid.columns * grid.rows * bits;
+  if (std::all_of(numbers, numbers + count, [](float number) { return std::abs(number) == 1; })) return {};
+  SignMean mean = rounded(numbers, DIGITS, bits, grid);
   add_squares(mean, bits, grid);
+  return mean;
+}
+
+SignMean SignMean::rounded(const float *numbers, int digits, Size bits, const SignGrid &grid) {
+  const float half = static_cast<float>((1 << digits) - 1) / 2;
+  SignMean mean;
+  mean.planes.resize(static_cast<std::size_t>(digits * grid.size()));
+  for (int digit = 0; digit < digits; ++digit) mean.weights.push_back(static_cast<double>(1 << digit) / static_cast<double>(2 * half));
+  on_cpu([=, planes = mean.planes.data()](auto) {
+    for (Size word = 0; word < grid.size(); ++word) {
+      const Size in_cell = word % grid.words * WORD_BITS, count = std::min(WORD_BITS, bits - in_cell);
+      const float *number = numbers + word / grid.words * bits + in_cell;
+      std::int64_t levels[WORD_BITS] = {};
+      for (Size bit = 0; bit < count; ++bit) {
+        const float least = number[bit] < -1 ? -1 : number[bit], value = least > 1 ? 1 : least;
+        levels[bit] = static_cast<std::int32_t>((value + 1) * half + 0.5F);
+      }
+      for (int digit = 0; digit < digits; ++digit) {
+        Word plane = 0;
+        for (Size bit = 0; bit < WORD_BITS; ++bit) plane |= static_cast<Word>(levels[bit] >> digit & 1) << bit;
+        planes[digit * grid.size() + word] = plane;
+      }
+    }
+  });
   return mean;
 }
 
@@ -216,10 +232,14 @@ std::vector<double> products(const Word *signs, const SignMean &mean, Size bits,
   return sums;
 }
 
-void products(const SignMean &mean, const Word *rows, Size count, Size bits, const SignGrid &grid, float *products) {
+namespace {
+// The products of a mean with rows by bits that differ, as a function counts them for a plane.
+template <class Counting>
+void add_planes(Counting count_in, const SignMean &mean, const Word *rows, Size count, Size bits, const SignGrid &grid, float *products) {
   std::vector<double> sums(static_cast<std::size_t>(grid.moves() * count));
+  std::vector<std::int32_t> differing(sums.size());
   for (Size plane = 0; plane < mean.count(); ++plane) {
-    const auto differing = counted(mean.planes.data() + plane * grid.size(), rows, count, grid);
+    count_in(mean.planes.data() + plane * grid.size(), rows, count, grid, differing.data());
     const double weight = mean.weights[static_cast<std::size_t>(plane)];
     std::size_t at = 0;
     for (Size move = 0; move < grid.moves(); ++move)
@@ -227,6 +247,15 @@ void products(const SignMean &mean, const Word *rows, Size count, Size bits, con
         sums[at] += weight * static_cast<double>(bits * grid.overlap(move).cells() - 2 * differing[at]);
   }
   std::transform(sums.begin(), sums.end(), products, [](double sum) { return static_cast<float>(sum); });
+}
+}  // namespace
+
+void products(const SignMean &mean, const Word *rows, Size count, Size bits, const SignGrid &grid, float *products) {
+  add_planes(count_moves, mean, rows, count, bits, grid, products);
+}
+
+void products_in_place(const SignMean &mean, const Word *rows, Size count, Size bits, const SignGrid &grid, float *products) {
+  add_planes(count_in_place, mean, rows, count, bits, grid, products);
 }
 
 std::vector<double> products(const SignMean &mean, const SignMean &other, Size bits, const SignGrid &grid) {

@@ -17,6 +17,10 @@ using Word = std::uint64_t;
 struct SignGrid {
   Size columns, rows, words, across, along;
 
+  // Cells of so many bytes; swept, both sides may be up to 3 columns and 2 rows apart.
+  static SignGrid of(Size columns, Size rows, Size bytes, bool swept) {
+    return {columns, rows, (bytes + 7) / 8, swept ? std::min<Size>(3, columns - 1) : 0, swept ? std::min<Size>(2, rows - 1) : 0};
+  }
   Size column() const { return rows * words; }
   Size size() const { return columns * column(); }
   Size moves() const { return (2 * across + 1) * (2 * along + 1); }
@@ -38,7 +42,7 @@ struct SignGrid {
 // differing[move * count + row].
 void count_moves(const Word *signs, const Word *rows, Size count, const SignGrid &grid, std::int32_t *differing);
 
-// The same of the signs where they are, over the columns of the rows that overlap in each move across.
+// The same of the signs where they are, over the cells of the rows that overlap in each move.
 void count_in_place(const Word *signs, const Word *rows, Size count, const SignGrid &grid, std::int32_t *differing);
 
 // Numbers from -1 to 1, one for each sign, as a weighted sum of signs 1 and -1. Cells have so many bits.
@@ -51,14 +55,17 @@ struct SignMean {
   static SignMean of(const Word *signs, Size count, Size bits, const SignGrid &grid);
   // Numbers (columns, rows, bits), rounded to 18 binary digits; nothing if all are 1 and -1.
   static SignMean near(const float *numbers, Size bits, const SignGrid &grid);
+  // Numbers of whatever value, rounded to so many digits; without squares.
+  static SignMean rounded(const float *numbers, int digits, Size bits, const SignGrid &grid);
 
   Size count() const { return static_cast<Size>(weights.size()); }
 };
 
 // By move, the products of signs, moved, with a mean; of a mean, moved, with rows, products[move * count +
-// row]; and of a mean, moved, with another.
+// row], or where it is, over the cells of the rows that overlap; and of a mean, moved, with another.
 std::vector<double> products(const Word *signs, const SignMean &mean, Size bits, const SignGrid &grid);
 void products(const SignMean &mean, const Word *rows, Size count, Size bits, const SignGrid &grid, float *products);
+void products_in_place(const SignMean &mean, const Word *rows, Size count, Size bits, const SignGrid &grid, float *products);
 std::vector<double> products(const SignMean &mean, const SignMean &other, Size bits, const SignGrid &grid);
 
 std::vector<double> numbers(const SignMean &mean, Size bits, const SignGrid &grid);

@@ -58,7 +58,7 @@ enum {
   SSRVLAD_RADIUS = 5,          /* rows on each side of a row that show the same place */
   SSRVLAD_ROWS = 11,         /* all of these, with the row */
   SSRVLAD_CHANNELS = 16,     /* channels of a stream, at most */
-  SSRVLAD_SCAN_ABOVE = 5000 /* old frames above which not all are compared by all channels */
+  SSRVLAD_SCAN_ABOVE = 1500 /* old frames above which not all are compared by all channels */
 };
 
 /* An earlier frame by its row, and the probability that the place is near it. */

@@ -13,8 +13,8 @@ from ssrvlad_torch.native.headers import model
 
 LOOPS = model("Loop")
 BEFORE = int(NUMBERS["before"])
-MOVES = 2
-"""Columns by which signs are moved to each side."""
+ACROSS, ALONG = 3, 2
+"""Columns and rows by which signs are moved to each side."""
 
 
 def means(frames, counted, starts):
@@ -46,9 +46,10 @@ def scores_of_signs(earlier, signs, starts):
     """``(N,)`` cosines of signs ``(columns, rows, bytes)``, as 1 and -1 without the mean of their
     stretch, to those of earlier frames."""
     bits = np.unpackbits(np.concatenate((earlier, signs[None])), axis=-1, bitorder="little")
-    numbers = bits.reshape(*bits.shape[:2], 1, -1).astype(np.float64) * 2 - 1
+    numbers = bits.astype(np.float64) * 2 - 1
     numbers -= means(numbers, np.ones(len(numbers), bool), starts)
-    return cosines_of_signs(numbers[-1:], numbers[:-1], min(MOVES, len(signs) - 1), 0)[0]
+    across, along = min(ACROSS, len(signs) - 1), min(ALONG, len(signs[0]) - 1)
+    return cosines_of_signs(numbers[-1:], numbers[:-1], across, along)[0]
 
 
 # ------------------------------------------------- repeats: how much a street is alike all along it
