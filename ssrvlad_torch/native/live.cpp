@@ -18,7 +18,7 @@ constexpr Size MANY = 1 << 13;  // rows from which threads share them
 constexpr double LENGTH_TOLERANCE = 1e-3;
 constexpr Size PART = 2;        // bytes of a cell by which frames are roughly compared
 constexpr Size REACH = 2;       // columns by which parts are moved to each side
-constexpr int DIGITS = 14, PART_DIGITS = 8;  // of a mean
+constexpr int DIGITS = 18, PART_DIGITS = 8;  // of a mean
 constexpr Size FEW = 8;         // frames that a row takes in one by one
 constexpr Size AT_ONCE = 64;    // rows of signs that stay in the cache
 constexpr double MIN_SQUARE = 1e-9;  // of a length without a mean

@@ -199,18 +199,18 @@ SignMean SignMean::near(const float *numbers, Size bits, const SignGrid &grid) {
 }
 
 SignMean SignMean::rounded(const float *numbers, int digits, Size bits, const SignGrid &grid) {
-  const float half = static_cast<float>((1 << digits) - 1) / 2;
+  const double most = (1 << digits) - 1;
   SignMean mean;
   mean.planes.resize(static_cast<std::size_t>(digits * grid.size()));
-  for (int digit = 0; digit < digits; ++digit) mean.weights.push_back(static_cast<double>(1 << digit) / static_cast<double>(2 * half));
+  for (int digit = 0; digit < digits; ++digit) mean.weights.push_back(static_cast<double>(1 << digit) / most);
   on_cpu([=, planes = mean.planes.data()](auto) {
     for (Size word = 0; word < grid.size(); ++word) {
       const Size in_cell = word % grid.words * WORD_BITS, count = std::min(WORD_BITS, bits - in_cell);
       const float *number = numbers + word / grid.words * bits + in_cell;
       std::int64_t levels[WORD_BITS] = {};
       for (Size bit = 0; bit < count; ++bit) {
-        const float least = number[bit] < -1 ? -1 : number[bit], value = least > 1 ? 1 : least;
-        levels[bit] = static_cast<std::int32_t>((value + 1) * half + 0.5F);
+        const double share = (std::clamp(static_cast<double>(number[bit]), -1.0, 1.0) + 1) / 2;
+        levels[bit] = static_cast<std::int32_t>(share * most + 0.5);
       }
       for (int digit = 0; digit < digits; ++digit) {
         Word plane = 0;
