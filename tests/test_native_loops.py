@@ -134,6 +134,16 @@ def test_an_old_sequence_is_left_where_it_fits_no_longer(channels):
     assert count(steps[142:]) == 0 or channels == [SHAPES]
 
 
+@pytest.mark.parametrize("earlier", [0, 80])
+def test_two_passes_of_a_street_are_one_place_to_the_third(earlier):
+    """The second pass closed loops with the first one, whose frames came or were known."""
+    channels = [SHAPES, SIGNS]
+    frames = described(views([*range(80)] * 3, 0.02), *channels)
+    steps = assert_as_the_oracle(frames, np.arange(240) % 80 == 0, channels, earlier)
+    assert count(steps[-70:]) > 60 and not count(steps, Reason.AMBIGUOUS)
+    assert all((160 + row - step.candidate) % 80 == 0 for row, step in enumerate(steps[-70:], 10))
+
+
 # ---- what changes nothing
 
 

@@ -288,7 +288,8 @@ void Stream::grow() {
       drives_.starts.push_back(drives_.rows);
 }
 
-void Stream::store(const void *const *centres, double stamp) {
+void Stream::store(const void *const *centres, double stamp, Size shown) {
+  shown_.push_back(shown);
   described_.push_back(!channels_[0]->empty(centres[0]));
   known_ += described_.back();
   keep(stamps_, stamp, place(LOOPS.last_frames));
@@ -298,12 +299,13 @@ void Stream::extend(const void *const *descriptors, double stamp, bool starts) {
   if (starts_.empty() || starts || breaks(descriptors, stamp)) start_stretch();
   grow();
   for (std::size_t number = 0; number < channels_.size(); ++number) channels_[number]->append(descriptors[number]);
-  store(descriptors, stamp);
+  store(descriptors, stamp, rows());
 }
 
 void Stream::reserve(Size frames) {
   for (auto &channel : channels_) channel->reserve(frames);
   described_.reserve(place(frames));
+  shown_.reserve(place(frames));
   repeats_.reserve(frames);
   tracks_.reserve(frames);
   OfRows &all = of_rows_;
@@ -335,7 +337,7 @@ ssrvlad_loop Stream::update(const void *const *descriptors, const Size *anchors,
   grow();
   for (std::size_t number = 0; number < channels_.size(); ++number) channels_[number]->append(centres[number]);
   const ssrvlad_loop loop = step(descriptors, centres.data(), anchors, threads);
-  store(centres.data(), stamp);
+  store(centres.data(), stamp, loop.reason == SSRVLAD_ACCEPTED ? shown_[place(loop.candidate)] : rows());
   return loop;
 }
 
@@ -530,14 +532,22 @@ ssrvlad_loop Stream::result(const std::vector<float> &scored) {
     if (scored[place(row)] != NONE && (candidate < 0 || rows[place(row)] > rows[place(candidate)]))
       candidate = row;
   const double old = sum(rows.data(), old_), recent = sum(rows.data() + old_, drives_.rows - old_);
-  const auto near = [&](Size row) {
-    return std::make_pair(std::max<Size>(0, row - SSRVLAD_RADIUS), std::min(row + SSRVLAD_RADIUS + 1, old_));
-  };
-  const auto [first, last] = near(candidate);
+  const Size first = std::max<Size>(0, candidate - SSRVLAD_RADIUS), last = std::min(candidate + SSRVLAD_RADIUS + 1, old_);
   ssrvlad_loop loop{};
   loop.candidate = candidate;
   loop.score = static_cast<double>(scored[place(candidate)]);
-  loop.probability = std::min(1.0, sum(rows.data() + first, last - first));
+  // Calls a function for what is left of old rows that show the place of one.
+  const auto showing = [&](Size row, auto function) {
+    for (Size other = 0; other < old_; ++other)
+      if (std::abs(other - row) <= SSRVLAD_RADIUS || std::abs(shown_[place(other)] - shown_[place(row)]) <= SSRVLAD_RADIUS)
+        function(rows[place(other)]);
+  };
+  const auto probability = [&](Size row) {
+    double sum = 0;
+    showing(row, [&](float probable) { sum += static_cast<double>(probable); });
+    return std::min(1.0, sum);
+  };
+  loop.probability = probability(candidate);
   const Size drive = drives_.of(candidate);
   loop.first = std::max(first, drives_.starts[place(drive)]);
   loop.rows = static_cast<std::int32_t>(std::min(last, drives_.last(drive)) - loop.first);
@@ -549,11 +559,9 @@ ssrvlad_loop Stream::result(const std::vector<float> &scored) {
   else if (old >= threshold_) loop.reason = SSRVLAD_AMBIGUOUS;
   tracks_.decided(loop.reason == SSRVLAD_ACCEPTED);
   for (Size row = candidate; loop.places < SSRVLAD_PLACES; ++loop.places) {
-    const auto [from, to] = near(row);
-    const double probability = std::min(1.0, sum(rows.data() + from, to - from));
-    if (probability < LOOPS.least_place) break;
-    loop.best[loop.places] = {row, probability};
-    std::fill(rows.begin() + from, rows.begin() + to, 0.0F);
+    loop.best[loop.places] = {row, probability(row)};
+    if (loop.best[loop.places].probability < LOOPS.least_place) break;
+    showing(row, [](float &probable) { probable = 0; });
     row = std::max_element(rows.begin(), rows.begin() + old_) - rows.begin();
   }
   return loop;

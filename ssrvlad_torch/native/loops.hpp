@@ -82,7 +82,7 @@ class Stream {
   // The rows but so many last frames of the present stretch: those of others are never recent.
   Size without_last(Size frames) const;
   void grow();  // states of the filter, one for each frame but the most recent
-  void store(const void *const *centres, double stamp);
+  void store(const void *const *centres, double stamp, Size shown);
   ssrvlad_loop step(const void *const *swept, const void *const *centres, const Size *anchors,
                     int threads);
   std::vector<float> &scores(const void *const *swept, const Size *anchors, int threads, Size old);
@@ -104,6 +104,7 @@ class Stream {
   std::vector<std::unique_ptr<LiveChannel>> channels_;
   std::vector<double> trust_, leads_;
   std::vector<bool> described_;
+  std::vector<Size> shown_;  // of each row the first one known to show its place, by the loops that closed
   Size known_ = 0, old_known_ = 0, old_ = 0;  // frames that are not empty: of all, and of the first old
   std::vector<Size> starts_;                  // of stretches
   std::deque<double> stamps_;                 // of the last frames of the present stretch

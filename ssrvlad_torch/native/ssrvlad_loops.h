@@ -75,7 +75,7 @@ typedef struct ssrvlad_loop {
                                          verifies them; each of a probability of at least 0.01 */
   int64_t candidate;  /* the most probable old row; -1 without one, and the rest is then 0 */
   double score;       /* its score: a cosine, without the mean of all frames so far */
-  double probability; /* that the place is near the candidate */
+  double probability; /* that the place is near the candidate, or near frames that closed a loop there */
   int64_t first;      /* of the rows near the candidate, in its stretch */
   int32_t rows;       /* their number */
   double probabilities[SSRVLAD_ROWS]; /* of each of them */

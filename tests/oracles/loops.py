@@ -180,6 +180,8 @@ class Loops:
         self.frames = {channel.name: [] for channel in channels}
         self.leads = {channel.name: 0.0 for channel in channels}
         self.count, self.rows, self.starts, self.explained = 0, 0, [], []
+        self.shown = np.zeros(0, int)
+        """Of each row the first one known to show its place: that of the row it closed a loop with."""
 
     @property
     def weights(self):
@@ -198,14 +200,14 @@ class Loops:
         centres = {name: array[len(array) // 2] for name, array in anchors.items()}
         self.arrive(starts)
         step = self.step(anchors, centres)
-        self.store(centres)
+        self.store(centres, self.shown[step[1]] if step[0] == "accepted" else self.count)
         return step
 
     def extend(self, descriptors, starts):
         """Stores frames as if they had come, without results."""
         for row, first in enumerate(starts):
             self.arrive(first)
-            self.store({name: array[row] for name, array in descriptors.items()})
+            self.store({name: array[row] for name, array in descriptors.items()}, self.count)
 
     def model(self):
         """Of the rows that are states: forwards and, as a decoy, backwards."""
@@ -239,7 +241,8 @@ class Loops:
         self.moving = True
         return model.rows(self.states)
 
-    def store(self, centres):
+    def store(self, centres, shown):
+        self.shown = np.append(self.shown, shown)
         for name, frames in self.frames.items():
             frames.append(centres[name])
         self.count += 1
@@ -323,9 +326,10 @@ class Loops:
         """The step, by the probabilities of the rows."""
         candidate = int(np.where(np.isfinite(scores[:old]), rows[:old], -1).argmax())
         at_old, recent, places = rows[:old].sum(), rows[old:].sum(), []
-        left, row = rows[:old].copy(), candidate
+        left, row, shown = rows[:old].copy(), candidate, self.shown[:old]
         for _ in range(MAX_PLACES):
-            near = slice(max(0, row - RADIUS_ROWS), row + RADIUS_ROWS + 1)
+            near = np.abs(np.arange(old) - row) <= RADIUS_ROWS
+            near |= np.abs(shown - shown[row]) <= RADIUS_ROWS
             places.append((row, min(1.0, left[near].sum())))
             left[near] = 0
             row = int(left.argmax())
