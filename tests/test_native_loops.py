@@ -52,7 +52,7 @@ def assert_as_the_oracle(frames, starts, channels, earlier=0, exclude=50, thresh
         step = core.update(frame, starts=starts[row])
         steps.append(step)
         reason, candidate, score, probability, places = plain.update(frame, starts[row])
-        assert core.weights == pytest.approx(plain.weights, abs=1e-5)
+        assert core.weights == pytest.approx(plain.weights, abs=1e-4)
         if candidate is None:
             assert (step.reason, step.candidate) == (reason, None)
             continue
@@ -138,7 +138,8 @@ def test_an_old_sequence_is_left_where_it_fits_no_longer(channels):
 def test_two_passes_of_a_street_are_one_place_to_the_third(earlier):
     """The second pass closed loops with the first one, whose frames came or were known."""
     channels = [SHAPES, SIGNS]
-    frames = described(views([*range(80)] * 3, 0.02), *channels)
+    noise = np.random.default_rng(0).normal(0, 0.02, (240, 480))
+    frames = described(unit(PLACES[[*range(80)] * 3] + noise), *channels)
     steps = assert_as_the_oracle(frames, np.arange(240) % 80 == 0, channels, earlier)
     assert count(steps[-70:]) > 60 and not count(steps, Reason.AMBIGUOUS)
     assert all((160 + row - step.candidate) % 80 == 0 for row, step in enumerate(steps[-70:], 10))

@@ -23,6 +23,7 @@ constexpr Size FEW = 8;         // frames that a row takes in one by one
 constexpr Size AT_ONCE = 64;    // rows of signs that stay in the cache
 constexpr double MIN_SQUARE = 1e-9;  // of a length without a mean
 constexpr float LEAST = 1e-3F;  // of two lengths' product
+constexpr float LEAST_SQUARE = 1e-5F;  // of a length without a mean, a bit: less is rounding
 
 std::size_t place(Size at) { return static_cast<std::size_t>(at); }
 
@@ -318,7 +319,7 @@ void CountedSigns::to_lengths(const Floats &of_mean, double frames, float *produ
   const auto twice = static_cast<float>(2 / frames);
   for (Size move = 0; move < moves_; ++move) {
     const float square = bits_[place(move)] - twice * products[move] + of_mean[place(move)] * of_mean[place(move)];
-    products[move] = std::sqrt(std::max(0.0F, square));
+    products[move] = square > LEAST_SQUARE * bits_[place(move)] ? std::sqrt(square) : 0;
   }
 }
 
@@ -382,8 +383,8 @@ void CountedSigns::renew(Size first, Size last, const SignMean &mean) {
 
 void CountedSigns::settle(const Chosen &chosen) {
   const Size before = stretches_.back().first;
-  const SignMean mean = SignMean::rounded(this->mean().data(), digits_, 8 * bytes_, grid_);
-  const SignMean first = SignMean::rounded(mean_before().data(), digits_, 8 * bytes_, grid_);
+  const SignMean mean = SignMean::rounded(this->mean().data(), digits_, true, 8 * bytes_, grid_);
+  const SignMean first = SignMean::rounded(mean_before().data(), digits_, true, 8 * bytes_, grid_);
   by_stretch(stretches_, 0, rows(), [&](const Stretch &stretch, Size from, Size to) {
     for (Size row = from; row < to; ++row) {
       if (!chosen.empty() && !chosen[place(row)]) continue;
@@ -422,7 +423,7 @@ void CountedSigns::scores(int threads, const Chosen &chosen, float *scores) {
   SignMean digits;
   for (Size row = 0; row < count && !digits.count(); ++row)
     if ((chosen.empty() || chosen[place(row)]) && is_behind(row))
-      digits = SignMean::rounded(mean.data(), digits_, 8 * bytes_, grid_);
+      digits = SignMean::rounded(mean.data(), digits_, true, 8 * bytes_, grid_);
   const double frames = this->frames();
   const auto share = static_cast<float>(1 / frames);
   over_blocks(count, AT_ONCE, count < MANY ? 1 : threads, [&](Size first, Size last) {
@@ -461,7 +462,8 @@ void CountedSigns::scores(int threads, const Chosen &chosen, float *scores) {
           for (Size move = 0; move < moves_; ++move) {
             const auto at = place(move);
             const float product = bits_[at] - 2 * static_cast<float>(differs[move * some]) - share * sums[move] - of_its_mean[at];
-            best = std::max(best, product / std::max(query[at] * lengths[move], LEAST));
+            const float both = query[at] * lengths[move];
+            best = std::max(best, both > LEAST ? product / both : 0);
           }
           scores[row] = std::min(best, 1.0F);
         }

@@ -193,13 +193,13 @@ SignMean SignMean::of(const Word *signs, Size count, Size bits, const SignGrid &
 SignMean SignMean::near(const float *numbers, Size bits, const SignGrid &grid) {
   const Size count = grid.columns * grid.rows * bits;
   if (std::all_of(numbers, numbers + count, [](float number) { return std::abs(number) == 1; })) return {};
-  SignMean mean = rounded(numbers, DIGITS, bits, grid);
+  SignMean mean = rounded(numbers, DIGITS, false, bits, grid);
   add_squares(mean, bits, grid);
   return mean;
 }
 
-SignMean SignMean::rounded(const float *numbers, int digits, Size bits, const SignGrid &grid) {
-  const double most = (1 << digits) - 1;
+SignMean SignMean::rounded(const float *numbers, int digits, bool up_and_down, Size bits, const SignGrid &grid) {
+  const double most = (1 << digits) - 1, turn = up_and_down ? 0.6180339887498949 : 0;  // the golden ratio: evenly spread
   SignMean mean;
   mean.planes.resize(static_cast<std::size_t>(digits * grid.size()));
   for (int digit = 0; digit < digits; ++digit) mean.weights.push_back(static_cast<double>(1 << digit) / most);
@@ -210,7 +210,8 @@ SignMean SignMean::rounded(const float *numbers, int digits, Size bits, const Si
       std::int64_t levels[WORD_BITS] = {};
       for (Size bit = 0; bit < count; ++bit) {
         const double share = (std::clamp(static_cast<double>(number[bit]), -1.0, 1.0) + 1) / 2;
-        levels[bit] = static_cast<std::int32_t>(share * most + 0.5);
+        const double up = 0.5 + turn * static_cast<double>(word + bit);
+        levels[bit] = static_cast<std::int32_t>(share * most + up - static_cast<double>(static_cast<std::int64_t>(up)));
       }
       for (int digit = 0; digit < digits; ++digit) {
         Word plane = 0;

@@ -55,8 +55,9 @@ struct SignMean {
   static SignMean of(const Word *signs, Size count, Size bits, const SignGrid &grid);
   // Numbers (columns, rows, bits), rounded to 18 binary digits; nothing if all are 1 and -1.
   static SignMean near(const float *numbers, Size bits, const SignGrid &grid);
-  // Numbers of whatever value, rounded to so many digits; without squares.
-  static SignMean rounded(const float *numbers, int digits, Size bits, const SignGrid &grid);
+  // Numbers of whatever value, rounded to so many digits, or as often up as down, so that errors do not add up;
+  // without squares.
+  static SignMean rounded(const float *numbers, int digits, bool up_and_down, Size bits, const SignGrid &grid);
 
   Size count() const { return static_cast<Size>(weights.size()); }
 };

@@ -181,7 +181,7 @@ class Loops:
         self.leads = {channel.name: 0.0 for channel in channels}
         self.count, self.rows, self.starts, self.explained = 0, 0, [], []
         self.shown = np.zeros(0, int)
-        """Of each row the first one known to show its place: that of the row it closed a loop with."""
+        """Of each row the first one that shows its place: that of the row it closed a loop with."""
 
     @property
     def weights(self):
