@@ -33,7 +33,7 @@ SHOWN = ("drive", "half of the map", "holes of 15 rows", "foreign", "all")
 SHOWN_COLUMNS = ("row", "steps", "inside, all", "inside, 5 %", "above 10 %", "accepted", "wrong")
 """What the page shows of the table."""
 
-COLUMNS = ("row", "steps", "cases", "followed", "lost", "inside, all", "inside, 5 %", "above 10 %")
+COLUMNS = ("row", "steps", "cases", "lost", "inside, all", "inside, 5 %", "above 10 %")
 COLUMNS += ("accepted", "wrong", "said", "ECE")
 
 
@@ -44,7 +44,6 @@ class Outcome(NamedTuple):
     row: str
     name: str
     method: str
-    followed: bool
     sure: np.ndarray
     strict: np.ndarray
     place: np.ndarray
@@ -116,11 +115,10 @@ def outcome(described: Described, case: Case) -> list[Outcome]:
                 for row, true in zip(rows, case.truth, strict=True)
             ]
         )
-        followed = one.score_is() == "probability"
         estimates = estimate(one.sure), accept(one.sure, LEVEL)
         sure = one.confidence.numpy()
         found.append(
-            Outcome(*case[:3], followed, sure, away == 0, away <= SAME_PLACE_ROWS, *estimates)
+            Outcome(*case[:3], sure, away == 0, away <= SAME_PLACE_ROWS, *estimates)
         )
     return found
 
@@ -170,7 +168,6 @@ def kind_of(each: Outcome) -> str:
 def figures(some: Sequence[Outcome], alone: Sequence[Outcome]) -> Iterator[str]:
     """The cells of a line, see docs/evaluation/confidence.md."""
     yield str(len(some))
-    yield fraction(each.followed for each in some)
     yield str(
         sum(
             each.strict.mean() < other.strict.mean() - LOST
