@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from loop_streams import LIGHT, PLACES, RNG, unit
+from loop_streams import LIGHT, PLACES, RNG, drawn_anew, unit  # noqa: F401, a fixture
 
 from ssrvlad_torch import SSRVLAD, Database, LoopDetector
 from ssrvlad_torch.loops.config import LoopConfig

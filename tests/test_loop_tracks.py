@@ -2,7 +2,7 @@
 
 import numpy as np
 import torch
-from loop_streams import LIGHT, PLACES, RNG, unit
+from loop_streams import LIGHT, PLACES, RNG, drawn_anew, unit  # noqa: F401, a fixture
 
 from ssrvlad_torch import SSRVLAD, LoopDetector
 from ssrvlad_torch.database.frames import FrameRecord
