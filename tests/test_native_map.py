@@ -289,7 +289,7 @@ def bits(core, tmp_path_factory):
 def test_all_processors_find_the_same_bits(bits, name):
     compiler, emulator = PROCESSORS[name]
     for program in (compiler.split()[0], *emulator[:1], *emulator[-1:]):
-        if not shutil.which(program):
+        if not (shutil.which(program) or Path(program).is_dir()):
             pytest.skip(f"{program} is not installed")
     here, there = bits(compiler, emulator)
     assert here == there
