@@ -117,9 +117,7 @@ def outcome(described: Described, case: Case) -> list[Outcome]:
         )
         estimates = estimate(one.sure), accept(one.sure, LEVEL)
         sure = one.confidence.numpy()
-        found.append(
-            Outcome(*case[:3], sure, away == 0, away <= SAME_PLACE_ROWS, *estimates)
-        )
+        found.append(Outcome(*case[:3], sure, away == 0, away <= SAME_PLACE_ROWS, *estimates))
     return found
 
 
