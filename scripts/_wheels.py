@@ -88,7 +88,8 @@ def problems_of(library: Any, system: str, processor: str) -> Iterator[str]:
     if not re.fullmatch(PROCESSOR[processor], getattr(header, machine).name):
         yield f"is for {getattr(header, machine).name}"
     headers = "".join(file.read_text() for file in (ROOT / FOLDER).glob("*.h"))
-    declared = set(re.findall(r"\w+(?=\()", headers))
+    code = re.sub(r"/\*.*?\*/|^#.*?$", "", headers, flags=re.DOTALL | re.MULTILINE)
+    declared = set(re.findall(r"\w+(?=\()", code))
     declared = {name for name in declared if name.startswith("ssrvlad_")}
     exported = {_name(one).removeprefix("_") for one in library.exported_functions}
     if missing := declared - exported:
