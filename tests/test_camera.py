@@ -38,6 +38,14 @@ def test_few_answers_tell_nothing():
     assert camera_of(picture(HERE, HERE)[:9], picture(HERE, HERE)[:9]) is None
 
 
+def test_where_no_move_is_better_than_others_nothing_is_told():
+    """Cells that are all alike, and pictures of different places."""
+    alike, others = np.zeros((2, PAIRS, CELLS, CELLS, 4), np.uint8)
+    assert camera_of(alike, others) is None
+    one, other = np.random.default_rng(2).integers(0, 256, (2, *alike.shape), np.uint8)
+    assert camera_of(one, other) is None
+
+
 def test_words_name_directions():
     assert str(Camera()) == "alike"
     words = "turned 2 of 16 columns to the left and 1 of 16 rows down, with another field of view"

@@ -9,6 +9,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+ACROSS, DOWN = 3, 2
+"""Cells by which a query is moved to each side, and up and down."""
+
 
 def numbers(signs: Tensor) -> Tensor:
     """Signs ``(..., bytes)`` as 1 and -1, ``(..., 8 * bytes)`` float32."""

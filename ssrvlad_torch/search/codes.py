@@ -15,13 +15,13 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ..channels.signs import numbers
+from ..channels.signs import ACROSS, DOWN, numbers
 
 VECTOR_LENGTH, SIGNS_LENGTH = 64, 256
 """Numbers of a code."""
 
-_BYTES, _ACROSS, _DOWN = 4, 3, 2
-"""Of a cell of signs, and cells by which queries are moved to each side, and up and down."""
+_BYTES = 4
+"""Of a cell of signs."""
 _MOST, _DEVIATIONS = 127, 4.0
 _CODED, _COMPARED = 1 << 12, 1 << 10
 """Rows at once; so few are compared because they stay in the cache of a processor."""
@@ -92,7 +92,7 @@ def _probes(queries: Tensor, sweep: bool) -> Tensor:
         return F.normalize((swept if sweep else swept[:, middle : middle + 1]).float(), dim=2)
     grids = _grids(queries)
     columns, rows, bits = grids.shape[1:]
-    across, down = (min(_ACROSS, columns - 1), min(_DOWN, rows - 1)) if sweep else (0, 0)
+    across, down = (min(ACROSS, columns - 1), min(DOWN, rows - 1)) if sweep else (0, 0)
     moves = itertools.product(range(-across, across + 1), range(-down, down + 1))
     return torch.stack(
         [

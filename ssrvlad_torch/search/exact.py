@@ -97,7 +97,7 @@ def _cameras(
     sure, cameras = recognised.confidence.numpy() >= _SURE, {}
     for run in runs(queries.sequences):
         rows = np.arange(run.start, run.stop)[sure[run.start : run.stop]]
-        rows = rows[:: max(1, len(rows) // MOST_PAIRS)]
+        rows = rows[:: max(1, -(-len(rows) // MOST_PAIRS))]
         if isinstance(references, FrameSet):
             frames = np.asarray(references.channels[name][answers[rows]])
         else:
