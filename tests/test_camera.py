@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ssrvlad_torch.recognition.camera import Camera, camera_of
+from ssrvlad_torch.channels.camera import Camera, camera_of
 
 CELLS, PAIRS = 16, 12
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ..channels.camera import Camera
 from ..config import package_version
 from ..datasets.dataset import shortened
 from ..datasets.poses import Pose
@@ -14,7 +15,6 @@ from ..evaluation.measure import Evaluation
 from ..evaluation.metrics import figure_rows, fraction
 from ..evaluation.report import render, write_report
 from ..evaluation.thresholds import SURE_PRECISION, operating_rows, queries_needed
-from ..recognition.camera import Camera
 from ..recognition.confidence import Estimate
 from ..recognition.sequences import MIN_FRAMES
 from ..search.answers import estimate_in_json

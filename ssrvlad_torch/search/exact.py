@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ..channels.camera import MOST_PAIRS, camera_of
 from ..channels.channel import FEATURES, Channel, View, channels_of, refuse_text
 from ..channels.features import Features
 from ..database.database import Database
@@ -20,7 +21,6 @@ from ..encoding.encoder import check_segmenter, encode_to_memory
 from ..encoding.results import Progress, Skipped, do_nothing
 from ..encoding.source import SelectedFrames
 from ..native.map import DescriptorMap
-from ..recognition.camera import MOST_PAIRS, camera_of
 from ..recognition.recognise import Recognised, Steps, recognise, references_of
 from ..recognition.sequences import MIN_FRAMES, runs
 from ..recognition.sweep import COLUMNS

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ..channels.signs import ACROSS, DOWN
+from .signs import ACROSS, DOWN
 
 SPREADS = (-0.1, 0.1, -0.2, 0.2, -0.3, 0.3)
 """By which cells are moved, of their distance from the middle: where the field of view differs."""
