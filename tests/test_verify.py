@@ -254,7 +254,7 @@ def test_a_runtime_that_is_wrong_or_fails_is_told(kind, files, ssrvlad, monkeypa
     for other, verdict in (("Abs", "wrong"), ("", "cannot run")):
         runtime = with_other_root(other)
         monkeypatch.setattr("ssrvlad_torch.deployment.verify.runtime_of", lambda _, r=runtime: r)
-        code, out, _ = ssrvlad("verify", files[kind], "--json")
+        code, out, _ = ssrvlad("verify", files[kind], "--provider", "other", "--json")
         report = json.loads(out)
         assert (code, report["verdict"], report["passed"]) == (1, verdict, False)
         reasons = [check["problem"] for check in report["checks"]]

@@ -59,9 +59,8 @@ class HOGMethod(VectorMethod, HOG):
 
 
 class SSRVLADMethod(VectorMethod, LabelShapes):
-    """Raw descriptors of queries, which may have different label spaces, against references summed
-    over ``temporal`` frames on each side inside a sequence (t of Eq. 3); ``settings`` are fields of
-    `SSRVLADConfig` that replace those of the preset."""
+    """Raw descriptors of queries against references summed over ``temporal`` frames on each side
+    inside a sequence (t of Eq. 3); ``settings`` replace fields of the preset."""
 
     def __init__(self, preset: str = "default", temporal: int = 0, **settings: Any) -> None:
         if temporal < 0:
@@ -70,8 +69,7 @@ class SSRVLADMethod(VectorMethod, LabelShapes):
         self.temporal = temporal
 
     def encode_sweep(self, frames: Iterable[View]) -> Tensor:
-        """``(Q, S, D)`` float32, ``D = config.length``, 480 by default; for residuals, which have
-        no anchor, ``(Q, D)``."""
+        """``(Q, S, D)`` float32; for residuals, which have no anchor, ``(Q, D)``."""
         swept = (self.describe(batch, COLUMNS) for batch in batches(frames, self.batch))
         return joined(swept, self.name)
 
@@ -113,9 +111,8 @@ def segmenter_of(
 
 
 class EncoderFeatures(VectorMethod, Features):
-    """The features of a segmentation network, see `stages.features`. The network is a `Segmenter`
-    or its name, see `open_network`, with the label space of its classes unless they or its YAML
-    file define it. No network is a FileNotFoundError, one without features a ValueError."""
+    """The features of a segmentation network, a `Segmenter` or its name, with the label space of
+    its classes unless they define it. No network is a FileNotFoundError."""
 
     shape = Features.shape
     needs = frozenset({PICTURE, "weights"})

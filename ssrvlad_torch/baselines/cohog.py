@@ -35,18 +35,16 @@ _SCORES_AT_ONCE = 1 << 20
 
 
 class Regions(NamedTuple):
-    """Encoded queries: descriptors ``(Q, regions, 32)`` float32 of length 1, or zero for a flat
-    region, and which regions are chosen, ``(Q, regions)`` bool: their entropy reaches the
-    threshold."""
+    """Encoded queries: descriptors ``(Q, regions, 32)`` float32 of length 1, or 0, and which
+    regions have enough entropy, ``(Q, regions)`` bool."""
 
     descriptors: Tensor
     chosen: Tensor
 
 
 class CoHOG:
-    """Compares each region of the query with the most similar region of the reference: the mean,
-    over the query's regions of high entropy, of the largest cosine. A query without such a region
-    matches nothing."""
+    """The mean, over the query's regions of high entropy, of the largest cosine with a region of
+    the reference. A query without such a region matches nothing."""
 
     name = "cohog"
     needs = frozenset({"images"})
@@ -85,10 +83,9 @@ class CoHOG:
 
 
 def region_descriptors(pictures: Tensor) -> Tensor:
-    """HOG of 2 x 2 cells at every cell, by the square root of gray and 5 x 5 Sobel; each pixel
-    votes for the two bins next to its direction. Of pictures ``(B, H, W)`` uint8, sides multiples
-    of 16, ``(B, (H / 16 - 1) * (W / 16 - 1), 32)`` float32 of length 1, or zero: cells from the
-    upper left to the lower right, directions from 0 to 360 degrees in each."""
+    """HOG of 2 x 2 cells at every cell, by the root of gray and 5 x 5 Sobel, votes for the two
+    nearest directions: ``(B, regions, 32)`` float32 of pictures ``(B, H, W)`` uint8, of length 1,
+    or 0."""
     brightest = pictures.amax((1, 2), keepdim=True).clamp(min=1)
     rooted = (pictures / brightest).sqrt()
     mirrored = F.pad(rooted[:, None], (2, 2, 2, 2), mode="reflect")[:, 0]  # as OpenCV does
@@ -122,9 +119,8 @@ def region_entropies(pictures: Tensor) -> Tensor:
 
 
 def local_entropy(pictures: Tensor, radius: int) -> Tensor:
-    """Shannon entropy, in bits, of the gray values in a disc around each pixel: ``(B, H, W)``
-    float32, 0 to 8, of pictures ``(B, H, W)`` uint8. The disc holds the pixels at most ``radius``
-    away inside the picture, as in ``skimage.filters.rank.entropy``."""
+    """Entropy, in bits, of the gray values at most ``radius`` away from each pixel of ``(B, H, W)``
+    uint8, as ``skimage.filters.rank.entropy``."""
     images, height, width = pictures.shape
     reach = torch.arange(-radius, radius + 1)
     disc = (reach[:, None] ** 2 + reach**2 <= radius**2).flatten()

@@ -35,9 +35,8 @@ _AHEAD = 16
 
 
 class ComparisonSettings(NamedTuple):
-    """How methods are measured: what is a true match, the convention of the metrics, the steps
-    between encodings and a decision, the threads that read ahead, and what shows the progress of a
-    method with a number of frames."""
+    """How methods are measured: what is a true match, the convention, the steps to a decision, the
+    threads that read ahead, and what shows the progress of a method."""
 
     true: GroundTruth
     convention: Convention
@@ -49,9 +48,8 @@ class ComparisonSettings(NamedTuple):
 def compare(
     methods: Mapping[str, Method | str], sides: Dataset, settings: ComparisonSettings, note: Note
 ) -> list[Row]:
-    """The rows of all methods in their order, of single frames and with the steps. A method that
-    cannot be made is given by the reason; ``sides`` are references and queries, see `open_sides`;
-    ``note`` gets what is left out."""
+    """The rows of all methods, of single frames and with the steps; a method that cannot be made is
+    given by the reason. ``note`` gets what is left out of ``sides``, see `open_sides`."""
     used = sides
     if settings.true.metres is not None:
         used = _having(sides, lambda frame: frame.has_pose, "a pose")

@@ -102,9 +102,8 @@ class LoSTX:
         return self._encode(frames, _REACH)
 
     def scores(self, queries: LoSTFrames, references: LoSTFrames) -> Tensor:
-        """``(Q, R)``: minus the cosine distance times the layout cost, for the ten references with
-        the highest cosine. The others, and references with fewer than two pairs of keypoints, come
-        after these in the order of their cosines."""
+        """``(Q, R)``: minus the cosine distance times the layout cost, of the ten best references;
+        then the others, and those with fewer than two pairs of keypoints, by their cosines."""
         descriptors = (
             torch.stack([frame.descriptor for frame in side]) for side in (queries, references)
         )
@@ -165,8 +164,7 @@ class LoSTX:
 
 
 def dense_network(segmenter: Segmenter) -> DenseNetwork:
-    """A segmentation network with one of its activations, the finest of `find_activations`, and a
-    softmax behind it; no such activation, or several by name, are a ValueError."""
+    """A network with its finest activation, or the one that is named, and a softmax behind it."""
     names = segmenter.features.names  # of an ONNX graph, outputs only now
     names = names if segmenter.config.features else names[:1]
     if len(names) != 1:
@@ -182,11 +180,10 @@ def dense_network(segmenter: Segmenter) -> DenseNetwork:
 
 
 def layout_cost(columns: tuple[Tensor, Tensor], distances: Tensor) -> float:
-    """Cost of M pairs of keypoints, low if they keep their order along the image; infinity for
-    fewer than two. ``columns`` are x of the keypoints in both images, ``(M,)`` float each,
-    ``distances`` ``(M,)`` the cosine distances of their features. The weight of a pair is the
-    largest distance minus its own, after all are divided by their sum; the cost is the cosine
-    distance of the vectors of weighted columns, divided by the length of the weights and by M."""
+    """Cost of M pairs of keypoints, low if they keep their order along the image: the cosine
+    distance of their columns in both images, ``(M,)`` float each, weighted by how much smaller than
+    the largest their ``distances`` are, by the weights' length and M. Infinity for fewer than two.
+    """
     count = len(columns[0])
     if count < 2:
         return math.inf
@@ -200,9 +197,8 @@ def layout_cost(columns: tuple[Tensor, Tensor], distances: Tensor) -> float:
 
 
 def lost_descriptor(features: Tensor, probabilities: Tensor, means: Tensor) -> Tensor:
-    """The descriptor of an image, ``(S * D,)`` of length 1: L_s = sum_i m_is |x_i - mu_s| (Eq. 1),
-    each normalised to length 1, concatenated; of features ``(D, P)``, probabilities ``(S, P)`` and
-    means ``(S, D)``, zero for a class without places."""
+    """L_s = sum_i m_is |x_i - mu_s| (Eq. 1), each normalised, concatenated, ``(S * D,)`` of length
+    1; of features ``(D, P)``, probabilities ``(S, P)`` and means ``(S, D)``."""
     residuals = [
         (features - mean[:, None]).abs() @ weight
         for mean, weight in zip(means, probabilities, strict=True)

@@ -19,9 +19,8 @@ _FILES = [f"vgg16_netvlad_checkpoint/checkpoints/{n}.pth.tar" for n in ("model_b
 
 
 class NetVLAD(VectorMethod):
-    """Descriptors of a trained network, compared by their cosine; 32768 numbers, or 4096 by a
-    checkpoint with the whitening ``WPCA.0`` of Patch-NetVLAD. Pictures keep their size, as in the
-    authors' programs. `find_weights` finds the published file."""
+    """A trained network's descriptors, compared by their cosine; 32768 numbers, or 4096 with the
+    whitening ``WPCA.0`` of Patch-NetVLAD. Pictures keep their size."""
 
     name = "netvlad"
     needs = frozenset({"images", "weights"})

@@ -14,9 +14,8 @@ if TYPE_CHECKING:
 
 
 class Method(Protocol):
-    """A place-recognition method with its name in `METHODS`, and what it ``needs``: any of
-    ``"labels"``, ``"images"`` and ``"weights"``. Encodings are a tensor with one row per frame, or
-    another object that has ``nbytes``."""
+    """A place-recognition method, and what it ``needs``: any of ``"labels"``, ``"images"`` and
+    ``"weights"``. Encodings are a tensor with a row per frame, or have ``nbytes``."""
 
     name: str
     needs: frozenset[str]

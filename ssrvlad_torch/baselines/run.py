@@ -38,13 +38,12 @@ def run(
     progress: Callable[[int], None] = lambda _: None,
     steps: Steps | None = None,
 ) -> Retrieval:
-    """Encodes the references, in the order of each sequence, then the queries one by one; the first
-    query is encoded twice and timed the second time. ``progress`` is called with 1 for every frame.
-    No references or queries, and a frame that the method refuses, are a ValueError.
+    """Encodes the references, then the queries one by one; the first query is encoded twice and
+    timed the second time. ``progress`` is called with 1 for every frame. No frames, and one that
+    the method refuses, are a ValueError.
 
-    With steps of `recognition`, whose costs are not measured, there is a second result: vectors are
-    standardised and followed; of other encodings, the scores are followed. The sweep needs signs,
-    or a method with ``encode_sweep``."""
+    Steps, whose costs are not measured, give a second result. The sweep needs signs, or a method
+    with ``encode_sweep``."""
     map_sequences, sequences = list[str](), list[str]()
     encoded = method.encode_reference(noting(references, map_sequences, progress))
     sweep = getattr(method, "encode_sweep", None) if steps and steps.sweep else None

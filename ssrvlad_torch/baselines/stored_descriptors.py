@@ -22,11 +22,9 @@ _KEY = "global_descriptor"
 
 
 class StoredDescriptors(VectorMethod):
-    """The vectors of an HDF5 file, compared by their cosine. A group ``<name>`` with the data set
-    ``global_descriptor``, ``(D,)`` float, is the descriptor of an image: hloc names it by the
-    image's relative path, ``ssrvlad db export --format hloc`` by the frame's id. `read` comes
-    before frames are encoded. Another file is a ValueError, a missing one an OSError, no extra
-    ``hloc`` an ImportError."""
+    """The vectors of an HDF5 file, compared by their cosine: a group ``<name>`` with the data set
+    ``global_descriptor``, ``(D,)`` float, is an image, as hloc and ``ssrvlad db export`` write it.
+    `read` comes first. Another file is a ValueError, no extra ``hloc`` an ImportError."""
 
     needs: frozenset[str] = frozenset()
 
@@ -43,9 +41,8 @@ class StoredDescriptors(VectorMethod):
             raise ValueError(f"{file} has no group with a {_KEY}, as hloc writes them")
 
     def read(self, frames: Mapping[str, Path | None]) -> None:
-        """Reads the descriptors of frames, given by their ids and files. The name of a group is the
-        id of its frame, or an end of the file's path, with or without suffix; the longest counts.
-        Frames without a group, two frames of one, and a damaged descriptor are a ValueError."""
+        """Reads the descriptors of frames by their ids and files. A group is named by the id, or by
+        an end of the path; the longest counts. A frame without one is a ValueError."""
         group_of: dict[str, str] = {}
         for frame, path in frames.items():
             paths = [str(path), str(path.with_suffix(""))] if path else []

@@ -35,9 +35,8 @@ def weights_folder() -> Path:
 
 
 def find_weights(weights: str | Path | None, names: Sequence[str], origin: str) -> Path:
-    """The file of a method's weights: one of any name, or in a folder, by default
-    `weights_folder`, the first published name that exists. A FileNotFoundError says what is
-    missing and who has it."""
+    """The file of a method's weights, or in a folder, by default `weights_folder`, the first
+    published name. A FileNotFoundError says what is missing and who has it."""
     path = weights_folder() if weights is None else Path(weights).expanduser()
     folder = weights is None or path.is_dir()
     for candidate in [path / name for name in names] if folder else [path]:
@@ -84,9 +83,8 @@ def read_caffe(path: Path) -> dict[str, Tensor]:
 
 
 def read_vocabulary(path: Path, keys: Sequence[str], shape: tuple[int, int]) -> Tensor:
-    """The centres of a k-means of scikit-learn, in a pickle of nested dictionaries with these keys,
-    as numbers or as text: float32; another file, shape or number is a ValueError. Of a pickle only
-    arrays and empty objects are made."""
+    """The centres of a k-means of scikit-learn in a pickle of nested dictionaries with these keys,
+    float32; a ValueError for another file. Of a pickle only arrays and empty objects are made."""
     with naming(f"{path} is no vocabulary"):
         with path.open("rb") as file:
             content = _Arrays(file, encoding="latin1").load()
@@ -130,9 +128,8 @@ class _Arrays(pickle.Unpickler):
 
 
 def fill(network: nn.Module, state: Mapping[str, Tensor], path: Path) -> None:
-    """Loads weights into a network and ignores those that it does not have. The network may be on
-    the device ``meta``, where it needs no memory. A tensor that is missing, has another shape or is
-    not finite is a ValueError."""
+    """Loads weights into a network, which may be on ``meta``, and ignores others. A tensor that is
+    missing, of another shape or not finite is a ValueError."""
     expected = network.state_dict()
     for name, tensor in expected.items():
         weight = state.get(name)

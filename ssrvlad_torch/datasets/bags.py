@@ -48,11 +48,10 @@ def is_bag(path: Path) -> bool:
 def bag_files(
     path: Path, topic: str | None = None, note: Callable[[str], object] = lambda _: None
 ) -> list[FrameFile]:
-    """The images of one topic of a bag, by default the only one that can be read, in order of time;
-    their sequence has no name yet. A frame is named by its time of recording in nanoseconds, a
-    later one of the same time also by a number. ``note`` gets the topics that cannot be read. A bag
-    that cannot be read, no such topic, and several without a choice are a ValueError; without the
-    extra ``rosbag``, an ImportError."""
+    """The images of one topic of a bag, by default the only one that can be read, by time, without
+    the name of a sequence. A frame is named by its time of recording in nanoseconds, a later one of
+    that time also by a number. ``note`` gets topics that cannot be read. No such topic, several,
+    and a damaged bag are a ValueError; no extra ``rosbag``, an ImportError."""
     opened = _Topic(path, topic, note)
     name, folder = opened.connection.topic, absolute(path)
     files, times = list[FrameFile](), Counter[int]()

@@ -17,8 +17,7 @@ KITTI_360 = 13, 17
 
 
 class Ground(NamedTuple):
-    """The numbers, 0 to 2, of the axes of a world that span its ground plane: those that become x
-    and y of a `Pose`, y to the left of x seen from above."""
+    """The axes of a world that become x and y of a `Pose`, y to the left of x seen from above."""
 
     x: int
     y: int
@@ -35,9 +34,8 @@ Y_UP_LEFT_HANDED = Ground(0, 2)
 
 
 def axes_of(quaternion: Sequence[float]) -> list[tuple[float, float, float]]:
-    """The axes of a camera as unit vectors in the world (COLMAP and VisualSFM: x to the right, y
-    down, z ahead): the rows of the rotation from world to camera, given as a quaternion
-    ``(w, x, y, z)`` of any length but 0, else a ValueError."""
+    """The axes of a camera (x right, y down, z ahead) in the world: the rows of the rotation from
+    world to camera, a quaternion ``(w, x, y, z)`` of any length but 0, else a ValueError."""
     length = math.hypot(*quaternion)
     if not 0 < length < math.inf:
         raise ValueError(f"quaternion {tuple(quaternion)} is not a rotation")
@@ -55,16 +53,14 @@ def optical_axis(quaternion: Sequence[float]) -> tuple[float, float, float]:
 
 
 def _ground_of(down: Sequence[float]) -> Ground:
-    """The ground plane of a world in which a direction points down: the one of its axes that is
-    nearest to it is vertical."""
+    """The ground plane of a world in which a direction points down, about along one of its axes."""
     vertical = max(range(3), key=lambda axis: abs(down[axis]))
     first, second = (vertical + 1) % 3, (vertical + 2) % 3
     return Ground(second, first) if down[vertical] > 0 else Ground(first, second)
 
 
 def words_of(path: Path, text: str) -> Iterator[tuple[str, list[str]]]:
-    """The words of each line of a file, with its place, "PATH line NUMBER"; without empty lines and
-    those that begin with ``#``."""
+    """Place, "PATH line NUMBER", and words of each line that is not empty or a ``#`` comment."""
     for number, line in enumerate(text.splitlines(), 1):
         if (words := line.split()) and not words[0].startswith("#"):
             yield f"{path} line {number}", words
@@ -78,9 +74,8 @@ def parse_numbers(words: Sequence[str], count: int) -> list[float]:
 
 
 def read_colmap(path: Path, text: str) -> dict[str, Pose]:
-    """Poses by image name of COLMAP's ``images.txt``: for each image a line ``id qw qx qy qz tx ty
-    tz camera name``, from world to camera, and a line of points. Which axis of the world is
-    vertical is told by the cameras, which are taken to be upright."""
+    """Poses by image name of COLMAP's ``images.txt``: lines ``id qw qx qy qz tx ty tz camera name``
+    from world to camera, each before one of points. Upright cameras tell which axis is vertical."""
     lines = [(n, line) for n, line in enumerate(text.splitlines(), 1) if not line.startswith("#")]
     cameras = dict[str, tuple[list[float], list[tuple[float, float, float]]]]()
     for number, line in lines[::2]:
@@ -119,9 +114,8 @@ def read_cmu_list(path: Path) -> dict[str, Pose]:
 
 def read_nvm(path: Path) -> dict[str, Pose]:
     """Poses of RobotCar Seasons by ``<condition>/<camera>/<name>``, of a model of VisualSFM: lines
-    ``name focal qw qx qy qz cx cy cz distortion 0``, the rotation from world to camera, in a world
-    whose third axis points down; its points are not read. A file that is not an NVM_V3 model, ends
-    too early, or has a line that is not a camera is a ValueError that names file and line."""
+    ``name focal qw qx qy qz cx cy cz distortion 0``, world to camera, in a world whose z points
+    down. Another or a cut file is a ValueError that names file and line."""
     poses = {}
     with path.open(encoding="utf-8", errors="replace") as file:
         if not file.readline().startswith("NVM_V3"):
@@ -146,18 +140,16 @@ def read_v2_poses(path: Path) -> dict[str, Pose]:
 
 
 def read_matrix(path: Path) -> Pose:
-    """The pose of a frame of SYNTHIA: the 16 numbers of the matrix from camera to world, column by
-    column. The world comes from Unity: it is left-handed with y up, and a camera looks along its
-    own -z. A file without 16 numbers is a ValueError that names it."""
+    """The pose of a frame of SYNTHIA: a 4 x 4 matrix from camera to world, column by column. The
+    world, of Unity, is left-handed with y up, and a camera looks along its own -z."""
     with naming(path):
         matrix = parse_numbers(path.read_text(encoding="utf-8", errors="replace").split(), 16)
     return Y_UP_LEFT_HANDED.pose(matrix[12:15], [-number for number in matrix[8:11]])
 
 
 def read_fix(path: Path) -> Pose:
-    """The pose of a frame of Cityscapes in metres of a transverse Mercator projection at 9 degrees
-    east. The Earth is a sphere here; distances in the data set have an error of at most 0.5 %. A
-    file without a latitude or longitude is a ValueError."""
+    """The pose of a frame of Cityscapes in metres, by a transverse Mercator projection of a sphere
+    at 9 degrees east: distances are wrong by at most 0.5 %. Missing numbers are a ValueError."""
     try:
         fix = read_json(path)
         latitude, longitude = fix["gpsLatitude"], fix["gpsLongitude"]
@@ -175,9 +167,7 @@ def read_fix(path: Path) -> Pose:
 
 
 def _read_lines(path: Path, count: int, pose: Callable[[list[float]], Pose]) -> dict[str, Pose]:
-    """Poses by name, from lines of a name and ``count`` numbers that ``pose`` converts; lines that
-    begin with ``#`` are comments. A line of another form is a ValueError that names file and
-    line."""
+    """Poses by name, of lines of a name and ``count`` numbers, which ``pose`` converts."""
     poses = {}
     for place, (name, *words) in words_of(path, read_bytes(path).decode("utf-8", "replace")):
         with naming(place):

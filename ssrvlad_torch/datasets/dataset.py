@@ -28,9 +28,8 @@ Kind = Literal["image", "label"]
 
 @dataclass(frozen=True)
 class DatasetFrame:
-    """One frame of a data set, of the id ``<sequence>/<name>``: its image and its label map,
-    ``None`` if it is not on disk, its pose in metres and radians, NaN where unknown, and its role,
-    if it is declared."""
+    """A frame ``<sequence>/<name>``: its image and label map, ``None`` if not on disk, its pose in
+    metres and radians, NaN where unknown, and its declared role."""
 
     sequence: str
     name: str
@@ -52,9 +51,8 @@ class DatasetFrame:
 
 @dataclass(frozen=True)
 class GroundTruth:
-    """The definition of a true match: a file, or the largest distance, either in metres on the
-    ground, and then also in degrees of heading, or in frames along the sequence. Not exactly one of
-    the three is a ValueError."""
+    """What a true match is: by a file, or by the largest distance in metres on the ground, then
+    also in degrees of heading, or in frames. Not exactly one of the three is a ValueError."""
 
     file: Path | None = None
     metres: float | None = None
@@ -99,9 +97,8 @@ class GroundTruth:
 
 @dataclass(frozen=True)
 class Dataset:
-    """A data set on disk: its layout, folder and frames, one sequence after another in natural
-    order; the label space of its label maps, if known; its definition of a true match, if any; and
-    a line for each part that this copy lacks."""
+    """A data set on disk: frames by sequence in natural order, the label space of its label maps
+    and what a true match is, if known, and a line for each part that this copy lacks."""
 
     layout: str
     root: Path
@@ -131,9 +128,8 @@ class Dataset:
         ]
 
     def select(self, patterns: Sequence[str] = (), role: Role | None = None) -> Dataset:
-        """The data set with only the frames of a role, if given, and of sequences that match a
-        pattern, if any: ``*`` is any text and ``?`` any letter. A pattern that matches none, and a
-        role that none has, are a ValueError."""
+        """The frames of a role, if given, and of the sequences that match a pattern, if any (``*``,
+        ``?``). A pattern that matches none, and a role that none has, are a ValueError."""
         names = self.sequences
         for pattern in patterns:
             if not any(fnmatchcase(name, pattern) for name in names):
@@ -159,11 +155,10 @@ class Dataset:
         return replace(self, frames=frames)
 
     def with_labels(self, folder: str | Path, labels_as: str | LabelSpace) -> Dataset:
-        """The data set with label maps of another folder and label space, for example the
-        predictions of a network; none there, or an unknown label space, is a ValueError. A label
-        map has the name of its frame or of the frame's image, and is in ``folder/<sequence>``, in
-        ``folder/<path of the image's folder>``, in the folder called ``folder`` beside that of the
-        image, or, if all frames have different names, in ``folder``."""
+        """The data set with label maps of another folder and label space. A map has the name of its
+        frame or image, and is in ``folder/<sequence>``, in ``folder/<path of the image's folder>``,
+        in the folder called ``folder`` beside that of the image, or, if all names differ, in
+        ``folder``. None there, or an unknown label space, is a ValueError."""
         label_space(labels_as)
         outside, listed = Path(folder), cache(labels_in)
         unambiguous = len({frame.name for frame in self.frames}) == len(self.frames)
@@ -209,9 +204,8 @@ class Dataset:
 
 
 def files_in(suffixes: Sequence[str], folder: Path) -> dict[str, Path]:
-    """The files of a folder with one of the suffixes, in lower case, by their names without it;
-    empty if the folder does not exist. Hidden files and folders are left out. Two files of one name
-    are a ValueError."""
+    """The shown files of a folder, if it exists, with one of the suffixes, by their names without
+    it. Two of one name are a ValueError."""
     files: dict[str, Path] = {}
     for entry in sorted(folder.iterdir()) if folder.is_dir() else ():
         matches = entry.suffix.lower() in suffixes and not entry.name.startswith(".")

@@ -80,8 +80,7 @@ class FrameFile:
         return f"{self.folder}|{self.state}{' index' if self.index_is_id else ''}"
 
     def read(self) -> bytes:
-        """The bytes of the file; for a row of a stack, the bytes of a ``.npy`` file of this row. A
-        file that is missing or cannot be read, or whose name is not valid text, is a ValueError."""
+        """The bytes of the file, or of a ``.npy`` file of a row; a ValueError if damaged."""
         try:
             self.frame.encode()
             return self._content()
@@ -165,10 +164,9 @@ def _connected(uri: str) -> tuple[Any, str]:
 def remote_files(
     uri: str, kind: str, suffixes: Sequence[str], passed_over: Counter[str]
 ) -> list[FrameFile]:
-    """The frames in the folder of a URI, files with one of the suffixes in lower case; their
-    sequence has no name yet. ``passed_over`` counts the suffixes of other files. A scheme that
-    pyarrow does not support, and no frames, are a ValueError that names the kind; a folder that
-    cannot be read is an OSError."""
+    """The frames in the folder of a URI, files with one of the suffixes, without the name of a
+    sequence. ``passed_over`` counts the suffixes of others. An unsupported scheme and no frames are
+    a ValueError, a folder that cannot be read is an OSError."""
     from pyarrow.fs import FileSelector, FileType
 
     system, root = _connected(uri.rstrip("/"))

@@ -28,8 +28,7 @@ Content = TypeVar("Content")
 
 @dataclass(frozen=True)
 class FileKind:
-    """Which files are frames: those with one of the suffixes, in lower case. A ``.npy`` array that
-    is a stack holds one in each row. The name is for messages."""
+    """Which files are frames, by their suffixes; each row of a ``.npy`` stack is one."""
 
     name: str
     suffixes: tuple[str, ...]
@@ -51,15 +50,13 @@ def find_frames(
     choose: Callable[[list[FrameFile]], list[FrameFile]] = lambda files: files,
 ) -> list[FrameFile]:
     """The frames of the sources: folders, whose files are a sequence named by `sequence_names`,
-    files, ``.npy`` stacks, videos, bags, globs, or URIs of folders that pyarrow can reach.
-    Sequences have the order of the sources; those of a glob, and the frames of a sequence, natural
-    order. A glob that matches no frame stands for the folders that it matches.
+    files, ``.npy`` stacks, videos, bags, globs, or URIs of folders. Sequences have the order of the
+    sources; those of a glob, and the frames of a sequence, natural order. A glob that matches no
+    frame stands for the folders that it matches.
 
     Of each sequence frame ``start`` and every ``every``-th after it are kept, of those that ``fps``
-    leaves, see `at_rate`. For ``map_folders`` see `sequence_names`, for ``poses`` `with_poses_of`,
-    for ``topic`` `bag_files`. ``note`` gets what the user should know, and ``choose`` leaves out
-    files that are no frames. No frames, a file that is two frames, and a URI that pyarrow does not
-    support are a ValueError, a folder of a URI that cannot be read an OSError."""
+    leaves (`at_rate`). ``note`` gets what the user should know, and ``choose`` leaves out files
+    that are no frames. No frames, and a file that is two frames, are a ValueError."""
     finder = _Finder(kind, topic, note, Counter())
     files = [file for source in sources for file in finder.of_source(str(source))]
     if passed := finder.passed_over.most_common():
@@ -83,8 +80,7 @@ def find_frames(
 def _sequences(
     files: Sequence[FrameFile], sequence: str | None, map_folders: SequenceFolders
 ) -> list[list[FrameFile]]:
-    """The files of each sequence in natural order, each frame once, with the sequence's name; two
-    files that are the same frame are a ValueError."""
+    """The files of each sequence in natural order; two of one id are a ValueError."""
     folders = dict.fromkeys(file.folder for file in files)
     names = {} if sequence else sequence_names(folders, map_folders)
     frames: dict[str, FrameFile] = {}
@@ -104,8 +100,7 @@ def _sequences(
 
 
 def at_rate(sequence: list[FrameFile], fps: float) -> list[FrameFile]:
-    """The first frame in each interval of ``1 / fps`` seconds since the first frame of a sequence;
-    a ValueError if a frame has no time."""
+    """The first frame in each ``1 / fps`` seconds; a ValueError if a frame has no time."""
     chosen = dict[int, FrameFile]()
     for file in sequence:
         if math.isnan(file.stamp):
@@ -196,8 +191,7 @@ class _Finder:
 
 
 def _stack_length(path: Path, kind: FileKind) -> int | None:
-    """Number of frames in a ``.npy`` stack; ``None`` for a file of one frame, and for one that is
-    damaged or neither, which is skipped when it is read."""
+    """Number of frames in a ``.npy`` stack; ``None`` for a file of one frame, or a damaged one."""
     try:
         check_regular(path)
         with path.open("rb") as file:

@@ -46,10 +46,9 @@ find_image_files = partial(find_frames, FileKind("images", IMAGE_SUFFIXES, _is_s
 
 def decode_image(content: bytes) -> Pixels:
     """The image ``(H, W, 3)`` uint8 in the bytes of a JPEG, PNG, WebP, BMP, TIFF, PPM or ``.npy``
-    file, upright by its EXIF orientation. Gray becomes three channels, alpha is dropped, CMYK is
-    converted without a colour profile, and of 16 bits, or as many as the file says, the high 8 are
-    kept. Other and damaged files, several pages, at most 12 bits in pixels of 16, pixels of 32 bits
-    or floats, and label maps are a ValueError."""
+    file, upright. Gray becomes three channels, alpha is dropped, of 16 bits, or as many as the file
+    says, the high 8 are kept. Damaged files, several pages, at most 12 bits in pixels of 16, pixels
+    of 32 bits or floats, and label maps are a ValueError."""
     with decoding(f"is no image file; expected {', '.join(_FORMATS)} or .npy"):
         if not content.startswith(MAGIC_PREFIX):
             image = checked_image(content, _FORMATS)
@@ -66,8 +65,7 @@ def decode_image(content: bytes) -> Pixels:
 
 @contextmanager
 def decoding(unknown: str) -> Iterator[None]:
-    """Turns whatever a decoder raises into a ValueError of one line: ``unknown`` for a file that is
-    no image."""
+    """Turns what a decoder raises into a ValueError of one line, ``unknown`` for no image."""
     try:
         yield
     except Exception as error:  # decoders raise any exception on damaged bytes
@@ -76,8 +74,7 @@ def decoding(unknown: str) -> Iterator[None]:
 
 
 def checked_image(content: bytes, formats: tuple[str, ...]) -> ImageFile:
-    """The image in the bytes of a file, not decoded yet, its size and checksums verified. Several
-    pages, which could be frames, are a ValueError; pictures in a JPEG beside the first are not."""
+    """The image in a file, verified, not decoded; several pages are a ValueError."""
     with Image.open(io.BytesIO(content), formats=formats) as image:
         check_pixels(image.height, image.width)
         pages = getattr(image, "n_frames", 1)
@@ -112,9 +109,8 @@ def pixels_of(picture: Picture) -> Pixels:
 
 
 def write_pictures(folder: Path, files: Sequence[FrameFile]) -> None:
-    """Writes images under names that hold their positions, see `utm_names`: hard links or copies of
-    files, and PNGs of rows of a stack or a bag. A folder that is not empty, and an image without a
-    pose or that cannot be read, are a ValueError."""
+    """Writes images under names with their positions, see `write_name`: hard links or copies, and
+    PNGs of rows. A folder that is not empty, and an image without a pose, are a ValueError."""
     empty_folder(folder)
     for file in files:
         name = write_name(file.frame.replace("/", "_"), file.pose, file.stamp)

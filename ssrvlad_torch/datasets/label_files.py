@@ -58,9 +58,8 @@ _TRUCK = 27
 def one_of_each_place(
     space: LabelSpace, files: list[FrameFile], note: Callable[[str], object]
 ) -> list[FrameFile]:
-    """The files without further forms of a label map, as in a folder of gtFine: of
-    ``X_labelIds.png``, ``X_labelTrainIds.png``, ``X_color.png`` and ``X_instanceIds.png`` the one
-    that fits a label space best stays. How many are left out is noted."""
+    """The files with only that form of a label map that fits a label space best, as in gtFine of
+    ``X_labelIds.png``, ``X_labelTrainIds.png``, ``X_color.png``. How many are left out is noted."""
     has_ids = any(label.id == _TRUCK for label in space.classes)
     order = _FORMS_OF_LABELS["ids" if has_ids else "trainids"]
     best = dict[tuple[Path, str], tuple[int, FrameFile]]()
@@ -79,11 +78,10 @@ def one_of_each_place(
 def read_label_map(file: FrameFile, space: LabelSpace) -> LabelMap:
     """The ids of a label map, ``(H, W)`` uint8, uint16 or signed, in the machine's byte order.
 
-    Reads gray of 8 or 16 bits, palettes (see `_ids_of_palette`), several channels of 16 bits
-    (SYNTHIA: the first is the class), colours of the label space, three equal channels (OpenCV),
-    only a red one (CARLA), and ``.npy``, ``(H, W)`` or ``(H, W, 1)``. Where the ``index_is_id``,
-    colours do not count. Other and damaged files, several pages, a colour that the label space
-    lacks, and a palette that can mean two things are a ValueError."""
+    Reads gray of 8 or 16 bits, palettes (`_ids_of_palette`), several channels of 16 bits (the first
+    is the class), colours of the label space, three equal channels, only a red one (CARLA), and
+    ``.npy``. Where the ``index_is_id``, colours do not count. Damaged files, several pages, a
+    colour that the label space lacks, and a palette that can mean two things are a ValueError."""
     content = file.read()
     is_array = file.path.suffix.lower() == ".npy" or content.startswith(MAGIC_PREFIX)
     with decoding(f"cannot identify the image; expected {', '.join(_FORMATS)}"):

@@ -47,10 +47,9 @@ def files_of(
 ) -> Files:
     """The files below a folder that fit patterns without suffixes, the first of each frame.
 
-    In a pattern ``{city}`` is any text without a slash, ``{camera:left|rear}`` what a regular
-    expression matches, and ``{name}`` the name of the frame. A pattern that begins with a folder
-    which is a field fits this folder itself too. Two files of one name in a folder are a
-    ValueError; files whose sequence is ``None`` are left out."""
+    In a pattern ``{city}`` is any text without a slash, ``{camera:left|rear}`` a regular
+    expression, ``{name}`` the frame. A first folder that is a field fits this folder too. Two files
+    of one name are a ValueError; those whose sequence is ``None`` are left out."""
     files: Files = {}
     for pattern in patterns:
         glob = _FIELD.sub("*", pattern) + ".*"

@@ -1,5 +1,4 @@
-"""The layouts of published data sets, opening a data set, whose layout is recognised by its files,
-and the references and queries of a comparison."""
+"""The layouts of published data sets, opening a data set, and the two sides of a comparison."""
 
 import re
 from collections.abc import Callable, Sequence
@@ -41,8 +40,7 @@ def _cmu_sequence(fields: Fields) -> str | None:
 
 
 def _cmu_poses(_root: Path, files: Files) -> dict[Key, Pose]:
-    """Those of all references, and of about half of the queries; an undistorted copy, ``_rect``,
-    has the pose of its original."""
+    """Those of all references and half of the queries; ``_rect`` has the pose of its original."""
     listed = dict[tuple[Path, str], Pose]()
     for folder in {path.parents[1] for path, _ in files.values()}:
         lists = *folder.glob("ground-truth-database-*.txt"), *folder.glob("camera-poses/*.txt")
@@ -243,10 +241,9 @@ def open_sides(
     labels: Path | None,
     labels_as: LabelsAs,
 ) -> Dataset:
-    """The frames of a data set in their roles: of its sequences, by default by the roles that it
-    declares; or, without ``dataset``, of folders. A file that may be an image or a label map is a
-    label map if the label space is known. ``note`` gets what is missing; for the other arguments
-    see `open_dataset`. Arguments that do not go together are a ValueError."""
+    """The frames of a data set in their roles: of its sequences, by default by declared roles; or,
+    without ``dataset``, of folders. ``note`` gets what is missing; see `open_dataset`. Arguments
+    that do not go together are a ValueError."""
     names = dict(zip(ROLES, (references or (), queries or ()), strict=True))
     frames = list[DatasetFrame]()
     if dataset:

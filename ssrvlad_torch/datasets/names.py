@@ -107,8 +107,7 @@ def path_ends(folder: str) -> list[str]:
 
 
 def absolute(path: Path) -> str:
-    """An absolute path without ``.`` and ``..``, with escapes for bytes that are not UTF-8. Links
-    are kept, except in paths with ``..``."""
+    """An absolute path without ``.`` and ``..``, with escapes for bytes that are not UTF-8."""
     text = os.fspath(path.resolve()) if ".." in path.parts else os.path.abspath(path)  # noqa: PTH100
     if sys.getfilesystemencoding() == "ascii" and not text.isascii():
         raise ValueError(
@@ -118,8 +117,7 @@ def absolute(path: Path) -> str:
 
 
 def absolute_folder(folder: Path) -> Path:
-    """A folder's absolute path, so that ``.`` and ``..`` have a name and a parent too. A symbolic
-    link keeps its own name."""
+    """A folder's absolute path, in which ``.`` and ``..`` have a name, and a link has its own."""
     path = folder.absolute()
     return path.resolve() if path.name == ".." else path
 

@@ -35,11 +35,10 @@ _FRAME_DIGITS = 10
 
 
 def read_poses(path: Path, projection: Projection | None = None) -> dict[str, Pose]:
-    """Poses by frame, an id ``<sequence>/<name>`` or only a name, without the suffix of a picture
-    and in Unicode's form NFC. The columns are ``frame``, ``x``, ``y`` and optionally ``heading`` in
-    metres and radians; or ``frame``, ``latitude`` and ``longitude`` in degrees and optionally
-    ``course``, in degrees clockwise from north. A missing column, more cells than columns, a value
-    that is no number, and one NaN of two coordinates are a ValueError that names file and line."""
+    """Poses by frame, an id or a name, in Unicode's form NFC, without the suffix of a picture.
+    Columns are ``frame,x,y`` and perhaps ``heading`` in metres and radians; or
+    ``frame,latitude,longitude`` and perhaps ``course`` in degrees clockwise from north. Another
+    table is a ValueError that names file and line."""
     rows = csv.DictReader(io.StringIO(read_text(path)), restval="", skipinitialspace=True)
     poses, fixes = dict[str, Pose](), dict[str, Fix]()
     try:
@@ -103,10 +102,9 @@ def write_poses(path: Path, poses: Mapping[str, Pose]) -> None:
 
 @dataclass(frozen=True)
 class PoseTable:
-    """Poses of frames, and the file that holds them; ``folder`` is that for which the table was
-    found, ``None`` if the user named it. A row is an id ``<folder>/<name>``, where the folder is
-    any end of the path of the frame's folder or the name of its sequence, or only a name. An id
-    that names another folder beside the table is not the frame's."""
+    """Poses of frames in a file; ``folder`` is that for which it was found, ``None`` if the user
+    named it. A row is an id ``<folder>/<name>``, where the folder is an end of the path of the
+    frame's folder or the name of its sequence, or only a name."""
 
     path: Path
     poses: Mapping[str, Pose]
@@ -123,8 +121,7 @@ class PoseTable:
         return None
 
     def pose_of(self, file: FrameFile) -> Pose | None:
-        """The pose of a frame; ``None`` if it has no row. Rows that differ, and one that can be
-        that of another folder, are a ValueError."""
+        """The pose of a frame, ``None`` without a row; an ambiguous row is a ValueError."""
         name, folders = _key(file.name), path_ends(normalize("NFC", file.folder))[::-1]
         other = self.path.parent / file.sequence
         if not other.is_dir() or is_same_folder(str(other), file.folder):
@@ -148,9 +145,8 @@ class PoseTable:
         return f"{self.path} has {share} frames, not {without[0].frame} for example; {row}"
 
     def _require_one_folder(self, file: FrameFile, row: str) -> None:
-        """Raises a ValueError if a row that is a bare name fits two frames: this one, and one that
-        took it before, or a file of the same name in a folder beside the frame's that has no row of
-        its own."""
+        """Raises a ValueError if a bare name fits another frame too, which took it before or is a
+        file of that name, without a row of its own, in a folder beside the frame's."""
         users = [self._users.setdefault(row, file.folder)]
         for folder in self._beside:
             is_there = (folder / file.path.relative_to(self.folder or "")).exists()

@@ -38,8 +38,7 @@ class Fix(NamedTuple):
 
     @property
     def is_known(self) -> bool:
-        """Whether there is a position: it is no NaN, nor 0 twice, as receivers say without
-        reception. One that UTM does not have is a ValueError."""
+        """Whether there is a position: no NaN, nor 0 twice; out of range is a ValueError."""
         latitude, longitude, _ = self
         if math.isnan(latitude) or math.isnan(longitude) or latitude == longitude == 0:
             return False
@@ -55,8 +54,7 @@ _RANGES = (-80, 84), (-180, 180)
 
 
 def parse_number(text: str) -> float:
-    """The number that a text is, also ``nan``. Unlike `float`, it refuses ``inf``, ``1_000`` and
-    digits of other scripts; all are a ValueError."""
+    """The number in a text, also ``nan``; not ``inf``, ``1_000`` or other scripts' digits."""
     if "_" in text or not text.isascii():
         raise ValueError(f"could not convert string to float: {text!r}")
     if math.isinf(number := float(text)):
@@ -65,17 +63,15 @@ def parse_number(text: str) -> float:
 
 
 class Projection:
-    """Positions of GPS (WGS 84) as poses in metres of UTM, all in one zone: of the zones around the
-    median of the first positions that in which it is nearest to a pose that is known, of the map
-    for example; without one, its own. Needs the extra ``gps``."""
+    """Positions of GPS (WGS 84) in metres of UTM, all in one zone: of those around the median of
+    the first positions the one in which it is nearest to a known pose, or else its own."""
 
     def __init__(self, near: Callable[[], Pose] = lambda: UNKNOWN) -> None:
         self._near = near
         self._zone: tuple[int, bool] | None = None
 
     def poses(self, fixes: Sequence[Fix]) -> list[Pose]:
-        """The poses at positions, unknown where these are, see `Fix.is_known`. One outside UTM is a
-        ValueError; without the extra ``gps``, an ImportError."""
+        """The poses at positions, unknown where these are; no extra ``gps`` is an ImportError."""
         places = [fix for fix in fixes if fix.is_known]
         if places and self._zone is None:
             self._zone = self._zone_of(median(f[0] for f in places), median(f[1] for f in places))
@@ -108,14 +104,12 @@ def _utm(latitude: float, longitude: float, zone: tuple[int, bool]) -> tuple[flo
 
 
 def heading_of_course(course: float) -> float:
-    """The heading in radians, counter-clockwise from +x (east), of a course in degrees clockwise
-    from north. The difference between grid north and true north, up to 3 degrees, is ignored."""
+    """The heading in radians from east of a course in degrees clockwise from north."""
     return math.remainder(math.radians(90 - course), math.tau)
 
 
 def read_exif(file: Path | BinaryIO) -> Fix:
-    """The position and direction in the EXIF tags of an image, or `NOWHERE`. A direction from
-    magnetic north is ignored."""
+    """The position and direction in an image's EXIF tags, or `NOWHERE`."""
     tag = ExifTags.GPS
     with suppress(Exception):  # damaged files raise any exception
         with Image.open(file) as image:

@@ -15,9 +15,8 @@ Result = TypeVar("Result")
 
 
 class ForwardReader(Generic[Item]):
-    """Items with rising numbers, by ``read``, which gives them with their numbers from one at or
-    before a number, or from the first. The last ones stay in memory; for one before them it begins
-    again."""
+    """Items with rising numbers, which ``read`` gives with their numbers from one at or before a
+    number, or from the first. The last stay in memory; for an earlier one it begins again."""
 
     def __init__(self, read: Callable[[int | None], Iterator[tuple[float, Item]]]) -> None:
         self._read, self._lock = read, Lock()
@@ -57,9 +56,8 @@ def in_order(
     ahead: int,
     start: Callable[[], object] | None = None,
 ) -> Iterator[Result]:
-    """The results of ``work``, which several threads call, on items, in their order; ``start`` is
-    called once in each thread. Items are taken in the caller's thread, at most ``ahead`` of them
-    before the first has a result; an error there comes after the results of all earlier items."""
+    """The results of ``work`` on items, in their order, by several threads, at most ``ahead`` at
+    once; ``start`` is called in each. An error of the items comes after the results before it."""
     pending: deque[Future[Result]] = deque()
     with ThreadPoolExecutor(max(1, threads), "", start) as pool:
         try:

@@ -1,6 +1,5 @@
-"""Errors like those of a segmentation network, added to a clean label map. Each is one function of
-``(H, W)`` uint8 Cityscapes ids, a strength and a random generator; smooth random fields choose the
-pixels, so errors cover regions and scale with the image."""
+"""Errors like those of a segmentation network: functions of ``(H, W)`` uint8 Cityscapes ids, a
+strength and a random generator. Smooth random fields choose the pixels."""
 
 import math
 
@@ -16,8 +15,7 @@ CONFUSED_WITH = {7: 8, 8: 7, 9: 8, 11: 12, 12: 13, 13: 11, 14: 13, 22: 8}
 
 
 def add_errors(labels: LabelMap, strength: float, rng: np.random.Generator) -> LabelMap:
-    """A copy of a label map ``(H, W)`` of uint8 Cityscapes ids with all errors together; strength
-    0: none, 1: as of a good network, about 5: as of a bad one."""
+    """A copy of a label map with all errors; of strength 1 a good network's, of 5 a bad one's."""
     noisy = labels.copy()
     for add_error, generator in zip(ERRORS, rng.spawn(len(ERRORS)), strict=True):
         noisy = add_error(noisy, strength, generator)

@@ -1,12 +1,9 @@
-"""A deterministic synthetic city: label maps and poses of several sequences along one route.
+"""A deterministic synthetic city: label maps and poses of sequences along one route.
 
-The city is an infinite grid of streets at irregular distances, with blocks between them. Each side
-of a block has its own random generator, so any part of the city can be computed alone. The default
-route goes east, north and south, never west: it never crosses itself, and a longer sequence begins
-like a shorter one. Every object is a convex body of eight corners, painted from far to near.
-
-Map coordinates are in metres: x east, y north, z up. Angles are counter-clockwise from east.
-Streets, kerbs and walls are described in (s, d): metres along an axis, and to its left."""
+An infinite grid of streets at irregular distances has blocks between them; each side of a block has
+its own random generator, so any part can be computed alone. Every object is a convex body of eight
+corners. Coordinates are in metres, x east, y north, z up, angles counter-clockwise from east.
+Streets and walls are described in (s, d): metres along an axis, and to its left."""
 
 import functools
 import itertools
@@ -24,8 +21,7 @@ from PIL import Image
 
 from ..files import empty_folder, replacing
 from ..taxonomy import label_space, palette
-from .city.blocks import block_sides, changing_bodies, fixed_bodies, vehicles
-from .city.bodies import Bodies, pack
+from .city.blocks import Bodies, block_sides, changing_bodies, fixed_bodies, pack, vehicles
 from .city.rendering import background, paint
 from .city.streets import Conditions, camera_poses, generator, nearby_blocks, require
 from .pose_tables import write_poses
@@ -80,11 +76,10 @@ class SyntheticCity:
         labels_as: str = "cityscapes-trainids",
         turns: Iterable[int] | None = None,
     ) -> Iterator[CityFrame]:
-        """The frames of a sequence along the route, rendered one by one; fewer than ``frames`` (>=
-        1) if the route ends earlier. Height and width are at least 16 pixels; the field of view is
-        85 degrees wide. Labels are "cityscapes-trainids", with 255 for classes without a train id,
-        or "cityscapes-ids". The route starts eastwards: at each junction ``turns`` have 1 for left,
-        0 for straight on and -1 for right; ``None`` is the endless default route."""
+        """The frames of a sequence along the route, rendered one by one; fewer than ``frames`` if
+        it ends. The route starts eastwards; ``turns`` are 1 for left, 0 for straight on and -1 for
+        right at each junction, ``None`` an endless route that never crosses itself. Train ids are
+        255 for classes without one."""
         require(frames >= 1, "frames", frames, "at least 1")
         require(min(size) >= MINIMUM_SIZE, "size", size, f"at least {MINIMUM_SIZE} pixels a side")
         require(labels_as in LABEL_SPACES, "labels_as", labels_as, f"one of {LABEL_SPACES}")
@@ -126,12 +121,10 @@ def write_city(
     labels_as: str = "cityscapes-trainids",
     progress: Callable[[int], object] = lambda _: None,
 ) -> Path:
-    """Writes two sequences of one city into a new or empty folder, which it returns: ``reference``
-    and ``query``, in the conditions `REFERENCE` and `QUERY`, palette PNGs of ids in the colours of
-    the label space; ``poses.csv``; and ``ground_truth.json``, the reference frames within `RADIUS`
-    metres of each query frame whose headings differ by less than 45 degrees. For ``seed``, ``size``
-    and ``labels_as`` see `SyntheticCity.traverse`. Another folder, and a value out of range, are a
-    ValueError."""
+    """Writes two sequences into a new or empty folder, which it returns: ``reference`` and
+    ``query``, in the conditions `REFERENCE` and `QUERY`, as palette PNGs; ``poses.csv``; and
+    ``ground_truth.json``, the reference frames within `RADIUS` metres and 45 degrees of each query
+    frame. Another folder, and a value out of range, are a ValueError."""
     city, out = SyntheticCity(seed), empty_folder(Path(out))
     colours, poses = palette(labels_as), dict[str, dict[str, Pose]]()
     for name, conditions in (("reference", REFERENCE), ("query", QUERY)):
@@ -156,10 +149,9 @@ def write_tour(
     size: tuple[int, int] = (240, 320),
     progress: Callable[[int], object] = lambda _: None,
 ) -> Path:
-    """Writes one sequence along `TOUR`, which closes loops, into a new or empty folder:
-    ``poses.csv``, and label PNGs in the folder ``tour``, which it returns. At most ``frames`` are
-    written, without it the whole tour of about 1100. ``seed``, ``size``, ``progress`` and errors as
-    for `write_city`."""
+    """Writes one sequence along `TOUR` into a new or empty folder: ``poses.csv``, and label PNGs in
+    the folder ``tour``, which it returns; at most ``frames``, or all 1100. Errors as for
+    `write_city`."""
     folder = empty_folder(Path(out)) / "tour"
     city = SyntheticCity(seed, TOUR_ESTATES)
     sequence = city.traverse(sys.maxsize if frames is None else frames, size=size, turns=TOUR)

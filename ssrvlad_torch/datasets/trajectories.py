@@ -104,17 +104,14 @@ def _times_of(names: Sequence[str], stamps: Sequence[float]) -> list[Sequence[fl
 
 
 def read_trajectory(path: Path, projection: Projection | None = None) -> Trajectory:
-    """The trajectory in a GPX file, by its suffix; or in a file of KITTI or TUM, recognised by the
-    count of numbers in a line; or in a ``.csv`` of EuRoC or RobotCar, by its header. A file of
-    another form is a ValueError that names the line.
+    """The poses in a GPX file, or in a file of KITTI, TUM, EuRoC or RobotCar, recognised by its
+    first line. A file of another form is a ValueError that names the line.
 
-    KITTI: twelve numbers, the matrix ``(3, 4)`` from the camera to the world of the first camera (x
-    to the right, y down, z ahead). TUM: ``time x y z qx qy qz qw``, the camera in a world whose z
-    is up. EuRoC: nanoseconds, ``x y z qw qx qy qz``; the body's z is taken for the camera's. The
-    heading is the direction of the camera's z axis. RobotCar's ``ins.csv`` and ``gps.csv``, and
-    GPX, which need the extra ``gps``: metres of UTM; the heading is the yaw or course, if any;
-    between segments of GPX, and where the receiver was not sure, nothing is interpolated over more
-    than 5 s."""
+    KITTI: the matrix ``(3, 4)`` from camera to world (x right, y down, z ahead). TUM: ``time x y z
+    qx qy qz qw``, z is up. EuRoC: nanoseconds, ``x y z qw qx qy qz``; the body's z is taken for the
+    camera's. RobotCar's ``ins.csv`` and ``gps.csv``, and GPX (extra ``gps``): metres of UTM, the
+    heading is the yaw or course; nothing is interpolated over more than 5 s, or between segments.
+    """
     text, projection = read_text(path), projection or Projection()
     first = text.lstrip().partition("\n")[0]
     if path.suffix.lower() == ".gpx":

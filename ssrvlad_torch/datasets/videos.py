@@ -46,11 +46,10 @@ def is_video(path: Path) -> bool:
 
 
 def video_files(path: Path, note: Callable[[str], object] = lambda _: None) -> list[FrameFile]:
-    """The frames of a video in order of presentation; their sequence has no name yet. A frame is
-    named by its time after the first, in microseconds; its stamp is this time in seconds, after the
-    file's creation time if it has one. ``note`` gets a file that ends before the time that it
-    states. Nothing is decoded. A file that cannot be read, or without frames that have times, is a
-    ValueError; without the extra ``video``, an ImportError."""
+    """The frames of a video in order of presentation, without the name of a sequence. A frame is
+    named by its time after the first in microseconds; its stamp is that in seconds, after the
+    file's creation time if known. ``note`` gets a file that ends too early. Nothing is decoded. A
+    file that cannot be read is a ValueError; no extra ``video`` is an ImportError."""
     folder, video = absolute(path), _open(path, FrameFile("", "", path).state)
     files, last = list[FrameFile](), float(video.times[-1] * video.unit)
     if video.end - last > _MISSING_SECONDS:
@@ -106,9 +105,8 @@ class _Video:
         return _upright(frame)
 
     def _decoded(self, start: int | None) -> Iterator[tuple[float, Any]]:
-        """Times and frames, from the key frame before a time or from the first. A decoder conceals
-        damage, and frames that depend on a concealed one decode without an error: all that come
-        after damage are left out up to the next key frame."""
+        """Times and frames from the key frame before a time. A decoder conceals damage, also in
+        frames that depend on it, so all after damage are left out up to the next key frame."""
         container, stream = self._opened()
         if start is not None and not self._counts:
             container.seek(start, stream=stream)

@@ -39,15 +39,10 @@ class SizeCheck(NamedTuple):
 
 @torch.inference_mode()
 def verify_against(file: str | Path, network: str) -> list[SizeCheck]:
-    """Compares the label maps of an ONNX file, of a network's own, named in a YAML file, or of
-    `fuse`, with those of the network in PyTorch of which it was made, on a drawn picture of each of
-    `SIZES` that it takes. If only one of the two has settings, they prepare the pictures of both.
-
-    Raises:
-        ValueError: the file is no ONNX graph, the network is one, a name or a setting is not
-            understood, or the network takes none of the sizes.
-        ImportError: an extra is not installed.
-    """
+    """Compares the label maps of an ONNX file, of a network or of `fuse`, with those of the network
+    in PyTorch of which it was made, on a drawn picture of each of `SIZES` that it takes. If only
+    one of the two has settings, they prepare the pictures of both. Names or files that cannot be
+    compared are a ValueError, a missing extra is an ImportError."""
     graph, module = open_network(file), open_network(network)
     if not isinstance(graph.network, OnnxNetwork):
         raise ValueError(f"{file} is no ONNX file; expected the one to compare with {network}")

@@ -227,9 +227,8 @@ def _golden_image(segmenter: Segmenter, features: bool) -> Arrays:
 
 
 def _golden(run: Run, expected: Arrays, head: SSRVLAD, segmenter: Segmenter) -> Arrays:
-    """The golden image, the labels and features that the graph gives it, and the module's outputs
-    for those labels if the head is in the graph. If the graph disagrees with the segmenter or with
-    the module, it is a ValueError."""
+    """The golden image, what the graph gives it, and the module's outputs for those labels if the
+    head is in the graph; a ValueError if the graph disagrees with the segmenter or the module."""
     try:
         outputs = run({IMAGE: expected[IMAGE]})
         problem = problem_of_network(outputs, expected)

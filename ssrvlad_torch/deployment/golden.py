@@ -28,18 +28,9 @@ _OPEN = [CATEGORIES[k] for k in OPEN_LAYERS]
 def golden_pair(
     head: SSRVLAD, input: str, dtype: str, shape: tuple[int, int, int] | None = None
 ) -> dict[str, Array]:
-    """Label maps of patches and specks of all ids, or class scores of them, and the outputs of the
-    module. Some specks of label ids have an id outside the label space.
-
-    Args:
-        head: the module.
-        input: ``"labels"`` or ``"logits"``.
-        dtype: dtype of the labels; one that can hold no id of the label space is a ValueError.
-        shape: B, H and W of a file of fixed size.
-
-    Returns:
-        the input and the outputs of `export_head` by name.
-    """
+    """Label maps of patches and specks of all ids, some outside the label space, or class scores,
+    for a file of this ``input`` and dtype, or of a fixed ``shape``; and the outputs of the module,
+    all by name. A dtype that can hold no id of the label space is a ValueError."""
     space = head.label_space
     if input == "logits":
         ids = np.arange(space.channel_counts[-1])

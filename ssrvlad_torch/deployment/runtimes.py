@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy.typing as npt
 
@@ -19,14 +17,12 @@ Run = Callable[[Arrays], dict[str, npt.NDArray[Any]]]
 """Runs a graph: its inputs by name to its outputs by name."""
 
 
-@dataclass(frozen=True)
-class Runtime:
-    """A runtime for ONNX files: its name, version and device; what opens a file, by path or
-    content; and the provider of ONNX Runtime. What either raises means that it cannot run it."""
+class Runtime(NamedTuple):
+    """A runtime for ONNX files: its name, version and device, and what opens a file, by path or
+    content. What either raises means that it cannot run it."""
 
     name: str
     open: Callable[[Path | bytes], Run]
-    provider: str = ""
 
 
 def runtime_of(provider: str = CPU) -> Runtime:
@@ -43,17 +39,18 @@ def runtime_of(provider: str = CPU) -> Runtime:
     if provider not in available:
         expected = ", ".join((*available, OPENVINO))
         raise ValueError(f"no execution provider {provider!r}; expected one of {expected}")
-    name = f"ONNX Runtime {onnxruntime.__version__}, {provider}"
-    return Runtime(name, partial(_session, provider), provider)
 
+    def opened(source: Path | bytes) -> Run:
+        session = open_session(source, "the graph", provider)
+        return _by_name(session, [output.name for output in session.get_outputs()])
 
-def _session(provider: str, source: Path | bytes) -> Run:
-    session = open_session(source, "the graph", provider)
-    names = [output.name for output in session.get_outputs()]
-    return lambda inputs: dict(zip(names, session.run(names, dict(inputs)), strict=True))
+    return Runtime(f"ONNX Runtime {onnxruntime.__version__}, {provider}", opened)
 
 
 def _compiled(source: Path | bytes) -> Run:
     session = OpenVinoSession(source, "the graph")
-    names = session.outputs
-    return lambda inputs: dict(zip(names, session.run(names, inputs), strict=True))
+    return _by_name(session, session.outputs)
+
+
+def _by_name(session: Any, names: list[str]) -> Run:
+    return lambda inputs: dict(zip(names, session.run(names, dict(inputs)), strict=True))

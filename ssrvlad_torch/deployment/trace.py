@@ -38,9 +38,8 @@ class _OfList(nn.Module):
 def traced(
     module: nn.Module, inputs: Mapping[str, tuple[Tensor, Axes]], outputs: Mapping[str, Axes]
 ) -> onnx.ModelProto:
-    """A module as a graph; ``inputs`` are, by name and in the order of its forward, an example and
-    the axes, ``outputs`` axes by name. One that cannot be traced is a ValueError; without the extra
-    ``onnx``, an ImportError."""
+    """A module as a graph; ``inputs`` are by name, in order, an example and axes, ``outputs`` axes.
+    One that cannot be traced is a ValueError; no extra ``onnx``, an ImportError."""
     with requiring("onnx", "ONNX graphs need"):
         import onnxscript  # noqa: F401
     log = logging.getLogger("torch.onnx")

@@ -23,12 +23,13 @@ from .differences import IMAGE, LABELS, difference_of, problem_of_network
 from .fuse import head_of, network_in
 from .golden import as_input, outputs_of
 from .metadata import PREFIX, Arrays, Metadata
-from .runtimes import Runtime, runtime_of
+from .runtimes import runtime_of
 
 if TYPE_CHECKING:
     import onnx
 
 CANNOT = "cannot run"
+Judge = Callable[[Arrays], tuple[float, str]]
 
 
 class Check(NamedTuple):
@@ -43,9 +44,8 @@ class Check(NamedTuple):
 
 @dataclass
 class Verification:
-    """The result of `verify`: what runs the file; of the file, the version, fingerprint, label
-    space, network (``None`` for a head alone), and fingerprints of channels; comparisons; and
-    frames that were not compared."""
+    """What runs the file; its version, fingerprint, label space, network (``None`` for a head
+    alone), and fingerprints of channels; comparisons; and frames that were not compared."""
 
     runtime: str
     version: str
@@ -80,85 +80,68 @@ def verify(
     progress: Progress = do_nothing,
 ) -> Verification:
     """Compares a file of `export_head` or `fuse` on a runtime, a provider of ONNX Runtime or
-    ``"openvino"``, with the module: on its golden pair or image, and its head on label maps of its
-    label space. Of the golden image 1 % of the labels and of the signs of features may differ; HOG
-    and the descriptor of these labels must be those of the module. A damaged or other file, and one
-    that cannot run in ONNX Runtime on the CPU, are a ValueError; a missing runtime is an
-    ImportError."""
+    ``"openvino"``, with the module: on its golden pair or image, of which 1 % of the labels and of
+    the signs of features may differ, and its head on label maps. A damaged or other file, and one
+    that cannot run in ONNX Runtime on the CPU, are a ValueError; no runtime is an ImportError."""
     path, runtime = Path(path), runtime_of(provider)
-    model = load_model(path)
-    with naming(path):
-        return _verify(path, model, labels, runtime, progress)
-
-
-def _verify(
-    path: Path,
-    model: onnx.ModelProto,
-    labels: Sequence[FrameFile],
-    runtime: Runtime,
-    progress: Progress,
-) -> Verification:
+    model, opened = load_model(path), cache(runtime.open)
     properties = {entry.key: entry.value for entry in model.metadata_props}
-    metadata, network = Metadata.from_properties(properties), network_in(properties)
-    space = LabelSpace.from_dict({"source": PREFIX, **metadata.label_space})
-    config = replace(SSRVLADConfig.from_dict(metadata.config), labels_as=space)
-    module = SSRVLAD(config, metadata.interface.get("sweep", ()))
-    result = Verification(runtime.name, metadata.version, metadata.fingerprint, space.name)
-    golden = metadata.golden_arrays()
+    with naming(path):
+        metadata, network = Metadata.from_properties(properties), network_in(properties)
+        space = LabelSpace.from_dict({"source": PREFIX, **metadata.label_space})
+        config = replace(SSRVLADConfig.from_dict(metadata.config), labels_as=space)
+        module = SSRVLAD(config, metadata.interface.get("sweep", ()))
+        golden = metadata.golden_arrays()
+        result = Verification(runtime.name, metadata.version, metadata.fingerprint, space.name)
 
-    def of_image(outputs: Arrays) -> tuple[float, str]:
-        if problem := problem_of_network(outputs, golden):
-            return np.inf, problem
-        expected = outputs_of(module, outputs[LABELS]) if "descriptor" in golden else {}
-        return difference_of(outputs, expected)
+        def check(name: str, source: Path | bytes, inputs: Arrays, judge: Judge) -> None:
+            """Notes what is wrong with the outputs for some inputs, also if the runtime fails."""
+            try:
+                result.checks.append(Check(name, *judge(opened(source)(inputs))))
+            except Exception as error:  # runtimes have no common error type
+                if provider == CPU:
+                    raise
+                result.checks.append(Check(name, np.inf, f"{CANNOT}: {one_line(error)}"))
 
-    if config.fingerprint != metadata.fingerprint:
-        problem = (
-            f"fingerprint {metadata.fingerprint} is not that of its settings in this version, "
-            f"{config.fingerprint}"
-        )
-        result.checks.append(Check("fingerprint", 0.0, problem))
-    name = IMAGE if network else model.graph.input[0].name
-    array, check = golden.pop(name), _checker(result, runtime, path)
-    if network:
-        result.network, result.channels = network.name, network.channels
-        check("golden image", {name: array}, of_image)
-        if "descriptor" not in golden:
-            return result
-        model = head_of(model)
-        check = _checker(result, runtime, model.SerializeToString())
-    else:
-        expected = golden or outputs_of(module, array)
-        check("golden pair", {name: array}, partial(difference_of, expected=expected))
-    value = model.graph.input[0]
-    for frame in labels:
-        try:
-            array = _input_of(read_label_map(frame, space), value, space)
-            outputs = outputs_of(module, array)
-            if outputs["unknown"].any():
-                module(array)  # raises an error that names the ids
-        except ValueError as error:
-            result.skipped.append(Skipped(frame.frame, str(error)))
+        def of_image(outputs: Arrays) -> tuple[float, str]:
+            if problem := problem_of_network(outputs, golden):
+                return np.inf, problem
+            expected = outputs_of(module, outputs[LABELS]) if "descriptor" in golden else {}
+            return difference_of(outputs, expected)
+
+        if config.fingerprint != metadata.fingerprint:
+            problem = (
+                f"fingerprint {metadata.fingerprint} is not that of its settings in this version, "
+                f"{config.fingerprint}"
+            )
+            result.checks.append(Check("fingerprint", 0.0, problem))
+        source: Path | bytes = path
+        name = IMAGE if network else model.graph.input[0].name
+        array = golden.pop(name)
+        if network:
+            result.network, result.channels = network.name, network.channels
+            check("golden image", path, {name: array}, of_image)
+            if "descriptor" not in golden:
+                return result
+            model = head_of(model)
+            source = model.SerializeToString()
         else:
-            check(frame.frame, {value.name: array}, partial(difference_of, expected=outputs))
-        progress(1)
+            expected = golden or outputs_of(module, array)
+            check("golden pair", path, {name: array}, partial(difference_of, expected=expected))
+        value = model.graph.input[0]
+        for frame in labels:
+            try:
+                array = _input_of(read_label_map(frame, space), value, space)
+                outputs = outputs_of(module, array)
+                if outputs["unknown"].any():
+                    module(array)  # raises an error that names the ids
+            except ValueError as error:
+                result.skipped.append(Skipped(frame.frame, str(error)))
+            else:
+                judge = partial(difference_of, expected=outputs)
+                check(frame.frame, source, {value.name: array}, judge)
+            progress(1)
     return result
-
-
-def _checker(result: Verification, runtime: Runtime, source: Path | bytes) -> Callable[..., None]:
-    """A function that runs a file, which is opened once, on inputs, judges its outputs and notes
-    the check. An error is what is wrong; on ONNX Runtime on the CPU it is raised."""
-    opened = cache(lambda: runtime.open(source))
-
-    def check(name: str, inputs: Arrays, judge: Callable[[Arrays], tuple[float, str]]) -> None:
-        try:
-            result.checks.append(Check(name, *judge(opened()(inputs))))
-        except Exception as error:  # runtimes have no common error type
-            if runtime.provider == CPU:
-                raise
-            result.checks.append(Check(name, np.inf, f"{CANNOT}: {one_line(error)}"))
-
-    return check
 
 
 def _input_of(labels: LabelMap, value: onnx.ValueInfoProto, space: LabelSpace) -> npt.NDArray[Any]:

@@ -11,12 +11,10 @@ from .outcomes import Bools, Floats, Rows
 
 @dataclass(frozen=True)
 class PrecisionRecall:
-    """Counts at each threshold, the highest threshold first: ``accepted`` and ``true_positives``
-    ``(..., T)`` float64, of which precision is the quotient, and ``thresholds`` ``(T,)``; a score
-    that equals one is accepted. ``positives`` ``(...)`` is the number that could be found, by which
-    recall is a fraction; where it is 0, every figure is NaN. ``start`` is the precision at recall
-    0, where nothing is accepted; ``None`` for that at the highest threshold that accepts anything.
-    """
+    """Counts at each threshold, the highest first: ``accepted`` and ``true_positives`` ``(..., T)``
+    float64, ``thresholds`` ``(T,)``, and ``positives`` ``(...)``, the number that could be found;
+    where it is 0, figures are NaN. ``start`` is the precision at recall 0, or ``None`` for that at
+    the highest threshold that accepts anything."""
 
     accepted: Floats
     true_positives: Floats
@@ -44,9 +42,7 @@ class PrecisionRecall:
 
     @property
     def average_precision(self) -> Floats:
-        """The mean precision over the thresholds, weighted by the recall that each adds. Unlike
-        `auc` it does not interpolate between points. It equals scikit-learn's
-        ``average_precision_score`` if the positives are the right candidates."""
+        """The mean precision over thresholds, by the recall that each adds, as scikit-learn's."""
         return _divide((self._added * self.precision).sum(axis=-1), self.positives)
 
     @property
@@ -94,9 +90,8 @@ class Ranking:
     def curve(
         self, weights: Floats, positives: Floats, start: float | None = None
     ) -> PrecisionRecall:
-        """The exact curve of the best candidates: every distinct score is a threshold. ``weights``
-        ``(..., Q)`` float64 are the counts of the queries, ``positives`` ``(...)`` the denominator
-        of the recall."""
+        """The curve of the best candidates; ``weights`` ``(..., Q)`` float64 count the queries, and
+        ``positives`` ``(...)`` those that could be found."""
         ranked = weights[..., self.order]
         accepted = np.cumsum(ranked, axis=-1)[..., self.last_of_tie]
         right = np.cumsum(ranked * self.correct, axis=-1)[..., self.last_of_tie]
@@ -114,11 +109,9 @@ def rank(scores: Floats, correct: Bools) -> Ranking:
 
 
 def roc_auc(curve: PrecisionRecall, right: Floats, wrong: Floats) -> Floats:
-    """ROC-AUC ``(...)``, 0 to 1: the probability that a right best candidate has a higher score
-    than a wrong one, with ties counted half; NaN where all are right or all are wrong. A query
-    without a candidate counts as wrong with the lowest score. The figure equals scikit-learn's
-    ``roc_auc_score(correct, scores)``; ``right`` and ``wrong`` ``(...)`` are the numbers of
-    queries."""
+    """ROC-AUC ``(...)``: the probability that a right best candidate has a higher score than a
+    wrong one, ties counted half, as scikit-learn's; NaN where all are ``right`` or ``wrong``, the
+    numbers of queries. A query without a candidate is wrong with the lowest score."""
     recognised = np.insert(curve.true_positives, 0, 0.0, axis=-1)
     missed = np.insert(curve.accepted - curve.true_positives, 0, 0.0, axis=-1)
     area = (np.diff(missed) * (recognised[..., 1:] + recognised[..., :-1]) / 2).sum(axis=-1)

@@ -23,11 +23,9 @@ def from_poses(
     metres: float,
     degrees: float | None = None,
 ) -> list[Rows | None]:
-    """True matches of each query: the references within a distance in metres, including the limit,
-    of any heading, or of one within some degrees. Poses are ``(Q, 2+)`` and ``(R, 2+)``, x and y in
-    metres, then heading in radians. ``None`` for a query of unknown pose (NaN); a reference of
-    unknown pose is no true match. A negative limit, an infinite distance, and queries or
-    references that all have no pose are a ValueError."""
+    """True matches of each query: the references within a distance in metres, limit included, and
+    perhaps in degrees of heading. Poses are ``(N, 2+)``, x, y, heading in radians; ``None`` for a
+    query of unknown pose. A limit out of range, and no pose at all, are a ValueError."""
     if not 0 <= metres < math.inf:
         raise ValueError(f"the tolerance must be 0 metres or more and finite, got {metres}")
     if degrees is not None and not degrees >= 0:
@@ -66,11 +64,9 @@ def require_poses(
 def from_frame_numbers(
     queries: Sequence[str], references: Sequence[str], frames: int
 ) -> list[Rows]:
-    """True matches of each query: the references at most ``frames`` frames away in the sequence.
-    The frames of a sequence, queries and references together, of the ids ``<sequence>/<name>``, are
-    numbered in the order of their names. If the queries' sequences are not among those of the
-    references, both must be one sequence of equal length, whose n-th frames match. Others, and a
-    negative number, are a ValueError."""
+    """True matches of each query: the references at most ``frames`` frames away in the sequence, by
+    the order of names. If the queries' sequences are not among the references', both must be one
+    sequence of equal length. Others, and a negative number, are a ValueError."""
     if frames < 0:
         raise ValueError(f"the tolerance must be 0 frames or more, got {frames}")
     of_queries, of_references = (

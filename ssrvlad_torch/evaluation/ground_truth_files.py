@@ -157,9 +157,8 @@ def _from_pairs(
 
 
 def _finder(frames: Frames) -> Callable[[str], str | None]:
-    """A function from an entry to the frame that it names: the frame without a path that has this
-    id, or the only frame whose id or path ends in the entry, or in the entry without the suffix of
-    a file."""
+    """A function from an entry to the frame that it names: that with this id, or the only one whose
+    id or path ends in the entry, with or without a suffix."""
     paths = frames if isinstance(frames, Mapping) else dict(zip(frames, frames, strict=True))
     by_name: dict[str, list[str]] = {}
     for frame in paths:

@@ -44,15 +44,13 @@ def score_loops(
     first: int = 0,
     sequences: Sequence[str] = (),
 ) -> LoopScore:
-    """Compares the loops of a stream with the poses ``(N, 3)`` of its frames, x and y in metres and
-    heading in radians, NaN where unknown; ``candidates`` ``(N,)`` int64 are rows, -1 for none.
-    Frames from the row ``first`` on are counted. ``sequences`` are those of all frames; without,
-    they are one.
+    """Compares the loops of a stream, ``candidates`` ``(N,)`` int64 rows or -1, from the row
+    ``first`` on, with poses ``(N, 3)``, x and y in metres and heading in radians, NaN where
+    unknown.
 
     A loop is right if its two frames are at most ``metres`` apart. A frame is a revisit if its loop
-    is right, or if an earlier frame, not among the last ``exclude`` ones of the same sequence, is
-    near and looks the same way; an unknown heading matches any. Frames without a position are left
-    out; if all are, or the distance is negative or infinite, it is a ValueError."""
+    is right, or an earlier frame, not among the last ``exclude`` of its sequence, is near and looks
+    the same way. Frames without a position are left out; if all are, it is a ValueError."""
     if not 0 <= metres < math.inf:
         raise ValueError(f"the tolerance must be 0 metres or more and finite, got {metres}")
     if np.isnan(poses[:, :2]).any(axis=1).all():
@@ -85,18 +83,15 @@ def loop_errors(candidates: Rows, poses: Floats) -> Floats:
 
 
 def loop_curve(probabilities: Floats, right: Bools, revisits: int) -> PrecisionRecall:
-    """Precision and recall over thresholds, by the probabilities ``(L,)`` of the loops that a
-    detector with a low threshold found, by which are right ``(L,)``, and by the number of revisits,
-    all these loops accepted.
-    It is approximate: loops that a higher threshold rejects may change later probabilities."""
+    """Approximate precision and recall over thresholds, by the probabilities ``(L,)`` of loops of a
+    detector with a low threshold, which are right ``(L,)``, and the number of revisits."""
     return rank(probabilities, right).curve(np.ones(len(right)), np.array(float(revisits)))
 
 
 def surest_point(curve: PrecisionRecall) -> OperatingPoint | None:
-    """The threshold with the highest lower bound of the precision, see `suggested_point`;
-    ``None`` if no loop is right. If a right loop has a probability of at least `EVEN`, less
-    probable loops are not considered: one sequence without a mistake does not show that they are
-    right on the next."""
+    """The threshold with the highest lower bound of the precision, see `suggested_point`, or
+    ``None``. If a right loop has a probability of at least `EVEN`, less probable ones are not
+    considered."""
     likely = int((curve.thresholds >= EVEN).sum())
     if likely and curve.true_positives[likely - 1]:
         counts = curve.accepted[:likely], curve.true_positives[:likely]

@@ -43,10 +43,8 @@ class Material(Protocol):
 
 @dataclass(frozen=True)
 class Recognition:
-    """The candidates of queries, at least `TOP` of each, and how they were found: what the report
-    shows of the frames, the ``confidence`` ``(Q,)`` float in the first candidates, if it is known,
-    the queries that could not be encoded, and details, the method, its steps and its costs, which
-    join the metrics."""
+    """The candidates of queries, at least `TOP` of each: what the report shows, the ``confidence``
+    ``(Q,)``, if known, the queries that were not encoded, and details, which join the metrics."""
 
     references: Viewpoints
     queries: Viewpoints

@@ -49,9 +49,8 @@ class Outcomes:
 
 
 def judge(scores: Scores, indices: Indices, truth: Truth) -> Outcomes:
-    """Compares the candidates of each query, ``(Q, top)`` scores, best first, and int64 rows from
-    `ssrvlad_torch.match`, with its true matches. Shapes that do not fit, a score that is NaN or
-    +inf, a candidate with a score but no row, and a matrix as ``truth`` are a ValueError."""
+    """Compares the candidates of each query, ``(Q, top)`` scores, best first, and int64 rows, with
+    its true matches. Other shapes, NaN, +inf, and a matrix as ``truth`` are a ValueError."""
     scores, indices = as_array(scores), as_array(indices)
     if isinstance(truth, np.ndarray) or any(np.asarray(rows).dtype == bool for rows in truth):
         raise ValueError(

@@ -40,10 +40,9 @@ def write_report(path: Path, page: str) -> None:
 def render(
     evaluation: Evaluation, title: str, settings: Mapping[str, str], notes: Sequence[str] = ()
 ) -> str:
-    """The page as HTML text, from ``templates/report.html``; it needs the extra ``eval`` (Jinja2,
-    matplotlib). Its size is bounded for any number of queries and references. ``settings`` are
-    names and values, ``notes`` sentences on top, such as warnings; texts may hold any characters.
-    """
+    """The page as HTML text, from ``templates/report.html``; it needs the extra ``eval``. Its size
+    is bounded. ``settings`` are names and values, ``notes`` sentences on top; all may hold any
+    text."""
     with requiring("eval", "a report needs"):
         import matplotlib  # noqa: F401
         from jinja2 import Environment, PackageLoader

@@ -22,12 +22,10 @@ Figures = Callable[[Floats], dict[str, Floats]]
 def bootstrap(
     figures: Figures, queries: int, resamples: int, seed: int = 0, block: int = 1
 ) -> dict[str, Interval]:
-    """Percentile intervals of figures, at the confidence `LEVEL`, by name, from a number of
-    resamples from 1 on; equal seeds give equal ones. A resample draws Q queries in blocks of
-    ``block`` neighbours, with replacement, the last cut short; the last query is a neighbour of the
-    first (Kuensch, Annals of Statistics 1989; Politis and Romano 1992). Resamples in which a figure
-    is NaN are left out; the interval is NaN if all are. It shows how a figure varies with the
-    choice of queries, not with the map."""
+    """Percentile intervals of figures, at the confidence `LEVEL`, from a number of resamples. Each
+    draws Q queries in blocks of neighbours, with replacement, in a ring (Kuensch, Annals of
+    Statistics 1989; Politis and Romano 1992); NaN are left out. It shows how a figure varies with
+    the choice of queries, not with the map."""
     rng = np.random.default_rng(seed)
     at_once = max(1, _CELLS // max(1, queries))
     batches = []
@@ -53,9 +51,8 @@ _Z2 = NormalDist().inv_cdf((1 + LEVEL) / 2) ** 2
 
 
 class OperatingPoint(NamedTuple):
-    """A threshold, from which on candidates are accepted, its precision and recall, 0 to 1, the
-    lower end of the 95 % interval of the precision, see `wilson_low`, and the number of accepted
-    queries."""
+    """A threshold, its precision and recall, 0 to 1, the lower end of the 95 % interval of the
+    precision, see `wilson_low`, and the number of accepted queries."""
 
     threshold: float
     precision: float
@@ -80,11 +77,9 @@ def at_recall(curve: PrecisionRecall, recall: float) -> OperatingPoint | None:
 def suggested_point(
     curve: PrecisionRecall, precision: float = SURE_PRECISION
 ) -> OperatingPoint | None:
-    """The lowest threshold whose precision has a lower bound of at least ``precision``, 0 to 1: the
-    lower end of Wilson's 95 % interval. If no threshold reaches it, the one with the highest lower
-    bound, or ``None`` if no accepted query is right. For alike neighbours of a sequence, and for
-    the best of many thresholds, the bound is too high. The threshold is a number of few decimals
-    between the score and the next lower one, in float32."""
+    """The lowest threshold whose precision has a lower bound of at least ``precision``, or that
+    with the highest; ``None`` if no accepted query is right. For alike neighbours, and the best of
+    many thresholds, the bound is too high. It has few decimals, below the score, in float32."""
     low = wilson_low(curve.true_positives, curve.accepted)
     if not low.max(initial=0.0):
         return None
@@ -104,8 +99,7 @@ def queries_needed() -> int:
 
 def operating_points(curve: PrecisionRecall) -> dict[str, Any]:
     """Points as mappings, or ``None``: ``at_precision`` by ``"0.99"`` and ``"1"``, ``at_recall`` by
-    ``"0.5"``, and ``suggested``. The curve is of one set of queries, by the convention ``exact``,
-    which counts accepted queries of unknown places as mistakes."""
+    ``"0.5"``, and ``suggested``; of a curve by the convention ``exact``."""
 
     def mapping(point: OperatingPoint | None) -> dict[str, Any] | None:
         return point and point._asdict()

@@ -54,9 +54,8 @@ def find_activations(
     network: nn.Module, numbers: Tensor, names: Sequence[str] | None = None
 ) -> list[Activation]:
     """The activations of a network that are features, by the rule or by their names, in a run on
-    ``numbers``, its input for one picture, ``(1, 3, H, W)``. A name that is unknown or of something
-    else than ``(B, C, h, w)`` floats, a network without an activation at a stride that is near
-    enough, and, without names, one with a part in TorchScript are a ValueError."""
+    ``numbers``, its input for one picture. An unknown name, one of something else than ``(B, C, h,
+    w)`` floats, and no activation by the rule are a ValueError."""
     if names is None and any(map(is_script, nn.Module.modules(network))):
         raise ValueError("the activations of a TorchScript module cannot be taken")
     activations = all_activations(network, numbers)
@@ -81,8 +80,7 @@ def find_activations(
 
 
 def all_activations(network: nn.Module, numbers: Tensor) -> list[Activation]:
-    """All activations of a network but its outputs in a run on ``numbers``, in order, those that
-    cannot be features too; see `find_activations`."""
+    """All activations of a network but its outputs in a run on ``numbers``, in order."""
     size = numbers.shape[2:]
     if isinstance(network, OnnxNetwork):
         return [_activation(name, value, size) for name, value in network.run_all(numbers).items()]
@@ -164,9 +162,8 @@ def is_script(module: nn.Module) -> bool:
 def _hooked(
     network: nn.Module, take: Callable[[str, int, Tensor], None], hidden: bool
 ) -> Iterator[None]:
-    """Gives the name of each module that runs in this thread, the number of the call, and its
-    output; with ``hidden`` also the hidden states of a published transformer, as call 0. A module
-    in TorchScript takes no hooks."""
+    """Gives ``take`` the name of each module that runs in this thread, the number of the call, and
+    its output; with ``hidden`` also hidden states of a published transformer, as call 0."""
     thread, calls = threading.get_ident(), Counter[str]()
 
     def hook(name: str, _module: nn.Module, _inputs: object, output: object) -> None:

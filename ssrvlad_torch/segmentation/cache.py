@@ -25,18 +25,16 @@ Signs = npt.NDArray[np.uint8]
 
 
 class SegmentedCache:
-    """A folder with a file of NumPy for each picture that a network has segmented: its label map
-    and its features. ``key`` is that of the network and its preparation, ``features`` that of the
-    features, empty for label maps alone. Above `LARGEST` bytes the least recently used entries of
-    all networks are removed."""
+    """A folder with a file of NumPy for each picture that a network has segmented. ``key`` is that
+    of the network, ``features`` that of the features, empty for label maps alone. Above `LARGEST`
+    bytes the least recently used entries are removed."""
 
     def __init__(self, folder: Path, key: str, features: str = "") -> None:
         self.folder, self.key, self.features = folder, key, features
         self._size: int | None = None
 
     def get(self, picture: str) -> tuple[LabelMap, Signs | None] | None:
-        """The label map and the features of the picture with this digest; ``None`` if they are
-        missing or damaged."""
+        """The label map and features of a picture by its digest; ``None`` if missing or damaged."""
         entry = self._entry(picture)
         try:
             arrays = read_npz(entry)
@@ -109,8 +107,7 @@ def state_of(name: str) -> str:
 
 
 def known_key(name: str, cache: Path) -> str:
-    """The key of the segmenter of a network whose files are as they were when it was remembered,
-    without opening it; empty for others."""
+    """The key of the segmenter of a network whose files are as they were remembered, else empty."""
     state, key = _entries(cache).get(absolute(Path(name)), ("", ""))
     return str(key) if state and state == state_of(name) else ""
 

@@ -32,11 +32,10 @@ _NOISE_BITS = 24
 
 
 class NetworkFeatures(nn.Module):
-    """What a network, which ``labels`` runs, sees in pictures, as signs; see `stages.features`. The
-    activations, ``names``, are those of the rule of `find_activations` or of the setting
-    ``features``; a network without them is a ValueError. An ONNX graph gives them as outputs
-    afterwards. ``size`` is that of the pictures of noise, ``key`` a digest of all that makes the
-    signs, and ``fingerprint`` the text under which a database stores them."""
+    """What a network, which ``labels`` runs, sees in pictures, as signs of the activations
+    ``names``; a network without them is a ValueError. ``size`` is that of the pictures of noise,
+    ``key`` a digest of all that makes the signs, ``fingerprint`` the text under which a database
+    stores them."""
 
     def __init__(self, labels: LabelNetwork, digest: str) -> None:
         super().__init__()
@@ -90,8 +89,7 @@ def noise_means(
 
 @torch.inference_mode()
 def probed(labels: LabelNetwork) -> tuple[Tensor, int, int]:
-    """The input of the network for a picture of noise of the first of `PROBES` that it takes, and
-    the height and width of the picture; a ValueError if it takes none."""
+    """The network's input for a picture of the first of `PROBES` that it takes, and that size."""
     reason = ValueError("takes no picture")
     for height, width in PROBES:
         try:

@@ -25,14 +25,12 @@ from .preparation import Preparation, SegmenterConfig
 
 
 class LabelNetwork(nn.Module):
-    """Pictures -> class scores or ids, in which `classes_of` decides. `Segmenter` runs it, and
-    `fuse` writes it as a graph.
+    """Pictures -> class scores or ids. `Segmenter` runs it, and `fuse` writes it as a graph.
 
-    The network is any module that takes ``(B, 3, h, w)`` floats, or an `OnnxNetwork`; ``config`` is
-    the preparation of its pictures, with the size that a graph requires. After the first run
-    ``output`` is the name of the output that holds labels, and ``axis`` its axis of the classes, if
-    it has one. Settings that do not fit a graph, and no or several fitting outputs, are a
-    ValueError."""
+    The network takes ``(B, 3, h, w)`` floats; ``config`` is the preparation, with the size that a
+    graph requires. After the first run ``output`` is the name of the output that holds labels, and
+    ``axis`` that of its classes, if it has one. Settings that do not fit a graph are a ValueError.
+    """
 
     def __init__(self, network: nn.Module, space: LabelSpace, config: SegmenterConfig) -> None:
         super().__init__()

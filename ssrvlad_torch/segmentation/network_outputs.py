@@ -21,9 +21,8 @@ class UnrecognisedError(ValueError):
 
 
 def tensors_of(result: object) -> dict[str, Tensor]:
-    """The tensors in the result of a network by name: a tensor, a mapping of names to tensors, an
-    object with ``logits``, or a tuple, whose tensors are named ``0``, ``1`` and so on. A result
-    without tensors is an UnrecognisedError."""
+    """The tensors in a result by name: a tensor, a mapping, an object with ``logits``, or a tuple,
+    named ``0``, ``1`` and so on. None is an UnrecognisedError."""
     if isinstance(result, Tensor):
         named: Mapping[object, object] = {"output": result}
     elif isinstance(result, Mapping):
@@ -48,13 +47,12 @@ def choose_output(
     name: str | None = None,
     classes: Classes = None,
 ) -> str:
-    """The name of the output that holds labels, class scores or integer ids; if a ``name`` is
-    given, only that output can. If none does, or several could, an UnrecognisedError lists them.
+    """The name of the output that holds labels; with a ``name`` only that can. None, or several but
+    for ``out`` or ``logits``, are an UnrecognisedError.
 
-    Class scores are floats, ``(B, C, h, w)`` or ``(B, h, w, C)``, with as many channels, or as many
-    to use, as the label space has classes, or the same in 8 bits; ids are integers, ``(B, h, w)``,
-    ``(B, 1, h, w)`` or ``(B, h, w, 1)``. If several outputs fit, one named ``out`` or ``logits`` is
-    chosen."""
+    Class scores are floats, or of 8 bits, ``(B, C, h, w)`` or ``(B, h, w, C)``, with as many
+    channels as the label space has classes; ids are integers, ``(B, h, w)``, ``(B, 1, h, w)`` or
+    ``(B, h, w, 1)``."""
     if name is not None and name not in outputs:
         raise UnrecognisedError(f"there is no output {name!r}; the outputs are {_list(outputs)}")
     candidates = outputs if name is None else {name: outputs[name]}
@@ -126,8 +124,7 @@ def _holds_ids(output: Tensor) -> bool:
 
 
 def _hint(outputs: Mapping[str, Tensor], space: LabelSpace) -> str:
-    """What to use if the network has more channels than the label space has classes: a label space
-    with so many, or the option that takes the first."""
+    """What to use where the network has more channels: a label space with so many, or the first."""
     most = max(space.channel_counts, default=0)
     scores = [x for x in outputs.values() if x.is_floating_point() and x.ndim == 4]
     counts = {tensor.shape[1] for tensor in scores if tensor.shape[1] > most}
@@ -146,10 +143,9 @@ def _list(outputs: Mapping[str, Tensor]) -> str:
 
 
 def classes_of(output: Tensor) -> Tensor:
-    """The class of every pixel, ``(B, h, w)`` integers: the largest score of ``(B, C, h, w)``
-    floats wins, the first of equal ones; ``(B, h, w)`` ids stay. `Segmenter`, `SSRVLAD` on class
-    scores and the files of `fuse` all use this rule. A NaN is a ValueError; a graph cannot raise,
-    and does not detect it."""
+    """The class of every pixel, ``(B, h, w)`` integers: of ``(B, C, h, w)`` scores the first of the
+    largest, a NaN is a ValueError; ids stay. `Segmenter`, `SSRVLAD` and fused files use this rule.
+    """
     return best_class(output) if output.is_floating_point() else output
 
 

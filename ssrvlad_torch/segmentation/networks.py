@@ -61,16 +61,14 @@ class NamedNetwork:
 
 
 def open_network(name: str | Path) -> NamedNetwork:
-    """A network by its name: the path of an ``.onnx`` file; a ``.yaml`` file; ``hf:ORG/NAME`` or
-    ``hf:ORG/NAME@REVISION`` of the Hugging Face hub, or a folder in that format (extra ``hf``),
-    with the settings of its image processor; or ``MODULE:NAME``, a function that returns an
-    `nn.Module`.
+    """A network by its name: an ``.onnx`` file; a ``.yaml`` file; ``hf:ORG/NAME[@REVISION]`` of the
+    Hugging Face hub, or a folder in that format (extra ``hf``); or ``MODULE:NAME``, a function that
+    returns an `nn.Module`.
 
-    A YAML file has ``network``, one of these names, and those settings of `SegmenterConfig` that
-    are not the defaults; also ``labels_as``, ``arguments`` for a function, ``runtime`` for an ONNX
-    file, and ``accept_defaults``. Its files are in its folder or below; modules are looked for
-    there first. A name or a setting that is not understood, and a network that cannot be used, are
-    a ValueError; one that cannot be downloaded is an OSError, a missing extra an ImportError."""
+    A YAML file has ``network``, one of these names, settings of `SegmenterConfig`, and perhaps
+    ``labels_as``, ``arguments`` for a function, ``runtime`` for an ONNX file, and
+    ``accept_defaults``. Its files are in its folder or below. What is not understood or cannot be
+    used is a ValueError, what cannot be downloaded an OSError, a missing extra an ImportError."""
     state = state_of(str(name))
     return dataclasses.replace(_open(str(name), {}, {}), state=state)
 
@@ -155,8 +153,7 @@ def _named(path: Path) -> tuple[str, dict[str, Any]]:
 
 
 def _called(name: str, arguments: dict[str, Any], folder: Path | None) -> nn.Module:
-    """The network that the function ``MODULE:NAME`` returns; an error of the function names its
-    arguments."""
+    """The network that ``MODULE:NAME`` returns; an error of the function names its arguments."""
     function = _function(name, folder)
     try:
         network = function(**arguments)
@@ -169,8 +166,7 @@ def _called(name: str, arguments: dict[str, Any], folder: Path | None) -> nn.Mod
 
 
 def _function(name: str, folder: Path | None) -> Callable[..., object]:
-    """The function that ``MODULE:NAME`` names in a Python module: beside the YAML file, in this
-    folder, or on the path."""
+    """The function ``MODULE:NAME``, of a module beside the YAML file, here, or on the path."""
     module, _, function = name.partition(":")
     places = [str(place.absolute()) for place in (folder, Path()) if place is not None]
     sys.path[:0] = places

@@ -37,10 +37,9 @@ _APART = "External data path"
 
 
 def load_model(path: Path) -> onnx.ModelProto:
-    """The model in an ONNX file, with its external weights. Both may be links, as in the cache of
-    the Hugging Face hub. A missing file, one that is not an ONNX graph, and external weights that
-    are missing or named outside its folder are a ValueError; without the extra ``onnx``, an
-    ImportError."""
+    """The model in an ONNX file, with its external weights; both may be links. A missing file, no
+    ONNX graph, and weights that are missing or outside its folder are a ValueError; without the
+    extra ``onnx``, an ImportError."""
     with requiring("onnx", "ONNX files need"):
         import onnx
     try:
@@ -82,10 +81,9 @@ def open_session(
     settings: Mapping[str, str] | None = None,
     threads: int = 0,
 ) -> Any:
-    """A session of ONNX Runtime for a file or its content; ``name`` is that of the file in
-    messages. Operators that the provider lacks run on the CPU. ``settings`` are configuration
-    entries of the session, ``threads`` those for an operator, 0 for one per core. A graph that
-    cannot run is a ValueError; without the extra ``onnx``, an ImportError."""
+    """A session of ONNX Runtime for a file or its content, ``name`` in messages, with configuration
+    entries and threads for an operator, 0 for one per core. A graph that cannot run is a
+    ValueError; without the extra ``onnx``, an ImportError."""
     with requiring("onnx", "ONNX files need"):
         import onnxruntime
     available = onnxruntime.get_available_providers()
@@ -119,9 +117,8 @@ def save_model(
     model: onnx.ModelProto, path: Path, describe: Callable[[Path], Mapping[str, str]]
 ) -> None:
     """Writes an ONNX file, whole or not at all. ``describe`` takes the temporary file and returns
-    the metadata properties, or raises an error to reject the model. Weights of a model of more than
-    `MAX_FILE_BYTES` go to a second file beside it, whose name holds their digest, so that it never
-    replaces those of an earlier model."""
+    the metadata properties, or rejects the model. Above `MAX_FILE_BYTES` weights go to a second
+    file, whose name holds their digest."""
     import onnx
 
     path = check_output(path)
@@ -178,11 +175,9 @@ SINGLE = {"INFERENCE_PRECISION_HINT": "f32"}
 
 
 class OpenVinoSession:
-    """A graph, by its file or its content, that OpenVINO has compiled for the CPU; ``name`` is that
-    of the file in messages. The ``inner`` tensors become outputs; ``outputs`` are the names of all.
-    Threads may run it at the same time, each with ``threads`` of its own, 0 for one per core. One
-    that cannot run, or has no such tensor, is a ValueError; without the extra ``openvino``, an
-    ImportError."""
+    """A graph, a file or its content, that OpenVINO compiled for the CPU; ``name`` is for messages.
+    ``inner`` tensors become outputs; ``outputs`` are the names of all. Threads may run it together,
+    each with ``threads``, 0 for one per core. One that cannot run is a ValueError."""
 
     def __init__(
         self, source: Path | bytes, name: object, inner: Sequence[str] = (), threads: int = 0

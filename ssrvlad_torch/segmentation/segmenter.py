@@ -130,12 +130,10 @@ class Segmenter:
         labels_as: str | os.PathLike[str] | LabelSpace = AUTO,
         cache: Path | None = None,
     ) -> Segmenter:
-        """A segmenter by the name of its network, or the result of `open_network`, which see.
-        ``labels_as`` is the label space of its classes; ``"auto"`` is the one of the YAML file, or
-        else the one of the network's own class names (`label_space_of_names`). For ``cache`` see
-        `Segmenter`. An unknown name, a network that cannot be used, and one without class names and
-        label space are a ValueError; one that cannot be downloaded is an OSError, a missing extra
-        an ImportError."""
+        """A segmenter by the name of its network, or by what `open_network` gives. ``labels_as`` is
+        the label space of its classes; ``"auto"`` is that of the YAML file, or of the network's
+        class names (`label_space_of_names`). Errors are those of `open_network`; no label space is
+        a ValueError."""
         if not isinstance(name, str | os.PathLike | NamedNetwork):
             raise ValueError(
                 f"network: expected its name, its file or a Segmenter, got {type(name).__name__}"
@@ -166,8 +164,7 @@ class Segmenter:
 
     @property
     def problem_of_features(self) -> str:
-        """Why the rule of `find_activations` finds no features, in one line; empty if it does. A
-        setting ``features`` that names what cannot be taken is a ValueError."""
+        """Why the rule finds no features, or nothing; a setting that names none is a ValueError."""
         try:
             _ = self.features
         except ValueError as error:
@@ -178,8 +175,7 @@ class Segmenter:
 
     @torch.inference_mode()
     def activations(self) -> list[Activation]:
-        """The activations of the network that can be `features` by their names, in the order in
-        which they are computed for one picture. A network that takes no picture is a ValueError."""
+        """The activations for one picture that can be `features` by their names, in order."""
         activations = all_activations(self.network, probed(self.labels)[0])
         return [act for act in activations if math.isfinite(act.stride)]
 
@@ -188,10 +184,9 @@ class Segmenter:
         return [segmented.labels for segmented in self.segment(images)]
 
     def segment(self, images: Sequence[Pixels], features: bool = False) -> list[Segmented]:
-        """The results of the network for pictures in memory, each ``(H, W, 3)`` uint8 in RGB, of
-        any size, without the cache; with ``features`` also these, taken in the same pass. Another
-        shape or dtype, a network that fails, an output that is not recognised or holds NaN scores,
-        and missing features are a ValueError."""
+        """The results of the network for pictures in memory, ``(H, W, 3)`` uint8 in RGB, of any
+        size, with ``features`` also these. Another input, a network that fails, an output that is
+        not recognised or holds NaN scores, and missing features are a ValueError."""
         for image in images:
             if not isinstance(image, np.ndarray):
                 raise ValueError(f"expected arrays (H, W, 3) of uint8, got {type(image).__name__}")
@@ -313,8 +308,7 @@ class Segmenter:
 
 
 def space_of(network: NamedNetwork, labels_as: str = AUTO) -> LabelSpace:
-    """The label space of a network's classes; ``"auto"`` as for `Segmenter.load`. A network that
-    does not say it is a ValueError."""
+    """The label space of a network's classes; a network that does not say it is a ValueError."""
     name = (network.labels_as or AUTO) if labels_as == AUTO else labels_as
     if name != AUTO:
         return label_space(name)
@@ -326,9 +320,8 @@ def space_of(network: NamedNetwork, labels_as: str = AUTO) -> LabelSpace:
 
 
 def digest_of(network: nn.Module) -> str:
-    """A digest in hex: of the files of an ONNX graph, of the program of a module in TorchScript, of
-    what ``print`` shows of another module and its ``state_dict()``, on whatever device it is.
-    Modules that differ in their code alone have one digest."""
+    """A digest in hex: of an ONNX graph's files, a TorchScript program, or another module's
+    ``print`` and ``state_dict()``. Modules that differ in their code alone have one digest."""
     if isinstance(network, OnnxNetwork):
         return network.digest
     content = hashlib.blake2b(repr(network).encode(), digest_size=16)

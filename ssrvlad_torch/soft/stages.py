@@ -72,11 +72,8 @@ def are_probabilities(scores: Tensor) -> bool:
 
 def soft_majority(layers: Tensor, grid: tuple[int, int], temperature: float) -> Tensor:
     """``(B, 8, h, w)``, the fraction of each cell of the grid that each category covers, of layers
-    ``(B, 8, H, W)``, 0 to 1; a low temperature favours the largest.
-
-    This is the softmax in place of the vote of `reduce_by_majority`: fractions to the power of ``1
-    / temperature``, normalised. At temperature 1 they are the mean of the pixels. Pixel ``(y, x)``
-    belongs to cell ``(y * h // H, x * w // W)``."""
+    ``(B, 8, H, W)``: fractions to the power of ``1 / temperature``, normalised, in place of the
+    vote."""
     if tuple(layers.shape[2:]) == grid:
         return layers
     rows, columns = (
@@ -96,9 +93,8 @@ def _means(pixels: int, cells: int, like: Tensor) -> Tensor:
 
 
 def soft_vanishing_columns(layers: Tensor) -> Tensor:
-    """``(B,)``, how many columns right of the middle the vanishing column of layers ``(B, K, h,
-    w)``, 0 to 1, is, negative to the left; `vanishing_columns` rounds it. The weight of a column is
-    the eighth power of its open fraction, see `stages.vanishing_column`."""
+    """``(B,)``, how many columns right of the middle the vanishing column of ``(B, K, h, w)`` is,
+    see `stages.vanishing_column`."""
     width = layers.shape[3]
     open_fraction = layers[:, OPEN_LAYERS].sum(1).clamp(max=1).mean(1)
     weight = open_fraction**POWER
@@ -107,9 +103,8 @@ def soft_vanishing_columns(layers: Tensor) -> Tensor:
 
 
 def soft_pool(layers: Tensor, shift: Tensor, cells: tuple[int, int]) -> Tensor:
-    """``(B, 8, rows, columns)``, 0 to 1, the fraction of every cell that each of layers ``(B, 8, h,
-    w)`` covers, the image moved ``shift`` ``(B,)`` columns, any real number, to the left; equal to
-    `pool` for layers of 0 and 1 and whole shifts."""
+    """``(B, 8, rows, columns)``, the fraction of every cell that each of layers ``(B, 8, h, w)``
+    covers, the image moved ``shift`` ``(B,)`` columns, any real number, to the left."""
     rows = soft_overlaps(layers.shape[2], cells[0], shift.new_zeros(1))
     columns = soft_overlaps(layers.shape[3], cells[1], shift)
     return rows.mT[:, None] @ layers @ columns[:, None]
@@ -149,10 +144,8 @@ def soft_coefficients(
     power: float,
 ) -> Tensor:
     """The descriptor of each image, ``(B, 6 * numbers[0] + 4 * numbers[1])`` of length 1 at most:
-    the coefficients of its histograms in the basis, of ``area`` ``(B, 6, rows, columns)`` and
-    ``lengths`` ``(B, 4, rows, columns)``, in sides of a cell, from `soft_pool`; `bin_table`,
-    `basis_table`, how many coefficients each area and each direction has, and the power are those
-    of `Harmonics`."""
+    the coefficients of histograms of ``area`` ``(B, 6, rows, columns)`` and ``lengths`` ``(B, 4,
+    rows, columns)``; tables, numbers and power are those of `Harmonics`."""
     parts = [
         (safe_root(cells.flatten(2) @ bins.T) @ basis[:number].T).flatten(1)
         for cells, number in zip((area, lengths), numbers, strict=True)

@@ -7,12 +7,12 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from ..poses import Pose
-from .bodies import BUILDING, ROAD, SKY, VEGETATION, Bodies
-from .streets import generator
+from .blocks import BUILDING, ROAD, SKY, VEGETATION, Bodies
+from .streets import FAR, generator
 
 CAMERA_HEIGHT = 1.5
 FIELD_OF_VIEW = math.radians(85)
-NEAR, FAR = 0.3, 120.0
+NEAR = 0.3
 SMALLEST_PIXELS = 0.35  # thinner bodies are not painted
 
 
@@ -71,9 +71,8 @@ def _project(points: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.
 
 
 def _cut_near(corners: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Corners of the part of a convex body that is at least `NEAR` metres ahead: those ahead of the
-    near plane, and the points where the lines between corners behind and ahead cross it. All these
-    lines are inside the body, so no edges are needed."""
+    """Corners of the part of a convex body beyond the near plane: those ahead of it, and where the
+    lines between corners behind and ahead, which are all inside the body, cross it."""
     ahead = corners[corners[:, 0] >= NEAR]
     behind = corners[corners[:, 0] < NEAR]
     start, step = behind[:, None], ahead[None] - behind[:, None]

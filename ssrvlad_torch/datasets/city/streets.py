@@ -55,6 +55,7 @@ def generator(seed: int, name: str, *key: int) -> np.random.Generator:
     return np.random.default_rng([seed, name_hash, *(number % 2**32 for number in key)])
 
 
+FAR = 120.0  # nothing farther is drawn, metres
 PITCH = 80.0  # mean distance of neighbouring streets, metres
 PITCH_JITTER = 16.0
 TURN_RADIUS = 8.0
