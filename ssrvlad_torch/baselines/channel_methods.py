@@ -2,9 +2,8 @@
 image."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -145,18 +144,11 @@ _LEAST_Z = -80.0
 """Its exponential fits into a float32, so every reference has a finite score."""
 
 
-@dataclass(frozen=True)
-class References:
-    """Encoded references: pictures ``(R, HEIGHT * WIDTH)`` float32, and the number of each frame's
-    sequence, ``(R,)`` int64."""
+class References(NamedTuple):
+    """Encoded references: pictures ``(R, HEIGHT * WIDTH)`` float32, and their sequences."""
 
     pictures: Tensor
-    sequence: Tensor
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes of the pictures."""
-        return self.pictures.nbytes
+    sequences: list[str]
 
 
 class TinyImage:
@@ -178,19 +170,18 @@ class TinyImage:
     def encode_reference(self, frames: Iterable[View]) -> References:
         """The pictures, and the sequence of each."""
         sequences: list[str] = []
-        pictures = self.encode_query(noting(frames, sequences))
-        number = {name: i for i, name in enumerate(dict.fromkeys(sequences))}
-        sequence = torch.tensor([number[name] for name in sequences], dtype=torch.int64)
-        return References(pictures, sequence)
+        return References(self.encode_query(noting(frames, sequences)), sequences)
 
     @torch.no_grad()
     def scores(self, queries: Tensor, references: References) -> Tensor:
         """``(Q, R)``: differences of the pictures, normalised over each reference sequence."""
         scores = torch.zeros(len(queries), len(references.pictures))
+        _, numbers = np.unique(references.sequences, return_inverse=True)
+        sequence = torch.from_numpy(numbers)
         at_once = max(1, _SCORES_AT_ONCE // len(references.pictures))
         for rows, block in zip(scores.split(at_once), queries.split(at_once), strict=True):
             difference = torch.cdist(block, references.pictures, p=1) / block.shape[1]
-            rows.copy_(enhance(difference, references.sequence))
+            rows.copy_(enhance(difference, sequence))
         return scores
 
     def _describe(self, frames: Sequence[View]) -> Tensor:

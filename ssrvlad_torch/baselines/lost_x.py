@@ -47,15 +47,6 @@ class LoSTFrame(NamedTuple):
     labels: Tensor
 
 
-class LoSTFrames(list[LoSTFrame]):
-    """Encoded frames."""
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes of all tensors."""
-        return sum(field.nbytes for frame in self for field in frame if isinstance(field, Tensor))
-
-
 class LoSTX:
     """Descriptors of features by class; keypoints rank the best ten references again.
 
@@ -93,15 +84,15 @@ class LoSTX:
             raise ValueError(f"label space {space.name} has no class {unknown[0]!r}; it has {has}")
         self._classes = torch.tensor([ids[name] for name in classes])
 
-    def encode_query(self, frames: Iterable[View]) -> LoSTFrames:
+    def encode_query(self, frames: Iterable[View]) -> list[LoSTFrame]:
         """Descriptors with the mean features of each frame alone; 8 kB per place."""
         return self._encode(frames, reach=0)
 
-    def encode_reference(self, frames: Iterable[View]) -> LoSTFrames:
+    def encode_reference(self, frames: Iterable[View]) -> list[LoSTFrame]:
         """Descriptors with the mean features of the frames around each; 8 kB per place."""
         return self._encode(frames, _REACH)
 
-    def scores(self, queries: LoSTFrames, references: LoSTFrames) -> Tensor:
+    def scores(self, queries: list[LoSTFrame], references: list[LoSTFrame]) -> Tensor:
         """``(Q, R)``: minus the cosine distance times the layout cost, of the ten best references;
         then the others, and those with fewer than two pairs of keypoints, by their cosines."""
         descriptors = (
@@ -127,8 +118,8 @@ class LoSTX:
         return layout_cost((query.width - 1 - x if self._opposite else x, y), 1 - cosines[number])
 
     @torch.no_grad()
-    def _encode(self, frames: Iterable[View], reach: int) -> LoSTFrames:
-        sequences, encoded = list[str](), LoSTFrames()
+    def _encode(self, frames: Iterable[View], reach: int) -> list[LoSTFrame]:
+        sequences, encoded = list[str](), list[LoSTFrame]()
         sights = [self._sight(picture_of(frame, self.name)) for frame in noting(frames, sequences)]
         if not sights:
             raise ValueError(f"method {self.name}: no frames to encode")

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 class Method(Protocol):
     """A place-recognition method, and what it ``needs``: any of ``"labels"``, ``"images"`` and
-    ``"weights"``. Encodings are a tensor with a row per frame, or have ``nbytes``."""
+    ``"weights"``. Encodings are tensors, or tuples and lists of them."""
 
     name: str
     needs: frozenset[str]

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import torch
 import torch.nn.functional as F
 from torch import Tensor
+from torch.utils._pytree import tree_leaves
 
 from ..channels.channel import Channel, View
 from ..recognition.matching import Matches
@@ -69,7 +70,7 @@ def run(
     costs = {
         "encode_ms": _cost(encode_ms),
         "match_ms": _cost(match_ms),
-        "bytes_a_reference": encoded.nbytes / len(map_sequences),
+        "bytes_a_reference": encoded_bytes(encoded) / len(map_sequences),
     }
     retrieval = Retrieval(Matches(*map(torch.cat, zip(*matches, strict=True))), costs)
     if not steps:
@@ -80,6 +81,12 @@ def run(
     else:
         stepped = recognise_by_scores(torch.cat(inputs), sequences, map_sequences, steps, top)
     return retrieval._replace(stepped=stepped)
+
+
+def encoded_bytes(encodings: Any) -> int:
+    """Bytes of the tensors in encodings."""
+    leaves = tree_leaves(encodings)
+    return sum(leaf.nbytes for leaf in leaves if isinstance(leaf, Tensor))
 
 
 def _cost(times: list[float]) -> dict[str, float]:

@@ -1,7 +1,6 @@
 """Frames of video files, by their presentation times. Needs the extra ``video``."""
 
 import math
-from bisect import bisect_right
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass
@@ -63,7 +62,7 @@ def video_files(path: Path, note: Callable[[str], object] = lambda _: None) -> l
 
 
 class _Video:
-    """The frames of the first video stream of a file, decoded in the order of showing.
+    """The frames of the first video stream of a file, decoded in order.
 
     Attributes:
         times: presentation times of all frames, increasing, in units of ``unit`` seconds.
@@ -105,40 +104,32 @@ class _Video:
         return _upright(frame)
 
     def _decoded(self, start: int | None) -> Iterator[tuple[float, Any]]:
-        """Times and frames from the key frame before a time. A decoder conceals damage, also in
-        frames that depend on it, so all after damage are left out up to the next key frame."""
+        """Times and frames from the key frame before a time. A decoder makes up what damage hides,
+        also in later frames, so those after damage are left out up to the next key frame."""
         container, stream = self._opened()
         if start is not None and not self._counts:
             container.seek(start, stream=stream)
-        context = stream.codec_context
+        context, times, is_damaged = stream.codec_context, iter(self.times), True
         context.thread_type = "NONE"  # else the damage that it reports depends on their timing
         context.options = {"err_detect": "explode"}
-        keys, damaged, times = list[int](), {0}, iter(self.times)  # 0: before the first key frame
         for packet in chain((p for p in container.demux(stream) if p.size), [None]):
-            if packet and packet.is_keyframe:
-                keys.append(packet.pts)
+            is_damaged |= packet is not None and packet.is_corrupt
             try:
                 frames = context.decode(packet)
             except self._error:
-                frames = []
-                damaged.add(len(keys))
-            if packet and packet.is_corrupt:
-                damaged.add(len(keys))
+                is_damaged, frames = True, []
             for frame in frames:
-                group = len(keys) if self._counts else bisect_right(keys, frame.pts)
-                if frame.is_corrupt:
-                    damaged.add(group)
-                if self._counts and len(damaged) > 1:
+                is_damaged = frame.is_corrupt or (is_damaged and not frame.key_frame)
+                if is_damaged and self._counts:
                     return
-                if group not in damaged:
-                    yield (next(times, math.inf) if self._counts else frame.pts), frame
+                if not is_damaged:
+                    yield next(times, math.inf) if self._counts else frame.pts, frame
 
     def _opened(self) -> tuple[Any, Any]:
         import av
 
-        container = av.open(
-            str(self._path), options={"format_whitelist": _FORMATS}, **self._settings
-        )
+        settings = {"options": {"format_whitelist": _FORMATS}, **self._settings}
+        container = av.open(str(self._path), **settings)
         if not container.streams.video:
             raise ValueError("it has no stream of pictures")
         return container, container.streams.video[0]

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import torch
-from torch import Tensor, nn
 
 from ..config import CATEGORY_COUNT, SSRVLADConfig
 from ..descriptor import SSRVLAD
@@ -104,15 +103,6 @@ def head_model(
     return model
 
 
-class _Counted(nn.Module):
-    def __init__(self, head: SSRVLAD) -> None:
-        super().__init__()
-        self.head = head
-
-    def forward(self, labels: Tensor) -> tuple[Tensor, ...]:
-        return self.head.counted(labels)
-
-
 def _graph(
     head: SSRVLAD, input: str, dtype: str, shape: tuple[int, int, int] | None
 ) -> onnx.ModelProto:
@@ -130,7 +120,7 @@ def _graph(
     }
     if config.aggregation == "residuals":
         outputs["keypoints"] = [axes[0], CATEGORY_COUNT]
-    return traced(_Counted(head), {input: (example, axes)}, outputs)
+    return traced(head, {input: (example, axes)}, outputs, "counted")
 
 
 def _check(head: SSRVLAD, input: str, dtype: str, shape: tuple[int, int, int] | None) -> None:

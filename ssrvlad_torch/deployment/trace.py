@@ -25,18 +25,21 @@ Axes = Sequence[int | str | None]
 
 
 class _OfList(nn.Module):
-    """A module whose arguments are a list, however many they are."""
+    """A method of a module as one whose arguments are a list, however many they are."""
 
-    def __init__(self, module: nn.Module) -> None:
+    def __init__(self, module: nn.Module, method: str) -> None:
         super().__init__()
-        self.module = module
+        self.module, self.method = module, method
 
     def forward(self, inputs: list[Tensor]) -> Any:
-        return self.module(*inputs)
+        return getattr(self.module, self.method)(*inputs)
 
 
 def traced(
-    module: nn.Module, inputs: Mapping[str, tuple[Tensor, Axes]], outputs: Mapping[str, Axes]
+    module: nn.Module,
+    inputs: Mapping[str, tuple[Tensor, Axes]],
+    outputs: Mapping[str, Axes],
+    method: str = "forward",
 ) -> onnx.ModelProto:
     """A module as a graph; ``inputs`` are by name, in order, an example and axes, ``outputs`` axes.
     One that cannot be traced is a ValueError; no extra ``onnx``, an ImportError."""
@@ -53,7 +56,7 @@ def traced(
         with warnings.catch_warnings(), torch.no_grad():
             warnings.simplefilter("ignore")
             recorded = torch.export.export(
-                _OfList(module).eval(),
+                _OfList(module, method).eval(),
                 ([example for example, _ in inputs.values()],),
                 dynamic_shapes=(dynamic,) if any(dynamic) else None,
             )

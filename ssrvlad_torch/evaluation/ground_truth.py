@@ -26,8 +26,7 @@ def from_poses(
     """True matches of each query: the references within a distance in metres, limit included, and
     perhaps in degrees of heading. Poses are ``(N, 2+)``, x, y, heading in radians; ``None`` for a
     query of unknown pose. A limit out of range, and no pose at all, are a ValueError."""
-    if not 0 <= metres < math.inf:
-        raise ValueError(f"the tolerance must be 0 metres or more and finite, got {metres}")
+    check_distance(metres)
     if degrees is not None and not degrees >= 0:
         raise ValueError(f"the tolerance must be 0 degrees or more, got {degrees}")
     by_heading = degrees is not None
@@ -42,6 +41,12 @@ def from_poses(
             rows = rows[np.abs(turn) <= limit]
         truth.append(rows if is_posed else None)
     return truth
+
+
+def check_distance(metres: float) -> None:
+    """Raises a ValueError for a tolerance that is negative, infinite or NaN."""
+    if not 0 <= metres < math.inf:
+        raise ValueError(f"the tolerance must be 0 metres or more and finite, got {metres}")
 
 
 def require_poses(

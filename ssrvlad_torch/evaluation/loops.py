@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .curves import PrecisionRecall, rank
+from .ground_truth import check_distance, require_poses
 from .outcomes import Bools, Floats, Rows
 from .thresholds import OperatingPoint, suggested_point, wilson_low
 
@@ -51,23 +52,18 @@ def score_loops(
     A loop is right if its two frames are at most ``metres`` apart. A frame is a revisit if its loop
     is right, or an earlier frame, not among the last ``exclude`` of its sequence, is near and looks
     the same way. Frames without a position are left out; if all are, it is a ValueError."""
-    if not 0 <= metres < math.inf:
-        raise ValueError(f"the tolerance must be 0 metres or more and finite, got {metres}")
-    if np.isnan(poses[:, :2]).any(axis=1).all():
-        raise ValueError(
-            f"none of {len(poses)} frames has a pose; a tolerance in metres requires a poses.csv "
-            "(frame,x,y,heading) with their names, in or beside their folder"
-        )
+    check_distance(metres)
+    posed = require_poses("frames", poses)
     counts, start = np.zeros(3, np.int64), 0
     for row in range(len(poses)):
         if row and sequences and sequences[row] != sequences[row - 1]:
             start = row
-        if row < first or np.isnan(poses[row, :2]).any():
+        if row < first or not posed[row]:
             continue
         x, y, turn = (poses[: max(start, row - exclude)] - poses[row]).T
         facing = np.isnan(turn) | (np.cos(turn) > math.cos(FACING))
         candidate = candidates[row]
-        accepted = candidate >= 0 and not np.isnan(poses[candidate, :2]).any()
+        accepted = candidate >= 0 and posed[candidate]
         right = accepted and math.dist(poses[row, :2], poses[candidate, :2]) <= metres
         revisit = right or bool(((np.hypot(x, y) <= metres) & facing).any())
         counts += (accepted, right, revisit)

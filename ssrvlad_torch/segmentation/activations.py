@@ -84,27 +84,20 @@ def all_activations(network: nn.Module, numbers: Tensor) -> list[Activation]:
     size = numbers.shape[2:]
     if isinstance(network, OnnxNetwork):
         return [_activation(name, value, size) for name, value in network.run_all(numbers).items()]
-    states, calls = dict[str, Activation](), Counter[str]()
-    inner: list[tuple[str, Activation, weakref.ref[Tensor]]] = []
+    inner: list[tuple[int, Activation, weakref.ref[Tensor]]] = []
 
     def note(name: str, call: int, output: Tensor) -> None:
-        activation = _activation(f"{name}{_CALL}{call}", output, size)
-        if call:
-            calls[name] = call
-            inner.append((name, activation, weakref.ref(output)))
-        else:
-            states[name] = activation._replace(name=name)
+        inner.append((call, _activation(name, output, size), weakref.ref(output)))
 
     with torch.no_grad(), _hooked(network, note, hidden=True):
         outputs = [leaf for leaf in tree_leaves(network(numbers)) if isinstance(leaf, Tensor)]
+    calls = Counter(act.name for _, act, _ in inner)
+    states = {act.name: act for call, act, _ in inner if not call}
     return [
-        *(
-            activation._replace(name=name) if calls[name] == 1 else activation
-            for name, activation, value in inner
-            if not any(value() is output for output in outputs)
-        ),
-        *states.values(),
-    ]
+        act._replace(name=f"{act.name}{_CALL}{call}") if calls[act.name] > 1 else act
+        for call, act, value in inner
+        if call and not any(value() is output for output in outputs)
+    ] + [*states.values()]
 
 
 def _by_rule(activations: Sequence[Activation]) -> list[Activation]:

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
@@ -83,7 +82,14 @@ class OnnxNetwork(nn.Module):
         names = list(names) or self.outputs
         array = np.ascontiguousarray(self.fed(images).numpy(force=True))
         length = self.batch or len(array)
-        parts = [self._run(array[i : i + length], names) for i in range(0, len(array), length)]
+        parts = []
+        for first in range(0, len(array), length):
+            batch = array[first : first + length]
+            count, missing = len(batch), length - len(batch) if self.batch else 0
+            if missing:
+                batch = np.concatenate([batch, batch[-1:].repeat(missing, axis=0)])
+            arrays = self._session.run(names, {self.input: batch})
+            parts.append([array[:count] if missing else array for array in arrays])
         outputs = {}
         for name, arrays in zip(names, zip(*parts, strict=True), strict=True):
             # ids (h, w) of a graph of one picture have no axis for the batch
@@ -165,11 +171,3 @@ class OnnxNetwork(nn.Module):
             with path.open("rb") as file:
                 content.update(hashlib.file_digest(file, "blake2b").digest())
         return content.hexdigest()
-
-    def _run(self, images: npt.NDArray[Any], names: Sequence[str]) -> list[npt.NDArray[Any]]:
-        count = len(images)
-        if self.batch and count < self.batch:
-            filling = np.repeat(images[-1:], self.batch - count, axis=0)
-            images = np.concatenate([images, filling])
-        arrays = self._session.run(names, {self.input: images})
-        return [array[:count] if count < len(images) else array for array in arrays]
