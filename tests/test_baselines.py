@@ -17,7 +17,7 @@ from skimage.feature import hog as skimage_hog
 from ssrvlad_torch import SSRVLAD
 from ssrvlad_torch.baselines import channel_methods, make
 from ssrvlad_torch.baselines.channel_methods import EncoderFeatures
-from ssrvlad_torch.baselines.run import encoded_bytes, run
+from ssrvlad_torch.baselines.comparison import encoded_bytes, run
 from ssrvlad_torch.channels.channel import View
 from ssrvlad_torch.channels.hog import CELL, ORIENTATIONS, grays, resize
 from ssrvlad_torch.recognition.recognise import references_of

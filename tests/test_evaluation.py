@@ -15,9 +15,8 @@ from scipy.stats import binomtest
 
 from ssrvlad_torch import match
 from ssrvlad_torch.evaluation import thresholds as bootstrapping
-from ssrvlad_torch.evaluation.curves import rank, roc_auc
+from ssrvlad_torch.evaluation.curves import judge, rank, roc_auc
 from ssrvlad_torch.evaluation.metrics import FIGURES, evaluate, precision_recall_curve
-from ssrvlad_torch.evaluation.outcomes import judge
 from ssrvlad_torch.evaluation.thresholds import at_precision, at_recall, suggested_point, wilson_low
 
 INF = math.inf

@@ -121,65 +121,52 @@ def fuse(
     else:
         segmenter = Segmenter.load(network, config.labels_as)
         name = Path(network).name if Path(network).exists() else str(network)
-    head_file = Path(head_path) if head_path else None
     try:
-        return _fuse(segmenter, name, config, Path(path), head_file, features, progress)
+        with requiring("onnx", "ONNX graphs need"):
+            from onnx import TensorProto
+        extractor = None
+        if features or (features is None and not segmenter.problem_of_features):
+            extractor = segmenter.features
+        head, given = SSRVLAD(config), segmenter.label_space
+        if given != head.label_space:
+            raise ValueError(
+                f"gives labels of {given.name}, the head reads {head.label_space.name}"
+            )
+        if isinstance(segmenter.network, OnnxNetwork):
+            properties = load_model(segmenter.network.path).metadata_props
+            if any(entry.key.startswith(PREFIX) for entry in properties):
+                raise ValueError("has a head already; expected the network alone")
+        expected = _golden_image(segmenter, extractor is not None)
+        progress(1)
+        model = label_graph(segmenter.labels, extractor)
+        progress(1)
+        narrow = model.graph.output[0].type.tensor_type.elem_type == TensorProto.UINT8
+        head_part = head_model(config, LABELS, "uint8" if narrow else "int64")
+        progress(1)
+        key = extractor.fingerprint if extractor else ""
+        settings, hog = asdict(segmenter.config), HOG().fingerprint
+        fused = FusedNetwork(name, segmenter.key(), settings, key, hog)
+        extra = {NETWORK: json.dumps(asdict(fused))}
+        extra |= {PREFIX + channel: text for channel, text in fused.channels.items()}
+        if head_path is None:
+            model = _joined(model, head_part)
+        form = interface(model)
+
+        def describe(file: Path) -> dict[str, str]:
+            golden = _golden(runtime_of().open(file), expected, head, segmenter)
+            metadata = Metadata.of(head.config, head.label_space, form, golden)
+            return metadata.to_properties() | extra
+
+        if head_path:
+            check_output(Path(head_path))
+        save_model(model, Path(path), describe)
+        if head_path:
+            with replacing(Path(head_path)) as temporary:
+                temporary.write_bytes(head_part.SerializeToString())
+        progress(1)
+        return fused
     except ValueError as error:
         raise ValueError(str(error) if name in str(error) else f"{name}: {error}") from error
-
-
-def _fuse(
-    segmenter: Segmenter,
-    name: str,
-    config: SSRVLADConfig,
-    path: Path,
-    head_path: Path | None,
-    with_features: bool | None,
-    progress: Callable[[int], object],
-) -> FusedNetwork:
-    with requiring("onnx", "ONNX graphs need"):
-        from onnx import TensorProto
-    features = None
-    if with_features or (with_features is None and not segmenter.problem_of_features):
-        features = segmenter.features
-    head = SSRVLAD(config)
-    if segmenter.label_space != head.label_space:
-        raise ValueError(
-            f"gives labels of {segmenter.label_space.name}, the head reads {head.label_space.name}"
-        )
-    if isinstance(segmenter.network, OnnxNetwork):
-        properties = load_model(segmenter.network.path).metadata_props
-        if any(entry.key.startswith(PREFIX) for entry in properties):
-            raise ValueError("has a head already; expected the network alone")
-    expected = _golden_image(segmenter, features is not None)
-    progress(1)
-    model = label_graph(segmenter.labels, features)
-    progress(1)
-    narrow = model.graph.output[0].type.tensor_type.elem_type == TensorProto.UINT8
-    head_part = head_model(config, LABELS, "uint8" if narrow else "int64")
-    progress(1)
-    key = features.fingerprint if features else ""
-    settings, hog = asdict(segmenter.config), HOG().fingerprint
-    fused = FusedNetwork(name, segmenter.key(), settings, key, hog)
-    extra = {NETWORK: json.dumps(asdict(fused))}
-    extra |= {PREFIX + name: fingerprint for name, fingerprint in fused.channels.items()}
-    if head_path is None:
-        model = _joined(model, head_part)
-    form = interface(model)
-
-    def describe(file: Path) -> dict[str, str]:
-        golden = _golden(runtime_of().open(file), expected, head, segmenter)
-        metadata = Metadata.of(head.config, head.label_space, form, golden)
-        return metadata.to_properties() | extra
-
-    if head_path:
-        check_output(head_path)
-    save_model(model, path, describe)
-    if head_path:
-        with replacing(head_path) as temporary:
-            temporary.write_bytes(head_part.SerializeToString())
-    progress(1)
-    return fused
 
 
 def _joined(network: onnx.ModelProto, head: onnx.ModelProto) -> onnx.ModelProto:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from ..datasets.names import IMAGE_SUFFIXES as SUFFIXES
 from ..datasets.names import name_of
 from ..files import check_regular, npy_header, one_line, parse_npy, read_bytes, read_json, read_npz
-from .outcomes import Rows
+from .curves import Rows
 
 Matrix = npt.NDArray[Any]
 Pairs = dict[str, list[str]]

@@ -6,9 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .curves import PrecisionRecall, rank
+from .curves import Bools, Floats, PrecisionRecall, Rows, rank
 from .ground_truth import check_distance, require_poses
-from .outcomes import Bools, Floats, Rows
 from .thresholds import OperatingPoint, suggested_point, wilson_low
 
 FACING = math.radians(45)

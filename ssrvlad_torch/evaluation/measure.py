@@ -12,11 +12,11 @@ import numpy.typing as npt
 from ..datasets.frame_file import Skipped
 from ..datasets.image_files import Pixels
 from ..recognition.matching import Matches
+from .curves import Floats, Outcomes, Rows, Truth, judge
+from .ground_truth import Viewpoints
 from .ground_truth_files import PartialTruth, known_matches
 from .metrics import Convention, evaluate, precision_recall_curve
-from .outcomes import Floats, Outcomes, Rows, Truth, judge
 from .thresholds import operating_points
-from .true_matches import Viewpoints
 
 TOP = 10
 """Candidates of each query that the metrics need."""

@@ -19,8 +19,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from .curves import PrecisionRecall, rank, roc_auc
-from .outcomes import Floats, Indices, Outcomes, Scores, Truth, judge
+from .curves import Floats, Indices, Outcomes, PrecisionRecall, Scores, Truth, judge, rank, roc_auc
 from .thresholds import bootstrap, wilson
 
 Convention = Literal["exact", "vpr-bench"]

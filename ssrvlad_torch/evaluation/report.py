@@ -13,9 +13,9 @@ from PIL import Image
 
 from ..datasets.image_files import Pixels
 from ..files import new_figure, png_address, replacing, requiring
+from .curves import Bools, Outcomes, Truth
 from .measure import Evaluation, Material
 from .metrics import Convention, figure_rows, fraction, precision_recall_curve
-from .outcomes import Bools, Outcomes, Truth
 from .thresholds import operating_rows
 
 WRONG_MATCHES, RIGHT_MATCHES = 8, 4

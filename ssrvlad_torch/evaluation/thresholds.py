@@ -7,8 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .curves import PrecisionRecall
-from .outcomes import Floats
+from .curves import Floats, PrecisionRecall
 
 LEVEL = 0.95
 _CELLS = 1 << 22

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .outcomes import Floats
+from .curves import Floats
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..evaluation.outcomes import Floats, Rows
+from ..evaluation.curves import Floats, Rows
 from ..evaluation.trajectory import DARK, GRAY, draw_trajectory
 from ..files import drawn_text, new_figure
 from ..recognition.sequences import runs

@@ -16,8 +16,8 @@ from ..descriptor import SSRVLAD
 from ..encoding.encoder import Describer, channels_to_store, check_segmenter, config_for, encode
 from ..encoding.named import encode_names
 from ..encoding.results import Encoded, Note, Skipped, do_nothing
+from ..evaluation.curves import Rows
 from ..evaluation.loops import loop_curve, loop_errors, score_loops, surest_point
-from ..evaluation.outcomes import Rows
 from ..segmentation.segmenter import Segmenter
 from ..taxonomy import LabelSpace
 from .config import LoopConfig

@@ -21,13 +21,12 @@ from ..datasets.frame_files import FrameFile, found_by
 from ..datasets.image_files import Pixels, find_image_files, read_image
 from ..datasets.label_files import find_label_files, read_label_map
 from ..encoding.source import SelectedFrames
-from ..evaluation.ground_truth import from_frame_numbers
+from ..evaluation.curves import Rows
+from ..evaluation.ground_truth import Viewpoints, from_frame_numbers, true_matches
 from ..evaluation.loops import EVEN
 from ..evaluation.measure import Evaluation, Recognition, measure
 from ..evaluation.metrics import Convention
-from ..evaluation.outcomes import Rows
 from ..evaluation.trajectory import draw_trajectory
-from ..evaluation.true_matches import Viewpoints, true_matches
 from ..files import drawn_text, new_figure
 from ..recognition.recognise import references_of
 from ..segmentation.segmenter import Segmenter
