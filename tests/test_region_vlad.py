@@ -12,8 +12,12 @@ from helpers import refused
 from methods import Array, convolve, frames, local_response_norm, max_pool, noise, relu, unit
 from skimage.measure import label, regionprops
 
-from ssrvlad_torch.baselines.region_vlad import AlexNetPlaces365, RegionVLAD, regions_of
-from ssrvlad_torch.baselines.weights import read_vocabulary
+from ssrvlad_torch.baselines.region_vlad import (
+    AlexNetPlaces365,
+    RegionVLAD,
+    read_vocabulary,
+    regions_of,
+)
 
 WORDS = np.random.default_rng(0).random((4, 384))
 

@@ -3,15 +3,18 @@ Zisserman, ICLR 2015), with the weights that the PyTorch port publishes."""
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from kornia.enhance import normalize
 from torch import Tensor, nn
 
 from ..channels.channel import View, picture_of
+from ..files import naming
 from .channel_methods import VectorMethod
-from .weights import fill, find_weights, read_checkpoint
+from .weights import fill, find_weights
 
 _WIDTHS, _DEPTHS = (64, 128, 256, 512, 512), (2, 2, 3, 3, 3)
 _MEAN, _STD = torch.tensor((0.485, 0.456, 0.406)), torch.tensor((0.229, 0.224, 0.225))
@@ -95,3 +98,21 @@ def read_netvlad(path: Path, widths: Sequence[int] = _WIDTHS) -> NetVLADNetwork:
         network = NetVLADNetwork(widths, clusters, None if whitening is None else len(whitening))
     fill(network, state, path)
     return network.eval()
+
+
+def read_checkpoint(path: Path) -> dict[str, Tensor]:
+    """The tensors of a PyTorch checkpoint, bare or under ``state_dict``, without the ``module.`` of
+    ``nn.DataParallel``; anything else is a ValueError."""
+    scalar = np.float64(0).__reduce__()[0]  # under NumPy's old and new modules
+    numbers: list[Any] = [(scalar, f"numpy.{core}.multiarray.scalar") for core in ("core", "_core")]
+    kinds = (np.float32, np.float64, np.int32, np.int64, bool)
+    numbers += [np.dtype, *(type(np.dtype(kind)) for kind in kinds)]
+    unpickled = torch.serialization.safe_globals(numbers)
+    with naming(f"{path} is not a whole PyTorch checkpoint"), unpickled:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+    state = content.get("state_dict", content) if isinstance(content, dict) else content
+    pairs = state.items() if isinstance(state, dict) else ()
+    tensors = {str(k).replace("module.", ""): v for k, v in pairs if isinstance(v, Tensor)}
+    if not tensors:
+        raise ValueError(f"{path} must hold tensors by name, bare or under state_dict; it has none")
+    return tensors

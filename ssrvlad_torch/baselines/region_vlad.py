@@ -3,8 +3,11 @@
 The network is Caffe's AlexNet of Places365 up to conv3 (Zhou et al., TPAMI 2018): the authors'
 vocabulary holds its activations. That which Places365 publishes for PyTorch is another network."""
 
+import pickle
 from collections.abc import Sequence
+from copyreg import _reconstructor  # type: ignore[attr-defined]
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,11 +15,26 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from ..channels.channel import View, picture_of
-from ..files import requiring
+from ..files import naming, requiring
 from .channel_methods import VectorMethod
-from .weights import fill, find_weights, read_caffe, read_vocabulary
+from .weights import fill, find_weights
 
 _MEAN_BGR = (104.051, 112.514, 116.676)  # the mean pixel of places365CNN_mean.binaryproto
+
+_CAFFE = """
+name: "caffe.proto" package: "caffe"
+message_type { name: "Net" field { name: "layer" number: 100 label: LABEL_REPEATED
+  type: TYPE_MESSAGE type_name: "Layer" } }
+message_type { name: "Layer"
+  field { name: "name" number: 1 label: LABEL_OPTIONAL type: TYPE_STRING }
+  field { name: "blobs" number: 7 label: LABEL_REPEATED type: TYPE_MESSAGE type_name: "Blob" } }
+message_type { name: "Blob"
+  field { name: "data" number: 5 label: LABEL_REPEATED type: TYPE_FLOAT options { packed: true } }
+  field { name: "shape" number: 7 label: LABEL_OPTIONAL type: TYPE_MESSAGE type_name: "Shape" } }
+message_type { name: "Shape"
+  field { name: "dim" number: 1 label: LABEL_REPEATED type: TYPE_INT64 options { packed: true } } }
+"""
+"""What is read of Caffe's ``NetParameter``."""
 
 
 class RegionVLAD(VectorMethod):
@@ -97,3 +115,64 @@ def vlad(descriptors: Tensor, words: Tensor) -> Tensor:
     nearest = torch.cdist(descriptors, words).argmin(1)
     residuals = torch.zeros_like(words).index_add_(0, nearest, descriptors - words[nearest])
     return F.normalize((residuals.sign() * residuals.abs().sqrt()).flatten(), dim=0)
+
+
+def read_caffe(path: Path) -> dict[str, Tensor]:
+    """Weights and biases of a ``.caffemodel``, as ``LAYER.weight`` and ``LAYER.bias``; a damaged
+    file is a ValueError. It needs the extra ``onnx``, which brings protobuf."""
+    with requiring("onnx", "a .caffemodel needs"):
+        from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, text_format
+    pool = descriptor_pool.DescriptorPool()
+    pool.Add(text_format.Parse(_CAFFE, descriptor_pb2.FileDescriptorProto()))
+    make = message_factory.GetMessageClass(pool.FindMessageTypeByName("caffe.Net"))
+    with naming(f"{path} is no whole .caffemodel"):
+        return {
+            f"{layer.name}.{kind}": torch.tensor(blob.data).reshape(*blob.shape.dim)
+            for layer in make.FromString(path.read_bytes()).layer
+            for kind, blob in zip(("weight", "bias"), layer.blobs, strict=False)
+        }
+
+
+def read_vocabulary(path: Path, keys: Sequence[str], shape: tuple[int, int]) -> Tensor:
+    """The centres of a k-means of scikit-learn in a pickle of nested dictionaries with these keys,
+    float32; a ValueError for another file. Of a pickle only arrays and empty objects are made."""
+    with naming(f"{path} is no vocabulary"):
+        with path.open("rb") as file:
+            content = _Arrays(file, encoding="latin1").load()
+        for key in keys:
+            content = {str(name): value for name, value in content.items()}[key]
+        words = torch.from_numpy(content.cluster_centers_.astype(np.float32))
+        if words.shape != shape or not words.isfinite().all():
+            raise ValueError(f"expected {shape} finite numbers, got {tuple(words.shape)}")
+    return words
+
+
+class _Attributes:
+    """An object of a class that is not there, with its attributes."""
+
+    def __init__(self, *_: object) -> None: ...
+
+    def __setstate__(self, state: object) -> None:
+        if isinstance(state, dict):
+            vars(self).update(state)
+
+
+class _Arrays(pickle.Unpickler):
+    """Reads arrays and objects of scikit-learn, and nothing else."""
+
+    def find_class(self, module: str, name: str) -> Any:
+        """See `pickle.Unpickler`."""
+        if module.startswith(("sklearn.", "numpy.random")):
+            return _Attributes
+        names = {
+            "_reconstruct": np.zeros(0).__reduce__()[0],
+            "scalar": np.float64(0).__reduce__()[0],
+            "ndarray": np.ndarray,
+            "dtype": np.dtype,
+            "_reconstructor": _reconstructor,
+            "object": object,
+            "encode": lambda text, _: text.encode("latin1"),
+        }
+        if name not in names:
+            raise ValueError(f"it holds {module}.{name}")
+        return names[name]
