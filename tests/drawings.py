@@ -16,29 +16,10 @@ SPACE = "camvid-11"
 SKY, BUILDING, POLE, ROAD, PAVEMENT, TREE = 0, 1, 2, 3, 4, 5
 SIGN, FENCE, CAR, VOID = 6, 7, 8, 11
 
-EMPTY = """
-.....
-.....
-"""
-
 DOT = """
 .....
 ..#..
 .....
-"""
-
-LINE = """
-.......
-.#####.
-.......
-"""
-
-DIAGONAL = """
-#....
-.#...
-..#..
-...#.
-....#
 """
 
 CROSS = """
@@ -49,14 +30,6 @@ CROSS = """
 ...#...
 ...#...
 ...#...
-"""
-
-TEE = """
-.........
-.#######.
-....#....
-....#....
-....#....
 """
 
 CROWDED_CROSSING = """
@@ -76,15 +49,6 @@ RING = """
 .#...#.
 .#####.
 .......
-"""
-
-BLOCK = """
-........
-.######.
-.######.
-.######.
-.######.
-........
 """
 
 FULL = """
@@ -144,13 +108,6 @@ def mask(drawing: str) -> npt.NDArray[np.bool_]:
 def pack(layers: npt.NDArray[np.bool_]) -> Tensor:
     """``(B, 8, H, W)`` layers -> ``(B, H, W)`` uint8 bit-planes."""
     return torch.from_numpy(np.packbits(layers, axis=1, bitorder="little")[:, 0])
-
-
-def planes(*masks: npt.NDArray[np.bool_]) -> Tensor:
-    """``(1, H, W)`` bit-planes with the given masks of one size as layers 0, 1, ..."""
-    layers = np.zeros((1, 8, *masks[0].shape), bool)
-    layers[0, : len(masks)] = masks
-    return pack(layers)
 
 
 def random_planes(seed: int = 0, shape: tuple[int, int, int] = (3, 13, 17)) -> Tensor:

@@ -8,7 +8,14 @@ from skimage.morphology import thin
 
 from ssrvlad_torch import SSRVLADConfig, reference
 
-DRAWN = {name.lower(): mask(drawing) for name, drawing in MASKS.items()}
+PLAIN = {
+    "empty": "..... .....",
+    "line": "....... .#####. .......",
+    "diagonal": "#.... .#... ..#.. ...#. ....#",
+    "tee": "......... .#######. ....#.... ....#.... ....#....",
+    "block": "........ .######. .######. .######. .######. ........",
+}
+DRAWN = {name.lower(): mask(drawing) for name, drawing in (MASKS | PLAIN).items()}
 PLAIN = SSRVLADConfig.from_preset(
     "paper", labels_as=SPACE, closing=0.0, hole_area=0.0, region_area=0.0
 )
