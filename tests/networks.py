@@ -231,10 +231,7 @@ def write_published(folder: Path, family: str = "Segformer") -> Path:
     settings, task, processor = _published(library, family)
     config = getattr(library, f"{family}Config")(**settings, **ids)
     getattr(library, f"{family}For{task}Segmentation")(config).save_pretrained(folder)
-    if family == "OneFormer":
-        _one_former_processor(library, folder).save_pretrained(folder)
-    else:
-        getattr(library, f"{family}ImageProcessorPil")(**processor).save_pretrained(folder)
+    getattr(library, f"{family}ImageProcessorPil")(**processor).save_pretrained(folder)
     return folder
 
 
@@ -255,29 +252,9 @@ def _published(library: Any, family: str) -> tuple[dict[str, Any], str, dict[str
         return sizes, "Semantic", {"size": {"height": 64, "width": 96}}
     if family == "Beit":
         return {**vit, "out_indices": [0, 1, 2, 3]}, "Semantic", {**square, "do_center_crop": False}
-    if family == "Mask2Former":
-        sizes = {"feature_size": 32, "mask_feature_size": 32}
-        sides = {"size": {"shortest_edge": 64, "longest_edge": 128}, "size_divisor": 32}
-        return {**masks, **sizes}, "Universal", sides
-    assert family == "OneFormer"
-    text = {"text_encoder_width": 32, "text_encoder_num_layers": 1, "query_dec_layers": 1}
-    return {**masks, **text, "mask_dim": 32, "conv_dim": 32}, "Universal", {}
-
-
-def _one_former_processor(library: Any, folder: Path) -> Any:
-    """It has a tokenizer for the task and a file of class names, which a real one downloads."""
-    classes = {str(n): {"name": name, "isthing": 0} for n, name in enumerate(NAMES)}
-    (folder / "classes.json").write_text(json.dumps(classes))
-    letters = [chr(code) for code in range(97, 123)]
-    words = [*letters, *(f"{letter}</w>" for letter in letters), "<|startoftext|>", "<|endoftext|>"]
-    tokens = library.CLIPTokenizer(
-        vocab={word: n for n, word in enumerate(words)}, merges=[], model_max_length=77
-    )
-    images = library.OneFormerImageProcessorPil(
-        size={"shortest_edge": 64, "longest_edge": 128}, repo_path=str(folder),
-        class_info_file="classes.json", num_text=6,
-    )  # fmt: skip
-    return library.OneFormerProcessor(image_processor=images, tokenizer=tokens)
+    assert family == "Mask2Former"
+    sides = {"size": {"shortest_edge": 64, "longest_edge": 128}, "size_divisor": 32}
+    return {**masks, "feature_size": 32, "mask_feature_size": 32}, "Universal", sides
 
 
 LABELS = [street(seed) for seed in range(5)]

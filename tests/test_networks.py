@@ -127,17 +127,14 @@ def test_a_published_model_comes_with_its_own_settings_and_class_names(hub_folde
     assert segmenter([NOISE])[0].shape == (17, 23)
 
 
-@pytest.mark.parametrize(
-    "family", ["Mask2Former", "OneFormer", pytest.param("Beit", marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("family", ["Mask2Former", pytest.param("Beit", marks=pytest.mark.slow)])
 def test_every_family_of_transformers_gives_label_maps(family, tmp_path):
     segmenter = Segmenter.load(write_published(tmp_path / "tiny", family))
     labels = segmenter([PHOTOS[0], NOISE])
     assert [image.shape for image in labels] == [(24, 32), (17, 23)]
     assert len(segmenter.label_space.classes) == 8
-    assert segmenter.config.network_size(90, 160) == {
-        "Mask2Former": (64, 128), "OneFormer": (64, 113),
-    }.get(family, (64, 64))  # fmt: skip
+    size = (64, 128) if family == "Mask2Former" else (64, 64)
+    assert segmenter.config.network_size(90, 160) == size
 
 
 def test_a_model_that_is_not_there_is_an_error_in_one_line(tmp_path, monkeypatch, capfd):

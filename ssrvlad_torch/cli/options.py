@@ -216,7 +216,7 @@ class TruthOptions:
 
     ground_truth: Path | None = option(
         "Ground truth: pairs of frames by their ids or the ends of their paths (.json, .csv), a "
-        "0/1 matrix (.npy, .npz). Default: the ground truth of the data set."
+        "0/1 matrix (.npy). Default: the ground truth of the data set."
     )
     tolerance_metres: float | None = option(
         "Instead of a ground truth: largest distance of a true match in metres, by the poses. "

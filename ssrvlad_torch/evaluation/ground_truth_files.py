@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from ..datasets.names import IMAGE_SUFFIXES as SUFFIXES
 from ..datasets.names import name_of
-from ..files import check_regular, npy_header, one_line, parse_npy, read_bytes, read_json, read_npz
+from ..files import check_regular, npy_header, one_line, parse_npy, read_bytes, read_json
 from .curves import Rows
 
 Matrix = npt.NDArray[Any]
@@ -35,7 +35,7 @@ def from_file(
     | ``.json`` | ``{"<query>": ["<reference>", ...]}`` |
     | ``.json`` | VPR-Bench's ``ground_truth_new.npy``, converted: ``[[0, [0, 1, ...]], ...]`` |
     | ``.csv`` | a first line ``query,reference`` and a line for each pair |
-    | ``.npy``, ``.npz`` | a 0/1 matrix ``(Q, R)``; ``GThard`` ``(R, Q)`` as in VPR-Tutorial |
+    | ``.npy`` | a 0/1 matrix ``(Q, R)`` |
 
     An entry names a frame by its id, or by the only path that ends so, with or without the suffix
     of the file. A query that no entry names has an unknown truth; one without a true match needs an
@@ -113,16 +113,7 @@ def _read_npy(path: Path) -> Matrix:
     return parse_npy(read_bytes(path))
 
 
-def _read_npz(path: Path) -> Matrix:
-    arrays = read_npz(path)
-    if "GThard" in arrays:
-        return arrays["GThard"].T
-    if len(arrays) != 1:
-        raise ValueError(f"expected one matrix, or GThard, got {', '.join(arrays)}")
-    return next(iter(arrays.values()))
-
-
-_READERS = {".json": _read_json, ".csv": _read_csv, ".npy": _read_npy, ".npz": _read_npz}
+_READERS = {".json": _read_json, ".csv": _read_csv, ".npy": _read_npy}
 
 
 def _is_numbers(row: object) -> bool:

@@ -30,7 +30,7 @@ _KEYS = ("network", "labels_as", "arguments", "runtime", ACCEPT)
 """Keys of a YAML file that are no settings of the preparation."""
 
 _WEIGHTS = (".pth", ".pt", ".ckpt", ".bin", ".safetensors", ".pkl")
-_MASK_NETWORKS = ("maskformer", "mask2former", "oneformer")
+_MASK_NETWORKS = ("maskformer", "mask2former")
 _WHERE = "FILE.onnx, FILE.yaml, hf:ORG/NAME[@REVISION], a folder, MODULE:NAME"
 
 
@@ -191,18 +191,15 @@ def _reason(error: Exception) -> str:
 
 class MaskScores(nn.Module):
     """Class scores of a network of the MaskFormer family, which gives masks, each with the scores
-    of its class; ``task`` ``(1, length)`` is the input of OneFormer alone."""
+    of its class."""
 
-    def __init__(self, network: nn.Module, task: Tensor | None) -> None:
+    def __init__(self, network: nn.Module) -> None:
         super().__init__()
         self.network = network
-        self.task: Tensor | None
-        self.register_buffer("task", task, persistent=False)
 
     def forward(self, images: Tensor) -> Tensor:
         """``(B, C, h, w)``: each mask gives its pixels the scores of its class."""
-        task = {} if self.task is None else {"task_inputs": self.task.expand(len(images), -1)}
-        output = self.network(pixel_values=images, **task)
+        output = self.network(pixel_values=images)
         classes = output.class_queries_logits.softmax(-1)[..., :-1]
         masks = output.masks_queries_logits.sigmoid()
         return torch.einsum("bqc,bqhw->bchw", classes, masks)
@@ -219,24 +216,18 @@ def _of_hub(name: str, settings: dict[str, Any]) -> NamedNetwork:
     try:
         config = hub.AutoConfig.from_pretrained(source, **pinned)
         has_masks = config.model_type in _MASK_NETWORKS
-        has_task = config.model_type == "oneformer"
         family = "Universal" if has_masks else "Semantic"
         network = getattr(hub, f"AutoModelFor{family}Segmentation").from_pretrained(
             source, **pinned
         )
-        kind = hub.AutoProcessor if has_task else hub.AutoImageProcessor
-        processor = kind.from_pretrained(source, backend="pil", **pinned)
+        processor = hub.AutoImageProcessor.from_pretrained(source, backend="pil", **pinned)
     except OSError as error:
         reason = _reason(error).partition(" Check your internet")[0]
         raise OSError(f"{name} cannot be loaded: {reason}") from error
     except Exception as error:  # the libraries raise many kinds of errors
         raise ValueError(f"{name} cannot be used: {one_line(error)}") from error
-    task = None
-    if has_task:
-        task = processor._preprocess_text(["the task is semantic"])
-        processor = processor.image_processor
     if has_masks:
-        network = MaskScores(network, task)
+        network = MaskScores(network)
     with naming(name):
         settings = _settings_of(processor, settings)
     return NamedNetwork(name, network, SegmenterConfig(**settings), dict(config.id2label))

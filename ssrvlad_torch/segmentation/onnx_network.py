@@ -3,11 +3,9 @@
 
 from __future__ import annotations
 
-import ast
 import hashlib
 import json
 from collections.abc import Iterable, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -130,20 +128,14 @@ class OnnxNetwork(nn.Module):
         }
 
     def class_names(self) -> dict[int, str]:
-        """Names of its classes by channel, from the metadata that exporters write: a mapping or a
-        list, in JSON or as a Python literal, as of Ultralytics. Others are empty."""
+        """Names of its classes by channel, which exporters write in JSON into the metadata."""
         keys = ("id2label", "names", "classes", "class_names")
-        text = next((self.metadata[key] for key in keys if key in self.metadata), "")
-        names: Any = {}
-        for parse in (json.loads, ast.literal_eval):
-            with suppress(ValueError, SyntaxError, RecursionError, MemoryError):
-                names = parse(text)
-                break
-        if isinstance(names, list):
-            names = dict(enumerate(names))
+        text = next((self.metadata[key] for key in keys if key in self.metadata), "{}")
         try:
+            names = json.loads(text)
+            names = dict(enumerate(names)) if isinstance(names, list) else names
             return {int(number): str(name) for number, name in names.items()}
-        except (AttributeError, TypeError, ValueError):
+        except (AttributeError, TypeError, ValueError, RecursionError):
             return {}
 
     def _session_with(self, names: Sequence[str] | None, provider: str) -> Any:

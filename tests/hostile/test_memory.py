@@ -15,6 +15,7 @@ from ssrvlad_torch.datasets.image_files import read_image
 from ssrvlad_torch.datasets.label_files import read_label_map
 from ssrvlad_torch.deployment.metadata import Metadata
 from ssrvlad_torch.evaluation.ground_truth_files import from_file
+from ssrvlad_torch.files import read_npz
 from ssrvlad_torch.segmentation.preparation import SegmenterConfig
 from ssrvlad_torch.taxonomy import label_space
 
@@ -36,6 +37,7 @@ readers = {
     "picture": lambda path: read_image(FrameFile("a", "x", path)),
     "label space": label_space,
     "ground truth": lambda path: from_file(path, ["a"], ["b"]),
+    "archive": read_npz,
     "golden": golden,
     "size": lambda path: SegmenterConfig(size=(30000, 30000)),
 }
@@ -67,7 +69,7 @@ def test_refused_files_need_little_memory(tmp_path):
         ("picture", huge, none),
         ("label space", bad.text(tmp_path / "bomb.yaml", bad.ALIASES), aliases),
         ("label space", bad.endless(tmp_path / "zero.yaml"), device),
-        ("ground truth", bad.archive(tmp_path / "zeros.npz", 300 << 20), "SSRVLAD_FILE_LIMIT"),
+        ("archive", bad.archive(tmp_path / "zeros.npz", 300 << 20), "SSRVLAD_FILE_LIMIT"),
         ("ground truth", huge, none),
         ("golden", tmp_path, ""),
         ("size", tmp_path, "SSRVLAD_PIXEL_LIMIT"),
