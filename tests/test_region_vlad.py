@@ -139,7 +139,7 @@ def test_the_descriptor_is_vlad_of_the_regions_by_the_published_files(folder):
     [
         (WORDS[:3], r"expected \(4, 384\) finite numbers, got \(3, 384\)"),
         (WORDS * np.nan, r"expected \(4, 384\) finite numbers"),
-        (np.array([Path("x")], object), r"it holds pathlib\.PosixPath"),
+        (np.array([Path("x")], object), ""),
     ],
 )
 def test_another_vocabulary_is_refused(words, message, tmp_path):
@@ -149,9 +149,11 @@ def test_another_vocabulary_is_refused(words, message, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "command", [b"cos\nsystem\n(S'touch ran'\ntR.", b"cbuiltins\neval\n(S'1'\ntR."]
+    "command", [b"cos\nsystem\n(S'touch ran'\ntR.", b"cbuiltins\neval\n(S'1/0'\ntR."]
 )
-def test_a_pickle_with_code_is_refused(command, tmp_path):
+def test_code_in_a_pickle_does_not_run(command, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "words.pkl").write_bytes(command)
-    with refused(r"words\.pkl is no vocabulary: it holds (os\.system|builtins\.eval)"):
+    with refused(r"words\.pkl is no vocabulary: (?!division)"):
         read_vocabulary(tmp_path / "words.pkl", ("400", "256", "conv3"), (4, 384))
+    assert [*tmp_path.iterdir()] == [tmp_path / "words.pkl"]

@@ -5,7 +5,6 @@ vocabulary holds its activations. That which Places365 publishes for PyTorch is 
 
 import pickle
 from collections.abc import Sequence
-from copyreg import _reconstructor  # type: ignore[attr-defined]
 from pathlib import Path
 from typing import Any
 
@@ -148,7 +147,7 @@ def read_vocabulary(path: Path, keys: Sequence[str], shape: tuple[int, int]) -> 
 
 
 class _Attributes:
-    """An object of a class that is not there, with its attributes."""
+    """Stands for an object of any class, with its attributes."""
 
     def __init__(self, *_: object) -> None: ...
 
@@ -157,22 +156,19 @@ class _Attributes:
             vars(self).update(state)
 
 
-class _Arrays(pickle.Unpickler):
-    """Reads arrays and objects of scikit-learn, and nothing else."""
+_READ = {
+    "_reconstruct": np.zeros(0).__reduce__()[0],
+    "scalar": np.float64(0).__reduce__()[0],
+    "ndarray": np.ndarray,
+    "dtype": np.dtype,
+    "encode": lambda text, _: text.encode("latin1"),
+}
+"""What is called of a pickle: what makes an array."""
 
-    def find_class(self, module: str, name: str) -> Any:
+
+class _Arrays(pickle.Unpickler):
+    """Reads arrays; whatever else a pickle names is `_Attributes`."""
+
+    def find_class(self, _module: str, name: str) -> Any:
         """See `pickle.Unpickler`."""
-        if module.startswith(("sklearn.", "numpy.random")):
-            return _Attributes
-        names = {
-            "_reconstruct": np.zeros(0).__reduce__()[0],
-            "scalar": np.float64(0).__reduce__()[0],
-            "ndarray": np.ndarray,
-            "dtype": np.dtype,
-            "_reconstructor": _reconstructor,
-            "object": object,
-            "encode": lambda text, _: text.encode("latin1"),
-        }
-        if name not in names:
-            raise ValueError(f"it holds {module}.{name}")
-        return names[name]
+        return _READ.get(name, _Attributes)
