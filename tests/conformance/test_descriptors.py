@@ -75,6 +75,7 @@ def test_a_batch_equals_its_images(name, preset):
 WIDE = {
     "stages in torch": "int64",
     "native core": "int64",
+    "Python without torch": "int64",
     "C++ over ONNX Runtime": "int64",
     "C++ over the core": "int64",
 }
